@@ -1,0 +1,20 @@
+//! Generates the wire types from the .proto files with protox, so that no system protoc is needed, and writes the
+//! descriptor set that gRPC reflection serves.
+
+use std::{env, error::Error, fs, path::PathBuf};
+
+use prost::Message as _;
+
+const FILES: [&str; 5] = ["types", "map", "observation", "query", "maintenance"];
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let paths: Vec<String> = FILES.iter().map(|file| format!("tidemap/v1/{file}.proto")).collect();
+    for path in &paths {
+        println!("cargo::rerun-if-changed={path}");
+    }
+    let descriptors = protox::compile(&paths, ["."])?;
+    let out = PathBuf::from(env::var("OUT_DIR")?).join("tidemap.v1.bin");
+    fs::write(&out, descriptors.encode_to_vec())?;
+    tonic_prost_build::configure().bytes(".tidemap.v1.ObservationColumns.bits").compile_fds(descriptors)?;
+    Ok(())
+}

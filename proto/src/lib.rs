@@ -1,0 +1,16 @@
+//! The wire, `tidemap.v1`: generated message and service types, and with the feature `convert` the way between them and
+//! the domain types of `tidemap-model` and `tidemap-map`.
+//!
+//! Invariant: nothing here decides anything. Conversions check on receipt and never on sending; v1 only grows.
+
+#[cfg(feature = "convert")]
+pub mod convert;
+
+/// Generated from `proto/tidemap/v1/*.proto`; each item is documented there.
+#[allow(missing_docs, clippy::all, clippy::pedantic)]
+pub mod v1 {
+    tonic::include_proto!("tidemap.v1");
+
+    /// Encoded `FileDescriptorSet` of the package, for reflection.
+    pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/tidemap.v1.bin"));
+}
