@@ -1,1 +1,10 @@
-//! (skeleton)
+//! Space: the many states of one map. What a map is, how observations reach its states, what an update does to them,
+//! and the immutable view that queries read.
+//!
+//! Invariant: no I/O, no clock, no hidden randomness. Every change of a map is an [`event::Event`]; applying the same
+//! events in the same order gives the same map, whether they arrive live or are replayed from a log.
+
+pub mod event;
+pub mod name;
+pub mod snapshot;
+pub mod spec;

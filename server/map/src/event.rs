@@ -1,0 +1,124 @@
+//! What can happen to a map. The observation log stores events; applying them is the only way in which a map changes.
+//!
+//! Invariant: an event holds everything that its effect depends on, such as the UTC offsets used and the time of
+//! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
+
+use crate::name::{ProducerKey, StateName};
+
+/// Index of a state within its map: dense from 0, in order of first appearance, never reused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct StateId(pub u32);
+
+/// Index of a producer key within its map: dense from 0, never reused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ProducerId(pub u32);
+
+/// What the value of a state means.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum StateKind {
+    /// A value in [0, 1]; binary states have only 0 and 1.
+    #[default]
+    Probability,
+}
+
+/// Why an observation was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum RefusalReason {
+    /// Not a number, infinite, or outside [0, 1].
+    Value,
+    /// Before 1970, or beyond what i64 nanoseconds hold.
+    Time,
+    /// The state's name is not valid.
+    StateName,
+    /// The index is not in the stream's table of names.
+    StateIndex,
+    /// The map or the stream may not have more states.
+    StateLimit,
+    /// The state is of another kind.
+    StateKind,
+}
+
+/// Consecutive observations that share a UTC offset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OffsetRun {
+    /// Number of observations.
+    pub count: u32,
+    /// Seconds to add to UTC for local civil time.
+    pub offset_secs: i32,
+}
+
+/// Observations of one producer that became durable together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Observations {
+    /// Whose.
+    pub producer: ProducerId,
+    /// The producer's key, where this is the first event of the producer.
+    pub new_producer: Option<ProducerKey>,
+    /// The producer's incarnation.
+    pub incarnation: u64,
+    /// Sequence number of the first observation, refused ones included.
+    pub first_sequence: u64,
+    /// Sequence number of the last observation, refused ones included; at least `first_sequence`.
+    pub last_sequence: u64,
+    /// Running CRC-32C over the producer's observations 1..=`last_sequence`.
+    pub content_crc: u32,
+    /// When they were received, nanoseconds UTC of the server's clock.
+    pub received_nanos: i64,
+    /// States that appear for the first time; the ids continue those of the map.
+    pub new_states: Vec<NewState>,
+    /// Per accepted observation: the state.
+    pub states: Vec<StateId>,
+    /// Per accepted observation: time in nanoseconds UTC, at least 0.
+    pub times_nanos: Vec<i64>,
+    /// Per accepted observation: value in [0, 1].
+    pub values: Vec<f64>,
+    /// UTC offsets of the accepted observations; the counts add up to their number.
+    pub offsets: Vec<OffsetRun>,
+    /// Refused observations: sequence number and reason, ascending.
+    pub refused: Vec<(u64, RefusalReason)>,
+}
+
+/// A state that appears for the first time.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NewState {
+    /// Its index.
+    pub id: StateId,
+    /// Its name.
+    pub name: StateName,
+    /// Its kind.
+    pub kind: StateKind,
+}
+
+/// What started an update.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum UpdateCause {
+    /// Somebody asked for it.
+    Request,
+    /// The map's local midnight, by the server's clock.
+    Midnight,
+    /// The map's local midnight, in the time of imported data.
+    DataTime,
+    /// More observations were pending than the limit allows.
+    PendingLimit,
+}
+
+/// The start of an update. Its position in the log fixes which observations it takes: those at earlier positions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UpdateStart {
+    /// Number of the generation that the update publishes; 1 for the first.
+    pub generation: u64,
+    /// Observations before this instant are folded in; later ones stay pending. Never less than that of the update
+    /// before.
+    pub cut_nanos: i64,
+    /// Why.
+    pub cause: UpdateCause,
+}
+
+/// One entry of a map's log.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// Observations became durable.
+    Observations(Observations),
+    /// An update starts.
+    UpdateStart(UpdateStart),
+}

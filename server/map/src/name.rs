@@ -1,0 +1,208 @@
+//! Names of maps, states and producers.
+//!
+//! Invariant: a value of these types is valid; the constructors are the only way in. A name is never used as a path.
+
+use std::fmt;
+
+use unicode_normalization::is_nfc;
+
+/// Most characters of a state's or producer's name.
+pub const NAME_CHARS_MAX: usize = 128;
+/// Most characters of a map's name.
+pub const MAP_NAME_CHARS_MAX: usize = 63;
+
+/// Why a name is not accepted. The payload is the name, shortened and escaped for display.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidName {
+    /// A map's name has other characters than it may, or is too long or empty.
+    #[error(
+        "map name {0:?} is not valid: use 1 to {MAP_NAME_CHARS_MAX} of the characters a-z 0-9 _ -, the first a letter \
+         or digit"
+    )]
+    Map(String),
+    /// Empty.
+    #[error("the name is empty: use 1 to {NAME_CHARS_MAX} printable characters")]
+    Empty,
+    /// Too long.
+    #[error("name {name:?} has {chars} characters: at most {NAME_CHARS_MAX} are allowed")]
+    TooLong {
+        /// The name, shortened.
+        name: String,
+        /// Its length in characters.
+        chars: usize,
+    },
+    /// Holds a control, format or other character that does not print.
+    #[error("name {name:?} holds the unprintable character U+{code:04X}")]
+    Unprintable {
+        /// The name, shortened.
+        name: String,
+        /// The code point.
+        code: u32,
+    },
+    /// Not in Unicode normalisation form C, so that another name would look the same.
+    #[error("name {0:?} is not in Unicode normalisation form C (NFC)")]
+    NotNfc(String),
+    /// Holds a slash, which is kept for `edge/A/B`, `node/N` and the like.
+    #[error("name {0:?} holds '/', which is reserved for cells, edges, nodes and landmarks")]
+    Slash(String),
+}
+
+fn shown(name: &str) -> String {
+    name.chars().take(40).collect()
+}
+
+/// Characters that do not print, or that change how others print (bidirectional controls, zero-width marks).
+fn unprintable(character: char) -> bool {
+    character.is_control()
+        || matches!(u32::from(character),
+            0xAD | 0x600..=0x605 | 0x61C | 0x6DD | 0x70F | 0x180E | 0x200B..=0x200F | 0x2028..=0x202E
+            | 0x2060..=0x206F | 0xD800..=0xF8FF | 0xFEFF | 0xFFF0..=0xFFFB | 0xFFFE | 0xFFFF | 0xE0000..=0xE0FFF
+            | 0xF0000..=0x10FFFF)
+}
+
+fn check(name: &str) -> Result<(), InvalidName> {
+    if name.is_empty() {
+        return Err(InvalidName::Empty);
+    }
+    // A cheap bound first: a name of 64 KiB is refused before its characters are counted.
+    let chars = if name.len() > 4 * NAME_CHARS_MAX { name.len() / 4 } else { name.chars().count() };
+    if chars > NAME_CHARS_MAX {
+        return Err(InvalidName::TooLong { name: shown(name), chars: name.chars().count() });
+    }
+    if let Some(character) = name.chars().find(|&character| unprintable(character)) {
+        return Err(InvalidName::Unprintable { name: shown(name), code: u32::from(character) });
+    }
+    if !is_nfc(name) {
+        return Err(InvalidName::NotNfc(shown(name)));
+    }
+    Ok(())
+}
+
+/// Name of a map: `[a-z0-9][a-z0-9_-]{0,62}`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct MapName(String);
+
+impl MapName {
+    /// Checks a map's name.
+    ///
+    /// # Errors
+    /// [`InvalidName::Map`].
+    pub fn new(name: &str) -> Result<Self, InvalidName> {
+        let allowed = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit();
+        let bytes = name.as_bytes();
+        let valid = bytes.len() <= MAP_NAME_CHARS_MAX
+            && bytes.first().is_some_and(|&first| allowed(first))
+            && bytes.iter().all(|&byte| allowed(byte) || byte == b'_' || byte == b'-');
+        if valid { Ok(Self(name.to_owned())) } else { Err(InvalidName::Map(shown(name))) }
+    }
+
+    /// The name.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for MapName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct StateName(Box<str>);
+
+impl StateName {
+    /// Checks a state's name.
+    ///
+    /// # Errors
+    /// [`InvalidName`], with what is wrong.
+    pub fn new(name: &str) -> Result<Self, InvalidName> {
+        check(name)?;
+        if name.contains('/') {
+            return Err(InvalidName::Slash(shown(name)));
+        }
+        Ok(Self(name.into()))
+    }
+
+    /// The name.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl std::borrow::Borrow<str> for StateName {
+    fn borrow(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for StateName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// Whose sequence of observations: a producer and one of its labels.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ProducerKey {
+    producer: Box<str>,
+    label: Box<str>,
+}
+
+impl ProducerKey {
+    /// Checks a producer's name (1 to 128 printable characters in NFC) and label (0 to 128).
+    ///
+    /// # Errors
+    /// [`InvalidName`], with what is wrong.
+    pub fn new(producer: &str, label: &str) -> Result<Self, InvalidName> {
+        check(producer)?;
+        if !label.is_empty() {
+            check(label)?;
+        }
+        Ok(Self { producer: producer.into(), label: label.into() })
+    }
+
+    /// Who streams.
+    #[must_use]
+    pub fn producer(&self) -> &str {
+        &self.producer
+    }
+
+    /// Which of the producer's sequences; may be empty.
+    #[must_use]
+    pub fn label(&self) -> &str {
+        &self.label
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn map_names_follow_the_pattern() {
+        for good in ["a", "0", "office-2", "a_b", &"m".repeat(63)] {
+            assert!(MapName::new(good).is_ok(), "{good}");
+        }
+        for bad in ["", "-a", "_a", "A", "office 2", "../etc", "a\0", "ä", "CON", &"m".repeat(64), &"m".repeat(65536)] {
+            assert!(matches!(MapName::new(bad), Err(InvalidName::Map(_))), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn state_names_are_printable_and_unambiguous() {
+        for good in ["door", "Küche 2", "房間", "a.b:c", &"ü".repeat(128)] {
+            assert!(StateName::new(good).is_ok(), "{good}");
+        }
+        assert_eq!(StateName::new(""), Err(InvalidName::Empty));
+        assert!(matches!(StateName::new(&"ü".repeat(129)), Err(InvalidName::TooLong { chars: 129, .. })));
+        assert!(matches!(StateName::new(&"x".repeat(65536)), Err(InvalidName::TooLong { chars: 65536, .. })));
+        assert!(matches!(StateName::new("a\nb"), Err(InvalidName::Unprintable { code: 10, .. })));
+        assert!(matches!(StateName::new("a\u{202e}b"), Err(InvalidName::Unprintable { .. })));
+        assert!(matches!(StateName::new("u\u{308}"), Err(InvalidName::NotNfc(_))));
+        assert!(matches!(StateName::new("edge/a"), Err(InvalidName::Slash(_))));
+    }
+}

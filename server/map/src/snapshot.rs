@@ -1,0 +1,61 @@
+//! A map as it stands after an update, for the store to keep and to give back.
+//!
+//! Invariant: a snapshot and the events after it give the map. Everything at log positions up to `position` is in it,
+//! except observations that were still pending: those are found again at positions from `replay_from` on, and are told
+//! from the others by their time, which is not before `cut_nanos`.
+
+use std::sync::Arc;
+
+use tidemap_model::{persistence::Persistence, state::StateModel};
+
+use crate::{
+    event::StateKind,
+    name::{ProducerKey, StateName},
+};
+
+/// A whole map at one log position.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapSnapshot {
+    /// Log position of the update's start; 0 where the log is empty.
+    pub position: u64,
+    /// Log position from which pending observations are read again; at most `position` + 1.
+    pub replay_from: u64,
+    /// Number of the generation.
+    pub generation: u64,
+    /// Cut of the last update, nanoseconds UTC.
+    pub cut_nanos: i64,
+    /// Greatest time of any observation so far, nanoseconds UTC; 0 where there is none.
+    pub newest_nanos: i64,
+    /// Producers; the index is the `ProducerId`.
+    pub producers: Vec<ProducerMark>,
+    /// States; the index is the `StateId`.
+    pub states: Vec<StateSnapshot>,
+}
+
+/// How far a producer's sequence is durable.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ProducerMark {
+    /// Its key.
+    pub key: ProducerKey,
+    /// Highest incarnation seen.
+    pub incarnation: u64,
+    /// Everything up to this sequence number is durable, or refused.
+    pub durable_sequence: u64,
+    /// Running CRC-32C over the observations 1..=`durable_sequence`.
+    pub content_crc: u32,
+}
+
+/// One state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StateSnapshot {
+    /// Its name.
+    pub name: StateName,
+    /// Its kind.
+    pub kind: StateKind,
+    /// Observations acknowledged, pending ones included.
+    pub observations: u64,
+    /// Last value and persistence.
+    pub persistence: Persistence,
+    /// Its model, shared with the view that is in force.
+    pub model: Arc<StateModel>,
+}
