@@ -5,6 +5,17 @@
 //! events in the same order gives the same map, whether they arrive live or are replayed from a log.
 
 pub mod event;
+pub mod live_map;
 pub mod name;
+pub mod predict;
 pub mod snapshot;
 pub mod spec;
+pub mod update;
+pub mod view;
+
+mod directory;
+mod pending;
+
+/// How far ahead of the clock of receipt an observation's time counts as plausible, in nanoseconds. Observations beyond
+/// wait: they change nothing until an update whose cut has passed their time.
+pub const MAX_AHEAD_NANOS: i64 = 5 * 60 * 1_000_000_000;

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a value of these types is valid; the constructors are the only way in. A name is never used as a path.
 
-use std::fmt;
+use std::{fmt, sync::Arc};
 
 use unicode_normalization::is_nfc;
 
@@ -111,7 +111,7 @@ impl fmt::Display for MapName {
 
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct StateName(Box<str>);
+pub struct StateName(Arc<str>);
 
 impl StateName {
     /// Checks a state's name.
@@ -187,7 +187,8 @@ mod tests {
         for good in ["a", "0", "office-2", "a_b", &"m".repeat(63)] {
             assert!(MapName::new(good).is_ok(), "{good}");
         }
-        for bad in ["", "-a", "_a", "A", "office 2", "../etc", "a\0", "ä", "CON", &"m".repeat(64), &"m".repeat(65536)] {
+        for bad in ["", "-a", "_a", "A", "office 2", "../etc", "a\0", "ä", "CON", &"m".repeat(64), &"m".repeat(65536)]
+        {
             assert!(matches!(MapName::new(bad), Err(InvalidName::Map(_))), "{bad:?}");
         }
     }

@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use tidemap_model::{persistence::Persistence, state::StateModel};
+use tidemap_model::{Persistence, StateModel};
 
 use crate::{
     event::StateKind,

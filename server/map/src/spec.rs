@@ -1,6 +1,6 @@
 //! What a map is: the choices made when it is created, which never change afterwards.
 
-use tidemap_model::{civil::Zone, order::OrderCriterion, periodicity::Periodicities};
+use tidemap_model::{OrderCriterion, Periodicities, Zone};
 
 use crate::name::MapName;
 

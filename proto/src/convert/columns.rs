@@ -1,0 +1,179 @@
+//! Columns of observations.
+//!
+//! Invariant: decoding checks the form of the columns (lengths, exactly one kind of values), not the observations: an
+//! observation that is wrong is refused by itself, later, and does not take its neighbours with it.
+
+use super::InvalidField;
+use crate::v1::ObservationColumns;
+
+/// Observations with their columns unpacked; all three have the same length.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DecodedColumns {
+    /// Time in nanoseconds UTC; negative where the sender said so.
+    pub times_nanos: Vec<i64>,
+    /// Index into the stream's table of names.
+    pub state_indices: Vec<u32>,
+    /// Value; may be anything that a double holds.
+    pub values: Vec<f64>,
+}
+
+/// Unpacks columns.
+///
+/// # Errors
+/// The field whose length or form is wrong; more than `max` observations.
+pub fn decode(columns: ObservationColumns, max: usize) -> Result<DecodedColumns, InvalidField> {
+    let count = columns.time_deltas.len();
+    if count == 0 {
+        return Err(InvalidField::new("observations.time_deltas", "there is no observation: send at least 1"));
+    }
+    if count > max {
+        return Err(InvalidField::new(
+            "observations.time_deltas",
+            format!("{count} observations in one message: at most {max} are allowed"),
+        ));
+    }
+    let values = match (columns.bits.is_empty(), columns.values.is_empty()) {
+        (true, false) if columns.values.len() == count => columns.values,
+        (true, false) => return Err(length("values", columns.values.len(), count)),
+        (false, true) if columns.bits.len() == count.div_ceil(8) => {
+            (0..count).map(|i| f64::from(columns.bits[i / 8] >> (i % 8) & 1)).collect()
+        }
+        (false, true) => {
+            return Err(InvalidField::new(
+                "observations.bits",
+                format!("{} bytes for {count} observations: should be {}", columns.bits.len(), count.div_ceil(8)),
+            ));
+        }
+        _ => return Err(InvalidField::new("observations.values", "exactly one of bits and values must be set")),
+    };
+    let state_indices = match columns.state_indices.len() {
+        0 => vec![0; count],
+        len if len == count => columns.state_indices,
+        len => return Err(length("state_indices", len, count)),
+    };
+    // 0 is what proto3 sends for "not set", and the default is 1. A unit beyond i64 wraps like the deltas do.
+    let unit = columns.time_unit_nanos.max(1) as i64;
+    let mut time = columns.first_time_nanos;
+    let times_nanos = columns
+        .time_deltas
+        .iter()
+        .map(|delta| {
+            // Wrapping: a sender that overflows gets times that are refused one by one, not a panic.
+            time = time.wrapping_add(delta.wrapping_mul(unit));
+            time
+        })
+        .collect();
+    Ok(DecodedColumns { times_nanos, state_indices, values })
+}
+
+fn length(column: &str, len: usize, count: usize) -> InvalidField {
+    InvalidField::new(
+        format!("observations.{column}"),
+        format!("{len} entries, but time_deltas has {count}: all columns have the same length"),
+    )
+}
+
+/// Packs observations: the greatest time unit that fits, values as bits where all are 0 or 1. The slices have the same
+/// length; times may come in any order.
+#[must_use]
+pub fn encode(
+    times_nanos: &[i64],
+    state_indices: &[u32],
+    values: &[f64],
+    new_states: Vec<String>,
+) -> ObservationColumns {
+    let deltas = || times_nanos.windows(2).map(|pair| pair[1].wrapping_sub(pair[0]));
+    let mut unit = 0u64;
+    for delta in deltas() {
+        let delta = delta.unsigned_abs();
+        // One division an observation once the unit has settled.
+        if unit == 0 || delta % unit != 0 {
+            unit = greatest_common_divisor(unit, delta);
+        }
+        if unit == 1 {
+            break;
+        }
+    }
+    // 2^63 and more do not divide as i64; such times are nowhere near real.
+    let unit = i64::try_from(unit).unwrap_or(1).max(1);
+    let mut time_deltas = Vec::with_capacity(times_nanos.len());
+    time_deltas.push(0);
+    time_deltas.extend(deltas().map(|delta| delta / unit));
+    let one_state = state_indices.iter().all(|&index| index == 0);
+    let binary = values.iter().all(|value| value.to_bits() == 0 || value.to_bits() == 1f64.to_bits());
+    let mut bits = vec![0u8; if binary { values.len().div_ceil(8) } else { 0 }];
+    if binary {
+        for (i, _) in values.iter().enumerate().filter(|(_, value)| value.to_bits() != 0) {
+            bits[i / 8] |= 1 << (i % 8);
+        }
+    }
+    ObservationColumns {
+        time_unit_nanos: unit as u64,
+        first_time_nanos: times_nanos.first().copied().unwrap_or(0),
+        time_deltas,
+        state_indices: if one_state { Vec::new() } else { state_indices.to_vec() },
+        new_states,
+        bits: bits.into(),
+        values: if binary { Vec::new() } else { values.to_vec() },
+    }
+}
+
+fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
+    while b != 0 {
+        (a, b) = (b, a % b);
+    }
+    a
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[track_caller]
+    fn check(times: &[i64], indices: &[u32], values: &[f64], unit: u64) {
+        let columns = encode(times, indices, values, Vec::new());
+        assert_eq!(columns.time_unit_nanos, unit);
+        let decoded = decode(columns, usize::MAX).expect("well formed");
+        assert_eq!(decoded.times_nanos, times);
+        assert_eq!(decoded.state_indices, indices);
+        assert_eq!(
+            decoded.values.iter().map(|v| v.to_bits()).collect::<Vec<_>>(),
+            values.iter().map(|v| v.to_bits()).collect::<Vec<_>>()
+        );
+    }
+
+    #[test]
+    fn columns_survive_the_wire() {
+        check(&[60_000_000_000, 0, 120_000_000_000], &[0, 0, 0], &[0.0, 1.0, 1.0], 60_000_000_000);
+        check(&[5, 8, 20], &[0, 7, 0], &[0.25, 1.0, f64::NAN], 3);
+        check(&[7], &[0], &[-0.0], 1);
+        check(&[3, 3], &[1, 1], &[1.0, 0.0], 1);
+        check(&[i64::MIN, i64::MAX, -1, 0], &[0, 1, 2, 3], &[0.0; 4], 1);
+    }
+
+    #[test]
+    fn malformed_columns_name_the_column() {
+        let good = encode(&[1, 2, 3], &[0, 1, 2], &[0.5; 3], Vec::new());
+        let wrong = |change: fn(&mut ObservationColumns), max| {
+            let mut columns = good.clone();
+            change(&mut columns);
+            decode(columns, max).expect_err("malformed").field
+        };
+        assert_eq!(wrong(|c| c.time_deltas.clear(), 9), "observations.time_deltas");
+        assert_eq!(wrong(|_| (), 2), "observations.time_deltas");
+        assert_eq!(wrong(|c| c.values.truncate(2), 9), "observations.values");
+        assert_eq!(wrong(|c| c.values.clear(), 9), "observations.values");
+        assert_eq!(wrong(|c| c.bits = vec![0].into(), 9), "observations.values");
+        assert_eq!(wrong(|c| c.state_indices.truncate(1), 9), "observations.state_indices");
+        assert_eq!(
+            wrong(
+                |c| {
+                    c.values.clear();
+                    c.bits = vec![0, 0].into();
+                },
+                9
+            ),
+            "observations.bits"
+        );
+    }
+}

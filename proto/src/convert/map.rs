@@ -1,0 +1,133 @@
+//! Maps, their periodicities and their states.
+
+use prost_types::Duration;
+use tidemap_map::{
+    event::{RefusalReason, StateId, StateKind},
+    name::MapName,
+    spec::MapSpec,
+    view::MapView,
+};
+use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
+
+use super::{
+    InvalidField,
+    time::{duration, nanos_from_duration, timestamp},
+};
+use crate::v1;
+
+/// Default base of the harmonic periodicities: 7 days, in nanoseconds.
+pub const DEFAULT_BASE_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
+/// Default number of harmonic periodicities.
+pub const DEFAULT_COUNT: u32 = 168;
+
+/// The map that a request describes, defaults filled in.
+///
+/// # Errors
+/// The field that is wrong.
+pub fn spec_from_request(request: v1::CreateMapRequest, created_nanos: i64) -> Result<MapSpec, InvalidField> {
+    let name = MapName::new(&request.name).map_err(|error| InvalidField::new("name", error))?;
+    let zone = match request.time_zone.as_str() {
+        "" => Zone::utc(),
+        name => Zone::named(name).map_err(|error| InvalidField::new("time_zone", error))?,
+    };
+    let periodicities = periodicities_from_wire(request.periodicities)?;
+    let criterion = match v1::OrderCriterion::try_from(request.order_criterion) {
+        Ok(v1::OrderCriterion::Unspecified | v1::OrderCriterion::SquaredError) => OrderCriterion::SquaredError,
+        Ok(v1::OrderCriterion::ZeroOne) => OrderCriterion::ZeroOne,
+        Err(_) => {
+            return Err(InvalidField::new("order_criterion", format!("{} is not known", request.order_criterion)));
+        }
+    };
+    Ok(MapSpec { name, zone, periodicities, criterion, created_nanos })
+}
+
+fn periodicities_from_wire(wire: Option<v1::Periodicities>) -> Result<Periodicities, InvalidField> {
+    match wire.and_then(|periodicities| periodicities.set) {
+        None => Ok(Periodicities::default()),
+        Some(v1::periodicities::Set::Harmonics(harmonics)) => {
+            let base = match harmonics.base {
+                Some(base) => nanos_from_duration("periodicities.harmonics.base", base)?,
+                None => DEFAULT_BASE_NANOS,
+            };
+            let count = if harmonics.count == 0 { DEFAULT_COUNT } else { harmonics.count };
+            Periodicities::harmonics(base, count).map_err(|error| InvalidField::new("periodicities.harmonics", error))
+        }
+        Some(v1::periodicities::Set::List(list)) => {
+            let nanos = |(i, &period): (usize, &Duration)| {
+                nanos_from_duration(&format!("periodicities.list.periods[{i}]"), period)
+            };
+            let periods = list.periods.iter().enumerate().map(nanos).collect::<Result<Vec<i64>, _>>()?;
+            Periodicities::list(periods).map_err(|error| InvalidField::new("periodicities.list.periods", error))
+        }
+    }
+}
+
+/// A map for the wire.
+#[must_use]
+pub fn map_to_wire(view: &MapView) -> v1::Map {
+    let spec = view.spec();
+    let set = match spec.periodicities.definition() {
+        PeriodicityDefinition::Harmonics { base_nanos, count } => {
+            v1::periodicities::Set::Harmonics(v1::Harmonics { base: Some(duration(*base_nanos)), count: *count })
+        }
+        PeriodicityDefinition::List { period_nanos } => v1::periodicities::Set::List(v1::PeriodList {
+            periods: period_nanos.iter().map(|&nanos| duration(nanos)).collect(),
+        }),
+    };
+    let criterion = match spec.criterion {
+        OrderCriterion::SquaredError => v1::OrderCriterion::SquaredError,
+        OrderCriterion::ZeroOne => v1::OrderCriterion::ZeroOne,
+    };
+    v1::Map {
+        name: spec.name.as_str().to_owned(),
+        time_zone: spec.zone.name().to_owned(),
+        periodicities: Some(v1::Periodicities { set: Some(set) }),
+        order_criterion: criterion.into(),
+        create_time: Some(timestamp(spec.created_nanos)),
+        states: view.len() as u64,
+        observations: view.observations(),
+        pending_observations: view.pending(),
+        last_update: Some(update_to_wire(view.generation(), view.cut_nanos())),
+    }
+}
+
+/// What an update published, for the wire.
+#[must_use]
+pub fn update_to_wire(generation: u64, cut_nanos: Option<i64>) -> v1::UpdateSummary {
+    v1::UpdateSummary { generation, cut: cut_nanos.map(timestamp) }
+}
+
+/// A state for the wire; `None` where the view has no such state.
+#[must_use]
+pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
+    let info = view.info(id)?;
+    let live = view.live(id);
+    Some(v1::State {
+        name: info.name.as_str().to_owned(),
+        kind: kind_to_wire(info.kind).into(),
+        observations: live.observations,
+        order: u32::try_from(view.model(id).order()).unwrap_or(u32::MAX),
+        last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
+    })
+}
+
+/// A kind of state for the wire.
+#[must_use]
+pub fn kind_to_wire(kind: StateKind) -> v1::StateKind {
+    match kind {
+        StateKind::Probability => v1::StateKind::Probability,
+    }
+}
+
+/// A reason for the wire.
+#[must_use]
+pub fn refusal_to_wire(reason: RefusalReason) -> v1::RefusalReason {
+    match reason {
+        RefusalReason::Value => v1::RefusalReason::Value,
+        RefusalReason::Time => v1::RefusalReason::Time,
+        RefusalReason::StateName => v1::RefusalReason::StateName,
+        RefusalReason::StateIndex => v1::RefusalReason::StateIndex,
+        RefusalReason::StateLimit => v1::RefusalReason::StateLimit,
+        RefusalReason::StateKind => v1::RefusalReason::StateKind,
+    }
+}

@@ -1,0 +1,61 @@
+//! Timestamps and durations as i64 nanoseconds.
+
+use prost_types::{Duration, Timestamp};
+
+use super::InvalidField;
+
+const NANOS: i128 = 1_000_000_000;
+
+/// An instant for the wire.
+#[must_use]
+pub fn timestamp(nanos: i64) -> Timestamp {
+    Timestamp { seconds: nanos.div_euclid(1_000_000_000), nanos: nanos.rem_euclid(1_000_000_000) as i32 }
+}
+
+/// A span for the wire.
+#[must_use]
+pub fn duration(nanos: i64) -> Duration {
+    Duration { seconds: nanos / 1_000_000_000, nanos: (nanos % 1_000_000_000) as i32 }
+}
+
+/// An instant from the wire in nanoseconds since 1970, between 1970 and 2262.
+///
+/// # Errors
+/// The field, where the instant lies outside.
+pub fn nanos_from_timestamp(field: &str, timestamp: Timestamp) -> Result<i64, InvalidField> {
+    let nanos = i128::from(timestamp.seconds) * NANOS + i128::from(timestamp.nanos);
+    i64::try_from(nanos).ok().filter(|nanos| *nanos >= 0).ok_or_else(|| {
+        InvalidField::new(field, format!("{} s is outside 1970-01-01 to 2262-04-11 UTC", timestamp.seconds))
+    })
+}
+
+/// A span from the wire in nanoseconds.
+///
+/// # Errors
+/// The field, where the span is more than i64 nanoseconds hold.
+pub fn nanos_from_duration(field: &str, duration: Duration) -> Result<i64, InvalidField> {
+    let nanos = i128::from(duration.seconds) * NANOS + i128::from(duration.nanos);
+    i64::try_from(nanos).map_err(|_| InvalidField::new(field, format!("{} s is more than 292 years", duration.seconds)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn instants_survive_the_wire() {
+        for nanos in [0, 1, 999_999_999, 1_451_865_600_000_000_000, i64::MAX] {
+            assert_eq!(nanos_from_timestamp("t", timestamp(nanos)), Ok(nanos));
+            assert_eq!(nanos_from_duration("d", duration(nanos)), Ok(nanos));
+        }
+    }
+
+    #[test]
+    fn instants_outside_the_range_are_named() {
+        for (seconds, nanos) in [(-1, 0), (i64::MAX, 0), (9_223_372_037, 0)] {
+            let error = nanos_from_timestamp("until", Timestamp { seconds, nanos }).expect_err("outside");
+            assert_eq!(error.field, "until");
+            assert!(error.description.contains(&seconds.to_string()), "{error}");
+        }
+    }
+}

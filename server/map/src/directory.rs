@@ -1,0 +1,84 @@
+//! Which states a map has: names to indices and back.
+//!
+//! Invariant: append-only, and cheap to share: a clone is a handful of pointers, and adding a name copies only the
+//! shard and the chunk that it lands in when a view still holds them.
+
+use std::{
+    collections::HashMap,
+    hash::{BuildHasher, RandomState},
+    sync::Arc,
+};
+
+use crate::{
+    event::{StateId, StateKind},
+    name::StateName,
+};
+
+const SHARDS: usize = 256;
+const CHUNK: usize = 256;
+
+type Shard = HashMap<StateName, StateId>;
+
+/// Name and kind of a state.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StateInfo {
+    /// Its name.
+    pub name: StateName,
+    /// Its kind.
+    pub kind: StateKind,
+}
+
+/// The states of a map by name and by index.
+#[derive(Clone, Debug)]
+pub struct Directory {
+    hasher: RandomState,
+    shards: Arc<Vec<Arc<Shard>>>,
+    chunks: Arc<Vec<Arc<Vec<StateInfo>>>>,
+    len: usize,
+}
+
+impl Directory {
+    pub fn new() -> Self {
+        Self {
+            hasher: RandomState::new(),
+            shards: Arc::new((0..SHARDS).map(|_| Arc::default()).collect()),
+            chunks: Arc::new(Vec::new()),
+            len: 0,
+        }
+    }
+
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    fn shard(&self, name: &str) -> usize {
+        usize::try_from(self.hasher.hash_one(name) % SHARDS as u64).unwrap_or(0)
+    }
+
+    pub fn find(&self, name: &str) -> Option<StateId> {
+        self.shards[self.shard(name)].get(name).copied()
+    }
+
+    pub fn info(&self, id: StateId) -> Option<&StateInfo> {
+        let index = id.0 as usize;
+        self.chunks.get(index / CHUNK)?.get(index % CHUNK)
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = &StateInfo> {
+        self.chunks.iter().flat_map(|chunk| chunk.iter())
+    }
+
+    /// Appends a state; its index is the number of states before.
+    pub fn push(&mut self, info: StateInfo) -> StateId {
+        let id = StateId(u32::try_from(self.len).unwrap_or(u32::MAX));
+        let shard = self.shard(info.name.as_str());
+        Arc::make_mut(&mut Arc::make_mut(&mut self.shards)[shard]).insert(info.name.clone(), id);
+        let chunks = Arc::make_mut(&mut self.chunks);
+        match chunks.last_mut() {
+            Some(chunk) if chunk.len() < CHUNK => Arc::make_mut(chunk).push(info),
+            _ => chunks.push(Arc::new(vec![info])),
+        }
+        self.len += 1;
+        id
+    }
+}

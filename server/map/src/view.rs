@@ -1,0 +1,118 @@
+//! The immutable picture of a map that queries read.
+//!
+//! Invariant: a view never changes. It is complete up to one log position: every observation acknowledged before the
+//! view was taken counts in it.
+
+use std::sync::Arc;
+
+use tidemap_model::{Persistence, StateModel};
+
+pub use crate::directory::StateInfo;
+use crate::{directory::Directory, event::StateId, spec::MapSpec};
+
+/// Live values are copied on publication in pieces of this many states.
+pub(crate) const LIVE_CHUNK: usize = 128;
+
+/// What every acknowledged observation changes at once.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LiveState {
+    /// Observations acknowledged.
+    pub observations: u64,
+    /// Last value and persistence.
+    pub persistence: Persistence,
+}
+
+/// An immutable picture of a map.
+#[derive(Clone, Debug)]
+pub struct MapView {
+    pub(crate) spec: Arc<MapSpec>,
+    pub(crate) position: u64,
+    pub(crate) generation: u64,
+    pub(crate) cut_nanos: i64,
+    pub(crate) observations: u64,
+    pub(crate) pending: u64,
+    pub(crate) directory: Directory,
+    pub(crate) live: Vec<Arc<[LiveState]>>,
+    pub(crate) models: Arc<Vec<Arc<StateModel>>>,
+    pub(crate) unlearned: Arc<StateModel>,
+}
+
+impl MapView {
+    /// The fixed properties of the map.
+    #[must_use]
+    pub fn spec(&self) -> &MapSpec {
+        &self.spec
+    }
+
+    /// Log position up to which the view is complete.
+    #[must_use]
+    pub fn position(&self) -> u64 {
+        self.position
+    }
+
+    /// Number of updates published so far.
+    #[must_use]
+    pub fn generation(&self) -> u64 {
+        self.generation
+    }
+
+    /// Cut of the last update in nanoseconds UTC: older observations are folded in. `None` before the first update.
+    #[must_use]
+    pub fn cut_nanos(&self) -> Option<i64> {
+        (self.generation > 0).then_some(self.cut_nanos)
+    }
+
+    /// Observations acknowledged, refused ones not counted.
+    #[must_use]
+    pub fn observations(&self) -> u64 {
+        self.observations
+    }
+
+    /// Observations that no update has folded in yet.
+    #[must_use]
+    pub fn pending(&self) -> u64 {
+        self.pending
+    }
+
+    /// Number of states.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.directory.len()
+    }
+
+    /// Whether the map has no state yet.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The state of this name.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<StateId> {
+        self.directory.find(name)
+    }
+
+    /// Name and kind of a state.
+    #[must_use]
+    pub fn info(&self, id: StateId) -> Option<&StateInfo> {
+        self.directory.info(id)
+    }
+
+    /// All states, in order of first appearance.
+    pub fn infos(&self) -> impl Iterator<Item = &StateInfo> {
+        self.directory.iter()
+    }
+
+    /// Last value, persistence and number of observations of a state.
+    #[must_use]
+    pub fn live(&self, id: StateId) -> LiveState {
+        let index = id.0 as usize;
+        self.live.get(index / LIVE_CHUNK).and_then(|chunk| chunk.get(index % LIVE_CHUNK)).copied().unwrap_or_default()
+    }
+
+    /// The model that the last update gave a state; an unlearned one, which answers 0.5, before its first.
+    #[must_use]
+    pub fn model(&self, id: StateId) -> &StateModel {
+        self.models.get(id.0 as usize).unwrap_or(&self.unlearned)
+    }
+}

@@ -1,0 +1,256 @@
+//! Settings: defaults, then the config file, then `TIDEMAP_…` in the environment, then flags.
+//!
+//! Invariant: settings that leave here are complete and checked; an unknown key in the file is an error that names it.
+
+use std::{
+    net::{IpAddr, SocketAddr},
+    path::PathBuf,
+};
+
+use anyhow::{Context as _, bail};
+use clap::Parser;
+use figment::{
+    Figment,
+    providers::{Env, Format as _, Serialized, Toml},
+};
+use serde::{Deserialize, Serialize};
+
+/// tidemapd, the map service that learns when things change.
+///
+/// Every option is also a key of the config file and an environment variable: --data-dir, data_dir, TIDEMAP_DATA_DIR.
+#[derive(Debug, Default, Parser, Serialize)]
+#[command(name = "tidemapd", version)]
+pub struct Flags {
+    /// Config file (TOML).
+    #[arg(long, value_name = "FILE", env = "TIDEMAP_CONFIG")]
+    #[serde(skip)]
+    pub config: Option<PathBuf>,
+    /// Folder of all data [default: ./tidemap-data].
+    #[arg(long, value_name = "DIR")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub data_dir: Option<PathBuf>,
+    /// Address of the gRPC port; port 0 picks a free one [default: 127.0.0.1:7435].
+    #[arg(long, value_name = "HOST:PORT")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub listen: Option<String>,
+    /// Address of the HTTP port for health and metrics; port 0 picks a free one [default: 127.0.0.1:7436].
+    #[arg(long, value_name = "HOST:PORT")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub http_listen: Option<String>,
+    /// Listen beyond this machine although connections are neither encrypted nor authenticated: everybody who reaches
+    /// the port can read, write and delete all maps.
+    #[arg(long)]
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub allow_insecure_remote: bool,
+    /// Form of the log on stderr: text or json [default: text].
+    #[arg(long, value_name = "FORM")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub log_format: Option<LogFormat>,
+    /// Which log lines: error, warn, info, debug, trace, or a filter such as tidemapd=debug [default: info].
+    #[arg(long, value_name = "FILTER")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub log_level: Option<String>,
+}
+
+/// Form of the log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum LogFormat {
+    /// Lines for people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// All settings; the keys of the config file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Folder of all data.
+    pub data_dir: PathBuf,
+    /// Address of the gRPC port.
+    pub listen: String,
+    /// Address of the HTTP port for health and metrics.
+    pub http_listen: String,
+    /// Listen beyond this machine without encryption and authentication.
+    pub allow_insecure_remote: bool,
+    /// Form of the log.
+    pub log_format: LogFormat,
+    /// Filter of the log.
+    pub log_level: String,
+    /// Most maps.
+    pub max_maps: usize,
+    /// Most states of a map. A state takes up to 16 bytes per candidate periodicity twice over: 5.4 KB by default.
+    pub max_states_per_map: usize,
+    /// Most producer keys (producer and label) of a map.
+    pub max_producers_per_map: usize,
+    /// Most observations of one message.
+    pub max_batch_observations: usize,
+    /// Most bytes of one message.
+    pub max_message_bytes: usize,
+    /// Most bytes of one stream that are taken in and not yet durable.
+    pub max_stream_buffer_bytes: usize,
+    /// Most bytes of all streams that are taken in and not yet durable.
+    pub max_buffer_bytes: usize,
+    /// Most streams of observations at once.
+    pub max_streams: usize,
+    /// Pending observations of a map above which an update runs early; above twice as many, streams wait. An
+    /// observation takes 24 bytes.
+    pub max_pending_observations: u64,
+    /// Most predictions (states times times) of one request.
+    pub max_predictions: u64,
+    /// Threads of updates, all maps together; 0: half the processors, at least one.
+    pub update_threads: usize,
+    /// Size at which a segment of the log is closed and the next one begun.
+    pub segment_bytes: u64,
+    /// Cache of the index.
+    pub index_cache_bytes: u64,
+    /// Checkpoints kept of each map.
+    pub checkpoints_kept: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            data_dir: PathBuf::from("./tidemap-data"),
+            listen: "127.0.0.1:7435".to_owned(),
+            http_listen: "127.0.0.1:7436".to_owned(),
+            allow_insecure_remote: false,
+            log_format: LogFormat::Text,
+            log_level: "info".to_owned(),
+            max_maps: 256,
+            max_states_per_map: 100_000,
+            max_producers_per_map: 10_000,
+            max_batch_observations: 4096,
+            max_message_bytes: 1 << 20,
+            max_stream_buffer_bytes: 1 << 20,
+            max_buffer_bytes: 64 << 20,
+            max_streams: 1024,
+            max_pending_observations: 8_000_000,
+            max_predictions: 10_000_000,
+            update_threads: 0,
+            segment_bytes: 64 << 20,
+            index_cache_bytes: 64 << 20,
+            checkpoints_kept: 2,
+        }
+    }
+}
+
+impl Settings {
+    /// Merges all sources and checks the result.
+    ///
+    /// # Errors
+    /// A file that is missing or malformed, an unknown key, a value out of range: with the name of the key.
+    pub fn load(flags: &Flags) -> anyhow::Result<Self> {
+        let defaults = Self::default();
+        let mut figment = Figment::from(Serialized::defaults(&defaults));
+        if let Some(path) = &flags.config {
+            if !path.is_file() {
+                bail!("config file {} does not exist", path.display());
+            }
+            figment = figment.merge(Toml::file_exact(path));
+        }
+        let keys: Vec<String> = Figment::from(Serialized::defaults(&defaults))
+            .extract::<std::collections::BTreeMap<String, figment::value::Value>>()
+            .map(|map| map.into_keys().collect())
+            .unwrap_or_default();
+        let keys: Vec<&str> = keys.iter().map(String::as_str).collect();
+        let settings: Self = figment
+            .merge(Env::prefixed("TIDEMAP_").only(&keys))
+            .merge(Serialized::defaults(flags))
+            .extract()
+            .context("settings")?;
+        settings.check()?;
+        Ok(settings)
+    }
+
+    fn check(&self) -> anyhow::Result<()> {
+        for (key, value, least, most) in [
+            ("max_maps", self.max_maps as u64, 1, 10_000),
+            ("max_states_per_map", self.max_states_per_map as u64, 1, 16_000_000),
+            ("max_producers_per_map", self.max_producers_per_map as u64, 1, 1_000_000),
+            ("max_batch_observations", self.max_batch_observations as u64, 1, 65_536),
+            ("max_message_bytes", self.max_message_bytes as u64, 4096, 64 << 20),
+            ("max_stream_buffer_bytes", self.max_stream_buffer_bytes as u64, 4096, 1 << 30),
+            ("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30),
+            ("max_streams", self.max_streams as u64, 1, 100_000),
+            ("max_pending_observations", self.max_pending_observations, 1000, 1 << 32),
+            ("max_predictions", self.max_predictions, 1, 1 << 40),
+            ("update_threads", self.update_threads as u64, 0, 1024),
+            ("segment_bytes", self.segment_bytes, 1 << 16, 1 << 32),
+            ("index_cache_bytes", self.index_cache_bytes, 1 << 20, 1 << 36),
+            ("checkpoints_kept", self.checkpoints_kept as u64, 1, 100),
+        ] {
+            if !(least..=most).contains(&value) {
+                bail!("setting {key} is {value}: it must be between {least} and {most}");
+            }
+        }
+        for (key, address) in [("listen", &self.listen), ("http_listen", &self.http_listen)] {
+            let local = match address.parse::<SocketAddr>() {
+                Ok(parsed) => parsed.ip().is_loopback(),
+                Err(_) => address.rsplit_once(':').is_some_and(|(host, port)| {
+                    host == "localhost" && port.parse::<u16>().is_ok()
+                        || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
+                }),
+            };
+            if address.rsplit_once(':').is_none_or(|(_, port)| port.parse::<u16>().is_err()) {
+                bail!("setting {key} is {address:?}: it must be HOST:PORT, for example 127.0.0.1:7435");
+            }
+            if !local && !self.allow_insecure_remote {
+                bail!(
+                    "setting {key} is {address:?}, which is reachable from beyond this machine, and this version has \
+                     neither TLS nor tokens: listen on 127.0.0.1, or say --allow-insecure-remote"
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Threads of updates.
+    #[must_use]
+    pub fn update_threads(&self) -> usize {
+        match self.update_threads {
+            0 => std::thread::available_parallelism().map_or(1, |n| n.get().div_ceil(2)),
+            threads => threads,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn load(file: &str, flags: Flags) -> Result<Settings, String> {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let path = dir.path().join("tidemapd.toml");
+        std::fs::write(&path, file).expect("written");
+        Settings::load(&Flags { config: Some(path), ..flags }).map_err(|error| format!("{error:#}"))
+    }
+
+    #[test]
+    fn flags_win_over_the_file_and_the_file_over_defaults() {
+        let flags = Flags { listen: Some("127.0.0.1:1".to_owned()), ..Flags::default() };
+        let settings = load("listen = '127.0.0.1:2'\nmax_maps = 7", flags).expect("valid");
+        assert_eq!(settings.listen, "127.0.0.1:1");
+        assert_eq!(settings.max_maps, 7);
+        assert_eq!(settings.http_listen, "127.0.0.1:7436");
+    }
+
+    #[test]
+    fn mistakes_name_the_key() {
+        for (file, word) in [
+            ("lisen = '127.0.0.1:2'", "lisen"),
+            ("max_maps = 0", "max_maps"),
+            ("max_maps = 'many'", "max_maps"),
+            ("listen = 'here'", "listen"),
+            ("listen = '0.0.0.0:7435'", "allow-insecure-remote"),
+            ("log_format = 'xml'", "log_format"),
+        ] {
+            let error = load(file, Flags::default()).expect_err(file);
+            assert!(error.contains(word), "{file}: {error}");
+        }
+        assert!(load("listen = '0.0.0.0:7435'\nallow_insecure_remote = true", Flags::default()).is_ok());
+        let missing = Flags { config: Some("/nonexistent/tidemapd.toml".into()), ..Flags::default() };
+        assert!(format!("{:#}", Settings::load(&missing).expect_err("missing")).contains("/nonexistent"));
+    }
+}

@@ -1,0 +1,183 @@
+//! Wiring: opens the store, starts the maps and the ports, and stops them in order.
+//!
+//! Invariant: the line `listening …` is printed when requests are served, not before. A stop acknowledges what is in
+//! flight, closes the store and ends within [`STOP_WITHIN`], whatever clients do.
+
+use std::{io::Write as _, sync::Arc, time::Duration};
+
+use tidemap_store::{OpenError, Store, StoreOptions};
+use tokio::{
+    net::TcpListener,
+    signal::unix::{SignalKind, signal},
+    sync::{mpsc, watch},
+};
+use tracing::{error, info, warn};
+
+use crate::{
+    catalog::{Catalog, CatalogError},
+    clock::SystemClock,
+    config::Settings,
+    http,
+    ingest::writer::Context,
+    jobs::Jobs,
+    rpc, telemetry,
+};
+
+/// How long connections have to close after their streams were told goodbye.
+const STOP_WITHIN: Duration = Duration::from_secs(5);
+
+/// Why the daemon ended; each kind has its exit status.
+#[derive(Debug, thiserror::Error)]
+pub enum DaemonError {
+    /// Another daemon holds the data folder.
+    #[error("{0}")]
+    Locked(String),
+    /// The data cannot be opened.
+    #[error("{0}")]
+    Data(String),
+    /// A port cannot be opened.
+    #[error("cannot listen on {address}: {source}")]
+    Listen {
+        /// The address asked for.
+        address: String,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// Storage failed while running.
+    #[error("storage failed, and nothing after the last acknowledgement was kept: {0}")]
+    Storage(String),
+    /// Anything else.
+    #[error("{0:#}")]
+    Other(#[from] anyhow::Error),
+}
+
+impl DaemonError {
+    /// Exit status after sysexits.h.
+    #[must_use]
+    pub fn exit_status(&self) -> u8 {
+        match self {
+            Self::Locked(_) => 73,
+            Self::Data(_) => 65,
+            Self::Listen { .. } => 69,
+            Self::Storage(_) => 74,
+            Self::Other(_) => 70,
+        }
+    }
+}
+
+impl From<CatalogError> for DaemonError {
+    fn from(error: CatalogError) -> Self {
+        Self::Data(error.to_string())
+    }
+}
+
+fn open_store(settings: &Settings) -> Result<Store, DaemonError> {
+    let options = StoreOptions {
+        segment_bytes: settings.segment_bytes,
+        index_cache_bytes: settings.index_cache_bytes,
+        checkpoints_kept: settings.checkpoints_kept,
+        new_store_id: random_id()?,
+        ..StoreOptions::default()
+    };
+    Store::open(&settings.data_dir, options).map_err(|error| match error {
+        OpenError::Locked { .. } => DaemonError::Locked(error.to_string()),
+        _ => DaemonError::Data(error.to_string()),
+    })
+}
+
+/// 16 bytes of the system's randomness as hex: the identity of a new data folder.
+fn random_id() -> anyhow::Result<String> {
+    let mut bytes = [0u8; 16];
+    std::io::Read::read_exact(&mut std::fs::File::open("/dev/urandom")?, &mut bytes)?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// Runs the daemon until it is told to stop.
+///
+/// # Errors
+/// See [`DaemonError`].
+pub async fn run(settings: Settings) -> Result<(), DaemonError> {
+    let metrics = telemetry::start_metrics()?;
+    let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
+    let mut interrupt = signal(SignalKind::interrupt()).map_err(anyhow::Error::from)?;
+    let for_store = settings.clone();
+    let store = tokio::task::spawn_blocking(move || open_store(&for_store)).await.map_err(anyhow::Error::from)??;
+    for report in store.reports() {
+        warn!("{report}");
+    }
+    let update_pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(settings.update_threads())
+        .thread_name(|index| format!("learn-{index}"))
+        .build()
+        .map_err(anyhow::Error::from)?;
+    let (fatal_sender, mut fatal) = mpsc::unbounded_channel();
+    let context = Context {
+        store: Arc::new(store),
+        jobs: Arc::new(Jobs::default()),
+        clock: Arc::new(SystemClock),
+        update_pool: Arc::new(update_pool),
+        fatal: fatal_sender,
+        max_states: settings.max_states_per_map,
+        max_producers: settings.max_producers_per_map,
+        max_pending: settings.max_pending_observations,
+    };
+    let store = Arc::clone(&context.store);
+    let max_maps = settings.max_maps;
+    let catalog =
+        tokio::task::spawn_blocking(move || Catalog::open(context, max_maps)).await.map_err(anyhow::Error::from)??;
+    let catalog = Arc::new(catalog);
+
+    let (stop_sender, stopping) = watch::channel(false);
+    let grpc = listen(&settings.listen).await?;
+    let http = listen(&settings.http_listen).await?;
+    let (grpc_address, http_address) =
+        (grpc.local_addr().map_err(anyhow::Error::from)?, http.local_addr().map_err(anyhow::Error::from)?);
+    let stop_after_streams = Arc::new(tokio::sync::Notify::new());
+    let wait = |notify: &Arc<tokio::sync::Notify>| {
+        let notify = Arc::clone(notify);
+        async move { notify.notified().await }
+    };
+    let grpc_stop = wait(&stop_after_streams);
+    let for_grpc = (Arc::clone(&catalog), settings.clone(), stopping.clone());
+    let mut grpc_task = tokio::spawn(async move {
+        let (catalog, settings, stopping) = for_grpc;
+        rpc::serve::serve(grpc, catalog, &settings, stopping, grpc_stop).await
+    });
+    let http_stop = wait(&stop_after_streams);
+    let mut http_task = tokio::spawn(http::serve(http, Arc::clone(&catalog), metrics, stopping, http_stop));
+    println!("listening grpc={grpc_address} http={http_address}");
+    // A closed stdout is no reason to stop.
+    let _ = std::io::stdout().flush();
+    info!(grpc = %grpc_address, http = %http_address, data = %settings.data_dir.display(), "ready");
+
+    let result = tokio::select! {
+        _ = terminate.recv() => Ok(()),
+        _ = interrupt.recv() => Ok(()),
+        Some(reason) = fatal.recv() => Err(DaemonError::Storage(reason)),
+        ended = &mut grpc_task => Err(DaemonError::Other(anyhow::anyhow!("the gRPC port closed: {ended:?}"))),
+        ended = &mut http_task => Err(DaemonError::Other(anyhow::anyhow!("the HTTP port closed: {ended:?}"))),
+    };
+    info!("stopping");
+    stop_sender.send_replace(true);
+    catalog.stop().await;
+    stop_after_streams.notify_waiters();
+    let closed = async {
+        let _ = (&mut grpc_task).await;
+        let _ = (&mut http_task).await;
+    };
+    // Both tasks may be over already; a client that keeps its connection open does not keep the daemon.
+    if result.is_ok() && tokio::time::timeout(STOP_WITHIN, closed).await.is_err() {
+        info!("connections still open are cut");
+    }
+    let closing = tokio::task::spawn_blocking(move || store.close()).await;
+    match closing {
+        Ok(Ok(())) => info!("stopped"),
+        Ok(Err(error)) => error!(%error, "the store did not close in order; the next start repairs it"),
+        Err(error) => error!(%error, "the store did not close in order; the next start repairs it"),
+    }
+    result
+}
+
+async fn listen(address: &str) -> Result<TcpListener, DaemonError> {
+    TcpListener::bind(address).await.map_err(|source| DaemonError::Listen { address: address.to_owned(), source })
+}

@@ -1,0 +1,45 @@
+//! The HTTP port: health and metrics, without a key.
+//!
+//! Invariant: nothing here tells what is in a map, and nothing here changes one.
+
+use std::{future::Future, sync::Arc};
+
+use axum::{Router, http::StatusCode, routing::get};
+use metrics_exporter_prometheus::PrometheusHandle;
+use tokio::{net::TcpListener, sync::watch};
+
+use crate::{catalog::Catalog, statistics};
+
+const INDEX: &str = "tidemapd\n\n/healthz  the process lives\n/readyz   requests are served\n/metrics  Prometheus\n";
+
+/// Serves until `stop` is ready.
+///
+/// # Errors
+/// The listener failed.
+pub async fn serve(
+    listener: TcpListener,
+    catalog: Arc<Catalog>,
+    metrics: PrometheusHandle,
+    stopping: watch::Receiver<bool>,
+    stop: impl Future<Output = ()> + Send + 'static,
+) -> std::io::Result<()> {
+    let ready = move || {
+        let stopping = *stopping.borrow();
+        async move { if stopping { (StatusCode::SERVICE_UNAVAILABLE, "stopping\n") } else { (StatusCode::OK, "ready\n") } }
+    };
+    let router = Router::new()
+        .route("/", get(|| async { INDEX }))
+        .route("/healthz", get(|| async { "alive\n" }))
+        .route("/readyz", get(ready))
+        .route(
+            "/metrics",
+            get(move || {
+                for (name, value, _) in statistics::of_daemon(&catalog) {
+                    metrics::gauge!(format!("tidemap_{name}")).set(value);
+                }
+                let text = metrics.render();
+                async move { text }
+            }),
+        );
+    axum::serve(listener, router).with_graceful_shutdown(stop).await
+}

@@ -1,0 +1,11 @@
+//! The way of an observation from a decoded message to the map: intake checks it, the map's single writer orders it,
+//! logs it and applies it.
+//!
+//! Invariant: nothing is acknowledged before the log has it on disk, and every observation is applied once, in the
+//! order of the log.
+
+pub mod intake;
+pub mod protocol;
+mod sessions;
+mod updates;
+pub mod writer;

@@ -1,0 +1,199 @@
+//! What passes between a stream, the writer of its map and the committer of the log.
+//!
+//! Invariant: all of it is bounded: a batch holds a permit for its bytes until it is durable and applied, and what goes
+//! back to a stream is bounded by what it sent.
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    event::{RefusalReason, UpdateCause},
+    name::{ProducerKey, StateName},
+    snapshot::MapSnapshot,
+    update::UpdateResult,
+};
+use tidemap_store::AppendError;
+use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
+
+use crate::jobs::Job;
+
+/// Whether the daemon cannot go on: what the disk holds is not known any more.
+#[must_use]
+pub fn is_fatal(error: &AppendError) -> bool {
+    !matches!(error, AppendError::DiskFull | AppendError::AfterFailure)
+}
+
+/// A stream, as its map's writer knows it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct SessionId(pub u64);
+
+/// A producer introduces itself.
+#[derive(Debug)]
+pub struct Hello {
+    /// Whose sequence.
+    pub key: ProducerKey,
+    /// 0: a new incarnation is wanted.
+    pub incarnation: u64,
+    /// Whether data time is announced.
+    pub nightly: bool,
+    /// Where the writer's messages to the stream go.
+    pub events: mpsc::UnboundedSender<SessionEvent>,
+    /// The answer.
+    pub reply: oneshot::Sender<Result<Opened, HelloError>>,
+}
+
+/// A stream that was accepted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Opened {
+    /// The stream.
+    pub session: SessionId,
+    /// Its incarnation.
+    pub incarnation: u64,
+    /// Everything up to this one is durable.
+    pub durable_sequence: u64,
+    /// Running CRC over it.
+    pub content_crc: u32,
+}
+
+/// Why a stream is not accepted.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum HelloError {
+    /// Another stream of the key is open.
+    #[error(
+        "producer {:?} already streams to this map with label {:?}: stop that stream first, or use another producer \
+         or label", .0.producer(), .0.label()
+    )]
+    AlreadyStreaming(ProducerKey),
+    /// A newer incarnation was seen.
+    #[error("incarnation {got} of producer {:?} is fenced: incarnation {current} was seen", key.producer())]
+    Fenced {
+        /// Whose.
+        key: ProducerKey,
+        /// The one presented.
+        got: u64,
+        /// The highest seen.
+        current: u64,
+    },
+    /// No more producer keys.
+    #[error("the map has {max} producer keys, as many as setting max_producers_per_map allows")]
+    TooManyProducers {
+        /// The limit.
+        max: usize,
+    },
+    /// The log cannot be written now.
+    #[error(transparent)]
+    Storage(#[from] AppendError),
+    /// The daemon stops or the map is deleted.
+    #[error("the map is closing")]
+    Closing,
+}
+
+/// An observation that was refused.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Refused {
+    /// Its sequence number.
+    pub sequence: u64,
+    /// Why, to act on.
+    pub reason: RefusalReason,
+    /// Why, to read.
+    pub detail: String,
+}
+
+/// Checked observations of one message, with their states as indices into the stream's table.
+#[derive(Debug, Default)]
+pub struct Batch {
+    /// First sequence number that is new.
+    pub first_sequence: u64,
+    /// Last sequence number.
+    pub last_sequence: u64,
+    /// Running CRC up to it.
+    pub content_crc: u32,
+    /// Names added to the stream's table since the last batch; an invalid one keeps its place.
+    pub new_names: Vec<Option<StateName>>,
+    /// Per accepted observation: sequence number minus `first_sequence`. Empty where all were accepted.
+    pub kept: Vec<u32>,
+    /// Per accepted observation: index into the stream's table; its name is valid.
+    pub table_indices: Vec<u32>,
+    /// Per accepted observation: nanoseconds UTC.
+    pub times_nanos: Vec<i64>,
+    /// Per accepted observation: value in [0, 1].
+    pub values: Vec<f64>,
+    /// The others.
+    pub refused: Vec<Refused>,
+}
+
+/// What a writer tells a stream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SessionEvent {
+    /// Everything up to the sequence number is durable.
+    Ack {
+        /// That number.
+        durable_sequence: u64,
+        /// Refused since the last one.
+        refused: Vec<Refused>,
+    },
+    /// The stream ends.
+    End(Ending),
+}
+
+/// Why the server ends a stream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// The daemon stops.
+    Shutdown,
+    /// Another stream of the key took over.
+    Superseded,
+    /// The map was deleted.
+    MapDeleted,
+    /// The log could not be written.
+    Storage(AppendError),
+}
+
+/// What a writer is asked to do.
+#[derive(Debug)]
+pub enum Command {
+    /// Open a stream.
+    Hello(Hello),
+    /// Take observations in.
+    Batch {
+        /// The stream.
+        session: SessionId,
+        /// The observations.
+        batch: Batch,
+        /// Room in the buffers, given back when the batch is applied.
+        permits: [OwnedSemaphorePermit; 2],
+    },
+    /// A stream ended.
+    Leave {
+        /// The stream.
+        session: SessionId,
+        /// Whether the producer ended it on purpose.
+        clean: bool,
+    },
+    /// Update the map.
+    Update {
+        /// Fold in what is older; `None`: all there is.
+        until_nanos: Option<i64>,
+        /// Why.
+        cause: UpdateCause,
+        /// The job.
+        job: Arc<Job>,
+    },
+    /// The committer answers the oldest append that is not answered.
+    Committed(Result<u64, AppendError>),
+    /// The update that was out is back; `Err` where it failed.
+    UpdateDone {
+        /// The job.
+        job: Arc<Job>,
+        /// What it learned.
+        result: Result<Box<UpdateResult>, String>,
+    },
+    /// The store has, or has not, saved a snapshot.
+    Saved(Result<(), (String, MapSnapshot)>),
+    /// End all streams and stop.
+    Stop {
+        /// What to tell the streams.
+        ending: Ending,
+        /// Told when everything is done.
+        done: oneshot::Sender<()>,
+    },
+}

@@ -1,0 +1,296 @@
+//! The open streams of one map, and what their batches will have added to the map once they are durable.
+//!
+//! Invariant: at most one stream of a key accepts batches. A stream with batches in flight is remembered until the last
+//! of them is answered, and no other stream of its key opens before that, so that none of them can be taken twice.
+
+use std::collections::{BTreeMap, HashMap};
+
+use tidemap_map::{
+    event::{NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind},
+    live_map::LiveMap,
+    name::{ProducerKey, StateName},
+};
+use tidemap_model::OffsetCache;
+use tokio::sync::mpsc;
+
+use super::protocol::{Batch, Ending, Hello, HelloError, Opened, Refused, SessionEvent, SessionId};
+
+#[derive(Debug)]
+enum Slot {
+    /// A state of the map, or of a batch in flight.
+    State(StateId),
+    /// A name that no observation has used yet.
+    Unused(StateName),
+    /// A name that is not valid; intake refuses its observations.
+    Invalid,
+}
+
+/// A stream.
+#[derive(Debug)]
+pub struct Session {
+    key: ProducerKey,
+    producer: Option<ProducerId>,
+    incarnation: u64,
+    events: mpsc::UnboundedSender<SessionEvent>,
+    table: Vec<Slot>,
+    in_flight: usize,
+    open: bool,
+    /// Whether data time is announced, and how far the data has come, nanoseconds UTC.
+    pub data_time: Option<i64>,
+}
+
+impl Session {
+    /// Whose stream.
+    pub fn key(&self) -> &ProducerKey {
+        &self.key
+    }
+
+    /// Tells the stream something; one that is gone does not mind.
+    pub fn tell(&self, event: SessionEvent) {
+        // The receiver is gone when the client is: then there is nobody to tell.
+        let _ = self.events.send(event);
+    }
+}
+
+/// All streams of a map.
+#[derive(Debug)]
+pub struct Sessions {
+    next_id: u64,
+    sessions: BTreeMap<SessionId, Session>,
+    open_by_key: HashMap<ProducerKey, SessionId>,
+    states_in_flight: HashMap<StateName, StateId>,
+    producers_in_flight: usize,
+    offsets: OffsetCache,
+    max_states: usize,
+    max_producers: usize,
+}
+
+impl Sessions {
+    pub fn new(offsets: OffsetCache, max_states: usize, max_producers: usize) -> Self {
+        Self {
+            next_id: 1,
+            sessions: BTreeMap::new(),
+            open_by_key: HashMap::new(),
+            states_in_flight: HashMap::new(),
+            producers_in_flight: 0,
+            offsets,
+            max_states,
+            max_producers,
+        }
+    }
+
+    /// Opens a stream, superseding an open one of the same key where the hello may. `Ok(None)`: batches of the key are
+    /// still in flight; ask again when they are answered.
+    pub fn open(&mut self, hello: &Hello, map: &LiveMap) -> Result<Option<Opened>, HelloError> {
+        let mark = map.producer(&hello.key);
+        let open = self.open_by_key.get(&hello.key).and_then(|id| self.sessions.get(id));
+        let seen = mark.map_or(0, |(_, mark)| mark.incarnation);
+        let current = open.map_or(seen, |session| session.incarnation.max(seen));
+        if hello.incarnation == 0 && open.is_some() {
+            return Err(HelloError::AlreadyStreaming(hello.key.clone()));
+        }
+        if hello.incarnation != 0 && hello.incarnation < current {
+            return Err(HelloError::Fenced { key: hello.key.clone(), got: hello.incarnation, current });
+        }
+        if mark.is_none() && map.producers() + self.producers_in_flight >= self.max_producers {
+            return Err(HelloError::TooManyProducers { max: self.max_producers });
+        }
+        if let Some(id) = self.open_by_key.get(&hello.key).copied() {
+            self.end(id, &Ending::Superseded);
+        }
+        if self.sessions.values().any(|session| session.key == hello.key && session.in_flight > 0) {
+            return Ok(None);
+        }
+        let id = SessionId(self.next_id);
+        self.next_id += 1;
+        let incarnation = if hello.incarnation == 0 { current.saturating_add(1) } else { hello.incarnation };
+        self.sessions.insert(
+            id,
+            Session {
+                key: hello.key.clone(),
+                producer: mark.map(|(id, _)| id),
+                incarnation,
+                events: hello.events.clone(),
+                table: Vec::new(),
+                in_flight: 0,
+                open: true,
+                data_time: hello.nightly.then_some(i64::MIN),
+            },
+        );
+        self.open_by_key.insert(hello.key.clone(), id);
+        let (durable_sequence, content_crc) = mark.map_or((0, 0), |(_, m)| (m.durable_sequence, m.content_crc));
+        Ok(Some(Opened { session: id, incarnation, durable_sequence, content_crc }))
+    }
+
+    /// Turns a batch into an event, with refusals added where the map may not have more states. `None` where the
+    /// stream is closed, or nothing is to be logged.
+    pub fn event(
+        &mut self,
+        id: SessionId,
+        batch: Batch,
+        map: &LiveMap,
+        now: i64,
+    ) -> Option<(Observations, Vec<Refused>)> {
+        let session = self.sessions.get_mut(&id).filter(|session| session.open)?;
+        session.table.extend(batch.new_names.into_iter().map(|name| name.map_or(Slot::Invalid, Slot::Unused)));
+        if batch.last_sequence < batch.first_sequence {
+            return None;
+        }
+        let mut refused = batch.refused;
+        let mut new_states = Vec::new();
+        let count = batch.table_indices.len();
+        let (mut states, mut times_nanos) = (Vec::with_capacity(count), Vec::with_capacity(count));
+        let (mut values, mut offsets) = (Vec::with_capacity(count), Vec::<OffsetRun>::new());
+        for i in 0..count {
+            let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
+            let state = match slot {
+                Slot::State(state) => *state,
+                Slot::Invalid => continue,
+                Slot::Unused(name) => {
+                    let known = map.find(name.as_str()).or_else(|| self.states_in_flight.get(name).copied());
+                    let next = map.states() + self.states_in_flight.len();
+                    match known {
+                        Some(state) => {
+                            *slot = Slot::State(state);
+                            state
+                        }
+                        None if next < self.max_states => {
+                            let state = StateId(u32::try_from(next).unwrap_or(u32::MAX));
+                            let name = name.clone();
+                            self.states_in_flight.insert(name.clone(), state);
+                            new_states.push(NewState { id: state, name, kind: StateKind::default() });
+                            *slot = Slot::State(state);
+                            state
+                        }
+                        None => {
+                            let offset = batch.kept.get(i).map_or(i as u64, |&kept| u64::from(kept));
+                            let detail = format!(
+                                "state {:?} would be new, and the map has {} states, as many as setting \
+                                 max_states_per_map allows",
+                                name.as_str(),
+                                self.max_states
+                            );
+                            let sequence = batch.first_sequence + offset;
+                            refused.push(Refused { sequence, reason: RefusalReason::StateLimit, detail });
+                            continue;
+                        }
+                    }
+                }
+            };
+            let time = batch.times_nanos[i];
+            let offset_secs = self.offsets.offset_secs(time);
+            match offsets.last_mut() {
+                Some(run) if run.offset_secs == offset_secs => run.count += 1,
+                _ => offsets.push(OffsetRun { count: 1, offset_secs }),
+            }
+            states.push(state);
+            times_nanos.push(time);
+            values.push(batch.values[i]);
+        }
+        refused.sort_by_key(|refused| refused.sequence);
+        let (producer, new_producer) = match session.producer {
+            Some(producer) => (producer, None),
+            None => {
+                let next = map.producers() + self.producers_in_flight;
+                self.producers_in_flight += 1;
+                (ProducerId(u32::try_from(next).unwrap_or(u32::MAX)), Some(session.key.clone()))
+            }
+        };
+        session.producer = Some(producer);
+        session.in_flight += 1;
+        let event = Observations {
+            producer,
+            new_producer,
+            incarnation: session.incarnation,
+            first_sequence: batch.first_sequence,
+            last_sequence: batch.last_sequence,
+            content_crc: batch.content_crc,
+            received_nanos: now,
+            new_states,
+            states,
+            times_nanos,
+            values,
+            offsets,
+            refused: refused.iter().map(|refused| (refused.sequence, refused.reason)).collect(),
+        };
+        Some((event, refused))
+    }
+
+    /// A batch of the stream was applied to the map.
+    pub fn applied(&mut self, id: SessionId, event: &Observations) {
+        for new in &event.new_states {
+            self.states_in_flight.remove(&new.name);
+        }
+        self.producers_in_flight -= usize::from(event.new_producer.is_some());
+        if let Some(session) = self.sessions.get_mut(&id) {
+            session.in_flight -= 1;
+            if let (Some(reached), Some(newest)) = (session.data_time.as_mut(), event.times_nanos.iter().max()) {
+                *reached = (*reached).max(*newest);
+            }
+        }
+        self.forget(id);
+    }
+
+    /// A batch of the stream could not be logged: the stream ends.
+    pub fn failed(&mut self, id: SessionId, ending: &Ending) {
+        if let Some(session) = self.sessions.get_mut(&id) {
+            session.in_flight -= 1;
+        }
+        self.end(id, ending);
+        self.forget(id);
+    }
+
+    /// All batches in flight have failed: what they would have added is gone.
+    pub fn roll_back(&mut self) {
+        self.states_in_flight.clear();
+        self.producers_in_flight = 0;
+    }
+
+    /// Ends an open stream and says why.
+    pub fn end(&mut self, id: SessionId, ending: &Ending) {
+        if let Some(session) = self.sessions.get_mut(&id).filter(|session| session.open) {
+            session.tell(SessionEvent::End(ending.clone()));
+        }
+        self.leave(id);
+    }
+
+    /// Ends all streams.
+    pub fn end_all(&mut self, ending: &Ending) {
+        for id in self.sessions.keys().copied().collect::<Vec<_>>() {
+            self.end(id, ending);
+        }
+    }
+
+    /// The stream takes no more batches. Gives its key and data time where it had announced data time.
+    pub fn leave(&mut self, id: SessionId) -> Option<(ProducerKey, i64)> {
+        let session = self.sessions.get_mut(&id)?;
+        if session.open {
+            session.open = false;
+            self.open_by_key.remove(&session.key);
+        }
+        let announced = session.data_time.take().map(|reached| (session.key.clone(), reached));
+        self.forget(id);
+        announced
+    }
+
+    fn forget(&mut self, id: SessionId) {
+        if self.sessions.get(&id).is_some_and(|session| !session.open && session.in_flight == 0) {
+            self.sessions.remove(&id);
+        }
+    }
+
+    /// The stream, while it is open or has batches in flight.
+    pub fn get(&self, id: SessionId) -> Option<&Session> {
+        self.sessions.get(&id)
+    }
+
+    /// Streams that announced data time, with how far their data has come.
+    pub fn data_times(&self) -> impl Iterator<Item = (&ProducerKey, i64)> {
+        self.sessions.values().filter_map(|session| session.data_time.map(|reached| (&session.key, reached)))
+    }
+
+    /// Number of open streams.
+    pub fn open_count(&self) -> usize {
+        self.open_by_key.len()
+    }
+}

@@ -1,0 +1,141 @@
+//! When a map's update runs: on request, at the local midnight of the clock, at the local midnight of imported data, or
+//! when too much is pending.
+//!
+//! Invariant: one update at a time. Requests of the same cause that wait are one request, because an update steps
+//! through each local day that it meets.
+
+use std::{
+    collections::{HashMap, VecDeque},
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use tidemap_map::{
+    event::UpdateCause,
+    live_map::LiveMap,
+    name::{MapName, ProducerKey},
+};
+
+use super::sessions::Sessions;
+use crate::jobs::{Job, Jobs};
+
+/// How long a producer whose stream broke keeps its say in when a day of imported data closes.
+const ANNOUNCEMENT_KEPT: Duration = Duration::from_secs(60);
+
+/// An update that waits for its turn.
+#[derive(Debug)]
+pub struct Wanted {
+    pub until_nanos: Option<i64>,
+    pub cause: UpdateCause,
+    pub job: Arc<Job>,
+}
+
+/// The updates of one map that wait, and what makes new ones due.
+#[derive(Debug)]
+pub struct Updates {
+    map: MapName,
+    jobs: Arc<Jobs>,
+    queue: VecDeque<Wanted>,
+    /// Producers that announced data time and whose stream broke.
+    broken: HashMap<ProducerKey, (i64, Instant)>,
+    data_midnight_nanos: i64,
+    max_pending: u64,
+}
+
+impl Updates {
+    pub fn new(map: MapName, jobs: Arc<Jobs>, max_pending: u64) -> Self {
+        Self { map, jobs, queue: VecDeque::new(), broken: HashMap::new(), data_midnight_nanos: i64::MIN, max_pending }
+    }
+
+    /// Lines an update up.
+    pub fn push(&mut self, wanted: Wanted) {
+        self.queue.push_back(wanted);
+    }
+
+    /// The next update to run.
+    pub fn pop(&mut self) -> Option<Wanted> {
+        self.queue.pop_front()
+    }
+
+    /// Fails all that wait.
+    pub fn fail_all(&mut self, error: &str) {
+        for wanted in self.queue.drain(..) {
+            wanted.job.end(Err(error.to_owned()));
+        }
+    }
+
+    /// A stream that had announced data time broke.
+    pub fn stream_broke(&mut self, key: ProducerKey, reached: i64) {
+        self.broken.insert(key, (reached, Instant::now() + ANNOUNCEMENT_KEPT));
+    }
+
+    /// A stream of the key opened, or ended on purpose.
+    pub fn stream_settled(&mut self, key: &ProducerKey) {
+        self.broken.remove(key);
+    }
+
+    /// Lines up what has become due.
+    pub fn look(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
+        self.look_at_data(map, sessions, now_nanos);
+        self.look_at_clock(map, now_nanos);
+        self.look_at_pending(map, now_nanos);
+    }
+
+    fn due(&mut self, until_nanos: Option<i64>, cause: UpdateCause, now_nanos: i64) {
+        if let Some(waiting) = self.queue.iter_mut().find(|wanted| wanted.cause == cause) {
+            waiting.until_nanos = waiting.until_nanos.max(until_nanos);
+            return;
+        }
+        let job = self.jobs.create(self.map.clone(), cause, now_nanos);
+        self.queue.push_back(Wanted { until_nanos, cause, job });
+    }
+
+    fn look_at_data(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
+        let now = Instant::now();
+        self.broken.retain(|_, (_, until)| *until > now);
+        let open = sessions.data_times().map(|(_, reached)| reached);
+        let Some(reached) = open.chain(self.broken.values().map(|(reached, _)| *reached)).min() else {
+            // The import is over; the next one may be of older data.
+            self.data_midnight_nanos = i64::MIN;
+            return;
+        };
+        if reached < 0 {
+            return;
+        }
+        let zone = &map.spec().zone;
+        let midnight = zone.midnight_nanos(zone.day_of(reached));
+        if midnight > self.data_midnight_nanos {
+            // The first midnight of an import is the start of its first day: nothing lies before it.
+            let due = map.pending_since_nanos().is_some_and(|oldest| oldest < midnight);
+            self.data_midnight_nanos = midnight;
+            if due {
+                self.due(Some(midnight), UpdateCause::DataTime, now_nanos);
+            }
+        }
+    }
+
+    fn look_at_clock(&mut self, map: &LiveMap, now_nanos: i64) {
+        let zone = &map.spec().zone;
+        let midnight = zone.midnight_nanos(zone.day_of(now_nanos));
+        let missed = map.pending_received_nanos().is_some_and(|received| received < midnight);
+        if missed && map.cut_nanos() < midnight && !self.is_waiting(UpdateCause::Midnight) && !map.is_updating() {
+            self.due(Some(midnight), UpdateCause::Midnight, now_nanos);
+        }
+    }
+
+    fn look_at_pending(&mut self, map: &LiveMap, now_nanos: i64) {
+        if map.pending() <= self.max_pending || map.is_updating() || !self.queue.is_empty() {
+            return;
+        }
+        // Whole days first: a model is then scored on days that it has not seen a part of.
+        let zone = &map.spec().zone;
+        let midnight = zone.midnight_nanos(zone.day_of(map.newest_nanos()));
+        let whole_days =
+            map.cut_nanos() < midnight && map.pending_since_nanos().is_some_and(|oldest| oldest < midnight);
+        self.due(whole_days.then_some(midnight), UpdateCause::PendingLimit, now_nanos);
+    }
+
+    fn is_waiting(&self, cause: UpdateCause) -> bool {
+        self.queue.iter().any(|wanted| wanted.cause == cause)
+    }
+}

@@ -1,0 +1,167 @@
+//! Updates as jobs that can be listed, watched and reported on.
+//!
+//! Invariant: a job only moves forward, waiting, running, ended. Old jobs are forgotten; a report is kept for the last
+//! update of each map only.
+
+use std::{
+    collections::VecDeque,
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use tidemap_map::{event::UpdateCause, name::MapName, update::StateOutcome};
+use tokio::sync::watch;
+
+const JOBS_KEPT: usize = 1000;
+
+/// How far a job is.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Phase {
+    /// Waits for another job of the same map.
+    Waiting,
+    /// Runs since.
+    Running(Instant),
+    /// Ended well, after.
+    Done(Duration),
+    /// Ended with an error, after.
+    Failed(Duration, String),
+}
+
+impl Phase {
+    /// Whether the job has ended.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        matches!(self, Self::Done(_) | Self::Failed(..))
+    }
+}
+
+/// A job as it stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Status {
+    /// How far it is.
+    pub phase: Phase,
+    /// States with observations to fold in.
+    pub states_total: u64,
+    /// Observations to fold in.
+    pub observations: u64,
+    /// What it publishes: generation and cut.
+    pub published: Option<(u64, i64)>,
+}
+
+/// An update.
+#[derive(Debug)]
+pub struct Job {
+    /// Identity.
+    pub id: u64,
+    /// Map that it updates.
+    pub map: MapName,
+    /// What started it.
+    pub cause: UpdateCause,
+    /// When it was asked for, nanoseconds UTC.
+    pub created_nanos: i64,
+    /// States done so far.
+    pub states_done: AtomicU64,
+    status: watch::Sender<Status>,
+    // A lock, because the report is dropped when the map's next update ends; held only to copy a pointer.
+    report: Mutex<Option<Arc<Vec<StateOutcome>>>>,
+}
+
+impl Job {
+    /// The job as it stands.
+    #[must_use]
+    pub fn status(&self) -> Status {
+        self.status.borrow().clone()
+    }
+
+    /// Follows the job.
+    #[must_use]
+    pub fn watch(&self) -> watch::Receiver<Status> {
+        self.status.subscribe()
+    }
+
+    /// The job runs.
+    pub fn start(&self, states_total: u64, observations: u64) {
+        self.status.send_modify(|status| {
+            status.phase = Phase::Running(Instant::now());
+            status.states_total = states_total;
+            status.observations = observations;
+        });
+    }
+
+    /// The job ended.
+    pub fn end(&self, result: Result<(u64, i64), String>) {
+        self.status.send_modify(|status| {
+            let elapsed = match status.phase {
+                Phase::Running(since) => since.elapsed(),
+                _ => Duration::ZERO,
+            };
+            match result {
+                Ok(published) => {
+                    status.published = Some(published);
+                    status.phase = Phase::Done(elapsed);
+                }
+                Err(error) => status.phase = Phase::Failed(elapsed, error),
+            }
+        });
+    }
+
+    /// What the update did to each state; `None` where a later update has ended since.
+    #[must_use]
+    pub fn report(&self) -> Option<Arc<Vec<StateOutcome>>> {
+        self.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// All jobs of the daemon.
+#[derive(Debug, Default)]
+pub struct Jobs {
+    next_id: AtomicU64,
+    // A lock, because jobs come from all maps; held only to push or copy pointers.
+    jobs: Mutex<VecDeque<Arc<Job>>>,
+}
+
+impl Jobs {
+    /// A new job, waiting.
+    pub fn create(&self, map: MapName, cause: UpdateCause, created_nanos: i64) -> Arc<Job> {
+        let (status, _) =
+            watch::channel(Status { phase: Phase::Waiting, states_total: 0, observations: 0, published: None });
+        let job = Arc::new(Job {
+            id: self.next_id.fetch_add(1, Ordering::Relaxed) + 1,
+            map,
+            cause,
+            created_nanos,
+            states_done: AtomicU64::new(0),
+            status,
+            report: Mutex::new(None),
+        });
+        let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
+        jobs.push_front(Arc::clone(&job));
+        while jobs.len() > JOBS_KEPT && jobs.back().is_some_and(|job| job.status().phase.has_ended()) {
+            jobs.pop_back();
+        }
+        job
+    }
+
+    /// Keeps the report of a job and drops that of the map's update before.
+    pub fn set_report(&self, job: &Job, report: Vec<StateOutcome>) {
+        for other in self.list().iter().filter(|other| other.map == job.map && other.id != job.id) {
+            *other.report.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        }
+        *job.report.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(report));
+    }
+
+    /// All jobs known, newest first.
+    #[must_use]
+    pub fn list(&self) -> Vec<Arc<Job>> {
+        self.jobs.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
+    }
+
+    /// The job of this identity.
+    #[must_use]
+    pub fn get(&self, id: u64) -> Option<Arc<Job>> {
+        self.list().into_iter().find(|job| job.id == id)
+    }
+}

@@ -1,0 +1,12 @@
+//! The wire's side of the daemon: each service takes its request apart, asks the domain, and puts the reply together.
+//!
+//! Invariant: no decision about maps is taken here, and every error becomes a status in [`status`] and nowhere else.
+
+pub mod maintenance;
+pub mod map;
+pub mod observation;
+pub mod query;
+pub mod serve;
+pub mod status;
+
+mod page;

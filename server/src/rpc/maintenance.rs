@@ -1,0 +1,175 @@
+//! `MaintenanceService`: updates as jobs, and counters.
+
+use std::{sync::Arc, sync::atomic::Ordering, time::Duration};
+
+use tidemap_map::event::UpdateCause;
+use tidemap_proto::{
+    convert::{
+        map::update_to_wire,
+        time::{duration, nanos_from_timestamp, timestamp},
+    },
+    v1::{self, maintenance_service_server::MaintenanceService},
+};
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status};
+
+use super::{map::find_map, page::page, status::RpcError};
+use crate::{
+    catalog::Catalog,
+    ingest::protocol::Command,
+    jobs::{Job, Phase},
+    statistics,
+};
+
+/// How often a watched job's progress is told.
+const WATCH_INTERVAL: Duration = Duration::from_millis(100);
+
+/// The service.
+#[derive(Debug)]
+pub struct Maintenance {
+    /// The maps.
+    pub catalog: Arc<Catalog>,
+}
+
+fn job_to_wire(job: &Job) -> v1::Job {
+    let status = job.status();
+    let (state, elapsed, error) = match status.phase {
+        Phase::Waiting => (v1::JobState::Waiting, Duration::ZERO, String::new()),
+        Phase::Running(since) => (v1::JobState::Running, since.elapsed(), String::new()),
+        Phase::Done(elapsed) => (v1::JobState::Done, elapsed, String::new()),
+        Phase::Failed(elapsed, error) => (v1::JobState::Failed, elapsed, error),
+    };
+    let cause = match job.cause {
+        UpdateCause::Request => v1::JobCause::Request,
+        UpdateCause::Midnight => v1::JobCause::Midnight,
+        UpdateCause::DataTime => v1::JobCause::DataTime,
+        UpdateCause::PendingLimit => v1::JobCause::PendingLimit,
+    };
+    v1::Job {
+        id: job.id,
+        map: job.map.as_str().to_owned(),
+        state: state.into(),
+        cause: cause.into(),
+        states_done: job.states_done.load(Ordering::Relaxed),
+        states_total: status.states_total,
+        observations: status.observations,
+        create_time: Some(timestamp(job.created_nanos)),
+        elapsed: Some(duration(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))),
+        error,
+        update: status.published.map(|(generation, cut_nanos)| update_to_wire(generation, Some(cut_nanos))),
+    }
+}
+
+impl Maintenance {
+    fn job(&self, id: u64) -> Result<Arc<Job>, RpcError> {
+        self.catalog.context().jobs.get(id).ok_or(RpcError::UnknownJob(id))
+    }
+}
+
+#[tonic::async_trait]
+impl MaintenanceService for Maintenance {
+    type WatchJobStream = ReceiverStream<Result<v1::WatchJobResponse, Status>>;
+
+    async fn run_update(
+        &self,
+        request: Request<v1::RunUpdateRequest>,
+    ) -> Result<Response<v1::RunUpdateResponse>, Status> {
+        let request = request.into_inner();
+        let handle = find_map(&self.catalog, &request.map)?;
+        let until_nanos = request.until.map(|until| nanos_from_timestamp("until", until)).transpose();
+        let until_nanos = until_nanos.map_err(RpcError::from)?;
+        let context = self.catalog.context();
+        let job = context.jobs.create(handle.spec.name.clone(), UpdateCause::Request, context.clock.now_nanos());
+        let command = Command::Update { until_nanos, cause: UpdateCause::Request, job: Arc::clone(&job) };
+        if !handle.send(command) {
+            job.end(Err("the daemon is stopping".to_owned()));
+            return Err(RpcError::Stopping.into());
+        }
+        Ok(Response::new(v1::RunUpdateResponse { job: Some(job_to_wire(&job)) }))
+    }
+
+    async fn get_job(&self, request: Request<v1::GetJobRequest>) -> Result<Response<v1::GetJobResponse>, Status> {
+        let job = self.job(request.get_ref().id)?;
+        Ok(Response::new(v1::GetJobResponse { job: Some(job_to_wire(&job)) }))
+    }
+
+    async fn list_jobs(&self, request: Request<v1::ListJobsRequest>) -> Result<Response<v1::ListJobsResponse>, Status> {
+        let request = request.into_inner();
+        let jobs = self.catalog.context().jobs.list();
+        let (range, next_page_token) =
+            page(jobs.len(), request.page_size, 100, 1000, &request.page_token).map_err(RpcError::from)?;
+        let jobs = jobs[range].iter().map(|job| job_to_wire(job)).collect();
+        Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token }))
+    }
+
+    async fn watch_job(&self, request: Request<v1::WatchJobRequest>) -> Result<Response<Self::WatchJobStream>, Status> {
+        let job = self.job(request.get_ref().id)?;
+        let (replies, stream) = mpsc::channel(4);
+        tokio::spawn(async move {
+            let mut status = job.watch();
+            let mut told = None;
+            loop {
+                let ended = status.borrow_and_update().phase.has_ended();
+                let wire = job_to_wire(&job);
+                let progress = (wire.state, wire.states_done);
+                if told.replace(progress) != Some(progress)
+                    && replies.send(Ok(v1::WatchJobResponse { job: Some(wire) })).await.is_err()
+                {
+                    return;
+                }
+                if ended {
+                    return;
+                }
+                // Either the phase changes or some more states are done.
+                let _ = tokio::time::timeout(WATCH_INTERVAL, status.changed()).await;
+                if replies.is_closed() {
+                    return;
+                }
+            }
+        });
+        Ok(Response::new(ReceiverStream::new(stream)))
+    }
+
+    async fn get_update_report(
+        &self,
+        request: Request<v1::GetUpdateReportRequest>,
+    ) -> Result<Response<v1::GetUpdateReportResponse>, Status> {
+        let request = request.into_inner();
+        let job = self.job(request.job_id)?;
+        let report = job.report().ok_or(RpcError::NoReport(job.id))?;
+        let (range, next_page_token) =
+            page(report.len(), request.page_size, 1000, 10_000, &request.page_token).map_err(RpcError::from)?;
+        let states = report[range].iter().map(|entry| {
+            let outcome = &entry.outcome;
+            let scored = (outcome.scored > 0).then_some(outcome.scored as f64);
+            v1::StateUpdate {
+                state: entry.name.as_str().to_owned(),
+                order_before: u32::try_from(outcome.order_before).unwrap_or(u32::MAX),
+                order: u32::try_from(outcome.order).unwrap_or(u32::MAX),
+                mean_squared_error_before: scored.map(|scored| outcome.squared_error_in_force / scored),
+                mean_squared_error: scored.map(|scored| outcome.squared_errors[outcome.order] / scored),
+                observations: outcome.observations,
+                scored: outcome.scored,
+            }
+        });
+        Ok(Response::new(v1::GetUpdateReportResponse { states: states.collect(), next_page_token }))
+    }
+
+    async fn get_statistics(
+        &self,
+        request: Request<v1::GetStatisticsRequest>,
+    ) -> Result<Response<v1::GetStatisticsResponse>, Status> {
+        let name = request.into_inner().map;
+        let statistics = if name.is_empty() {
+            statistics::of_daemon(&self.catalog)
+        } else {
+            statistics::of_map(&self.catalog, &*find_map(&self.catalog, &name)?)
+        };
+        let statistics = statistics
+            .into_iter()
+            .map(|(name, value, unit)| v1::Statistic { name: name.to_owned(), value, unit: unit.to_owned() })
+            .collect();
+        Ok(Response::new(v1::GetStatisticsResponse { statistics }))
+    }
+}

@@ -1,0 +1,84 @@
+//! `MapService`: creates, lists and deletes maps.
+
+use std::sync::Arc;
+
+use tidemap_map::event::StateId;
+use tidemap_proto::{
+    convert::map::{map_to_wire, spec_from_request, state_to_wire},
+    v1::{self, map_service_server::MapService},
+};
+use tonic::{Request, Response, Status};
+
+use super::{page::page, status::RpcError};
+use crate::{
+    catalog::{Catalog, CatalogError},
+    ingest::writer::MapHandle,
+};
+
+/// The service.
+#[derive(Debug)]
+pub struct Maps {
+    /// The maps.
+    pub catalog: Arc<Catalog>,
+}
+
+/// The map of this name, or an error that lists those that exist.
+pub fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
+    catalog.get(name).map_err(|error| match error {
+        CatalogError::Unknown(name) => {
+            let known = catalog.all().keys().map(|name| name.as_str().to_owned()).collect();
+            RpcError::UnknownMap { name, known }
+        }
+        error => error.into(),
+    })
+}
+
+#[tonic::async_trait]
+impl MapService for Maps {
+    async fn create_map(
+        &self,
+        request: Request<v1::CreateMapRequest>,
+    ) -> Result<Response<v1::CreateMapResponse>, Status> {
+        let now = self.catalog.context().clock.now_nanos();
+        let spec = spec_from_request(request.into_inner(), now).map_err(RpcError::from)?;
+        let handle = self.catalog.create(spec).await.map_err(RpcError::from)?;
+        Ok(Response::new(v1::CreateMapResponse { map: Some(map_to_wire(&handle.view())) }))
+    }
+
+    async fn get_map(&self, request: Request<v1::GetMapRequest>) -> Result<Response<v1::GetMapResponse>, Status> {
+        let handle = find_map(&self.catalog, &request.get_ref().name)?;
+        Ok(Response::new(v1::GetMapResponse { map: Some(map_to_wire(&handle.view())) }))
+    }
+
+    async fn list_maps(&self, request: Request<v1::ListMapsRequest>) -> Result<Response<v1::ListMapsResponse>, Status> {
+        let request = request.into_inner();
+        let maps = self.catalog.all();
+        let (range, next_page_token) =
+            page(maps.len(), request.page_size, 100, 1000, &request.page_token).map_err(RpcError::from)?;
+        let maps = maps.values().skip(range.start).take(range.len()).map(|handle| map_to_wire(&handle.view()));
+        Ok(Response::new(v1::ListMapsResponse { maps: maps.collect(), next_page_token }))
+    }
+
+    async fn delete_map(
+        &self,
+        request: Request<v1::DeleteMapRequest>,
+    ) -> Result<Response<v1::DeleteMapResponse>, Status> {
+        let name = request.into_inner().name;
+        find_map(&self.catalog, &name)?;
+        self.catalog.delete(&name).await.map_err(RpcError::from)?;
+        Ok(Response::new(v1::DeleteMapResponse {}))
+    }
+
+    async fn list_states(
+        &self,
+        request: Request<v1::ListStatesRequest>,
+    ) -> Result<Response<v1::ListStatesResponse>, Status> {
+        let request = request.into_inner();
+        let view = find_map(&self.catalog, &request.map)?.view();
+        let (range, next_page_token) =
+            page(view.len(), request.page_size, 1000, 10_000, &request.page_token).map_err(RpcError::from)?;
+        let ids = range.filter_map(|index| u32::try_from(index).ok()).map(StateId);
+        let states = ids.filter_map(|id| state_to_wire(&view, id)).collect();
+        Ok(Response::new(v1::ListStatesResponse { states, next_page_token }))
+    }
+}

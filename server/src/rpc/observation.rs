@@ -1,0 +1,307 @@
+//! `ObservationService`: a stream of observations in, acknowledgements out.
+//!
+//! Invariant: what is taken from a stream and not yet durable is bounded per stream and in all, because room is taken
+//! before the next message is read. The work of a stream is in its own task: a client that goes away drops nothing that
+//! was handed to the writer.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
+
+use tidemap_map::{MAX_AHEAD_NANOS, name::ProducerKey};
+use tidemap_proto::{
+    convert::{InvalidField, map::refusal_to_wire, time::duration},
+    v1::{
+        self, observation_service_server::ObservationService, observe_request::Message as Up,
+        observe_response::Message as Down,
+    },
+};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status, Streaming};
+use tracing::debug;
+
+use super::{map::find_map, status::RpcError};
+use crate::{
+    catalog::Catalog,
+    ingest::{
+        intake::{Intake, IntakeError},
+        protocol::{Command, Ending, Hello, Opened, SessionEvent, is_fatal},
+        writer::MapHandle,
+    },
+};
+
+/// A stream says hello within this time.
+const HELLO_WITHIN: Duration = Duration::from_secs(10);
+/// A client reads its replies within this time.
+const READ_WITHIN: Duration = Duration::from_secs(30);
+/// A stream is told that the server is saturated after waiting this long.
+const BUSY_AFTER: Duration = Duration::from_secs(1);
+/// Replies that wait for the client.
+const REPLIES_AHEAD: usize = 16;
+/// Memory of a decoded observation, in bytes.
+const OBSERVATION_BYTES: usize = 24;
+
+/// Limits of streams.
+#[derive(Clone, Copy, Debug)]
+pub struct StreamLimits {
+    /// Most observations of one message.
+    pub max_batch: usize,
+    /// Most bytes of one message.
+    pub max_message_bytes: usize,
+    /// Most bytes of one stream that are not yet durable.
+    pub max_stream_buffer: usize,
+    /// Most names of one stream.
+    pub max_table: usize,
+    /// Most streams.
+    pub max_streams: usize,
+}
+
+/// The service.
+#[derive(Debug)]
+pub struct Observations {
+    /// The maps.
+    pub catalog: Arc<Catalog>,
+    /// Limits of a stream.
+    pub limits: StreamLimits,
+    /// Room for all streams together, in bytes.
+    pub buffers: Arc<Semaphore>,
+    /// Open streams.
+    pub streams: Arc<AtomicUsize>,
+    /// Turns true when the daemon stops.
+    pub stopping: watch::Receiver<bool>,
+}
+
+/// Counts a stream while it lives.
+struct Counted(Arc<AtomicUsize>);
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        let before = self.0.fetch_sub(1, Ordering::Relaxed);
+        metrics::gauge!("tidemap_streams").set(before as f64 - 1.0);
+    }
+}
+
+#[tonic::async_trait]
+impl ObservationService for Observations {
+    type ObserveStream = ReceiverStream<Result<v1::ObserveResponse, Status>>;
+
+    async fn observe(
+        &self,
+        request: Request<Streaming<v1::ObserveRequest>>,
+    ) -> Result<Response<Self::ObserveStream>, Status> {
+        let open = self.streams.fetch_add(1, Ordering::Relaxed) + 1;
+        let counted = Counted(Arc::clone(&self.streams));
+        metrics::gauge!("tidemap_streams").set(open as f64);
+        if open > self.limits.max_streams {
+            let (got, max) = (open as u64, self.limits.max_streams as u64);
+            return Err(RpcError::Limit { what: "streams", got, max, setting: "setting max_streams" }.into());
+        }
+        let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
+        let catalog = Arc::clone(&self.catalog);
+        let limits = self.limits;
+        let buffers = Arc::clone(&self.buffers);
+        let stopping = self.stopping.clone();
+        tokio::spawn(async move {
+            let result = open_and_serve(catalog, limits, buffers, stopping, request.into_inner(), &replies).await;
+            if let Err(error) = result {
+                debug!(%error, "stream ended");
+                // A client that is gone does not hear why.
+                let _ = tokio::time::timeout(READ_WITHIN, replies.send(Err(error.into()))).await;
+            }
+            drop(counted);
+        });
+        Ok(Response::new(ReceiverStream::new(stream)))
+    }
+}
+
+type Replies = mpsc::Sender<Result<v1::ObserveResponse, Status>>;
+
+async fn reply(replies: &Replies, message: Down) -> Result<(), RpcError> {
+    let response = v1::ObserveResponse { message: Some(message) };
+    match tokio::time::timeout(READ_WITHIN, replies.send(Ok(response))).await {
+        Ok(Ok(())) => Ok(()),
+        Ok(Err(_)) => Err(RpcError::Broken),
+        Err(_) => Err(RpcError::SlowReader(READ_WITHIN.as_secs())),
+    }
+}
+
+async fn open_and_serve(
+    catalog: Arc<Catalog>,
+    limits: StreamLimits,
+    buffers: Arc<Semaphore>,
+    stopping: watch::Receiver<bool>,
+    mut requests: Streaming<v1::ObserveRequest>,
+    replies: &Replies,
+) -> Result<(), RpcError> {
+    if *stopping.borrow() {
+        return Err(RpcError::Stopping);
+    }
+    let first = match tokio::time::timeout(HELLO_WITHIN, requests.message()).await {
+        Ok(Ok(Some(v1::ObserveRequest { message: Some(Up::Hello(hello)) }))) => hello,
+        Ok(Ok(None) | Err(_)) => return Ok(()),
+        Ok(Ok(Some(_))) => {
+            let text = "the first message of a stream must be a Hello";
+            return Err(InvalidField::new("hello", text).into());
+        }
+        Err(_) => return Err(InvalidField::new("hello", "no Hello within 10 seconds").into()),
+    };
+    let handle = find_map(&catalog, &first.map)?;
+    let key = ProducerKey::new(&first.producer, &first.label)
+        .map_err(|error| InvalidField::new("hello.producer, hello.label", error))?;
+    let (events_sender, events) = mpsc::unbounded_channel();
+    let (answer, answered) = oneshot::channel();
+    let hello =
+        Hello { key, incarnation: first.incarnation, nightly: first.nightly, events: events_sender, reply: answer };
+    if !handle.send(Command::Hello(hello)) {
+        return Err(RpcError::Stopping);
+    }
+    let opened = answered.await.map_err(|_| RpcError::Stopping)??;
+    let mut stream = Stream {
+        intake: Intake::new(opened.durable_sequence, opened.content_crc, limits.max_batch, limits.max_table),
+        own_buffer: Arc::new(Semaphore::new(limits.max_stream_buffer)),
+        durable: opened.durable_sequence,
+        handed_over: opened.durable_sequence,
+        handle,
+        opened,
+        limits,
+        buffers,
+        events,
+        replies,
+    };
+    let result = stream.serve(catalog.context().store.store_id(), &mut requests).await;
+    let clean = matches!(result, Ok(()));
+    // A writer that has stopped has no session to forget.
+    let _ = stream.handle.send(Command::Leave { session: stream.opened.session, clean });
+    if let Err(error) = &result {
+        stream.say_goodbye(error).await;
+    }
+    result
+}
+
+struct Stream<'a> {
+    handle: Arc<MapHandle>,
+    opened: Opened,
+    intake: Intake,
+    limits: StreamLimits,
+    buffers: Arc<Semaphore>,
+    own_buffer: Arc<Semaphore>,
+    events: mpsc::UnboundedReceiver<SessionEvent>,
+    replies: &'a Replies,
+    durable: u64,
+    handed_over: u64,
+}
+
+impl Stream<'_> {
+    async fn serve(&mut self, store_id: &str, requests: &mut Streaming<v1::ObserveRequest>) -> Result<(), RpcError> {
+        let welcome = v1::Welcome {
+            store_id: store_id.to_owned(),
+            incarnation: self.opened.incarnation,
+            durable_sequence: self.opened.durable_sequence,
+            content_crc: self.opened.content_crc,
+            max_batch_observations: u32::try_from(self.limits.max_batch).unwrap_or(u32::MAX),
+            max_message_bytes: u32::try_from(self.limits.max_message_bytes).unwrap_or(u32::MAX),
+            max_ahead: Some(duration(MAX_AHEAD_NANOS)),
+        };
+        reply(self.replies, Down::Welcome(welcome)).await?;
+        let mut saturated = self.handle.saturated();
+        loop {
+            let wait = *saturated.borrow_and_update();
+            tokio::select! {
+                biased;
+                event = self.events.recv() => self.pass_on(event).await?,
+                _ = saturated.changed(), if wait => {}
+                () = tokio::time::sleep(BUSY_AFTER), if wait => {
+                    let retry_after = Some(duration(1_000_000_000));
+                    reply(self.replies, Down::Busy(v1::Busy { retry_after })).await?;
+                }
+                request = requests.message(), if !wait => match request {
+                    Ok(Some(v1::ObserveRequest { message: Some(Up::Batch(batch)) })) => self.take(batch).await?,
+                    Ok(Some(_)) => {
+                        let text = "after the Hello a message must be a batch";
+                        return Err(InvalidField::new("message", text).into());
+                    }
+                    // The producer has sent all: what is in flight is acknowledged before the stream ends.
+                    Ok(None) => return self.drain().await,
+                    Err(status) => {
+                        debug!(%status, "stream broke");
+                        return Err(RpcError::Broken);
+                    }
+                },
+            }
+        }
+    }
+
+    async fn take(&mut self, message: v1::ObservationBatch) -> Result<(), RpcError> {
+        let Some(batch) = self.intake.take(message)? else {
+            let ack = v1::Ack { durable_sequence: self.durable, refused: Vec::new() };
+            return reply(self.replies, Down::Ack(ack)).await;
+        };
+        let bytes = OBSERVATION_BYTES * (batch.values.len() + batch.refused.len()) + 64;
+        let permits = [
+            self.room(&Arc::clone(&self.own_buffer), bytes.min(self.limits.max_stream_buffer)).await?,
+            self.room(&Arc::clone(&self.buffers), bytes.min(self.limits.max_stream_buffer)).await?,
+        ];
+        self.handed_over = batch.last_sequence;
+        let command = Command::Batch { session: self.opened.session, batch, permits };
+        if self.handle.send(command) { Ok(()) } else { Err(RpcError::Stopping) }
+    }
+
+    /// Waits for room, and passes acknowledgements on meanwhile: they are what makes room.
+    async fn room(&mut self, semaphore: &Arc<Semaphore>, bytes: usize) -> Result<OwnedSemaphorePermit, RpcError> {
+        let acquire = Arc::clone(semaphore).acquire_many_owned(u32::try_from(bytes).unwrap_or(u32::MAX));
+        tokio::pin!(acquire);
+        loop {
+            tokio::select! {
+                permit = &mut acquire => return permit.map_err(|_| RpcError::Stopping),
+                event = self.events.recv() => self.pass_on(event).await?,
+            }
+        }
+    }
+
+    async fn drain(&mut self) -> Result<(), RpcError> {
+        while self.durable < self.handed_over {
+            let event = self.events.recv().await;
+            self.pass_on(event).await?;
+        }
+        Ok(())
+    }
+
+    async fn pass_on(&mut self, event: Option<SessionEvent>) -> Result<(), RpcError> {
+        match event {
+            Some(SessionEvent::Ack { durable_sequence, refused }) => {
+                self.durable = durable_sequence;
+                let refused = refused
+                    .into_iter()
+                    .map(|refused| v1::Refusal {
+                        sequence: refused.sequence,
+                        reason: refusal_to_wire(refused.reason).into(),
+                        detail: refused.detail,
+                    })
+                    .collect();
+                reply(self.replies, Down::Ack(v1::Ack { durable_sequence, refused })).await
+            }
+            Some(SessionEvent::End(ending)) => Err(RpcError::Ended(ending)),
+            None => Err(RpcError::Stopping),
+        }
+    }
+
+    async fn say_goodbye(&self, error: &RpcError) {
+        let reason = match error {
+            RpcError::Ended(Ending::Shutdown) | RpcError::Stopping => v1::GoodbyeReason::Shutdown,
+            RpcError::Ended(Ending::Superseded) => v1::GoodbyeReason::Superseded,
+            RpcError::Ended(Ending::MapDeleted) => v1::GoodbyeReason::MapDeleted,
+            RpcError::Ended(Ending::Storage(error)) if is_fatal(error) => v1::GoodbyeReason::Storage,
+            RpcError::Ended(Ending::Storage(_)) => v1::GoodbyeReason::DiskFull,
+            RpcError::Intake(IntakeError::OutOfSequence { .. }) => v1::GoodbyeReason::OutOfSequence,
+            _ => v1::GoodbyeReason::Invalid,
+        };
+        let goodbye = v1::Goodbye { reason: reason.into(), durable_sequence: self.durable, detail: error.to_string() };
+        // The status that follows says the same; a client that is gone hears neither.
+        let _ = reply(self.replies, Down::Goodbye(goodbye)).await;
+    }
+}

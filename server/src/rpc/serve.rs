@@ -1,0 +1,94 @@
+//! The gRPC port: which services are there, and the limits of connections.
+//!
+//! Invariant: every RPC of `tidemap.v1` is served here; reflection only where everybody who can connect is local.
+
+use std::{
+    future::Future,
+    sync::{Arc, atomic::AtomicUsize},
+    time::Duration,
+};
+
+use tidemap_proto::v1::{
+    DESCRIPTORS, maintenance_service_server::MaintenanceServiceServer, map_service_server::MapServiceServer,
+    observation_service_server::ObservationServiceServer, query_service_server::QueryServiceServer,
+};
+use tokio::{
+    net::TcpListener,
+    sync::{Semaphore, watch},
+};
+use tonic::transport::{Server, server::TcpIncoming};
+
+use super::{
+    maintenance::Maintenance,
+    map::Maps,
+    observation::{Observations, StreamLimits},
+    query::Queries,
+};
+use crate::{catalog::Catalog, config::Settings};
+
+/// Bytes of a request other than observations: 100,000 times and thousands of names fit.
+const REQUEST_BYTES: usize = 1 << 20;
+/// Room around the columns of a message.
+const MESSAGE_OVERHEAD: usize = 4096;
+
+/// Serves until `stop` is ready and the connections are closed.
+///
+/// # Errors
+/// The transport failed.
+pub async fn serve(
+    listener: TcpListener,
+    catalog: Arc<Catalog>,
+    settings: &Settings,
+    stopping: watch::Receiver<bool>,
+    stop: impl Future<Output = ()>,
+) -> anyhow::Result<()> {
+    let (health, health_service) = tonic_health::server::health_reporter();
+    health.set_serving::<ObservationServiceServer<Observations>>().await;
+    health.set_serving::<QueryServiceServer<Queries>>().await;
+    let observations = Observations {
+        catalog: Arc::clone(&catalog),
+        limits: StreamLimits {
+            max_batch: settings.max_batch_observations,
+            max_message_bytes: settings.max_message_bytes,
+            max_stream_buffer: settings.max_stream_buffer_bytes,
+            max_table: settings.max_states_per_map,
+            max_streams: settings.max_streams,
+        },
+        buffers: Arc::new(Semaphore::new(settings.max_buffer_bytes)),
+        streams: Arc::new(AtomicUsize::new(0)),
+        stopping,
+    };
+    let queries = Queries {
+        catalog: Arc::clone(&catalog),
+        max_predictions: settings.max_predictions,
+        max_batch: settings.max_batch_observations,
+    };
+    let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
+    let local = listener.local_addr()?.ip().is_loopback();
+    let reflection = tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .build_v1()?;
+    Server::builder()
+        .max_concurrent_streams(64)
+        .initial_stream_window_size(256 * 1024)
+        .initial_connection_window_size(2 << 20)
+        .http2_keepalive_interval(Some(Duration::from_secs(20)))
+        .http2_keepalive_timeout(Some(Duration::from_secs(10)))
+        .http2_max_header_list_size(16 * 1024)
+        .add_service(health_service)
+        .add_optional_service(local.then_some(reflection))
+        .add_service(
+            MapServiceServer::new(Maps { catalog: Arc::clone(&catalog) }).max_decoding_message_size(REQUEST_BYTES),
+        )
+        .add_service(ObservationServiceServer::new(observations).max_decoding_message_size(message_bytes))
+        .add_service(
+            QueryServiceServer::new(queries)
+                .max_decoding_message_size(message_bytes.max(REQUEST_BYTES))
+                .max_encoding_message_size(64 << 20),
+        )
+        .add_service(MaintenanceServiceServer::new(Maintenance { catalog }).max_decoding_message_size(REQUEST_BYTES))
+        .serve_with_incoming_shutdown(TcpIncoming::from(listener).with_nodelay(Some(true)), stop)
+        .await?;
+    Ok(())
+}

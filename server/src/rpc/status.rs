@@ -1,0 +1,176 @@
+//! Errors as gRPC statuses with `google.rpc` details: the one place where a status is made.
+//!
+//! Invariant: the message names what was wrong, with which value, and what to do; programs read code and details.
+
+use std::collections::HashMap;
+
+use tidemap_proto::convert::InvalidField;
+use tidemap_store::AppendError;
+use tonic::{Code, Status};
+use tonic_types::{ErrorDetails, StatusExt as _};
+
+use crate::{
+    catalog::CatalogError,
+    ingest::{
+        intake::IntakeError,
+        protocol::{Ending, HelloError, is_fatal},
+    },
+};
+
+const DOMAIN: &str = "tidemap";
+const NAMES_SHOWN: usize = 10;
+
+/// Everything that a request can end with, other than its reply.
+#[derive(Debug, thiserror::Error)]
+pub enum RpcError {
+    /// A field is wrong.
+    #[error(transparent)]
+    Field(#[from] InvalidField),
+    /// A map or the catalogue.
+    #[error(transparent)]
+    Catalog(#[from] CatalogError),
+    /// There is no map of that name.
+    #[error("map {name:?} does not exist; {}", known_names(.known, "maps"))]
+    UnknownMap {
+        /// The name asked for.
+        name: String,
+        /// Names that exist.
+        known: Vec<String>,
+    },
+    /// There is no state of that name.
+    #[error("state {name:?} does not exist in map {map:?}; {}", known_names(.known, "states"))]
+    UnknownState {
+        /// The map.
+        map: String,
+        /// The name asked for.
+        name: String,
+        /// Names that exist.
+        known: Vec<String>,
+    },
+    /// There is no such job.
+    #[error("job {0} is not known: it is long past, or the daemon was restarted since")]
+    UnknownJob(u64),
+    /// The job has no report.
+    #[error("job {0} has no report: it has not ended well, or a later update of the same map replaced it")]
+    NoReport(u64),
+    /// More than is allowed.
+    #[error("{what}: {got} is more than the {max} that {setting} allows")]
+    Limit {
+        /// What there is too much of.
+        what: &'static str,
+        /// How much.
+        got: u64,
+        /// How much is allowed.
+        max: u64,
+        /// Which setting or rule says so.
+        setting: &'static str,
+    },
+    /// A stream was not accepted.
+    #[error(transparent)]
+    Hello(#[from] HelloError),
+    /// A message ended its stream.
+    #[error(transparent)]
+    Intake(#[from] IntakeError),
+    /// The server ends a stream.
+    #[error("{}", ending_text(.0))]
+    Ended(Ending),
+    /// The client does not read its acknowledgements.
+    #[error("the stream's replies were not read for {0} seconds")]
+    SlowReader(u64),
+    /// The connection broke; the client does not hear this.
+    #[error("the connection broke")]
+    Broken,
+    /// The daemon stops.
+    #[error("the daemon is stopping; connect again later")]
+    Stopping,
+}
+
+fn known_names(known: &[String], what: &str) -> String {
+    if known.is_empty() {
+        return format!("there are no {what} yet");
+    }
+    let shown = known.iter().take(NAMES_SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    let more = if known.len() > NAMES_SHOWN { ", …" } else { "" };
+    format!("{what} here: {shown}{more}")
+}
+
+fn ending_text(ending: &Ending) -> String {
+    match ending {
+        Ending::Shutdown => "the daemon is stopping; connect again later".to_owned(),
+        Ending::Superseded => "another stream of the same producer and label took over".to_owned(),
+        Ending::MapDeleted => "the map was deleted".to_owned(),
+        Ending::Storage(error) => error.to_string(),
+    }
+}
+
+fn append_code(error: &AppendError) -> (Code, &'static str) {
+    if is_fatal(error) { (Code::Unavailable, "STORAGE_FAILED") } else { (Code::ResourceExhausted, "DISK_FULL") }
+}
+
+impl RpcError {
+    fn code_and_reason(&self) -> (Code, &'static str) {
+        match self {
+            Self::Field(_) | Self::Intake(IntakeError::Invalid(_)) => (Code::InvalidArgument, "INVALID_FIELD"),
+            Self::Catalog(error) => match error {
+                CatalogError::Exists(_) => (Code::AlreadyExists, "MAP_EXISTS"),
+                CatalogError::Unknown(_) => (Code::NotFound, "UNKNOWN_MAP"),
+                CatalogError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
+                CatalogError::Store(_) => (Code::Internal, "STORAGE_FAILED"),
+                CatalogError::Open(_) | CatalogError::Inconsistent { .. } => (Code::DataLoss, "STORAGE_FAILED"),
+                CatalogError::Thread(_) => (Code::ResourceExhausted, "LIMIT"),
+                CatalogError::Stopping => (Code::Unavailable, "STOPPING"),
+            },
+            Self::UnknownMap { .. } => (Code::NotFound, "UNKNOWN_MAP"),
+            Self::UnknownState { .. } => (Code::NotFound, "UNKNOWN_STATE"),
+            Self::UnknownJob(_) => (Code::NotFound, "UNKNOWN_JOB"),
+            Self::NoReport(_) => (Code::FailedPrecondition, "NO_REPORT"),
+            Self::Limit { .. } => (Code::ResourceExhausted, "LIMIT"),
+            Self::Hello(error) => match error {
+                HelloError::AlreadyStreaming(_) => (Code::AlreadyExists, "ALREADY_STREAMING"),
+                HelloError::Fenced { .. } => (Code::Aborted, "FENCED"),
+                HelloError::TooManyProducers { .. } => (Code::ResourceExhausted, "LIMIT"),
+                HelloError::Storage(error) => append_code(error),
+                HelloError::Closing => (Code::Unavailable, "STOPPING"),
+            },
+            Self::Intake(IntakeError::OutOfSequence { .. }) => (Code::OutOfRange, "OUT_OF_SEQUENCE"),
+            Self::Ended(ending) => match ending {
+                Ending::Shutdown => (Code::Unavailable, "STOPPING"),
+                Ending::Superseded => (Code::Aborted, "SUPERSEDED"),
+                Ending::MapDeleted => (Code::NotFound, "MAP_DELETED"),
+                Ending::Storage(error) => append_code(error),
+            },
+            Self::SlowReader(_) => (Code::ResourceExhausted, "SLOW_READER"),
+            Self::Broken => (Code::Cancelled, "BROKEN"),
+            Self::Stopping => (Code::Unavailable, "STOPPING"),
+        }
+    }
+}
+
+impl From<RpcError> for Status {
+    fn from(error: RpcError) -> Self {
+        let (code, reason) = error.code_and_reason();
+        let mut details = ErrorDetails::new();
+        let mut metadata = HashMap::new();
+        match &error {
+            RpcError::Field(field) | RpcError::Intake(IntakeError::Invalid(field)) => {
+                details.add_bad_request_violation(&field.field, &field.description);
+            }
+            RpcError::UnknownMap { name, .. } => {
+                details.set_resource_info("map", name, "", error.to_string());
+            }
+            RpcError::UnknownState { name, .. } => {
+                details.set_resource_info("state", name, "", error.to_string());
+            }
+            RpcError::Limit { what, .. } => {
+                details.add_quota_failure_violation(*what, error.to_string());
+            }
+            RpcError::Intake(IntakeError::OutOfSequence { got, expected }) => {
+                metadata.insert("got".to_owned(), got.to_string());
+                metadata.insert("expected".to_owned(), expected.to_string());
+            }
+            _ => {}
+        }
+        details.set_error_info(reason, DOMAIN, metadata);
+        Status::with_error_details(code, error.to_string(), details)
+    }
+}
