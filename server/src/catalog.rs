@@ -154,7 +154,8 @@ impl Catalog {
         *open = false;
         let maps = self.all();
         let mut stopping: Vec<_> = Vec::with_capacity(maps.len());
-        for handle in maps.values().cloned() {
+        for handle in maps.values() {
+            let handle = Arc::clone(handle);
             stopping.push(tokio::spawn(async move { handle.stop(Ending::Shutdown).await }));
         }
         for stopped in stopping {

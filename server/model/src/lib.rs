@@ -1,1 +1,100 @@
-//! (skeleton)
+//! Temporal models of one state: at which times it has which value.
+//!
+//! The models are FreMEn, Frequency Map Enhancement: Krajník et al., "FreMEn: Frequency Map
+//! Enhancement for Long-Term Mobile Robot Autonomy in Changing Environments", T-RO 2017 ("T-RO"), and
+//! Santos et al., "Lifelong Information-Driven Exploration to Complete and Refine 4-D Spatio-Temporal
+//! Maps", RA-L 2016 ("RA-L"). A state is anything with a value in `[0,1]` over time: a door, a cell, an
+//! edge. This crate knows nothing of where a state is, of other states, of files or of the network.
+//!
+//! Invariants: no I/O, no clock, no randomness; a sum over observations does not depend on their
+//! order or on how they were batched (to 1e-9); every prediction lies in `[0,1]`.
+//!
+//! ```
+//! use tidemap_model::{OrderCriterion, Periodicities, Sample, StateModel};
+//!
+//! // A door that is open in the second half of every hour, seen once a minute for two weeks.
+//! let periodicities = Periodicities::default();
+//! let samples: Vec<Sample> = (0..20_160)
+//!     .map(|minute: i64| Sample {
+//!         utc_nanos: minute * 60_000_000_000,
+//!         offset_secs: 0,
+//!         value: if minute % 60 >= 30 { 1.0 } else { 0.0 },
+//!     })
+//!     .collect();
+//! let mut door = StateModel::new(&periodicities);
+//! let outcome = door.update(&periodicities, OrderCriterion::SquaredError, samples);
+//! assert_eq!(outcome.order, 1);
+//! let open = door.spectral().predict(&periodicities, door.order(), 45 * 60_000_000_000);
+//! assert!(open > 0.95);
+//! ```
+#![forbid(unsafe_code)]
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+mod accumulator;
+mod civil;
+mod entropy;
+mod evaluate;
+mod order;
+mod periodicity;
+mod persistence;
+mod phasor;
+mod sample;
+mod spectral;
+mod state;
+
+pub use accumulator::{Accumulator, AccumulatorParts};
+pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
+pub use entropy::{INFORMATION_CERTAINTY, entropy_bits, information_gain_bits};
+pub use evaluate::{Evaluation, evaluate};
+pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};
+pub use periodicity::{InvalidPeriodicities, Periodicities, PeriodicityDefinition};
+pub use persistence::{Persistence, PersistenceParts};
+pub use phasor::PhasorTable;
+pub use sample::Sample;
+pub use spectral::{Component, SpectralModel};
+pub use state::{StateModel, UpdateOutcome};
+
+/// The highest model order: at most this many spectral components are kept and used.
+pub const MAX_ORDER: usize = 15;
+
+/// Why stored parts were refused: they cannot have come from this crate's `to_parts`.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum InvalidParts {
+    /// A spectrum has an entry per candidate periodicity, or none where nothing was observed.
+    #[error("the spectrum has {found} entries, expected {expected}")]
+    SpectrumLength {
+        /// Entries that the periodicities and the number of observations ask for.
+        expected: usize,
+        /// Entries found.
+        found: usize,
+    },
+    /// A number is not finite, or outside the range that its meaning allows.
+    #[error("{field} is {found}, outside its range")]
+    OutOfRange {
+        /// The field in question.
+        field: &'static str,
+        /// Its value.
+        found: f64,
+    },
+    /// The first observation is later than the last.
+    #[error("the first observation, {first_nanos} ns, is later than the last, {last_nanos} ns")]
+    TimesReversed {
+        /// UTC, nanoseconds since 1970.
+        first_nanos: i64,
+        /// UTC, nanoseconds since 1970.
+        last_nanos: i64,
+    },
+    /// More components or a higher order than [`MAX_ORDER`].
+    #[error("order {found} is above {MAX_ORDER}")]
+    OrderTooHigh {
+        /// The order or number of components found.
+        found: usize,
+    },
+}
+
+impl InvalidParts {
+    /// `Ok` where `found` lies in `range`; NaN never does.
+    fn check(field: &'static str, found: f64, range: std::ops::RangeInclusive<f64>) -> Result<(), InvalidParts> {
+        if range.contains(&found) { Ok(()) } else { Err(InvalidParts::OutOfRange { field, found }) }
+    }
+}

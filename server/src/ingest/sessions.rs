@@ -40,11 +40,6 @@ pub struct Session {
 }
 
 impl Session {
-    /// Whose stream.
-    pub fn key(&self) -> &ProducerKey {
-        &self.key
-    }
-
     /// Tells the stream something; one that is gone does not mind.
     pub fn tell(&self, event: SessionEvent) {
         // The receiver is gone when the client is: then there is nobody to tell.
@@ -287,10 +282,5 @@ impl Sessions {
     /// Streams that announced data time, with how far their data has come.
     pub fn data_times(&self) -> impl Iterator<Item = (&ProducerKey, i64)> {
         self.sessions.values().filter_map(|session| session.data_time.map(|reached| (&session.key, reached)))
-    }
-
-    /// Number of open streams.
-    pub fn open_count(&self) -> usize {
-        self.open_by_key.len()
     }
 }

@@ -158,6 +158,9 @@ struct PendingAck {
     refused: Vec<Refused>,
 }
 
+/// A job and what it published, generation and cut, or why it failed.
+type EndedJob = (Arc<Job>, Result<(u64, i64), String>);
+
 struct Writer {
     context: Context,
     id: MapId,
@@ -173,7 +176,7 @@ struct Writer {
     failing: Option<AppendError>,
     waiting_hellos: Vec<Hello>,
     acks: BTreeMap<SessionId, PendingAck>,
-    ended_jobs: Vec<(Arc<Job>, Result<(u64, i64), String>)>,
+    ended_jobs: Vec<EndedJob>,
     changed: bool,
     /// The newest snapshot that is not saved, with the states that differ from the saved one.
     unsaved: Option<(MapSnapshot, BTreeSet<StateId>)>,
@@ -320,7 +323,7 @@ impl Writer {
                 }
             }
             (Ok(position), Flight::UpdateStart { event, job }) => match self.apply(position, &event) {
-                Some(Some(work)) => self.run_update(work, job),
+                Some(Some(work)) => self.run_update(work, &job),
                 _ => job.end(Err("the update did not start".to_owned())),
             },
             (Err(error), flight) => self.append_failed(error, flight),
@@ -373,11 +376,11 @@ impl Writer {
         }
     }
 
-    fn run_update(&mut self, work: UpdateWork, job: Arc<Job>) {
+    fn run_update(&mut self, work: UpdateWork, job: &Arc<Job>) {
         job.start(work.states(), work.observations());
         let commands = self.commands.clone();
         let pool = Arc::clone(&self.context.update_pool);
-        let for_thread = Arc::clone(&job);
+        let for_thread = Arc::clone(job);
         let spawned = std::thread::Builder::new().name(format!("update-{}", self.id.0)).spawn(move || {
             let run = || pool.install(|| work.run(&for_thread.states_done));
             let result = catch_unwind(AssertUnwindSafe(run)).map(Box::new);

@@ -1,0 +1,133 @@
+//! The sums over a state's observations from which its spectral model follows.
+//!
+//! n, S = Σ s, Σ s², A_k = Σ s·e^(-jω_k t), B_k = Σ e^(-jω_k t) (design after T-RO eq. 11, which keeps
+//! running means instead). Invariant: sums commute, so γ_k does not depend on order or batching
+//! beyond 1e-9; the spectrum is empty exactly when nothing was observed.
+
+use pulp::Arch;
+
+use crate::{InvalidParts, Periodicities, Sample};
+
+mod fold;
+
+#[cfg(test)]
+mod tests;
+
+/// Observations that are folded in at a time; their phasors and values stay in cache.
+const CHUNK: usize = 1024;
+
+/// Sums over the observations of one state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Accumulator {
+    parts: AccumulatorParts,
+}
+
+/// What an [`Accumulator`] consists of, for storage.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct AccumulatorParts {
+    /// Number of observations n.
+    pub observations: u64,
+    /// Sum of values S.
+    pub sum: f64,
+    /// Sum of squared values.
+    pub sum_squares: f64,
+    /// First observation, UTC in nanoseconds since 1970; 0 where n = 0.
+    pub first_nanos: i64,
+    /// Last observation, UTC in nanoseconds since 1970; 0 where n = 0.
+    pub last_nanos: i64,
+    /// `[re A_k, im A_k, re B_k, im B_k]` per periodicity; empty where n = 0, to save memory.
+    pub spectrum: Vec<[f64; 4]>,
+}
+
+impl Accumulator {
+    /// No observations yet.
+    pub fn new(_periodicities: &Periodicities) -> Accumulator {
+        Accumulator { parts: AccumulatorParts::default() }
+    }
+
+    /// Number of observations n.
+    pub fn observations(&self) -> u64 {
+        self.parts.observations
+    }
+
+    /// Mean value μ = S/n; 0.5 where nothing was observed.
+    pub fn mean(&self) -> f64 {
+        if self.parts.observations == 0 {
+            return 0.5;
+        }
+        (self.parts.sum / self.parts.observations as f64).clamp(0.0, 1.0)
+    }
+
+    /// Time of the first observation, UTC in nanoseconds since 1970.
+    pub fn first_nanos(&self) -> Option<i64> {
+        (self.parts.observations > 0).then_some(self.parts.first_nanos)
+    }
+
+    /// Time of the last observation, UTC in nanoseconds since 1970.
+    pub fn last_nanos(&self) -> Option<i64> {
+        (self.parts.observations > 0).then_some(self.parts.last_nanos)
+    }
+
+    /// The observed span, last less first, in nanoseconds.
+    pub(crate) fn span_nanos(&self) -> u64 {
+        self.parts.last_nanos.abs_diff(self.parts.first_nanos)
+    }
+
+    /// `[re A_k, im A_k, re B_k, im B_k]` per periodicity.
+    pub(crate) fn spectrum(&self) -> &[[f64; 4]] {
+        &self.parts.spectrum
+    }
+
+    /// Folds observations in, in any order and batching. The periodicities must be those that the
+    /// accumulator began with.
+    pub fn add(&mut self, periodicities: &Periodicities, samples: &[Sample]) {
+        let parts = &mut self.parts;
+        if let (0, Some(sample)) = (parts.observations, samples.first()) {
+            (parts.first_nanos, parts.last_nanos) = (sample.utc_nanos, sample.utc_nanos);
+            parts.spectrum = vec![[0.0; 4]; periodicities.len()];
+        }
+        let arch = Arch::new();
+        for chunk in samples.chunks(CHUNK) {
+            // Sums of a chunk first: a long sum then takes far fewer roundings.
+            let (mut sum, mut sum_squares) = (0.0, 0.0);
+            for sample in chunk {
+                sum += sample.value;
+                sum_squares += sample.value * sample.value;
+                parts.first_nanos = parts.first_nanos.min(sample.utc_nanos);
+                parts.last_nanos = parts.last_nanos.max(sample.utc_nanos);
+            }
+            parts.observations += chunk.len() as u64;
+            parts.sum += sum;
+            parts.sum_squares += sum_squares;
+            arch.dispatch(fold::Fold { cycles: periodicities.cycles(), samples: chunk, spectrum: &mut parts.spectrum });
+        }
+    }
+
+    /// What to store.
+    pub fn to_parts(&self) -> AccumulatorParts {
+        self.parts.clone()
+    }
+
+    /// An accumulator from what was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where the spectrum does not fit the periodicities or a number is outside its range.
+    pub fn from_parts(periodicities: &Periodicities, parts: AccumulatorParts) -> Result<Accumulator, InvalidParts> {
+        let expected = if parts.observations == 0 { 0 } else { periodicities.len() };
+        if parts.spectrum.len() != expected {
+            return Err(InvalidParts::SpectrumLength { expected, found: parts.spectrum.len() });
+        }
+        let (first_nanos, last_nanos) = (parts.first_nanos, parts.last_nanos);
+        if first_nanos > last_nanos {
+            return Err(InvalidParts::TimesReversed { first_nanos, last_nanos });
+        }
+        // Room for the rounding of long sums.
+        let most = parts.observations as f64 * (1.0 + 1e-9);
+        InvalidParts::check("sum", parts.sum, 0.0..=most)?;
+        InvalidParts::check("sum of squares", parts.sum_squares, 0.0..=most)?;
+        for &entry in parts.spectrum.as_flattened() {
+            InvalidParts::check("spectrum", entry, -most..=most)?;
+        }
+        Ok(Accumulator { parts })
+    }
+}

@@ -1,0 +1,72 @@
+//! How well a model predicts given observations, at each order.
+//!
+//! Invariant: evaluating changes nothing; every observation counts once.
+
+use crate::spectral::ErrorSums;
+use crate::{MAX_ORDER, Periodicities, PhasorTable, Sample, SpectralModel};
+
+#[cfg(test)]
+mod tests;
+
+/// Observations that share one table of phasors; it stays in cache.
+const CHUNK: usize = 1024;
+
+/// Errors of a model at predicting some observations.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Evaluation {
+    /// Number of observations.
+    pub observations: u64,
+    /// Sum of squared differences of prediction and value.
+    pub squared_error: f64,
+    /// Observations whose value and prediction lie on different sides of 0.5 (T-RO eq. 15); 0.5
+    /// itself counts as 1.
+    pub wrong: u64,
+}
+
+impl Evaluation {
+    /// Counts one observation and what was predicted for it, both in [0,1].
+    pub fn add(&mut self, predicted: f64, value: f64) {
+        self.observations += 1;
+        self.squared_error += (predicted - value) * (predicted - value);
+        self.wrong += u64::from((predicted >= 0.5) != (value >= 0.5));
+    }
+
+    /// Mean squared error, 0 to 1; 0 where there are no observations.
+    pub fn mse(&self) -> f64 {
+        self.squared_error / self.observations.max(1) as f64
+    }
+
+    /// Share of wrong predictions, 0 to 1; 0 where there are no observations.
+    pub fn error_rate(&self) -> f64 {
+        self.wrong as f64 / self.observations.max(1) as f64
+    }
+}
+
+/// The errors of a model on samples, one [`Evaluation`] per order 0..=`max_order`; orders above
+/// [`MAX_ORDER`] are left out.
+pub fn evaluate(
+    model: &SpectralModel,
+    periodicities: &Periodicities,
+    samples: &[Sample],
+    max_order: usize,
+) -> Vec<Evaluation> {
+    let sums = score_samples(model, periodicities, samples);
+    let of_order = |order: usize| Evaluation {
+        observations: samples.len() as u64,
+        squared_error: sums.squared[order],
+        wrong: sums.wrong[order] as u64,
+    };
+    (0..=max_order.min(MAX_ORDER)).map(of_order).collect()
+}
+
+/// The errors of every order, summed over the samples.
+pub(crate) fn score_samples(model: &SpectralModel, periodicities: &Periodicities, samples: &[Sample]) -> ErrorSums {
+    let chosen: Vec<u32> = model.components().iter().map(|component| component.periodicity).collect();
+    let mut sums = ErrorSums::default();
+    for chunk in samples.chunks(CHUNK) {
+        let civil_nanos: Vec<i64> = chunk.iter().map(Sample::civil_nanos).collect();
+        let values: Vec<f64> = chunk.iter().map(|sample| sample.value).collect();
+        sums.add(&model.score(&PhasorTable::only(periodicities, &civil_nanos, &chosen), &values));
+    }
+    sums
+}

@@ -1,0 +1,85 @@
+//! Choosing the model order: how well each order has predicted what was observed after it was fitted.
+//!
+//! T-RO section IV.B, with memory: a day's errors fade by 7 % a day, so that neither one odd day nor
+//! the distant past decides. Invariant: the error sums are finite and not negative.
+
+use crate::{InvalidParts, LocalDay, MAX_ORDER};
+
+#[cfg(test)]
+mod tests;
+
+/// What a day's errors keep per local day that passes.
+const KEPT_PER_DAY: f64 = 0.93;
+/// A lower order wins where its error exceeds the lowest by no more than this factor.
+const NEAR_TIE: f64 = 1.001;
+
+/// Which error of a prediction counts when the order is chosen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum OrderCriterion {
+    /// Squared difference of prediction and value.
+    #[default]
+    SquaredError,
+    /// 1 where prediction and value lie on different sides of 0.5, else 0 (T-RO eq. 15).
+    ZeroOne,
+}
+
+/// Faded sums of prediction errors, one per order 0..=[`MAX_ORDER`].
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct OrderErrors {
+    parts: OrderErrorsParts,
+}
+
+/// What [`OrderErrors`] consist of, for storage.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct OrderErrorsParts {
+    /// Faded sum of errors per order, as of `last_day`.
+    pub sums: [f64; MAX_ORDER + 1],
+    /// The last local day that was recorded.
+    pub last_day: Option<LocalDay>,
+}
+
+impl OrderErrors {
+    /// Takes in the summed errors of a day's observations per order, after older errors have faded by
+    /// 0.93 for each local day since. A day no later than the last adds without fading.
+    pub fn record(&mut self, day: LocalDay, errors: &[f64; MAX_ORDER + 1]) {
+        let last_day = self.parts.last_day.unwrap_or(day);
+        let elapsed_days = (i64::from(day.0) - i64::from(last_day.0)).max(0);
+        let kept = KEPT_PER_DAY.powf(elapsed_days as f64);
+        for (sum, error) in self.parts.sums.iter_mut().zip(errors) {
+            *sum = *sum * kept + error;
+        }
+        self.parts.last_day = Some(day.max(last_day));
+    }
+
+    /// The order with the lowest error; the lowest of those within 0.1 % of it.
+    pub fn best(&self) -> usize {
+        let lowest = self.parts.sums.iter().copied().fold(f64::INFINITY, f64::min);
+        self.parts.sums.iter().position(|&sum| sum <= lowest * NEAR_TIE).unwrap_or(0)
+    }
+
+    /// Faded sum of errors per order.
+    pub fn sums(&self) -> &[f64; MAX_ORDER + 1] {
+        &self.parts.sums
+    }
+
+    /// The last local day that was recorded.
+    pub fn last_day(&self) -> Option<LocalDay> {
+        self.parts.last_day
+    }
+
+    /// What to store.
+    pub fn to_parts(&self) -> OrderErrorsParts {
+        self.parts
+    }
+
+    /// Errors from what was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where a sum is negative or not finite.
+    pub fn from_parts(parts: OrderErrorsParts) -> Result<OrderErrors, InvalidParts> {
+        for &sum in &parts.sums {
+            InvalidParts::check("error sum", sum, 0.0..=f64::MAX)?;
+        }
+        Ok(OrderErrors { parts })
+    }
+}

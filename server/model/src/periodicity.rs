@@ -1,0 +1,241 @@
+//! Candidate periodicities Ω: the periods that a model looks for, and the phase of a time in each.
+//!
+//! A time is reduced modulo a period in integer nanoseconds before it becomes f64: at today's dates
+//! f64 seconds would step by 2e-7 s and harmonics would multiply the fault.
+//! Invariant: 1..=2048 periods of 1 s to 100 years, no two equal.
+
+use std::sync::Arc;
+
+use crate::civil::NANOS_PER_SEC;
+
+#[cfg(test)]
+mod tests;
+
+const MAX_COUNT: usize = 2048;
+const MIN_PERIOD_NANOS: i64 = NANOS_PER_SEC;
+/// A hundred years of 365.25 days.
+const MAX_PERIOD_NANOS: i64 = 36_525 * 86_400 * NANOS_PER_SEC;
+const WEEK_NANOS: i64 = 7 * 86_400 * NANOS_PER_SEC;
+const WEEK_HARMONICS: u32 = 168;
+
+/// How candidate periodicities were given.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PeriodicityDefinition {
+    /// The periods base/1, base/2, … base/count; T-RO section III.C.
+    Harmonics {
+        /// The longest period, in nanoseconds.
+        base_nanos: i64,
+        /// How many periods.
+        count: u32,
+    },
+    /// These periods.
+    List {
+        /// Periods in nanoseconds, in the order of their indices.
+        period_nanos: Vec<i64>,
+    },
+}
+
+/// Why periodicities were refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidPeriodicities {
+    /// Too few or too many.
+    #[error("{found} periodicities, expected 1 to {MAX_COUNT}")]
+    Count {
+        /// How many were given.
+        found: usize,
+    },
+    /// A period, or for harmonics the shortest one, is too short or too long.
+    #[error("periodicity {index} has a period of {} s, expected 1 s to {} s (100 years)",
+        *period_nanos as f64 / 1e9, MAX_PERIOD_NANOS / NANOS_PER_SEC)]
+    Period {
+        /// Index of the periodicity, from 0.
+        index: usize,
+        /// Its period in nanoseconds, rounded down.
+        period_nanos: i64,
+    },
+    /// Two periods are equal.
+    #[error("periodicities {first} and {second} both have a period of {} s, expected no two equal",
+        *period_nanos as f64 / 1e9)]
+    Repeated {
+        /// Index of one, from 0.
+        first: usize,
+        /// Index of the other.
+        second: usize,
+        /// The period of both in nanoseconds.
+        period_nanos: i64,
+    },
+}
+
+/// Candidate periodicities Ω. Cheap to clone.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Periodicities {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug, PartialEq, Eq)]
+struct Inner {
+    definition: PeriodicityDefinition,
+    cycles: Cycles,
+}
+
+/// What the kernels run on.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Cycles {
+    /// Periodicity k turns k + 1 times as fast as the base.
+    Harmonics { base: Cycle, count: usize },
+    /// Periodicity k is `list[k]`.
+    List(Vec<Cycle>),
+}
+
+impl Periodicities {
+    /// The periods base, base/2, … base/count.
+    ///
+    /// # Errors
+    /// [`InvalidPeriodicities`] unless 1 ≤ count ≤ 2048 and all periods are within 1 s and 100 years.
+    pub fn harmonics(base_nanos: i64, count: u32) -> Result<Periodicities, InvalidPeriodicities> {
+        let harmonics = check_count(count as usize)?;
+        check_period(0, base_nanos)?;
+        check_period(harmonics - 1, base_nanos / i64::from(count))?;
+        Ok(Periodicities::from_inner(Inner {
+            definition: PeriodicityDefinition::Harmonics { base_nanos, count },
+            cycles: Cycles::Harmonics { base: Cycle::new(base_nanos), count: harmonics },
+        }))
+    }
+
+    /// These periods, in nanoseconds, in the order given.
+    ///
+    /// # Errors
+    /// [`InvalidPeriodicities`] unless there are 1 to 2048, each within 1 s and 100 years, no two equal.
+    pub fn list(period_nanos: Vec<i64>) -> Result<Periodicities, InvalidPeriodicities> {
+        check_count(period_nanos.len())?;
+        for (index, &period) in period_nanos.iter().enumerate() {
+            check_period(index, period)?;
+        }
+        let mut by_period: Vec<(i64, usize)> =
+            period_nanos.iter().enumerate().map(|(index, &period)| (period, index)).collect();
+        by_period.sort_unstable();
+        if let Some(equal) = by_period.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+            let (period_nanos, first, second) = (equal[0].0, equal[0].1, equal[1].1);
+            return Err(InvalidPeriodicities::Repeated { first, second, period_nanos });
+        }
+        let cycles = Cycles::List(period_nanos.iter().map(|&period| Cycle::new(period)).collect());
+        Ok(Periodicities::from_inner(Inner { definition: PeriodicityDefinition::List { period_nanos }, cycles }))
+    }
+
+    fn from_inner(inner: Inner) -> Periodicities {
+        Periodicities { inner: Arc::new(inner) }
+    }
+
+    /// How the periodicities were given; enough to make them again.
+    pub fn definition(&self) -> &PeriodicityDefinition {
+        &self.inner.definition
+    }
+
+    /// How many there are, 1..=2048.
+    pub fn len(&self) -> usize {
+        match &self.inner.cycles {
+            Cycles::Harmonics { count, .. } => *count,
+            Cycles::List(list) => list.len(),
+        }
+    }
+
+    /// Always false: there is at least one.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The period of periodicity `k`, counted from 0, in seconds; infinite where `k` is too large.
+    pub fn period_secs(&self, k: usize) -> f64 {
+        match &self.inner.cycles {
+            Cycles::Harmonics { base, count } if k < *count => base.period as f64 / (k as f64 + 1.0) / 1e9,
+            Cycles::List(list) => list.get(k).map_or(f64::INFINITY, |cycle| cycle.period as f64 / 1e9),
+            Cycles::Harmonics { .. } => f64::INFINITY,
+        }
+    }
+
+    /// Whether a span of observation holds at least 0.99 of periodicity `k`, in exact integers.
+    pub(crate) fn is_eligible(&self, k: usize, span_nanos: u64) -> bool {
+        let (period, turns) = match &self.inner.cycles {
+            Cycles::Harmonics { base, count } if k < *count => (base.period, k as u128 + 1),
+            Cycles::List(list) if k < list.len() => (list[k].period, 1),
+            _ => return false,
+        };
+        u128::from(span_nanos) * 100 * turns >= u128::from(period) * 99
+    }
+
+    /// The phase of a local civil time in periodicity `k`, in turns from -0.5 to 0.5; `None` where
+    /// `k` is too large.
+    pub(crate) fn turns(&self, k: usize, civil_nanos: i64) -> Option<f64> {
+        match &self.inner.cycles {
+            Cycles::Harmonics { base, count } if k < *count => {
+                let turns = base.turns(civil_nanos) * (k as f64 + 1.0);
+                Some(turns - turns.round())
+            }
+            Cycles::List(list) => list.get(k).map(|cycle| cycle.turns(civil_nanos)),
+            Cycles::Harmonics { .. } => None,
+        }
+    }
+
+    pub(crate) fn cycles(&self) -> &Cycles {
+        &self.inner.cycles
+    }
+}
+
+impl Default for Periodicities {
+    /// The 168 harmonics of a week, one week to one hour (T-RO section III.C, indoor).
+    fn default() -> Periodicities {
+        let (base_nanos, count) = (WEEK_NANOS, WEEK_HARMONICS);
+        Periodicities::from_inner(Inner {
+            definition: PeriodicityDefinition::Harmonics { base_nanos, count },
+            cycles: Cycles::Harmonics { base: Cycle::new(base_nanos), count: count as usize },
+        })
+    }
+}
+
+fn check_count(found: usize) -> Result<usize, InvalidPeriodicities> {
+    if (1..=MAX_COUNT).contains(&found) { Ok(found) } else { Err(InvalidPeriodicities::Count { found }) }
+}
+
+fn check_period(index: usize, period_nanos: i64) -> Result<(), InvalidPeriodicities> {
+    if (MIN_PERIOD_NANOS..=MAX_PERIOD_NANOS).contains(&period_nanos) {
+        Ok(())
+    } else {
+        Err(InvalidPeriodicities::Period { index, period_nanos })
+    }
+}
+
+/// Reduction modulo one period without a division.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Cycle {
+    /// Nanoseconds, at least 2.
+    period: u64,
+    /// floor(2^64 / period).
+    reciprocal: u64,
+    turns_per_nano: f64,
+}
+
+impl Eq for Cycle {}
+
+impl Cycle {
+    fn new(period_nanos: i64) -> Cycle {
+        let period = period_nanos.unsigned_abs().max(2);
+        // The quotient fits, since the period is at least 2.
+        let reciprocal = ((1_u128 << 64) / u128::from(period)) as u64;
+        Cycle { period, reciprocal, turns_per_nano: 1.0 / period as f64 }
+    }
+
+    /// The phase of a local civil time, in turns from -0.5 to 0.5. Exact before its one rounding.
+    #[inline(always)]
+    pub(crate) fn turns(&self, civil_nanos: i64) -> f64 {
+        let magnitude = civil_nanos.unsigned_abs();
+        // Barrett: the estimated quotient is the true one or one less.
+        let quotient = ((u128::from(magnitude) * u128::from(self.reciprocal)) >> 64) as u64;
+        let estimate = magnitude - quotient * self.period;
+        let remainder = if estimate >= self.period { estimate - self.period } else { estimate };
+        // Nearest turn, so that times just before a full turn keep their precision.
+        let centred =
+            if remainder > self.period / 2 { remainder as i64 - self.period as i64 } else { remainder as i64 };
+        let turns = centred as f64 * self.turns_per_nano;
+        if civil_nanos < 0 { -turns } else { turns }
+    }
+}

@@ -1,0 +1,83 @@
+use proptest::prelude::*;
+
+use super::*;
+
+/// Every instruction set that this machine can run the kernels on.
+pub(crate) fn every_arch() -> Vec<Arch> {
+    let mut every = vec![Arch::Scalar, Arch::new()];
+    #[cfg(target_arch = "x86_64")]
+    every.extend(pulp::x86::V3::try_new().map(Arch::V3));
+    every
+}
+
+const DAY_NANOS: i64 = 86_400_000_000_000;
+
+fn any_times() -> impl Strategy<Value = Vec<i64>> {
+    proptest::collection::vec(prop_oneof![0..i64::MAX, 0..60 * DAY_NANOS, -DAY_NANOS..DAY_NANOS], 0..80)
+}
+
+#[track_caller]
+fn check_row(table: &PhasorTable, k: u32) {
+    let (cos, sin) = table.row(k).expect("a row that the table holds");
+    assert_eq!((cos.len(), sin.len()), (table.len(), table.len()));
+    for (i, &civil) in table.civil_nanos().iter().enumerate() {
+        let turns = table.periodicities().turns(k as usize, civil).unwrap();
+        let (exact_sin, exact_cos) = (std::f64::consts::TAU * turns).sin_cos();
+        let error = (cos[i] - exact_cos).hypot(sin[i] - exact_sin);
+        assert!(error < 1e-11, "periodicity {k} at {civil}: off by {error:e}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn every_entry_is_the_cosine_and_sine_of_its_phase(
+        base_nanos in 2_048_000_000_000_i64..3_000_000_000_000_000_000,
+        count in prop_oneof![1_u32..200, Just(2048_u32)],
+        times in any_times(),
+    ) {
+        let table = PhasorTable::new(&Periodicities::harmonics(base_nanos, count).unwrap(), &times);
+        (0..count).for_each(|k| check_row(&table, k));
+        prop_assert!(table.row(count).is_none());
+    }
+
+    #[test]
+    fn lists_and_chosen_rows_are_as_exact(times in any_times(), chosen in proptest::collection::vec(0_u32..6, 0..5)) {
+        let periods = [DAY_NANOS, 1_000_000_000, 7 * DAY_NANOS, 11_234_567_891, 36_525 * DAY_NANOS, 3 * DAY_NANOS];
+        let list = Periodicities::list(periods.to_vec()).unwrap();
+        let table = PhasorTable::new(&list, &times);
+        (0..6).for_each(|k| check_row(&table, k));
+        for periodicities in [list, Periodicities::default()] {
+            let table = PhasorTable::only(&periodicities, &times, &chosen);
+            for k in 0..6 {
+                if chosen.contains(&k) { check_row(&table, k) } else { assert!(table.row(k).is_none()) }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_periodicity_that_does_not_exist_has_phasors_of_zero() {
+    let table = PhasorTable::only(&Periodicities::default(), &[1, 2, 3], &[400, 2]);
+    assert_eq!(table.row(400), Some((&[0.0; 3][..], &[0.0; 3][..])));
+    check_row(&table, 2);
+}
+
+#[test]
+fn every_instruction_set_gives_the_same_phasors() {
+    let times: Vec<i64> = (0..77).map(|i| i * i * 987_654_321_012).collect();
+    let table = PhasorTable::new(&Periodicities::default(), &times);
+    let base_turns: Vec<f64> = times.iter().map(|&t| table.periodicities().turns(0, t).unwrap()).collect();
+    let largest_difference =
+        |found: &[f64], expected: &[f64]| found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    for arch in every_arch() {
+        let (mut cos, mut sin) = (vec![0.0; table.cos.len()], vec![0.0; table.sin.len()]);
+        arch.dispatch(FillHarmonics { turns: &base_turns, cos: &mut cos, sin: &mut sin });
+        assert!(largest_difference(&cos, &table.cos) < 1e-11 && largest_difference(&sin, &table.sin) < 1e-11);
+        let (mut cos, mut sin) = (vec![0.0; times.len()], vec![0.0; times.len()]);
+        arch.dispatch(FillRow { turns: &base_turns, factor: 41.0, cos: &mut cos, sin: &mut sin });
+        let (row_cos, row_sin) = table.row(40).unwrap();
+        assert!(largest_difference(&cos, row_cos) < 1e-11 && largest_difference(&sin, row_sin) < 1e-11);
+    }
+}

@@ -1,0 +1,29 @@
+//! One observation of one state, as the models take it.
+//!
+//! Invariant: the caller guarantees a value in `[0,1]`; nothing here checks it again.
+
+use crate::LocalDay;
+use crate::civil::NANOS_PER_SEC;
+
+/// One observation of a state's value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// When it was made: UTC, nanoseconds since 1970.
+    pub utc_nanos: i64,
+    /// The UTC offset of the map's zone that was used when it was logged, in seconds, east positive.
+    pub offset_secs: i32,
+    /// What was seen, in `[0,1]`; guaranteed by the caller.
+    pub value: f64,
+}
+
+impl Sample {
+    /// Local civil time, nanoseconds since 1970-01-01T00:00 local; saturates at the ends of `i64`.
+    pub fn civil_nanos(&self) -> i64 {
+        self.utc_nanos.saturating_add(i64::from(self.offset_secs) * NANOS_PER_SEC)
+    }
+
+    /// The local date of the observation.
+    pub fn local_day(&self) -> LocalDay {
+        LocalDay::of_civil_nanos(self.civil_nanos())
+    }
+}

@@ -1,0 +1,171 @@
+//! The spectral model of a state: its mean and its strongest periodic components.
+//!
+//! p(t) = ς(μ + Σ 2|γ_k| cos(ω_k t + arg γ_k)), ς saturating to `[0,1]`, γ_k = (A_k - μB_k)/n. T-RO eq.
+//! 10 and 11 differ in normalisation: this is the one whose prediction of a sine is that sine.
+//! Invariant: components are finite, strongest first, at most [`MAX_ORDER`] of them.
+
+use pulp::Arch;
+
+use crate::{Accumulator, InvalidParts, MAX_ORDER, Periodicities, PhasorTable};
+
+mod sweep;
+
+pub(crate) use sweep::ErrorSums;
+use sweep::{Predict, Score, Term};
+
+#[cfg(test)]
+mod tests;
+
+/// One periodic component γ_k of a state's value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Component {
+    /// Index k of the periodicity, from 0.
+    pub periodicity: u32,
+    /// Real part of γ_k.
+    pub gamma_re: f64,
+    /// Imaginary part of γ_k.
+    pub gamma_im: f64,
+}
+
+impl Component {
+    /// How far the value swings either way: 2|γ_k|.
+    pub fn amplitude(&self) -> f64 {
+        2.0 * self.gamma_re.hypot(self.gamma_im)
+    }
+
+    /// Phase at local civil time 1970-01-01T00:00, in radians from -π to π: arg γ_k.
+    pub fn phase_rad(&self) -> f64 {
+        self.gamma_im.atan2(self.gamma_re)
+    }
+}
+
+/// When a state has which value, as mean and components. By default never updated: 0.5 at all times.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SpectralModel {
+    mean: f64,
+    observations: u64,
+    components: Vec<Component>,
+}
+
+impl Default for SpectralModel {
+    fn default() -> SpectralModel {
+        SpectralModel { mean: 0.5, observations: 0, components: Vec::new() }
+    }
+}
+
+impl SpectralModel {
+    /// The model of what was accumulated: its mean and the [`MAX_ORDER`] strongest components, of
+    /// equal ones the lower index first. A periodicity is eligible where the observed span (last less
+    /// first, UTC) holds 0.99 of its period; components of 0 are left out.
+    pub fn fit(accumulator: &Accumulator, periodicities: &Periodicities) -> SpectralModel {
+        let (mean, observations) = (accumulator.mean(), accumulator.observations());
+        let per_observation = 1.0 / observations.max(1) as f64;
+        let span_nanos = accumulator.span_nanos();
+        let mut strongest: Vec<(f64, Component)> = Vec::with_capacity(MAX_ORDER + 1);
+        let mut to_beat = 0.0;
+        for (k, &[a_re, a_im, b_re, b_im]) in accumulator.spectrum().iter().enumerate() {
+            let gamma_re = (a_re - mean * b_re) * per_observation;
+            let gamma_im = (a_im - mean * b_im) * per_observation;
+            let power = gamma_re * gamma_re + gamma_im * gamma_im;
+            if power > to_beat && periodicities.is_eligible(k, span_nanos) {
+                let rank = strongest.partition_point(|(stronger, _)| *stronger >= power);
+                strongest.insert(rank, (power, Component { periodicity: k as u32, gamma_re, gamma_im }));
+                strongest.truncate(MAX_ORDER);
+                if let Some((weakest, _)) = strongest.get(MAX_ORDER - 1) {
+                    to_beat = *weakest;
+                }
+            }
+        }
+        let components = strongest.into_iter().map(|(_, component)| component).collect();
+        SpectralModel { mean, observations, components }
+    }
+
+    /// A model from what was stored: mean in `[0,1]`, components strongest first.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where a number is outside its range or there are too many components.
+    pub fn from_parts(mean: f64, observations: u64, components: Vec<Component>) -> Result<SpectralModel, InvalidParts> {
+        InvalidParts::check("mean", mean, 0.0..=1.0)?;
+        if components.len() > MAX_ORDER {
+            return Err(InvalidParts::OrderTooHigh { found: components.len() });
+        }
+        for component in &components {
+            // |γ| is at most 1 for values in [0,1]; leave room for rounding.
+            InvalidParts::check("gamma_re", component.gamma_re, -1.01..=1.01)?;
+            InvalidParts::check("gamma_im", component.gamma_im, -1.01..=1.01)?;
+        }
+        Ok(SpectralModel { mean, observations, components })
+    }
+
+    /// Mean value μ, in `[0,1]`.
+    pub fn mean(&self) -> f64 {
+        self.mean
+    }
+
+    /// Number of observations that the model rests on.
+    pub fn observations(&self) -> u64 {
+        self.observations
+    }
+
+    /// The components, strongest first, at most [`MAX_ORDER`].
+    pub fn components(&self) -> &[Component] {
+        &self.components
+    }
+
+    /// The components that a prediction of that order uses.
+    fn leading(&self, order: usize) -> &[Component] {
+        &self.components[..order.min(self.components.len())]
+    }
+
+    /// Probability or expected value at a local civil time (nanoseconds since 1970 local) by the
+    /// `order` strongest components, or as many as there are; in `[0,1]` (T-RO eq. 10).
+    pub fn predict(&self, periodicities: &Periodicities, order: usize, civil_nanos: i64) -> f64 {
+        let mut p = self.mean;
+        for component in self.leading(order) {
+            // A periodicity that these periodicities do not have adds nothing.
+            if let Some(turns) = periodicities.turns(component.periodicity as usize, civil_nanos) {
+                let (sin, cos) = (std::f64::consts::TAU * turns).sin_cos();
+                p += 2.0 * (component.gamma_re * cos - component.gamma_im * sin);
+            }
+        }
+        p.clamp(0.0, 1.0)
+    }
+
+    /// [`SpectralModel::predict`] at each time of a table, into the first `phasors.len()` places of
+    /// `out`; where `out` is shorter, for the first times only. Fast where the table holds the
+    /// components' periodicities, correct in any case.
+    pub fn predict_into(&self, order: usize, phasors: &PhasorTable, out: &mut [f64]) {
+        let mut terms = [Term::default(); MAX_ORDER];
+        match self.terms(order, phasors, &mut terms) {
+            Some(terms) => Arch::new().dispatch(Predict { mean: self.mean, terms, times: phasors.len(), out }),
+            None => {
+                for (out, &civil) in out.iter_mut().zip(phasors.civil_nanos()) {
+                    *out = self.predict(phasors.periodicities(), order, civil);
+                }
+            }
+        }
+    }
+
+    /// Errors of every order 0..=[`MAX_ORDER`] at predicting `values` at the times of the table, which
+    /// holds the model's components.
+    pub(crate) fn score(&self, phasors: &PhasorTable, values: &[f64]) -> ErrorSums {
+        let mut terms = [Term::default(); MAX_ORDER];
+        let terms = self.terms(MAX_ORDER, phasors, &mut terms).unwrap_or(&[]);
+        Arch::new().dispatch(Score { mean: self.mean, terms, values: &values[..values.len().min(phasors.len())] })
+    }
+
+    /// What the kernels need of the leading components; `None` where the table does not hold one.
+    fn terms<'a, 'b>(
+        &self,
+        order: usize,
+        phasors: &'a PhasorTable,
+        terms: &'b mut [Term<'a>; MAX_ORDER],
+    ) -> Option<&'b [Term<'a>]> {
+        let leading = self.leading(order);
+        for (term, component) in terms.iter_mut().zip(leading) {
+            let (cos, sin) = phasors.row(component.periodicity)?;
+            *term = Term { cos, sin, cos_weight: 2.0 * component.gamma_re, sin_weight: -2.0 * component.gamma_im };
+        }
+        terms.get(..leading.len())
+    }
+}

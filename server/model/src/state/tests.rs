@@ -1,0 +1,139 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::evaluate;
+
+const MINUTE_NANOS: i64 = 60_000_000_000;
+const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
+
+fn week() -> Periodicities {
+    Periodicities::default()
+}
+
+/// Every ten minutes for some days from `from_day`: open by day, with some noise.
+fn door(from_day: i64, days: i64) -> Vec<Sample> {
+    (from_day * 144..(from_day + days) * 144)
+        .map(|slot| {
+            let noise = (slot * 7_919 % 100) < 10;
+            let open = (54..108).contains(&(slot % 144)) && slot / 144 % 7 < 5;
+            let value = f64::from(u8::from(open != noise));
+            Sample { utc_nanos: slot * 10 * MINUTE_NANOS, offset_secs: 0, value }
+        })
+        .collect()
+}
+
+#[test]
+fn the_first_update_has_nothing_to_score() {
+    let mut state = StateModel::new(&week());
+    assert_eq!(state.spectral(), &SpectralModel::default());
+    let outcome = state.update(&week(), OrderCriterion::SquaredError, door(0, 1));
+    assert_eq!(outcome, UpdateOutcome { observations: 144, ..UpdateOutcome::default() });
+    assert_eq!(state.order(), 0);
+    assert_eq!(state.spectral(), &SpectralModel::fit(state.accumulator(), &week()));
+    assert_eq!(state.update(&week(), OrderCriterion::SquaredError, vec![]), UpdateOutcome::default());
+}
+
+#[test]
+fn a_day_is_scored_by_the_model_before_it() {
+    let mut state = StateModel::new(&week());
+    state.update(&week(), OrderCriterion::SquaredError, door(0, 14));
+    let before = state.clone();
+    let day = door(14, 1);
+    let outcome = state.update(&week(), OrderCriterion::SquaredError, day.clone());
+    assert_eq!((outcome.observations, outcome.scored), (144, 144));
+    assert_eq!((outcome.order_before, outcome.order), (before.order(), state.order()));
+    for (order, evaluation) in evaluate(before.spectral(), &week(), &day, MAX_ORDER).iter().enumerate() {
+        assert!((outcome.squared_errors[order] - evaluation.squared_error).abs() < 1e-9);
+        let expected = before.errors().sums()[order] * 0.93 + evaluation.squared_error;
+        assert!((state.errors().sums()[order] - expected).abs() < 1e-9);
+    }
+    assert!(state.order() >= 1);
+    assert_eq!(state.errors().last_day(), Some(LocalDay(14)));
+}
+
+#[test]
+fn zero_one_counts_wrong_predictions() {
+    let mut state = StateModel::new(&week());
+    state.update(&week(), OrderCriterion::ZeroOne, door(0, 14));
+    let (before, day) = (state.clone(), door(14, 1));
+    state.update(&week(), OrderCriterion::ZeroOne, day.clone());
+    for (order, evaluation) in evaluate(before.spectral(), &week(), &day, MAX_ORDER).iter().enumerate() {
+        let expected = before.errors().sums()[order] * 0.93 + evaluation.wrong as f64;
+        assert!((state.errors().sums()[order] - expected).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn older_data_is_folded_in_but_not_scored() {
+    let mut state = StateModel::new(&week());
+    let mut on_time = door(0, 10);
+    let late: Vec<Sample> = on_time.drain(300..400).collect();
+    state.update(&week(), OrderCriterion::SquaredError, on_time);
+    let before = state.clone();
+    let outcome = state.update(&week(), OrderCriterion::SquaredError, late);
+    assert_eq!((outcome.observations, outcome.scored), (100, 0));
+    assert_eq!(state.errors(), before.errors());
+    assert_eq!(state.accumulator().observations(), 1440);
+}
+
+#[test]
+fn clocks_set_back_over_midnight_do_not_begin_the_day_twice() {
+    // St John's 2006: at 00:01 the clocks went back to 23:01, so the date goes back for an hour.
+    let at = |minute: i64| Sample {
+        utc_nanos: 13_450 * DAY_NANOS + minute * MINUTE_NANOS,
+        offset_secs: if minute < 151 { -9_000 } else { -12_600 },
+        value: 0.5,
+    };
+    let samples: Vec<Sample> = (0..600).map(at).collect();
+    let mut state = StateModel::new(&week());
+    let outcome = state.update(&week(), OrderCriterion::SquaredError, samples);
+    // The first day, 150 minutes of it, had nothing before it; all later ones are the second.
+    assert_eq!((outcome.observations, outcome.scored), (600, 450));
+}
+
+#[test]
+fn parts_make_the_same_state_again() {
+    let mut state = StateModel::new(&week());
+    state.update(&week(), OrderCriterion::SquaredError, door(0, 9));
+    let again = StateModel::from_parts(
+        Accumulator::from_parts(&week(), state.accumulator().to_parts()).unwrap(),
+        SpectralModel::from_parts(
+            state.spectral().mean(),
+            state.spectral().observations(),
+            state.spectral().components().to_vec(),
+        )
+        .unwrap(),
+        state.order(),
+        OrderErrors::from_parts(state.errors().to_parts()).unwrap(),
+    )
+    .unwrap();
+    assert_eq!(again, state);
+    let too_high =
+        StateModel::from_parts(Accumulator::new(&week()), SpectralModel::default(), 16, OrderErrors::default());
+    assert_eq!(too_high, Err(InvalidParts::OrderTooHigh { found: 16 }));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    #[test]
+    fn batches_of_whole_days_in_any_inner_order_give_the_same_state(
+        cuts in proptest::collection::vec(1_i64..12, 0..4),
+        shuffled in Just(door(0, 12)).prop_shuffle(),
+    ) {
+        let mut at_once = StateModel::new(&week());
+        let whole = at_once.update(&week(), OrderCriterion::SquaredError, door(0, 12));
+        let mut cuts = cuts;
+        cuts.extend([0, 12]);
+        cuts.sort_unstable();
+        let mut batched = StateModel::new(&week());
+        let mut scored = 0;
+        for cut in cuts.windows(2) {
+            let days = cut[0] * DAY_NANOS..cut[1] * DAY_NANOS;
+            let batch = shuffled.iter().copied().filter(|s| days.contains(&s.utc_nanos)).collect();
+            scored += batched.update(&week(), OrderCriterion::SquaredError, batch).scored;
+        }
+        prop_assert_eq!(&batched, &at_once);
+        prop_assert_eq!(scored, whole.scored);
+    }
+}

@@ -1,0 +1,145 @@
+//! The office door of RA-L 2019: ten weeks to learn from, four to predict. The expected figures come
+//! from an independent implementation. Skipped where the recordings are not at hand.
+
+#![allow(clippy::unwrap_used)]
+
+use std::path::{Path, PathBuf};
+
+use tidemap_model::{
+    Accumulator, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Sample, SpectralModel, StateModel,
+    Zone, evaluate,
+};
+
+const TOLERANCE: f64 = 0.0002;
+
+fn recordings() -> Option<PathBuf> {
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join("door");
+    if !folder.is_dir() {
+        println!("SKIPPED: no recordings at {}", folder.display());
+        return None;
+    }
+    Some(folder)
+}
+
+/// The rows `time,state,value` of a recording, as observed in a zone.
+fn read(folder: &Path, name: &str, zone: &Zone) -> Vec<Sample> {
+    let text = std::fs::read_to_string(folder.join(name)).unwrap();
+    let mut offsets = zone.offset_cache();
+    text.lines()
+        .skip(1)
+        .map(|row| {
+            let mut fields = row.split(',');
+            let utc_nanos = fields.next().unwrap().parse::<i64>().unwrap() * 1_000_000_000;
+            let value = fields.nth(1).unwrap().parse().unwrap();
+            Sample { utc_nanos, offset_secs: offsets.offset_secs(utc_nanos), value }
+        })
+        .collect()
+}
+
+fn fitted(samples: &[Sample]) -> SpectralModel {
+    let week = Periodicities::default();
+    let mut accumulator = Accumulator::new(&week);
+    accumulator.add(&week, samples);
+    SpectralModel::fit(&accumulator, &week)
+}
+
+#[track_caller]
+fn check_mse(model: &SpectralModel, samples: &[Sample], orders: &[usize], expected: &[f64]) {
+    let found = evaluate(model, &Periodicities::default(), samples, MAX_ORDER);
+    for (&order, &expected) in orders.iter().zip(expected) {
+        let mse = found[order].mse();
+        assert!((mse - expected).abs() <= TOLERANCE, "order {order}: {mse:.5}, expected {expected:.5}");
+    }
+}
+
+#[test]
+fn predictions_are_as_good_as_the_reference() {
+    let Some(folder) = recordings() else { return };
+    let london = Zone::named("Europe/London").unwrap();
+    let model = fitted(&read(&folder, "train.csv", &london));
+    let orders = [0, 1, 2, 3, 5, 10, 15];
+    let expected = [
+        ("train.csv", [0.10418, 0.08797, 0.08290, 0.07886, 0.07336, 0.06623, 0.06262]),
+        ("week1.csv", [0.09041, 0.07968, 0.07317, 0.06892, 0.06864, 0.06652, 0.06502]),
+        ("week2.csv", [0.07722, 0.07048, 0.06826, 0.06614, 0.06961, 0.07333, 0.07124]),
+        ("week3.csv", [0.08351, 0.07580, 0.07506, 0.07378, 0.07327, 0.07059, 0.06866]),
+        ("week4.csv", [0.09121, 0.08078, 0.07304, 0.06750, 0.06325, 0.05400, 0.05212]),
+    ];
+    for (name, expected) in expected {
+        check_mse(&model, &read(&folder, name, &london), &orders, &expected);
+    }
+}
+
+#[test]
+fn the_door_has_a_daily_and_a_weekly_rhythm() {
+    let Some(folder) = recordings() else { return };
+    let model = fitted(&read(&folder, "train.csv", &Zone::named("Europe/London").unwrap()));
+    let expected =
+        [(86_400.0, 0.1773), (604_800.0, 0.0898), (21_600.0, 0.0808), (302_400.0, 0.0764), (75_600.0, 0.0682)];
+    for (component, (period_secs, amplitude)) in model.components().iter().zip(expected) {
+        let found = Periodicities::default().period_secs(component.periodicity as usize);
+        assert!((found - period_secs).abs() < 1e-6, "{found}, expected {period_secs}");
+        assert!((component.amplitude() - amplitude).abs() <= 0.00006, "{}", component.amplitude());
+    }
+}
+
+#[test]
+fn a_map_in_utc_misses_the_change_to_summer_time() {
+    let Some(folder) = recordings() else { return };
+    let utc = Zone::utc();
+    let model = fitted(&read(&folder, "train.csv", &utc));
+    for (name, expected) in [("week2.csv", 0.06884), ("week3.csv", 0.07562), ("week4.csv", 0.07402)] {
+        check_mse(&model, &read(&folder, name, &utc), &[2], &[expected]);
+    }
+}
+
+/// Mean squared errors of the next day, from the fifteenth day on: mean over days, over observations.
+fn next_day_errors(days: &[Vec<Sample>], mut next_order: impl FnMut(LocalDay, &StateModel) -> usize) -> (f64, f64) {
+    let week = Periodicities::default();
+    let mut state = StateModel::new(&week);
+    let (mut mean_sum, mut squared_sum, mut days_scored, mut scored) = (0.0, 0.0, 0.0, 0.0);
+    for (index, day) in days.iter().enumerate() {
+        let order = next_order(day[0].local_day(), &state);
+        let outcome = state.update(&week, OrderCriterion::SquaredError, day.clone());
+        if index >= 14 {
+            let observations = outcome.scored as f64;
+            mean_sum += outcome.squared_errors[order] / observations;
+            squared_sum += outcome.squared_errors[order];
+            days_scored += 1.0;
+            scored += observations;
+        }
+    }
+    (mean_sum / days_scored, squared_sum / scored)
+}
+
+#[test]
+fn the_chosen_order_predicts_the_next_day() {
+    let Some(folder) = recordings() else { return };
+    let samples = read(&folder, "train.csv", &Zone::named("Europe/London").unwrap());
+    let days: Vec<Vec<Sample>> =
+        samples.chunk_by(|a, b| a.local_day() == b.local_day()).map(<[Sample]>::to_vec).collect();
+
+    let (by_day, by_observation) = next_day_errors(&days, |_, state| state.order());
+    // The rule without memory: the order that was best on the last day alone.
+    let mut earlier = OrderErrors::default();
+    let (last_day_alone, _) = next_day_errors(&days, |_, state| {
+        let faded = earlier
+            .last_day()
+            .zip(state.errors().last_day())
+            .map_or(0.0, |(before, now)| 0.93_f64.powi(now.0 - before.0));
+        let mut day_errors = [0.0; MAX_ORDER + 1];
+        for (order, error) in day_errors.iter_mut().enumerate() {
+            *error = state.errors().sums()[order] - earlier.sums()[order] * faded;
+        }
+        earlier = *state.errors();
+        let mut last_day = OrderErrors::default();
+        last_day.record(LocalDay(0), &day_errors);
+        last_day.best()
+    });
+    println!(
+        "next day: {by_day:.5} over days, {by_observation:.5} over observations, last day alone {last_day_alone:.5}"
+    );
+    assert!(by_day <= 0.0675, "{by_day:.5}");
+    assert!(by_observation <= 0.0675, "{by_observation:.5}");
+    assert!(by_day < last_day_alone - 0.005, "{by_day:.5}, last day alone {last_day_alone:.5}");
+}
