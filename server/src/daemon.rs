@@ -77,7 +77,6 @@ fn open_store(settings: &Settings) -> Result<Store, DaemonError> {
         index_cache_bytes: settings.index_cache_bytes,
         checkpoints_kept: settings.checkpoints_kept,
         new_store_id: random_id()?,
-        ..StoreOptions::default()
     };
     Store::open(&settings.data_dir, options).map_err(|error| match error {
         OpenError::Locked { .. } => DaemonError::Locked(error.to_string()),
@@ -171,8 +170,7 @@ pub async fn run(settings: Settings) -> Result<(), DaemonError> {
     }
     let closing = tokio::task::spawn_blocking(move || store.close()).await;
     match closing {
-        Ok(Ok(())) => info!("stopped"),
-        Ok(Err(error)) => error!(%error, "the store did not close in order; the next start repairs it"),
+        Ok(()) => info!("stopped"),
         Err(error) => error!(%error, "the store did not close in order; the next start repairs it"),
     }
     result

@@ -42,6 +42,9 @@ const BURST: usize = 512;
 /// back. At least this often they are.
 const SAVE_INTERVAL: Duration = Duration::from_secs(20);
 
+#[cfg(test)]
+mod tests;
+
 /// What a writer needs from the daemon.
 #[derive(Clone, Debug)]
 pub struct Context {

@@ -1,1 +1,31 @@
-//! (skeleton)
+//! What is kept on the disk: the observation log, checkpoints, and the sled index of models.
+//!
+//! Way in: [`Store::open`], [`Store::open_map`], [`MapLog::append`], [`Store::save`].
+//!
+//! Invariant: the log is the authority. A checkpoint or the index can be lost or damaged and the map is still the
+//! same; a damaged log is refused, never shortened. Layouts are frozen in `tidemap-migrations`; this crate knows
+//! nothing of the wire and reads no wall clock.
+
+mod checkpoint;
+mod committer;
+mod disk;
+mod error;
+mod index;
+mod log;
+mod record;
+mod record_file;
+mod store;
+
+#[cfg(test)]
+mod simulation;
+#[cfg(test)]
+mod tests;
+
+pub use committer::SyncStats;
+pub use error::{AppendError, OpenError, Report, StoreError};
+pub use log::{Done, MapLog, replay::Replay};
+pub use store::{OpenedMap, Sizes, Source, Store, StoreOptions};
+
+/// Number of a map within its store, from 1, never reused; the name of its folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct MapId(pub u32);

@@ -1,0 +1,88 @@
+//! What to do with a data directory of a given format.
+//!
+//! Invariant: a plan only ever leads upwards, one format at a time, and never past [`FORMAT`](crate::FORMAT).
+
+use std::{io, path::Path};
+
+/// One step from a format to the next.
+///
+/// A step must be safe to run again after it was cut off at any point: it writes copies beside the old files, makes
+/// them durable and renames them, and the manifest names the new format only afterwards.
+#[derive(Clone, Copy, Debug)]
+pub struct Step {
+    /// The format that the step starts from; it leads to the one after.
+    pub from: u32,
+    /// What it does, for the log.
+    pub summary: &'static str,
+    /// Does it, in the data directory.
+    pub run: fn(&Path) -> io::Result<()>,
+}
+
+/// Every step there is, ascending. Format 1 is the first, so there is none yet.
+pub const STEPS: &[Step] = &[];
+
+/// What to do with a data directory.
+#[derive(Clone, Debug)]
+pub enum Plan {
+    /// Nothing: it has the format that this version uses.
+    Current,
+    /// Run these steps in order, writing the manifest after each.
+    Migrate(Vec<Step>),
+    /// Leave it alone: a newer version wrote it.
+    TooNew {
+        /// The format of the directory.
+        found: u32,
+        /// The newest that this version knows.
+        supported: u32,
+    },
+    /// Leave it alone: no step leads on from this format.
+    NoWay {
+        /// The format that has no step.
+        from: u32,
+    },
+}
+
+/// The way from format `found` to format `supported` by `steps`.
+#[must_use]
+pub fn plan(found: u32, supported: u32, steps: &[Step]) -> Plan {
+    if found > supported {
+        return Plan::TooNew { found, supported };
+    }
+    let mut way = Vec::new();
+    for from in found..supported {
+        let Some(step) = steps.iter().find(|step| step.from == from) else {
+            return Plan::NoWay { from };
+        };
+        way.push(*step);
+    }
+    if way.is_empty() { Plan::Current } else { Plan::Migrate(way) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn step(from: u32) -> Step {
+        Step { from, summary: "test", run: |_| Ok(()) }
+    }
+
+    #[test]
+    fn the_way_leads_upwards_one_format_at_a_time() {
+        let steps = [step(1), step(2), step(3)];
+        assert!(matches!(plan(3, 3, &steps), Plan::Current));
+        assert!(matches!(plan(4, 3, &steps), Plan::TooNew { found: 4, supported: 3 }));
+        let Plan::Migrate(way) = plan(2, 4, &steps) else { panic!("expected steps") };
+        assert_eq!(way.iter().map(|step| step.from).collect::<Vec<_>>(), [2, 3]);
+    }
+
+    #[test]
+    fn a_format_without_a_step_is_left_alone() {
+        assert!(matches!(plan(0, 1, STEPS), Plan::NoWay { from: 0 }));
+        assert!(matches!(plan(1, 3, &[step(1)]), Plan::NoWay { from: 2 }));
+    }
+
+    #[test]
+    fn the_released_steps_lead_from_format_1_to_the_present() {
+        assert!(matches!(plan(1, crate::FORMAT, STEPS), Plan::Current | Plan::Migrate(_)));
+    }
+}

@@ -1,0 +1,126 @@
+//! The sled database in `index/`: three trees whose keys begin with the map's number.
+//!
+//! | tree | key | value |
+//! | --- | --- | --- |
+//! | `states` | map u32, state u32 | [`super::map::State`] without its spectrum |
+//! | `models` | map u32, state u32, chunk u16 | up to [`CHUNK_LENGTH`] bytes of the spectrum |
+//! | `marks` | map u32 | [`Mark`] |
+//! | `marks` | map u32, producer u32 | [`super::map::Producer`] |
+//!
+//! Numbers in keys are big-endian, so that they sort. A value is a version byte, the CRC-32C of everything else, and
+//! the payload; the CRC covers the tree's name and the key as well, so that a value in the wrong place is noticed.
+//!
+//! Invariant: no value is longer than 4 KB, because sled keeps long ones in files that it never syncs.
+
+use super::u32_at;
+
+/// Name of the tree of states.
+pub const STATES: &str = "states";
+/// Name of the tree of spectra.
+pub const MODELS: &str = "models";
+/// Name of the tree of marks and producers.
+pub const MARKS: &str = "marks";
+/// Version of a value.
+pub const VALUE_VERSION: u8 = 1;
+/// Most bytes of the spectrum in one value: 120 periodicities.
+pub const CHUNK_LENGTH: usize = 3840;
+
+/// How far the index of a map goes.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Mark {
+    /// While it is set, records are being written and must not be believed.
+    #[prost(bool, tag = "1")]
+    pub dirty: bool,
+    /// The snapshot that the records make up.
+    #[prost(message, optional, tag = "2")]
+    pub snapshot: Option<super::map::Snapshot>,
+    /// Number of records of the map, the mark excepted.
+    #[prost(uint64, tag = "3")]
+    pub records: u64,
+    /// Sum of [`fingerprint`] over all records of the map, the mark excepted.
+    #[prost(fixed64, tag = "4")]
+    pub fingerprint_sum: u64,
+}
+
+/// Key of a map's mark, and the prefix of all its keys.
+#[must_use]
+pub fn map_key(map: u32) -> [u8; 4] {
+    map.to_be_bytes()
+}
+
+/// Key of a state or of a producer.
+#[must_use]
+pub fn item_key(map: u32, item: u32) -> [u8; 8] {
+    ((u64::from(map) << 32) | u64::from(item)).to_be_bytes()
+}
+
+/// Key of a chunk of a state's spectrum.
+#[must_use]
+pub fn chunk_key(map: u32, state: u32, chunk: u16) -> [u8; 10] {
+    let mut key = [0; 10];
+    key[..8].copy_from_slice(&item_key(map, state));
+    key[8..].copy_from_slice(&chunk.to_be_bytes());
+    key
+}
+
+fn checksum(tree: &str, key: &[u8], version: u8, payload: &[u8]) -> u32 {
+    let crc = crc32c::crc32c_append(crc32c::crc32c(tree.as_bytes()), key);
+    crc32c::crc32c_append(crc32c::crc32c_append(crc, &[version]), payload)
+}
+
+/// The value of a payload.
+#[must_use]
+pub fn encode_value(tree: &str, key: &[u8], payload: &[u8]) -> Vec<u8> {
+    let mut value = Vec::with_capacity(payload.len() + 5);
+    value.push(VALUE_VERSION);
+    value.extend_from_slice(&checksum(tree, key, VALUE_VERSION, payload).to_le_bytes());
+    value.extend_from_slice(payload);
+    value
+}
+
+/// The payload of a value, where it is whole and in its place.
+#[must_use]
+pub fn decode_value<'value>(tree: &str, key: &[u8], value: &'value [u8]) -> Option<&'value [u8]> {
+    let (&version, rest) = value.split_first()?;
+    let payload = rest.get(4..)?;
+    let sound = version == VALUE_VERSION && u32_at(rest, 0) == checksum(tree, key, version, payload);
+    sound.then_some(payload)
+}
+
+/// A number for a whole value, whose sum over all records does not depend on their order.
+#[must_use]
+pub fn fingerprint(value: &[u8]) -> u64 {
+    // The checksum inside the value covers tree, key and payload; it is spread over 64 bits (the finaliser of
+    // SplitMix64), so that sums of different sets of records rarely agree.
+    let mut mixed = (u64::from(u32_at(value, 1)) << 32 | value.len() as u64).wrapping_add(0x9E37_79B9_7F4A_7C15);
+    mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    mixed ^ (mixed >> 31)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_come_back_only_whole_and_in_their_place() {
+        let key = item_key(1, 2);
+        let value = encode_value(STATES, &key, b"payload");
+        assert_eq!(decode_value(STATES, &key, &value), Some(&b"payload"[..]));
+        assert_eq!(decode_value(MARKS, &key, &value), None);
+        assert_eq!(decode_value(STATES, &item_key(1, 3), &value), None);
+        assert_eq!(decode_value(STATES, &key, &[]), None);
+        for bit in 0..value.len() * 8 {
+            let mut bad = value.clone();
+            bad[bit / 8] ^= 1 << (bit % 8);
+            assert_eq!(decode_value(STATES, &key, &bad), None, "bit {bit}");
+        }
+    }
+
+    #[test]
+    fn keys_sort_by_map_then_by_item() {
+        assert!(item_key(1, u32::MAX) < item_key(2, 0));
+        assert!(chunk_key(1, 1, u16::MAX) < chunk_key(1, 2, 0));
+        assert!(map_key(1).as_slice() < item_key(1, 0).as_slice());
+    }
+}

@@ -1,0 +1,210 @@
+//! A writer on a real store, with a clock that the test sets.
+
+use std::{
+    path::Path,
+    sync::atomic::{AtomicI64, Ordering},
+};
+
+use tidemap_map::{
+    event::UpdateCause,
+    name::{MapName, ProducerKey, StateName},
+};
+use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_store::StoreOptions;
+use tokio::sync::{Semaphore, mpsc as events};
+
+use super::*;
+use crate::{catalog::Catalog, jobs::Phase};
+
+const HOUR: i64 = 3_600_000_000_000;
+/// 2016-07-01T12:00 in London, which is then an hour ahead of UTC.
+const NOON: i64 = 1_467_370_800_000_000_000;
+
+#[derive(Debug)]
+struct SetClock(AtomicI64);
+
+impl Clock for SetClock {
+    fn now_nanos(&self) -> i64 {
+        self.0.load(Ordering::SeqCst)
+    }
+}
+
+struct Bench {
+    catalog: Catalog,
+    clock: Arc<SetClock>,
+    jobs: Arc<Jobs>,
+}
+
+fn bench(dir: &Path, now: i64) -> Bench {
+    let clock = Arc::new(SetClock(AtomicI64::new(now)));
+    let jobs = Arc::new(Jobs::default());
+    let options = StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() };
+    let context = Context {
+        store: Arc::new(Store::open(dir, options).expect("a store")),
+        jobs: Arc::clone(&jobs),
+        clock: Arc::clone(&clock) as Arc<dyn Clock>,
+        update_pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool")),
+        fatal: events::unbounded_channel().0,
+        max_states: 10,
+        max_producers: 10,
+        max_pending: 1000,
+    };
+    Bench { catalog: Catalog::open(context, 10).expect("maps"), clock, jobs }
+}
+
+async fn create(bench: &Bench) -> Arc<MapHandle> {
+    let spec = MapSpec {
+        name: MapName::new("office").expect("valid"),
+        zone: Zone::named("Europe/London").expect("known"),
+        periodicities: Periodicities::default(),
+        criterion: OrderCriterion::SquaredError,
+        created_nanos: 0,
+    };
+    bench.catalog.create(spec).await.expect("created")
+}
+
+struct Robot {
+    opened: Opened,
+    sent: u64,
+    events: events::UnboundedReceiver<SessionEvent>,
+}
+
+async fn hello(handle: &MapHandle, name: &str, incarnation: u64, nightly: bool) -> Result<Robot, HelloError> {
+    let (sender, events) = events::unbounded_channel();
+    let (reply, answer) = oneshot::channel();
+    let key = ProducerKey::new(name, "").expect("valid");
+    assert!(handle.send(Command::Hello(Hello { key, incarnation, nightly, events: sender, reply })));
+    let opened = answer.await.expect("an answer")?;
+    Ok(Robot { opened, sent: opened.durable_sequence, events })
+}
+
+impl Robot {
+    /// Sends one observation of state `s` and waits until it is acknowledged.
+    async fn observe(&mut self, handle: &MapHandle, time: i64) {
+        let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
+        let first = self.sent == self.opened.durable_sequence;
+        self.sent += 1;
+        let batch = Batch {
+            first_sequence: self.sent,
+            last_sequence: self.sent,
+            content_crc: 1,
+            new_names: if first { vec![Some(StateName::new("s").expect("valid"))] } else { Vec::new() },
+            table_indices: vec![0],
+            times_nanos: vec![time],
+            values: vec![1.0],
+            ..Batch::default()
+        };
+        let permits = [permit(), permit()];
+        assert!(handle.send(Command::Batch { session: self.opened.session, batch, permits }));
+        let expected = SessionEvent::Ack { durable_sequence: self.sent, refused: Vec::new() };
+        assert_eq!(self.events.recv().await, Some(expected));
+    }
+}
+
+/// Waits until as many updates have ended, and says what started them, oldest first.
+async fn ended(bench: &Bench, count: usize) -> Vec<UpdateCause> {
+    for _ in 0..600 {
+        let jobs = bench.jobs.list();
+        let done: Vec<_> = jobs.iter().filter(|job| matches!(job.status().phase, Phase::Done(_))).collect();
+        if done.len() >= count {
+            return done.iter().rev().map(|job| job.cause).collect();
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    panic!("{count} updates have not ended: {:?}", bench.jobs.list());
+}
+
+#[tokio::test]
+async fn the_nightly_update_runs_once_at_the_local_midnight() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+    robot.observe(&handle, NOON - 90 * 24 * HOUR).await;
+    robot.observe(&handle, NOON).await;
+    // 23:30 in London, 22:30 UTC: the day is not over, also not for what was imported from months ago.
+    bench.clock.0.store(NOON + 11 * HOUR + HOUR / 2, Ordering::SeqCst);
+    tokio::time::sleep(3 * TICK / 2).await;
+    assert_eq!(bench.jobs.list().len(), 0);
+    // 00:30 in London, 23:30 UTC.
+    bench.clock.0.store(NOON + 12 * HOUR + HOUR / 2, Ordering::SeqCst);
+    assert_eq!(ended(&bench, 1).await, [UpdateCause::Midnight]);
+    let view = handle.view();
+    assert_eq!((view.generation(), view.pending()), (1, 0));
+    assert_eq!(view.cut_nanos(), Some(NOON + 12 * HOUR), "midnight in London");
+    robot.observe(&handle, NOON + 12 * HOUR + HOUR / 2).await;
+    tokio::time::sleep(3 * TICK / 2).await;
+    assert_eq!(bench.jobs.list().len(), 1, "once a night");
+}
+
+#[tokio::test]
+async fn a_missed_night_is_caught_up_after_a_restart() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    {
+        let bench = bench(dir.path(), NOON);
+        let handle = create(&bench).await;
+        hello(&handle, "r", 0, false).await.expect("accepted").observe(&handle, NOON).await;
+        bench.catalog.stop().await;
+        bench.catalog.context().store.close();
+    }
+    let bench = bench(dir.path(), NOON + 3 * 24 * HOUR);
+    assert_eq!(ended(&bench, 1).await, [UpdateCause::Midnight]);
+    let view = bench.catalog.get("office").expect("there").view();
+    assert_eq!((view.generation(), view.pending(), view.observations()), (1, 0, 1));
+}
+
+#[tokio::test]
+async fn a_day_of_imported_data_closes_when_every_announcing_stream_has_passed_it() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let (mut a, mut b) =
+        (hello(&handle, "a", 0, true).await.expect("accepted"), hello(&handle, "b", 0, true).await.expect("accepted"));
+    let day = |day: i64| NOON - 30 * 24 * HOUR + day * 24 * HOUR;
+    a.observe(&handle, day(0)).await;
+    a.observe(&handle, day(1)).await;
+    b.observe(&handle, day(0)).await;
+    tokio::time::sleep(3 * TICK / 2).await;
+    assert_eq!(bench.jobs.list().len(), 0, "b is not past the day");
+    b.observe(&handle, day(1)).await;
+    assert_eq!(ended(&bench, 1).await, [UpdateCause::DataTime]);
+    let view = handle.view();
+    assert_eq!(view.cut_nanos(), Some(day(1) - 12 * HOUR), "midnight between the days");
+    assert_eq!(view.pending(), 2);
+    // One of them ends on purpose: the other goes on alone.
+    assert!(handle.send(Command::Leave { session: b.opened.session, clean: true }));
+    a.observe(&handle, day(2)).await;
+    assert_eq!(ended(&bench, 2).await.len(), 2);
+}
+
+#[tokio::test]
+async fn too_much_pending_starts_an_update() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+    for minute in 0..1001 {
+        robot.observe(&handle, NOON - minute * HOUR / 60).await;
+    }
+    assert_eq!(ended(&bench, 1).await, [UpdateCause::PendingLimit]);
+    assert!(handle.view().pending() < 1000);
+}
+
+#[tokio::test]
+async fn one_stream_of_a_key_at_a_time() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let mut first = hello(&handle, "r", 0, false).await.expect("accepted");
+    first.observe(&handle, NOON).await;
+    let second = hello(&handle, "r", 0, false).await.err();
+    assert!(matches!(second, Some(HelloError::AlreadyStreaming(_))));
+    let again = hello(&handle, "r", first.opened.incarnation, false).await.expect("a reconnection");
+    assert_eq!(again.opened.durable_sequence, 1);
+    assert_eq!(first.events.recv().await, Some(SessionEvent::End(Ending::Superseded)));
+    let higher = hello(&handle, "r", 9, false).await.expect("a newer self");
+    assert_eq!(higher.opened.incarnation, 9);
+    let fenced = hello(&handle, "r", 8, false).await.err();
+    assert!(matches!(fenced, Some(HelloError::Fenced { got: 8, current: 9, .. })));
+    assert!(hello(&handle, "other", 0, false).await.is_ok());
+}

@@ -1,0 +1,169 @@
+//! Checkpoints: immutable files, each a whole map at one log position.
+//!
+//! Invariant: a checkpoint has its final name only when it is durable and has been read back. The newest good one and
+//! the log after it give the map; a damaged one is set aside, never used.
+
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
+
+use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_migrations::v1::{
+    file::{CHECKPOINT_MAGIC, FileHeader, RecordKind},
+    map as v1,
+};
+
+use crate::{
+    MapId,
+    disk::Disk,
+    error::{OpenError, Report, StoreError, open_io, store_io},
+    record::snapshot as record,
+    record_file::{RecordReader, RecordWriter},
+};
+
+const SUFFIX: &str = ".tmc";
+const NEW_SUFFIX: &str = ".tmc.new";
+const DAMAGED_EXTENSION: &str = "damaged";
+
+/// A checkpoint that cannot be read, and why.
+pub(crate) struct DamagedCheckpoint {
+    path: PathBuf,
+    reason: String,
+}
+
+/// The checkpoints of one map.
+pub(crate) struct Checkpoints<'store> {
+    pub(crate) disk: &'store dyn Disk,
+    pub(crate) folder: PathBuf,
+    pub(crate) map: MapId,
+}
+
+impl Checkpoints<'_> {
+    fn path(&self, position: u64) -> PathBuf {
+        self.folder.join(format!("{position:020}{SUFFIX}"))
+    }
+
+    /// Positions of all checkpoints, ascending.
+    pub(crate) fn positions(&self) -> io::Result<Vec<u64>> {
+        let names = self.disk.list(&self.folder)?;
+        Ok(names.iter().filter_map(|name| position(name)).collect())
+    }
+
+    /// Writes a checkpoint and reads it back; durable when this returns. Keeps the newest `kept`.
+    pub(crate) fn save(&self, spec: &MapSpec, snapshot: &MapSnapshot, kept: usize) -> Result<(), StoreError> {
+        record::check(snapshot)
+            .map_err(|reason| StoreError::InvalidSnapshot { map: self.map, reason: reason.to_owned() })?;
+        let new_path = self.folder.join(format!("{:020}{NEW_SUFFIX}", snapshot.position));
+        let written = self.write(&new_path, snapshot).map_err(store_io(&new_path)).and_then(|()| {
+            self.verify(spec, &new_path, snapshot)
+                .map_err(|reason| StoreError::NotReadBack { file: new_path.clone(), reason })
+        });
+        if let Err(error) = written {
+            // It takes space that may be short; if it stays, the next opening removes it.
+            let _ = self.disk.remove(&new_path);
+            return Err(error);
+        }
+        let path = self.path(snapshot.position);
+        self.disk.rename(&new_path, &path).map_err(store_io(&path))?;
+        self.disk.sync_folder(&self.folder).map_err(store_io(&self.folder))?;
+        self.remove_old(kept).map_err(store_io(&self.folder))
+    }
+
+    fn write(&self, path: &Path, snapshot: &MapSnapshot) -> io::Result<()> {
+        let header = FileHeader { magic: CHECKPOINT_MAGIC, map: self.map.0, position: snapshot.position };
+        let mut writer = RecordWriter::create(self.disk, path, &header)?;
+        writer.record(RecordKind::Snapshot, &record::encode(snapshot))?;
+        for (id, producer) in (0..).zip(&snapshot.producers) {
+            writer.record(RecordKind::Producer, &record::encode_producer(id, producer))?;
+        }
+        for (id, state) in (0..).zip(&snapshot.states) {
+            writer.record(RecordKind::State, &record::encode_state(id, state))?;
+        }
+        writer.finish()
+    }
+
+    /// Reads a file back record by record, so that a large map is not in memory twice.
+    fn verify(&self, spec: &MapSpec, path: &Path, snapshot: &MapSnapshot) -> Result<(), String> {
+        let same = |is_same: bool| if is_same { Ok(()) } else { Err("the content differs".to_owned()) };
+        let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
+        same(reader.header.position == snapshot.position)?;
+        same(reader.record::<v1::Snapshot>(RecordKind::Snapshot)? == record::encode(snapshot))?;
+        for (id, producer) in snapshot.producers.iter().enumerate() {
+            same(record::decode_producer(id, &reader.record(RecordKind::Producer)?)? == *producer)?;
+        }
+        for (id, state) in snapshot.states.iter().enumerate() {
+            let message = reader.record(RecordKind::State)?;
+            same(record::decode_state(id, &message, &spec.periodicities)? == *state)?;
+        }
+        reader.finish()
+    }
+
+    fn read(&self, spec: &MapSpec, path: &Path, position: u64) -> Result<MapSnapshot, String> {
+        let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
+        let message: v1::Snapshot = reader.record(RecordKind::Snapshot)?;
+        if message.position != position || reader.header.position != position {
+            return Err("it is of another position than its name says".to_owned());
+        }
+        let producers = (0..message.producers as usize).map(|id| {
+            let producer = reader.record(RecordKind::Producer)?;
+            record::decode_producer(id, &producer).map_err(str::to_owned)
+        });
+        let producers = producers.collect::<Result<_, String>>()?;
+        let states = (0..message.states as usize).map(|id| {
+            let state = reader.record(RecordKind::State)?;
+            record::decode_state(id, &state, &spec.periodicities)
+        });
+        let states = states.collect::<Result<_, String>>()?;
+        reader.finish()?;
+        record::decode(&message, producers, states).map_err(str::to_owned)
+    }
+
+    /// The newest good checkpoint, and the damaged ones that are newer. Changes nothing.
+    pub(crate) fn load(&self, spec: &MapSpec) -> io::Result<(Option<MapSnapshot>, Vec<DamagedCheckpoint>)> {
+        let mut damaged = Vec::new();
+        for &position in self.positions()?.iter().rev() {
+            let path = self.path(position);
+            match self.read(spec, &path, position) {
+                Ok(snapshot) => return Ok((Some(snapshot), damaged)),
+                Err(reason) => damaged.push(DamagedCheckpoint { path, reason }),
+            }
+        }
+        Ok((None, damaged))
+    }
+
+    /// Renames a damaged checkpoint, for people to look at.
+    pub(crate) fn set_aside(&self, damaged: DamagedCheckpoint) -> Result<Report, OpenError> {
+        let DamagedCheckpoint { path, reason } = damaged;
+        let file = path.with_added_extension(DAMAGED_EXTENSION);
+        self.disk.rename(&path, &file).map_err(open_io(&path))?;
+        self.disk.sync_folder(&self.folder).map_err(open_io(&self.folder))?;
+        Ok(Report::CheckpointSetAside { file, reason })
+    }
+
+    /// Removes what an interrupted save has left.
+    pub(crate) fn remove_leftovers(&self, reports: &mut Vec<Report>) -> Result<(), OpenError> {
+        for name in self.disk.list(&self.folder).map_err(open_io(&self.folder))? {
+            if name.ends_with(NEW_SUFFIX) {
+                let file = self.folder.join(name);
+                self.disk.remove(&file).map_err(open_io(&file))?;
+                reports.push(Report::LeftoverRemoved { file });
+            }
+        }
+        Ok(())
+    }
+
+    fn remove_old(&self, kept: usize) -> io::Result<()> {
+        let positions = self.positions()?;
+        for &position in positions.iter().rev().skip(kept.max(1)) {
+            self.disk.remove(&self.path(position))?;
+        }
+        Ok(())
+    }
+}
+
+fn position(name: &str) -> Option<u64> {
+    let digits = name.strip_suffix(SUFFIX)?;
+    let is_position = digits.len() == 20 && digits.bytes().all(|byte| byte.is_ascii_digit());
+    if is_position { digits.parse().ok() } else { None }
+}

@@ -1,0 +1,234 @@
+//! The one thread that writes: it groups everything that is queued, for all maps, into one write and one fdatasync per
+//! log and round.
+//!
+//! Invariant: a completion is called exactly once, in the order of the map's appends, and says `Ok` only when the
+//! record is durable. After an error that is not a full disk nothing is ever said `Ok` again.
+
+use std::{
+    collections::BTreeMap,
+    mem,
+    sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError},
+    time::Instant,
+};
+
+use crate::{
+    error::AppendError,
+    log::{Done, Log, frame::EncodedEvent},
+};
+
+mod sync_stats;
+
+pub use sync_stats::SyncStats;
+use sync_stats::SyncTimes;
+
+/// Most bytes of frames that wait; more make their appenders wait.
+const QUEUE_BYTES_MAX: usize = 32 << 20;
+/// Most records that wait.
+const QUEUE_JOBS_MAX: usize = 65_536;
+
+/// One record to append.
+pub(crate) struct Job {
+    pub(crate) log: Arc<Log>,
+    pub(crate) epoch: u64,
+    pub(crate) event: EncodedEvent,
+    pub(crate) done: Done,
+}
+
+#[derive(Default)]
+struct Queue {
+    jobs: Vec<Job>,
+    bytes: usize,
+    is_closed: bool,
+}
+
+/// The queue of the committer, and what it has measured.
+#[derive(Default)]
+pub(crate) struct Committer {
+    /// Held for a push or a take, never while the disk works.
+    queue: Mutex<Queue>,
+    has_work: Condvar,
+    has_room: Condvar,
+    times: SyncTimes,
+    /// Set once, never taken back: after a failed fsync nobody knows what is on the disk.
+    poison: OnceLock<AppendError>,
+}
+
+/// The jobs of one log in one round.
+struct Group {
+    log: Arc<Log>,
+    events: Vec<EncodedEvent>,
+    dones: Vec<Done>,
+}
+
+impl Committer {
+    /// Why nothing is written any more, if that is so.
+    pub(crate) fn poison(&self) -> Option<AppendError> {
+        self.poison.get().cloned()
+    }
+
+    pub(crate) fn sync_stats(&self) -> SyncStats {
+        self.times.stats()
+    }
+
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Queues a record; waits while the queue is full.
+    pub(crate) fn push(&self, job: Job) -> Result<(), AppendError> {
+        let bytes = job.event.frame_length();
+        let mut queue = self.queue();
+        // One record always has room, however long it is.
+        while !queue.is_closed
+            && (queue.jobs.len() >= QUEUE_JOBS_MAX || (queue.bytes > 0 && queue.bytes + bytes > QUEUE_BYTES_MAX))
+        {
+            queue = self.has_room.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
+        if queue.is_closed {
+            return Err(AppendError::Closed);
+        }
+        queue.bytes += bytes;
+        queue.jobs.push(job);
+        drop(queue);
+        self.has_work.notify_one();
+        Ok(())
+    }
+
+    /// Nothing is queued any more; the thread ends when it has written what is queued.
+    pub(crate) fn close(&self) {
+        self.queue().is_closed = true;
+        self.has_work.notify_all();
+        self.has_room.notify_all();
+    }
+
+    /// Waits for work; `None` when closed and empty.
+    fn take(&self) -> Option<Vec<Job>> {
+        let mut queue = self.queue();
+        while queue.jobs.is_empty() {
+            if queue.is_closed {
+                return None;
+            }
+            queue = self.has_work.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
+        Some(self.take_queued(&mut queue))
+    }
+
+    fn take_queued(&self, queue: &mut Queue) -> Vec<Job> {
+        queue.bytes = 0;
+        self.has_room.notify_all();
+        mem::take(&mut queue.jobs)
+    }
+
+    /// The committer's thread.
+    pub(crate) fn run(&self) {
+        // Should a completion panic, appenders must not wait for ever.
+        struct CloseAtEnd<'committer>(&'committer Committer);
+        impl Drop for CloseAtEnd<'_> {
+            fn drop(&mut self) {
+                self.0.close();
+            }
+        }
+        let _close = CloseAtEnd(self);
+        while let Some(jobs) = self.take() {
+            self.commit(jobs);
+        }
+    }
+
+    /// One round.
+    pub(crate) fn commit(&self, jobs: Vec<Job>) {
+        let mut groups: BTreeMap<u32, Group> = BTreeMap::new();
+        for job in jobs {
+            let error = if job.log.has_failed(job.epoch) { Some(AppendError::AfterFailure) } else { None };
+            if let Some(error) = self.poison().or(error) {
+                (job.done)(Err(error));
+                continue;
+            }
+            let new_group = || Group { log: Arc::clone(&job.log), events: Vec::new(), dones: Vec::new() };
+            let group = groups.entry(job.log.map).or_insert_with(new_group);
+            group.events.push(job.event);
+            group.dones.push(job.done);
+        }
+        #[cfg(feature = "fault-ack-before-sync")]
+        acknowledge_too_early(&mut groups);
+        // All writes before the first fdatasync, so that the kernel can begin with the others meanwhile.
+        let written: Vec<Group> = groups.into_values().filter_map(|group| self.write(group)).collect();
+        for group in written {
+            self.sync(group);
+        }
+    }
+
+    /// Writes a group; `None` where that has failed.
+    fn write(&self, group: Group) -> Option<Group> {
+        let result = match &mut *group.log.writer.lock().unwrap_or_else(PoisonError::into_inner) {
+            _ if self.poison.get().is_some() => Err(AppendError::AfterFailure),
+            Some(writer) => writer.write(&group.events),
+            None => Err(AppendError::Closed),
+        };
+        match result {
+            Ok(()) => Some(group),
+            Err(error) => {
+                self.fail(group, error);
+                None
+            }
+        }
+    }
+
+    /// Makes a group durable and says so.
+    fn sync(&self, group: Group) {
+        // A full round may hold other logs that cannot be trusted any more.
+        if let Some(error) = self.poison() {
+            return self.fail(group, error);
+        }
+        let start = Instant::now();
+        let result = match &mut *group.log.writer.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(writer) => writer.sync().map(|()| writer.end()),
+            None => Err(AppendError::Closed),
+        };
+        self.times.add(start.elapsed());
+        let end = match result {
+            Ok(end) => end,
+            Err(error) => return self.fail(group, error),
+        };
+        let first = end + 1 - group.events.len() as u64;
+        let mut bytes = 0;
+        let mut updates = Vec::new();
+        for (position, event) in (first..).zip(&group.events) {
+            bytes += event.frame_length() as u64;
+            if event.is_update_start() {
+                updates.push((position, bytes));
+            }
+        }
+        group.log.advance(end, bytes, &updates);
+        for (position, done) in (first..).zip(group.dones) {
+            done(Ok(position));
+        }
+    }
+
+    /// Says that a group is not in the log. What depends on it fails too.
+    fn fail(&self, group: Group, error: AppendError) {
+        // Before the first completion, which may make the writer try again.
+        group.log.fail();
+        let error = match error {
+            AppendError::Poisoned { .. } => self.poison.get_or_init(|| error).clone(),
+            AppendError::AfterFailure => self.poison().unwrap_or(error),
+            _ => error,
+        };
+        for done in group.dones {
+            done(Err(error.clone()));
+        }
+    }
+}
+
+/// The planted fault: a machine that stops within these 50 ms has acknowledged what it does not have.
+#[cfg(feature = "fault-ack-before-sync")]
+fn acknowledge_too_early(groups: &mut BTreeMap<u32, Group>) {
+    for group in groups.values_mut() {
+        let writer = group.log.writer.lock().unwrap_or_else(PoisonError::into_inner);
+        let next = writer.as_ref().map_or(1, |writer| writer.end() + 1);
+        drop(writer);
+        for (position, done) in (next..).zip(&mut group.dones) {
+            mem::replace(done, Box::new(|_| ()))(Ok(position));
+        }
+    }
+    std::thread::sleep(std::time::Duration::from_millis(50));
+}

@@ -1,0 +1,122 @@
+//! The few operations on files that logs, checkpoints and maps are made of.
+//!
+//! Invariant: nothing here decides anything; what is durable when, follows from the calls alone, so that a simulated
+//! disk can take the place of the real one.
+
+use std::{
+    fs::{self, File, OpenOptions},
+    io::{self, Read, Write as _},
+    path::Path,
+};
+
+/// A disk.
+pub(crate) trait Disk: Send + Sync {
+    /// Creates a file, or empties one that is there, for appending.
+    fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
+    /// Opens a file for appending.
+    fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
+    /// Opens a file for reading from its start.
+    fn read(&self, file: &Path) -> io::Result<Box<dyn Read + Send>>;
+    /// Length of a file.
+    fn length(&self, file: &Path) -> io::Result<u64>;
+    /// Names in a folder, sorted.
+    fn list(&self, folder: &Path) -> io::Result<Vec<String>>;
+    /// Creates a folder.
+    fn create_folder(&self, folder: &Path) -> io::Result<()>;
+    /// Renames a file or a folder within its folder.
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Removes a file.
+    fn remove(&self, file: &Path) -> io::Result<()>;
+    /// Removes everything in a folder, and the folder.
+    fn remove_folder(&self, folder: &Path) -> io::Result<()>;
+    /// Makes names that were created, renamed or removed in a folder durable.
+    fn sync_folder(&self, folder: &Path) -> io::Result<()>;
+}
+
+/// A file open for appending.
+pub(crate) trait DiskFile: Send {
+    /// Writes at the end. After an error, any part of it may have been written.
+    fn append(&mut self, bytes: &[u8]) -> io::Result<()>;
+    /// Cuts the file.
+    fn truncate(&mut self, length: u64) -> io::Result<()>;
+    /// Makes the file's bytes and length durable. After an error it is not known what is.
+    fn sync(&mut self) -> io::Result<()>;
+}
+
+/// The whole of a file.
+pub(crate) fn read_all(disk: &dyn Disk, file: &Path) -> io::Result<Vec<u8>> {
+    let length = usize::try_from(disk.length(file)?).unwrap_or(0);
+    let mut bytes = Vec::with_capacity(length);
+    disk.read(file)?.read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// The disk of this machine.
+pub(crate) struct RealDisk;
+
+impl Disk for RealDisk {
+    fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {
+        File::create(file)?;
+        self.open(file)
+    }
+
+    fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {
+        Ok(Box::new(RealFile(OpenOptions::new().append(true).open(file)?)))
+    }
+
+    fn read(&self, file: &Path) -> io::Result<Box<dyn Read + Send>> {
+        Ok(Box::new(File::open(file)?))
+    }
+
+    fn length(&self, file: &Path) -> io::Result<u64> {
+        Ok(fs::metadata(file)?.len())
+    }
+
+    fn list(&self, folder: &Path) -> io::Result<Vec<String>> {
+        let mut names = Vec::new();
+        for entry in fs::read_dir(folder)? {
+            // A name that is no text is none of ours.
+            names.extend(entry?.file_name().into_string());
+        }
+        names.sort();
+        Ok(names)
+    }
+
+    fn create_folder(&self, folder: &Path) -> io::Result<()> {
+        fs::create_dir(folder)
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
+
+    fn remove(&self, file: &Path) -> io::Result<()> {
+        fs::remove_file(file)
+    }
+
+    fn remove_folder(&self, folder: &Path) -> io::Result<()> {
+        fs::remove_dir_all(folder)
+    }
+
+    fn sync_folder(&self, folder: &Path) -> io::Result<()> {
+        File::open(folder)?.sync_all()
+    }
+}
+
+/// Open in appending mode, so that every write goes to the end, wherever a truncation has put it.
+struct RealFile(File);
+
+impl DiskFile for RealFile {
+    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.0.write_all(bytes)
+    }
+
+    fn truncate(&mut self, length: u64) -> io::Result<()> {
+        self.0.set_len(length)
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        // The length is part of what fdatasync writes, the time of change is not.
+        Ok(rustix::fs::fdatasync(&self.0)?)
+    }
+}

@@ -1,0 +1,190 @@
+//! The index: the newest snapshot of every map in sled, which only rewrites what has changed.
+//!
+//! It is never the authority: a checkpoint holds the same, so whatever is wrong here is thrown away and written again.
+//! Nothing reads it while the store serves. Invariant: a map's mark is clean only when all its records are durable,
+//! and carries their number and a sum over them, so that a missing, stale or foreign record is noticed.
+
+use std::{
+    collections::BTreeMap,
+    fs::{self, File},
+    io,
+    path::{Path, PathBuf},
+};
+
+use tidemap_map::{event::StateId, snapshot::MapSnapshot, spec::MapSpec};
+
+mod folder;
+mod load;
+mod panics;
+mod rows;
+mod save;
+
+use rows::Sum;
+
+/// What is wrong with an index that must be replaced as a whole.
+pub(crate) type Damage = String;
+
+/// The open database.
+struct Trees {
+    db: sled::Db,
+    states: sled::Tree,
+    models: sled::Tree,
+    marks: sled::Tree,
+    folder: PathBuf,
+}
+
+/// The records of a map as they are in the database: a sum per state and producer.
+#[derive(Default)]
+struct Written {
+    states: Vec<Sum>,
+    producers: Vec<Sum>,
+}
+
+/// What the index holds of a map.
+pub(crate) enum Found {
+    /// Nothing.
+    Nothing,
+    /// Records that were being written.
+    Unfinished,
+    /// A snapshot.
+    Snapshot(Box<MapSnapshot>),
+}
+
+/// The index, or what is left of it.
+pub(crate) struct Index {
+    folder: PathBuf,
+    cache_bytes: u64,
+    /// `None` once it has failed: the store goes on without.
+    trees: Option<Trees>,
+    /// Maps of which every record is known.
+    written: BTreeMap<u32, Written>,
+}
+
+impl Trees {
+    fn open(folder: &Path, cache_bytes: u64) -> Result<Trees, Damage> {
+        panics::catch(|| {
+            folder::remove_unfinished_snapshots(folder).map_err(|error| error.to_string())?;
+            // Its own flusher only logs a failed fsync; every flush here is followed by our own.
+            let config = sled::Config::new().path(folder).cache_capacity(cache_bytes).flush_every_ms(None);
+            let text = |error: sled::Error| error.to_string();
+            let db = config.open().map_err(text)?;
+            let tree = |name| db.open_tree(name).map_err(text);
+            use tidemap_migrations::v1::index::{MARKS, MODELS, STATES};
+            Ok(Trees {
+                states: tree(STATES)?,
+                models: tree(MODELS)?,
+                marks: tree(MARKS)?,
+                folder: folder.to_owned(),
+                db,
+            })
+        })?
+    }
+
+    /// Makes everything durable: sled's flush does not fsync.
+    fn flush(&self) -> Result<(), Damage> {
+        self.db.flush().map_err(|error| error.to_string())?;
+        File::open(self.folder.join("db")).and_then(|file| file.sync_all()).map_err(|error| error.to_string())
+    }
+}
+
+impl Index {
+    /// Opens the index; one that cannot be opened is set aside and an empty one created. The second value says so.
+    pub(crate) fn open(folder: PathBuf, cache_bytes: u64) -> (Index, Option<(PathBuf, Damage)>) {
+        let mut index = Index { folder, cache_bytes, trees: None, written: BTreeMap::new() };
+        match Trees::open(&index.folder, cache_bytes) {
+            Ok(trees) => {
+                index.trees = Some(trees);
+                (index, None)
+            }
+            Err(damage) => {
+                let aside = index.replace();
+                let aside = aside.unwrap_or_else(|_| index.folder.clone());
+                (index, Some((aside, damage)))
+            }
+        }
+    }
+
+    /// No index at all, for a disk that is not a real one.
+    #[cfg(test)]
+    pub(crate) fn none() -> Index {
+        Index { folder: PathBuf::new(), cache_bytes: 0, trees: None, written: BTreeMap::new() }
+    }
+
+    /// Whether there is one.
+    pub(crate) fn is_available(&self) -> bool {
+        self.trees.is_some()
+    }
+
+    /// Sets the index aside and begins an empty one. Returns where the old one is.
+    pub(crate) fn replace(&mut self) -> Result<PathBuf, Damage> {
+        self.give_up();
+        let aside = folder::set_aside(&self.folder).map_err(|error| error.to_string())?;
+        self.trees = Some(Trees::open(&self.folder, self.cache_bytes)?);
+        folder::sync_with_parent(&self.folder).map_err(|error| error.to_string())?;
+        Ok(aside)
+    }
+
+    /// Goes on without an index.
+    fn give_up(&mut self) {
+        self.written.clear();
+        let trees = self.trees.take();
+        // Closing a damaged database can panic like anything else in it.
+        let _ = panics::catch(move || drop(trees));
+    }
+
+    /// What there is of a map.
+    pub(crate) fn load(&mut self, map: u32, spec: &MapSpec) -> Result<Found, Damage> {
+        let Some(trees) = &self.trees else { return Ok(Found::Nothing) };
+        let (found, written) = panics::catch(|| load::load(trees, map, spec))??;
+        if let Some(written) = written {
+            self.written.insert(map, written);
+        }
+        Ok(found)
+    }
+
+    /// Takes over a snapshot. `changed` are the states that differ from the snapshot before. An index that fails is
+    /// given up; the checkpoint holds the same.
+    pub(crate) fn save(&mut self, map: u32, snapshot: &MapSnapshot, changed: &[StateId]) {
+        let Some(trees) = &self.trees else { return };
+        let before = self.written.remove(&map);
+        match panics::catch(|| save::save(trees, map, snapshot, before, changed)).flatten() {
+            Ok(written) => {
+                self.written.insert(map, written);
+            }
+            Err(damage) => {
+                tracing::warn!(map, %damage, "the index has failed and is not used until the next start");
+                self.give_up();
+            }
+        }
+    }
+
+    /// Removes what there is of a map.
+    pub(crate) fn purge(&mut self, map: u32) {
+        self.written.remove(&map);
+        let Some(trees) = &self.trees else { return };
+        if let Err(damage) = panics::catch(|| save::purge(trees, map)).flatten() {
+            tracing::warn!(map, %damage, "the index has failed and is not used until the next start");
+            self.give_up();
+        }
+    }
+
+    /// Makes everything durable and closes the database.
+    pub(crate) fn close(&mut self) {
+        if let Some(trees) = &self.trees
+            && let Err(damage) = panics::catch(|| trees.flush()).flatten()
+        {
+            tracing::warn!(%damage, "the index has failed while closing");
+        }
+        self.give_up();
+    }
+
+    /// Bytes on the disk.
+    pub(crate) fn bytes(&self) -> io::Result<u64> {
+        folder::bytes(&self.folder)
+    }
+}
+
+/// Whether a folder holds anything.
+pub(crate) fn is_present(folder: &Path) -> bool {
+    fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some())
+}

@@ -1,0 +1,66 @@
+//! The folder that sled works in.
+//!
+//! Invariant: at most one damaged index is kept.
+
+use std::{
+    fs::{self, File},
+    io,
+    path::{Path, PathBuf},
+};
+
+/// A snapshot that sled was writing when it was killed keeps it from opening (sled issue 1527).
+pub(super) fn remove_unfinished_snapshots(folder: &Path) -> io::Result<()> {
+    let entries = match fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        Err(error) => return Err(error),
+    };
+    for entry in entries {
+        let entry = entry?;
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        if name.starts_with("snap.") && name.ends_with(".generating") {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// Renames the folder to the next free `index.damaged-N` and removes those before.
+pub(super) fn set_aside(folder: &Path) -> io::Result<PathBuf> {
+    let parent = folder.parent().unwrap_or(Path::new("."));
+    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    let prefix = format!("{name}.damaged-");
+    let mut last = 0_u32;
+    for entry in fs::read_dir(parent)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        let number = name.to_str().and_then(|name| name.strip_prefix(&prefix)).and_then(|digits| digits.parse().ok());
+        if let Some(number) = number {
+            last = last.max(number);
+            fs::remove_dir_all(entry.path())?;
+        }
+    }
+    let aside = parent.join(format!("{prefix}{}", last.saturating_add(1)));
+    if folder.exists() {
+        fs::rename(folder, &aside)?;
+    }
+    File::open(parent)?.sync_all()?;
+    Ok(aside)
+}
+
+/// Makes the names in the folder and its own durable.
+pub(super) fn sync_with_parent(folder: &Path) -> io::Result<()> {
+    File::open(folder)?.sync_all()?;
+    File::open(folder.parent().unwrap_or(Path::new(".")))?.sync_all()
+}
+
+/// Bytes of all files in the folder.
+pub(super) fn bytes(folder: &Path) -> io::Result<u64> {
+    let mut sum = 0;
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        sum += if entry.file_type()?.is_dir() { bytes(&entry.path())? } else { entry.metadata()?.len() };
+    }
+    Ok(sum)
+}

@@ -1,0 +1,66 @@
+//! Reading a map's snapshot from the index.
+//!
+//! Invariant: every record is checked by itself and all of them by number and sum before anything is believed.
+
+use prost::Message;
+use tidemap_map::spec::MapSpec;
+use tidemap_migrations::v1::{
+    index::{MARKS, MODELS, Mark, STATES, decode_value, item_key, map_key},
+    map as v1,
+};
+
+use super::{Damage, Found, Trees, Written, rows::Sum};
+use crate::record::snapshot as record;
+
+fn payload<'value, M: Message + Default>(tree: &str, key: &[u8], value: &'value [u8]) -> Result<M, Damage> {
+    let payload: &'value [u8] =
+        decode_value(tree, key, value).ok_or_else(|| format!("a record in {tree} is damaged or in the wrong place"))?;
+    M::decode(payload).map_err(|_| format!("a record in {tree} is not a message"))
+}
+
+pub(super) fn load(trees: &Trees, map: u32, spec: &MapSpec) -> Result<(Found, Option<Written>), Damage> {
+    let text = |error: sled::Error| error.to_string();
+    let prefix = map_key(map);
+    let Some(value) = trees.marks.get(prefix).map_err(text)? else { return Ok((Found::Nothing, None)) };
+    let mark: Mark = payload(MARKS, &prefix, &value)?;
+    let Some(header) = mark.snapshot.filter(|_| !mark.dirty) else { return Ok((Found::Unfinished, None)) };
+
+    let mut written = Written::default();
+    let mut producers = Vec::new();
+    // The mark itself has the prefix alone as its key.
+    for entry in trees.marks.range(item_key(map, 0)..=item_key(map, u32::MAX)) {
+        let (key, value) = entry.map_err(text)?;
+        let message: v1::Producer = payload(MARKS, &key, &value)?;
+        producers.push(record::decode_producer(producers.len(), &message)?);
+        let mut sum = Sum::default();
+        sum.add_value(&value);
+        written.producers.push(sum);
+    }
+
+    let mut states = Vec::new();
+    let mut chunks = trees.models.scan_prefix(prefix).peekable();
+    for entry in trees.states.scan_prefix(prefix) {
+        let (key, value) = entry.map_err(text)?;
+        let mut message: v1::State = payload(STATES, &key, &value)?;
+        let mut sum = Sum::default();
+        sum.add_value(&value);
+        // The chunks of a state begin with its key and follow each other in both trees' order.
+        let is_of_state = |entry: &sled::Result<(sled::IVec, sled::IVec)>| {
+            entry.as_ref().map_or(true, |(chunk_key, _)| chunk_key.starts_with(&key))
+        };
+        while let Some(entry) = chunks.next_if(is_of_state) {
+            let (key, value) = entry.map_err(text)?;
+            let bytes = decode_value(MODELS, &key, &value).ok_or("a record in models is damaged")?;
+            message.spectrum.extend_from_slice(bytes);
+            sum.add_value(&value);
+        }
+        states.push(record::decode_state(states.len(), &message, &spec.periodicities)?);
+        written.states.push(sum);
+    }
+
+    if written.total() != (Sum { records: mark.records, fingerprint: mark.fingerprint_sum }) {
+        return Err(format!("records of map number {map} are missing, stale or too many"));
+    }
+    let snapshot = record::decode(&header, producers, states)?;
+    Ok((Found::Snapshot(Box::new(snapshot)), Some(written)))
+}

@@ -1,0 +1,73 @@
+//! The records of a snapshot as keys and values of the index.
+//!
+//! Invariant: the same state gives the same records, so that an unchanged one is not written again.
+
+use prost::Message as _;
+use tidemap_map::snapshot::{ProducerMark, StateSnapshot};
+use tidemap_migrations::v1::index::{
+    CHUNK_LENGTH, MARKS, MODELS, STATES, chunk_key, encode_value, fingerprint, item_key,
+};
+
+use crate::record::snapshot as record;
+
+/// Which tree a record is in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    States,
+    Models,
+    Marks,
+}
+
+/// One record.
+pub(super) struct Row {
+    pub(super) place: Place,
+    pub(super) key: Vec<u8>,
+    pub(super) value: Vec<u8>,
+}
+
+/// Number of records and the sum of their fingerprints, which does not depend on their order.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Sum {
+    pub(super) records: u64,
+    pub(super) fingerprint: u64,
+}
+
+impl Sum {
+    pub(super) fn add_value(&mut self, value: &[u8]) {
+        self.add(Sum { records: 1, fingerprint: fingerprint(value) });
+    }
+
+    pub(super) fn add(&mut self, other: Sum) {
+        self.records += other.records;
+        self.fingerprint = self.fingerprint.wrapping_add(other.fingerprint);
+    }
+}
+
+/// The sum over some rows.
+pub(super) fn sum(rows: &[Row]) -> Sum {
+    let mut sum = Sum::default();
+    for row in rows {
+        sum.add_value(&row.value);
+    }
+    sum
+}
+
+/// The records of a state: itself, and its spectrum in chunks.
+pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<Row> {
+    let mut message = record::encode_state(id, state);
+    let spectrum = std::mem::take(&mut message.spectrum);
+    let key = item_key(map, id).to_vec();
+    let value = encode_value(STATES, &key, &message.encode_to_vec());
+    let chunks = (0..).zip(spectrum.chunks(CHUNK_LENGTH)).map(|(chunk, bytes)| {
+        let key = chunk_key(map, id, chunk).to_vec();
+        Row { place: Place::Models, value: encode_value(MODELS, &key, bytes), key }
+    });
+    std::iter::once(Row { place: Place::States, key, value }).chain(chunks).collect()
+}
+
+/// The record of a producer.
+pub(super) fn of_producer(map: u32, id: u32, producer: &ProducerMark) -> Vec<Row> {
+    let key = item_key(map, id).to_vec();
+    let value = encode_value(MARKS, &key, &record::encode_producer(id, producer).encode_to_vec());
+    vec![Row { place: Place::Marks, key, value }]
+}

@@ -1,0 +1,169 @@
+//! Writing a map's snapshot to the index.
+//!
+//! Invariant: the mark is dirty and durable before the first record changes, and clean only after the last is durable.
+
+use prost::Message as _;
+use tidemap_map::{event::StateId, snapshot::MapSnapshot};
+use tidemap_migrations::v1::index::{MARKS, Mark, encode_value, map_key};
+
+use super::{
+    Damage, Trees, Written,
+    rows::{self, Place, Row, Sum},
+};
+use crate::record::snapshot as record;
+
+/// Records in one batch of sled; larger ones hold its lock for long.
+const BATCH_RECORDS: usize = 32;
+/// Bytes in one batch of sled.
+const BATCH_BYTES: usize = 64 << 10;
+
+/// Rows on their way into the trees.
+#[derive(Default)]
+struct Batches {
+    states: sled::Batch,
+    models: sled::Batch,
+    marks: sled::Batch,
+    records: usize,
+    bytes: usize,
+}
+
+impl Batches {
+    fn push(&mut self, trees: &Trees, row: Row) -> Result<(), Damage> {
+        self.records += 1;
+        self.bytes += row.key.len() + row.value.len();
+        let batch = match row.place {
+            Place::States => &mut self.states,
+            Place::Models => &mut self.models,
+            Place::Marks => &mut self.marks,
+        };
+        batch.insert(row.key, row.value);
+        if self.records >= BATCH_RECORDS || self.bytes >= BATCH_BYTES { self.apply(trees) } else { Ok(()) }
+    }
+
+    fn apply(&mut self, trees: &Trees) -> Result<(), Damage> {
+        let full = std::mem::take(self);
+        trees.states.apply_batch(full.states).map_err(|error| error.to_string())?;
+        trees.models.apply_batch(full.models).map_err(|error| error.to_string())?;
+        trees.marks.apply_batch(full.marks).map_err(|error| error.to_string())
+    }
+}
+
+impl Written {
+    /// The sum over everything.
+    pub(super) fn total(&self) -> Sum {
+        let mut total = Sum::default();
+        for &sum in self.states.iter().chain(&self.producers) {
+            total.add(sum);
+        }
+        total
+    }
+}
+
+fn set_mark(trees: &Trees, map: u32, mark: &Mark) -> Result<(), Damage> {
+    let key = map_key(map);
+    trees.marks.insert(key, encode_value(MARKS, &key, &mark.encode_to_vec())).map_err(|error| error.to_string())?;
+    trees.flush()
+}
+
+/// Removes all records of a map, the mark excepted.
+fn clear(trees: &Trees, map: u32) -> Result<(), Damage> {
+    let prefix = map_key(map);
+    for tree in [&trees.states, &trees.models, &trees.marks] {
+        let mut batch = sled::Batch::default();
+        let mut records = 0;
+        for key in tree.scan_prefix(prefix).keys() {
+            let key = key.map_err(|error| error.to_string())?;
+            if key.len() == prefix.len() {
+                continue;
+            }
+            batch.remove(key);
+            records += 1;
+            if records == BATCH_RECORDS {
+                tree.apply_batch(std::mem::take(&mut batch)).map_err(|error| error.to_string())?;
+                records = 0;
+            }
+        }
+        tree.apply_batch(batch).map_err(|error| error.to_string())?;
+    }
+    Ok(())
+}
+
+/// Writes what differs from `before`, or everything where that is not known.
+pub(super) fn save(
+    trees: &Trees,
+    map: u32,
+    snapshot: &MapSnapshot,
+    before: Option<Written>,
+    changed: &[StateId],
+) -> Result<Written, Damage> {
+    set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
+    // States and producers are only ever added, and a spectrum only ever appears; anything else begins afresh.
+    let before = before.filter(|before| {
+        before.states.len() <= snapshot.states.len() && before.producers.len() <= snapshot.producers.len()
+    });
+    let is_new = before.is_none();
+    let mut before = before.unwrap_or_default();
+    if is_new {
+        clear(trees, map)?;
+    }
+    let mut is_announced = vec![is_new; snapshot.states.len()];
+    for id in changed {
+        if let Some(announced) = is_announced.get_mut(id.0 as usize) {
+            *announced = true;
+        }
+    }
+    let mut unannounced = 0_u64;
+    let mut batches = Batches::default();
+    for ((id, state), announced) in (0..).zip(&snapshot.states).zip(is_announced) {
+        let rows = rows::of_state(map, id, state);
+        let is_written = write_changed(trees, &mut batches, &mut before.states, id, rows)?;
+        unannounced += u64::from(is_written && !announced);
+    }
+    for (id, producer) in (0..).zip(&snapshot.producers) {
+        let rows = rows::of_producer(map, id, producer);
+        write_changed(trees, &mut batches, &mut before.producers, id, rows)?;
+    }
+    batches.apply(trees)?;
+    trees.flush()?;
+    if unannounced > 0 {
+        // They are right in the index all the same; whoever collects the changes has a fault.
+        tracing::warn!(map, unannounced, "states have changed without being announced as changed");
+    }
+    let total = before.total();
+    let mark = Mark {
+        dirty: false,
+        snapshot: Some(record::encode(snapshot)),
+        records: total.records,
+        fingerprint_sum: total.fingerprint,
+    };
+    set_mark(trees, map, &mark)?;
+    Ok(before)
+}
+
+/// Writes the rows of one item where their sum is another than before. Says whether they were written.
+fn write_changed(
+    trees: &Trees,
+    batches: &mut Batches,
+    sums: &mut Vec<Sum>,
+    id: u32,
+    rows: Vec<Row>,
+) -> Result<bool, Damage> {
+    let sum = rows::sum(&rows);
+    match sums.get_mut(id as usize) {
+        Some(before) if *before == sum => return Ok(false),
+        Some(before) => *before = sum,
+        None => sums.push(sum),
+    }
+    for row in rows {
+        batches.push(trees, row)?;
+    }
+    Ok(true)
+}
+
+/// Removes everything of a map.
+pub(super) fn purge(trees: &Trees, map: u32) -> Result<(), Damage> {
+    set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
+    clear(trees, map)?;
+    trees.marks.remove(map_key(map)).map_err(|error| error.to_string())?;
+    trees.flush()
+}

@@ -1,0 +1,165 @@
+//! The observation log of a map: segments of chained records, written by the store's committer.
+//!
+//! Invariant: a record is acknowledged only when it and all before it are durable. Its position is its number, from 1,
+//! without gaps.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use tidemap_map::event::Event;
+
+use crate::{
+    committer::{Committer, Job},
+    error::AppendError,
+    log::{frame::EncodedEvent, writer::LogWriter},
+};
+
+pub(crate) mod frame;
+pub(crate) mod recovery;
+pub(crate) mod replay;
+pub(crate) mod writer;
+
+/// Called once with the record's position when it is durable, or with why it is not in the log.
+pub type Done = Box<dyn FnOnce(Result<u64, AppendError>) + Send>;
+
+/// What the committer and the map's handles share.
+pub(crate) struct Log {
+    pub(crate) map: u32,
+    /// `None` once the map is deleted. Locked by the committer while it writes or syncs; nobody else writes.
+    pub(crate) writer: Mutex<Option<LogWriter>>,
+    /// Counts the attempts of the map's writer, from 1: appends of one epoch depend on each other.
+    epoch: AtomicU64,
+    /// The last epoch in which an append has failed.
+    failed_epoch: AtomicU64,
+    /// Position of the last durable record.
+    end: AtomicU64,
+    progress: Mutex<Progress>,
+}
+
+/// Bytes of the log, for deciding when a checkpoint is due.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Progress {
+    /// Bytes since the start of what was read when the log was opened.
+    pub(crate) bytes: u64,
+    /// Of these, what the newest snapshot covers.
+    pub(crate) covered: u64,
+    /// Starts of updates that no snapshot covers yet: position, and bytes up to and with it.
+    pub(crate) updates: Vec<(u64, u64)>,
+}
+
+impl Log {
+    pub(crate) fn new(map: u32, writer: LogWriter, progress: Progress) -> Log {
+        let end = AtomicU64::new(writer.end());
+        Log {
+            map,
+            writer: Mutex::new(Some(writer)),
+            epoch: AtomicU64::new(1),
+            failed_epoch: AtomicU64::new(0),
+            end,
+            progress: Mutex::new(progress),
+        }
+    }
+
+    /// Whether appends of that epoch must fail, because one has failed already.
+    pub(crate) fn has_failed(&self, epoch: u64) -> bool {
+        epoch <= self.failed_epoch.load(Ordering::Acquire)
+    }
+
+    /// From now on all appends fail until [`MapLog::resume`].
+    pub(crate) fn fail(&self) {
+        self.failed_epoch.store(self.epoch.load(Ordering::Acquire), Ordering::Release);
+    }
+
+    /// Notes that records are durable.
+    pub(crate) fn advance(&self, end: u64, bytes: u64, updates: &[(u64, u64)]) {
+        self.end.store(end, Ordering::Release);
+        // Held for a few instructions; the other holders are a save and a question for the length.
+        let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = progress.bytes;
+        progress.bytes += bytes;
+        progress.updates.extend(updates.iter().map(|&(position, bytes)| (position, before + bytes)));
+    }
+
+    /// Notes that a snapshot covers everything up to a position.
+    pub(crate) fn cover(&self, position: u64) {
+        let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(&(_, bytes)) = progress.updates.iter().rev().find(|&&(start, _)| start <= position) {
+            progress.covered = bytes;
+        }
+        progress.updates.retain(|&(start, _)| start > position);
+    }
+
+    /// Waits for the committer to finish with the log, and takes it away.
+    pub(crate) fn close(&self) {
+        *self.writer.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+}
+
+/// The log of a map, open for appending. Clones append to the same log.
+#[derive(Clone)]
+pub struct MapLog {
+    log: Arc<Log>,
+    committer: Arc<Committer>,
+}
+
+impl MapLog {
+    pub(crate) fn new(log: Arc<Log>, committer: Arc<Committer>) -> MapLog {
+        MapLog { log, committer }
+    }
+
+    /// Encodes an event on this thread and queues it; waits while the queue is full. `done` is called on the
+    /// committer's thread, in the order of the appends, when the record is durable or has failed. It must be quick and
+    /// must not append itself.
+    ///
+    /// # Errors
+    /// [`AppendError`] where the event is not even queued; `done` is not called then.
+    pub fn append(&self, event: &Event, done: Done) -> Result<(), AppendError> {
+        if let Some(poison) = self.committer.poison() {
+            return Err(poison);
+        }
+        let epoch = self.log.epoch.load(Ordering::Acquire);
+        if self.log.has_failed(epoch) {
+            return Err(AppendError::AfterFailure);
+        }
+        let event = EncodedEvent::encode(event).map_err(AppendError::InvalidEvent)?;
+        self.committer.push(Job { log: Arc::clone(&self.log), epoch, event, done })
+    }
+
+    /// Accepts appends again after one has failed. The map's writer calls this when it has undone everything that
+    /// was not acknowledged; appends queued before still fail.
+    pub fn resume(&self) {
+        if self.log.has_failed(self.log.epoch.load(Ordering::Acquire)) {
+            self.log.epoch.fetch_add(1, Ordering::AcqRel);
+        }
+    }
+
+    /// Position of the last durable record; 0 where there is none.
+    #[must_use]
+    pub fn end(&self) -> u64 {
+        self.log.end.load(Ordering::Acquire)
+    }
+
+    /// Bytes of durable records after the position of the newest saved snapshot, roughly.
+    #[must_use]
+    pub fn tail_bytes(&self) -> u64 {
+        let progress = self.log.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        progress.bytes.saturating_sub(progress.covered)
+    }
+}
+
+/// File name of a segment.
+pub(crate) fn segment_path(folder: &Path, first_position: u64) -> PathBuf {
+    folder.join(format!("{first_position:020}.log"))
+}
+
+/// First position of a segment of that name; `None` for other files.
+pub(crate) fn segment_position(name: &str) -> Option<u64> {
+    let digits = name.strip_suffix(".log")?;
+    let is_position = digits.len() == 20 && digits.bytes().all(|byte| byte.is_ascii_digit());
+    if is_position { digits.parse().ok() } else { None }
+}

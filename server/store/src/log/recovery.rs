@@ -1,0 +1,150 @@
+//! Opening a log after anything may have happened.
+//!
+//! Invariant: what is cut off had never been acknowledged; whatever might have been is refused with nothing changed.
+//! Every record that is left is made durable before anybody relies on it.
+
+use std::path::{Path, PathBuf};
+
+use tidemap_migrations::v1::log::{SEGMENT_HEADER_LENGTH, SegmentHeader};
+
+use crate::{
+    disk::{Disk, read_all},
+    error::{OpenError, Report, open_io},
+    log::{
+        Progress,
+        frame::{Cursor, has_unwritten_sector, is_followed, next_frame},
+        segment_path, segment_position,
+    },
+};
+
+/// A log that has been read to its end.
+pub(crate) struct Recovered {
+    /// First positions of the segments that were read, ascending; never empty.
+    pub(crate) segments: Vec<u64>,
+    /// Behind the last record.
+    pub(crate) cursor: Cursor,
+    pub(crate) progress: Progress,
+    pub(crate) reports: Vec<Report>,
+}
+
+/// What recovery starts from.
+pub(crate) struct Expectation {
+    pub(crate) map: u32,
+    /// Records before this one are not needed.
+    pub(crate) replay_from: u64,
+    /// A checkpoint or the index knows this record, so the log cannot end before it.
+    pub(crate) known: u64,
+}
+
+fn corrupt(file: &Path, offset: usize, position: u64, reason: impl Into<String>) -> OpenError {
+    OpenError::CorruptLog { file: file.to_owned(), offset: offset as u64, position, reason: reason.into() }
+}
+
+/// Reads the log from the segment that holds `replay_from`, cuts off a torn tail, and makes the rest durable.
+pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) -> Result<Recovered, OpenError> {
+    let names = disk.list(folder).map_err(open_io(folder))?;
+    let mut segments: Vec<u64> = names.iter().filter_map(|name| segment_position(name)).collect();
+    let mut reports = Vec::new();
+    let unfinished = unfinished_segment(disk, folder, &segments)?;
+    if unfinished.is_some() {
+        segments.pop();
+    }
+    let replay_from = expected.replay_from.max(1);
+    let Some(start) = segments.iter().rposition(|&first| first <= replay_from) else {
+        return Err(corrupt(folder, 0, replay_from, "there is no segment that holds this record"));
+    };
+    segments.drain(..start);
+
+    let mut progress = Progress::default();
+    let mut cursor = None;
+    let mut torn = None;
+    for (index, &first) in segments.iter().enumerate() {
+        let file = segment_path(folder, first);
+        let bytes = read_all(disk, &file).map_err(open_io(&file))?;
+        let header = segment_header(&file, &bytes, expected.map, first)?;
+        let mut here = cursor.unwrap_or(Cursor { offset: 0, position: first, chain: header.chain });
+        if here.position != first || here.chain != header.chain {
+            return Err(corrupt(&file, 0, here.position, "the segment does not follow the one before it"));
+        }
+        here.offset = SEGMENT_HEADER_LENGTH;
+        // A segment is begun only when all before it is durable.
+        let may_be_torn = index + 1 == segments.len() && unfinished.is_none();
+        if let Some(bytes) = read_segment(&file, &bytes, &mut here, may_be_torn, expected.known, &mut progress)? {
+            torn = Some((file, bytes));
+        }
+        cursor = Some(here);
+    }
+    let newest = segment_path(folder, segments.last().copied().unwrap_or(1));
+    let cursor = cursor.ok_or_else(|| corrupt(&newest, 0, replay_from, "there is no segment"))?;
+    if cursor.position <= expected.known {
+        let reason = format!("the log ends here, but a checkpoint or the index knows record {}", expected.known);
+        return Err(corrupt(&newest, cursor.offset, cursor.position, reason));
+    }
+
+    // Nothing has been changed up to here.
+    if let Some(file) = unfinished {
+        disk.remove(&file).map_err(open_io(&file))?;
+        reports.push(Report::LeftoverRemoved { file });
+    }
+    let mut file = disk.open(&newest).map_err(open_io(&newest))?;
+    if let Some((torn_file, bytes)) = torn {
+        file.truncate(cursor.offset as u64).map_err(open_io(&newest))?;
+        reports.push(Report::TornTail { file: torn_file, bytes });
+    }
+    // Records may be here only because the machine was not switched off: they are about to be believed.
+    file.sync().map_err(open_io(&newest))?;
+    disk.sync_folder(folder).map_err(open_io(folder))?;
+    Ok(Recovered { segments, cursor, progress, reports })
+}
+
+/// The newest segment, where its header has never been written whole: it was about to be begun.
+fn unfinished_segment(disk: &dyn Disk, folder: &Path, segments: &[u64]) -> Result<Option<PathBuf>, OpenError> {
+    // The first segment is durable before its map exists.
+    let &[.., _, newest] = segments else { return Ok(None) };
+    let file = segment_path(folder, newest);
+    if disk.length(&file).map_err(open_io(&file))? > SEGMENT_HEADER_LENGTH as u64 {
+        return Ok(None);
+    }
+    let bytes = read_all(disk, &file).map_err(open_io(&file))?;
+    let is_unwritten = bytes.len() < SEGMENT_HEADER_LENGTH
+        || has_unwritten_sector(&bytes, 0, SEGMENT_HEADER_LENGTH, SEGMENT_HEADER_LENGTH);
+    Ok(is_unwritten.then_some(file))
+}
+
+fn segment_header(file: &Path, bytes: &[u8], map: u32, first: u64) -> Result<SegmentHeader, OpenError> {
+    let header = SegmentHeader::decode(bytes)
+        .ok_or_else(|| corrupt(file, 0, first, "the header of the segment is not valid"))?;
+    if header.map != map || header.first_position != first {
+        return Err(corrupt(file, 0, first, "the header of the segment is that of another segment"));
+    }
+    Ok(header)
+}
+
+/// Reads a segment up to its end or to a torn tail, whose length is returned.
+fn read_segment(
+    file: &Path,
+    bytes: &[u8],
+    cursor: &mut Cursor,
+    may_be_torn: bool,
+    known: u64,
+    progress: &mut Progress,
+) -> Result<Option<u64>, OpenError> {
+    loop {
+        let offset = cursor.offset;
+        match next_frame(bytes, cursor) {
+            Ok(Some(frame)) => {
+                progress.bytes += (cursor.offset - offset) as u64;
+                if frame.header.position <= known {
+                    progress.covered = progress.bytes;
+                } else if frame.is_update_start() {
+                    progress.updates.push((frame.header.position, progress.bytes));
+                }
+            }
+            Ok(None) => return Ok(None),
+            Err(bad) if may_be_torn && bad.is_unwritten && !is_followed(bytes, offset, cursor.position) => {
+                return Ok(Some((bytes.len() - offset) as u64));
+            }
+            Err(bad) => return Err(corrupt(file, offset, cursor.position, bad.reason)),
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! Writing groups of records to the newest segment of a log.
+//!
+//! Invariant: the file holds good records up to `length` and, behind that, at most one group that is not durable yet.
+//! A group that cannot be written is cut off again; when even that fails, nothing is written any more.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use tidemap_migrations::v1::log::{FIRST_CHAIN, SEGMENT_HEADER_LENGTH, SegmentHeader};
+
+use crate::{
+    disk::{Disk, DiskFile},
+    error::{AppendError, is_disk_full},
+    log::{
+        frame::{Cursor, EncodedEvent},
+        segment_path,
+    },
+};
+
+/// The newest segment of a log, open for appending.
+pub(crate) struct LogWriter {
+    disk: Arc<dyn Disk>,
+    folder: PathBuf,
+    map: u32,
+    segment_bytes: u64,
+    file: Box<dyn DiskFile>,
+    path: PathBuf,
+    length: u64,
+    next_position: u64,
+    chain: u32,
+    /// Length, next position and chain once the group that was written is durable.
+    written: Option<(u64, u64, u32)>,
+    buffer: Vec<u8>,
+}
+
+impl LogWriter {
+    /// Goes on behind the last record of a log.
+    pub(crate) fn open(
+        disk: &Arc<dyn Disk>,
+        folder: PathBuf,
+        map: u32,
+        newest: u64,
+        cursor: Cursor,
+        segment_bytes: u64,
+    ) -> std::io::Result<LogWriter> {
+        let path = segment_path(&folder, newest);
+        Ok(LogWriter {
+            file: disk.open(&path)?,
+            disk: Arc::clone(disk),
+            folder,
+            map,
+            segment_bytes,
+            path,
+            length: cursor.offset as u64,
+            next_position: cursor.position,
+            chain: cursor.chain,
+            written: None,
+            buffer: Vec::new(),
+        })
+    }
+
+    /// Position of the last durable record.
+    pub(crate) fn end(&self) -> u64 {
+        self.next_position - 1
+    }
+
+    fn poisoned(path: &Path, error: &std::io::Error) -> AppendError {
+        AppendError::Poisoned { file: path.to_owned(), reason: error.to_string() }
+    }
+
+    /// Writes a group behind the last durable record. [`AppendError::DiskFull`] leaves the log as it was.
+    pub(crate) fn write(&mut self, group: &[EncodedEvent]) -> Result<(), AppendError> {
+        if self.length >= self.segment_bytes && self.length > SEGMENT_HEADER_LENGTH as u64 {
+            self.begin_segment()?;
+        }
+        self.buffer.clear();
+        self.buffer.reserve(group.iter().map(EncodedEvent::frame_length).sum());
+        let (mut position, mut chain) = (self.next_position, self.chain);
+        for (index, event) in group.iter().enumerate() {
+            // The committer's queue bounds a group far below the limit of u32.
+            chain = event.write(position, index as u32, chain, &mut self.buffer);
+            position += 1;
+        }
+        match self.file.append(&self.buffer) {
+            Ok(()) => {
+                self.written = Some((self.length + self.buffer.len() as u64, position, chain));
+                Ok(())
+            }
+            Err(error) if is_disk_full(&error) => {
+                // Durable before the next group is written, so that bytes of both cannot mix on the disk.
+                let cut = self.file.truncate(self.length).and_then(|()| self.file.sync());
+                Err(cut.map_or_else(|error| Self::poisoned(&self.path, &error), |()| AppendError::DiskFull))
+            }
+            Err(error) => Err(Self::poisoned(&self.path, &error)),
+        }
+    }
+
+    /// Makes the group that was written durable. After an error it is not known what is on the disk.
+    pub(crate) fn sync(&mut self) -> Result<(), AppendError> {
+        self.file.sync().map_err(|error| Self::poisoned(&self.path, &error))?;
+        if let Some((length, next_position, chain)) = self.written.take() {
+            (self.length, self.next_position, self.chain) = (length, next_position, chain);
+        }
+        Ok(())
+    }
+
+    /// Begins the next segment. All records of this one are durable.
+    fn begin_segment(&mut self) -> Result<(), AppendError> {
+        let header = SegmentHeader { map: self.map, first_position: self.next_position, chain: self.chain };
+        let path = segment_path(&self.folder, self.next_position);
+        let (file, length) = create_segment(&*self.disk, &path, &header).map_err(|error| {
+            // Nothing relies on the new file yet: an empty one is begun again, or removed when the log is opened.
+            if is_disk_full(&error) { AppendError::DiskFull } else { Self::poisoned(&path, &error) }
+        })?;
+        self.disk.sync_folder(&self.folder).map_err(|error| Self::poisoned(&self.folder, &error))?;
+        (self.file, self.path, self.length) = (file, path, length);
+        Ok(())
+    }
+}
+
+/// Creates a segment that is durable itself, though not its name in the folder.
+fn create_segment(disk: &dyn Disk, path: &Path, header: &SegmentHeader) -> std::io::Result<(Box<dyn DiskFile>, u64)> {
+    let mut file = disk.create(path)?;
+    file.append(&header.encode())?;
+    file.sync()?;
+    Ok((file, SEGMENT_HEADER_LENGTH as u64))
+}
+
+/// Creates the first segment of a new map.
+pub(crate) fn create_log(disk: &dyn Disk, folder: &Path, map: u32) -> std::io::Result<()> {
+    disk.create_folder(folder)?;
+    let header = SegmentHeader { map, first_position: 1, chain: FIRST_CHAIN };
+    create_segment(disk, &segment_path(folder, 1), &header)?;
+    disk.sync_folder(folder)
+}

@@ -1,0 +1,199 @@
+//! Columns of a batch of observations: states, times and values, each packed by itself.
+//!
+//! This runs for every observation, so each column is one pass over a slice. Invariant: a column is as long as its
+//! count says, or holds the one value that all have.
+
+use tidemap_migrations::v1::event::{VALUES_BITS, VALUES_DOUBLES, VALUES_FLOATS};
+
+use super::Invalid;
+
+const CUT: Invalid = "a column is cut off";
+const LENGTH: Invalid = "a column does not have the length that its count asks for";
+
+fn all_equal<T: PartialEq>(items: &[T]) -> bool {
+    items.windows(2).all(|pair| pair[0] == pair[1])
+}
+
+#[inline]
+fn push_varint(out: &mut Vec<u8>, mut number: u64) {
+    while number >= 0x80 {
+        out.push(number as u8 | 0x80);
+        number >>= 7;
+    }
+    out.push(number as u8);
+}
+
+#[inline]
+fn take_varint(bytes: &mut &[u8]) -> Result<u64, Invalid> {
+    let mut number = 0_u64;
+    for shift in (0..64).step_by(7) {
+        let (&byte, rest) = bytes.split_first().ok_or(CUT)?;
+        *bytes = rest;
+        number |= u64::from(byte & 0x7F) << shift;
+        if byte < 0x80 {
+            return Ok(number);
+        }
+    }
+    Err("a number in a column is too long")
+}
+
+fn zigzag(number: i64) -> u64 {
+    ((number << 1) ^ (number >> 63)) as u64
+}
+
+fn unzigzag(number: u64) -> i64 {
+    (number >> 1) as i64 ^ -((number & 1) as i64)
+}
+
+/// Numbers as varints; one where all are equal.
+fn encode_numbers<T: Copy + PartialEq>(items: &[T], number: impl Fn(T) -> u64) -> Vec<u8> {
+    let items = if all_equal(items) { &items[..items.len().min(1)] } else { items };
+    let mut out = Vec::with_capacity(items.len() * 2 + 8);
+    for &item in items {
+        push_varint(&mut out, number(item));
+    }
+    out
+}
+
+fn decode_numbers<T: Copy>(
+    mut bytes: &[u8],
+    count: usize,
+    item: impl Fn(u64) -> Result<T, Invalid>,
+) -> Result<Vec<T>, Invalid> {
+    if count == 0 {
+        return if bytes.is_empty() { Ok(Vec::new()) } else { Err(LENGTH) };
+    }
+    let mut items = Vec::with_capacity(count);
+    items.push(item(take_varint(&mut bytes)?)?);
+    if bytes.is_empty() {
+        return Ok(vec![items[0]; count]);
+    }
+    while items.len() < count {
+        items.push(item(take_varint(&mut bytes)?)?);
+    }
+    if bytes.is_empty() { Ok(items) } else { Err(LENGTH) }
+}
+
+/// Numbers of states.
+pub(super) fn encode_states<T: Copy + PartialEq>(states: &[T], number: impl Fn(T) -> u32) -> Vec<u8> {
+    encode_numbers(states, |state| u64::from(number(state)))
+}
+
+pub(super) fn decode_states<T: Copy>(bytes: &[u8], count: usize, item: impl Fn(u32) -> T) -> Result<Vec<T>, Invalid> {
+    decode_numbers(bytes, count, |number| {
+        u32::try_from(number).map(&item).map_err(|_| "the number of a state is too large")
+    })
+}
+
+/// Times: the first, the unit of the differences, and the differences.
+pub(super) struct Times {
+    pub(super) first_nanos: i64,
+    pub(super) unit_nanos: u64,
+    pub(super) differences: Vec<u8>,
+}
+
+fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
+    while b != 0 {
+        (a, b) = (b, a % b);
+    }
+    a
+}
+
+/// Times, which must not be negative, so that no difference overflows.
+pub(super) fn encode_times(nanos: &[i64]) -> Result<Times, Invalid> {
+    if nanos.iter().any(|&nanos| nanos < 0) {
+        return Err("a time is before 1970");
+    }
+    let differences: Vec<i64> = nanos.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let mut unit_nanos = 0;
+    for difference in &differences {
+        if unit_nanos == 1 {
+            break;
+        }
+        unit_nanos = greatest_common_divisor(difference.unsigned_abs(), unit_nanos);
+    }
+    // The divisor fits into i64, as do all differences; 0 where all times are equal.
+    let divisor = (unit_nanos as i64).max(1);
+    let differences = encode_numbers(&differences, |difference| zigzag(difference / divisor));
+    Ok(Times { first_nanos: nanos.first().copied().unwrap_or(0), unit_nanos, differences })
+}
+
+pub(super) fn decode_times(times: &Times, count: usize) -> Result<Vec<i64>, Invalid> {
+    const RANGE: Invalid = "a time is outside its range";
+    let unit = i64::try_from(times.unit_nanos).map_err(|_| RANGE)?.max(1);
+    let differences = decode_numbers(&times.differences, count.saturating_sub(1), |number| {
+        unzigzag(number).checked_mul(unit).ok_or(RANGE)
+    })?;
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    let mut nanos = Vec::with_capacity(count);
+    let mut now = times.first_nanos;
+    nanos.push(now);
+    for difference in differences {
+        now = now.checked_add(difference).ok_or(RANGE)?;
+        nanos.push(now);
+    }
+    if nanos.iter().all(|&nanos| nanos >= 0) { Ok(nanos) } else { Err(RANGE) }
+}
+
+/// Values in [0, 1], in the smallest encoding that keeps every bit.
+pub(super) fn encode_values(values: &[f64]) -> Result<(u32, Vec<u8>), Invalid> {
+    const ONE: u64 = 1.0_f64.to_bits();
+    if !values.iter().all(|value| (0.0..=1.0).contains(value)) {
+        return Err("a value is outside [0, 1]");
+    }
+    // By their bits, because a negative zero is not a zero bit.
+    let is_same = values.windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits());
+    if values.iter().all(|value| matches!(value.to_bits(), 0 | ONE)) {
+        let values = if is_same && values.len() > 8 { &values[..1] } else { values };
+        let bytes = values
+            .chunks(8)
+            .map(|eight| eight.iter().rev().fold(0, |byte, value| byte << 1 | u8::from(value.to_bits() == ONE)));
+        return Ok((VALUES_BITS, bytes.collect()));
+    }
+    let values = if is_same { &values[..1] } else { values };
+    if values.iter().all(|&value| f64::from(value as f32).to_bits() == value.to_bits()) {
+        Ok((VALUES_FLOATS, values.iter().flat_map(|&value| (value as f32).to_le_bytes()).collect()))
+    } else {
+        Ok((VALUES_DOUBLES, values.iter().flat_map(|value| value.to_le_bytes()).collect()))
+    }
+}
+
+pub(super) fn decode_values(encoding: u32, bytes: &[u8], count: usize) -> Result<Vec<f64>, Invalid> {
+    let values = match encoding {
+        VALUES_BITS => decode_bits(bytes, count)?,
+        VALUES_FLOATS => fixed(bytes, count, |four| f64::from(f32::from_le_bytes(four)))?,
+        VALUES_DOUBLES => fixed(bytes, count, f64::from_le_bytes)?,
+        _ => return Err("the encoding of the values is not known"),
+    };
+    if values.iter().all(|value| (0.0..=1.0).contains(value)) { Ok(values) } else { Err("a value is outside [0, 1]") }
+}
+
+fn decode_bits(bytes: &[u8], count: usize) -> Result<Vec<f64>, Invalid> {
+    let bit = |byte: u8, index: usize| f64::from((byte >> index) & 1);
+    if bytes.len() == 1 && count > 8 {
+        return if bytes[0] <= 1 { Ok(vec![bit(bytes[0], 0); count]) } else { Err(LENGTH) };
+    }
+    if bytes.len() != count.div_ceil(8) {
+        return Err(LENGTH);
+    }
+    if let Some(&last) = bytes.last()
+        && !count.is_multiple_of(8)
+        && last >> (count % 8) != 0
+    {
+        return Err("the padding of the values is not zero");
+    }
+    Ok(bytes.iter().flat_map(|&byte| (0..8).map(move |index| bit(byte, index))).take(count).collect())
+}
+
+/// Items of N bytes each; one where all are equal.
+fn fixed<const N: usize>(bytes: &[u8], count: usize, item: impl Fn([u8; N]) -> f64) -> Result<Vec<f64>, Invalid> {
+    let (items, rest) = bytes.as_chunks::<N>();
+    match items {
+        _ if !rest.is_empty() => Err(LENGTH),
+        [one] if count > 0 => Ok(vec![item(*one); count]),
+        _ if items.len() == count => Ok(items.iter().map(|&bytes| item(bytes)).collect()),
+        _ => Err(LENGTH),
+    }
+}

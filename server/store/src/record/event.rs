@@ -1,0 +1,212 @@
+//! Events as payloads of the log, and back.
+//!
+//! Invariant: `decode(encode(event)) == event` to the last bit, or `encode` refuses.
+
+use prost::Message as _;
+use tidemap_map::{
+    event::{
+        Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind, UpdateCause,
+        UpdateStart,
+    },
+    name::{ProducerKey, StateName},
+};
+use tidemap_migrations::v1::{event as v1, log::FrameKind, map::ProducerKey as V1ProducerKey};
+
+use super::{Invalid, columns};
+
+/// Most observations in one event. Constant columns take no room, so the payload's length does not bound it.
+const COUNT_MAX: usize = 1 << 20;
+
+/// The kind and the payload of an event.
+pub(crate) fn encode(event: &Event) -> Result<(FrameKind, Vec<u8>), Invalid> {
+    match event {
+        Event::Observations(observations) => {
+            Ok((FrameKind::Observations, encode_observations(observations)?.encode_to_vec()))
+        }
+        Event::UpdateStart(start) => Ok((FrameKind::UpdateStart, encode_update_start(start).encode_to_vec())),
+    }
+}
+
+/// The event of a payload.
+pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> {
+    const GARBLED: Invalid = "the payload is not a message";
+    match kind {
+        FrameKind::Observations => {
+            let message = v1::Observations::decode(payload).map_err(|_| GARBLED)?;
+            decode_observations(message).map(Event::Observations)
+        }
+        FrameKind::UpdateStart => {
+            let message = v1::UpdateStart::decode(payload).map_err(|_| GARBLED)?;
+            decode_update_start(&message).map(Event::UpdateStart)
+        }
+    }
+}
+
+fn encode_update_start(start: &UpdateStart) -> v1::UpdateStart {
+    let cause = match start.cause {
+        UpdateCause::Request => 1,
+        UpdateCause::Midnight => 2,
+        UpdateCause::DataTime => 3,
+        UpdateCause::PendingLimit => 4,
+    };
+    v1::UpdateStart { generation: start.generation, cut_nanos: start.cut_nanos, cause }
+}
+
+fn decode_update_start(message: &v1::UpdateStart) -> Result<UpdateStart, Invalid> {
+    let cause = match message.cause {
+        1 => UpdateCause::Request,
+        2 => UpdateCause::Midnight,
+        3 => UpdateCause::DataTime,
+        4 => UpdateCause::PendingLimit,
+        _ => return Err("the cause of the update is not known"),
+    };
+    Ok(UpdateStart { generation: message.generation, cut_nanos: message.cut_nanos, cause })
+}
+
+fn check_counts(accepted: usize, columns: [usize; 3], offsets: impl Iterator<Item = u32>) -> Result<(), Invalid> {
+    if accepted > COUNT_MAX {
+        return Err("there are more observations than one record may hold");
+    }
+    if columns != [accepted; 3] {
+        return Err("states, times and values differ in number");
+    }
+    if offsets.map(u64::from).sum::<u64>() != accepted as u64 {
+        return Err("the UTC offsets are not as many as the observations");
+    }
+    Ok(())
+}
+
+fn encode_observations(event: &Observations) -> Result<v1::Observations, Invalid> {
+    let lengths = [event.states.len(), event.times_nanos.len(), event.values.len()];
+    check_counts(event.states.len(), lengths, event.offsets.iter().map(|run| run.count))?;
+    if event.last_sequence < event.first_sequence {
+        return Err("the last sequence number is before the first");
+    }
+    let mut previous = 0;
+    let mut refused_sequences = Vec::with_capacity(event.refused.len());
+    for &(sequence, _) in &event.refused {
+        refused_sequences.push(sequence.checked_sub(previous).ok_or("refused sequence numbers do not ascend")?);
+        previous = sequence;
+    }
+    let times = columns::encode_times(&event.times_nanos)?;
+    let (value_encoding, values) = columns::encode_values(&event.values)?;
+    Ok(v1::Observations {
+        producer: event.producer.0,
+        new_producer: event.new_producer.as_ref().map(encode_producer_key),
+        incarnation: event.incarnation,
+        first_sequence: event.first_sequence,
+        last_sequence: event.last_sequence,
+        content_crc: event.content_crc,
+        received_nanos: event.received_nanos,
+        new_states: event.new_states.iter().map(encode_new_state).collect(),
+        // Checked above against a much lower limit.
+        count: event.states.len() as u32,
+        states: columns::encode_states(&event.states, |state| state.0),
+        first_time_nanos: times.first_nanos,
+        time_unit_nanos: times.unit_nanos,
+        times: times.differences,
+        value_encoding,
+        values,
+        offset_counts: event.offsets.iter().map(|run| run.count).collect(),
+        offset_secs: event.offsets.iter().map(|run| run.offset_secs).collect(),
+        refused_sequences,
+        refused_reasons: event.refused.iter().map(|&(_, reason)| encode_reason(reason)).collect(),
+    })
+}
+
+fn decode_observations(message: v1::Observations) -> Result<Observations, Invalid> {
+    let count = message.count as usize;
+    check_counts(count, [count; 3], message.offset_counts.iter().copied())?;
+    if message.offset_counts.len() != message.offset_secs.len() {
+        return Err("the UTC offsets differ in number from their runs");
+    }
+    if message.refused_sequences.len() != message.refused_reasons.len() {
+        return Err("the refused sequence numbers differ in number from their reasons");
+    }
+    if message.last_sequence < message.first_sequence {
+        return Err("the last sequence number is before the first");
+    }
+    let mut sequence = 0_u64;
+    let mut refused = Vec::with_capacity(message.refused_sequences.len());
+    for (&difference, &reason) in message.refused_sequences.iter().zip(&message.refused_reasons) {
+        sequence = sequence.checked_add(difference).ok_or("a refused sequence number is too large")?;
+        refused.push((sequence, decode_reason(reason)?));
+    }
+    let times = columns::Times {
+        first_nanos: message.first_time_nanos,
+        unit_nanos: message.time_unit_nanos,
+        differences: message.times,
+    };
+    let runs = message.offset_counts.iter().zip(&message.offset_secs);
+    Ok(Observations {
+        producer: ProducerId(message.producer),
+        new_producer: message.new_producer.as_ref().map(decode_producer_key).transpose()?,
+        incarnation: message.incarnation,
+        first_sequence: message.first_sequence,
+        last_sequence: message.last_sequence,
+        content_crc: message.content_crc,
+        received_nanos: message.received_nanos,
+        new_states: message.new_states.iter().map(decode_new_state).collect::<Result<_, _>>()?,
+        states: columns::decode_states(&message.states, count, StateId)?,
+        times_nanos: columns::decode_times(&times, count)?,
+        values: columns::decode_values(message.value_encoding, &message.values, count)?,
+        offsets: runs.map(|(&count, &offset_secs)| OffsetRun { count, offset_secs }).collect(),
+        refused,
+    })
+}
+
+pub(super) fn encode_producer_key(key: &ProducerKey) -> V1ProducerKey {
+    V1ProducerKey { producer: key.producer().to_owned(), label: key.label().to_owned() }
+}
+
+pub(super) fn decode_producer_key(key: &V1ProducerKey) -> Result<ProducerKey, Invalid> {
+    ProducerKey::new(&key.producer, &key.label).map_err(|_| "the name of a producer is not valid")
+}
+
+fn encode_new_state(state: &NewState) -> v1::NewState {
+    v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind: encode_kind(state.kind) }
+}
+
+fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
+    Ok(NewState { id: StateId(state.id), name: decode_state_name(&state.name)?, kind: decode_kind(state.kind)? })
+}
+
+pub(super) fn decode_state_name(name: &str) -> Result<StateName, Invalid> {
+    StateName::new(name).map_err(|_| "the name of a state is not valid")
+}
+
+pub(super) fn encode_kind(kind: StateKind) -> u32 {
+    match kind {
+        StateKind::Probability => 0,
+    }
+}
+
+pub(super) fn decode_kind(kind: u32) -> Result<StateKind, Invalid> {
+    match kind {
+        0 => Ok(StateKind::Probability),
+        _ => Err("the kind of a state is not known"),
+    }
+}
+
+fn encode_reason(reason: RefusalReason) -> u32 {
+    match reason {
+        RefusalReason::Value => 1,
+        RefusalReason::Time => 2,
+        RefusalReason::StateName => 3,
+        RefusalReason::StateIndex => 4,
+        RefusalReason::StateLimit => 5,
+        RefusalReason::StateKind => 6,
+    }
+}
+
+fn decode_reason(reason: u32) -> Result<RefusalReason, Invalid> {
+    match reason {
+        1 => Ok(RefusalReason::Value),
+        2 => Ok(RefusalReason::Time),
+        3 => Ok(RefusalReason::StateName),
+        4 => Ok(RefusalReason::StateIndex),
+        5 => Ok(RefusalReason::StateLimit),
+        6 => Ok(RefusalReason::StateKind),
+        _ => Err("the reason of a refusal is not known"),
+    }
+}

@@ -1,0 +1,193 @@
+//! Producers, states and the snapshot's own numbers as records, and back.
+//!
+//! A state's spectrum is kept apart, because it is by far the largest part: the index cuts it into chunks.
+//! Invariant: every number comes back to the last bit.
+
+use std::sync::Arc;
+
+use tidemap_map::snapshot::{MapSnapshot, ProducerMark, StateSnapshot};
+use tidemap_migrations::v1::map as v1;
+use tidemap_model::{
+    Accumulator, AccumulatorParts, Component, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
+    PersistenceParts, SpectralModel, StateModel,
+};
+
+use super::{
+    Invalid,
+    event::{decode_kind, decode_producer_key, decode_state_name, encode_kind, encode_producer_key},
+};
+
+/// The snapshot's own numbers. The counts must fit; [`check`] sees to that.
+pub(crate) fn encode(snapshot: &MapSnapshot) -> v1::Snapshot {
+    v1::Snapshot {
+        position: snapshot.position,
+        replay_from: snapshot.replay_from,
+        generation: snapshot.generation,
+        cut_nanos: snapshot.cut_nanos,
+        newest_nanos: snapshot.newest_nanos,
+        producers: snapshot.producers.len() as u32,
+        states: snapshot.states.len() as u32,
+    }
+}
+
+/// Refuses a snapshot that could not be read back.
+pub(crate) fn check(snapshot: &MapSnapshot) -> Result<(), Invalid> {
+    if u32::try_from(snapshot.producers.len()).is_err() || u32::try_from(snapshot.states.len()).is_err() {
+        return Err("it has more states or producers than can be numbered");
+    }
+    check_positions(&encode(snapshot))
+}
+
+/// Positions must let the replay begin where the log can.
+pub(crate) fn check_positions(message: &v1::Snapshot) -> Result<(), Invalid> {
+    let is_sound = message.replay_from <= message.position.saturating_add(1);
+    if is_sound { Ok(()) } else { Err("replay_from is beyond position + 1") }
+}
+
+/// A snapshot from its numbers, its producers and its states.
+pub(crate) fn decode(
+    message: &v1::Snapshot,
+    producers: Vec<ProducerMark>,
+    states: Vec<StateSnapshot>,
+) -> Result<MapSnapshot, Invalid> {
+    check_positions(message)?;
+    if producers.len() != message.producers as usize || states.len() != message.states as usize {
+        return Err("states or producers are missing or too many");
+    }
+    Ok(MapSnapshot {
+        position: message.position,
+        replay_from: message.replay_from,
+        generation: message.generation,
+        cut_nanos: message.cut_nanos,
+        newest_nanos: message.newest_nanos,
+        producers,
+        states,
+    })
+}
+
+pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v1::Producer {
+    v1::Producer {
+        id,
+        key: Some(encode_producer_key(&mark.key)),
+        incarnation: mark.incarnation,
+        durable_sequence: mark.durable_sequence,
+        content_crc: mark.content_crc,
+    }
+}
+
+/// The producer that must have number `id`.
+pub(crate) fn decode_producer(id: usize, message: &v1::Producer) -> Result<ProducerMark, Invalid> {
+    if message.id as usize != id {
+        return Err("a producer is missing or out of order");
+    }
+    let key = message.key.as_ref().ok_or("a producer has no name")?;
+    Ok(ProducerMark {
+        key: decode_producer_key(key)?,
+        incarnation: message.incarnation,
+        durable_sequence: message.durable_sequence,
+        content_crc: message.content_crc,
+    })
+}
+
+/// A state, with its spectrum in place.
+pub(crate) fn encode_state(id: u32, state: &StateSnapshot) -> v1::State {
+    let persistence = state.persistence.to_parts();
+    let accumulator = state.model.accumulator().to_parts();
+    let spectral = state.model.spectral();
+    let errors = state.model.errors().to_parts();
+    let component = |component: &Component| v1::Component {
+        periodicity: component.periodicity,
+        re_bits: component.gamma_re.to_bits(),
+        im_bits: component.gamma_im.to_bits(),
+    };
+    v1::State {
+        id,
+        name: state.name.as_str().to_owned(),
+        kind: encode_kind(state.kind),
+        observations: state.observations,
+        pairs: persistence.pairs,
+        change_rate_sum_bits: persistence.change_rate_sum.to_bits(),
+        last: persistence.last.map(|(nanos, value)| v1::LastObservation { nanos, value_bits: value.to_bits() }),
+        accumulator: Some(v1::Accumulator {
+            observations: accumulator.observations,
+            sum_bits: accumulator.sum.to_bits(),
+            sum_squares_bits: accumulator.sum_squares.to_bits(),
+            first_nanos: accumulator.first_nanos,
+            last_nanos: accumulator.last_nanos,
+            // At most 2,048.
+            periodicities: accumulator.spectrum.len() as u32,
+        }),
+        spectrum: accumulator.spectrum.as_flattened().iter().flat_map(|number| number.to_le_bytes()).collect(),
+        spectral: Some(v1::Spectral {
+            mean_bits: spectral.mean().to_bits(),
+            observations: spectral.observations(),
+            components: spectral.components().iter().map(component).collect(),
+        }),
+        // At most 15.
+        order: state.model.order() as u32,
+        error_sums_bits: errors.sums.iter().map(|sum| sum.to_bits()).collect(),
+        errors_last_day: errors.last_day.map(|day| day.0),
+    }
+}
+
+/// The state that must have number `id`.
+pub(crate) fn decode_state(
+    id: usize,
+    message: &v1::State,
+    periodicities: &Periodicities,
+) -> Result<StateSnapshot, String> {
+    if message.id as usize != id {
+        return Err("a state is missing or out of order".to_owned());
+    }
+    let persistence = PersistenceParts {
+        pairs: message.pairs,
+        change_rate_sum: f64::from_bits(message.change_rate_sum_bits),
+        last: message.last.as_ref().map(|last| (last.nanos, f64::from_bits(last.value_bits))),
+    };
+    Ok(StateSnapshot {
+        name: decode_state_name(&message.name)?,
+        kind: decode_kind(message.kind)?,
+        observations: message.observations,
+        persistence: Persistence::from_parts(persistence).map_err(|error| error.to_string())?,
+        model: Arc::new(decode_model(message, periodicities)?),
+    })
+}
+
+fn decode_model(message: &v1::State, periodicities: &Periodicities) -> Result<StateModel, String> {
+    let sums = message.accumulator.as_ref().ok_or("a state has no accumulator")?;
+    let spectral = message.spectral.as_ref().ok_or("a state has no spectral model")?;
+    let (numbers, rest) = message.spectrum.as_chunks::<8>();
+    let numbers: Vec<f64> = numbers.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect();
+    let (spectrum, odd) = numbers.as_chunks::<4>();
+    if !rest.is_empty() || !odd.is_empty() || spectrum.len() != sums.periodicities as usize {
+        return Err("a spectrum does not have its length".to_owned());
+    }
+    let accumulator = AccumulatorParts {
+        observations: sums.observations,
+        sum: f64::from_bits(sums.sum_bits),
+        sum_squares: f64::from_bits(sums.sum_squares_bits),
+        first_nanos: sums.first_nanos,
+        last_nanos: sums.last_nanos,
+        spectrum: spectrum.to_vec(),
+    };
+    let component = |component: &v1::Component| Component {
+        periodicity: component.periodicity,
+        gamma_re: f64::from_bits(component.re_bits),
+        gamma_im: f64::from_bits(component.im_bits),
+    };
+    let components = spectral.components.iter().map(component).collect();
+    let error_sums: Vec<f64> = message.error_sums_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
+    let errors = OrderErrorsParts {
+        sums: error_sums.try_into().map_err(|_| "the sums of errors are not 16")?,
+        last_day: message.errors_last_day.map(LocalDay),
+    };
+    let invalid = |error: tidemap_model::InvalidParts| error.to_string();
+    StateModel::from_parts(
+        Accumulator::from_parts(periodicities, accumulator).map_err(invalid)?,
+        SpectralModel::from_parts(f64::from_bits(spectral.mean_bits), spectral.observations, components)
+            .map_err(invalid)?,
+        message.order as usize,
+        OrderErrors::from_parts(errors).map_err(invalid)?,
+    )
+    .map_err(invalid)
+}

@@ -1,0 +1,278 @@
+//! The store: one data directory, its maps, and the thread that writes their logs.
+//!
+//! Invariant: at most one process has a directory open, and nothing is written before its format is known.
+
+use std::{
+    collections::BTreeMap,
+    fmt, io,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    thread::JoinHandle,
+};
+
+use tidemap_map::{event::StateId, snapshot::MapSnapshot, spec::MapSpec};
+
+use crate::{
+    MapId,
+    checkpoint::Checkpoints,
+    committer::{Committer, SyncStats},
+    disk::Disk,
+    error::{Report, StoreError, store_io},
+    index::Index,
+    log::{Log, MapLog, replay::Replay},
+};
+
+mod catalogue;
+mod lock;
+pub(crate) mod open;
+mod open_map;
+
+use lock::Lock;
+
+/// How a store is kept.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StoreOptions {
+    /// A log's segment that is this long is followed by a new one.
+    pub segment_bytes: u64,
+    /// Memory that sled may use for the index.
+    pub index_cache_bytes: u64,
+    /// How many checkpoints of a map are kept, at least 1.
+    pub checkpoints_kept: usize,
+    /// Identity of the store if it is created now: 16 random bytes as 32 lower-case hexadecimal digits.
+    pub new_store_id: String,
+}
+
+impl Default for StoreOptions {
+    fn default() -> Self {
+        StoreOptions {
+            segment_bytes: 64 << 20,
+            index_cache_bytes: 64 << 20,
+            checkpoints_kept: 2,
+            new_store_id: String::new(),
+        }
+    }
+}
+
+/// A data directory, open. Clones are handles of the same store, which is closed with the last of them.
+#[derive(Clone)]
+pub struct Store {
+    inner: Arc<Inner>,
+}
+
+impl fmt::Debug for Store {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Store").field("directory", &self.inner.directory).finish_non_exhaustive()
+    }
+}
+
+struct Inner {
+    directory: PathBuf,
+    disk: Arc<dyn Disk>,
+    options: StoreOptions,
+    store_id: String,
+    reports: Vec<Report>,
+    /// Held for a look-up, and while a map is created so that no two get the same number.
+    maps: Mutex<Maps>,
+    /// Held while the index is read or written: by openings, saves and deletions, never by appends.
+    index: Mutex<Index>,
+    committer: Arc<Committer>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+    /// Last, so that it is freed when everything else is closed.
+    _lock: Option<Lock>,
+}
+
+struct Maps {
+    entries: BTreeMap<MapId, Entry>,
+    next: u32,
+}
+
+/// One map.
+#[derive(Clone)]
+struct Entry {
+    spec: Arc<MapSpec>,
+    log: Option<Arc<Log>>,
+    /// Held while the map is opened, saved or deleted: one of these at a time.
+    busy: Arc<Mutex<()>>,
+}
+
+/// Where the snapshot of an opened map comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Source {
+    /// Nothing has happened to the map yet.
+    Empty,
+    /// The index.
+    Index,
+    /// A checkpoint.
+    Checkpoint,
+    /// There is none: the whole log is replayed.
+    Log,
+}
+
+/// A map, open for appending.
+pub struct OpenedMap {
+    /// Its log.
+    pub log: MapLog,
+    /// The map as of its newest snapshot.
+    pub snapshot: Option<MapSnapshot>,
+    /// Where the snapshot comes from.
+    pub source: Source,
+    /// The events from the snapshot's `replay_from` to the end of the log.
+    pub replay: Replay,
+    /// What was repaired.
+    pub reports: Vec<Report>,
+}
+
+impl fmt::Debug for OpenedMap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut shown = f.debug_struct("OpenedMap");
+        shown.field("source", &self.source).field("reports", &self.reports).finish_non_exhaustive()
+    }
+}
+
+/// Bytes on the disk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Sizes {
+    /// The map's log.
+    pub log_bytes: u64,
+    /// The map's checkpoints.
+    pub checkpoint_bytes: u64,
+    /// The index of all maps.
+    pub index_bytes: u64,
+}
+
+impl Inner {
+    fn maps(&self) -> MutexGuard<'_, Maps> {
+        self.maps.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn index(&self) -> MutexGuard<'_, Index> {
+        self.index.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn checkpoints(&self, map: MapId) -> Checkpoints<'_> {
+        Checkpoints { disk: &*self.disk, folder: catalogue::checkpoints_folder(&self.directory, map), map }
+    }
+
+    fn close(&self) {
+        self.committer.close();
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        // A completion may hold the last handle: the thread cannot wait for itself.
+        if let Some(thread) = thread.filter(|thread| thread.thread().id() != std::thread::current().id())
+            && thread.join().is_err()
+        {
+            tracing::error!("the committer's thread has panicked");
+        }
+        self.index().close();
+    }
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+impl Store {
+    /// Identity of the store; another one after a restored backup was given a new one.
+    #[must_use]
+    pub fn store_id(&self) -> &str {
+        &self.inner.store_id
+    }
+
+    /// What was repaired when the store was opened.
+    #[must_use]
+    pub fn reports(&self) -> &[Report] {
+        &self.inner.reports
+    }
+
+    /// All maps, by number.
+    #[must_use]
+    pub fn maps(&self) -> Vec<(MapId, MapSpec)> {
+        self.inner.maps().entries.iter().map(|(&map, entry)| (map, MapSpec::clone(&entry.spec))).collect()
+    }
+
+    /// Creates a map; durable when this returns. Names are the caller's to keep apart.
+    ///
+    /// # Errors
+    /// [`StoreError`]; the map does not exist then.
+    pub fn create_map(&self, spec: &MapSpec) -> Result<MapId, StoreError> {
+        let mut maps = self.inner.maps();
+        let map = MapId(maps.next);
+        catalogue::create(&*self.inner.disk, &self.inner.directory, map, spec)?;
+        maps.next += 1;
+        let entry = Entry { spec: Arc::new(spec.clone()), log: None, busy: Arc::default() };
+        maps.entries.insert(map, entry);
+        Ok(map)
+    }
+
+    /// Deletes a map with all its data; durable when this returns. Its log accepts nothing any more.
+    ///
+    /// # Errors
+    /// [`StoreError`]. Where the map is gone from [`Self::maps`] afterwards, only freeing its space has failed, which
+    /// is done at the next start.
+    pub fn delete_map(&self, map: MapId) -> Result<(), StoreError> {
+        let inner = &*self.inner;
+        let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
+        let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
+        // Asked again: another deletion may have been first.
+        if !inner.maps().entries.contains_key(&map) {
+            return Err(StoreError::UnknownMap(map));
+        }
+        if let Some(log) = &entry.log {
+            log.close();
+        }
+        catalogue::mark_deleted(&*inner.disk, &inner.directory, map)?;
+        inner.maps().entries.remove(&map);
+        inner.index().purge(map.0);
+        catalogue::empty_deleted(&*inner.disk, &inner.directory, map)
+            .map_err(store_io(catalogue::map_folder(&inner.directory, map)))?;
+        Ok(())
+    }
+
+    /// Writes a checkpoint, and takes the snapshot over into the index. Durable when this returns. `changed` are the
+    /// states that differ from the snapshot saved before. Appends go on meanwhile.
+    ///
+    /// # Errors
+    /// [`StoreError`]; what was saved before is still there. A failing index is no error: it is reported to the log
+    /// and rebuilt at the next start.
+    pub fn save(&self, map: MapId, snapshot: &MapSnapshot, changed: &[StateId]) -> Result<(), StoreError> {
+        let inner = &*self.inner;
+        let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
+        let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
+        if !inner.maps().entries.contains_key(&map) {
+            return Err(StoreError::UnknownMap(map));
+        }
+        inner.checkpoints(map).save(&entry.spec, snapshot, inner.options.checkpoints_kept)?;
+        if let Some(log) = &entry.log {
+            log.cover(snapshot.position);
+        }
+        inner.index().save(map.0, snapshot, changed);
+        Ok(())
+    }
+
+    /// Bytes that a map takes on the disk; 0 for what cannot be read.
+    #[must_use]
+    pub fn sizes(&self, map: MapId) -> Sizes {
+        let inner = &*self.inner;
+        let bytes = |folder: &Path| -> io::Result<u64> {
+            inner.disk.list(folder)?.iter().map(|name| inner.disk.length(&folder.join(name))).sum()
+        };
+        Sizes {
+            log_bytes: bytes(&catalogue::log_folder(&inner.directory, map)).unwrap_or(0),
+            checkpoint_bytes: bytes(&catalogue::checkpoints_folder(&inner.directory, map)).unwrap_or(0),
+            index_bytes: inner.index().bytes().unwrap_or(0),
+        }
+    }
+
+    /// How long fdatasync of the logs has taken.
+    #[must_use]
+    pub fn sync_stats(&self) -> SyncStats {
+        self.inner.committer.sync_stats()
+    }
+
+    /// Writes everything that is queued, and closes the logs and the index. Appends fail from now on. The directory is
+    /// free for another process when the last handle is gone.
+    pub fn close(&self) {
+        self.inner.close();
+    }
+}

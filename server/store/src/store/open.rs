@@ -1,0 +1,151 @@
+//! Opening a data directory.
+//!
+//! Invariant: the format is checked before anything is created or written, and again once the lock is held.
+
+use std::{
+    fs::{self, File},
+    io,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex},
+    thread,
+};
+
+use tidemap_migrations::{
+    FORMAT,
+    manifest::{self, Manifest, ManifestError},
+    plan::{Plan, STEPS, plan},
+};
+
+use super::{Entry, Inner, Lock, Maps, Store, StoreOptions, catalogue};
+use crate::{
+    committer::Committer,
+    disk::{Disk, RealDisk},
+    error::{OpenError, Report, open_io},
+    index::{Index, is_present},
+};
+
+/// What a store is put together from.
+pub(crate) struct Parts {
+    pub(crate) disk: Arc<dyn Disk>,
+    pub(crate) directory: PathBuf,
+    pub(crate) options: StoreOptions,
+    pub(crate) store_id: String,
+    pub(crate) index: Index,
+    pub(crate) committer: Arc<Committer>,
+    pub(crate) reports: Vec<Report>,
+    /// `None` for a disk that is not a real one.
+    pub(crate) lock: Option<Lock>,
+}
+
+impl Store {
+    /// Opens a data directory, or makes one of a directory that is empty or does not exist.
+    ///
+    /// # Errors
+    /// [`OpenError`]. A directory that is in use, of a newer format or without its manifest has not been changed.
+    pub fn open(directory: &Path, options: StoreOptions) -> Result<Store, OpenError> {
+        let found = manifest::read(directory, FORMAT)?;
+        if found.is_none() {
+            if is_present(&directory.join("maps")) || is_present(&directory.join("index")) {
+                return Err(OpenError::ManifestMissing { directory: directory.to_owned() });
+            }
+            if !manifest::is_store_id(&options.new_store_id) {
+                return Err(ManifestError::StoreId(options.new_store_id).into());
+            }
+            create_directory(directory).map_err(open_io(directory))?;
+        }
+        let lock = Lock::take(directory)?;
+        // Asked again: another process may have created or migrated it meanwhile.
+        let manifest = match manifest::read(directory, FORMAT)? {
+            Some(manifest) => migrate(directory, manifest)?,
+            None => {
+                let manifest = Manifest { format: FORMAT, store_id: options.new_store_id.clone() };
+                manifest::write(directory, &manifest)?;
+                manifest
+            }
+        };
+        let maps = catalogue::maps_folder(directory);
+        if !maps.exists() {
+            fs::create_dir(&maps).and_then(|()| File::open(directory)?.sync_all()).map_err(open_io(&maps))?;
+        }
+
+        let (index, damage) = Index::open(directory.join("index"), options.index_cache_bytes);
+        let mut reports = Vec::new();
+        if let Some((folder, reason)) = damage {
+            reports.push(Report::IndexSetAside { folder, reason });
+        }
+        if !index.is_available() {
+            reports.push(Report::IndexUnavailable { reason: "it cannot be created".to_owned() });
+        }
+        let committer = Arc::new(Committer::default());
+        let disk = Arc::new(RealDisk);
+        let directory = directory.to_owned();
+        let store_id = manifest.store_id;
+        let parts = Parts { disk, directory, options, store_id, index, committer, reports, lock: Some(lock) };
+        let store = Store::assemble(parts)?;
+        store.start().map_err(open_io(&store.inner.directory))?;
+        Ok(store)
+    }
+
+    /// A store on any disk, with no thread yet.
+    pub(crate) fn assemble(parts: Parts) -> Result<Store, OpenError> {
+        let Parts { disk, directory, options, store_id, mut index, committer, mut reports, lock } = parts;
+        let catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
+        for &map in &catalogue.deleted {
+            // Whatever a deletion that was cut off has left.
+            if catalogue::empty_deleted(&*disk, &directory, map).map_err(open_io(catalogue::maps_folder(&directory)))? {
+                index.purge(map.0);
+            }
+        }
+        let entry = |spec| Entry { spec: Arc::new(spec), log: None, busy: Arc::default() };
+        let entries = catalogue.maps.into_iter().map(|(map, spec)| (map, entry(spec))).collect();
+        let inner = Inner {
+            directory,
+            disk,
+            options,
+            store_id,
+            reports,
+            maps: Mutex::new(Maps { entries, next: catalogue.next }),
+            index: Mutex::new(index),
+            committer,
+            thread: Mutex::new(None),
+            _lock: lock,
+        };
+        Ok(Store { inner: Arc::new(inner) })
+    }
+
+    /// Starts the committer's thread.
+    fn start(&self) -> io::Result<()> {
+        let committer = Arc::clone(&self.inner.committer);
+        let thread = thread::Builder::new().name("committer".to_owned()).spawn(move || committer.run())?;
+        *self.inner.thread.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(thread);
+        Ok(())
+    }
+}
+
+/// Creates a directory whose name is durable.
+fn create_directory(directory: &Path) -> io::Result<()> {
+    if directory.is_dir() {
+        return Ok(());
+    }
+    fs::create_dir_all(directory)?;
+    let parent = directory.parent().filter(|parent| !parent.as_os_str().is_empty());
+    File::open(parent.unwrap_or(&PathBuf::from(".")))?.sync_all()
+}
+
+fn migrate(directory: &Path, mut manifest: Manifest) -> Result<Manifest, OpenError> {
+    match plan(manifest.format, FORMAT, STEPS) {
+        Plan::Current => {}
+        Plan::Migrate(steps) => {
+            for step in steps {
+                (step.run)(directory).map_err(open_io(directory))?;
+                manifest.format = step.from + 1;
+                manifest::write(directory, &manifest)?;
+            }
+        }
+        Plan::TooNew { found, supported } => {
+            return Err(ManifestError::TooNew { file: directory.join(manifest::FILE_NAME), found, supported }.into());
+        }
+        Plan::NoWay { from } => return Err(OpenError::NoMigration { directory: directory.to_owned(), from }),
+    }
+    Ok(manifest)
+}

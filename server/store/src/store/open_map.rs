@@ -1,0 +1,154 @@
+//! Opening a map: the newest snapshot that can be trusted, and the log after it.
+//!
+//! Invariant: the log is read to its end and found sound before anything is repaired.
+
+use std::{
+    path::Path,
+    sync::{Arc, PoisonError},
+};
+
+use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
+
+use super::{Entry, Inner, OpenedMap, Source, Store, catalogue};
+use crate::{
+    MapId,
+    checkpoint::DamagedCheckpoint,
+    error::{OpenError, Report, open_io},
+    index::Found,
+    log::{
+        Log, MapLog,
+        recovery::{Expectation, Recovered, recover},
+        replay::Replay,
+        writer::LogWriter,
+    },
+};
+
+/// The newest snapshot, and what is wrong elsewhere.
+struct Newest {
+    snapshot: Option<MapSnapshot>,
+    source: Source,
+    /// The newest position that any checkpoint or the index names.
+    known: u64,
+    damaged: Vec<DamagedCheckpoint>,
+    index: IndexState,
+}
+
+/// What the index needs.
+enum IndexState {
+    /// Nothing.
+    Good,
+    /// The map written again.
+    Stale(&'static str),
+    /// To be replaced as a whole.
+    Damaged(String),
+}
+
+impl Store {
+    /// Opens a map: finds its newest snapshot, reads its log to the end, and repairs what an interruption has left.
+    ///
+    /// # Errors
+    /// [`OpenError`]. The map's log has not been changed then.
+    pub fn open_map(&self, map: MapId, spec: &MapSpec) -> Result<OpenedMap, OpenError> {
+        let inner = &*self.inner;
+        let entry = inner.maps().entries.get(&map).cloned().ok_or(OpenError::UnknownMap(map))?;
+        // From here on nobody else opens the map: recovery must not meet a log that is being written.
+        let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
+        if inner.maps().entries.get(&map).ok_or(OpenError::UnknownMap(map))?.log.is_some() {
+            return Err(OpenError::AlreadyOpen(map));
+        }
+        let newest = inner.newest_snapshot(map, spec)?;
+        let replay_from = newest.snapshot.as_ref().map_or(1, |snapshot| snapshot.replay_from.max(1));
+        let folder = catalogue::log_folder(&inner.directory, map);
+        let expected = Expectation { map: map.0, replay_from, known: newest.known };
+        let recovered = recover(&*inner.disk, &folder, &expected)?;
+        let (log, replay, mut reports) = inner.open_log(map, &folder, replay_from, recovered)?;
+
+        let checkpoints = inner.checkpoints(map);
+        checkpoints.remove_leftovers(&mut reports)?;
+        for damaged in newest.damaged {
+            reports.push(checkpoints.set_aside(damaged)?);
+        }
+        inner.repair_index(map, newest.snapshot.as_ref(), newest.index, &mut reports);
+
+        let source = if newest.source == Source::Log && log.end() == 0 { Source::Empty } else { newest.source };
+        Ok(OpenedMap { log, snapshot: newest.snapshot, source, replay, reports })
+    }
+}
+
+impl Inner {
+    /// Prefers the index where it is at least as new as every checkpoint. Changes nothing.
+    fn newest_snapshot(&self, map: MapId, spec: &MapSpec) -> Result<Newest, OpenError> {
+        let checkpoints = self.checkpoints(map);
+        let names = checkpoints.positions().map_err(open_io(&checkpoints.folder))?;
+        let newest_name = names.last().copied().unwrap_or(0);
+        let mut state = IndexState::Good;
+        let mut indexed = None;
+        match self.index().load(map.0, spec) {
+            Ok(Found::Snapshot(snapshot)) => indexed = Some(*snapshot),
+            Ok(Found::Nothing) => state = IndexState::Stale(""),
+            Ok(Found::Unfinished) => state = IndexState::Stale("it was being written when the process stopped"),
+            Err(damage) => state = IndexState::Damaged(damage),
+        }
+        let known = newest_name.max(indexed.as_ref().map_or(0, |snapshot| snapshot.position));
+        if let Some(snapshot) = indexed.take_if(|snapshot| snapshot.position >= newest_name) {
+            let (snapshot, damaged, source) = (Some(snapshot), Vec::new(), Source::Index);
+            return Ok(Newest { snapshot, source, known, damaged, index: state });
+        }
+        let (snapshot, damaged) = checkpoints.load(spec).map_err(open_io(&checkpoints.folder))?;
+        let position = |snapshot: &Option<MapSnapshot>| snapshot.as_ref().map(|snapshot| snapshot.position);
+        if indexed.is_some() && position(&indexed) >= position(&snapshot) {
+            return Ok(Newest { snapshot: indexed, source: Source::Index, known, damaged, index: state });
+        }
+        if indexed.is_some() {
+            state = IndexState::Stale("it is older than the newest checkpoint");
+        }
+        let source = if snapshot.is_some() { Source::Checkpoint } else { Source::Log };
+        Ok(Newest { snapshot, source, known, damaged, index: state })
+    }
+
+    fn open_log(
+        &self,
+        map: MapId,
+        folder: &Path,
+        replay_from: u64,
+        recovered: Recovered,
+    ) -> Result<(MapLog, Replay, Vec<Report>), OpenError> {
+        let Recovered { segments, cursor, progress, reports } = recovered;
+        let newest = segments.last().copied().unwrap_or(1);
+        let writer = LogWriter::open(&self.disk, folder.to_owned(), map.0, newest, cursor, self.options.segment_bytes)
+            .map_err(open_io(folder))?;
+        let end = writer.end();
+        let log = Arc::new(Log::new(map.0, writer, progress));
+        let mut maps = self.maps();
+        let entry: &mut Entry = maps.entries.get_mut(&map).ok_or(OpenError::UnknownMap(map))?;
+        entry.log = Some(Arc::clone(&log));
+        drop(maps);
+        let replay = Replay::new(Arc::clone(&self.disk), folder.to_owned(), segments, replay_from, end);
+        Ok((MapLog::new(log, Arc::clone(&self.committer)), replay, reports))
+    }
+
+    /// Brings the index to the snapshot that is used. Whatever fails here only costs the index.
+    fn repair_index(&self, map: MapId, snapshot: Option<&MapSnapshot>, state: IndexState, reports: &mut Vec<Report>) {
+        let mut index = self.index();
+        let reason = match state {
+            IndexState::Good => return,
+            IndexState::Stale(reason) => reason.to_owned(),
+            IndexState::Damaged(damage) => {
+                match index.replace() {
+                    Ok(folder) => reports.push(Report::IndexSetAside { folder, reason: damage.clone() }),
+                    Err(reason) => reports.push(Report::IndexUnavailable { reason }),
+                }
+                damage
+            }
+        };
+        match snapshot {
+            Some(snapshot) if index.is_available() => {
+                index.save(map.0, snapshot, &[]);
+                if !reason.is_empty() {
+                    reports.push(Report::IndexRebuilt { map, reason });
+                }
+            }
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! A data directory with known content, and the question whether it still has it.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::{Arc, mpsc},
+};
+
+use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_map::{
+    event::{
+        Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind, UpdateCause,
+        UpdateStart,
+    },
+    name::{MapName, ProducerKey, StateName},
+    snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
+    spec::MapSpec,
+};
+use tidemap_model::{
+    LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Sample,
+    SpectralModel, StateModel, Zone,
+};
+
+use crate::{AppendError, MapId, MapLog, OpenError, OpenedMap, Source, Store, StoreOptions};
+
+pub(crate) const STORE_ID: &str = "00112233445566778899aabbccddeeff";
+const HOUR_NANOS: i64 = 3_600_000_000_000;
+
+pub(crate) fn options() -> StoreOptions {
+    StoreOptions { new_store_id: STORE_ID.to_owned(), ..StoreOptions::default() }
+}
+
+pub(crate) fn spec(name: &str) -> MapSpec {
+    MapSpec {
+        name: MapName::new(name).expect("valid"),
+        zone: Zone::named("Europe/Prague").expect("known"),
+        periodicities: Periodicities::harmonics(24 * HOUR_NANOS, 130).expect("valid"),
+        criterion: OrderCriterion::SquaredError,
+        created_nanos: 1_700_000_000_000_000_000,
+    }
+}
+
+/// An event whose content follows from its position.
+pub(crate) fn event(position: u64) -> Event {
+    let mut random = SmallRng::seed_from_u64(position);
+    if position.is_multiple_of(5) {
+        let cut_nanos = position as i64 * HOUR_NANOS;
+        return Event::UpdateStart(UpdateStart { generation: position / 5, cut_nanos, cause: UpdateCause::Midnight });
+    }
+    let count = random.random_range(1..40);
+    let is_first = position == 1;
+    Event::Observations(Observations {
+        producer: ProducerId(0),
+        new_producer: is_first.then(|| ProducerKey::new("robot", "door").expect("valid")),
+        incarnation: 1,
+        first_sequence: position * 100,
+        last_sequence: position * 100 + 60,
+        content_crc: random.random(),
+        received_nanos: position as i64 * HOUR_NANOS,
+        new_states: (0..if is_first { 3 } else { 0 })
+            .map(|id| NewState {
+                id: StateId(id),
+                name: StateName::new(&format!("state {id}")).expect("valid"),
+                kind: StateKind::Probability,
+            })
+            .collect(),
+        states: (0..count).map(|_| StateId(random.random_range(0..3))).collect(),
+        times_nanos: (0..count as i64).map(|i| position as i64 * HOUR_NANOS + i * 1_000_000_000).collect(),
+        values: (0..count).map(|_| f64::from(random.random_range(0..2_u8))).collect(),
+        offsets: vec![OffsetRun { count, offset_secs: 3600 }],
+        refused: vec![(position * 100 + 60, RefusalReason::Value)],
+    })
+}
+
+/// A snapshot whose content follows from its position.
+pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnapshot {
+    let mut random = SmallRng::seed_from_u64(position ^ 0xABCD);
+    let states = (0..states).map(|id| state(spec, &format!("state {id}"), &mut random)).collect();
+    MapSnapshot {
+        position,
+        replay_from: position.saturating_sub(2).max(1),
+        generation: position / 5,
+        cut_nanos: position as i64 * HOUR_NANOS,
+        newest_nanos: position as i64 * HOUR_NANOS + 5,
+        producers: vec![ProducerMark {
+            key: ProducerKey::new("robot", "door").expect("valid"),
+            incarnation: 1,
+            durable_sequence: position * 100,
+            content_crc: random.random(),
+        }],
+        states,
+    }
+}
+
+pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateSnapshot {
+    let mut model = StateModel::new(&spec.periodicities);
+    let samples: Vec<Sample> = (0..random.random_range(0..100_i64))
+        .map(|i| Sample {
+            utc_nanos: i * HOUR_NANOS,
+            offset_secs: 3600,
+            value: f64::from(random.random_range(0..2_u8)),
+        })
+        .collect();
+    model.update(&spec.periodicities, spec.criterion, samples);
+    let sums = std::array::from_fn(|_| random.random_range(0.0..9.0));
+    let errors = OrderErrors::from_parts(OrderErrorsParts { sums, last_day: Some(LocalDay(19_000)) }).expect("valid");
+    let spectral = SpectralModel::from_parts(
+        model.spectral().mean(),
+        model.spectral().observations(),
+        model.spectral().components().to_vec(),
+    );
+    let model = StateModel::from_parts(model.accumulator().clone(), spectral.expect("valid"), 2, errors);
+    let persistence = PersistenceParts { pairs: 7, change_rate_sum: random.random(), last: Some((77, random.random())) };
+    StateSnapshot {
+        name: StateName::new(name).expect("valid"),
+        kind: StateKind::Probability,
+        observations: random.random(),
+        persistence: Persistence::from_parts(persistence).expect("valid"),
+        model: Arc::new(model.expect("valid")),
+    }
+}
+
+/// Appends and waits until it is durable.
+pub(crate) fn append(log: &MapLog, event: &Event) -> Result<u64, AppendError> {
+    let (sender, receiver) = mpsc::channel();
+    log.append(event, Box::new(move |result| sender.send(result).expect("waiting")))?;
+    receiver.recv().expect("answered")
+}
+
+/// What the example's map must be.
+pub(crate) struct Example {
+    pub(crate) spec: MapSpec,
+    pub(crate) snapshots: Vec<MapSnapshot>,
+    pub(crate) end: u64,
+}
+
+/// Fills a data directory: a map, `end` records, snapshots at these positions. Closes it.
+pub(crate) fn fill(directory: &Path, end: u64, snapshots_at: &[u64], segment_bytes: u64) -> Example {
+    let spec = spec("office");
+    let store = Store::open(directory, StoreOptions { segment_bytes, ..options() }).expect("opens");
+    let map = store.create_map(&spec).expect("creates");
+    assert_eq!(map, MapId(1));
+    let opened = store.open_map(map, &spec).expect("opens");
+    assert_eq!(opened.source, Source::Empty);
+    let mut snapshots = Vec::new();
+    for position in 1..=end {
+        assert_eq!(append(&opened.log, &event(position)), Ok(position));
+        if snapshots_at.contains(&position) {
+            let snapshot = snapshot(&spec, position, 3);
+            let changed: Vec<StateId> = (0..3).map(StateId).collect();
+            store.save(map, &snapshot, &changed).expect("saves");
+            snapshots.push(snapshot);
+        }
+    }
+    store.close();
+    Example { spec, snapshots, end }
+}
+
+impl Example {
+    /// Opens the directory and checks the map to the last bit. An error is how the store may refuse.
+    pub(crate) fn check(&self, directory: &Path) -> Result<OpenedMap, OpenError> {
+        let store = Store::open(directory, options())?;
+        assert_eq!(store.store_id(), STORE_ID);
+        assert_eq!(store.maps(), [(MapId(1), self.spec.clone())]);
+        let mut opened = store.open_map(MapId(1), &self.spec)?;
+        let from = match &opened.snapshot {
+            Some(snapshot) => {
+                assert!(self.snapshots.contains(snapshot), "another snapshot than any that was saved");
+                snapshot.replay_from
+            }
+            None => 1,
+        };
+        let mut expected = from;
+        for item in &mut opened.replay {
+            let (position, found) = item?;
+            assert_eq!(position, expected);
+            assert_eq!(found, event(position), "record {position}");
+            expected += 1;
+        }
+        assert_eq!(expected, self.end + 1, "records are missing");
+        assert_eq!(opened.log.end(), self.end);
+        Ok(opened)
+    }
+}
+
+/// Copies a directory.
+pub(crate) fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).expect("writable");
+    for entry in fs::read_dir(from).expect("readable") {
+        let entry = entry.expect("readable");
+        let target = to.join(entry.file_name());
+        if entry.file_type().expect("readable").is_dir() {
+            copy(&entry.path(), &target);
+        } else {
+            fs::copy(entry.path(), target).expect("copied");
+        }
+    }
+}
+
+/// Every file below a directory with its content, and every folder.
+pub(crate) fn content(directory: &Path) -> Vec<(PathBuf, Option<Vec<u8>>)> {
+    let mut all = Vec::new();
+    for entry in fs::read_dir(directory).expect("readable") {
+        let path = entry.expect("readable").path();
+        if path.is_dir() {
+            all.extend(content(&path));
+            all.push((path, None));
+        } else {
+            all.push((path.clone(), Some(fs::read(path).expect("readable"))));
+        }
+    }
+    all.sort();
+    all
+}
+
+/// The only segment of the example's log.
+pub(crate) fn segment(directory: &Path) -> PathBuf {
+    directory.join("maps/00000001/log/00000000000000000001.log")
+}
