@@ -1,0 +1,74 @@
+# tidemap. Every target does its own set-up on a fresh Debian or Ubuntu with git, make, a network and root or sudo;
+# deploy/setup.sh says what it installs, and is silent where nothing is missing.
+
+.DEFAULT_GOAL := help
+.PHONY: help build demo test lint bench durability install clean
+# The recipes of this file share one cargo, and cargo has its own jobs.
+.NOTPARALLEL:
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+SETUP := deploy/setup.sh
+ENV := . target/setup.env
+PREFIX ?= /usr/local
+
+## help: the targets of this file
+help:
+	@sed -n 's/^## \([a-z]*\): /  make \1\t/p' Makefile | expand -t 20
+
+## build: the daemon and the command line, optimised
+build:
+	@$(SETUP)
+	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap
+
+## demo: a simulated office, weeks of robots' observations, and what is learned from them
+demo: build
+	@$(ENV); cargo run --quiet --release --locked -p tidemap -- demo $(ARGS)
+
+## test: all tests
+test:
+	@$(SETUP) test
+	@$(ENV); cargo build --workspace --bins --locked
+	@$(ENV); if [ "$$NEXTEST" = yes ]; then \
+		cargo nextest run --workspace --locked; \
+	else \
+		cargo test --workspace --lib --bins --tests --locked; \
+	fi
+	@$(ENV); cargo test --workspace --doc --locked
+
+## lint: formatting, lints, and the policy on dependencies where cargo-deny is installed
+lint:
+	@$(SETUP)
+	@$(ENV); cargo fmt --all --check
+	@$(ENV); cargo clippy --workspace --all-targets --locked -- -D warnings
+	@$(ENV); if command -v cargo-deny >/dev/null; then \
+		cargo deny --locked check; \
+	else \
+		echo "lint: cargo-deny is not installed; deny.toml was not checked"; \
+	fi
+
+## bench: the benchmarks of the libraries
+bench:
+	@$(SETUP)
+	@$(ENV); cargo bench --workspace --locked --benches $(ARGS)
+
+## durability: many rounds of kill -9 and power cuts against the real daemon
+durability: export TIDEMAP_KILL_ROUNDS ?= 100
+durability: export TIDEMAP_POWERCUT_ROUNDS ?= 20
+durability:
+	@$(SETUP) test
+	@$(ENV); cargo build --release --workspace --bins --locked
+	@$(ENV); if [ "$$NEXTEST" = yes ]; then \
+		cargo nextest run --release --locked --workspace --profile durability -E 'test(durability)'; \
+	else \
+		cargo test --release --locked --workspace --tests durability -- --nocapture --test-threads 1; \
+	fi
+
+## install: both programs, into PREFIX/bin (default /usr/local)
+install: build
+	@$(ENV); dir=$${CARGO_TARGET_DIR:-target}/release; \
+		install -D -m 755 -t "$(DESTDIR)$(PREFIX)/bin" "$$dir/tidemapd" "$$dir/tidemap"
+
+## clean: removes what was built
+clean:
+	@rm -rf target

@@ -1,0 +1,43 @@
+//! The cleaner's round in the evening.
+//!
+//! Invariant: one room at a time, each once, with its door open.
+
+use jiff::civil::Date;
+
+use crate::{
+    draw::{Topic, around, draws},
+    people::closed,
+    place::{PLACES, Place},
+};
+
+/// When the cleaner enters each room, and leaves the last, in seconds of the day. Empty on days without a round.
+pub(crate) struct Round {
+    enters_secs: Vec<i32>,
+    leaves_secs: i32,
+}
+
+impl Round {
+    /// The round of a date.
+    pub(crate) fn new(seed: u64, date: Date) -> Self {
+        if closed(date) {
+            return Self { enters_secs: Vec::new(), leaves_secs: 0 };
+        }
+        let mut rng = draws(seed, Topic::Cleaner, 0, date);
+        let mut clock = around(&mut rng, 19 * 3600, 5 * 60);
+        let enters_secs = PLACES
+            .iter()
+            .map(|_| {
+                let enters = clock;
+                clock += around(&mut rng, 14 * 60, 2 * 60);
+                enters
+            })
+            .collect();
+        Self { enters_secs, leaves_secs: clock }
+    }
+
+    /// Where the cleaner is, if in the building.
+    pub(crate) fn place(&self, second: i32) -> Option<Place> {
+        let room = self.enters_secs.partition_point(|&enters| enters <= second).checked_sub(1)?;
+        (second < self.leaves_secs).then(|| PLACES[room])
+    }
+}

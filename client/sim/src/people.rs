@@ -1,0 +1,167 @@
+//! The people who work in the office, and where each is in the course of a day.
+//!
+//! Invariant: times are seconds on the wall clock of the local day; routines never see UTC.
+
+use jiff::civil::{Date, Weekday};
+use rand::Rng;
+
+use crate::{
+    draw::{Topic, around, draws},
+    place::Place,
+};
+
+const MINUTE: i32 = 60;
+const HOUR: i32 = 60 * MINUTE;
+
+/// Habits of one person.
+struct Person {
+    office: usize,
+    arrives_secs: i32,
+    leaves_secs: i32,
+    /// How much arrival and leaving vary.
+    spread_secs: i32,
+    /// Afternoons spent in the lab.
+    lab_days: &'static [Weekday],
+}
+
+const PEOPLE: [Person; 6] = [
+    Person {
+        office: 0,
+        arrives_secs: 8 * HOUR,
+        leaves_secs: 16 * HOUR + 30 * MINUTE,
+        spread_secs: 10 * MINUTE,
+        lab_days: &[],
+    },
+    Person {
+        office: 0,
+        arrives_secs: 9 * HOUR,
+        leaves_secs: 17 * HOUR + 30 * MINUTE,
+        spread_secs: 15 * MINUTE,
+        lab_days: &[Weekday::Monday, Weekday::Wednesday],
+    },
+    Person {
+        office: 1,
+        arrives_secs: 9 * HOUR + 15 * MINUTE,
+        leaves_secs: 17 * HOUR + 30 * MINUTE,
+        spread_secs: 15 * MINUTE,
+        lab_days: &[Weekday::Monday, Weekday::Wednesday, Weekday::Friday],
+    },
+    Person {
+        office: 1,
+        arrives_secs: 8 * HOUR + 45 * MINUTE,
+        leaves_secs: 17 * HOUR,
+        spread_secs: 10 * MINUTE,
+        lab_days: &[Weekday::Wednesday],
+    },
+    Person {
+        office: 2,
+        arrives_secs: 10 * HOUR,
+        leaves_secs: 18 * HOUR + 30 * MINUTE,
+        spread_secs: 25 * MINUTE,
+        lab_days: &[Weekday::Tuesday, Weekday::Thursday],
+    },
+    Person {
+        office: 2,
+        arrives_secs: 9 * HOUR + 30 * MINUTE,
+        leaves_secs: 18 * HOUR,
+        spread_secs: 20 * MINUTE,
+        lab_days: &[Weekday::Monday],
+    },
+];
+
+/// From, to and where, in seconds of the day.
+type Stay = (i32, i32, Place);
+
+/// One person's working day: a time at work, and what interrupts work at the desk, the most binding first.
+pub(crate) struct Presence {
+    desk: Stay,
+    elsewhere: Vec<Stay>,
+}
+
+impl Presence {
+    /// Where the person is, if in the building.
+    pub(crate) fn place(&self, second: i32) -> Option<Place> {
+        let holds = |&&(from, to, _): &&Stay| (from..to).contains(&second);
+        Some(&self.desk).filter(holds).map(|desk| self.elsewhere.iter().find(holds).unwrap_or(desk).2)
+    }
+
+    /// Whether the person is in the building.
+    pub(crate) fn present(&self, second: i32) -> bool {
+        self.place(second).is_some()
+    }
+}
+
+/// Nobody works at the weekend or on these days.
+pub(crate) fn closed(date: Date) -> bool {
+    matches!(date.weekday(), Weekday::Saturday | Weekday::Sunday)
+        || matches!((date.month(), date.day()), (1, 1) | (12, 25 | 26))
+}
+
+/// Who is in on a date, and when and where.
+pub(crate) fn presences(seed: u64, date: Date) -> Vec<Presence> {
+    if closed(date) {
+        return Vec::new();
+    }
+    let meetings = meetings(seed, date);
+    PEOPLE
+        .iter()
+        .enumerate()
+        .filter(|&(index, _)| !on_leave(seed, index, date))
+        .map(|(index, person)| presence(person, seed, index, date, &meetings))
+        .collect()
+}
+
+/// A person is away for whole weeks, now and then.
+fn on_leave(seed: u64, index: usize, date: Date) -> bool {
+    let monday = date.iso_week_date().first_of_week().map_or(date, |week| week.date());
+    draws(seed, Topic::Leave, index, monday).random_bool(0.04)
+        // Sick for a day.
+        || draws(seed, Topic::Leave, index + PEOPLE.len(), date).random_bool(0.03)
+}
+
+/// The meetings of a date, as (from, to).
+fn meetings(seed: u64, date: Date) -> Vec<(i32, i32)> {
+    let mut rng = draws(seed, Topic::Meeting, 0, date);
+    let mut meetings = Vec::new();
+    let weekly = match date.weekday() {
+        Weekday::Tuesday => Some((10 * HOUR, 11 * HOUR + 30 * MINUTE)),
+        Weekday::Thursday => Some((14 * HOUR, 15 * HOUR + 30 * MINUTE)),
+        _ => None,
+    };
+    if let Some((from, to)) = weekly {
+        meetings.push((around(&mut rng, from, 2 * MINUTE), around(&mut rng, to, 8 * MINUTE)));
+    }
+    if rng.random_bool(0.25) {
+        let from = rng.random_range(9 * HOUR..16 * HOUR);
+        meetings.push((from, from + 40 * MINUTE));
+    }
+    meetings
+}
+
+fn presence(person: &Person, seed: u64, index: usize, date: Date, meetings: &[(i32, i32)]) -> Presence {
+    let mut rng = draws(seed, Topic::Person, index, date);
+    // On Fridays everybody goes early.
+    let early = if date.weekday() == Weekday::Friday { 2 * HOUR } else { 0 };
+    let arrives = around(&mut rng, person.arrives_secs, person.spread_secs);
+    let leaves = around(&mut rng, person.leaves_secs - early, person.spread_secs);
+
+    let mut elsewhere = Vec::new();
+    for &(from, to) in meetings {
+        if rng.random_bool(0.85) {
+            elsewhere.push((from, to, Place::MeetingRoom));
+        }
+    }
+    let lunch = around(&mut rng, 12 * HOUR + 30 * MINUTE, 20 * MINUTE);
+    elsewhere.push((lunch, lunch + around(&mut rng, 40 * MINUTE, 5 * MINUTE), Place::Kitchen));
+    for (coffee, chance) in [(10 * HOUR + 30 * MINUTE, 0.5), (15 * HOUR + 30 * MINUTE, 0.5)] {
+        if rng.random_bool(chance) {
+            let from = around(&mut rng, coffee, 20 * MINUTE);
+            elsewhere.push((from, from + around(&mut rng, 15 * MINUTE, 3 * MINUTE), Place::Kitchen));
+        }
+    }
+    if person.lab_days.contains(&date.weekday()) {
+        let from = around(&mut rng, 13 * HOUR + 30 * MINUTE, 10 * MINUTE);
+        elsewhere.push((from, from + around(&mut rng, 3 * HOUR, 15 * MINUTE), Place::Lab));
+    }
+    Presence { desk: (arrives, leaves, Place::Office(person.office)), elsewhere }
+}

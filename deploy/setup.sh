@@ -1,0 +1,132 @@
+#!/usr/bin/env bash
+# Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
+# rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use.
+#
+#   deploy/setup.sh [test]      `test` adds cargo-nextest, strace, e2fsprogs, util-linux
+#   TIDEMAP_SETUP_DRY_RUN=1     says what it would do, and does nothing
+#
+# Says nothing where nothing is missing, and then needs no network. Writes target/setup.env, which recipes read.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+NEXTEST_VERSION=0.9.143
+wanted=$(sed -n 's/^channel = "\(.*\)"/\1/p' rust-toolchain.toml)
+dry=${TIDEMAP_SETUP_DRY_RUN:-}
+goal=${1:-build}
+toolchain=""
+
+say() { echo "setup: $*" >&2; }
+fail() { say "$*"; exit 1; }
+have() { command -v "$1" >/dev/null 2>&1; }
+run() { if [ -n "$dry" ]; then say "would run: $*"; else "$@"; fi; }
+
+as_root() {
+    if [ "$(id -u)" = 0 ]; then
+        run "$@"
+    elif have sudo; then
+        run sudo -- "$@"
+    else
+        return 1
+    fi
+}
+
+# install PACKAGE...: Debian packages, one update per run.
+updated=""
+install() {
+    have apt-get && { [ "$(id -u)" = 0 ] || have sudo; } || return 1
+    say "installing packages: $*"
+    if [ -z "$updated" ]; then
+        as_root apt-get update -q=2 || say "apt-get update failed; going on with what is known"
+        updated=yes
+    fi
+    as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q=2 --no-install-recommends "$@" >/dev/null
+}
+
+# --- a linker -------------------------------------------------------------------------------------------------------
+if ! have cc || ! { [ -e /usr/include/stdlib.h ] || echo '#include <stdlib.h>' | cc -E - >/dev/null 2>&1; }; then
+    install gcc libc6-dev || fail "a C compiler is missing: install gcc and libc6-dev (needs root or sudo, and apt-get)"
+fi
+
+# --- the Rust toolchain ---------------------------------------------------------------------------------------------
+# What was installed for this user, and is about to be, may not be on the PATH of this shell.
+cargo_bin=${CARGO_HOME:-$HOME/.cargo}/bin
+PATH="$PATH:$cargo_bin"
+
+# new_enough COMMAND...: whether this cargo runs, and is at least the version wanted. Never fetches one by itself.
+new_enough() {
+    local found
+    found=$(RUSTUP_AUTO_INSTALL=0 "$@" --version 2>/dev/null | awk '{ print $2; exit }') || return 1
+    [ -n "$found" ] && [ "$(printf '%s\n' "$wanted" "$found" | sort -V | head -n 1)" = "$wanted" ]
+}
+
+# Another installed toolchain that will do, where the pinned one is not installed.
+other_toolchain() {
+    have rustup || return 1
+    local name
+    for name in $(rustup toolchain list 2>/dev/null | awk '{ print $1 }' | grep -v nightly); do
+        if new_enough env "RUSTUP_TOOLCHAIN=$name" cargo; then
+            toolchain=$name
+            return 0
+        fi
+    done
+    return 1
+}
+
+install_rustup() {
+    # Debian's rustup cannot stand beside Debian's cargo, which may be wanted for something else.
+    if ! have cargo && have apt-cache && [ -n "$(apt_candidate rustup)" ] && install rustup ca-certificates; then
+        return 0
+    fi
+    have curl || install curl ca-certificates || fail "curl is missing: install curl and ca-certificates"
+    say "installing rustup from https://sh.rustup.rs into ${CARGO_HOME:-$HOME/.cargo}"
+    if [ -n "$dry" ]; then return 0; fi
+    curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs |
+        sh -s -- -y -q --no-modify-path --profile minimal --default-toolchain none
+    PATH="$cargo_bin:$PATH"
+}
+
+apt_candidate() {
+    apt-cache policy "$1" 2>/dev/null | awk '$1 == "Candidate:" && $2 != "(none)" { print $2 }'
+}
+
+if ! new_enough cargo && ! other_toolchain; then
+    if ! have rustup; then
+        say "Rust $wanted is needed, and $(cargo --version 2>/dev/null || echo 'no cargo') is here"
+        # A package list is needed to know whether Debian has rustup.
+        if have apt-get && as_root apt-get update -q=2; then updated=yes; fi
+        install_rustup
+    fi
+    say "installing Rust $wanted"
+    run rustup toolchain install "$wanted" --profile minimal --component clippy --component rustfmt --no-self-update ||
+        fail "Rust $wanted could not be installed; is there a network?"
+    toolchain=$wanted
+fi
+
+# --- what the tests use, where it can be had ------------------------------------------------------------------------
+nextest=no
+if [ "$goal" = test ]; then
+    for tool in strace:strace mkfs.ext4:e2fsprogs losetup:util-linux; do
+        if ! PATH="$PATH:/usr/sbin:/sbin" have "${tool%%:*}"; then
+            install "${tool##*:}" || say "no ${tool##*:}: the durability tests that use it are skipped"
+        fi
+    done
+    if [ -n "$toolchain" ]; then export RUSTUP_TOOLCHAIN=$toolchain; fi
+    if have cargo-nextest; then
+        nextest=yes
+    else
+        say "installing cargo-nextest $NEXTEST_VERSION, once; this takes some minutes"
+        if run cargo install cargo-nextest --version "$NEXTEST_VERSION" --locked --quiet; then
+            nextest=yes
+        else
+            say "cargo-nextest could not be installed; the tests run with cargo test"
+        fi
+    fi
+fi
+
+if [ -n "$dry" ]; then exit 0; fi
+mkdir -p target
+{
+    printf 'export PATH=%q\n' "$PATH:/usr/sbin:/sbin"
+    if [ -n "$toolchain" ]; then printf 'export RUSTUP_TOOLCHAIN=%q\n' "$toolchain"; fi
+    echo "NEXTEST=$nextest"
+} >target/setup.env
