@@ -1,1 +1,19 @@
-//! (skeleton)
+//! The tidemap client: asks and feeds a map that knows *when* things change.
+//!
+//! [`Client`] reaches a daemon; its methods are in [`maps`], [`queries`] and [`updates`]. [`observe::Producer`] sends
+//! observations, each exactly once, whatever happens to connections.
+//!
+//! Invariant: times are i64 nanoseconds UTC and nothing here decides anything about maps or models; the daemon does.
+
+pub mod clock;
+pub mod connection;
+pub mod error;
+pub mod maps;
+pub mod observe;
+pub mod queries;
+pub mod time;
+pub mod updates;
+mod wire;
+
+pub use connection::Client;
+pub use error::Error;

@@ -1,1 +1,8 @@
+//! The daemon from outside, and the rules that hold the work tree together. One binary, so that it links once.
 
+mod bad_input;
+mod daemon;
+mod durability;
+mod main_job;
+mod model_test;
+mod tidy;

@@ -1,1 +1,17 @@
-//! (skeleton)
+//! What the tests from outside are made of: the real binaries as processes, observations that can be computed again,
+//! and what a daemon has to say after it took them.
+//!
+//! Invariant: nothing here links the daemon. A process that is started here does not outlive its handle, and what a
+//! daemon should answer is computed without it.
+
+pub mod answers;
+pub mod binaries;
+pub mod cli;
+pub mod daemon;
+pub mod disk;
+pub mod feed;
+pub mod herd;
+pub mod oracle;
+pub mod recordings;
+pub mod rounds;
+pub mod stream;

@@ -110,7 +110,8 @@ pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateS
         model.spectral().components().to_vec(),
     );
     let model = StateModel::from_parts(model.accumulator().clone(), spectral.expect("valid"), 2, errors);
-    let persistence = PersistenceParts { pairs: 7, change_rate_sum: random.random(), last: Some((77, random.random())) };
+    let persistence =
+        PersistenceParts { pairs: 7, change_rate_sum: random.random(), last: Some((77, random.random())) };
     StateSnapshot {
         name: StateName::new(name).expect("valid"),
         kind: StateKind::Probability,

@@ -55,7 +55,8 @@ fn only_as_many_checkpoints_are_kept_as_asked_for() {
     let directory = tempfile::tempdir().expect("temporary directory");
     fill(directory.path(), 30, &[5, 10, 15, 20], 64 << 20);
     let folder = directory.path().join("maps/00000001/checkpoints");
-    let mut names: Vec<_> = fs::read_dir(folder).expect("readable").map(|entry| entry.expect("entry").file_name()).collect();
+    let mut names: Vec<_> =
+        fs::read_dir(folder).expect("readable").map(|entry| entry.expect("entry").file_name()).collect();
     names.sort();
     assert_eq!(names, ["00000000000000000015.tmc", "00000000000000000020.tmc"]);
 }

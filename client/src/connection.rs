@@ -1,0 +1,213 @@
+//! The way to a daemon: address, token, connections.
+//!
+//! Invariant: at most 32 Observe streams share a connection, so that a server's limit of streams, and the flow control
+//! that streams of one connection share, do not hold up the others. Requests have a connection of their own.
+
+use std::{
+    fmt,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+
+use tonic::{
+    Status,
+    metadata::{Ascii, MetadataValue},
+    service::{Interceptor, interceptor::InterceptedService},
+    transport::{Channel, Endpoint},
+};
+
+use crate::error::Error;
+
+/// Streams that share a connection.
+const STREAMS_PER_CONNECTION: usize = 32;
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// A daemon whose machine is gone is noticed after the interval and the timeout.
+const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(20);
+const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// A gRPC channel that carries the token.
+pub type Connection = InterceptedService<Channel, Bearer>;
+
+/// Adds `authorization: Bearer …` to each request where there is a token.
+#[derive(Clone)]
+pub struct Bearer(Option<MetadataValue<Ascii>>);
+
+impl fmt::Debug for Bearer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.0.is_some() { "Bearer([redacted])" } else { "Bearer(none)" })
+    }
+}
+
+impl Interceptor for Bearer {
+    fn call(&mut self, mut request: tonic::Request<()>) -> Result<tonic::Request<()>, Status> {
+        if let Some(token) = &self.0 {
+            request.metadata_mut().insert("authorization", token.clone());
+        }
+        Ok(request)
+    }
+}
+
+/// A daemon, as seen from here. Cheap to clone; clones share connections.
+#[derive(Clone, Debug)]
+pub struct Client {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    server: String,
+    endpoint: Endpoint,
+    bearer: Bearer,
+    requests: Connection,
+    /// Streams open on each stream connection. Held for as long as it takes to count, by whoever opens or closes one.
+    streams: Mutex<Vec<(Connection, usize)>>,
+}
+
+impl Client {
+    /// Prepares the way to the daemon at `url`, which is `HOST:PORT` or `http://HOST:PORT`. Connections are opened when
+    /// they are needed, and opened anew after they broke.
+    ///
+    /// # Errors
+    /// [`Error::Address`].
+    pub fn new(url: &str) -> Result<Self, Error> {
+        Self::with_bearer(url, Bearer(None))
+    }
+
+    /// As [`Client::new`], with a token that is sent along with each request.
+    ///
+    /// # Errors
+    /// [`Error::Address`], [`Error::Token`].
+    pub fn with_token(url: &str, token: &str) -> Result<Self, Error> {
+        let mut value: MetadataValue<Ascii> = format!("Bearer {token}").parse().map_err(|_| Error::Token)?;
+        value.set_sensitive(true);
+        Self::with_bearer(url, Bearer(Some(value)))
+    }
+
+    /// As [`Client::new`], and makes sure that somebody listens there.
+    ///
+    /// # Errors
+    /// [`Error::Address`], [`Error::Unreachable`].
+    pub async fn connect(url: &str) -> Result<Self, Error> {
+        let client = Self::new(url)?;
+        match client.inner.endpoint.connect().await {
+            Ok(_) => Ok(client),
+            Err(error) => Err(Error::from_status(client.server(), &Status::from_error(Box::new(error)))),
+        }
+    }
+
+    fn with_bearer(url: &str, bearer: Bearer) -> Result<Self, Error> {
+        let server = normalised(url)?;
+        let endpoint = Endpoint::from_shared(server.clone())
+            .map_err(|_| Error::Address { url: url.to_owned(), hint: "" })?
+            .connect_timeout(CONNECT_TIMEOUT)
+            .http2_keep_alive_interval(KEEPALIVE_INTERVAL)
+            .keep_alive_timeout(KEEPALIVE_TIMEOUT)
+            .keep_alive_while_idle(true)
+            .tcp_nodelay(true);
+        let requests = InterceptedService::new(endpoint.connect_lazy(), bearer.clone());
+        let inner = Inner { server, endpoint, bearer, requests, streams: Mutex::new(Vec::new()) };
+        Ok(Self { inner: Arc::new(inner) })
+    }
+
+    /// The daemon's address.
+    #[must_use]
+    pub fn server(&self) -> &str {
+        &self.inner.server
+    }
+
+    /// The connection that requests share, for callers who speak the generated types themselves.
+    #[must_use]
+    pub fn requests(&self) -> Connection {
+        self.inner.requests.clone()
+    }
+
+    /// A place for one Observe stream on a connection with room for it.
+    #[must_use]
+    pub fn stream_place(&self) -> StreamPlace {
+        let mut streams = self.inner.streams.lock().unwrap_or_else(PoisonError::into_inner);
+        let index = streams.iter().position(|(_, open)| *open < STREAMS_PER_CONNECTION).unwrap_or_else(|| {
+            let channel = self.inner.endpoint.connect_lazy();
+            streams.push((InterceptedService::new(channel, self.inner.bearer.clone()), 0));
+            streams.len() - 1
+        });
+        streams[index].1 += 1;
+        StreamPlace { client: self.clone(), index, connection: streams[index].0.clone() }
+    }
+
+    pub(crate) fn error(&self, status: &Status) -> Error {
+        Error::from_status(self.server(), status)
+    }
+}
+
+/// One of the places for streams on a connection; given back when dropped.
+#[derive(Debug)]
+pub struct StreamPlace {
+    client: Client,
+    index: usize,
+    connection: Connection,
+}
+
+impl StreamPlace {
+    /// The connection.
+    #[must_use]
+    pub fn connection(&self) -> Connection {
+        self.connection.clone()
+    }
+}
+
+impl Drop for StreamPlace {
+    fn drop(&mut self) {
+        let mut streams = self.client.inner.streams.lock().unwrap_or_else(PoisonError::into_inner);
+        streams[self.index].1 -= 1;
+    }
+}
+
+fn normalised(url: &str) -> Result<String, Error> {
+    let wrong = |hint| Error::Address { url: url.to_owned(), hint };
+    let with_scheme = match url.split_once("://") {
+        Some(("http", _)) => url.to_owned(),
+        Some(("https", _)) => return Err(wrong("; https is not in this version")),
+        Some(_) => return Err(wrong("")),
+        None => format!("http://{url}"),
+    };
+    let authority = with_scheme["http://".len()..].trim_end_matches('/');
+    let port = authority.rsplit_once(':').and_then(|(host, port)| port.parse::<u16>().ok().filter(|_| !host.is_empty()));
+    match port {
+        Some(0) | None => Err(wrong("; the port is missing or not a number from 1 to 65535")),
+        Some(_) => Ok(format!("http://{authority}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_may_leave_out_the_scheme() {
+        for (url, server) in [
+            ("127.0.0.1:7435", "http://127.0.0.1:7435"),
+            ("http://robot.local:1/", "http://robot.local:1"),
+            ("[::1]:7435", "http://[::1]:7435"),
+        ] {
+            assert_eq!(normalised(url), Ok(server.to_owned()));
+        }
+        for url in ["", "localhost", "localhost:http", ":7435", "localhost:0", "https://localhost:7435", "ftp://a:1"] {
+            assert!(matches!(normalised(url), Err(Error::Address { .. })), "{url}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_connection_carries_32_streams() -> Result<(), Error> {
+        let client = Client::new("127.0.0.1:1")?;
+        let mut places: Vec<_> = (0..33).map(|_| client.stream_place()).collect();
+        assert_eq!((places[31].index, places[32].index), (0, 1));
+        places.remove(0);
+        assert_eq!(client.stream_place().index, 0, "a place that was given back is taken again");
+        Ok(())
+    }
+
+    #[test]
+    fn a_token_is_not_shown() {
+        assert!(!format!("{:?}", Bearer("Bearer secret".parse().ok())).contains("secret"));
+    }
+}

@@ -1,0 +1,168 @@
+//! What can go wrong when the daemon is asked something.
+//!
+//! Invariant: what to do about an error follows from its variant and its status code, never from a message's text; the
+//! messages are for people and are passed on whole.
+
+use std::{error::Error as StdError, io};
+
+use tonic::{Code, Status};
+use tonic_types::StatusExt as _;
+
+/// Why a request failed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Error {
+    /// The address is not one.
+    #[error("{url:?} is not an address of a daemon: use HOST:PORT or http://HOST:PORT{hint}")]
+    Address {
+        /// The address.
+        url: String,
+        /// What else is worth knowing.
+        hint: &'static str,
+    },
+    /// The token cannot be sent.
+    #[error("the token holds characters that cannot be sent: use printable ASCII on one line")]
+    Token,
+    /// Nobody answers there.
+    #[error("no daemon answers at {server}: {detail}")]
+    Unreachable {
+        /// Where.
+        server: String,
+        /// What the operating system says.
+        detail: String,
+    },
+    /// The daemon refused, or failed.
+    #[error("{0}")]
+    Server(ServerError),
+    /// The daemon sent what the protocol does not allow.
+    #[error("the daemon's answer is not understood: {0}; is it of another version?")]
+    Protocol(&'static str),
+}
+
+/// An answer of the daemon that is an error.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{message}{}", shown_fields(message, fields))]
+pub struct ServerError {
+    /// The status code, which says what to do.
+    pub code: Code,
+    /// For people.
+    pub message: String,
+    /// The fields of the request that were wrong.
+    pub fields: Vec<WrongField>,
+}
+
+/// A field of a request that was wrong.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WrongField {
+    /// Its path, for example `periodicities.harmonics.count`.
+    pub field: String,
+    /// What is wrong with it.
+    pub description: String,
+}
+
+/// The fields whose description the message does not already give.
+fn shown_fields(message: &str, fields: &[WrongField]) -> String {
+    fields
+        .iter()
+        .filter(|wrong| !message.contains(&wrong.description))
+        .map(|wrong| format!("; {}: {}", wrong.field, wrong.description))
+        .collect()
+}
+
+impl Error {
+    /// Reads a status that came from `server`, or from the way there.
+    pub(crate) fn from_status(server: &str, status: &Status) -> Self {
+        match transport_cause(status) {
+            Some(detail) => Self::Unreachable { server: server.to_owned(), detail },
+            None => Self::Server(ServerError::from_status(status)),
+        }
+    }
+
+    /// Whether the same request may succeed later.
+    #[must_use]
+    pub fn is_transient(&self) -> bool {
+        match self {
+            Self::Unreachable { .. } => true,
+            Self::Server(error) => error.is_transient(),
+            Self::Address { .. } | Self::Token | Self::Protocol(_) => false,
+        }
+    }
+
+    /// The status code, where the daemon answered with one.
+    #[must_use]
+    pub fn code(&self) -> Option<Code> {
+        match self {
+            Self::Server(error) => Some(error.code),
+            _ => None,
+        }
+    }
+}
+
+impl ServerError {
+    fn from_status(status: &Status) -> Self {
+        let fields = status.get_details_bad_request().map_or_else(Vec::new, |bad| {
+            let wrong = |violation: tonic_types::FieldViolation| WrongField {
+                field: violation.field,
+                description: violation.description,
+            };
+            bad.field_violations.into_iter().map(wrong).collect()
+        });
+        let message =
+            if status.message().is_empty() { status.code().description() } else { status.message() }.to_owned();
+        Self { code: status.code(), message, fields }
+    }
+
+    /// Whether the same request may succeed later. A connection that breaks in the middle arrives as one of several
+    /// codes, depending on the layer that noticed.
+    fn is_transient(&self) -> bool {
+        matches!(
+            self.code,
+            Code::Unavailable | Code::Unknown | Code::Internal | Code::Cancelled | Code::DeadlineExceeded
+        )
+    }
+}
+
+/// The innermost reason, where the status was made on this side because the connection failed.
+fn transport_cause(status: &Status) -> Option<String> {
+    let mut cause: &(dyn StdError + 'static) = status.source()?;
+    while let Some(inner) = cause.source() {
+        cause = inner;
+    }
+    let detail = match cause.downcast_ref::<io::Error>() {
+        Some(error) if error.kind() == io::ErrorKind::ConnectionRefused => "connection refused".to_owned(),
+        _ => cause.to_string(),
+    };
+    Some(detail)
+}
+
+#[cfg(test)]
+mod tests {
+    use tonic_types::ErrorDetails;
+
+    use super::*;
+
+    #[test]
+    fn a_status_keeps_its_code_message_and_fields() {
+        let details = ErrorDetails::with_bad_request_violation("time_zone", "\"Mars/Base\" is not an IANA time zone");
+        let status = Status::with_error_details(Code::InvalidArgument, "invalid map", details);
+        let error = Error::from_status("http://h:1", &status);
+        assert_eq!(error.code(), Some(Code::InvalidArgument));
+        assert_eq!(error.to_string(), "invalid map; time_zone: \"Mars/Base\" is not an IANA time zone");
+        assert!(!error.is_transient());
+    }
+
+    #[test]
+    fn a_field_that_the_message_names_is_not_said_twice() {
+        let details = ErrorDetails::with_bad_request_violation("name", "too long");
+        let status = Status::with_error_details(Code::InvalidArgument, "name: too long", details);
+        assert_eq!(Error::from_status("http://h:1", &status).to_string(), "name: too long");
+    }
+
+    #[test]
+    fn a_broken_connection_is_not_an_answer() {
+        let refused = io::Error::new(io::ErrorKind::ConnectionRefused, "os error 111");
+        let status = Status::from_error(Box::new(refused));
+        let error = Error::from_status("http://h:1", &status);
+        assert_eq!(error.to_string(), "no daemon answers at http://h:1: connection refused");
+        assert!(error.is_transient());
+    }
+}

@@ -1,0 +1,261 @@
+//! Creating, listing and deleting maps.
+//!
+//! Invariant: what a new map leaves out, the daemon fills in; no default is repeated here.
+
+use tidemap_proto::v1::{self, map_service_client::MapServiceClient, periodicities::Set};
+
+use crate::{
+    connection::{Client, Connection},
+    error::Error,
+    wire::{duration, instant, span},
+};
+
+/// Candidate periodicities, in nanoseconds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Periodicities {
+    /// `base_nanos` / 1, / 2, ... / `count`.
+    Harmonics {
+        /// The longest period.
+        base_nanos: i64,
+        /// How many.
+        count: u32,
+    },
+    /// Any periods.
+    List(Vec<i64>),
+}
+
+/// How the orders of the spectral model are compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum OrderCriterion {
+    /// By the squared difference between value and prediction.
+    #[default]
+    SquaredError,
+    /// By the share of values on the other side of 0.5 than their prediction.
+    ZeroOne,
+}
+
+/// A map to create.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct NewMap {
+    /// Its name.
+    pub name: String,
+    /// IANA time zone; UTC where absent.
+    pub time_zone: Option<String>,
+    /// Candidate periodicities; 168 harmonics of 7 days where absent.
+    pub periodicities: Option<Periodicities>,
+    /// How orders are compared.
+    pub order_criterion: OrderCriterion,
+}
+
+/// Where an update left a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct UpdateSummary {
+    /// Number of updates published so far.
+    pub generation: u64,
+    /// Observations before this instant are folded in.
+    pub cut_nanos: Option<i64>,
+}
+
+impl UpdateSummary {
+    pub(crate) fn from_wire(summary: Option<v1::UpdateSummary>) -> Self {
+        summary.map_or_else(Self::default, |summary| Self {
+            generation: summary.generation,
+            cut_nanos: instant(summary.cut),
+        })
+    }
+}
+
+/// A map.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Map {
+    /// Its name.
+    pub name: String,
+    /// IANA time zone by whose civil time the people on it live.
+    pub time_zone: String,
+    /// Candidate periodicities.
+    pub periodicities: Periodicities,
+    /// How orders are compared.
+    pub order_criterion: OrderCriterion,
+    /// When it was created.
+    pub created_nanos: Option<i64>,
+    /// Number of states.
+    pub states: u64,
+    /// Acknowledged observations, refused ones not counted.
+    pub observations: u64,
+    /// Observations that no update has folded in yet.
+    pub pending_observations: u64,
+    /// The last update.
+    pub last_update: UpdateSummary,
+}
+
+/// What the value of a state means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum StateKind {
+    /// A value in [0, 1].
+    Probability,
+    /// A kind that this version does not know.
+    Other,
+}
+
+impl StateKind {
+    /// As the command line writes it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Probability => "probability",
+            Self::Other => "other",
+        }
+    }
+
+    pub(crate) fn from_wire(kind: v1::StateKind) -> Self {
+        match kind {
+            v1::StateKind::Probability => Self::Probability,
+            v1::StateKind::Unspecified => Self::Other,
+        }
+    }
+}
+
+/// A state of a map.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct State {
+    /// Its name.
+    pub name: String,
+    /// Its kind.
+    pub kind: StateKind,
+    /// Acknowledged observations of it.
+    pub observations: u64,
+    /// Order of its model in force.
+    pub order: u32,
+    /// Time of the newest observation.
+    pub last_nanos: Option<i64>,
+}
+
+impl Client {
+    fn map_service(&self) -> MapServiceClient<Connection> {
+        MapServiceClient::new(self.requests())
+    }
+
+    /// Creates an empty map and gives it with the defaults filled in.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `ALREADY_EXISTS` where the name is taken, `INVALID_ARGUMENT` where a value is wrong.
+    pub async fn create_map(&self, map: NewMap) -> Result<Map, Error> {
+        let criterion = match map.order_criterion {
+            OrderCriterion::SquaredError => v1::OrderCriterion::SquaredError,
+            OrderCriterion::ZeroOne => v1::OrderCriterion::ZeroOne,
+        };
+        let request = v1::CreateMapRequest {
+            name: map.name,
+            time_zone: map.time_zone.unwrap_or_default(),
+            periodicities: map.periodicities.map(periodicities_to_wire),
+            order_criterion: criterion.into(),
+        };
+        let response = self.map_service().create_map(request).await.map_err(|status| self.error(&status))?;
+        map_from_wire(response.into_inner().map)
+    }
+
+    /// One map.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is none of that name.
+    pub async fn map(&self, name: &str) -> Result<Map, Error> {
+        let request = v1::GetMapRequest { name: name.to_owned() };
+        let response = self.map_service().get_map(request).await.map_err(|status| self.error(&status))?;
+        map_from_wire(response.into_inner().map)
+    }
+
+    /// All maps, ordered by name.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub async fn maps(&self) -> Result<Vec<Map>, Error> {
+        let mut maps = Vec::new();
+        let mut request = v1::ListMapsRequest { page_size: 1000, page_token: String::new() };
+        loop {
+            let response = self.map_service().list_maps(request.clone()).await.map_err(|status| self.error(&status))?;
+            let page = response.into_inner();
+            for map in page.maps {
+                maps.push(map_from_wire(Some(map))?);
+            }
+            if page.next_page_token.is_empty() {
+                return Ok(maps);
+            }
+            request.page_token = page.next_page_token;
+        }
+    }
+
+    /// Deletes a map with all it holds, for good.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is none of that name.
+    pub async fn delete_map(&self, name: &str) -> Result<(), Error> {
+        let request = v1::DeleteMapRequest { name: name.to_owned() };
+        self.map_service().delete_map(request).await.map_err(|status| self.error(&status))?;
+        Ok(())
+    }
+
+    /// A page of a map's states, in the order in which they were first seen, and the token of the next page. The first
+    /// page has the token "", and after the last one comes `None`.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    pub async fn states(&self, map: &str, page_token: &str) -> Result<(Vec<State>, Option<String>), Error> {
+        let request =
+            v1::ListStatesRequest { map: map.to_owned(), page_size: 10_000, page_token: page_token.to_owned() };
+        let response = self.map_service().list_states(request).await.map_err(|status| self.error(&status))?;
+        let page = response.into_inner();
+        let states = page.states.into_iter().map(state_from_wire).collect();
+        Ok((states, Some(page.next_page_token).filter(|token| !token.is_empty())))
+    }
+}
+
+fn periodicities_to_wire(periodicities: Periodicities) -> v1::Periodicities {
+    let set = match periodicities {
+        Periodicities::Harmonics { base_nanos, count } => {
+            Set::Harmonics(v1::Harmonics { base: Some(duration(base_nanos)), count })
+        }
+        Periodicities::List(periods) => {
+            Set::List(v1::PeriodList { periods: periods.into_iter().map(duration).collect() })
+        }
+    };
+    v1::Periodicities { set: Some(set) }
+}
+
+fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
+    let map = map.ok_or(Error::Protocol("no map in the answer"))?;
+    let order_criterion = match map.order_criterion() {
+        v1::OrderCriterion::ZeroOne => OrderCriterion::ZeroOne,
+        v1::OrderCriterion::SquaredError | v1::OrderCriterion::Unspecified => OrderCriterion::SquaredError,
+    };
+    let periodicities = match map.periodicities.and_then(|periodicities| periodicities.set) {
+        Some(Set::Harmonics(harmonics)) => Periodicities::Harmonics {
+            base_nanos: span(harmonics.base).unwrap_or_default(),
+            count: harmonics.count,
+        },
+        Some(Set::List(list)) => {
+            Periodicities::List(list.periods.into_iter().filter_map(|period| span(Some(period))).collect())
+        }
+        None => Periodicities::List(Vec::new()),
+    };
+    Ok(Map {
+        name: map.name,
+        time_zone: map.time_zone,
+        periodicities,
+        order_criterion,
+        created_nanos: instant(map.create_time),
+        states: map.states,
+        observations: map.observations,
+        pending_observations: map.pending_observations,
+        last_update: UpdateSummary::from_wire(map.last_update),
+    })
+}
+
+fn state_from_wire(state: v1::State) -> State {
+    State {
+        kind: StateKind::from_wire(state.kind()),
+        name: state.name,
+        observations: state.observations,
+        order: state.order,
+        last_nanos: instant(state.last_time),
+    }
+}

@@ -1,0 +1,122 @@
+//! Sending observations, each exactly once.
+//!
+//! [`Producer`] is what callers use. Behind it: [`window`] decides what is sent, kept and given up, without any I/O;
+//! [`columns`] packs; [`retry`] decides when to try again; `link` does the talking.
+//!
+//! Invariant: an observation handed to a producer is given its sequence number at once and is kept until the daemon
+//! says that it is durable, whatever happens to connections in between.
+
+pub mod columns;
+pub mod content;
+mod link;
+mod producer;
+pub mod retry;
+pub mod window;
+
+pub use producer::{Phase, Producer, ProducerOptions, Progress};
+
+use crate::error::Error;
+
+/// Most bytes of a state's name: 128 characters of 4 bytes.
+pub const STATE_NAME_BYTES_MAX: usize = 512;
+
+/// Why an observation was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum RefusalReason {
+    /// Not a number, infinite, or outside [0, 1].
+    Value,
+    /// Before 1970, or beyond what i64 nanoseconds hold.
+    Time,
+    /// The state's name is not valid.
+    StateName,
+    /// The state is not in the stream's table; a fault of this client.
+    StateIndex,
+    /// The map or the stream has as many states as it may.
+    StateLimit,
+    /// The state is of another kind.
+    StateKind,
+    /// A reason that this version does not know.
+    Other,
+}
+
+/// An observation that the daemon refused. It used up its sequence number.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Refusal {
+    /// Which.
+    pub sequence: u64,
+    /// The reason to act on.
+    pub reason: RefusalReason,
+    /// The reason to read.
+    pub detail: String,
+}
+
+/// Why a producer ended, or what it was asked cannot be done. Everything acknowledged before stays durable.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ProducerError {
+    /// No way to the daemon for longer than the patience allows.
+    #[error("gave up after {waited_secs} s: {last}")]
+    GaveUp {
+        /// How long.
+        waited_secs: u64,
+        /// The failure of the last attempt.
+        last: Error,
+    },
+    /// A newer stream of the same producer and label took over.
+    #[error("another stream of the same producer and label took over: {0}")]
+    Superseded(String),
+    /// The key is in use.
+    #[error("{0}")]
+    KeyInUse(String),
+    /// The daemon found a gap in the sequence numbers.
+    #[error("the daemon found a gap in the sequence numbers: {0}")]
+    OutOfSequence(String),
+    /// The disk of the daemon is full, or a limit is reached.
+    #[error("the daemon cannot take more: {0}")]
+    Exhausted(String),
+    /// The map does not exist.
+    #[error("{0}")]
+    MapNotFound(String),
+    /// The map was deleted meanwhile.
+    #[error("the map was deleted: {0}")]
+    MapDeleted(String),
+    /// The daemon could not make sense of a message.
+    #[error("{0}")]
+    Invalid(String),
+    /// The daemon's storage failed.
+    #[error("the daemon's storage failed: {0}")]
+    Storage(String),
+    /// The daemon lacks observations that it had acknowledged and that are no longer kept here.
+    #[error(
+        "the daemon has observations up to number {durable} only, but acknowledged those up to {acknowledged} earlier; \
+         those between are no longer kept here (was a backup restored?)"
+    )]
+    Lost {
+        /// What the daemon has now.
+        durable: u64,
+        /// What it had acknowledged.
+        acknowledged: u64,
+    },
+    /// The daemon has observations that this producer never sent.
+    #[error("the daemon has observations up to number {durable}, but only {sent} were sent from here")]
+    Foreign {
+        /// What the daemon has.
+        durable: u64,
+        /// What was sent.
+        sent: u64,
+    },
+    /// The daemon has other observations than were sent.
+    #[error("what the daemon has as observations 1 to {durable} differs from what was sent from here")]
+    Differs {
+        /// What the daemon has.
+        durable: u64,
+    },
+    /// A time before 1970 cannot be sent.
+    #[error("time {0} ns is before 1970")]
+    TimeBefore1970(i64),
+    /// A name that long cannot be sent.
+    #[error("a state's name of {0} bytes is too long: at most 128 characters are allowed")]
+    NameTooLong(usize),
+    /// Anything else that the daemon, or the way there, says.
+    #[error("{0}")]
+    Other(Error),
+}

@@ -1,0 +1,156 @@
+//! Packing observations into columns.
+//!
+//! Invariant: what is unpacked is what was packed, bit for bit; a packed message never exceeds the limits it was given.
+
+use tidemap_proto::v1::ObservationColumns;
+
+/// One observation, its state as an index into the sender's own table of names.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Entry {
+    /// Index into the sender's table.
+    pub state: u32,
+    /// Nanoseconds UTC, at least 0.
+    pub time_nanos: i64,
+    /// The value.
+    pub value: f64,
+}
+
+/// Upper bounds of what one message may hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BatchLimits {
+    /// Observations.
+    pub observations: usize,
+    /// Bytes of the encoded message.
+    pub bytes: usize,
+}
+
+/// Most bytes that an observation takes: a delta of 10, an index of 5, a value of 8.
+const ENTRY_BYTES_MAX: usize = 23;
+/// Bytes that a name takes beside itself, at most.
+const NAME_BYTES_EXTRA: usize = 4;
+/// Bytes of everything else in a message, at most.
+const MESSAGE_BYTES_EXTRA: usize = 128;
+
+/// Which of the sender's states one stream knows already, and under which index.
+#[derive(Clone, Debug, Default)]
+pub struct StreamTable {
+    /// Stream index + 1 by the sender's index; 0 where the stream does not know the state.
+    known: Vec<u32>,
+    count: u32,
+}
+
+impl StreamTable {
+    fn knows(&self, state: u32) -> bool {
+        self.known.get(state as usize).is_some_and(|&index| index != 0)
+    }
+
+    /// The stream's index of a state, and whether it is new.
+    fn index(&mut self, state: u32) -> (u32, bool) {
+        let slot = state as usize;
+        if self.known.len() <= slot {
+            self.known.resize(slot + 1, 0);
+        }
+        if self.known[slot] != 0 {
+            return (self.known[slot] - 1, false);
+        }
+        self.count += 1;
+        self.known[slot] = self.count;
+        (self.count - 1, true)
+    }
+}
+
+/// How many of `entries` fit into one message, at least 1 where there is one.
+#[must_use]
+pub fn fitting<'a>(
+    entries: impl Iterator<Item = &'a Entry>,
+    names: &[Box<str>],
+    table: &StreamTable,
+    limits: BatchLimits,
+) -> usize {
+    let mut bytes = MESSAGE_BYTES_EXTRA;
+    let mut count = 0;
+    for entry in entries.take(limits.observations.max(1)) {
+        bytes += ENTRY_BYTES_MAX;
+        // A state that is new and appears twice in the message is counted twice: an upper bound is enough.
+        if !table.knows(entry.state) {
+            bytes += names.get(entry.state as usize).map_or(0, |name| name.len()) + NAME_BYTES_EXTRA;
+        }
+        if count > 0 && bytes > limits.bytes {
+            break;
+        }
+        count += 1;
+    }
+    count
+}
+
+/// Packs observations, whose times are at least 0, and extends the stream's table by the states that are new to it.
+#[must_use]
+pub fn pack(entries: &[Entry], names: &[Box<str>], table: &mut StreamTable) -> ObservationColumns {
+    let mut new_states = Vec::new();
+    let mut state_indices = Vec::with_capacity(entries.len());
+    for entry in entries {
+        let (index, new) = table.index(entry.state);
+        if new {
+            new_states.push(names.get(entry.state as usize).map_or_else(String::new, |name| name.to_string()));
+        }
+        state_indices.push(index);
+    }
+    if state_indices.iter().all(|&index| index == 0) {
+        state_indices.clear();
+    }
+    let first_time_nanos = entries.first().map_or(0, |entry| entry.time_nanos);
+    let (time_unit_nanos, time_deltas) = packed_times(first_time_nanos, entries);
+    let (bits, values) = packed_values(entries);
+    ObservationColumns {
+        time_unit_nanos,
+        first_time_nanos,
+        time_deltas,
+        state_indices,
+        new_states,
+        bits: bits.into(),
+        values,
+    }
+}
+
+/// Deltas in their greatest common unit: whole minutes cost a byte each instead of six.
+fn packed_times(first: i64, entries: &[Entry]) -> (u64, Vec<i64>) {
+    let mut previous = first;
+    let mut unit = 0;
+    let mut deltas = Vec::with_capacity(entries.len());
+    for entry in entries {
+        let delta = entry.time_nanos - previous;
+        previous = entry.time_nanos;
+        unit = greatest_common_divisor(unit, delta.unsigned_abs());
+        deltas.push(delta);
+    }
+    let unit = unit.max(1);
+    // Both are at most i64::MAX, because the unit divides a delta.
+    if let (2.., Ok(divisor)) = (unit, i64::try_from(unit)) {
+        deltas.iter_mut().for_each(|delta| *delta /= divisor);
+    }
+    (unit, deltas)
+}
+
+fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
+    while b != 0 {
+        (a, b) = (b, a % b);
+    }
+    a
+}
+
+/// Bits where every value is exactly 0 or 1; the sign of a negative zero would be lost in them.
+fn packed_values(entries: &[Entry]) -> (Vec<u8>, Vec<f64>) {
+    let (zero, one) = (0.0_f64.to_bits(), 1.0_f64.to_bits());
+    let binary = entries.iter().all(|entry| entry.value.to_bits() == zero || entry.value.to_bits() == one);
+    if !binary {
+        return (Vec::new(), entries.iter().map(|entry| entry.value).collect());
+    }
+    let mut bits = vec![0; entries.len().div_ceil(8)];
+    for (i, entry) in entries.iter().enumerate() {
+        bits[i / 8] |= u8::from(entry.value.to_bits() == one) << (i % 8);
+    }
+    (bits, Vec::new())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,50 @@
+//! The running checksum over what a producer has sent, by which both sides tell whether they mean the same data.
+//!
+//! Invariant: follows the definition at `Welcome.content_crc` in `observation.proto`, bit for bit.
+
+/// CRC-32C over observations in order.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ContentCrc(u32);
+
+impl ContentCrc {
+    /// Goes on from what the daemon has.
+    #[must_use]
+    pub fn from_value(value: u32) -> Self {
+        Self(value)
+    }
+
+    /// Adds the next observation.
+    pub fn add(&mut self, state: &str, time_nanos: i64, value: f64) {
+        let mut tail = [0; 16];
+        tail[..8].copy_from_slice(&time_nanos.to_le_bytes());
+        tail[8..].copy_from_slice(&value.to_bits().to_le_bytes());
+        self.0 = crc32c::crc32c_append(crc32c::crc32c_append(self.0, state.as_bytes()), &tail);
+    }
+
+    /// The checksum so far; 0 where nothing was added.
+    #[must_use]
+    pub fn value(self) -> u32 {
+        self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_checksum_is_that_of_the_bytes_in_a_row() {
+        let mut crc = ContentCrc::default();
+        assert_eq!(crc.value(), 0);
+        crc.add("door", 1, 0.5);
+        crc.add("", 0, 1.0);
+        let bytes = [
+            b"door".as_slice(),
+            &1_i64.to_le_bytes(),
+            &0.5_f64.to_le_bytes(),
+            &0_i64.to_le_bytes(),
+            &1.0_f64.to_le_bytes(),
+        ];
+        assert_eq!(crc.value(), crc32c::crc32c(&bytes.concat()));
+    }
+}

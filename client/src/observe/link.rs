@@ -1,0 +1,282 @@
+//! The task behind a producer: one connection after the other, a Hello on each, batches out, acknowledgements in.
+//!
+//! Invariant: decides nothing about observations; the window does. An end is final or followed by another attempt, by
+//! [`ending`] and [`refused`] alone.
+
+use std::{sync::Arc, time::Instant};
+
+use tidemap_proto::v1::{
+    Ack, Goodbye, GoodbyeReason, Hello, ObservationBatch, ObserveRequest, ObserveResponse, Welcome,
+    observation_service_client::ObservationServiceClient, observe_request, observe_response,
+};
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Code, Streaming};
+
+use super::{
+    ProducerError, Refusal, RefusalReason,
+    columns::{BatchLimits, Entry, StreamTable, fitting, pack},
+    producer::{Phase, Shared},
+    retry::Outage,
+    window::Window,
+};
+use crate::{
+    connection::{Client, StreamPlace},
+    error::{Error, ServerError},
+};
+
+/// Batches that wait to be written to the connection. More would only sit in memory twice.
+const QUEUED_BATCHES: usize = 2;
+
+/// How a connection ended.
+enum End {
+    /// Worth another attempt.
+    Broken(Error),
+    Final(ProducerError),
+}
+
+impl From<ProducerError> for End {
+    fn from(error: ProducerError) -> Self {
+        Self::Final(error)
+    }
+}
+
+pub(super) struct Link {
+    client: Client,
+    place: StreamPlace,
+    shared: Arc<Shared>,
+    /// The one from the last Welcome; 0 before the first.
+    incarnation: u64,
+    outage: Outage,
+    epoch: Instant,
+}
+
+impl Link {
+    pub(super) fn new(client: Client, shared: Arc<Shared>) -> Self {
+        let (place, outage) = (client.stream_place(), Outage::new(shared.options.patience));
+        Self { client, place, shared, incarnation: 0, outage, epoch: Instant::now() }
+    }
+
+    pub(super) async fn run(mut self) {
+        let mut said_hello = false;
+        loop {
+            let error = match self.connection().await {
+                // An earlier Hello, whose Welcome was lost with its connection, may hold the key until the daemon
+                // notices.
+                End::Final(ProducerError::KeyInUse(detail)) if said_hello && self.incarnation == 0 => {
+                    Error::Server(ServerError { code: Code::AlreadyExists, message: detail, fields: Vec::new() })
+                }
+                End::Final(error) => return self.finish(error),
+                End::Broken(error) => error,
+            };
+            said_hello = true;
+            let Some(delay) = self.outage.failed(self.epoch.elapsed()) else {
+                let waited_secs = self.outage.lasted(self.epoch.elapsed()).as_secs();
+                return self.finish(ProducerError::GaveUp { waited_secs, last: error });
+            };
+            self.shared.progress.send_modify(|progress| progress.phase = Phase::Waiting(error));
+            tokio::time::sleep(delay).await;
+        }
+    }
+
+    fn finish(&self, error: ProducerError) {
+        self.shared.progress.send_modify(|progress| progress.phase = Phase::Ended(error));
+    }
+
+    async fn connection(&mut self) -> End {
+        match self.stream().await {
+            Ok(never) => match never {},
+            Err(end) => end,
+        }
+    }
+
+    async fn stream(&mut self) -> Result<std::convert::Infallible, End> {
+        let (requests, outgoing) = mpsc::channel(QUEUED_BATCHES);
+        // The first of a new channel's places: cannot fail, and need not wait.
+        let _ = requests.try_send(hello(&self.shared, self.incarnation));
+        let mut service = ObservationServiceClient::new(self.place.connection());
+        let answer = service.observe(ReceiverStream::new(outgoing)).await;
+        let mut replies = answer.map_err(|status| refused(self.client.error(&status)))?.into_inner();
+        let welcome = match self.reply(&mut replies).await? {
+            observe_response::Message::Welcome(welcome) => welcome,
+            observe_response::Message::Goodbye(goodbye) => return Err(ending(goodbye)),
+            _ => return Err(protocol("no Welcome")),
+        };
+        let limits = self.welcome(&welcome)?;
+        let mut table = StreamTable::default();
+        loop {
+            let ready = self.has_batch(&table, limits);
+            tokio::select! {
+                reply = self.reply(&mut replies) => match reply? {
+                    observe_response::Message::Ack(ack) => self.acknowledge(ack)?,
+                    observe_response::Message::Goodbye(goodbye) => {
+                        self.acknowledge(Ack { durable_sequence: goodbye.durable_sequence, refused: Vec::new() })?;
+                        return Err(ending(goodbye));
+                    }
+                    // For information: the connection's own flow control does the holding back.
+                    observe_response::Message::Busy(_) => {}
+                    observe_response::Message::Welcome(_) => return Err(protocol("a second Welcome")),
+                },
+                // Where the connection is closing the replies say why.
+                Ok(permit) = requests.reserve(), if ready => {
+                    if let Some(batch) = self.batch(&mut table, limits) {
+                        permit.send(batch);
+                    }
+                }
+                () = self.shared.more.notified(), if !ready => {}
+            }
+        }
+    }
+
+    async fn reply(&self, replies: &mut Streaming<ObserveResponse>) -> Result<observe_response::Message, End> {
+        match replies.message().await {
+            Ok(Some(ObserveResponse { message: Some(message) })) => Ok(message),
+            Ok(Some(_)) => Err(protocol("an empty message")),
+            Ok(None) => Err(End::Broken(Error::Unreachable {
+                server: self.client.server().to_owned(),
+                detail: "the daemon ended the stream".to_owned(),
+            })),
+            Err(status) => Err(refused(self.client.error(&status))),
+        }
+    }
+
+    fn welcome(&mut self, welcome: &Welcome) -> Result<BatchLimits, End> {
+        let unreported = {
+            let mut state = self.shared.state();
+            match &mut state.window {
+                Some(window) => window.welcomed(welcome.durable_sequence, welcome.content_crc)?,
+                None => {
+                    let size = self.shared.options.window;
+                    state.window = Some(Window::new(size, welcome.durable_sequence, welcome.content_crc));
+                    0
+                }
+            }
+        };
+        self.incarnation = welcome.incarnation;
+        self.outage.connected(self.epoch.elapsed());
+        if unreported > 0 {
+            self.outage.progressed();
+        }
+        self.shared.progress.send_modify(|progress| {
+            progress.phase = Phase::Connected;
+            progress.durable_sequence = welcome.durable_sequence;
+            progress.resumed_at = welcome.durable_sequence;
+            progress.content_crc = welcome.content_crc;
+            progress.store_id.clone_from(&welcome.store_id);
+            progress.unreported += unreported;
+        });
+        let limit = |limit: u32| usize::try_from(limit).unwrap_or(usize::MAX).max(1);
+        Ok(BatchLimits {
+            observations: limit(welcome.max_batch_observations),
+            bytes: limit(welcome.max_message_bytes),
+        })
+    }
+
+    fn acknowledge(&mut self, ack: Ack) -> Result<(), End> {
+        {
+            let mut state = self.shared.state();
+            state.refusals.extend(ack.refused.into_iter().map(refusal));
+            if let Some(window) = &mut state.window {
+                window.acknowledged(ack.durable_sequence)?;
+            }
+        }
+        self.shared.progress.send_if_modified(|progress| {
+            let more = ack.durable_sequence > progress.durable_sequence;
+            progress.durable_sequence = progress.durable_sequence.max(ack.durable_sequence);
+            if more {
+                self.outage.progressed();
+            }
+            more
+        });
+        Ok(())
+    }
+
+    fn has_batch(&self, table: &StreamTable, limits: BatchLimits) -> bool {
+        let state = self.shared.state();
+        state.window.as_ref().is_some_and(|window| {
+            let waiting = window.to_send(limits.observations, state.urgent);
+            fitting(waiting.take(1), window.names(), table, limits) > 0
+        })
+    }
+
+    fn batch(&self, table: &mut StreamTable, limits: BatchLimits) -> Option<ObserveRequest> {
+        let mut state = self.shared.state();
+        let urgent = state.urgent;
+        let window = state.window.as_mut()?;
+        let first_sequence = window.next_unsent();
+        let count = fitting(window.to_send(limits.observations, urgent), window.names(), table, limits);
+        let entries: Vec<Entry> = window.to_send(limits.observations, urgent).take(count).copied().collect();
+        if entries.is_empty() {
+            return None;
+        }
+        window.sent(entries.len());
+        let observations = Some(pack(&entries, window.names(), table));
+        let batch = ObservationBatch { first_sequence, observations };
+        Some(ObserveRequest { message: Some(observe_request::Message::Batch(batch)) })
+    }
+}
+
+fn hello(shared: &Shared, incarnation: u64) -> ObserveRequest {
+    let options = &shared.options;
+    let hello = Hello {
+        producer: options.producer.clone(),
+        label: options.label.clone(),
+        map: options.map.clone(),
+        incarnation,
+        nightly: options.nightly,
+    };
+    ObserveRequest { message: Some(observe_request::Message::Hello(hello)) }
+}
+
+fn protocol(what: &'static str) -> End {
+    End::Final(ProducerError::Other(Error::Protocol(what)))
+}
+
+/// What a Goodbye means for the producer.
+fn ending(goodbye: Goodbye) -> End {
+    let reason = goodbye.reason();
+    let detail = goodbye.detail;
+    End::Final(match reason {
+        GoodbyeReason::Shutdown => {
+            let message = if detail.is_empty() { "the daemon is stopping".to_owned() } else { detail };
+            return End::Broken(Error::Server(ServerError { code: Code::Unavailable, message, fields: Vec::new() }));
+        }
+        GoodbyeReason::OutOfSequence => ProducerError::OutOfSequence(detail),
+        GoodbyeReason::Superseded => ProducerError::Superseded(detail),
+        GoodbyeReason::DiskFull => ProducerError::Exhausted(detail),
+        GoodbyeReason::Invalid => ProducerError::Invalid(detail),
+        GoodbyeReason::MapDeleted => ProducerError::MapDeleted(detail),
+        GoodbyeReason::Storage => ProducerError::Storage(detail),
+        GoodbyeReason::Unspecified => ProducerError::Other(Error::Protocol("a Goodbye without a reason")),
+    })
+}
+
+/// What a status means for the producer.
+fn refused(error: Error) -> End {
+    let text = error.to_string();
+    End::Final(match error.code() {
+        Some(Code::Aborted) => ProducerError::Superseded(text),
+        Some(Code::AlreadyExists) => ProducerError::KeyInUse(text),
+        Some(Code::OutOfRange) => ProducerError::OutOfSequence(text),
+        Some(Code::ResourceExhausted) => ProducerError::Exhausted(text),
+        Some(Code::NotFound) => ProducerError::MapNotFound(text),
+        Some(Code::InvalidArgument) => ProducerError::Invalid(text),
+        Some(Code::DataLoss) => ProducerError::Storage(text),
+        _ if error.is_transient() => return End::Broken(error),
+        _ => ProducerError::Other(error),
+    })
+}
+
+fn refusal(refusal: tidemap_proto::v1::Refusal) -> Refusal {
+    use tidemap_proto::v1::RefusalReason as Wire;
+    let reason = match refusal.reason() {
+        Wire::Value => RefusalReason::Value,
+        Wire::Time => RefusalReason::Time,
+        Wire::StateName => RefusalReason::StateName,
+        Wire::StateIndex => RefusalReason::StateIndex,
+        Wire::StateLimit => RefusalReason::StateLimit,
+        Wire::StateKind => RefusalReason::StateKind,
+        Wire::Unspecified => RefusalReason::Other,
+    };
+    Refusal { sequence: refusal.sequence, reason, detail: refusal.detail }
+}

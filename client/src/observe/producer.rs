@@ -1,0 +1,249 @@
+//! [`Producer`]: the handle by which a program sends its observations.
+//!
+//! Invariant: the window is the only state that the handle and the task which talks share; its lock is never held across
+//! an await.
+
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+use tokio::{
+    sync::{Notify, watch},
+    task::JoinHandle,
+};
+
+use super::{ProducerError, Refusal, STATE_NAME_BYTES_MAX, link::Link, window::Window};
+use crate::{connection::Client, error::Error};
+
+/// Who sends, what, and to which map.
+#[derive(Clone, Debug)]
+pub struct ProducerOptions {
+    /// Who streams; kept by the producer across restarts.
+    pub producer: String,
+    /// Which of the producer's sequences; may be empty.
+    pub label: String,
+    /// Name of the map.
+    pub map: String,
+    /// Lets the nightly update run in the time of the data.
+    pub nightly: bool,
+    /// Most observations kept until they are durable; sending more waits.
+    pub window: usize,
+    /// How long to go on trying when the daemon cannot be reached.
+    pub patience: Duration,
+}
+
+impl ProducerOptions {
+    /// Options with the usual window (65,536 observations) and patience (a minute).
+    #[must_use]
+    pub fn new(producer: &str, label: &str, map: &str) -> Self {
+        Self {
+            producer: producer.to_owned(),
+            label: label.to_owned(),
+            map: map.to_owned(),
+            nightly: false,
+            window: 65_536,
+            patience: Duration::from_secs(60),
+        }
+    }
+}
+
+/// Whether the daemon can be reached.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Phase {
+    /// The first connection is being made.
+    #[default]
+    Connecting,
+    /// Connected.
+    Connected,
+    /// Not at the moment; tries again.
+    Waiting(Error),
+    /// No more.
+    Ended(ProducerError),
+}
+
+/// How far a producer is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// Whether the daemon can be reached.
+    pub phase: Phase,
+    /// Everything up to this number is durable, or refused.
+    pub durable_sequence: u64,
+    /// Where the last connection began: what the daemon had then.
+    pub resumed_at: u64,
+    /// Checksum that the daemon gave for the observations 1..=`resumed_at`.
+    pub content_crc: u32,
+    /// Identity of the daemon's data folder.
+    pub store_id: String,
+    /// Observations that became durable while the connection broke, so that it is not known whether they were refused.
+    pub unreported: u64,
+}
+
+/// What the handle and the task share.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) options: ProducerOptions,
+    state: Mutex<State>,
+    /// Wakes the task: there is more to send, or more urgently.
+    pub(super) more: Notify,
+    pub(super) progress: watch::Sender<Progress>,
+}
+
+#[derive(Debug)]
+pub(super) struct State {
+    /// Absent until the first Welcome.
+    pub(super) window: Option<Window>,
+    /// Somebody waits for everything up to this number.
+    pub(super) urgent: u64,
+    pub(super) refusals: Vec<Refusal>,
+}
+
+impl Shared {
+    /// Locks the window: held by the caller while an observation is put in, by the task while a batch is taken out.
+    pub(super) fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Sends observations of one producer and label to one map, each exactly once.
+///
+/// ```no_run
+/// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
+/// use tidemap::{Client, observe::{Producer, ProducerOptions}};
+/// let client = Client::new("127.0.0.1:7435")?;
+/// let mut producer = Producer::open(&client, ProducerOptions::new("robot-1", "", "office")).await?;
+/// producer.send("door", 1_458_518_400_000_000_000, 1.0).await?;
+/// producer.flush().await?; // from here on it survives kill -9 and power loss
+/// # Ok(()) }
+/// ```
+#[derive(Debug)]
+pub struct Producer {
+    shared: Arc<Shared>,
+    progress: watch::Receiver<Progress>,
+    task: JoinHandle<()>,
+}
+
+impl Producer {
+    /// Connects, says Hello and waits for the answer, for as long as the patience allows.
+    ///
+    /// # Errors
+    /// [`ProducerError`].
+    pub async fn open(client: &Client, options: ProducerOptions) -> Result<Self, ProducerError> {
+        let mut producer = Self::start(client, options);
+        producer.opened().await?;
+        Ok(producer)
+    }
+
+    /// As [`Producer::open`], without waiting: [`Producer::opened`] does that. Meanwhile [`Producer::watch`] tells what
+    /// is going on.
+    #[must_use]
+    pub fn start(client: &Client, options: ProducerOptions) -> Self {
+        let (sender, progress) = watch::channel(Progress::default());
+        let state = State { window: None, urgent: 0, refusals: Vec::new() };
+        let shared = Arc::new(Shared { options, state: Mutex::new(state), more: Notify::new(), progress: sender });
+        let task = tokio::spawn(Link::new(client.clone(), Arc::clone(&shared)).run());
+        Self { shared, progress, task }
+    }
+
+    /// Waits until the daemon has answered the Hello. Observation number `durable_sequence` + 1 is the first to send.
+    ///
+    /// # Errors
+    /// [`ProducerError`].
+    pub async fn opened(&mut self) -> Result<Progress, ProducerError> {
+        self.reached(|progress| progress.phase == Phase::Connected).await
+    }
+
+    /// Gives an observation its number and takes charge of it; waits while the window is full. The observation is
+    /// durable once [`Progress::durable_sequence`] has reached the number.
+    ///
+    /// # Errors
+    /// [`ProducerError`]; the observation has then not been taken.
+    pub async fn send(&mut self, state: &str, time_nanos: i64, value: f64) -> Result<u64, ProducerError> {
+        if time_nanos < 0 {
+            return Err(ProducerError::TimeBefore1970(time_nanos));
+        }
+        if state.len() > STATE_NAME_BYTES_MAX {
+            return Err(ProducerError::NameTooLong(state.len()));
+        }
+        loop {
+            if let Phase::Ended(error) = &self.progress.borrow().phase {
+                return Err(error.clone());
+            }
+            let (taken, last) = {
+                let mut shared = self.shared.state();
+                match &mut shared.window {
+                    Some(window) => (window.push(state, time_nanos, value), window.last()),
+                    None => (None, 0),
+                }
+            };
+            if let Some(sequence) = taken {
+                self.shared.more.notify_one();
+                return Ok(sequence);
+            }
+            // Full, or not open yet: any acknowledgement of something in the window makes room.
+            let window = self.shared.options.window.max(1) as u64;
+            self.reached(|progress| {
+                progress.phase == Phase::Connected && last.saturating_sub(progress.durable_sequence) < window
+            })
+            .await?;
+        }
+    }
+
+    /// Waits until everything sent so far is durable, or refused.
+    ///
+    /// # Errors
+    /// [`ProducerError`].
+    pub async fn flush(&mut self) -> Result<Progress, ProducerError> {
+        let last = {
+            let mut shared = self.shared.state();
+            let last = shared.window.as_ref().map_or(0, Window::last);
+            shared.urgent = shared.urgent.max(last);
+            last
+        };
+        self.shared.more.notify_one();
+        self.reached(|progress| progress.durable_sequence >= last).await
+    }
+
+    /// Number of the last observation taken, whether durable or not.
+    #[must_use]
+    pub fn last_sequence(&self) -> u64 {
+        self.shared.state().window.as_ref().map_or(0, Window::last)
+    }
+
+    /// How far it is.
+    #[must_use]
+    pub fn progress(&self) -> Progress {
+        self.progress.borrow().clone()
+    }
+
+    /// Follows how far it is, and whether the daemon can be reached.
+    #[must_use]
+    pub fn watch(&self) -> watch::Receiver<Progress> {
+        self.progress.clone()
+    }
+
+    /// The refusals that arrived since the last call, in order.
+    #[must_use]
+    pub fn take_refusals(&mut self) -> Vec<Refusal> {
+        std::mem::take(&mut self.shared.state().refusals)
+    }
+
+    async fn reached(&mut self, goal: impl Fn(&Progress) -> bool) -> Result<Progress, ProducerError> {
+        let done = |progress: &Progress| goal(progress) || matches!(progress.phase, Phase::Ended(_));
+        // The sender lives in `shared`, so it cannot be gone.
+        let progress = match self.progress.wait_for(done).await {
+            Ok(progress) => progress.clone(),
+            Err(_) => self.shared.progress.borrow().clone(),
+        };
+        match &progress.phase {
+            Phase::Ended(error) if !goal(&progress) => Err(error.clone()),
+            _ => Ok(progress),
+        }
+    }
+}
+
+impl Drop for Producer {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}

@@ -1,0 +1,228 @@
+//! Results on stdout: a table for people, csv and json for programs.
+//!
+//! Invariant: the same columns in each form. Programs get numbers in full; only the table rounds. Nothing else writes
+//! to stdout.
+
+use std::io::{self, BufWriter, IsTerminal as _, Write};
+
+use comfy_table::{CellAlignment, Table, presets};
+use tidemap::time::format_secs;
+
+/// How results are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    /// Aligned columns, for people.
+    Table,
+    /// An array of objects, one a line.
+    Json,
+    /// Comma-separated, with a header.
+    Csv,
+}
+
+impl Format {
+    /// What fits whoever reads stdout.
+    pub fn usual() -> Self {
+        if io::stdout().is_terminal() { Self::Table } else { Self::Csv }
+    }
+}
+
+/// One value of a result.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cell {
+    /// Nothing.
+    Empty,
+    /// Text.
+    Text(String),
+    /// A whole number.
+    Count(u64),
+    /// Any number.
+    Number(f64),
+    /// Nanoseconds, shown as seconds.
+    Secs(i64),
+    /// Yes or no.
+    Flag(bool),
+}
+
+impl From<&str> for Cell {
+    fn from(text: &str) -> Self {
+        Self::Text(text.to_owned())
+    }
+}
+
+impl From<u64> for Cell {
+    fn from(count: u64) -> Self {
+        Self::Count(count)
+    }
+}
+
+impl From<u32> for Cell {
+    fn from(count: u32) -> Self {
+        Self::Count(count.into())
+    }
+}
+
+impl From<f64> for Cell {
+    fn from(number: f64) -> Self {
+        Self::Number(number)
+    }
+}
+
+impl Cell {
+    /// A value that may be absent.
+    pub fn maybe<T: Into<Self>>(value: Option<T>) -> Self {
+        value.map_or(Self::Empty, Into::into)
+    }
+
+    /// A time, or nothing.
+    pub fn time(nanos: Option<i64>) -> Self {
+        nanos.map_or(Self::Empty, Self::Secs)
+    }
+
+    fn exact(&self) -> String {
+        match self {
+            Self::Empty => String::new(),
+            Self::Text(text) => text.clone(),
+            Self::Count(count) => count.to_string(),
+            Self::Number(number) => number.to_string(),
+            Self::Secs(nanos) => format_secs(*nanos),
+            Self::Flag(flag) => flag.to_string(),
+        }
+    }
+
+    fn rounded(&self) -> String {
+        match self {
+            Self::Number(number) => six_digits(*number),
+            Self::Flag(flag) => if *flag { "yes" } else { "no" }.to_owned(),
+            _ => self.exact(),
+        }
+    }
+
+    fn json(&self) -> String {
+        match self {
+            Self::Empty => "null".to_owned(),
+            Self::Text(text) => serde_json::Value::from(text.as_str()).to_string(),
+            Self::Number(number) if !number.is_finite() => "null".to_owned(),
+            _ => self.exact(),
+        }
+    }
+
+    fn is_numeric(&self) -> bool {
+        matches!(self, Self::Count(_) | Self::Number(_) | Self::Secs(_))
+    }
+}
+
+/// Six significant digits, without zeros at the end.
+fn six_digits(number: f64) -> String {
+    let rounded: f64 = format!("{number:.5e}").parse().unwrap_or(number);
+    rounded.to_string()
+}
+
+/// Rows of a table that are laid out together; a longer result comes as several tables.
+const TABLE_ROWS_MAX: usize = 10_000;
+
+/// A result: columns, then row after row.
+pub struct Sheet<W: Write> {
+    format: Format,
+    columns: Vec<&'static str>,
+    writer: W,
+    rows: u64,
+    waiting: Vec<Vec<Cell>>,
+}
+
+impl Sheet<BufWriter<io::Stdout>> {
+    /// A result on stdout.
+    pub fn stdout(format: Format, columns: &[&'static str]) -> Self {
+        Self::new(format, columns, BufWriter::with_capacity(64 * 1024, io::stdout()))
+    }
+}
+
+impl<W: Write> Sheet<W> {
+    /// A result in `writer`.
+    pub fn new(format: Format, columns: &[&'static str], writer: W) -> Self {
+        Self { format, columns: columns.to_vec(), writer, rows: 0, waiting: Vec::new() }
+    }
+
+    /// Adds a row: a value for each column.
+    pub fn row(&mut self, cells: Vec<Cell>) -> io::Result<()> {
+        debug_assert_eq!(cells.len(), self.columns.len());
+        match self.format {
+            Format::Table => {
+                self.waiting.push(cells);
+                if self.waiting.len() == TABLE_ROWS_MAX {
+                    self.write_table()?;
+                }
+            }
+            Format::Csv => {
+                if self.rows == 0 {
+                    let header: Vec<String> = self.columns.iter().map(ToString::to_string).collect();
+                    self.write_csv(&header)?;
+                }
+                let fields: Vec<String> = cells.iter().map(Cell::exact).collect();
+                self.write_csv(&fields)?;
+            }
+            Format::Json => {
+                self.writer.write_all(if self.rows == 0 { b"[" } else { b",\n " })?;
+                let object = object(self.columns.iter().copied().zip(cells.iter().map(Cell::json)));
+                self.writer.write_all(object.as_bytes())?;
+            }
+        }
+        self.rows += 1;
+        Ok(())
+    }
+
+    /// Writes what is left. Without it the result is not whole.
+    pub fn finish(mut self) -> io::Result<()> {
+        match self.format {
+            Format::Table if self.rows == 0 || !self.waiting.is_empty() => self.write_table()?,
+            Format::Table => {}
+            Format::Csv if self.rows == 0 => {
+                let header: Vec<String> = self.columns.iter().map(ToString::to_string).collect();
+                self.write_csv(&header)?;
+            }
+            Format::Csv => {}
+            Format::Json => self.writer.write_all(if self.rows == 0 { b"[]\n" } else { b"]\n" })?,
+        }
+        self.writer.flush()
+    }
+
+    fn write_csv(&mut self, fields: &[String]) -> io::Result<()> {
+        let mut writer = csv::WriterBuilder::new().from_writer(Vec::new());
+        writer.write_record(fields).map_err(io::Error::other)?;
+        let line = writer.into_inner().map_err(|error| io::Error::other(error.to_string()))?;
+        self.writer.write_all(&line)
+    }
+
+    fn write_table(&mut self) -> io::Result<()> {
+        let mut table = Table::new();
+        table.load_preset(presets::NOTHING);
+        table.set_header(self.columns.iter());
+        let numeric: Vec<bool> =
+            (0..self.columns.len()).map(|i| self.waiting.iter().any(|row| row[i].is_numeric())).collect();
+        for row in self.waiting.drain(..) {
+            table.add_row(row.iter().map(Cell::rounded));
+        }
+        for (column, numeric) in table.column_iter_mut().zip(numeric) {
+            column.set_padding((0, 2));
+            if numeric {
+                column.set_cell_alignment(CellAlignment::Right);
+            }
+        }
+        self.writer.write_all(table.trim_fmt().as_bytes())?;
+        self.writer.write_all(b"\n")
+    }
+}
+
+/// A JSON object of names and values that are JSON already.
+pub fn object<'a>(members: impl Iterator<Item = (&'a str, String)>) -> String {
+    let members: Vec<String> =
+        members.map(|(name, value)| format!("{}:{value}", serde_json::Value::from(name))).collect();
+    format!("{{{}}}", members.join(","))
+}
+
+/// A JSON object of cells.
+pub fn record(members: &[(&str, Cell)]) -> String {
+    object(members.iter().map(|(name, cell)| (*name, cell.json())))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,82 @@
+//! The three forms of one result.
+
+use super::*;
+
+fn written(format: Format, rows: &[Vec<Cell>]) -> io::Result<String> {
+    let mut bytes = Vec::new();
+    let mut sheet = Sheet::new(format, &["state", "n", "p", "time"], &mut bytes);
+    for row in rows {
+        sheet.row(row.clone())?;
+    }
+    sheet.finish()?;
+    String::from_utf8(bytes).map_err(io::Error::other)
+}
+
+fn rows() -> Vec<Vec<Cell>> {
+    vec![
+        vec!["the \"red\" door, left".into(), 12_u64.into(), (1.0 / 3.0).into(), Cell::Secs(1_458_518_400_250_000_000)],
+        vec!["b".into(), 3_u64.into(), f64::NAN.into(), Cell::Empty],
+    ]
+}
+
+#[test]
+fn csv_is_exact_and_quoted_where_needed() -> io::Result<()> {
+    assert_eq!(
+        written(Format::Csv, &rows())?,
+        "state,n,p,time\n\"the \"\"red\"\" door, left\",12,0.3333333333333333,1458518400.25\nb,3,NaN,\n"
+    );
+    assert_eq!(written(Format::Csv, &[])?, "state,n,p,time\n");
+    Ok(())
+}
+
+#[test]
+fn json_is_an_array_of_objects_that_a_parser_accepts() -> io::Result<()> {
+    let text = written(Format::Json, &rows())?;
+    assert_eq!(
+        text,
+        "[{\"state\":\"the \\\"red\\\" door, left\",\"n\":12,\"p\":0.3333333333333333,\"time\":1458518400.25},\n \
+         {\"state\":\"b\",\"n\":3,\"p\":null,\"time\":null}]\n"
+    );
+    let value: serde_json::Value = serde_json::from_str(&text)?;
+    assert_eq!(value[1]["n"], 3);
+    assert_eq!(written(Format::Json, &[])?, "[]\n");
+    Ok(())
+}
+
+#[test]
+fn a_table_rounds_and_aligns() -> io::Result<()> {
+    let text = written(Format::Table, &rows())?;
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines.len(), 3, "{text}");
+    assert!(lines[1].contains(" 0.333333 "), "{text}");
+    assert_eq!(lines[1].find("12"), lines[2].find(" 3"), "numbers stand under each other's last digit:\n{text}");
+    assert!(written(Format::Table, &[])?.starts_with("state"));
+    Ok(())
+}
+
+#[test]
+fn six_digits_are_kept() {
+    for (number, text) in [(0.0, "0"), (1.0, "1"), (0.012_345_678, "0.0123457"), (86_400.0, "86400")] {
+        assert_eq!(six_digits(number), text);
+    }
+}
+
+/// A reader that has gone away.
+struct Gone;
+
+impl Write for Gone {
+    fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+        Err(io::ErrorKind::BrokenPipe.into())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_reader_that_has_gone_away_is_told_by_its_kind() {
+    let mut sheet = Sheet::new(Format::Csv, &["a"], Gone);
+    let result = sheet.row(vec![Cell::Empty]);
+    assert_eq!(result.map_err(|error| error.kind()), Err(io::ErrorKind::BrokenPipe));
+}

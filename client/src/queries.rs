@@ -1,0 +1,95 @@
+//! Asking a map about any time, past or future.
+//!
+//! Invariant: predictions come in the order in which they were asked for: by state, then by time.
+
+mod evaluate;
+mod model;
+mod predict;
+
+pub use evaluate::{EvaluateOptions, Evaluation, Evaluator};
+pub use model::{InvalidModel, ModelKind, ModelSelector, ORDER_MAX};
+pub use predict::{PredictionRun, Predictions};
+
+use tidemap_proto::v1::{self, query_service_client::QueryServiceClient};
+
+use crate::{
+    connection::{Client, Connection},
+    error::Error,
+    maps::StateKind,
+    wire::instant,
+};
+
+/// What was learned of one state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelDescription {
+    /// Name of the state.
+    pub state: String,
+    /// Its kind.
+    pub kind: StateKind,
+    /// Mean of the values folded in; 0.5 where there are none.
+    pub mean: f64,
+    /// Observations folded in by updates.
+    pub folded_observations: u64,
+    /// Acknowledged observations, those not yet folded in included.
+    pub observations: u64,
+    /// Number of components that predictions use.
+    pub order: u32,
+    /// Strongest first; predictions use the first `order`.
+    pub components: Vec<Component>,
+    /// Decayed sum of errors of each order, by which the order was chosen.
+    pub order_errors: Vec<f64>,
+    /// Time constant of the persistence.
+    pub persistence_tau_secs: f64,
+    /// Newest value.
+    pub last_value: Option<f64>,
+    /// Time of the newest observation.
+    pub last_nanos: Option<i64>,
+    /// Oldest observation folded in.
+    pub first_nanos: Option<i64>,
+}
+
+/// One term amplitude · cos(2π t / period + phase), t in seconds of local civil time since 1970-01-01T00:00.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Component {
+    /// Period.
+    pub period_secs: f64,
+    /// In units of the state's value.
+    pub amplitude: f64,
+    /// In (-π, π].
+    pub phase_rad: f64,
+}
+
+impl Client {
+    fn query_service(&self) -> QueryServiceClient<Connection> {
+        QueryServiceClient::new(self.requests())
+    }
+
+    /// What was learned of one state.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state.
+    pub async fn describe_model(&self, map: &str, state: &str) -> Result<ModelDescription, Error> {
+        let request = v1::DescribeModelRequest { map: map.to_owned(), state: state.to_owned() };
+        let response = self.query_service().describe_model(request).await.map_err(|status| self.error(&status))?;
+        let model = response.into_inner();
+        let component = |component: v1::SpectralComponent| Component {
+            period_secs: component.period_secs,
+            amplitude: component.amplitude,
+            phase_rad: component.phase_rad,
+        };
+        Ok(ModelDescription {
+            kind: StateKind::from_wire(model.kind()),
+            state: model.state,
+            mean: model.mean,
+            folded_observations: model.folded_observations,
+            observations: model.observations,
+            order: model.order,
+            components: model.components.into_iter().map(component).collect(),
+            order_errors: model.order_errors,
+            persistence_tau_secs: model.persistence_tau_secs,
+            last_value: model.last_value,
+            last_nanos: instant(model.last_time),
+            first_nanos: instant(model.first_time),
+        })
+    }
+}

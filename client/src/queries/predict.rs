@@ -1,0 +1,222 @@
+//! Predictions of any number of states and times, asked for in pieces that the daemon's limits allow.
+//!
+//! Invariant: every state gets a prediction for every time, by state and then by time; an answer that leaves out or
+//! reorders anything is an error, never a gap.
+
+use std::ops::Range;
+
+use tidemap_proto::v1;
+use tonic::Streaming;
+
+use super::ModelSelector;
+use crate::{connection::Client, error::Error, wire::instant};
+
+/// The daemon's limits of one request, with some room in the bytes.
+const STATES_MAX: usize = 10_000;
+const PREDICTIONS_MAX: usize = 1_000_000;
+const TIMES_MAX: usize = 65_536;
+const NAME_BYTES_MAX: usize = 400_000;
+/// What a name takes on the wire beside itself.
+const NAME_BYTES_EXTRA: usize = 3;
+
+/// Predictions of one state at consecutive times of those asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PredictionRun {
+    /// Which of the states asked for.
+    pub state: usize,
+    /// Which of the times asked for is the first.
+    pub first_time: usize,
+    /// Probability that the state is 1, one per time.
+    pub probabilities: Vec<f64>,
+    /// Lower end of the credible interval, one per time, or empty.
+    pub lower: Vec<f64>,
+    /// Upper end of the credible interval, one per time, or empty.
+    pub upper: Vec<f64>,
+    /// Entropy of each prediction.
+    pub entropies_bits: Vec<f64>,
+    /// Order of the spectral model that answered.
+    pub order: u32,
+    /// Acknowledged observations of the state.
+    pub observations: u64,
+    /// Time of the newest observation.
+    pub last_nanos: Option<i64>,
+}
+
+/// Predictions under way.
+#[derive(Debug)]
+pub struct Predictions {
+    client: Client,
+    map: String,
+    states: Vec<String>,
+    times: Vec<i64>,
+    model: ModelSelector,
+    pieces: std::vec::IntoIter<Piece>,
+    current: Option<(Piece, Streaming<v1::PredictStatesResponse>)>,
+    /// What comes next, if the daemon keeps the order: state and time within the current piece.
+    next: (usize, usize),
+}
+
+/// What one request asks for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Piece {
+    states: Range<usize>,
+    times: Range<usize>,
+}
+
+impl Client {
+    /// Asks for the predictions of `states` at `times` (nanoseconds). Nothing is sent before the first
+    /// [`Predictions::next`].
+    #[must_use]
+    pub fn predict(&self, map: &str, states: Vec<String>, times: Vec<i64>, model: ModelSelector) -> Predictions {
+        let lengths: Vec<usize> = states.iter().map(String::len).collect();
+        let pieces = pieces(&lengths, times.len()).into_iter();
+        Predictions {
+            client: self.clone(),
+            map: map.to_owned(),
+            states,
+            times,
+            model,
+            pieces,
+            current: None,
+            next: (0, 0),
+        }
+    }
+}
+
+impl Predictions {
+    /// The next predictions; `None` after the last.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state.
+    pub async fn next(&mut self) -> Result<Option<PredictionRun>, Error> {
+        loop {
+            if let Some((piece, replies)) = &mut self.current {
+                let reply = replies.message().await.map_err(|status| self.client.error(&status))?;
+                if let Some(reply) = reply {
+                    return checked(reply, piece, &mut self.next).map(Some);
+                }
+                if self.next != (piece.states.len(), 0) {
+                    return Err(Error::Protocol("predictions are missing"));
+                }
+                self.current = None;
+            }
+            let Some(piece) = self.pieces.next() else { return Ok(None) };
+            let request = v1::PredictStatesRequest {
+                map: self.map.clone(),
+                states: self.states[piece.states.clone()].to_vec(),
+                times_nanos: self.times[piece.times.clone()].to_vec(),
+                model: Some(self.model.to_wire()),
+            };
+            let answer = self.client.query_service().predict_states(request).await;
+            let replies = answer.map_err(|status| self.client.error(&status))?.into_inner();
+            self.next = (0, 0);
+            self.current = Some((piece, replies));
+        }
+    }
+
+    /// The states asked for.
+    #[must_use]
+    pub fn states(&self) -> &[String] {
+        &self.states
+    }
+
+    /// The times asked for.
+    #[must_use]
+    pub fn times(&self) -> &[i64] {
+        &self.times
+    }
+}
+
+fn checked(
+    reply: v1::PredictStatesResponse,
+    piece: &Piece,
+    next: &mut (usize, usize),
+) -> Result<PredictionRun, Error> {
+    let (state, time, count) = (reply.state_index as usize, reply.first_time_index as usize, reply.probabilities.len());
+    let in_order = (state, time) == *next && state < piece.states.len();
+    let fits = count > 0 && time + count <= piece.times.len() && reply.entropies_bits.len() == count;
+    let interval = |bound: &[f64]| bound.is_empty() || bound.len() == count;
+    if !in_order || !fits || !interval(&reply.lower) || !interval(&reply.upper) {
+        return Err(Error::Protocol("predictions are not those that were asked for"));
+    }
+    *next = if time + count == piece.times.len() { (state + 1, 0) } else { (state, time + count) };
+    Ok(PredictionRun {
+        state: piece.states.start + state,
+        first_time: piece.times.start + time,
+        probabilities: reply.probabilities,
+        lower: reply.lower,
+        upper: reply.upper,
+        entropies_bits: reply.entropies_bits,
+        order: reply.order,
+        observations: reply.observations,
+        last_nanos: instant(reply.last_time),
+    })
+}
+
+/// Cuts the question up: states together as long as all times fit, else state by state.
+fn pieces(name_lengths: &[usize], times: usize) -> Vec<Piece> {
+    let mut pieces = Vec::new();
+    if times == 0 {
+        return pieces;
+    }
+    let together = if times > TIMES_MAX { 1 } else { (PREDICTIONS_MAX / times).clamp(1, STATES_MAX) };
+    let mut start = 0;
+    while start < name_lengths.len() {
+        let mut bytes = 0;
+        let fitting = name_lengths[start..].iter().take(together).take_while(|&&length| {
+            bytes += length + NAME_BYTES_EXTRA;
+            bytes <= NAME_BYTES_MAX
+        });
+        let end = start + fitting.count().max(1);
+        for first in (0..times).step_by(TIMES_MAX) {
+            pieces.push(Piece { states: start..end, times: first..times.min(first + TIMES_MAX) });
+        }
+        start = end;
+    }
+    pieces
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_question_is_cut_up_by_the_limits_and_keeps_its_order() {
+        assert_eq!(pieces(&[4, 4], 3), [Piece { states: 0..2, times: 0..3 }]);
+        assert_eq!(pieces(&[4, 4], 0), []);
+        assert_eq!(pieces(&[4; 25_000], 1).iter().map(|piece| piece.states.len()).collect::<Vec<_>>(), [
+            10_000, 10_000, 5_000
+        ]);
+        assert_eq!(pieces(&[4; 40], 50_000).iter().map(|piece| piece.states.len()).collect::<Vec<_>>(), [20, 20]);
+        let long = pieces(&[4, 4], 100_000);
+        assert_eq!(long, [
+            Piece { states: 0..1, times: 0..65_536 },
+            Piece { states: 0..1, times: 65_536..100_000 },
+            Piece { states: 1..2, times: 0..65_536 },
+            Piece { states: 1..2, times: 65_536..100_000 },
+        ]);
+        let names = pieces(&[512; 2_000], 1);
+        assert_eq!(names.iter().map(|piece| piece.states.len()).collect::<Vec<_>>(), [776, 776, 448]);
+    }
+
+    #[test]
+    fn an_answer_out_of_order_is_an_error() {
+        let piece = Piece { states: 10..12, times: 0..3 };
+        let reply = |state_index, first_time_index, count| v1::PredictStatesResponse {
+            state_index,
+            first_time_index,
+            probabilities: vec![0.5; count],
+            entropies_bits: vec![1.0; count],
+            ..Default::default()
+        };
+        let mut next = (0, 0);
+        assert_eq!(checked(reply(0, 0, 2), &piece, &mut next).map(|run| run.state), Ok(10));
+        assert!(checked(reply(1, 0, 3), &piece, &mut next.clone()).is_err(), "a time is left out");
+        assert!(checked(reply(0, 2, 2), &piece, &mut next.clone()).is_err(), "more than was asked for");
+        assert!(checked(reply(0, 2, 0), &piece, &mut next.clone()).is_err(), "nothing at all");
+        assert_eq!(checked(reply(0, 2, 1), &piece, &mut next).map(|run| run.first_time), Ok(2));
+        assert_eq!(checked(reply(1, 0, 3), &piece, &mut next).map(|run| run.state), Ok(11));
+        assert_eq!(next, (2, 0));
+        assert!(checked(reply(2, 0, 3), &piece, &mut next).is_err(), "no such state");
+    }
+}

@@ -1,0 +1,257 @@
+//! Files of observations: `time,state,value`, one row a line, with a header.
+//!
+//! Invariant: the n-th row of a file has the number n, whether it can be read or not, and the same row always gives the
+//! same observation; only so can an interrupted transfer go on where it was. No more than one line is in memory.
+
+mod fields;
+
+use std::io::{self, BufRead};
+
+use fields::split;
+use tidemap::time::parse_time;
+
+/// Longest line. Three fields need far less; a file without line ends must not fill the memory.
+const LINE_BYTES_MAX: usize = 64 * 1024;
+/// Most characters of a state's name; a longer one cannot even be sent to be refused.
+const STATE_CHARS_MAX: usize = 128;
+
+/// Why a file cannot be read at all.
+#[derive(Debug, thiserror::Error)]
+pub enum RowsError {
+    /// Reading failed.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// Nothing there.
+    #[error("it is empty: the first line must be the header time,state,value")]
+    Empty,
+    /// A column is missing.
+    #[error("column {column:?} is missing: the header must name time, state and value, but is {header:?}")]
+    MissingColumn {
+        /// Which.
+        column: &'static str,
+        /// The header found, shortened.
+        header: String,
+    },
+    /// A column appears twice.
+    #[error("column {column:?} appears twice in the header {header:?}")]
+    DoubleColumn {
+        /// Which.
+        column: &'static str,
+        /// The header found, shortened.
+        header: String,
+    },
+}
+
+/// A row of the file.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// Its number, from 1; the header and blank lines do not count.
+    pub number: u64,
+    /// Its line, from 1.
+    pub line: u64,
+    /// Name of the state; empty where it could not be read.
+    pub state: String,
+    /// Time; 0 where it could not be read.
+    pub time_nanos: i64,
+    /// Value; NaN, which no daemon accepts, where anything of the row could not be read.
+    pub value: f64,
+    /// What could not be read.
+    pub wrong: Option<String>,
+}
+
+/// What comes next in a file.
+#[derive(Clone, Debug)]
+pub enum Item {
+    /// A row.
+    Row(Row),
+    /// A last line without an end that makes no row: somebody is still writing it, or was interrupted.
+    Torn {
+        /// Its line.
+        line: u64,
+        /// Its text, shortened.
+        text: String,
+    },
+}
+
+/// Where the columns are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Columns {
+    time: usize,
+    state: usize,
+    value: usize,
+    count: usize,
+}
+
+/// Reads a file of observations row by row.
+#[derive(Debug)]
+pub struct Rows<R> {
+    reader: R,
+    columns: Columns,
+    ignored: Vec<String>,
+    line: u64,
+    number: u64,
+    bytes: u64,
+    buffer: Vec<u8>,
+}
+
+/// How a line ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum LineEnd {
+    Newline,
+    EndOfFile,
+}
+
+impl<R: BufRead> Rows<R> {
+    /// Reads the header.
+    pub fn new(reader: R) -> Result<Self, RowsError> {
+        let columns = Columns { time: 0, state: 0, value: 0, count: 0 };
+        let mut rows = Self { reader, columns, ignored: Vec::new(), line: 0, number: 0, bytes: 0, buffer: Vec::new() };
+        rows.read_line()?.ok_or(RowsError::Empty)?;
+        let text = String::from_utf8_lossy(&rows.buffer);
+        let header = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        let names: Vec<String> = split(header).unwrap_or_default().iter().map(|name| name.to_lowercase()).collect();
+        let column = |column: &'static str| {
+            let mut places = names.iter().enumerate().filter(|(_, name)| *name == column).map(|(place, _)| place);
+            match (places.next(), places.next()) {
+                (Some(place), None) => Ok(place),
+                (None, _) => Err(RowsError::MissingColumn { column, header: shown(header) }),
+                (Some(_), Some(_)) => Err(RowsError::DoubleColumn { column, header: shown(header) }),
+            }
+        };
+        rows.columns =
+            Columns { time: column("time")?, state: column("state")?, value: column("value")?, count: names.len() };
+        let Columns { time, state, value, .. } = rows.columns;
+        let used = [time, state, value];
+        rows.ignored = (0..).zip(&names).filter(|(i, _)| !used.contains(i)).map(|(_, name)| name.clone()).collect();
+        Ok(rows)
+    }
+
+    /// Columns of the header that are not used.
+    pub fn ignored(&self) -> &[String] {
+        &self.ignored
+    }
+
+    /// Bytes read so far.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Whether the next row may have to be waited for.
+    pub fn may_wait(&mut self) -> bool
+    where
+        R: Buffered,
+    {
+        !self.reader.has_line()
+    }
+
+    /// The next row; `None` at the end.
+    pub fn next(&mut self) -> Result<Option<Item>, RowsError> {
+        loop {
+            let Some(end) = self.read_line()? else { return Ok(None) };
+            if self.buffer.iter().all(|byte| byte.is_ascii_whitespace()) {
+                continue;
+            }
+            let row = self.row(self.number + 1);
+            if end == LineEnd::EndOfFile && row.wrong.is_some() {
+                return Ok(Some(Item::Torn { line: self.line, text: shown(&String::from_utf8_lossy(&self.buffer)) }));
+            }
+            self.number += 1;
+            return Ok(Some(Item::Row(row)));
+        }
+    }
+
+    /// Reads a line into the buffer, without its end. Of a line that is too long, only the beginning is kept.
+    fn read_line(&mut self) -> io::Result<Option<LineEnd>> {
+        self.buffer.clear();
+        let mut started = false;
+        let end = loop {
+            let available = match self.reader.fill_buf() {
+                Ok(available) => available,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) => return Err(error),
+            };
+            if available.is_empty() {
+                break LineEnd::EndOfFile;
+            }
+            started = true;
+            let newline = available.iter().position(|&byte| byte == b'\n');
+            let piece = &available[..newline.unwrap_or(available.len())];
+            let room = (LINE_BYTES_MAX + 1).saturating_sub(self.buffer.len());
+            self.buffer.extend_from_slice(&piece[..piece.len().min(room)]);
+            let consumed = piece.len() + usize::from(newline.is_some());
+            self.reader.consume(consumed);
+            self.bytes += consumed as u64;
+            if newline.is_some() {
+                break LineEnd::Newline;
+            }
+        };
+        if !started {
+            return Ok(None);
+        }
+        self.line += 1;
+        if self.buffer.last() == Some(&b'\r') {
+            self.buffer.pop();
+        }
+        Ok(Some(end))
+    }
+
+    fn row(&self, number: u64) -> Row {
+        let mut row =
+            Row { number, line: self.line, state: String::new(), time_nanos: 0, value: f64::NAN, wrong: None };
+        row.wrong = self.fill(&mut row).err();
+        row
+    }
+
+    /// Fills in what can be read; the value last, so that it stays NaN where anything else is wrong.
+    fn fill(&self, row: &mut Row) -> Result<(), String> {
+        if self.buffer.len() > LINE_BYTES_MAX {
+            return Err(format!("the line is longer than {LINE_BYTES_MAX} bytes"));
+        }
+        let text = str::from_utf8(&self.buffer)
+            .map_err(|_| format!("{:?} is not UTF-8", shown(&String::from_utf8_lossy(&self.buffer))))?;
+        let fields = split(text).map_err(|wrong| format!("{:?}: {wrong}", shown(text)))?;
+        let Columns { time, state, value, count } = self.columns;
+        if fields.len() != count {
+            return Err(format!("{:?} has {} fields, the header has {count}", shown(text), fields.len()));
+        }
+        let chars = fields[state].chars().count();
+        if chars <= STATE_CHARS_MAX {
+            row.state = fields[state].to_string();
+        }
+        row.time_nanos = parse_time(&fields[time]).map_err(|wrong| format!("time {wrong}"))?;
+        if chars > STATE_CHARS_MAX {
+            let name = shown(&fields[state]);
+            return Err(format!("state {name:?} has {chars} characters: at most {STATE_CHARS_MAX} are allowed"));
+        }
+        let number: f64 = fields[value].parse().map_err(|_| {
+            format!("value {:?} is not a number: use 0, 1 or anything between", shown(&fields[value]))
+        })?;
+        // Minus zero is zero to everybody but the checksum.
+        row.value = number + 0.0;
+        Ok(())
+    }
+}
+
+/// A reader that can tell whether a whole line is there already.
+pub trait Buffered {
+    /// Whether a line can be read without waiting for whoever writes it.
+    fn has_line(&self) -> bool;
+}
+
+impl<R> Buffered for io::BufReader<R> {
+    fn has_line(&self) -> bool {
+        self.buffer().contains(&b'\n')
+    }
+}
+
+fn shown(text: &str) -> String {
+    const CHARS_MAX: usize = 60;
+    let mut shown: String = text.chars().take(CHARS_MAX).collect();
+    if text.chars().nth(CHARS_MAX).is_some() {
+        shown.push('…');
+    }
+    shown
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,131 @@
+//! Files as people have them.
+
+use super::*;
+
+fn read(text: &[u8]) -> Result<Vec<Item>, RowsError> {
+    let mut rows = Rows::new(text)?;
+    let mut items = Vec::new();
+    while let Some(item) = rows.next()? {
+        items.push(item);
+    }
+    Ok(items)
+}
+
+fn good(items: &[Item]) -> Vec<(u64, u64, &str, i64, f64)> {
+    items
+        .iter()
+        .filter_map(|item| match item {
+            Item::Row(row) if row.wrong.is_none() => {
+                Some((row.number, row.line, row.state.as_str(), row.time_nanos, row.value))
+            }
+            _ => None,
+        })
+        .collect()
+}
+
+fn wrong(line: &str) -> Result<Row, RowsError> {
+    let items = read(format!("time,state,value\n{line}\n").as_bytes())?;
+    match items.as_slice() {
+        [Item::Row(row)] => Ok(row.clone()),
+        other => panic!("{other:?}"),
+    }
+}
+
+const SECOND: i64 = 1_000_000_000;
+
+#[test]
+fn rows_are_read_in_any_order_of_columns_and_with_any_line_end() -> Result<(), RowsError> {
+    for text in [
+        "time,state,value\n1,door,0\n2,door,0.5\n",
+        "time,state,value\r\n1,door,0\r\n2,door,0.5\r\n",
+        "\u{feff}time,state,value\n1,door,0\n2,door,0.5",
+        "Value, State, Time\n0,door,1\n.5,\"door\",2\n",
+        "note,time,state,value\nx,1,door,-0\n\"y,z\",2,door,5e-1\n",
+    ] {
+        let items = read(text.as_bytes())?;
+        assert_eq!(good(&items), [(1, 2, "door", SECOND, 0.0), (2, 3, "door", 2 * SECOND, 0.5)], "{text:?}");
+        assert!(matches!(&items[0], Item::Row(row) if row.value.is_sign_positive()), "{text:?}");
+    }
+    Ok(())
+}
+
+#[test]
+fn blank_lines_do_not_count_as_rows() -> Result<(), RowsError> {
+    let items = read(b"time,state,value\n\n1,a,0\n  \n\r\n2,a,1\n\n")?;
+    assert_eq!(good(&items), [(1, 3, "a", SECOND, 0.0), (2, 6, "a", 2 * SECOND, 1.0)]);
+    Ok(())
+}
+
+#[test]
+fn a_header_that_does_not_fit_is_shown() {
+    let message = |text: &str| read(text.as_bytes()).err().map(|error| error.to_string()).unwrap_or_default();
+    assert_eq!(message(""), "it is empty: the first line must be the header time,state,value");
+    assert_eq!(
+        message("1458518400,door,0\n"),
+        "column \"time\" is missing: the header must name time, state and value, but is \"1458518400,door,0\""
+    );
+    assert!(message("time;state;value\n1;a;0\n").contains("time;state;value"));
+    assert!(message("time,name,value\n").starts_with("column \"state\" is missing"));
+    assert!(message("time,state,value,time\n").starts_with("column \"time\" appears twice"));
+}
+
+#[test]
+fn columns_that_are_not_used_are_known() -> Result<(), RowsError> {
+    let rows = Rows::new(b"time,robot,state,value,note\n".as_slice())?;
+    assert_eq!(rows.ignored(), ["robot", "note"]);
+    Ok(())
+}
+
+#[test]
+fn what_cannot_be_read_uses_up_its_number_and_says_why() -> Result<(), RowsError> {
+    for (line, state, time_nanos, reason) in [
+        ("soon,door,0", "door", 0, "time \"soon\" is not a time"),
+        ("-5,door,0", "door", 0, "time \"-5\" is before 1970"),
+        ("1,door,open", "door", SECOND, "value \"open\" is not a number"),
+        ("1,door,", "door", SECOND, "value \"\" is not a number"),
+        ("1,door", "", 0, "\"1,door\" has 2 fields, the header has 3"),
+        ("1,door,0,5", "", 0, "\"1,door,0,5\" has 4 fields, the header has 3"),
+        ("1,\"door,0", "", 0, "\"1,\\\"door,0\": a quote is not closed"),
+    ] {
+        let row = wrong(line)?;
+        assert_eq!((row.number, row.line, row.state.as_str(), row.time_nanos), (1, 2, state, time_nanos), "{line}");
+        assert!(row.value.is_nan(), "{line}");
+        assert!(row.wrong.as_ref().is_some_and(|wrong| wrong.starts_with(reason)), "{:?}", row.wrong);
+    }
+    let long = wrong(&format!("1,{},0", "x".repeat(129)))?;
+    assert!(long.state.is_empty() && long.wrong.is_some_and(|wrong| wrong.contains("129 characters")));
+    let endless = wrong(&"x".repeat(LINE_BYTES_MAX + 1))?;
+    assert!(endless.wrong.is_some_and(|wrong| wrong.contains("longer than 65536")));
+    Ok(())
+}
+
+#[test]
+fn values_out_of_range_are_left_to_the_daemon() -> Result<(), RowsError> {
+    for text in ["2", "-1", "inf", "NaN", "1e300"] {
+        assert_eq!(wrong(&format!("1,door,{text}"))?.wrong, None, "{text}");
+    }
+    Ok(())
+}
+
+#[test]
+fn bytes_that_are_not_text_spoil_one_row() -> Result<(), RowsError> {
+    let items = read(b"time,state,value\n1,d\xffr,0\n2,a,1\n")?;
+    assert!(matches!(&items[0], Item::Row(row) if row.wrong.as_ref().is_some_and(|w| w.ends_with("is not UTF-8"))));
+    assert_eq!(good(&items), [(2, 3, "a", 2 * SECOND, 1.0)]);
+    Ok(())
+}
+
+#[test]
+fn a_last_line_that_is_cut_off_is_no_row_until_it_is_whole() -> Result<(), RowsError> {
+    let whole = "time,state,value\n1,a,0\n2,kitchen,0.5\n";
+    let second = whole.find("2,").unwrap_or_default();
+    for cut in second + 1..whole.len() {
+        let items = read(&whole.as_bytes()[..cut])?;
+        match &items[1] {
+            Item::Torn { line: 3, text } => assert_eq!(*text, whole[second..cut]),
+            Item::Row(row) => assert!(row.wrong.is_none() && cut >= whole.len() - 4, "{cut} {row:?}"),
+            other => panic!("{other:?}"),
+        }
+    }
+    Ok(())
+}

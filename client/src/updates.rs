@@ -1,0 +1,278 @@
+//! Updates, the jobs they run as, and counters.
+//!
+//! Invariant: a job that failed is a value here, not an error: asking about it succeeded.
+
+use tidemap_proto::v1::{self, maintenance_service_client::MaintenanceServiceClient};
+use tonic::Streaming;
+
+use crate::{
+    connection::{Client, Connection},
+    error::Error,
+    maps::UpdateSummary,
+    wire::{instant, span, timestamp},
+};
+
+/// State of a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum JobState {
+    /// Waits for another job of the same map.
+    Waiting,
+    /// Runs.
+    Running,
+    /// Ended well.
+    Done,
+    /// Ended with an error.
+    Failed,
+    /// A state that this version does not know.
+    Other,
+}
+
+impl JobState {
+    /// As the command line writes it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Running => "running",
+            Self::Done => "done",
+            Self::Failed => "failed",
+            Self::Other => "other",
+        }
+    }
+}
+
+/// What started a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum JobCause {
+    /// A request.
+    Request,
+    /// The map's local midnight, by the daemon's clock.
+    Midnight,
+    /// The map's local midnight, in the time of imported data.
+    DataTime,
+    /// More observations were pending than the limit allows.
+    PendingLimit,
+    /// A cause that this version does not know.
+    Other,
+}
+
+impl JobCause {
+    /// As the command line writes it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Request => "request",
+            Self::Midnight => "midnight",
+            Self::DataTime => "data-time",
+            Self::PendingLimit => "pending-limit",
+            Self::Other => "other",
+        }
+    }
+}
+
+/// An update, as a job.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Job {
+    /// Identity, unique while the daemon runs.
+    pub id: u64,
+    /// Name of the map.
+    pub map: String,
+    /// State.
+    pub state: JobState,
+    /// What started it.
+    pub cause: JobCause,
+    /// States worked off so far.
+    pub states_done: u64,
+    /// States that have observations to fold in.
+    pub states_total: u64,
+    /// Observations folded in.
+    pub observations: u64,
+    /// When it was asked for.
+    pub created_nanos: Option<i64>,
+    /// Time it ran for, so far.
+    pub elapsed_nanos: i64,
+    /// What went wrong, where it failed.
+    pub error: String,
+    /// What it published.
+    pub update: UpdateSummary,
+}
+
+/// What an update did to one state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StateUpdate {
+    /// Name of the state.
+    pub state: String,
+    /// Order in force before.
+    pub order_before: u32,
+    /// Order in force now.
+    pub order: u32,
+    /// Mean squared error of `order_before` on the observations scored.
+    pub mean_squared_error_before: Option<f64>,
+    /// The same of `order`.
+    pub mean_squared_error: Option<f64>,
+    /// Observations folded in.
+    pub observations: u64,
+    /// Those of them that were scored.
+    pub scored: u64,
+}
+
+/// One counter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Statistic {
+    /// Its name.
+    pub name: String,
+    /// Its value.
+    pub value: f64,
+    /// Its unit; empty for a plain number.
+    pub unit: String,
+}
+
+/// A job that is being followed.
+#[derive(Debug)]
+pub struct JobWatch {
+    client: Client,
+    replies: Streaming<v1::WatchJobResponse>,
+}
+
+impl JobWatch {
+    /// The job as it stands now, then after each change; `None` once it has ended.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub async fn next(&mut self) -> Result<Option<Job>, Error> {
+        match self.replies.message().await.map_err(|status| self.client.error(&status))? {
+            Some(reply) => job_from_wire(reply.job).map(Some),
+            None => Ok(None),
+        }
+    }
+}
+
+impl Client {
+    fn maintenance_service(&self) -> MaintenanceServiceClient<Connection> {
+        MaintenanceServiceClient::new(self.requests())
+    }
+
+    /// Starts the update of a map: everything acknowledged so far, or what of it is before `until_nanos`.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    pub async fn run_update(&self, map: &str, until_nanos: Option<i64>) -> Result<Job, Error> {
+        let request = v1::RunUpdateRequest { map: map.to_owned(), until: until_nanos.map(timestamp) };
+        let response = self.maintenance_service().run_update(request).await.map_err(|status| self.error(&status))?;
+        job_from_wire(response.into_inner().job)
+    }
+
+    /// One job.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where it is unknown or long past.
+    pub async fn job(&self, id: u64) -> Result<Job, Error> {
+        let request = v1::GetJobRequest { id };
+        let response = self.maintenance_service().get_job(request).await.map_err(|status| self.error(&status))?;
+        job_from_wire(response.into_inner().job)
+    }
+
+    /// The jobs that run and those that ended lately, newest first.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub async fn jobs(&self) -> Result<Vec<Job>, Error> {
+        let mut jobs = Vec::new();
+        let mut request = v1::ListJobsRequest { page_size: 1000, page_token: String::new() };
+        loop {
+            let response =
+                self.maintenance_service().list_jobs(request.clone()).await.map_err(|status| self.error(&status))?;
+            let page = response.into_inner();
+            for job in page.jobs {
+                jobs.push(job_from_wire(Some(job))?);
+            }
+            if page.next_page_token.is_empty() {
+                return Ok(jobs);
+            }
+            request.page_token = page.next_page_token;
+        }
+    }
+
+    /// Follows a job until it has ended.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where it is unknown or long past.
+    pub async fn watch_job(&self, id: u64) -> Result<JobWatch, Error> {
+        let request = v1::WatchJobRequest { id };
+        let response = self.maintenance_service().watch_job(request).await.map_err(|status| self.error(&status))?;
+        Ok(JobWatch { client: self.clone(), replies: response.into_inner() })
+    }
+
+    /// A page of what an update did to each state, and the token of the next page. The first page has the token "", and
+    /// after the last one comes `None`.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where a later update has replaced the report.
+    pub async fn update_report(
+        &self,
+        job_id: u64,
+        page_token: &str,
+    ) -> Result<(Vec<StateUpdate>, Option<String>), Error> {
+        let request =
+            v1::GetUpdateReportRequest { job_id, page_size: 10_000, page_token: page_token.to_owned() };
+        let answer = self.maintenance_service().get_update_report(request).await;
+        let page = answer.map_err(|status| self.error(&status))?.into_inner();
+        let states = page.states.into_iter().map(state_update_from_wire).collect();
+        Ok((states, Some(page.next_page_token).filter(|token| !token.is_empty())))
+    }
+
+    /// Counters of a map, or of the whole daemon where `map` is empty.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    pub async fn statistics(&self, map: &str) -> Result<Vec<Statistic>, Error> {
+        let request = v1::GetStatisticsRequest { map: map.to_owned() };
+        let answer = self.maintenance_service().get_statistics(request).await;
+        let statistics = answer.map_err(|status| self.error(&status))?.into_inner().statistics;
+        let statistic = |s: v1::Statistic| Statistic { name: s.name, value: s.value, unit: s.unit };
+        Ok(statistics.into_iter().map(statistic).collect())
+    }
+}
+
+fn job_from_wire(job: Option<v1::Job>) -> Result<Job, Error> {
+    let job = job.ok_or(Error::Protocol("no job in the answer"))?;
+    let state = match job.state() {
+        v1::JobState::Waiting => JobState::Waiting,
+        v1::JobState::Running => JobState::Running,
+        v1::JobState::Done => JobState::Done,
+        v1::JobState::Failed => JobState::Failed,
+        v1::JobState::Unspecified => JobState::Other,
+    };
+    let cause = match job.cause() {
+        v1::JobCause::Request => JobCause::Request,
+        v1::JobCause::Midnight => JobCause::Midnight,
+        v1::JobCause::DataTime => JobCause::DataTime,
+        v1::JobCause::PendingLimit => JobCause::PendingLimit,
+        v1::JobCause::Unspecified => JobCause::Other,
+    };
+    Ok(Job {
+        id: job.id,
+        map: job.map,
+        state,
+        cause,
+        states_done: job.states_done,
+        states_total: job.states_total,
+        observations: job.observations,
+        created_nanos: instant(job.create_time),
+        elapsed_nanos: span(job.elapsed).unwrap_or_default(),
+        error: job.error,
+        update: UpdateSummary::from_wire(job.update),
+    })
+}
+
+fn state_update_from_wire(update: v1::StateUpdate) -> StateUpdate {
+    StateUpdate {
+        state: update.state,
+        order_before: update.order_before,
+        order: update.order,
+        mean_squared_error_before: update.mean_squared_error_before,
+        mean_squared_error: update.mean_squared_error,
+        observations: update.observations,
+        scored: update.scored,
+    }
+}

@@ -1,0 +1,212 @@
+//! Damaged checkpoints and a damaged index cost nothing but a report.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use tidemap_migrations::v1::index::{MARKS, MODELS, STATES, chunk_key, item_key, map_key};
+
+use super::example::{Example, fill, options, snapshot};
+use crate::{MapId, OpenedMap, Report, Source, Store};
+
+fn example(directory: &Path) -> Example {
+    fill(directory, 23, &[5, 10, 15], 64 << 20)
+}
+
+fn checkpoint(directory: &Path, position: u64) -> PathBuf {
+    directory.join(format!("maps/00000001/checkpoints/{position:020}.tmc"))
+}
+
+fn remove_index(directory: &Path) {
+    fs::remove_dir_all(directory.join("index")).expect("removable");
+}
+
+/// After whatever was repaired, the next start finds nothing to repair and everything in the index.
+fn check_repaired(example: &Example, directory: &Path) {
+    let opened = example.check(directory).expect("opens");
+    assert_eq!((opened.source, opened.reports), (Source::Index, vec![]));
+}
+
+fn set_aside(opened: &OpenedMap) -> usize {
+    opened.reports.iter().filter(|report| matches!(report, Report::CheckpointSetAside { .. })).count()
+}
+
+#[test]
+fn a_lost_index_is_written_again_from_the_newest_checkpoint() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = example(directory.path());
+    remove_index(directory.path());
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!(opened.source, Source::Checkpoint);
+    assert_eq!(opened.snapshot.as_ref(), example.snapshots.last());
+    check_repaired(&example, directory.path());
+}
+
+#[test]
+fn damaged_checkpoints_are_set_aside_one_after_the_other() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = example(directory.path());
+    remove_index(directory.path());
+    fs::write(checkpoint(directory.path(), 15), "nonsense").expect("writable");
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!((opened.source, set_aside(&opened)), (Source::Checkpoint, 1));
+    assert_eq!(opened.snapshot.as_ref(), Some(&example.snapshots[1]));
+    assert!(checkpoint(directory.path(), 15).with_added_extension("damaged").exists());
+
+    remove_index(directory.path());
+    fs::write(checkpoint(directory.path(), 10), "").expect("writable");
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!((opened.source, set_aside(&opened)), (Source::Log, 1));
+    assert_eq!(opened.snapshot, None);
+}
+
+#[test]
+fn a_checkpoint_that_is_newer_than_the_index_wins() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let mut example = example(directory.path());
+    let index = directory.path().join("index");
+    let old = directory.path().join("index.old");
+    super::example::copy(&index, &old);
+    let newest = snapshot(&example.spec, 20, 3);
+    {
+        let store = Store::open(directory.path(), options()).expect("opens");
+        store.open_map(MapId(1), &example.spec).expect("opens");
+        store.save(MapId(1), &newest, &[]).expect("saves");
+    }
+    example.snapshots.push(newest.clone());
+    fs::remove_dir_all(&index).expect("removable");
+    fs::rename(&old, &index).expect("renamable");
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!((opened.source, opened.snapshot.as_ref()), (Source::Checkpoint, Some(&newest)));
+    assert!(matches!(opened.reports[..], [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
+    check_repaired(&example, directory.path());
+
+    // Where that checkpoint is damaged, the index is the best there is.
+    fs::remove_dir_all(directory.path().join("index")).expect("removable");
+    fs::write(checkpoint(directory.path(), 20), "nonsense").expect("writable");
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!(opened.snapshot.as_ref(), Some(&example.snapshots[2]));
+}
+
+#[test]
+fn an_interrupted_save_leaves_the_map_as_it_was() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = example(directory.path());
+    let left = directory.path().join("maps/00000001/checkpoints/00000000000000000020.tmc.new");
+    fs::write(&left, "half").expect("writable");
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!(opened.reports, [Report::LeftoverRemoved { file: left.clone() }]);
+    assert!(!left.exists());
+}
+
+#[test]
+fn a_snapshot_that_sled_was_writing_does_not_stop_it() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = example(directory.path());
+    fs::write(directory.path().join("index/snap.0000000000000001.generating"), "half").expect("writable");
+    check_repaired(&example, directory.path());
+}
+
+#[test]
+fn an_index_that_is_no_database_is_set_aside() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = example(directory.path());
+    for number in 1..=3 {
+        let file = directory.path().join("index/db");
+        let length = fs::metadata(&file).expect("there").len();
+        fs::write(&file, vec![0x5A; length as usize]).expect("writable");
+        let store = Store::open(directory.path(), options()).expect("opens");
+        let aside = directory.path().join(format!("index.damaged-{number}"));
+        let reported = matches!(store.reports(), [Report::IndexSetAside { folder, .. }] if *folder == aside);
+        assert!(reported, "{:?}", store.reports());
+        assert!(aside.exists());
+        drop(store);
+        let opened = example.check(directory.path()).expect("opens");
+        assert_eq!(opened.source, Source::Checkpoint);
+        check_repaired(&example, directory.path());
+    }
+    let kept = fs::read_dir(directory.path()).expect("readable").filter(|entry| {
+        entry.as_ref().is_ok_and(|entry| entry.file_name().to_string_lossy().starts_with("index.damaged"))
+    });
+    assert_eq!(kept.count(), 1);
+}
+
+/// Changes the database behind the store's back.
+fn edit(directory: &Path, change: impl FnOnce(&sled::Db)) {
+    let db = sled::open(directory.join("index")).expect("opens");
+    change(&db);
+    db.flush().expect("flushes");
+}
+
+#[test]
+fn missing_stale_foreign_and_damaged_records_are_noticed() {
+    type Change = fn(&sled::Tree, &sled::Tree, &sled::Tree);
+    let changes: [(&str, Change); 8] = [
+        ("a state is missing", |states, _, _| drop(states.remove(item_key(1, 2)).expect("removes"))),
+        ("a chunk is missing", |_, models, _| drop(models.remove(chunk_key(1, 1, 1)).expect("removes"))),
+        ("a producer is missing", |_, _, marks| drop(marks.remove(item_key(1, 0)).expect("removes"))),
+        ("all states are missing", |states, _, _| states.clear().expect("clears")),
+        ("a state is in the place of another", |states, _, _| {
+            let value = states.get(item_key(1, 1)).expect("reads").expect("there");
+            states.insert(item_key(1, 2), value).expect("inserts");
+        }),
+        ("a bit is flipped", |_, models, _| {
+            let mut value = models.get(chunk_key(1, 1, 0)).expect("reads").expect("there").to_vec();
+            value[100] ^= 4;
+            models.insert(chunk_key(1, 1, 0), value).expect("inserts");
+        }),
+        ("the mark is damaged", |_, _, marks| drop(marks.insert(map_key(1), "?").expect("inserts"))),
+        ("a chunk too many", |_, models, _| {
+            let key = chunk_key(1, 2, 9);
+            let value = tidemap_migrations::v1::index::encode_value(MODELS, &key, &[0; 32]);
+            models.insert(key, value).expect("inserts");
+        }),
+    ];
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = example(directory.path());
+    for (what, change) in changes {
+        edit(directory.path(), |db| {
+            let tree = |name| db.open_tree(name).expect("opens");
+            change(&tree(STATES), &tree(MODELS), &tree(MARKS));
+        });
+        let opened = example.check(directory.path()).expect("opens");
+        assert_eq!(opened.source, Source::Checkpoint, "{what}");
+        let reported = opened.reports.iter().any(|report| matches!(report, Report::IndexSetAside { .. }));
+        assert!(reported, "{what}: {:?}", opened.reports);
+        check_repaired(&example, directory.path());
+    }
+}
+
+#[test]
+fn a_save_into_the_index_that_was_cut_off_is_done_again() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = example(directory.path());
+    edit(directory.path(), |db| {
+        use prost::Message as _;
+        use tidemap_migrations::v1::index::{Mark, encode_value};
+        let mark = Mark { dirty: true, ..Mark::default() };
+        let value = encode_value(MARKS, &map_key(1), &mark.encode_to_vec());
+        db.open_tree(MARKS).expect("opens").insert(map_key(1), value).expect("inserts");
+        db.open_tree(STATES).expect("opens").remove(item_key(1, 1)).expect("removes");
+    });
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!(opened.source, Source::Checkpoint);
+    assert!(matches!(opened.reports[..], [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
+    check_repaired(&example, directory.path());
+}
+
+#[test]
+fn what_has_changed_is_found_even_if_it_is_not_announced() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let mut example = example(directory.path());
+    let newest = snapshot(&example.spec, 20, 4);
+    {
+        let store = Store::open(directory.path(), options()).expect("opens");
+        store.open_map(MapId(1), &example.spec).expect("opens");
+        store.save(MapId(1), &newest, &[]).expect("saves");
+    }
+    example.snapshots.push(newest.clone());
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!((opened.source, opened.snapshot), (Source::Index, Some(newest)));
+}

@@ -1,0 +1,185 @@
+//! What is written is read, to the last bit.
+
+use proptest::{collection::vec, option, prelude::*};
+use rand::{SeedableRng as _, rngs::SmallRng};
+use tidemap_map::{
+    event::{
+        Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind, UpdateCause,
+        UpdateStart,
+    },
+    name::{MapName, ProducerKey, StateName},
+    spec::MapSpec,
+};
+use tidemap_model::{OrderCriterion, Periodicities, Zone};
+
+use super::example::{snapshot, state};
+use crate::record;
+
+fn values() -> impl Strategy<Value = Vec<f64>> {
+    let binary = prop_oneof![Just(0.0), Just(1.0)];
+    prop_oneof![
+        vec(binary, 0..700),
+        (0.0..=1.0, 0..40_usize).prop_map(|(value, count)| vec![value; count]),
+        (prop_oneof![Just(0.0), Just(1.0), Just(-0.0)], 0..40_usize).prop_map(|(value, count)| vec![value; count]),
+        vec((0..=1000_u16).prop_map(|thousandth| f64::from(f32::from(thousandth) / 1000.0)), 0..100),
+        vec(prop_oneof![0.0..=1.0, Just(-0.0), Just(f64::MIN_POSITIVE), Just(1.0 - f64::EPSILON)], 0..100),
+    ]
+}
+
+fn times(count: usize) -> impl Strategy<Value = Vec<i64>> {
+    prop_oneof![
+        vec(0..=i64::MAX, count),
+        vec(0..1_000_000_i64, count).prop_map(|secs| secs.iter().map(|sec| sec * 1_000_000_000).collect()),
+        (0..1_000_000_i64, 0..1_000_000_i64)
+            .prop_map(move |(start, step)| (0..count as i64).map(|i| start + i * step).collect()),
+    ]
+}
+
+fn observations() -> impl Strategy<Value = Event> {
+    let columns = values().prop_flat_map(|values| {
+        let count = values.len();
+        let states = prop_oneof![
+            vec(any::<u32>(), count),
+            vec(0..300_u32, count),
+            any::<u32>().prop_map(move |state| vec![state; count])
+        ];
+        (states, times(count), Just(values), 0..=count as u32, any::<(i32, i32)>())
+    });
+    let key = option::of(("[a-zü]{1,9}", "[a-zü]{0,9}"));
+    let refused = vec((0..1000_u64, 0..6_u8), 0..20);
+    let numbers = any::<(u32, u64, u64, u32, u32, i64)>();
+    (columns, key, refused, numbers, vec("[a-zü ]{1,20}", 0..5)).prop_map(|(columns, key, refused, numbers, names)| {
+        let (states, times_nanos, values, split, offsets) = columns;
+        let (producer, incarnation, first_sequence, length, content_crc, received_nanos) = numbers;
+        let rest = values.len() as u32 - split;
+        let mut sequence = 0;
+        Event::Observations(Observations {
+            producer: ProducerId(producer),
+            new_producer: key.map(|(producer, label)| ProducerKey::new(&producer, &label).expect("valid")),
+            incarnation,
+            first_sequence,
+            last_sequence: first_sequence.saturating_add(u64::from(length)),
+            content_crc,
+            received_nanos,
+            new_states: (0..)
+                .zip(names)
+                .map(|(id, name)| NewState {
+                    id: StateId(id),
+                    name: StateName::new(&name).expect("valid"),
+                    kind: StateKind::Probability,
+                })
+                .collect(),
+            states: states.into_iter().map(StateId).collect(),
+            times_nanos,
+            values,
+            offsets: vec![
+                OffsetRun { count: split, offset_secs: offsets.0 },
+                OffsetRun { count: rest, offset_secs: offsets.1 },
+            ],
+            refused: refused
+                .into_iter()
+                .map(|(step, reason)| {
+                    sequence += step;
+                    let reason = match reason {
+                        0 => RefusalReason::Value,
+                        1 => RefusalReason::Time,
+                        2 => RefusalReason::StateName,
+                        3 => RefusalReason::StateIndex,
+                        4 => RefusalReason::StateLimit,
+                        _ => RefusalReason::StateKind,
+                    };
+                    (sequence, reason)
+                })
+                .collect(),
+        })
+    })
+}
+
+fn update_start() -> impl Strategy<Value = Event> {
+    let cause = prop_oneof![
+        Just(UpdateCause::Request),
+        Just(UpdateCause::Midnight),
+        Just(UpdateCause::DataTime),
+        Just(UpdateCause::PendingLimit)
+    ];
+    (any::<u64>(), any::<i64>(), cause)
+        .prop_map(|(generation, cut_nanos, cause)| Event::UpdateStart(UpdateStart { generation, cut_nanos, cause }))
+}
+
+/// Equal to the bit: 0.0 and -0.0 differ.
+fn bits(event: &Event) -> Vec<u64> {
+    match event {
+        Event::Observations(observations) => observations.values.iter().map(|value| value.to_bits()).collect(),
+        Event::UpdateStart(_) => Vec::new(),
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn events_come_back(event in prop_oneof![9 => observations(), 1 => update_start()]) {
+        let (kind, payload) = record::event::encode(&event).expect("valid");
+        let found = record::event::decode(kind, &payload).expect("readable");
+        prop_assert_eq!(bits(&found), bits(&event));
+        prop_assert_eq!(found, event);
+    }
+
+    #[test]
+    fn no_payload_panics_or_takes_endless_memory(payload in vec(any::<u8>(), 0..200)) {
+        for kind in [tidemap_migrations::v1::log::FrameKind::Observations, tidemap_migrations::v1::log::FrameKind::UpdateStart] {
+            let _ = record::event::decode(kind, &payload);
+        }
+    }
+
+    #[test]
+    fn a_changed_payload_is_read_or_refused(event in observations(), at in any::<prop::sample::Index>(), byte in any::<u8>()) {
+        let (kind, mut payload) = record::event::encode(&event).expect("valid");
+        let at = at.index(payload.len().max(1));
+        if let Some(place) = payload.get_mut(at) {
+            *place = byte;
+        }
+        if let Ok(found) = record::event::decode(kind, &payload) {
+            // Whatever it is now, it is something that can be written.
+            prop_assert!(record::event::encode(&found).is_ok());
+        }
+    }
+
+    #[test]
+    fn states_come_back(seed in any::<u64>()) {
+        let spec = super::example::spec("office");
+        let mut random = SmallRng::seed_from_u64(seed);
+        let state = state(&spec, "door", &mut random);
+        let message = record::snapshot::encode_state(7, &state);
+        prop_assert_eq!(record::snapshot::decode_state(7, &message, &spec.periodicities), Ok(state));
+        prop_assert!(record::snapshot::decode_state(8, &message, &spec.periodicities).is_err());
+    }
+
+    #[test]
+    fn specs_come_back(base in 86_400_000_000_000..=604_800_000_000_000_i64, count in 1..=100_u32, is_list: bool) {
+        let periodicities = if is_list {
+            Periodicities::list((1..=i64::from(count)).map(|k| base / k).collect())
+        } else {
+            Periodicities::harmonics(base, count)
+        };
+        let spec = MapSpec {
+            name: MapName::new("a-b_0").expect("valid"),
+            zone: Zone::named(if is_list { "UTC" } else { "America/New_York" }).expect("known"),
+            periodicities: periodicities.expect("valid"),
+            criterion: if is_list { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError },
+            created_nanos: base,
+        };
+        prop_assert_eq!(record::spec::decode(record::spec::encode(&spec)), Ok(spec));
+    }
+}
+
+#[test]
+fn a_snapshot_comes_back_from_its_parts() {
+    let spec = super::example::spec("office");
+    let snapshot = snapshot(&spec, 15, 4);
+    let message = record::snapshot::encode(&snapshot);
+    let found = record::snapshot::decode(&message, snapshot.producers.clone(), snapshot.states.clone());
+    assert_eq!(found.as_ref(), Ok(&snapshot));
+    assert!(record::snapshot::decode(&message, vec![], snapshot.states.clone()).is_err());
+    assert!(record::snapshot::decode(&message, snapshot.producers, snapshot.states[1..].to_vec()).is_err());
+}

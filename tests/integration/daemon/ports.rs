@@ -1,0 +1,98 @@
+//! What the two ports tell those who operate the daemon: health, reflection, metrics.
+
+use tempfile::tempdir;
+use tidemap::maps::NewMap;
+use tidemap_tests::{
+    daemon::{Daemon, Launch},
+    stream::{RawStream, columns, hello},
+};
+use tokio::{
+    io::{AsyncReadExt as _, AsyncWriteExt as _},
+    net::TcpStream,
+};
+use tokio_stream::StreamExt as _;
+use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient};
+use tonic_reflection::pb::v1::{
+    ServerReflectionRequest, server_reflection_client::ServerReflectionClient, server_reflection_request,
+    server_reflection_response,
+};
+
+/// Status line and body of a GET.
+async fn get(daemon: &Daemon, path: &str) -> (String, String) {
+    let mut connection = TcpStream::connect(&daemon.http).await.expect("the port is open");
+    let request = format!("GET {path} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n\r\n", daemon.http);
+    connection.write_all(request.as_bytes()).await.expect("a request");
+    let mut text = String::new();
+    connection.read_to_string(&mut text).await.expect("an answer");
+    let (head, body) = text.split_once("\r\n\r\n").expect("a head and a body");
+    (head.lines().next().expect("a status line").to_owned(), body.to_owned())
+}
+
+/// The value of a metric that has no labels.
+fn metric(text: &str, name: &str) -> Option<f64> {
+    text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse().ok())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn http_tells_life_readiness_and_metrics_and_nothing_about_maps() {
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    let map = NewMap { name: "secret-lab".to_owned(), ..NewMap::default() };
+    daemon.client().create_map(map).await.expect("a new map");
+    let (mut stream, _) = RawStream::open(&daemon.grpc, hello("robot", "secret-lab")).await.expect("a Welcome");
+    stream.batch(1, columns(&["door"], &[(0, 1_000, 1.0), (0, 2_000, 7.0), (0, 3_000, 0.0)])).await;
+    stream.acknowledged(3).await.expect("taken");
+
+    for path in ["/", "/healthz", "/readyz", "/metrics"] {
+        let (status, body) = get(&daemon, path).await;
+        assert_eq!(status, "HTTP/1.1 200 OK", "{path}");
+        assert!(!body.is_empty() && !body.contains("secret-lab"), "{path}: {body}");
+    }
+    assert_eq!(get(&daemon, "/elsewhere").await.0, "HTTP/1.1 404 Not Found");
+    let (_, metrics) = get(&daemon, "/metrics").await;
+    for (name, value) in [
+        ("tidemap_maps", 1.0),
+        ("tidemap_states", 1.0),
+        ("tidemap_observations", 2.0),
+        ("tidemap_observations_total", 2.0),
+        ("tidemap_refused_total", 1.0),
+        ("tidemap_streams", 1.0),
+    ] {
+        assert_eq!(metric(&metrics, name), Some(value), "{name} in:\n{metrics}");
+    }
+    assert!(metric(&metrics, "tidemap_fdatasyncs").is_some_and(|count| count >= 1.0), "{metrics}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn grpc_has_health_for_the_daemon_and_its_services() {
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    let mut health = HealthClient::connect(format!("http://{}", daemon.grpc)).await.expect("a daemon");
+    for service in ["", "tidemap.v1.ObservationService", "tidemap.v1.QueryService"] {
+        let answer = health.check(HealthCheckRequest { service: service.to_owned() }).await.expect(service);
+        assert_eq!(answer.into_inner().status(), ServingStatus::Serving, "{service}");
+    }
+    let unknown = health.check(HealthCheckRequest { service: "elsewhere".to_owned() }).await;
+    assert_eq!(unknown.expect_err("no such service").code(), tonic::Code::NotFound);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn grpc_says_which_services_there_are() {
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    let mut reflection = ServerReflectionClient::connect(format!("http://{}", daemon.grpc)).await.expect("a daemon");
+    let request = ServerReflectionRequest {
+        host: String::new(),
+        message_request: Some(server_reflection_request::MessageRequest::ListServices(String::new())),
+    };
+    let mut answers =
+        reflection.server_reflection_info(tokio_stream::once(request)).await.expect("reflection").into_inner();
+    let answer = answers.next().await.expect("an answer").expect("a good one").message_response;
+    let Some(server_reflection_response::MessageResponse::ListServicesResponse(list)) = answer else {
+        panic!("no list of services: {answer:?}");
+    };
+    let names: Vec<&str> = list.service.iter().map(|service| service.name.as_str()).collect();
+    for service in ["MapService", "ObservationService", "QueryService", "MaintenanceService"] {
+        assert!(names.contains(&format!("tidemap.v1.{service}").as_str()), "{service} is not in {names:?}");
+    }
+}

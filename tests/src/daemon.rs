@@ -1,0 +1,332 @@
+//! The daemon as a process.
+//!
+//! Invariant: a daemon listens on loopback, on ports that were free, and is killed when its handle goes. What it says
+//! on stderr is kept. Limits of time are generous: they tell "hangs" from "works", never "slow" from "fast".
+
+use std::{
+    ffi::OsString,
+    fmt,
+    io::{BufRead as _, BufReader, Read},
+    os::unix::process::ExitStatusExt as _,
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::{Arc, Mutex, PoisonError, mpsc},
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+pub use rustix::process::Signal;
+use rustix::process::{Pid, kill_process};
+use tidemap::Client;
+
+use crate::binaries;
+
+/// A daemon that is not ready by then hangs.
+const READY_WITHIN: Duration = Duration::from_secs(120);
+/// A daemon that has not ended by then hangs.
+const EXIT_WITHIN: Duration = Duration::from_secs(60);
+const POLL: Duration = Duration::from_millis(5);
+
+/// How to start a daemon.
+#[derive(Clone, Debug)]
+pub struct Launch {
+    program: PathBuf,
+    wrapper: Vec<OsString>,
+    args: Vec<OsString>,
+    environment: Vec<(String, OsString)>,
+    working_directory: Option<PathBuf>,
+}
+
+impl Launch {
+    /// The daemon of this build, with nothing but what is said later.
+    #[must_use]
+    pub fn bare() -> Self {
+        Self {
+            program: binaries::tidemapd(),
+            wrapper: Vec::new(),
+            args: Vec::new(),
+            environment: Vec::new(),
+            working_directory: None,
+        }
+    }
+
+    /// The daemon of this build, on free ports, with its data there.
+    #[must_use]
+    pub fn on(data: &Path) -> Self {
+        Self::bare()
+            .args(["--listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0", "--data-dir"])
+            .args([data.as_os_str()])
+    }
+
+    /// Another program than the daemon of this build.
+    #[must_use]
+    pub fn program(mut self, program: PathBuf) -> Self {
+        self.program = program;
+        self
+    }
+
+    /// A command that starts the daemon as its child, such as `strace`.
+    #[must_use]
+    pub fn under<T: Into<OsString>>(mut self, wrapper: impl IntoIterator<Item = T>) -> Self {
+        self.wrapper = wrapper.into_iter().map(Into::into).collect();
+        self
+    }
+
+    /// More arguments.
+    #[must_use]
+    pub fn args<T: Into<OsString>>(mut self, args: impl IntoIterator<Item = T>) -> Self {
+        self.args.extend(args.into_iter().map(Into::into));
+        self
+    }
+
+    /// A setting by its key, through the environment.
+    #[must_use]
+    pub fn setting(mut self, key: &str, value: impl fmt::Display) -> Self {
+        self.environment.push((format!("TIDEMAP_{}", key.to_uppercase()), value.to_string().into()));
+        self
+    }
+
+    /// The working directory.
+    #[must_use]
+    pub fn working_directory(mut self, folder: &Path) -> Self {
+        self.working_directory = Some(folder.to_path_buf());
+        self
+    }
+
+    /// Starts the process and does not wait for anything.
+    ///
+    /// # Panics
+    /// If there is no such program.
+    #[must_use]
+    pub fn spawn(&self) -> Process {
+        let mut words = self.wrapper.iter().cloned().chain([self.program.clone().into_os_string()]);
+        let mut command = Command::new(words.next().expect("there is a program"));
+        command.args(words).args(&self.args);
+        for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("TIDEMAP_")) {
+            command.env_remove(name);
+        }
+        command.envs(self.environment.iter().map(|(name, value)| (name, value)));
+        if let Some(folder) = &self.working_directory {
+            command.current_dir(folder);
+        }
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        Process::watch(command.spawn().unwrap_or_else(|error| panic!("{command:?}: {error}")))
+    }
+
+    /// Starts the daemon and waits until it is ready.
+    ///
+    /// # Errors
+    /// How it ended instead.
+    ///
+    /// # Panics
+    /// If it neither gets ready nor ends.
+    pub fn try_start(&self) -> Result<Daemon, Exit> {
+        self.spawn().ready()
+    }
+
+    /// Starts the daemon and waits until it is ready.
+    ///
+    /// # Panics
+    /// If it does not get ready.
+    #[must_use]
+    pub fn start(&self) -> Daemon {
+        self.try_start().unwrap_or_else(|exit| panic!("the daemon did not start: {exit}"))
+    }
+}
+
+/// How a process ended, and what it had said.
+#[derive(Clone, Debug)]
+pub struct Exit {
+    /// Its status.
+    pub status: ExitStatus,
+    /// All of stderr.
+    pub stderr: String,
+}
+
+impl Exit {
+    /// The exit status, where it was not a signal.
+    #[must_use]
+    pub fn code(&self) -> Option<i32> {
+        self.status.code()
+    }
+}
+
+impl fmt::Display for Exit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.status)?;
+        if let Some(signal) = self.status.signal() {
+            write!(f, " (signal {signal})")?;
+        }
+        write!(f, "\n{}", self.stderr)
+    }
+}
+
+/// A process whose output is being read.
+#[derive(Debug)]
+pub struct Process {
+    child: Child,
+    lines: mpsc::Receiver<String>,
+    stderr: Arc<Mutex<String>>,
+    readers: Vec<JoinHandle<()>>,
+}
+
+impl Process {
+    fn watch(mut child: Child) -> Self {
+        let (sender, lines) = mpsc::channel();
+        let stdout = child.stdout.take().expect("stdout is a pipe");
+        let mut errors = child.stderr.take().expect("stderr is a pipe");
+        let stderr = Arc::new(Mutex::new(String::new()));
+        let kept = Arc::clone(&stderr);
+        let readers = vec![
+            // After the first lines nobody listens; the pipe is emptied all the same.
+            thread::spawn(move || BufReader::new(stdout).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)))),
+            thread::spawn(move || {
+                let mut buffer = [0; 4096];
+                while let Ok(length @ 1..) = errors.read(&mut buffer) {
+                    let text = String::from_utf8_lossy(&buffer[..length]);
+                    kept.lock().unwrap_or_else(PoisonError::into_inner).push_str(&text);
+                }
+            }),
+        ];
+        Self { child, lines, stderr, readers }
+    }
+
+    /// Waits for the line that says where the daemon listens.
+    ///
+    /// # Errors
+    /// How it ended instead.
+    ///
+    /// # Panics
+    /// If it neither says where nor ends.
+    pub fn ready(mut self) -> Result<Daemon, Exit> {
+        match self.lines.recv_timeout(READY_WITHIN) {
+            Ok(line) => {
+                let addresses = line.strip_prefix("listening grpc=").and_then(|rest| rest.split_once(" http="));
+                let (grpc, http) = addresses.unwrap_or_else(|| panic!("{line:?} does not say where it listens"));
+                let (grpc, http) = (grpc.to_owned(), http.to_owned());
+                Ok(Daemon { process: self, grpc, http })
+            }
+            Err(mpsc::RecvTimeoutError::Disconnected) => Err(self.exit()),
+            Err(mpsc::RecvTimeoutError::Timeout) => panic!("the daemon is not ready:\n{}", self.stderr()),
+        }
+    }
+
+    /// Waits for the end.
+    ///
+    /// # Panics
+    /// If it does not end.
+    pub fn exit(&mut self) -> Exit {
+        let since = Instant::now();
+        let status = loop {
+            if let Some(status) = self.child.try_wait().expect("a child can be waited for") {
+                break status;
+            }
+            assert!(since.elapsed() < EXIT_WITHIN, "the process does not end:\n{}", self.stderr());
+            thread::sleep(POLL);
+        };
+        for reader in self.readers.drain(..) {
+            reader.join().expect("a reader of output does not panic");
+        }
+        Exit { status, stderr: self.stderr() }
+    }
+
+    /// Ends the process as `kill -9` does.
+    ///
+    /// # Panics
+    /// If it does not end.
+    pub fn kill(mut self) -> Exit {
+        self.signal(Signal::KILL);
+        self.exit()
+    }
+
+    /// What it has said on stderr so far.
+    #[must_use]
+    pub fn stderr(&self) -> String {
+        self.stderr.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Number of the process.
+    #[must_use]
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Sends a signal to the process; one that has ended does not mind.
+    pub fn signal(&self, signal: Signal) {
+        let pid = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw).expect("a process has a number");
+        // The child is not waited for before `exit`, so its number is still its own.
+        let _ = kill_process(pid, signal);
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A daemon that is ready.
+#[derive(Debug)]
+pub struct Daemon {
+    process: Process,
+    /// Address of its gRPC port.
+    pub grpc: String,
+    /// Address of its HTTP port.
+    pub http: String,
+}
+
+impl Daemon {
+    /// The way to it.
+    ///
+    /// # Panics
+    /// If its address is none.
+    #[must_use]
+    pub fn client(&self) -> Client {
+        Client::new(&self.grpc).expect("the daemon printed an address")
+    }
+
+    /// The process.
+    #[must_use]
+    pub fn process(&self) -> &Process {
+        &self.process
+    }
+
+    /// Ends it as `kill -9` does.
+    pub fn kill(self) -> Exit {
+        self.process.kill()
+    }
+
+    /// Asks it to stop and waits for that.
+    pub fn stop(mut self) -> Exit {
+        self.process.signal(Signal::TERM);
+        self.process.exit()
+    }
+
+    /// Waits for it to end by itself.
+    pub fn exit(mut self) -> Exit {
+        self.process.exit()
+    }
+
+    /// Asks it to stop, and makes sure that it did so in order.
+    ///
+    /// # Panics
+    /// If it did not.
+    pub fn stop_in_order(self) -> String {
+        let exit = self.stop();
+        assert_eq!(exit.code(), Some(0), "stopping ended with {exit}");
+        exit.stderr
+    }
+}
+
+/// A port of loopback that is free now, and that the system gives to nobody who does not ask for it by number.
+///
+/// # Panics
+/// If all are taken.
+#[must_use]
+pub fn lasting_port() -> u16 {
+    let first = 20_000 + u16::try_from(std::process::id() % 6_000).unwrap_or(0);
+    let free = |port: &u16| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok();
+    (first..first + 6_000).find(free).expect("a free port")
+}

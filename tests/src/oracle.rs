@@ -1,0 +1,263 @@
+//! What a daemon must hold after it acknowledged what it acknowledged.
+//!
+//! Invariant: computed from the feed and the daemon's own sequence numbers alone. A daemon may hold more than it
+//! acknowledged, whole and in order, never less, and nothing twice.
+
+use std::{collections::BTreeMap, fmt};
+
+use tidemap::{
+    Client,
+    queries::{ModelKind, ModelSelector},
+    updates::JobState,
+};
+
+use crate::{
+    daemon::Daemon,
+    feed::{Feed, state_name},
+    stream::{RawStream, hello},
+};
+
+/// What a daemon did not keep to.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Violation {
+    /// It lacks what it acknowledged.
+    Lost {
+        /// Whose.
+        producer: String,
+        /// Up to here it had acknowledged.
+        acknowledged: u64,
+        /// Up to here it holds.
+        durable: u64,
+    },
+    /// It holds what was never sent.
+    Foreign {
+        /// Whose.
+        producer: String,
+        /// Up to here was sent.
+        sent: u64,
+        /// Up to here it holds.
+        durable: u64,
+    },
+    /// The map itself is gone.
+    MapGone(String),
+    /// It says something else than what follows from what it holds.
+    Differs {
+        /// What it was asked.
+        what: String,
+        /// What follows.
+        expected: String,
+        /// What it says.
+        found: String,
+    },
+}
+
+impl Violation {
+    /// Whether something acknowledged is missing.
+    #[must_use]
+    pub fn is_loss(&self) -> bool {
+        matches!(self, Self::Lost { .. } | Self::MapGone(_))
+    }
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Lost { producer, acknowledged, durable } => {
+                write!(f, "LOST: {producer} was told that {acknowledged} is durable, and {durable} is")
+            }
+            Self::Foreign { producer, sent, durable } => {
+                write!(f, "FOREIGN: {producer} sent up to {sent}, and {durable} is durable")
+            }
+            Self::MapGone(map) => write!(f, "LOST: map {map:?} is gone"),
+            Self::Differs { what, expected, found } => {
+                write!(f, "DIFFERS: {what} should be {expected} and is {found}")
+            }
+        }
+    }
+}
+
+fn same<T: PartialEq + fmt::Debug>(what: impl FnOnce() -> String, expected: &T, found: &T) -> Result<(), Violation> {
+    if expected == found {
+        return Ok(());
+    }
+    Err(Violation::Differs { what: what(), expected: format!("{expected:?}"), found: format!("{found:?}") })
+}
+
+fn near(what: impl FnOnce() -> String, expected: f64, found: f64) -> Result<(), Violation> {
+    if (expected - found).abs() <= 1e-9 {
+        return Ok(());
+    }
+    Err(Violation::Differs { what: what(), expected: expected.to_string(), found: found.to_string() })
+}
+
+/// What is known of one producer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Mark {
+    /// Up to here the daemon has acknowledged.
+    pub acknowledged: u64,
+    /// Up to here was handed over, perhaps never sent.
+    pub sent: u64,
+}
+
+/// What follows for one state.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct StateExpectation {
+    observations: u64,
+    sum: f64,
+    last: Option<(i64, f64)>,
+}
+
+/// One map that is fed by a feed.
+#[derive(Clone, Debug)]
+pub struct Oracle {
+    /// Name of the map.
+    pub map: String,
+    /// What is fed to it.
+    pub feed: Feed,
+    /// By producer.
+    pub marks: Vec<Mark>,
+}
+
+/// Name of a producer.
+#[must_use]
+pub fn producer_name(producer: usize) -> String {
+    format!("robot-{producer}")
+}
+
+impl Oracle {
+    /// Nothing is sent yet.
+    #[must_use]
+    pub fn new(map: &str, feed: Feed, producers: usize) -> Self {
+        Self { map: map.to_owned(), feed, marks: vec![Mark::default(); producers] }
+    }
+
+    /// Checksum over a producer's observations, as `observation.proto` defines it.
+    #[must_use]
+    pub fn content_crc(&self, producer: u32, durable: u64) -> u32 {
+        (1..=durable).fold(0, |crc, sequence| {
+            let o = self.feed.observation(producer, sequence);
+            let crc = crc32c::crc32c_append(crc, state_name(o.state).as_bytes());
+            let crc = crc32c::crc32c_append(crc, &o.time_nanos.to_le_bytes());
+            crc32c::crc32c_append(crc, &o.value.to_le_bytes())
+        })
+    }
+
+    /// Asks a daemon for all that it should know, and notes what it holds as acknowledged. With `update` it is told to
+    /// learn first.
+    ///
+    /// # Errors
+    /// The first thing that is not as it must be.
+    ///
+    /// # Panics
+    /// If the daemon does not answer.
+    pub async fn verify(&mut self, daemon: &Daemon, update: bool) -> Result<(), Violation> {
+        let mut durable = Vec::new();
+        for (producer, mark) in self.marks.iter().enumerate() {
+            durable.push(self.verify_producer(daemon, producer, *mark).await?);
+        }
+        let expected = self.states(&durable);
+        self.verify_map(&daemon.client(), &expected, update).await?;
+        for (mark, durable) in self.marks.iter_mut().zip(durable) {
+            *mark = Mark { acknowledged: durable, sent: mark.sent };
+        }
+        Ok(())
+    }
+
+    async fn verify_producer(&self, daemon: &Daemon, producer: usize, mark: Mark) -> Result<u64, Violation> {
+        let name = producer_name(producer);
+        let (mut stream, welcome) = match RawStream::open(&daemon.grpc, hello(&name, &self.map)).await {
+            Ok(opened) => opened,
+            Err(ended) => {
+                let status = ended.error();
+                assert_eq!(status.code(), tonic::Code::NotFound, "the daemon does not welcome {name}: {status:?}");
+                return Err(Violation::MapGone(self.map.clone()));
+            }
+        };
+        // The key is free again when the daemon has answered that.
+        stream.close();
+        stream.end().await;
+        let durable = welcome.durable_sequence;
+        if durable < mark.acknowledged {
+            return Err(Violation::Lost { producer: name, acknowledged: mark.acknowledged, durable });
+        }
+        if durable > mark.sent {
+            return Err(Violation::Foreign { producer: name, sent: mark.sent, durable });
+        }
+        let id = u32::try_from(producer).expect("a small number");
+        same(|| format!("the checksum of {name}"), &self.content_crc(id, durable), &welcome.content_crc)?;
+        Ok(durable)
+    }
+
+    /// What follows for each state that has an observation.
+    fn states(&self, durable: &[u64]) -> BTreeMap<String, StateExpectation> {
+        let mut states: Vec<StateExpectation> = vec![StateExpectation::default(); self.feed.states as usize];
+        for (producer, &durable) in (0..).zip(durable) {
+            for o in (1..=durable).map(|sequence| self.feed.observation(producer, sequence)) {
+                if o.is_refused() {
+                    continue;
+                }
+                let state = &mut states[o.state as usize];
+                state.observations += 1;
+                state.sum += o.value;
+                if state.last.is_none_or(|(time, _)| time < o.time_nanos) {
+                    state.last = Some((o.time_nanos, o.value));
+                }
+            }
+        }
+        let named = (0..).map(state_name).zip(states);
+        named.filter(|(_, state)| state.observations > 0).collect()
+    }
+
+    async fn verify_map(
+        &self,
+        client: &Client,
+        expected: &BTreeMap<String, StateExpectation>,
+        update: bool,
+    ) -> Result<(), Violation> {
+        let total: u64 = expected.values().map(|state| state.observations).sum();
+        let map = client.map(&self.map).await.expect("the map is there");
+        same(|| "observations of the map".to_owned(), &total, &map.observations)?;
+        let (states, more) = client.states(&self.map, "").await.expect("the map is there");
+        assert_eq!(more, None, "one page holds all states");
+        let counts: BTreeMap<String, u64> = states.iter().map(|s| (s.name.clone(), s.observations)).collect();
+        let wanted: BTreeMap<String, u64> = expected.iter().map(|(name, s)| (name.clone(), s.observations)).collect();
+        same(|| "observations by state".to_owned(), &wanted, &counts)?;
+        if update {
+            run_update(client, &self.map, None).await;
+            let pending = client.map(&self.map).await.expect("the map is there").pending_observations;
+            same(|| "observations pending after an update".to_owned(), &0, &pending)?;
+        }
+        for (name, state) in expected {
+            let latest = self.latest(client, name).await;
+            same(|| format!("the latest value of {name:?}"), &state.last.map(|(_, value)| value), &Some(latest))?;
+            let model = client.describe_model(&self.map, name).await.expect("the state is there");
+            same(|| format!("the time of {name:?}"), &state.last.map(|(time, _)| time), &model.last_nanos)?;
+            if update {
+                let what = || format!("observations of {name:?} folded in");
+                same(what, &state.observations, &model.folded_observations)?;
+                near(|| format!("the mean of {name:?}"), state.sum / state.observations as f64, model.mean)?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn latest(&self, client: &Client, state: &str) -> f64 {
+        let model = ModelSelector { kind: ModelKind::Latest, ..ModelSelector::default() };
+        let mut predictions = client.predict(&self.map, vec![state.to_owned()], vec![i64::MAX / 2], model);
+        predictions.next().await.expect("the state is there").expect("a prediction").probabilities[0]
+    }
+}
+
+/// Updates a map and waits for the end of it.
+///
+/// # Panics
+/// If the update fails.
+pub async fn run_update(client: &Client, map: &str, until_nanos: Option<i64>) {
+    let job = client.run_update(map, until_nanos).await.expect("the map is there");
+    let mut watch = client.watch_job(job.id).await.expect("the job is known");
+    let mut last = job;
+    while let Some(job) = watch.next().await.expect("the daemon answers") {
+        last = job;
+    }
+    assert_eq!(last.state, JobState::Done, "the update ended with {:?}", last.error);
+}
