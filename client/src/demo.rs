@@ -15,8 +15,9 @@ mod words;
 
 use std::{
     env,
-    io::{self, Write as _},
+    io::{self, ErrorKind, Write as _},
     path::PathBuf,
+    process::ExitCode,
 };
 
 use anyhow::{Context as _, anyhow};
@@ -35,6 +36,10 @@ const SHOWN: [&str; 5] = ["office-1-door", "meeting-room", "kitchen", "storage-d
 /// Those shown again on a day off.
 const SHOWN_ON_DAY_OFF: [&str; 2] = ["office-1-door", "kitchen"];
 
+/// Exit statuses after a signal: 128 and its number.
+const INTERRUPTED: u8 = 130;
+const TERMINATED: u8 = 143;
+
 /// Weeks of a simulated office through a daemon of its own, and a picture of what it learned.
 #[derive(Clone, Debug, clap::Args)]
 pub struct DemoArgs {
@@ -52,37 +57,46 @@ pub struct DemoArgs {
     pub daemon: Option<PathBuf>,
 }
 
-/// Runs the demo.
+/// Runs the demo; the exit status is that of a shell where a signal ended it.
 ///
 /// # Errors
 /// Where the daemon does not start, or does not answer as it should; the error holds the end of the daemon's log.
-pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
+pub async fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
     // Before the daemon starts, so that no signal can end the demo without it.
     let mut interrupt = signal(SignalKind::interrupt()).context("signals")?;
     let mut terminate = signal(SignalKind::terminate()).context("signals")?;
     let daemon = Daemon::start(args.daemon.as_deref())?;
-    let shown = tokio::select! {
-        shown = show(args, &daemon) => shown,
-        _ = interrupt.recv() => Err(anyhow!("interrupted; the daemon was stopped and its folder removed")),
-        _ = terminate.recv() => Err(anyhow!("ended; the daemon was stopped and its folder removed")),
-    };
-    let program = env::args().next().unwrap_or_else(|| "tidemap".to_owned());
-    match shown {
-        Ok(()) if args.keep => {
-            let address = daemon.address().to_owned();
-            let kept = daemon.keep();
-            print(&report::kept(&program, &address, kept.pid, &kept.folder)?)
-        }
-        Ok(()) => {
-            drop(daemon);
-            print(&report::ended(&program)?)
-        }
-        Err(error) => Err(error),
+    tokio::select! {
+        shown = show(args, &daemon) => shown?,
+        _ = interrupt.recv() => return Ok(stopped(daemon, INTERRUPTED)),
+        _ = terminate.recv() => return Ok(stopped(daemon, TERMINATED)),
     }
+    let program = env::args().next().unwrap_or_else(|| "tidemap".to_owned());
+    if args.keep {
+        let address = daemon.address().to_owned();
+        let kept = daemon.keep();
+        print(&report::kept(&program, &address, kept.pid, &kept.folder)?)?;
+    } else {
+        drop(daemon);
+        print(&report::ended(&program)?)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn stopped(daemon: Daemon, status: u8) -> ExitCode {
+    drop(daemon);
+    eprintln!("stopped; the daemon was ended and its folder removed");
+    ExitCode::from(status)
 }
 
 async fn show(args: &DemoArgs, daemon: &Daemon) -> anyhow::Result<()> {
-    learn(args, daemon.address()).await.map_err(|error| anyhow!("{error:#}{}", daemon.last_words()))
+    learn(args, daemon.address())
+        .await
+        .map_err(|error| if reader_gone(&error) { error } else { anyhow!("{error:#}{}", daemon.last_words()) })
+}
+
+fn reader_gone(error: &anyhow::Error) -> bool {
+    error.downcast_ref().is_some_and(|error: &io::Error| error.kind() == ErrorKind::BrokenPipe)
 }
 
 async fn learn(args: &DemoArgs, address: &str) -> anyhow::Result<()> {
@@ -123,5 +137,6 @@ async fn learn(args: &DemoArgs, address: &str) -> anyhow::Result<()> {
 /// Writes to stdout at once: a reader that has gone away is an error, not a panic.
 fn print(text: &str) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
-    stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()).context("stdout")
+    stdout.write_all(text.as_bytes())?;
+    Ok(stdout.flush()?)
 }

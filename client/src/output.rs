@@ -186,10 +186,12 @@ impl<W: Write> Sheet<W> {
     }
 
     fn write_csv(&mut self, fields: &[String]) -> io::Result<()> {
-        let mut writer = csv::WriterBuilder::new().from_writer(Vec::new());
-        writer.write_record(fields).map_err(io::Error::other)?;
-        let line = writer.into_inner().map_err(|error| io::Error::other(error.to_string()))?;
-        self.writer.write_all(&line)
+        let quoted = |field: &String| match field.contains([',', '"', '\n', '\r']) {
+            true => format!("\"{}\"", field.replace('"', "\"\"")),
+            false => field.clone(),
+        };
+        let fields: Vec<String> = fields.iter().map(quoted).collect();
+        writeln!(self.writer, "{}", fields.join(","))
     }
 
     fn write_table(&mut self) -> io::Result<()> {

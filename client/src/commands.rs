@@ -1,0 +1,130 @@
+//! The commands: what they are called, what they take, and the way to each.
+//!
+//! Invariant: names, columns and meaning of what is here stay as they are; scripts rely on them.
+
+mod bench;
+mod evaluate;
+mod job;
+mod map;
+mod model;
+mod observe;
+mod predict;
+mod producer_id;
+mod state;
+mod stats;
+mod times;
+mod update;
+
+use std::{fs, path::PathBuf, process::ExitCode};
+
+use anyhow::Context as _;
+use clap::{Parser, Subcommand};
+use tidemap::Client;
+
+use crate::{demo, output::Format};
+
+/// A command that makes no sense, though each of its words does.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct Misused(pub String);
+
+/// A map that knows when things change.
+///
+/// Times are Unix seconds (1458518400, 1458518400.5), RFC 3339 (2016-03-21T00:00:00Z) or `now`; durations are like 90s,
+/// 15m, 1h, 7d.
+#[derive(Debug, Parser)]
+#[command(name = "tidemap", version, max_term_width = 110)]
+pub struct CommandLine {
+    /// Address of the daemon, HOST:PORT or http://HOST:PORT
+    #[arg(long, global = true, env = "TIDEMAP_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7435")]
+    server: String,
+    /// File that holds the token to present to the daemon
+    #[arg(long, global = true, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// How results are written [default: table on a terminal, csv otherwise]
+    #[arg(long, global = true, value_name = "FORMAT")]
+    output: Option<Format>,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Creates, lists, shows and deletes maps
+    #[command(subcommand)]
+    Map(map::MapCommand),
+    /// Lists the states of a map
+    #[command(subcommand)]
+    State(state::StateCommand),
+    /// Sends the observations of a file, each exactly once
+    Observe(observe::ObserveArgs),
+    /// Runs the nightly update now
+    Update(update::UpdateArgs),
+    /// Predicts states at any time, past or future
+    Predict(predict::PredictArgs),
+    /// Compares predictions with the observations of a file, which are not learned
+    Evaluate(evaluate::EvaluateArgs),
+    /// Shows what was learned
+    #[command(subcommand)]
+    Model(model::ModelCommand),
+    /// Lists and watches jobs
+    #[command(subcommand)]
+    Job(job::JobCommand),
+    /// Shows the counters of a map, or of the whole daemon
+    Stats(stats::StatsArgs),
+    /// Measures a running daemon under load
+    #[command(subcommand)]
+    Bench(bench::BenchCommand),
+    /// Shows what tidemap does, with a daemon of its own and a simulated office
+    Demo(demo::DemoArgs),
+}
+
+/// What every command has at hand.
+pub struct Session {
+    /// The daemon.
+    pub client: Client,
+    /// How results are written.
+    pub format: Format,
+}
+
+/// Does what the command line says.
+pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
+    if let Command::Demo(args) = &line.command {
+        demo::run(args).await?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let client = match &line.token_file {
+        Some(path) => {
+            let text = fs::read_to_string(path).with_context(|| format!("token file {}", path.display()))?;
+            Client::with_token(&line.server, text.trim())
+        }
+        None => Client::new(&line.server),
+    };
+    let client = client.map_err(|error| Misused(error.to_string()))?;
+    let session = Session { client, format: line.output.unwrap_or_else(Format::usual) };
+    match line.command {
+        Command::Map(command) => map::run(&session, command).await,
+        Command::State(command) => state::run(&session, command).await,
+        Command::Observe(args) => observe::run(&session, args).await,
+        Command::Update(args) => update::run(&session, &args).await,
+        Command::Predict(args) => predict::run(&session, args).await,
+        Command::Evaluate(args) => evaluate::run(&session, args).await,
+        Command::Model(command) => model::run(&session, &command).await,
+        Command::Job(command) => job::run(&session, &command).await,
+        Command::Stats(args) => stats::run(&session, &args).await,
+        Command::Bench(command) => bench::run(&session, &command).await,
+        Command::Demo(_) => Ok(ExitCode::SUCCESS),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        CommandLine::command().debug_assert();
+    }
+}

@@ -1,0 +1,148 @@
+//! `tidemap map`.
+//!
+//! Invariant: nothing is deleted without being asked for twice.
+
+use std::process::ExitCode;
+
+use clap::{Args, Subcommand, ValueEnum};
+use tidemap::{
+    maps::{Map, NewMap, OrderCriterion, Periodicities},
+    time::format_duration,
+};
+
+use super::{Misused, Session, times};
+use crate::{
+    output::{Cell, Sheet},
+    progress::notice,
+};
+
+#[derive(Debug, Subcommand)]
+pub enum MapCommand {
+    /// Creates an empty map and shows it
+    Create(CreateArgs),
+    /// Lists all maps
+    List,
+    /// Shows a map
+    Show {
+        /// Name of the map
+        name: String,
+    },
+    /// Deletes a map with all it holds, for good
+    Delete {
+        /// Name of the map
+        name: String,
+        /// Really
+        #[arg(long)]
+        yes: bool,
+    },
+}
+
+#[derive(Debug, Args)]
+pub struct CreateArgs {
+    /// Name of the map: a-z 0-9 _ -, at most 63
+    name: String,
+    /// Time zone by whose civil time people live there, for example Europe/London [default: UTC]
+    #[arg(long, value_name = "IANA")]
+    time_zone: Option<String>,
+    /// Longest period; candidates are this divided by 1, 2, 3, ... [default: 7d]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+    period_base: Option<i64>,
+    /// Number of candidate periods [default: 168]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=2048))]
+    period_count: Option<u32>,
+    /// Candidate periods as a list, for example 24h,12h,7d
+    #[arg(long, value_name = "DURATION,…", value_parser = times::duration, value_delimiter = ',',
+          conflicts_with_all = ["period_base", "period_count"])]
+    periods: Option<Vec<i64>>,
+    /// How the orders of the spectral model are compared
+    #[arg(long, value_name = "CRITERION", default_value = "squared-error")]
+    order_criterion: Criterion,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Criterion {
+    /// By the squared difference between value and prediction
+    SquaredError,
+    /// By the share of values on the other side of 0.5 than their prediction
+    ZeroOne,
+}
+
+const WEEK_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
+const USUAL_COUNT: u32 = 168;
+
+const COLUMNS: [&str; 10] = [
+    "name",
+    "states",
+    "observations",
+    "pending",
+    "time_zone",
+    "periods",
+    "order_criterion",
+    "created",
+    "updates",
+    "updated_until",
+];
+
+pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
+    let client = &session.client;
+    let maps = match command {
+        MapCommand::Create(args) => vec![client.create_map(new_map(args)).await?],
+        MapCommand::List => client.maps().await?,
+        MapCommand::Show { name } => vec![client.map(&name).await?],
+        MapCommand::Delete { name, yes } => {
+            if !yes {
+                let Map { states, observations, .. } = client.map(&name).await?;
+                let lost = format!("{observations} observations of {states} states");
+                return Err(Misused(format!("this deletes map {name:?} with {lost} for good; add --yes to do it")).into());
+            }
+            client.delete_map(&name).await?;
+            notice(&format!("map {name:?} is deleted"));
+            return Ok(ExitCode::SUCCESS);
+        }
+    };
+    let mut sheet = Sheet::stdout(session.format, &COLUMNS);
+    for map in maps {
+        sheet.row(cells(map))?;
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn new_map(args: CreateArgs) -> NewMap {
+    let periodicities = match (args.periods, args.period_base, args.period_count) {
+        (Some(periods), ..) => Some(Periodicities::List(periods)),
+        (None, None, None) => None,
+        (None, base, count) => Some(Periodicities::Harmonics {
+            base_nanos: base.unwrap_or(WEEK_NANOS),
+            count: count.unwrap_or(USUAL_COUNT),
+        }),
+    };
+    let order_criterion = match args.order_criterion {
+        Criterion::SquaredError => OrderCriterion::SquaredError,
+        Criterion::ZeroOne => OrderCriterion::ZeroOne,
+    };
+    NewMap { name: args.name, time_zone: args.time_zone, periodicities, order_criterion }
+}
+
+fn cells(map: Map) -> Vec<Cell> {
+    let periods = match map.periodicities {
+        Periodicities::Harmonics { base_nanos, count } => format!("{}/1..{count}", format_duration(base_nanos)),
+        Periodicities::List(periods) => periods.into_iter().map(format_duration).collect::<Vec<_>>().join(" "),
+    };
+    let criterion = match map.order_criterion {
+        OrderCriterion::SquaredError => "squared-error",
+        OrderCriterion::ZeroOne => "zero-one",
+    };
+    vec![
+        Cell::Text(map.name),
+        map.states.into(),
+        map.observations.into(),
+        map.pending_observations.into(),
+        Cell::Text(map.time_zone),
+        Cell::Text(periods),
+        criterion.into(),
+        Cell::time(map.created_nanos),
+        map.last_update.generation.into(),
+        Cell::time(map.last_update.cut_nanos),
+    ]
+}

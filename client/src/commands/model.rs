@@ -1,0 +1,134 @@
+//! `tidemap model`.
+//!
+//! Invariant: what was learned is shown as the daemon has it; only the table adds words for people.
+
+use std::{
+    io::{self, Write as _},
+    process::ExitCode,
+};
+
+use clap::Subcommand;
+use tidemap::queries::{Component, ModelDescription};
+
+use super::Session;
+use crate::output::{Cell, Format, Sheet, record};
+
+#[derive(Debug, Subcommand)]
+pub enum ModelCommand {
+    /// Shows what was learned of a state: its mean, and its rhythms with the strongest first
+    Show {
+        /// Name of the map
+        map: String,
+        /// Name of the state
+        state: String,
+    },
+}
+
+pub async fn run(session: &Session, command: &ModelCommand) -> anyhow::Result<ExitCode> {
+    let ModelCommand::Show { map, state } = command;
+    let model = session.client.describe_model(map, state).await?;
+    match session.format {
+        Format::Table => table(&model)?,
+        Format::Json => json(&model)?,
+        Format::Csv => csv(&model)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn used(model: &ModelDescription, index: usize) -> bool {
+    index < model.order as usize
+}
+
+fn summary(model: &ModelDescription) -> [(&'static str, Cell); 8] {
+    [
+        ("mean", model.mean.into()),
+        ("n", model.folded_observations.into()),
+        ("order", model.order.into()),
+        ("observations", model.observations.into()),
+        ("first_time", Cell::time(model.first_nanos)),
+        ("last_time", Cell::time(model.last_nanos)),
+        ("last_value", Cell::maybe(model.last_value)),
+        ("persistence_tau_secs", model.persistence_tau_secs.into()),
+    ]
+}
+
+fn component_cells(component: &Component, used: bool) -> [(&'static str, Cell); 4] {
+    [
+        ("period_secs", component.period_secs.into()),
+        ("amplitude", component.amplitude.into()),
+        ("phase_rad", component.phase_rad.into()),
+        ("used", Cell::Flag(used)),
+    ]
+}
+
+/// Two tables: the state, then its components.
+fn table(model: &ModelDescription) -> io::Result<()> {
+    let mut sheet = Sheet::stdout(Format::Table, &["state", "mean", "n", "order"]);
+    let state = Cell::Text(model.state.clone());
+    sheet.row(vec![state, model.mean.into(), model.folded_observations.into(), model.order.into()])?;
+    sheet.finish()?;
+    if model.components.is_empty() {
+        return writeln!(io::stdout(), "\nNo rhythm is known yet: it takes an update, and observations over a period.");
+    }
+    writeln!(io::stdout())?;
+    let mut sheet = Sheet::stdout(Format::Table, &["period", "period_secs", "amplitude", "phase_rad", "used"]);
+    for (index, component) in model.components.iter().enumerate() {
+        let mut cells = vec![Cell::Text(words(component.period_secs))];
+        cells.extend(component_cells(component, used(model, index)).map(|(_, cell)| cell));
+        sheet.row(cells)?;
+    }
+    sheet.finish()
+}
+
+/// One table for programs: what holds for the state is repeated with each component, and has a row of its own where
+/// there is none.
+fn csv(model: &ModelDescription) -> io::Result<()> {
+    let summary = summary(model);
+    let columns: Vec<&str> = ["period_secs", "amplitude", "phase_rad", "used"].to_vec();
+    let columns: Vec<&'static str> = summary[..3].iter().map(|(name, _)| *name).chain(columns).collect();
+    let mut sheet = Sheet::stdout(Format::Csv, &columns);
+    let row = |component: [Cell; 4]| summary[..3].iter().map(|(_, cell)| cell.clone()).chain(component).collect();
+    if model.components.is_empty() {
+        sheet.row(row([Cell::Empty, Cell::Empty, Cell::Empty, Cell::Empty]))?;
+    }
+    for (index, component) in model.components.iter().enumerate() {
+        sheet.row(row(component_cells(component, used(model, index)).map(|(_, cell)| cell)))?;
+    }
+    sheet.finish()
+}
+
+fn json(model: &ModelDescription) -> io::Result<()> {
+    let state = record(&[("state", Cell::Text(model.state.clone()))]);
+    let components: Vec<String> =
+        (0..).zip(&model.components).map(|(index, component)| record(&component_cells(component, used(model, index)))).collect();
+    let head = state.trim_end_matches('}').to_owned();
+    let summary = record(&summary(model));
+    let body = summary.trim_start_matches('{').trim_end_matches('}').to_owned();
+    writeln!(io::stdout(), "{head},{body},\"components\":[{}]}}", components.join(","))
+}
+
+/// A period as people say it: `7 d`, `24 h`, `45 min`.
+fn words(secs: f64) -> String {
+    let (value, unit) = match secs {
+        secs if secs > 36.0 * 3600.0 => (secs / 86_400.0, "d"),
+        secs if secs >= 3600.0 => (secs / 3600.0, "h"),
+        secs if secs >= 60.0 => (secs / 60.0, "min"),
+        secs => (secs, "s"),
+    };
+    let text = format!("{value:.2}");
+    format!("{} {unit}", text.trim_end_matches('0').trim_end_matches('.'))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn periods_are_said_as_people_say_them() {
+        for (secs, text) in
+            [(604_800.0, "7 d"), (302_400.0, "3.5 d"), (86_400.0, "24 h"), (43_200.0, "12 h"), (60_480.0, "16.8 h"), (90.0, "1.5 min")]
+        {
+            assert_eq!(words(secs), text);
+        }
+    }
+}

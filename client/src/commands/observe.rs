@@ -1,0 +1,173 @@
+//! `tidemap observe`.
+//!
+//! Invariant: a row's number in its file is its sequence number, so that a file can be sent any number of times, in any
+//! number of pieces, and is learned once. What the daemon has is compared with the file before anything is sent.
+
+pub mod feed;
+mod transfer;
+
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+    time::{Duration, Instant},
+};
+
+use anyhow::Context as _;
+use clap::Args;
+use tidemap::observe::{Phase, Producer, ProducerError, ProducerOptions, Progress};
+use tokio::{sync::watch, task::JoinHandle};
+
+use self::{
+    feed::{Feed, Told},
+    transfer::{Ended, Transfer},
+};
+use super::{Session, producer_id, times};
+use crate::{
+    output::{Cell, Sheet},
+    progress::{Bar, notice},
+};
+
+/// Sends the observations of a file, each exactly once.
+///
+/// The same producer and label again continue where it was; a file that differs from what was sent is refused.
+#[derive(Debug, Args)]
+pub struct ObserveArgs {
+    /// Name of the map
+    map: String,
+    /// File with the columns time,state,value; - is stdin
+    file: PathBuf,
+    /// Who observes [default: a name for this user and machine, made once and kept]
+    #[arg(long, value_name = "ID")]
+    producer: Option<String>,
+    /// Which of the producer's files this is [default: its base name, or stdin]
+    #[arg(long, value_name = "LABEL")]
+    label: Option<String>,
+    /// Runs the nightly update whenever the data passes the map's local midnight
+    #[arg(long)]
+    nightly: bool,
+    /// How long to go on trying when the daemon cannot be reached
+    #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = times::duration)]
+    patience: i64,
+}
+
+/// A stream that ended a moment ago may hold its key until the daemon has noticed.
+const KEY_PATIENCE: Duration = Duration::from_secs(3);
+const KEY_PAUSE: Duration = Duration::from_millis(200);
+/// After Ctrl-C, what is under way gets this long to become durable.
+const LAST_FLUSH: Duration = Duration::from_secs(5);
+const INTERRUPTED: u8 = 130;
+
+pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
+    let shown = feed::shown(&args.file);
+    let Feed { rows, total_bytes } = feed::open(&args.file)?;
+    let options = options(&args)?;
+    let (producer, label) = (options.producer.clone(), options.label.clone());
+    let bar = Bar::bytes(total_bytes);
+    let mut transfer = {
+        let (producer, notices) = opened(session, options, &bar).await?;
+        let told = Told::new(bar.clone(), "is refused");
+        Transfer::new(producer, notices, rows, told, bar.clone())
+    };
+    if transfer.sent_before() > 0 {
+        let rows = transfer.sent_before();
+        bar.notice(&format!("{producer} sent {rows} rows as {label} before; they are compared and not sent again"));
+    }
+    let ended = tokio::select! {
+        ended = transfer.run() => ended,
+        signal = tokio::signal::ctrl_c() => {
+            signal.context("signals")?;
+            Ended::Interrupted
+        }
+    };
+    if matches!(ended, Ended::Interrupted) {
+        bar.notice("interrupted; waiting for what is under way");
+        let _ = tokio::time::timeout(LAST_FLUSH, transfer.flush()).await;
+    }
+    bar.clear();
+    let counts = transfer.counts();
+    if !matches!(ended, Ended::Differs(_)) {
+        let mut sheet = Sheet::stdout(session.format, &["read", "accepted", "duplicate", "refused"]);
+        sheet.row([counts.read, counts.accepted, counts.duplicate, counts.refused].map(Cell::from).to_vec())?;
+        sheet.finish()?;
+    }
+    transfer.told.conclude();
+    match ended {
+        Ended::Whole if transfer.told.all_well() => Ok(ExitCode::SUCCESS),
+        Ended::Whole => Ok(ExitCode::FAILURE),
+        Ended::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
+        Ended::Unreadable(error) => Err(error.context(shown)),
+        Ended::Stopped(error) => Err(anyhow::Error::new(error).context(format!(
+            "{} of the {} rows read are durable; run it again to send the rest",
+            counts.accepted + counts.duplicate + counts.refused,
+            counts.read
+        ))),
+        Ended::Differs(how) => {
+            anyhow::bail!("{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. Another file \
+                           needs another --label")
+        }
+    }
+}
+
+fn options(args: &ObserveArgs) -> anyhow::Result<ProducerOptions> {
+    let producer = match &args.producer {
+        Some(producer) => producer.clone(),
+        None => producer_id::usual()?,
+    };
+    let label = args.label.clone().unwrap_or_else(|| base_name(&args.file));
+    if args.producer.is_none() {
+        notice(&format!("observing as producer {producer}, label {label}"));
+    }
+    let patience = Duration::from_nanos(args.patience.unsigned_abs());
+    Ok(ProducerOptions { nightly: args.nightly, patience, ..ProducerOptions::new(&producer, &label, &args.map) })
+}
+
+fn base_name(file: &Path) -> String {
+    match file.file_name() {
+        Some(name) if name != "-" => name.to_string_lossy().into_owned(),
+        _ => "stdin".to_owned(),
+    }
+}
+
+/// Opens the stream; says so where that takes a while.
+async fn opened(
+    session: &Session,
+    options: ProducerOptions,
+    bar: &Bar,
+) -> Result<(Producer, JoinHandle<()>), ProducerError> {
+    let deadline = Instant::now() + KEY_PATIENCE;
+    loop {
+        let mut producer = Producer::start(&session.client, options.clone());
+        let notices = tokio::spawn(say(producer.watch(), bar.clone(), options.patience));
+        match producer.opened().await {
+            Ok(_) => return Ok((producer, notices)),
+            Err(ProducerError::KeyInUse(_)) if Instant::now() < deadline => {
+                notices.abort();
+                tokio::time::sleep(KEY_PAUSE).await;
+            }
+            Err(error) => {
+                notices.abort();
+                bar.clear();
+                return Err(error);
+            }
+        }
+    }
+}
+
+/// Says on stderr when the daemon cannot be reached, once per outage, and when it can again.
+async fn say(mut progress: watch::Receiver<Progress>, bar: Bar, patience: Duration) {
+    let mut waiting = false;
+    while progress.changed().await.is_ok() {
+        let phase = progress.borrow_and_update().phase.clone();
+        match phase {
+            Phase::Waiting(error) if !waiting => {
+                waiting = true;
+                bar.notice(&format!("{error}; trying again for up to {} s", patience.as_secs()));
+            }
+            Phase::Connected if waiting => {
+                waiting = false;
+                bar.notice("connected again");
+            }
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! Reading a file, or stdin, on a thread of its own, and telling what is wrong with its rows.
+//!
+//! Invariant: few rows are read ahead, however large the file; a row that arrives on stdin is passed on at once.
+
+use std::{
+    fs::File,
+    io::{self, BufReader, Read},
+    path::Path,
+    thread,
+};
+
+use anyhow::Context as _;
+use tokio::sync::mpsc;
+
+use crate::{
+    progress::Bar,
+    rows::{Item, Row, Rows, RowsError},
+};
+
+const BUFFER_BYTES: usize = 256 * 1024;
+const CHUNK_ROWS: usize = 1024;
+const CHUNKS_AHEAD: usize = 4;
+/// Refusals that are told one by one.
+const TOLD_MAX: u64 = 20;
+
+/// Rows that were read together.
+#[derive(Debug, Default)]
+pub struct Chunk {
+    /// The rows.
+    pub rows: Vec<Row>,
+    /// Line and text of a last line that was cut off.
+    pub torn: Option<(u64, String)>,
+    /// Bytes of the file read so far.
+    pub bytes: u64,
+}
+
+/// A file that is being read.
+#[derive(Debug)]
+pub struct Feed {
+    /// Its rows; an error is the last entry.
+    pub rows: mpsc::Receiver<Result<Chunk, RowsError>>,
+    /// Its size, where it has one.
+    pub total_bytes: Option<u64>,
+}
+
+/// The file as messages name it.
+pub fn shown(path: &Path) -> String {
+    if path.as_os_str() == "-" { "stdin".to_owned() } else { path.display().to_string() }
+}
+
+/// Opens a file, or stdin where it is `-`, and reads its header.
+pub fn open(path: &Path) -> anyhow::Result<Feed> {
+    let (source, total_bytes): (Box<dyn Read + Send>, _) = if path.as_os_str() == "-" {
+        (Box::new(io::stdin()), None)
+    } else {
+        let file = File::open(path).with_context(|| shown(path))?;
+        let total_bytes = file.metadata().ok().filter(|metadata| metadata.is_file()).map(|metadata| metadata.len());
+        (Box::new(file), total_bytes)
+    };
+    let rows = Rows::new(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
+    if !rows.ignored().is_empty() {
+        crate::progress::notice(&format!("{}: not used: column {}", shown(path), rows.ignored().join(", ")));
+    }
+    let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
+    thread::Builder::new().name("rows".to_owned()).spawn(move || read(rows, &sender)).context("thread")?;
+    Ok(Feed { rows: receiver, total_bytes })
+}
+
+/// Reads until the end, an error, or until nobody wants more.
+fn read<R: Read>(mut rows: Rows<BufReader<R>>, sender: &mpsc::Sender<Result<Chunk, RowsError>>) {
+    let mut chunk = Chunk::default();
+    loop {
+        let item = rows.next();
+        chunk.bytes = rows.bytes();
+        let last = match item {
+            Ok(Some(Item::Row(row))) => {
+                chunk.rows.push(row);
+                false
+            }
+            Ok(Some(Item::Torn { line, text })) => {
+                chunk.torn = Some((line, text));
+                false
+            }
+            Ok(None) => true,
+            Err(error) => {
+                let _ = sender.blocking_send(Ok(chunk));
+                let _ = sender.blocking_send(Err(error));
+                return;
+            }
+        };
+        if last || chunk.rows.len() >= CHUNK_ROWS || rows.may_wait() {
+            let gone = sender.blocking_send(Ok(std::mem::take(&mut chunk))).is_err();
+            if gone || last {
+                return;
+            }
+        }
+    }
+}
+
+/// Tells what is wrong with rows: the first ones one by one, of the others the number.
+#[derive(Debug)]
+pub struct Told {
+    bar: Bar,
+    verb: &'static str,
+    wrong: u64,
+    torn: bool,
+}
+
+impl Told {
+    /// Nothing so far. A wrong row "is refused", or whatever the verb is.
+    pub fn new(bar: Bar, verb: &'static str) -> Self {
+        Self { bar, verb, wrong: 0, torn: false }
+    }
+
+    /// A row is wrong.
+    pub fn refused(&mut self, number: u64, line: Option<u64>, why: &str) {
+        self.wrong += 1;
+        if self.wrong <= TOLD_MAX {
+            let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
+            self.bar.notice(&format!("row {number}{line} {}: {why}", self.verb));
+        }
+    }
+
+    /// The last line is cut off.
+    pub fn torn(&mut self, line: u64, text: &str) {
+        self.torn = true;
+        self.bar.notice(&format!("line {line} is incomplete and was left out: {text:?} (the file ends in it)"));
+    }
+
+    /// Whether nothing was wrong.
+    pub fn all_well(&self) -> bool {
+        self.wrong == 0 && !self.torn
+    }
+
+    /// Says how many there were beside those that were told.
+    pub fn conclude(&self) {
+        if self.wrong > TOLD_MAX {
+            self.bar.notice(&format!("and {} more rows like these", self.wrong - TOLD_MAX));
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! Sending a file's rows: those that the daemon has are compared, the others sent.
+//!
+//! Invariant: nothing is sent before all rows that the daemon has were compared. Each row counts as exactly one of
+//! accepted, duplicate and refused once it is durable.
+
+use std::collections::BTreeSet;
+
+use tidemap::observe::{Producer, ProducerError, content::ContentCrc};
+use tokio::{sync::mpsc, task::JoinHandle};
+
+use super::feed::{Chunk, Told};
+use crate::{
+    progress::Bar,
+    rows::{Row, RowsError},
+};
+
+/// How a transfer ended.
+pub(super) enum Ended {
+    /// The file was sent to its end.
+    Whole,
+    /// By Ctrl-C.
+    Interrupted,
+    /// The file is not the one that was sent before; how it differs.
+    Differs(String),
+    /// The file cannot be read further.
+    Unreadable(anyhow::Error),
+    /// The producer ended.
+    Stopped(ProducerError),
+}
+
+/// What became of the rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Counts {
+    pub(super) read: u64,
+    pub(super) accepted: u64,
+    pub(super) duplicate: u64,
+    pub(super) refused: u64,
+}
+
+pub(super) struct Transfer {
+    producer: Producer,
+    notices: JoinHandle<()>,
+    rows: mpsc::Receiver<Result<Chunk, RowsError>>,
+    pub(super) told: Told,
+    bar: Bar,
+    /// What the daemon had at the start, with its checksum.
+    sent_before: u64,
+    content_crc: u32,
+    crc: ContentCrc,
+    read: u64,
+    duplicate: u64,
+    refused: u64,
+    /// Rows that could not be read, until the daemon has confirmed their numbers.
+    unreadable: BTreeSet<u64>,
+}
+
+impl Transfer {
+    pub(super) fn new(
+        producer: Producer,
+        notices: JoinHandle<()>,
+        rows: mpsc::Receiver<Result<Chunk, RowsError>>,
+        told: Told,
+        bar: Bar,
+    ) -> Self {
+        let progress = producer.progress();
+        Self {
+            producer,
+            notices,
+            rows,
+            told,
+            bar,
+            sent_before: progress.resumed_at,
+            content_crc: progress.content_crc,
+            crc: ContentCrc::default(),
+            read: 0,
+            duplicate: 0,
+            refused: 0,
+            unreadable: BTreeSet::new(),
+        }
+    }
+
+    pub(super) fn sent_before(&self) -> u64 {
+        self.sent_before
+    }
+
+    /// Sends everything and waits until it is durable.
+    pub(super) async fn run(&mut self) -> Ended {
+        while let Some(chunk) = self.rows.recv().await {
+            let chunk = match chunk {
+                Ok(chunk) => chunk,
+                Err(error) => return Ended::Unreadable(error.into()),
+            };
+            for row in &chunk.rows {
+                if let Err(ended) = self.row(row).await {
+                    self.collect();
+                    return ended;
+                }
+            }
+            if let Some((line, text)) = chunk.torn {
+                self.told.torn(line, &text);
+            }
+            self.bar.set(chunk.bytes);
+            self.collect();
+        }
+        if self.read < self.sent_before {
+            let (read, sent_before) = (self.read, self.sent_before);
+            return Ended::Differs(format!("it has only {read} rows, but {sent_before} were sent before"));
+        }
+        self.flush().await.map_or_else(Ended::Stopped, |()| Ended::Whole)
+    }
+
+    async fn row(&mut self, row: &Row) -> Result<(), Ended> {
+        if row.number <= self.sent_before {
+            self.read = row.number;
+            self.duplicate += 1;
+            self.crc.add(&row.state, row.time_nanos, row.value);
+            if row.number == self.sent_before && self.crc.value() != self.content_crc {
+                let sent_before = self.sent_before;
+                return Err(Ended::Differs(format!("its first {sent_before} rows are not the {sent_before} sent before")));
+            }
+            return Ok(());
+        }
+        let sequence = self.producer.send(&row.state, row.time_nanos, row.value).await.map_err(Ended::Stopped)?;
+        debug_assert_eq!(sequence, row.number);
+        self.read = row.number;
+        if let Some(wrong) = &row.wrong {
+            self.refused += 1;
+            self.unreadable.insert(row.number);
+            self.told.refused(row.number, Some(row.line), wrong);
+        }
+        Ok(())
+    }
+
+    /// Waits until everything sent is durable.
+    pub(super) async fn flush(&mut self) -> Result<(), ProducerError> {
+        let flushed = self.producer.flush().await;
+        self.collect();
+        flushed.map(|_| ())
+    }
+
+    /// Takes the refusals that have arrived. A row that could not be read here was told already, with a better reason.
+    fn collect(&mut self) {
+        // Before the refusals: those of everything up to here have arrived then.
+        let durable = self.producer.progress().durable_sequence;
+        for refusal in self.producer.take_refusals() {
+            if !self.unreadable.remove(&refusal.sequence) {
+                self.refused += 1;
+                self.told.refused(refusal.sequence, None, &refusal.detail);
+            }
+        }
+        self.unreadable.retain(|&number| number > durable);
+    }
+
+    pub(super) fn counts(&self) -> Counts {
+        let progress = self.producer.progress();
+        if progress.unreported > 0 {
+            self.bar.notice(&format!(
+                "{} rows became durable while the connection broke: refused ones among them count as accepted",
+                progress.unreported
+            ));
+        }
+        let durable = progress.durable_sequence.saturating_sub(self.sent_before);
+        // Rows that could not be read and are not durable yet are not refused yet.
+        let refused = self.refused.saturating_sub(self.unreadable.len() as u64);
+        Counts { read: self.read, accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
+    }
+}
+
+impl Drop for Transfer {
+    fn drop(&mut self) {
+        self.notices.abort();
+    }
+}

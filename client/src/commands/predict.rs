@@ -1,0 +1,85 @@
+//! `tidemap predict`.
+//!
+//! Invariant: rows come by state as named, then by time as asked; each is written as soon as it is known.
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::{ArgGroup, Args};
+use tidemap::queries::{ModelSelector, ORDER_MAX, PredictionRun};
+
+use super::{Misused, Session, times};
+use crate::output::{Cell, Sheet};
+
+/// Rows come by state as named, then by time as asked.
+#[derive(Debug, Args)]
+#[command(group = ArgGroup::new("when").required(true).args(["at", "times", "from"]))]
+pub struct PredictArgs {
+    /// Name of the map
+    map: String,
+    /// Names of the states
+    #[arg(required = true, value_name = "STATE")]
+    states: Vec<String>,
+    /// Times
+    #[arg(long, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',')]
+    at: Option<Vec<i64>>,
+    /// File of times, one a line or in a column `time`; - is stdin
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+    /// First time
+    #[arg(long, value_name = "TIME", value_parser = times::time, requires_all = ["to", "step"])]
+    from: Option<i64>,
+    /// Time before which the times end
+    #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
+    to: Option<i64>,
+    /// Distance of the times
+    #[arg(long, value_name = "DURATION", value_parser = times::duration, requires = "from")]
+    step: Option<i64>,
+    /// Number of spectral components, 0 to 15 [default: what the last update chose]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
+    order: Option<u32>,
+    /// Model: auto, mean, latest or spectral, each optionally with +persistence
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+}
+
+const COLUMNS: [&str; 9] =
+    ["time", "state", "probability", "lower", "upper", "entropy_bits", "order", "observations", "age_secs"];
+
+pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
+    if args.order.is_some() && !args.model.kind.has_order() {
+        return Err(Misused(format!("--order does not go with --model {}: only auto and spectral have one", args.model)).into());
+    }
+    let model = ModelSelector { order: args.order, ..args.model };
+    let times = match (args.at, args.times, args.from, args.to, args.step) {
+        (Some(at), ..) => at,
+        (None, Some(path), ..) => times::from_file(&path)?,
+        (None, None, Some(from), Some(to), Some(step)) => times::steps(from, to, step)?,
+        _ => return Err(Misused("say when: --at, --times, or --from with --to and --step".to_owned()).into()),
+    };
+    let mut predictions = session.client.predict(&args.map, args.states, times, model);
+    let mut sheet = Sheet::stdout(session.format, &COLUMNS);
+    while let Some(run) = predictions.next().await? {
+        let (states, times) = (predictions.states(), predictions.times());
+        for cells in rows(&run, &states[run.state], &times[run.first_time..]) {
+            sheet.row(cells)?;
+        }
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl Iterator<Item = Vec<Cell>> + 'a {
+    times.iter().zip(&run.probabilities).enumerate().map(move |(i, (&time, &probability))| {
+        vec![
+            Cell::Secs(time),
+            state.into(),
+            probability.into(),
+            Cell::maybe(run.lower.get(i).copied()),
+            Cell::maybe(run.upper.get(i).copied()),
+            Cell::maybe(run.entropies_bits.get(i).copied()),
+            run.order.into(),
+            run.observations.into(),
+            Cell::time(run.last_nanos.map(|last| time.saturating_sub(last))),
+        ]
+    })
+}
