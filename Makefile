@@ -10,6 +10,7 @@ SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 SETUP := deploy/setup.sh
 ENV := . target/setup.env
+BUILT = $${CARGO_TARGET_DIR:-target}/release
 PREFIX ?= /usr/local
 
 ## help: the targets of this file
@@ -23,7 +24,7 @@ build:
 
 ## demo: a simulated office, weeks of robots' observations, and what is learned from them
 demo: build
-	@$(ENV); cargo run --quiet --release --locked -p tidemap -- demo $(ARGS)
+	@$(BUILT)/tidemap demo $(ARGS)
 
 ## test: all tests
 test:
@@ -66,8 +67,7 @@ durability:
 
 ## install: both programs, into PREFIX/bin (default /usr/local)
 install: build
-	@$(ENV); dir=$${CARGO_TARGET_DIR:-target}/release; \
-		install -D -m 755 -t "$(DESTDIR)$(PREFIX)/bin" "$$dir/tidemapd" "$$dir/tidemap"
+	@install -D -m 755 -t "$(DESTDIR)$(PREFIX)/bin" "$(BUILT)/tidemapd" "$(BUILT)/tidemap"
 
 ## clean: removes what was built
 clean:

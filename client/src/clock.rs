@@ -5,8 +5,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Now, in nanoseconds since 1970-01-01T00:00:00Z; 0 on a machine whose clock stands before that.
 #[must_use]
+#[expect(clippy::disallowed_methods, reason = "the one reader of the wall clock")]
 pub fn now_nanos() -> i64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }

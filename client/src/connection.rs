@@ -171,7 +171,8 @@ fn normalised(url: &str) -> Result<String, Error> {
         None => format!("http://{url}"),
     };
     let authority = with_scheme["http://".len()..].trim_end_matches('/');
-    let port = authority.rsplit_once(':').and_then(|(host, port)| port.parse::<u16>().ok().filter(|_| !host.is_empty()));
+    let port =
+        authority.rsplit_once(':').and_then(|(host, port)| port.parse::<u16>().ok().filter(|_| !host.is_empty()));
     match port {
         Some(0) | None => Err(wrong("; the port is missing or not a number from 1 to 65535")),
         Some(_) => Ok(format!("http://{authority}")),

@@ -228,10 +228,9 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         v1::OrderCriterion::SquaredError | v1::OrderCriterion::Unspecified => OrderCriterion::SquaredError,
     };
     let periodicities = match map.periodicities.and_then(|periodicities| periodicities.set) {
-        Some(Set::Harmonics(harmonics)) => Periodicities::Harmonics {
-            base_nanos: span(harmonics.base).unwrap_or_default(),
-            count: harmonics.count,
-        },
+        Some(Set::Harmonics(harmonics)) => {
+            Periodicities::Harmonics { base_nanos: span(harmonics.base).unwrap_or_default(), count: harmonics.count }
+        }
         Some(Set::List(list)) => {
             Periodicities::List(list.periods.into_iter().filter_map(|period| span(Some(period))).collect())
         }

@@ -24,10 +24,9 @@ impl Bar {
     /// For bytes of a file; of a length that is not known where `total` is absent.
     pub fn bytes(total: Option<u64>) -> Self {
         match total {
-            Some(total) => Self::with(
-                ProgressBar::new(total),
-                "{bar:32} {bytes}/{total_bytes} {bytes_per_sec} {eta} left  {msg}",
-            ),
+            Some(total) => {
+                Self::with(ProgressBar::new(total), "{bar:32} {bytes}/{total_bytes} {bytes_per_sec} {eta} left  {msg}")
+            }
             None => Self::with(ProgressBar::new_spinner(), "{spinner} {bytes} {bytes_per_sec}  {msg}"),
         }
     }

@@ -223,9 +223,9 @@ impl<R: BufRead> Rows<R> {
             let name = shown(&fields[state]);
             return Err(format!("state {name:?} has {chars} characters: at most {STATE_CHARS_MAX} are allowed"));
         }
-        let number: f64 = fields[value].parse().map_err(|_| {
-            format!("value {:?} is not a number: use 0, 1 or anything between", shown(&fields[value]))
-        })?;
+        let number: f64 = fields[value]
+            .parse()
+            .map_err(|_| format!("value {:?} is not a number: use 0, 1 or anything between", shown(&fields[value])))?;
         // Minus zero is zero to everybody but the checksum.
         row.value = number + 0.0;
         Ok(())

@@ -213,8 +213,7 @@ impl Client {
         job_id: u64,
         page_token: &str,
     ) -> Result<(Vec<StateUpdate>, Option<String>), Error> {
-        let request =
-            v1::GetUpdateReportRequest { job_id, page_size: 10_000, page_token: page_token.to_owned() };
+        let request = v1::GetUpdateReportRequest { job_id, page_size: 10_000, page_token: page_token.to_owned() };
         let answer = self.maintenance_service().get_update_report(request).await;
         let page = answer.map_err(|status| self.error(&status))?.into_inner();
         let states = page.states.into_iter().map(state_update_from_wire).collect();

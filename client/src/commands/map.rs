@@ -93,7 +93,9 @@ pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitC
             if !yes {
                 let Map { states, observations, .. } = client.map(&name).await?;
                 let lost = format!("{observations} observations of {states} states");
-                return Err(Misused(format!("this deletes map {name:?} with {lost} for good; add --yes to do it")).into());
+                return Err(
+                    Misused(format!("this deletes map {name:?} with {lost} for good; add --yes to do it")).into()
+                );
             }
             client.delete_map(&name).await?;
             notice(&format!("map {name:?} is deleted"));

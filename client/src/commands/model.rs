@@ -99,8 +99,10 @@ fn csv(model: &ModelDescription) -> io::Result<()> {
 
 fn json(model: &ModelDescription) -> io::Result<()> {
     let state = record(&[("state", Cell::Text(model.state.clone()))]);
-    let components: Vec<String> =
-        (0..).zip(&model.components).map(|(index, component)| record(&component_cells(component, used(model, index)))).collect();
+    let components: Vec<String> = (0..)
+        .zip(&model.components)
+        .map(|(index, component)| record(&component_cells(component, used(model, index))))
+        .collect();
     let head = state.trim_end_matches('}').to_owned();
     let summary = record(&summary(model));
     let body = summary.trim_start_matches('{').trim_end_matches('}').to_owned();
@@ -125,9 +127,14 @@ mod tests {
 
     #[test]
     fn periods_are_said_as_people_say_them() {
-        for (secs, text) in
-            [(604_800.0, "7 d"), (302_400.0, "3.5 d"), (86_400.0, "24 h"), (43_200.0, "12 h"), (60_480.0, "16.8 h"), (90.0, "1.5 min")]
-        {
+        for (secs, text) in [
+            (604_800.0, "7 d"),
+            (302_400.0, "3.5 d"),
+            (86_400.0, "24 h"),
+            (43_200.0, "12 h"),
+            (60_480.0, "16.8 h"),
+            (90.0, "1.5 min"),
+        ] {
             assert_eq!(words(secs), text);
         }
     }

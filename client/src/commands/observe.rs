@@ -102,8 +102,10 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
             counts.read
         ))),
         Ended::Differs(how) => {
-            anyhow::bail!("{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. Another file \
-                           needs another --label")
+            anyhow::bail!(
+                "{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. Another file \
+                           needs another --label"
+            )
         }
     }
 }

@@ -47,7 +47,11 @@ const COLUMNS: [&str; 9] =
 
 pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
     if args.order.is_some() && !args.model.kind.has_order() {
-        return Err(Misused(format!("--order does not go with --model {}: only auto and spectral have one", args.model)).into());
+        return Err(Misused(format!(
+            "--order does not go with --model {}: only auto and spectral have one",
+            args.model
+        ))
+        .into());
     }
     let model = ModelSelector { order: args.order, ..args.model };
     let times = match (args.at, args.times, args.from, args.to, args.step) {

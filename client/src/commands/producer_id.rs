@@ -51,7 +51,8 @@ fn read(path: &Path) -> anyhow::Result<Option<String>> {
 /// The machine's name, for people, and something random, because machines are cloned.
 fn fresh() -> String {
     let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    let host: String = host.trim().chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).take(40).collect();
+    let host: String =
+        host.trim().chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).take(40).collect();
     // The keys of a new hasher come from the operating system's random numbers.
     let random = RandomState::new().build_hasher().finish();
     format!("{}-{random:016x}", if host.is_empty() { "host" } else { &host })

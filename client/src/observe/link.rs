@@ -166,10 +166,7 @@ impl Link {
             progress.unreported += unreported;
         });
         let limit = |limit: u32| usize::try_from(limit).unwrap_or(usize::MAX).max(1);
-        Ok(BatchLimits {
-            observations: limit(welcome.max_batch_observations),
-            bytes: limit(welcome.max_message_bytes),
-        })
+        Ok(BatchLimits { observations: limit(welcome.max_batch_observations), bytes: limit(welcome.max_message_bytes) })
     }
 
     fn acknowledge(&mut self, ack: Ack) -> Result<(), End> {

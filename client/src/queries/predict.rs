@@ -127,11 +127,7 @@ impl Predictions {
     }
 }
 
-fn checked(
-    reply: v1::PredictStatesResponse,
-    piece: &Piece,
-    next: &mut (usize, usize),
-) -> Result<PredictionRun, Error> {
+fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut (usize, usize)) -> Result<PredictionRun, Error> {
     let (state, time, count) = (reply.state_index as usize, reply.first_time_index as usize, reply.probabilities.len());
     let in_order = (state, time) == *next && state < piece.states.len();
     let fits = count > 0 && time + count <= piece.times.len() && reply.entropies_bits.len() == count;
@@ -184,17 +180,21 @@ mod tests {
     fn a_question_is_cut_up_by_the_limits_and_keeps_its_order() {
         assert_eq!(pieces(&[4, 4], 3), [Piece { states: 0..2, times: 0..3 }]);
         assert_eq!(pieces(&[4, 4], 0), []);
-        assert_eq!(pieces(&[4; 25_000], 1).iter().map(|piece| piece.states.len()).collect::<Vec<_>>(), [
-            10_000, 10_000, 5_000
-        ]);
+        assert_eq!(
+            pieces(&[4; 25_000], 1).iter().map(|piece| piece.states.len()).collect::<Vec<_>>(),
+            [10_000, 10_000, 5_000]
+        );
         assert_eq!(pieces(&[4; 40], 50_000).iter().map(|piece| piece.states.len()).collect::<Vec<_>>(), [20, 20]);
         let long = pieces(&[4, 4], 100_000);
-        assert_eq!(long, [
-            Piece { states: 0..1, times: 0..65_536 },
-            Piece { states: 0..1, times: 65_536..100_000 },
-            Piece { states: 1..2, times: 0..65_536 },
-            Piece { states: 1..2, times: 65_536..100_000 },
-        ]);
+        assert_eq!(
+            long,
+            [
+                Piece { states: 0..1, times: 0..65_536 },
+                Piece { states: 0..1, times: 65_536..100_000 },
+                Piece { states: 1..2, times: 0..65_536 },
+                Piece { states: 1..2, times: 65_536..100_000 },
+            ]
+        );
         let names = pieces(&[512; 2_000], 1);
         assert_eq!(names.iter().map(|piece| piece.states.len()).collect::<Vec<_>>(), [776, 776, 448]);
     }

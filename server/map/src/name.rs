@@ -21,7 +21,7 @@ pub enum InvalidName {
     )]
     Map(String),
     /// Empty.
-    #[error("the name is empty: use 1 to {NAME_CHARS_MAX} printable characters")]
+    #[error("name is empty: use 1 to {NAME_CHARS_MAX} printable characters")]
     Empty,
     /// Too long.
     #[error("name {name:?} has {chars} characters: at most {NAME_CHARS_MAX} are allowed")]

@@ -134,6 +134,12 @@ impl Committer {
         }
     }
 
+    /// Takes what is queued, to commit it by hand.
+    #[cfg(test)]
+    pub(crate) fn take_now(&self) -> Vec<Job> {
+        self.take_queued(&mut self.queue())
+    }
+
     /// One round.
     pub(crate) fn commit(&self, jobs: Vec<Job>) {
         let mut groups: BTreeMap<u32, Group> = BTreeMap::new();

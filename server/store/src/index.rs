@@ -188,3 +188,19 @@ impl Index {
 pub(crate) fn is_present(folder: &Path) -> bool {
     fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some())
 }
+
+/// What tests look at.
+#[cfg(test)]
+pub(crate) mod tests_only {
+    use tidemap_map::snapshot::MapSnapshot;
+
+    use super::rows;
+
+    /// CRC-32C over all keys and values of a snapshot.
+    pub(crate) fn rows_checksum(map: u32, snapshot: &MapSnapshot) -> u32 {
+        let states = (0..).zip(&snapshot.states).flat_map(|(id, state)| rows::of_state(map, id, state));
+        let producers = (0..).zip(&snapshot.producers).flat_map(|(id, mark)| rows::of_producer(map, id, mark));
+        let rows = states.chain(producers);
+        rows.fold(0, |crc, row| crc32c::crc32c_append(crc32c::crc32c_append(crc, &row.key), &row.value))
+    }
+}

@@ -93,11 +93,6 @@ impl Log {
         }
         progress.updates.retain(|&(start, _)| start > position);
     }
-
-    /// Waits for the committer to finish with the log, and takes it away.
-    pub(crate) fn close(&self) {
-        *self.writer.lock().unwrap_or_else(PoisonError::into_inner) = None;
-    }
 }
 
 /// The log of a map, open for appending. Clones append to the same log.

@@ -198,8 +198,11 @@ impl Store {
     pub fn create_map(&self, spec: &MapSpec) -> Result<MapId, StoreError> {
         let mut maps = self.inner.maps();
         let map = MapId(maps.next);
-        catalogue::create(&*self.inner.disk, &self.inner.directory, map, spec)?;
+        // Not given again even if this fails: something may be left of it.
         maps.next += 1;
+        // A map whose folder somebody has moved away had the same number, and left its records.
+        self.inner.index().purge(map.0);
+        catalogue::create(&*self.inner.disk, &self.inner.directory, map, spec)?;
         let entry = Entry { spec: Arc::new(spec.clone()), log: None, busy: Arc::default() };
         maps.entries.insert(map, entry);
         Ok(map)
@@ -208,8 +211,8 @@ impl Store {
     /// Deletes a map with all its data; durable when this returns. Its log accepts nothing any more.
     ///
     /// # Errors
-    /// [`StoreError`]. Where the map is gone from [`Self::maps`] afterwards, only freeing its space has failed, which
-    /// is done at the next start.
+    /// [`StoreError`]. Where the map is gone from [`Self::maps`] afterwards, it may be there again after a power cut,
+    /// or only freeing its space has failed, which is done at the next start.
     pub fn delete_map(&self, map: MapId) -> Result<(), StoreError> {
         let inner = &*self.inner;
         let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
@@ -218,11 +221,17 @@ impl Store {
         if !inner.maps().entries.contains_key(&map) {
             return Err(StoreError::UnknownMap(map));
         }
-        if let Some(log) = &entry.log {
-            log.close();
+        {
+            // The committer waits meanwhile: it must not begin a segment in a folder that has another name.
+            let mut writer = entry.log.as_ref().map(|log| log.writer.lock().unwrap_or_else(PoisonError::into_inner));
+            catalogue::mark_deleted(&*inner.disk, &inner.directory, map)?;
+            if let Some(writer) = &mut writer {
+                **writer = None;
+            }
         }
-        catalogue::mark_deleted(&*inner.disk, &inner.directory, map)?;
         inner.maps().entries.remove(&map);
+        let maps = catalogue::maps_folder(&inner.directory);
+        inner.disk.sync_folder(&maps).map_err(store_io(maps))?;
         inner.index().purge(map.0);
         catalogue::empty_deleted(&*inner.disk, &inner.directory, map)
             .map_err(store_io(catalogue::map_folder(&inner.directory, map)))?;

@@ -2,7 +2,7 @@
 
 mod bit_flips;
 mod damage;
-mod example;
+pub(crate) mod example;
 mod golden;
 mod life;
 mod round_trip;

@@ -116,7 +116,9 @@ impl Transfer {
             self.crc.add(&row.state, row.time_nanos, row.value);
             if row.number == self.sent_before && self.crc.value() != self.content_crc {
                 let sent_before = self.sent_before;
-                return Err(Ended::Differs(format!("its first {sent_before} rows are not the {sent_before} sent before")));
+                return Err(Ended::Differs(format!(
+                    "its first {sent_before} rows are not the {sent_before} sent before"
+                )));
             }
             return Ok(());
         }

@@ -21,11 +21,8 @@ fn unpacked(columns: &ObservationColumns, table: &mut Vec<String>) -> Vec<(Strin
     for (i, delta) in columns.time_deltas.iter().enumerate() {
         time += delta * i64::try_from(columns.time_unit_nanos).unwrap_or(0);
         let index = columns.state_indices.get(i).copied().unwrap_or(0);
-        let value = if columns.values.is_empty() {
-            f64::from((columns.bits[i / 8] >> (i % 8)) & 1)
-        } else {
-            columns.values[i]
-        };
+        let value =
+            if columns.values.is_empty() { f64::from((columns.bits[i / 8] >> (i % 8)) & 1) } else { columns.values[i] };
         read.push((table[index as usize].clone(), time, value.to_bits()));
     }
     read

@@ -55,7 +55,10 @@ fn a_first_observation_leaves_at_once_and_the_next_wait_for_company() {
 #[test]
 fn a_full_window_takes_nothing_until_something_is_durable() {
     let mut window = Window::new(2, 10, 0);
-    assert_eq!((window.push("a", 0, 0.0), window.push("a", 0, 0.0), window.push("a", 0, 0.0)), (Some(11), Some(12), None));
+    assert_eq!(
+        (window.push("a", 0, 0.0), window.push("a", 0, 0.0), window.push("a", 0, 0.0)),
+        (Some(11), Some(12), None)
+    );
     taken(&mut window, 10, 0);
     assert_eq!(window.acknowledged(11), Ok(()));
     assert_eq!(window.push("a", 0, 0.0), Some(13));
@@ -89,7 +92,10 @@ fn what_the_daemon_lost_or_never_got_from_here_is_noticed() {
 #[derive(Clone, Debug)]
 enum Step {
     Push(u8),
-    Send { most: usize, urgent: bool },
+    Send {
+        most: usize,
+        urgent: bool,
+    },
     Acknowledge,
     /// Of the batches under way, so many observations arrive; then the connection breaks and a new one is made.
     Break(usize),

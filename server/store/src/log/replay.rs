@@ -49,7 +49,7 @@ impl Replay {
 
     /// How many events there are from the first to the last.
     #[must_use]
-    pub fn count(&self) -> u64 {
+    pub fn records(&self) -> u64 {
         (self.end + 1).saturating_sub(self.from)
     }
 

@@ -121,15 +121,17 @@ pub(super) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
     }
     disk.rename(&new_folder, &folder).map_err(store_io(&folder))?;
     let maps = maps_folder(directory);
-    disk.sync_folder(&maps).map_err(store_io(maps))
+    disk.sync_folder(&maps).map_err(|error| {
+        // So that a map whose creation has failed does not appear at the next start.
+        let _ = disk.rename(&folder, &new_folder);
+        StoreError::from_io(maps, error)
+    })
 }
 
-/// Makes it durable that a map is deleted.
+/// Gives a map's folder the name of a deleted one; durable once the folder of all maps is.
 pub(super) fn mark_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
     let folder = map_folder(directory, map);
-    disk.rename(&folder, &with_suffix(&folder, DELETED_SUFFIX)).map_err(store_io(&folder))?;
-    let maps = maps_folder(directory);
-    disk.sync_folder(&maps).map_err(store_io(maps))
+    disk.rename(&folder, &with_suffix(&folder, DELETED_SUFFIX)).map_err(store_io(&folder))
 }
 
 /// Removes what is left of a deleted map, its empty folder excepted. Says whether there was something.

@@ -85,7 +85,7 @@ impl Inner {
         let mut indexed = None;
         match self.index().load(map.0, spec) {
             Ok(Found::Snapshot(snapshot)) => indexed = Some(*snapshot),
-            Ok(Found::Nothing) => state = IndexState::Stale(""),
+            Ok(Found::Nothing) => state = IndexState::Stale("it held nothing of this map"),
             Ok(Found::Unfinished) => state = IndexState::Stale("it was being written when the process stopped"),
             Err(damage) => state = IndexState::Damaged(damage),
         }
@@ -144,9 +144,11 @@ impl Inner {
         match snapshot {
             Some(snapshot) if index.is_available() => {
                 index.save(map.0, snapshot, &[]);
-                if !reason.is_empty() {
-                    reports.push(Report::IndexRebuilt { map, reason });
-                }
+                reports.push(if index.is_available() {
+                    Report::IndexRebuilt { map, reason }
+                } else {
+                    Report::IndexUnavailable { reason: "it cannot be written".to_owned() }
+                });
             }
             _ => {}
         }

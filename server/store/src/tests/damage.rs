@@ -113,7 +113,7 @@ fn an_index_that_is_no_database_is_set_aside() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let example = example(directory.path());
     for number in 1..=3 {
-        let file = directory.path().join("index/db");
+        let file = directory.path().join("index/conf");
         let length = fs::metadata(&file).expect("there").len();
         fs::write(&file, vec![0x5A; length as usize]).expect("writable");
         let store = Store::open(directory.path(), options()).expect("opens");
@@ -130,6 +130,20 @@ fn an_index_that_is_no_database_is_set_aside() {
         entry.as_ref().is_ok_and(|entry| entry.file_name().to_string_lossy().starts_with("index.damaged"))
     });
     assert_eq!(kept.count(), 1);
+}
+
+#[test]
+fn an_index_whose_records_are_gone_is_written_again() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = example(directory.path());
+    // sled takes this for an empty database.
+    let file = directory.path().join("index/db");
+    let length = fs::metadata(&file).expect("there").len();
+    fs::write(&file, vec![0x5A; length as usize]).expect("writable");
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!(opened.source, Source::Checkpoint);
+    assert!(matches!(opened.reports[..], [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
+    check_repaired(&example, directory.path());
 }
 
 /// Changes the database behind the store's back.

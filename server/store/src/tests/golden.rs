@@ -1,1 +1,176 @@
-//! Golden.
+//! Format 1 to the byte. A difference here means that data directories in the field could not be read any more: do not
+//! change the files in `golden/`, make a new format.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use tidemap_map::{
+    event::{
+        Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind, UpdateCause,
+        UpdateStart,
+    },
+    name::{MapName, ProducerKey, StateName},
+    snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
+    spec::MapSpec,
+};
+use tidemap_model::{
+    Accumulator, AccumulatorParts, Component, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities,
+    Persistence, PersistenceParts, SpectralModel, StateModel, Zone,
+};
+
+use super::example::{append, content, copy, options};
+use crate::{MapId, Source, Store, index::tests_only::rows_checksum};
+
+const FILES: [&str; 4] = [
+    "MANIFEST",
+    "maps/00000001/MAP",
+    "maps/00000001/checkpoints/00000000000000000003.tmc",
+    "maps/00000001/log/00000000000000000001.log",
+];
+
+fn golden() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("src/tests/golden/format-1")
+}
+
+fn spec() -> MapSpec {
+    MapSpec {
+        name: MapName::new("office").expect("valid"),
+        zone: Zone::named("Europe/Prague").expect("known"),
+        periodicities: Periodicities::list(vec![604_800_000_000_000, 86_400_000_000_000]).expect("valid"),
+        criterion: OrderCriterion::ZeroOne,
+        created_nanos: 1_700_000_000_123_456_789,
+    }
+}
+
+fn events() -> Vec<Event> {
+    let first = Observations {
+        producer: ProducerId(0),
+        new_producer: Some(ProducerKey::new("robot", "door").expect("valid")),
+        incarnation: 2,
+        first_sequence: 1,
+        last_sequence: 12,
+        content_crc: 0x1234_5678,
+        received_nanos: 1_700_000_001_000_000_000,
+        new_states: vec![NewState {
+            id: StateId(0),
+            name: StateName::new("Küche").expect("valid"),
+            kind: StateKind::Probability,
+        }],
+        states: vec![StateId(0); 10],
+        times_nanos: (0..10).map(|i| 1_700_000_000_000_000_000 + i * 1_000_000_000).collect(),
+        values: vec![0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
+        offsets: vec![OffsetRun { count: 4, offset_secs: 3600 }, OffsetRun { count: 6, offset_secs: 7200 }],
+        refused: vec![(3, RefusalReason::Value), (12, RefusalReason::StateKind)],
+    };
+    let second = Observations {
+        new_producer: None,
+        new_states: vec![NewState {
+            id: StateId(1),
+            name: StateName::new("door").expect("valid"),
+            kind: StateKind::Probability,
+        }],
+        first_sequence: 13,
+        last_sequence: 15,
+        states: vec![StateId(1), StateId(0), StateId(300)],
+        times_nanos: vec![5, 1_700_000_100_000_000_000, 7],
+        values: vec![0.1, 1.0, -0.0],
+        offsets: vec![OffsetRun { count: 3, offset_secs: -16_200 }],
+        refused: vec![],
+        ..first.clone()
+    };
+    let floats = Observations { values: vec![0.25; 3], ..second.clone() };
+    let cut_nanos = 1_700_000_050_000_000_000;
+    vec![
+        Event::Observations(first),
+        Event::Observations(second),
+        Event::UpdateStart(UpdateStart { generation: 1, cut_nanos, cause: UpdateCause::DataTime }),
+        Event::Observations(floats),
+    ]
+}
+
+fn snapshot() -> MapSnapshot {
+    let spec = spec();
+    let accumulator = AccumulatorParts {
+        observations: 10,
+        sum: 5.0,
+        sum_squares: 4.5,
+        first_nanos: 1,
+        last_nanos: 1_700_000_000_000_000_000,
+        spectrum: vec![[0.5, -0.25, 1.5, -1.75], [0.1, 0.2, 0.3, 0.4]],
+    };
+    let component = Component { periodicity: 1, gamma_re: 0.125, gamma_im: -0.1 };
+    let mut sums = [0.0; 16];
+    sums[0] = 2.5;
+    sums[15] = 0.1;
+    let errors = OrderErrorsParts { sums, last_day: Some(LocalDay(19_675)) };
+    let model = StateModel::from_parts(
+        Accumulator::from_parts(&spec.periodicities, accumulator).expect("valid"),
+        SpectralModel::from_parts(0.5, 10, vec![component]).expect("valid"),
+        1,
+        OrderErrors::from_parts(errors).expect("valid"),
+    );
+    let persistence =
+        PersistenceParts { pairs: 9, change_rate_sum: 0.375, last: Some((1_700_000_009_000_000_000, 1.0)) };
+    let persistence = Persistence::from_parts(persistence).expect("valid");
+    let state = |name: &str, model: StateModel, persistence| StateSnapshot {
+        name: StateName::new(name).expect("valid"),
+        kind: StateKind::Probability,
+        observations: 10,
+        persistence,
+        model: Arc::new(model),
+    };
+    MapSnapshot {
+        position: 3,
+        replay_from: 2,
+        generation: 1,
+        cut_nanos: 1_700_000_050_000_000_000,
+        newest_nanos: 1_700_000_100_000_000_000,
+        producers: vec![ProducerMark {
+            key: ProducerKey::new("robot", "door").expect("valid"),
+            incarnation: 2,
+            durable_sequence: 15,
+            content_crc: 0x1234_5678,
+        }],
+        states: vec![
+            state("Küche", model.expect("valid"), persistence),
+            state("door", StateModel::new(&spec.periodicities), Persistence::default()),
+        ],
+    }
+}
+
+#[test]
+fn format_1_is_written_as_it_always_was() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    {
+        let store = Store::open(directory.path(), options()).expect("opens");
+        let map = store.create_map(&spec()).expect("creates");
+        let log = store.open_map(map, &spec()).expect("opens").log;
+        for event in events() {
+            append(&log, &event).expect("appends");
+        }
+        store.save(map, &snapshot(), &[]).expect("saves");
+    }
+    for file in FILES {
+        let written = fs::read(directory.path().join(file)).expect("readable");
+        let is_same = fs::read(golden().join(file)).ok().as_ref() == Some(&written);
+        assert!(is_same, "{file} is not written as it was; what is written now is in {}", directory.keep().display());
+    }
+    assert_eq!(rows_checksum(1, &snapshot()), 0x623B_7C77);
+}
+
+#[test]
+fn format_1_is_read_as_it_always_was() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    copy(&golden(), directory.path());
+    assert_eq!(content(directory.path()).iter().filter(|(_, content)| content.is_some()).count(), FILES.len());
+    let store = Store::open(directory.path(), options()).expect("opens");
+    assert_eq!(store.maps(), [(MapId(1), spec())]);
+    let opened = store.open_map(MapId(1), &spec()).expect("opens");
+    assert_eq!((opened.source, opened.snapshot), (Source::Checkpoint, Some(snapshot())));
+    let replayed: Vec<_> = opened.replay.map(|item| item.expect("readable")).collect();
+    let expected: Vec<_> = (1..).zip(events()).skip(1).collect();
+    assert_eq!(replayed, expected);
+}

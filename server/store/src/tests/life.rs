@@ -24,7 +24,7 @@ fn a_map_without_a_snapshot_is_its_whole_log() {
     let example = fill(directory.path(), 7, &[], 64 << 20);
     let opened = example.check(directory.path()).expect("opens");
     assert_eq!(opened.source, Source::Log);
-    assert_eq!(opened.replay.count(), 7);
+    assert_eq!(opened.replay.records(), 7);
 }
 
 #[test]
@@ -140,6 +140,17 @@ fn a_deleted_map_is_gone_and_its_number_is_never_given_again() {
     drop((store, opened));
     let store = Store::open(directory.path(), options()).expect("opens");
     assert_eq!(store.create_map(&spec_a).expect("creates"), MapId(3));
+}
+
+#[test]
+fn a_map_that_was_moved_away_leaves_nothing_behind() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = fill(directory.path(), 5, &[5], 64 << 20);
+    fs::remove_dir_all(directory.path().join("maps/00000001")).expect("removable");
+    let store = Store::open(directory.path(), options()).expect("opens");
+    let map = store.create_map(&example.spec).expect("creates");
+    let opened = store.open_map(map, &example.spec).expect("opens");
+    assert_eq!((opened.source, opened.snapshot), (Source::Empty, None));
 }
 
 #[test]

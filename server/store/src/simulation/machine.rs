@@ -1,0 +1,196 @@
+//! A machine with a simulated disk that runs a store by hand, one commit at a time, and knows what it was promised.
+
+use std::{
+    path::Path,
+    sync::{Arc, Mutex},
+};
+
+use rand::{Rng as _, rngs::SmallRng};
+use tidemap_map::{event::Event, snapshot::MapSnapshot, spec::MapSpec};
+
+use super::disk::SimulatedDisk;
+use crate::{
+    AppendError, MapId, MapLog, OpenError, Store, StoreOptions,
+    committer::Committer,
+    disk::Disk as _,
+    index::Index,
+    store::open::Parts,
+    tests::example::{event, snapshot, spec},
+};
+
+const DIRECTORY: &str = "/data";
+const STATES: usize = 2;
+
+/// One map and what is known of it.
+pub(super) struct Known {
+    pub(super) map: MapId,
+    pub(super) spec: MapSpec,
+    pub(super) log: Option<MapLog>,
+    /// Events by position, acknowledged: they must never be lost.
+    acknowledged: Vec<Event>,
+    /// Appended after those and not acknowledged: any first part of them may be found.
+    attempted: Vec<Event>,
+    snapshots: Vec<MapSnapshot>,
+    /// Numbers the events, so that no two are equal.
+    next: u64,
+}
+
+pub(super) struct Machine {
+    pub(super) disk: SimulatedDisk,
+    pub(super) committer: Arc<Committer>,
+    store: Option<Store>,
+    pub(super) maps: Vec<Known>,
+    /// Appends acknowledged in all.
+    pub(super) acknowledged: u64,
+}
+
+/// An event that is only the number's; never an update's start, whose position would matter.
+fn numbered(number: u64) -> Event {
+    event(number * 5 + 1)
+}
+
+impl Machine {
+    pub(super) fn new(disk: SimulatedDisk) -> Machine {
+        for folder in [DIRECTORY, "/data/maps"] {
+            disk.create_folder(Path::new(folder)).expect("created");
+            disk.sync_folder(Path::new(folder).parent().expect("has one")).expect("synced");
+        }
+        Machine { disk, committer: Arc::default(), store: None, maps: Vec::new(), acknowledged: 0 }
+    }
+
+    /// Starts the store and opens every map.
+    pub(super) fn start(&mut self) -> Result<(), OpenError> {
+        self.committer = Arc::default();
+        let store = Store::assemble(Parts {
+            disk: Arc::new(self.disk.clone()),
+            directory: DIRECTORY.into(),
+            options: StoreOptions { segment_bytes: 1200, ..StoreOptions::default() },
+            store_id: String::new(),
+            index: Index::none(),
+            committer: Arc::clone(&self.committer),
+            reports: Vec::new(),
+            lock: None,
+        })?;
+        let found = store.maps();
+        for known in &mut self.maps {
+            assert!(found.contains(&(known.map, known.spec.clone())), "a created map is missing");
+            known.open(&store)?;
+        }
+        self.store = Some(store);
+        Ok(())
+    }
+
+    pub(super) fn create_map(&mut self) {
+        let spec = spec(&format!("map-{}", self.maps.len()));
+        let store = self.store.as_ref().expect("started");
+        let Ok(map) = store.create_map(&spec) else { return };
+        let (acknowledged, attempted, snapshots) = Default::default();
+        let mut known = Known { map, spec, log: None, acknowledged, attempted, snapshots, next: 0 };
+        // Reading may fail on a disk with faults; then the next start opens it.
+        let _ = known.open(store);
+        self.maps.push(known);
+    }
+
+    /// Queues some events of random maps and commits them in one round.
+    pub(super) fn append(&mut self, random: &mut SmallRng) -> Vec<AppendError> {
+        type Answers = Arc<Mutex<Vec<(usize, Result<u64, AppendError>)>>>;
+        let answers = Answers::default();
+        let mut queued = 0;
+        let mut errors = Vec::new();
+        let count = self.maps.len();
+        for _ in 0..random.random_range(1..8) {
+            let index = random.random_range(0..count.max(1));
+            let Some(known) = self.maps.get_mut(index) else { break };
+            let Some(log) = &known.log else { continue };
+            let event = numbered(known.next);
+            let answers = Arc::clone(&answers);
+            let done = move |result| answers.lock().expect("not poisoned").push((index, result));
+            match log.append(&event, Box::new(done)) {
+                Ok(()) => {
+                    known.next += 1;
+                    known.attempted.push(event);
+                    queued += 1;
+                }
+                Err(error) => errors.push(error),
+            }
+        }
+        self.committer.commit(self.committer.take_now());
+        let answers = std::mem::take(&mut *answers.lock().expect("not poisoned"));
+        assert_eq!(answers.len(), queued, "each append is answered once");
+        for (index, answer) in answers {
+            let known = &mut self.maps[index];
+            match answer {
+                Ok(position) => {
+                    self.acknowledged += 1;
+                    let event = known.attempted.remove(0);
+                    known.acknowledged.push(event);
+                    assert_eq!(position, known.acknowledged.len() as u64, "positions have no gaps");
+                }
+                Err(error) => errors.push(error),
+            }
+        }
+        errors
+    }
+
+    /// What the writers do after a failure: forget what was refused, and go on.
+    pub(super) fn roll_back(&mut self) {
+        for known in &mut self.maps {
+            known.attempted.clear();
+            if let Some(log) = &known.log {
+                log.resume();
+            }
+        }
+    }
+
+    pub(super) fn save(&mut self, random: &mut SmallRng) {
+        let index = random.random_range(0..self.maps.len().max(1));
+        let (Some(known), Some(store)) = (self.maps.get_mut(index), &self.store) else { return };
+        let snapshot = snapshot(&known.spec, known.acknowledged.len() as u64, STATES);
+        if !known.snapshots.contains(&snapshot) {
+            known.snapshots.push(snapshot.clone());
+        }
+        // Whether it succeeds or not: what was saved before and the log are still the map.
+        let _ = store.save(known.map, &snapshot, &[]);
+    }
+
+    /// The process ends, and the machine with it or not; then everything starts again on what is left.
+    pub(super) fn restart(&mut self, is_power_cut: bool) -> Result<(), OpenError> {
+        self.store = None;
+        for known in &mut self.maps {
+            known.log = None;
+        }
+        self.disk = if is_power_cut { self.disk.power_cut() } else { self.disk.kill() };
+        self.start()
+    }
+}
+
+impl Known {
+    /// Opens the map and checks that it is what was promised.
+    fn open(&mut self, store: &Store) -> Result<(), OpenError> {
+        let opened = store.open_map(self.map, &self.spec)?;
+        let from = match &opened.snapshot {
+            Some(snapshot) => {
+                assert!(self.snapshots.contains(snapshot), "a snapshot that was never saved");
+                snapshot.replay_from
+            }
+            None => 1,
+        };
+        let end = opened.log.end() as usize;
+        assert!(end >= self.acknowledged.len(), "acknowledged records are lost");
+        let extra = end - self.acknowledged.len();
+        assert!(extra <= self.attempted.len(), "there are more records than were appended");
+        // What was found is about to be believed, acknowledged or not; the rest has never been.
+        self.acknowledged.extend(self.attempted.drain(..extra));
+        self.attempted.clear();
+        let mut expected = from;
+        for item in opened.replay {
+            let (position, event) = item?;
+            assert_eq!(position, expected);
+            assert!(event == self.acknowledged[position as usize - 1], "record {position} is another one");
+            expected += 1;
+        }
+        assert_eq!(expected, end as u64 + 1, "the replay ends too early");
+        self.log = Some(opened.log);
+        Ok(())
+    }
+}
