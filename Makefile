@@ -56,6 +56,7 @@ bench:
 ## durability: many rounds of kill -9 and power cuts against the real daemon
 durability: export TIDEMAP_KILL_ROUNDS ?= 100
 durability: export TIDEMAP_POWERCUT_ROUNDS ?= 20
+durability: export TIDEMAP_FLIPS ?= 600
 durability:
 	@$(SETUP) test
 	@$(ENV); cargo build --release --workspace --bins --locked
@@ -67,7 +68,9 @@ durability:
 
 ## install: both programs, into PREFIX/bin (default /usr/local)
 install: build
-	@install -D -m 755 -t "$(DESTDIR)$(PREFIX)/bin" "$(BUILT)/tidemapd" "$(BUILT)/tidemap"
+	@dir="$(DESTDIR)$(PREFIX)/bin"; sudo=; \
+		if ! mkdir -p "$$dir" 2>/dev/null || ! [ -w "$$dir" ]; then sudo=sudo; fi; \
+		$$sudo install -D -m 755 -t "$$dir" "$(BUILT)/tidemapd" "$(BUILT)/tidemap"
 
 ## clean: removes what was built
 clean:

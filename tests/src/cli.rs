@@ -1,6 +1,7 @@
 //! The command line as people and scripts use it.
 //!
-//! Invariant: stdout is no terminal, so results are CSV; what is compared are columns by their names.
+//! Invariant: stdout is no terminal, so results are CSV; what is compared are columns by their names. Nothing of the
+//! user's own settings is read or written.
 
 use std::{
     ffi::OsStr,
@@ -27,10 +28,19 @@ impl Outcome {
     ///
     /// # Panics
     /// If it failed.
-    #[must_use]
     #[track_caller]
     pub fn table(&self) -> Table {
-        assert_eq!(self.code, Some(0), "the command failed:\n{}{}", self.stdout, self.stderr);
+        self.table_with(0)
+    }
+
+    /// The results of a command that ends with this exit status, for example because a part of its work was refused.
+    ///
+    /// # Panics
+    /// If it ended otherwise.
+    #[track_caller]
+    pub fn table_with(&self, code: i32) -> Table {
+        assert_eq!(self.code, Some(code), "{}{}", self.stdout, self.stderr);
+        assert!(!self.stderr.contains("panicked"), "{}", self.stderr);
         Table::parse(&self.stdout)
     }
 
@@ -111,7 +121,6 @@ impl Table {
 ///
 /// # Panics
 /// If it cannot be started.
-#[must_use]
 pub fn tidemap<T: AsRef<OsStr>>(daemon: &Daemon, args: impl IntoIterator<Item = T>) -> Outcome {
     run(command(&daemon.grpc, args))
 }
@@ -120,7 +129,6 @@ pub fn tidemap<T: AsRef<OsStr>>(daemon: &Daemon, args: impl IntoIterator<Item = 
 ///
 /// # Panics
 /// If it cannot be started.
-#[must_use]
 pub fn tidemap_reading<T: AsRef<OsStr>>(daemon: &Daemon, args: impl IntoIterator<Item = T>, stdin: &str) -> Outcome {
     let mut file = tempfile::tempfile().expect("a temporary file");
     file.write_all(stdin.as_bytes()).expect("a temporary file can be written");
@@ -141,6 +149,8 @@ pub fn command<T: AsRef<OsStr>>(server: &str, args: impl IntoIterator<Item = T>)
     for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("TIDEMAP_")) {
         command.env_remove(name);
     }
+    // Where the name of this user as a producer is kept: not among the user's own settings.
+    command.env("XDG_CONFIG_HOME", binaries::profile_folder().join("tests-config"));
     command.arg("--server").arg(server).args(args).stdin(Stdio::null());
     command
 }

@@ -50,12 +50,12 @@ impl Launch {
         }
     }
 
-    /// The daemon of this build, on free ports, with its data there.
+    /// The daemon of this build, on free ports, with its data there. All of it through the environment, so that a flag
+    /// still wins.
     #[must_use]
     pub fn on(data: &Path) -> Self {
-        Self::bare()
-            .args(["--listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0", "--data-dir"])
-            .args([data.as_os_str()])
+        let loopback = Self::bare().setting("listen", "127.0.0.1:0").setting("http_listen", "127.0.0.1:0");
+        loopback.setting("data_dir", data.display())
     }
 
     /// Another program than the daemon of this build.

@@ -43,6 +43,7 @@ impl Ended {
 pub struct RawStream {
     requests: Option<mpsc::Sender<ObserveRequest>>,
     replies: Streaming<ObserveResponse>,
+    names_sent: u32,
 }
 
 impl RawStream {
@@ -57,7 +58,7 @@ impl RawStream {
         let mut client = ObservationServiceClient::connect(format!("http://{address}")).await.expect("a daemon listens");
         let (requests, outgoing) = mpsc::channel(64);
         let replies = client.observe(ReceiverStream::new(outgoing)).await?.into_inner();
-        Ok(Self { requests: Some(requests), replies })
+        Ok(Self { requests: Some(requests), replies, names_sent: 0 })
     }
 
     /// Opens a stream and says Hello.
@@ -89,8 +90,18 @@ impl RawStream {
         }
     }
 
+    /// How many names batches have put into the stream's table so far.
+    #[must_use]
+    pub fn names_sent(&self) -> u32 {
+        self.names_sent
+    }
+
     /// Sends a batch.
+    ///
+    /// # Panics
+    /// If it has more names than can be counted.
     pub async fn batch(&mut self, first_sequence: u64, observations: ObservationColumns) {
+        self.names_sent += u32::try_from(observations.new_states.len()).expect("a few names");
         let batch = ObservationBatch { first_sequence, observations: Some(observations) };
         self.say(observe_request::Message::Batch(batch)).await;
     }

@@ -2,7 +2,7 @@
 //!
 //! Invariant: what is unpacked is what was packed, bit for bit; a packed message never exceeds the limits it was given.
 
-use tidemap_proto::v1::ObservationColumns;
+use tidemap_proto::{convert::columns::encode, v1::ObservationColumns};
 
 /// One observation, its state as an index into the sender's own table of names.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,61 +95,9 @@ pub fn pack(entries: &[Entry], names: &[Box<str>], table: &mut StreamTable) -> O
         }
         state_indices.push(index);
     }
-    if state_indices.iter().all(|&index| index == 0) {
-        state_indices.clear();
-    }
-    let first_time_nanos = entries.first().map_or(0, |entry| entry.time_nanos);
-    let (time_unit_nanos, time_deltas) = packed_times(first_time_nanos, entries);
-    let (bits, values) = packed_values(entries);
-    ObservationColumns {
-        time_unit_nanos,
-        first_time_nanos,
-        time_deltas,
-        state_indices,
-        new_states,
-        bits: bits.into(),
-        values,
-    }
-}
-
-/// Deltas in their greatest common unit: whole minutes cost a byte each instead of six.
-fn packed_times(first: i64, entries: &[Entry]) -> (u64, Vec<i64>) {
-    let mut previous = first;
-    let mut unit = 0;
-    let mut deltas = Vec::with_capacity(entries.len());
-    for entry in entries {
-        let delta = entry.time_nanos - previous;
-        previous = entry.time_nanos;
-        unit = greatest_common_divisor(unit, delta.unsigned_abs());
-        deltas.push(delta);
-    }
-    let unit = unit.max(1);
-    // Both are at most i64::MAX, because the unit divides a delta.
-    if let (2.., Ok(divisor)) = (unit, i64::try_from(unit)) {
-        deltas.iter_mut().for_each(|delta| *delta /= divisor);
-    }
-    (unit, deltas)
-}
-
-fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
-    while b != 0 {
-        (a, b) = (b, a % b);
-    }
-    a
-}
-
-/// Bits where every value is exactly 0 or 1; the sign of a negative zero would be lost in them.
-fn packed_values(entries: &[Entry]) -> (Vec<u8>, Vec<f64>) {
-    let (zero, one) = (0.0_f64.to_bits(), 1.0_f64.to_bits());
-    let binary = entries.iter().all(|entry| entry.value.to_bits() == zero || entry.value.to_bits() == one);
-    if !binary {
-        return (Vec::new(), entries.iter().map(|entry| entry.value).collect());
-    }
-    let mut bits = vec![0; entries.len().div_ceil(8)];
-    for (i, entry) in entries.iter().enumerate() {
-        bits[i / 8] |= u8::from(entry.value.to_bits() == one) << (i % 8);
-    }
-    (bits, Vec::new())
+    let times: Vec<i64> = entries.iter().map(|entry| entry.time_nanos).collect();
+    let values: Vec<f64> = entries.iter().map(|entry| entry.value).collect();
+    encode(&times, &state_indices, &values, new_states)
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use crate::{
     pending::Pending,
     snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
     spec::MapSpec,
-    update::{UpdateResult, UpdateWork},
+    update::{Basis, UpdateResult, UpdateWork},
     view::{LIVE_CHUNK, LiveState, MapView},
 };
 
@@ -300,8 +300,7 @@ impl LiveMap {
         }
         let samples = self.pending.take_before(start.cut_nanos);
         self.running = Some((start, samples.iter().map(|(_, samples)| samples.len() as u64).sum()));
-        Ok(UpdateWork {
-            spec: Arc::clone(&self.spec),
+        let basis = Basis {
             start,
             position,
             replay_from: self.pending.replay_from(position + 1),
@@ -309,6 +308,10 @@ impl LiveMap {
             producers: self.producers.clone(),
             directory: self.directory.clone(),
             live: self.live.clone(),
+        };
+        Ok(UpdateWork {
+            basis,
+            spec: Arc::clone(&self.spec),
             models: Arc::clone(&self.models),
             unlearned: Arc::clone(&self.unlearned),
             samples,
@@ -318,15 +321,16 @@ impl LiveMap {
     /// Publishes what an update learned: one generation replaces another. Gives the snapshot for the store, and which
     /// states differ from the generation before.
     pub fn finish_update(&mut self, result: UpdateResult) -> (MapSnapshot, Vec<StateId>) {
+        let UpdateResult { basis, models, changed, .. } = result;
         self.running = None;
-        self.generation = result.start.generation;
-        self.cut_nanos = result.start.cut_nanos;
-        self.models = Arc::clone(&result.models);
-        let states = result
+        self.generation = basis.start.generation;
+        self.cut_nanos = basis.start.cut_nanos;
+        self.models = Arc::clone(&models);
+        let states = basis
             .directory
             .iter()
-            .zip(&result.live)
-            .zip(result.models.iter())
+            .zip(&basis.live)
+            .zip(models.iter())
             .map(|((info, live), model)| StateSnapshot {
                 name: info.name.clone(),
                 kind: info.kind,
@@ -336,15 +340,15 @@ impl LiveMap {
             })
             .collect();
         let snapshot = MapSnapshot {
-            position: result.position,
-            replay_from: result.replay_from,
+            position: basis.position,
+            replay_from: basis.replay_from,
             generation: self.generation,
             cut_nanos: self.cut_nanos,
-            newest_nanos: result.newest_nanos,
-            producers: result.producers,
+            newest_nanos: basis.newest_nanos,
+            producers: basis.producers,
             states,
         };
-        (snapshot, result.changed)
+        (snapshot, changed)
     }
 
     /// The map as readers are to see it from now on.

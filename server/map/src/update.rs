@@ -20,10 +20,9 @@ use crate::{
     view::LiveState,
 };
 
-/// An update, ready to run.
+/// The map at the update's log position, but for its models.
 #[derive(Debug)]
-pub struct UpdateWork {
-    pub(crate) spec: Arc<MapSpec>,
+pub(crate) struct Basis {
     pub(crate) start: UpdateStart,
     pub(crate) position: u64,
     pub(crate) replay_from: u64,
@@ -31,6 +30,13 @@ pub struct UpdateWork {
     pub(crate) producers: Vec<ProducerMark>,
     pub(crate) directory: Directory,
     pub(crate) live: Vec<LiveState>,
+}
+
+/// An update, ready to run.
+#[derive(Debug)]
+pub struct UpdateWork {
+    pub(crate) basis: Basis,
+    pub(crate) spec: Arc<MapSpec>,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
     pub(crate) unlearned: Arc<StateModel>,
     pub(crate) samples: Vec<(StateId, Vec<Sample>)>,
@@ -39,13 +45,7 @@ pub struct UpdateWork {
 /// What an update learned.
 #[derive(Debug)]
 pub struct UpdateResult {
-    pub(crate) start: UpdateStart,
-    pub(crate) position: u64,
-    pub(crate) replay_from: u64,
-    pub(crate) newest_nanos: i64,
-    pub(crate) producers: Vec<ProducerMark>,
-    pub(crate) directory: Directory,
-    pub(crate) live: Vec<LiveState>,
+    pub(crate) basis: Basis,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
     pub(crate) changed: Vec<StateId>,
     outcomes: Vec<StateOutcome>,
@@ -64,7 +64,7 @@ impl UpdateWork {
     /// Number of the generation that comes out.
     #[must_use]
     pub fn start(&self) -> UpdateStart {
-        self.start
+        self.basis.start
     }
 
     /// Number of states with observations to fold in.
@@ -82,9 +82,9 @@ impl UpdateWork {
     /// Runs the update, on the threads of the rayon pool that this is called in. `progress` counts the states done.
     #[must_use]
     pub fn run(self, progress: &AtomicU64) -> UpdateResult {
-        let mut models: Vec<Arc<StateModel>> = Vec::with_capacity(self.directory.len());
+        let mut models: Vec<Arc<StateModel>> = Vec::with_capacity(self.basis.directory.len());
         models.extend(self.models.iter().cloned());
-        models.resize(self.directory.len(), Arc::clone(&self.unlearned));
+        models.resize(self.basis.directory.len(), Arc::clone(&self.unlearned));
         let learned: Vec<(StateId, Arc<StateModel>, UpdateOutcome)> = self
             .samples
             .into_par_iter()
@@ -100,22 +100,11 @@ impl UpdateWork {
         for (id, model, outcome) in learned {
             models[id.0 as usize] = model;
             changed.push(id);
-            if let Some(info) = self.directory.info(id) {
+            if let Some(info) = self.basis.directory.info(id) {
                 outcomes.push(StateOutcome { name: info.name.clone(), outcome });
             }
         }
-        UpdateResult {
-            start: self.start,
-            position: self.position,
-            replay_from: self.replay_from,
-            newest_nanos: self.newest_nanos,
-            producers: self.producers,
-            directory: self.directory,
-            live: self.live,
-            models: Arc::new(models),
-            changed,
-            outcomes,
-        }
+        UpdateResult { basis: self.basis, models: Arc::new(models), changed, outcomes }
     }
 }
 

@@ -67,7 +67,7 @@ async fn http_tells_life_readiness_and_metrics_and_nothing_about_maps() {
 async fn grpc_has_health_for_the_daemon_and_its_services() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
-    let mut health = HealthClient::connect(format!("http://{}", daemon.grpc)).await.expect("a daemon");
+    let mut health = HealthClient::new(daemon.client().requests());
     for service in ["", "tidemap.v1.ObservationService", "tidemap.v1.QueryService"] {
         let answer = health.check(HealthCheckRequest { service: service.to_owned() }).await.expect(service);
         assert_eq!(answer.into_inner().status(), ServingStatus::Serving, "{service}");
@@ -80,7 +80,7 @@ async fn grpc_has_health_for_the_daemon_and_its_services() {
 async fn grpc_says_which_services_there_are() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
-    let mut reflection = ServerReflectionClient::connect(format!("http://{}", daemon.grpc)).await.expect("a daemon");
+    let mut reflection = ServerReflectionClient::new(daemon.client().requests());
     let request = ServerReflectionRequest {
         host: String::new(),
         message_request: Some(server_reflection_request::MessageRequest::ListServices(String::new())),

@@ -59,19 +59,19 @@ fn wrong_settings_are_named_and_nothing_is_created() {
     let work = tempdir().expect("a folder");
     let data = work.path().join("data");
     let launch = || Launch::on(&data).working_directory(work.path());
-    let config = |text: &str| {
-        let file = work.path().join("wrong.toml");
+    let config = |name: &str, text: &str| {
+        let file = work.path().join(name);
         fs::write(&file, text).expect("a config file");
         launch().args(["--config".as_ref(), file.as_os_str()])
     };
     let cases = [
-        (config("lisen = '127.0.0.1:0'"), "lisen"),
-        (config("max_maps = 'many'"), "max_maps"),
-        (config("max_maps = 7\nthis is not TOML"), "wrong.toml"),
+        (config("1.toml", "lisen = '127.0.0.1:0'"), "lisen"),
+        (config("2.toml", "max_maps = 'many'"), "max_maps"),
+        (config("3.toml", "max_maps = 7\nthis is not TOML"), "3.toml"),
         (launch().args(["--config", "absent.toml"]), "absent.toml"),
         (launch().setting("max_maps", 0), "max_maps"),
         (launch().setting("segment_bytes", 1), "segment_bytes"),
-        (launch().setting("max_states_per_map", "some"), "max_states_per_map"),
+        (launch().setting("max_states_per_map", "some"), "MAX_STATES_PER_MAP"),
         (launch().setting("log_level", "tidemapd=loud"), "log_level"),
         (launch().args(["--listen", "here"]), "listen"),
         (launch().args(["--http-listen", "127.0.0.1:http"]), "http_listen"),
