@@ -23,6 +23,9 @@ use tidemap::Client;
 
 use crate::{demo, output::Format};
 
+/// Heading of the options that every command has.
+const GLOBAL: &str = "Options of every command";
+
 /// A command that makes no sense, though each of its words does.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
@@ -33,16 +36,16 @@ pub struct Misused(pub String);
 /// Times are Unix seconds (1458518400, 1458518400.5), RFC 3339 (2016-03-21T00:00:00Z) or `now`; durations are like 90s,
 /// 15m, 1h, 7d.
 #[derive(Debug, Parser)]
-#[command(name = "tidemap", version, max_term_width = 110)]
+#[command(name = "tidemap", version, max_term_width = 110, arg_required_else_help = true)]
 pub struct CommandLine {
     /// Address of the daemon, HOST:PORT or http://HOST:PORT
-    #[arg(long, global = true, env = "TIDEMAP_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7435")]
+    #[arg(long, global = true, help_heading = GLOBAL, display_order = 100, env = "TIDEMAP_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7435")]
     server: String,
     /// File that holds the token to present to the daemon
-    #[arg(long, global = true, value_name = "FILE")]
+    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, value_name = "FILE")]
     token_file: Option<PathBuf>,
     /// How results are written [default: table on a terminal, csv otherwise]
-    #[arg(long, global = true, value_name = "FORMAT")]
+    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, value_name = "FORMAT")]
     output: Option<Format>,
     #[command(subcommand)]
     command: Command,
@@ -57,10 +60,17 @@ enum Command {
     #[command(subcommand)]
     State(state::StateCommand),
     /// Sends the observations of a file, each exactly once
+    ///
+    /// The file has a header and the columns time, state and value, in any order; a value is 0, 1 or anything between.
+    /// The same producer and label again continue where it was, and a file that differs from what was sent is refused.
+    /// The exit status is 0 only where every row was accepted, now or before.
     Observe(observe::ObserveArgs),
-    /// Runs the nightly update now
+    /// Runs the nightly update now and shows what it did to each state
     Update(update::UpdateArgs),
     /// Predicts states at any time, past or future
+    ///
+    /// Rows come by state as named, then by time as asked. Say when with --at, --times, or --from, --to and --step; the
+    /// time of --to is not included. age_secs is the time since the newest observation.
     Predict(predict::PredictArgs),
     /// Compares predictions with the observations of a file, which are not learned
     Evaluate(evaluate::EvaluateArgs),
@@ -90,8 +100,7 @@ pub struct Session {
 /// Does what the command line says.
 pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
     if let Command::Demo(args) = &line.command {
-        demo::run(args).await?;
-        return Ok(ExitCode::SUCCESS);
+        return demo::run(args).await;
     }
     let client = match &line.token_file {
         Some(path) => {

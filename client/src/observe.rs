@@ -53,6 +53,9 @@ pub struct Refusal {
 /// Why a producer ended, or what it was asked cannot be done. Everything acknowledged before stays durable.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ProducerError {
+    /// It was closed.
+    #[error("the producer was closed")]
+    Closed,
     /// No way to the daemon for longer than the patience allows.
     #[error("gave up after {waited_secs} s: {last}")]
     GaveUp {

@@ -97,6 +97,14 @@ pub struct Job {
     pub update: UpdateSummary,
 }
 
+impl Job {
+    /// Whether nothing more will happen to it.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        matches!(self.state, JobState::Done | JobState::Failed)
+    }
+}
+
 /// What an update did to one state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateUpdate {

@@ -18,7 +18,6 @@ const PRODUCERS: usize = 8;
 
 /// Creates the oracle's map. By London's time, so that local midnights are not those of UTC throughout.
 async fn create_map(daemon: &Daemon, oracle: &Oracle) {
-    let map =
-        NewMap { name: oracle.map.clone(), time_zone: Some("Europe/London".to_owned()), ..NewMap::default() };
+    let map = NewMap { name: oracle.map.clone(), time_zone: Some("Europe/London".to_owned()), ..NewMap::default() };
     daemon.client().create_map(map).await.expect("a new map");
 }

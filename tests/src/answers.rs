@@ -55,7 +55,8 @@ async fn model(client: &Client, map: &str, state: &str) -> String {
         Ok(model) => model,
         Err(error) => return format!("{map} {state}: {error}"),
     };
-    let mut text = format!("{map} {state}: {model:?} {:x} {:x}", model.mean.to_bits(), model.persistence_tau_secs.to_bits());
+    let mut text =
+        format!("{map} {state}: {model:?} {:x} {:x}", model.mean.to_bits(), model.persistence_tau_secs.to_bits());
     for component in &model.components {
         let bits = [component.period_secs, component.amplitude, component.phase_rad].map(f64::to_bits);
         let _ = write!(text, " {bits:x?}");

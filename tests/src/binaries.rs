@@ -33,7 +33,11 @@ pub fn tidemap() -> PathBuf {
 
 fn built(name: &str) -> PathBuf {
     let path = profile_folder().join(name);
-    assert!(path.is_file(), "{} is missing: run `make test`, or `cargo build --workspace --bins` first", path.display());
+    assert!(
+        path.is_file(),
+        "{} is missing: run `make test`, or `cargo build --workspace --bins` first",
+        path.display()
+    );
     path
 }
 

@@ -179,7 +179,9 @@ impl Process {
         let kept = Arc::clone(&stderr);
         let readers = vec![
             // After the first lines nobody listens; the pipe is emptied all the same.
-            thread::spawn(move || BufReader::new(stdout).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)))),
+            thread::spawn(move || {
+                BufReader::new(stdout).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)))
+            }),
             thread::spawn(move || {
                 let mut buffer = [0; 4096];
                 while let Ok(length @ 1..) = errors.read(&mut buffer) {

@@ -91,7 +91,8 @@ mod tests {
     #[test]
     fn times_differ_and_do_not_ascend() {
         let feed = Feed::new(1);
-        let all: Vec<i64> = (0..8).flat_map(|producer| (1..3_000).map(move |n| feed.observation(producer, n).time_nanos)).collect();
+        let all: Vec<i64> =
+            (0..8).flat_map(|producer| (1..3_000).map(move |n| feed.observation(producer, n).time_nanos)).collect();
         assert_eq!(all.iter().collect::<BTreeSet<_>>().len(), all.len());
         assert!(!all[..3_000].is_sorted());
     }

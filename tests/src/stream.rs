@@ -55,7 +55,8 @@ impl RawStream {
     /// # Panics
     /// If nobody listens.
     pub async fn silent(address: &str) -> Result<Self, Status> {
-        let mut client = ObservationServiceClient::connect(format!("http://{address}")).await.expect("a daemon listens");
+        let mut client =
+            ObservationServiceClient::connect(format!("http://{address}")).await.expect("a daemon listens");
         let (requests, outgoing) = mpsc::channel(64);
         let replies = client.observe(ReceiverStream::new(outgoing)).await?.into_inner();
         Ok(Self { requests: Some(requests), replies, names_sent: 0 })

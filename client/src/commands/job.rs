@@ -65,7 +65,7 @@ pub async fn watched(client: &Client, id: u64) -> anyhow::Result<Job> {
     let mut last = None;
     while let Some(job) = watch.next().await? {
         bar.set_of(job.states_done, job.states_total);
-        let ended = matches!(job.state, JobState::Done | JobState::Failed);
+        let ended = job.has_ended();
         last = Some(job);
         if ended {
             break;

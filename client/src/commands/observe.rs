@@ -14,22 +14,22 @@ use std::{
 
 use anyhow::Context as _;
 use clap::Args;
-use tidemap::observe::{Phase, Producer, ProducerError, ProducerOptions, Progress};
+use tidemap::{
+    observe::{Phase, Producer, ProducerError, ProducerOptions, Progress},
+    updates::{Job, JobCause, JobState},
+};
 use tokio::{sync::watch, task::JoinHandle};
 
 use self::{
     feed::{Feed, Told},
     transfer::{Ended, Transfer},
 };
-use super::{Session, producer_id, times};
+use super::{Session, job, producer_id, times};
 use crate::{
     output::{Cell, Sheet},
     progress::{Bar, notice},
 };
 
-/// Sends the observations of a file, each exactly once.
-///
-/// The same producer and label again continue where it was; a file that differs from what was sent is refused.
 #[derive(Debug, Args)]
 pub struct ObserveArgs {
     /// Name of the map
@@ -46,7 +46,7 @@ pub struct ObserveArgs {
     #[arg(long)]
     nightly: bool,
     /// How long to go on trying when the daemon cannot be reached
-    #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = times::duration)]
+    #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = times::duration_or_none)]
     patience: i64,
 }
 
@@ -55,6 +55,8 @@ const KEY_PATIENCE: Duration = Duration::from_secs(3);
 const KEY_PAUSE: Duration = Duration::from_millis(200);
 /// After Ctrl-C, what is under way gets this long to become durable.
 const LAST_FLUSH: Duration = Duration::from_secs(5);
+/// Between two looks for nightly updates.
+const NIGHT_PAUSE: Duration = Duration::from_millis(50);
 const INTERRUPTED: u8 = 130;
 
 pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
@@ -72,8 +74,14 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
         let rows = transfer.sent_before();
         bar.notice(&format!("{producer} sent {rows} rows as {label} before; they are compared and not sent again"));
     }
+    let sent = async {
+        match transfer.run().await {
+            Ended::Whole if args.nightly => nights(session, &args.map, &bar).await.map_or_else(Ended::Nights, |()| Ended::Whole),
+            ended => ended,
+        }
+    };
     let ended = tokio::select! {
-        ended = transfer.run() => ended,
+        ended = sent => ended,
         signal = tokio::signal::ctrl_c() => {
             signal.context("signals")?;
             Ended::Interrupted
@@ -96,6 +104,7 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
         Ended::Whole => Ok(ExitCode::FAILURE),
         Ended::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
         Ended::Unreadable(error) => Err(error.context(shown)),
+        Ended::Nights(error) => Err(error.context("everything was sent, but the nightly updates failed")),
         Ended::Stopped(error) => Err(anyhow::Error::new(error).context(format!(
             "{} of the {} rows read are durable; run it again to send the rest",
             counts.accepted + counts.duplicate + counts.refused,
@@ -153,6 +162,27 @@ async fn opened(
             }
         }
     }
+}
+
+/// Waits for the updates of the days that the data closed, so that whoever asks next is answered from them.
+async fn nights(session: &Session, map: &str, bar: &Bar) -> anyhow::Result<()> {
+    bar.clear();
+    // An update is lined up just after the acknowledgement that makes it due: look twice.
+    let mut quiet = 0;
+    while quiet < 2 {
+        let jobs = session.client.jobs().await?;
+        let night = |job: &&Job| job.map == map && job.cause == JobCause::DataTime && !job.has_ended();
+        // The oldest first: they run one after the other.
+        if let Some(job) = jobs.iter().rev().find(night) {
+            quiet = 0;
+            let ended = job::watched(&session.client, job.id).await?;
+            anyhow::ensure!(ended.state == JobState::Done, job::failure(&ended));
+        } else {
+            quiet += 1;
+            tokio::time::sleep(NIGHT_PAUSE).await;
+        }
+    }
+    Ok(())
 }
 
 /// Says on stderr when the daemon cannot be reached, once per outage, and when it can again.

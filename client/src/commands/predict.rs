@@ -10,7 +10,6 @@ use tidemap::queries::{ModelSelector, ORDER_MAX, PredictionRun};
 use super::{Misused, Session, times};
 use crate::output::{Cell, Sheet};
 
-/// Rows come by state as named, then by time as asked.
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("when").required(true).args(["at", "times", "from"]))]
 pub struct PredictArgs {

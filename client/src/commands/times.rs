@@ -11,7 +11,7 @@ use std::{
 use anyhow::Context as _;
 use tidemap::{
     clock,
-    time::{InvalidTime, parse_duration, parse_time},
+    time::{InvalidDuration, InvalidTime, parse_duration, parse_time},
 };
 
 use super::Misused;
@@ -25,8 +25,16 @@ pub fn time(text: &str) -> Result<i64, InvalidTime> {
 }
 
 /// A duration.
-pub fn duration(text: &str) -> Result<i64, tidemap::time::InvalidDuration> {
+pub fn duration(text: &str) -> Result<i64, InvalidDuration> {
     parse_duration(text)
+}
+
+/// A duration, or `0s`.
+pub fn duration_or_none(text: &str) -> Result<i64, InvalidDuration> {
+    match parse_duration(text) {
+        Err(InvalidDuration::Zero(_)) => Ok(0),
+        duration => duration,
+    }
 }
 
 /// Times from `from` in steps of `step`, up to but without `to`.

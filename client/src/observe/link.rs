@@ -105,6 +105,10 @@ impl Link {
         let limits = self.welcome(&welcome)?;
         let mut table = StreamTable::default();
         loop {
+            if self.is_closing() {
+                drop(requests);
+                return Err(self.drained(&mut replies).await);
+            }
             let ready = self.has_batch(&table, limits);
             tokio::select! {
                 reply = self.reply(&mut replies) => match reply? {
@@ -126,6 +130,18 @@ impl Link {
                 () = self.shared.more.notified(), if !ready => {}
             }
         }
+    }
+
+    /// Whether the stream is to end, and nothing is left to be acknowledged.
+    fn is_closing(&self) -> bool {
+        let state = self.shared.state();
+        state.closing && state.window.as_ref().is_none_or(|window| window.durable() == window.last())
+    }
+
+    /// Waits until the daemon has ended the stream as well. However it does: everything is durable.
+    async fn drained(&self, replies: &mut Streaming<ObserveResponse>) -> End {
+        while let Ok(Some(_)) = replies.message().await {}
+        End::Final(ProducerError::Closed)
     }
 
     async fn reply(&self, replies: &mut Streaming<ObserveResponse>) -> Result<observe_response::Message, End> {

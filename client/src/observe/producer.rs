@@ -95,6 +95,8 @@ pub(super) struct State {
     pub(super) window: Option<Window>,
     /// Somebody waits for everything up to this number.
     pub(super) urgent: u64,
+    /// The stream is to end once everything is durable.
+    pub(super) closing: bool,
     pub(super) refusals: Vec<Refusal>,
 }
 
@@ -139,7 +141,7 @@ impl Producer {
     #[must_use]
     pub fn start(client: &Client, options: ProducerOptions) -> Self {
         let (sender, progress) = watch::channel(Progress::default());
-        let state = State { window: None, urgent: 0, refusals: Vec::new() };
+        let state = State { window: None, urgent: 0, closing: false, refusals: Vec::new() };
         let shared = Arc::new(Shared { options, state: Mutex::new(state), more: Notify::new(), progress: sender });
         let task = tokio::spawn(Link::new(client.clone(), Arc::clone(&shared)).run());
         Self { shared, progress, task }
@@ -202,6 +204,19 @@ impl Producer {
         };
         self.shared.more.notify_one();
         self.reached(|progress| progress.durable_sequence >= last).await
+    }
+
+    /// Waits until everything sent is durable, and ends the stream. A producer that announced data time is then no
+    /// longer waited for; one that is dropped without this may be coming back, for all the daemon knows.
+    ///
+    /// # Errors
+    /// [`ProducerError`].
+    pub async fn close(&mut self) -> Result<Progress, ProducerError> {
+        let progress = self.flush().await?;
+        self.shared.state().closing = true;
+        self.shared.more.notify_one();
+        let closed = |progress: &Progress| progress.phase == Phase::Ended(ProducerError::Closed);
+        self.reached(closed).await.map(|_| progress)
     }
 
     /// Number of the last observation taken, whether durable or not.

@@ -89,9 +89,12 @@ fn wrong_settings_are_named_and_nothing_is_created() {
 fn ports_beyond_this_machine_are_refused() {
     let work = tempdir().expect("a folder");
     let data = work.path().join("data");
-    for (flag, address) in
-        [("--listen", "0.0.0.0:0"), ("--listen", "[::]:0"), ("--listen", "example.org:0"), ("--http-listen", "0.0.0.0:0")]
-    {
+    for (flag, address) in [
+        ("--listen", "0.0.0.0:0"),
+        ("--listen", "[::]:0"),
+        ("--listen", "example.org:0"),
+        ("--http-listen", "0.0.0.0:0"),
+    ] {
         let exit = Launch::on(&data).args([flag, address]).try_start().expect_err("reachable from elsewhere");
         assert_eq!(exit.code(), Some(78), "{address}: {exit}");
         for word in [address, "allow-insecure-remote"] {

@@ -26,6 +26,8 @@ pub(super) enum Ended {
     Unreadable(anyhow::Error),
     /// The producer ended.
     Stopped(ProducerError),
+    /// The file was sent, but the nightly updates failed.
+    Nights(anyhow::Error),
 }
 
 /// What became of the rows.
@@ -106,7 +108,9 @@ impl Transfer {
             let (read, sent_before) = (self.read, self.sent_before);
             return Ended::Differs(format!("it has only {read} rows, but {sent_before} were sent before"));
         }
-        self.flush().await.map_or_else(Ended::Stopped, |()| Ended::Whole)
+        let closed = self.producer.close().await;
+        self.collect();
+        closed.map_or_else(Ended::Stopped, |_| Ended::Whole)
     }
 
     async fn row(&mut self, row: &Row) -> Result<(), Ended> {

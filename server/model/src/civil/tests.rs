@@ -1,3 +1,5 @@
+//! What `civil.rs` promises, against a naive oracle where there is one.
+
 use super::*;
 
 const HOUR_NANOS: i64 = 3600 * NANOS_PER_SEC;

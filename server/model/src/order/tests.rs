@@ -1,3 +1,5 @@
+//! What `order.rs` promises, against a naive oracle where there is one.
+
 use super::*;
 
 fn errors(of: &[(usize, f64)]) -> [f64; MAX_ORDER + 1] {

@@ -1,3 +1,5 @@
+//! What `periodicity.rs` promises, against a naive oracle where there is one.
+
 use super::*;
 
 const DAY_NANOS: i64 = 86_400 * NANOS_PER_SEC;

@@ -1,3 +1,5 @@
+//! What `persistence.rs` promises, against a naive oracle where there is one.
+
 use super::*;
 
 const SEC: i64 = 1_000_000_000;

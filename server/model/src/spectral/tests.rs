@@ -1,3 +1,5 @@
+//! What `spectral.rs` promises, against a naive oracle where there is one.
+
 use proptest::prelude::*;
 
 use super::*;

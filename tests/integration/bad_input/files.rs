@@ -1,0 +1,186 @@
+//! What is wrong on the command line and in files: exit status, the value that was wrong, and what is kept beside it.
+
+use std::fs;
+
+use tidemap_tests::cli::{self, Outcome};
+
+use super::{observations, office, states};
+
+const HEADER: &str = "time,state,value\n";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn files_that_are_no_observations_are_refused_whole() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let observe = |text: &str| cli::tidemap_reading(&daemon, ["observe", "office", "-"], text);
+    observe("").fails(1, &["stdin", "empty", "time,state,value"]);
+    observe("time,value\n1,0\n").fails(1, &["\"state\"", "missing", "time,value"]);
+    observe("1451865600,door,0\n").fails(1, &["missing", "1451865600,door,0"]);
+    observe("time,state,value,state\n1,a,0,b\n").fails(1, &["\"state\"", "twice"]);
+    let absent = cli::tidemap(&daemon, ["observe", "office", "absent.csv"]);
+    absent.fails(1, &["absent.csv"]);
+    assert_eq!(observations(&daemon).await, 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn rows_that_are_wrong_are_refused_one_by_one() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let long = "x".repeat(129);
+    let rows = [
+        ("1451865600,door,1", ""),
+        ("1451865660,door,1.5", "1.5"),
+        ("1451865720,door,NaN", "NaN"),
+        ("1451865780,door,inf", "inf"),
+        ("1451865840,door,-0.25", "-0.25"),
+        ("1451865900,door,open", "open"),
+        ("-1,door,1", "-1"),
+        ("9223372037,door,1", "9223372037"),
+        ("1451865600000,door,1", "milliseconds"),
+        ("yesterday,door,1", "yesterday"),
+        ("2016-01-04,door,1", "2016-01-04"),
+        ("1451865960,,1", "empty"),
+        (&format!("1451865960,{long},1"), "129"),
+        ("1451865960,edge/a/b,1", "edge/a/b"),
+        ("1451865960,tab\there,1", "U+0009"),
+        ("1451865960,u\u{308}ber,1", "NFC"),
+        ("1451865960,door", "2 fields"),
+        ("1451865960,door,1,1", "4 fields"),
+        ("1451866020,door,0", ""),
+        ("2016-01-04T00:08:00Z,gate,0.5", ""),
+    ];
+    let text: String = rows.iter().map(|(row, _)| format!("{row}\n")).collect();
+    let outcome = cli::tidemap_reading(&daemon, ["observe", "office", "-"], &(HEADER.to_owned() + &text));
+    let words: Vec<&str> = rows.iter().map(|&(_, word)| word).filter(|word| !word.is_empty()).collect();
+    outcome.fails(1, &words);
+    for (number, (row, word)) in (1..).zip(&rows) {
+        let said = outcome.stderr.contains(&format!("row {number} "));
+        assert_eq!(said, !word.is_empty(), "row {number}, {row:?}:\n{}", outcome.stderr);
+    }
+    assert_eq!(outcome.table_with(1).rows, [["20", "3", "0", "17"]]);
+    assert_eq!(states(&daemon).await, ["door", "gate"]);
+    assert_eq!(observations(&daemon).await, 3);
+
+    // The same again: refused rows, too, are not sent twice.
+    let again = cli::tidemap_reading(&daemon, ["observe", "office", "-"], &(HEADER.to_owned() + &text));
+    let again = cli_rows(&again);
+    assert_eq!((again[0].as_str(), again[2].as_str()), ("20", "20"));
+    assert_eq!(observations(&daemon).await, 3);
+}
+
+fn cli_rows(outcome: &Outcome) -> Vec<String> {
+    assert!(outcome.code.is_some_and(|code| code < 2), "{outcome:?}");
+    cli::Table::parse(&outcome.stdout).rows.concat()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_torn_last_line_is_left_out_and_sent_when_it_is_whole() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let work = tempfile::tempdir().expect("a folder");
+    let file = work.path().join("door.csv");
+    let observe = || cli::tidemap(&daemon, ["observe".as_ref(), "office".as_ref(), file.as_os_str()]);
+    fs::write(&file, format!("{HEADER}1451865600,door,1\n1451865660,do")).expect("a file");
+    observe().fails(1, &["line 3", "1451865660,do", "incomplete"]);
+    assert_eq!(observations(&daemon).await, 1);
+    fs::write(&file, format!("{HEADER}1451865600,door,1\n1451865660,door,0\n")).expect("a file");
+    assert_eq!(observe().table().rows, [["2", "1", "1", "0"]]);
+    // A last line that has its three fields is whole, with or without an end.
+    fs::write(&file, format!("{HEADER}1451865600,door,1\n1451865660,door,0\n1451865720,door,1")).expect("a file");
+    assert_eq!(observe().table().rows, [["3", "1", "2", "0"]]);
+    assert_eq!(states(&daemon).await, ["door"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn names_that_are_not_known_fail_with_those_that_are() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let one = format!("{HEADER}1451865600,door,1\n");
+    let seen = cli::tidemap_reading(&daemon, ["observe", "office", "-"], &one).table();
+    assert_eq!(seen.number("accepted"), 1.0);
+    let tidemap = |args: &[&str]| cli::tidemap_reading(&daemon, args, &one);
+    for args in [
+        &["map", "show", "attic"][..],
+        &["map", "delete", "attic", "--yes"],
+        &["state", "list", "attic"],
+        &["observe", "attic", "-"],
+        &["update", "attic"],
+        &["predict", "attic", "door", "--at", "0"],
+        &["evaluate", "attic", "-"],
+        &["model", "show", "attic", "door"],
+        &["stats", "attic"],
+    ] {
+        tidemap(args).fails(1, &["attic", "office"]);
+    }
+    tidemap(&["predict", "office", "door", "gate", "--at", "0"]).fails(1, &["gate", "door"]);
+    tidemap(&["model", "show", "office", "gate"]).fails(1, &["gate", "door"]);
+    let other = format!("{HEADER}1451865600,gate,1\n");
+    cli::tidemap_reading(&daemon, ["evaluate", "office", "-"], &other).fails(1, &["gate", "door"]);
+    tidemap(&["job", "watch", "99"]).fails(1, &["99"]);
+    assert_eq!(observations(&daemon).await, 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn maps_that_cannot_be_are_not_created() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let create = |name: &str, more: &[&str]| {
+        let args = ["map", "create"].into_iter().chain(more.iter().copied()).chain(["--", name]);
+        cli::tidemap(&daemon, args)
+    };
+    create("office", &[]).fails(1, &["office", "exists"]);
+    let long = "m".repeat(64);
+    for name in ["", "-a", "Office", "a/b", "../etc", "büro", &long] {
+        create(name, &[]).fails(1, &["map name", "a-z"]);
+    }
+    create("lab", &["--time-zone", "Mars/Base"]).fails(1, &["Mars/Base"]);
+    create("lab", &["--periods", "24h,12h,24h"]).fails(1, &["periods"]);
+    create("lab", &["--periods", "24h,200000d"]).fails(2, &["200000d"]);
+    create("lab", &["--period-base", "500ms"]).fails(1, &["periodicities"]);
+    create("lab", &["--period-base", "0s"]).fails(2, &["0s"]);
+    create("lab", &["--period-base", "soon"]).fails(2, &["soon"]);
+    create("lab", &["--period-count", "0"]).fails(2, &["0", "1..=2048"]);
+    create("lab", &["--period-count", "2049"]).fails(2, &["2049", "1..=2048"]);
+    create("lab", &["--periods", "24h", "--period-count", "3"]).fails(2, &["--periods", "--period-count"]);
+    let maps = cli::tidemap(&daemon, ["map", "list"]).table();
+    assert_eq!(maps.column("name"), ["office"]);
+    cli::tidemap(&daemon, ["map", "delete", "office"]).fails(2, &["--yes", "office"]);
+    assert_eq!(cli::tidemap(&daemon, ["map", "list"]).table().rows.len(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn questions_that_make_no_sense_are_wrong_usage() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let one = format!("{HEADER}1451865600,door,1\n");
+    assert_eq!(cli::tidemap_reading(&daemon, ["observe", "office", "-"], &one).code, Some(0));
+    let predict =
+        |more: &[&str]| cli::tidemap(&daemon, ["predict", "office", "door"].into_iter().chain(more.iter().copied()));
+    predict(&[]).fails(2, &["--at"]);
+    predict(&["--at", "tomorrow"]).fails(2, &["tomorrow", "Unix seconds"]);
+    predict(&["--at=-5"]).fails(2, &["-5", "1970"]);
+    predict(&["--at", "9223372037"]).fails(2, &["9223372037", "2262"]);
+    predict(&["--at", "0", "--order", "16"]).fails(2, &["16", "0..=15"]);
+    predict(&["--at", "0", "--model", "fremen"]).fails(2, &["fremen", "spectral"]);
+    predict(&["--at", "0", "--model", "histogram:24"]).fails(2, &["histogram", "spectral"]);
+    predict(&["--at", "0", "--model", "mean", "--order", "1"]).fails(2, &["--order", "mean"]);
+    predict(&["--from", "10", "--to", "5", "--step", "1s"]).fails(2, &["--from"]);
+    predict(&["--from", "0", "--to", "5"]).fails(2, &["--step"]);
+    predict(&["--times", "absent.txt"]).fails(1, &["absent.txt"]);
+    cli::tidemap(&daemon, ["evaluate", "office", "absent.csv"]).fails(1, &["absent.csv"]);
+    cli::tidemap(&daemon, ["update", "office", "--until", "never"]).fails(2, &["never"]);
+    cli::tidemap(&daemon, ["forget", "office"]).fails(2, &["forget"]);
+}
+
+#[test]
+fn a_daemon_that_is_not_there_is_named() {
+    let port = tidemap_tests::daemon::lasting_port();
+    let server = format!("127.0.0.1:{port}");
+    let run = |server: &str, args: &[&str]| {
+        let output = cli::command(server, args).output().expect("tidemap can be started");
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("output is text");
+        Outcome { code: output.status.code(), stdout: text(output.stdout), stderr: text(output.stderr) }
+    };
+    run(&server, &["map", "list"]).fails(1, &[&server, "connection refused"]);
+    let work = tempfile::tempdir().expect("a folder");
+    let file = work.path().join("door.csv");
+    fs::write(&file, format!("{HEADER}1451865600,door,1\n")).expect("a file");
+    let file = file.to_str().expect("a path that is text");
+    run(&server, &["observe", "office", file, "--patience", "1s"])
+        .fails(1, &[&server, "connection refused", "gave up"]);
+    run("ftp://here", &["map", "list"]).fails(2, &["ftp://here", "HOST:PORT"]);
+}

@@ -1,0 +1,234 @@
+//! Streams that do not keep to the protocol: each ends by its reason, and the daemon, the map and other streams go on.
+
+use std::io::{Read as _, Write as _};
+
+use tidemap_proto::v1::{
+    GoodbyeReason, Hello, ObservationBatch, ObservationColumns, ObserveRequest, observe_request::Message,
+};
+use tidemap_tests::{
+    daemon::Daemon,
+    stream::{Ended, RawStream, columns, hello},
+};
+use tonic::Code;
+
+use super::{observations, office};
+
+#[track_caller]
+fn check(ended: Ended, reason: Option<GoodbyeReason>, code: Code, words: &[&str]) {
+    let found = ended.goodbye.as_ref().map(|goodbye| goodbye.reason());
+    assert_eq!(found, reason, "{ended:?}");
+    if let Some(goodbye) = &ended.goodbye {
+        let message = ended.status.as_ref().map(|status| status.message());
+        assert_eq!(Some(goodbye.detail.as_str()), message, "Goodbye and status say the same");
+    }
+    let status = ended.error();
+    assert_eq!(status.code(), code, "{status:?}");
+    for word in words {
+        assert!(status.message().contains(word), "{word:?} is not in {status:?}");
+    }
+}
+
+fn no_columns(count: usize) -> ObservationColumns {
+    columns(&["door"], &vec![(0, 1_000, 1.0); count])
+}
+
+async fn opened(daemon: &Daemon) -> RawStream {
+    let opened = RawStream::open(&daemon.grpc, hello("robot", "office")).await;
+    opened.unwrap_or_else(|ended| panic!("no Welcome: {ended:?}")).0
+}
+
+/// The daemon goes on, and has what it had.
+async fn goes_on(daemon: &Daemon, expected: u64) {
+    assert_eq!(observations(daemon).await, expected);
+    let (mut stream, welcome) = RawStream::open(&daemon.grpc, hello("neighbour", "office")).await.expect("a Welcome");
+    let next = welcome.durable_sequence + 1;
+    stream.batch(next, columns(&["neighbour"], &[(0, 1_000, 1.0)])).await;
+    stream.acknowledged(next).await.expect("the daemon goes on");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn batches_over_a_limit_end_the_stream_and_nothing_of_them_is_kept() {
+    let (_data, daemon) =
+        office(|launch| launch.setting("max_batch_observations", 100).setting("max_message_bytes", 4096)).await;
+    let mut stream = opened(&daemon).await;
+    stream.batch(1, no_columns(100)).await;
+    stream.acknowledged(100).await.expect("as many as allowed");
+    stream.batch(101, no_columns(101)).await;
+    check(stream.end().await, Some(GoodbyeReason::Invalid), Code::InvalidArgument, &["101", "100"]);
+
+    let mut stream = opened(&daemon).await;
+    let huge = ObservationColumns { new_states: vec!["x".repeat(20_000)], ..no_columns(1) };
+    stream.batch(101, huge).await;
+    let ended = stream.end().await;
+    assert!(ended.goodbye.is_some(), "a stream that is open is told why it ends: {ended:?}");
+    let status = ended.error();
+    assert!(matches!(status.code(), Code::InvalidArgument | Code::ResourceExhausted | Code::OutOfRange), "{status:?}");
+    assert!(status.message().contains("4096") || status.message().contains("8192"), "the limit is not in {status:?}");
+    goes_on(&daemon, 100).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn malformed_columns_name_the_column() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let good = || columns(&["door"], &[(0, 1_000, 1.0), (0, 1_001, 0.0)]);
+    let cases = [
+        (ObservationColumns { time_deltas: Vec::new(), ..good() }, "observations.time_deltas"),
+        (ObservationColumns { values: vec![1.0], ..good() }, "observations.values"),
+        (ObservationColumns { values: Vec::new(), ..good() }, "observations.values"),
+        (ObservationColumns { state_indices: vec![0], ..good() }, "observations.state_indices"),
+        (ObservationColumns { bits: vec![3].into(), ..good() }, "observations.values"),
+        (ObservationColumns { bits: vec![3, 3].into(), values: Vec::new(), ..good() }, "observations.bits"),
+    ];
+    for (columns, field) in cases {
+        let mut stream = opened(&daemon).await;
+        stream.batch(1, columns).await;
+        check(stream.end().await, Some(GoodbyeReason::Invalid), Code::InvalidArgument, &[field]);
+    }
+    let mut stream = opened(&daemon).await;
+    stream.say(Message::Batch(ObservationBatch { first_sequence: 1, observations: None })).await;
+    check(stream.end().await, Some(GoodbyeReason::Invalid), Code::InvalidArgument, &["observations"]);
+    let mut stream = opened(&daemon).await;
+    stream.batch(0, good()).await;
+    check(stream.end().await, Some(GoodbyeReason::Invalid), Code::InvalidArgument, &["first_sequence", "0"]);
+    goes_on(&daemon, 0).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn numbers_that_leap_end_the_stream_and_numbers_again_are_no_news() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let row = |time: i64| (0, time, 1.0);
+    let mut stream = opened(&daemon).await;
+    stream.batch(1, columns(&["door"], &[row(1), row(2), row(3)])).await;
+    stream.acknowledged(3).await.expect("new");
+    // The same, a part of it, and one that overlaps what is new.
+    stream.batch(1, columns(&[], &[row(1), row(2), row(3)])).await;
+    stream.acknowledged(3).await.expect("acknowledged again");
+    stream.batch(2, columns(&[], &[row(2)])).await;
+    stream.acknowledged(3).await.expect("acknowledged again");
+    stream.batch(2, columns(&[], &[row(2), row(3), row(4), row(5)])).await;
+    stream.acknowledged(5).await.expect("the new part");
+    assert_eq!(observations(&daemon).await, 5);
+    stream.batch(7, columns(&[], &[row(7)])).await;
+    check(stream.end().await, Some(GoodbyeReason::OutOfSequence), Code::OutOfRange, &["7", "6"]);
+    goes_on(&daemon, 5).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stream_begins_with_one_hello() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let mut stream = RawStream::silent(&daemon.grpc).await.expect("a stream");
+    stream.batch(1, no_columns(1)).await;
+    check(stream.end().await, None, Code::InvalidArgument, &["Hello"]);
+
+    let mut stream = RawStream::silent(&daemon.grpc).await.expect("a stream");
+    stream.send(ObserveRequest { message: None }).await;
+    check(stream.end().await, None, Code::InvalidArgument, &["Hello"]);
+
+    let mut stream = opened(&daemon).await;
+    stream.batch(1, no_columns(2)).await;
+    stream.acknowledged(2).await.expect("taken");
+    stream.say(Message::Hello(hello("robot", "office"))).await;
+    check(stream.end().await, Some(GoodbyeReason::Invalid), Code::InvalidArgument, &["Hello", "batch"]);
+    goes_on(&daemon, 2).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hello_names_a_map_and_a_producer() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let long = "x".repeat(129);
+    for (hello, code, words) in [
+        (hello("robot", "attic"), Code::NotFound, ["attic", "office"]),
+        (hello("robot", ""), Code::NotFound, ["\"\"", "office"]),
+        (hello("robot", "../../etc"), Code::NotFound, ["../../etc", "office"]),
+        (hello("", "office"), Code::InvalidArgument, ["producer", "empty"]),
+        (hello(&long, "office"), Code::InvalidArgument, ["producer", "129"]),
+        (hello("a\nb", "office"), Code::InvalidArgument, ["producer", "U+000A"]),
+        (Hello { label: long.clone(), ..hello("robot", "office") }, Code::InvalidArgument, ["label", "129"]),
+    ] {
+        check(RawStream::open(&daemon.grpc, hello).await.expect_err("refused"), None, code, &words);
+    }
+    goes_on(&daemon, 0).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_stream_of_a_producer_at_a_time() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let as_robot = |incarnation| Hello { incarnation, ..hello("robot", "office") };
+    let (mut first, welcome) = RawStream::open(&daemon.grpc, as_robot(0)).await.expect("a Welcome");
+    first.batch(1, no_columns(1)).await;
+    first.acknowledged(1).await.expect("taken");
+
+    let refused = RawStream::open(&daemon.grpc, as_robot(0)).await.expect_err("in use");
+    check(refused, None, Code::AlreadyExists, &["robot", "stop that stream"]);
+    first.batch(2, columns(&[], &[(0, 2_000, 1.0)])).await;
+    first.acknowledged(2).await.expect("the first stream is not harmed by that");
+
+    // Another label is another sequence.
+    let other = Hello { label: "other".to_owned(), ..as_robot(0) };
+    let (_other, other_welcome) = RawStream::open(&daemon.grpc, other).await.expect("a Welcome");
+    assert_eq!(other_welcome.durable_sequence, 0);
+
+    let (mut second, again) = RawStream::open(&daemon.grpc, as_robot(welcome.incarnation)).await.expect("a Welcome");
+    assert_eq!((again.incarnation, again.durable_sequence), (welcome.incarnation, 2));
+    check(first.end().await, Some(GoodbyeReason::Superseded), Code::Aborted, &["took over"]);
+
+    let newer = welcome.incarnation + 5;
+    let (mut third, _) = RawStream::open(&daemon.grpc, as_robot(newer)).await.expect("a Welcome");
+    check(second.end().await, Some(GoodbyeReason::Superseded), Code::Aborted, &["took over"]);
+    third.batch(3, columns(&["door"], &[(0, 3_000, 1.0)])).await;
+    third.acknowledged(3).await.expect("taken");
+    let refused = RawStream::open(&daemon.grpc, as_robot(welcome.incarnation)).await.expect_err("fenced");
+    check(refused, None, Code::Aborted, &["robot", &newer.to_string()]);
+    goes_on(&daemon, 3).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn limits_of_streams_and_producers_are_named() {
+    let (_data, daemon) = office(|launch| launch.setting("max_streams", 2).setting("max_producers_per_map", 2)).await;
+    let take = async |producer: &str| {
+        let (mut stream, _) = RawStream::open(&daemon.grpc, hello(producer, "office")).await.expect("a Welcome");
+        stream.batch(1, no_columns(1)).await;
+        stream.acknowledged(1).await.expect("taken");
+        stream
+    };
+    let mut both = [take("a").await, take("b").await];
+    let refused = RawStream::open(&daemon.grpc, hello("c", "office")).await.expect_err("too many streams");
+    check(refused, None, Code::ResourceExhausted, &["max_streams"]);
+    for stream in &mut both {
+        stream.close();
+        assert!(stream.end().await.status.is_none(), "a stream may end in order");
+    }
+    // The count of streams goes down a moment after the stream's end is told.
+    let refused = loop {
+        let refused = RawStream::open(&daemon.grpc, hello("c", "office")).await.expect_err("too many producers");
+        if !refused.status.as_ref().is_some_and(|status| status.message().contains("max_streams")) {
+            break refused;
+        }
+    };
+    check(refused, None, Code::ResourceExhausted, &["max_producers_per_map"]);
+    assert_eq!(observations(&daemon).await, 2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn garbage_on_the_ports_harms_nobody() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let mut stream = opened(&daemon).await;
+    let preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+    let noise: Vec<u8> = (0..50_000_u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+    let tail = |bytes: &[u8]| [preface.as_slice(), bytes].concat();
+    for bytes in [noise.clone(), tail(&noise), tail(&[0xFF; 9]), b"GET / HTTP/1.1\r\n\r\n".to_vec(), tail(&[0; 90])] {
+        for address in [&daemon.grpc, &daemon.http] {
+            let mut connection = std::net::TcpStream::connect(address).expect("the port is open");
+            // The daemon may have hung up already.
+            let _ = connection.write_all(&bytes);
+            let _ = connection.shutdown(std::net::Shutdown::Write);
+            let _ = connection.read_to_end(&mut Vec::new());
+        }
+    }
+    stream.batch(1, no_columns(1)).await;
+    stream.acknowledged(1).await.expect("a stream that was open goes on");
+    drop(stream);
+    goes_on(&daemon, 1).await;
+    let log = daemon.stop_in_order();
+    assert!(!log.contains("panicked"), "{log}");
+}

@@ -1,0 +1,82 @@
+//! A disk that gets full under the daemon.
+
+use std::{fs, path::Path};
+
+use tempfile::tempdir;
+use tidemap::{maps::NewMap, observe::ProducerError};
+use tidemap_tests::{
+    cli,
+    daemon::{Daemon, Launch},
+    disk::{Unavailable, small_disk},
+    feed::Feed,
+    herd::{Herd, Manner},
+    oracle::{Oracle, run_update},
+};
+
+use super::create_map;
+
+const DISK_BYTES: u64 = 24 << 20;
+/// What is left to the daemon's log while the ballast lies there.
+const LEFT_BYTES: u64 = 768 << 10;
+
+/// Fills the disk but for [`LEFT_BYTES`].
+fn fill(ballast: &Path) {
+    let file = fs::File::create(ballast).expect("room for a file");
+    let available = rustix::fs::fstatvfs(&file).expect("a file system");
+    let bytes = (available.f_bavail * available.f_frsize).saturating_sub(LEFT_BYTES);
+    rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes).expect("room for the ballast");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_a_full_disk_refuses_loses_nothing_and_recovers() {
+    let work = tempdir().expect("a folder");
+    let disk = match small_disk(&work.path().join("disk"), DISK_BYTES) {
+        Ok(disk) => disk,
+        Err(Unavailable(reason)) => return println!("SKIPPED: {reason}"),
+    };
+    let ballast = disk.folder().join("ballast");
+    let launch = Launch::on(&disk.folder().join("data"));
+    let daemon = launch.start();
+    // One refused value in the feed would only be one more thing to think of here.
+    let feed = Feed { refused_every: 0, ..Feed::new(11) };
+    let mut oracle = Oracle::new("office", feed, 3);
+    create_map(&daemon, &oracle).await;
+    let gate = NewMap { name: "gate".to_owned(), ..NewMap::default() };
+    daemon.client().create_map(gate).await.expect("a second map");
+    let some = Manner { until: 500, ..Manner::default() };
+    assert_eq!(Herd::start(&daemon.client(), &oracle, some, 1).settle(&mut oracle).await, []);
+    run_update(&daemon.client(), "office", None).await;
+
+    fill(&ballast);
+    let all = Manner { until: 60_000, pause: std::time::Duration::ZERO, ..Manner::default() };
+    let errors = Herd::start(&daemon.client(), &oracle, all, 2).settle(&mut oracle).await;
+    assert!(!errors.is_empty(), "the disk did not get full");
+    for error in &errors {
+        assert!(matches!(error, ProducerError::Exhausted(detail) if detail.contains("disk is full")), "{error:?}");
+    }
+    // Queries go on, and all that was acknowledged is there.
+    oracle.verify(&daemon, false).await.unwrap_or_else(|violation| panic!("{violation}"));
+    from_the_command_line(&daemon, work.path(), &ballast);
+
+    let errors = Herd::start(&daemon.client(), &oracle, all, 3).settle(&mut oracle).await;
+    assert_eq!(errors, [], "there is space again");
+    oracle.verify(&daemon, true).await.unwrap_or_else(|violation| panic!("{violation}"));
+    daemon.kill();
+    oracle.verify(&launch.start(), true).await.unwrap_or_else(|violation| panic!("{violation}"));
+}
+
+/// The same command fails while the disk is full and goes on when it is not. Frees the disk.
+fn from_the_command_line(daemon: &Daemon, work: &Path, ballast: &Path) {
+    const ROWS: u32 = 100_000;
+    let file = work.join("more.csv");
+    let rows: String =
+        (0..ROWS).map(|i| format!("{},gate,0.{:06}\n", 1_600_000_000 + i * 7, i * 7 % 999_983)).collect();
+    fs::write(&file, format!("time,state,value\n{rows}")).expect("a file");
+    let observe = || cli::tidemap(daemon, ["observe".as_ref(), "gate".as_ref(), file.as_os_str()]);
+    observe().fails(1, &["disk is full"]);
+    fs::remove_file(ballast).expect("the ballast");
+    let result = observe().table();
+    assert_eq!(result.number("read"), f64::from(ROWS));
+    assert_eq!(result.number("refused"), 0.0);
+    assert_eq!(result.number("accepted") + result.number("duplicate"), f64::from(ROWS));
+}

@@ -1,0 +1,39 @@
+//! A daemon that acknowledges before it syncs, which the kills and the power cuts must catch. If they do not, they
+//! prove nothing about the real one either.
+
+use tempfile::tempdir;
+use tidemap_tests::{binaries, daemon::Launch, disk::Unavailable, oracle::Violation, rounds};
+
+use super::{
+    kill::{Rounds, rounds_of_kills},
+    power_cut::power_cuts,
+};
+
+/// Rounds within which the fault has to be found.
+const ROUNDS_MAX: u32 = 12;
+
+fn caught(result: Result<(), Violation>) {
+    match result {
+        Err(violation) if violation.is_loss() => println!("caught: {violation}"),
+        Err(violation) => panic!("something else than a loss was found: {violation}"),
+        Ok(()) => panic!("the planted fault was not found in {ROUNDS_MAX} rounds: these tests cannot fail"),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_kills_catch_a_daemon_that_acknowledges_too_early() {
+    let seed = rounds::seed("durability_kills_catch_a_daemon_that_acknowledges_too_early");
+    let data = tempdir().expect("a folder");
+    let launch = Launch::on(data.path()).program(binaries::tidemapd_with_planted_fault());
+    caught(rounds_of_kills(&launch, Rounds { count: ROUNDS_MAX, updates: false }, seed).await);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_power_cuts_catch_a_daemon_that_acknowledges_too_early() {
+    let seed = rounds::seed("durability_power_cuts_catch_a_daemon_that_acknowledges_too_early");
+    let program = binaries::tidemapd_with_planted_fault();
+    match power_cuts(|data| Launch::on(data).program(program.clone()), ROUNDS_MAX, seed).await {
+        Ok(result) => caught(result),
+        Err(Unavailable(reason)) => println!("SKIPPED: {reason}"),
+    }
+}

@@ -1,0 +1,97 @@
+//! A disk that cannot be synced: after the first error nobody knows what is on it.
+
+use std::{ffi::OsString, fs, path::Path, process::Command};
+
+use tempfile::tempdir;
+use tidemap_proto::v1::GoodbyeReason;
+use tidemap_tests::{
+    daemon::Launch,
+    feed::Feed,
+    herd::{Herd, Manner},
+    oracle::{Mark, Oracle, producer_name},
+    stream::{RawStream, feed_columns, hello},
+};
+
+use super::create_map;
+
+fn can_trace() -> Result<(), String> {
+    match Command::new("strace").args(["-qq", "-e", "trace=none", "true"]).output() {
+        Ok(output) if output.status.success() => Ok(()),
+        Ok(output) => Err(format!("strace: {}", String::from_utf8_lossy(&output.stderr).trim())),
+        Err(error) => Err(format!("strace: {error}")),
+    }
+}
+
+/// strace before a daemon: the calls of fdatasync that `when` names fail; all of them are written to a file.
+fn failing(when: &str, calls: &Path) -> Vec<OsString> {
+    let inject = format!("inject=fdatasync:error=EIO:when={when}");
+    let words = ["strace", "-f", "-qq", "-e", "trace=fdatasync", "-e", &inject, "-o"];
+    words.iter().map(OsString::from).chain([calls.into()]).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_after_a_failed_sync_nothing_is_acknowledged_and_the_daemon_ends() {
+    if let Err(reason) = can_trace() {
+        return println!("SKIPPED: {reason}");
+    }
+    let data = tempdir().expect("a folder");
+    let launch = Launch::on(data.path());
+    let mut oracle = Oracle::new("office", Feed::new(5), 4);
+    create_map(&launch.start(), &oracle).await;
+
+    // Once, and for good: an error that goes away must not be taken for none.
+    for when in ["25", "40+"] {
+        let daemon = launch.clone().under(failing(when, Path::new("/dev/null"))).start();
+        let before: u64 = oracle.marks.iter().map(|mark| mark.acknowledged).sum();
+        let herd = Herd::start(&daemon.client(), &oracle, Manner::default(), 1);
+        let exit = daemon.exit();
+        assert_eq!(exit.code(), Some(74), "{when}: {exit}");
+        for word in ["storage failed", ".log", "Input/output error"] {
+            assert!(exit.stderr.contains(word), "{when}: {word:?} is not in {exit}");
+        }
+        assert!(!exit.stderr.contains("panicked"), "{exit}");
+        assert_eq!(herd.settle(&mut oracle).await.len(), 4, "{when}: a producer did not notice");
+        let after: u64 = oracle.marks.iter().map(|mark| mark.acknowledged).sum();
+        assert!(after > before, "{when}: nothing was acknowledged before the error, so nothing was tested");
+
+        let daemon = launch.start();
+        oracle.verify(&daemon, true).await.unwrap_or_else(|violation| panic!("{when}: {violation}"));
+        daemon.stop_in_order();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_every_acknowledgement_has_its_sync() {
+    if let Err(reason) = can_trace() {
+        return println!("SKIPPED: {reason}");
+    }
+    let work = tempdir().expect("a folder");
+    let (data, calls) = (work.path().join("data"), work.path().join("calls"));
+    let mut oracle = Oracle::new("office", Feed::new(6), 1);
+    create_map(&Launch::on(&data).start(), &oracle).await;
+
+    let daemon = Launch::on(&data).under(failing("20", &calls)).start();
+    let opened = RawStream::open(&daemon.grpc, hello(&producer_name(0), &oracle.map)).await;
+    let (mut stream, _) = opened.expect("a Welcome");
+    let mut acknowledged = 0;
+    // One batch at a time, so that none shares its sync with another.
+    let ended = loop {
+        let next = acknowledged + 1;
+        stream.batch(next, feed_columns(&[oracle.feed.observation(0, next)], oracle.feed.states, next == 1)).await;
+        match stream.acknowledged(next).await {
+            Ok(_) => acknowledged = next,
+            Err(ended) => break ended,
+        }
+    };
+    assert_eq!(ended.goodbye.as_ref().map(|goodbye| goodbye.reason()), Some(GoodbyeReason::Storage), "{ended:?}");
+    assert_eq!(daemon.exit().code(), Some(74));
+    let calls = fs::read_to_string(&calls).expect("strace wrote down the calls");
+    let good = calls.lines().filter(|line| line.trim_end().ends_with("= 0")).count() as u64;
+    let bad = calls.lines().filter(|line| line.contains("EIO")).count();
+    assert_eq!(bad, 1, "one call failed, and none was made after it: {calls}");
+    assert!((1..=good).contains(&acknowledged), "{acknowledged} acknowledgements, {good} good syncs: {calls}");
+
+    oracle.marks[0] = Mark { acknowledged, sent: acknowledged + 1 };
+    let daemon = Launch::on(&data).start();
+    oracle.verify(&daemon, true).await.unwrap_or_else(|violation| panic!("{violation}"));
+}
