@@ -63,7 +63,7 @@ enum Command {
     ///
     /// The file has a header and the columns time, state and value, in any order; a value is 0, 1 or anything between.
     /// The same producer and label again continue where it was, and a file that differs from what was sent is refused.
-    /// The exit status is 0 only where every row was accepted, now or before.
+    /// The exit status is 0 only where nothing was refused.
     Observe(observe::ObserveArgs),
     /// Runs the nightly update now and shows what it did to each state
     Update(update::UpdateArgs),

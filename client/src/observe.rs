@@ -65,7 +65,7 @@ pub enum ProducerError {
         last: Error,
     },
     /// A newer stream of the same producer and label took over.
-    #[error("another stream of the same producer and label took over: {0}")]
+    #[error("{0}")]
     Superseded(String),
     /// The key is in use.
     #[error("{0}")]
@@ -74,13 +74,13 @@ pub enum ProducerError {
     #[error("the daemon found a gap in the sequence numbers: {0}")]
     OutOfSequence(String),
     /// The disk of the daemon is full, or a limit is reached.
-    #[error("the daemon cannot take more: {0}")]
+    #[error("{0}")]
     Exhausted(String),
     /// The map does not exist.
     #[error("{0}")]
     MapNotFound(String),
     /// The map was deleted meanwhile.
-    #[error("the map was deleted: {0}")]
+    #[error("{0}")]
     MapDeleted(String),
     /// The daemon could not make sense of a message.
     #[error("{0}")]

@@ -97,7 +97,8 @@ impl Cell {
         }
     }
 
-    fn json(&self) -> String {
+    /// As a JSON value.
+    pub fn json(&self) -> String {
         match self {
             Self::Empty => "null".to_owned(),
             Self::Text(text) => serde_json::Value::from(text.as_str()).to_string(),
@@ -219,11 +220,6 @@ pub fn object<'a>(members: impl Iterator<Item = (&'a str, String)>) -> String {
     let members: Vec<String> =
         members.map(|(name, value)| format!("{}:{value}", serde_json::Value::from(name))).collect();
     format!("{{{}}}", members.join(","))
-}
-
-/// A JSON object of cells.
-pub fn record(members: &[(&str, Cell)]) -> String {
-    object(members.iter().map(|(name, cell)| (*name, cell.json())))
 }
 
 #[cfg(test)]

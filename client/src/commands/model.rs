@@ -11,7 +11,7 @@ use clap::Subcommand;
 use tidemap::queries::{Component, ModelDescription};
 
 use super::Session;
-use crate::output::{Cell, Format, Sheet, record};
+use crate::output::{Cell, Format, Sheet, object};
 
 #[derive(Debug, Subcommand)]
 pub enum ModelCommand {
@@ -68,7 +68,10 @@ fn table(model: &ModelDescription) -> io::Result<()> {
     sheet.row(vec![state, model.mean.into(), model.folded_observations.into(), model.order.into()])?;
     sheet.finish()?;
     if model.components.is_empty() {
-        return writeln!(io::stdout(), "\nNo rhythm is known yet: it takes an update, and observations over a period.");
+        return writeln!(
+            io::stdout(),
+            "\nNo rhythm was found: it takes changes observed over at least one period, and an update."
+        );
     }
     writeln!(io::stdout())?;
     let mut sheet = Sheet::stdout(Format::Table, &["period", "period_secs", "amplitude", "phase_rad", "used"]);
@@ -98,15 +101,14 @@ fn csv(model: &ModelDescription) -> io::Result<()> {
 }
 
 fn json(model: &ModelDescription) -> io::Result<()> {
-    let state = record(&[("state", Cell::Text(model.state.clone()))]);
-    let components: Vec<String> = (0..)
-        .zip(&model.components)
-        .map(|(index, component)| record(&component_cells(component, used(model, index))))
-        .collect();
-    let head = state.trim_end_matches('}').to_owned();
-    let summary = record(&summary(model));
-    let body = summary.trim_start_matches('{').trim_end_matches('}').to_owned();
-    writeln!(io::stdout(), "{head},{body},\"components\":[{}]}}", components.join(","))
+    let component = |(index, component)| {
+        object(component_cells(component, used(model, index)).iter().map(|(name, cell)| (*name, cell.json())))
+    };
+    let components: Vec<String> = model.components.iter().enumerate().map(component).collect();
+    let summary = summary(model).map(|(name, cell)| (name, cell.json()));
+    let state = ("state", Cell::Text(model.state.clone()).json());
+    let components = ("components", format!("[{}]", components.join(",")));
+    writeln!(io::stdout(), "{}", object([state].into_iter().chain(summary).chain([components])))
 }
 
 /// A period as people say it: `7 d`, `24 h`, `45 min`.

@@ -76,7 +76,9 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
     }
     let sent = async {
         match transfer.run().await {
-            Ended::Whole if args.nightly => nights(session, &args.map, &bar).await.map_or_else(Ended::Nights, |()| Ended::Whole),
+            Ended::Whole if args.nightly => {
+                nights(session, &args.map, &bar).await.map_or_else(Ended::Nights, |()| Ended::Whole)
+            }
             ended => ended,
         }
     };
@@ -105,11 +107,14 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
         Ended::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
         Ended::Unreadable(error) => Err(error.context(shown)),
         Ended::Nights(error) => Err(error.context("everything was sent, but the nightly updates failed")),
-        Ended::Stopped(error) => Err(anyhow::Error::new(error).context(format!(
-            "{} of the {} rows read are durable; run it again to send the rest",
-            counts.accepted + counts.duplicate + counts.refused,
-            counts.read
-        ))),
+        Ended::Stopped(error) => {
+            let durable = counts.accepted + counts.duplicate + counts.refused;
+            notice(&format!(
+                "{durable} of the {} rows read are durable; the same command again sends the rest",
+                counts.read
+            ));
+            Err(error.into())
+        }
         Ended::Differs(how) => {
             anyhow::bail!(
                 "{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. Another file \

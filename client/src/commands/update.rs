@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use tidemap::updates::JobState;
+use tonic::Code;
 
 use super::{Session, job, times};
 use crate::{
@@ -34,7 +35,15 @@ pub async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCod
     let mut sheet = Sheet::stdout(session.format, &COLUMNS);
     let (mut token, mut states) = (Some(String::new()), 0_u64);
     while let Some(page_token) = token {
-        let (updates, next) = client.update_report(started.id, &page_token).await?;
+        let page = client.update_report(started.id, &page_token).await;
+        if page.as_ref().is_err_and(|error| error.code() == Some(Code::NotFound)) {
+            notice(&format!(
+                "the update is done, but another one followed at once: `tidemap job list` shows job {}",
+                started.id
+            ));
+            break;
+        }
+        let (updates, next) = page?;
         for update in updates {
             states += 1;
             sheet.row(vec![
@@ -50,7 +59,7 @@ pub async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCod
         token = next;
     }
     sheet.finish()?;
-    if states == 0 {
+    if states == 0 && ended.observations == 0 {
         notice(&format!("map {:?} has no observations to fold in", args.map));
     }
     Ok(ExitCode::SUCCESS)

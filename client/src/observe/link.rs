@@ -293,3 +293,6 @@ fn refusal(refusal: tidemap_proto::v1::Refusal) -> Refusal {
     };
     Refusal { sequence: refusal.sequence, reason, detail: refusal.detail }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,272 @@
+//! A producer against a daemon that breaks off, ends streams and forgets, each on purpose. The real daemon does most of
+//! this only when its machine fails.
+
+use std::{
+    collections::VecDeque,
+    pin::Pin,
+    sync::{Mutex, PoisonError},
+    time::Duration,
+};
+
+use tidemap_proto::v1::{
+    Refusal as WireRefusal, RefusalReason as WireReason,
+    observation_service_server::{ObservationService, ObservationServiceServer},
+};
+use tokio::net::TcpListener;
+use tokio_stream::{Stream, StreamExt as _, wrappers::TcpListenerStream};
+use tonic::{Request, Response, Status, transport::Server};
+
+use super::*;
+use crate::observe::{Producer, ProducerOptions, content::ContentCrc};
+
+/// What the daemon does with one connection.
+#[derive(Clone, Debug)]
+enum Act {
+    /// All that it should, refusing values above 1.
+    Serve,
+    /// Acknowledges so many observations; stores a batch more, and breaks off.
+    ServeUntil(u64),
+    /// Stores a batch, and breaks off without an acknowledgement.
+    StoreAndBreak,
+    /// Breaks off at the first batch.
+    Break,
+    /// Answers the Hello with an error.
+    Refuse(Code),
+    /// Ends the stream at the first batch, with a reason.
+    End(GoodbyeReason),
+    /// Is another data folder, with so many of the observations.
+    Restored(usize),
+}
+
+#[derive(Clone, Debug, Default)]
+struct Stored {
+    rows: Vec<(String, f64)>,
+    incarnations: Vec<u64>,
+    acts: VecDeque<Act>,
+}
+
+impl Stored {
+    fn crc(&self) -> u32 {
+        let mut crc = ContentCrc::default();
+        for (time, (state, value)) in (0..).zip(&self.rows) {
+            crc.add(state, time, *value);
+        }
+        crc.value()
+    }
+
+    /// Observation n of the tests has the time n - 1, so that times need not be kept.
+    fn take(&mut self, batch: ObservationBatch, names: &mut Vec<String>) -> Vec<WireRefusal> {
+        let columns = batch.observations.unwrap_or_default();
+        names.extend(columns.new_states);
+        let mut refused = Vec::new();
+        for i in 0..columns.time_deltas.len() {
+            let sequence = batch.first_sequence + i as u64;
+            let state = names[columns.state_indices.get(i).copied().unwrap_or(0) as usize].clone();
+            let bit = || f64::from((columns.bits[i / 8] >> (i % 8)) & 1);
+            let value = columns.values.get(i).copied().unwrap_or_else(bit);
+            if sequence <= self.rows.len() as u64 {
+                continue;
+            }
+            assert_eq!(sequence, self.rows.len() as u64 + 1, "a gap");
+            if value > 1.0 {
+                let reason = WireReason::Value.into();
+                refused.push(WireRefusal { sequence, reason, detail: format!("value {value}") });
+            }
+            self.rows.push((state, value));
+        }
+        refused
+    }
+}
+
+#[derive(Clone, Default)]
+struct Fake(Arc<Mutex<Stored>>);
+
+impl Fake {
+    fn stored(&self) -> std::sync::MutexGuard<'_, Stored> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    async fn serve(
+        &self,
+        act: Act,
+        mut requests: Streaming<ObserveRequest>,
+        replies: &mpsc::Sender<Result<ObserveResponse, Status>>,
+    ) -> Result<(), Status> {
+        let say = |message| replies.send(Ok(ObserveResponse { message: Some(message) }));
+        let hello = requests.message().await?.and_then(|request| request.message);
+        let Some(observe_request::Message::Hello(hello)) = hello else { return Err(Status::invalid_argument("Hello")) };
+        let welcome = {
+            let mut stored = self.stored();
+            stored.incarnations.push(hello.incarnation);
+            if let Act::Refuse(code) = act {
+                return Err(Status::new(code, "no"));
+            }
+            if let Act::Restored(rows) = act {
+                stored.rows.truncate(rows);
+            }
+            Welcome {
+                store_id: format!("{act:?}"),
+                incarnation: hello.incarnation.max(7),
+                durable_sequence: stored.rows.len() as u64,
+                content_crc: stored.crc(),
+                max_batch_observations: 3,
+                max_message_bytes: 4096,
+                max_ahead: None,
+            }
+        };
+        let _ = say(observe_response::Message::Welcome(welcome)).await;
+        let mut names = Vec::new();
+        while let Some(request) = requests.message().await? {
+            let Some(observe_request::Message::Batch(batch)) = request.message else { continue };
+            match act {
+                Act::Break => return Err(Status::unavailable("broken")),
+                Act::StoreAndBreak => {
+                    self.stored().take(batch, &mut names);
+                    return Ok(());
+                }
+                Act::End(reason) => {
+                    let goodbye = Goodbye { reason: reason.into(), durable_sequence: 0, detail: "so".to_owned() };
+                    let _ = say(observe_response::Message::Goodbye(goodbye)).await;
+                    return Err(Status::unavailable("so"));
+                }
+                Act::Serve | Act::ServeUntil(_) | Act::Refuse(_) | Act::Restored(_) => {
+                    let ack = {
+                        let mut stored = self.stored();
+                        let refused = stored.take(batch, &mut names);
+                        Ack { durable_sequence: stored.rows.len() as u64, refused }
+                    };
+                    if matches!(act, Act::ServeUntil(rows) if ack.durable_sequence > rows) {
+                        return Ok(());
+                    }
+                    let _ = say(observe_response::Message::Ack(ack)).await;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+#[tonic::async_trait]
+impl ObservationService for Fake {
+    type ObserveStream = Pin<Box<dyn Stream<Item = Result<ObserveResponse, Status>> + Send>>;
+
+    async fn observe(
+        &self,
+        request: Request<Streaming<ObserveRequest>>,
+    ) -> Result<Response<Self::ObserveStream>, Status> {
+        let act = self.stored().acts.pop_front().unwrap_or(Act::Serve);
+        let (sender, receiver) = mpsc::channel(8);
+        let fake = self.clone();
+        tokio::spawn(async move {
+            if let Err(status) = fake.serve(act, request.into_inner(), &sender).await {
+                let _ = sender.send(Err(status)).await;
+            }
+        });
+        Ok(Response::new(Box::pin(ReceiverStream::new(receiver).map(|reply| reply))))
+    }
+}
+
+async fn producer(acts: &[Act]) -> Result<(Fake, Producer), Box<dyn std::error::Error>> {
+    let fake = Fake::default();
+    fake.stored().acts = acts.iter().cloned().collect();
+    let listener = TcpListener::bind("127.0.0.1:0").await?;
+    let address = listener.local_addr()?;
+    let service = ObservationServiceServer::new(fake.clone());
+    tokio::spawn(Server::builder().add_service(service).serve_with_incoming(TcpListenerStream::new(listener)));
+    let client = Client::new(&address.to_string())?;
+    let options = ProducerOptions { patience: Duration::from_secs(30), ..ProducerOptions::new("robot", "", "office") };
+    Ok((fake, Producer::start(&client, options)))
+}
+
+type Tested = Result<(), Box<dyn std::error::Error>>;
+
+async fn send(producer: &mut Producer, values: &[f64]) -> Result<(), ProducerError> {
+    for &value in values {
+        let time = i64::try_from(producer.last_sequence()).unwrap_or(0);
+        producer.send(if value < 0.5 { "a" } else { "b" }, time, value).await?;
+    }
+    producer.flush().await.map(|_| ())
+}
+
+#[tokio::test]
+async fn whatever_breaks_each_observation_arrives_once() -> Tested {
+    let acts = [
+        Act::Refuse(Code::Unavailable),
+        Act::StoreAndBreak,
+        Act::Break,
+        Act::End(GoodbyeReason::Shutdown),
+        Act::Refuse(Code::Internal),
+        Act::StoreAndBreak,
+        Act::Serve,
+    ];
+    let (fake, mut producer) = producer(&acts).await?;
+    let values: Vec<f64> = (0..20).map(|i| f64::from(i % 4) / 3.0).collect();
+    send(&mut producer, &values).await?;
+    let stored = fake.stored().clone();
+    assert_eq!(stored.rows.iter().map(|(_, value)| *value).collect::<Vec<_>>(), values);
+    assert!(stored.rows.iter().all(|(state, value)| state == if *value < 0.5 { "a" } else { "b" }));
+    assert_eq!(stored.incarnations, [0, 0, 7, 7, 7, 7, 7], "a reconnection presents its incarnation");
+    assert!(producer.progress().unreported > 0);
+    producer.close().await?;
+    assert_eq!(producer.send("a", 0, 1.0).await, Err(ProducerError::Closed));
+    Ok(())
+}
+
+#[tokio::test]
+async fn refusals_come_back_with_their_numbers() -> Tested {
+    let (_fake, mut producer) = producer(&[]).await?;
+    send(&mut producer, &[0.0, 2.0, 1.0, 3.0]).await?;
+    let refused: Vec<_> = producer.take_refusals().into_iter().map(|r| (r.sequence, r.reason, r.detail)).collect();
+    assert_eq!(
+        refused,
+        [(2, RefusalReason::Value, "value 2".to_owned()), (4, RefusalReason::Value, "value 3".to_owned())]
+    );
+    assert!(producer.take_refusals().is_empty());
+    Ok(())
+}
+
+#[tokio::test]
+async fn ends_that_no_new_attempt_can_mend_are_final() -> Tested {
+    let so = || "so".to_owned();
+    for (act, error) in [
+        (Act::End(GoodbyeReason::DiskFull), ProducerError::Exhausted(so())),
+        (Act::End(GoodbyeReason::Superseded), ProducerError::Superseded(so())),
+        (Act::End(GoodbyeReason::OutOfSequence), ProducerError::OutOfSequence(so())),
+        (Act::End(GoodbyeReason::Invalid), ProducerError::Invalid(so())),
+        (Act::End(GoodbyeReason::MapDeleted), ProducerError::MapDeleted(so())),
+        (Act::End(GoodbyeReason::Storage), ProducerError::Storage(so())),
+        (Act::Refuse(Code::AlreadyExists), ProducerError::KeyInUse("no".to_owned())),
+        (Act::Refuse(Code::NotFound), ProducerError::MapNotFound("no".to_owned())),
+        (Act::Refuse(Code::Aborted), ProducerError::Superseded("no".to_owned())),
+        (Act::Refuse(Code::InvalidArgument), ProducerError::Invalid("no".to_owned())),
+    ] {
+        let (fake, mut producer) = producer(std::slice::from_ref(&act)).await?;
+        assert_eq!(send(&mut producer, &[1.0]).await, Err(error.clone()), "{act:?}");
+        assert_eq!(producer.send("a", 0, 1.0).await, Err(error), "{act:?}");
+        assert_eq!(fake.stored().incarnations.len(), 1, "{act:?}");
+    }
+    Ok(())
+}
+
+#[tokio::test]
+async fn a_key_held_by_an_own_lost_hello_is_tried_again() -> Tested {
+    let (_fake, mut producer) = producer(&[Act::Refuse(Code::Unavailable), Act::Refuse(Code::AlreadyExists)]).await?;
+    assert_eq!(send(&mut producer, &[1.0]).await, Ok(()));
+    Ok(())
+}
+
+#[tokio::test]
+async fn a_restored_daemon_gets_what_it_lacks_or_is_noticed() -> Tested {
+    let (fake, mut mended) = producer(&[Act::ServeUntil(3), Act::Restored(3)]).await?;
+    send(&mut mended, &[0.0, 1.0, 0.0]).await?;
+    let store_id = mended.progress().store_id;
+    // This one becomes durable without an acknowledgement, and is lost with the data folder.
+    send(&mut mended, &[1.0]).await?;
+    assert_ne!(mended.progress().store_id, store_id);
+    assert_eq!(fake.stored().rows.len(), 4);
+
+    let (_fake, mut lost) = producer(&[Act::ServeUntil(3), Act::Restored(2)]).await?;
+    send(&mut lost, &[0.0, 1.0, 0.0]).await?;
+    assert_eq!(send(&mut lost, &[1.0]).await, Err(ProducerError::Lost { durable: 2, acknowledged: 3 }));
+    Ok(())
+}
