@@ -94,8 +94,8 @@ pub struct Settings {
     pub max_buffer_bytes: usize,
     /// Most streams of observations at once.
     pub max_streams: usize,
-    /// Pending observations of a map above which an update runs early; above twice as many, streams wait. An
-    /// observation takes 24 bytes.
+    /// Pending observations of a map above which an update runs early; above twice as many, those of a running
+    /// update included, streams wait. An observation takes 24 to 48 bytes.
     pub max_pending_observations: u64,
     /// Most predictions (states times times) of one request.
     pub max_predictions: u64,
@@ -126,7 +126,7 @@ impl Default for Settings {
             max_stream_buffer_bytes: 1 << 20,
             max_buffer_bytes: 64 << 20,
             max_streams: 1024,
-            max_pending_observations: 8_000_000,
+            max_pending_observations: 4_000_000,
             max_predictions: 10_000_000,
             update_threads: 0,
             segment_bytes: 64 << 20,

@@ -148,6 +148,12 @@ impl LiveMap {
         self.pending.total()
     }
 
+    /// Observations that a running update has taken.
+    #[must_use]
+    pub fn updating(&self) -> u64 {
+        self.running.map_or(0, |(_, taken)| taken)
+    }
+
     /// An instant at or before the oldest pending observation, nanoseconds UTC.
     #[must_use]
     pub fn pending_since_nanos(&self) -> Option<i64> {
@@ -364,14 +370,13 @@ impl LiveMap {
                 None => self.live_published.push(chunk),
             }
         }
-        let running = self.running.map_or(0, |(_, taken)| taken);
         MapView {
             spec: Arc::clone(&self.spec),
             position: self.position,
             generation: self.generation,
             cut_nanos: self.cut_nanos,
             observations: self.observations,
-            pending: self.pending.total() + running,
+            pending: self.pending.total() + self.updating(),
             directory: self.directory.clone(),
             live: self.live_published.clone(),
             models: Arc::clone(&self.models),

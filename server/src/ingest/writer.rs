@@ -230,6 +230,12 @@ impl Writer {
         if std::mem::take(&mut self.changed) {
             self.view.store(Arc::new(self.map.publish()));
         }
+        let now = self.context.clock.now_nanos();
+        let accepting = self.stopping.is_none() && self.failing.is_none();
+        if accepting {
+            // Before the acknowledgements: who has one can see the update that it made due.
+            self.updates.look(&self.map, &self.sessions, now);
+        }
         for (id, ack) in std::mem::take(&mut self.acks) {
             if let Some(session) = self.sessions.get(id) {
                 session.tell(SessionEvent::Ack { durable_sequence: ack.durable_sequence, refused: ack.refused });
@@ -245,12 +251,10 @@ impl Writer {
         for hello in std::mem::take(&mut self.waiting_hellos) {
             self.hello(hello);
         }
-        if self.stopping.is_none() && self.failing.is_none() {
-            let now = self.context.clock.now_nanos();
-            self.updates.look(&self.map, &self.sessions, now);
+        if accepting {
             self.start_update(now);
         }
-        let saturated = self.map.pending() > 2 * self.context.max_pending;
+        let saturated = self.map.pending() + self.map.updating() > 2 * self.context.max_pending;
         self.saturated.send_if_modified(|known| std::mem::replace(known, saturated) != saturated);
         if self.last_save.is_none_or(|last| last.elapsed() >= SAVE_INTERVAL) {
             self.save();
