@@ -13,7 +13,7 @@ use crate::{
     directory::{Directory, StateInfo},
     event::{Event, Observations, ProducerId, StateId, UpdateStart},
     name::ProducerKey,
-    pending::Pending,
+    pending::{Pending, Taken},
     snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
     spec::MapSpec,
     update::{Basis, UpdateResult, UpdateWork},
@@ -142,10 +142,16 @@ impl LiveMap {
         self.producers.len()
     }
 
-    /// Observations that wait for an update, those of a running one not counted.
+    /// Observations that an update could fold in, those of a running one not counted.
     #[must_use]
     pub fn pending(&self) -> u64 {
         self.pending.total()
+    }
+
+    /// Observations that wait because their time is too far ahead.
+    #[must_use]
+    pub fn ahead(&self) -> u64 {
+        self.pending.ahead()
     }
 
     /// Observations that a running update has taken.
@@ -154,7 +160,7 @@ impl LiveMap {
         self.running.map_or(0, |(_, taken)| taken)
     }
 
-    /// An instant at or before the oldest pending observation, nanoseconds UTC.
+    /// The least time of the pending observations, nanoseconds UTC, or less.
     #[must_use]
     pub fn pending_since_nanos(&self) -> Option<i64> {
         self.pending.oldest_nanos()
@@ -194,7 +200,8 @@ impl LiveMap {
         cause: crate::event::UpdateCause,
     ) -> UpdateStart {
         let latest = now_nanos.saturating_add(MAX_AHEAD_NANOS).saturating_add(1);
-        let wanted = until_nanos.unwrap_or_else(|| self.newest_nanos.saturating_add(1));
+        let all = || self.pending.newest_ahead_before(latest).unwrap_or(0).max(self.newest_nanos).saturating_add(1);
+        let wanted = until_nanos.unwrap_or_else(all);
         UpdateStart { generation: self.generation + 1, cut_nanos: wanted.min(latest).max(self.cut_nanos), cause }
     }
 
@@ -232,7 +239,11 @@ impl LiveMap {
                     let reason = format!("state {} is unknown", state.0);
                     return Err(InconsistentEvent { position, reason });
                 }
-                self.pending.push(position, state, sample);
+                if sample.utc_nanos <= plausible(observations) {
+                    self.pending.push(position, state, sample);
+                } else {
+                    self.pending.push_ahead(position, state, sample);
+                }
                 self.pending.received(observations.received_nanos);
             }
         }
@@ -278,17 +289,19 @@ impl LiveMap {
             }
             self.add_state(StateInfo { name: new.name.clone(), kind: new.kind });
         }
-        let plausible = event.received_nanos.saturating_add(MAX_AHEAD_NANOS);
+        let plausible = plausible(event);
         for (state, sample) in samples(event) {
             let index = state.0 as usize;
             let live = self.live.get_mut(index).ok_or_else(|| format!("state {index} is unknown"))?;
             live.observations += 1;
+            self.live_dirty[index / LIVE_CHUNK] = true;
             if sample.utc_nanos <= plausible {
                 live.persistence.observe(sample.utc_nanos, sample.value);
                 self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
+                self.pending.push(position, state, sample);
+            } else {
+                self.pending.push_ahead(position, state, sample);
             }
-            self.live_dirty[index / LIVE_CHUNK] = true;
-            self.pending.push(position, state, sample);
         }
         if !event.states.is_empty() {
             self.pending.received(event.received_nanos);
@@ -304,7 +317,16 @@ impl LiveMap {
         if start.generation != self.generation + 1 || start.cut_nanos < self.cut_nanos {
             return Err(format!("generation {} does not follow {}", start.generation, self.generation));
         }
-        let samples = self.pending.take_before(start.cut_nanos);
+        let Taken { by_state: samples, were_ahead } = self.pending.take_before(start.cut_nanos);
+        for (state, sample) in were_ahead {
+            // Their time has come: from here on they are observations like all others.
+            let index = state.0 as usize;
+            if let Some(live) = self.live.get_mut(index) {
+                live.persistence.observe(sample.utc_nanos, sample.value);
+                self.live_dirty[index / LIVE_CHUNK] = true;
+            }
+            self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
+        }
         self.running = Some((start, samples.iter().map(|(_, samples)| samples.len() as u64).sum()));
         let basis = Basis {
             start,
@@ -324,10 +346,9 @@ impl LiveMap {
         })
     }
 
-    /// Publishes what an update learned: one generation replaces another. Gives the snapshot for the store, and which
-    /// states differ from the generation before.
-    pub fn finish_update(&mut self, result: UpdateResult) -> (MapSnapshot, Vec<StateId>) {
-        let UpdateResult { basis, models, changed, .. } = result;
+    /// Publishes what an update learned: one generation replaces another. Gives the snapshot for the store.
+    pub fn finish_update(&mut self, result: UpdateResult) -> MapSnapshot {
+        let UpdateResult { basis, models, .. } = result;
         self.running = None;
         self.generation = basis.start.generation;
         self.cut_nanos = basis.start.cut_nanos;
@@ -345,7 +366,7 @@ impl LiveMap {
                 model: Arc::clone(model),
             })
             .collect();
-        let snapshot = MapSnapshot {
+        MapSnapshot {
             position: basis.position,
             replay_from: basis.replay_from,
             generation: self.generation,
@@ -353,8 +374,7 @@ impl LiveMap {
             newest_nanos: basis.newest_nanos,
             producers: basis.producers,
             states,
-        };
-        (snapshot, changed)
+        }
     }
 
     /// The map as readers are to see it from now on.
@@ -376,13 +396,18 @@ impl LiveMap {
             generation: self.generation,
             cut_nanos: self.cut_nanos,
             observations: self.observations,
-            pending: self.pending.total() + self.updating(),
+            pending: self.pending.total() + self.pending.ahead() + self.updating(),
             directory: self.directory.clone(),
             live: self.live_published.clone(),
             models: Arc::clone(&self.models),
             unlearned: Arc::clone(&self.unlearned),
         }
     }
+}
+
+/// The latest time that is plausible for an observation of the event.
+fn plausible(event: &Observations) -> i64 {
+    event.received_nanos.saturating_add(MAX_AHEAD_NANOS)
 }
 
 /// The accepted observations of an event with their states.

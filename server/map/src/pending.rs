@@ -1,7 +1,8 @@
 //! Observations that no update has folded in yet, per state, in order of arrival.
 //!
 //! Invariant: an observation is pending exactly if it is durable and every update since has had a cut at or before its
-//! time. `replay_from` never exceeds the log position of a pending observation.
+//! time. `replay_from` never exceeds the log position of a pending observation. Observations too far ahead of the
+//! clock of their receipt wait apart: they are few, and must not look like work that an update could do.
 
 use std::collections::BTreeMap;
 
@@ -11,19 +12,44 @@ use crate::event::StateId;
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 
+/// What is known of the pending observations of one UTC day, those that wait apart included.
+#[derive(Clone, Copy, Debug)]
+struct Day {
+    /// A log position at or before all of them.
+    first_position: u64,
+    /// The least of their times, nanoseconds UTC, or less.
+    oldest_nanos: i64,
+}
+
 #[derive(Debug, Default)]
 pub struct Pending {
     by_state: Vec<Vec<Sample>>,
     total: u64,
-    /// Per UTC day of the observations: a log position at or before all of them.
-    first_positions: BTreeMap<i64, u64>,
-    last_day: i64,
+    ahead: Vec<(StateId, Sample)>,
+    days: BTreeMap<i64, Day>,
+    /// The day of the observation before, and its oldest time: most observations need not look further.
+    last: Option<(i64, i64)>,
     received_nanos: Option<i64>,
 }
 
+/// What an update takes.
+#[derive(Debug)]
+pub struct Taken {
+    /// Per state, in order of arrival.
+    pub by_state: Vec<(StateId, Vec<Sample>)>,
+    /// Those of them that had waited apart, ascending by time.
+    pub were_ahead: Vec<(StateId, Sample)>,
+}
+
 impl Pending {
+    /// Observations that an update could fold in.
     pub fn total(&self) -> u64 {
         self.total
+    }
+
+    /// Observations that wait until the clock has come near their time.
+    pub fn ahead(&self) -> u64 {
+        self.ahead.len() as u64
     }
 
     pub fn push(&mut self, position: u64, state: StateId, sample: Sample) {
@@ -33,11 +59,22 @@ impl Pending {
         }
         self.by_state[index].push(sample);
         self.total += 1;
-        let day = sample.utc_nanos.div_euclid(DAY_NANOS);
-        if day != self.last_day || self.first_positions.is_empty() {
-            self.first_positions.entry(day).or_insert(position);
-            self.last_day = day;
+        self.note(position, sample.utc_nanos);
+    }
+
+    pub fn push_ahead(&mut self, position: u64, state: StateId, sample: Sample) {
+        self.ahead.push((state, sample));
+        self.note(position, sample.utc_nanos);
+    }
+
+    fn note(&mut self, position: u64, utc_nanos: i64) {
+        let day = utc_nanos.div_euclid(DAY_NANOS);
+        if self.last.is_some_and(|(last, oldest)| last == day && oldest <= utc_nanos) {
+            return;
         }
+        let entry = self.days.entry(day).or_insert(Day { first_position: position, oldest_nanos: utc_nanos });
+        entry.oldest_nanos = entry.oldest_nanos.min(utc_nanos);
+        self.last = Some((day, entry.oldest_nanos));
     }
 
     /// Notes when observations were received.
@@ -51,8 +88,20 @@ impl Pending {
     }
 
     /// Takes what lies before the cut, per state that has any, and leaves the rest.
-    pub fn take_before(&mut self, cut_nanos: i64) -> Vec<(StateId, Vec<Sample>)> {
-        let mut taken = Vec::new();
+    pub fn take_before(&mut self, cut_nanos: i64) -> Taken {
+        let (mut were_ahead, ahead) =
+            std::mem::take(&mut self.ahead).into_iter().partition::<Vec<_>, _>(|(_, s)| s.utc_nanos < cut_nanos);
+        self.ahead = ahead;
+        for (state, sample) in &were_ahead {
+            let index = state.0 as usize;
+            if index >= self.by_state.len() {
+                self.by_state.resize_with(index + 1, Vec::new);
+            }
+            self.by_state[index].push(*sample);
+            self.total += 1;
+        }
+        were_ahead.sort_by_key(|(_, sample)| sample.utc_nanos);
+        let mut by_state = Vec::new();
         for (index, samples) in self.by_state.iter_mut().enumerate() {
             if samples.is_empty() {
                 continue;
@@ -66,26 +115,35 @@ impl Pending {
             };
             if !part.is_empty() {
                 self.total -= part.len() as u64;
-                taken.push((StateId(u32::try_from(index).unwrap_or(u32::MAX)), part));
+                by_state.push((StateId(u32::try_from(index).unwrap_or(u32::MAX)), part));
             }
         }
-        if self.total == 0 {
-            self.first_positions.clear();
+        if self.total == 0 && self.ahead.is_empty() {
+            self.days.clear();
             self.received_nanos = None;
         } else {
             // The cut's own day may hold observations on either side; it keeps its position, which is early enough.
-            self.first_positions = self.first_positions.split_off(&cut_nanos.div_euclid(DAY_NANOS));
+            self.days = self.days.split_off(&cut_nanos.div_euclid(DAY_NANOS));
+            if let Some(mut first) = self.days.first_entry() {
+                first.get_mut().oldest_nanos = first.get().oldest_nanos.max(cut_nanos);
+            }
         }
-        taken
+        self.last = None;
+        Taken { by_state, were_ahead }
     }
 
     /// Log position from which all pending observations are found again, or `end` where there are none.
     pub fn replay_from(&self, end: u64) -> u64 {
-        self.first_positions.values().copied().min().unwrap_or(end).min(end)
+        self.days.values().map(|day| day.first_position).min().unwrap_or(end).min(end)
     }
 
-    /// An instant at or before the oldest pending observation, nanoseconds UTC.
+    /// The least time of the pending observations, nanoseconds UTC, or less.
     pub fn oldest_nanos(&self) -> Option<i64> {
-        self.first_positions.keys().next().map(|day| day * DAY_NANOS)
+        self.days.values().next().map(|day| day.oldest_nanos)
+    }
+
+    /// The greatest time before `limit_nanos` of those that wait apart.
+    pub fn newest_ahead_before(&self, limit_nanos: i64) -> Option<i64> {
+        self.ahead.iter().map(|(_, sample)| sample.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
     }
 }

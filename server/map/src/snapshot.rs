@@ -24,7 +24,7 @@ pub struct MapSnapshot {
     pub generation: u64,
     /// Cut of the last update, nanoseconds UTC.
     pub cut_nanos: i64,
-    /// Greatest time of any observation so far, nanoseconds UTC; 0 where there is none.
+    /// Greatest time of the observations that did not have to wait, nanoseconds UTC; 0 where there is none.
     pub newest_nanos: i64,
     /// Producers; the index is the `ProducerId`.
     pub producers: Vec<ProducerMark>,

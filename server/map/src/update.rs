@@ -47,7 +47,6 @@ pub struct UpdateWork {
 pub struct UpdateResult {
     pub(crate) basis: Basis,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
-    pub(crate) changed: Vec<StateId>,
     outcomes: Vec<StateOutcome>,
 }
 
@@ -61,7 +60,7 @@ pub struct StateOutcome {
 }
 
 impl UpdateWork {
-    /// Number of the generation that comes out.
+    /// How the log holds its start.
     #[must_use]
     pub fn start(&self) -> UpdateStart {
         self.basis.start
@@ -96,15 +95,13 @@ impl UpdateWork {
             })
             .collect();
         let mut outcomes = Vec::with_capacity(learned.len());
-        let mut changed = Vec::with_capacity(learned.len());
         for (id, model, outcome) in learned {
             models[id.0 as usize] = model;
-            changed.push(id);
             if let Some(info) = self.basis.directory.info(id) {
                 outcomes.push(StateOutcome { name: info.name.clone(), outcome });
             }
         }
-        UpdateResult { basis: self.basis, models: Arc::new(models), changed, outcomes }
+        UpdateResult { basis: self.basis, models: Arc::new(models), outcomes }
     }
 }
 

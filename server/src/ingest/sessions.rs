@@ -6,6 +6,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use tidemap_map::{
+    MAX_AHEAD_NANOS,
     event::{NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
@@ -36,15 +37,26 @@ pub struct Session {
     in_flight: usize,
     open: bool,
     /// Whether data time is announced, and how far the data has come, nanoseconds UTC.
-    pub data_time: Option<i64>,
+    data_time: Option<i64>,
 }
 
 impl Session {
     /// Tells the stream something; one that is gone does not mind.
-    pub fn tell(&self, event: SessionEvent) {
+    fn tell(&self, event: SessionEvent) {
         // The receiver is gone when the client is: then there is nobody to tell.
         let _ = self.events.send(event);
     }
+}
+
+/// How much the streams of a map may add to it.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// States of the map.
+    pub states: usize,
+    /// Producer keys of the map.
+    pub producers: usize,
+    /// Observations that wait because their time is too far ahead.
+    pub ahead: u64,
 }
 
 /// All streams of a map.
@@ -55,22 +67,26 @@ pub struct Sessions {
     open_by_key: HashMap<ProducerKey, SessionId>,
     states_in_flight: HashMap<StateName, StateId>,
     producers_in_flight: usize,
+    /// Highest incarnation handed out to keys of which nothing is durable yet.
+    issued: HashMap<ProducerKey, u64>,
+    /// Streams that had announced data time and did not end it themselves, with how far their data had come.
+    broken: Vec<(ProducerKey, i64)>,
     offsets: OffsetCache,
-    max_states: usize,
-    max_producers: usize,
+    limits: Limits,
 }
 
 impl Sessions {
-    pub fn new(offsets: OffsetCache, max_states: usize, max_producers: usize) -> Self {
+    pub fn new(offsets: OffsetCache, limits: Limits) -> Self {
         Self {
             next_id: 1,
             sessions: BTreeMap::new(),
             open_by_key: HashMap::new(),
             states_in_flight: HashMap::new(),
             producers_in_flight: 0,
+            issued: HashMap::new(),
+            broken: Vec::new(),
             offsets,
-            max_states,
-            max_producers,
+            limits,
         }
     }
 
@@ -80,21 +96,23 @@ impl Sessions {
         let mark = map.producer(&hello.key);
         let open = self.open_by_key.get(&hello.key).and_then(|id| self.sessions.get(id));
         let seen = mark.map_or(0, |(_, mark)| mark.incarnation);
-        let current = open.map_or(seen, |session| session.incarnation.max(seen));
+        let issued = self.issued.get(&hello.key).copied().unwrap_or(0);
+        let current = open.map_or(0, |session| session.incarnation).max(seen).max(issued);
         if hello.incarnation == 0 && open.is_some() {
             return Err(HelloError::AlreadyStreaming(hello.key.clone()));
         }
         if hello.incarnation != 0 && hello.incarnation < current {
             return Err(HelloError::Fenced { key: hello.key.clone(), got: hello.incarnation, current });
         }
-        if mark.is_none() && map.producers() + self.producers_in_flight >= self.max_producers {
-            return Err(HelloError::TooManyProducers { max: self.max_producers });
-        }
         if let Some(id) = self.open_by_key.get(&hello.key).copied() {
             self.end(id, &Ending::Superseded);
         }
         if self.sessions.values().any(|session| session.key == hello.key && session.in_flight > 0) {
             return Ok(None);
+        }
+        let new_keys = self.open_by_key.keys().filter(|key| map.producer(key).is_none()).count();
+        if mark.is_none() && map.producers() + new_keys >= self.limits.producers {
+            return Err(HelloError::TooManyProducers { max: self.limits.producers });
         }
         let id = SessionId(self.next_id);
         self.next_id += 1;
@@ -113,6 +131,13 @@ impl Sessions {
             },
         );
         self.open_by_key.insert(hello.key.clone(), id);
+        if mark.is_none() {
+            if self.issued.len() >= self.limits.producers {
+                // Keys that never sent anything; forgetting them costs a fence, not an observation.
+                self.issued.clear();
+            }
+            self.issued.insert(hello.key.clone(), incarnation);
+        }
         let (durable_sequence, content_crc) = mark.map_or((0, 0), |(_, m)| (m.durable_sequence, m.content_crc));
         Ok(Some(Opened { session: id, incarnation, durable_sequence, content_crc }))
     }
@@ -132,11 +157,27 @@ impl Sessions {
             return None;
         }
         let mut refused = batch.refused;
+        let mut refuse = |i: usize, reason: RefusalReason, detail: String| {
+            let offset = batch.kept.get(i).map_or(i as u64, |&kept| u64::from(kept));
+            refused.push(Refused { sequence: batch.first_sequence + offset, reason, detail });
+        };
+        let plausible = now.saturating_add(MAX_AHEAD_NANOS);
+        let may_wait = map.ahead() < self.limits.ahead;
         let mut new_states = Vec::new();
         let count = batch.table_indices.len();
         let (mut states, mut times_nanos) = (Vec::with_capacity(count), Vec::with_capacity(count));
         let (mut values, mut offsets) = (Vec::with_capacity(count), Vec::<OffsetRun>::new());
         for i in 0..count {
+            let time = batch.times_nanos[i];
+            if time > plausible && !may_wait {
+                let text = format!(
+                    "time {time} ns is more than 5 minutes ahead of the server's clock, and {} observations wait for \
+                     their time already, as many as may",
+                    self.limits.ahead
+                );
+                refuse(i, RefusalReason::Time, text);
+                continue;
+            }
             let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
             let state = match slot {
                 Slot::State(state) => *state,
@@ -149,7 +190,7 @@ impl Sessions {
                             *slot = Slot::State(state);
                             state
                         }
-                        None if next < self.max_states => {
+                        None if next < self.limits.states => {
                             let state = StateId(u32::try_from(next).unwrap_or(u32::MAX));
                             let name = name.clone();
                             self.states_in_flight.insert(name.clone(), state);
@@ -158,21 +199,18 @@ impl Sessions {
                             state
                         }
                         None => {
-                            let offset = batch.kept.get(i).map_or(i as u64, |&kept| u64::from(kept));
-                            let detail = format!(
-                                "state {:?} would be new, and the map has {} states, as many as setting \
-                                 max_states_per_map allows",
-                                name.as_str(),
-                                self.max_states
+                            let text = format!(
+                                "the state would be new, and the map has {} states, as many as setting \
+                                 max_states_per_map allows: {:?}",
+                                self.limits.states,
+                                name.as_str().chars().take(60).collect::<String>()
                             );
-                            let sequence = batch.first_sequence + offset;
-                            refused.push(Refused { sequence, reason: RefusalReason::StateLimit, detail });
+                            refuse(i, RefusalReason::StateLimit, text);
                             continue;
                         }
                     }
                 }
             };
-            let time = batch.times_nanos[i];
             let offset_secs = self.offsets.offset_secs(time);
             match offsets.last_mut() {
                 Some(run) if run.offset_secs == offset_secs => run.count += 1,
@@ -217,9 +255,13 @@ impl Sessions {
             self.states_in_flight.remove(&new.name);
         }
         self.producers_in_flight -= usize::from(event.new_producer.is_some());
+        // A time that is not plausible yet does not close the days before it.
+        let plausible = event.received_nanos.saturating_add(MAX_AHEAD_NANOS);
         if let Some(session) = self.sessions.get_mut(&id) {
             session.in_flight -= 1;
-            if let (Some(reached), Some(newest)) = (session.data_time.as_mut(), event.times_nanos.iter().max()) {
+            self.issued.remove(&session.key);
+            let newest = event.times_nanos.iter().filter(|time| **time <= plausible).max();
+            if let (Some(reached), Some(newest)) = (session.data_time.as_mut(), newest) {
                 *reached = (*reached).max(*newest);
             }
         }
@@ -246,7 +288,20 @@ impl Sessions {
         if let Some(session) = self.sessions.get_mut(&id).filter(|session| session.open) {
             session.tell(SessionEvent::End(ending.clone()));
         }
-        self.leave(id);
+        let announced = self.leave(id);
+        self.broken.extend(announced);
+    }
+
+    /// Tells a stream something, while it is open or has batches in flight.
+    pub fn tell(&self, id: SessionId, event: SessionEvent) {
+        if let Some(session) = self.sessions.get(&id) {
+            session.tell(event);
+        }
+    }
+
+    /// Streams that were ended although they had announced data time, since the last call.
+    pub fn take_broken(&mut self) -> Vec<(ProducerKey, i64)> {
+        std::mem::take(&mut self.broken)
     }
 
     /// Ends all streams.
@@ -272,11 +327,6 @@ impl Sessions {
         if self.sessions.get(&id).is_some_and(|session| !session.open && session.in_flight == 0) {
             self.sessions.remove(&id);
         }
-    }
-
-    /// The stream, while it is open or has batches in flight.
-    pub fn get(&self, id: SessionId) -> Option<&Session> {
-        self.sessions.get(&id)
     }
 
     /// Streams that announced data time, with how far their data has come.

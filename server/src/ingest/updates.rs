@@ -1,8 +1,8 @@
 //! When a map's update runs: on request, at the local midnight of the clock, at the local midnight of imported data, or
 //! when too much is pending.
 //!
-//! Invariant: one update at a time. Requests of the same cause that wait are one request, because an update steps
-//! through each local day that it meets.
+//! Invariant: one update at a time, and a bounded number that wait. What becomes due while an update of the same cause
+//! waits joins it, because an update steps through each local day that it meets.
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -22,6 +22,9 @@ use crate::jobs::{Job, Jobs};
 /// How long a producer whose stream broke keeps its say in when a day of imported data closes.
 const ANNOUNCEMENT_KEPT: Duration = Duration::from_secs(60);
 
+/// Most updates that wait.
+const WAITING_MAX: usize = 16;
+
 /// An update that waits for its turn.
 #[derive(Debug)]
 pub struct Wanted {
@@ -39,17 +42,40 @@ pub struct Updates {
     /// Producers that announced data time and whose stream broke.
     broken: HashMap<ProducerKey, (i64, Instant)>,
     data_midnight_nanos: i64,
+    /// The last midnight of the clock for which an update was due.
+    clock_midnight_nanos: i64,
     max_pending: u64,
 }
 
 impl Updates {
     pub fn new(map: MapName, jobs: Arc<Jobs>, max_pending: u64) -> Self {
-        Self { map, jobs, queue: VecDeque::new(), broken: HashMap::new(), data_midnight_nanos: i64::MIN, max_pending }
+        Self {
+            map,
+            jobs,
+            queue: VecDeque::new(),
+            broken: HashMap::new(),
+            data_midnight_nanos: i64::MIN,
+            clock_midnight_nanos: i64::MIN,
+            max_pending,
+        }
     }
 
-    /// Lines an update up.
+    /// Lines an update up; one too many fails at once.
     pub fn push(&mut self, wanted: Wanted) {
-        self.queue.push_back(wanted);
+        if self.queue.len() < WAITING_MAX {
+            self.queue.push_back(wanted);
+        } else {
+            wanted.job.end(Err(format!("{WAITING_MAX} updates of this map wait already: try again later")));
+        }
+    }
+
+    /// The log could not take the start of an update: what made it due still holds.
+    pub fn failed(&mut self, cause: UpdateCause) {
+        match cause {
+            UpdateCause::Midnight => self.clock_midnight_nanos = i64::MIN,
+            UpdateCause::DataTime => self.data_midnight_nanos = i64::MIN,
+            UpdateCause::Request | UpdateCause::PendingLimit => {}
+        }
     }
 
     /// The next update to run.
@@ -83,6 +109,7 @@ impl Updates {
 
     fn due(&mut self, until_nanos: Option<i64>, cause: UpdateCause, now_nanos: i64) {
         if let Some(waiting) = self.queue.iter_mut().find(|wanted| wanted.cause == cause) {
+            // Only midnights join: none of them is open-ended.
             waiting.until_nanos = waiting.until_nanos.max(until_nanos);
             return;
         }
@@ -118,7 +145,8 @@ impl Updates {
         let zone = &map.spec().zone;
         let midnight = zone.midnight_nanos(zone.day_of(now_nanos));
         let missed = map.pending_received_nanos().is_some_and(|received| received < midnight);
-        if missed && map.cut_nanos() < midnight && !self.is_waiting(UpdateCause::Midnight) && !map.is_updating() {
+        if missed && midnight != self.clock_midnight_nanos {
+            self.clock_midnight_nanos = midnight;
             self.due(Some(midnight), UpdateCause::Midnight, now_nanos);
         }
     }
@@ -133,9 +161,5 @@ impl Updates {
         let whole_days =
             map.cut_nanos() < midnight && map.pending_since_nanos().is_some_and(|oldest| oldest < midnight);
         self.due(whole_days.then_some(midnight), UpdateCause::PendingLimit, now_nanos);
-    }
-
-    fn is_waiting(&self, cause: UpdateCause) -> bool {
-        self.queue.iter().any(|wanted| wanted.cause == cause)
     }
 }

@@ -5,7 +5,7 @@
 //! its observations is published. The thread never waits for a reader, a client or an update.
 
 use std::{
-    collections::{BTreeMap, BTreeSet, VecDeque},
+    collections::{BTreeMap, VecDeque},
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{Arc, mpsc},
     time::{Duration, Instant},
@@ -13,20 +13,15 @@ use std::{
 
 use arc_swap::ArcSwap;
 use tidemap_map::{
-    event::{Event, StateId},
-    live_map::LiveMap,
-    snapshot::MapSnapshot,
-    spec::MapSpec,
-    update::{UpdateResult, UpdateWork},
-    view::MapView,
+    event::Event, live_map::LiveMap, snapshot::MapSnapshot, spec::MapSpec, update::UpdateWork, view::MapView,
 };
 use tidemap_store::{AppendError, MapId, MapLog, Store};
 use tokio::sync::{OwnedSemaphorePermit, oneshot, watch};
-use tracing::{error, info, warn};
+use tracing::{error, warn};
 
 use super::{
     protocol::{Batch, Command, Ending, Hello, HelloError, Opened, Refused, SessionEvent, SessionId, is_fatal},
-    sessions::Sessions,
+    sessions::{Limits, Sessions},
     updates::{Updates, Wanted},
 };
 use crate::{
@@ -41,7 +36,12 @@ const BURST: usize = 512;
 /// Updates in the time of imported data follow each other fast; they are not each saved, because the log gives them
 /// back. At least this often they are.
 const SAVE_INTERVAL: Duration = Duration::from_secs(20);
+/// A log that has grown by this much since the last checkpoint is not to grow further before the next.
+const TAIL_BYTES: u64 = 256 << 20;
+/// How long updates wait after the log could not take one.
+const UPDATE_RETRY: Duration = Duration::from_secs(10);
 
+mod learning;
 #[cfg(test)]
 mod tests;
 
@@ -125,7 +125,15 @@ pub fn start(context: Context, id: MapId, map: LiveMap, log: MapLog) -> std::io:
         saturated,
     });
     let writer = Writer {
-        sessions: Sessions::new(spec.zone.offset_cache(), context.max_states, context.max_producers),
+        sessions: Sessions::new(
+            spec.zone.offset_cache(),
+            Limits {
+                states: context.max_states,
+                producers: context.max_producers,
+                // A quarter of what may be pending: enough for a robot with a wrong clock, too little to matter.
+                ahead: context.max_pending / 4,
+            },
+        ),
         updates: Updates::new(spec.name.clone(), Arc::clone(&context.jobs), context.max_pending),
         context,
         id,
@@ -140,12 +148,20 @@ pub fn start(context: Context, id: MapId, map: LiveMap, log: MapLog) -> std::io:
         acks: BTreeMap::new(),
         ended_jobs: Vec::new(),
         changed: false,
+        running_job: None,
+        updates_wait_until: None,
         unsaved: None,
         saving: false,
         last_save: None,
         stopping: None,
     };
-    std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || writer.run(&inbox))?;
+    std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
+        let fatal = writer.context.fatal.clone();
+        if catch_unwind(AssertUnwindSafe(|| writer.run(&inbox))).is_err() {
+            // A map without a writer is no service. The log has what was acknowledged.
+            drop(fatal.send("the writer of a map panicked; this is a defect of tidemap".to_owned()));
+        }
+    })?;
     Ok(handle)
 }
 
@@ -181,8 +197,12 @@ struct Writer {
     acks: BTreeMap<SessionId, PendingAck>,
     ended_jobs: Vec<EndedJob>,
     changed: bool,
-    /// The newest snapshot that is not saved, with the states that differ from the saved one.
-    unsaved: Option<(MapSnapshot, BTreeSet<StateId>)>,
+    /// The update that is out.
+    running_job: Option<Arc<Job>>,
+    /// No update starts before, because the log could not take the last one.
+    updates_wait_until: Option<Instant>,
+    /// The newest snapshot that is not saved.
+    unsaved: Option<MapSnapshot>,
     saving: bool,
     last_save: Option<Instant>,
     stopping: Option<(Ending, oneshot::Sender<()>)>,
@@ -206,7 +226,7 @@ impl Writer {
                 break;
             }
         }
-        self.stop();
+        self.stop(inbox);
     }
 
     fn handle(&mut self, command: Command) {
@@ -218,32 +238,22 @@ impl Writer {
             Command::Committed(result) => self.committed(result),
             Command::UpdateDone { job, result } => self.update_done(&job, result),
             Command::Saved(result) => self.saved(result),
-            Command::Stop { ending, done } => {
-                self.sessions.end_all(&ending);
-                self.stopping = Some((ending, done));
-            }
+            Command::Stop { ending, done } => self.stopping = Some((ending, done)),
         }
     }
 
     /// After each burst of commands: publish, then tell those who wait for what is now public, then start what is due.
     fn pump(&mut self) {
-        if std::mem::take(&mut self.changed) {
-            self.view.store(Arc::new(self.map.publish()));
-        }
         let now = self.context.clock.now_nanos();
-        let accepting = self.stopping.is_none() && self.failing.is_none();
-        if accepting {
+        for (key, reached) in self.sessions.take_broken() {
+            self.updates.stream_broke(key, reached);
+        }
+        let may_update = self.may_update();
+        if may_update {
             // Before the acknowledgements: who has one can see the update that it made due.
             self.updates.look(&self.map, &self.sessions, now);
         }
-        for (id, ack) in std::mem::take(&mut self.acks) {
-            if let Some(session) = self.sessions.get(id) {
-                session.tell(SessionEvent::Ack { durable_sequence: ack.durable_sequence, refused: ack.refused });
-            }
-        }
-        for (job, result) in std::mem::take(&mut self.ended_jobs) {
-            job.end(result);
-        }
+        self.publish();
         if self.flights.is_empty() && self.failing.take().is_some() {
             self.sessions.roll_back();
             self.log.resume();
@@ -251,13 +261,27 @@ impl Writer {
         for hello in std::mem::take(&mut self.waiting_hellos) {
             self.hello(hello);
         }
-        if accepting {
+        if may_update {
             self.start_update(now);
         }
         let saturated = self.map.pending() + self.map.updating() > 2 * self.context.max_pending;
         self.saturated.send_if_modified(|known| std::mem::replace(known, saturated) != saturated);
-        if self.last_save.is_none_or(|last| last.elapsed() >= SAVE_INTERVAL) {
+        let tail_is_long = self.log.tail_bytes() >= TAIL_BYTES;
+        if tail_is_long || self.last_save.is_none_or(|last| last.elapsed() >= SAVE_INTERVAL) {
             self.save();
+        }
+    }
+
+    /// Makes public what was applied, and tells those who wait for it.
+    fn publish(&mut self) {
+        if std::mem::take(&mut self.changed) {
+            self.view.store(Arc::new(self.map.publish()));
+        }
+        for (id, ack) in std::mem::take(&mut self.acks) {
+            self.sessions.tell(id, SessionEvent::Ack { durable_sequence: ack.durable_sequence, refused: ack.refused });
+        }
+        for (job, result) in std::mem::take(&mut self.ended_jobs) {
+            job.end(result);
         }
     }
 
@@ -286,20 +310,29 @@ impl Writer {
     }
 
     fn batch(&mut self, session: SessionId, batch: Batch, permits: [OwnedSemaphorePermit; 2]) {
+        if self.stopping.is_some() {
+            return;
+        }
         if let Some(error) = &self.failing {
             return self.sessions.end(session, &Ending::Storage(error.clone()));
         }
         let now = self.context.clock.now_nanos();
         let Some((observations, refused)) = self.sessions.event(session, batch, &self.map, now) else { return };
         let event = Event::Observations(observations);
-        let appended = self.append(&event);
-        self.flights.push_back(Flight::Observations { session, event, refused, _permits: permits });
-        if let Err(error) = appended {
-            self.committed(Err(error));
+        self.launch(Flight::Observations { session, event, refused, _permits: permits });
+    }
+
+    /// Hands an event to the log.
+    fn launch(&mut self, flight: Flight) {
+        let (Flight::Observations { event, .. } | Flight::UpdateStart { event, .. }) = &flight;
+        match self.append(event) {
+            Ok(()) => self.flights.push_back(flight),
+            // It never joined the queue: the committer owes no answer for it, and those before it wait for theirs.
+            Err(error) => self.append_failed(error, flight),
         }
     }
 
-    fn append(&mut self, event: &Event) -> Result<(), AppendError> {
+    fn append(&self, event: &Event) -> Result<(), AppendError> {
         let commands = self.commands.clone();
         // A writer that has stopped does not need the answer.
         self.log.append(event, Box::new(move |result| drop(commands.send(Command::Committed(result)))))
@@ -338,17 +371,24 @@ impl Writer {
     }
 
     fn append_failed(&mut self, error: AppendError, flight: Flight) {
+        // What became durable before this is acknowledged before the streams hear of the end.
+        self.publish();
         if self.failing.is_none() {
             warn!(map = %self.map.spec().name, %error, "the log could not be written; nothing of it is acknowledged");
-            if is_fatal(&error) {
-                self.fatal(error.to_string());
-            }
+        }
+        if is_fatal(&error) && !self.failing.as_ref().is_some_and(is_fatal) {
+            self.fatal(error.to_string());
+            self.failing = Some(error.clone());
         }
         // Those that fail because one before them failed are told of that one.
         let first = self.failing.get_or_insert(error).clone();
         match flight {
             Flight::Observations { session, .. } => self.sessions.failed(session, &Ending::Storage(first)),
-            Flight::UpdateStart { job, .. } => job.end(Err(first.to_string())),
+            Flight::UpdateStart { job, .. } => {
+                self.updates.failed(job.cause);
+                self.updates_wait_until = Some(Instant::now() + UPDATE_RETRY);
+                job.end(Err(first.to_string()));
+            }
         }
     }
 
@@ -369,108 +409,35 @@ impl Writer {
         }
     }
 
-    fn start_update(&mut self, now: i64) {
-        let in_flight = self.flights.iter().any(|flight| matches!(flight, Flight::UpdateStart { .. }));
-        if in_flight || self.map.is_updating() {
-            return;
-        }
-        let Some(Wanted { until_nanos, cause, job }) = self.updates.pop() else { return };
-        let event = Event::UpdateStart(self.map.plan_update(until_nanos, now, cause));
-        let appended = self.append(&event);
-        self.flights.push_back(Flight::UpdateStart { event, job });
-        if let Err(error) = appended {
-            self.committed(Err(error));
-        }
-    }
-
-    fn run_update(&mut self, work: UpdateWork, job: &Arc<Job>) {
-        job.start(work.states(), work.observations());
-        let commands = self.commands.clone();
-        let pool = Arc::clone(&self.context.update_pool);
-        let for_thread = Arc::clone(job);
-        let spawned = std::thread::Builder::new().name(format!("update-{}", self.id.0)).spawn(move || {
-            let run = || pool.install(|| work.run(&for_thread.states_done));
-            let result = catch_unwind(AssertUnwindSafe(run)).map(Box::new);
-            let result = result.map_err(|_| "the update panicked; this is a defect of tidemap".to_owned());
-            // Without a writer there is nobody to take the result; the log gives it back at the next start.
-            let _ = commands.send(Command::UpdateDone { job: for_thread, result });
-        });
-        if let Err(error) = spawned {
-            // The log says that the update started: only a restart repeats it.
-            job.end(Err(error.to_string()));
-            self.fatal(format!("the update of map {} could not start: {error}", self.map.spec().name));
-        }
-    }
-
-    fn update_done(&mut self, job: &Arc<Job>, result: Result<Box<UpdateResult>, String>) {
-        match result {
-            Ok(result) => {
-                self.context.jobs.set_report(job, result.outcomes().to_vec());
-                let (snapshot, states) = self.map.finish_update(*result);
-                self.changed = true;
-                metrics::counter!("tidemap_updates_total").increment(1);
-                info!(
-                    map = %self.map.spec().name, cause = ?job.cause, generation = snapshot.generation,
-                    states = states.len(), observations = job.status().observations, "updated"
-                );
-                self.ended_jobs.push((Arc::clone(job), Ok((snapshot.generation, snapshot.cut_nanos))));
-                let mut changed = self.unsaved.take().map(|(_, changed)| changed).unwrap_or_default();
-                changed.extend(states);
-                self.unsaved = Some((snapshot, changed));
-            }
-            Err(reason) => {
-                error!(map = %self.map.spec().name, reason, "update failed; the generation before stays in force");
-                self.ended_jobs.push((Arc::clone(job), Err(reason)));
+    fn stop(mut self, inbox: &mpsc::Receiver<Command>) {
+        let (ending, done) = match self.stopping.take() {
+            Some((ending, done)) => (ending, Some(done)),
+            None => (Ending::Shutdown, None),
+        };
+        let reason = if ending == Ending::MapDeleted { "the map was deleted" } else { "the daemon is stopping" };
+        // What came in after the stop is answered, not done.
+        for command in inbox.try_iter() {
+            match command {
+                Command::Hello(hello) => self.waiting_hellos.push(hello),
+                Command::Update { job, .. } | Command::UpdateDone { job, .. } => job.end(Err(reason.to_owned())),
+                _ => {}
             }
         }
-    }
-
-    fn save(&mut self) {
-        if self.saving {
-            return;
+        self.sessions.end_all(&ending);
+        self.updates.fail_all(reason);
+        if let Some(job) = self.running_job.take() {
+            job.end(Err(reason.to_owned()));
         }
-        let Some((snapshot, changed)) = self.unsaved.take() else { return };
-        let (store, id, commands) = (Arc::clone(&self.context.store), self.id, self.commands.clone());
-        let states: Vec<StateId> = changed.into_iter().collect();
-        let spawned = std::thread::Builder::new().name(format!("save-{}", id.0)).spawn(move || {
-            let saved = store.save(id, &snapshot, &states).map_err(|error| (error.to_string(), snapshot));
-            // At a stop nobody waits: the log gives back what is not saved.
-            let _ = commands.send(Command::Saved(saved));
-        });
-        match spawned {
-            Ok(_) => self.saving = true,
-            Err(error) => warn!(%error, "no thread to save a checkpoint; tried again at the next update"),
-        }
-    }
-
-    fn saved(&mut self, result: Result<(), (String, MapSnapshot)>) {
-        self.saving = false;
-        self.last_save = Some(Instant::now());
-        if let Err((error, snapshot)) = result {
-            warn!(map = %self.map.spec().name, error, "checkpoint not saved; the log keeps everything, tried again");
-            // What differs from what is saved is not known any more: everything may.
-            let everything = (0..snapshot.states.len()).filter_map(|index| u32::try_from(index).ok()).map(StateId);
-            let (_, changed) = self.unsaved.get_or_insert_with(|| (snapshot.clone(), BTreeSet::new()));
-            changed.extend(everything);
-        }
-    }
-
-    fn stop(mut self) {
-        self.updates.fail_all("the daemon stops");
-        let reason = Err(HelloError::Closing);
         for hello in self.waiting_hellos.drain(..) {
             // The client is gone if it does not want the answer.
-            let _ = hello.reply.send(reason.clone());
+            let _ = hello.reply.send(Err(HelloError::Closing));
         }
-        let deleted = self.stopping.as_ref().is_some_and(|(ending, _)| *ending == Ending::MapDeleted);
-        if let Some((snapshot, changed)) = self.unsaved.take().filter(|_| !deleted) {
-            let states: Vec<StateId> = changed.into_iter().collect();
-            if let Err(error) = self.context.store.save(self.id, &snapshot, &states) {
-                warn!(map = %self.map.spec().name, %error, "checkpoint not saved; the log keeps everything");
-            }
+        if let Some(snapshot) = self.unsaved.take().filter(|_| ending != Ending::MapDeleted)
+            && let Err(error) = self.context.store.save(self.id, &snapshot)
+        {
+            warn!(map = %self.map.spec().name, %error, "checkpoint not saved; the log keeps everything");
         }
-        drop(self.log);
-        if let Some((_, done)) = self.stopping.take() {
+        if let Some(done) = done {
             // The stop was not waited for.
             let _ = done.send(());
         }

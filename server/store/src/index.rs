@@ -7,11 +7,10 @@
 use std::{
     collections::BTreeMap,
     fs::{self, File},
-    io,
     path::{Path, PathBuf},
 };
 
-use tidemap_map::{event::StateId, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 
 mod folder;
 mod load;
@@ -142,12 +141,11 @@ impl Index {
         Ok(found)
     }
 
-    /// Takes over a snapshot. `changed` are the states that differ from the snapshot before. An index that fails is
-    /// given up; the checkpoint holds the same.
-    pub(crate) fn save(&mut self, map: u32, snapshot: &MapSnapshot, changed: &[StateId]) {
+    /// Takes over a snapshot. An index that fails is given up; the checkpoint holds the same.
+    pub(crate) fn save(&mut self, map: u32, snapshot: &MapSnapshot) {
         let Some(trees) = &self.trees else { return };
         let before = self.written.remove(&map);
-        match panics::catch(|| save::save(trees, map, snapshot, before, changed)).flatten() {
+        match panics::catch(|| save::save(trees, map, snapshot, before)).flatten() {
             Ok(written) => {
                 self.written.insert(map, written);
             }
@@ -176,11 +174,6 @@ impl Index {
             tracing::warn!(%damage, "the index has failed while closing");
         }
         self.give_up();
-    }
-
-    /// Bytes on the disk.
-    pub(crate) fn bytes(&self) -> io::Result<u64> {
-        folder::bytes(&self.folder)
     }
 }
 

@@ -10,7 +10,7 @@ use std::{
     thread::JoinHandle,
 };
 
-use tidemap_map::{event::StateId, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 
 use crate::{
     MapId,
@@ -136,8 +136,6 @@ pub struct Sizes {
     pub log_bytes: u64,
     /// The map's checkpoints.
     pub checkpoint_bytes: u64,
-    /// The index of all maps.
-    pub index_bytes: u64,
 }
 
 impl Inner {
@@ -238,13 +236,13 @@ impl Store {
         Ok(())
     }
 
-    /// Writes a checkpoint, and takes the snapshot over into the index. Durable when this returns. `changed` are the
-    /// states that differ from the snapshot saved before. Appends go on meanwhile.
+    /// Writes a checkpoint, and takes the snapshot over into the index. Durable when this returns. Appends go on
+    /// meanwhile.
     ///
     /// # Errors
     /// [`StoreError`]; what was saved before is still there. A failing index is no error: it is reported to the log
     /// and rebuilt at the next start.
-    pub fn save(&self, map: MapId, snapshot: &MapSnapshot, changed: &[StateId]) -> Result<(), StoreError> {
+    pub fn save(&self, map: MapId, snapshot: &MapSnapshot) -> Result<(), StoreError> {
         let inner = &*self.inner;
         let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
@@ -255,7 +253,7 @@ impl Store {
         if let Some(log) = &entry.log {
             log.cover(snapshot.position);
         }
-        inner.index().save(map.0, snapshot, changed);
+        inner.index().save(map.0, snapshot);
         Ok(())
     }
 
@@ -269,7 +267,6 @@ impl Store {
         Sizes {
             log_bytes: bytes(&catalogue::log_folder(&inner.directory, map)).unwrap_or(0),
             checkpoint_bytes: bytes(&catalogue::checkpoints_folder(&inner.directory, map)).unwrap_or(0),
-            index_bytes: inner.index().bytes().unwrap_or(0),
         }
     }
 

@@ -6,7 +6,7 @@ use std::{
 };
 
 use tidemap_map::{
-    event::UpdateCause,
+    event::{RefusalReason, UpdateCause},
     name::{MapName, ProducerKey, StateName},
 };
 use tidemap_model::{OrderCriterion, Periodicities, Zone};
@@ -207,4 +207,121 @@ async fn one_stream_of_a_key_at_a_time() {
     let fenced = hello(&handle, "r", 8, false).await.err();
     assert!(matches!(fenced, Some(HelloError::Fenced { got: 8, current: 9, .. })));
     assert!(hello(&handle, "other", 0, false).await.is_ok());
+}
+
+/// Sends observations of one state without waiting.
+fn send(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>) {
+    let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
+    let first = robot.sent == robot.opened.durable_sequence;
+    let count = times.len();
+    let first_sequence = robot.sent + 1;
+    robot.sent += count as u64;
+    let batch = Batch {
+        first_sequence,
+        last_sequence: robot.sent,
+        content_crc: 1,
+        new_names: if first { vec![Some(StateName::new("s").expect("valid"))] } else { Vec::new() },
+        table_indices: vec![0; count],
+        values: vec![1.0; count],
+        times_nanos: times,
+        ..Batch::default()
+    };
+    let permits = [permit(), permit()];
+    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, permits }));
+}
+
+#[tokio::test]
+async fn an_append_that_is_refused_at_once_does_not_take_the_answer_of_another() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let mut a = hello(&handle, "a", 0, false).await.expect("accepted");
+    let mut b = hello(&handle, "b", 0, false).await.expect("accepted");
+    a.observe(&handle, NOON).await;
+    b.observe(&handle, NOON).await;
+    send(&handle, &mut a, vec![NOON + 7_000]);
+    // The log refuses a negative time, which intake never lets through, before the event joins its queue.
+    send(&handle, &mut b, vec![-1]);
+    assert_eq!(a.events.recv().await, Some(SessionEvent::Ack { durable_sequence: 2, refused: Vec::new() }));
+    assert!(matches!(b.events.recv().await, Some(SessionEvent::End(Ending::Storage(_)))));
+    assert_eq!(handle.view().observations(), 3);
+}
+
+#[tokio::test]
+async fn a_midnight_gives_one_update_however_busy_the_map_is() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+    robot.observe(&handle, NOON).await;
+    let late = NOON + 12 * HOUR + HOUR / 2;
+    bench.clock.0.store(late, Ordering::SeqCst);
+    for i in 0..200 {
+        send(&handle, &mut robot, vec![late + i]);
+        tokio::time::sleep(Duration::from_micros(200)).await;
+    }
+    assert_eq!(ended(&bench, 1).await, [UpdateCause::Midnight]);
+    tokio::time::sleep(3 * TICK / 2).await;
+    assert_eq!(bench.jobs.list().len(), 1);
+}
+
+#[tokio::test]
+async fn observations_ahead_of_the_clock_make_no_update_due_and_are_taken_in_their_time() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+    send(&handle, &mut robot, (0..1001).map(|i| NOON + HOUR + i).collect());
+    assert_eq!(robot.events.recv().await, Some(SessionEvent::Ack { durable_sequence: 1001, refused: Vec::new() }));
+    // More of them are refused; what is not ahead is taken.
+    send(&handle, &mut robot, vec![NOON + HOUR, NOON]);
+    let Some(SessionEvent::Ack { durable_sequence: 1003, refused }) = robot.events.recv().await else {
+        panic!("an acknowledgement");
+    };
+    assert_eq!(refused.iter().map(|r| (r.sequence, r.reason)).collect::<Vec<_>>(), [(1002, RefusalReason::Time)]);
+    tokio::time::sleep(3 * TICK / 2).await;
+    assert_eq!(bench.jobs.list().len(), 0);
+    bench.clock.0.store(NOON + 2 * HOUR, Ordering::SeqCst);
+    let job = bench.jobs.create(handle.spec.name.clone(), UpdateCause::Request, NOON);
+    assert!(handle.send(Command::Update { until_nanos: None, cause: UpdateCause::Request, job: Arc::clone(&job) }));
+    ended(&bench, 1).await;
+    assert_eq!(job.status().observations, 1002);
+    assert_eq!(handle.view().pending(), 0);
+}
+
+#[tokio::test]
+async fn a_clock_that_leapt_ahead_and_came_back_does_not_end_the_nightly_updates() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+    robot.observe(&handle, NOON).await;
+    bench.clock.0.store(NOON + 3650 * 24 * HOUR, Ordering::SeqCst);
+    ended(&bench, 1).await;
+    bench.clock.0.store(NOON, Ordering::SeqCst);
+    robot.observe(&handle, NOON + 1).await;
+    bench.clock.0.store(NOON + 24 * HOUR, Ordering::SeqCst);
+    assert_eq!(ended(&bench, 2).await, [UpdateCause::Midnight, UpdateCause::Midnight]);
+    assert_eq!(handle.view().pending(), 0);
+}
+
+#[tokio::test]
+async fn jobs_end_when_their_map_is_deleted() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+    send(&handle, &mut robot, (0..900).map(|i| NOON - i * 24 * HOUR).collect());
+    for _ in 0..20 {
+        let job = bench.jobs.create(handle.spec.name.clone(), UpdateCause::Request, NOON);
+        assert!(handle.send(Command::Update { until_nanos: None, cause: UpdateCause::Request, job }));
+    }
+    bench.catalog.delete("office").await.expect("deleted");
+    for _ in 0..600 {
+        if bench.jobs.list().iter().all(|job| job.status().phase.has_ended()) {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    panic!("{:?}", bench.jobs.list());
 }

@@ -54,13 +54,3 @@ pub(super) fn sync_with_parent(folder: &Path) -> io::Result<()> {
     File::open(folder)?.sync_all()?;
     File::open(folder.parent().unwrap_or(Path::new(".")))?.sync_all()
 }
-
-/// Bytes of all files in the folder.
-pub(super) fn bytes(folder: &Path) -> io::Result<u64> {
-    let mut sum = 0;
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
-        sum += if entry.file_type()?.is_dir() { bytes(&entry.path())? } else { entry.metadata()?.len() };
-    }
-    Ok(sum)
-}

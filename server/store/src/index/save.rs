@@ -3,7 +3,7 @@
 //! Invariant: the mark is dirty and durable before the first record changes, and clean only after the last is durable.
 
 use prost::Message as _;
-use tidemap_map::{event::StateId, snapshot::MapSnapshot};
+use tidemap_map::snapshot::MapSnapshot;
 use tidemap_migrations::v1::index::{MARKS, Mark, encode_value, map_key};
 
 use super::{
@@ -94,30 +94,23 @@ pub(super) fn save(
     map: u32,
     snapshot: &MapSnapshot,
     before: Option<Written>,
-    changed: &[StateId],
 ) -> Result<Written, Damage> {
     set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
     // States and producers are only ever added, and a spectrum only ever appears; anything else begins afresh.
     let before = before.filter(|before| {
         before.states.len() <= snapshot.states.len() && before.producers.len() <= snapshot.producers.len()
     });
-    let is_new = before.is_none();
-    let mut before = before.unwrap_or_default();
-    if is_new {
-        clear(trees, map)?;
-    }
-    let mut is_announced = vec![is_new; snapshot.states.len()];
-    for id in changed {
-        if let Some(announced) = is_announced.get_mut(id.0 as usize) {
-            *announced = true;
+    let mut before = match before {
+        Some(before) => before,
+        None => {
+            clear(trees, map)?;
+            Written::default()
         }
-    }
-    let mut unannounced = 0_u64;
+    };
     let mut batches = Batches::default();
-    for ((id, state), announced) in (0..).zip(&snapshot.states).zip(is_announced) {
+    for (id, state) in (0..).zip(&snapshot.states) {
         let rows = rows::of_state(map, id, state);
-        let is_written = write_changed(trees, &mut batches, &mut before.states, id, rows)?;
-        unannounced += u64::from(is_written && !announced);
+        write_changed(trees, &mut batches, &mut before.states, id, rows)?;
     }
     for (id, producer) in (0..).zip(&snapshot.producers) {
         let rows = rows::of_producer(map, id, producer);
@@ -125,10 +118,6 @@ pub(super) fn save(
     }
     batches.apply(trees)?;
     trees.flush()?;
-    if unannounced > 0 {
-        // They are right in the index all the same; whoever collects the changes has a fault.
-        tracing::warn!(map, unannounced, "states have changed without being announced as changed");
-    }
     let total = before.total();
     let mark = Mark {
         dirty: false,
@@ -140,24 +129,24 @@ pub(super) fn save(
     Ok(before)
 }
 
-/// Writes the rows of one item where their sum is another than before. Says whether they were written.
+/// Writes the rows of one item where their sum is another than before.
 fn write_changed(
     trees: &Trees,
     batches: &mut Batches,
     sums: &mut Vec<Sum>,
     id: u32,
     rows: Vec<Row>,
-) -> Result<bool, Damage> {
+) -> Result<(), Damage> {
     let sum = rows::sum(&rows);
     match sums.get_mut(id as usize) {
-        Some(before) if *before == sum => return Ok(false),
+        Some(before) if *before == sum => return Ok(()),
         Some(before) => *before = sum,
         None => sums.push(sum),
     }
     for row in rows {
         batches.push(trees, row)?;
     }
-    Ok(true)
+    Ok(())
 }
 
 /// Removes everything of a map.

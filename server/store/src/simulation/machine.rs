@@ -150,7 +150,7 @@ impl Machine {
             known.snapshots.push(snapshot.clone());
         }
         // Whether it succeeds or not: what was saved before and the log are still the map.
-        let _ = store.save(known.map, &snapshot, &[]);
+        let _ = store.save(known.map, &snapshot);
     }
 
     /// The process ends, and the machine with it or not; then everything starts again on what is left.

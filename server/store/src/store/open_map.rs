@@ -143,7 +143,7 @@ impl Inner {
         };
         match snapshot {
             Some(snapshot) if index.is_available() => {
-                index.save(map.0, snapshot, &[]);
+                index.save(map.0, snapshot);
                 reports.push(if index.is_available() {
                     Report::IndexRebuilt { map, reason }
                 } else {

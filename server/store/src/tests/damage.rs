@@ -72,7 +72,7 @@ fn a_checkpoint_that_is_newer_than_the_index_wins() {
     {
         let store = Store::open(directory.path(), options()).expect("opens");
         store.open_map(MapId(1), &example.spec).expect("opens");
-        store.save(MapId(1), &newest, &[]).expect("saves");
+        store.save(MapId(1), &newest).expect("saves");
     }
     example.snapshots.push(newest.clone());
     fs::remove_dir_all(&index).expect("removable");
@@ -211,14 +211,14 @@ fn a_save_into_the_index_that_was_cut_off_is_done_again() {
 }
 
 #[test]
-fn what_has_changed_is_found_even_if_it_is_not_announced() {
+fn a_second_save_rewrites_what_has_changed() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let mut example = example(directory.path());
     let newest = snapshot(&example.spec, 20, 4);
     {
         let store = Store::open(directory.path(), options()).expect("opens");
         store.open_map(MapId(1), &example.spec).expect("opens");
-        store.save(MapId(1), &newest, &[]).expect("saves");
+        store.save(MapId(1), &newest).expect("saves");
     }
     example.snapshots.push(newest.clone());
     let opened = example.check(directory.path()).expect("opens");

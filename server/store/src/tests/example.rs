@@ -148,8 +148,7 @@ pub(crate) fn fill(directory: &Path, end: u64, snapshots_at: &[u64], segment_byt
         assert_eq!(append(&opened.log, &event(position)), Ok(position));
         if snapshots_at.contains(&position) {
             let snapshot = snapshot(&spec, position, 3);
-            let changed: Vec<StateId> = (0..3).map(StateId).collect();
-            store.save(map, &snapshot, &changed).expect("saves");
+            store.save(map, &snapshot).expect("saves");
             snapshots.push(snapshot);
         }
     }

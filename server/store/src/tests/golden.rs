@@ -151,7 +151,7 @@ fn format_1_is_written_as_it_always_was() {
         for event in events() {
             append(&log, &event).expect("appends");
         }
-        store.save(map, &snapshot(), &[]).expect("saves");
+        store.save(map, &snapshot()).expect("saves");
     }
     for file in FILES {
         let written = fs::read(directory.path().join(file)).expect("readable");

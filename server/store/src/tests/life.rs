@@ -2,7 +2,6 @@
 
 use std::fs;
 
-use tidemap_map::event::StateId;
 use tidemap_migrations::manifest::{Manifest, ManifestError, to_text};
 
 use super::example::{STORE_ID, append, content, event, fill, options, snapshot, spec};
@@ -122,12 +121,12 @@ fn a_deleted_map_is_gone_and_its_number_is_never_given_again() {
         store.open_map(b, &spec_b).expect("opens");
         append(&opened.log, &event(1)).expect("appends");
         for map in [a, b] {
-            store.save(map, &snapshot(&spec_a, 0, 3), &[StateId(0)]).expect("saves");
+            store.save(map, &snapshot(&spec_a, 0, 3)).expect("saves");
         }
         store.delete_map(a).expect("deletes");
         assert_eq!(append(&opened.log, &event(2)), Err(AppendError::Closed));
         assert!(matches!(store.delete_map(a), Err(StoreError::UnknownMap(MapId(1)))));
-        assert!(matches!(store.save(a, &snapshot(&spec_a, 0, 3), &[]), Err(StoreError::UnknownMap(MapId(1)))));
+        assert!(matches!(store.save(a, &snapshot(&spec_a, 0, 3)), Err(StoreError::UnknownMap(MapId(1)))));
         assert!(matches!(store.open_map(a, &spec_a), Err(OpenError::UnknownMap(MapId(1)))));
         assert_eq!(store.maps(), [(b, spec_b.clone())]);
         let tombstone = directory.path().join("maps/00000001.deleted");
@@ -195,7 +194,7 @@ fn the_tail_is_what_no_snapshot_covers() {
     for position in 1..=5 {
         append(&log, &event(position)).expect("appends");
     }
-    store.save(map, &snapshot(&spec, 5, 3), &[]).expect("saves");
+    store.save(map, &snapshot(&spec, 5, 3)).expect("saves");
     assert_eq!(log.tail_bytes(), 0);
     append(&log, &event(6)).expect("appends");
     let tail = log.tail_bytes();
