@@ -9,6 +9,9 @@ mod kill;
 mod planted_fault;
 mod power_cut;
 mod sync_error;
+mod system_calls;
+
+use std::{ffi::OsString, path::Path, process::Command};
 
 use tidemap::maps::NewMap;
 use tidemap_tests::{daemon::Daemon, oracle::Oracle};
@@ -20,4 +23,20 @@ const PRODUCERS: usize = 8;
 async fn create_map(daemon: &Daemon, oracle: &Oracle) {
     let map = NewMap { name: oracle.map.clone(), time_zone: Some("Europe/London".to_owned()), ..NewMap::default() };
     daemon.client().create_map(map).await.expect("a new map");
+}
+
+/// Whether processes can be traced here; why not, where they cannot.
+fn can_trace() -> Result<(), String> {
+    match Command::new("strace").args(["-qq", "-e", "trace=none", "true"]).output() {
+        Ok(output) if output.status.success() => Ok(()),
+        Ok(output) => Err(format!("strace: {}", String::from_utf8_lossy(&output.stderr).trim())),
+        Err(error) => Err(format!("strace: {error}")),
+    }
+}
+
+/// strace before a daemon, with its output in a file. It traces as a grandchild (-D), so that the process started is
+/// the daemon itself, with its own number and exit status.
+fn strace(output: &Path, more: &[&str]) -> Vec<OsString> {
+    let words = ["strace", "-D", "-f", "-qq", "-o"].map(OsString::from);
+    words.into_iter().chain([output.into()]).chain(more.iter().map(OsString::from)).collect()
 }

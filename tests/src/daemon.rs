@@ -10,7 +10,11 @@ use std::{
     os::unix::process::ExitStatusExt as _,
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
-    sync::{Arc, Mutex, PoisonError, mpsc},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU16, Ordering},
+        mpsc,
+    },
     thread::{self, JoinHandle},
     time::{Duration, Instant},
 };
@@ -180,7 +184,7 @@ impl Process {
         let readers = vec![
             // After the first lines nobody listens; the pipe is emptied all the same.
             thread::spawn(move || {
-                BufReader::new(stdout).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)))
+                BufReader::new(stdout).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)));
             }),
             thread::spawn(move || {
                 let mut buffer = [0; 4096];
@@ -328,7 +332,10 @@ impl Daemon {
 /// If all are taken.
 #[must_use]
 pub fn lasting_port() -> u16 {
+    /// Ports given so far: tests of one process must not get the same one while it is free between two daemons.
+    static GIVEN: AtomicU16 = AtomicU16::new(0);
     let first = 20_000 + u16::try_from(std::process::id() % 6_000).unwrap_or(0);
     let free = |port: &u16| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok();
-    (first..first + 6_000).find(free).expect("a free port")
+    let port = std::iter::repeat_with(|| first + GIVEN.fetch_add(1, Ordering::Relaxed)).take(5_000).find(free);
+    port.expect("a free port")
 }

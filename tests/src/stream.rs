@@ -50,13 +50,10 @@ impl RawStream {
     /// Connects and opens a stream on which nothing has been said yet.
     ///
     /// # Errors
-    /// What the daemon says.
-    ///
-    /// # Panics
-    /// If nobody listens.
+    /// What the daemon says, or that there is none.
     pub async fn silent(address: &str) -> Result<Self, Status> {
-        let mut client =
-            ObservationServiceClient::connect(format!("http://{address}")).await.expect("a daemon listens");
+        let connected = ObservationServiceClient::connect(format!("http://{address}")).await;
+        let mut client = connected.map_err(|error| Status::from_error(Box::new(error)))?;
         let (requests, outgoing) = mpsc::channel(64);
         let replies = client.observe(ReceiverStream::new(outgoing)).await?.into_inner();
         Ok(Self { requests: Some(requests), replies, names_sent: 0 })
@@ -65,10 +62,10 @@ impl RawStream {
     /// Opens a stream and says Hello.
     ///
     /// # Errors
-    /// How the stream ended instead.
+    /// How the stream ended instead, or that there is no daemon.
     ///
     /// # Panics
-    /// If nobody listens, or the answer is no Welcome.
+    /// If the answer is no Welcome.
     pub async fn open(address: &str, hello: Hello) -> Result<(Self, Welcome), Ended> {
         let in_status = |status| Ended { goodbye: None, status: Some(status) };
         let mut stream = Self::silent(address).await.map_err(in_status)?;

@@ -2,11 +2,13 @@
 
 use std::io::{Read as _, Write as _};
 
+use prost::Message as _;
 use tidemap_proto::v1::{
     GoodbyeReason, Hello, ObservationBatch, ObservationColumns, ObserveRequest, observe_request::Message,
 };
 use tidemap_tests::{
     daemon::Daemon,
+    garbage,
     stream::{Ended, RawStream, columns, hello},
 };
 use tonic::Code;
@@ -48,23 +50,59 @@ async fn goes_on(daemon: &Daemon, expected: u64) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn batches_over_a_limit_end_the_stream_and_nothing_of_them_is_kept() {
-    let (_data, daemon) =
-        office(|launch| launch.setting("max_batch_observations", 100).setting("max_message_bytes", 4096)).await;
+    let (_data, daemon) = office(|launch| launch.setting("max_batch_observations", 100)).await;
     let mut stream = opened(&daemon).await;
     stream.batch(1, no_columns(100)).await;
     stream.acknowledged(100).await.expect("as many as allowed");
     stream.batch(101, no_columns(101)).await;
     check(stream.end().await, Some(GoodbyeReason::Invalid), Code::InvalidArgument, &["101", "100"]);
 
-    let mut stream = opened(&daemon).await;
-    let huge = ObservationColumns { new_states: vec!["x".repeat(20_000)], ..no_columns(1) };
-    stream.batch(101, huge).await;
-    let ended = stream.end().await;
-    assert!(ended.goodbye.is_some(), "a stream that is open is told why it ends: {ended:?}");
-    let status = ended.error();
-    assert!(matches!(status.code(), Code::InvalidArgument | Code::ResourceExhausted | Code::OutOfRange), "{status:?}");
-    assert!(status.message().contains("4096") || status.message().contains("8192"), "the limit is not in {status:?}");
     goes_on(&daemon, 100).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_over_the_limit_of_bytes_end_the_stream_by_name() {
+    let (_data, daemon) = office(|launch| launch.setting("max_message_bytes", 4096)).await;
+    let mut stream = opened(&daemon).await;
+    stream.batch(1, no_columns(1)).await;
+    stream.acknowledged(1).await.expect("taken");
+    let huge = ObservationColumns { new_states: vec!["x".repeat(20_000)], ..no_columns(1) };
+    let batch = ObservationBatch { first_sequence: 2, observations: Some(huge) };
+    let request = ObserveRequest { message: Some(Message::Batch(batch)) };
+    let size = request.encoded_len().to_string();
+    stream.send(request).await;
+    let ended = stream.end().await;
+    assert_eq!(ended.goodbye.as_ref().map(|goodbye| goodbye.reason()), Some(GoodbyeReason::Invalid), "{ended:?}");
+    let status = ended.error();
+    let codes = [Code::InvalidArgument, Code::ResourceExhausted, Code::OutOfRange];
+    assert!(codes.contains(&status.code()), "{status:?}");
+    assert!(status.message().contains(&size), "{size}, the size of the message, is not in {status:?}");
+    goes_on(&daemon, 1).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bytes_that_are_no_messages_are_malformed_messages() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let greeting = ObserveRequest { message: Some(Message::Hello(hello("robot", "office"))) }.encode_to_vec();
+    // A batch whose new state is no UTF-8, and a field that is longer than the message.
+    let no_text = vec![0x12, 0x07, 0x08, 0x01, 0x12, 0x03, 0x2A, 0x01, 0xFF];
+    let cut_off = vec![0x12, 0xFF, 0xFF, 0x03, 0x08, 0x01];
+    let noise: Vec<u8> = (0..5_000_u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 11) as u8).collect();
+    for bytes in [no_text, cut_off, noise] {
+        for messages in [vec![bytes.clone()], vec![greeting.clone(), bytes]] {
+            let greeted = messages.len() > 1;
+            let ended = garbage::observe(&daemon.grpc, messages).await;
+            let status = ended.expect_err("a malformed message is an error");
+            assert_eq!(status.code(), Code::InvalidArgument, "after a Hello: {greeted}: {status:?}");
+        }
+    }
+    // A megabyte of empty messages is many times that when it is decoded.
+    let bomb = [0x12_u8, 0x00].repeat(500_000);
+    let status = garbage::observe(&daemon.grpc, vec![greeting, bomb]).await.expect_err("a batch without observations");
+    assert_eq!(status.code(), Code::InvalidArgument, "{status:?}");
+    goes_on(&daemon, 0).await;
+    let log = daemon.stop_in_order();
+    assert!(!log.contains("panicked"), "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,7 +1,10 @@
 //! Observations that are wrong one by one: each is refused with its number and its reason, its neighbours are kept.
 
 use tidemap_proto::v1::{Refusal, RefusalReason};
-use tidemap_tests::stream::{RawStream, columns, hello};
+use tidemap_tests::{
+    oracle::run_update,
+    stream::{RawStream, columns, hello},
+};
 
 use super::{observations, office, states};
 
@@ -54,6 +57,28 @@ async fn times_outside_1970_to_2262_are_refused_one_by_one() {
     let time = RefusalReason::Time;
     check(&refusals, &[(2, time, "-1 ns"), (4, time, "before 1970"), (6, time, "before 1970")]);
     assert_eq!(observations(&daemon).await, 3);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn observations_ahead_of_the_clock_are_kept_and_wait() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let (mut stream, welcome) = RawStream::open(&daemon.grpc, hello("robot", "office")).await.expect("a Welcome");
+    assert_eq!(welcome.max_ahead.map(|ahead| ahead.seconds), Some(300));
+    // The second one is of the year 2200.
+    stream
+        .batch(1, columns(&["door"], &[(0, 1_600_000_000_000_000_000, 1.0), (0, 7_258_118_400_000_000_000, 0.0)]))
+        .await;
+    check(&stream.acknowledged(2).await.expect("the stream goes on"), &[]);
+    let client = daemon.client();
+    run_update(&client, "office", None).await;
+    let map = client.map("office").await.expect("the map");
+    assert_eq!((map.observations, map.pending_observations), (2, 1));
+    let model = client.describe_model("office", "door").await.expect("the door");
+    assert_eq!((model.folded_observations, model.mean, model.last_value), (1, 1.0, Some(1.0)));
+    // A later one that is not ahead goes before it.
+    stream.batch(3, columns(&[], &[(0, 1_600_000_001_000_000_000, 0.25)])).await;
+    stream.acknowledged(3).await.expect("the stream goes on");
+    assert_eq!(client.describe_model("office", "door").await.expect("the door").last_value, Some(0.25));
 }
 
 #[tokio::test(flavor = "multi_thread")]

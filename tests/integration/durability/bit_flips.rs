@@ -96,6 +96,10 @@ async fn durability_a_flipped_bit_is_harmless_or_reported() {
         let copy = work.path().join("flipped");
         disk::copy_folder(&data, &copy);
         let bit = flip(&copy.join(file), &mut random);
+        if kind == "checkpoint" {
+            // Beside a good index nobody reads a checkpoint.
+            fs::remove_dir_all(copy.join("index")).expect("the index can be removed");
+        }
         let what = format!("bit {bit} of {}", file.display());
         let served = match Launch::on(&copy).try_start() {
             Ok(daemon) => {

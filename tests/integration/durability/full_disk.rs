@@ -1,6 +1,6 @@
 //! A disk that gets full under the daemon.
 
-use std::{fs, path::Path};
+use std::{fs, path::Path, time::Duration};
 
 use tempfile::tempdir;
 use tidemap::{maps::NewMap, observe::ProducerError};
@@ -11,19 +11,20 @@ use tidemap_tests::{
     feed::Feed,
     herd::{Herd, Manner},
     oracle::{Oracle, run_update},
+    rounds,
 };
 
-use super::create_map;
+use super::{PRODUCERS, create_map};
 
 const DISK_BYTES: u64 = 24 << 20;
 /// What is left to the daemon's log while the ballast lies there.
 const LEFT_BYTES: u64 = 768 << 10;
 
-/// Fills the disk but for [`LEFT_BYTES`].
-fn fill(ballast: &Path) {
+/// Fills the disk but for so many bytes.
+fn fill(ballast: &Path, left_bytes: u64) {
     let file = fs::File::create(ballast).expect("room for a file");
     let available = rustix::fs::fstatvfs(&file).expect("a file system");
-    let bytes = (available.f_bavail * available.f_frsize).saturating_sub(LEFT_BYTES);
+    let bytes = (available.f_bavail * available.f_frsize).saturating_sub(left_bytes);
     rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes).expect("room for the ballast");
 }
 
@@ -47,8 +48,8 @@ async fn durability_a_full_disk_refuses_loses_nothing_and_recovers() {
     assert_eq!(Herd::start(&daemon.client(), &oracle, some, 1).settle(&mut oracle).await, []);
     run_update(&daemon.client(), "office", None).await;
 
-    fill(&ballast);
-    let all = Manner { until: 60_000, pause: std::time::Duration::ZERO, ..Manner::default() };
+    fill(&ballast, LEFT_BYTES);
+    let all = Manner { until: 60_000, pause: Duration::ZERO, ..Manner::default() };
     let errors = Herd::start(&daemon.client(), &oracle, all, 2).settle(&mut oracle).await;
     assert!(!errors.is_empty(), "the disk did not get full");
     for error in &errors {
@@ -63,6 +64,36 @@ async fn durability_a_full_disk_refuses_loses_nothing_and_recovers() {
     oracle.verify(&daemon, true).await.unwrap_or_else(|violation| panic!("{violation}"));
     daemon.kill();
     oracle.verify(&launch.start(), true).await.unwrap_or_else(|violation| panic!("{violation}"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_a_disk_that_gets_full_again_and_again_loses_nothing() {
+    let seed = rounds::seed("durability_a_disk_that_gets_full_again_and_again_loses_nothing");
+    let work = tempdir().expect("a folder");
+    let disk = match small_disk(&work.path().join("disk"), DISK_BYTES) {
+        Ok(disk) => disk,
+        Err(Unavailable(reason)) => return println!("SKIPPED: {reason}"),
+    };
+    let ballast = disk.folder().join("ballast");
+    let launch = Launch::on(&disk.folder().join("data")).setting("segment_bytes", 1 << 16);
+    let mut daemon = launch.start();
+    let mut oracle = Oracle::new("office", Feed::new(seed), PRODUCERS);
+    create_map(&daemon, &oracle).await;
+    for round in 0..rounds::count("TIDEMAP_FULL_ROUNDS", 24) {
+        fill(&ballast, 48 << 10);
+        // Some are refused while others were just taken: what belongs to whom must not get mixed up.
+        let manner = Manner { pause: Duration::from_millis(1), ..Manner::default() };
+        let errors = Herd::start(&daemon.client(), &oracle, manner, seed ^ u64::from(round)).settle(&mut oracle).await;
+        assert_eq!(errors.len(), PRODUCERS, "round {round}");
+        fs::remove_file(&ballast).expect("the ballast");
+        let what = |violation| panic!("round {round}: {violation}");
+        oracle.verify(&daemon, false).await.unwrap_or_else(what);
+        if round % 2 == 1 {
+            daemon.kill();
+            daemon = launch.start();
+            oracle.verify(&daemon, true).await.unwrap_or_else(what);
+        }
+    }
 }
 
 /// The same command fails while the disk is full and goes on when it is not. Frees the disk.

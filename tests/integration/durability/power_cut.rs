@@ -27,8 +27,17 @@ pub async fn power_cut(
     let folder = tempdir().expect("a folder");
     let disk = CutDisk::new(folder.path())?;
     let mut oracle = Oracle::new("office", Feed::new(seed), PRODUCERS);
-    let daemon = launch(&disk.folder().join("data")).start();
+    let launch_here = launch(&disk.folder().join("data"));
+    let mut daemon = launch_here.start();
     create_map(&daemon, &oracle).await;
+    if random.random() {
+        // An earlier life, so that the cut also falls on data that was there before.
+        let manner = Manner { until: random.random_range(1..2_000), ..Manner::default() };
+        Herd::start(&daemon.client(), &oracle, manner, seed ^ 1).settle(&mut oracle).await;
+        run_update(&daemon.client(), &oracle.map, None).await;
+        daemon.stop_in_order();
+        daemon = launch_here.start();
+    }
     let herd = Herd::start(&daemon.client(), &oracle, Manner { nightly: random.random(), ..Manner::default() }, seed);
     herd.flowing().await;
     if random.random() {

@@ -1,6 +1,6 @@
 //! A disk that cannot be synced: after the first error nobody knows what is on it.
 
-use std::{ffi::OsString, fs, path::Path, process::Command};
+use std::{ffi::OsString, fs, path::Path};
 
 use tempfile::tempdir;
 use tidemap_proto::v1::GoodbyeReason;
@@ -12,21 +12,11 @@ use tidemap_tests::{
     stream::{RawStream, feed_columns, hello},
 };
 
-use super::create_map;
-
-fn can_trace() -> Result<(), String> {
-    match Command::new("strace").args(["-qq", "-e", "trace=none", "true"]).output() {
-        Ok(output) if output.status.success() => Ok(()),
-        Ok(output) => Err(format!("strace: {}", String::from_utf8_lossy(&output.stderr).trim())),
-        Err(error) => Err(format!("strace: {error}")),
-    }
-}
+use super::{can_trace, create_map, strace};
 
 /// strace before a daemon: the calls of fdatasync that `when` names fail; all of them are written to a file.
 fn failing(when: &str, calls: &Path) -> Vec<OsString> {
-    let inject = format!("inject=fdatasync:error=EIO:when={when}");
-    let words = ["strace", "-f", "-qq", "-e", "trace=fdatasync", "-e", &inject, "-o"];
-    words.iter().map(OsString::from).chain([calls.into()]).collect()
+    strace(calls, &["-e", "trace=fdatasync", "-e", &format!("inject=fdatasync:error=EIO:when={when}")])
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,0 +1,74 @@
+//! Bytes where messages should be: what a broken or hostile client sends on a stream of observations.
+//!
+//! Invariant: the frames of gRPC are in order; what is in them is what the test says.
+
+use bytes::{Buf as _, BufMut as _};
+use tonic::{
+    Status,
+    client::Grpc,
+    codec::{Codec, DecodeBuf, Decoder, EncodeBuf, Encoder},
+    codegen::http::uri::PathAndQuery,
+    transport::Endpoint,
+};
+
+#[derive(Default)]
+struct Plain;
+
+impl Codec for Plain {
+    type Encode = Vec<u8>;
+    type Decode = Vec<u8>;
+    type Encoder = Self;
+    type Decoder = Self;
+
+    fn encoder(&mut self) -> Self {
+        Self
+    }
+
+    fn decoder(&mut self) -> Self {
+        Self
+    }
+}
+
+impl Encoder for Plain {
+    type Item = Vec<u8>;
+    type Error = Status;
+
+    fn encode(&mut self, item: Vec<u8>, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
+        buffer.put_slice(&item);
+        Ok(())
+    }
+}
+
+impl Decoder for Plain {
+    type Item = Vec<u8>;
+    type Error = Status;
+
+    fn decode(&mut self, buffer: &mut DecodeBuf<'_>) -> Result<Option<Vec<u8>>, Status> {
+        Ok(Some(buffer.copy_to_bytes(buffer.remaining()).to_vec()))
+    }
+}
+
+/// Opens a stream of observations, sends these messages, and says how the stream ended.
+///
+/// # Errors
+/// The status; `Ok`, with the number of replies, where the stream ended in order.
+///
+/// # Panics
+/// If nobody listens, or the stream does not end.
+pub async fn observe(address: &str, messages: Vec<Vec<u8>>) -> Result<usize, Status> {
+    let endpoint = Endpoint::from_shared(format!("http://{address}")).expect("an address");
+    let mut grpc = Grpc::new(endpoint.connect().await.expect("a daemon listens"));
+    grpc.ready().await.expect("a connection");
+    let path = PathAndQuery::from_static("/tidemap.v1.ObservationService/Observe");
+    // The stream stays open: it is the daemon that has to end it.
+    let requests = tokio_stream::StreamExt::chain(tokio_stream::iter(messages), tokio_stream::pending());
+    let mut replies = grpc.streaming(tonic::Request::new(requests), path, Plain).await?.into_inner();
+    let count = async {
+        let mut count = 0;
+        while replies.message().await?.is_some() {
+            count += 1;
+        }
+        Ok(count)
+    };
+    tokio::time::timeout(std::time::Duration::from_secs(60), count).await.expect("the daemon ends the stream")
+}
