@@ -12,6 +12,8 @@ SETUP := deploy/setup.sh
 ENV := . target/setup.env
 BUILT = $${CARGO_TARGET_DIR:-target}/release
 PREFIX ?= /usr/local
+# A daemon with a planted fault, in a place of its own: the durability tests have to catch it.
+FAULT := --features fault-ack-before-sync --target-dir target/planted-fault
 
 ## help: the targets of this file
 help:
@@ -30,6 +32,7 @@ demo: build
 test:
 	@$(SETUP) test
 	@$(ENV); cargo build --workspace --bins --locked
+	@$(ENV); cargo build --locked -p tidemapd $(FAULT)
 	@$(ENV); if [ "$$NEXTEST" = yes ]; then \
 		cargo nextest run --workspace --locked; \
 	else \
@@ -56,10 +59,13 @@ bench:
 ## durability: many rounds of kill -9 and power cuts against the real daemon
 durability: export TIDEMAP_KILL_ROUNDS ?= 100
 durability: export TIDEMAP_POWERCUT_ROUNDS ?= 20
-durability: export TIDEMAP_FLIPS ?= 600
+durability: export TIDEMAP_FLIPS ?= 1000
+durability: export TIDEMAP_CALL_KILLS ?= 300
+durability: export TIDEMAP_FULL_ROUNDS ?= 100
 durability:
 	@$(SETUP) test
 	@$(ENV); cargo build --release --workspace --bins --locked
+	@$(ENV); cargo build --release --locked -p tidemapd $(FAULT)
 	@$(ENV); if [ "$$NEXTEST" = yes ]; then \
 		cargo nextest run --release --locked --workspace --profile durability -E 'test(durability)'; \
 	else \

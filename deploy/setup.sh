@@ -2,7 +2,7 @@
 # Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use.
 #
-#   deploy/setup.sh [test]      `test` adds cargo-nextest, strace, e2fsprogs, util-linux
+#   deploy/setup.sh [test]      `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount
 #   TIDEMAP_SETUP_DRY_RUN=1     says what it would do, and does nothing
 #
 # Says nothing where nothing is missing, and then needs no network. Writes target/setup.env, which recipes read.
@@ -105,7 +105,7 @@ fi
 # --- what the tests use, where it can be had ------------------------------------------------------------------------
 nextest=no
 if [ "$goal" = test ]; then
-    for tool in strace:strace mkfs.ext4:e2fsprogs losetup:util-linux; do
+    for tool in strace:strace mkfs.ext4:e2fsprogs losetup:util-linux umount:mount; do
         if ! PATH="$PATH:/usr/sbin:/sbin" have "${tool%%:*}"; then
             install "${tool##*:}" || say "no ${tool##*:}: the durability tests that use it are skipped"
         fi

@@ -1,7 +1,7 @@
 //! The maps that the daemon serves.
 //!
 //! Invariant: looking a map up never waits. Creating and deleting maps happens one at a time, and a map that is listed
-//! is durable.
+//! is durable. A change that was begun is brought to its end, also where nobody waits for it any more.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -44,6 +44,19 @@ pub enum CatalogError {
         /// What does not fit.
         reason: String,
     },
+    /// Two maps have the same name.
+    #[error(
+        "maps {} and {} are both named {:?}. Move the folder of one of them out of the data folder",
+        first.0, second.0, name.as_str()
+    )]
+    Duplicate {
+        /// The name.
+        name: MapName,
+        /// One of them.
+        first: MapId,
+        /// The other.
+        second: MapId,
+    },
     /// No thread for the map.
     #[error("no thread for the map: {0}")]
     Thread(#[from] std::io::Error),
@@ -54,28 +67,39 @@ pub enum CatalogError {
 
 type ByName = BTreeMap<MapName, Arc<MapHandle>>;
 
-/// All maps, by name.
-#[derive(Debug)]
+#[cfg(test)]
+mod tests;
+
+/// All maps, by name. Clones are handles of the same maps.
+#[derive(Clone, Debug)]
 pub struct Catalog {
     context: Context,
     max_maps: usize,
-    maps: ArcSwap<ByName>,
+    maps: Arc<ArcSwap<ByName>>,
     // One change at a time; readers use `maps` and never take it. `false`: stopped.
-    changing: tokio::sync::Mutex<bool>,
+    changing: Arc<tokio::sync::Mutex<bool>>,
 }
 
 impl Catalog {
     /// Opens every map that the store holds.
     ///
     /// # Errors
-    /// The first map that cannot be opened, with what is wrong.
+    /// The first map that cannot be opened, with what is wrong; two maps of the same name.
     pub fn open(context: Context, max_maps: usize) -> Result<Self, CatalogError> {
+        let stored = context.store.maps();
+        let mut ids = BTreeMap::new();
+        for (second, spec) in &stored {
+            if let Some(first) = ids.insert(&spec.name, *second) {
+                return Err(CatalogError::Duplicate { name: spec.name.clone(), first, second: *second });
+            }
+        }
         let mut maps = ByName::new();
-        for (id, spec) in context.store.maps() {
+        for (id, spec) in stored {
             let name = spec.name.clone();
             maps.insert(name, open_map(&context, id, spec)?);
         }
-        Ok(Self { context, max_maps, maps: ArcSwap::from_pointee(maps), changing: tokio::sync::Mutex::new(true) })
+        let changing = Arc::new(tokio::sync::Mutex::new(true));
+        Ok(Self { context, max_maps, maps: Arc::new(ArcSwap::from_pointee(maps)), changing })
     }
 
     /// The map of this name.
@@ -99,11 +123,16 @@ impl Catalog {
         &self.context
     }
 
-    /// Creates a map; it is durable when this returns.
+    /// Creates a map; it is durable when this returns. Goes on where the caller does not wait.
     ///
     /// # Errors
     /// See [`CatalogError`].
     pub async fn create(&self, spec: MapSpec) -> Result<Arc<MapHandle>, CatalogError> {
+        let this = self.clone();
+        ended(tokio::spawn(async move { this.create_now(spec).await })).await
+    }
+
+    async fn create_now(&self, spec: MapSpec) -> Result<Arc<MapHandle>, CatalogError> {
         let open = self.changing.lock().await;
         if !*open {
             return Err(CatalogError::Stopping);
@@ -117,10 +146,15 @@ impl Catalog {
         }
         let context = self.context.clone();
         let name = spec.name.clone();
-        let handle = blocking(move || {
+        let handle = ended(tokio::task::spawn_blocking(move || {
             let id = context.store.create_map(&spec)?;
-            open_map(&context, id, spec)
-        })
+            open_map(&context, id, spec).inspect_err(|_| {
+                // Not listed, it could be neither used nor deleted, and would take its name at the next start.
+                if let Err(error) = context.store.delete_map(id) {
+                    warn!(id = id.0, %error, "a map that could not be opened is left over");
+                }
+            })
+        }))
         .await?;
         info!(map = %name, id = handle.id.0, "map created");
         maps.insert(name, Arc::clone(&handle));
@@ -128,24 +162,40 @@ impl Catalog {
         Ok(handle)
     }
 
-    /// Deletes a map for good.
+    /// Deletes a map for good. Goes on where the caller does not wait. Where the store fails, the map is still listed,
+    /// but takes no observations, and deleting it can be tried again.
     ///
     /// # Errors
     /// See [`CatalogError`].
     pub async fn delete(&self, name: &str) -> Result<(), CatalogError> {
+        let (this, name) = (self.clone(), name.to_owned());
+        ended(tokio::spawn(async move { this.delete_now(&name).await })).await
+    }
+
+    async fn delete_now(&self, name: &str) -> Result<(), CatalogError> {
         let open = self.changing.lock().await;
         if !*open {
             return Err(CatalogError::Stopping);
         }
         let handle = self.get(name)?;
-        let mut maps = ByName::clone(&self.maps.load());
+        let before = self.all();
+        let mut maps = ByName::clone(&before);
         maps.remove(&handle.spec.name);
         self.maps.store(Arc::new(maps));
         handle.stop(Ending::MapDeleted).await;
-        let (context, id) = (self.context.clone(), handle.id);
-        blocking(move || Ok(context.store.delete_map(id)?)).await?;
-        info!(map = name, id = handle.id.0, "map deleted");
-        Ok(())
+        let (store, id) = (Arc::clone(&self.context.store), handle.id);
+        let deleted = ended(tokio::task::spawn_blocking(move || Ok(store.delete_map(id)?))).await;
+        match &deleted {
+            Ok(()) => info!(map = name, id = id.0, "map deleted"),
+            Err(error) => {
+                warn!(map = name, id = id.0, %error, "map not deleted in order");
+                // Nothing else has changed the listing meanwhile.
+                if self.context.store.maps().iter().any(|(stored, _)| *stored == id) {
+                    self.maps.store(before);
+                }
+            }
+        }
+        deleted
     }
 
     /// Stops all writers; what is in flight is made durable and acknowledged first.
@@ -170,10 +220,8 @@ fn shortened(name: &str) -> String {
     name.chars().take(80).collect()
 }
 
-async fn blocking<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, CatalogError> + Send + 'static,
-) -> Result<T, CatalogError> {
-    match tokio::task::spawn_blocking(work).await {
+async fn ended<T>(task: tokio::task::JoinHandle<Result<T, CatalogError>>) -> Result<T, CatalogError> {
+    match task.await {
         Ok(result) => result,
         Err(_) => Err(CatalogError::Stopping),
     }

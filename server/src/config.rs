@@ -170,7 +170,7 @@ impl Settings {
             ("max_states_per_map", self.max_states_per_map as u64, 1, 16_000_000),
             ("max_producers_per_map", self.max_producers_per_map as u64, 1, 1_000_000),
             ("max_batch_observations", self.max_batch_observations as u64, 1, 65_536),
-            ("max_message_bytes", self.max_message_bytes as u64, 4096, 64 << 20),
+            ("max_message_bytes", self.max_message_bytes as u64, 4096, 16 << 20),
             ("max_stream_buffer_bytes", self.max_stream_buffer_bytes as u64, 4096, 1 << 30),
             ("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30),
             ("max_streams", self.max_streams as u64, 1, 100_000),

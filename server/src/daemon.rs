@@ -1,7 +1,7 @@
 //! Wiring: opens the store, starts the maps and the ports, and stops them in order.
 //!
 //! Invariant: the line `listening …` is printed when requests are served, not before. A stop acknowledges what is in
-//! flight, closes the store and ends within [`STOP_WITHIN`], whatever clients do.
+//! flight, closes the store and ends, whatever clients and the disk do: each step has its deadline.
 
 use std::{io::Write as _, sync::Arc, time::Duration};
 
@@ -9,7 +9,7 @@ use tidemap_store::{OpenError, Store, StoreOptions};
 use tokio::{
     net::TcpListener,
     signal::unix::{SignalKind, signal},
-    sync::{mpsc, watch},
+    sync::{mpsc, oneshot, watch},
 };
 use tracing::{error, info, warn};
 
@@ -25,6 +25,10 @@ use crate::{
 
 /// How long connections have to close after their streams were told goodbye.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
+/// How long the maps have to make durable what is in flight.
+const MAPS_STOP_WITHIN: Duration = Duration::from_secs(10);
+/// How long the store has to close.
+const CLOSE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Why the daemon ended; each kind has its exit status.
 #[derive(Debug, thiserror::Error)]
@@ -67,7 +71,11 @@ impl DaemonError {
 
 impl From<CatalogError> for DaemonError {
     fn from(error: CatalogError) -> Self {
-        Self::Data(error.to_string())
+        match error {
+            // The data is well; the machine is not.
+            CatalogError::Thread(_) => Self::Other(error.into()),
+            _ => Self::Data(error.to_string()),
+        }
     }
 }
 
@@ -131,18 +139,22 @@ pub async fn run(settings: Settings) -> Result<(), DaemonError> {
     let http = listen(&settings.http_listen).await?;
     let (grpc_address, http_address) =
         (grpc.local_addr().map_err(anyhow::Error::from)?, http.local_addr().map_err(anyhow::Error::from)?);
-    let stop_after_streams = Arc::new(tokio::sync::Notify::new());
-    let wait = |notify: &Arc<tokio::sync::Notify>| {
-        let notify = Arc::clone(notify);
-        async move { notify.notified().await }
+    // A channel and not a notification: a port that begins to wait late still learns of it.
+    let (stop_ports, ports_stopping) = watch::channel(false);
+    let wait = || {
+        let mut stopping = ports_stopping.clone();
+        async move {
+            // An error means that the sender is gone: that is a stop as well.
+            let _ = stopping.wait_for(|stop| *stop).await;
+        }
     };
-    let grpc_stop = wait(&stop_after_streams);
+    let grpc_stop = wait();
     let for_grpc = (Arc::clone(&catalog), settings.clone(), stopping.clone());
     let mut grpc_task = tokio::spawn(async move {
         let (catalog, settings, stopping) = for_grpc;
         rpc::serve::serve(grpc, catalog, &settings, stopping, grpc_stop).await
     });
-    let http_stop = wait(&stop_after_streams);
+    let http_stop = wait();
     let mut http_task = tokio::spawn(http::serve(http, Arc::clone(&catalog), metrics, stopping, http_stop));
     println!("listening grpc={grpc_address} http={http_address}");
     // A closed stdout is no reason to stop.
@@ -158,8 +170,10 @@ pub async fn run(settings: Settings) -> Result<(), DaemonError> {
     };
     info!("stopping");
     stop_sender.send_replace(true);
-    catalog.stop().await;
-    stop_after_streams.notify_waiters();
+    if tokio::time::timeout(MAPS_STOP_WITHIN, catalog.stop()).await.is_err() {
+        warn!("maps did not stop within {} seconds; nothing acknowledged is lost", MAPS_STOP_WITHIN.as_secs());
+    }
+    stop_ports.send_replace(true);
     let closed = async {
         let _ = (&mut grpc_task).await;
         let _ = (&mut http_task).await;
@@ -168,12 +182,30 @@ pub async fn run(settings: Settings) -> Result<(), DaemonError> {
     if result.is_ok() && tokio::time::timeout(STOP_WITHIN, closed).await.is_err() {
         info!("connections still open are cut");
     }
-    let closing = tokio::task::spawn_blocking(move || store.close()).await;
-    match closing {
-        Ok(()) => info!("stopped"),
-        Err(error) => error!(%error, "the store did not close in order; the next start repairs it"),
-    }
+    close(store).await;
     result
+}
+
+/// Closes the store. In a thread of its own: the runtime's may all wait for a disk that hangs.
+async fn close(store: Arc<Store>) {
+    let (done, closed) = oneshot::channel();
+    let thread = std::thread::Builder::new().name("close".to_owned()).spawn(move || {
+        store.close();
+        // Nobody waits any more where it took too long.
+        let _ = done.send(());
+    });
+    if let Err(error) = thread {
+        error!(%error, "the store was not closed; the next start repairs it");
+        return;
+    }
+    match tokio::time::timeout(CLOSE_WITHIN, closed).await {
+        Ok(Ok(())) => info!("stopped"),
+        Ok(Err(_)) => error!("the store did not close in order; the next start repairs it"),
+        Err(_) => {
+            let secs = CLOSE_WITHIN.as_secs();
+            error!("the store did not close within {secs} seconds; the next start repairs it");
+        }
+    }
 }
 
 async fn listen(address: &str) -> Result<TcpListener, DaemonError> {

@@ -39,6 +39,12 @@ impl Evaluator {
         Self { view, rows, states: Vec::new(), sums: HashMap::new() }
     }
 
+    /// Sums kept for each state.
+    #[must_use]
+    pub fn sums_per_state(&self) -> usize {
+        self.rows.len()
+    }
+
     /// Adds observations, grouped by state; `order` lists the states.
     pub fn add(&mut self, order: &[StateId], by_state: &HashMap<StateId, Vec<Sample>>) {
         for id in order {

@@ -34,11 +34,17 @@ pub async fn serve(
         .route(
             "/metrics",
             get(move || {
-                for (name, value, _) in statistics::of_daemon(&catalog) {
-                    metrics::gauge!(format!("tidemap_{name}")).set(value);
+                let (catalog, metrics) = (Arc::clone(&catalog), metrics.clone());
+                async move {
+                    // Sizes are read from the disk.
+                    let text = tokio::task::spawn_blocking(move || {
+                        for (name, value, _) in statistics::of_daemon(&catalog) {
+                            metrics::gauge!(format!("tidemap_{name}")).set(value);
+                        }
+                        metrics.render()
+                    });
+                    text.await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
                 }
-                let text = metrics.render();
-                async move { text }
             }),
         );
     axum::serve(listener, router).with_graceful_shutdown(stop).await

@@ -76,6 +76,12 @@ impl Job {
         self.status.borrow().clone()
     }
 
+    /// Whether the job has ended.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.status.borrow().phase.has_ended()
+    }
+
     /// Follows the job.
     #[must_use]
     pub fn watch(&self) -> watch::Receiver<Status> {
@@ -139,8 +145,11 @@ impl Jobs {
         });
         let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
         jobs.push_front(Arc::clone(&job));
-        while jobs.len() > JOBS_KEPT && jobs.back().is_some_and(|job| job.status().phase.has_ended()) {
-            jobs.pop_back();
+        // An old job that still waits or runs keeps its place, and does not keep ended ones.
+        while jobs.len() > JOBS_KEPT
+            && let Some(oldest) = jobs.iter().rposition(|job| job.has_ended())
+        {
+            jobs.remove(oldest);
         }
         job
     }
@@ -163,5 +172,27 @@ impl Jobs {
     #[must_use]
     pub fn get(&self, id: u64) -> Option<Arc<Job>> {
         self.list().into_iter().find(|job| job.id == id)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_oldest_ended_job_is_forgotten_first() {
+        let jobs = Jobs::default();
+        let create = || jobs.create(MapName::new("office").expect("valid"), UpdateCause::Request, 0);
+        let waiting = create();
+        for _ in 0..JOBS_KEPT + 5 {
+            create().end(Ok((1, 2)));
+        }
+        assert_eq!(jobs.list().len(), JOBS_KEPT);
+        assert!(jobs.get(waiting.id).is_some());
+        assert!(jobs.get(waiting.id + 1).is_none());
+        for _ in 0..JOBS_KEPT {
+            create();
+        }
+        assert_eq!(jobs.list().len(), JOBS_KEPT + 1);
     }
 }

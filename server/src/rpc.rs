@@ -9,4 +9,5 @@ pub mod query;
 pub mod serve;
 pub mod status;
 
+mod acks;
 mod page;

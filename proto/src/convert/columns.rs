@@ -9,7 +9,7 @@ use crate::v1::ObservationColumns;
 /// Observations with their columns unpacked; all three have the same length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DecodedColumns {
-    /// Time in nanoseconds UTC; negative where the sender said so.
+    /// Time in nanoseconds UTC; negative where the sender said so, or where a delta in its unit leaves what i64 holds.
     pub times_nanos: Vec<i64>,
     /// Index into the stream's table of names.
     pub state_indices: Vec<u32>,
@@ -20,17 +20,11 @@ pub struct DecodedColumns {
 /// Unpacks columns.
 ///
 /// # Errors
-/// The field whose length or form is wrong; more than `max` observations.
-pub fn decode(columns: ObservationColumns, max: usize) -> Result<DecodedColumns, InvalidField> {
+/// The field whose length or form is wrong. How many observations are allowed is the caller's to check, before.
+pub fn decode(columns: ObservationColumns) -> Result<DecodedColumns, InvalidField> {
     let count = columns.time_deltas.len();
     if count == 0 {
         return Err(InvalidField::new("observations.time_deltas", "there is no observation: send at least 1"));
-    }
-    if count > max {
-        return Err(InvalidField::new(
-            "observations.time_deltas",
-            format!("{count} observations in one message: at most {max} are allowed"),
-        ));
     }
     let values = match (columns.bits.is_empty(), columns.values.is_empty()) {
         (true, false) if columns.values.len() == count => columns.values,
@@ -51,16 +45,21 @@ pub fn decode(columns: ObservationColumns, max: usize) -> Result<DecodedColumns,
         len if len == count => columns.state_indices,
         len => return Err(length("state_indices", len, count)),
     };
-    // 0 is what proto3 sends for "not set", and the default is 1. A unit beyond i64 wraps like the deltas do.
-    let unit = columns.time_unit_nanos.max(1) as i64;
-    let mut time = columns.first_time_nanos;
+    // 0 is what proto3 sends for "not set", and the default is 1.
+    let unit = i64::try_from(columns.time_unit_nanos.max(1)).map_err(|_| {
+        let text = format!("{} ns is too large: at most {} are possible", columns.time_unit_nanos, i64::MAX);
+        InvalidField::new("observations.time_unit_nanos", text)
+    })?;
+    let mut time = Some(columns.first_time_nanos);
     let times_nanos = columns
         .time_deltas
         .iter()
         .map(|delta| {
-            // Wrapping: a sender that overflows gets times that are refused one by one, not a panic.
-            time = time.wrapping_add(delta.wrapping_mul(unit));
-            time
+            // A product that overflows is nobody's time: it and what follows are refused one by one, as before 1970.
+            // A sum may wrap: a sender whose deltas wrapped gets its own times back, and only those that are wrong
+            // are refused.
+            time = time.and_then(|time| Some(time.wrapping_add(delta.checked_mul(unit)?)));
+            time.unwrap_or(-1)
         })
         .collect();
     Ok(DecodedColumns { times_nanos, state_indices, values })
@@ -133,7 +132,7 @@ mod tests {
     fn check(times: &[i64], indices: &[u32], values: &[f64], unit: u64) {
         let columns = encode(times, indices, values, Vec::new());
         assert_eq!(columns.time_unit_nanos, unit);
-        let decoded = decode(columns, usize::MAX).expect("well formed");
+        let decoded = decode(columns).expect("well formed");
         assert_eq!(decoded.times_nanos, times);
         assert_eq!(decoded.state_indices, indices);
         assert_eq!(
@@ -148,31 +147,47 @@ mod tests {
         check(&[5, 8, 20], &[0, 7, 0], &[0.25, 1.0, f64::NAN], 3);
         check(&[7], &[0], &[-0.0], 1);
         check(&[3, 3], &[1, 1], &[1.0, 0.0], 1);
+        check(&[0, i64::MAX, 0], &[0, 1, 2], &[0.0; 3], i64::MAX as u64);
         check(&[i64::MIN, i64::MAX, -1, 0], &[0, 1, 2, 3], &[0.0; 4], 1);
+        check(&[i64::MIN, -1, i64::MAX - 1], &[0, 1, 2], &[0.0; 3], i64::MAX as u64);
+    }
+
+    #[test]
+    fn deltas_beyond_i64_never_come_out_as_times() {
+        let columns = |unit, first, deltas: &[i64]| ObservationColumns {
+            time_unit_nanos: unit,
+            first_time_nanos: first,
+            time_deltas: deltas.to_vec(),
+            values: vec![0.0; deltas.len()],
+            ..ObservationColumns::default()
+        };
+        let times = |unit, first, deltas| decode(columns(unit, first, deltas)).expect("well formed").times_nanos;
+        assert_eq!(times(0, 5, &[0, 2]), [5, 7]);
+        // 2^62 units of 8 ns wrap to 0: each of these would have come out as 5.
+        assert_eq!(times(8, 5, &[0, 1 << 62, 1]), [5, -1, -1]);
+        assert_eq!(times(1, i64::MAX, &[0, 1, -1]), [i64::MAX, i64::MIN, i64::MAX]);
+        let error = decode(columns(1 << 63, 5, &[0])).expect_err("too large");
+        assert_eq!(error.field, "observations.time_unit_nanos");
     }
 
     #[test]
     fn malformed_columns_name_the_column() {
         let good = encode(&[1, 2, 3], &[0, 1, 2], &[0.5; 3], Vec::new());
-        let wrong = |change: fn(&mut ObservationColumns), max| {
+        let wrong = |change: fn(&mut ObservationColumns)| {
             let mut columns = good.clone();
             change(&mut columns);
-            decode(columns, max).expect_err("malformed").field
+            decode(columns).expect_err("malformed").field
         };
-        assert_eq!(wrong(|c| c.time_deltas.clear(), 9), "observations.time_deltas");
-        assert_eq!(wrong(|_| (), 2), "observations.time_deltas");
-        assert_eq!(wrong(|c| c.values.truncate(2), 9), "observations.values");
-        assert_eq!(wrong(|c| c.values.clear(), 9), "observations.values");
-        assert_eq!(wrong(|c| c.bits = vec![0].into(), 9), "observations.values");
-        assert_eq!(wrong(|c| c.state_indices.truncate(1), 9), "observations.state_indices");
+        assert_eq!(wrong(|c| c.time_deltas.clear()), "observations.time_deltas");
+        assert_eq!(wrong(|c| c.values.truncate(2)), "observations.values");
+        assert_eq!(wrong(|c| c.values.clear()), "observations.values");
+        assert_eq!(wrong(|c| c.bits = vec![0].into()), "observations.values");
+        assert_eq!(wrong(|c| c.state_indices.truncate(1)), "observations.state_indices");
         assert_eq!(
-            wrong(
-                |c| {
-                    c.values.clear();
-                    c.bits = vec![0, 0].into();
-                },
-                9
-            ),
+            wrong(|c| {
+                c.values.clear();
+                c.bits = vec![0, 0].into();
+            }),
             "observations.bits"
         );
     }

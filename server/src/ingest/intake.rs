@@ -13,13 +13,30 @@ use tidemap_proto::v1::ObservationBatch;
 use super::protocol::{Batch, Refused};
 
 const DETAIL_CHARS_MAX: usize = 200;
+/// Bytes of a stream's table per name that it may hold: the longest name of ASCII characters. Names that are not valid
+/// are kept too, for the CRC, and are as long as a message allows.
+const TABLE_BYTES_PER_NAME: usize = 128;
+/// Bytes that a table may take however few names it may hold.
+const TABLE_BYTES_LEAST: usize = 1 << 20;
 
 /// Why a message ends its stream.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum IntakeError {
-    /// The message is malformed or over a limit.
+    /// The message is malformed.
     #[error(transparent)]
     Invalid(#[from] InvalidField),
+    /// The message, or the stream with it, is over a limit.
+    #[error("{what}: {got} is more than the {max} that {setting} allows")]
+    Limit {
+        /// What there is too much of.
+        what: &'static str,
+        /// How much was sent.
+        got: u64,
+        /// How much is allowed.
+        max: u64,
+        /// Which setting or rule says so.
+        setting: &'static str,
+    },
     /// A sequence number leaps.
     #[error("first_sequence {got} leaves a gap: {expected} is the next sequence number of this stream")]
     OutOfSequence {
@@ -40,6 +57,7 @@ struct TableEntry {
 #[derive(Debug)]
 pub struct Intake {
     table: Vec<TableEntry>,
+    table_bytes: usize,
     next_sequence: u64,
     content_crc: u32,
     max_batch: usize,
@@ -53,6 +71,7 @@ impl Intake {
     pub fn new(durable_sequence: u64, content_crc: u32, max_batch: usize, max_table: usize) -> Self {
         Self {
             table: Vec::new(),
+            table_bytes: 0,
             next_sequence: durable_sequence + 1,
             content_crc,
             max_batch,
@@ -76,11 +95,8 @@ impl Intake {
         let mut columns =
             message.observations.ok_or_else(|| InvalidField::new("observations", "missing: send at least 1"))?;
         let names = std::mem::take(&mut columns.new_states);
-        if self.table.len() + names.len() > self.max_table {
-            let text = format!("the stream's table would hold more than {} names", self.max_table);
-            return Err(InvalidField::new("observations.new_states", text).into());
-        }
-        let columns = decode(columns, self.max_batch)?;
+        self.check_limits(columns.time_deltas.len(), &names)?;
+        let columns = decode(columns)?;
         let count = columns.values.len() as u64;
         let last = first.checked_add(count - 1).filter(|last| *last < u64::MAX);
         let last = last.ok_or_else(|| InvalidField::new("first_sequence", format!("{first} is too large")))?;
@@ -97,6 +113,22 @@ impl Intake {
         Ok(Some(batch))
     }
 
+    /// Checks sizes before anything is unpacked or kept.
+    fn check_limits(&self, observations: usize, names: &[String]) -> Result<(), IntakeError> {
+        let bytes = self.table_bytes + names.iter().map(String::len).sum::<usize>();
+        let max_bytes = self.max_table.saturating_mul(TABLE_BYTES_PER_NAME).max(TABLE_BYTES_LEAST);
+        for (what, got, max, setting) in [
+            ("observations of one message", observations, self.max_batch, "setting max_batch_observations"),
+            ("states of one stream", self.table.len() + names.len(), self.max_table, "setting max_states_per_map"),
+            ("bytes of one stream's states' names", bytes, max_bytes, "setting max_states_per_map"),
+        ] {
+            if got > max {
+                return Err(IntakeError::Limit { what, got: got as u64, max: max as u64, setting });
+            }
+        }
+        Ok(())
+    }
+
     fn extend_table(&mut self, names: Vec<String>) -> Vec<Option<StateName>> {
         let mut checked = Vec::with_capacity(names.len());
         for raw in names {
@@ -104,6 +136,7 @@ impl Intake {
                 Ok(name) => (Some(name), None),
                 Err(error) => (None, Some(format!("state {error}"))),
             };
+            self.table_bytes += raw.len();
             self.table.push(TableEntry { raw, refusal });
             checked.push(name);
         }
@@ -247,12 +280,38 @@ mod tests {
     #[test]
     fn limits_are_errors_and_nothing_is_taken() {
         let mut intake = intake();
-        assert!(intake.take(message(1, &["a"], &[0; 5], &[0; 5], &[0.0; 5])).is_err());
-        assert!(intake.take(message(1, &["a", "b", "c", "d"], &[0], &[0], &[0.0])).is_err());
+        let over = intake.take(message(1, &["a"], &[0; 5], &[0; 5], &[0.0; 5])).expect_err("5 observations");
+        assert!(matches!(over, IntakeError::Limit { got: 5, max: 4, .. }), "{over}");
+        assert!(over.to_string().contains("max_batch_observations"), "{over}");
+        let over = intake.take(message(1, &["a", "b", "c", "d"], &[0], &[0], &[0.0])).expect_err("4 names");
+        assert!(matches!(over, IntakeError::Limit { got: 4, max: 3, .. }), "{over}");
         assert!(intake.take(ObservationBatch { first_sequence: 1, observations: None }).is_err());
         let batch = intake.take(message(1, &["a"], &[0], &[0], &[0.0])).expect("fine").expect("new");
         assert_eq!(batch.first_sequence, 1);
         let edge = intake.take(message(u64::MAX, &[], &[0], &[0], &[0.0]));
         assert!(matches!(edge, Err(IntakeError::OutOfSequence { .. })));
+    }
+
+    #[test]
+    fn the_bytes_of_a_table_are_bounded() {
+        let mut intake = intake();
+        // Too long to be valid, and kept all the same.
+        let long = "x".repeat(TABLE_BYTES_LEAST / 2);
+        for sequence in 1..=2 {
+            let batch = intake.take(message(sequence, &[&long], &[0], &[0], &[0.0])).expect("fine").expect("new");
+            assert_eq!(batch.refused[0].reason, RefusalReason::StateName);
+        }
+        let over = intake.take(message(3, &["a"], &[0], &[0], &[0.0])).expect_err("full");
+        assert!(matches!(over, IntakeError::Limit { got, max, .. } if got == max + 1), "{over}");
+        assert!(intake.take(message(3, &[], &[0], &[0], &[0.0])).is_ok());
+    }
+
+    #[test]
+    fn names_alone_are_handed_over_without_observations() {
+        let mut intake = intake();
+        intake.take(message(1, &["a"], &[0], &[1], &[0.0])).expect("fine");
+        let batch = intake.take(message(1, &["b"], &[0], &[1], &[0.0])).expect("fine").expect("names");
+        assert!(batch.last_sequence < batch.first_sequence);
+        assert_eq!((batch.new_names.len(), batch.values.len()), (1, 0));
     }
 }

@@ -143,6 +143,7 @@ pub fn start(context: Context, id: MapId, map: LiveMap, log: MapLog) -> std::io:
         saturated: saturated_sender,
         commands,
         flights: VecDeque::new(),
+        grounded: Vec::new(),
         failing: None,
         waiting_hellos: Vec::new(),
         acks: BTreeMap::new(),
@@ -191,6 +192,8 @@ struct Writer {
     sessions: Sessions,
     updates: Updates,
     flights: VecDeque<Flight>,
+    /// Refused by the log because of a failure whose answer is still on its way.
+    grounded: Vec<Flight>,
     /// Set while appends fail, until all in flight are answered.
     failing: Option<AppendError>,
     waiting_hellos: Vec<Hello>,
@@ -371,6 +374,10 @@ impl Writer {
     }
 
     fn append_failed(&mut self, error: AppendError, flight: Flight) {
+        if self.failing.is_none() && error == AppendError::AfterFailure && !self.flights.is_empty() {
+            // The answer that says what has failed is on its way.
+            return self.grounded.push(flight);
+        }
         // What became durable before this is acknowledged before the streams hear of the end.
         self.publish();
         if self.failing.is_none() {
@@ -389,6 +396,9 @@ impl Writer {
                 self.updates_wait_until = Some(Instant::now() + UPDATE_RETRY);
                 job.end(Err(first.to_string()));
             }
+        }
+        for flight in std::mem::take(&mut self.grounded) {
+            self.append_failed(AppendError::AfterFailure, flight);
         }
     }
 

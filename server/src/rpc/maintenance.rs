@@ -161,12 +161,16 @@ impl MaintenanceService for Maintenance {
         request: Request<v1::GetStatisticsRequest>,
     ) -> Result<Response<v1::GetStatisticsResponse>, Status> {
         let name = request.into_inner().map;
-        let statistics = if name.is_empty() {
-            statistics::of_daemon(&self.catalog)
-        } else {
-            statistics::of_map(&self.catalog, &*find_map(&self.catalog, &name)?)
-        };
+        let handle = if name.is_empty() { None } else { Some(find_map(&self.catalog, &name)?) };
+        let catalog = Arc::clone(&self.catalog);
+        // Sizes are read from the disk.
+        let statistics = tokio::task::spawn_blocking(move || match handle {
+            Some(handle) => statistics::of_map(&catalog, &handle),
+            None => statistics::of_daemon(&catalog),
+        });
         let statistics = statistics
+            .await
+            .map_err(|_| RpcError::Stopping)?
             .into_iter()
             .map(|(name, value, unit)| v1::Statistic { name: name.to_owned(), value, unit: unit.to_owned() })
             .collect();

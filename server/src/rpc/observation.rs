@@ -14,7 +14,7 @@ use std::{
 
 use tidemap_map::{MAX_AHEAD_NANOS, name::ProducerKey};
 use tidemap_proto::{
-    convert::{InvalidField, map::refusal_to_wire, time::duration},
+    convert::{InvalidField, time::duration},
     v1::{
         self, observation_service_server::ObservationService, observe_request::Message as Up,
         observe_response::Message as Down,
@@ -22,15 +22,15 @@ use tidemap_proto::{
 };
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Request, Response, Status, Streaming};
+use tonic::{Code, Request, Response, Status, Streaming};
 use tracing::debug;
 
-use super::{map::find_map, status::RpcError};
+use super::{acks::acks, map::find_map, status::RpcError};
 use crate::{
     catalog::Catalog,
     ingest::{
         intake::{Intake, IntakeError},
-        protocol::{Command, Ending, Hello, Opened, SessionEvent, is_fatal},
+        protocol::{Batch, Command, Ending, Hello, Opened, SessionEvent, is_fatal},
         writer::MapHandle,
     },
 };
@@ -45,6 +45,10 @@ const BUSY_AFTER: Duration = Duration::from_secs(1);
 const REPLIES_AHEAD: usize = 16;
 /// Memory of a decoded observation, in bytes.
 const OBSERVATION_BYTES: usize = 24;
+/// Memory of a refused observation with its reason, in bytes, about.
+const REFUSED_BYTES: usize = 300;
+/// Memory of a name beside its text, in bytes, about.
+const NAME_BYTES: usize = 64;
 
 /// Limits of streams.
 #[derive(Clone, Copy, Debug)]
@@ -130,6 +134,39 @@ async fn reply(replies: &Replies, message: Down) -> Result<(), RpcError> {
     }
 }
 
+/// What an error in place of a message means.
+fn unread(status: &Status, limits: &StreamLimits) -> RpcError {
+    match status.code() {
+        Code::OutOfRange => {
+            let max = limits.max_message_bytes as u64;
+            // The transport says how long the message was only in its text.
+            let mut numbers = status.message().split(|character: char| !character.is_ascii_digit());
+            let got = numbers.find_map(|digits| digits.parse().ok()).unwrap_or(max + 1);
+            RpcError::Limit { what: "bytes of one message", got, max, setting: "setting max_message_bytes" }
+        }
+        // With a source it is the connection's error, and not the message's.
+        Code::Internal | Code::InvalidArgument if std::error::Error::source(status).is_none() => {
+            InvalidField::new("message", status.message()).into()
+        }
+        _ => {
+            debug!(%status, "stream broke");
+            RpcError::Broken
+        }
+    }
+}
+
+fn key(hello: &v1::Hello) -> Result<ProducerKey, InvalidField> {
+    // One after the other, to say which of the two it is.
+    ProducerKey::new(&hello.producer, "").map_err(|error| InvalidField::new("hello.producer", error))?;
+    ProducerKey::new(&hello.producer, &hello.label).map_err(|error| InvalidField::new("hello.label", error))
+}
+
+/// Memory that a batch takes until it is durable, about.
+fn bytes_of(batch: &Batch) -> usize {
+    let names = batch.new_names.iter().map(|name| NAME_BYTES + name.as_ref().map_or(0, |name| name.as_str().len()));
+    64 + OBSERVATION_BYTES * batch.values.len() + REFUSED_BYTES * batch.refused.len() + names.sum::<usize>()
+}
+
 async fn open_and_serve(
     catalog: Arc<Catalog>,
     limits: StreamLimits,
@@ -143,7 +180,8 @@ async fn open_and_serve(
     }
     let first = match tokio::time::timeout(HELLO_WITHIN, requests.message()).await {
         Ok(Ok(Some(v1::ObserveRequest { message: Some(Up::Hello(hello)) }))) => hello,
-        Ok(Ok(None) | Err(_)) => return Ok(()),
+        Ok(Ok(None)) => return Ok(()),
+        Ok(Err(status)) => return Err(unread(&status, &limits)),
         Ok(Ok(Some(_))) => {
             let text = "the first message of a stream must be a Hello";
             return Err(InvalidField::new("hello", text).into());
@@ -151,8 +189,7 @@ async fn open_and_serve(
         Err(_) => return Err(InvalidField::new("hello", "no Hello within 10 seconds").into()),
     };
     let handle = find_map(&catalog, &first.map)?;
-    let key = ProducerKey::new(&first.producer, &first.label)
-        .map_err(|error| InvalidField::new("hello.producer, hello.label", error))?;
+    let key = key(&first)?;
     let (events_sender, events) = mpsc::unbounded_channel();
     let (answer, answered) = oneshot::channel();
     let hello =
@@ -227,28 +264,33 @@ impl Stream<'_> {
                     }
                     // The producer has sent all: what is in flight is acknowledged before the stream ends.
                     Ok(None) => return self.drain().await,
-                    Err(status) => {
-                        debug!(%status, "stream broke");
-                        return Err(RpcError::Broken);
-                    }
+                    Err(status) => return Err(unread(&status, &self.limits)),
                 },
             }
         }
     }
 
     async fn take(&mut self, message: v1::ObservationBatch) -> Result<(), RpcError> {
-        let Some(batch) = self.intake.take(message)? else {
-            let ack = v1::Ack { durable_sequence: self.durable, refused: Vec::new() };
-            return reply(self.replies, Down::Ack(ack)).await;
-        };
-        let bytes = OBSERVATION_BYTES * (batch.values.len() + batch.refused.len()) + 64;
+        let Some(batch) = self.intake.take(message)? else { return self.say_durable().await };
+        let only_names = batch.last_sequence < batch.first_sequence;
+        let bytes = bytes_of(&batch);
         let permits = [
             self.room(&Arc::clone(&self.own_buffer), bytes.min(self.limits.max_stream_buffer)).await?,
             self.room(&Arc::clone(&self.buffers), bytes.min(self.limits.max_stream_buffer)).await?,
         ];
         self.handed_over = batch.last_sequence;
         let command = Command::Batch { session: self.opened.session, batch, permits };
-        if self.handle.send(command) { Ok(()) } else { Err(RpcError::Stopping) }
+        if !self.handle.send(command) {
+            return Err(RpcError::Stopping);
+        }
+        // The writer does not answer for names.
+        if only_names { self.say_durable().await } else { Ok(()) }
+    }
+
+    /// Answers a message in which no observation was new.
+    async fn say_durable(&self) -> Result<(), RpcError> {
+        let ack = v1::Ack { durable_sequence: self.durable, refused: Vec::new() };
+        reply(self.replies, Down::Ack(ack)).await
     }
 
     /// Waits for room, and passes acknowledgements on meanwhile: they are what makes room.
@@ -274,16 +316,11 @@ impl Stream<'_> {
     async fn pass_on(&mut self, event: Option<SessionEvent>) -> Result<(), RpcError> {
         match event {
             Some(SessionEvent::Ack { durable_sequence, refused }) => {
-                self.durable = durable_sequence;
-                let refused = refused
-                    .into_iter()
-                    .map(|refused| v1::Refusal {
-                        sequence: refused.sequence,
-                        reason: refusal_to_wire(refused.reason).into(),
-                        detail: refused.detail,
-                    })
-                    .collect();
-                reply(self.replies, Down::Ack(v1::Ack { durable_sequence, refused })).await
+                let before = std::mem::replace(&mut self.durable, durable_sequence);
+                for ack in acks(before, durable_sequence, refused) {
+                    reply(self.replies, Down::Ack(ack)).await?;
+                }
+                Ok(())
             }
             Some(SessionEvent::End(ending)) => Err(RpcError::Ended(ending)),
             None => Err(RpcError::Stopping),

@@ -1,8 +1,13 @@
 //! `QueryService`: questions to an immutable view.
 //!
-//! Invariant: a request is answered from one view, off the async threads, in pieces that wait for the reader.
+//! Invariant: a request is answered from one view, off the async threads, in pieces that wait for the reader, and for a
+//! bounded time. Only so many requests compute predictions at once; the others wait for them.
 
-use std::{collections::HashMap, sync::Arc};
+use std::{
+    collections::{HashMap, hash_map::Entry},
+    sync::Arc,
+    time::Duration,
+};
 
 use tidemap_map::{
     event::StateId,
@@ -19,7 +24,7 @@ use tidemap_proto::{
     },
     v1::{self, query_service_server::QueryService},
 };
-use tokio::sync::mpsc;
+use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 
@@ -32,16 +37,41 @@ const STATES_MAX: usize = 10_000;
 const TIMES_PER_BLOCK: usize = 4096;
 /// Replies computed ahead of the reader.
 const REPLIES_AHEAD: usize = 8;
+/// Requests that compute predictions at once, at least.
+const PREDICTING_LEAST: usize = 4;
+/// A request waits this long until others have ended.
+const TURN_WITHIN: Duration = Duration::from_secs(30);
+/// A reader takes a reply within this time.
+const READ_WITHIN: Duration = Duration::from_secs(30);
+/// Most sums of errors of one evaluation, one per state, model and order: 24 MB, and a reply that can be sent.
+const EVALUATION_SUMS_MAX: usize = 1_000_000;
 
 /// The service.
 #[derive(Debug)]
 pub struct Queries {
-    /// The maps.
-    pub catalog: Arc<Catalog>,
-    /// Most predictions of one request.
-    pub max_predictions: u64,
-    /// Most observations of one message.
-    pub max_batch: usize,
+    catalog: Arc<Catalog>,
+    max_predictions: u64,
+    max_batch: usize,
+    /// A permit for each request that may compute predictions.
+    predicting: Arc<Semaphore>,
+    predicting_max: usize,
+}
+
+impl Queries {
+    /// Answers with at most so many predictions a request, and takes at most so many observations a message.
+    #[must_use]
+    pub fn new(catalog: Arc<Catalog>, max_predictions: u64, max_batch: usize) -> Self {
+        // Twice the processors: some wait for their readers.
+        let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        let predicting_max = PREDICTING_LEAST.max(2 * processors);
+        Self {
+            catalog,
+            max_predictions,
+            max_batch,
+            predicting: Arc::new(Semaphore::new(predicting_max)),
+            predicting_max,
+        }
+    }
 }
 
 /// The state of this name, or an error that lists some that exist.
@@ -84,8 +114,24 @@ impl QueryService for Queries {
         check_limit("predictions", predictions, self.max_predictions, "setting max_predictions")?;
         let selector = selector_from_wire("model", request.model).map_err(RpcError::from)?;
         let states = request.states.iter().map(|name| find_state(&view, name)).collect::<Result<Vec<_>, _>>()?;
+        let turn = Arc::clone(&self.predicting).acquire_owned();
+        let permit = match tokio::time::timeout(TURN_WITHIN, turn).await {
+            Ok(permit) => permit.map_err(|_| RpcError::Stopping)?,
+            Err(_) => return Err(RpcError::NoTurn { max: self.predicting_max, secs: TURN_WITHIN.as_secs() }.into()),
+        };
+        let (computed, ready) = mpsc::channel(1);
         let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
-        tokio::task::spawn_blocking(move || predict(&view, &states, &request.times_nanos, selector, &replies));
+        let work = tokio::task::spawn_blocking(move || {
+            let _permit = permit;
+            predict(&view, &states, &request.times_nanos, selector, &computed);
+        });
+        tokio::spawn(async move {
+            let all_sent = pass_on(ready, &replies, READ_WITHIN).await;
+            if work.await.is_err() && all_sent {
+                // The reader must not take what it has for everything.
+                let _ = tokio::time::timeout(READ_WITHIN, replies.send(Err(RpcError::Stopping.into()))).await;
+            }
+        });
         Ok(Response::new(ReceiverStream::new(stream)))
     }
 
@@ -119,12 +165,19 @@ impl QueryService for Queries {
                 return Err(RpcError::from(error).into());
             };
             for name in std::mem::take(&mut columns.new_states) {
-                check_limit("states", table.len() as u64 + 1, STATES_MAX as u64, "one evaluation")?;
+                let states = table.len() + 1;
+                check_limit("states", states as u64, STATES_MAX as u64, "one evaluation")?;
+                let sums = states.saturating_mul(evaluator.sums_per_state()) as u64;
+                check_limit("states times models and orders", sums, EVALUATION_SUMS_MAX as u64, "one evaluation")?;
                 table.push(find_state(&view, &name)?);
             }
-            let columns = decode(columns, self.max_batch).map_err(RpcError::from)?;
+            let max = self.max_batch as u64;
+            let setting = "setting max_batch_observations";
+            check_limit("observations of one message", columns.time_deltas.len() as u64, max, setting)?;
+            let columns = decode(columns).map_err(RpcError::from)?;
             let mut make = view.sample_maker();
             let mut by_state: HashMap<StateId, Vec<Sample>> = HashMap::new();
+            let mut first_seen = Vec::new();
             for i in 0..columns.values.len() {
                 let (index, time, value) = (columns.state_indices[i], columns.times_nanos[i], columns.values[i]);
                 let Some(&state) = table.get(index as usize) else {
@@ -139,10 +192,17 @@ impl QueryService for Queries {
                     let text = format!("value {value} is not between 0 and 1");
                     return Err(RpcError::from(InvalidField::new("observations.values", text)).into());
                 }
-                by_state.entry(state).or_default().push(make(time, value));
+                let samples = match by_state.entry(state) {
+                    Entry::Occupied(samples) => samples.into_mut(),
+                    Entry::Vacant(none) => {
+                        first_seen.push(state);
+                        none.insert(Vec::new())
+                    }
+                };
+                samples.push(make(time, value));
             }
             evaluator = tokio::task::spawn_blocking(move || {
-                evaluator.add(&table_order(&by_state), &by_state);
+                evaluator.add(&first_seen, &by_state);
                 evaluator
             })
             .await
@@ -169,20 +229,35 @@ impl QueryService for Queries {
     }
 }
 
-/// States in a fixed order, so that rows do not depend on hashing.
-fn table_order(by_state: &HashMap<StateId, Vec<Sample>>) -> Vec<StateId> {
-    let mut order: Vec<StateId> = by_state.keys().copied().collect();
-    order.sort_unstable();
-    order
+/// Hands replies to the reader until all are sent, or the reader is gone or too slow, which the last reply says. Whether
+/// all were sent.
+async fn pass_on(
+    mut ready: mpsc::Receiver<v1::PredictStatesResponse>,
+    replies: &mpsc::Sender<Result<v1::PredictStatesResponse, Status>>,
+    read_within: Duration,
+) -> bool {
+    // Its place is taken now: there is none when the reader is slow.
+    let Ok(last_word) = replies.clone().reserve_owned().await else { return false };
+    while let Some(reply) = ready.recv().await {
+        match tokio::time::timeout(read_within, replies.send(Ok(reply))).await {
+            Ok(Ok(())) => {}
+            Ok(Err(_)) => return false,
+            Err(_) => {
+                last_word.send(Err(RpcError::SlowReader(read_within.as_secs()).into()));
+                return false;
+            }
+        }
+    }
+    true
 }
 
-/// Computes and sends the replies until all are sent or the reader is gone.
+/// Computes the replies until all are taken or nobody takes them.
 fn predict(
     view: &MapView,
     states: &[StateId],
     times_nanos: &[i64],
     selector: ModelSelector,
-    replies: &mpsc::Sender<Result<v1::PredictStatesResponse, Status>>,
+    computed: &mpsc::Sender<v1::PredictStatesResponse>,
 ) {
     for (block, times) in times_nanos.chunks(TIMES_PER_BLOCK).enumerate() {
         let prepared = view.prepare(times);
@@ -201,9 +276,29 @@ fn predict(
                 observations: live.observations,
                 last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
             };
-            if replies.blocking_send(Ok(reply)).is_err() {
+            if computed.blocking_send(reply).is_err() {
                 return;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_slow_reader_is_told_and_not_waited_for() {
+        let (computed, ready) = mpsc::channel(1);
+        let (replies, mut stream) = mpsc::channel(3);
+        let passing = tokio::spawn(async move { pass_on(ready, &replies, Duration::from_millis(20)).await });
+        while computed.send(v1::PredictStatesResponse::default()).await.is_ok() {}
+        assert!(!passing.await.expect("no panic"));
+        // What was sent before is still read, and then why there is no more.
+        assert!(stream.recv().await.expect("a reply").is_ok());
+        assert!(stream.recv().await.expect("a reply").is_ok());
+        let end = stream.recv().await.expect("an error").expect_err("too slow");
+        assert_eq!(end.code(), tonic::Code::ResourceExhausted);
+        assert!(stream.recv().await.is_none());
     }
 }

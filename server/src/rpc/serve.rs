@@ -28,6 +28,10 @@ use crate::{catalog::Catalog, config::Settings};
 
 /// Bytes of a request other than observations: 100,000 times and thousands of names fit.
 const REQUEST_BYTES: usize = 1 << 20;
+/// Most requests of one connection at once.
+const STREAMS_PER_CONNECTION: u32 = 64;
+/// Bytes of a stream that are on their way and not read yet.
+const STREAM_WINDOW: u32 = 256 * 1024;
 /// Room around the columns of a message.
 const MESSAGE_OVERHEAD: usize = 4096;
 
@@ -58,11 +62,7 @@ pub async fn serve(
         streams: Arc::new(AtomicUsize::new(0)),
         stopping,
     };
-    let queries = Queries {
-        catalog: Arc::clone(&catalog),
-        max_predictions: settings.max_predictions,
-        max_batch: settings.max_batch_observations,
-    };
+    let queries = Queries::new(Arc::clone(&catalog), settings.max_predictions, settings.max_batch_observations);
     let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
     let local = listener.local_addr()?.ip().is_loopback();
     let reflection = tonic_reflection::server::Builder::configure()
@@ -70,9 +70,10 @@ pub async fn serve(
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()?;
     Server::builder()
-        .max_concurrent_streams(64)
-        .initial_stream_window_size(256 * 1024)
-        .initial_connection_window_size(2 << 20)
+        .max_concurrent_streams(STREAMS_PER_CONNECTION)
+        .initial_stream_window_size(STREAM_WINDOW)
+        // Streams of a saturated map are not read for long; however many they are, the others of the connection go on.
+        .initial_connection_window_size(STREAM_WINDOW * STREAMS_PER_CONNECTION)
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(10)))
         .http2_max_header_list_size(16 * 1024)

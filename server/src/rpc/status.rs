@@ -74,7 +74,17 @@ pub enum RpcError {
     /// The server ends a stream.
     #[error("{}", ending_text(.0))]
     Ended(Ending),
-    /// The client does not read its acknowledgements.
+    /// Too many requests of this kind run.
+    #[error(
+        "{max} requests for predictions run, as many as may at once, and none ended within {secs} seconds: ask again"
+    )]
+    NoTurn {
+        /// How many may run.
+        max: usize,
+        /// How long this one waited.
+        secs: u64,
+    },
+    /// The client does not read its replies.
     #[error("the stream's replies were not read for {0} seconds")]
     SlowReader(u64),
     /// The connection broke; the client does not hear this.
@@ -116,7 +126,9 @@ impl RpcError {
                 CatalogError::Unknown(_) => (Code::NotFound, "UNKNOWN_MAP"),
                 CatalogError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
                 CatalogError::Store(_) => (Code::Internal, "STORAGE_FAILED"),
-                CatalogError::Open(_) | CatalogError::Inconsistent { .. } => (Code::DataLoss, "STORAGE_FAILED"),
+                CatalogError::Open(_) | CatalogError::Inconsistent { .. } | CatalogError::Duplicate { .. } => {
+                    (Code::DataLoss, "STORAGE_FAILED")
+                }
                 CatalogError::Thread(_) => (Code::ResourceExhausted, "LIMIT"),
                 CatalogError::Stopping => (Code::Unavailable, "STOPPING"),
             },
@@ -124,7 +136,9 @@ impl RpcError {
             Self::UnknownState { .. } => (Code::NotFound, "UNKNOWN_STATE"),
             Self::UnknownJob(_) => (Code::NotFound, "UNKNOWN_JOB"),
             Self::NoReport(_) => (Code::FailedPrecondition, "NO_REPORT"),
-            Self::Limit { .. } => (Code::ResourceExhausted, "LIMIT"),
+            Self::Limit { .. } | Self::NoTurn { .. } | Self::Intake(IntakeError::Limit { .. }) => {
+                (Code::ResourceExhausted, "LIMIT")
+            }
             Self::Hello(error) => match error {
                 HelloError::AlreadyStreaming(_) => (Code::AlreadyExists, "ALREADY_STREAMING"),
                 HelloError::Fenced { .. } => (Code::Aborted, "FENCED"),
@@ -161,7 +175,7 @@ impl From<RpcError> for Status {
             RpcError::UnknownState { name, .. } => {
                 details.set_resource_info("state", name, "", error.to_string());
             }
-            RpcError::Limit { what, .. } => {
+            RpcError::Limit { what, .. } | RpcError::Intake(IntakeError::Limit { what, .. }) => {
                 details.add_quota_failure_violation(*what, error.to_string());
             }
             RpcError::Intake(IntakeError::OutOfSequence { got, expected }) => {

@@ -55,7 +55,8 @@ async fn batches_over_a_limit_end_the_stream_and_nothing_of_them_is_kept() {
     stream.batch(1, no_columns(100)).await;
     stream.acknowledged(100).await.expect("as many as allowed");
     stream.batch(101, no_columns(101)).await;
-    check(stream.end().await, Some(GoodbyeReason::Invalid), Code::InvalidArgument, &["101", "100"]);
+    let words = ["101", "100", "max_batch_observations"];
+    check(stream.end().await, Some(GoodbyeReason::Invalid), Code::ResourceExhausted, &words);
 
     goes_on(&daemon, 100).await;
 }

@@ -1,0 +1,55 @@
+//! Acknowledgements in messages that every client takes.
+//!
+//! Invariant: what is refused below a durable sequence number is told before or with that number, never after it.
+
+use tidemap_proto::{convert::map::refusal_to_wire, v1};
+
+use crate::ingest::protocol::Refused;
+
+/// Most refusals of one message: less than 1 MB, where clients take 4 MiB.
+const REFUSALS_MAX: usize = 1000;
+
+/// The messages that acknowledge up to `durable`, where up to `before` was acknowledged: all but the last leave the
+/// number as it was, so that a client which hears some of them only does not take the others' observations for accepted.
+pub fn acks(before: u64, durable: u64, refused: Vec<Refused>) -> impl Iterator<Item = v1::Ack> {
+    let mut left = refused.len();
+    let mut refused = refused.into_iter();
+    let mut is_first = true;
+    std::iter::from_fn(move || {
+        if left == 0 && !is_first {
+            return None;
+        }
+        is_first = false;
+        let refused: Vec<_> = refused.by_ref().take(REFUSALS_MAX).map(to_wire).collect();
+        left -= refused.len();
+        Some(v1::Ack { durable_sequence: if left == 0 { durable } else { before }, refused })
+    })
+}
+
+fn to_wire(refused: Refused) -> v1::Refusal {
+    v1::Refusal { sequence: refused.sequence, reason: refusal_to_wire(refused.reason).into(), detail: refused.detail }
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_map::event::RefusalReason;
+
+    use super::*;
+
+    fn check(count: u64, expected: &[(u64, usize)]) {
+        let refused = |sequence| Refused { sequence, reason: RefusalReason::Value, detail: "wrong".to_owned() };
+        let acks: Vec<_> = acks(7, 9000, (8..8 + count).map(refused).collect()).collect();
+        let shape: Vec<_> = acks.iter().map(|ack| (ack.durable_sequence, ack.refused.len())).collect();
+        assert_eq!(shape, expected);
+        let told = acks.iter().flat_map(|ack| &ack.refused).map(|refusal| refusal.sequence);
+        assert!(told.eq(8..8 + count));
+    }
+
+    #[test]
+    fn many_refusals_are_told_before_their_number_is_durable() {
+        check(0, &[(9000, 0)]);
+        check(1000, &[(9000, 1000)]);
+        check(1001, &[(7, 1000), (9000, 1)]);
+        check(3000, &[(7, 1000), (7, 1000), (9000, 1000)]);
+    }
+}
