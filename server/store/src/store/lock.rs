@@ -36,7 +36,8 @@ impl Lock {
             }
             Err(error) => return Err(OpenError::Io { file: path, source: error.into() }),
         }
-        file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id())).map_err(open_io(&path))?;
+        // Only for people: a full disk must not keep the daemon from starting, and the lock is held without it.
+        let _ = file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id()));
         Ok(Lock { _file: file })
     }
 }

@@ -65,8 +65,10 @@ impl Store {
         };
         let maps = catalogue::maps_folder(directory);
         if !maps.exists() {
-            fs::create_dir(&maps).and_then(|()| File::open(directory)?.sync_all()).map_err(open_io(&maps))?;
+            fs::create_dir(&maps).map_err(open_io(&maps))?;
         }
+        // Also where it was here before: its name, and the manifest's, may not be durable yet.
+        File::open(directory).and_then(|folder| folder.sync_all()).map_err(open_io(directory))?;
 
         let (index, damage) = Index::open(directory.join("index"), options.index_cache_bytes);
         let mut reports = Vec::new();
@@ -89,10 +91,14 @@ impl Store {
     /// A store on any disk, with no thread yet.
     pub(crate) fn assemble(parts: Parts) -> Result<Store, OpenError> {
         let Parts { disk, directory, options, store_id, mut index, committer, mut reports, lock } = parts;
+        // Names may be here only because the machine was not switched off since they were given: from here on they are
+        // believed, so they have to be durable first.
+        let maps_folder = catalogue::maps_folder(&directory);
+        disk.sync_folder(&maps_folder).map_err(open_io(&maps_folder))?;
         let catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
         for &map in &catalogue.deleted {
             // Whatever a deletion that was cut off has left.
-            if catalogue::empty_deleted(&*disk, &directory, map).map_err(open_io(catalogue::maps_folder(&directory)))? {
+            if catalogue::empty_deleted(&*disk, &directory, map).map_err(open_io(&maps_folder))? {
                 index.purge(map.0);
             }
         }
