@@ -11,8 +11,9 @@ use tidemap_store::{MapId, OpenError, StoreError};
 use tracing::{info, warn};
 
 use crate::ingest::{
+    handle::MapHandle,
     protocol::Ending,
-    writer::{Context, MapHandle, start},
+    writer::{Context, start},
 };
 
 /// Why a map is not created or deleted.

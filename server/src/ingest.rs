@@ -4,6 +4,7 @@
 //! Invariant: nothing is acknowledged before the log has it on disk, and every observation is applied once, in the
 //! order of the log.
 
+pub mod handle;
 pub mod intake;
 pub mod protocol;
 mod sessions;

@@ -2,7 +2,7 @@
 //!
 //! Invariant: names are never reused for something else; new ones are added at the end.
 
-use crate::{catalog::Catalog, ingest::writer::MapHandle};
+use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
 /// Name, value, unit.
 pub type Row = (&'static str, f64, &'static str);

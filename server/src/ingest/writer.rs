@@ -12,14 +12,13 @@ use std::{
 };
 
 use arc_swap::ArcSwap;
-use tidemap_map::{
-    event::Event, live_map::LiveMap, snapshot::MapSnapshot, spec::MapSpec, update::UpdateWork, view::MapView,
-};
+use tidemap_map::{event::Event, live_map::LiveMap, snapshot::MapSnapshot, update::UpdateWork, view::MapView};
 use tidemap_store::{AppendError, MapId, MapLog, Store};
 use tokio::sync::{OwnedSemaphorePermit, oneshot, watch};
 use tracing::{error, warn};
 
 use super::{
+    handle::MapHandle,
     protocol::{Batch, Command, Ending, Hello, HelloError, Opened, Refused, SessionEvent, SessionId, is_fatal},
     sessions::{Limits, Sessions},
     updates::{Updates, Wanted},
@@ -66,47 +65,6 @@ pub struct Context {
     pub max_pending: u64,
 }
 
-/// A map, as everybody but its writer sees it.
-#[derive(Debug)]
-pub struct MapHandle {
-    /// Its number in the store.
-    pub id: MapId,
-    /// Its fixed properties.
-    pub spec: Arc<MapSpec>,
-    view: Arc<ArcSwap<MapView>>,
-    commands: mpsc::Sender<Command>,
-    saturated: watch::Receiver<bool>,
-}
-
-impl MapHandle {
-    /// The map as it stands; never waits.
-    #[must_use]
-    pub fn view(&self) -> Arc<MapView> {
-        self.view.load_full()
-    }
-
-    /// Sends the writer a command. `false`: the writer has stopped.
-    #[must_use]
-    pub fn send(&self, command: Command) -> bool {
-        self.commands.send(command).is_ok()
-    }
-
-    /// Whether streams should wait, because updates do not keep up.
-    #[must_use]
-    pub fn saturated(&self) -> watch::Receiver<bool> {
-        self.saturated.clone()
-    }
-
-    /// Stops the writer, once everything in flight is answered.
-    pub async fn stop(&self, ending: Ending) {
-        let (done, stopped) = oneshot::channel();
-        if self.send(Command::Stop { ending, done }) {
-            // An error means that the writer is gone already.
-            let _ = stopped.await;
-        }
-    }
-}
-
 /// Starts the writer of a map that was restored.
 ///
 /// # Errors
@@ -117,13 +75,7 @@ pub fn start(context: Context, id: MapId, map: LiveMap, log: MapLog) -> std::io:
     let (saturated_sender, saturated) = watch::channel(false);
     let mut map = map;
     let view = Arc::new(ArcSwap::from_pointee(map.publish()));
-    let handle = Arc::new(MapHandle {
-        id,
-        spec: Arc::clone(&spec),
-        view: Arc::clone(&view),
-        commands: commands.clone(),
-        saturated,
-    });
+    let handle = MapHandle::new(id, Arc::clone(&spec), Arc::clone(&view), commands.clone(), saturated);
     let writer = Writer {
         sessions: Sessions::new(
             spec.zone.offset_cache(),
@@ -163,7 +115,7 @@ pub fn start(context: Context, id: MapId, map: LiveMap, log: MapLog) -> std::io:
             drop(fatal.send("the writer of a map panicked; this is a defect of tidemap".to_owned()));
         }
     })?;
-    Ok(handle)
+    Ok(Arc::new(handle))
 }
 
 /// An append that the committer has not answered.

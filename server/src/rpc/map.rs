@@ -12,7 +12,7 @@ use tonic::{Request, Response, Status};
 use super::{page::page, status::RpcError};
 use crate::{
     catalog::{Catalog, CatalogError},
-    ingest::writer::MapHandle,
+    ingest::handle::MapHandle,
 };
 
 /// The service.

@@ -29,9 +29,9 @@ use super::{acks::acks, map::find_map, status::RpcError};
 use crate::{
     catalog::Catalog,
     ingest::{
+        handle::MapHandle,
         intake::{Intake, IntakeError},
         protocol::{Batch, Command, Ending, Hello, Opened, SessionEvent, is_fatal},
-        writer::MapHandle,
     },
 };
 

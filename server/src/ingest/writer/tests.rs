@@ -13,6 +13,8 @@ use tidemap_model::{OrderCriterion, Periodicities, Zone};
 use tidemap_store::StoreOptions;
 use tokio::sync::{Semaphore, mpsc as events};
 
+use tidemap_map::spec::MapSpec;
+
 use super::*;
 use crate::{catalog::Catalog, jobs::Phase};
 
