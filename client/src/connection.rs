@@ -20,6 +20,9 @@ use crate::error::Error;
 
 /// Streams that share a connection.
 const STREAMS_PER_CONNECTION: usize = 32;
+/// Longest answer to a request: what the daemon itself allows. The usual 4 MiB are less than an evaluation of many
+/// thousand states takes.
+pub(crate) const REPLY_BYTES_MAX: usize = 64 << 20;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// A daemon whose machine is gone is noticed after the interval and the timeout.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(20);

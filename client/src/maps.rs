@@ -5,7 +5,7 @@
 use tidemap_proto::v1::{self, map_service_client::MapServiceClient, periodicities::Set};
 
 use crate::{
-    connection::{Client, Connection},
+    connection::{Client, Connection, REPLY_BYTES_MAX},
     error::Error,
     wire::{duration, instant, span},
 };
@@ -132,7 +132,7 @@ pub struct State {
 
 impl Client {
     fn map_service(&self) -> MapServiceClient<Connection> {
-        MapServiceClient::new(self.requests())
+        MapServiceClient::new(self.requests()).max_decoding_message_size(REPLY_BYTES_MAX)
     }
 
     /// Creates an empty map and gives it with the defaults filled in.

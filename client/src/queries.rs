@@ -13,7 +13,7 @@ pub use predict::{PredictionRun, Predictions};
 use tidemap_proto::v1::{self, query_service_client::QueryServiceClient};
 
 use crate::{
-    connection::{Client, Connection},
+    connection::{Client, Connection, REPLY_BYTES_MAX},
     error::Error,
     maps::StateKind,
     wire::instant,
@@ -61,7 +61,7 @@ pub struct Component {
 
 impl Client {
     fn query_service(&self) -> QueryServiceClient<Connection> {
-        QueryServiceClient::new(self.requests())
+        QueryServiceClient::new(self.requests()).max_decoding_message_size(REPLY_BYTES_MAX)
     }
 
     /// What was learned of one state.

@@ -1,7 +1,8 @@
 //! Files of observations: `time,state,value`, one row a line, with a header.
 //!
 //! Invariant: the n-th row of a file has the number n, whether it can be read or not, and the same row always gives the
-//! same observation; only so can an interrupted transfer go on where it was. No more than one line is in memory.
+//! same observation; only so can an interrupted transfer go on where it was. No more than one line is in memory. Once the
+//! file has ended it is not read again, whatever is appended meanwhile.
 
 mod fields;
 
@@ -53,10 +54,13 @@ pub struct Row {
     pub state: String,
     /// Time; 0 where it could not be read.
     pub time_nanos: i64,
-    /// Value; NaN, which no daemon accepts, where anything of the row could not be read.
+    /// Value; NaN, which no daemon accepts, where anything of the row could not be read. One that is out of range is
+    /// kept as it is: what is sent, and its checksum, is what the file says.
     pub value: f64,
-    /// What could not be read.
+    /// What could not be read, or why no daemon accepts it.
     pub wrong: Option<String>,
+    /// Whether the line has an end. The last one of a file may lack it.
+    pub has_end: bool,
 }
 
 /// What comes next in a file.
@@ -64,7 +68,8 @@ pub struct Row {
 pub enum Item {
     /// A row.
     Row(Row),
-    /// A last line without an end that makes no row: somebody is still writing it, or was interrupted.
+    /// A last line without an end that makes no row, or that may be the beginning of another one: somebody is still
+    /// writing it, or was interrupted.
     Torn {
         /// Its line.
         line: u64,
@@ -92,6 +97,9 @@ pub struct Rows<R> {
     number: u64,
     bytes: u64,
     buffer: Vec<u8>,
+    /// The end was seen. Read on, a file that grows would go on in the middle of its last line.
+    ended: bool,
+    lines_must_end: bool,
 }
 
 /// How a line ended.
@@ -105,7 +113,17 @@ impl<R: BufRead> Rows<R> {
     /// Reads the header.
     pub fn new(reader: R) -> Result<Self, RowsError> {
         let columns = Columns { time: 0, state: 0, value: 0, count: 0 };
-        let mut rows = Self { reader, columns, ignored: Vec::new(), line: 0, number: 0, bytes: 0, buffer: Vec::new() };
+        let mut rows = Self {
+            reader,
+            columns,
+            ignored: Vec::new(),
+            line: 0,
+            number: 0,
+            bytes: 0,
+            buffer: Vec::new(),
+            ended: false,
+            lines_must_end: false,
+        };
         rows.read_line()?.ok_or(RowsError::Empty)?;
         let text = String::from_utf8_lossy(&rows.buffer);
         let header = text.strip_prefix('\u{feff}').unwrap_or(&text);
@@ -124,6 +142,13 @@ impl<R: BufRead> Rows<R> {
         let used = [time, state, value];
         rows.ignored = (0..).zip(&names).filter(|(i, _)| !used.contains(i)).map(|(_, name)| name.clone()).collect();
         Ok(rows)
+    }
+
+    /// Makes every last line without an end a torn one, even where it makes a row: for a source whose writer may be cut
+    /// off anywhere, as 1 of 10 or 0 of 0.5.
+    pub fn lines_must_end(mut self) -> Self {
+        self.lines_must_end = true;
+        self
     }
 
     /// Columns of the header that are not used.
@@ -147,12 +172,16 @@ impl<R: BufRead> Rows<R> {
     /// The next row; `None` at the end.
     pub fn next(&mut self) -> Result<Option<Item>, RowsError> {
         loop {
+            if self.ended {
+                return Ok(None);
+            }
             let Some(end) = self.read_line()? else { return Ok(None) };
             if self.buffer.iter().all(|byte| byte.is_ascii_whitespace()) {
                 continue;
             }
-            let row = self.row(self.number + 1);
-            if end == LineEnd::EndOfFile && row.wrong.is_some() {
+            let (mut row, readable) = self.row(self.number + 1);
+            row.has_end = end == LineEnd::Newline;
+            if !row.has_end && (self.lines_must_end || !readable) {
                 return Ok(Some(Item::Torn { line: self.line, text: shown(&String::from_utf8_lossy(&self.buffer)) }));
             }
             self.number += 1;
@@ -171,6 +200,7 @@ impl<R: BufRead> Rows<R> {
                 Err(error) => return Err(error),
             };
             if available.is_empty() {
+                self.ended = true;
                 break LineEnd::EndOfFile;
             }
             started = true;
@@ -195,15 +225,26 @@ impl<R: BufRead> Rows<R> {
         Ok(Some(end))
     }
 
-    fn row(&self, number: u64) -> Row {
-        let mut row =
-            Row { number, line: self.line, state: String::new(), time_nanos: 0, value: f64::NAN, wrong: None };
-        row.wrong = self.fill(&mut row).err();
-        row
+    /// The row in the buffer, and whether all of it could be read.
+    fn row(&self, number: u64) -> (Row, bool) {
+        let mut row = Row {
+            number,
+            line: self.line,
+            state: String::new(),
+            time_nanos: 0,
+            value: f64::NAN,
+            wrong: None,
+            has_end: true,
+        };
+        let filled = self.fill(&mut row);
+        let readable = filled.is_ok();
+        row.wrong = filled.unwrap_or_else(Some);
+        (row, readable)
     }
 
-    /// Fills in what can be read; the value last, so that it stays NaN where anything else is wrong.
-    fn fill(&self, row: &mut Row) -> Result<(), String> {
+    /// Fills in what can be read; the value last, so that it stays NaN where anything else is wrong. Gives what is wrong
+    /// with a row that can be read but that no daemon accepts.
+    fn fill(&self, row: &mut Row) -> Result<Option<String>, String> {
         if self.buffer.len() > LINE_BYTES_MAX {
             return Err(format!("the line is longer than {LINE_BYTES_MAX} bytes"));
         }
@@ -228,7 +269,9 @@ impl<R: BufRead> Rows<R> {
             .map_err(|_| format!("value {:?} is not a number: use 0, 1 or anything between", shown(&fields[value])))?;
         // Minus zero is zero to everybody but the checksum.
         row.value = number + 0.0;
-        Ok(())
+        // The daemon says so, too, but its refusals are lost with a connection that breaks.
+        let in_range = (0.0..=1.0).contains(&number);
+        Ok((!in_range).then(|| format!("value {} is not between 0 and 1", shown(&fields[value]))))
     }
 }
 

@@ -6,7 +6,7 @@ use tidemap_proto::v1::{self, maintenance_service_client::MaintenanceServiceClie
 use tonic::Streaming;
 
 use crate::{
-    connection::{Client, Connection},
+    connection::{Client, Connection, REPLY_BYTES_MAX},
     error::Error,
     maps::UpdateSummary,
     wire::{instant, span, timestamp},
@@ -157,7 +157,7 @@ impl JobWatch {
 
 impl Client {
     fn maintenance_service(&self) -> MaintenanceServiceClient<Connection> {
-        MaintenanceServiceClient::new(self.requests())
+        MaintenanceServiceClient::new(self.requests()).max_decoding_message_size(REPLY_BYTES_MAX)
     }
 
     /// Starts the update of a map: everything acknowledged so far, or what of it is before `until_nanos`.

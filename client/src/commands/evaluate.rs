@@ -69,16 +69,14 @@ pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCo
     'file: while let Some(chunk) = rows.recv().await {
         let chunk = chunk.with_context(|| shown.clone())?;
         bar.set(chunk.bytes);
-        for row in chunk.rows {
+        for row in &chunk.rows {
             if let Some(wrong) = &row.wrong {
                 told.refused(row.number, Some(row.line), wrong);
             } else if !evaluator.add(&row.state, row.time_nanos, row.value).await {
                 break 'file;
             }
         }
-        if let Some((line, text)) = chunk.torn {
-            told.torn(line, &text);
-        }
+        told.last_line(&chunk);
     }
     let evaluations = evaluator.finish().await?;
     bar.clear();

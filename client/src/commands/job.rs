@@ -72,7 +72,13 @@ pub async fn watched(client: &Client, id: u64) -> anyhow::Result<Job> {
         }
     }
     bar.clear();
-    last.ok_or_else(|| anyhow::anyhow!("the daemon ended the watch of job {id} without a word"))
+    at_end(id, last)
+}
+
+/// What was last heard of a job, where that was its end: a daemon that stops ends its watches in the middle.
+fn at_end(id: u64, last: Option<Job>) -> anyhow::Result<Job> {
+    last.filter(Job::has_ended)
+        .ok_or_else(|| anyhow::anyhow!("the daemon ended the watch of job {id} before the job ended"))
 }
 
 /// What went wrong with a job.
@@ -94,4 +100,35 @@ fn cells(job: Job) -> Vec<Cell> {
         Cell::time(job.update.cut_nanos),
         Cell::Text(job.error),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap::{maps::UpdateSummary, updates::JobCause};
+
+    use super::*;
+
+    #[test]
+    fn a_watch_that_ends_before_its_job_is_no_success() {
+        let job = |state| Job {
+            id: 7,
+            map: "office".to_owned(),
+            state,
+            cause: JobCause::Request,
+            states_done: 0,
+            states_total: 1,
+            observations: 0,
+            created_nanos: None,
+            elapsed_nanos: 0,
+            error: String::new(),
+            update: UpdateSummary::default(),
+        };
+        for last in [None, Some(job(JobState::Waiting)), Some(job(JobState::Running))] {
+            let said = at_end(7, last).map_err(|error| error.to_string());
+            assert_eq!(said, Err("the daemon ended the watch of job 7 before the job ended".to_owned()));
+        }
+        for state in [JobState::Done, JobState::Failed] {
+            assert_eq!(at_end(7, Some(job(state))).ok(), Some(job(state)));
+        }
+    }
 }

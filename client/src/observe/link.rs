@@ -1,9 +1,12 @@
 //! The task behind a producer: one connection after the other, a Hello on each, batches out, acknowledgements in.
 //!
 //! Invariant: decides nothing about observations; the window does. An end is final or followed by another attempt, by
-//! [`ending`] and [`refused`] alone.
+//! [`ending`] and [`refused`] alone, unless the producer may leave anyway.
 
-use std::{sync::Arc, time::Instant};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use tidemap_proto::v1::{
     Ack, Goodbye, GoodbyeReason, Hello, ObservationBatch, ObserveRequest, ObserveResponse, Welcome,
@@ -69,13 +72,39 @@ impl Link {
                 End::Final(error) => return self.finish(error),
                 End::Broken(error) => error,
             };
+            if self.may_leave() {
+                return self.finish(ProducerError::Closed);
+            }
             said_hello = true;
             let Some(delay) = self.outage.failed(self.epoch.elapsed()) else {
                 let waited_secs = self.outage.lasted(self.epoch.elapsed()).as_secs();
                 return self.finish(ProducerError::GaveUp { waited_secs, last: error });
             };
             self.shared.progress.send_modify(|progress| progress.phase = Phase::Waiting(error));
-            tokio::time::sleep(delay).await;
+            if self.left_during(delay).await {
+                return self.finish(ProducerError::Closed);
+            }
+        }
+    }
+
+    /// Whether the producer may end without the daemon: nothing is left to be made durable, and the daemon's nightly
+    /// updates do not wait for its word that it is gone.
+    fn may_leave(&self) -> bool {
+        !self.shared.options.nightly && self.is_closing()
+    }
+
+    /// Waits for the next attempt; ends early, with `true`, where none is needed any more.
+    async fn left_during(&self, delay: Duration) -> bool {
+        let pause = tokio::time::sleep(delay);
+        tokio::pin!(pause);
+        loop {
+            tokio::select! {
+                () = &mut pause => return false,
+                // What else this may mean, such as more to send, the next connection sees for itself.
+                () = self.shared.more.notified() => if self.may_leave() {
+                    return true;
+                }
+            }
         }
     }
 
@@ -186,20 +215,22 @@ impl Link {
     }
 
     fn acknowledge(&mut self, ack: Ack) -> Result<(), End> {
-        {
+        let dropped = {
             let mut state = self.shared.state();
-            state.refusals.extend(ack.refused.into_iter().map(refusal));
+            let dropped = state.keep_refusals(ack.refused.into_iter().map(refusal));
             if let Some(window) = &mut state.window {
                 window.acknowledged(ack.durable_sequence)?;
             }
-        }
+            dropped
+        };
         self.shared.progress.send_if_modified(|progress| {
             let more = ack.durable_sequence > progress.durable_sequence;
             progress.durable_sequence = progress.durable_sequence.max(ack.durable_sequence);
+            progress.dropped_refusals += dropped;
             if more {
                 self.outage.progressed();
             }
-            more
+            more || dropped > 0
         });
         Ok(())
     }

@@ -77,7 +77,13 @@ pub struct Progress {
     pub store_id: String,
     /// Observations that became durable while the connection broke, so that it is not known whether they were refused.
     pub unreported: u64,
+    /// Refusals that were dropped because nobody took those before them; see [`Producer::take_refusals`]. Their
+    /// observations are at most `durable_sequence`.
+    pub dropped_refusals: u64,
 }
+
+/// Most refusals kept until somebody takes them: as many as the usual window holds observations.
+pub(super) const REFUSALS_MAX: usize = 65_536;
 
 /// What the handle and the task share.
 #[derive(Debug)]
@@ -97,7 +103,18 @@ pub(super) struct State {
     pub(super) urgent: u64,
     /// The stream is to end once everything is durable.
     pub(super) closing: bool,
+    /// At most [`REFUSALS_MAX`].
     pub(super) refusals: Vec<Refusal>,
+}
+
+impl State {
+    /// Keeps refusals for whoever takes them, as far as there is room; gives the number of those dropped.
+    pub(super) fn keep_refusals(&mut self, refusals: impl ExactSizeIterator<Item = Refusal>) -> u64 {
+        let room = REFUSALS_MAX.saturating_sub(self.refusals.len());
+        let dropped = refusals.len().saturating_sub(room);
+        self.refusals.extend(refusals.take(room));
+        dropped as u64
+    }
 }
 
 impl Shared {
@@ -206,8 +223,9 @@ impl Producer {
         self.reached(|progress| progress.durable_sequence >= last).await
     }
 
-    /// Waits until everything sent is durable, and ends the stream. A producer that announced data time is then no
-    /// longer waited for; one that is dropped without this may be coming back, for all the daemon knows.
+    /// Waits until everything sent is durable, and ends the stream. A producer that announced data time (`nightly`) is
+    /// then no longer waited for, and goes on trying to say so; one that is dropped without this may be coming back, for
+    /// all the daemon knows. Any other producer has nothing more to say: a daemon that is gone by then does not matter.
     ///
     /// # Errors
     /// [`ProducerError`].
@@ -237,7 +255,8 @@ impl Producer {
         self.progress.clone()
     }
 
-    /// The refusals that arrived since the last call, in order.
+    /// The refusals that arrived since the last call, in order. Only the first 65,536 are kept until then; the others
+    /// are counted in [`Progress::dropped_refusals`].
     #[must_use]
     pub fn take_refusals(&mut self) -> Vec<Refusal> {
         std::mem::take(&mut self.shared.state().refusals)
@@ -260,5 +279,26 @@ impl Producer {
 impl Drop for Producer {
     fn drop(&mut self) {
         self.task.abort();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observe::RefusalReason;
+
+    #[test]
+    fn refusals_that_nobody_takes_are_counted_instead() {
+        let refusals = |numbers: std::ops::Range<usize>| {
+            numbers.map(|i| Refusal { sequence: i as u64, reason: RefusalReason::Value, detail: String::new() })
+        };
+        let mut state = State { window: None, urgent: 0, closing: false, refusals: Vec::new() };
+        assert_eq!(state.keep_refusals(refusals(0..REFUSALS_MAX - 1)), 0);
+        assert_eq!(state.keep_refusals(refusals(REFUSALS_MAX - 1..REFUSALS_MAX + 9)), 9);
+        assert_eq!(state.keep_refusals(refusals(0..5)), 5);
+        assert_eq!(state.refusals.len(), REFUSALS_MAX);
+        assert_eq!(state.refusals.last().map(|refusal| refusal.sequence), Some(REFUSALS_MAX as u64 - 1));
+        state.refusals.clear();
+        assert_eq!(state.keep_refusals(refusals(0..5)), 0);
     }
 }

@@ -100,8 +100,13 @@ fn what_cannot_be_read_uses_up_its_number_and_says_why() -> Result<(), RowsError
 }
 
 #[test]
-fn values_out_of_range_are_left_to_the_daemon() -> Result<(), RowsError> {
-    for text in ["2", "-1", "inf", "NaN", "1e300"] {
+fn values_out_of_range_are_wrong_but_sent_as_they_are() -> Result<(), RowsError> {
+    for text in ["2", "-1", "inf", "-inf", "NaN", "1e300", "1.0000001"] {
+        let row = wrong(&format!("1,door,{text}"))?;
+        assert_eq!(row.wrong, Some(format!("value {text} is not between 0 and 1")));
+        assert_eq!(Ok(row.value.to_bits()), text.parse().map(f64::to_bits), "{text}");
+    }
+    for text in ["0", "-0", "1", "0.5", "1e-300"] {
         assert_eq!(wrong(&format!("1,door,{text}"))?.wrong, None, "{text}");
     }
     Ok(())
@@ -126,6 +131,48 @@ fn a_last_line_that_is_cut_off_is_no_row_until_it_is_whole() -> Result<(), RowsE
             Item::Row(row) => assert!(row.wrong.is_none() && cut >= whole.len() - 4, "{cut} {row:?}"),
             other => panic!("{other:?}"),
         }
+    }
+    Ok(())
+}
+
+#[test]
+fn a_last_line_without_an_end_is_a_row_only_where_that_is_allowed() -> Result<(), RowsError> {
+    let text = b"time,state,value\n1,a,0\n2,a,1".as_slice();
+    let items = read(text)?;
+    assert_eq!(good(&items).len(), 2);
+    let ends: Vec<bool> = items.iter().map(|item| matches!(item, Item::Row(row) if row.has_end)).collect();
+    assert_eq!(ends, [true, false]);
+    let mut rows = Rows::new(text)?.lines_must_end();
+    assert!(matches!(rows.next()?, Some(Item::Row(_))));
+    assert!(matches!(rows.next()?, Some(Item::Torn { line: 3, text }) if text == "2,a,1"));
+    assert!(rows.next()?.is_none());
+    // A value out of range is a whole one.
+    assert!(matches!(read(b"time,state,value\n1,a,2")?.as_slice(), [Item::Row(row)] if row.wrong.is_some()));
+    Ok(())
+}
+
+/// A file to which somebody appends whenever its end was read.
+struct Growing(Vec<&'static [u8]>);
+
+impl io::Read for Growing {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let piece = if self.0.is_empty() { b"".as_slice() } else { self.0.remove(0) };
+        buffer[..piece.len()].copy_from_slice(piece);
+        Ok(piece.len())
+    }
+}
+
+#[test]
+fn a_file_that_grows_while_it_is_read_is_not_read_past_its_end() -> Result<(), RowsError> {
+    for (last, torn) in [("2,a", true), ("2,a,0", false), ("  ", true), ("", true)] {
+        let pieces = vec![b"time,state,value\n1,a,0\n".as_slice(), last.as_bytes(), b"", b".5\n3,a,1\n", b""];
+        let mut rows = Rows::new(io::BufReader::new(Growing(pieces)))?;
+        let mut items = Vec::new();
+        while let Some(item) = rows.next()? {
+            items.push(item);
+        }
+        assert!(rows.next()?.is_none(), "{last:?}");
+        assert_eq!(good(&items).len(), if torn { 1 } else { 2 }, "{last:?}");
     }
     Ok(())
 }

@@ -30,6 +30,8 @@ pub struct Chunk {
     pub rows: Vec<Row>,
     /// Line and text of a last line that was cut off.
     pub torn: Option<(u64, String)>,
+    /// A last line that makes a row, but has no end.
+    pub unended: Option<u64>,
     /// Bytes of the file read so far.
     pub bytes: u64,
 }
@@ -50,14 +52,20 @@ pub fn shown(path: &Path) -> String {
 
 /// Opens a file, or stdin where it is `-`, and reads its header.
 pub fn open(path: &Path) -> anyhow::Result<Feed> {
-    let (source, total_bytes): (Box<dyn Read + Send>, _) = if path.as_os_str() == "-" {
+    let stdin = path.as_os_str() == "-";
+    let (source, total_bytes): (Box<dyn Read + Send>, _) = if stdin {
         (Box::new(io::stdin()), None)
     } else {
         let file = File::open(path).with_context(|| shown(path))?;
         let total_bytes = file.metadata().ok().filter(|metadata| metadata.is_file()).map(|metadata| metadata.len());
         (Box::new(file), total_bytes)
     };
-    let rows = Rows::new(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
+    let mut rows = Rows::new(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
+    if stdin {
+        // Whoever writes to a pipe may be killed in the middle of a line. A file that lacks its last line end was more
+        // likely saved that way.
+        rows = rows.lines_must_end();
+    }
     if !rows.ignored().is_empty() {
         crate::progress::notice(&format!("{}: not used: column {}", shown(path), rows.ignored().join(", ")));
     }
@@ -74,6 +82,7 @@ fn read<R: Read>(mut rows: Rows<BufReader<R>>, sender: &mpsc::Sender<Result<Chun
         chunk.bytes = rows.bytes();
         let last = match item {
             Ok(Some(Item::Row(row))) => {
+                chunk.unended = (!row.has_end).then_some(row.line);
                 chunk.rows.push(row);
                 false
             }
@@ -103,28 +112,42 @@ pub struct Told {
     bar: Bar,
     verb: &'static str,
     wrong: u64,
+    /// Those of them that were told.
+    told: u64,
     torn: bool,
 }
 
 impl Told {
     /// Nothing so far. A wrong row "is refused", or whatever the verb is.
     pub fn new(bar: Bar, verb: &'static str) -> Self {
-        Self { bar, verb, wrong: 0, torn: false }
+        Self { bar, verb, wrong: 0, told: 0, torn: false }
     }
 
     /// A row is wrong.
     pub fn refused(&mut self, number: u64, line: Option<u64>, why: &str) {
         self.wrong += 1;
-        if self.wrong <= TOLD_MAX {
+        if self.told < TOLD_MAX {
+            self.told += 1;
             let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
             self.bar.notice(&format!("row {number}{line} {}: {why}", self.verb));
         }
     }
 
-    /// The last line is cut off.
-    pub fn torn(&mut self, line: u64, text: &str) {
-        self.torn = true;
-        self.bar.notice(&format!("line {line} is incomplete and was left out: {text:?} (the file ends in it)"));
+    /// Rows are wrong of which nothing more is known.
+    pub fn refused_untold(&mut self, rows: u64) {
+        self.wrong += rows;
+    }
+
+    /// What is to be said of a chunk's last line.
+    pub fn last_line(&mut self, chunk: &Chunk) {
+        if let Some((line, text)) = &chunk.torn {
+            self.torn = true;
+            let why = "the input ends in it, without a line end";
+            self.bar.notice(&format!("line {line} is incomplete and was left out: {text:?} ({why})"));
+        }
+        if let Some(line) = chunk.unended {
+            self.bar.notice(&format!("line {line} has no line end and was taken as it is"));
+        }
     }
 
     /// Whether nothing was wrong.
@@ -134,8 +157,8 @@ impl Told {
 
     /// Says how many there were beside those that were told.
     pub fn conclude(&self) {
-        if self.wrong > TOLD_MAX {
-            self.bar.notice(&format!("and {} more rows like these", self.wrong - TOLD_MAX));
+        if self.wrong > self.told {
+            self.bar.notice(&format!("and {} more rows like these", self.wrong - self.told));
         }
     }
 }

@@ -5,8 +5,11 @@
 
 use std::collections::BTreeSet;
 
-use tidemap::observe::{Producer, ProducerError, content::ContentCrc};
-use tokio::{sync::mpsc, task::JoinHandle};
+use tidemap::observe::{Phase, Producer, ProducerError, Progress, content::ContentCrc};
+use tokio::{
+    sync::{mpsc, watch},
+    task::JoinHandle,
+};
 
 use super::feed::{Chunk, Told};
 use crate::{
@@ -41,6 +44,7 @@ pub(super) struct Counts {
 
 pub(super) struct Transfer {
     producer: Producer,
+    changes: watch::Receiver<Progress>,
     notices: JoinHandle<()>,
     rows: mpsc::Receiver<Result<Chunk, RowsError>>,
     pub(super) told: Told,
@@ -52,8 +56,10 @@ pub(super) struct Transfer {
     read: u64,
     duplicate: u64,
     refused: u64,
-    /// Rows that could not be read, until the daemon has confirmed their numbers.
-    unreadable: BTreeSet<u64>,
+    /// Rows that were found wrong here, until the daemon has confirmed their numbers.
+    wrong: BTreeSet<u64>,
+    /// Refusals without a place for them that were counted already.
+    dropped: u64,
 }
 
 impl Transfer {
@@ -66,6 +72,7 @@ impl Transfer {
     ) -> Self {
         let progress = producer.progress();
         Self {
+            changes: producer.watch(),
             producer,
             notices,
             rows,
@@ -77,7 +84,8 @@ impl Transfer {
             read: 0,
             duplicate: 0,
             refused: 0,
-            unreadable: BTreeSet::new(),
+            wrong: BTreeSet::new(),
+            dropped: progress.dropped_refusals,
         }
     }
 
@@ -87,10 +95,11 @@ impl Transfer {
 
     /// Sends everything and waits until it is durable.
     pub(super) async fn run(&mut self) -> Ended {
-        while let Some(chunk) = self.rows.recv().await {
-            let chunk = match chunk {
-                Ok(chunk) => chunk,
-                Err(error) => return Ended::Unreadable(error.into()),
+        loop {
+            let chunk = match self.chunk().await {
+                Ok(Some(chunk)) => chunk,
+                Ok(None) => break,
+                Err(ended) => return ended,
             };
             for row in &chunk.rows {
                 if let Err(ended) = self.row(row).await {
@@ -98,9 +107,7 @@ impl Transfer {
                     return ended;
                 }
             }
-            if let Some((line, text)) = chunk.torn {
-                self.told.torn(line, &text);
-            }
+            self.told.last_line(&chunk);
             self.bar.set(chunk.bytes);
             self.collect();
         }
@@ -111,6 +118,23 @@ impl Transfer {
         let closed = self.producer.close().await;
         self.collect();
         closed.map_or_else(Ended::Stopped, |_| Ended::Whole)
+    }
+
+    /// Waits for rows, and meanwhile for what the daemon has to say: nothing may come on stdin for hours.
+    async fn chunk(&mut self) -> Result<Option<Chunk>, Ended> {
+        loop {
+            tokio::select! {
+                chunk = self.rows.recv() => return chunk.transpose().map_err(|error| Ended::Unreadable(error.into())),
+                // The producer holds the sender: this fails only when there is nothing left to wait for.
+                Ok(()) = self.changes.changed() => {
+                    let phase = self.changes.borrow_and_update().phase.clone();
+                    self.collect();
+                    if let Phase::Ended(error) = phase {
+                        return Err(Ended::Stopped(error));
+                    }
+                }
+            }
+        }
     }
 
     async fn row(&mut self, row: &Row) -> Result<(), Ended> {
@@ -131,7 +155,7 @@ impl Transfer {
         self.read = row.number;
         if let Some(wrong) = &row.wrong {
             self.refused += 1;
-            self.unreadable.insert(row.number);
+            self.wrong.insert(row.number);
             self.told.refused(row.number, Some(row.line), wrong);
         }
         Ok(())
@@ -144,30 +168,39 @@ impl Transfer {
         flushed.map(|_| ())
     }
 
-    /// Takes the refusals that have arrived. A row that could not be read here was told already, with a better reason.
+    /// Takes the refusals that have arrived. A row that was found wrong here was told already, with a better reason.
     fn collect(&mut self) {
         // Before the refusals: those of everything up to here have arrived then.
-        let durable = self.producer.progress().durable_sequence;
+        let progress = self.producer.progress();
         for refusal in self.producer.take_refusals() {
-            if !self.unreadable.remove(&refusal.sequence) {
+            if !self.wrong.remove(&refusal.sequence) {
                 self.refused += 1;
                 self.told.refused(refusal.sequence, None, &refusal.detail);
             }
         }
-        self.unreadable.retain(|&number| number > durable);
+        let later = self.wrong.split_off(&(progress.durable_sequence + 1));
+        let confirmed = std::mem::replace(&mut self.wrong, later);
+        // What is left of those confirmed was dropped, or lost with a connection: it must not count twice.
+        let dropped = progress.dropped_refusals.saturating_sub(self.dropped).saturating_sub(confirmed.len() as u64);
+        self.dropped = progress.dropped_refusals;
+        self.refused += dropped;
+        self.told.refused_untold(dropped);
     }
 
-    pub(super) fn counts(&self) -> Counts {
+    pub(super) fn counts(&mut self) -> Counts {
+        // Once more: the last wait may have been cut short.
+        self.collect();
         let progress = self.producer.progress();
         if progress.unreported > 0 {
             self.bar.notice(&format!(
-                "{} rows became durable while the connection broke: refused ones among them count as accepted",
+                "{} rows became durable while the connection broke: those among them that only the daemon knows to be \
+                 refused, such as for a state's name, count as accepted",
                 progress.unreported
             ));
         }
         let durable = progress.durable_sequence.saturating_sub(self.sent_before);
-        // Rows that could not be read and are not durable yet are not refused yet.
-        let refused = self.refused.saturating_sub(self.unreadable.len() as u64);
+        // Rows that are wrong and not durable yet are not refused yet.
+        let refused = self.refused.saturating_sub(self.wrong.len() as u64);
         Counts { read: self.read, accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
     }
 }

@@ -34,6 +34,8 @@ enum Act {
     Refuse(Code),
     /// Ends the stream at the first batch, with a reason.
     End(GoodbyeReason),
+    /// Acknowledges a batch, and then stops.
+    ServeAndStop,
     /// Is another data folder, with so many of the observations.
     Restored(usize),
 }
@@ -129,7 +131,7 @@ impl Fake {
                     let _ = say(observe_response::Message::Goodbye(goodbye)).await;
                     return Err(Status::unavailable("so"));
                 }
-                Act::Serve | Act::ServeUntil(_) | Act::Refuse(_) | Act::Restored(_) => {
+                Act::Serve | Act::ServeAndStop | Act::ServeUntil(_) | Act::Refuse(_) | Act::Restored(_) => {
                     let ack = {
                         let mut stored = self.stored();
                         let refused = stored.take(batch, &mut names);
@@ -138,7 +140,14 @@ impl Fake {
                     if matches!(act, Act::ServeUntil(rows) if ack.durable_sequence > rows) {
                         return Ok(());
                     }
+                    let durable_sequence = ack.durable_sequence;
                     let _ = say(observe_response::Message::Ack(ack)).await;
+                    if matches!(act, Act::ServeAndStop) {
+                        let (reason, detail) = (GoodbyeReason::Shutdown.into(), String::new());
+                        let goodbye = Goodbye { reason, durable_sequence, detail };
+                        let _ = say(observe_response::Message::Goodbye(goodbye)).await;
+                        return Err(Status::unavailable("stopping"));
+                    }
                 }
             }
         }
@@ -167,6 +176,10 @@ impl ObservationService for Fake {
 }
 
 async fn producer(acts: &[Act]) -> Result<(Fake, Producer), Box<dyn std::error::Error>> {
+    producer_with(acts, false).await
+}
+
+async fn producer_with(acts: &[Act], nightly: bool) -> Result<(Fake, Producer), Box<dyn std::error::Error>> {
     let fake = Fake::default();
     fake.stored().acts = acts.iter().cloned().collect();
     let listener = TcpListener::bind("127.0.0.1:0").await?;
@@ -174,7 +187,8 @@ async fn producer(acts: &[Act]) -> Result<(Fake, Producer), Box<dyn std::error::
     let service = ObservationServiceServer::new(fake.clone());
     tokio::spawn(Server::builder().add_service(service).serve_with_incoming(TcpListenerStream::new(listener)));
     let client = Client::new(&address.to_string())?;
-    let options = ProducerOptions { patience: Duration::from_secs(30), ..ProducerOptions::new("robot", "", "office") };
+    let patience = Duration::from_secs(30);
+    let options = ProducerOptions { patience, nightly, ..ProducerOptions::new("robot", "", "office") };
     Ok((fake, Producer::start(&client, options)))
 }
 
@@ -268,5 +282,30 @@ async fn a_restored_daemon_gets_what_it_lacks_or_is_noticed() -> Tested {
     let (_fake, mut lost) = producer(&[Act::ServeUntil(3), Act::Restored(2)]).await?;
     send(&mut lost, &[0.0, 1.0, 0.0]).await?;
     assert_eq!(send(&mut lost, &[1.0]).await, Err(ProducerError::Lost { durable: 2, acknowledged: 3 }));
+    Ok(())
+}
+
+#[tokio::test]
+async fn a_daemon_that_has_everything_and_is_gone_does_not_hold_up_the_end() -> Tested {
+    let mut acts = vec![Act::Refuse(Code::Unavailable); 30];
+    acts[0] = Act::ServeAndStop;
+    let (fake, mut producer) = producer(&acts).await?;
+    send(&mut producer, &[1.0]).await?;
+    while fake.stored().incarnations.len() < 5 {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    producer.close().await?;
+    // An attempt may have been under way; one that waits for the daemon would make all of them.
+    assert!(fake.stored().incarnations.len() <= 7, "{}", fake.stored().incarnations.len());
+    Ok(())
+}
+
+#[tokio::test]
+async fn a_producer_that_announced_data_time_says_that_it_is_gone() -> Tested {
+    let acts = [Act::ServeAndStop, Act::Refuse(Code::Unavailable), Act::Refuse(Code::Unavailable), Act::Serve];
+    let (fake, mut producer) = producer_with(&acts, true).await?;
+    send(&mut producer, &[1.0]).await?;
+    producer.close().await?;
+    assert_eq!(fake.stored().incarnations.len(), 4);
     Ok(())
 }
