@@ -100,9 +100,9 @@ impl Updates {
         self.broken.remove(key);
     }
 
-    /// Lines up what has become due.
-    pub fn look(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
-        self.look_at_data(map, sessions, now_nanos);
+    /// Lines up what the clock or the amount of pending observations has made due. Not while an update is on its way
+    /// into the log: what it takes still looks pending.
+    pub fn look(&mut self, map: &LiveMap, now_nanos: i64) {
         self.look_at_clock(map, now_nanos);
         self.look_at_pending(map, now_nanos);
     }
@@ -117,7 +117,9 @@ impl Updates {
         self.queue.push_back(Wanted { until_nanos, cause, job });
     }
 
-    fn look_at_data(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
+    /// Lines up what imported data has made due: a midnight that every announcing stream has passed. To be asked before
+    /// such a stream ends, because its say ends with it.
+    pub fn look_at_data(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
         let now = Instant::now();
         self.broken.retain(|_, (_, until)| *until > now);
         let open = sessions.data_times().map(|(_, reached)| reached);

@@ -204,9 +204,12 @@ impl Writer {
             self.updates.stream_broke(key, reached);
         }
         let may_update = self.may_update();
+        // Before the acknowledgements: who has one can see the update that it made due.
+        if self.stopping.is_none() && self.failing.is_none() {
+            self.updates.look_at_data(&self.map, &self.sessions, now);
+        }
         if may_update {
-            // Before the acknowledgements: who has one can see the update that it made due.
-            self.updates.look(&self.map, &self.sessions, now);
+            self.updates.look(&self.map, now);
         }
         self.publish();
         if self.flights.is_empty() && self.failing.take().is_some() {

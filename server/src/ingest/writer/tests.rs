@@ -211,6 +211,36 @@ async fn one_stream_of_a_key_at_a_time() {
     assert!(hello(&handle, "other", 0, false).await.is_ok());
 }
 
+#[tokio::test]
+async fn the_last_midnight_of_an_import_counts_although_its_stream_ends_at_once() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    for round in 0..8 {
+        let mut robot = hello(&handle, &format!("r{round}"), 0, true).await.expect("accepted");
+        let day = |day: i64| NOON - 300 * 24 * HOUR + (10 * round + day) * 24 * HOUR;
+        send(&handle, &mut robot, vec![day(0), day(1)]);
+        // On its way into the log before the update that the first batch makes due, and passes another midnight.
+        std::thread::sleep(Duration::from_micros(100));
+        send(&handle, &mut robot, vec![day(2)]);
+        loop {
+            match robot.events.recv().await {
+                Some(SessionEvent::Ack { durable_sequence: 3, .. }) => break,
+                Some(SessionEvent::Ack { .. }) => {}
+                other => panic!("{other:?}"),
+            }
+        }
+        assert!(handle.send(Command::Leave { session: robot.opened.session, clean: true }));
+        for _ in 0..200 {
+            if handle.view().pending() == 1 {
+                break;
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        assert_eq!(handle.view().pending(), 1, "what came after the last midnight");
+    }
+}
+
 /// Sends observations of one state without waiting.
 fn send(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>) {
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
