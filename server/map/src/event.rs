@@ -3,7 +3,12 @@
 //! Invariant: an event holds everything that its effect depends on, such as the UTC offsets used and the time of
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
 
-use crate::name::{ProducerKey, StateName};
+use tidemap_model::Sample;
+
+use crate::{
+    MAX_AHEAD_NANOS,
+    name::{ProducerKey, StateName},
+};
 
 /// Index of a state within its map: dense from 0, in order of first appearance, never reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -76,6 +81,25 @@ pub struct Observations {
     pub offsets: Vec<OffsetRun>,
     /// Refused observations: sequence number and reason, ascending.
     pub refused: Vec<(u64, RefusalReason)>,
+}
+
+impl Observations {
+    /// The accepted observations with their states.
+    pub fn samples(&self) -> impl Iterator<Item = (StateId, Sample)> {
+        let offsets = self.offsets.iter().flat_map(|run| std::iter::repeat_n(run.offset_secs, run.count as usize));
+        self.states
+            .iter()
+            .zip(&self.times_nanos)
+            .zip(&self.values)
+            .zip(offsets)
+            .map(|(((&state, &utc_nanos), &value), offset_secs)| (state, Sample { utc_nanos, offset_secs, value }))
+    }
+
+    /// The latest time that is plausible by the clock of their receipt, nanoseconds UTC; later ones wait.
+    #[must_use]
+    pub fn plausible_nanos(&self) -> i64 {
+        self.received_nanos.saturating_add(MAX_AHEAD_NANOS)
+    }
 }
 
 /// A state that appears for the first time.

@@ -6,7 +6,7 @@
 
 use std::{collections::HashMap, sync::Arc};
 
-use tidemap_model::{Sample, StateModel};
+use tidemap_model::StateModel;
 
 use crate::{
     MAX_AHEAD_NANOS,
@@ -231,7 +231,7 @@ impl LiveMap {
     /// [`InconsistentEvent`] where the event names states that the snapshot lacks.
     pub fn recover_pending(&mut self, position: u64, event: &Event) -> Result<(), InconsistentEvent> {
         if let Event::Observations(observations) = event {
-            for (state, sample) in samples(observations) {
+            for (state, sample) in observations.samples() {
                 if sample.utc_nanos < self.cut_nanos {
                     continue;
                 }
@@ -239,7 +239,7 @@ impl LiveMap {
                     let reason = format!("state {} is unknown", state.0);
                     return Err(InconsistentEvent { position, reason });
                 }
-                if sample.utc_nanos <= plausible(observations) {
+                if sample.utc_nanos <= observations.plausible_nanos() {
                     self.pending.push(position, state, sample);
                 } else {
                     self.pending.push_ahead(position, state, sample);
@@ -289,8 +289,8 @@ impl LiveMap {
             }
             self.add_state(StateInfo { name: new.name.clone(), kind: new.kind });
         }
-        let plausible = plausible(event);
-        for (state, sample) in samples(event) {
+        let plausible = event.plausible_nanos();
+        for (state, sample) in event.samples() {
             let index = state.0 as usize;
             let live = self.live.get_mut(index).ok_or_else(|| format!("state {index} is unknown"))?;
             live.observations += 1;
@@ -403,21 +403,4 @@ impl LiveMap {
             unlearned: Arc::clone(&self.unlearned),
         }
     }
-}
-
-/// The latest time that is plausible for an observation of the event.
-fn plausible(event: &Observations) -> i64 {
-    event.received_nanos.saturating_add(MAX_AHEAD_NANOS)
-}
-
-/// The accepted observations of an event with their states.
-fn samples(event: &Observations) -> impl Iterator<Item = (StateId, Sample)> {
-    let offsets = event.offsets.iter().flat_map(|run| std::iter::repeat_n(run.offset_secs, run.count as usize));
-    event
-        .states
-        .iter()
-        .zip(&event.times_nanos)
-        .zip(&event.values)
-        .zip(offsets)
-        .map(|(((&state, &utc_nanos), &value), offset_secs)| (state, Sample { utc_nanos, offset_secs, value }))
 }

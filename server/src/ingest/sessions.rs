@@ -256,7 +256,7 @@ impl Sessions {
         }
         self.producers_in_flight -= usize::from(event.new_producer.is_some());
         // A time that is not plausible yet does not close the days before it.
-        let plausible = event.received_nanos.saturating_add(MAX_AHEAD_NANOS);
+        let plausible = event.plausible_nanos();
         if let Some(session) = self.sessions.get_mut(&id) {
             session.in_flight -= 1;
             self.issued.remove(&session.key);
