@@ -7,6 +7,7 @@ use tidemap_model::Sample;
 
 use crate::{
     MAX_AHEAD_NANOS,
+    grid::scan::Scans,
     name::{ProducerKey, StateName},
 };
 
@@ -41,6 +42,16 @@ pub enum RefusalReason {
     StateLimit,
     /// The state is of another kind.
     StateKind,
+    /// The map has no grid.
+    NoGrid,
+    /// A scan is malformed: masks, points, pose or range.
+    Scan,
+    /// The scan sees nothing of the grid.
+    Empty,
+    /// The map may not have more tiles.
+    TileLimit,
+    /// The scan is in another frame than the map.
+    Frame,
 }
 
 /// Consecutive observations that share a UTC offset.
@@ -143,6 +154,8 @@ pub struct UpdateStart {
 pub enum Event {
     /// Observations became durable.
     Observations(Observations),
+    /// Scans became durable.
+    Scans(Scans),
     /// An update starts.
     UpdateStart(UpdateStart),
 }

@@ -5,6 +5,8 @@
 //! events in the same order gives the same map, whether they arrive live or are replayed from a log.
 
 pub mod event;
+pub mod grid;
+pub mod history;
 pub mod live_map;
 pub mod name;
 pub mod predict;

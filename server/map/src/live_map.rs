@@ -12,6 +12,7 @@ use crate::{
     MAX_AHEAD_NANOS,
     directory::{Directory, StateInfo},
     event::{Event, Observations, ProducerId, StateId, UpdateStart},
+    grid::{live::LiveGrid, scan::Scans, view::GridView},
     name::ProducerKey,
     pending::{Pending, Taken},
     snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
@@ -33,6 +34,16 @@ pub struct InconsistentEvent {
     pub reason: String,
 }
 
+/// How an event moves its producer's mark on.
+struct Advance<'a> {
+    producer: ProducerId,
+    new_producer: Option<&'a ProducerKey>,
+    incarnation: u64,
+    first_sequence: u64,
+    last_sequence: u64,
+    content_crc: u32,
+}
+
 /// A map that takes events.
 #[derive(Debug)]
 pub struct LiveMap {
@@ -51,6 +62,7 @@ pub struct LiveMap {
     models: Arc<Vec<Arc<StateModel>>>,
     unlearned: Arc<StateModel>,
     pending: Pending,
+    grid: Option<LiveGrid>,
     /// The update that is out: where it started, and how many observations it took.
     running: Option<(UpdateStart, u64)>,
 }
@@ -60,6 +72,7 @@ impl LiveMap {
     #[must_use]
     pub fn new(spec: Arc<MapSpec>) -> Self {
         let unlearned = Arc::new(StateModel::new(&spec.periodicities));
+        let grid = spec.grid.clone().map(|grid| LiveGrid::new(Arc::new(grid)));
         Self {
             spec,
             position: 0,
@@ -76,6 +89,7 @@ impl LiveMap {
             models: Arc::new(Vec::new()),
             unlearned,
             pending: Pending::default(),
+            grid,
             running: None,
         }
     }
@@ -102,6 +116,9 @@ impl LiveMap {
             models.push(state.model);
         }
         map.models = Arc::new(models);
+        if let Some(grid) = snapshot.grid {
+            map.grid = map.grid.map(|empty| LiveGrid::restore(empty.spec, grid));
+        }
         map
     }
 
@@ -142,16 +159,23 @@ impl LiveMap {
         self.producers.len()
     }
 
-    /// Observations that an update could fold in, those of a running one not counted.
+    /// The grid, where the map has one.
     #[must_use]
-    pub fn pending(&self) -> u64 {
-        self.pending.total()
+    pub fn grid(&self) -> Option<&LiveGrid> {
+        self.grid.as_ref()
     }
 
-    /// Observations that wait because their time is too far ahead.
+    /// Observations that an update could fold in, those of a running one not counted. Of scans the changes count, which
+    /// are what is held in memory.
+    #[must_use]
+    pub fn pending(&self) -> u64 {
+        self.pending.total() + self.grid.as_ref().map_or(0, |grid| grid.pending_changes)
+    }
+
+    /// Observations and scans that wait because their time is too far ahead.
     #[must_use]
     pub fn ahead(&self) -> u64 {
-        self.pending.ahead()
+        self.pending.ahead() + self.grid.as_ref().map_or(0, LiveGrid::ahead)
     }
 
     /// Observations that a running update has taken.
@@ -163,7 +187,8 @@ impl LiveMap {
     /// The least time of the pending observations, nanoseconds UTC, or less.
     #[must_use]
     pub fn pending_since_nanos(&self) -> Option<i64> {
-        self.pending.oldest_nanos()
+        let scans = self.grid.as_ref().and_then(|grid| grid.oldest_pending_nanos);
+        [self.pending.oldest_nanos(), scans].into_iter().flatten().min()
     }
 
     /// When the first of the pending observations was received, or earlier; nanoseconds UTC of the server's clock.
@@ -200,7 +225,9 @@ impl LiveMap {
         cause: crate::event::UpdateCause,
     ) -> UpdateStart {
         let latest = now_nanos.saturating_add(MAX_AHEAD_NANOS).saturating_add(1);
-        let all = || self.pending.newest_ahead_before(latest).unwrap_or(0).max(self.newest_nanos).saturating_add(1);
+        let ahead = self.pending.newest_ahead_before(latest);
+        let scans_ahead = self.grid.as_ref().and_then(|grid| grid.newest_ahead_before(latest));
+        let all = || ahead.max(scans_ahead).unwrap_or(0).max(self.newest_nanos).saturating_add(1);
         let wanted = until_nanos.unwrap_or_else(all);
         UpdateStart { generation: self.generation + 1, cut_nanos: wanted.min(latest).max(self.cut_nanos), cause }
     }
@@ -217,6 +244,10 @@ impl LiveMap {
         let work = match event {
             Event::Observations(observations) => {
                 self.take_in(position, observations).map_err(inconsistent)?;
+                None
+            }
+            Event::Scans(scans) => {
+                self.take_in_scans(scans).map_err(inconsistent)?;
                 None
             }
             Event::UpdateStart(start) => Some(self.start_update(position, *start).map_err(inconsistent)?),
@@ -265,8 +296,9 @@ impl LiveMap {
         }
     }
 
-    fn take_in(&mut self, position: u64, event: &Observations) -> Result<(), String> {
-        if let Some(key) = &event.new_producer {
+    /// Moves a producer's mark on.
+    fn advance(&mut self, event: &Advance<'_>) -> Result<(), String> {
+        if let Some(key) = event.new_producer {
             if event.producer.0 as usize != self.producers.len() || self.producer_ids.contains_key(key) {
                 return Err(format!("producer {} is not new", event.producer.0));
             }
@@ -283,6 +315,37 @@ impl LiveMap {
         mark.incarnation = mark.incarnation.max(event.incarnation);
         mark.durable_sequence = event.last_sequence;
         mark.content_crc = event.content_crc;
+        Ok(())
+    }
+
+    fn take_in_scans(&mut self, event: &Scans) -> Result<(), String> {
+        self.grid.as_ref().ok_or("the map has no grid")?.check(event)?;
+        self.advance(&Advance {
+            producer: event.producer,
+            new_producer: event.new_producer.as_ref(),
+            incarnation: event.incarnation,
+            first_sequence: event.first_sequence,
+            last_sequence: event.last_sequence,
+            content_crc: event.content_crc,
+        })?;
+        if let Some(grid) = &mut self.grid {
+            self.newest_nanos = self.newest_nanos.max(grid.take_in(event).unwrap_or(0));
+        }
+        if !event.scans.is_empty() {
+            self.pending.received(event.received_nanos);
+        }
+        Ok(())
+    }
+
+    fn take_in(&mut self, position: u64, event: &Observations) -> Result<(), String> {
+        self.advance(&Advance {
+            producer: event.producer,
+            new_producer: event.new_producer.as_ref(),
+            incarnation: event.incarnation,
+            first_sequence: event.first_sequence,
+            last_sequence: event.last_sequence,
+            content_crc: event.content_crc,
+        })?;
         for new in &event.new_states {
             if new.id.0 as usize != self.directory.len() || self.directory.find(new.name.as_str()).is_some() {
                 return Err(format!("state {:?} is not new", new.name.as_str()));
@@ -327,7 +390,19 @@ impl LiveMap {
             }
             self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
         }
-        self.running = Some((start, samples.iter().map(|(_, samples)| samples.len() as u64).sum()));
+        let grid = self.grid.as_mut().map(|grid| {
+            let before = grid.pending_changes;
+            let (work, basis, newest) =
+                grid.start_update(start.cut_nanos, &self.spec.periodicities, self.spec.criterion);
+            self.newest_nanos = self.newest_nanos.max(newest.unwrap_or(0));
+            (work, basis, before.saturating_sub(grid.pending_changes))
+        });
+        let taken = samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>();
+        self.running = Some((start, taken + grid.as_ref().map_or(0, |(_, _, changes)| *changes)));
+        let (grid_work, grid_basis) = grid.map(|(work, basis, _)| (work, basis)).unzip();
+        if self.pending() == 0 && self.ahead() == 0 {
+            self.pending.all_taken();
+        }
         let basis = Basis {
             start,
             position,
@@ -336,6 +411,7 @@ impl LiveMap {
             producers: self.producers.clone(),
             directory: self.directory.clone(),
             live: self.live.clone(),
+            grid: grid_basis,
         };
         Ok(UpdateWork {
             basis,
@@ -343,12 +419,13 @@ impl LiveMap {
             models: Arc::clone(&self.models),
             unlearned: Arc::clone(&self.unlearned),
             samples,
+            grid: grid_work,
         })
     }
 
     /// Publishes what an update learned: one generation replaces another. Gives the snapshot for the store.
     pub fn finish_update(&mut self, result: UpdateResult) -> MapSnapshot {
-        let UpdateResult { basis, models, .. } = result;
+        let UpdateResult { basis, models, grid, history, .. } = result;
         self.running = None;
         self.generation = basis.start.generation;
         self.cut_nanos = basis.start.cut_nanos;
@@ -366,6 +443,12 @@ impl LiveMap {
                 model: Arc::clone(model),
             })
             .collect();
+        let grid = self
+            .grid
+            .as_mut()
+            .zip(basis.grid)
+            .zip(grid)
+            .map(|((live, basis), learned)| live.finish_update(basis, learned.generation, learned.sums));
         MapSnapshot {
             position: basis.position,
             replay_from: basis.replay_from,
@@ -374,6 +457,8 @@ impl LiveMap {
             newest_nanos: basis.newest_nanos,
             producers: basis.producers,
             states,
+            grid,
+            history: history.map(Arc::new).into_iter().collect(),
         }
     }
 
@@ -401,6 +486,7 @@ impl LiveMap {
             live: self.live_published.clone(),
             models: Arc::clone(&self.models),
             unlearned: Arc::clone(&self.unlearned),
+            grid: self.grid.as_mut().map(|grid| GridView::new(grid)),
         }
     }
 }

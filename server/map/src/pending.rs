@@ -77,6 +77,11 @@ impl Pending {
         self.last = Some((day, entry.oldest_nanos));
     }
 
+    /// Nothing is pending, of scans neither.
+    pub fn all_taken(&mut self) {
+        self.received_nanos = None;
+    }
+
     /// Notes when observations were received.
     pub fn received(&mut self, received_nanos: i64) {
         self.received_nanos = Some(self.received_nanos.map_or(received_nanos, |known| known.min(received_nanos)));
@@ -120,7 +125,6 @@ impl Pending {
         }
         if self.total == 0 && self.ahead.is_empty() {
             self.days.clear();
-            self.received_nanos = None;
         } else {
             // The cut's own day may hold observations on either side; it keeps its position, which is early enough.
             self.days = self.days.split_off(&cut_nanos.div_euclid(DAY_NANOS));

@@ -10,6 +10,8 @@ use tidemap_model::{Persistence, StateModel};
 
 use crate::{
     event::StateKind,
+    grid::snapshot::GridSnapshot,
+    history::HistoryPiece,
     name::{ProducerKey, StateName},
 };
 
@@ -30,6 +32,11 @@ pub struct MapSnapshot {
     pub producers: Vec<ProducerMark>,
     /// States; the index is the `StateId`.
     pub states: Vec<StateSnapshot>,
+    /// The grid, where the map has one.
+    pub grid: Option<GridSnapshot>,
+    /// What updates up to this one have folded in and no save has kept yet, ascending by generation. Not part of the
+    /// map's state: a snapshot that is read back has none.
+    pub history: Vec<Arc<HistoryPiece>>,
 }
 
 /// How far a producer's sequence is durable.

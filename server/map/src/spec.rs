@@ -2,7 +2,10 @@
 
 use tidemap_model::{OrderCriterion, Periodicities, Zone};
 
-use crate::name::MapName;
+use crate::{
+    grid::spec::{GridSpec, Retention},
+    name::MapName,
+};
 
 /// The fixed properties of a map.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,4 +20,8 @@ pub struct MapSpec {
     pub criterion: OrderCriterion,
     /// When the map was created, nanoseconds UTC.
     pub created_nanos: i64,
+    /// How long the exact observations of named states are kept for recall.
+    pub retention: Retention,
+    /// Its occupancy grid, if it has one.
+    pub grid: Option<GridSpec>,
 }

@@ -14,6 +14,13 @@ use tidemap_model::{Sample, StateModel, UpdateOutcome};
 use crate::{
     directory::Directory,
     event::{StateId, UpdateStart},
+    grid::{
+        live::GridBasis,
+        spec::Retention,
+        tile::TileUnavailable,
+        update::{GridOutcome, GridResult, GridWork},
+    },
+    history::{HistoryDay, HistoryPiece},
     name::StateName,
     snapshot::ProducerMark,
     spec::MapSpec,
@@ -30,6 +37,7 @@ pub(crate) struct Basis {
     pub(crate) producers: Vec<ProducerMark>,
     pub(crate) directory: Directory,
     pub(crate) live: Vec<LiveState>,
+    pub(crate) grid: Option<GridBasis>,
 }
 
 /// An update, ready to run.
@@ -40,6 +48,7 @@ pub struct UpdateWork {
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
     pub(crate) unlearned: Arc<StateModel>,
     pub(crate) samples: Vec<(StateId, Vec<Sample>)>,
+    pub(crate) grid: Option<GridWork>,
 }
 
 /// What an update learned.
@@ -47,6 +56,8 @@ pub struct UpdateWork {
 pub struct UpdateResult {
     pub(crate) basis: Basis,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
+    pub(crate) grid: Option<GridResult>,
+    pub(crate) history: Option<HistoryPiece>,
     outcomes: Vec<StateOutcome>,
 }
 
@@ -66,21 +77,38 @@ impl UpdateWork {
         self.basis.start
     }
 
-    /// Number of states with observations to fold in.
+    /// Number of states and tiles with observations to fold in.
     #[must_use]
     pub fn states(&self) -> u64 {
-        self.samples.len() as u64
+        self.samples.len() as u64 + self.grid.as_ref().map_or(0, GridWork::busy_tiles)
     }
 
-    /// Number of observations to fold in.
+    /// Number of observations and scans to fold in.
     #[must_use]
     pub fn observations(&self) -> u64 {
-        self.samples.iter().map(|(_, samples)| samples.len() as u64).sum()
+        let scans = self.grid.as_ref().map_or(0, GridWork::scans);
+        self.samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>() + scans
     }
 
-    /// Runs the update, on the threads of the rayon pool that this is called in. `progress` counts the states done.
-    #[must_use]
-    pub fn run(self, progress: &AtomicU64) -> UpdateResult {
+    /// Runs the update, on the threads of the rayon pool that this is called in. `progress` counts the states and tiles
+    /// done.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
+    pub fn run(self, progress: &AtomicU64) -> Result<UpdateResult, TileUnavailable> {
+        let keeps_states = self.spec.retention != Retention::None;
+        let keeps_grid = self.spec.grid.as_ref().is_some_and(|grid| grid.retention != Retention::None);
+        let mut history = HistoryPiece::new(self.basis.start.generation);
+        if keeps_states {
+            history.states.clone_from(&self.samples);
+        }
+        let mut grid = self.grid.map(|grid| grid.run(progress)).transpose()?;
+        if let Some(grid) = &mut grid {
+            let days = std::mem::take(&mut grid.days);
+            if keeps_grid {
+                history.days = days.into_iter().map(HistoryDay::plain).collect();
+            }
+        }
         let mut models: Vec<Arc<StateModel>> = Vec::with_capacity(self.basis.directory.len());
         models.extend(self.models.iter().cloned());
         models.resize(self.basis.directory.len(), Arc::clone(&self.unlearned));
@@ -101,7 +129,8 @@ impl UpdateWork {
                 outcomes.push(StateOutcome { name: info.name.clone(), outcome });
             }
         }
-        UpdateResult { basis: self.basis, models: Arc::new(models), outcomes }
+        let history = history.bounded();
+        Ok(UpdateResult { basis: self.basis, models: Arc::new(models), grid, history, outcomes })
     }
 }
 
@@ -110,5 +139,11 @@ impl UpdateResult {
     #[must_use]
     pub fn outcomes(&self) -> &[StateOutcome] {
         &self.outcomes
+    }
+
+    /// What was done to the cells of the grid, where the map has one.
+    #[must_use]
+    pub fn grid_outcome(&self) -> Option<&GridOutcome> {
+        self.grid.as_ref().map(|grid| &grid.outcome)
     }
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tidemap_model::{Persistence, StateModel};
 
 pub use crate::directory::StateInfo;
-use crate::{directory::Directory, event::StateId, spec::MapSpec};
+use crate::{directory::Directory, event::StateId, grid::view::GridView, spec::MapSpec};
 
 /// Live values are copied on publication in pieces of this many states.
 pub(crate) const LIVE_CHUNK: usize = 128;
@@ -35,6 +35,7 @@ pub struct MapView {
     pub(crate) live: Vec<Arc<[LiveState]>>,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
     pub(crate) unlearned: Arc<StateModel>,
+    pub(crate) grid: Option<GridView>,
 }
 
 impl MapView {
@@ -42,6 +43,12 @@ impl MapView {
     #[must_use]
     pub fn spec(&self) -> &MapSpec {
         &self.spec
+    }
+
+    /// The grid, where the map has one.
+    #[must_use]
+    pub fn grid(&self) -> Option<&GridView> {
+        self.grid.as_ref()
     }
 
     /// Log position up to which the view is complete.

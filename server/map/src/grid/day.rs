@@ -1,0 +1,261 @@
+//! The exact scans of one local day that no update has folded in yet, tile by tile.
+//!
+//! Invariant: nothing is lost: each scan's masks can be told from what is kept. Scans are numbered in the order of
+//! arrival. A tile's flips refer to the last scan of this day that saw the tile.
+
+use std::sync::Arc;
+
+use tidemap_model::LocalDay;
+
+use super::{
+    index::TileId,
+    mask::{Mask, TileMasks},
+};
+
+/// When a scan was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ScanTime {
+    /// Nanoseconds UTC.
+    pub utc_nanos: i64,
+    /// Seconds to add to UTC for local civil time.
+    pub offset_secs: i32,
+}
+
+impl ScanTime {
+    /// Local civil time, nanoseconds since 1970-01-01T00:00 local.
+    #[must_use]
+    pub fn civil_nanos(&self) -> i64 {
+        self.utc_nanos.saturating_add(i64::from(self.offset_secs) * 1_000_000_000)
+    }
+}
+
+/// Scans that follow each other and saw the same tiles.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PresenceRun {
+    /// The first of them.
+    pub first: u32,
+    /// How many, at least 1.
+    pub count: u32,
+    /// The tiles, ascending.
+    pub seen: Arc<[TileId]>,
+}
+
+/// Which bit of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Bit {
+    /// Whether it was observed.
+    Observed,
+    /// Whether it was observed as occupied.
+    Occupied,
+}
+
+/// A bit of a cell that differs from the tile's scan before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Flip {
+    /// The scan from which on.
+    pub scan: u32,
+    packed: u16,
+}
+
+impl Flip {
+    /// A flip of a cell's bit.
+    #[must_use]
+    pub fn new(scan: u32, cell: u16, bit: Bit) -> Flip {
+        Flip { scan, packed: cell & 511 | if bit == Bit::Occupied { 512 } else { 0 } }
+    }
+
+    /// The cell's place in its tile.
+    #[must_use]
+    pub fn cell(self) -> u16 {
+        self.packed & 511
+    }
+
+    /// Which bit.
+    #[must_use]
+    pub fn bit(self) -> Bit {
+        if self.packed & 512 == 0 { Bit::Observed } else { Bit::Occupied }
+    }
+}
+
+/// One tile on one day.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct DayTile {
+    /// What the day's first scan of the tile showed.
+    pub first: TileMasks,
+    /// What changed from then on, in the order of the scans.
+    pub flips: Vec<Flip>,
+    /// What the last scan showed: `first` with all flips.
+    pub last: TileMasks,
+}
+
+/// The exact scans of one local day.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GridDay {
+    /// The local date.
+    pub day: LocalDay,
+    /// Times of the scans.
+    pub scans: Vec<ScanTime>,
+    /// Which tiles they saw; the counts add up to their number.
+    pub presence: Vec<PresenceRun>,
+    /// The tiles by their id; `None` where the day has no scan of the tile.
+    pub tiles: Vec<Option<Box<DayTile>>>,
+}
+
+impl GridDay {
+    /// A day without scans.
+    #[must_use]
+    pub fn new(day: LocalDay) -> GridDay {
+        GridDay { day, scans: Vec::new(), presence: Vec::new(), tiles: Vec::new() }
+    }
+
+    /// Adds a scan and gives its number. Masks of the tiles seen are given by [`GridDay::show`] then.
+    pub fn push(&mut self, time: ScanTime, seen: &Arc<[TileId]>) -> u32 {
+        let scan = u32::try_from(self.scans.len()).unwrap_or(u32::MAX);
+        self.scans.push(time);
+        match self.presence.last_mut() {
+            Some(run) if Arc::ptr_eq(&run.seen, seen) || run.seen == *seen => run.count += 1,
+            _ => self.presence.push(PresenceRun { first: scan, count: 1, seen: Arc::clone(seen) }),
+        }
+        scan
+    }
+
+    /// Says what a scan showed of a tile that it saw. A tile of which nothing is said shows what it showed before.
+    pub fn show(&mut self, scan: u32, tile: TileId, masks: TileMasks) {
+        let index = tile.0 as usize;
+        if index >= self.tiles.len() {
+            self.tiles.resize_with(index + 1, || None);
+        }
+        match &mut self.tiles[index] {
+            Some(known) => {
+                for (bit, before, now) in [
+                    (Bit::Observed, known.last.observed(), masks.observed()),
+                    (Bit::Occupied, known.last.occupied(), masks.occupied()),
+                ] {
+                    known.flips.extend((before ^ now).cells().map(|cell| Flip::new(scan, cell, bit)));
+                }
+                known.last = masks;
+            }
+            none => *none = Some(Box::new(DayTile { first: masks, flips: Vec::new(), last: masks })),
+        }
+    }
+
+    /// A tile on this day.
+    #[must_use]
+    pub fn tile(&self, tile: TileId) -> Option<&DayTile> {
+        self.tiles.get(tile.0 as usize)?.as_deref()
+    }
+
+    /// The scans that saw each tile, as ranges of their numbers, first and end; by tile id.
+    #[must_use]
+    pub fn presence_by_tile(&self) -> Vec<Vec<(u32, u32)>> {
+        let mut ranges: Vec<Vec<(u32, u32)>> = vec![Vec::new(); self.tiles.len()];
+        for run in &self.presence {
+            for tile in run.seen.iter() {
+                let Some(ranges) = ranges.get_mut(tile.0 as usize) else { continue };
+                match ranges.last_mut() {
+                    Some((_, end)) if *end == run.first => *end = run.first + run.count,
+                    _ => ranges.push((run.first, run.first + run.count)),
+                }
+            }
+        }
+        ranges
+    }
+
+    /// Splits the scans before an instant from the others. `None` for a part without scans.
+    #[must_use]
+    pub fn split(self, cut_nanos: i64) -> (Option<GridDay>, Option<GridDay>) {
+        let before = self.scans.iter().filter(|scan| scan.utc_nanos < cut_nanos).count();
+        if before == self.scans.len() {
+            return (Some(self), None);
+        }
+        if before == 0 {
+            return (None, Some(self));
+        }
+        let mut parts = [GridDay::new(self.day), GridDay::new(self.day)];
+        let mut masks: Vec<TileMasks> =
+            self.tiles.iter().map(|tile| tile.as_ref().map_or(TileMasks::default(), |tile| tile.first)).collect();
+        let mut flips: Vec<std::slice::Iter<'_, Flip>> =
+            self.tiles.iter().map(|tile| tile.as_ref().map_or([].iter(), |tile| tile.flips.iter())).collect();
+        for run in &self.presence {
+            for scan in run.first..run.first + run.count {
+                let time = self.scans[scan as usize];
+                let part = &mut parts[usize::from(time.utc_nanos >= cut_nanos)];
+                let number = part.push(time, &run.seen);
+                for &tile in run.seen.iter() {
+                    let index = tile.0 as usize;
+                    let (Some(masks), Some(flips)) = (masks.get_mut(index), flips.get_mut(index)) else { continue };
+                    apply_flips(masks, flips, scan);
+                    if part.tile(tile).is_none_or(|known| known.last != *masks) {
+                        part.show(number, tile, *masks);
+                    }
+                }
+            }
+        }
+        let [before, after] = parts;
+        (Some(before), Some(after))
+    }
+
+    /// Memory in bytes, about.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let tiles = self.tiles.iter().flatten();
+        let flips: usize = tiles.map(|tile| size_of::<DayTile>() + tile.flips.capacity() * size_of::<Flip>()).sum();
+        let seen: usize = self.presence.iter().map(|run| 40 + 4 * run.seen.len()).sum();
+        self.scans.capacity() * size_of::<ScanTime>() + self.tiles.capacity() * 8 + flips + seen
+    }
+}
+
+/// Applies the flips of one scan, which are next in the order.
+fn apply_flips(masks: &mut TileMasks, flips: &mut std::slice::Iter<'_, Flip>, scan: u32) {
+    let (mut observed, mut occupied) = (masks.observed(), masks.occupied());
+    while let Some(flip) = flips.as_slice().first().filter(|flip| flip.scan == scan) {
+        match flip.bit() {
+            Bit::Observed => observed.flip(flip.cell()),
+            Bit::Occupied => occupied.flip(flip.cell()),
+        }
+        flips.next();
+    }
+    *masks = TileMasks::clipped(observed, occupied);
+}
+
+/// A tile's masks scan by scan, over the scans that saw it.
+#[derive(Debug)]
+pub struct DayTileScans<'a> {
+    ranges: std::slice::Iter<'a, (u32, u32)>,
+    range: (u32, u32),
+    masks: TileMasks,
+    flips: std::slice::Iter<'a, Flip>,
+}
+
+impl DayTile {
+    /// The masks of each scan that saw the tile; `ranges` as [`GridDay::presence_by_tile`] gives them.
+    #[must_use]
+    pub fn scans<'a>(&'a self, ranges: &'a [(u32, u32)]) -> DayTileScans<'a> {
+        DayTileScans { ranges: ranges.iter(), range: (0, 0), masks: self.first, flips: self.flips.iter() }
+    }
+}
+
+impl Iterator for DayTileScans<'_> {
+    type Item = (u32, TileMasks);
+
+    fn next(&mut self) -> Option<(u32, TileMasks)> {
+        while self.range.0 >= self.range.1 {
+            self.range = *self.ranges.next()?;
+        }
+        let scan = self.range.0;
+        self.range.0 += 1;
+        apply_flips(&mut self.masks, &mut self.flips, scan);
+        Some((scan, self.masks))
+    }
+}
+
+impl Mask {
+    /// The set with the cells of an iterator flipped.
+    #[must_use]
+    pub(crate) fn flipped(mut self, cells: impl Iterator<Item = u16>) -> Mask {
+        for cell in cells {
+            self.flip(cell);
+        }
+        self
+    }
+}

@@ -1,0 +1,240 @@
+//! Turning what streams send into what the log holds: one stream's view of its tiles into flips against the last scan of
+//! each tile in the order of the log.
+//!
+//! Invariant: `Front` shows the map as it will be when everything handed to the log so far is applied; after a failure
+//! it is made anew from the map. A `ScanSource` shows its tiles as its stream has sent them.
+
+use std::{collections::HashMap, sync::Arc};
+
+use super::{
+    index::{TileId, TileIndex},
+    live::LiveGrid,
+    mask::{Mask, TileMasks},
+    scan::{CellRef, LoggedScan},
+};
+
+/// A cell of a stream: slot·512 + place, where the slot is the tile's index in the stream's table.
+pub type SlotCell = u32;
+
+/// What a stream says of one scan.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SentScan {
+    /// When it was made, nanoseconds UTC, at least 0.
+    pub utc_nanos: i64,
+    /// Slots of the tiles that were seen, ascending, none twice; shared by scans that saw the same.
+    pub seen: Arc<[u32]>,
+    /// Cells whose observed bit differs from the last time the stream showed the tile; ascending.
+    pub observed_flips: Vec<SlotCell>,
+    /// Cells whose occupied bit differs; ascending.
+    pub occupied_flips: Vec<SlotCell>,
+}
+
+/// One stream's tiles: which they are, and what it last showed of them.
+#[derive(Debug, Default)]
+pub struct ScanSource {
+    slots: Vec<Slot>,
+    /// The slots of the scan before, and the same as tiles of the map.
+    seen: Option<(Arc<[u32]>, Arc<[TileId]>)>,
+    /// Whether a scan since then was not handed on.
+    has_skipped: bool,
+}
+
+#[derive(Debug)]
+struct Slot {
+    index: TileIndex,
+    /// `None` until the map knows the tile.
+    tile: Option<TileId>,
+    masks: TileMasks,
+}
+
+impl ScanSource {
+    /// Appends a tile to the stream's table.
+    pub fn push(&mut self, index: TileIndex) {
+        self.slots.push(Slot { index, tile: None, masks: TileMasks::default() });
+    }
+
+    /// Forgets which tiles of the map the slots are, because the map may not know them after all.
+    pub fn forget_tiles(&mut self) {
+        for slot in &mut self.slots {
+            slot.tile = None;
+        }
+        self.seen = None;
+    }
+
+    /// Takes in a scan that is refused: what follows refers to it all the same.
+    pub fn skip(&mut self, scan: &SentScan) {
+        self.flip(&scan.observed_flips, |observed, _, cell| observed.flip(cell));
+        self.flip(&scan.occupied_flips, |_, occupied, cell| occupied.flip(cell));
+        self.has_skipped = true;
+    }
+
+    fn flip(&mut self, flips: &[SlotCell], bit: impl Fn(&mut Mask, &mut Mask, u16)) {
+        for &flip in flips {
+            let cell = CellRef(flip);
+            if let Some(slot) = self.slots.get_mut(cell.tile().0 as usize) {
+                let (mut observed, mut occupied) = (slot.masks.observed(), slot.masks.occupied());
+                bit(&mut observed, &mut occupied, cell.cell());
+                slot.masks = TileMasks::clipped(observed, occupied);
+            }
+        }
+    }
+}
+
+/// A map's tiles, as they will be when everything handed to the log is applied.
+#[derive(Debug)]
+pub struct Front {
+    new_ids: HashMap<TileIndex, TileId>,
+    tiles: usize,
+    masks: Vec<TileMasks>,
+    seen: Arc<[TileId]>,
+    last_owner: u64,
+}
+
+/// A scan for the log, and the tiles that are new with it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FrontScan {
+    /// The scan.
+    pub scan: LoggedScan,
+    /// Tiles that appear for the first time.
+    pub new_tiles: Vec<TileIndex>,
+}
+
+/// The map may not have as many tiles as a scan needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TooManyTiles;
+
+impl Front {
+    /// The front of a map into which nothing is on its way.
+    #[must_use]
+    pub fn new(grid: &LiveGrid) -> Front {
+        let tiles = grid.tiles();
+        Front {
+            new_ids: HashMap::new(),
+            tiles,
+            masks: grid.tiles.iter().map(|tile| tile.arrival).collect(),
+            seen: Arc::clone(grid.last_seen()),
+            last_owner: 0,
+        }
+    }
+
+    /// Turns a scan of a stream into one for the log. `stream` is the stream's number, not 0.
+    ///
+    /// # Errors
+    /// [`TooManyTiles`] where the map would have more than `max_tiles`; the front is as before, the stream's view has
+    /// the scan taken in.
+    pub fn take(
+        &mut self,
+        grid: &LiveGrid,
+        stream: u64,
+        source: &mut ScanSource,
+        scan: &SentScan,
+        offset_secs: i32,
+        max_tiles: usize,
+    ) -> Result<FrontScan, TooManyTiles> {
+        let has_skipped = source.has_skipped;
+        source.skip(scan);
+        let is_like_before = source.seen.as_ref().is_some_and(|(slots, _)| Arc::ptr_eq(slots, &scan.seen));
+        let mut new_tiles = Vec::new();
+        if !is_like_before {
+            new_tiles = self.resolve(grid, source, &scan.seen, max_tiles)?;
+            let mut seen: Vec<TileId> =
+                scan.seen.iter().filter_map(|&slot| source.slots.get(slot as usize)?.tile).collect();
+            seen.sort_unstable();
+            source.seen = Some((Arc::clone(&scan.seen), seen.into()));
+        }
+        let Some((_, seen)) = &source.seen else { return Err(TooManyTiles) };
+        let seen = Arc::clone(seen);
+        let mut flips = Flips::default();
+        if is_like_before && !has_skipped && self.last_owner == stream {
+            // All its tiles are as this stream showed them last.
+            let mut cells = scan.observed_flips.iter().chain(&scan.occupied_flips).copied().collect::<Vec<_>>();
+            cells.sort_unstable();
+            cells.dedup_by_key(|cell| CellRef(*cell).tile());
+            for cell in cells {
+                self.show(source, CellRef(cell).tile().0, &mut flips);
+            }
+        } else {
+            for &slot in scan.seen.iter() {
+                self.show(source, slot, &mut flips);
+            }
+        }
+        self.last_owner = stream;
+        source.has_skipped = false;
+        let is_seen_before = Arc::ptr_eq(&self.seen, &seen) || self.seen == seen;
+        if !is_seen_before {
+            self.seen = Arc::clone(&seen);
+        }
+        flips.observed.sort_unstable();
+        flips.occupied.sort_unstable();
+        let scan = LoggedScan {
+            utc_nanos: scan.utc_nanos,
+            offset_secs,
+            seen: (!is_seen_before).then_some(seen),
+            observed_flips: flips.observed,
+            occupied_flips: flips.occupied,
+        };
+        Ok(FrontScan { scan, new_tiles })
+    }
+
+    /// Finds the map's tiles of the slots, new ones added.
+    fn resolve(
+        &mut self,
+        grid: &LiveGrid,
+        source: &mut ScanSource,
+        seen: &[u32],
+        max_tiles: usize,
+    ) -> Result<Vec<TileIndex>, TooManyTiles> {
+        // Tiles that have become durable are found in the map itself.
+        if !self.new_ids.is_empty() {
+            self.new_ids.retain(|_, id| id.0 as usize >= grid.tiles());
+        }
+        let mut unknown = Vec::new();
+        for &slot in seen {
+            let Some(slot) = source.slots.get_mut(slot as usize) else { continue };
+            if slot.tile.is_none() {
+                slot.tile = grid.find(slot.index).or_else(|| self.new_ids.get(&slot.index).copied());
+            }
+            if slot.tile.is_none() {
+                unknown.push(slot.index);
+            }
+        }
+        unknown.sort_unstable();
+        unknown.dedup();
+        if self.tiles + unknown.len() > max_tiles.min(CellRef::TILES_MAX as usize) {
+            return Err(TooManyTiles);
+        }
+        for &index in &unknown {
+            self.new_ids.insert(index, TileId(u32::try_from(self.tiles).unwrap_or(u32::MAX)));
+            self.tiles += 1;
+            self.masks.push(TileMasks::default());
+        }
+        for &slot in seen {
+            let Some(slot) = source.slots.get_mut(slot as usize) else { continue };
+            slot.tile = slot.tile.or_else(|| self.new_ids.get(&slot.index).copied());
+        }
+        Ok(unknown)
+    }
+
+    /// Shows one tile of a stream to the map.
+    fn show(&mut self, source: &ScanSource, slot: u32, flips: &mut Flips) {
+        let Some(slot) = source.slots.get(slot as usize) else { return };
+        let Some(tile) = slot.tile else { return };
+        let index = tile.0 as usize;
+        let Some(masks) = self.masks.get_mut(index) else { return };
+        let observed = masks.observed() ^ slot.masks.observed();
+        let occupied = masks.occupied() ^ slot.masks.occupied();
+        if !observed.is_empty() {
+            flips.observed.extend(observed.cells().map(|cell| CellRef::new(tile, cell)));
+        }
+        if !occupied.is_empty() {
+            flips.occupied.extend(occupied.cells().map(|cell| CellRef::new(tile, cell)));
+        }
+        *masks = slot.masks;
+    }
+}
+
+#[derive(Default)]
+struct Flips {
+    observed: Vec<CellRef>,
+    occupied: Vec<CellRef>,
+}

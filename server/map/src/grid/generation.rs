@@ -1,0 +1,19 @@
+//! What one update published of a grid: a model per tile.
+//!
+//! Invariant: immutable once published; unchanged tiles are shared with the generation before.
+
+use super::{index::TileId, tile::ModelSlot};
+
+/// The models of all tiles.
+#[derive(Clone, Debug, Default)]
+pub struct Generation {
+    pub(crate) models: Vec<ModelSlot>,
+}
+
+impl Generation {
+    /// The model of a tile; `None` where no update has seen it.
+    #[must_use]
+    pub fn model(&self, tile: TileId) -> Option<&ModelSlot> {
+        self.models.get(tile.0 as usize)
+    }
+}

@@ -1,0 +1,182 @@
+//! A set of cells of one tile, as 512 bits.
+//!
+//! Invariant: bit `cell & 63` of word `cell >> 6` is cell x + 8·y + 64·z, so that word z is the layer z.
+
+use std::ops::{BitAnd, BitOr, BitOrAssign, BitXor, Not};
+
+use super::index::TILE_CELLS;
+
+/// A set of cells of one tile.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Mask(pub [u64; 8]);
+
+impl Mask {
+    /// No cell.
+    pub const EMPTY: Mask = Mask([0; 8]);
+    /// Every cell.
+    pub const FULL: Mask = Mask([u64::MAX; 8]);
+
+    /// Whether the cell is in the set; a place beyond the tile is not.
+    #[must_use]
+    pub fn contains(&self, cell: u16) -> bool {
+        self.0.get(usize::from(cell >> 6)).is_some_and(|word| word >> (cell & 63) & 1 == 1)
+    }
+
+    /// Adds a cell; a place beyond the tile is ignored.
+    pub fn insert(&mut self, cell: u16) {
+        if let Some(word) = self.0.get_mut(usize::from(cell >> 6)) {
+            *word |= 1 << (cell & 63);
+        }
+    }
+
+    /// Adds a cell that is not in the set and removes one that is; a place beyond the tile is ignored.
+    pub fn flip(&mut self, cell: u16) {
+        if let Some(word) = self.0.get_mut(usize::from(cell >> 6)) {
+            *word ^= 1 << (cell & 63);
+        }
+    }
+
+    /// Number of cells.
+    #[must_use]
+    pub fn count(&self) -> u32 {
+        self.0.iter().map(|word| word.count_ones()).sum()
+    }
+
+    /// Whether there is no cell.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        *self == Mask::EMPTY
+    }
+
+    /// The cells of this set that are not in the other.
+    #[must_use]
+    pub fn without(self, other: Mask) -> Mask {
+        self & !other
+    }
+
+    /// The cells, ascending.
+    pub fn cells(self) -> impl Iterator<Item = u16> {
+        self.0.into_iter().zip(0u16..).flat_map(|(word, z)| {
+            std::iter::successors((word != 0).then_some(word), |rest| {
+                let rest = rest & (rest - 1);
+                (rest != 0).then_some(rest)
+            })
+            .map(move |rest| z * 64 + u16::try_from(rest.trailing_zeros()).unwrap_or(0))
+        })
+    }
+
+    /// The set of 64 bytes, the first cell in the lowest bit of the first.
+    #[must_use]
+    pub fn from_bytes(bytes: &[u8; TILE_CELLS / 8]) -> Mask {
+        let mut mask = Mask::EMPTY;
+        for (word, eight) in mask.0.iter_mut().zip(bytes.as_chunks::<8>().0) {
+            *word = u64::from_le_bytes(*eight);
+        }
+        mask
+    }
+
+    /// The set as 64 bytes.
+    #[must_use]
+    pub fn to_bytes(self) -> [u8; TILE_CELLS / 8] {
+        let mut bytes = [0; TILE_CELLS / 8];
+        for (eight, word) in bytes.as_chunks_mut::<8>().0.iter_mut().zip(self.0) {
+            *eight = word.to_le_bytes();
+        }
+        bytes
+    }
+}
+
+macro_rules! bitwise {
+    ($operator:ident, $method:ident) => {
+        impl $operator for Mask {
+            type Output = Mask;
+            fn $method(mut self, other: Mask) -> Mask {
+                for (word, other) in self.0.iter_mut().zip(other.0) {
+                    *word = word.$method(other);
+                }
+                self
+            }
+        }
+    };
+}
+
+bitwise!(BitAnd, bitand);
+bitwise!(BitOr, bitor);
+bitwise!(BitXor, bitxor);
+
+impl BitOrAssign for Mask {
+    fn bitor_assign(&mut self, other: Mask) {
+        *self = *self | other;
+    }
+}
+
+impl Not for Mask {
+    type Output = Mask;
+    fn not(self) -> Mask {
+        Mask(self.0.map(|word| !word))
+    }
+}
+
+/// What a scan says of one tile. Invariant of [`TileMasks::new`]: an occupied cell is observed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct TileMasks {
+    observed: Mask,
+    occupied: Mask,
+}
+
+impl TileMasks {
+    /// The masks; `None` where a cell is occupied but not observed.
+    #[must_use]
+    pub fn new(observed: Mask, occupied: Mask) -> Option<TileMasks> {
+        occupied.without(observed).is_empty().then_some(TileMasks { observed, occupied })
+    }
+
+    /// The masks with what is not observed taken out of the occupied.
+    #[must_use]
+    pub fn clipped(observed: Mask, occupied: Mask) -> TileMasks {
+        TileMasks { observed, occupied: occupied & observed }
+    }
+
+    /// Cells that were observed.
+    #[must_use]
+    pub fn observed(&self) -> Mask {
+        self.observed
+    }
+
+    /// Cells that were observed as occupied.
+    #[must_use]
+    pub fn occupied(&self) -> Mask {
+        self.occupied
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mask_lists_what_was_put_in() {
+        let mut mask = Mask::EMPTY;
+        for cell in [0, 63, 64, 200, 511] {
+            mask.insert(cell);
+        }
+        mask.insert(512);
+        mask.flip(200);
+        assert_eq!(mask.cells().collect::<Vec<_>>(), [0, 63, 64, 511]);
+        assert_eq!((mask.count(), mask.contains(64), mask.contains(65)), (4, true, false));
+        assert_eq!(Mask::from_bytes(&mask.to_bytes()), mask);
+        assert_eq!(mask.to_bytes()[8], 1);
+        assert_eq!((!mask).count(), 508);
+        assert_eq!(Mask::FULL.cells().count(), 512);
+        assert_eq!(Mask::FULL.without(mask) | mask, Mask::FULL);
+    }
+
+    #[test]
+    fn occupied_cells_are_observed() {
+        let mut one = Mask::EMPTY;
+        one.insert(5);
+        assert!(TileMasks::new(Mask::EMPTY, one).is_none());
+        assert!(TileMasks::new(one, one).is_some());
+        assert!(TileMasks::clipped(Mask::EMPTY, Mask::FULL).occupied().is_empty());
+    }
+}

@@ -1,0 +1,87 @@
+//! Scans as the log holds them: what was seen, as the difference from what its tiles showed before.
+//!
+//! Invariant: cells are numbered tile·512 + place. A flip says that a tile's bit differs from the last scan *in the
+//! order of the log* that saw the tile, whoever made that one; a tile never seen before had no bit set.
+
+use std::sync::Arc;
+
+use super::index::{TILE_CELLS, TileId, TileIndex};
+use crate::{
+    event::{ProducerId, RefusalReason},
+    name::ProducerKey,
+};
+
+/// A cell of a map: tile and place there as one number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct CellRef(pub u32);
+
+impl CellRef {
+    /// Tiles that can be numbered.
+    pub const TILES_MAX: u32 = u32::MAX / TILE_CELLS as u32;
+
+    /// The cell at place `cell` of a tile.
+    #[must_use]
+    pub fn new(tile: TileId, cell: u16) -> CellRef {
+        CellRef(tile.0.wrapping_mul(TILE_CELLS as u32) + u32::from(cell))
+    }
+
+    /// Its tile.
+    #[must_use]
+    pub fn tile(self) -> TileId {
+        TileId(self.0 / TILE_CELLS as u32)
+    }
+
+    /// Its place in the tile.
+    #[must_use]
+    pub fn cell(self) -> u16 {
+        (self.0 % TILE_CELLS as u32) as u16
+    }
+}
+
+/// One scan.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LoggedScan {
+    /// When it was made, nanoseconds UTC, at least 0.
+    pub utc_nanos: i64,
+    /// Seconds to add to UTC for local civil time.
+    pub offset_secs: i32,
+    /// The tiles that were seen, ascending, none twice; `None`: the same as in the scan before in the log.
+    pub seen: Option<Arc<[TileId]>>,
+    /// Cells of seen tiles whose observed bit differs from the last scan of their tile; ascending.
+    pub observed_flips: Vec<CellRef>,
+    /// Cells of seen tiles whose occupied bit differs; ascending. A cell that is not observed has no occupied bit.
+    pub occupied_flips: Vec<CellRef>,
+}
+
+/// Scans of one producer that became durable together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scans {
+    /// Whose.
+    pub producer: ProducerId,
+    /// The producer's key, where this is the first event of the producer.
+    pub new_producer: Option<ProducerKey>,
+    /// The producer's incarnation.
+    pub incarnation: u64,
+    /// Sequence number of the first scan, refused ones included.
+    pub first_sequence: u64,
+    /// Sequence number of the last scan, refused ones included; at least `first_sequence`.
+    pub last_sequence: u64,
+    /// Running CRC-32C over what the producer sent, up to `last_sequence`.
+    pub content_crc: u32,
+    /// When they were received, nanoseconds UTC of the server's clock.
+    pub received_nanos: i64,
+    /// Tiles that appear for the first time; their ids continue those of the map.
+    pub new_tiles: Vec<TileIndex>,
+    /// The accepted scans.
+    pub scans: Vec<LoggedScan>,
+    /// Refused scans: sequence number and reason, ascending.
+    pub refused: Vec<(u64, RefusalReason)>,
+}
+
+impl Scans {
+    /// The latest time that is plausible by the clock of their receipt, nanoseconds UTC; later ones wait.
+    #[must_use]
+    pub fn plausible_nanos(&self) -> i64 {
+        self.received_nanos.saturating_add(crate::MAX_AHEAD_NANOS)
+    }
+}

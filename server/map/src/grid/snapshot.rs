@@ -1,0 +1,34 @@
+//! A grid as it stands after an update, for the store to keep and to give back.
+//!
+//! Invariant: with the events behind its map's log position it gives the grid. Scans that are still pending are in it.
+
+use std::sync::Arc;
+
+use super::{
+    day::GridDay,
+    index::TileId,
+    live::AheadScan,
+    live_tile::LiveTile,
+    tile::{ModelSlot, SumsSlot},
+};
+
+/// A whole grid at one log position.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GridSnapshot {
+    /// Tiles; the index is the `TileId`. Settled: none takes part in a run of like scans.
+    pub tiles: Vec<Arc<LiveTile>>,
+    /// The model of each tile, as long as `tiles` or shorter.
+    pub models: Vec<ModelSlot>,
+    /// The sums of each tile, as long as `models`.
+    pub sums: Vec<SumsSlot>,
+    /// The tiles of the last scan in the log.
+    pub last_seen: Arc<[TileId]>,
+    /// Scans that no update has folded in, ascending by day.
+    pub days: Vec<GridDay>,
+    /// Scans that wait because their time is too far ahead.
+    pub ahead: Vec<AheadScan>,
+    /// Scans acknowledged.
+    pub scans: u64,
+    /// Observations of single cells in them.
+    pub cell_observations: u64,
+}

@@ -1,0 +1,242 @@
+//! What is learned of one tile: which cells were observed together, and the models and sums of those that changed.
+//!
+//! A cell that never changed is a bit. Cells that were observed at the same times so far form an observation group and
+//! share B_k = Σ e^(-jω_k t) over its observations; groups of different tiles with the same history share it too. A cell
+//! that changed has A_k over its occupied readings.
+//!
+//! Invariant: the groups of a tile are disjoint and hold exactly the cells that were ever observed; a changed cell lies
+//! in a group; `TileSums` runs parallel to the groups and cells of its `TileModel`.
+
+use std::sync::Arc;
+
+use tidemap_model::{OrderErrors, PhasorSum, SpectralModel};
+
+use super::{index::TileId, mask::Mask};
+
+/// Cells of a tile that have been observed at the same times so far.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Group {
+    /// The cells.
+    pub cells: Mask,
+    /// Observations of each of them, at least 1.
+    pub observations: u64,
+    /// Time of the first, nanoseconds UTC.
+    pub first_nanos: i64,
+    /// Time of the last, nanoseconds UTC.
+    pub last_nanos: i64,
+}
+
+/// The model of a cell that has changed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CellModel {
+    /// Its place in the tile.
+    pub cell: u16,
+    /// How often it was read as occupied.
+    pub occupied: u64,
+    /// Mean and strongest components.
+    pub spectral: SpectralModel,
+    /// Components in force.
+    pub order: u8,
+    /// How well each order has predicted.
+    pub errors: OrderErrors,
+}
+
+/// What a generation says of a tile.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TileModel {
+    /// Observation groups, by their lowest cell.
+    pub groups: Vec<Group>,
+    /// Cells that were always read as occupied.
+    pub always_occupied: Mask,
+    /// Cells that have changed, ascending by place.
+    pub cells: Vec<CellModel>,
+}
+
+impl TileModel {
+    /// Cells that were ever observed.
+    #[must_use]
+    pub fn observed(&self) -> Mask {
+        self.groups.iter().fold(Mask::EMPTY, |all, group| all | group.cells)
+    }
+
+    /// Cells that have changed.
+    #[must_use]
+    pub fn changed(&self) -> Mask {
+        let mut mask = Mask::EMPTY;
+        for cell in &self.cells {
+            mask.insert(cell.cell);
+        }
+        mask
+    }
+
+    /// The group of a cell.
+    #[must_use]
+    pub fn group_of(&self, cell: u16) -> Option<&Group> {
+        self.groups.iter().find(|group| group.cells.contains(cell))
+    }
+
+    /// The model of a cell that has changed.
+    #[must_use]
+    pub fn cell(&self, cell: u16) -> Option<&CellModel> {
+        let at = self.cells.binary_search_by_key(&cell, |model| model.cell).ok()?;
+        self.cells.get(at)
+    }
+
+    /// Memory in bytes, about.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let components: usize = self.cells.iter().map(|cell| cell.spectral.components().len() * 24).sum();
+        size_of::<Self>()
+            + self.groups.len() * size_of::<Group>()
+            + self.cells.len() * size_of::<CellModel>()
+            + components
+    }
+}
+
+/// The sums from which the next generation's models of a tile follow.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TileSums {
+    /// B_k of each group.
+    pub groups: Vec<Arc<PhasorSum>>,
+    /// A_k of each changed cell, over its occupied readings.
+    pub cells: Vec<PhasorSum>,
+}
+
+impl TileSums {
+    /// Memory in bytes, about; shared sums are counted as if they were not.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let groups: usize = self.groups.iter().map(|sum| sum.bytes()).sum();
+        size_of::<Self>() + groups + self.cells.iter().map(PhasorSum::bytes).sum::<usize>()
+    }
+}
+
+/// Where tiles that are not in memory are read from.
+pub trait TileSource: Send + Sync + std::fmt::Debug {
+    /// The model of a tile.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where it cannot be read.
+    fn model(&self, tile: TileId) -> Result<Arc<TileModel>, TileUnavailable>;
+
+    /// The sums of a tile.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where they cannot be read.
+    fn sums(&self, tile: TileId) -> Result<Arc<TileSums>, TileUnavailable>;
+
+    /// The type behind it, for the store to know its own.
+    fn as_any(&self) -> &dyn std::any::Any;
+}
+
+/// A tile cannot be read from where it is kept.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("tile {} cannot be read: {reason}", .tile.0)]
+pub struct TileUnavailable {
+    /// The tile.
+    pub tile: TileId,
+    /// Why.
+    pub reason: String,
+}
+
+/// Where a tile that is not in memory is kept.
+#[derive(Clone, Debug)]
+pub struct ColdTile {
+    /// Where.
+    pub source: Arc<dyn TileSource>,
+    /// The tile.
+    pub tile: TileId,
+}
+
+/// A tile's model, in memory or where it is kept.
+#[derive(Clone, Debug)]
+pub enum ModelSlot {
+    /// In memory.
+    Resident(Arc<TileModel>),
+    /// On the disk.
+    Cold(ColdTile),
+}
+
+/// A tile's sums, in memory or where they are kept.
+#[derive(Clone, Debug)]
+pub enum SumsSlot {
+    /// In memory.
+    Resident(Arc<TileSums>),
+    /// On the disk.
+    Cold(ColdTile),
+}
+
+impl Default for ModelSlot {
+    /// A tile that no update has seen.
+    fn default() -> ModelSlot {
+        ModelSlot::Resident(Arc::default())
+    }
+}
+
+impl Default for SumsSlot {
+    /// A tile that no update has seen.
+    fn default() -> SumsSlot {
+        SumsSlot::Resident(Arc::default())
+    }
+}
+
+impl ModelSlot {
+    /// The model.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where it cannot be read.
+    pub fn get(&self) -> Result<Arc<TileModel>, TileUnavailable> {
+        match self {
+            ModelSlot::Resident(model) => Ok(Arc::clone(model)),
+            ModelSlot::Cold(ColdTile { source, tile }) => source.model(*tile),
+        }
+    }
+}
+
+impl PartialEq for ModelSlot {
+    /// By what they hold, wherever that is.
+    fn eq(&self, other: &ModelSlot) -> bool {
+        matches!((self.get(), other.get()), (Ok(one), Ok(other)) if one == other)
+    }
+}
+
+impl PartialEq for SumsSlot {
+    /// By what they hold, wherever that is.
+    fn eq(&self, other: &SumsSlot) -> bool {
+        matches!((self.get(), other.get()), (Ok(one), Ok(other)) if one == other)
+    }
+}
+
+impl SumsSlot {
+    /// The sums.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where they cannot be read.
+    pub fn get(&self) -> Result<Arc<TileSums>, TileUnavailable> {
+        match self {
+            SumsSlot::Resident(sums) => Ok(Arc::clone(sums)),
+            SumsSlot::Cold(ColdTile { source, tile }) => source.sums(*tile),
+        }
+    }
+
+    /// The sums, to be changed; a copy where others hold them too.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where they cannot be read.
+    pub(crate) fn take(&mut self) -> Result<TileSums, TileUnavailable> {
+        let sums = match self {
+            SumsSlot::Resident(sums) => std::mem::take(sums),
+            SumsSlot::Cold(ColdTile { source, tile }) => source.sums(*tile)?,
+        };
+        Ok(Arc::unwrap_or_clone(sums))
+    }
+
+    /// Memory in bytes, about.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        match self {
+            SumsSlot::Resident(sums) => sums.bytes(),
+            SumsSlot::Cold(_) => 0,
+        }
+    }
+}

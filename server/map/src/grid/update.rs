@@ -1,0 +1,200 @@
+//! The update of a grid: each day's scans are scored, orders are chosen, sums are folded in, models refitted.
+//!
+//! The tiles that were seen by the same scans of a day are worked off together: they share the phasors of those scans and
+//! their running sums, in chunks that stay in cache. A cell then costs one row of sums per change of its value, and a
+//! prediction per observation where it has a spectrum to be scored.
+//!
+//! Invariant: each cell's model is what `StateModel::update` of tidemap-model gives for its readings, to 1e-9.
+
+use std::{
+    collections::HashMap,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use rayon::prelude::*;
+use tidemap_model::{MAX_ORDER, OrderCriterion, Periodicities};
+
+use super::{
+    day::GridDay,
+    generation::Generation,
+    index::TileId,
+    spec::SensorNoise,
+    tile::{ModelSlot, SumsSlot, TileModel, TileSums, TileUnavailable},
+};
+
+mod observed;
+mod pattern;
+mod tile_day;
+
+#[cfg(test)]
+mod tests;
+
+use pattern::Pattern;
+
+/// Scans of one map day whose phasors are in memory at a time.
+pub(crate) const CHUNK: usize = 256;
+
+/// What all cells share.
+#[derive(Clone, Debug)]
+pub(crate) struct Rules {
+    pub(crate) periodicities: Periodicities,
+    pub(crate) criterion: OrderCriterion,
+    /// Values of a free and an occupied reading.
+    pub(crate) levels: (f64, f64),
+}
+
+impl Rules {
+    pub(crate) fn new(periodicities: &Periodicities, criterion: OrderCriterion, sensor: SensorNoise) -> Rules {
+        Rules { periodicities: periodicities.clone(), criterion, levels: sensor.levels() }
+    }
+}
+
+/// The update of a grid, ready to run.
+#[derive(Debug)]
+pub(crate) struct GridWork {
+    pub(crate) rules: Rules,
+    pub(crate) generation: Arc<Generation>,
+    pub(crate) sums: Vec<SumsSlot>,
+    pub(crate) days: Vec<GridDay>,
+    pub(crate) tiles: usize,
+}
+
+/// What an update did to the cells of a grid, all together.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GridOutcome {
+    /// Tiles that had scans.
+    pub tiles: u64,
+    /// Scans folded in.
+    pub scans: u64,
+    /// Observations of single cells folded in.
+    pub observations: u64,
+    /// Cells with a spectrum, in all tiles that had scans.
+    pub changed_cells: u64,
+    /// Observations of cells with a spectrum that were predicted first and scored.
+    pub scored: u64,
+    /// Sum of squared errors over them, per order 0..=15.
+    pub squared_errors: [f64; MAX_ORDER + 1],
+    /// Sum of squared errors, each predicted with the order in force for its cell on its day.
+    pub squared_error_in_force: f64,
+    /// How many cells have each order now.
+    pub cells_by_order: [u64; MAX_ORDER + 1],
+}
+
+impl GridOutcome {
+    pub(crate) fn add(&mut self, other: &GridOutcome) {
+        self.observations += other.observations;
+        self.scored += other.scored;
+        self.squared_error_in_force += other.squared_error_in_force;
+        for (sum, error) in self.squared_errors.iter_mut().zip(&other.squared_errors) {
+            *sum += error;
+        }
+    }
+}
+
+/// What an update of a grid learned.
+#[derive(Debug)]
+pub(crate) struct GridResult {
+    pub(crate) generation: Generation,
+    pub(crate) sums: Vec<SumsSlot>,
+    pub(crate) outcome: GridOutcome,
+    pub(crate) days: Vec<GridDay>,
+}
+
+/// A tile's model and sums while they are changed.
+#[derive(Debug, Default)]
+pub(crate) struct Working {
+    pub(crate) model: TileModel,
+    pub(crate) sums: TileSums,
+}
+
+impl GridWork {
+    /// Number of tiles that have scans to fold in.
+    pub(crate) fn busy_tiles(&self) -> u64 {
+        let is_busy = |tile: usize| self.days.iter().any(|day| day.tiles.get(tile).is_some_and(Option::is_some));
+        (0..self.tiles).filter(|&tile| is_busy(tile)).count() as u64
+    }
+
+    /// Number of scans to fold in.
+    pub(crate) fn scans(&self) -> u64 {
+        self.days.iter().map(|day| day.scans.len() as u64).sum()
+    }
+
+    /// Runs the update on the threads of the rayon pool that this is called in. `progress` counts tiles done on the last
+    /// of their days.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where a tile cannot be read back from the disk; nothing has been learned then.
+    pub(crate) fn run(mut self, progress: &AtomicU64) -> Result<GridResult, TileUnavailable> {
+        let mut sums = std::mem::take(&mut self.sums);
+        sums.resize_with(self.tiles, SumsSlot::default);
+        let mut models = self.generation.models.clone();
+        models.resize_with(self.tiles, ModelSlot::default);
+        let mut working: HashMap<TileId, Working> = HashMap::new();
+        let mut outcome = GridOutcome::default();
+        let last_day = self.days.len().saturating_sub(1);
+        for (number, day) in self.days.iter().enumerate() {
+            outcome.scans += day.scans.len() as u64;
+            let patterns = self.patterns(day, &models, &mut sums, &mut working)?;
+            let done: Vec<(Vec<(TileId, Working)>, GridOutcome)> =
+                patterns.into_par_iter().map(|pattern| pattern.run(&self.rules, day)).collect();
+            for (tiles, of_pattern) in done {
+                outcome.add(&of_pattern);
+                if number == last_day {
+                    progress.fetch_add(tiles.len() as u64, Ordering::Relaxed);
+                }
+                working.extend(tiles);
+            }
+        }
+        outcome.tiles = working.len() as u64;
+        for (tile, Working { model, sums: of_tile }) in working {
+            for cell in &model.cells {
+                outcome.cells_by_order[usize::from(cell.order).min(MAX_ORDER)] += 1;
+            }
+            outcome.changed_cells += model.cells.len() as u64;
+            models[tile.0 as usize] = ModelSlot::Resident(Arc::new(model));
+            sums[tile.0 as usize] = SumsSlot::Resident(Arc::new(of_tile));
+        }
+        Ok(GridResult { generation: Generation { models }, sums, outcome, days: self.days })
+    }
+
+    /// The tiles of a day, those together that were seen by the same scans.
+    fn patterns(
+        &self,
+        day: &GridDay,
+        models: &[ModelSlot],
+        sums: &mut [SumsSlot],
+        working: &mut HashMap<TileId, Working>,
+    ) -> Result<Vec<Pattern>, TileUnavailable> {
+        let mut by_ranges: HashMap<Vec<(u32, u32)>, usize> = HashMap::new();
+        let mut patterns: Vec<Pattern> = Vec::new();
+        for (index, ranges) in day.presence_by_tile().into_iter().enumerate() {
+            if ranges.is_empty() {
+                continue;
+            }
+            let tile = TileId(u32::try_from(index).unwrap_or(u32::MAX));
+            let state = match working.remove(&tile) {
+                Some(state) => state,
+                None => Working {
+                    model: models
+                        .get(index)
+                        .map_or_else(|| Ok(Arc::default()), ModelSlot::get)
+                        .map(Arc::unwrap_or_clone)?,
+                    sums: sums.get_mut(index).map_or_else(|| Ok(TileSums::default()), SumsSlot::take)?,
+                },
+            };
+            let pattern = match by_ranges.get(&ranges) {
+                Some(&pattern) => pattern,
+                None => {
+                    by_ranges.insert(ranges.clone(), patterns.len());
+                    patterns.push(Pattern::new(ranges));
+                    patterns.len() - 1
+                }
+            };
+            patterns[pattern].tiles.push((tile, state));
+        }
+        Ok(patterns)
+    }
+}

@@ -1,0 +1,126 @@
+//! When the cells of a tile were observed on one day: cells alike together, and the groups of the tile refined by that.
+//!
+//! Invariant: times are given as toggles: ascending numbers of scans, among those that saw the tile, at which a bit that
+//! was clear before the first turns over.
+
+use std::collections::BTreeMap;
+
+use super::super::{
+    day::{Bit, DayTile},
+    mask::Mask,
+    tile::Group,
+};
+
+/// The toggles of cells that changed a bit within the day, and what they showed.
+#[derive(Debug, Default)]
+pub(super) struct DayToggles {
+    /// Cells observed at like times: the toggles of their observed bit, and the cells.
+    pub(super) observed: Vec<(Vec<u32>, Mask)>,
+    /// Cells that were ever read as occupied.
+    pub(super) ever_occupied: Mask,
+    /// Cells that were ever read as free.
+    pub(super) ever_free: Mask,
+    /// Per cell the toggles of the occupied bit, for cells that have any; by cell.
+    pub(super) occupied: Vec<(u16, Vec<u32>)>,
+}
+
+/// Numbers scans among those of some ranges.
+struct Compact<'a> {
+    ranges: &'a [(u32, u32)],
+    before: u32,
+}
+
+impl Compact<'_> {
+    /// The number of a scan; asked in ascending order.
+    fn number(&mut self, scan: u32) -> u32 {
+        while let Some(&(first, end)) = self.ranges.first() {
+            if scan < end {
+                return self.before + scan.saturating_sub(first);
+            }
+            self.before += end - first;
+            self.ranges = &self.ranges[1..];
+        }
+        self.before
+    }
+}
+
+impl DayToggles {
+    pub(super) fn new(tile: &DayTile, ranges: &[(u32, u32)]) -> DayToggles {
+        let mut compact = Compact { ranges, before: 0 };
+        let (mut observed, mut occupied) = (tile.first.observed(), tile.first.occupied());
+        let (mut ever_occupied, mut ever_free) = (occupied, observed.without(occupied));
+        let start = |bits: Mask| bits.cells().map(|cell| (cell, vec![0])).collect::<BTreeMap<u16, Vec<u32>>>();
+        let mut occupied_toggles = start(occupied);
+        // Of cells whose observed bit flips within the day alone.
+        let mut observed_toggles: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
+        for of_scan in tile.flips.chunk_by(|one, other| one.scan == other.scan) {
+            let Some(first) = of_scan.first() else { continue };
+            let number = compact.number(first.scan);
+            for flip in of_scan {
+                let cell = flip.cell();
+                match flip.bit() {
+                    Bit::Observed => {
+                        let was_observed = observed.contains(cell);
+                        let from_start = || if was_observed { vec![0] } else { Vec::new() };
+                        observed_toggles.entry(cell).or_insert_with(from_start).push(number);
+                        observed.flip(cell);
+                    }
+                    Bit::Occupied => {
+                        occupied_toggles.entry(cell).or_default().push(number);
+                        occupied.flip(cell);
+                    }
+                }
+            }
+            ever_occupied |= occupied;
+            ever_free |= observed.without(occupied);
+        }
+        let mut alike: BTreeMap<Vec<u32>, Mask> = BTreeMap::new();
+        let mut steady = tile.first.observed();
+        for (cell, toggles) in observed_toggles {
+            if steady.contains(cell) {
+                steady.flip(cell);
+            }
+            alike.entry(toggles).or_default().insert(cell);
+        }
+        if !steady.is_empty() {
+            *alike.entry(vec![0]).or_default() |= steady;
+        }
+        DayToggles {
+            observed: alike.into_iter().collect(),
+            ever_occupied,
+            ever_free,
+            occupied: occupied_toggles.into_iter().collect(),
+        }
+    }
+}
+
+/// An observation group after the day: which group it was part of, and which toggles it has on the day.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Refined {
+    pub(super) cells: Mask,
+    /// Index of the group before; `None`: never observed before.
+    pub(super) before: Option<usize>,
+    /// Index into [`DayToggles::observed`]; `None`: not observed on the day.
+    pub(super) toggles: Option<usize>,
+}
+
+/// Splits the groups where their cells were not observed alike, and adds groups of new cells. By their lowest cell.
+pub(super) fn refine(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<Refined> {
+    let mut refined = Vec::with_capacity(groups.len() + toggles.len());
+    let mut known = Mask::EMPTY;
+    let seen = toggles.iter().fold(Mask::EMPTY, |all, (_, cells)| all | *cells);
+    for (before, group) in groups.iter().enumerate() {
+        known |= group.cells;
+        for (index, (_, cells)) in toggles.iter().enumerate() {
+            let cells = group.cells & *cells;
+            refined.push(Refined { cells, before: Some(before), toggles: Some(index) });
+        }
+        refined.push(Refined { cells: group.cells.without(seen), before: Some(before), toggles: None });
+    }
+    for (index, (_, cells)) in toggles.iter().enumerate() {
+        refined.push(Refined { cells: cells.without(known), before: None, toggles: Some(index) });
+    }
+    refined.retain(|group| !group.cells.is_empty());
+    refined.sort_by_key(|group| group.cells.cells().next());
+    refined
+}

@@ -1,0 +1,247 @@
+//! The immutable picture of a grid that queries read, and what it says about any time.
+//!
+//! Invariant: a view never changes. A cell that was never observed has no probability.
+
+use std::{collections::HashMap, sync::Arc};
+
+use tidemap_model::{InstantPhasors, Persistence, SpectralModel};
+
+use super::{
+    generation::Generation,
+    index::{CellBox, CellIndex, TileId, TileIndex},
+    live::{LiveGrid, TILE_CHUNK, TileChunk},
+    live_tile::{LikeScans, LiveTile},
+    mask::Mask,
+    spec::GridSpec,
+    tile::{TileModel, TileUnavailable},
+};
+use crate::predict::{ModelKind, ModelSelector};
+
+/// An immutable picture of a grid.
+#[derive(Clone, Debug)]
+pub struct GridView {
+    pub(crate) spec: Arc<GridSpec>,
+    pub(crate) ids: Arc<HashMap<TileIndex, TileId>>,
+    pub(crate) chunks: Vec<TileChunk>,
+    pub(crate) run: LikeScans,
+    pub(crate) generation: Arc<Generation>,
+    pub(crate) scans: u64,
+    pub(crate) pending_scans: u64,
+    pub(crate) cell_observations: u64,
+}
+
+/// What a grid says of one tile at one time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TilePrediction {
+    /// Where the tile is.
+    pub index: TileIndex,
+    /// Cells that were ever observed.
+    pub known: Mask,
+    /// Of these, cells that have changed.
+    pub changed: Mask,
+    /// Probability of each known cell that it is occupied, by place; 0 for the others.
+    pub probabilities: Box<[f32; 512]>,
+}
+
+/// What is known of one cell.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CellDescription {
+    /// Whether it was ever read as both free and occupied, up to the last update.
+    pub changed: bool,
+    /// Mean and components.
+    pub spectral: SpectralModel,
+    /// Components in force.
+    pub order: usize,
+    /// Decayed error sums of the orders; `None` where it has not changed.
+    pub errors: Option<[f64; tidemap_model::MAX_ORDER + 1]>,
+    /// Last value and persistence.
+    pub persistence: Persistence,
+    /// Observations folded in.
+    pub folded: u64,
+    /// Observations acknowledged, each newer than the one before.
+    pub observations: u64,
+    /// First observation folded in, nanoseconds UTC.
+    pub first_nanos: Option<i64>,
+}
+
+impl GridView {
+    pub(crate) fn new(grid: &mut LiveGrid) -> GridView {
+        GridView {
+            spec: Arc::clone(&grid.spec),
+            ids: Arc::clone(&grid.ids),
+            chunks: grid.publish(),
+            run: grid.run,
+            generation: Arc::clone(&grid.generation),
+            scans: grid.scans,
+            pending_scans: grid.pending_scans() + grid.ahead(),
+            cell_observations: grid.cell_observations,
+        }
+    }
+
+    /// The fixed properties of the grid.
+    #[must_use]
+    pub fn spec(&self) -> &GridSpec {
+        &self.spec
+    }
+
+    /// Values of a free and an occupied reading.
+    #[must_use]
+    pub fn levels(&self) -> (f64, f64) {
+        self.spec.sensor.levels()
+    }
+
+    /// Number of tiles.
+    #[must_use]
+    pub fn tiles(&self) -> usize {
+        self.ids.len()
+    }
+
+    /// Scans acknowledged.
+    #[must_use]
+    pub fn scans(&self) -> u64 {
+        self.scans
+    }
+
+    /// Scans that no update has folded in.
+    #[must_use]
+    pub fn pending_scans(&self) -> u64 {
+        self.pending_scans
+    }
+
+    /// Observations of single cells in the scans acknowledged.
+    #[must_use]
+    pub fn cell_observations(&self) -> u64 {
+        self.cell_observations
+    }
+
+    /// A tile as the newest scans show it.
+    #[must_use]
+    pub fn live(&self, tile: TileId) -> Option<&LiveTile> {
+        let index = tile.0 as usize;
+        self.chunks.get(index / TILE_CHUNK)?.get(index % TILE_CHUNK).map(AsRef::as_ref)
+    }
+
+    /// The tile of this index.
+    #[must_use]
+    pub fn find(&self, index: TileIndex) -> Option<TileId> {
+        self.ids.get(&index).copied()
+    }
+
+    /// The smallest box of whole tiles that holds every tile.
+    #[must_use]
+    pub fn bounds(&self) -> CellBox {
+        let empty = CellBox { min: CellIndex::default(), max: CellIndex::default() };
+        self.ids.keys().fold(empty, |bounds, index| bounds.union(&index.cells()))
+    }
+
+    /// The tiles that reach into a box, by place: z, then y, then x ascending.
+    #[must_use]
+    pub fn tiles_in(&self, region: &CellBox) -> Vec<(TileIndex, TileId)> {
+        let reaches = |index: &&TileIndex| !index.cells().intersection(region).is_empty();
+        let mut tiles: Vec<(TileIndex, TileId)> =
+            self.ids.keys().filter(reaches).filter_map(|&index| Some((index, self.find(index)?))).collect();
+        tiles.sort_unstable_by_key(|(index, _)| (index.z, index.y, index.x));
+        tiles
+    }
+
+    /// The model that the last update gave a tile.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where it cannot be read from the disk.
+    pub fn model(&self, tile: TileId) -> Result<Arc<TileModel>, TileUnavailable> {
+        self.generation.model(tile).map_or_else(|| Ok(Arc::default()), super::tile::ModelSlot::get)
+    }
+
+    /// Probability of each cell of a tile at one time, given in nanoseconds UTC and as phasors on the map's civil time.
+    /// A cell observed only since the last update answers 0.5, as a state does, unless the latest value is asked for.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where the tile cannot be read from the disk.
+    pub fn predict_tile(
+        &self,
+        tile: TileId,
+        utc_nanos: i64,
+        phasors: &InstantPhasors,
+        selector: ModelSelector,
+    ) -> Result<TilePrediction, TileUnavailable> {
+        let model = self.model(tile)?;
+        let unseen = LiveTile::new(TileIndex::default());
+        let live = self.live(tile).unwrap_or(&unseen);
+        let levels = self.levels();
+        let learned = model.observed();
+        let known = live.known | learned;
+        let mut prediction =
+            TilePrediction { index: live.index, known, changed: model.changed(), probabilities: Box::new([0.0; 512]) };
+        let out = &mut prediction.probabilities;
+        if selector.kind == ModelKind::Latest {
+            set_levels(out, known, live.occupied, levels);
+            return Ok(prediction);
+        }
+        set_levels(out, learned, model.always_occupied, levels);
+        for cell in known.without(learned).cells() {
+            out[usize::from(cell)] = 0.5;
+        }
+        for cell in &model.cells {
+            let order = match selector.kind {
+                ModelKind::Mean => 0,
+                _ => selector.order.unwrap_or(usize::from(cell.order)),
+            };
+            if let Some(out) = out.get_mut(usize::from(cell.cell)) {
+                *out = cell.spectral.predict_at(order, phasors) as f32;
+            }
+        }
+        if selector.persistence {
+            for cell in live.known.cells() {
+                let out = &mut out[usize::from(cell)];
+                *out = live.persistence(cell, self.run, levels).blend(f64::from(*out), utc_nanos) as f32;
+            }
+        }
+        Ok(prediction)
+    }
+
+    /// What is known of one cell; `None` where it was never observed.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where its tile cannot be read from the disk.
+    pub fn describe(&self, cell: CellIndex) -> Result<Option<CellDescription>, TileUnavailable> {
+        let (index, place) = cell.tile();
+        let Some(tile) = self.find(index) else { return Ok(None) };
+        let model = self.model(tile)?;
+        let Some(live) = self.live(tile).filter(|live| live.known.contains(place)) else { return Ok(None) };
+        let levels = self.levels();
+        let group = model.group_of(place);
+        let persistence = live.persistence(place, self.run, levels);
+        let mut description = CellDescription {
+            changed: false,
+            spectral: SpectralModel::default(),
+            order: 0,
+            errors: None,
+            folded: group.map_or(0, |group| group.observations),
+            observations: persistence.to_parts().pairs + u64::from(persistence.last().is_some()),
+            first_nanos: group.map(|group| group.first_nanos),
+            persistence,
+        };
+        if let Some(model) = model.cell(place) {
+            description.changed = true;
+            description.spectral = model.spectral.clone();
+            description.order = usize::from(model.order);
+            description.errors = Some(*model.errors.sums());
+        } else if let Some(group) = group {
+            let level = if model.always_occupied.contains(place) { levels.1 } else { levels.0 };
+            description.spectral = SpectralModel::from_parts(level, group.observations, Vec::new()).unwrap_or_default();
+        }
+        Ok(Some(description))
+    }
+}
+
+fn set_levels(out: &mut [f32; 512], cells: Mask, occupied: Mask, levels: (f64, f64)) {
+    let (free, full) = (levels.0 as f32, levels.1 as f32);
+    for (word, out) in out.chunks_mut(64).enumerate() {
+        let (cells, occupied) = (cells.0[word], occupied.0[word]);
+        for (bit, out) in out.iter_mut().enumerate() {
+            if cells >> bit & 1 == 1 {
+                *out = if occupied >> bit & 1 == 1 { full } else { free };
+            }
+        }
+    }
+}
