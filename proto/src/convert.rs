@@ -5,6 +5,7 @@
 use std::fmt::Display;
 
 pub mod columns;
+pub mod grid;
 pub mod map;
 pub mod query;
 pub mod time;

@@ -3,6 +3,7 @@
 use prost_types::Duration;
 use tidemap_map::{
     event::{RefusalReason, StateId, StateKind},
+    grid::spec::Retention,
     name::MapName,
     spec::MapSpec,
     view::MapView,
@@ -11,6 +12,7 @@ use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 
 use super::{
     InvalidField,
+    grid::{grid_from_wire, grid_summary_to_wire, grid_to_wire, retention_from_wire, retention_to_wire},
     time::{duration, nanos_from_duration, timestamp},
 };
 use crate::v1;
@@ -38,7 +40,9 @@ pub fn spec_from_request(request: v1::CreateMapRequest, created_nanos: i64) -> R
             return Err(InvalidField::new("order_criterion", format!("{} is not known", request.order_criterion)));
         }
     };
-    Ok(MapSpec { name, zone, periodicities, criterion, created_nanos })
+    let retention = retention_from_wire("retention", request.retention, Retention::Forever)?;
+    let grid = request.grid.map(grid_from_wire).transpose()?;
+    Ok(MapSpec { name, zone, periodicities, criterion, created_nanos, retention, grid })
 }
 
 fn periodicities_from_wire(wire: Option<v1::Periodicities>) -> Result<Periodicities, InvalidField> {
@@ -88,6 +92,9 @@ pub fn map_to_wire(view: &MapView) -> v1::Map {
         observations: view.observations(),
         pending_observations: view.pending(),
         last_update: Some(update_to_wire(view.generation(), view.cut_nanos())),
+        retention: Some(retention_to_wire(spec.retention)),
+        grid: spec.grid.as_ref().map(grid_to_wire),
+        grid_summary: view.grid().map(grid_summary_to_wire),
     }
 }
 
@@ -129,5 +136,10 @@ pub fn refusal_to_wire(reason: RefusalReason) -> v1::RefusalReason {
         RefusalReason::StateIndex => v1::RefusalReason::StateIndex,
         RefusalReason::StateLimit => v1::RefusalReason::StateLimit,
         RefusalReason::StateKind => v1::RefusalReason::StateKind,
+        RefusalReason::NoGrid => v1::RefusalReason::NoGrid,
+        RefusalReason::Scan => v1::RefusalReason::Scan,
+        RefusalReason::Empty => v1::RefusalReason::Empty,
+        RefusalReason::TileLimit => v1::RefusalReason::TileLimit,
+        RefusalReason::Frame => v1::RefusalReason::Frame,
     }
 }

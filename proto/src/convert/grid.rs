@@ -1,0 +1,165 @@
+//! Grids: their specification, boxes of cells, poses and retention.
+//!
+//! Invariant: a specification that comes out of [`grid_from_wire`] has passed `GridSpec::check`.
+
+use tidemap_map::grid::{
+    index::{CellBox, CellIndex},
+    spec::{GridSpec, InvalidGrid, Retention, SensorNoise},
+    view::GridView,
+};
+
+use super::{
+    InvalidField,
+    time::{duration, nanos_from_duration},
+};
+use crate::v1;
+
+/// Frame of a grid that does not say which.
+pub const DEFAULT_FRAME: &str = "map";
+/// How far the length of a quaternion may be from 1.
+const QUATERNION_TOLERANCE: f64 = 1e-3;
+
+/// A transform map_from_sensor: a position and a unit quaternion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Metres.
+    pub position_m: [f64; 3],
+    /// x, y, z, w; of length 1.
+    pub quaternion_xyzw: [f64; 4],
+}
+
+/// A grid's specification.
+///
+/// # Errors
+/// The field that is wrong.
+pub fn grid_from_wire(wire: v1::Grid) -> Result<GridSpec, InvalidField> {
+    let frame_id = if wire.frame_id.is_empty() { DEFAULT_FRAME.to_owned() } else { wire.frame_id };
+    let sensor = wire.sensor.map_or_else(SensorNoise::default, |sensor| SensorNoise {
+        hit: sensor.hit,
+        false_alarm: sensor.false_alarm,
+        prior: if sensor.prior == 0.0 { 0.5 } else { sensor.prior },
+    });
+    let spec = GridSpec {
+        frame_id,
+        is_flat: wire.flat,
+        resolution_m: wire.resolution_m,
+        origin_m: [wire.origin_x_m, wire.origin_y_m, wire.origin_z_m],
+        extent: wire.extent.as_ref().map(cell_box_from_wire),
+        sensor,
+        retention: retention_from_wire("grid.retention", wire.retention, Retention::None)?,
+    };
+    spec.check().map_err(|error| {
+        let field = match error {
+            InvalidGrid::Frame(_) => "grid.frame_id",
+            InvalidGrid::Resolution(_) => "grid.resolution_m",
+            InvalidGrid::Origin(_) => "grid.origin",
+            InvalidGrid::Extent(..) => "grid.extent",
+            InvalidGrid::Sensor(_) => "grid.sensor",
+            InvalidGrid::Retention(_) => "grid.retention",
+        };
+        InvalidField::new(field, error)
+    })?;
+    Ok(spec)
+}
+
+/// A grid's specification for the wire.
+#[must_use]
+pub fn grid_to_wire(spec: &GridSpec) -> v1::Grid {
+    let SensorNoise { hit, false_alarm, prior } = spec.sensor;
+    v1::Grid {
+        frame_id: spec.frame_id.clone(),
+        flat: spec.is_flat,
+        resolution_m: spec.resolution_m,
+        origin_x_m: spec.origin_m[0],
+        origin_y_m: spec.origin_m[1],
+        origin_z_m: spec.origin_m[2],
+        extent: spec.extent.as_ref().map(cell_box_to_wire),
+        sensor: Some(v1::SensorNoise { hit, false_alarm, prior }),
+        retention: Some(retention_to_wire(spec.retention)),
+    }
+}
+
+/// What a grid holds, for the wire.
+#[must_use]
+pub fn grid_summary_to_wire(grid: &GridView) -> v1::GridSummary {
+    let bounds = grid.bounds();
+    v1::GridSummary {
+        tiles: grid.tiles() as u64,
+        scans: grid.scans(),
+        pending_scans: grid.pending_scans(),
+        cell_observations: grid.cell_observations(),
+        bounds: (!bounds.is_empty()).then(|| cell_box_to_wire(&bounds)),
+    }
+}
+
+/// A box of cells.
+#[must_use]
+pub fn cell_box_from_wire(wire: &v1::CellBox) -> CellBox {
+    CellBox {
+        min: CellIndex { x: wire.min_x, y: wire.min_y, z: wire.min_z },
+        max: CellIndex { x: wire.max_x, y: wire.max_y, z: wire.max_z },
+    }
+}
+
+/// A box of cells for the wire.
+#[must_use]
+pub fn cell_box_to_wire(cells: &CellBox) -> v1::CellBox {
+    let CellBox { min, max } = cells;
+    v1::CellBox { min_x: min.x, min_y: min.y, min_z: min.z, max_x: max.x, max_y: max.y, max_z: max.z }
+}
+
+/// A retention; `default` where nothing is said.
+///
+/// # Errors
+/// A duration that is not positive.
+pub fn retention_from_wire(
+    field: &str,
+    wire: Option<v1::Retention>,
+    default: Retention,
+) -> Result<Retention, InvalidField> {
+    match wire.and_then(|retention| retention.keep) {
+        None => Ok(default),
+        Some(v1::retention::Keep::None(_)) => Ok(Retention::None),
+        Some(v1::retention::Keep::Forever(_)) => Ok(Retention::Forever),
+        Some(v1::retention::Keep::Duration(duration)) => {
+            let nanos = nanos_from_duration(field, duration)?;
+            if nanos < 1 {
+                return Err(InvalidField::new(field, format!("{nanos} ns: it must be at least 1 ns")));
+            }
+            Ok(Retention::Duration(nanos))
+        }
+    }
+}
+
+/// A retention for the wire.
+#[must_use]
+pub fn retention_to_wire(retention: Retention) -> v1::Retention {
+    let keep = match retention {
+        Retention::None => v1::retention::Keep::None(true),
+        Retention::Duration(nanos) => v1::retention::Keep::Duration(duration(nanos)),
+        Retention::Forever => v1::retention::Keep::Forever(true),
+    };
+    v1::Retention { keep: Some(keep) }
+}
+
+/// A pose; without one the sensor is at the map's origin, unturned.
+///
+/// # Errors
+/// A number that is not finite, or a quaternion whose length is not 1.
+pub fn pose_from_wire(field: &str, wire: Option<v1::Pose>) -> Result<Pose, InvalidField> {
+    let wire = wire.unwrap_or_default();
+    let position_m = [wire.x_m, wire.y_m, wire.z_m];
+    let quaternion = [wire.qx, wire.qy, wire.qz, wire.qw];
+    if let Some(wrong) = position_m.iter().chain(&quaternion).find(|number| !number.is_finite()) {
+        return Err(InvalidField::new(field, format!("{wrong} is not a finite number")));
+    }
+    if quaternion == [0.0; 4] {
+        return Ok(Pose { position_m, quaternion_xyzw: [0.0, 0.0, 0.0, 1.0] });
+    }
+    let length = quaternion.iter().map(|part| part * part).sum::<f64>().sqrt();
+    if (length - 1.0).abs() > QUATERNION_TOLERANCE {
+        let text = format!("the quaternion {quaternion:?} has length {length:.4}: it must be 1 within 0.001");
+        return Err(InvalidField::new(field, text));
+    }
+    Ok(Pose { position_m, quaternion_xyzw: quaternion.map(|part| part / length) })
+}
