@@ -5,6 +5,8 @@
 
 mod commands;
 mod demo;
+#[allow(dead_code, unused_imports)]
+mod formats;
 mod output;
 mod progress;
 mod rows;

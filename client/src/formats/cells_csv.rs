@@ -1,0 +1,62 @@
+//! The known cells of a map as CSV: `x,y,z,probability,entropy_bits,changing,observed`.
+//!
+//! x, y and z are the centre of the cell in metres; `changing` says whether the cell has a model of how it changes.
+//! Unknown cells are left out, so `observed` is `true` in every row; it is there for tables that are joined with
+//! others.
+//!
+//! Invariant: one row a known cell, in the order of the picture; the picture holds probabilities, not entropies.
+
+use std::fmt::Write as _;
+
+use super::{MapPicture, PictureCell, PictureError};
+
+/// The first line.
+pub const HEADER: &str = "x,y,z,probability,entropy_bits,changing,observed";
+
+/// The known cells as a CSV file.
+pub fn write(picture: &MapPicture) -> Result<String, PictureError> {
+    picture.check()?;
+    let mut file = format!("{HEADER}\n");
+    for (centre, cell) in picture.known() {
+        let Some(probability) = cell.value() else { continue };
+        let [x, y, z] = centre.map(micrometres);
+        let entropy = entropy_bits(f64::from(probability));
+        let changing = matches!(cell, PictureCell::Changing { .. });
+        // Writing to a String does not fail.
+        let _ = writeln!(file, "{x},{y},{z},{probability},{entropy:.6},{changing},true");
+    }
+    Ok(file)
+}
+
+/// Takes away the noise of sums such as 0.1 + 0.05.
+fn micrometres(metres: f64) -> f64 {
+    // Adding zero turns -0 into 0.
+    (metres * 1e6).round() / 1e6 + 0.0
+}
+
+/// Entropy of a thing that is so with a probability; 1 at one half, 0 where it is certain.
+fn entropy_bits(probability: f64) -> f64 {
+    let part = |share: f64| if share > 0.0 { -share * share.log2() } else { 0.0 };
+    part(probability) + part(1.0 - probability)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::picture::samples, *};
+
+    #[test]
+    fn known_cells_have_a_row() -> Result<(), PictureError> {
+        let mut picture = samples::flat();
+        picture.cells[5] = PictureCell::Changing { probability: 0.11 };
+        let rows = [
+            HEADER,
+            "-1.475,2.025,0.025,0,0.000000,false,true",
+            "-1.425,2.025,0.025,1,0.000000,false,true",
+            "-1.475,2.075,0.025,0,0.000000,true,true",
+            "-1.425,2.075,0.025,0.5,1.000000,true,true",
+            "-1.375,2.075,0.025,0.11,0.499916,true,true",
+        ];
+        assert_eq!(write(&picture)?, format!("{}\n", rows.join("\n")));
+        Ok(())
+    }
+}

@@ -1,0 +1,28 @@
+//! For tests: what every reader has to bear.
+//!
+//! Invariant: the file given is whole and good; anything shorter is refused, and anything else does not panic.
+
+use super::FormatError;
+
+/// Reads a good file cut off at every byte: each time an error, and each time one that says something.
+#[track_caller]
+pub fn every_cut_is_refused<T: std::fmt::Debug>(whole: &[u8], read: impl Fn(&[u8]) -> Result<T, FormatError>) {
+    assert!(read(whole).is_ok(), "the whole file can be read");
+    for length in 0..whole.len() {
+        match read(&whole[..length]) {
+            Ok(result) => panic!("cut off at byte {length} of {}: {result:?}", whole.len()),
+            Err(error) => assert!(error.to_string().len() > 20, "{error}"),
+        }
+    }
+}
+
+/// Reads a good file with each byte replaced by some others: an answer or an error, never a panic.
+pub fn every_change_is_borne<T>(whole: &[u8], read: impl Fn(&[u8]) -> Result<T, FormatError>) {
+    for at in 0..whole.len() {
+        for byte in [0, 1, b' ', b'\n', b'-', b'0', b'9', 0x7f, 0x80, 0xff, whole[at].wrapping_add(1)] {
+            let mut changed = whole.to_vec();
+            changed[at] = byte;
+            let _ = read(&changed);
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Point clouds of the Point Cloud Library: PCD files, version 0.7, in all three forms of data.
+//!
+//! Read are the fields x, y and z, of any type, and VIEWPOINT as the sensor's pose; other fields are passed over.
+//! Binary data is little-endian. Zeros behind binary data are padding and ignored.
+//!
+//! Invariant: a file gives exactly as many points, finite and not, as its header announces, or an error.
+
+mod header;
+mod lzf;
+#[cfg(test)]
+mod tests;
+
+use super::{
+    error::{FormatError, Place},
+    points::PointFile,
+    scalar::Endian,
+    text::Lines,
+};
+use header::{Data, Header};
+
+/// Most bytes that compressed data may unpack to.
+const UNPACKED_BYTES_MAX: u64 = 2 << 30;
+
+/// Reads a PCD file.
+pub fn read(bytes: &[u8]) -> Result<PointFile, FormatError> {
+    let mut lines = Lines::new(bytes);
+    let header = header::read(bytes, &mut lines)?;
+    match header.data {
+        Data::Ascii => ascii(&header, lines),
+        Data::Binary => binary(&header, &lines),
+        Data::Compressed => compressed(&header, &lines),
+    }
+}
+
+fn ascii(header: &Header, mut lines: Lines<'_>) -> Result<PointFile, FormatError> {
+    let row = header.row(true);
+    let room = lines.rest().len() as u64;
+    // Each value takes a character at least, and a space or line end behind it.
+    let needs = header.points * 2 * row.values as u64;
+    if needs > room {
+        return Err(FormatError::cut_off(lines.at(), format!("data of {} points", header.points), needs, room));
+    }
+    let mut file = PointFile::with_room(header.points, header.pose);
+    let mut taken = 0;
+    while let Some(line) = lines.next_full()? {
+        if taken == header.points {
+            return Err(FormatError::value(
+                line.place(),
+                "the number of points",
+                format!("more than {taken}"),
+                "what POINTS says",
+            ));
+        }
+        let mut point = [0.0; 3];
+        let mut values = 0;
+        for word in line.words() {
+            if let Some(axis) = row.value.iter().position(|&value| value == values) {
+                point[axis] = line.parse(["x", "y", "z"][axis], Some(word), "a number")?;
+            }
+            values += 1;
+        }
+        if values != row.values {
+            let found = format!("{values} values");
+            return Err(FormatError::value(line.place(), "the line", found, format!("{} values", row.values)));
+        }
+        file.push(point);
+        taken += 1;
+    }
+    if taken < header.points {
+        return Err(FormatError::lines_cut_off(lines.number(), "data", header.points, taken));
+    }
+    Ok(file)
+}
+
+fn binary(header: &Header, lines: &Lines<'_>) -> Result<PointFile, FormatError> {
+    let row = header.row(true);
+    let (data, room) = (lines.rest(), lines.rest().len() as u64);
+    let needs = header.points * row.bytes as u64;
+    if needs > room {
+        return Err(FormatError::cut_off(lines.at(), format!("data of {} points", header.points), needs, room));
+    }
+    let (data, behind) = data.split_at(usize::try_from(needs).unwrap_or(data.len()));
+    only_padding(behind, lines.at() + needs)?;
+    let mut file = PointFile::with_room(header.points, header.pose);
+    for bytes in data.chunks_exact(row.bytes) {
+        file.push(std::array::from_fn(|axis| row.scalar[axis].read(bytes, row.byte[axis], Endian::Little)));
+    }
+    Ok(file)
+}
+
+/// Compressed data: its packed and its unpacked length, then all the values of the first field, those of the second …
+fn compressed(header: &Header, lines: &Lines<'_>) -> Result<PointFile, FormatError> {
+    let (data, at) = (lines.rest(), lines.at());
+    let Some(([a, b, c, d, e, f, g, h], data)) = data.split_first_chunk::<8>() else {
+        return Err(FormatError::cut_off(at, "the length of compressed data", 8, data.len() as u64));
+    };
+    let packed = u64::from(u32::from_le_bytes([*a, *b, *c, *d]));
+    let unpacked = u64::from(u32::from_le_bytes([*e, *f, *g, *h]));
+    if packed > data.len() as u64 {
+        return Err(FormatError::cut_off(at + 8, "compressed data", packed, data.len() as u64));
+    }
+    let (data, behind) = data.split_at(usize::try_from(packed).unwrap_or(data.len()));
+    only_padding(behind, at + 8 + packed)?;
+    // Padding fields, called "_", may be left out of compressed data.
+    let rows = [header.row(true), header.row(false)];
+    let Some(row) = rows.iter().find(|row| row.bytes as u64 * header.points == unpacked) else {
+        return Err(FormatError::value(
+            Place::Byte(at + 4),
+            "the unpacked length",
+            unpacked,
+            format!("{}, for {} points", rows[0].bytes as u64 * header.points, header.points),
+        ));
+    };
+    if unpacked > UNPACKED_BYTES_MAX {
+        return Err(FormatError::too_many(Place::Byte(at + 4), "the unpacked length", unpacked, UNPACKED_BYTES_MAX));
+    }
+    let data = lzf::unpack(data, usize::try_from(unpacked).unwrap_or(0), at + 8)?;
+    let mut file = PointFile::with_room(header.points, header.pose);
+    let points = usize::try_from(header.points).unwrap_or(0);
+    for index in 0..points {
+        file.push(std::array::from_fn(|axis| {
+            // The fields before this one, then the points before this one.
+            let offset = row.byte[axis] * points + row.scalar[axis].bytes() * index;
+            row.scalar[axis].read(&data, offset, Endian::Little)
+        }));
+    }
+    Ok(file)
+}
+
+fn only_padding(behind: &[u8], at: u64) -> Result<(), FormatError> {
+    match behind.iter().position(|&byte| byte != 0) {
+        None => Ok(()),
+        Some(_) => Err(FormatError::trailing(at, behind.len() as u64, "the last point")),
+    }
+}

@@ -1,0 +1,220 @@
+//! A predicted map as the files show it.
+//!
+//! Invariant: a picture that passed [`MapPicture::check`] has as many cells as its size says, and every known cell has
+//! a value within [0, 1]; the writers check before they write.
+
+use super::CELLS_MAX;
+
+/// A box of cells, with what is predicted of each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapPicture {
+    /// Length of a cell's side.
+    pub resolution_m: f64,
+    /// Lower corner of the cell (0, 0, 0) of the picture.
+    pub origin_m: [f64; 3],
+    /// Number of cells along x, y and z; z is 1 for a map in the plane.
+    pub size_cells: [u32; 3],
+    /// The cells: x fastest, then y, then z.
+    pub cells: Vec<PictureCell>,
+}
+
+/// What is predicted of a cell: the probability that it is occupied, or, in a picture of entropy, its entropy in bits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PictureCell {
+    /// Nothing: it was never seen.
+    Unknown,
+    /// A cell that does not change with time.
+    Static {
+        /// Of being occupied.
+        probability: f32,
+    },
+    /// A cell that has a model.
+    Changing {
+        /// Of being occupied.
+        probability: f32,
+    },
+}
+
+/// Why a picture cannot be written.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PictureError {
+    /// No cells.
+    #[error("the map has no cells: its size is {0:?}")]
+    Empty([u32; 3]),
+    /// More cells than one file takes.
+    #[error("the map has {found} cells and a file takes at most {CELLS_MAX}: ask for a smaller part")]
+    TooLarge {
+        /// How many.
+        found: u128,
+    },
+    /// The number of cells is not what the size says.
+    #[error("the map has {found} cells where its size {size_cells:?} says otherwise")]
+    Count {
+        /// How many there are.
+        found: usize,
+        /// The size.
+        size_cells: [u32; 3],
+    },
+    /// No length.
+    #[error("the cells' side is {0} m: it has to be a positive number")]
+    Resolution(f64),
+    /// Not a place.
+    #[error("the map's origin is {0:?}: it has to be three finite numbers")]
+    Origin([f64; 3]),
+    /// No probability.
+    #[error("the value of cell {cell} is {value}: it has to be within 0 and 1")]
+    Value {
+        /// Which cell.
+        cell: usize,
+        /// Its value.
+        value: f32,
+    },
+    /// Layers, where the format has one.
+    #[error("the map has {0} layers of cells and this format shows one: ask for a single layer")]
+    Layers(u32),
+    /// A mode that cannot say it.
+    #[error(
+        "cell {cell} is unknown, which a PGM file of mode scale cannot say: a map server would show it as a \
+         probability; use mode raw or trinary"
+    )]
+    UnknownInScale {
+        /// The first unknown cell.
+        cell: usize,
+    },
+    /// Thresholds that do not order free, unknown and occupied.
+    #[error(
+        "free up to {free} and occupied from {occupied}: both have to be within 0 and 1, the first below the second"
+    )]
+    Thresholds {
+        /// Highest probability that is free.
+        free: f64,
+        /// Lowest probability that is occupied.
+        occupied: f64,
+    },
+    /// The encoder failed.
+    #[error("the picture cannot be encoded: {0}")]
+    Encode(String),
+}
+
+impl PictureCell {
+    /// Its value; none where it is unknown.
+    pub fn value(self) -> Option<f32> {
+        match self {
+            Self::Unknown => None,
+            Self::Static { probability } | Self::Changing { probability } => Some(probability),
+        }
+    }
+}
+
+impl MapPicture {
+    /// Whether it can be written.
+    pub fn check(&self) -> Result<(), PictureError> {
+        let cells: u128 = self.size_cells.iter().map(|&cells| u128::from(cells)).product();
+        if cells == 0 {
+            return Err(PictureError::Empty(self.size_cells));
+        }
+        if cells > u128::from(CELLS_MAX) {
+            return Err(PictureError::TooLarge { found: cells });
+        }
+        if self.cells.len() as u128 != cells {
+            return Err(PictureError::Count { found: self.cells.len(), size_cells: self.size_cells });
+        }
+        if !(self.resolution_m.is_finite() && self.resolution_m > 0.0) {
+            return Err(PictureError::Resolution(self.resolution_m));
+        }
+        if !self.origin_m.iter().all(|coordinate| coordinate.is_finite()) {
+            return Err(PictureError::Origin(self.origin_m));
+        }
+        let wrong = |(cell, value): (usize, f32)| {
+            if (0.0..=1.0).contains(&value) { None } else { Some(PictureError::Value { cell, value }) }
+        };
+        let values = self.cells.iter().enumerate().filter_map(|(cell, kind)| Some((cell, kind.value()?)));
+        values.into_iter().find_map(wrong).map_or(Ok(()), Err)
+    }
+
+    /// Whether it can be written to a format with one layer.
+    pub fn check_flat(&self) -> Result<(), PictureError> {
+        self.check()?;
+        match self.size_cells[2] {
+            1 => Ok(()),
+            layers => Err(PictureError::Layers(layers)),
+        }
+    }
+
+    /// The known cells with their centres in metres.
+    pub fn known(&self) -> impl Iterator<Item = ([f64; 3], PictureCell)> {
+        let [width, height, _] = self.size_cells.map(|cells| (cells as usize).max(1));
+        self.cells.iter().enumerate().filter(|(_, cell)| **cell != PictureCell::Unknown).map(move |(index, &cell)| {
+            let at = [index % width, index / width % height, index / width / height];
+            (std::array::from_fn(|axis| self.origin_m[axis] + (at[axis] as f64 + 0.5) * self.resolution_m), cell)
+        })
+    }
+
+    /// The rows of a flat picture, the one with the largest y first, as images have them.
+    pub fn rows_from_top(&self) -> impl Iterator<Item = &[PictureCell]> {
+        self.cells.chunks((self.size_cells[0] as usize).max(1)).rev()
+    }
+}
+
+#[cfg(test)]
+pub mod samples {
+    //! Pictures for tests.
+    //!
+    //! Invariant: [`flat`] has every kind of cell, and no two rows alike.
+
+    use super::*;
+
+    /// Three cells wide, two high.
+    pub fn flat() -> MapPicture {
+        use PictureCell::{Changing, Static, Unknown};
+        MapPicture {
+            resolution_m: 0.05,
+            origin_m: [-1.5, 2.0, 0.0],
+            size_cells: [3, 2, 1],
+            cells: vec![
+                Static { probability: 0.0 },
+                Static { probability: 1.0 },
+                Unknown,
+                Changing { probability: 0.0 },
+                Changing { probability: 0.5 },
+                Changing { probability: 1.0 },
+            ],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_is_checked_before_it_is_written() {
+        assert_eq!(samples::flat().check_flat(), Ok(()));
+        let broken = |change: fn(&mut MapPicture)| {
+            let mut picture = samples::flat();
+            change(&mut picture);
+            picture.check_flat()
+        };
+        assert_eq!(broken(|picture| picture.size_cells[1] = 0), Err(PictureError::Empty([3, 0, 1])));
+        assert!(matches!(broken(|picture| picture.size_cells = [u32::MAX; 3]), Err(PictureError::TooLarge { .. })));
+        assert!(matches!(broken(|picture| picture.cells.truncate(5)), Err(PictureError::Count { found: 5, .. })));
+        assert_eq!(broken(|picture| picture.resolution_m = 0.0), Err(PictureError::Resolution(0.0)));
+        assert!(matches!(broken(|picture| picture.origin_m[1] = f64::NAN), Err(PictureError::Origin(_))));
+        assert_eq!(broken(|picture| picture.size_cells = [3, 1, 2]), Err(PictureError::Layers(2)));
+        for value in [-0.1, 1.1, f32::NAN] {
+            let mut picture = samples::flat();
+            picture.cells[4] = PictureCell::Changing { probability: value };
+            assert!(matches!(picture.check(), Err(PictureError::Value { cell: 4, .. })));
+        }
+    }
+
+    #[test]
+    fn cells_know_their_centres() {
+        let mut picture = samples::flat();
+        picture.size_cells = [1, 3, 2];
+        picture.resolution_m = 2.0;
+        let centres: Vec<[f64; 3]> = picture.known().map(|(centre, _)| centre).collect();
+        let expected = [[-0.5, 3.0, 1.0], [-0.5, 5.0, 1.0], [-0.5, 3.0, 3.0], [-0.5, 5.0, 3.0], [-0.5, 7.0, 3.0]];
+        assert_eq!(centres, expected);
+    }
+}

@@ -1,0 +1,172 @@
+//! Point clouds in the polygon file format, PLY, as text or binary of either byte order; and maps written as such.
+//!
+//! Read are x, y and z of the element `vertex`, of any type. Other properties and elements are passed over, lists too.
+//! In a text file each thing has a line of its own.
+//!
+//! Invariant: a file gives exactly as many points, finite and not, as its header announces vertices, or an error; and
+//! everything the header announces is there.
+
+mod header;
+#[cfg(test)]
+mod tests;
+mod write;
+
+use super::{
+    error::{FormatError, Place},
+    points::PointFile,
+    scalar::{Endian, Scalar},
+    text::{Line, Lines},
+};
+use header::{Element, Encoding, Kind};
+
+pub use write::write;
+
+/// Reads a PLY file.
+pub fn read(bytes: &[u8]) -> Result<PointFile, FormatError> {
+    let mut lines = Lines::new(bytes);
+    let header = header::read(bytes, &mut lines)?;
+    let mut file = PointFile::default();
+    match header.encoding {
+        Encoding::Ascii => {
+            for element in &header.elements {
+                ascii(element, &mut lines, &mut file)?;
+            }
+            if let Some(line) = lines.next_full()? {
+                return Err(line.wrong("the line", line.text, "absent: all elements of the header are there already"));
+            }
+        }
+        Encoding::Binary(endian) => {
+            let mut data = Binary { bytes: lines.rest(), at: lines.at(), endian };
+            for element in &header.elements {
+                binary(element, &mut data, &mut file)?;
+            }
+            if !data.bytes.trim_ascii().is_empty() {
+                return Err(FormatError::trailing(data.at, data.bytes.len() as u64, "the last element"));
+            }
+        }
+    }
+    Ok(file)
+}
+
+/// Makes room for the points of an element, if it is that of the points and the file is long enough.
+fn room_for(element: &Element, least_bytes: u64, at: u64, room: u64, file: &mut PointFile) -> Result<(), FormatError> {
+    let needs = element.count.saturating_mul(least_bytes);
+    if needs > room {
+        let what = format!("element {} of {} at {least_bytes} bytes or more", element.name, element.count);
+        return Err(FormatError::cut_off(at, what, needs, room));
+    }
+    if element.points.is_some() {
+        *file = PointFile::with_room(element.count, None);
+    }
+    Ok(())
+}
+
+fn ascii(element: &Element, lines: &mut Lines<'_>, file: &mut PointFile) -> Result<(), FormatError> {
+    // Each value takes a character at least, and a space or line end behind it.
+    room_for(element, 2 * element.properties.len() as u64, lines.at(), lines.rest().len() as u64, file)?;
+    for taken in 0..element.count {
+        let line = lines.next_full()?.ok_or_else(|| {
+            FormatError::lines_cut_off(lines.number(), format!("element {}", element.name), element.count, taken)
+        })?;
+        let point = ascii_row(element, line)?;
+        if element.points.is_some() {
+            file.push(point);
+        }
+    }
+    Ok(())
+}
+
+fn ascii_row(element: &Element, line: Line<'_>) -> Result<[f64; 3], FormatError> {
+    let mut words = line.words();
+    let mut point = [0.0; 3];
+    for (index, property) in element.properties.iter().enumerate() {
+        match property.kind {
+            Kind::Scalar(_) => {
+                let word = words.next();
+                if let Some(axis) = element.axis(index) {
+                    point[axis] = line.parse(property.name, word, "a number")?;
+                } else if word.is_none() {
+                    return Err(FormatError::missing(line.place(), property.name, "the header announces it"));
+                }
+            }
+            Kind::List { .. } => {
+                let length: u64 = line.parse(property.name, words.next(), "the length of a list")?;
+                for taken in 0..length {
+                    if words.next().is_none() {
+                        let right = format!("{length}, as it begins");
+                        return Err(FormatError::value(line.place(), format!("list {}", property.name), taken, right));
+                    }
+                }
+            }
+        }
+    }
+    match words.next() {
+        None => Ok(point),
+        Some(word) => Err(line.wrong(
+            "the line's end",
+            word,
+            format!("after {} properties, as the header announces", element.properties.len()),
+        )),
+    }
+}
+
+/// Binary data that has not been taken yet.
+struct Binary<'a> {
+    bytes: &'a [u8],
+    at: u64,
+    endian: Endian,
+}
+
+impl<'a> Binary<'a> {
+    fn take(&mut self, length: u64, what: &str) -> Result<&'a [u8], FormatError> {
+        let taken = usize::try_from(length).ok().and_then(|length| self.bytes.split_at_checked(length));
+        let (taken, rest) =
+            taken.ok_or_else(|| FormatError::cut_off(self.at, what, length, self.bytes.len() as u64))?;
+        self.bytes = rest;
+        self.at += length;
+        Ok(taken)
+    }
+
+    fn length(&mut self, count: Scalar, what: &str) -> Result<u64, FormatError> {
+        let at = self.at;
+        let length = count.read(self.take(count.bytes() as u64, what)?, 0, self.endian);
+        if length < 0.0 {
+            return Err(FormatError::value(
+                Place::Byte(at),
+                format!("the length of list {what}"),
+                length,
+                "at least 0",
+            ));
+        }
+        // Not negative, and integers only; what is beyond u64 saturates and is then too long for any file.
+        Ok(length as u64)
+    }
+}
+
+fn binary(element: &Element, data: &mut Binary<'_>, file: &mut PointFile) -> Result<(), FormatError> {
+    let least = element.properties.iter().map(|property| match property.kind {
+        Kind::Scalar(scalar) | Kind::List { count: scalar, .. } => scalar.bytes() as u64,
+    });
+    room_for(element, least.sum(), data.at, data.bytes.len() as u64, file)?;
+    for _ in 0..element.count {
+        let mut point = [0.0; 3];
+        for (index, property) in element.properties.iter().enumerate() {
+            match property.kind {
+                Kind::Scalar(scalar) => {
+                    let bytes = data.take(scalar.bytes() as u64, property.name)?;
+                    if let Some(axis) = element.axis(index) {
+                        point[axis] = scalar.read(bytes, 0, data.endian);
+                    }
+                }
+                Kind::List { count, item } => {
+                    let length = data.length(count, property.name)?;
+                    data.take(length.saturating_mul(item.bytes() as u64), property.name)?;
+                }
+            }
+        }
+        if element.points.is_some() {
+            file.push(point);
+        }
+    }
+    Ok(())
+}

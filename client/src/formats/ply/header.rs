@@ -1,0 +1,200 @@
+//! The header of a PLY file.
+//!
+//! Invariant: a header that is returned has one element `vertex` with one x, y and z each, none of them a list, and no
+//! more of them than are read from one file; an element has a property at least, so that each one takes room in the
+//! file.
+
+use super::super::{
+    POINTS_MAX,
+    error::{FormatError, Place, shown_start},
+    scalar::{Endian, Scalar},
+    text::{Line, Lines},
+};
+
+/// What the header says.
+pub struct Header<'a> {
+    /// How the elements are written down.
+    pub encoding: Encoding,
+    /// What follows, in this order.
+    pub elements: Vec<Element<'a>>,
+}
+
+/// How elements are written down.
+#[derive(Clone, Copy)]
+pub enum Encoding {
+    /// As text.
+    Ascii,
+    /// As bytes.
+    Binary(Endian),
+}
+
+/// A kind of thing, of which the file has some.
+pub struct Element<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// How many there are.
+    pub count: u64,
+    /// What each has.
+    pub properties: Vec<Property<'a>>,
+    /// Which properties are x, y and z, if these are the points.
+    pub points: Option<[usize; 3]>,
+    line: u64,
+}
+
+/// One of the things that an element has.
+pub struct Property<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Its type.
+    pub kind: Kind,
+}
+
+/// The type of a property.
+#[derive(Clone, Copy)]
+pub enum Kind {
+    /// A number.
+    Scalar(Scalar),
+    /// A length and as many numbers.
+    List {
+        /// The type of the length.
+        count: Scalar,
+        /// The type of the numbers.
+        item: Scalar,
+    },
+}
+
+impl Element<'_> {
+    /// Which coordinate of a point a property is.
+    pub fn axis(&self, property: usize) -> Option<usize> {
+        self.points?.iter().position(|&index| index == property)
+    }
+}
+
+/// Takes the lines of the header, the last one included.
+pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<Header<'a>, FormatError> {
+    if !(bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r\n")) {
+        return Err(FormatError::value(
+            Place::Byte(0),
+            "the start of the file",
+            shown_start(bytes),
+            "\"ply\" and a line end, as in a PLY file",
+        ));
+    }
+    lines.next_line()?;
+    let mut encoding = None;
+    let mut elements: Vec<Element<'a>> = Vec::new();
+    loop {
+        let line = lines.next_line()?.ok_or_else(|| {
+            FormatError::missing(Place::Line(lines.number()), "end_header", "the header of a PLY file ends with it")
+        })?;
+        let mut words = line.words();
+        match words.next() {
+            None | Some("comment" | "obj_info") => {}
+            Some("format") if encoding.is_none() => encoding = Some(format(line)?),
+            Some("element") => elements.push(Element {
+                name: line.parse_name(words.next(), "the element's name")?,
+                count: line.parse("the number of elements", words.next(), "a number from 0")?,
+                properties: Vec::new(),
+                points: None,
+                line: line.number,
+            }),
+            Some("property") => match elements.last_mut() {
+                Some(element) => element.properties.push(property(line)?),
+                None => return Err(line.wrong("the line", line.text, "below the line of an element")),
+            },
+            Some("end_header") => break,
+            Some(_) => {
+                let right = "format (once), comment, obj_info, element, property or end_header";
+                return Err(line.wrong("the line", line.text, right));
+            }
+        }
+    }
+    let end = Place::Line(lines.number());
+    let encoding = encoding
+        .ok_or_else(|| FormatError::missing(end, "format", "for example \"format ascii 1.0\", below \"ply\""))?;
+    if elements.iter().filter(|element| element.name == "vertex").count() != 1 {
+        return Err(FormatError::missing(end, "element vertex", "the header announces the points with it, once"));
+    }
+    for element in &mut elements {
+        check(element)?;
+    }
+    Ok(Header { encoding, elements })
+}
+
+fn format(line: Line<'_>) -> Result<Encoding, FormatError> {
+    let words: Vec<&str> = line.words().skip(1).collect();
+    match words[..] {
+        ["ascii", "1.0"] => Ok(Encoding::Ascii),
+        ["binary_little_endian", "1.0"] => Ok(Encoding::Binary(Endian::Little)),
+        ["binary_big_endian", "1.0"] => Ok(Encoding::Binary(Endian::Big)),
+        _ => {
+            let right = "ascii, binary_little_endian or binary_big_endian, and 1.0";
+            Err(line.wrong("format", &words.join(" "), right))
+        }
+    }
+}
+
+fn property(line: Line<'_>) -> Result<Property<'_>, FormatError> {
+    let mut words = line.words().skip(1);
+    let mut first = words.next();
+    let scalar = |word: Option<&str>, integer: bool| {
+        word.and_then(scalar).filter(|scalar| !integer || scalar.is_integer()).ok_or_else(|| {
+            let right = if integer { "a type that counts, such as uchar" } else { "a type such as float or uchar" };
+            line.wrong("the property's type", word.unwrap_or_default(), right)
+        })
+    };
+    let kind = if first == Some("list") {
+        let count = scalar(words.next(), true)?;
+        first = words.next();
+        Kind::List { count, item: scalar(first, false)? }
+    } else {
+        Kind::Scalar(scalar(first, false)?)
+    };
+    let name = line.parse_name(words.next(), "the property's name")?;
+    match words.next() {
+        None => Ok(Property { name, kind }),
+        Some(word) => Err(line.wrong("the line's end", word, "after the property's name")),
+    }
+}
+
+fn scalar(word: &str) -> Option<Scalar> {
+    Some(match word {
+        "char" | "int8" => Scalar::I8,
+        "uchar" | "uint8" => Scalar::U8,
+        "short" | "int16" => Scalar::I16,
+        "ushort" | "uint16" => Scalar::U16,
+        "int" | "int32" => Scalar::I32,
+        "uint" | "uint32" => Scalar::U32,
+        "float" | "float32" => Scalar::F32,
+        "double" | "float64" => Scalar::F64,
+        _ => return None,
+    })
+}
+
+fn check(element: &mut Element<'_>) -> Result<(), FormatError> {
+    let place = Place::Line(element.line);
+    if element.properties.is_empty() && element.count > 0 {
+        let what = format!("a property of element {:?}", element.name);
+        return Err(FormatError::missing(place, what, "an element has one or more"));
+    }
+    if element.name != "vertex" {
+        return Ok(());
+    }
+    if element.count > POINTS_MAX {
+        return Err(FormatError::too_many(place, "the number of points", element.count, POINTS_MAX));
+    }
+    let mut points = [0; 3];
+    for (axis, name) in points.iter_mut().zip(["x", "y", "z"]) {
+        let mut found = element.properties.iter().enumerate().filter(|(_, property)| property.name == name);
+        match (found.next(), found.next()) {
+            (Some((index, Property { kind: Kind::Scalar(_), .. })), None) => *axis = index,
+            (None, _) => {
+                let what = format!("property {name} of element vertex");
+                return Err(FormatError::missing(place, what, format!("for example \"property float {name}\"")));
+            }
+            _ => return Err(FormatError::value(place, format!("property {name}"), "a list or twice", "one number")),
+        }
+    }
+    element.points = Some(points);
+    Ok(())
+}

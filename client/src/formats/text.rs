@@ -1,0 +1,102 @@
+//! The lines of a file that is text, or begins as text.
+//!
+//! Invariant: a line has a line end, or it is an error, since a number that was cut in two still looks like a number.
+//! What is behind the lines taken so far is untouched, so that binary data can follow them.
+
+use std::str::FromStr;
+
+use super::error::{FormatError, Place, Problem, shown};
+
+/// Takes a file line by line.
+pub struct Lines<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    number: u64,
+}
+
+/// One line, without its end.
+#[derive(Clone, Copy, Debug)]
+pub struct Line<'a> {
+    /// Its number, from 1.
+    pub number: u64,
+    /// What it says.
+    pub text: &'a str,
+}
+
+impl<'a> Lines<'a> {
+    /// From the first line.
+    pub fn new(bytes: &'a [u8]) -> Self {
+        Self { bytes, at: 0, number: 0 }
+    }
+
+    /// The next line; none where the file has ended.
+    pub fn next_line(&mut self) -> Result<Option<Line<'a>>, FormatError> {
+        let rest = self.rest();
+        if rest.is_empty() {
+            return Ok(None);
+        }
+        self.number += 1;
+        let place = Place::Line(self.number);
+        let Some(length) = rest.iter().position(|&byte| byte == b'\n') else {
+            return Err(FormatError { place, problem: Problem::NoLineEnd });
+        };
+        self.at += length + 1;
+        match std::str::from_utf8(&rest[..length]) {
+            Ok(text) => Ok(Some(Line { number: self.number, text })),
+            Err(_) => Err(FormatError::value(place, "the line", "not UTF-8", "text")),
+        }
+    }
+
+    /// The next line that is not blank.
+    pub fn next_full(&mut self) -> Result<Option<Line<'a>>, FormatError> {
+        while let Some(line) = self.next_line()? {
+            if line.words().next().is_some() {
+                return Ok(Some(line));
+            }
+        }
+        Ok(None)
+    }
+
+    /// What has not been taken yet.
+    pub fn rest(&self) -> &'a [u8] {
+        self.bytes.get(self.at..).unwrap_or_default()
+    }
+
+    /// Where that begins, in bytes from the file's start.
+    pub fn at(&self) -> u64 {
+        self.at as u64
+    }
+
+    /// Number of the line taken last; 0 before the first.
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+}
+
+impl<'a> Line<'a> {
+    /// Where it is.
+    pub fn place(&self) -> Place {
+        Place::Line(self.number)
+    }
+
+    /// Its words.
+    pub fn words(&self) -> std::str::SplitAsciiWhitespace<'a> {
+        self.text.split_ascii_whitespace()
+    }
+
+    /// An error about this line.
+    pub fn wrong(&self, what: impl Into<String>, found: &str, right: impl Into<String>) -> FormatError {
+        FormatError::value(self.place(), what, shown(found), right)
+    }
+
+    /// Reads a word of this line.
+    pub fn parse<T: FromStr>(&self, what: &str, word: Option<&str>, right: &str) -> Result<T, FormatError> {
+        let word = word.ok_or_else(|| FormatError::missing(self.place(), what, format!("write {right}")))?;
+        word.parse().map_err(|_| self.wrong(what, word, right))
+    }
+
+    /// A word of this line that names something.
+    pub fn parse_name(&self, word: Option<&'a str>, what: &str) -> Result<&'a str, FormatError> {
+        word.ok_or_else(|| FormatError::missing(self.place(), what, "write a name"))
+    }
+}
