@@ -2,8 +2,7 @@
 //!
 //! Invariant: evaluating changes nothing; every observation counts once.
 
-use crate::spectral::ErrorSums;
-use crate::{MAX_ORDER, Periodicities, PhasorTable, Sample, SpectralModel};
+use crate::{MAX_ORDER, Periodicities, PhasorTable, Sample, ScoreSums, SpectralModel};
 
 #[cfg(test)]
 mod tests;
@@ -60,13 +59,14 @@ pub fn evaluate(
 }
 
 /// The errors of every order, summed over the samples.
-pub(crate) fn score_samples(model: &SpectralModel, periodicities: &Periodicities, samples: &[Sample]) -> ErrorSums {
+pub(crate) fn score_samples(model: &SpectralModel, periodicities: &Periodicities, samples: &[Sample]) -> ScoreSums {
     let chosen: Vec<u32> = model.components().iter().map(|component| component.periodicity).collect();
-    let mut sums = ErrorSums::default();
+    let mut sums = ScoreSums::default();
     for chunk in samples.chunks(CHUNK) {
         let civil_nanos: Vec<i64> = chunk.iter().map(Sample::civil_nanos).collect();
         let values: Vec<f64> = chunk.iter().map(|sample| sample.value).collect();
-        sums.add(&model.score(&PhasorTable::only(periodicities, &civil_nanos, &chosen), &values));
+        let phasors = PhasorTable::only(periodicities, &civil_nanos, &chosen);
+        model.score_run_values(&phasors, &values, None, &mut sums, true);
     }
     sums
 }

@@ -38,6 +38,7 @@ mod order;
 mod periodicity;
 mod persistence;
 mod phasor;
+mod phasor_sum;
 mod sample;
 mod spectral;
 mod state;
@@ -50,8 +51,9 @@ pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};
 pub use periodicity::{InvalidPeriodicities, Periodicities, PeriodicityDefinition};
 pub use persistence::{Persistence, PersistenceParts};
 pub use phasor::PhasorTable;
+pub use phasor_sum::{PhasorSum, RunningSums};
 pub use sample::Sample;
-pub use spectral::{Component, SpectralModel};
+pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
 pub use state::{StateModel, UpdateOutcome};
 
 /// The highest model order: at most this many spectral components are kept and used.

@@ -8,9 +8,11 @@ use pulp::{Arch, Simd, WithSimd};
 use crate::Periodicities;
 use crate::periodicity::Cycles;
 
+mod rows;
 mod turn;
 mod wheel;
 
+pub(crate) use rows::Rows;
 pub(crate) use turn::{nearest_turn, unit_phasor};
 pub(crate) use wheel::{BLOCK, GROUP, Wheels};
 
@@ -26,9 +28,9 @@ pub struct PhasorTable {
     civil_nanos: Vec<i64>,
     /// The periodicities held, ascending.
     held: Vec<u32>,
-    /// `cos[row * times + i]`, with a row per periodicity held.
-    cos: Vec<f64>,
-    sin: Vec<f64>,
+    /// A row per periodicity held.
+    cos: Rows,
+    sin: Rows,
 }
 
 impl PhasorTable {
@@ -40,7 +42,7 @@ impl PhasorTable {
             Cycles::Harmonics { base, .. } => {
                 let turns: Vec<f64> = civil_nanos.iter().map(|&civil| base.turns(civil)).collect();
                 let (cos, sin) = (&mut table.cos, &mut table.sin);
-                Arch::new().dispatch(FillHarmonics { turns: &turns, cos, sin });
+                Arch::new().dispatch(FillHarmonics { turns: &turns, harmonics: periodicities.len(), cos, sin });
             }
             Cycles::List(_) => table.fill_rows(),
         }
@@ -59,28 +61,23 @@ impl PhasorTable {
     }
 
     fn empty(periodicities: &Periodicities, civil_nanos: &[i64], held: Vec<u32>) -> PhasorTable {
-        let entries = held.len() * civil_nanos.len();
+        let (rows, times) = (held.len(), civil_nanos.len());
         PhasorTable {
             periodicities: periodicities.clone(),
             civil_nanos: civil_nanos.to_vec(),
             held,
-            cos: vec![0.0; entries],
-            sin: vec![0.0; entries],
+            cos: Rows::zeros(rows, times),
+            sin: Rows::zeros(rows, times),
         }
     }
 
     /// Fills each row on its own, one sincos an entry.
     fn fill_rows(&mut self) {
-        let times = self.civil_nanos.len();
-        if times == 0 {
-            return;
-        }
-        let mut turns = vec![0.0; times];
+        let mut turns = vec![0.0; self.civil_nanos.len()];
         if let Cycles::Harmonics { base, .. } = self.periodicities.cycles() {
             fill_turns(&mut turns, &self.civil_nanos, |civil| base.turns(civil));
         }
-        let rows = self.cos.chunks_exact_mut(times).zip(self.sin.chunks_exact_mut(times));
-        for (&k, (cos, sin)) in self.held.iter().zip(rows) {
+        for (row, &k) in self.held.iter().enumerate() {
             let factor = match self.periodicities.cycles() {
                 _ if k as usize >= self.periodicities.len() => continue,
                 Cycles::Harmonics { .. } => f64::from(k) + 1.0,
@@ -90,6 +87,7 @@ impl PhasorTable {
                     1.0
                 }
             };
+            let (cos, sin) = (self.cos.row_mut(row), self.sin.row_mut(row));
             Arch::new().dispatch(FillRow { turns: &turns, factor, cos, sin });
         }
     }
@@ -115,14 +113,14 @@ impl PhasorTable {
     }
 
     /// Cosines and sines of all times in periodicity `k`, counted from 0; `None` where it is not held.
+    #[inline]
     pub fn row(&self, k: u32) -> Option<(&[f64], &[f64])> {
         // In a complete table, and wherever else it can, the row is the index.
         let row = match self.held.get(k as usize) {
             Some(&held) if held == k => Some(k as usize),
             _ => self.held.binary_search(&k).ok(),
         };
-        let times = self.len();
-        row.map(|row| (&self.cos[row * times..(row + 1) * times], &self.sin[row * times..(row + 1) * times]))
+        row.map(|row| (self.cos.row(row), self.sin.row(row)))
     }
 }
 
@@ -135,8 +133,9 @@ fn fill_turns(turns: &mut [f64], civil_nanos: &[i64], of: impl Fn(i64) -> f64) {
 /// All harmonics of the base phases `turns`, by recurrence.
 struct FillHarmonics<'a> {
     turns: &'a [f64],
-    cos: &'a mut [f64],
-    sin: &'a mut [f64],
+    harmonics: usize,
+    cos: &'a mut Rows,
+    sin: &'a mut Rows,
 }
 
 impl WithSimd for FillHarmonics<'_> {
@@ -144,22 +143,17 @@ impl WithSimd for FillHarmonics<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let times = self.turns.len();
-        if times == 0 {
-            return;
-        }
-        let harmonics = self.cos.len() / times;
         let group_len = GROUP * S::F64_LANES;
         for (group, turns) in self.turns.chunks(group_len).enumerate() {
             let mut wheels = Wheels::new(simd, turns);
             let at = group * group_len;
-            for block in (0..harmonics).step_by(BLOCK) {
+            for block in (0..self.harmonics).step_by(BLOCK) {
                 let mut spin = wheels.spin(simd);
-                for k in block..harmonics.min(block + BLOCK) {
+                for k in block..self.harmonics.min(block + BLOCK) {
                     spin.step(simd);
-                    let entries = k * times + at..k * times + at + turns.len();
-                    store_group(simd, &mut self.cos[entries.clone()], &spin.cos);
-                    store_group(simd, &mut self.sin[entries], &spin.sin);
+                    let entries = at..at + turns.len();
+                    store_group(simd, &mut self.cos.row_mut(k)[entries.clone()], &spin.cos);
+                    store_group(simd, &mut self.sin.row_mut(k)[entries], &spin.sin);
                 }
                 wheels.next_block(simd);
             }

@@ -8,10 +8,17 @@ use pulp::Arch;
 
 use crate::{Accumulator, InvalidParts, MAX_ORDER, Periodicities, PhasorTable};
 
+mod cell;
+mod instant;
+mod score;
+mod strongest;
 mod sweep;
 
-pub(crate) use sweep::ErrorSums;
-use sweep::{Predict, Score, Term};
+pub use cell::CellSums;
+pub use instant::InstantPhasors;
+pub use score::ScoreSums;
+use strongest::Strongest;
+use sweep::{Predict, Term};
 
 #[cfg(test)]
 mod tests;
@@ -61,22 +68,16 @@ impl SpectralModel {
         let (mean, observations) = (accumulator.mean(), accumulator.observations());
         let per_observation = 1.0 / observations.max(1) as f64;
         let span_nanos = accumulator.span_nanos();
-        let mut strongest: Vec<(f64, Component)> = Vec::with_capacity(MAX_ORDER + 1);
-        let mut to_beat = 0.0;
+        let mut strongest = Strongest::new();
         for (k, &[a_re, a_im, b_re, b_im]) in accumulator.spectrum().iter().enumerate() {
             let gamma_re = (a_re - mean * b_re) * per_observation;
             let gamma_im = (a_im - mean * b_im) * per_observation;
             let power = gamma_re * gamma_re + gamma_im * gamma_im;
-            if power > to_beat && periodicities.is_eligible(k, span_nanos) {
-                let rank = strongest.partition_point(|(stronger, _)| *stronger >= power);
-                strongest.insert(rank, (power, Component { periodicity: k as u32, gamma_re, gamma_im }));
-                strongest.truncate(MAX_ORDER);
-                if let Some((weakest, _)) = strongest.get(MAX_ORDER - 1) {
-                    to_beat = *weakest;
-                }
+            if power > strongest.to_beat() && periodicities.is_eligible(k, span_nanos) {
+                strongest.offer(power, Component { periodicity: k as u32, gamma_re, gamma_im });
             }
         }
-        let components = strongest.into_iter().map(|(_, component)| component).collect();
+        let components = strongest.into_components();
         SpectralModel { mean, observations, components }
     }
 
@@ -144,14 +145,6 @@ impl SpectralModel {
                 }
             }
         }
-    }
-
-    /// Errors of every order 0..=[`MAX_ORDER`] at predicting `values` at the times of the table, which
-    /// holds the model's components.
-    pub(crate) fn score(&self, phasors: &PhasorTable, values: &[f64]) -> ErrorSums {
-        let mut terms = [Term::default(); MAX_ORDER];
-        let terms = self.terms(MAX_ORDER, phasors, &mut terms).unwrap_or(&[]);
-        Arch::new().dispatch(Score { mean: self.mean, terms, values: &values[..values.len().min(phasors.len())] })
     }
 
     /// What the kernels need of the leading components; `None` where the table does not hold one.

@@ -152,13 +152,11 @@ proptest! {
 }
 
 #[test]
-fn every_instruction_set_gives_the_same_predictions_and_errors() {
+fn every_instruction_set_gives_the_same_predictions() {
     let week = Periodicities::default();
     let samples = daily_sine(9);
     let times: Vec<i64> = samples.iter().take(211).map(Sample::civil_nanos).collect();
-    let values: Vec<f64> = samples.iter().take(211).map(|sample| f64::from(u8::from(sample.value > 0.6))).collect();
     let (model, table) = (fitted(&week, &samples), PhasorTable::new(&week, &times));
-    let expected = model.score(&table, &values);
     let mut terms = [Term::default(); MAX_ORDER];
     let terms = model.terms(MAX_ORDER, &table, &mut terms).unwrap();
     for arch in crate::phasor::every_arch() {
@@ -166,11 +164,6 @@ fn every_instruction_set_gives_the_same_predictions_and_errors() {
         arch.dispatch(Predict { mean: model.mean(), terms, times: times.len(), out: &mut out });
         for (&found, &civil) in out.iter().zip(&times) {
             assert!((found - model.predict(&week, MAX_ORDER, civil)).abs() < 1e-10);
-        }
-        let found = arch.dispatch(Score { mean: model.mean(), terms, values: &values });
-        for order in 0..=MAX_ORDER {
-            assert!((found.squared[order] - expected.squared[order]).abs() < 1e-10, "{arch:?} order {order}");
-            assert!((found.wrong[order] - expected.wrong[order]).abs() < 0.5, "{arch:?} order {order}");
         }
     }
 }

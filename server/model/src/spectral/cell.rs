@@ -1,0 +1,97 @@
+//! Fitting a model to a state of two values, from sums of phasors.
+//!
+//! Invariant: the same sums give the same model as [`SpectralModel::fit`], to 1e-9.
+
+use pulp::{Arch, Simd, WithSimd};
+
+use super::strongest::Strongest;
+use super::{Component, SpectralModel};
+use crate::{Periodicities, PhasorSum};
+
+#[cfg(test)]
+mod tests;
+
+/// Periodicities whose γ_k are computed at a time; a multiple of every number of lanes.
+const BLOCK: usize = 64;
+
+/// The sums over the observations of a state that is either free or occupied.
+#[derive(Clone, Copy, Debug)]
+pub struct CellSums<'a> {
+    /// Number of observations n.
+    pub observations: u64,
+    /// Share of the observations that saw it occupied, 0 to 1.
+    pub mean: f64,
+    /// Σ e^(-jω_k t) over the times at which it was seen occupied.
+    pub a: &'a PhasorSum,
+    /// Σ e^(-jω_k t) over all times at which it was observed.
+    pub b: &'a PhasorSum,
+    /// The observed span, last observation less first, in nanoseconds UTC.
+    pub span_nanos: u64,
+    /// The values, each in `[0,1]`, that seeing it free and seeing it occupied stand for.
+    pub levels: (f64, f64),
+}
+
+impl SpectralModel {
+    /// The model of a state of two values, by the rules of [`SpectralModel::fit`]. The sums must be over
+    /// the same periodicities. Where nothing was observed, the model that was never updated.
+    pub fn fit_sums(sums: CellSums<'_>, periodicities: &Periodicities) -> SpectralModel {
+        if sums.observations == 0 {
+            return SpectralModel::default();
+        }
+        let (free, occupied) = sums.levels;
+        let mut strongest = Strongest::new();
+        Arch::new().dispatch(Fit {
+            sums: &sums,
+            scale: (occupied - free) / sums.observations as f64,
+            periodicities,
+            strongest: &mut strongest,
+        });
+        let mean = (free + (occupied - free) * sums.mean).clamp(0.0, 1.0);
+        SpectralModel { mean, observations: sums.observations, components: strongest.into_components() }
+    }
+}
+
+/// γ_k = scale·(A_k - mean·B_k) of each periodicity, offered to the choice of the strongest.
+struct Fit<'a> {
+    sums: &'a CellSums<'a>,
+    scale: f64,
+    periodicities: &'a Periodicities,
+    strongest: &'a mut Strongest,
+}
+
+impl WithSimd for Fit<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let ((a_re, a_im), (b_re, b_im)) = (self.sums.a.halves(), self.sums.b.halves());
+        let (minus_mean, scale) = (simd.splat_f64s(-self.sums.mean), simd.splat_f64s(self.scale));
+        let parts = a_re.chunks(BLOCK).zip(a_im.chunks(BLOCK)).zip(b_re.chunks(BLOCK).zip(b_im.chunks(BLOCK)));
+        for (block, ((a_re, a_im), (b_re, b_im))) in parts.enumerate() {
+            let used = a_re.len().min(b_re.len());
+            let (mut re, mut im, mut power) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
+            for at in (0..used).step_by(S::F64_LANES) {
+                let here = at..used.min(at + S::F64_LANES);
+                let gamma_re = gamma(simd, minus_mean, scale, &a_re[here.clone()], &b_re[here.clone()]);
+                let gamma_im = gamma(simd, minus_mean, scale, &a_im[here.clone()], &b_im[here.clone()]);
+                let square = simd.mul_add_e_f64s(gamma_re, gamma_re, simd.mul_f64s(gamma_im, gamma_im));
+                simd.partial_store_f64s(&mut re[here.clone()], gamma_re);
+                simd.partial_store_f64s(&mut im[here.clone()], gamma_im);
+                simd.partial_store_f64s(&mut power[here], square);
+            }
+            for (at, power) in power.iter().enumerate() {
+                let k = block * BLOCK + at;
+                if *power > self.strongest.to_beat() && self.periodicities.is_eligible(k, self.sums.span_nanos) {
+                    let component = Component { periodicity: k as u32, gamma_re: re[at], gamma_im: im[at] };
+                    self.strongest.offer(*power, component);
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn gamma<S: Simd>(simd: S, minus_mean: S::f64s, scale: S::f64s, a: &[f64], b: &[f64]) -> S::f64s {
+    let (a, b) = (simd.partial_load_f64s(a), simd.partial_load_f64s(b));
+    simd.mul_f64s(scale, simd.mul_add_e_f64s(minus_mean, b, a))
+}

@@ -1,0 +1,251 @@
+//! Scores every order of a model in one pass over a table of phasors: one time per lane.
+//!
+//! An order's prediction is the one below plus one term. What is carried from order to order is
+//! prediction less value, so that saturating the prediction to `[0,1]` is keeping the error between
+//! -value and 1 - value, and leaving a time out is keeping its error between 0 and 0.
+//!
+//! Invariant: a time that is left out adds nothing to any sum.
+
+use pulp::{Arch, Simd, WithSimd};
+
+use super::SpectralModel;
+use super::sweep::Term;
+use crate::{MAX_ORDER, PhasorTable};
+
+#[cfg(test)]
+mod tests;
+
+/// The most lanes that a vector has on any instruction set.
+const MAX_LANES: usize = 8;
+const ONES: [f64; MAX_LANES] = [1.0; MAX_LANES];
+
+/// Errors of each order 0..=[`MAX_ORDER`], summed over observations.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct ScoreSums {
+    /// Sum of squared differences of prediction and value.
+    pub squared: [f64; MAX_ORDER + 1],
+    /// Number of predictions on the other side of 0.5 than the value; 0.5 itself counts as 1 (T-RO eq. 15).
+    pub wrong: [f64; MAX_ORDER + 1],
+}
+
+impl SpectralModel {
+    /// Adds the errors of every order 0..=[`MAX_ORDER`] at predicting `values`, each in `[0,1]`, at the
+    /// times of the table. Times of weight 0 are left out, others count once; without weights, all
+    /// count. Where `values` or `weights` are shorter than the table, for the first times only. `wrong`
+    /// is counted only if asked for. Fast where the table holds the model's periodicities, correct in
+    /// any case.
+    pub fn score_run_values(
+        &self,
+        phasors: &PhasorTable,
+        values: &[f64],
+        weights: Option<&[f64]>,
+        sums: &mut ScoreSums,
+        with_wrong: bool,
+    ) {
+        let times = phasors.len().min(values.len()).min(weights.map_or(usize::MAX, <[f64]>::len));
+        let (values, weights) = (&values[..times], weights.map(|weights| &weights[..times]));
+        let mut terms = [Term::default(); MAX_ORDER];
+        match self.terms(MAX_ORDER, phasors, &mut terms) {
+            Some(terms) => {
+                Arch::new().dispatch(Score { mean: self.mean, terms, values, weights, with_wrong, sums });
+            }
+            None => {
+                let own: Vec<u32> = self.components.iter().map(|component| component.periodicity).collect();
+                let phasors = PhasorTable::only(phasors.periodicities(), &phasors.civil_nanos()[..times], &own);
+                let mut terms = [Term::default(); MAX_ORDER];
+                let terms = self.terms(MAX_ORDER, &phasors, &mut terms).unwrap_or(&[]);
+                Arch::new().dispatch(Score { mean: self.mean, terms, values, weights, with_wrong, sums });
+            }
+        }
+    }
+}
+
+/// Adds the errors of every order.
+pub(super) struct Score<'a, 'b> {
+    pub(super) mean: f64,
+    pub(super) terms: &'b [Term<'a>],
+    pub(super) values: &'b [f64],
+    /// As long as the values.
+    pub(super) weights: Option<&'b [f64]>,
+    pub(super) with_wrong: bool,
+    pub(super) sums: &'b mut ScoreSums,
+}
+
+impl WithSimd for Score<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        // As many vectors side by side as registers hold, each with its error and the error's bounds.
+        match (S::REGISTER_COUNT >= 32, self.with_wrong) {
+            (true, false) => self.run::<S, 8, false>(simd),
+            (true, true) => self.run::<S, 4, true>(simd),
+            (false, false) => self.run::<S, 4, false>(simd),
+            (false, true) => self.run::<S, 2, true>(simd),
+        }
+    }
+}
+
+impl Score<'_, '_> {
+    #[inline(always)]
+    fn run<S: Simd, const SIDE_BY_SIDE: usize, const WRONG: bool>(self, simd: S) {
+        let used = self.terms.len().min(MAX_ORDER);
+        let terms = &self.terms[..used];
+        let mut lanes = Lanes::<S>::new(simd);
+        let times = self.values.len();
+        let (group_len, mut at) = (SIDE_BY_SIDE * S::F64_LANES, 0);
+        while at + group_len <= times {
+            let weights = self.weights.map(|weights| &weights[at..]);
+            lanes.add::<SIDE_BY_SIDE, WRONG>(simd, self.mean, terms, &self.values[at..], weights, at);
+            at += group_len;
+        }
+        while at + S::F64_LANES <= times {
+            let weights = self.weights.map(|weights| &weights[at..]);
+            lanes.add::<1, WRONG>(simd, self.mean, terms, &self.values[at..], weights, at);
+            at += S::F64_LANES;
+        }
+        if at < times {
+            // The last vector is padded with times that are left out.
+            let padded_values = padded(&self.values[at..]);
+            let padded_weights = padded(self.weights.map_or(&ONES[..times - at], |weights| &weights[at..]));
+            let mut rows = [([0.0; MAX_LANES], [0.0; MAX_LANES]); MAX_ORDER];
+            for (row, term) in rows.iter_mut().zip(terms) {
+                *row = (padded(&term.cos[at..times]), padded(&term.sin[at..times]));
+            }
+            let mut padded_terms = [Term::default(); MAX_ORDER];
+            for ((padded, term), (cos, sin)) in padded_terms.iter_mut().zip(terms).zip(&rows) {
+                *padded = Term { cos, sin, ..*term };
+            }
+            let weights = Some(&padded_weights[..]);
+            lanes.add::<1, WRONG>(simd, self.mean, &padded_terms[..used], &padded_values, weights, 0);
+        }
+        lanes.add_to::<WRONG>(simd, used, self.sums);
+    }
+}
+
+/// At most [`MAX_LANES`] numbers, and zeros behind them.
+#[inline(always)]
+fn padded(numbers: &[f64]) -> [f64; MAX_LANES] {
+    let mut padded = [0.0; MAX_LANES];
+    for (padded, number) in padded.iter_mut().zip(numbers) {
+        *padded = *number;
+    }
+    padded
+}
+
+/// The observations at `N` vectors of times.
+struct Observed<S: Simd, const N: usize> {
+    /// The bounds of the error.
+    least: [S::f64s; N],
+    most: [S::f64s; N],
+    /// The error from which the prediction is at least 0.5.
+    threshold: [S::f64s; N],
+    /// How many wrong predictions more there are from there on: 1, or -1 where the value is itself at
+    /// least 0.5, or 0 where the time is left out.
+    step: [S::f64s; N],
+}
+
+/// Sums of each order, still in lanes.
+struct Lanes<S: Simd> {
+    squared: [S::f64s; MAX_ORDER + 1],
+    wrong: [S::f64s; MAX_ORDER + 1],
+    /// Values of at least 0.5: wrong predictions of each order if all were below 0.5.
+    positive: S::f64s,
+}
+
+impl<S: Simd> Lanes<S> {
+    #[inline(always)]
+    fn new(simd: S) -> Lanes<S> {
+        let zero = simd.splat_f64s(0.0);
+        Lanes { squared: [zero; MAX_ORDER + 1], wrong: [zero; MAX_ORDER + 1], positive: zero }
+    }
+
+    /// Adds the errors at `N` vectors of times: the first of `values` and `weights`, and those of the
+    /// terms from time `at`.
+    #[inline(always)]
+    fn add<const N: usize, const WRONG: bool>(
+        &mut self,
+        simd: S,
+        mean: f64,
+        terms: &[Term<'_>],
+        values: &[f64],
+        weights: Option<&[f64]>,
+        at: usize,
+    ) {
+        let (zero, half, one) = (simd.splat_f64s(0.0), simd.splat_f64s(0.5), simd.splat_f64s(1.0));
+        let mean = simd.splat_f64s(mean);
+        let Some(values) = S::as_simd_f64s(values).0.first_chunk::<N>() else { return };
+        let mut counted = [one; N];
+        if let Some(weights) = weights {
+            let Some(weights) = S::as_simd_f64s(weights).0.first_chunk::<N>() else { return };
+            for (counted, &weight) in counted.iter_mut().zip(weights) {
+                *counted = simd.select_f64s(simd.greater_than_f64s(weight, zero), one, zero);
+            }
+        }
+        let mut error = [zero; N];
+        let mut observed = Observed { least: error, most: error, threshold: error, step: error };
+        for (v, (&value, &counted)) in values.iter().zip(&counted).enumerate() {
+            error[v] = simd.sub_f64s(mean, value);
+            observed.least[v] = simd.neg_f64s(simd.mul_f64s(counted, value));
+            observed.most[v] = simd.add_f64s(counted, observed.least[v]);
+            if WRONG {
+                let positive = simd.greater_than_or_equal_f64s(value, half);
+                observed.threshold[v] = simd.sub_f64s(half, value);
+                observed.step[v] = simd.select_f64s(positive, simd.neg_f64s(counted), counted);
+                self.positive = simd.add_f64s(self.positive, simd.select_f64s(positive, counted, zero));
+            }
+        }
+        self.add_order::<N, WRONG>(simd, 0, &error, &observed);
+        for (order, term) in (1..=MAX_ORDER).zip(terms) {
+            let Some(cos) = S::as_simd_f64s(&term.cos[at..]).0.first_chunk::<N>() else { return };
+            let Some(sin) = S::as_simd_f64s(&term.sin[at..]).0.first_chunk::<N>() else { return };
+            let (cos_weight, sin_weight) = (simd.splat_f64s(term.cos_weight), simd.splat_f64s(term.sin_weight));
+            for v in 0..N {
+                error[v] = simd.mul_add_e_f64s(cos_weight, cos[v], error[v]);
+                error[v] = simd.mul_add_e_f64s(sin_weight, sin[v], error[v]);
+            }
+            self.add_order::<N, WRONG>(simd, order, &error, &observed);
+        }
+    }
+
+    #[inline(always)]
+    fn add_order<const N: usize, const WRONG: bool>(
+        &mut self,
+        simd: S,
+        order: usize,
+        error: &[S::f64s; N],
+        observed: &Observed<S, N>,
+    ) {
+        let mut squared = self.squared[order];
+        for (v, &error) in error.iter().enumerate() {
+            let saturated = simd.min_f64s(simd.max_f64s(error, observed.least[v]), observed.most[v]);
+            squared = simd.mul_add_e_f64s(saturated, saturated, squared);
+        }
+        self.squared[order] = squared;
+        if WRONG {
+            let zero = simd.splat_f64s(0.0);
+            let mut wrong = self.wrong[order];
+            for (v, &error) in error.iter().enumerate() {
+                let predicted = simd.greater_than_or_equal_f64s(error, observed.threshold[v]);
+                wrong = simd.add_f64s(wrong, simd.select_f64s(predicted, observed.step[v], zero));
+            }
+            self.wrong[order] = wrong;
+        }
+    }
+
+    /// Adds the lanes up. Beyond its `used` components a model predicts the same at every order.
+    #[inline(always)]
+    fn add_to<const WRONG: bool>(&self, simd: S, used: usize, sums: &mut ScoreSums) {
+        let (mut squared, mut wrong) = (0.0, 0.0);
+        for order in 0..=MAX_ORDER {
+            if order <= used {
+                squared = simd.reduce_sum_f64s(self.squared[order]);
+                if WRONG {
+                    wrong = simd.reduce_sum_f64s(simd.add_f64s(self.positive, self.wrong[order]));
+                }
+            }
+            sums.squared[order] += squared;
+            sums.wrong[order] += wrong;
+        }
+    }
+}
