@@ -13,9 +13,15 @@ pub mod index;
 pub mod live;
 pub mod live_tile;
 pub mod mask;
+pub mod paging;
+pub mod predict;
+pub mod raycast;
 pub mod scan;
 pub mod snapshot;
 pub mod spec;
 pub mod tile;
 pub mod update;
 pub mod view;
+
+#[cfg(test)]
+mod tests;

@@ -7,7 +7,35 @@
 
 use tidemap_model::Sample;
 
-use crate::{event::StateId, grid::day::GridDay};
+use crate::{
+    event::StateId,
+    grid::{day::GridDay, index::TileId},
+};
+
+mod bits;
+mod choose;
+mod exchange;
+mod phasors;
+mod recall;
+mod seen;
+mod turn;
+
+#[cfg(test)]
+mod tests;
+
+pub use recall::cell_readings;
+
+/// What was observed: nanoseconds UTC, and value in [0, 1].
+pub type Reading = (i64, f64);
+
+/// Whose observations are asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Subject {
+    /// Those of a named state.
+    State(StateId),
+    /// Those of a cell: its tile, and its place there.
+    Cell(TileId, u16),
+}
 
 /// The exact observations that one update folded in.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,10 +58,11 @@ pub struct HistoryDay {
     /// The scans. The occupied bit of a modelled cell says at observed scans whether the model is wrong.
     pub outliers: GridDay,
     /// The cells that have a model: tile and models ascending.
-    pub models: Vec<(crate::grid::index::TileId, Vec<OutlierModel>)>,
+    pub models: Vec<(TileId, Vec<OutlierModel>)>,
 }
 
-/// The small model against which a cell's outliers are kept.
+/// The small model against which a cell's outliers are kept: it says that the cell is occupied where mean + Σ 2|γ| cos(ωt
+/// + arg γ) reaches 0.5, t being local civil time. Readings count as 0 and 1 here, whatever the sensor's noise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OutlierModel {
     /// Place of the cell in its tile.

@@ -6,6 +6,8 @@ use std::{fmt, sync::Arc};
 
 use unicode_normalization::is_nfc;
 
+use crate::grid::index::{CellIndex, TILE_EDGE, TILE_LIMIT};
+
 /// Most characters of a state's or producer's name.
 pub const NAME_CHARS_MAX: usize = 128;
 /// Most characters of a map's name.
@@ -145,6 +147,43 @@ impl fmt::Display for StateName {
     }
 }
 
+/// Least index of a cell along an axis.
+const CELL_LEAST: i32 = -TILE_LIMIT * TILE_EDGE;
+/// Greatest index of a cell along an axis.
+const CELL_MOST: i32 = TILE_LIMIT * TILE_EDGE - 1;
+
+/// A name that begins as that of a cell and is none. The payload is the name, shortened and escaped for display.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{0:?} is not the name of a cell: write cell/X/Y/Z, its index along each axis, from {CELL_LEAST} to {CELL_MOST}"
+)]
+pub struct InvalidCellName(String);
+
+impl CellIndex {
+    /// The cell of a name `cell/X/Y/Z`; `None` for a name that does not begin with `cell/`.
+    ///
+    /// # Errors
+    /// [`InvalidCellName`] where what follows is not three indices as [`CellIndex::name`] writes them.
+    pub fn from_name(name: &str) -> Option<Result<CellIndex, InvalidCellName>> {
+        let parts = name.strip_prefix("cell/")?;
+        let mut indices = parts.splitn(4, '/').map(|part| {
+            let index = part.parse::<i32>().ok()?;
+            // One name for one cell: no +1, 01 or -0.
+            let is_plain = part.len() == index.to_string().len() && !part.starts_with('+');
+            Some(index).filter(|index| is_plain && (CELL_LEAST..=CELL_MOST).contains(index))
+        });
+        let mut next = || indices.next().flatten();
+        let cell = next().zip(next()).zip(next()).map(|((x, y), z)| CellIndex { x, y, z });
+        Some(cell.filter(|_| indices.next().is_none()).ok_or_else(|| InvalidCellName(shown(name))))
+    }
+
+    /// The cell's name, `cell/X/Y/Z`.
+    #[must_use]
+    pub fn name(self) -> String {
+        format!("cell/{}/{}/{}", self.x, self.y, self.z)
+    }
+}
+
 /// Whose sequence of observations: a producer and one of its labels.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ProducerKey {
@@ -190,6 +229,34 @@ mod tests {
         for bad in ["", "-a", "_a", "A", "office 2", "../etc", "a\0", "ä", "CON", &"m".repeat(64), &"m".repeat(65536)]
         {
             assert!(matches!(MapName::new(bad), Err(InvalidName::Map(_))), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn cells_have_one_name_each() {
+        for (x, y, z) in [(0, 0, 0), (-1, 10, 8_388_607), (-8_388_608, -20, 5)] {
+            let cell = CellIndex { x, y, z };
+            assert_eq!(cell.name(), format!("cell/{x}/{y}/{z}"));
+            assert_eq!(CellIndex::from_name(&cell.name()), Some(Ok(cell)));
+        }
+        for bad in [
+            "cell/",
+            "cell/1/2",
+            "cell/1/2/3/4",
+            "cell/1/2/3/",
+            "cell/+1/2/3",
+            "cell/01/2/3",
+            "cell/-0/2/3",
+            "cell/1/2/8388608",
+            "cell/1/2/x",
+            "cell/1//3",
+            "cell/99999999999999/0/0",
+            "cell/ 1/2/3",
+        ] {
+            assert!(matches!(CellIndex::from_name(bad), Some(Err(InvalidCellName(_)))), "{bad}");
+        }
+        for other in ["door", "cell", "cells/1/2/3", "Cell/1/2/3"] {
+            assert_eq!(CellIndex::from_name(other), None);
         }
     }
 

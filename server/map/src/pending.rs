@@ -52,6 +52,12 @@ impl Pending {
         self.ahead.len() as u64
     }
 
+    /// Those of a state, in order of arrival; last those that wait.
+    pub fn of_state(&self, state: StateId) -> impl Iterator<Item = &Sample> {
+        let pending = self.by_state.get(state.0 as usize).into_iter().flatten();
+        pending.chain(self.ahead.iter().filter(move |(of, _)| *of == state).map(|(_, sample)| sample))
+    }
+
     pub fn push(&mut self, position: u64, state: StateId, sample: Sample) {
         let index = state.0 as usize;
         if index >= self.by_state.len() {

@@ -3,12 +3,11 @@
 //! Invariant: a probability that leaves here lies in [0, 1]. The phasors of a set of times are computed once and shared
 //! by all states.
 
-use tidemap_model::{MAX_ORDER, OffsetCache, PhasorTable, Sample, StateModel};
-
-use crate::{
-    event::StateId,
-    view::{LiveState, MapView},
+use tidemap_model::{
+    InstantPhasors, MAX_ORDER, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateModel,
 };
+
+use crate::{event::StateId, grid::view::CellDescription, view::MapView};
 
 /// Which model answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -41,7 +40,22 @@ impl ModelSelector {
     #[must_use]
     pub fn order_for(&self, model: &StateModel) -> usize {
         match self.kind {
-            ModelKind::Auto | ModelKind::Spectral => self.order.unwrap_or(model.order()).min(MAX_ORDER),
+            ModelKind::Auto | ModelKind::Spectral => self.order_or(model.order()),
+            ModelKind::Mean | ModelKind::Latest => 0,
+        }
+    }
+
+    /// The order asked for, or else the one that the last update chose.
+    #[must_use]
+    pub(crate) fn order_or(&self, chosen: usize) -> usize {
+        self.order.unwrap_or(chosen).min(MAX_ORDER)
+    }
+
+    /// Order of the spectral model that answers for this cell; 0 for a constant one.
+    #[must_use]
+    pub fn order_for_cell(&self, cell: &CellDescription) -> usize {
+        match self.kind {
+            ModelKind::Auto | ModelKind::Spectral => self.order_or(cell.order),
             ModelKind::Mean | ModelKind::Latest => 0,
         }
     }
@@ -81,7 +95,25 @@ impl MapView {
     pub fn predict_into(&self, id: StateId, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         let model = self.model(id);
         let live = self.live(id);
-        predict_state(model, live, times, selector, out);
+        predict_state((model.spectral(), selector.order_for(model), &live.persistence), times, selector, out);
+    }
+
+    /// Probability that a cell is occupied at each of the times, written to `out`, which is as long as the times.
+    pub fn predict_cell_into(
+        &self,
+        cell: &CellDescription,
+        times: &PreparedTimes,
+        selector: ModelSelector,
+        out: &mut [f64],
+    ) {
+        let parts = (&cell.spectral, selector.order_for_cell(cell), &cell.persistence);
+        predict_state(parts, times, selector, out);
+    }
+
+    /// The phasors of one time in nanoseconds UTC, for many cells.
+    pub(crate) fn instant(&self, utc_nanos: i64) -> InstantPhasors {
+        let civil = civil_nanos(&mut self.spec.zone.offset_cache(), utc_nanos);
+        InstantPhasors::new(&self.spec.periodicities, civil)
     }
 
     /// Observations given from outside, on the map's civil time.
@@ -95,17 +127,20 @@ fn civil_nanos(offsets: &mut OffsetCache, utc_nanos: i64) -> i64 {
     utc_nanos.saturating_add(i64::from(offsets.offset_secs(utc_nanos)) * 1_000_000_000)
 }
 
-fn predict_state(model: &StateModel, live: LiveState, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
+fn predict_state(
+    (spectral, order, persistence): (&SpectralModel, usize, &Persistence),
+    times: &PreparedTimes,
+    selector: ModelSelector,
+    out: &mut [f64],
+) {
     match selector.kind {
-        ModelKind::Auto | ModelKind::Spectral => {
-            model.spectral().predict_into(selector.order_for(model), &times.phasors, out);
-        }
-        ModelKind::Mean => out.fill(model.spectral().mean().clamp(0.0, 1.0)),
-        ModelKind::Latest => out.fill(live.persistence.last().map_or(0.5, |(_, value)| value)),
+        ModelKind::Auto | ModelKind::Spectral => spectral.predict_into(order, &times.phasors, out),
+        ModelKind::Mean => out.fill(spectral.mean().clamp(0.0, 1.0)),
+        ModelKind::Latest => out.fill(persistence.last().map_or(0.5, |(_, value)| value)),
     }
     if selector.persistence {
         for (probability, &nanos) in out.iter_mut().zip(&times.utc_nanos) {
-            *probability = live.persistence.blend(*probability, nanos);
+            *probability = persistence.blend(*probability, nanos);
         }
     }
 }

@@ -97,7 +97,7 @@ impl UpdateWork {
     /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
     pub fn run(self, progress: &AtomicU64) -> Result<UpdateResult, TileUnavailable> {
         let keeps_states = self.spec.retention != Retention::None;
-        let keeps_grid = self.spec.grid.as_ref().is_some_and(|grid| grid.retention != Retention::None);
+        let kept_grid = self.spec.grid.as_ref().filter(|grid| grid.retention != Retention::None);
         let mut history = HistoryPiece::new(self.basis.start.generation);
         if keeps_states {
             history.states.clone_from(&self.samples);
@@ -105,8 +105,10 @@ impl UpdateWork {
         let mut grid = self.grid.map(|grid| grid.run(progress)).transpose()?;
         if let Some(grid) = &mut grid {
             let days = std::mem::take(&mut grid.days);
-            if keeps_grid {
-                history.days = days.into_iter().map(HistoryDay::plain).collect();
+            if let Some(spec) = kept_grid {
+                let levels = spec.sensor.levels();
+                let encode = |day| HistoryDay::encode(day, &grid.generation, &self.spec.periodicities, levels);
+                history.days = days.into_iter().map(encode).collect();
             }
         }
         let mut models: Vec<Arc<StateModel>> = Vec::with_capacity(self.basis.directory.len());

@@ -7,10 +7,7 @@ use std::sync::Arc;
 
 use tidemap_model::LocalDay;
 
-use super::{
-    index::TileId,
-    mask::{Mask, TileMasks},
-};
+use super::{index::TileId, mask::TileMasks};
 
 /// When a scan was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,6 +35,13 @@ pub struct PresenceRun {
     pub count: u32,
     /// The tiles, ascending.
     pub seen: Arc<[TileId]>,
+}
+
+impl PresenceRun {
+    /// What it counts in [`GridDay::changes`]: a tile seen is a quarter of the size of a scan.
+    fn changes(&self) -> u64 {
+        1 + self.seen.len() as u64 / 4
+    }
 }
 
 /// Which bit of a cell.
@@ -110,23 +114,37 @@ impl GridDay {
 
     /// Adds a scan and gives its number. Masks of the tiles seen are given by [`GridDay::show`] then.
     pub fn push(&mut self, time: ScanTime, seen: &Arc<[TileId]>) -> u32 {
+        self.take(time, seen).0
+    }
+
+    /// [`GridDay::push`]; gives also by how much [`GridDay::changes`] becomes more.
+    pub(crate) fn take(&mut self, time: ScanTime, seen: &Arc<[TileId]>) -> (u32, u64) {
         let scan = u32::try_from(self.scans.len()).unwrap_or(u32::MAX);
         self.scans.push(time);
         match self.presence.last_mut() {
-            Some(run) if Arc::ptr_eq(&run.seen, seen) || run.seen == *seen => run.count += 1,
-            _ => self.presence.push(PresenceRun { first: scan, count: 1, seen: Arc::clone(seen) }),
+            Some(run) if Arc::ptr_eq(&run.seen, seen) || run.seen == *seen => {
+                run.count += 1;
+                (scan, 1)
+            }
+            _ => {
+                let run = PresenceRun { first: scan, count: 1, seen: Arc::clone(seen) };
+                let changes = 1 + run.changes();
+                self.presence.push(run);
+                (scan, changes)
+            }
         }
-        scan
     }
 
-    /// Says what a scan showed of a tile that it saw. A tile of which nothing is said shows what it showed before.
-    pub fn show(&mut self, scan: u32, tile: TileId, masks: TileMasks) {
+    /// Says what a scan showed of a tile that it saw. A tile of which nothing is said shows what it showed before. Gives
+    /// by how much [`GridDay::changes`] becomes more.
+    pub fn show(&mut self, scan: u32, tile: TileId, masks: TileMasks) -> u64 {
         let index = tile.0 as usize;
         if index >= self.tiles.len() {
             self.tiles.resize_with(index + 1, || None);
         }
         match &mut self.tiles[index] {
             Some(known) => {
+                let before = known.flips.len();
                 for (bit, before, now) in [
                     (Bit::Observed, known.last.observed(), masks.observed()),
                     (Bit::Occupied, known.last.occupied(), masks.occupied()),
@@ -134,8 +152,12 @@ impl GridDay {
                     known.flips.extend((before ^ now).cells().map(|cell| Flip::new(scan, cell, bit)));
                 }
                 known.last = masks;
+                (known.flips.len() - before) as u64
             }
-            none => *none = Some(Box::new(DayTile { first: masks, flips: Vec::new(), last: masks })),
+            none => {
+                *none = Some(Box::new(DayTile { first: masks, flips: Vec::new(), last: masks }));
+                1
+            }
         }
     }
 
@@ -164,35 +186,69 @@ impl GridDay {
     /// Splits the scans before an instant from the others. `None` for a part without scans.
     #[must_use]
     pub fn split(self, cut_nanos: i64) -> (Option<GridDay>, Option<GridDay>) {
-        let before = self.scans.iter().filter(|scan| scan.utc_nanos < cut_nanos).count();
-        if before == self.scans.len() {
+        let is_after = |scan: &ScanTime| scan.utc_nanos >= cut_nanos;
+        if !self.scans.iter().any(is_after) {
             return (Some(self), None);
         }
-        if before == 0 {
+        if self.scans.iter().all(is_after) {
             return (None, Some(self));
         }
         let mut parts = [GridDay::new(self.day), GridDay::new(self.day)];
-        let mut masks: Vec<TileMasks> =
-            self.tiles.iter().map(|tile| tile.as_ref().map_or(TileMasks::default(), |tile| tile.first)).collect();
-        let mut flips: Vec<std::slice::Iter<'_, Flip>> =
-            self.tiles.iter().map(|tile| tile.as_ref().map_or([].iter(), |tile| tile.flips.iter())).collect();
+        // Which number each scan has in its part, and which scans in a row go into the same.
+        let mut numbers = Vec::with_capacity(self.scans.len());
         for run in &self.presence {
-            for scan in run.first..run.first + run.count {
-                let time = self.scans[scan as usize];
-                let part = &mut parts[usize::from(time.utc_nanos >= cut_nanos)];
-                let number = part.push(time, &run.seen);
-                for &tile in run.seen.iter() {
-                    let index = tile.0 as usize;
-                    let (Some(masks), Some(flips)) = (masks.get_mut(index), flips.get_mut(index)) else { continue };
-                    apply_flips(masks, flips, scan);
-                    if part.tile(tile).is_none_or(|known| known.last != *masks) {
-                        part.show(number, tile, *masks);
+            for &time in self.scans.get(run.first as usize..).unwrap_or_default().iter().take(run.count as usize) {
+                numbers.push(parts[usize::from(is_after(&time))].push(time, &run.seen));
+            }
+        }
+        let alike = self.scans.chunk_by(|one, next| is_after(one) == is_after(next));
+        let mut end = 0;
+        let runs: Vec<(u32, u32, usize)> = alike
+            .map(|scans| {
+                let first = end;
+                end += u32::try_from(scans.len()).unwrap_or(u32::MAX);
+                (first, end, usize::from(scans.first().is_some_and(is_after)))
+            })
+            .collect();
+        let presence = self.presence_by_tile();
+        for (index, (tile, ranges)) in self.tiles.into_iter().zip(presence).enumerate() {
+            let (Some(tile), Ok(id)) = (tile, u32::try_from(index).map(TileId)) else { continue };
+            let (mut masks, mut flips) = (tile.first, tile.flips.as_slice());
+            for (from, to) in ranges {
+                let of_range = runs.partition_point(|&(_, end, _)| end <= from);
+                for &(first, end, part) in runs.iter().skip(of_range).take_while(|&&(first, _, _)| first < to) {
+                    // Shown where the part's scans of the tile begin again, and where something flips.
+                    let mut scan = first.max(from);
+                    while scan < end.min(to) {
+                        flips = apply_flips(&mut masks, flips, scan);
+                        if let Some(&number) = numbers.get(scan as usize) {
+                            parts[part].show(number, id, masks);
+                        }
+                        scan = flips.first().map_or(u32::MAX, |flip| flip.scan);
                     }
                 }
             }
         }
+        parts.iter_mut().for_each(GridDay::shrink);
         let [before, after] = parts;
         (Some(before), Some(after))
+    }
+
+    /// How much is held for the update of the day: scans, tiles, flips, and what was seen.
+    #[must_use]
+    pub fn changes(&self) -> u64 {
+        let tiles = self.tiles.iter().flatten().map(|tile| 1 + tile.flips.len() as u64);
+        self.scans.len() as u64 + tiles.sum::<u64>() + self.presence.iter().map(PresenceRun::changes).sum::<u64>()
+    }
+
+    /// Gives back memory that is held for more scans.
+    pub(crate) fn shrink(&mut self) {
+        self.scans.shrink_to_fit();
+        self.presence.shrink_to_fit();
+        self.tiles.shrink_to_fit();
+        for tile in self.tiles.iter_mut().flatten() {
+            tile.flips.shrink_to_fit();
+        }
     }
 
     /// Memory in bytes, about.
@@ -205,17 +261,16 @@ impl GridDay {
     }
 }
 
-/// Applies the flips of one scan, which are next in the order.
-fn apply_flips(masks: &mut TileMasks, flips: &mut std::slice::Iter<'_, Flip>, scan: u32) {
-    let (mut observed, mut occupied) = (masks.observed(), masks.occupied());
-    while let Some(flip) = flips.as_slice().first().filter(|flip| flip.scan == scan) {
-        match flip.bit() {
-            Bit::Observed => observed.flip(flip.cell()),
-            Bit::Occupied => occupied.flip(flip.cell()),
-        }
-        flips.next();
+/// Applies the flips of one scan, which are next in the order; gives those after them.
+fn apply_flips<'a>(masks: &mut TileMasks, flips: &'a [Flip], scan: u32) -> &'a [Flip] {
+    let count = flips.iter().take_while(|flip| flip.scan == scan).count();
+    let (of_scan, rest) = flips.split_at(count);
+    if !of_scan.is_empty() {
+        let cells = |bit: Bit| of_scan.iter().filter(move |flip| flip.bit() == bit).map(|flip| flip.cell());
+        let observed = masks.observed().flipped(cells(Bit::Observed));
+        *masks = TileMasks::clipped(observed, masks.occupied().flipped(cells(Bit::Occupied)));
     }
-    *masks = TileMasks::clipped(observed, occupied);
+    rest
 }
 
 /// A tile's masks scan by scan, over the scans that saw it.
@@ -224,14 +279,14 @@ pub struct DayTileScans<'a> {
     ranges: std::slice::Iter<'a, (u32, u32)>,
     range: (u32, u32),
     masks: TileMasks,
-    flips: std::slice::Iter<'a, Flip>,
+    flips: &'a [Flip],
 }
 
 impl DayTile {
     /// The masks of each scan that saw the tile; `ranges` as [`GridDay::presence_by_tile`] gives them.
     #[must_use]
     pub fn scans<'a>(&'a self, ranges: &'a [(u32, u32)]) -> DayTileScans<'a> {
-        DayTileScans { ranges: ranges.iter(), range: (0, 0), masks: self.first, flips: self.flips.iter() }
+        DayTileScans { ranges: ranges.iter(), range: (0, 0), masks: self.first, flips: &self.flips }
     }
 }
 
@@ -244,18 +299,7 @@ impl Iterator for DayTileScans<'_> {
         }
         let scan = self.range.0;
         self.range.0 += 1;
-        apply_flips(&mut self.masks, &mut self.flips, scan);
+        self.flips = apply_flips(&mut self.masks, self.flips, scan);
         Some((scan, self.masks))
-    }
-}
-
-impl Mask {
-    /// The set with the cells of an iterator flipped.
-    #[must_use]
-    pub(crate) fn flipped(mut self, cells: impl Iterator<Item = u16>) -> Mask {
-        for cell in cells {
-            self.flip(cell);
-        }
-        self
     }
 }

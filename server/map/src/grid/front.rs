@@ -33,10 +33,16 @@ pub struct SentScan {
 #[derive(Debug, Default)]
 pub struct ScanSource {
     slots: Vec<Slot>,
-    /// The slots of the scan before, and the same as tiles of the map.
-    seen: Option<(Arc<[u32]>, Arc<[TileId]>)>,
+    seen: Option<SeenSlots>,
     /// Whether a scan since then was not handed on.
     has_skipped: bool,
+}
+
+/// The slots of the scan before, and the same as tiles of the map.
+#[derive(Debug)]
+struct SeenSlots {
+    slots: Arc<[u32]>,
+    tiles: Arc<[TileId]>,
 }
 
 #[derive(Debug)]
@@ -117,6 +123,19 @@ impl Front {
         }
     }
 
+    /// How many bits a scan of a stream would flip, at most. The scan is not taken in.
+    #[must_use]
+    pub fn flips_at_most(&self, grid: &LiveGrid, source: &ScanSource, scan: &SentScan) -> u64 {
+        let sent = (scan.observed_flips.len() + scan.occupied_flips.len()) as u64;
+        let differing = scan.seen.iter().filter_map(|&slot| source.slots.get(slot as usize)).map(|slot| {
+            let tile = slot.tile.or_else(|| grid.find(slot.index)).or_else(|| self.new_ids.get(&slot.index).copied());
+            let shown = tile.and_then(|tile| self.masks.get(tile.0 as usize)).copied().unwrap_or_default();
+            let observed = (shown.observed() ^ slot.masks.observed()).count();
+            u64::from(observed + (shown.occupied() ^ slot.masks.occupied()).count())
+        });
+        sent + differing.sum::<u64>()
+    }
+
     /// Turns a scan of a stream into one for the log. `stream` is the stream's number, not 0.
     ///
     /// # Errors
@@ -133,17 +152,17 @@ impl Front {
     ) -> Result<FrontScan, TooManyTiles> {
         let has_skipped = source.has_skipped;
         source.skip(scan);
-        let is_like_before = source.seen.as_ref().is_some_and(|(slots, _)| Arc::ptr_eq(slots, &scan.seen));
+        let is_like_before = source.seen.as_ref().is_some_and(|seen| Arc::ptr_eq(&seen.slots, &scan.seen));
         let mut new_tiles = Vec::new();
         if !is_like_before {
             new_tiles = self.resolve(grid, source, &scan.seen, max_tiles)?;
             let mut seen: Vec<TileId> =
                 scan.seen.iter().filter_map(|&slot| source.slots.get(slot as usize)?.tile).collect();
             seen.sort_unstable();
-            source.seen = Some((Arc::clone(&scan.seen), seen.into()));
+            source.seen = Some(SeenSlots { slots: Arc::clone(&scan.seen), tiles: seen.into() });
         }
-        let Some((_, seen)) = &source.seen else { return Err(TooManyTiles) };
-        let seen = Arc::clone(seen);
+        let Some(seen) = &source.seen else { return Err(TooManyTiles) };
+        let seen = Arc::clone(&seen.tiles);
         let mut flips = Flips::default();
         if is_like_before && !has_skipped && self.last_owner == stream {
             // All its tiles are as this stream showed them last.

@@ -4,8 +4,8 @@
 //! the newest observation) is kept per tile for the cells of the newest scan, and per cell only for the others and for
 //! those that have changed.
 //!
-//! Invariant: `known` = `current` and the cells of `away`; lists ascend by cell. Scans that are not newer than the
-//! newest of their tile leave everything but `arrival` alone.
+//! Invariant: `known` = `current` and the cells of `away`; lists ascend by cell. An observation of a cell counts exactly
+//! if it is newer than all of that cell before it.
 
 use tidemap_model::{Persistence, PersistenceParts};
 
@@ -120,6 +120,33 @@ impl LiveTile {
         self.known |= observed;
         self.current = observed;
         self.newest_nanos = utc_nanos;
+    }
+
+    /// Takes in a scan that is not newer than all before: it counts for the cells whose own observations are older.
+    pub(crate) fn observe_late(&mut self, utc_nanos: i64, masks: TileMasks) {
+        for cell in masks.observed().without(self.current).cells() {
+            let is_occupied = masks.occupied().contains(cell);
+            match self.away.binary_search_by_key(&cell, |away| away.cell) {
+                Ok(at) => {
+                    let Away { last_nanos, pairs, .. } = self.away[at];
+                    if utc_nanos <= last_nanos {
+                        continue;
+                    }
+                    self.away[at] = Away { cell, last_nanos: utc_nanos, pairs: pairs + 1 };
+                    if self.occupied.contains(cell) != is_occupied {
+                        self.note_change(cell, last_nanos, utc_nanos);
+                        self.occupied.flip(cell);
+                    }
+                }
+                Err(at) => {
+                    self.away.insert(at, Away { cell, last_nanos: utc_nanos, pairs: 0 });
+                    self.known.insert(cell);
+                    if is_occupied {
+                        self.occupied.insert(cell);
+                    }
+                }
+            }
+        }
     }
 
     fn note_change(&mut self, cell: u16, from_nanos: i64, to_nanos: i64) {

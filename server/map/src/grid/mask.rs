@@ -48,6 +48,22 @@ impl Mask {
         *self == Mask::EMPTY
     }
 
+    /// The set with the cells of an iterator flipped.
+    #[must_use]
+    pub(crate) fn flipped(mut self, cells: impl Iterator<Item = u16>) -> Mask {
+        for cell in cells {
+            self.flip(cell);
+        }
+        self
+    }
+
+    /// The lowest cell.
+    #[must_use]
+    pub fn first(&self) -> Option<u16> {
+        let (word, z) = self.0.iter().zip(0u16..).find(|(word, _)| **word != 0)?;
+        Some(z * 64 + u16::try_from(word.trailing_zeros()).unwrap_or(0))
+    }
+
     /// The cells of this set that are not in the other.
     #[must_use]
     pub fn without(self, other: Mask) -> Mask {

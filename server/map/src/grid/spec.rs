@@ -121,7 +121,7 @@ impl GridSpec {
         }
         let SensorNoise { hit, false_alarm, prior } = self.sensor;
         let is_sensor = (0.0..1.0).contains(&false_alarm) && hit > false_alarm && hit <= 1.0;
-        if !is_sensor || !(prior > 0.0 && prior < 1.0) {
+        if !(is_sensor && prior > 0.0 && prior < 1.0) {
             return Err(InvalidGrid::Sensor(self.sensor));
         }
         match self.retention {

@@ -29,13 +29,10 @@ mod observed;
 mod pattern;
 mod tile_day;
 
-#[cfg(test)]
-mod tests;
-
 use pattern::Pattern;
 
-/// Scans of one map day whose phasors are in memory at a time.
-pub(crate) const CHUNK: usize = 256;
+/// Scans of one map day whose phasors are in memory at a time. Tests come across the ends of chunks often.
+pub(crate) const CHUNK: usize = if cfg!(test) { 3 } else { 256 };
 
 /// What all cells share.
 #[derive(Clone, Debug)]
@@ -110,6 +107,16 @@ pub(crate) struct Working {
     pub(crate) sums: TileSums,
 }
 
+impl Working {
+    /// Gives back memory that is held for more groups and cells.
+    fn shrink(&mut self) {
+        self.model.groups.shrink_to_fit();
+        self.model.cells.shrink_to_fit();
+        self.sums.groups.shrink_to_fit();
+        self.sums.cells.shrink_to_fit();
+    }
+}
+
 impl GridWork {
     /// Number of tiles that have scans to fold in.
     pub(crate) fn busy_tiles(&self) -> u64 {
@@ -149,7 +156,9 @@ impl GridWork {
             }
         }
         outcome.tiles = working.len() as u64;
-        for (tile, Working { model, sums: of_tile }) in working {
+        for (tile, mut state) in working {
+            state.shrink();
+            let Working { model, sums: of_tile } = state;
             for cell in &model.cells {
                 outcome.cells_by_order[usize::from(cell.order).min(MAX_ORDER)] += 1;
             }

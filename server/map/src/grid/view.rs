@@ -192,7 +192,7 @@ impl GridView {
         }
         if selector.persistence {
             for cell in live.known.cells() {
-                let out = &mut out[usize::from(cell)];
+                let Some(out) = out.get_mut(usize::from(cell)) else { continue };
                 *out = live.persistence(cell, self.run, levels).blend(f64::from(*out), utc_nanos) as f32;
             }
         }

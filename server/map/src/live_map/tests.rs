@@ -7,7 +7,9 @@ use tidemap_model::{OrderCriterion, Periodicities, Zone};
 
 use super::*;
 use crate::{
-    event::{NewState, OffsetRun, StateKind, UpdateCause},
+    MAX_AHEAD_NANOS,
+    event::{NewState, Observations, OffsetRun, StateKind, UpdateCause},
+    grid::spec::Retention,
     name::{MapName, StateName},
 };
 
@@ -21,6 +23,8 @@ fn spec() -> Arc<MapSpec> {
         periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        retention: Retention::Forever,
+        grid: None,
     })
 }
 
@@ -61,7 +65,7 @@ fn apply(map: &mut LiveMap, event: &Event) -> Option<UpdateWork> {
 fn update(map: &mut LiveMap, until: Option<i64>) -> MapSnapshot {
     let start = map.plan_update(until, NOW, UpdateCause::Request);
     let work = apply(map, &Event::UpdateStart(start)).expect("an update");
-    map.finish_update(work.run(&AtomicU64::new(0)))
+    map.finish_update(work.run(&AtomicU64::new(0)).expect("in memory"))
 }
 
 fn predict(view: &MapView, state: u32, time: i64) -> f64 {
@@ -103,7 +107,7 @@ fn an_update_takes_what_came_before_it_and_lies_before_its_cut() {
     let again = Event::UpdateStart(map.plan_update(None, NOW, UpdateCause::Request));
     let position = map.position() + 1;
     assert!(map.apply(position, &again).is_err(), "one update at a time");
-    map.finish_update(work.run(&AtomicU64::new(0)));
+    map.finish_update(work.run(&AtomicU64::new(0)).expect("in memory"));
     let view = map.publish();
     assert_eq!(view.pending(), 3);
     assert_eq!(view.model(StateId(0)).accumulator().observations(), 1);
@@ -127,7 +131,7 @@ fn observations_far_ahead_of_the_clock_wait() {
     let start = map.plan_update(None, ahead, UpdateCause::Request);
     let work = apply(&mut map, &Event::UpdateStart(start)).expect("an update");
     assert_eq!(work.observations(), 1);
-    map.finish_update(work.run(&AtomicU64::new(0)));
+    map.finish_update(work.run(&AtomicU64::new(0)).expect("in memory"));
     assert_eq!(map.publish().live(StateId(0)).persistence.last(), Some((ahead, 0.0)));
     assert_eq!((map.ahead(), map.newest_nanos()), (0, ahead));
 }
@@ -165,7 +169,7 @@ proptest! {
                 let starting = Event::UpdateStart(start);
                 let work = apply(&mut map, &starting).expect("an update");
                 log.push(starting);
-                snapshots.push(map.finish_update(work.run(&AtomicU64::new(0))));
+                snapshots.push(map.finish_update(work.run(&AtomicU64::new(0)).expect("in memory")));
             }
         }
         let expected = map.publish();
@@ -177,7 +181,7 @@ proptest! {
                 if position <= known {
                     restored.recover_pending(position, event).expect("consistent");
                 } else if let Some(work) = restored.apply(position, event).expect("consistent") {
-                    restored.finish_update(work.run(&AtomicU64::new(0)));
+                    restored.finish_update(work.run(&AtomicU64::new(0)).expect("in memory"));
                 }
             }
             let view = restored.publish();

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use super::super::{
     day::{Bit, DayTile},
+    index::TILE_CELLS,
     mask::Mask,
     tile::Group,
 };
@@ -106,21 +107,30 @@ pub(super) struct Refined {
 
 /// Splits the groups where their cells were not observed alike, and adds groups of new cells. By their lowest cell.
 pub(super) fn refine(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<Refined> {
-    let mut refined = Vec::with_capacity(groups.len() + toggles.len());
-    let mut known = Mask::EMPTY;
-    let seen = toggles.iter().fold(Mask::EMPTY, |all, (_, cells)| all | *cells);
-    for (before, group) in groups.iter().enumerate() {
-        known |= group.cells;
-        for (index, (_, cells)) in toggles.iter().enumerate() {
-            let cells = group.cells & *cells;
-            refined.push(Refined { cells, before: Some(before), toggles: Some(index) });
-        }
-        refined.push(Refined { cells: group.cells.without(seen), before: Some(before), toggles: None });
-    }
+    let mut alike = [None; TILE_CELLS];
     for (index, (_, cells)) in toggles.iter().enumerate() {
-        refined.push(Refined { cells: cells.without(known), before: None, toggles: Some(index) });
+        for cell in cells.cells() {
+            alike[usize::from(cell)] = Some(index);
+        }
     }
-    refined.retain(|group| !group.cells.is_empty());
-    refined.sort_by_key(|group| group.cells.cells().next());
+    let seen = toggles.iter().fold(Mask::EMPTY, |all, (_, cells)| all | *cells);
+    let known = groups.iter().fold(Mask::EMPTY, |all, group| all | group.cells);
+    let mut refined = Vec::with_capacity(groups.len() + toggles.len());
+    let mut split = |mut rest: Mask, before: Option<usize>| {
+        while let Some(cell) = rest.first() {
+            let toggles_of = alike.get(usize::from(cell)).copied().flatten();
+            let cells = match toggles_of.and_then(|index: usize| toggles.get(index)) {
+                Some((_, cells)) => rest & *cells,
+                None => rest.without(seen),
+            };
+            refined.push(Refined { cells, before, toggles: toggles_of });
+            rest = rest.without(cells);
+        }
+    };
+    for (before, group) in groups.iter().enumerate() {
+        split(group.cells, Some(before));
+    }
+    split(seen.without(known), None);
+    refined.sort_unstable_by_key(|group| group.cells.first());
     refined
 }

@@ -9,7 +9,10 @@ use rayon::prelude::*;
 use tidemap_model::{PhasorSum, PhasorTable, RunningSums};
 
 use super::{
-    super::{day::GridDay, index::TileId},
+    super::{
+        day::{DayTile, GridDay},
+        index::TileId,
+    },
     CHUNK, GridOutcome, Rules, Working,
     tile_day::TileDay,
 };
@@ -112,12 +115,17 @@ impl Pattern {
     /// Works off the day for these tiles.
     pub(super) fn run(self, rules: &Rules, day: &GridDay) -> (Vec<(TileId, Working)>, GridOutcome) {
         let times = self.times(day);
+        let unseen = DayTile::default();
         let mut contributions: Vec<Contribution> = Vec::new();
         let mut gains = Gains::default();
         let mut tiles: Vec<TileDay> = self
             .tiles
             .into_par_iter()
-            .filter_map(|(id, working)| Some(TileDay::new(id, working, day.tile(id)?, &self.ranges, &times, rules)))
+            .map(|(id, working)| {
+                // Each tile seen has shown something; one that has not loses nothing here.
+                let tile = day.tile(id).unwrap_or(&unseen);
+                TileDay::new(id, working, tile, &self.ranges, &times, rules)
+            })
             .collect();
         for toggles in tiles.iter().flat_map(TileDay::toggles) {
             if !gains.by_toggles.contains_key(toggles) {

@@ -9,7 +9,7 @@ use tidemap_model::{CellSums, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, 
 use super::{
     super::{
         day::DayTile,
-        index::TileId,
+        index::{TILE_CELLS, TileId},
         mask::Mask,
         tile::{CellModel, Group},
     },
@@ -78,12 +78,18 @@ impl TileDay {
             let all = all_newer && toggles.is_some_and(|toggles| toggles.as_slice() == [0]);
             groups.push(GroupDay { newer_than, all, at: 0, is_on: false, weights: Vec::new() });
         }
+        let mut group_of = [usize::MAX; TILE_CELLS];
+        for (index, group) in refined.iter().enumerate() {
+            for cell in group.cells.cells() {
+                group_of[usize::from(cell)] = index;
+            }
+        }
         let mut occupied = toggles.occupied.into_iter().peekable();
         let mut cells = Vec::with_capacity(working.model.cells.len());
         for model in &working.model.cells {
             while occupied.next_if(|(cell, _)| *cell < model.cell).is_some() {}
             let toggles = occupied.next_if(|(cell, _)| *cell == model.cell).map_or(Vec::new(), |(_, toggles)| toggles);
-            let group = refined.iter().position(|group| group.cells.contains(model.cell)).unwrap_or(usize::MAX);
+            let group = group_of.get(usize::from(model.cell)).copied().unwrap_or(usize::MAX);
             cells.push(CellDay { toggles, group, ..CellDay::default() });
         }
         TileDay { id, working, observed: toggles.observed, refined, groups, cells, scans: times.utc_nanos.len() }

@@ -1,0 +1,154 @@
+//! A simulated office under one robot's eyes all day: cells that change have a daily rhythm and lie in one state for
+//! 94 % of the time.
+//!
+//! Invariant: the same each time.
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    event::{Event, ProducerId},
+    grid::{
+        front::{Front, ScanSource, SentScan},
+        index::TileIndex,
+        scan::Scans,
+        spec::{GridSpec, Retention, SensorNoise},
+    },
+    live_map::LiveMap,
+    name::{MapName, ProducerKey},
+    spec::MapSpec,
+    update::UpdateWork,
+};
+use tidemap_model::{OrderCriterion, Periodicities, Zone};
+
+pub const DAY_NANOS: i64 = 86_400_000_000_000;
+pub const TILES: usize = 416;
+pub const SCANS: usize = 17_200;
+/// Cells that change.
+pub const CELLS: usize = 15_000;
+/// Changes of a cell on a day.
+const CHANGES: usize = 40;
+pub const FLIPS: usize = CELLS * CHANGES;
+
+/// A map with a grid that keeps its exact readings, to see their size.
+pub fn spec() -> Arc<MapSpec> {
+    Arc::new(MapSpec {
+        name: MapName::new("office").expect("valid"),
+        zone: Zone::utc(),
+        periodicities: Periodicities::default(),
+        criterion: OrderCriterion::SquaredError,
+        created_nanos: 0,
+        retention: Retention::None,
+        grid: Some(GridSpec {
+            frame_id: "map".to_owned(),
+            is_flat: false,
+            resolution_m: 0.1,
+            origin_m: [0.0; 3],
+            extent: None,
+            sensor: SensorNoise::default(),
+            retention: Retention::Forever,
+        }),
+    })
+}
+
+pub fn apply(map: &mut LiveMap, event: &Event) -> Option<UpdateWork> {
+    map.apply(map.position() + 1, event).expect("consistent")
+}
+
+/// The office.
+pub struct Office {
+    seed: u64,
+    seen: Arc<[u32]>,
+}
+
+impl Office {
+    pub fn new() -> Office {
+        Office { seed: 1, seen: (0..TILES as u32).collect() }
+    }
+
+    fn random(&mut self, below: usize) -> usize {
+        self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((self.seed >> 33) as usize * below) >> 31
+    }
+
+    /// A stream with all tiles in its table.
+    pub fn source() -> ScanSource {
+        let mut source = ScanSource::default();
+        (0..TILES as i32).for_each(|tile| source.push(TileIndex { x: tile % 26, y: tile / 26, z: 0 }));
+        source
+    }
+
+    /// The scans of a day. Each day begins and ends with all cells that change free.
+    pub fn day(&mut self, day: i64) -> Vec<SentScan> {
+        let mut flips: Vec<Vec<u32>> = vec![Vec::new(); SCANS];
+        for number in 0..CELLS {
+            let cell = (number % TILES * 512 + (number / TILES) * 14) as u32;
+            let busy = SCANS / 8 + number % TILES * 20;
+            // Runs of occupied readings, by day rather than by night, that do not touch.
+            let mut starts: Vec<usize> = Vec::new();
+            while starts.len() < CHANGES / 2 {
+                let spread = if self.random(4) == 0 { SCANS } else { SCANS / 4 };
+                let start = (busy + self.random(spread)) % (SCANS - 200) + 1;
+                if starts.iter().all(|other| other.abs_diff(start) > 100) {
+                    starts.push(start);
+                }
+            }
+            for start in starts {
+                flips[start].push(cell);
+                let length = 10 + self.random(84);
+                flips[start + length].push(cell);
+            }
+        }
+        let step = DAY_NANOS / SCANS as i64;
+        let all = if day == 0 { (0..TILES as u32 * 512).collect() } else { Vec::new() };
+        let first = std::iter::once(all).chain(std::iter::repeat(Vec::new()));
+        flips
+            .into_iter()
+            .zip(first)
+            .enumerate()
+            .map(|(scan, (mut occupied_flips, observed_flips))| {
+                occupied_flips.sort_unstable();
+                let utc_nanos = day * DAY_NANOS + scan as i64 * step + self.random(1_000_000_000) as i64;
+                SentScan { utc_nanos, seen: Arc::clone(&self.seen), observed_flips, occupied_flips }
+            })
+            .collect()
+    }
+
+    /// The events that they become; the map has them applied.
+    pub fn events(map: &mut LiveMap, sent: &[SentScan], batch: usize) -> Vec<Event> {
+        let key = ProducerKey::new("robot", "").expect("valid");
+        let mut front = Front::new(map.grid().expect("a grid"));
+        let mut source = Office::source();
+        let mut events = Vec::new();
+        // What the stream showed on the day before.
+        if map.position() > 0 {
+            let all = (0..TILES as u32 * 512).collect();
+            let seen = Arc::clone(&sent[0].seen);
+            source.skip(&SentScan { utc_nanos: 0, seen, observed_flips: all, occupied_flips: Vec::new() });
+        }
+        for scans in sent.chunks(batch) {
+            let first_sequence = map.producer(&key).map_or(0, |(_, mark)| mark.durable_sequence) + 1;
+            let mut event = Scans {
+                producer: ProducerId(0),
+                new_producer: (first_sequence == 1).then(|| key.clone()),
+                incarnation: 1,
+                first_sequence,
+                last_sequence: first_sequence + scans.len() as u64 - 1,
+                content_crc: 0,
+                received_nanos: 100 * DAY_NANOS,
+                new_tiles: Vec::new(),
+                scans: Vec::new(),
+                refused: Vec::new(),
+            };
+            for scan in scans {
+                let taken = front.take(map.grid().expect("a grid"), 1, &mut source, scan, 0, TILES);
+                let taken = taken.expect("room");
+                event.new_tiles.extend(taken.new_tiles);
+                event.scans.push(taken.scan);
+            }
+            let event = Event::Scans(event);
+            apply(map, &event);
+            events.push(event);
+        }
+        events
+    }
+}

@@ -1,0 +1,70 @@
+//! What an update takes of a grid: scans before its cut, those among them that had waited for their time.
+//!
+//! Invariant: a scan is pending exactly if every update since has had a cut at or before its time.
+
+use std::sync::Arc;
+
+use tidemap_model::LocalDay;
+
+use super::{
+    super::{day::GridDay, index::TileId},
+    AheadScan, LiveGrid,
+};
+
+impl LiveGrid {
+    /// The pending day of this date, made where there is none.
+    pub(super) fn day_of(days: &mut Vec<GridDay>, day: LocalDay) -> &mut GridDay {
+        let at = days.partition_point(|known| known.day < day);
+        if days.get(at).is_none_or(|known| known.day != day) {
+            // The day before is over, as a rule.
+            if let Some(before) = at.checked_sub(1).and_then(|before| days.get_mut(before)) {
+                before.shrink();
+            }
+            days.insert(at, GridDay::new(day));
+        }
+        &mut days[at]
+    }
+
+    /// Takes the pending scans before an instant, by day, ascending; the others stay. Scans that waited for their time
+    /// join if it has come; the greatest time of those is given too.
+    pub(super) fn take_before(&mut self, cut_nanos: i64) -> (Vec<GridDay>, Option<i64>) {
+        let (due, ahead): (Vec<AheadScan>, Vec<AheadScan>) =
+            std::mem::take(&mut self.ahead).into_iter().partition(|scan| scan.time.utc_nanos < cut_nanos);
+        self.ahead = ahead;
+        let newest = due.iter().map(|scan| scan.time.utc_nanos).max();
+        self.join(due);
+        let mut taken = Vec::new();
+        let mut kept = Vec::new();
+        for day in std::mem::take(&mut self.days) {
+            let (before, after) = day.split(cut_nanos);
+            taken.extend(before);
+            kept.extend(after);
+        }
+        self.days = kept;
+        // The scan numbers of a split day begin anew.
+        self.previous = None;
+        self.count_pending();
+        (taken, newest)
+    }
+
+    /// Scans whose time has come: from here on they are scans like all others. No run of like scans goes on.
+    fn join(&mut self, mut due: Vec<AheadScan>) {
+        due.sort_by_key(|scan| scan.time.utc_nanos);
+        for scan in due {
+            let day = Self::day_of(&mut self.days, LocalDay::of_civil_nanos(scan.time.civil_nanos()));
+            let seen: Arc<[TileId]> = scan.tiles.iter().map(|(tile, _)| *tile).collect();
+            let number = day.push(scan.time, &seen);
+            for &(id, masks) in &scan.tiles {
+                day.show(number, id, masks);
+            }
+            for (id, masks) in scan.tiles {
+                self.show_tile(id, scan.time.utc_nanos, masks);
+            }
+        }
+    }
+
+    pub(super) fn count_pending(&mut self) {
+        self.pending_changes = self.days.iter().map(GridDay::changes).sum();
+        self.oldest_pending_nanos = self.days.iter().flat_map(|day| &day.scans).map(|scan| scan.utc_nanos).min();
+    }
+}

@@ -1,0 +1,150 @@
+//! Letting tiles go that the store has kept: their models and sums are read back when they are asked for.
+//!
+//! Invariant: a tile goes only where its model and its sums are the very ones that were saved; what an update has
+//! changed since then stays. Nothing goes while an update has the sums.
+
+use std::{
+    collections::HashSet,
+    sync::{Arc, Weak},
+};
+
+use tidemap_model::PhasorSum;
+
+use super::{
+    generation::Generation,
+    index::TileId,
+    snapshot::GridSnapshot,
+    tile::{ColdTile, ModelSlot, SumsSlot, TileModel, TileSource, TileSums},
+};
+use crate::live_map::LiveMap;
+
+/// Which models and sums a save has kept, without holding them.
+#[derive(Clone, Debug, Default)]
+pub struct SavedTiles {
+    tiles: Vec<Option<(Weak<TileModel>, Weak<TileSums>)>>,
+}
+
+impl SavedTiles {
+    /// The tiles of a snapshot that was saved.
+    #[must_use]
+    pub fn of(snapshot: &GridSnapshot) -> SavedTiles {
+        let resident = |(model, sums): (&ModelSlot, &SumsSlot)| match (model, sums) {
+            (ModelSlot::Resident(model), SumsSlot::Resident(sums)) => {
+                Some((Arc::downgrade(model), Arc::downgrade(sums)))
+            }
+            _ => None,
+        };
+        SavedTiles { tiles: snapshot.models.iter().zip(&snapshot.sums).map(resident).collect() }
+    }
+
+    fn has(&self, tile: usize, model: &Arc<TileModel>, sums: &Arc<TileSums>) -> bool {
+        self.tiles.get(tile).and_then(Option::as_ref).is_some_and(|(saved_model, saved_sums)| {
+            std::ptr::eq(saved_model.as_ptr(), Arc::as_ptr(model))
+                && std::ptr::eq(saved_sums.as_ptr(), Arc::as_ptr(sums))
+        })
+    }
+}
+
+/// What the tiles of a grid take in memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TileMemory {
+    /// Models and sums of tiles in memory, in bytes, about; a shared sum counts once.
+    pub bytes: u64,
+    /// Tiles of which neither model nor sums are in memory.
+    pub cold_tiles: u64,
+}
+
+impl LiveMap {
+    /// What models and sums take in memory. Those that a running update holds are not counted.
+    #[must_use]
+    pub fn tile_memory(&self) -> TileMemory {
+        let Some(grid) = &self.grid else { return TileMemory::default() };
+        let mut shared = HashSet::new();
+        let mut memory = TileMemory::default();
+        let models = &grid.generation.models;
+        for (tile, model) in models.iter().enumerate() {
+            let sums = grid.sums.get(tile);
+            memory.bytes += bytes_of(model, sums, &mut shared);
+            let is_cold = matches!(model, ModelSlot::Cold(_)) && !matches!(sums, Some(SumsSlot::Resident(_)));
+            memory.cold_tiles += u64::from(is_cold);
+        }
+        memory
+    }
+
+    /// Lets tiles go that the save has kept until those in memory take `budget_bytes` or less, the ones first that were
+    /// not observed for longest. Gives how many went; views published from now on are without them.
+    pub fn page_out(&mut self, source: &Arc<dyn TileSource>, saved: &SavedTiles, budget_bytes: u64) -> usize {
+        let mut bytes = self.tile_memory().bytes;
+        if self.is_updating() || bytes <= budget_bytes {
+            return 0;
+        }
+        let Some(grid) = &mut self.grid else { return 0 };
+        let mut may_go: Vec<(i64, usize)> = Vec::new();
+        for (tile, slots) in grid.generation.models.iter().zip(&grid.sums).enumerate() {
+            if let (ModelSlot::Resident(model), SumsSlot::Resident(sums)) = slots
+                && saved.has(tile, model, sums)
+            {
+                may_go.push((model.groups.iter().map(|group| group.last_nanos).max().unwrap_or(i64::MIN), tile));
+            }
+        }
+        may_go.sort_unstable();
+        let mut models = grid.generation.models.clone();
+        // A sum is free with the last tile that has it.
+        let mut holders: std::collections::HashMap<*const PhasorSum, usize> = std::collections::HashMap::new();
+        for sums in grid.sums.iter().filter_map(resident) {
+            for group in &sums.groups {
+                *holders.entry(Arc::as_ptr(group)).or_default() += 1;
+            }
+        }
+        let mut gone = 0;
+        for (_, tile) in may_go {
+            if bytes <= budget_bytes {
+                break;
+            }
+            let Ok(id) = u32::try_from(tile).map(TileId) else { break };
+            let cold = ColdTile { source: Arc::clone(source), tile: id };
+            if let ModelSlot::Resident(model) = std::mem::replace(&mut models[tile], ModelSlot::Cold(cold.clone())) {
+                bytes = bytes.saturating_sub(model.bytes() as u64);
+            }
+            if let SumsSlot::Resident(sums) = std::mem::replace(&mut grid.sums[tile], SumsSlot::Cold(cold)) {
+                let shared: usize = sums.groups.iter().map(|group| group.bytes()).sum();
+                bytes = bytes.saturating_sub((sums.bytes() - shared) as u64);
+                for group in &sums.groups {
+                    let left = holders.entry(Arc::as_ptr(group)).or_default();
+                    *left = left.saturating_sub(1);
+                    if *left == 0 {
+                        bytes = bytes.saturating_sub(group.bytes() as u64);
+                    }
+                }
+            }
+            gone += 1;
+        }
+        if gone > 0 {
+            grid.generation = Arc::new(Generation { models });
+        }
+        gone
+    }
+}
+
+fn resident(slot: &SumsSlot) -> Option<&TileSums> {
+    match slot {
+        SumsSlot::Resident(sums) => Some(sums),
+        SumsSlot::Cold(_) => None,
+    }
+}
+
+fn bytes_of(model: &ModelSlot, sums: Option<&SumsSlot>, shared: &mut HashSet<*const PhasorSum>) -> u64 {
+    let mut bytes = match model {
+        ModelSlot::Resident(model) => model.bytes(),
+        ModelSlot::Cold(_) => 0,
+    };
+    if let Some(sums) = sums.and_then(resident) {
+        bytes += sums.bytes();
+        for group in &sums.groups {
+            if !shared.insert(Arc::as_ptr(group)) {
+                bytes -= group.bytes();
+            }
+        }
+    }
+    bytes as u64
+}

@@ -1,0 +1,299 @@
+//! A grid, or a part of it, at one time, tile by tile: what never changed as masks, what did as numbers.
+//!
+//! Invariant: each known cell of the region is told with the value that [`GridView::predict_tile`] gives it, and no
+//! other cell is told. What an answer costs follows the tiles that there are, not the size of the region.
+
+use tidemap_model::{InstantPhasors, entropy_bits};
+
+use super::{
+    index::{CellBox, CellIndex, TILE_CELLS, TILE_EDGE, TileId, TileIndex},
+    live_tile::LiveTile,
+    mask::Mask,
+    tile::{ModelSlot, TileModel, TileUnavailable},
+    view::GridView,
+};
+use crate::{
+    predict::{ModelKind, ModelSelector},
+    view::MapView,
+};
+
+mod project;
+
+#[cfg(test)]
+mod tests;
+
+use project::Columns;
+
+/// What is told of each cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum CellOutput {
+    /// Probability that it is occupied.
+    #[default]
+    Probability,
+    /// Entropy of that in bits.
+    Entropy,
+    /// 1 where the probability is at least this, else 0 (T-RO 2017, eq. 9).
+    Threshold(f32),
+}
+
+impl CellOutput {
+    /// What is told of a probability.
+    #[must_use]
+    pub fn of(self, probability: f32) -> f32 {
+        match self {
+            CellOutput::Probability => probability,
+            CellOutput::Entropy => entropy_bits(f64::from(probability)) as f32,
+            CellOutput::Threshold(threshold) => f32::from(u8::from(probability >= threshold)),
+        }
+    }
+}
+
+/// A question about the whole grid.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GridQuestion {
+    /// Nanoseconds UTC.
+    pub utc_nanos: i64,
+    /// Which model answers.
+    pub selector: ModelSelector,
+    /// Which cells; `None`: all.
+    pub region: Option<CellBox>,
+    /// Whether a column along z counts as its most probable known cell, of equally probable ones the lowest.
+    pub project: bool,
+    /// What is told of each cell; of a column, of its most probable cell.
+    pub output: CellOutput,
+}
+
+/// The tiles that reach into the region of a question.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GridSelection {
+    /// The region cut to the tiles that there are; of one layer, z = 0, where projected.
+    pub region: CellBox,
+    /// The tiles, in the order of the answer.
+    pub tiles: Vec<(TileIndex, TileId)>,
+    /// Cells of these tiles.
+    pub cells: u64,
+    /// Tiles of the answer: fewer than `tiles` where projected.
+    pub told: u64,
+    /// Most values in the answer.
+    pub values_at_most: u64,
+}
+
+/// What an answer says of the cells of one tile. A tile of a projection has the places 0 to 63 alone, and z = 0.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TileCells {
+    /// Where it is.
+    pub index: TileIndex,
+    /// Cells that were ever observed.
+    pub known: Mask,
+    /// Of these, cells that have been read as both free and occupied.
+    pub changed: Mask,
+    /// Of the known cells that have not changed, those with the higher of two values.
+    pub high: Mask,
+    /// Values of the changed cells, by place; where `all_values`, of all known cells.
+    pub values: Vec<f32>,
+    /// Whether `values` has all known cells.
+    pub all_values: bool,
+}
+
+/// Which cells of a tile have which kind of value.
+struct Shape {
+    known: Mask,
+    learned: Mask,
+    changed: Mask,
+    high: Mask,
+    all_values: bool,
+}
+
+impl Shape {
+    fn new(model: &TileModel, live: Option<&LiveTile>, within: Mask, selector: ModelSelector) -> Shape {
+        let (seen, occupied) = live.map_or((Mask::EMPTY, Mask::EMPTY), |live| (live.known, live.occupied));
+        let learned = model.observed();
+        let known = (learned | seen) & within;
+        let changed = model.changed() & within;
+        let fixed = known.without(changed);
+        if selector.kind == ModelKind::Latest {
+            return Shape { known, learned, changed, high: fixed & occupied, all_values: false };
+        }
+        let high = fixed & model.always_occupied;
+        // A cell that still reads as it always did stays at its level, however recent the reading is.
+        let blended = selector.persistence && !(seen & fixed & (occupied ^ model.always_occupied)).is_empty();
+        Shape { known, learned, changed, high, all_values: blended || !known.without(learned).is_empty() }
+    }
+
+    fn values(&self) -> u32 {
+        if self.all_values { self.known.count() } else { self.changed.count() }
+    }
+}
+
+impl GridView {
+    /// The tiles that a question is about.
+    #[must_use]
+    pub fn select(&self, question: &GridQuestion) -> GridSelection {
+        let mut tiles = match &question.region {
+            None => self.ids.iter().map(|(&index, &id)| (index, id)).collect(),
+            Some(region) => self.tiles_reaching(region),
+        };
+        tiles.sort_unstable_by_key(|&(index, _)| match question.project {
+            false => (index.z, index.y, index.x),
+            true => (index.y, index.x, index.z),
+        });
+        let none = CellBox { min: CellIndex::default(), max: CellIndex::default() };
+        let bounds = tiles.iter().fold(none, |bounds, (index, _)| bounds.union(&index.cells()));
+        let mut region = question.region.map_or(bounds, |region| region.intersection(&bounds));
+        if self.spec.is_flat {
+            region = region.intersection(&CellBox {
+                min: CellIndex { z: 0, ..region.min },
+                max: CellIndex { z: 1, ..region.max },
+            });
+        }
+        if region.is_empty() {
+            (region, tiles) = (none, Vec::new());
+        }
+        let layers = if self.spec.is_flat { 1 } else { TILE_EDGE as u64 };
+        let cells = tiles.len() as u64 * layers * (TILE_EDGE * TILE_EDGE) as u64;
+        let (values_at_most, told) = if question.project {
+            let columns = tiles.chunk_by(|(one, _), (next, _)| same_column(*one, *next)).count() as u64;
+            (region.min.z, region.max.z) = if tiles.is_empty() { (0, 0) } else { (0, 1) };
+            (columns * (TILE_EDGE * TILE_EDGE) as u64, columns)
+        } else {
+            let of_tile = |&(index, id): &(TileIndex, TileId)| self.values_of(index, id, question);
+            (tiles.iter().map(of_tile).sum(), tiles.len() as u64)
+        };
+        GridSelection { region, tiles, cells, told, values_at_most }
+    }
+
+    /// The tiles that reach into a box, looked up or looked through, whichever is less work.
+    fn tiles_reaching(&self, region: &CellBox) -> Vec<(TileIndex, TileId)> {
+        if region.is_empty() {
+            return Vec::new();
+        }
+        let first = |cell: i32| cell.div_euclid(TILE_EDGE);
+        let end = |cell: i32| (cell - 1).div_euclid(TILE_EDGE) + 1;
+        let (min, max) = (region.min, region.max);
+        let x = first(min.x)..end(max.x);
+        let y = first(min.y)..end(max.y);
+        let z = first(min.z)..end(max.z);
+        if x.len() as u128 * y.len() as u128 * z.len() as u128 > self.ids.len() as u128 {
+            let reaches = |index: &TileIndex| x.contains(&index.x) && y.contains(&index.y) && z.contains(&index.z);
+            return self.ids.iter().filter(|(index, _)| reaches(index)).map(|(&index, &id)| (index, id)).collect();
+        }
+        let indices = z.flat_map(|z| {
+            let x = &x;
+            y.clone().flat_map(move |y| x.clone().map(move |x| TileIndex { x, y, z }))
+        });
+        indices.filter_map(|index| Some((index, self.find(index)?))).collect()
+    }
+
+    /// Most values that a tile's answer has. A tile that is not in memory is not read for it.
+    fn values_of(&self, index: TileIndex, id: TileId, question: &GridQuestion) -> u64 {
+        let within = within(index, question.region.as_ref());
+        let live = self.live(id);
+        match self.generation.model(id) {
+            Some(ModelSlot::Cold(_)) => live.map_or(TILE_CELLS as u64, |live| u64::from((live.known & within).count())),
+            Some(ModelSlot::Resident(model)) => u64::from(Shape::new(model, live, within, question.selector).values()),
+            None => u64::from(Shape::new(&TileModel::default(), live, within, question.selector).values()),
+        }
+    }
+
+    /// Adds the values of a tile's cells to `values`, and says which cells they are of: those that have changed, or all
+    /// that are known where other cells too have values of their own. What is told is the probability.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where the tile cannot be read from the disk.
+    pub fn predict_changed(
+        &self,
+        (index, id): (TileIndex, TileId),
+        question: &GridQuestion,
+        phasors: &InstantPhasors,
+        mut values: Vec<f32>,
+    ) -> Result<TileCells, TileUnavailable> {
+        let model = self.model(id)?;
+        let live = self.live(id);
+        let selector = question.selector;
+        let shape = Shape::new(&model, live, within(index, question.region.as_ref()), selector);
+        let levels = self.levels();
+        let level = |is_high: bool| if is_high { levels.1 as f32 } else { levels.0 as f32 };
+        let blend = |cell: u16, probability: f32| match live.filter(|_| selector.persistence) {
+            Some(live) if live.known.contains(cell) => {
+                let persistence = live.persistence(cell, self.run, levels);
+                persistence.blend(f64::from(probability), question.utc_nanos) as f32
+            }
+            _ => probability,
+        };
+        values.reserve(shape.values() as usize);
+        if selector.kind == ModelKind::Latest {
+            let occupied = live.map_or(Mask::EMPTY, |live| live.occupied);
+            values.extend(shape.changed.cells().map(|cell| level(occupied.contains(cell))));
+        } else {
+            let changed = model.cells.iter().filter(|cell| shape.changed.contains(cell.cell)).map(|cell| {
+                let order =
+                    if selector.kind == ModelKind::Mean { 0 } else { selector.order_or(usize::from(cell.order)) };
+                (cell.cell, cell.spectral.predict_at(order, phasors) as f32)
+            });
+            if shape.all_values {
+                let mut changed = changed.peekable();
+                values.extend(shape.known.cells().map(|cell| {
+                    let learned = changed.next_if(|(of, _)| *of == cell).map(|(_, probability)| probability);
+                    let fixed = || if shape.learned.contains(cell) { level(shape.high.contains(cell)) } else { 0.5 };
+                    blend(cell, learned.unwrap_or_else(fixed))
+                }));
+            } else if selector.persistence {
+                values.extend(changed.map(|(cell, probability)| blend(cell, probability)));
+            } else {
+                values.extend(changed.map(|(_, probability)| probability));
+            }
+        }
+        let Shape { known, changed, high, all_values, .. } = shape;
+        Ok(TileCells { index, known, changed, high, values, all_values })
+    }
+}
+
+/// The places of a tile that lie in a region.
+fn within(index: TileIndex, region: Option<&CellBox>) -> Mask {
+    let tile = index.cells();
+    let Some(region) = region.filter(|region| region.intersection(&tile) != tile) else { return Mask::FULL };
+    let part = region.intersection(&tile);
+    let mut row = 0_u64;
+    for x in part.min.x..part.max.x {
+        row |= 1 << (x - tile.min.x);
+    }
+    let mut layer = 0_u64;
+    for y in part.min.y..part.max.y {
+        layer |= row << (8 * (y - tile.min.y));
+    }
+    let mut mask = Mask::EMPTY;
+    for (z, word) in (tile.min.z..).zip(&mut mask.0) {
+        if (part.min.z..part.max.z).contains(&z) {
+            *word = layer;
+        }
+    }
+    mask
+}
+
+fn same_column(one: TileIndex, other: TileIndex) -> bool {
+    (one.x, one.y) == (other.x, other.y)
+}
+
+impl MapView {
+    /// What the grid says of the cells of the tiles selected, in their order; nothing where the map has no grid.
+    pub fn predict_grid<'a>(
+        &'a self,
+        question: &'a GridQuestion,
+        selection: &'a GridSelection,
+    ) -> impl Iterator<Item = Result<TileCells, TileUnavailable>> + 'a {
+        let phasors = self.instant(question.utc_nanos);
+        let grid = self.grid();
+        let groups = selection.tiles.chunk_by(|(one, _), (next, _)| question.project && same_column(*one, *next));
+        let mut columns = Columns::default();
+        groups.filter_map(move |tiles| {
+            if question.project {
+                return Some(columns.project(grid?, tiles, question, &phasors));
+            }
+            let mut told = grid?.predict_changed(*tiles.first()?, question, &phasors, Vec::new());
+            if let (Ok(cells), false) = (&mut told, question.output == CellOutput::Probability) {
+                cells.values.iter_mut().for_each(|value| *value = question.output.of(*value));
+            }
+            Some(told)
+        })
+    }
+}

@@ -1,0 +1,174 @@
+//! Ray casting: what the readings of a range sensor say of the cells of a grid.
+//!
+//! Cells along a ray are free, the cell of its end is occupied, those beyond stay as they are. Where rays of one scan
+//! disagree on a cell, occupied wins.
+//!
+//! Invariant: rays are traversed exactly (Amanatides and Woo 1987), cell by cell, by a number of steps that is known
+//! before the first; what a scan costs is bounded by its [`CastLimits`] and told in [`CastError`].
+
+use super::{
+    index::TileIndex,
+    mask::{Mask, TileMasks},
+    spec::GridSpec,
+};
+
+mod clip;
+#[cfg(test)]
+mod tests;
+mod walk;
+
+use walk::Walk;
+
+/// A transform map_from_sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Metres; finite.
+    pub position_m: [f64; 3],
+    /// x, y, z, w; of length 1.
+    pub quaternion_xyzw: [f64; 4],
+}
+
+impl Default for Pose {
+    /// At the map's origin, unturned.
+    fn default() -> Pose {
+        Pose { position_m: [0.0; 3], quaternion_xyzw: [0.0, 0.0, 0.0, 1.0] }
+    }
+}
+
+impl Pose {
+    /// The rotation as a matrix, row by row.
+    fn rotation(&self) -> [[f64; 3]; 3] {
+        let [x, y, z, w] = self.quaternion_xyzw;
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    }
+}
+
+/// Readings in the sensor's frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Rays {
+    /// Ends of rays: x, y, z of each one after the other, metres. One that is not finite is no reading.
+    Points(Vec<f32>),
+    /// Ranges in the sensor's x-y plane.
+    Planar {
+        /// Angle of the first ray from the x axis, radians.
+        angle_min_rad: f64,
+        /// Angle from one ray to the next, radians.
+        angle_increment_rad: f64,
+        /// Metres. Infinity: nothing as far as is believed. NaN: no reading.
+        ranges_m: Vec<f32>,
+    },
+}
+
+/// One scan of a range sensor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Readings {
+    /// Where the sensor was.
+    pub pose: Pose,
+    /// Nearer readings are left out; at least 0.
+    pub min_range_m: f32,
+    /// Farther readings only say that the way is free up to this range. `None`: there is no such range.
+    pub max_range_m: Option<f32>,
+    /// The rays.
+    pub rays: Rays,
+}
+
+/// What a cast may cost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CastLimits {
+    /// Cells of one ray, within the grid's extent.
+    pub ray_cells: u64,
+    /// Cells of all rays, those that several pass counted for each.
+    pub cells: u64,
+    /// Tiles that the rays pass.
+    pub tiles: usize,
+}
+
+/// Why a scan is not cast.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CastError {
+    /// A ray is too long.
+    #[error("ray {ray} passes {cells} cells, and one ray may pass {max}: send a max_range_m")]
+    RayTooLong {
+        /// Which, from 0.
+        ray: usize,
+        /// How many cells it passes.
+        cells: u64,
+        /// How many it may.
+        max: u64,
+    },
+    /// The rays are too long all together.
+    #[error("the rays pass more than the {max} cells that those of one scan may: send fewer points or a max_range_m")]
+    TooManyCells {
+        /// How many they may.
+        max: u64,
+    },
+    /// The rays pass too many tiles.
+    #[error("the rays pass more than the {max} tiles that one scan may show: send a max_range_m")]
+    TooManyTiles {
+        /// How many they may.
+        max: usize,
+    },
+}
+
+/// What readings say of the grid: the tiles that they pass, ascending, and the masks of each. Empty where no reading is
+/// left, or all lie outside the extent. In a flat grid heights are left out of account.
+///
+/// # Errors
+/// [`CastError`] where a limit is passed.
+pub fn cast(
+    spec: &GridSpec,
+    readings: &Readings,
+    limits: CastLimits,
+) -> Result<Vec<(TileIndex, TileMasks)>, CastError> {
+    let mut walk = Walk::new(spec, readings.pose.position_m, limits);
+    let rotation = readings.pose.rotation();
+    let turn = |[x, y, z]: [f64; 3]| rotation.map(|row| row[0] * x + row[1] * y + row[2] * z);
+    let min = f64::from(readings.min_range_m);
+    let max = readings.max_range_m.map_or(f64::INFINITY, f64::from);
+    match &readings.rays {
+        Rays::Points(xyz) => {
+            for (ray, point) in xyz.as_chunks::<3>().0.iter().enumerate() {
+                let point = point.map(f64::from);
+                let range = point.iter().map(|along| along * along).sum::<f64>().sqrt();
+                // Not finite or too near.
+                if !(range >= min && range < f64::INFINITY) {
+                    continue;
+                }
+                let is_hit = range <= max;
+                let point = if is_hit { point } else { point.map(|along| along * (max / range)) };
+                walk.ray(ray, turn(point), is_hit)?;
+            }
+        }
+        Rays::Planar { angle_min_rad, angle_increment_rad, ranges_m } => {
+            for (ray, &range) in ranges_m.iter().enumerate() {
+                let range = f64::from(range);
+                if range.is_nan() || range < min {
+                    continue;
+                }
+                let is_hit = range <= max && range < f64::INFINITY;
+                let range = range.min(max);
+                let (sin, cos) = (angle_min_rad + ray as f64 * angle_increment_rad).sin_cos();
+                walk.ray(ray, turn([range * cos, range * sin, 0.0]), is_hit)?;
+            }
+        }
+    }
+    Ok(walk.into_tiles())
+}
+
+/// What rays have said of one tile so far.
+#[derive(Clone, Copy, Debug)]
+struct Tile {
+    index: TileIndex,
+    free: Mask,
+    occupied: Mask,
+}
+
+impl Tile {
+    fn masks(&self) -> TileMasks {
+        TileMasks::clipped(self.free | self.occupied, self.occupied)
+    }
+}

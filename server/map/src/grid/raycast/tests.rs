@@ -1,0 +1,241 @@
+//! The traversal against a dense sampler, and the edges of rays, grids and limits.
+
+use std::collections::BTreeSet;
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::grid::{
+    index::{CellBox, CellIndex},
+    spec::{Retention, SensorNoise},
+};
+
+const LIMITS: CastLimits = CastLimits { ray_cells: 100_000, cells: 10_000_000, tiles: 100_000 };
+
+fn spec(is_flat: bool, extent: Option<CellBox>) -> GridSpec {
+    GridSpec {
+        frame_id: "map".to_owned(),
+        is_flat,
+        resolution_m: 0.5,
+        origin_m: [-1.0, 0.25, 3.0],
+        extent,
+        sensor: SensorNoise::default(),
+        retention: Retention::None,
+    }
+}
+
+fn unit() -> GridSpec {
+    GridSpec { resolution_m: 1.0, origin_m: [0.0; 3], ..spec(false, None) }
+}
+
+fn at(position_m: [f64; 3]) -> Pose {
+    Pose { position_m, ..Pose::default() }
+}
+
+fn points(pose: Pose, points: &[[f32; 3]]) -> Readings {
+    Readings { pose, min_range_m: 0.0, max_range_m: None, rays: Rays::Points(points.concat()) }
+}
+
+type Cells = BTreeSet<(i32, i32, i32)>;
+
+/// Free and occupied cells.
+fn cells(tiles: &[(TileIndex, TileMasks)]) -> (Cells, Cells) {
+    let (mut free, mut occupied) = (Cells::new(), Cells::new());
+    for (index, masks) in tiles {
+        for place in masks.observed().cells() {
+            let cell = index.cell(place);
+            let set = if masks.occupied().contains(place) { &mut occupied } else { &mut free };
+            assert!(set.insert((cell.x, cell.y, cell.z)));
+        }
+    }
+    (free, occupied)
+}
+
+fn cast_cells(spec: &GridSpec, readings: &Readings) -> (Cells, Cells) {
+    cells(&cast(spec, readings, LIMITS).expect("within the limits"))
+}
+
+fn line(cells: &[(i32, i32, i32)]) -> Cells {
+    cells.iter().copied().collect()
+}
+
+#[test]
+fn cells_on_the_way_are_free_and_the_last_is_occupied() {
+    let (free, occupied) = cast_cells(&unit(), &points(at([0.5, 0.5, 0.5]), &[[3.0, 0.0, 0.0]]));
+    assert_eq!(free, line(&[(0, 0, 0), (1, 0, 0), (2, 0, 0)]));
+    assert_eq!(occupied, line(&[(3, 0, 0)]));
+    let (free, occupied) = cast_cells(&unit(), &points(at([0.5, 0.5, 0.5]), &[[0.0, -9.0, 0.0]]));
+    assert_eq!(free, (-8..=0).map(|y| (0, y, 0)).collect());
+    assert_eq!(occupied, line(&[(0, -9, 0)]));
+}
+
+#[test]
+fn rays_of_no_length_and_along_borders_end_where_they_should() {
+    let (free, occupied) = cast_cells(&unit(), &points(at([0.5; 3]), &[[0.0; 3], [0.25, 0.0, 0.0]]));
+    assert!(free.is_empty());
+    assert_eq!(occupied, line(&[(0, 0, 0)]));
+    // On the border between cells, which belongs to the upper one.
+    let (free, occupied) = cast_cells(&unit(), &points(at([1.0, 2.0, 3.0]), &[[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0]]));
+    assert_eq!(free, line(&[(0, 2, 3), (1, 2, 3), (2, 2, 3)]));
+    assert_eq!(occupied, line(&[(3, 2, 3), (-1, 2, 3)]));
+}
+
+#[test]
+fn occupied_wins_and_points_may_repeat() {
+    let ends = [[3.0, 0.0, 0.0], [6.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
+    let (free, occupied) = cast_cells(&unit(), &points(at([0.5; 3]), &ends));
+    assert_eq!(occupied, line(&[(3, 0, 0), (6, 0, 0)]));
+    assert_eq!(free, line(&[(0, 0, 0), (1, 0, 0), (2, 0, 0), (4, 0, 0), (5, 0, 0)]));
+}
+
+#[test]
+fn ranges_bound_what_is_believed() {
+    let mut readings = points(at([0.5; 3]), &[[9.0, 0.0, 0.0], [0.0, 0.5, 0.0], [f32::NAN, 0.0, 0.0]]);
+    (readings.min_range_m, readings.max_range_m) = (0.6, Some(2.0));
+    let (free, occupied) = cast_cells(&unit(), &readings);
+    assert!(occupied.is_empty());
+    assert_eq!(free, line(&[(0, 0, 0), (1, 0, 0), (2, 0, 0)]));
+    let rays = Rays::Planar {
+        angle_min_rad: 0.0,
+        angle_increment_rad: std::f64::consts::FRAC_PI_2,
+        ranges_m: vec![1.0, f32::INFINITY, f32::NAN, 0.1, f32::NEG_INFINITY],
+    };
+    let (free, occupied) = cast_cells(&unit(), &Readings { rays, ..readings });
+    assert_eq!(occupied, line(&[(1, 0, 0)]));
+    assert_eq!(free, line(&[(0, 0, 0), (0, 1, 0), (0, 2, 0)]));
+}
+
+#[test]
+fn a_pose_turns_the_rays() {
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    let pose = Pose { position_m: [0.5; 3], quaternion_xyzw: [0.0, 0.0, half, half] };
+    let (_, occupied) = cast_cells(&unit(), &points(pose, &[[3.0, 1.0, 0.0]]));
+    assert_eq!(occupied, line(&[(-1, 3, 0)]));
+    let pose = Pose { position_m: [0.5; 3], quaternion_xyzw: [0.0, half, 0.0, half] };
+    let (_, occupied) = cast_cells(&unit(), &points(pose, &[[3.0, 0.0, 0.0]]));
+    assert_eq!(occupied, line(&[(0, 0, -3)]));
+}
+
+#[test]
+fn rays_are_cut_to_the_extent() {
+    let extent = CellBox { min: CellIndex { x: 2, y: -1, z: 0 }, max: CellIndex { x: 5, y: 2, z: 1 } };
+    let spec = GridSpec { extent: Some(extent), ..unit() };
+    let ends = [[3.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [-4.0, 0.0, 0.0], [4.5, 0.0, 0.0]];
+    let (free, occupied) = cast_cells(&spec, &points(at([0.5; 3]), &ends));
+    assert_eq!(occupied, line(&[(3, 0, 0)]));
+    assert_eq!(free, line(&[(2, 0, 0), (4, 0, 0)]));
+    let (free, occupied) = cast_cells(&spec, &points(at([9.5, 0.5, 0.5]), &[[-5.0, 0.0, 0.0], [-19.0, 0.0, 0.0]]));
+    assert_eq!((free, occupied), (line(&[(2, 0, 0), (3, 0, 0)]), line(&[(4, 0, 0)])));
+    for far in [1e30, f64::MAX] {
+        assert_eq!(cast(&spec, &points(at([far, 0.0, 0.0]), &[[1.0, 0.0, 0.0]]), LIMITS), Ok(Vec::new()));
+    }
+}
+
+#[test]
+fn heights_do_not_matter_in_a_flat_grid() {
+    let flat = GridSpec { is_flat: true, ..unit() };
+    let (free, occupied) = cast_cells(&flat, &points(at([0.5, 0.5, 40.0]), &[[2.0, 0.0, -300.0]]));
+    assert_eq!((free, occupied), (line(&[(0, 0, 0), (1, 0, 0)]), line(&[(2, 0, 0)])));
+}
+
+#[test]
+fn limits_are_told() {
+    let readings = points(at([0.5; 3]), &[[1.0, 0.0, 0.0], [500.0, 0.0, 0.0]]);
+    let with = |ray_cells, cells, tiles| cast(&unit(), &readings, CastLimits { ray_cells, cells, tiles });
+    assert!(with(501, 503, 63).is_ok());
+    assert_eq!(with(500, 503, 63), Err(CastError::RayTooLong { ray: 1, cells: 501, max: 500 }));
+    assert_eq!(with(501, 502, 63), Err(CastError::TooManyCells { max: 502 }));
+    assert_eq!(with(501, 503, 62), Err(CastError::TooManyTiles { max: 62 }));
+    let nothing = points(Pose::default(), &[[f32::INFINITY, 0.0, 0.0]]);
+    assert_eq!(cast(&unit(), &nothing, LIMITS), Ok(Vec::new()));
+}
+
+/// Whether a ray comes as near to a cell as `slack` cells.
+fn touches(cell: (i32, i32, i32), start: [f64; 3], end: [f64; 3], slack: f64) -> bool {
+    let low = [f64::from(cell.0), f64::from(cell.1), f64::from(cell.2)];
+    let (mut enter, mut leave) = (0.0f64, 1.0f64);
+    for axis in 0..3 {
+        let along = end[axis] - start[axis];
+        let (near, far) = (low[axis] - slack - start[axis], low[axis] + 1.0 + slack - start[axis]);
+        if along.abs() < 1e-12 {
+            if near > 0.0 || far < 0.0 {
+                return false;
+            }
+            continue;
+        }
+        let (one, other) = (near / along, far / along);
+        enter = enter.max(one.min(other));
+        leave = leave.min(one.max(other));
+    }
+    enter <= leave + 1e-9
+}
+
+proptest! {
+    #[test]
+    fn a_traversal_is_what_a_dense_sampler_sees(
+        from in prop::array::uniform3(-6.0f64..6.0),
+        along in prop::array::uniform3(-9.0f32..9.0),
+        is_flat in any::<bool>(),
+        extent in prop::option::of((-8i32..4, -8i32..4, -8i32..4, 1i32..14)),
+    ) {
+        let extent = extent.map(|(x, y, z, size)| CellBox {
+            min: CellIndex { x, y, z: if is_flat { 0 } else { z } },
+            max: CellIndex { x: x + size, y: y + size, z: if is_flat { 1 } else { z + size } },
+        });
+        let spec = spec(is_flat, extent);
+        let allowed = spec.allowed();
+        let (free, occupied) = cast_cells(&spec, &points(at(from), &[along]));
+        let place = |share: f64| -> [f64; 3] {
+            let mut place: [f64; 3] = std::array::from_fn(|axis| from[axis] + f64::from(along[axis]) * share);
+            if is_flat {
+                place[2] = spec.origin_m[2];
+            }
+            place
+        };
+        let in_cells = |place: [f64; 3]| -> [f64; 3] {
+            std::array::from_fn(|axis| (place[axis] - spec.origin_m[axis]) / spec.resolution_m)
+        };
+        let end = spec.cell_at(place(1.0)).expect("near");
+        let end_cell: Cells = allowed.contains(end).then_some((end.x, end.y, end.z)).into_iter().collect();
+        prop_assert_eq!(&occupied, &end_cell);
+        let seen: Cells = free.union(&occupied).copied().collect();
+        // Every sample that lies clearly inside a cell of the extent lies in one that was seen.
+        for sample in 0..=2000 {
+            let place = place(f64::from(sample) / 2000.0);
+            let cell = spec.cell_at(place).expect("near");
+            let is_inside = in_cells(place).iter().take(if is_flat { 2 } else { 3 }).all(|along| {
+                (1e-6..1.0 - 1e-6).contains(&(along - along.floor()))
+            });
+            if is_inside && allowed.contains(cell) {
+                prop_assert!(seen.contains(&(cell.x, cell.y, cell.z)), "{cell:?} was passed");
+            }
+        }
+        // Nothing else was seen.
+        for &cell in &seen {
+            let is_allowed = allowed.contains(CellIndex { x: cell.0, y: cell.1, z: cell.2 });
+            prop_assert!(is_allowed);
+            prop_assert!(touches(cell, in_cells(place(0.0)), in_cells(place(1.0)), 1e-6), "{cell:?} was not passed");
+        }
+    }
+}
+
+#[test]
+#[ignore = "prints a speed"]
+fn speed() {
+    let spec = GridSpec { resolution_m: 0.1, ..unit() };
+    let n = 100_000;
+    let mut xyz = Vec::new();
+    for i in 0..n {
+        let z = 1.0 - 2.0 * (i as f64 + 0.5) / n as f64;
+        let a = i as f64 * 2.399963229728653;
+        let r = (1.0 - z * z).sqrt();
+        xyz.extend([(5.0 * r * a.cos()) as f32, (5.0 * r * a.sin()) as f32, (5.0 * z) as f32]);
+    }
+    let readings =
+        Readings { pose: at([0.03, 0.04, 0.05]), min_range_m: 0.0, max_range_m: None, rays: Rays::Points(xyz) };
+    for _ in 0..5 {
+        let t = std::time::Instant::now();
+        let tiles = cast(&spec, &readings, LIMITS).unwrap();
+        println!("{:?} {}", t.elapsed(), tiles.len());
+    }
+}

@@ -1,0 +1,200 @@
+//! What is known of each cell, the naive way: every single observation, and a model of a single state per cell.
+//!
+//! Invariant: nothing here knows of runs, groups or shared sums.
+
+use std::collections::BTreeMap;
+
+use tidemap_model::{
+    AccumulatorParts, MAX_ORDER, OrderCriterion, Periodicities, Persistence, Sample, SpectralModel, StateModel,
+};
+
+use crate::{
+    grid::{
+        index::{CellIndex, TileIndex},
+        tile::CellModel,
+        view::CellDescription,
+    },
+    predict::{ModelKind, ModelSelector},
+};
+
+/// One cell.
+#[derive(Clone, Debug)]
+pub struct CellOracle {
+    pending: Vec<Sample>,
+    ahead: Vec<Sample>,
+    taken: Vec<Sample>,
+    pub folded: Vec<Sample>,
+    pub model: StateModel,
+    pub persistence: Persistence,
+    /// Whether two components were as strong as each other, so that another choice is as good.
+    tied: bool,
+}
+
+/// γ of all periodicities.
+pub fn gammas(parts: &AccumulatorParts) -> Vec<(f64, f64)> {
+    let n = parts.observations.max(1) as f64;
+    let mean = parts.sum / n;
+    parts.spectrum.iter().map(|[a, b, c, d]| ((a - mean * c) / n, (b - mean * d) / n)).collect()
+}
+
+impl CellOracle {
+    fn new(periodicities: &Periodicities) -> CellOracle {
+        CellOracle {
+            pending: Vec::new(),
+            ahead: Vec::new(),
+            taken: Vec::new(),
+            folded: Vec::new(),
+            model: StateModel::new(periodicities),
+            persistence: Persistence::default(),
+            tied: false,
+        }
+    }
+
+    fn take_before(&mut self, cut_nanos: i64) {
+        let mut due: Vec<Sample> = self.ahead.extract_if(.., |sample| sample.utc_nanos < cut_nanos).collect();
+        self.pending.extend(&due);
+        due.sort_by_key(|sample| sample.utc_nanos);
+        for sample in due {
+            self.persistence.observe(sample.utc_nanos, sample.value);
+        }
+        self.taken = self.pending.extract_if(.., |sample| sample.utc_nanos < cut_nanos).collect();
+    }
+
+    fn learn(&mut self, periodicities: &Periodicities, criterion: OrderCriterion) {
+        let mut taken = std::mem::take(&mut self.taken);
+        self.folded.extend(&taken);
+        taken.sort_by_key(|sample| sample.utc_nanos);
+        // Day by day, so that ties of each day's model are found.
+        for of_day in taken.chunk_by(|one, next| one.local_day() == next.local_day()) {
+            self.tied |= self.has_tie();
+            self.model.update(periodicities, criterion, of_day.to_vec());
+        }
+    }
+
+    /// Whether a component might as well have been another.
+    fn has_tie(&self) -> bool {
+        let kept = self.model.spectral().components();
+        let mut all: Vec<f64> =
+            gammas(&self.model.accumulator().to_parts()).iter().map(|(re, im)| re.hypot(*im)).collect();
+        all.sort_by(|a, b| b.total_cmp(a));
+        let weakest = kept.last().map_or(0.0, |component| component.amplitude() / 2.0);
+        // Those that are not eligible may tie without harm: this is too careful, and rarely so.
+        all.windows(2).any(|pair| pair[0] >= weakest && pair[0] > 1e-9 && pair[0] - pair[1] < 1e-9)
+    }
+
+    /// Whether it was ever read as both free and occupied.
+    pub fn has_changed(&self) -> bool {
+        self.folded.windows(2).any(|pair| pair[0].value != pair[1].value)
+    }
+
+    pub fn probability(&self, selector: ModelSelector, civil_nanos: i64, utc_nanos: i64, omega: &Periodicities) -> f64 {
+        let spectral = self.model.spectral();
+        let p = match selector.kind {
+            ModelKind::Latest => self.persistence.last().map_or(0.5, |(_, value)| value),
+            ModelKind::Mean => spectral.mean(),
+            ModelKind::Auto | ModelKind::Spectral => {
+                spectral.predict(omega, selector.order.unwrap_or(self.model.order()), civil_nanos)
+            }
+        };
+        if selector.persistence { self.persistence.blend(p, utc_nanos) } else { p }
+    }
+
+    /// Compares what a view says of the cell.
+    pub fn compare(&self, found: &CellDescription, at: &str) {
+        let (ours, theirs) = (self.persistence.to_parts(), found.persistence.to_parts());
+        assert_eq!((ours.pairs, ours.last), (theirs.pairs, theirs.last), "{at}: persistence");
+        near(ours.change_rate_sum, theirs.change_rate_sum, 1e-9 * (1.0 + ours.change_rate_sum), at, "change rates");
+        assert_eq!(found.observations, ours.pairs + 1, "{at}: observations");
+        assert_eq!(found.folded, self.folded.len() as u64, "{at}: folded");
+        assert_eq!(found.first_nanos, self.folded.iter().map(|s| s.utc_nanos).min(), "{at}: first");
+        near(found.spectral.mean(), self.model.spectral().mean(), 1e-9, at, "mean");
+        assert_eq!(found.spectral.observations(), self.folded.len() as u64, "{at}: observations of the model");
+        assert_eq!(found.changed, self.has_changed(), "{at}: changed");
+        assert_eq!(found.errors.is_some(), found.changed, "{at}: errors");
+    }
+
+    /// Compares a changed cell's components, orders and errors. What is as good as the oracle's choice becomes the
+    /// oracle's.
+    pub fn compare_model(&mut self, found: &CellModel, periodicities: &Periodicities, at: &str) {
+        let parts = self.model.accumulator().to_parts();
+        let gammas = gammas(&parts);
+        let kept = found.spectral.components();
+        for component in kept {
+            let (re, im) = gammas[component.periodicity as usize];
+            near(component.gamma_re, re, 1e-9, at, "real part of γ");
+            near(component.gamma_im, im, 1e-9, at, "imaginary part of γ");
+        }
+        let weakest = if kept.len() < MAX_ORDER { 0.0 } else { kept.last().map_or(0.0, |c| c.amplitude() / 2.0) };
+        for component in self.model.spectral().components() {
+            let missing = kept.iter().all(|other| other.periodicity != component.periodicity);
+            assert!(!missing || component.amplitude() / 2.0 <= weakest + 1e-9, "{at}: {component:?} is missing");
+        }
+        assert!(kept.is_sorted_by(|one, next| one.amplitude() >= next.amplitude() - 1e-9), "{at}: not in order");
+        let (ours, theirs) = (self.model.errors().sums(), found.errors.sums());
+        if self.tied {
+            near(ours[0], theirs[0], 1e-9 * (1.0 + ours[0]), at, "error of order 0");
+        } else {
+            for order in 0..=MAX_ORDER {
+                let (a, b) = (ours[order], theirs[order]);
+                assert!((a - b).abs() < 1e-8 * (1.0 + a), "{at}: error of order {order} is {a}, or {b}");
+            }
+            let lowest = ours.iter().copied().fold(f64::INFINITY, f64::min);
+            let (a, b) = (self.model.order(), usize::from(found.order));
+            let is_tie = |order: usize| (ours[order] - lowest * 1.001).abs() < 1e-7;
+            assert!(a == b || is_tie(a.min(b)) || lowest < 1e-7, "{at}: order {b}, expected {a} by {ours:?}");
+        }
+        let spectral =
+            SpectralModel::from_parts(parts.sum / parts.observations as f64, parts.observations, kept.to_vec());
+        let accumulator = tidemap_model::Accumulator::from_parts(periodicities, parts).expect("its own");
+        let order = usize::from(found.order);
+        self.model =
+            StateModel::from_parts(accumulator, spectral.expect("valid"), order, found.errors).expect("a valid order");
+        self.tied = false;
+    }
+}
+
+pub fn near(a: f64, b: f64, most: f64, at: &str, what: &str) {
+    assert!((a - b).abs() <= most, "{at}: {what} is {a}, or {b}");
+}
+
+/// All cells.
+#[derive(Clone, Debug)]
+pub struct Oracle {
+    periodicities: Periodicities,
+    criterion: OrderCriterion,
+    pub cells: BTreeMap<(TileIndex, u16), CellOracle>,
+    pub cell_observations: u64,
+}
+
+impl Oracle {
+    pub fn new(periodicities: &Periodicities, criterion: OrderCriterion) -> Oracle {
+        let (periodicities, cells) = (periodicities.clone(), BTreeMap::new());
+        Oracle { periodicities, criterion, cells, cell_observations: 0 }
+    }
+
+    pub fn observe(&mut self, tile: TileIndex, cell: u16, sample: Sample, is_ahead: bool) {
+        self.cell_observations += 1;
+        let periodicities = &self.periodicities;
+        let cell = self.cells.entry((tile, cell)).or_insert_with(|| CellOracle::new(periodicities));
+        if is_ahead {
+            cell.ahead.push(sample);
+        } else {
+            cell.persistence.observe(sample.utc_nanos, sample.value);
+            cell.pending.push(sample);
+        }
+    }
+
+    pub fn start_update(&mut self, cut_nanos: i64) {
+        self.cells.values_mut().for_each(|cell| cell.take_before(cut_nanos));
+    }
+
+    pub fn finish_update(&mut self) {
+        self.cells.values_mut().for_each(|cell| cell.learn(&self.periodicities, self.criterion));
+    }
+
+    /// A cell of which an observation has counted.
+    pub fn known(&self, cell: CellIndex) -> Option<&CellOracle> {
+        let (tile, place) = cell.tile();
+        self.cells.get(&(tile, place)).filter(|cell| cell.persistence.last().is_some())
+    }
+}

@@ -1,0 +1,99 @@
+//! What is known of scans, the naive way: each of them, whole.
+//!
+//! Invariant: scans are kept in order of arrival; those that had to wait arrive when their time has come.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use tidemap_model::LocalDay;
+
+use super::robot::Seen;
+use crate::{
+    grid::{
+        day::{GridDay, ScanTime},
+        index::{TileId, TileIndex},
+        live::LiveGrid,
+        mask::TileMasks,
+        update::GridOutcome,
+    },
+    history::HistoryPiece,
+};
+
+/// A scan and what it showed.
+#[derive(Clone, Debug)]
+struct Whole {
+    time: ScanTime,
+    tiles: Vec<(TileIndex, TileMasks)>,
+}
+
+/// All scans that no update has folded in.
+#[derive(Clone, Debug, Default)]
+pub struct ScanOracle {
+    pending: Vec<Whole>,
+    ahead: Vec<Whole>,
+    taken: Vec<Whole>,
+    pub count: u64,
+}
+
+impl ScanOracle {
+    pub fn take(&mut self, seen: &Seen, offset_secs: i32, is_ahead: bool) {
+        let time = ScanTime { utc_nanos: seen.utc_nanos, offset_secs };
+        let queue = if is_ahead { &mut self.ahead } else { &mut self.pending };
+        queue.push(Whole { time, tiles: seen.tiles.clone() });
+        self.count += 1;
+    }
+
+    pub fn start_update(&mut self, cut_nanos: i64) {
+        let is_due = |scan: &mut Whole| scan.time.utc_nanos < cut_nanos;
+        let mut due: Vec<Whole> = self.ahead.extract_if(.., is_due).collect();
+        due.sort_by_key(|scan| scan.time.utc_nanos);
+        self.pending.append(&mut due);
+        self.taken = self.pending.extract_if(.., is_due).collect();
+    }
+
+    pub fn pending(&self) -> u64 {
+        (self.pending.len() + self.ahead.len()) as u64
+    }
+
+    /// Compares with what the update says that it has folded in.
+    pub fn finish_update(&mut self, outcome: &GridOutcome, history: &[Arc<HistoryPiece>], grid: &LiveGrid) {
+        let taken = std::mem::take(&mut self.taken);
+        assert_eq!(outcome.scans, taken.len() as u64);
+        let count = |scan: &Whole| scan.tiles.iter().map(|(_, masks)| u64::from(masks.observed().count())).sum::<u64>();
+        assert_eq!(outcome.observations, taken.iter().map(count).sum::<u64>());
+        let mut by_day: BTreeMap<LocalDay, Vec<Whole>> = BTreeMap::new();
+        for scan in taken {
+            by_day.entry(LocalDay::of_civil_nanos(scan.time.civil_nanos())).or_default().push(scan);
+        }
+        let days: Vec<&GridDay> = history.iter().flat_map(|piece| &piece.days).map(|day| &day.outliers).collect();
+        assert_eq!(days.len(), by_day.len(), "days");
+        for (found, (day, scans)) in days.into_iter().zip(by_day) {
+            assert_eq!((found.day, found.scans.len()), (day, scans.len()));
+            let shown = unfold(found);
+            for ((found, shown), scan) in found.scans.iter().zip(shown).zip(scans) {
+                let id = |tile: TileIndex| grid.find(tile).expect("a tile that was seen");
+                let tiles: BTreeMap<TileId, TileMasks> =
+                    scan.tiles.iter().map(|&(tile, masks)| (id(tile), masks)).collect();
+                assert_eq!((*found, shown), (scan.time, tiles));
+            }
+        }
+    }
+}
+
+/// What each scan of a day showed.
+fn unfold(day: &GridDay) -> Vec<BTreeMap<TileId, TileMasks>> {
+    let mut shown = vec![BTreeMap::new(); day.scans.len()];
+    for (index, ranges) in day.presence_by_tile().iter().enumerate() {
+        let id = TileId(u32::try_from(index).expect("few"));
+        let Some(tile) = day.tile(id) else {
+            assert!(ranges.is_empty());
+            continue;
+        };
+        let mut last = tile.first;
+        for (scan, masks) in tile.scans(ranges) {
+            shown[scan as usize].insert(id, masks);
+            last = masks;
+        }
+        assert_eq!(tile.last, last);
+    }
+    shown
+}

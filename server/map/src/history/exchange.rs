@@ -1,0 +1,72 @@
+//! The readings of modelled cells against what their models say: s ⊕ s' where a cell was observed.
+//!
+//! Invariant: done twice with the same models it changes nothing, because models say the same each time. A tile without
+//! models stays as it is.
+
+use super::{
+    OutlierModel,
+    bits::Bits,
+    phasors::{DayPhasors, Sum},
+    seen::{CellBits, Seen, flips_of, order},
+};
+use crate::grid::{
+    day::{Bit, DayTile, Flip},
+    mask::{Mask, TileMasks},
+};
+
+/// Room for the rows of one cell.
+#[derive(Debug, Default)]
+pub(super) struct Rows {
+    pub(super) cell: CellBits,
+    pub(super) sum: Sum,
+    /// What the model says: at all scans, and at those that saw the tile.
+    pub(super) said_ever: Bits,
+    pub(super) said: Bits,
+    pub(super) differing: Bits,
+}
+
+impl Rows {
+    /// Finds where the cell differs from the model as summed up so far.
+    pub(super) fn compare(&mut self, seen: &Seen) {
+        self.sum.occupied(&mut self.said_ever);
+        seen.gather(&mut self.said_ever, &mut self.said);
+        self.differing.set_differing(&self.cell.occupied, &self.said, &self.cell.observed);
+    }
+}
+
+/// Turns the readings of modelled cells into outliers, and outliers into readings.
+pub(super) fn exchange(
+    tile: &DayTile,
+    seen: &Seen,
+    models: &[OutlierModel],
+    phasors: &DayPhasors,
+    rows: &mut Rows,
+) -> DayTile {
+    let mut cells = Mask::EMPTY;
+    models.iter().for_each(|model| cells.insert(model.cell));
+    if cells.is_empty() || seen.count() == 0 {
+        return tile.clone();
+    }
+    let mut exchanged = tile.clone();
+    exchanged.flips.retain(|flip| flip.bit() == Bit::Observed || !cells.contains(flip.cell()));
+    let (mut first, mut last) = (tile.first.occupied().without(cells), tile.last.occupied().without(cells));
+    let flips = flips_of(tile, seen, cells);
+    for (cell, flips) in cells.cells().zip(&flips) {
+        let Some(model) = models.iter().find(|model| model.cell == cell) else { continue };
+        rows.cell.fill(tile, cell, flips, seen);
+        rows.sum.start(model.mean, phasors);
+        model.components.iter().for_each(|component| rows.sum.add(component, phasors));
+        rows.compare(seen);
+        if rows.differing.get(0) {
+            first.insert(cell);
+        }
+        if rows.differing.last() {
+            last.insert(cell);
+        }
+        exchanged.flips.extend(rows.differing.toggles().map(|at| Flip::new(seen.scan(at), cell, Bit::Occupied)));
+    }
+    exchanged.flips.sort_unstable_by_key(order);
+    exchanged.first = TileMasks::clipped(tile.first.observed(), first);
+    exchanged.last = TileMasks::clipped(tile.last.observed(), last);
+    exchanged
+}

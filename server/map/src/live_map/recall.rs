@@ -1,0 +1,56 @@
+//! What was observed and lies in no history yet: observations that no update has taken.
+//!
+//! Invariant: with the history of all updates that have ended this is every observation that was acknowledged, but for
+//! those that a running update has.
+
+use tidemap_model::Sample;
+
+use super::LiveMap;
+use crate::{
+    grid::day::GridDay,
+    history::{Reading, Subject, cell_readings},
+    update::UpdateWork,
+};
+
+impl LiveMap {
+    /// Number of updates published so far.
+    #[must_use]
+    pub fn generation(&self) -> u64 {
+        self.generation
+    }
+
+    /// Observations that no update has taken, from an instant up to but not including another, in order of arrival.
+    #[must_use]
+    pub fn pending_readings(&self, subject: Subject, from_nanos: i64, to_nanos: i64) -> Vec<Reading> {
+        let within = from_nanos..to_nanos;
+        match subject {
+            Subject::State(state) => {
+                let samples = self.pending.of_state(state).filter(|sample| within.contains(&sample.utc_nanos));
+                samples.map(|sample: &Sample| (sample.utc_nanos, sample.value)).collect()
+            }
+            Subject::Cell(tile, cell) => {
+                let Some(grid) = &self.grid else { return Vec::new() };
+                let is_asked = |day: &&GridDay| day.scans.iter().any(|scan| within.contains(&scan.utc_nanos));
+                let days = grid.days.iter().filter(is_asked);
+                let pending = days.flat_map(|day| day.readings(tile, cell, &self.spec.periodicities));
+                let ahead = grid.ahead.iter().filter_map(|scan| {
+                    let at = scan.tiles.binary_search_by_key(&tile, |(tile, _)| *tile).ok()?;
+                    let (_, masks) = scan.tiles.get(at)?;
+                    masks.observed().contains(cell).then(|| (scan.time.utc_nanos, masks.occupied().contains(cell)))
+                });
+                cell_readings(pending.chain(ahead).filter(|(nanos, _)| within.contains(nanos))).collect()
+            }
+        }
+    }
+}
+
+impl UpdateWork {
+    /// Least time of the observations that it folds in, nanoseconds UTC; all lie before its cut. `None` where there are
+    /// none.
+    #[must_use]
+    pub fn from_nanos(&self) -> Option<i64> {
+        let samples = self.samples.iter().flat_map(|(_, samples)| samples).map(|sample| sample.utc_nanos);
+        let scans = self.grid.iter().flat_map(|grid| &grid.days).flat_map(|day| &day.scans).map(|scan| scan.utc_nanos);
+        samples.chain(scans).min()
+    }
+}

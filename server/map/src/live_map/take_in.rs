@@ -1,0 +1,118 @@
+//! Observations and scans into a map.
+//!
+//! Invariant: an event that does not follow from those before is refused; one that does moves its producer's mark on,
+//! whatever else it holds.
+
+use super::LiveMap;
+use crate::{
+    directory::StateInfo,
+    event::{Observations, ProducerId},
+    grid::scan::Scans,
+    name::ProducerKey,
+    snapshot::ProducerMark,
+    view::{LIVE_CHUNK, LiveState},
+};
+
+/// How an event moves its producer's mark on.
+struct Advance<'a> {
+    producer: ProducerId,
+    new_producer: Option<&'a ProducerKey>,
+    incarnation: u64,
+    first_sequence: u64,
+    last_sequence: u64,
+    content_crc: u32,
+}
+
+impl LiveMap {
+    pub(super) fn add_producer(&mut self, mark: ProducerMark) {
+        let id = ProducerId(u32::try_from(self.producers.len()).unwrap_or(u32::MAX));
+        self.producer_ids.insert(mark.key.clone(), id);
+        self.producers.push(mark);
+    }
+
+    pub(super) fn add_state(&mut self, info: StateInfo) {
+        self.directory.push(info);
+        self.live.push(LiveState::default());
+        self.live_dirty.resize(self.live.len().div_ceil(LIVE_CHUNK), true);
+        if let Some(dirty) = self.live_dirty.last_mut() {
+            *dirty = true;
+        }
+    }
+
+    /// Moves a producer's mark on.
+    fn advance(&mut self, event: &Advance<'_>) -> Result<(), String> {
+        if let Some(key) = event.new_producer {
+            if event.producer.0 as usize != self.producers.len() || self.producer_ids.contains_key(key) {
+                return Err(format!("producer {} is not new", event.producer.0));
+            }
+            self.add_producer(ProducerMark { key: key.clone(), incarnation: 0, durable_sequence: 0, content_crc: 0 });
+        }
+        let mark =
+            self.producers.get_mut(event.producer.0 as usize).ok_or("it names an unknown producer".to_owned())?;
+        if event.first_sequence != mark.durable_sequence + 1 || event.last_sequence < event.first_sequence {
+            return Err(format!(
+                "its sequence {}..={} does not follow {}",
+                event.first_sequence, event.last_sequence, mark.durable_sequence
+            ));
+        }
+        mark.incarnation = mark.incarnation.max(event.incarnation);
+        mark.durable_sequence = event.last_sequence;
+        mark.content_crc = event.content_crc;
+        Ok(())
+    }
+
+    pub(super) fn take_in_scans(&mut self, event: &Scans) -> Result<(), String> {
+        self.grid.as_ref().ok_or("the map has no grid")?.check(event)?;
+        self.advance(&Advance {
+            producer: event.producer,
+            new_producer: event.new_producer.as_ref(),
+            incarnation: event.incarnation,
+            first_sequence: event.first_sequence,
+            last_sequence: event.last_sequence,
+            content_crc: event.content_crc,
+        })?;
+        if let Some(grid) = &mut self.grid {
+            self.newest_nanos = self.newest_nanos.max(grid.take_in(event).unwrap_or(0));
+        }
+        if !event.scans.is_empty() {
+            self.pending.received(event.received_nanos);
+        }
+        Ok(())
+    }
+
+    pub(super) fn take_in(&mut self, position: u64, event: &Observations) -> Result<(), String> {
+        self.advance(&Advance {
+            producer: event.producer,
+            new_producer: event.new_producer.as_ref(),
+            incarnation: event.incarnation,
+            first_sequence: event.first_sequence,
+            last_sequence: event.last_sequence,
+            content_crc: event.content_crc,
+        })?;
+        for new in &event.new_states {
+            if new.id.0 as usize != self.directory.len() || self.directory.find(new.name.as_str()).is_some() {
+                return Err(format!("state {:?} is not new", new.name.as_str()));
+            }
+            self.add_state(StateInfo { name: new.name.clone(), kind: new.kind });
+        }
+        let plausible = event.plausible_nanos();
+        for (state, sample) in event.samples() {
+            let index = state.0 as usize;
+            let live = self.live.get_mut(index).ok_or_else(|| format!("state {index} is unknown"))?;
+            live.observations += 1;
+            self.live_dirty[index / LIVE_CHUNK] = true;
+            if sample.utc_nanos <= plausible {
+                live.persistence.observe(sample.utc_nanos, sample.value);
+                self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
+                self.pending.push(position, state, sample);
+            } else {
+                self.pending.push_ahead(position, state, sample);
+            }
+        }
+        if !event.states.is_empty() {
+            self.pending.received(event.received_nanos);
+        }
+        self.observations += event.states.len() as u64;
+        Ok(())
+    }
+}

@@ -1,0 +1,118 @@
+//! How a map hands an update out, and takes what it learned.
+//!
+//! Invariant: what an update takes is fixed by the log position of its start and by its cut.
+
+use std::sync::Arc;
+
+use super::LiveMap;
+use crate::{
+    MAX_AHEAD_NANOS,
+    event::{UpdateCause, UpdateStart},
+    pending::Taken,
+    snapshot::{MapSnapshot, StateSnapshot},
+    update::{Basis, UpdateResult, UpdateWork},
+    view::LIVE_CHUNK,
+};
+
+impl LiveMap {
+    /// The start of an update as the log is to hold it. `until_nanos`: fold in what is older; `None`: all there is.
+    /// Observations further ahead of `now_nanos` than [`MAX_AHEAD_NANOS`] always wait.
+    #[must_use]
+    pub fn plan_update(&self, until_nanos: Option<i64>, now_nanos: i64, cause: UpdateCause) -> UpdateStart {
+        let latest = now_nanos.saturating_add(MAX_AHEAD_NANOS).saturating_add(1);
+        let ahead = self.pending.newest_ahead_before(latest);
+        let scans_ahead = self.grid.as_ref().and_then(|grid| grid.newest_ahead_before(latest));
+        let all = || ahead.max(scans_ahead).unwrap_or(0).max(self.newest_nanos).saturating_add(1);
+        let wanted = until_nanos.unwrap_or_else(all);
+        UpdateStart { generation: self.generation + 1, cut_nanos: wanted.min(latest).max(self.cut_nanos), cause }
+    }
+
+    pub(super) fn start_update(&mut self, position: u64, start: UpdateStart) -> Result<UpdateWork, String> {
+        if self.running.is_some() {
+            return Err("another update has not ended".to_owned());
+        }
+        if start.generation != self.generation + 1 || start.cut_nanos < self.cut_nanos {
+            return Err(format!("generation {} does not follow {}", start.generation, self.generation));
+        }
+        let Taken { by_state: samples, were_ahead } = self.pending.take_before(start.cut_nanos);
+        for (state, sample) in were_ahead {
+            // Their time has come: from here on they are observations like all others.
+            let index = state.0 as usize;
+            if let Some(live) = self.live.get_mut(index) {
+                live.persistence.observe(sample.utc_nanos, sample.value);
+                self.live_dirty[index / LIVE_CHUNK] = true;
+            }
+            self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
+        }
+        let grid = self.grid.as_mut().map(|grid| {
+            let before = grid.pending_changes;
+            let (work, basis, newest) =
+                grid.start_update(start.cut_nanos, &self.spec.periodicities, self.spec.criterion);
+            self.newest_nanos = self.newest_nanos.max(newest.unwrap_or(0));
+            (work, basis, before.saturating_sub(grid.pending_changes))
+        });
+        let taken = samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>();
+        self.running = Some((start, taken + grid.as_ref().map_or(0, |(_, _, changes)| *changes)));
+        let (grid_work, grid_basis) = grid.map(|(work, basis, _)| (work, basis)).unzip();
+        if self.pending() == 0 && self.ahead() == 0 {
+            self.pending.all_taken();
+        }
+        let basis = Basis {
+            start,
+            position,
+            replay_from: self.pending.replay_from(position + 1),
+            newest_nanos: self.newest_nanos,
+            producers: self.producers.clone(),
+            directory: self.directory.clone(),
+            live: self.live.clone(),
+            grid: grid_basis,
+        };
+        Ok(UpdateWork {
+            basis,
+            spec: Arc::clone(&self.spec),
+            models: Arc::clone(&self.models),
+            unlearned: Arc::clone(&self.unlearned),
+            samples,
+            grid: grid_work,
+        })
+    }
+
+    /// Publishes what an update learned: one generation replaces another. Gives the snapshot for the store.
+    pub fn finish_update(&mut self, result: UpdateResult) -> MapSnapshot {
+        let UpdateResult { basis, models, grid, history, .. } = result;
+        self.running = None;
+        self.generation = basis.start.generation;
+        self.cut_nanos = basis.start.cut_nanos;
+        self.models = Arc::clone(&models);
+        let states = basis
+            .directory
+            .iter()
+            .zip(&basis.live)
+            .zip(models.iter())
+            .map(|((info, live), model)| StateSnapshot {
+                name: info.name.clone(),
+                kind: info.kind,
+                observations: live.observations,
+                persistence: live.persistence,
+                model: Arc::clone(model),
+            })
+            .collect();
+        let grid = self
+            .grid
+            .as_mut()
+            .zip(basis.grid)
+            .zip(grid)
+            .map(|((live, basis), learned)| live.finish_update(basis, learned.generation, learned.sums));
+        MapSnapshot {
+            position: basis.position,
+            replay_from: basis.replay_from,
+            generation: self.generation,
+            cut_nanos: self.cut_nanos,
+            newest_nanos: basis.newest_nanos,
+            producers: basis.producers,
+            states,
+            grid,
+            history: history.map(Arc::new).into_iter().collect(),
+        }
+    }
+}
