@@ -11,6 +11,7 @@ use std::{
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use tidemap_map::{
     event::{Event, Observations, OffsetRun, ProducerId, StateId},
+    grid::spec::Retention,
     name::MapName,
     spec::MapSpec,
 };
@@ -74,6 +75,8 @@ fn benches(criterion: &mut Criterion) {
         periodicities: Periodicities::default(),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        retention: Retention::Forever,
+        grid: None,
     };
     let map = store.create_map(&spec).expect("creates");
     let log = store.open_map(map, &spec).expect("opens").log;

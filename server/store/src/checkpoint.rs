@@ -6,13 +6,18 @@
 use std::{
     io,
     path::{Path, PathBuf},
+    sync::{Arc, Weak},
 };
 
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_migrations::v1::{
-    file::{CHECKPOINT_MAGIC, FileHeader, RecordKind},
-    map as v1,
+use tidemap_migrations::{
+    v1::{
+        file::{CHECKPOINT_MAGIC, FileHeader, Trailer},
+        map as v1,
+    },
+    v2::file::RecordKind,
 };
+use tidemap_model::PhasorSum;
 
 use crate::{
     MapId,
@@ -22,6 +27,15 @@ use crate::{
     record_file::{RecordReader, RecordWriter},
 };
 
+mod grid_reader;
+mod grid_writer;
+mod model_cache;
+mod tiles;
+
+use grid_reader::{Keep, ReadGrid};
+use grid_writer::WriteError;
+pub(crate) use tiles::CheckpointTiles;
+
 const SUFFIX: &str = ".tmc";
 const NEW_SUFFIX: &str = ".tmc.new";
 const DAMAGED_EXTENSION: &str = "damaged";
@@ -30,6 +44,13 @@ const DAMAGED_EXTENSION: &str = "damaged";
 pub(crate) struct DamagedCheckpoint {
     path: PathBuf,
     reason: String,
+}
+
+impl DamagedCheckpoint {
+    /// What is wrong with it.
+    pub(crate) fn reason(&self) -> &str {
+        &self.reason
+    }
 }
 
 /// The checkpoints of one map.
@@ -50,27 +71,45 @@ impl Checkpoints<'_> {
         Ok(names.iter().filter_map(|name| position(name)).collect())
     }
 
-    /// Writes a checkpoint and reads it back; durable when this returns. Keeps the newest `kept`.
-    pub(crate) fn save(&self, spec: &MapSpec, snapshot: &MapSnapshot, kept: usize) -> Result<(), StoreError> {
-        record::check(snapshot)
-            .map_err(|reason| StoreError::InvalidSnapshot { map: self.map, reason: reason.to_owned() })?;
+    /// Writes a checkpoint and reads it back; durable when this returns. Keeps the newest `kept`. Gives the tiles of a grid,
+    /// to be read from there.
+    pub(crate) fn save(
+        &self,
+        spec: &MapSpec,
+        snapshot: &MapSnapshot,
+        kept: usize,
+    ) -> Result<Option<Arc<CheckpointTiles>>, StoreError> {
+        let invalid = |reason: String| StoreError::InvalidSnapshot { map: self.map, reason };
+        record::check(snapshot).map_err(|reason| invalid(reason.to_owned()))?;
+        if spec.grid.is_some() != snapshot.grid.is_some() {
+            return Err(invalid("it has a grid where its map has none, or none where its map has one".to_owned()));
+        }
         let new_path = self.folder.join(format!("{:020}{NEW_SUFFIX}", snapshot.position));
-        let written = self.write(&new_path, snapshot).map_err(store_io(&new_path)).and_then(|()| {
-            self.verify(spec, &new_path, snapshot)
+        let written = self.write(spec, &new_path, snapshot).map_err(|error| match error {
+            WriteError::Io(error) => StoreError::from_io(new_path.clone(), error),
+            WriteError::Invalid(reason) => invalid(reason),
+        });
+        let verified = written.and_then(|(trailer, shared)| {
+            self.verify(spec, &new_path, snapshot, trailer, shared)
                 .map_err(|reason| StoreError::NotReadBack { file: new_path.clone(), reason })
         });
-        if let Err(error) = written {
+        let tiles = verified.inspect_err(|_| {
             // It takes space that may be short; if it stays, the next opening removes it.
             let _ = self.disk.remove(&new_path);
-            return Err(error);
-        }
+        })?;
         let path = self.path(snapshot.position);
         self.disk.rename(&new_path, &path).map_err(store_io(&path))?;
         self.disk.sync_folder(&self.folder).map_err(store_io(&self.folder))?;
-        self.remove_old(kept).map_err(store_io(&self.folder))
+        self.remove_old(kept).map_err(store_io(&self.folder))?;
+        Ok(tiles)
     }
 
-    fn write(&self, path: &Path, snapshot: &MapSnapshot) -> io::Result<()> {
+    fn write(
+        &self,
+        spec: &MapSpec,
+        path: &Path,
+        snapshot: &MapSnapshot,
+    ) -> Result<(Trailer, Vec<Weak<PhasorSum>>), WriteError> {
         let header = FileHeader { magic: CHECKPOINT_MAGIC, map: self.map.0, position: snapshot.position };
         let mut writer = RecordWriter::create(self.disk, path, &header)?;
         writer.record(RecordKind::Snapshot, &record::encode(snapshot))?;
@@ -80,11 +119,23 @@ impl Checkpoints<'_> {
         for (id, state) in (0..).zip(&snapshot.states) {
             writer.record(RecordKind::State, &record::encode_state(id, state))?;
         }
-        writer.finish()
+        let shared = match &snapshot.grid {
+            Some(grid) => grid_writer::write(&mut writer, grid, &spec.periodicities)?,
+            None => Vec::new(),
+        };
+        Ok((writer.finish()?, shared))
     }
 
-    /// Reads a file back record by record, so that a large map is not in memory twice.
-    fn verify(&self, spec: &MapSpec, path: &Path, snapshot: &MapSnapshot) -> Result<(), String> {
+    /// Reads a file back record by record, so that a large map is not in memory twice. The grid is compared by its
+    /// checksum, which covers every byte and is known from the writing, and found readable.
+    fn verify(
+        &self,
+        spec: &MapSpec,
+        path: &Path,
+        snapshot: &MapSnapshot,
+        trailer: Trailer,
+        shared: Vec<Weak<PhasorSum>>,
+    ) -> Result<Option<Arc<CheckpointTiles>>, String> {
         let same = |is_same: bool| if is_same { Ok(()) } else { Err("the content differs".to_owned()) };
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
         same(reader.header.position == snapshot.position)?;
@@ -96,10 +147,34 @@ impl Checkpoints<'_> {
             let message = reader.record(RecordKind::State)?;
             same(record::decode_state(id, &message, &spec.periodicities)? == *state)?;
         }
-        reader.finish()
+        let read = match &snapshot.grid {
+            Some(_) => Some(grid_reader::read(&mut reader, &spec.periodicities, Keep::Places)?),
+            None => None,
+        };
+        same(reader.finish()? == trailer)?;
+        read.map(|mut read| self.tiles(spec, path, &mut read, Some(shared))).transpose()
     }
 
-    fn read(&self, spec: &MapSpec, path: &Path, position: u64) -> Result<MapSnapshot, String> {
+    /// The tiles of a checkpoint, in a file that stays open.
+    fn tiles(
+        &self,
+        spec: &MapSpec,
+        path: &Path,
+        read: &mut ReadGrid,
+        shared: Option<Vec<Weak<PhasorSum>>>,
+    ) -> Result<Arc<CheckpointTiles>, String> {
+        let file = self.disk.read_anywhere(path).map_err(|error| error.to_string())?;
+        let (places, read_shared) = read.take_places();
+        let shared = shared.unwrap_or(read_shared);
+        let name = if path.extension().is_some_and(|extension| extension == "new") {
+            path.with_extension("")
+        } else {
+            path.to_owned()
+        };
+        Ok(Arc::new(CheckpointTiles::new(file, name, spec.periodicities.clone(), places, shared)))
+    }
+
+    fn read(&self, spec: &MapSpec, path: &Path, position: u64, tile_bytes: u64) -> Result<MapSnapshot, String> {
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
         let message: v1::Snapshot = reader.record(RecordKind::Snapshot)?;
         if message.position != position || reader.header.position != position {
@@ -115,16 +190,44 @@ impl Checkpoints<'_> {
             record::decode_state(id, &state, &spec.periodicities)
         });
         let states = states.collect::<Result<_, String>>()?;
+        let grid = match &spec.grid {
+            Some(_) => Some(grid_reader::read(&mut reader, &spec.periodicities, Keep::UpTo(tile_bytes))?),
+            None => None,
+        };
         reader.finish()?;
-        record::decode(&message, producers, states).map_err(str::to_owned)
+        let mut snapshot = record::decode(&message, producers, states)?;
+        if let Some(mut read) = grid {
+            let tiles = self.tiles(spec, path, &mut read, None)?;
+            snapshot.grid = Some(read.into_grid(&tiles));
+        }
+        Ok(snapshot)
+    }
+
+    /// The least log position from which any of the checkpoints replays; `None` where there are fewer than `count`, or
+    /// where one cannot say.
+    pub(crate) fn replay_from(&self, count: usize) -> io::Result<Option<u64>> {
+        let positions = self.positions()?;
+        if positions.is_empty() || positions.len() < count {
+            return Ok(None);
+        }
+        let replay_from = |&position: &u64| {
+            let mut reader = RecordReader::open(self.disk, &self.path(position), CHECKPOINT_MAGIC, self.map.0).ok()?;
+            Some(reader.record::<v1::Snapshot>(RecordKind::Snapshot).ok()?.replay_from)
+        };
+        Ok(positions.iter().map(replay_from).collect::<Option<Vec<u64>>>().and_then(|all| all.into_iter().min()))
     }
 
     /// The newest good checkpoint, and the damaged ones that are newer. Changes nothing.
-    pub(crate) fn load(&self, spec: &MapSpec) -> io::Result<(Option<MapSnapshot>, Vec<DamagedCheckpoint>)> {
+    /// Models and sums of a grid are in memory up to about `tile_bytes`.
+    pub(crate) fn load(
+        &self,
+        spec: &MapSpec,
+        tile_bytes: u64,
+    ) -> io::Result<(Option<MapSnapshot>, Vec<DamagedCheckpoint>)> {
         let mut damaged = Vec::new();
         for &position in self.positions()?.iter().rev() {
             let path = self.path(position);
-            match self.read(spec, &path, position) {
+            match self.read(spec, &path, position, tile_bytes) {
                 Ok(snapshot) => return Ok((Some(snapshot), damaged)),
                 Err(reason) => damaged.push(DamagedCheckpoint { path, reason }),
             }

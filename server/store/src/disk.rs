@@ -6,6 +6,7 @@
 use std::{
     fs::{self, File, OpenOptions},
     io::{self, Read, Write as _},
+    os::unix::fs::FileExt as _,
     path::Path,
 };
 
@@ -17,6 +18,8 @@ pub(crate) trait Disk: Send + Sync {
     fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
     /// Opens a file for reading from its start.
     fn read(&self, file: &Path) -> io::Result<Box<dyn Read + Send>>;
+    /// Opens a file for reading anywhere in it. It can be read as long as it is open, whatever becomes of its name.
+    fn read_anywhere(&self, file: &Path) -> io::Result<Box<dyn DiskReader>>;
     /// Length of a file.
     fn length(&self, file: &Path) -> io::Result<u64>;
     /// Names in a folder, sorted.
@@ -43,6 +46,12 @@ pub(crate) trait DiskFile: Send {
     fn sync(&mut self) -> io::Result<()>;
 }
 
+/// A file open for reading anywhere in it.
+pub(crate) trait DiskReader: Send + Sync {
+    /// Reads all of `bytes` at an offset.
+    fn read_exact_at(&self, bytes: &mut [u8], offset: u64) -> io::Result<()>;
+}
+
 /// The whole of a file.
 pub(crate) fn read_all(disk: &dyn Disk, file: &Path) -> io::Result<Vec<u8>> {
     let length = usize::try_from(disk.length(file)?).unwrap_or(0);
@@ -66,6 +75,10 @@ impl Disk for RealDisk {
 
     fn read(&self, file: &Path) -> io::Result<Box<dyn Read + Send>> {
         Ok(Box::new(File::open(file)?))
+    }
+
+    fn read_anywhere(&self, file: &Path) -> io::Result<Box<dyn DiskReader>> {
+        Ok(Box::new(RealReader(File::open(file)?)))
     }
 
     fn length(&self, file: &Path) -> io::Result<u64> {
@@ -100,6 +113,14 @@ impl Disk for RealDisk {
 
     fn sync_folder(&self, folder: &Path) -> io::Result<()> {
         File::open(folder)?.sync_all()
+    }
+}
+
+struct RealReader(File);
+
+impl DiskReader for RealReader {
+    fn read_exact_at(&self, bytes: &mut [u8], offset: u64) -> io::Result<()> {
+        self.0.read_exact_at(bytes, offset)
     }
 }
 

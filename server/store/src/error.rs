@@ -122,6 +122,34 @@ pub enum StoreError {
     },
 }
 
+/// Why history cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum HistoryError {
+    /// There is no such map.
+    #[error("there is no map number {}", .0.0)]
+    UnknownMap(MapId),
+    /// A file is damaged. Models do not depend on it.
+    #[error(
+        "{} is damaged: {reason}. Restore it from a backup of this data directory, or move it away to go on without the \
+         exact observations in it",
+        .file.display()
+    )]
+    Damaged {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The disk says no.
+    #[error("cannot read or write {}: {source}", .file.display())]
+    Io {
+        /// The file or folder.
+        file: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
 impl StoreError {
     /// Tells a full disk from other errors.
     pub(crate) fn from_io(file: PathBuf, source: io::Error) -> StoreError {

@@ -41,6 +41,8 @@ struct Written {
 
 /// What the index holds of a map.
 pub(crate) enum Found {
+    /// It is not used for this map.
+    Unused,
     /// Nothing.
     Nothing,
     /// Records that were being written.

@@ -1,15 +1,16 @@
-//! What is kept on the disk: the observation log, checkpoints, and the sled index of models.
+//! What is kept on the disk: the observation log, checkpoints, history files, and the sled index of models.
 //!
-//! Way in: [`Store::open`], [`Store::open_map`], [`MapLog::append`], [`Store::save`].
+//! Way in: [`Store::open`], [`Store::open_map`], [`MapLog::append`], [`Store::save`], [`Store::history`].
 //!
-//! Invariant: the log is the authority. A checkpoint or the index can be lost or damaged and the map is still the
-//! same; a damaged log is refused, never shortened. Layouts are frozen in `tidemap-migrations`; this crate knows
+//! Invariant: the log is the authority for all that the kept checkpoints do not cover: any one of these, or the index, can
+//! be lost or damaged and the map is still the same. A damaged log is refused, never shortened. Layouts are frozen in `tidemap-migrations`; this crate knows
 //! nothing of the wire and reads no wall clock.
 
 mod checkpoint;
 mod committer;
 mod disk;
 mod error;
+mod history;
 mod index;
 mod log;
 mod record;
@@ -22,8 +23,10 @@ mod simulation;
 mod tests;
 
 pub use committer::SyncStats;
-pub use error::{AppendError, OpenError, Report, StoreError};
+pub use error::{AppendError, HistoryError, OpenError, Report, StoreError};
+pub use history::{GridDays, History, HistorySizes};
 pub use log::{Done, MapLog, replay::Replay};
+pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
 pub use store::{OpenedMap, Sizes, Source, Store, StoreOptions};
 
 /// Number of a map within its store, from 1, never reused; the name of its folder.

@@ -1,7 +1,7 @@
 //! Files of records: written once, whole or not at all, and never changed.
 //!
-//! Invariant: a file has its final name only when all of it is durable; what is read is every record up to a trailer
-//! that fits, or an error.
+//! Invariant: a file has its final name only when all of it is durable; what is read from its start is every record up
+//! to a trailer that fits, or an error.
 
 use std::{
     io::{self, BufReader, Read},
@@ -9,44 +9,65 @@ use std::{
 };
 
 use prost::Message;
-use tidemap_migrations::v1::file::{
-    FILE_HEADER_LENGTH, FileHeader, RECORD_HEADER_LENGTH, RECORD_MAX, RecordHeader, RecordKind, TRAILER_LENGTH, Trailer,
+use tidemap_migrations::{
+    v1::file::{FILE_HEADER_LENGTH, FileHeader, RECORD_HEADER_LENGTH, RECORD_MAX, TRAILER_LENGTH, Trailer},
+    v2::file::{PIECE_MAX, RecordHeader, RecordKind},
 };
 
 use crate::disk::{Disk, DiskFile};
 
+pub(crate) mod anywhere;
+
 /// Bytes that are written at a time.
 const BUFFER: usize = 1 << 20;
+/// First byte of a piece of a long record.
+const LAST: u8 = 0;
+const MORE_FOLLOW: u8 = 1;
 
 /// A file that is being written.
 pub(crate) struct RecordWriter {
     file: Box<dyn DiskFile>,
     buffer: Vec<u8>,
+    length: u64,
     total_crc: u32,
     records: u32,
 }
 
 impl RecordWriter {
     pub(crate) fn create(disk: &dyn Disk, path: &Path, header: &FileHeader) -> io::Result<RecordWriter> {
-        let mut writer = RecordWriter { file: disk.create(path)?, buffer: Vec::new(), total_crc: 0, records: 0 };
+        let file = disk.create(path)?;
+        let mut writer = RecordWriter { file, buffer: Vec::new(), length: 0, total_crc: 0, records: 0 };
         writer.push(&header.encode());
         Ok(writer)
+    }
+
+    /// Offset of the next record in the file.
+    pub(crate) fn offset(&self) -> u64 {
+        self.length
     }
 
     fn push(&mut self, bytes: &[u8]) {
         self.total_crc = crc32c::crc32c_append(self.total_crc, bytes);
         self.buffer.extend_from_slice(bytes);
+        self.length += bytes.len() as u64;
     }
 
+    /// Writes a record whose payload is a message.
     pub(crate) fn record(&mut self, kind: RecordKind, message: &impl Message) -> io::Result<()> {
-        let payload = message.encode_to_vec();
-        let Some(payload_length) = u32::try_from(payload.len()).ok().filter(|_| payload.len() <= RECORD_MAX) else {
+        self.raw(kind, &[], &message.encode_to_vec())
+    }
+
+    /// Writes a record whose payload consists of two parts.
+    pub(crate) fn raw(&mut self, kind: RecordKind, first: &[u8], rest: &[u8]) -> io::Result<()> {
+        let length = first.len() + rest.len();
+        let Some(payload_length) = u32::try_from(length).ok().filter(|_| length <= RECORD_MAX) else {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "a record is longer than 1 MiB"));
         };
-        let header = RecordHeader { kind, payload_length, payload_crc: crc32c::crc32c(&payload) };
-        self.push(&header.encode());
-        self.push(&payload);
-        self.records += 1;
+        let payload_crc = crc32c::crc32c_append(crc32c::crc32c(first), rest);
+        self.push(&RecordHeader { kind, payload_length, payload_crc }.encode());
+        self.push(first);
+        self.push(rest);
+        self.records = self.records.checked_add(1).ok_or(io::ErrorKind::FileTooLarge)?;
         if self.buffer.len() >= BUFFER {
             self.file.append(&self.buffer)?;
             self.buffer.clear();
@@ -54,12 +75,23 @@ impl RecordWriter {
         Ok(())
     }
 
-    /// Writes the trailer and makes the file durable, though not its name.
-    pub(crate) fn finish(mut self) -> io::Result<()> {
+    /// Writes a long record in as many pieces as it needs.
+    pub(crate) fn long(&mut self, kind: RecordKind, mut payload: &[u8]) -> io::Result<()> {
+        while payload.len() > PIECE_MAX {
+            let (piece, rest) = payload.split_at(PIECE_MAX);
+            self.raw(kind, &[MORE_FOLLOW], piece)?;
+            payload = rest;
+        }
+        self.raw(kind, &[LAST], payload)
+    }
+
+    /// Writes the trailer and makes the file durable, though not its name. Gives what the trailer says.
+    pub(crate) fn finish(mut self) -> io::Result<Trailer> {
         let trailer = Trailer { total_crc: self.total_crc, records: self.records };
         self.buffer.extend_from_slice(&trailer.encode());
         self.file.append(&self.buffer)?;
-        self.file.sync()
+        self.file.sync()?;
+        Ok(trailer)
     }
 }
 
@@ -68,8 +100,12 @@ pub(crate) struct RecordReader {
     reader: BufReader<Box<dyn Read + Send>>,
     /// What the file says about itself.
     pub(crate) header: FileHeader,
+    /// The header of the next record, where it has been read already.
+    ahead: Option<RecordHeader>,
+    offset: u64,
     total_crc: u32,
     records: u32,
+    payload: Vec<u8>,
 }
 
 /// Why a file cannot be read.
@@ -87,41 +123,112 @@ impl RecordReader {
         if header.magic != magic || header.map != map {
             return Err("its header is that of another file".to_owned());
         }
-        Ok(RecordReader { reader, header, total_crc: crc32c::crc32c(&bytes), records: 0 })
+        let offset = FILE_HEADER_LENGTH as u64;
+        let total_crc = crc32c::crc32c(&bytes);
+        Ok(RecordReader { reader, header, ahead: None, offset, total_crc, records: 0, payload: Vec::new() })
     }
 
-    /// The next record, which must be of that kind.
-    pub(crate) fn record<M: Message + Default>(&mut self, kind: RecordKind) -> Result<M, String> {
+    /// Offset of the next record in the file.
+    pub(crate) fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// The kind of the next record.
+    pub(crate) fn next_kind(&mut self) -> Result<RecordKind, String> {
+        self.next_header().map(|header| header.kind)
+    }
+
+    fn next_header(&mut self) -> Result<RecordHeader, String> {
+        if let Some(header) = self.ahead {
+            return Ok(header);
+        }
         let mut bytes = [0; RECORD_HEADER_LENGTH];
         self.reader.read_exact(&mut bytes).map_err(|error| unreadable(&error))?;
+        let header = RecordHeader::decode(&bytes)
+            .ok_or_else(|| format!("the header of record {} is not valid", self.records + 1))?;
+        self.total_crc = crc32c::crc32c_append(self.total_crc, &bytes);
+        self.ahead = Some(header);
+        Ok(header)
+    }
+
+    /// The payload of the next record, which must be of that kind.
+    fn next(&mut self, kind: RecordKind) -> Result<&[u8], String> {
+        let header = self.next_header()?;
         let record = self.records + 1;
-        let header =
-            RecordHeader::decode(&bytes).ok_or_else(|| format!("the header of record {record} is not valid"))?;
-        let mut payload = vec![0; header.payload_length as usize];
-        self.reader.read_exact(&mut payload).map_err(|error| unreadable(&error))?;
-        if crc32c::crc32c(&payload) != header.payload_crc {
+        self.payload.resize(header.payload_length as usize, 0);
+        self.reader.read_exact(&mut self.payload).map_err(|error| unreadable(&error))?;
+        if crc32c::crc32c(&self.payload) != header.payload_crc {
             return Err(format!("the checksum of record {record} does not match"));
         }
         if header.kind != kind {
             return Err(format!("record {record} is of another kind than it should"));
         }
-        self.total_crc = crc32c::crc32c_append(crc32c::crc32c_append(self.total_crc, &bytes), &payload);
+        self.total_crc = crc32c::crc32c_append(self.total_crc, &self.payload);
         self.records = record;
-        M::decode(&payload[..]).map_err(|_| format!("record {record} is not a message"))
+        self.offset += (RECORD_HEADER_LENGTH + self.payload.len()) as u64;
+        self.ahead = None;
+        Ok(&self.payload)
     }
 
-    /// Checks that all records have been read and that nothing follows.
-    pub(crate) fn finish(mut self) -> Result<(), String> {
+    /// The next record, which must be of that kind.
+    pub(crate) fn record<M: Message + Default>(&mut self, kind: RecordKind) -> Result<M, String> {
+        let record = self.records + 1;
+        M::decode(self.next(kind)?).map_err(|_| format!("record {record} is not a message"))
+    }
+
+    /// The payload of the next record, which must be of that kind.
+    pub(crate) fn raw(&mut self, kind: RecordKind, out: &mut Vec<u8>) -> Result<(), String> {
+        out.clear();
+        out.extend_from_slice(self.next(kind)?);
+        Ok(())
+    }
+
+    /// The pieces of the next long record, which must be of that kind, in `out`.
+    pub(crate) fn long(&mut self, kind: RecordKind, out: &mut Vec<u8>) -> Result<(), String> {
+        out.clear();
+        loop {
+            let (mark, piece) = split_piece(self.next(kind)?)?;
+            out.extend_from_slice(piece);
+            if mark == LAST {
+                return Ok(());
+            }
+        }
+    }
+
+    /// The next long record, which must be a message of that kind.
+    pub(crate) fn long_message<M: Message + Default>(
+        &mut self,
+        kind: RecordKind,
+        buffer: &mut Vec<u8>,
+    ) -> Result<M, String> {
+        let record = self.records + 1;
+        self.long(kind, buffer)?;
+        M::decode(&buffer[..]).map_err(|_| format!("record {record} is not a message"))
+    }
+
+    /// Checks that all records have been read and that nothing follows. Gives what the trailer says.
+    pub(crate) fn finish(mut self) -> Result<Trailer, String> {
         let mut bytes = [0; TRAILER_LENGTH];
+        if self.ahead.is_some() {
+            return Err("there are more records than there should be".to_owned());
+        }
         self.reader.read_exact(&mut bytes).map_err(|error| unreadable(&error))?;
         let trailer = Trailer::decode(&bytes).ok_or("its end is not valid")?;
         if trailer.total_crc != self.total_crc || trailer.records != self.records {
             return Err("its end does not fit what is before it".to_owned());
         }
         match self.reader.read(&mut [0; 1]) {
-            Ok(0) => Ok(()),
+            Ok(0) => Ok(trailer),
             Ok(_) => Err("something follows its end".to_owned()),
             Err(error) => Err(unreadable(&error)),
         }
+    }
+}
+
+/// The mark and the bytes of a piece of a long record.
+fn split_piece(payload: &[u8]) -> Result<(u8, &[u8]), String> {
+    match payload.split_first() {
+        Some((&mark @ (LAST | MORE_FOLLOW), piece)) => Ok((mark, piece)),
+        _ => Err("a piece of a long record is not valid".to_owned()),
     }
 }

@@ -17,7 +17,8 @@ use crate::{
     checkpoint::Checkpoints,
     committer::{Committer, SyncStats},
     disk::Disk,
-    error::{Report, StoreError, store_io},
+    error::{HistoryError, Report, StoreError, store_io},
+    history::History,
     index::Index,
     log::{Log, MapLog, replay::Replay},
 };
@@ -26,6 +27,7 @@ mod catalogue;
 mod lock;
 pub(crate) mod open;
 mod open_map;
+mod save;
 
 use lock::Lock;
 
@@ -36,6 +38,8 @@ pub struct StoreOptions {
     pub segment_bytes: u64,
     /// Memory that sled may use for the index.
     pub index_cache_bytes: u64,
+    /// Memory for the models and sums of each map's tiles, about; the tiles beyond are read from a checkpoint.
+    pub tile_cache_bytes: u64,
     /// How many checkpoints of a map are kept, at least 1.
     pub checkpoints_kept: usize,
     /// Identity of the store if it is created now: 16 random bytes as 32 lower-case hexadecimal digits.
@@ -47,6 +51,7 @@ impl Default for StoreOptions {
         StoreOptions {
             segment_bytes: 64 << 20,
             index_cache_bytes: 64 << 20,
+            tile_cache_bytes: 1 << 30,
             checkpoints_kept: 2,
             new_store_id: String::new(),
         }
@@ -90,9 +95,17 @@ struct Maps {
 #[derive(Clone)]
 struct Entry {
     spec: Arc<MapSpec>,
+    /// Whether history files replace the beginning of the log.
+    history_complete: bool,
     log: Option<Arc<Log>>,
     /// Held while the map is opened, saved or deleted: one of these at a time.
     busy: Arc<Mutex<()>>,
+}
+
+impl Entry {
+    fn new(spec: MapSpec, history_complete: bool) -> Entry {
+        Entry { spec: Arc::new(spec), history_complete, log: None, busy: Arc::default() }
+    }
 }
 
 /// Where the snapshot of an opened map comes from.
@@ -136,6 +149,8 @@ pub struct Sizes {
     pub log_bytes: u64,
     /// The map's checkpoints.
     pub checkpoint_bytes: u64,
+    /// The map's history.
+    pub history_bytes: u64,
 }
 
 impl Inner {
@@ -145,6 +160,11 @@ impl Inner {
 
     fn index(&self) -> MutexGuard<'_, Index> {
         self.index.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn history(&self, map: MapId) -> History {
+        let folder = catalogue::history_folder(&self.directory, map);
+        History { disk: Arc::clone(&self.disk), folder, map, before: u64::MAX, enough: usize::MAX }
     }
 
     fn checkpoints(&self, map: MapId) -> Checkpoints<'_> {
@@ -201,8 +221,7 @@ impl Store {
         // A map whose folder somebody has moved away had the same number, and left its records.
         self.inner.index().purge(map.0);
         catalogue::create(&*self.inner.disk, &self.inner.directory, map, spec)?;
-        let entry = Entry { spec: Arc::new(spec.clone()), log: None, busy: Arc::default() };
-        maps.entries.insert(map, entry);
+        maps.entries.insert(map, Entry::new(spec.clone(), true));
         Ok(map)
     }
 
@@ -236,27 +255,6 @@ impl Store {
         Ok(())
     }
 
-    /// Writes a checkpoint, and takes the snapshot over into the index. Durable when this returns. Appends go on
-    /// meanwhile.
-    ///
-    /// # Errors
-    /// [`StoreError`]; what was saved before is still there. A failing index is no error: it is reported to the log
-    /// and rebuilt at the next start.
-    pub fn save(&self, map: MapId, snapshot: &MapSnapshot) -> Result<(), StoreError> {
-        let inner = &*self.inner;
-        let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
-        let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
-        if !inner.maps().entries.contains_key(&map) {
-            return Err(StoreError::UnknownMap(map));
-        }
-        inner.checkpoints(map).save(&entry.spec, snapshot, inner.options.checkpoints_kept)?;
-        if let Some(log) = &entry.log {
-            log.cover(snapshot.position);
-        }
-        inner.index().save(map.0, snapshot);
-        Ok(())
-    }
-
     /// Bytes that a map takes on the disk; 0 for what cannot be read.
     #[must_use]
     pub fn sizes(&self, map: MapId) -> Sizes {
@@ -267,7 +265,17 @@ impl Store {
         Sizes {
             log_bytes: bytes(&catalogue::log_folder(&inner.directory, map)).unwrap_or(0),
             checkpoint_bytes: bytes(&catalogue::checkpoints_folder(&inner.directory, map)).unwrap_or(0),
+            history_bytes: bytes(&catalogue::history_folder(&inner.directory, map)).unwrap_or(0),
         }
+    }
+
+    /// The exact observations of a map, as far back as they are kept.
+    ///
+    /// # Errors
+    /// [`HistoryError::UnknownMap`].
+    pub fn history(&self, map: MapId) -> Result<History, HistoryError> {
+        let is_known = self.inner.maps().entries.contains_key(&map);
+        if is_known { Ok(self.inner.history(map)) } else { Err(HistoryError::UnknownMap(map)) }
     }
 
     /// How long fdatasync of the logs has taken.

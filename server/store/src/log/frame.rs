@@ -3,7 +3,10 @@
 //! Invariant: a frame is believed only where its header, its body, its position and its chain are right.
 
 use tidemap_map::event::Event;
-use tidemap_migrations::v1::log::{FRAME_HEADER_LENGTH, FrameHeader, FrameKind, PAYLOAD_MAX, guard, unguard};
+use tidemap_migrations::{
+    v1::log::{FRAME_HEADER_LENGTH, PAYLOAD_MAX, guard, unguard},
+    v2::log::{FrameHeader, FrameKind},
+};
 
 use crate::record::{self, Invalid};
 

@@ -27,6 +27,8 @@ pub(crate) struct LogWriter {
     segment_bytes: u64,
     file: Box<dyn DiskFile>,
     path: PathBuf,
+    /// Position of the segment's first record.
+    first_position: u64,
     length: u64,
     next_position: u64,
     chain: u32,
@@ -53,6 +55,7 @@ impl LogWriter {
             map,
             segment_bytes,
             path,
+            first_position: newest,
             length: cursor.offset as u64,
             next_position: cursor.position,
             chain: cursor.chain,
@@ -64,6 +67,11 @@ impl LogWriter {
     /// Position of the last durable record.
     pub(crate) fn end(&self) -> u64 {
         self.next_position - 1
+    }
+
+    /// First position of the newest segment, which is durable with its name.
+    pub(crate) fn segment(&self) -> u64 {
+        self.first_position
     }
 
     fn poisoned(path: &Path, error: &std::io::Error) -> AppendError {
@@ -116,6 +124,7 @@ impl LogWriter {
         })?;
         self.disk.sync_folder(&self.folder).map_err(|error| Self::poisoned(&self.folder, &error))?;
         (self.file, self.path, self.length) = (file, path, length);
+        self.first_position = header.first_position;
         Ok(())
     }
 }

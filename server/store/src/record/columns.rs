@@ -5,48 +5,19 @@
 
 use tidemap_migrations::v1::event::{VALUES_BITS, VALUES_DOUBLES, VALUES_FLOATS};
 
-use super::Invalid;
+use super::{
+    Invalid,
+    varint::{push_varint, take_varint, unzigzag, zigzag},
+};
 
-const CUT: Invalid = "a column is cut off";
-const LENGTH: Invalid = "a column does not have the length that its count asks for";
+pub(super) const LENGTH: Invalid = "a column does not have the length that its count asks for";
 
 fn all_equal<T: PartialEq>(items: &[T]) -> bool {
     items.windows(2).all(|pair| pair[0] == pair[1])
 }
 
-#[inline]
-fn push_varint(out: &mut Vec<u8>, mut number: u64) {
-    while number >= 0x80 {
-        out.push(number as u8 | 0x80);
-        number >>= 7;
-    }
-    out.push(number as u8);
-}
-
-#[inline]
-fn take_varint(bytes: &mut &[u8]) -> Result<u64, Invalid> {
-    let mut number = 0_u64;
-    for shift in (0..64).step_by(7) {
-        let (&byte, rest) = bytes.split_first().ok_or(CUT)?;
-        *bytes = rest;
-        number |= u64::from(byte & 0x7F) << shift;
-        if byte < 0x80 {
-            return Ok(number);
-        }
-    }
-    Err("a number in a column is too long")
-}
-
-fn zigzag(number: i64) -> u64 {
-    ((number << 1) ^ (number >> 63)) as u64
-}
-
-fn unzigzag(number: u64) -> i64 {
-    (number >> 1) as i64 ^ -((number & 1) as i64)
-}
-
 /// Numbers as varints; one where all are equal.
-fn encode_numbers<T: Copy + PartialEq>(items: &[T], number: impl Fn(T) -> u64) -> Vec<u8> {
+pub(super) fn encode_numbers<T: Copy + PartialEq>(items: &[T], number: impl Fn(T) -> u64) -> Vec<u8> {
     let items = if all_equal(items) { &items[..items.len().min(1)] } else { items };
     let mut out = Vec::with_capacity(items.len() * 2 + 8);
     for &item in items {
@@ -55,7 +26,8 @@ fn encode_numbers<T: Copy + PartialEq>(items: &[T], number: impl Fn(T) -> u64) -
     out
 }
 
-fn decode_numbers<T: Copy>(
+/// Numbers as [`encode_numbers`] writes them; the caller bounds `count`.
+pub(super) fn decode_numbers<T: Copy>(
     mut bytes: &[u8],
     count: usize,
     item: impl Fn(u64) -> Result<T, Invalid>,
@@ -86,10 +58,10 @@ pub(super) fn decode_states<T: Copy>(bytes: &[u8], count: usize, item: impl Fn(u
 }
 
 /// Times: the first, the unit of the differences, and the differences.
-pub(super) struct Times {
+pub(super) struct Times<Bytes> {
     pub(super) first_nanos: i64,
     pub(super) unit_nanos: u64,
-    pub(super) differences: Vec<u8>,
+    pub(super) differences: Bytes,
 }
 
 fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
@@ -100,7 +72,7 @@ fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
 }
 
 /// Times, which must not be negative, so that no difference overflows.
-pub(super) fn encode_times(nanos: &[i64]) -> Result<Times, Invalid> {
+pub(super) fn encode_times(nanos: &[i64]) -> Result<Times<Vec<u8>>, Invalid> {
     if nanos.iter().any(|&nanos| nanos < 0) {
         return Err("a time is before 1970");
     }
@@ -118,10 +90,10 @@ pub(super) fn encode_times(nanos: &[i64]) -> Result<Times, Invalid> {
     Ok(Times { first_nanos: nanos.first().copied().unwrap_or(0), unit_nanos, differences })
 }
 
-pub(super) fn decode_times(times: &Times, count: usize) -> Result<Vec<i64>, Invalid> {
+pub(super) fn decode_times(times: &Times<&Vec<u8>>, count: usize) -> Result<Vec<i64>, Invalid> {
     const RANGE: Invalid = "a time is outside its range";
     let unit = i64::try_from(times.unit_nanos).map_err(|_| RANGE)?.max(1);
-    let differences = decode_numbers(&times.differences, count.saturating_sub(1), |number| {
+    let differences = decode_numbers(times.differences, count.saturating_sub(1), |number| {
         unzigzag(number).checked_mul(unit).ok_or(RANGE)
     })?;
     if count == 0 {

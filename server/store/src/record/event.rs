@@ -10,9 +10,12 @@ use tidemap_map::{
     },
     name::{ProducerKey, StateName},
 };
-use tidemap_migrations::v1::{event as v1, log::FrameKind, map::ProducerKey as V1ProducerKey};
+use tidemap_migrations::{
+    v1::{event as v1, map::ProducerKey as V1ProducerKey},
+    v2::{self, log::FrameKind},
+};
 
-use super::{Invalid, columns};
+use super::{Invalid, columns, scans};
 
 /// Most observations in one event. Constant columns take no room, so the payload's length does not bound it.
 const COUNT_MAX: usize = 1 << 20;
@@ -23,6 +26,7 @@ pub(crate) fn encode(event: &Event) -> Result<(FrameKind, Vec<u8>), Invalid> {
         Event::Observations(observations) => {
             Ok((FrameKind::Observations, encode_observations(observations)?.encode_to_vec()))
         }
+        Event::Scans(event) => Ok((FrameKind::Scans, scans::encode(event)?.encode_to_vec())),
         Event::UpdateStart(start) => Ok((FrameKind::UpdateStart, encode_update_start(start).encode_to_vec())),
     }
 }
@@ -33,7 +37,11 @@ pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> 
     match kind {
         FrameKind::Observations => {
             let message = v1::Observations::decode(payload).map_err(|_| GARBLED)?;
-            decode_observations(message).map(Event::Observations)
+            decode_observations(&message).map(Event::Observations)
+        }
+        FrameKind::Scans => {
+            let message = v2::event::Scans::decode(payload).map_err(|_| GARBLED)?;
+            scans::decode(&message).map(Event::Scans)
         }
         FrameKind::UpdateStart => {
             let message = v1::UpdateStart::decode(payload).map_err(|_| GARBLED)?;
@@ -82,12 +90,7 @@ fn encode_observations(event: &Observations) -> Result<v1::Observations, Invalid
     if event.last_sequence < event.first_sequence {
         return Err("the last sequence number is before the first");
     }
-    let mut previous = 0;
-    let mut refused_sequences = Vec::with_capacity(event.refused.len());
-    for &(sequence, _) in &event.refused {
-        refused_sequences.push(sequence.checked_sub(previous).ok_or("refused sequence numbers do not ascend")?);
-        previous = sequence;
-    }
+    let (refused_sequences, refused_reasons) = encode_refused(&event.refused)?;
     let times = columns::encode_times(&event.times_nanos)?;
     let (value_encoding, values) = columns::encode_values(&event.values)?;
     Ok(v1::Observations {
@@ -110,32 +113,23 @@ fn encode_observations(event: &Observations) -> Result<v1::Observations, Invalid
         offset_counts: event.offsets.iter().map(|run| run.count).collect(),
         offset_secs: event.offsets.iter().map(|run| run.offset_secs).collect(),
         refused_sequences,
-        refused_reasons: event.refused.iter().map(|&(_, reason)| encode_reason(reason)).collect(),
+        refused_reasons,
     })
 }
 
-fn decode_observations(message: v1::Observations) -> Result<Observations, Invalid> {
+fn decode_observations(message: &v1::Observations) -> Result<Observations, Invalid> {
     let count = message.count as usize;
     check_counts(count, [count; 3], message.offset_counts.iter().copied())?;
     if message.offset_counts.len() != message.offset_secs.len() {
         return Err("the UTC offsets differ in number from their runs");
     }
-    if message.refused_sequences.len() != message.refused_reasons.len() {
-        return Err("the refused sequence numbers differ in number from their reasons");
-    }
     if message.last_sequence < message.first_sequence {
         return Err("the last sequence number is before the first");
-    }
-    let mut sequence = 0_u64;
-    let mut refused = Vec::with_capacity(message.refused_sequences.len());
-    for (&difference, &reason) in message.refused_sequences.iter().zip(&message.refused_reasons) {
-        sequence = sequence.checked_add(difference).ok_or("a refused sequence number is too large")?;
-        refused.push((sequence, decode_reason(reason)?));
     }
     let times = columns::Times {
         first_nanos: message.first_time_nanos,
         unit_nanos: message.time_unit_nanos,
-        differences: message.times,
+        differences: &message.times,
     };
     let runs = message.offset_counts.iter().zip(&message.offset_secs);
     Ok(Observations {
@@ -151,8 +145,33 @@ fn decode_observations(message: v1::Observations) -> Result<Observations, Invali
         times_nanos: columns::decode_times(&times, count)?,
         values: columns::decode_values(message.value_encoding, &message.values, count)?,
         offsets: runs.map(|(&count, &offset_secs)| OffsetRun { count, offset_secs }).collect(),
-        refused,
+        refused: decode_refused(&message.refused_sequences, &message.refused_reasons)?,
     })
+}
+
+/// Differences of the sequence numbers, and reasons.
+pub(super) fn encode_refused(refused: &[(u64, RefusalReason)]) -> Result<(Vec<u64>, Vec<u32>), Invalid> {
+    let mut previous = 0;
+    let mut sequences = Vec::with_capacity(refused.len());
+    for &(sequence, _) in refused {
+        sequences.push(sequence.checked_sub(previous).ok_or("refused sequence numbers do not ascend")?);
+        previous = sequence;
+    }
+    Ok((sequences, refused.iter().map(|&(_, reason)| encode_reason(reason)).collect()))
+}
+
+/// Refused sequence numbers with their reasons.
+pub(super) fn decode_refused(sequences: &[u64], reasons: &[u32]) -> Result<Vec<(u64, RefusalReason)>, Invalid> {
+    if sequences.len() != reasons.len() {
+        return Err("the refused sequence numbers differ in number from their reasons");
+    }
+    let mut sequence = 0_u64;
+    let mut refused = Vec::with_capacity(sequences.len());
+    for (&difference, &reason) in sequences.iter().zip(reasons) {
+        sequence = sequence.checked_add(difference).ok_or("a refused sequence number is too large")?;
+        refused.push((sequence, decode_reason(reason)?));
+    }
+    Ok(refused)
 }
 
 pub(super) fn encode_producer_key(key: &ProducerKey) -> V1ProducerKey {
@@ -196,6 +215,11 @@ fn encode_reason(reason: RefusalReason) -> u32 {
         RefusalReason::StateIndex => 4,
         RefusalReason::StateLimit => 5,
         RefusalReason::StateKind => 6,
+        RefusalReason::NoGrid => 7,
+        RefusalReason::Scan => 8,
+        RefusalReason::Empty => 9,
+        RefusalReason::TileLimit => 10,
+        RefusalReason::Frame => 11,
     }
 }
 
@@ -207,6 +231,11 @@ fn decode_reason(reason: u32) -> Result<RefusalReason, Invalid> {
         4 => Ok(RefusalReason::StateIndex),
         5 => Ok(RefusalReason::StateLimit),
         6 => Ok(RefusalReason::StateKind),
+        7 => Ok(RefusalReason::NoGrid),
+        8 => Ok(RefusalReason::Scan),
+        9 => Ok(RefusalReason::Empty),
+        10 => Ok(RefusalReason::TileLimit),
+        11 => Ok(RefusalReason::Frame),
         _ => Err("the reason of a refusal is not known"),
     }
 }

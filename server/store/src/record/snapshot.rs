@@ -62,6 +62,8 @@ pub(crate) fn decode(
         newest_nanos: message.newest_nanos,
         producers,
         states,
+        grid: None,
+        history: Vec::new(),
     })
 }
 

@@ -1,12 +1,20 @@
 //! A map's fixed properties as a record, and back.
 //!
-//! Invariant: `decode(encode(spec)) == spec`.
+//! Invariant: `decode(encode(spec)) == spec`. A map of format 1 keeps its observations for ever and has no grid.
 
-use tidemap_map::{name::MapName, spec::MapSpec};
-use tidemap_migrations::v1::map as v1;
+use tidemap_map::{
+    grid::{
+        index::{CellBox, CellIndex},
+        spec::{GridSpec, Retention, SensorNoise},
+    },
+    name::MapName,
+    spec::MapSpec,
+};
+use tidemap_migrations::v2::map as v2;
 use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 
-pub(crate) fn encode(spec: &MapSpec) -> v1::MapSpec {
+/// The record of a map, and whether its history files replace the beginning of its log.
+pub(crate) fn encode(spec: &MapSpec, history_complete: bool) -> v2::MapSpec {
     let (harmonics_base_nanos, harmonics_count, period_nanos) = match spec.periodicities.definition() {
         PeriodicityDefinition::Harmonics { base_nanos, count } => (*base_nanos, *count, Vec::new()),
         PeriodicityDefinition::List { period_nanos } => (0, 0, period_nanos.clone()),
@@ -15,7 +23,7 @@ pub(crate) fn encode(spec: &MapSpec) -> v1::MapSpec {
         OrderCriterion::SquaredError => 1,
         OrderCriterion::ZeroOne => 2,
     };
-    v1::MapSpec {
+    v2::MapSpec {
         name: spec.name.as_str().to_owned(),
         zone: spec.zone.name().to_owned(),
         harmonics_base_nanos,
@@ -23,10 +31,13 @@ pub(crate) fn encode(spec: &MapSpec) -> v1::MapSpec {
         period_nanos,
         criterion,
         created_nanos: spec.created_nanos,
+        retention: Some(encode_retention(spec.retention)),
+        grid: spec.grid.as_ref().map(encode_grid),
+        history_complete,
     }
 }
 
-pub(crate) fn decode(message: v1::MapSpec) -> Result<MapSpec, String> {
+pub(crate) fn decode(message: v2::MapSpec) -> Result<MapSpec, String> {
     let periodicities = if message.harmonics_count > 0 {
         Periodicities::harmonics(message.harmonics_base_nanos, message.harmonics_count)
     } else {
@@ -43,5 +54,66 @@ pub(crate) fn decode(message: v1::MapSpec) -> Result<MapSpec, String> {
             other => return Err(format!("order criterion {other} is not known")),
         },
         created_nanos: message.created_nanos,
+        retention: message.retention.map_or(Ok(Retention::Forever), decode_retention)?,
+        grid: message.grid.map(decode_grid).transpose()?,
     })
+}
+
+fn encode_retention(retention: Retention) -> v2::Retention {
+    match retention {
+        Retention::None => v2::Retention { kind: 0, nanos: 0 },
+        Retention::Duration(nanos) => v2::Retention { kind: 1, nanos },
+        Retention::Forever => v2::Retention { kind: 2, nanos: 0 },
+    }
+}
+
+fn decode_retention(message: v2::Retention) -> Result<Retention, String> {
+    match message.kind {
+        0 => Ok(Retention::None),
+        1 => Ok(Retention::Duration(message.nanos)),
+        2 => Ok(Retention::Forever),
+        other => Err(format!("retention {other} is not known")),
+    }
+}
+
+fn encode_grid(grid: &GridSpec) -> v2::GridSpec {
+    let corner = |cell: CellIndex| vec![cell.x, cell.y, cell.z];
+    v2::GridSpec {
+        frame_id: grid.frame_id.clone(),
+        is_flat: grid.is_flat,
+        resolution_bits: grid.resolution_m.to_bits(),
+        origin_bits: grid.origin_m.iter().map(|origin| origin.to_bits()).collect(),
+        extent: grid.extent.map(|extent| v2::CellBox { min: corner(extent.min), max: corner(extent.max) }),
+        hit_bits: grid.sensor.hit.to_bits(),
+        false_alarm_bits: grid.sensor.false_alarm.to_bits(),
+        prior_bits: grid.sensor.prior.to_bits(),
+        retention: Some(encode_retention(grid.retention)),
+    }
+}
+
+fn decode_grid(message: v2::GridSpec) -> Result<GridSpec, String> {
+    let origin: Vec<f64> = message.origin_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
+    let grid = GridSpec {
+        frame_id: message.frame_id,
+        is_flat: message.is_flat,
+        resolution_m: f64::from_bits(message.resolution_bits),
+        origin_m: origin.try_into().map_err(|_| "the origin of the grid is not three numbers")?,
+        extent: message.extent.as_ref().map(decode_box).transpose()?,
+        sensor: SensorNoise {
+            hit: f64::from_bits(message.hit_bits),
+            false_alarm: f64::from_bits(message.false_alarm_bits),
+            prior: f64::from_bits(message.prior_bits),
+        },
+        retention: decode_retention(message.retention.unwrap_or_default())?,
+    };
+    grid.check().map_err(|error| error.to_string())?;
+    Ok(grid)
+}
+
+fn decode_box(message: &v2::CellBox) -> Result<CellBox, String> {
+    let corner = |cell: &[i32]| match *cell {
+        [x, y, z] => Ok(CellIndex { x, y, z }),
+        _ => Err("a corner of the grid is not three numbers".to_owned()),
+    };
+    Ok(CellBox { min: corner(&message.min)?, max: corner(&message.max)? })
 }

@@ -12,7 +12,7 @@ use std::{
 
 use rand::{Rng as _, rngs::SmallRng};
 
-use crate::disk::{Disk, DiskFile};
+use crate::disk::{Disk, DiskFile, DiskReader};
 
 const SECTOR: usize = 512;
 
@@ -201,6 +201,11 @@ impl Disk for SimulatedDisk {
         Ok(Box::new(Cursor::new(latest(state.content(node)).clone())))
     }
 
+    fn read_anywhere(&self, file: &Path) -> io::Result<Box<dyn DiskReader>> {
+        let node = self.state().find(file)?;
+        Ok(Box::new(SimulatedFile { disk: self.clone(), node }))
+    }
+
     fn length(&self, file: &Path) -> io::Result<u64> {
         let mut state = self.state();
         let node = state.find(file)?;
@@ -262,6 +267,16 @@ impl Disk for SimulatedDisk {
 struct SimulatedFile {
     disk: SimulatedDisk,
     node: usize,
+}
+
+impl DiskReader for SimulatedFile {
+    fn read_exact_at(&self, bytes: &mut [u8], offset: u64) -> io::Result<()> {
+        let mut state = self.disk.state();
+        let content = latest(state.content(self.node));
+        let found = content.get(offset as usize..).and_then(|rest| rest.get(..bytes.len()));
+        bytes.copy_from_slice(found.ok_or(io::ErrorKind::UnexpectedEof)?);
+        Ok(())
+    }
 }
 
 impl DiskFile for SimulatedFile {

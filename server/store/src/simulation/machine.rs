@@ -5,8 +5,14 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-use rand::{Rng as _, rngs::SmallRng};
-use tidemap_map::{event::Event, snapshot::MapSnapshot, spec::MapSpec};
+use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_map::{
+    event::{Event, StateId},
+    grid::snapshot::GridSnapshot,
+    history::HistoryPiece,
+    snapshot::MapSnapshot,
+    spec::MapSpec,
+};
 
 use super::disk::SimulatedDisk;
 use crate::{
@@ -14,8 +20,12 @@ use crate::{
     committer::Committer,
     disk::Disk as _,
     index::Index,
+    log::segment_position,
     store::open::Parts,
-    tests::example::{event, snapshot, spec},
+    tests::{
+        example::{event, snapshot, spec},
+        grid_example,
+    },
 };
 
 const DIRECTORY: &str = "/data";
@@ -31,6 +41,10 @@ pub(super) struct Known {
     /// Appended after those and not acknowledged: any first part of them may be found.
     attempted: Vec<Event>,
     snapshots: Vec<MapSnapshot>,
+    /// The grid as it was loaded, with tiles that are not in memory.
+    loaded: Option<GridSnapshot>,
+    /// What saves were given to keep, and whether they have said that they did.
+    history: Vec<(Arc<HistoryPiece>, bool)>,
     /// Numbers the events, so that no two are equal.
     next: u64,
 }
@@ -46,6 +60,9 @@ pub(super) struct Machine {
 
 /// An event that is only the number's; never an update's start, whose position would matter.
 fn numbered(number: u64) -> Event {
+    if number % 3 == 2 {
+        return grid_example::scans(number, &mut SmallRng::seed_from_u64(number));
+    }
     event(number * 5 + 1)
 }
 
@@ -64,7 +81,7 @@ impl Machine {
         let store = Store::assemble(Parts {
             disk: Arc::new(self.disk.clone()),
             directory: DIRECTORY.into(),
-            options: StoreOptions { segment_bytes: 1200, ..StoreOptions::default() },
+            options: StoreOptions { segment_bytes: 1200, tile_cache_bytes: 1000, ..StoreOptions::default() },
             store_id: String::new(),
             index: Index::none(),
             committer: Arc::clone(&self.committer),
@@ -81,11 +98,13 @@ impl Machine {
     }
 
     pub(super) fn create_map(&mut self) {
-        let spec = spec(&format!("map-{}", self.maps.len()));
+        let name = format!("map-{}", self.maps.len());
+        let spec = if self.maps.len() % 2 == 1 { spec(&name) } else { grid_example::spec(&name) };
         let store = self.store.as_ref().expect("started");
         let Ok(map) = store.create_map(&spec) else { return };
-        let (acknowledged, attempted, snapshots) = Default::default();
-        let mut known = Known { map, spec, log: None, acknowledged, attempted, snapshots, next: 0 };
+        let (acknowledged, attempted, snapshots, history) = Default::default();
+        let mut known =
+            Known { map, spec, log: None, acknowledged, attempted, snapshots, loaded: None, history, next: 0 };
         // Reading may fail on a disk with faults; then the next start opens it.
         let _ = known.open(store);
         self.maps.push(known);
@@ -145,12 +164,41 @@ impl Machine {
     pub(super) fn save(&mut self, random: &mut SmallRng) {
         let index = random.random_range(0..self.maps.len().max(1));
         let (Some(known), Some(store)) = (self.maps.get_mut(index), &self.store) else { return };
-        let snapshot = snapshot(&known.spec, known.acknowledged.len() as u64, STATES);
+        let position = known.acknowledged.len() as u64;
+        let mut snapshot = match &known.spec.grid {
+            Some(_) => grid_example::snapshot(&known.spec, position, 2),
+            None => snapshot(&known.spec, position, STATES),
+        };
+        if let Some(loaded) = known.loaded.clone().filter(|_| random.random_bool(0.5)) {
+            snapshot.grid = Some(loaded);
+        }
         if !known.snapshots.contains(&snapshot) {
             known.snapshots.push(snapshot.clone());
         }
+        let generation = known.history.len() as u64 + 1;
+        let day = 19_000 + generation as i32;
+        let mut piece = grid_example::piece(generation, day, &mut SmallRng::seed_from_u64(generation));
+        if known.spec.grid.is_none() {
+            piece.days.clear();
+        }
+        known.history.push((Arc::new(piece), false));
+        // Those of earlier saves that have failed, too.
+        snapshot.history =
+            known.history.iter().filter(|(_, is_kept)| !is_kept).map(|(piece, _)| Arc::clone(piece)).collect();
         // Whether it succeeds or not: what was saved before and the log are still the map.
-        let _ = store.save(known.map, &snapshot);
+        if store.save(known.map, &snapshot).is_ok() {
+            known.history.iter_mut().for_each(|(_, is_kept)| *is_kept = true);
+        }
+    }
+
+    /// Maps whose log has lost its beginning to checkpoints.
+    pub(super) fn shortened_logs(&self) -> u64 {
+        let is_shortened = |known: &&Known| {
+            let folder = format!("/data/maps/{:08}/log", known.map.0);
+            let names = self.disk.list(Path::new(&folder)).expect("there");
+            names.first().is_some_and(|name| segment_position(name) > Some(1))
+        };
+        self.maps.iter().filter(is_shortened).count() as u64
     }
 
     /// The process ends, and the machine with it or not; then everything starts again on what is left.
@@ -191,6 +239,24 @@ impl Known {
         }
         assert_eq!(expected, end as u64 + 1, "the replay ends too early");
         self.log = Some(opened.log);
+        self.loaded = opened.snapshot.and_then(|snapshot| snapshot.grid);
+        self.check_history(store);
         Ok(())
+    }
+
+    /// What a save has kept is there, and nothing else than what some save was given.
+    fn check_history(&self, store: &Store) {
+        let history = store.history(self.map).expect("known");
+        // The newest, which a crash may have met.
+        for (piece, is_kept) in self.history.iter().rev().take(3) {
+            let start = (19_000 + piece.generation as i64) * grid_example::DAY_NANOS;
+            let end = start + grid_example::DAY_NANOS;
+            let days: Vec<_> = history.grid_days(start, end, None).map(|day| day.expect("readable")).collect();
+            assert!(days == piece.days || !is_kept && days.is_empty(), "{} in the grid", piece.generation);
+            let found = history.state(StateId(3), start, end).expect("readable");
+            let mut samples = piece.states[1].1.clone();
+            samples.sort_by_key(|sample| sample.utc_nanos);
+            assert!(found == samples || !is_kept && found.is_empty(), "{} of a state", piece.generation);
+        }
     }
 }

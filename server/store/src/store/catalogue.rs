@@ -10,7 +10,10 @@ use std::{
 };
 
 use tidemap_map::spec::MapSpec;
-use tidemap_migrations::v1::file::{FileHeader, MAP_MAGIC, RecordKind};
+use tidemap_migrations::{
+    v1::file::{FileHeader, MAP_MAGIC},
+    v2::{file::RecordKind, map as v2},
+};
 
 use crate::{
     MapId,
@@ -24,9 +27,17 @@ use crate::{
 const NEW_SUFFIX: &str = ".new";
 const DELETED_SUFFIX: &str = ".deleted";
 
+/// What a map's own file says of it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Catalogued {
+    pub(super) spec: MapSpec,
+    /// Whether history files replace the beginning of the log.
+    pub(super) history_complete: bool,
+}
+
 /// The maps of a store.
 pub(super) struct Catalogue {
-    pub(super) maps: BTreeMap<MapId, MapSpec>,
+    pub(super) maps: BTreeMap<MapId, Catalogued>,
     /// Deleted maps of which something may be left.
     pub(super) deleted: BTreeSet<MapId>,
     /// The next number to give.
@@ -51,6 +62,11 @@ pub(super) fn log_folder(directory: &Path, map: MapId) -> PathBuf {
 /// Folder of a map's checkpoints.
 pub(super) fn checkpoints_folder(directory: &Path, map: MapId) -> PathBuf {
     map_folder(directory, map).join("checkpoints")
+}
+
+/// Folder of a map's history.
+pub(super) fn history_folder(directory: &Path, map: MapId) -> PathBuf {
+    map_folder(directory, map).join("history")
 }
 
 fn with_suffix(folder: &Path, suffix: &str) -> PathBuf {
@@ -86,11 +102,12 @@ pub(super) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>)
     Ok(catalogue)
 }
 
-fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<MapSpec, String> {
+fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<Catalogued, String> {
     let mut reader = RecordReader::open(disk, file, MAP_MAGIC, map.0)?;
-    let message = reader.record(RecordKind::Spec)?;
+    let message: v2::MapSpec = reader.record(RecordKind::Spec)?;
     reader.finish()?;
-    record::spec::decode(message)
+    let history_complete = message.history_complete;
+    Ok(Catalogued { spec: record::spec::decode(message)?, history_complete })
 }
 
 /// Creates a map's folder: durable when this returns, and whole or absent at every moment before.
@@ -102,7 +119,7 @@ pub(super) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         disk.create_folder(&new_folder)?;
         let header = FileHeader { magic: MAP_MAGIC, map: map.0, position: 0 };
         let mut writer = RecordWriter::create(disk, &file, &header)?;
-        writer.record(RecordKind::Spec, &record::spec::encode(spec))?;
+        writer.record(RecordKind::Spec, &record::spec::encode(spec, true))?;
         writer.finish()?;
         create_log(disk, &new_folder.join("log"), map.0)?;
         disk.create_folder(&new_folder.join("checkpoints"))?;
@@ -110,7 +127,7 @@ pub(super) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         disk.sync_folder(&new_folder)
     };
     let written = write().map_err(store_io(&new_folder)).and_then(|()| match read_spec(disk, &file, map) {
-        Ok(read) if read == *spec => Ok(()),
+        Ok(read) if read.spec == *spec && read.history_complete => Ok(()),
         Ok(_) => Err(StoreError::NotReadBack { file: file.clone(), reason: "the content differs".to_owned() }),
         Err(reason) => Err(StoreError::NotReadBack { file: file.clone(), reason }),
     });

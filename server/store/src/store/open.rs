@@ -16,7 +16,10 @@ use tidemap_migrations::{
     plan::{Plan, STEPS, plan},
 };
 
-use super::{Entry, Inner, Lock, Maps, Store, StoreOptions, catalogue};
+use super::{
+    Entry, Inner, Lock, Maps, Store, StoreOptions,
+    catalogue::{self, Catalogued},
+};
 use crate::{
     committer::Committer,
     disk::{Disk, RealDisk},
@@ -102,8 +105,8 @@ impl Store {
                 index.purge(map.0);
             }
         }
-        let entry = |spec| Entry { spec: Arc::new(spec), log: None, busy: Arc::default() };
-        let entries = catalogue.maps.into_iter().map(|(map, spec)| (map, entry(spec))).collect();
+        let entry = |Catalogued { spec, history_complete }| Entry::new(spec, history_complete);
+        let entries = catalogue.maps.into_iter().map(|(map, known)| (map, entry(known))).collect();
         let inner = Inner {
             directory,
             disk,

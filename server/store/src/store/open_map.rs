@@ -19,6 +19,7 @@ use crate::{
         Log, MapLog,
         recovery::{Expectation, Recovered, recover},
         replay::Replay,
+        segment_position,
         writer::LogWriter,
     },
 };
@@ -59,12 +60,14 @@ impl Store {
         let newest = inner.newest_snapshot(map, spec)?;
         let replay_from = newest.snapshot.as_ref().map_or(1, |snapshot| snapshot.replay_from.max(1));
         let folder = catalogue::log_folder(&inner.directory, map);
+        inner.check_beginning(&folder, &newest)?;
         let expected = Expectation { map: map.0, replay_from, known: newest.known };
         let recovered = recover(&*inner.disk, &folder, &expected)?;
         let (log, replay, mut reports) = inner.open_log(map, &folder, replay_from, recovered)?;
 
         let checkpoints = inner.checkpoints(map);
         checkpoints.remove_leftovers(&mut reports)?;
+        inner.history(map).remove_leftovers(&mut reports)?;
         for damaged in newest.damaged {
             reports.push(checkpoints.set_aside(damaged)?);
         }
@@ -76,6 +79,28 @@ impl Store {
 }
 
 impl Inner {
+    /// Without any snapshot the log must be whole: the beginning of one that is not is nowhere but in checkpoints.
+    fn check_beginning(&self, folder: &Path, newest: &Newest) -> Result<(), OpenError> {
+        if newest.snapshot.is_some() {
+            return Ok(());
+        }
+        let names = self.disk.list(folder).map_err(open_io(folder))?;
+        match names.iter().find_map(|name| segment_position(name)) {
+            Some(first) if first > 1 && !newest.damaged.is_empty() => {
+                let reasons: Vec<&str> = newest.damaged.iter().map(DamagedCheckpoint::reason).collect();
+                Err(OpenError::Damaged {
+                    file: folder.with_file_name("checkpoints"),
+                    reason: format!(
+                        "none of its files can be read ({}), and the log begins at record {first}, because what was \
+                         before is in them",
+                        reasons.join("; ")
+                    ),
+                })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Prefers the index where it is at least as new as every checkpoint. Changes nothing.
     fn newest_snapshot(&self, map: MapId, spec: &MapSpec) -> Result<Newest, OpenError> {
         let checkpoints = self.checkpoints(map);
@@ -83,7 +108,10 @@ impl Inner {
         let newest_name = names.last().copied().unwrap_or(0);
         let mut state = IndexState::Good;
         let mut indexed = None;
-        match self.index().load(map.0, spec) {
+        // The index has no room for grids.
+        let found = if spec.grid.is_some() { Ok(Found::Unused) } else { self.index().load(map.0, spec) };
+        match found {
+            Ok(Found::Unused) => {}
             Ok(Found::Snapshot(snapshot)) => indexed = Some(*snapshot),
             Ok(Found::Nothing) => state = IndexState::Stale("it held nothing of this map"),
             Ok(Found::Unfinished) => state = IndexState::Stale("it was being written when the process stopped"),
@@ -94,7 +122,8 @@ impl Inner {
             let (snapshot, damaged, source) = (Some(snapshot), Vec::new(), Source::Index);
             return Ok(Newest { snapshot, source, known, damaged, index: state });
         }
-        let (snapshot, damaged) = checkpoints.load(spec).map_err(open_io(&checkpoints.folder))?;
+        let (snapshot, damaged) =
+            checkpoints.load(spec, self.options.tile_cache_bytes).map_err(open_io(&checkpoints.folder))?;
         let position = |snapshot: &Option<MapSnapshot>| snapshot.as_ref().map(|snapshot| snapshot.position);
         if indexed.is_some() && position(&indexed) >= position(&snapshot) {
             return Ok(Newest { snapshot: indexed, source: Source::Index, known, damaged, index: state });

@@ -12,6 +12,7 @@ use tidemap_map::{
         Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind, UpdateCause,
         UpdateStart,
     },
+    grid::spec::Retention,
     name::{MapName, ProducerKey, StateName},
     snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
     spec::MapSpec,
@@ -37,6 +38,8 @@ pub(crate) fn spec(name: &str) -> MapSpec {
         periodicities: Periodicities::harmonics(24 * HOUR_NANOS, 130).expect("valid"),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 1_700_000_000_000_000_000,
+        retention: Retention::Forever,
+        grid: None,
     }
 }
 
@@ -89,6 +92,8 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
             content_crc: random.random(),
         }],
         states,
+        grid: None,
+        history: Vec::new(),
     }
 }
 

@@ -1,5 +1,5 @@
-//! Format 1 to the byte. A difference here means that data directories in the field could not be read any more: do not
-//! change the files in `golden/`, make a new format.
+//! Format 1 to the byte, as far as format 2 goes on using it. A difference here means that data directories in the field
+//! could not be read any more: do not change the files in `golden/`, make a new format.
 
 use std::{
     fs,
@@ -12,6 +12,7 @@ use tidemap_map::{
         Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind, UpdateCause,
         UpdateStart,
     },
+    grid::spec::Retention,
     name::{MapName, ProducerKey, StateName},
     snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
     spec::MapSpec,
@@ -42,6 +43,8 @@ fn spec() -> MapSpec {
         periodicities: Periodicities::list(vec![604_800_000_000_000, 86_400_000_000_000]).expect("valid"),
         criterion: OrderCriterion::ZeroOne,
         created_nanos: 1_700_000_000_123_456_789,
+        retention: Retention::Forever,
+        grid: None,
     }
 }
 
@@ -138,11 +141,19 @@ fn snapshot() -> MapSnapshot {
             state("Küche", model.expect("valid"), persistence),
             state("door", StateModel::new(&spec.periodicities), Persistence::default()),
         ],
+        grid: None,
+        history: Vec::new(),
     }
 }
 
+/// A data directory of format 1 with the map number 1, whose spec this is.
+pub(super) fn format_1(directory: &Path) -> MapSpec {
+    copy(&golden(), directory);
+    spec()
+}
+
 #[test]
-fn format_1_is_written_as_it_always_was() {
+fn logs_and_checkpoints_of_format_1_are_written_as_they_always_were() {
     let directory = tempfile::tempdir().expect("temporary directory");
     {
         let store = Store::open(directory.path(), options()).expect("opens");
@@ -153,7 +164,8 @@ fn format_1_is_written_as_it_always_was() {
         }
         store.save(map, &snapshot()).expect("saves");
     }
-    for file in FILES {
+    // What the manifest and the map say of themselves is of the newest format.
+    for file in &FILES[2..] {
         let written = fs::read(directory.path().join(file)).expect("readable");
         let is_same = fs::read(golden().join(file)).ok().as_ref() == Some(&written);
         assert!(is_same, "{file} is not written as it was; what is written now is in {}", directory.keep().display());
@@ -173,4 +185,11 @@ fn format_1_is_read_as_it_always_was() {
     let replayed: Vec<_> = opened.replay.map(|item| item.expect("readable")).collect();
     let expected: Vec<_> = (1..).zip(events()).skip(1).collect();
     assert_eq!(replayed, expected);
+    // From here on it is of format 2, and nothing else in it has changed.
+    let manifest = fs::read_to_string(directory.path().join("MANIFEST")).expect("readable");
+    assert!(manifest.starts_with("tidemap store\nformat 2\nstore 00112233445566778899aabbccddeeff\n"), "{manifest}");
+    for file in &FILES[1..] {
+        let read = |folder: &Path| fs::read(folder.join(file)).expect("readable");
+        assert!(read(directory.path()) == read(&golden()), "{file}");
+    }
 }

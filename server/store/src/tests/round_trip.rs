@@ -7,9 +7,11 @@ use tidemap_map::{
         Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind, UpdateCause,
         UpdateStart,
     },
+    grid::spec::Retention,
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
 };
+use tidemap_migrations::v2::log::FrameKind;
 use tidemap_model::{OrderCriterion, Periodicities, Zone};
 
 use super::example::{snapshot, state};
@@ -110,7 +112,7 @@ fn update_start() -> impl Strategy<Value = Event> {
 fn bits(event: &Event) -> Vec<u64> {
     match event {
         Event::Observations(observations) => observations.values.iter().map(|value| value.to_bits()).collect(),
-        Event::UpdateStart(_) => Vec::new(),
+        Event::Scans(_) | Event::UpdateStart(_) => Vec::new(),
     }
 }
 
@@ -127,7 +129,7 @@ proptest! {
 
     #[test]
     fn no_payload_panics_or_takes_endless_memory(payload in vec(any::<u8>(), 0..200)) {
-        for kind in [tidemap_migrations::v1::log::FrameKind::Observations, tidemap_migrations::v1::log::FrameKind::UpdateStart] {
+        for kind in [FrameKind::Observations, FrameKind::UpdateStart, FrameKind::Scans] {
             let _ = record::event::decode(kind, &payload);
         }
     }
@@ -168,8 +170,10 @@ proptest! {
             periodicities: periodicities.expect("valid"),
             criterion: if is_list { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError },
             created_nanos: base,
+            retention: Retention::Forever,
+            grid: None,
         };
-        prop_assert_eq!(record::spec::decode(record::spec::encode(&spec)), Ok(spec));
+        prop_assert_eq!(record::spec::decode(record::spec::encode(&spec, is_list)), Ok(spec));
     }
 }
 

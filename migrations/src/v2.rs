@@ -1,0 +1,24 @@
+//! Format 2, frozen: what it adds to [format 1](crate::v1), whose layouts go on being used as they are.
+//!
+//! | file in the data directory | layout |
+//! | --- | --- |
+//! | `maps/00000001/MAP` | as before, with one record [`map::MapSpec`] |
+//! | `maps/00000001/log/00000000000000000001.log` | as before, with frames of [`event::Scans`] too |
+//! | `maps/00000001/checkpoints/00000000000000000007.tmc` | as before; for a map with a grid [`grid`] records follow |
+//! | `maps/00000001/history/00000000000000000007.states.tmh` | [`file`] with [`history`] records |
+//! | `maps/00000001/history/00000000000000000007.grid.tmh` | [`file`] with [`history`] records |
+//!
+//! The containers (segments, frames, files, records, trailers) are those of format 1 and go on saying 1. A log of a map
+//! that was created under this format may begin at a later record than the first.
+//!
+//! Invariant: nothing in this module changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it.
+
+pub mod event;
+pub mod file;
+pub mod grid;
+pub mod history;
+pub mod log;
+pub mod map;
+
+/// The number of this format.
+pub const FORMAT: u32 = 2;

@@ -1,0 +1,77 @@
+//! Payload of the log's frames of scans.
+//!
+//! A column of numbers holds one varint per scan, or a single one where all are equal. A set of tiles is written as the
+//! tiles in which it differs from the set before: the number of ranges of tile ids, and per range how many ids lie
+//! between it and the range before, and its length less 1. The set before the first of a message is empty.
+//!
+//! Invariant: the lengths of the columns follow from `count` and from the columns of counts, so that a column that was
+//! cut or lengthened is noticed.
+
+/// Scans of one producer that became durable together.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Scans {
+    /// Number of the producer.
+    #[prost(uint32, tag = "1")]
+    pub producer: u32,
+    /// The producer's key, where this is its first record.
+    #[prost(message, optional, tag = "2")]
+    pub new_producer: Option<crate::v1::map::ProducerKey>,
+    /// The producer's incarnation.
+    #[prost(uint64, tag = "3")]
+    pub incarnation: u64,
+    /// Sequence number of the first scan, refused ones included.
+    #[prost(uint64, tag = "4")]
+    pub first_sequence: u64,
+    /// Sequence number of the last scan, refused ones included.
+    #[prost(uint64, tag = "5")]
+    pub last_sequence: u64,
+    /// Running CRC-32C of what the producer sent.
+    #[prost(fixed32, tag = "6")]
+    pub content_crc: u32,
+    /// When they were received.
+    #[prost(sint64, tag = "7")]
+    pub received_nanos: i64,
+    /// Tiles that appear for the first time: x, y, z of each as zigzag varints, as differences from the one before.
+    #[prost(bytes = "vec", tag = "8")]
+    pub new_tiles: Vec<u8>,
+    /// Number of accepted scans.
+    #[prost(uint32, tag = "9")]
+    pub count: u32,
+    /// Time of the first accepted scan.
+    #[prost(int64, tag = "10")]
+    pub first_time_nanos: i64,
+    /// Unit of the differences of times.
+    #[prost(uint64, tag = "11")]
+    pub time_unit_nanos: u64,
+    /// Column of differences of times: `count` - 1 of them.
+    #[prost(bytes = "vec", tag = "12")]
+    pub times: Vec<u8>,
+    /// Lengths of the runs of equal UTC offsets.
+    #[prost(uint32, repeated, tag = "13")]
+    pub offset_counts: Vec<u32>,
+    /// Offset of each run.
+    #[prost(sint32, repeated, tag = "14")]
+    pub offset_secs: Vec<i32>,
+    /// Where other tiles were seen than in the scan before: how many scans lie between this one and the last one that is
+    /// named here, and the set of tiles.
+    #[prost(bytes = "vec", tag = "15")]
+    pub seen: Vec<u8>,
+    /// Column: how many observed bits each scan flips.
+    #[prost(bytes = "vec", tag = "16")]
+    pub observed_counts: Vec<u8>,
+    /// Column: how many occupied bits each scan flips.
+    #[prost(bytes = "vec", tag = "17")]
+    pub occupied_counts: Vec<u8>,
+    /// Cells whose observed bit is flipped, scan by scan: how many cells lie between each and the one before, as varints.
+    #[prost(bytes = "vec", tag = "18")]
+    pub observed_flips: Vec<u8>,
+    /// Cells whose occupied bit is flipped, likewise.
+    #[prost(bytes = "vec", tag = "19")]
+    pub occupied_flips: Vec<u8>,
+    /// Sequence numbers of refused scans, each as the difference from the one before.
+    #[prost(uint64, repeated, tag = "20")]
+    pub refused_sequences: Vec<u64>,
+    /// Why each was refused: as in format 1, and 7 no grid, 8 malformed scan, 9 empty scan, 10 tile limit, 11 frame.
+    #[prost(uint32, repeated, tag = "21")]
+    pub refused_reasons: Vec<u32>,
+}

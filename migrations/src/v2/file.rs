@@ -1,0 +1,142 @@
+//! Files of records: those of format 1, with more kinds of records, and long records cut into several.
+//!
+//! The payload of a [`RecordKind`] above [`RecordKind::State`], the table of a history file and its end excepted, is one
+//! piece of a long record: a byte, 1 where another piece follows and 0 in the last, and then up to [`PIECE_MAX`] bytes.
+//!
+//! Invariant: a record of format 1 is the same to the byte.
+
+use crate::v1::{
+    file::{RECORD_HEADER_LENGTH, RECORD_MAX},
+    u32_at,
+};
+
+/// First bytes of a history file; the position in its header is the generation.
+pub const HISTORY_MAGIC: [u8; 8] = *b"tidemhst";
+/// Most bytes of a long record in one piece.
+pub const PIECE_MAX: usize = RECORD_MAX - 1;
+
+/// What a record is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RecordKind {
+    /// [`super::map::MapSpec`].
+    Spec = 1,
+    /// [`crate::v1::map::Snapshot`], the first of a checkpoint.
+    Snapshot = 2,
+    /// [`crate::v1::map::Producer`], in the order of their numbers.
+    Producer = 3,
+    /// [`crate::v1::map::State`], in the order of their numbers.
+    State = 4,
+    /// [`super::grid::Grid`], the first of a grid.
+    Grid = 5,
+    /// Sums of phasors that tiles share: doubles, little-endian. Numbered from 0 in their order, each before the first
+    /// tile that refers to it.
+    SharedSum = 6,
+    /// [`super::grid::Tile`], in the order of their numbers.
+    Tile = 7,
+    /// [`super::grid::TileModel`] of the tile before.
+    TileModel = 8,
+    /// Sums of the tile before: number of groups u32, number of changed cells u32, per group the number of its shared sum
+    /// u32, per cell its sums as doubles; little-endian.
+    TileSums = 9,
+    /// [`super::grid::Day`].
+    Day = 10,
+    /// [`super::grid::DayTile`] of the day before, ascending by tile.
+    DayTile = 11,
+    /// [`super::grid::AheadScan`].
+    AheadScan = 12,
+    /// [`super::history::StateSamples`], ascending by state.
+    StateSamples = 13,
+    /// [`super::history::ENTRIES_MAX`] entries of the table of a history file, the last record fewer.
+    Table = 14,
+    /// [`super::history::End`], the last record of a history file.
+    End = 15,
+}
+
+const KINDS: [RecordKind; 15] = [
+    RecordKind::Spec,
+    RecordKind::Snapshot,
+    RecordKind::Producer,
+    RecordKind::State,
+    RecordKind::Grid,
+    RecordKind::SharedSum,
+    RecordKind::Tile,
+    RecordKind::TileModel,
+    RecordKind::TileSums,
+    RecordKind::Day,
+    RecordKind::DayTile,
+    RecordKind::AheadScan,
+    RecordKind::StateSamples,
+    RecordKind::Table,
+    RecordKind::End,
+];
+
+/// Header of a record, laid out as [`crate::v1::file::RecordHeader`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RecordHeader {
+    /// What the record is.
+    pub kind: RecordKind,
+    /// Length of the payload.
+    pub payload_length: u32,
+    /// CRC-32C of the payload.
+    pub payload_crc: u32,
+}
+
+impl RecordHeader {
+    /// Its bytes.
+    #[must_use]
+    pub fn encode(&self) -> [u8; RECORD_HEADER_LENGTH] {
+        let mut bytes = [0; RECORD_HEADER_LENGTH];
+        bytes[0] = self.kind as u8;
+        bytes[4..8].copy_from_slice(&self.payload_length.to_le_bytes());
+        bytes[8..12].copy_from_slice(&self.payload_crc.to_le_bytes());
+        let crc = crc32c::crc32c(&bytes[..12]);
+        bytes[12..].copy_from_slice(&crc.to_le_bytes());
+        bytes
+    }
+
+    /// The header at the start of `bytes`, where it is there and whole.
+    #[must_use]
+    pub fn decode(bytes: &[u8]) -> Option<RecordHeader> {
+        let bytes = bytes.get(..RECORD_HEADER_LENGTH)?;
+        let kind = *KINDS.get(usize::from(bytes[0]).checked_sub(1)?)?;
+        let payload_length = u32_at(bytes, 4);
+        let sound = bytes[1..4] == [0, 0, 0]
+            && payload_length as usize <= RECORD_MAX
+            && u32_at(bytes, 12) == crc32c::crc32c(&bytes[..12]);
+        sound.then(|| RecordHeader { kind, payload_length, payload_crc: u32_at(bytes, 8) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::v1;
+
+    #[test]
+    fn records_of_format_1_are_the_same() {
+        let kinds = [
+            (v1::file::RecordKind::Spec, RecordKind::Spec),
+            (v1::file::RecordKind::Snapshot, RecordKind::Snapshot),
+            (v1::file::RecordKind::Producer, RecordKind::Producer),
+            (v1::file::RecordKind::State, RecordKind::State),
+        ];
+        for (old, new) in kinds {
+            let old = v1::file::RecordHeader { kind: old, payload_length: 70, payload_crc: 5 };
+            let new = RecordHeader { kind: new, payload_length: 70, payload_crc: 5 };
+            assert_eq!(new.encode(), old.encode());
+        }
+    }
+
+    #[test]
+    fn headers_come_back_and_every_flipped_bit_is_noticed() {
+        for kind in KINDS {
+            let record = RecordHeader { kind, payload_length: 70, payload_crc: 5 };
+            assert_eq!(RecordHeader::decode(&record.encode()), Some(record));
+            for bit in 0..RECORD_HEADER_LENGTH * 8 {
+                let mut bytes = record.encode();
+                bytes[bit / 8] ^= 1 << (bit % 8);
+                assert_eq!(RecordHeader::decode(&bytes), None, "bit {bit}");
+            }
+        }
+    }
+}

@@ -1,0 +1,242 @@
+//! A grid as it stands after an update, in a checkpoint.
+//!
+//! A set of cells of a tile is 64 bytes, the first cell in the lowest bit of the first; no bytes stand for no cell. A
+//! list of cells holds how many places lie between each and the one before, as varints. Sets of tiles are those of
+//! [`super::event`].
+//!
+//! Invariant: a double is kept as its bits, little-endian, so that what is read is what was written to the last bit.
+
+/// What a grid says about itself.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Grid {
+    /// Number of tiles.
+    #[prost(uint32, tag = "1")]
+    pub tiles: u32,
+    /// Number of tiles, from the first, that have a model and sums.
+    #[prost(uint32, tag = "2")]
+    pub models: u32,
+    /// Number of days.
+    #[prost(uint32, tag = "3")]
+    pub days: u32,
+    /// Number of scans ahead of their time.
+    #[prost(uint32, tag = "4")]
+    pub ahead: u32,
+    /// Scans acknowledged.
+    #[prost(uint64, tag = "5")]
+    pub scans: u64,
+    /// Observations of single cells in them.
+    #[prost(uint64, tag = "6")]
+    pub cell_observations: u64,
+    /// The tiles of the last scan in the log: a set.
+    #[prost(bytes = "vec", tag = "7")]
+    pub last_seen: Vec<u8>,
+}
+
+/// A tile as the newest scans show it.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Tile {
+    /// Where it is: x.
+    #[prost(sint32, tag = "1")]
+    pub x: i32,
+    /// Where it is: y.
+    #[prost(sint32, tag = "2")]
+    pub y: i32,
+    /// Where it is: z.
+    #[prost(sint32, tag = "3")]
+    pub z: i32,
+    /// Cells observed by its last scan in the log.
+    #[prost(bytes = "vec", tag = "4")]
+    pub arrival_observed: Vec<u8>,
+    /// Cells occupied in its last scan in the log.
+    #[prost(bytes = "vec", tag = "5")]
+    pub arrival_occupied: Vec<u8>,
+    /// Cells that were ever observed.
+    #[prost(bytes = "vec", tag = "6")]
+    pub known: Vec<u8>,
+    /// Cells whose newest reading is occupied.
+    #[prost(bytes = "vec", tag = "7")]
+    pub occupied: Vec<u8>,
+    /// Cells observed by the newest scan.
+    #[prost(bytes = "vec", tag = "8")]
+    pub current: Vec<u8>,
+    /// Time of the newest scan.
+    #[prost(sint64, tag = "9")]
+    pub newest_nanos: i64,
+    /// Number of scans that were each newer than all before.
+    #[prost(uint64, tag = "10")]
+    pub scans: u64,
+    /// Known cells that the newest scan did not observe: a list of cells, each with the time of its last observation
+    /// before `newest_nanos`, as a zigzag varint, and its pairs of successive observations, as a varint.
+    #[prost(bytes = "vec", tag = "11")]
+    pub away: Vec<u8>,
+    /// Offsets of pairs from scans: a list of cells, each with a zigzag varint.
+    #[prost(bytes = "vec", tag = "12")]
+    pub offsets: Vec<u8>,
+    /// Sums of rates of change: a list of cells, each with a double.
+    #[prost(bytes = "vec", tag = "13")]
+    pub change_rates: Vec<u8>,
+    /// Whether a model and sums follow; otherwise both are empty.
+    #[prost(bool, tag = "14")]
+    pub has_model: bool,
+}
+
+/// What the generation says of a tile.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct TileModel {
+    /// Observation groups.
+    #[prost(message, repeated, tag = "1")]
+    pub groups: Vec<Group>,
+    /// Cells that were always read as occupied.
+    #[prost(bytes = "vec", tag = "2")]
+    pub always_occupied: Vec<u8>,
+    /// Cells that have changed.
+    #[prost(message, repeated, tag = "3")]
+    pub cells: Vec<Cell>,
+}
+
+/// Cells that were observed at the same times.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Group {
+    /// The cells.
+    #[prost(bytes = "vec", tag = "1")]
+    pub cells: Vec<u8>,
+    /// Observations of each.
+    #[prost(uint64, tag = "2")]
+    pub observations: u64,
+    /// Time of the first.
+    #[prost(sint64, tag = "3")]
+    pub first_nanos: i64,
+    /// Time of the last.
+    #[prost(sint64, tag = "4")]
+    pub last_nanos: i64,
+}
+
+/// The model of a cell.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Cell {
+    /// Its place.
+    #[prost(uint32, tag = "1")]
+    pub cell: u32,
+    /// How often it was read as occupied.
+    #[prost(uint64, tag = "2")]
+    pub occupied: u64,
+    /// Mean.
+    #[prost(fixed64, tag = "3")]
+    pub mean_bits: u64,
+    /// Number of observations it was fitted to.
+    #[prost(uint64, tag = "4")]
+    pub observations: u64,
+    /// Components, strongest first: index of the periodicity u32, real and imaginary part as doubles.
+    #[prost(bytes = "vec", tag = "5")]
+    pub components: Vec<u8>,
+    /// Number of components in force.
+    #[prost(uint32, tag = "6")]
+    pub order: u32,
+    /// Faded sums of errors, orders 0 to 15, as doubles.
+    #[prost(bytes = "vec", tag = "7")]
+    pub error_sums: Vec<u8>,
+    /// Last local day recorded in the errors, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "8")]
+    pub errors_last_day: Option<i32>,
+}
+
+/// Scans of one local day. Its tiles follow.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Day {
+    /// The local date, in days since 1970-01-01.
+    #[prost(sint32, tag = "1")]
+    pub day: i32,
+    /// Number of scans.
+    #[prost(uint32, tag = "2")]
+    pub scans: u32,
+    /// Time of the first scan.
+    #[prost(int64, tag = "3")]
+    pub first_time_nanos: i64,
+    /// Unit of the differences of times.
+    #[prost(uint64, tag = "4")]
+    pub time_unit_nanos: u64,
+    /// Column of differences of times: `scans` - 1 of them.
+    #[prost(bytes = "vec", tag = "5")]
+    pub times: Vec<u8>,
+    /// Lengths of the runs of equal UTC offsets.
+    #[prost(uint32, repeated, tag = "6")]
+    pub offset_counts: Vec<u32>,
+    /// Offset of each run.
+    #[prost(sint32, repeated, tag = "7")]
+    pub offset_secs: Vec<i32>,
+    /// Runs of scans that saw the same tiles: the run's length as a varint, and the set of tiles.
+    #[prost(bytes = "vec", tag = "8")]
+    pub presence: Vec<u8>,
+    /// Number of records of tiles that follow.
+    #[prost(uint32, tag = "9")]
+    pub tiles: u32,
+    /// One more than the greatest number of a tile for which there is room.
+    #[prost(uint32, tag = "10")]
+    pub tiles_end: u32,
+}
+
+/// One tile on one day.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct DayTile {
+    /// Its number.
+    #[prost(uint32, tag = "1")]
+    pub tile: u32,
+    /// What was seen of it; absent where only models are known.
+    #[prost(message, optional, tag = "2")]
+    pub scans: Option<DayTileScans>,
+    /// Small models of cells, ascending: place u16, mean as a float, number of components u8, per component the index of
+    /// the periodicity u16, real and imaginary part as floats. In history files only.
+    #[prost(bytes = "vec", tag = "3")]
+    pub models: Vec<u8>,
+}
+
+/// What the scans of one day showed of a tile.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct DayTileScans {
+    /// Cells observed by the first scan.
+    #[prost(bytes = "vec", tag = "1")]
+    pub first_observed: Vec<u8>,
+    /// Cells occupied in the first scan.
+    #[prost(bytes = "vec", tag = "2")]
+    pub first_occupied: Vec<u8>,
+    /// Flips by bit, each ascending by scan: how many bits lie between this one and the one before (bit = 2·place, plus
+    /// one for the occupied bit), number of flips less 1, and how many scans lie between each and the one before; all as
+    /// varints. Of one scan, flips of observed bits come before those of occupied bits, each by place.
+    #[prost(bytes = "vec", tag = "3")]
+    pub flips: Vec<u8>,
+    /// Where the flips of one scan are in another order: all of them in theirs, and `flips` is empty. Per flip the
+    /// number of scans since the flip before and the bit as above, as varints.
+    #[prost(bytes = "vec", tag = "4")]
+    pub flips_in_order: Vec<u8>,
+    /// What the last scan showed, where that is not the first with all flips.
+    #[prost(message, optional, tag = "5")]
+    pub last: Option<Masks>,
+}
+
+/// What a scan showed of a tile.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Masks {
+    /// Cells observed.
+    #[prost(bytes = "vec", tag = "1")]
+    pub observed: Vec<u8>,
+    /// Cells occupied.
+    #[prost(bytes = "vec", tag = "2")]
+    pub occupied: Vec<u8>,
+}
+
+/// A scan that waits because its time is too far ahead.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct AheadScan {
+    /// Its time.
+    #[prost(sint64, tag = "1")]
+    pub utc_nanos: i64,
+    /// Its UTC offset.
+    #[prost(sint32, tag = "2")]
+    pub offset_secs: i32,
+    /// The numbers of its tiles, in their order.
+    #[prost(uint32, repeated, tag = "3")]
+    pub tiles: Vec<u32>,
+    /// Per tile the cells observed and the cells occupied, 64 bytes each.
+    #[prost(bytes = "vec", tag = "4")]
+    pub masks: Vec<u8>,
+}

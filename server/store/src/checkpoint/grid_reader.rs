@@ -1,0 +1,208 @@
+//! Reading a grid out of a checkpoint, record by record.
+//!
+//! Tiles are kept in memory until a number of bytes is used up; of the others it is kept where they are. Invariant: every
+//! record has been read and found sound, whether it is kept or not.
+
+use std::sync::{Arc, Weak};
+
+use tidemap_map::grid::{
+    index::TileId,
+    live_tile::LiveTile,
+    snapshot::GridSnapshot,
+    tile::{ColdTile, ModelSlot, SumsSlot, TileSource},
+};
+use tidemap_migrations::v2::{file::RecordKind, grid as v2};
+use tidemap_model::{Periodicities, PhasorSum};
+
+use super::tiles::{CheckpointTiles, Places, TilePlace};
+use crate::{
+    record::{
+        day, tile,
+        tile_model::{self, EncodedSums},
+        tile_set,
+    },
+    record_file::RecordReader,
+};
+
+/// What is kept of a grid that is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Keep {
+    /// Nothing but where its tiles are: it is only checked.
+    Places,
+    /// Everything, models and sums up to about this many bytes.
+    UpTo(u64),
+}
+
+/// A grid that was read.
+pub(super) struct ReadGrid {
+    /// Where its tiles are.
+    pub(super) places: Places,
+    /// Shared sums that are in memory, by number.
+    pub(super) shared: Vec<Weak<PhasorSum>>,
+    /// The grid, with empty slots for the tiles that are not in memory; nothing of it where only places are kept.
+    grid: GridSnapshot,
+    /// The first tile that is not in memory.
+    cold_from: usize,
+}
+
+impl ReadGrid {
+    /// The grid, with the tiles that are not in memory in a source.
+    pub(super) fn into_grid(self, source: &Arc<CheckpointTiles>) -> GridSnapshot {
+        let mut grid = self.grid;
+        for index in self.cold_from..grid.models.len() {
+            let cold = || ColdTile {
+                source: Arc::clone(source) as Arc<dyn TileSource>,
+                // There are no more tiles than can be numbered.
+                tile: TileId(index as u32),
+            };
+            grid.models[index] = ModelSlot::Cold(cold());
+            grid.sums[index] = SumsSlot::Cold(cold());
+        }
+        grid
+    }
+
+    /// Takes the places out; the shared sums with them.
+    pub(super) fn take_places(&mut self) -> (Places, Vec<Weak<PhasorSum>>) {
+        (std::mem::take(&mut self.places), std::mem::take(&mut self.shared))
+    }
+}
+
+struct Tiles<'reader> {
+    reader: &'reader mut RecordReader,
+    periodicities: &'reader Periodicities,
+    /// Bytes of models and sums that may still be kept.
+    room: u64,
+    /// Shared sums in memory: all that come before the first tile that is not.
+    shared: Vec<Arc<PhasorSum>>,
+    places: Places,
+    buffer: Vec<u8>,
+}
+
+/// Reads a grid.
+pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, keep: Keep) -> Result<ReadGrid, String> {
+    let mut buffer = Vec::new();
+    let head: v2::Grid = reader.long_message(RecordKind::Grid, &mut buffer)?;
+    if head.models > head.tiles {
+        return Err("there are more models than tiles".to_owned());
+    }
+    let mut last_seen = &head.last_seen[..];
+    let mut room = head.tiles as usize;
+    let last_seen_tiles = tile_set::take_set(&mut last_seen, &[], head.tiles, &mut room)?;
+    if !last_seen.is_empty() {
+        return Err("the tiles of the last scan are too many".to_owned());
+    }
+    let mut grid = GridSnapshot {
+        tiles: Vec::new(),
+        models: Vec::new(),
+        sums: Vec::new(),
+        last_seen: last_seen_tiles.into(),
+        days: Vec::new(),
+        ahead: Vec::new(),
+        scans: head.scans,
+        cell_observations: head.cell_observations,
+    };
+    let room = match keep {
+        Keep::Places => 0,
+        Keep::UpTo(bytes) => bytes,
+    };
+    let keeps = keep != Keep::Places;
+    let mut tiles = Tiles { reader, periodicities, room, shared: Vec::new(), places: Places::default(), buffer };
+    let mut cold_from = None;
+    for index in 0..head.tiles as usize {
+        let (live, slots) = tiles.tile(index < head.models as usize)?;
+        if keeps {
+            grid.tiles.push(Arc::new(live));
+        }
+        if keeps && index < head.models as usize {
+            if slots.is_none() {
+                cold_from.get_or_insert(index);
+            }
+            let (model, sums) = slots.unwrap_or_default();
+            grid.models.push(model);
+            grid.sums.push(sums);
+        }
+    }
+    let Tiles { reader, shared, places, mut buffer, .. } = tiles;
+    let mut last_day = None;
+    for _ in 0..head.days {
+        let day = read_day(reader, head.tiles, &mut buffer)?;
+        if last_day.replace(day.day) >= Some(day.day) {
+            return Err("the days do not ascend".to_owned());
+        }
+        if keeps {
+            grid.days.push(day);
+        }
+    }
+    for _ in 0..head.ahead {
+        let message: v2::AheadScan = reader.long_message(RecordKind::AheadScan, &mut buffer)?;
+        let scan = day::decode_ahead(&message, head.tiles)?;
+        if keeps {
+            grid.ahead.push(scan);
+        }
+    }
+    let shared = shared.iter().map(Arc::downgrade).collect();
+    let cold_from = cold_from.unwrap_or(grid.models.len());
+    Ok(ReadGrid { places, shared, grid, cold_from })
+}
+
+impl Tiles<'_> {
+    /// The next tile, and its model and sums if they are kept.
+    fn tile(&mut self, may_have_model: bool) -> Result<(LiveTile, Option<(ModelSlot, SumsSlot)>), String> {
+        while self.reader.next_kind()? == RecordKind::SharedSum {
+            self.places.shared.push(self.reader.offset());
+            self.reader.long(RecordKind::SharedSum, &mut self.buffer)?;
+            let sum = tile_model::decode_shared(&self.buffer, self.periodicities)?;
+            if self.room > 0 {
+                self.room = self.room.saturating_sub(sum.bytes() as u64);
+                self.shared.push(Arc::new(sum));
+            }
+        }
+        let message: v2::Tile = self.reader.long_message(RecordKind::Tile, &mut self.buffer)?;
+        let live = tile::decode(&message)?;
+        if !message.has_model {
+            self.places.tiles.push(TilePlace::default());
+            return Ok((live, (self.room > 0).then(Default::default)));
+        }
+        if !may_have_model {
+            return Err("a tile has a model where there should be none".to_owned());
+        }
+        let model_place = self.reader.offset();
+        let model: v2::TileModel = self.reader.long_message(RecordKind::TileModel, &mut self.buffer)?;
+        let model = tile_model::decode(&model, self.periodicities)?;
+        self.places.tiles.push(TilePlace { model: model_place, sums: self.reader.offset() });
+        self.reader.long(RecordKind::TileSums, &mut self.buffer)?;
+        let sums = EncodedSums::new(&self.buffer, self.periodicities)?;
+        if sums.shared.len() != model.groups.len() || sums.cells(self.periodicities) != model.cells.len() {
+            return Err("the sums of a tile differ in number from its groups and cells".to_owned());
+        }
+        if sums.shared.iter().any(|&number| number as usize >= self.places.shared.len()) {
+            return Err("a shared sum is not there".to_owned());
+        }
+        // What fits is kept with all before it, so that every shared sum that it refers to is there.
+        let shared: Option<Vec<Arc<PhasorSum>>> =
+            sums.shared.iter().map(|&number| self.shared.get(number as usize).map(Arc::clone)).collect();
+        let Some(shared) = shared.filter(|_| self.room > 0) else { return Ok((live, None)) };
+        self.room = self.room.saturating_sub((model.bytes() + self.buffer.len()) as u64);
+        let sums = sums.decode(shared, self.periodicities).map_err(|error| error.to_string())?;
+        Ok((live, Some((ModelSlot::Resident(Arc::new(model)), SumsSlot::Resident(Arc::new(sums))))))
+    }
+}
+
+/// The next day with its tiles.
+fn read_day(
+    reader: &mut RecordReader,
+    limit: u32,
+    buffer: &mut Vec<u8>,
+) -> Result<tidemap_map::grid::day::GridDay, String> {
+    let head: v2::Day = reader.long_message(RecordKind::Day, buffer)?;
+    let mut kept = day::decode(&head, limit, |_| true)?;
+    let mut next = 0;
+    for _ in 0..head.tiles {
+        let message: v2::DayTile = reader.long_message(RecordKind::DayTile, buffer)?;
+        let place = kept.tiles.get_mut(message.tile as usize).filter(|_| message.tile >= next);
+        let scans = message.scans.as_ref().ok_or("a tile of a day has no scans")?;
+        *place.ok_or("the tiles of a day are out of order")? = Some(Box::new(day::decode_tile(scans, head.scans)?));
+        next = message.tile + 1;
+    }
+    Ok(kept)
+}

@@ -1,0 +1,226 @@
+//! Writing a grid into a checkpoint, tile by tile.
+//!
+//! A sum that several tiles share is written once, before the first of them, and they refer to it. Tiles that are not in
+//! memory are copied from where they are, one at a time. Invariant: what could not be read back is refused.
+
+use std::{
+    collections::HashMap,
+    io,
+    sync::{Arc, Weak},
+};
+
+use prost::Message as _;
+use tidemap_map::grid::{
+    snapshot::GridSnapshot,
+    tile::{ModelSlot, SumsSlot, TileSums, TileUnavailable},
+};
+use tidemap_migrations::v2::{file::RecordKind, grid as v2};
+use tidemap_model::{Periodicities, PhasorSum};
+
+use super::tiles::CheckpointTiles;
+use crate::{
+    record::{
+        Invalid, day, doubles, tile,
+        tile_model::{self, EncodedSums},
+        tile_set,
+    },
+    record_file::RecordWriter,
+};
+
+/// Why a grid cannot be written.
+#[derive(Debug)]
+pub(super) enum WriteError {
+    /// The disk says no.
+    Io(io::Error),
+    /// The grid could not be read back, or not all of it can be read.
+    Invalid(String),
+}
+
+impl From<io::Error> for WriteError {
+    fn from(error: io::Error) -> WriteError {
+        WriteError::Io(error)
+    }
+}
+
+impl From<Invalid> for WriteError {
+    fn from(reason: Invalid) -> WriteError {
+        WriteError::Invalid(reason.to_owned())
+    }
+}
+
+impl From<String> for WriteError {
+    fn from(reason: String) -> WriteError {
+        WriteError::Invalid(reason)
+    }
+}
+
+impl From<TileUnavailable> for WriteError {
+    fn from(error: TileUnavailable) -> WriteError {
+        WriteError::Invalid(error.to_string())
+    }
+}
+
+/// Writes a grid. Gives the shared sums that are in memory, by their number.
+pub(super) fn write(
+    writer: &mut RecordWriter,
+    grid: &GridSnapshot,
+    periodicities: &Periodicities,
+) -> Result<Vec<Weak<PhasorSum>>, WriteError> {
+    let number = |count: usize| u32::try_from(count).map_err(|_| "a grid has more than can be numbered");
+    if grid.models.len() != grid.sums.len() || grid.models.len() > grid.tiles.len() {
+        return Err("the tiles of the grid differ in number from their models or sums".into());
+    }
+    let mut last_seen = Vec::new();
+    tile_set::push_set(&mut last_seen, &[], &grid.last_seen)?;
+    let head = v2::Grid {
+        tiles: number(grid.tiles.len())?,
+        models: number(grid.models.len())?,
+        days: number(grid.days.len())?,
+        ahead: number(grid.ahead.len())?,
+        scans: grid.scans,
+        cell_observations: grid.cell_observations,
+        last_seen,
+    };
+    writer.long(RecordKind::Grid, &head.encode_to_vec())?;
+    let mut tiles =
+        TileWriter { writer, periodicities, shared: Shared::default(), model: Vec::new(), sums: Vec::new() };
+    for (index, live) in grid.tiles.iter().enumerate() {
+        let has_model = match (grid.models.get(index), grid.sums.get(index)) {
+            (Some(model), Some(sums)) => tiles.prepare(model, sums)?,
+            _ => false,
+        };
+        tiles.writer.long(RecordKind::Tile, &tile::encode(live, has_model)?.encode_to_vec())?;
+        if has_model {
+            tiles.writer.long(RecordKind::TileModel, &tiles.model)?;
+            tiles.writer.long(RecordKind::TileSums, &tiles.sums)?;
+        }
+    }
+    let shared = tiles.shared.in_memory;
+    for kept in &grid.days {
+        let tiles = kept.tiles.iter().flatten().count();
+        writer.long(RecordKind::Day, &day::encode(kept, tiles)?.encode_to_vec())?;
+        for (tile, of_day) in (0..).zip(&kept.tiles) {
+            let Some(of_day) = of_day else { continue };
+            let message = v2::DayTile { tile, scans: Some(day::encode_tile(of_day)?), models: Vec::new() };
+            writer.long(RecordKind::DayTile, &message.encode_to_vec())?;
+        }
+    }
+    for scan in &grid.ahead {
+        writer.long(RecordKind::AheadScan, &day::encode_ahead(scan).encode_to_vec())?;
+    }
+    Ok(shared)
+}
+
+/// Which shared sums have been written.
+#[derive(Default)]
+struct Shared {
+    /// By address. The weak references keep the addresses from being given to others.
+    by_address: HashMap<usize, u32>,
+    /// Those that are not in memory: by address of their file and number there.
+    by_place: HashMap<(usize, u32), u32>,
+    /// By number; nothing where it is not in memory.
+    in_memory: Vec<Weak<PhasorSum>>,
+}
+
+impl Shared {
+    fn next(&self) -> Result<u32, WriteError> {
+        u32::try_from(self.in_memory.len()).map_err(|_| "a grid has more shared sums than can be numbered".into())
+    }
+}
+
+struct TileWriter<'writer> {
+    writer: &'writer mut RecordWriter,
+    periodicities: &'writer Periodicities,
+    shared: Shared,
+    /// The records of the next tile.
+    model: Vec<u8>,
+    sums: Vec<u8>,
+}
+
+impl TileWriter<'_> {
+    /// Makes the records of a tile ready and writes the shared sums that are new with it. `false` where it has none.
+    fn prepare(&mut self, model: &ModelSlot, sums: &SumsSlot) -> Result<bool, WriteError> {
+        self.model.clear();
+        self.sums.clear();
+        let has_model = match model {
+            ModelSlot::Cold(cold) => match cold.source.as_any().downcast_ref::<CheckpointTiles>() {
+                Some(tiles) => tiles.raw_model(cold.tile)?.map(|bytes| self.model = bytes).is_some(),
+                None => self.encode_model(model)?,
+            },
+            ModelSlot::Resident(_) => self.encode_model(model)?,
+        };
+        let has_sums = match sums {
+            SumsSlot::Cold(cold) => match cold.source.as_any().downcast_ref::<CheckpointTiles>() {
+                Some(tiles) if tiles.periodicities() == self.periodicities => {
+                    let bytes = tiles.raw_sums(cold.tile)?;
+                    bytes.map(|bytes| self.copy_sums(tiles, &bytes)).transpose()?.is_some()
+                }
+                _ => self.encode_sums(&*cold.source.sums(cold.tile)?)?,
+            },
+            SumsSlot::Resident(sums) => self.encode_sums(sums)?,
+        };
+        if has_model != has_sums {
+            return Err("a tile has a model without sums, or sums without a model".into());
+        }
+        Ok(has_model)
+    }
+
+    fn encode_model(&mut self, model: &ModelSlot) -> Result<bool, WriteError> {
+        let model = model.get()?;
+        let is_empty = model.groups.is_empty() && model.cells.is_empty() && model.always_occupied.is_empty();
+        if !is_empty {
+            tile_model::encode(&model).encode(&mut self.model).map_err(|error| error.to_string())?;
+        }
+        Ok(!is_empty)
+    }
+
+    fn encode_sums(&mut self, sums: &TileSums) -> Result<bool, WriteError> {
+        if sums.groups.is_empty() && sums.cells.is_empty() {
+            return Ok(false);
+        }
+        if sums.cells.iter().any(|cell| cell.as_slice().len() != 2 * self.periodicities.len()) {
+            return Err("a sum has another number of periodicities than its map".into());
+        }
+        let shared = sums.groups.iter().map(|sum| self.share(sum)).collect::<Result<Vec<_>, _>>()?;
+        tile_model::encode_sums(&shared, &sums.cells, &mut self.sums);
+        Ok(true)
+    }
+
+    /// The number of a shared sum in memory, which is written if it is new.
+    fn share(&mut self, sum: &Arc<PhasorSum>) -> Result<u32, WriteError> {
+        let address = Arc::as_ptr(sum) as usize;
+        if let Some(&number) = self.shared.by_address.get(&address) {
+            return Ok(number);
+        }
+        let number = self.shared.next()?;
+        let mut bytes = Vec::with_capacity(size_of_val(sum.as_slice()));
+        doubles::push(&mut bytes, sum.as_slice());
+        self.writer.long(RecordKind::SharedSum, &bytes)?;
+        self.shared.by_address.insert(address, number);
+        self.shared.in_memory.push(Arc::downgrade(sum));
+        Ok(number)
+    }
+
+    /// Copies the sums of a tile from another checkpoint, with the numbers that its shared sums have here.
+    fn copy_sums(&mut self, tiles: &CheckpointTiles, bytes: &[u8]) -> Result<(), WriteError> {
+        let sums = EncodedSums::new(bytes, self.periodicities)?;
+        let mut shared = Vec::with_capacity(sums.shared.len());
+        for &old in &sums.shared {
+            let place = (std::ptr::from_ref(tiles) as usize, old);
+            let number = match (self.shared.by_place.get(&place), tiles.shared_in_memory(old)) {
+                (Some(&number), _) => number,
+                (None, Some(sum)) => self.share(&sum)?,
+                (None, None) => {
+                    let number = self.shared.next()?;
+                    self.writer.long(RecordKind::SharedSum, &tiles.raw_shared(old)?)?;
+                    self.shared.in_memory.push(Weak::new());
+                    number
+                }
+            };
+            self.shared.by_place.insert(place, number);
+            shared.push(number);
+        }
+        sums.encode_again(&shared, self.periodicities, &mut self.sums);
+        Ok(())
+    }
+}

@@ -1,0 +1,294 @@
+//! History: exact observations that updates have folded in, one file per generation for named states and one for the
+//! grid.
+//!
+//! Invariant: a file has its final name only when it is durable and has been read back. Files are written before the
+//! checkpoint that lets the log forget what is in them, and deleted only when they are older than the map's retention.
+
+use std::{
+    fmt, io,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use tidemap_map::{
+    event::StateId,
+    grid::{index::TileId, spec::Retention},
+    history::HistoryPiece,
+    spec::MapSpec,
+};
+use tidemap_model::Sample;
+
+use crate::{
+    MapId,
+    disk::Disk,
+    error::{HistoryError, OpenError, Report, StoreError, open_io, store_io},
+};
+
+mod days;
+mod file;
+mod pick;
+mod write;
+
+pub use days::GridDays;
+use file::HistoryFile;
+
+const SUFFIX: &str = ".tmh";
+const NEW_SUFFIX: &str = ".tmh.new";
+
+/// What a history file is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Part {
+    /// Named states.
+    States,
+    /// The grid.
+    Grid,
+}
+
+impl Part {
+    fn name(self, generation: u64) -> String {
+        match self {
+            Part::States => format!("{generation:020}.states{SUFFIX}"),
+            Part::Grid => format!("{generation:020}.grid{SUFFIX}"),
+        }
+    }
+
+    /// The generation and the part of a file of that name.
+    fn of(name: &str) -> Option<(u64, Part)> {
+        let name = name.strip_suffix(SUFFIX)?;
+        let (digits, part) = match (name.strip_suffix(".states"), name.strip_suffix(".grid")) {
+            (Some(digits), _) => (digits, Part::States),
+            (_, Some(digits)) => (digits, Part::Grid),
+            _ => return None,
+        };
+        let is_number = digits.len() == 20 && digits.bytes().all(|byte| byte.is_ascii_digit());
+        Some((digits.parse().ok().filter(|_| is_number)?, part))
+    }
+}
+
+/// Bytes of history on the disk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct HistorySizes {
+    /// Files.
+    pub files: u64,
+    /// Of named states.
+    pub state_bytes: u64,
+    /// Of the grid.
+    pub grid_bytes: u64,
+}
+
+/// The exact observations of one map, as far back as they are kept. Those of the newest generations are here once these
+/// have been saved.
+#[derive(Clone)]
+pub struct History {
+    pub(crate) disk: Arc<dyn Disk>,
+    pub(crate) folder: PathBuf,
+    pub(crate) map: MapId,
+    /// Generations from this one on are left out.
+    pub(crate) before: u64,
+    /// No file is opened for more observations of a state than this.
+    pub(crate) enough: usize,
+}
+
+impl fmt::Debug for History {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("History").field("folder", &self.folder).finish_non_exhaustive()
+    }
+}
+
+impl History {
+    fn path(&self, generation: u64, part: Part) -> PathBuf {
+        self.folder.join(part.name(generation))
+    }
+
+    /// Names in the folder; none where there is no folder.
+    fn names(&self) -> io::Result<Vec<String>> {
+        match self.disk.list(&self.folder) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
+            names => names,
+        }
+    }
+
+    /// Generations that have a file of a part, ascending.
+    fn generations(&self, part: Part) -> io::Result<Vec<u64>> {
+        let names = self.names()?;
+        Ok(names
+            .iter()
+            .filter_map(|name| Part::of(name))
+            .filter(|found| found.1 == part && found.0 < self.before)
+            .map(|found| found.0)
+            .collect())
+    }
+
+    fn open(&self, generation: u64, part: Part) -> Result<HistoryFile, HistoryError> {
+        HistoryFile::open(&*self.disk, &self.path(generation, part), self.map.0, generation)
+    }
+
+    fn list_error(&self, source: io::Error) -> HistoryError {
+        HistoryError::Io { file: self.folder.clone(), source }
+    }
+
+    /// The same without the generations from one on, which somebody else gives.
+    #[must_use]
+    pub fn before(self, generation: u64) -> History {
+        History { before: generation, ..self }
+    }
+
+    /// The same for a reader who takes no more than so many observations of a state: where there are more, it is given
+    /// some of them, and more than that.
+    #[must_use]
+    pub fn at_most(self, observations: usize) -> History {
+        History { enough: observations, ..self }
+    }
+
+    /// The observations of a state at times from `from_nanos` up to but not including `to_nanos`, ascending by time; of
+    /// equal times in order of arrival.
+    ///
+    /// # Errors
+    /// [`HistoryError`] names the file that cannot be read.
+    pub fn state(&self, id: StateId, from_nanos: i64, to_nanos: i64) -> Result<Vec<Sample>, HistoryError> {
+        let mut found = Vec::new();
+        for generation in self.generations(Part::States).map_err(|error| self.list_error(error))? {
+            if found.len() > self.enough {
+                break;
+            }
+            let Some(file) = self.open_if_there(generation, Part::States)? else { continue };
+            if file.overlaps(from_nanos, to_nanos) {
+                file.samples(id, |sample| {
+                    if (from_nanos..to_nanos).contains(&sample.utc_nanos) {
+                        found.push(sample);
+                    }
+                })?;
+            }
+        }
+        found.sort_by_key(|sample: &Sample| sample.utc_nanos);
+        Ok(found)
+    }
+
+    /// The days that have scans at times from `from_nanos` up to but not including `to_nanos`, one after the other, by
+    /// generation and day. Each is given whole, with what was seen of `tiles` only, or of all where there are none given.
+    #[must_use]
+    pub fn grid_days(&self, from_nanos: i64, to_nanos: i64, tiles: Option<Vec<TileId>>) -> GridDays {
+        GridDays::new(self.clone(), from_nanos, to_nanos, tiles)
+    }
+
+    /// Bytes on the disk.
+    ///
+    /// # Errors
+    /// [`HistoryError`] where the folder cannot be read.
+    pub fn sizes(&self) -> Result<HistorySizes, HistoryError> {
+        let mut sizes = HistorySizes::default();
+        for name in self.names().map_err(|error| self.list_error(error))? {
+            let Some((_, part)) = Part::of(&name) else { continue };
+            // One that is being deleted counts no more.
+            let Ok(bytes) = self.disk.length(&self.folder.join(&name)) else { continue };
+            sizes.files += 1;
+            match part {
+                Part::States => sizes.state_bytes += bytes,
+                Part::Grid => sizes.grid_bytes += bytes,
+            }
+        }
+        Ok(sizes)
+    }
+
+    /// Opens a file that may have been deleted since its name was read.
+    fn open_if_there(&self, generation: u64, part: Part) -> Result<Option<HistoryFile>, HistoryError> {
+        match self.open(generation, part) {
+            Ok(file) => Ok(Some(file)),
+            Err(HistoryError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Writes the pieces that the map's retention asks for; durable when this returns.
+    pub(crate) fn save(&self, spec: &MapSpec, pieces: &[Arc<HistoryPiece>]) -> Result<(), StoreError> {
+        let keeps_states = spec.retention != Retention::None;
+        let keeps_grid = spec.grid.as_ref().is_some_and(|grid| grid.retention != Retention::None);
+        let mut is_changed = false;
+        for piece in pieces {
+            if keeps_states && !piece.states.is_empty() {
+                self.write(piece, Part::States, &mut is_changed)?;
+            }
+            if keeps_grid && !piece.days.is_empty() {
+                self.write(piece, Part::Grid, &mut is_changed)?;
+            }
+        }
+        if is_changed {
+            self.disk.sync_folder(&self.folder).map_err(store_io(&self.folder))?;
+        }
+        Ok(())
+    }
+
+    fn write(&self, piece: &HistoryPiece, part: Part, is_changed: &mut bool) -> Result<(), StoreError> {
+        if !*is_changed {
+            self.create_folder().map_err(store_io(&self.folder))?;
+            *is_changed = true;
+        }
+        let path = self.path(piece.generation, part);
+        let new_path = self.folder.join(part.name(piece.generation).replace(SUFFIX, NEW_SUFFIX));
+        let written = write::write(&*self.disk, &new_path, self.map, piece, part);
+        let verified = written.and_then(|trailer| {
+            file::verify(&*self.disk, &new_path, self.map.0, piece.generation, trailer)
+                .map_err(|reason| StoreError::NotReadBack { file: new_path.clone(), reason })
+        });
+        if let Err(error) = verified {
+            // It takes space that may be short; if it stays, the next opening removes it.
+            let _ = self.disk.remove(&new_path);
+            return Err(error);
+        }
+        self.disk.rename(&new_path, &path).map_err(store_io(&path))
+    }
+
+    /// Maps of format 1 have no such folder.
+    fn create_folder(&self) -> io::Result<()> {
+        match self.disk.create_folder(&self.folder) {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),
+            // Also where it was there: its name may not be durable yet.
+            _ => self.disk.sync_folder(self.folder.parent().unwrap_or(Path::new("."))),
+        }
+    }
+
+    /// Deletes the files whose newest observation is older than the map's retention allows.
+    pub(crate) fn forget(&self, spec: &MapSpec, newest_nanos: i64) -> Result<(), HistoryError> {
+        let grid = spec.grid.as_ref().map_or(Retention::Forever, |grid| grid.retention);
+        for (part, retention) in [(Part::States, spec.retention), (Part::Grid, grid)] {
+            let Retention::Duration(nanos) = retention else { continue };
+            let keep_from = newest_nanos.saturating_sub(nanos);
+            for generation in self.generations(part).map_err(|error| self.list_error(error))? {
+                // A damaged file is left for people to look at.
+                let Ok(file) = self.open(generation, part) else { continue };
+                if file.to_nanos() < keep_from {
+                    let path = self.path(generation, part);
+                    self.disk.remove(&path).map_err(|source| HistoryError::Io { file: path, source })?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes what an interrupted save has left.
+    pub(crate) fn remove_leftovers(&self, reports: &mut Vec<Report>) -> Result<(), OpenError> {
+        for name in self.names().map_err(open_io(&self.folder))? {
+            if name.ends_with(NEW_SUFFIX) {
+                let file = self.folder.join(name);
+                self.disk.remove(&file).map_err(open_io(&file))?;
+                reports.push(Report::LeftoverRemoved { file });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_lead_to_files_and_back() {
+        for part in [Part::States, Part::Grid] {
+            assert_eq!(Part::of(&part.name(7)), Some((7, part)));
+        }
+        for name in ["7.grid.tmh", "00000000000000000007.tmh", "00000000000000000007.grid.tmh.new", "x.states.tmh"] {
+            assert_eq!(Part::of(name), None, "{name}");
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! One history file, open: what is in it, and single parts of it.
+//!
+//! Invariant: what is read has passed its checksum and is where the table says, or the error names the file.
+
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
+
+use tidemap_map::event::StateId;
+use tidemap_migrations::{
+    v1::file::{FILE_HEADER_LENGTH, FileHeader, RECORD_HEADER_LENGTH, TRAILER_LENGTH, Trailer},
+    v2::{
+        file::{HISTORY_MAGIC, RecordKind},
+        history::{END_LENGTH, End, StateSamples},
+    },
+};
+use tidemap_model::Sample;
+
+use super::pick::Table;
+use crate::{
+    disk::{Disk, DiskReader},
+    error::HistoryError,
+    record::history::decode_samples,
+    record_file::{RecordReader, anywhere},
+};
+
+/// A history file, open. It can be read even when it has been deleted meanwhile.
+pub(super) struct HistoryFile {
+    pub(super) file: Box<dyn DiskReader>,
+    path: PathBuf,
+    pub(super) end: End,
+}
+
+impl HistoryFile {
+    pub(super) fn open(disk: &dyn Disk, path: &Path, map: u32, generation: u64) -> Result<HistoryFile, HistoryError> {
+        let io_error = |source: io::Error| HistoryError::Io { file: path.to_owned(), source };
+        let damaged = |reason: &str| HistoryError::Damaged { file: path.to_owned(), reason: reason.to_owned() };
+        let file = disk.read_anywhere(path).map_err(io_error)?;
+        let length = disk.length(path).map_err(io_error)?;
+        let rest = (RECORD_HEADER_LENGTH + END_LENGTH + TRAILER_LENGTH) as u64;
+        let Some(end) = length.checked_sub(rest) else { return Err(damaged("it is cut off")) };
+        let mut bytes = [0; FILE_HEADER_LENGTH];
+        file.read_exact_at(&mut bytes, 0).map_err(io_error)?;
+        let header = FileHeader::decode(&bytes).ok_or_else(|| damaged("its header is not valid"))?;
+        if header != (FileHeader { magic: HISTORY_MAGIC, map, position: generation }) {
+            return Err(damaged("its header is that of another file"));
+        }
+        let mut trailer = [0; TRAILER_LENGTH];
+        file.read_exact_at(&mut trailer, length - TRAILER_LENGTH as u64).map_err(io_error)?;
+        Trailer::decode(&trailer).ok_or_else(|| damaged("its end is not valid"))?;
+        let (payload, _) = anywhere::raw(&*file, RecordKind::End, end).map_err(|reason| damaged(&reason))?;
+        let end = End::decode(&payload).ok_or_else(|| damaged("its end is not valid"))?;
+        Ok(HistoryFile { file, path: path.to_owned(), end })
+    }
+
+    pub(super) fn damaged(&self, reason: impl Into<String>) -> HistoryError {
+        HistoryError::Damaged { file: self.path.clone(), reason: reason.into() }
+    }
+
+    pub(super) fn to_nanos(&self) -> i64 {
+        self.end.to_nanos
+    }
+
+    /// Whether it may have observations from one instant up to another.
+    pub(super) fn overlaps(&self, from_nanos: i64, to_nanos: i64) -> bool {
+        self.end.from_nanos < to_nanos && self.end.to_nanos >= from_nanos
+    }
+
+    /// Gives the observations of a state in order of arrival.
+    pub(super) fn samples(&self, id: StateId, mut take: impl FnMut(Sample)) -> Result<(), HistoryError> {
+        let mut table = Table::new(self);
+        let Some(entry) = table.find(u64::from(id.0))? else { return Ok(()) };
+        let mut offset = entry.offset;
+        for _ in 0..entry.records {
+            let read = anywhere::message::<StateSamples>(&*self.file, RecordKind::StateSamples, offset);
+            let (message, next) = read.map_err(|reason| self.damaged(reason))?;
+            if message.state != id.0 {
+                return Err(self.damaged("its table names another state than its records"));
+            }
+            decode_samples(&message).map_err(|reason| self.damaged(reason))?.into_iter().for_each(&mut take);
+            offset = next;
+        }
+        Ok(())
+    }
+}
+
+/// Reads a file back that was just written: its bytes are those that were written, and its records end as they should.
+pub(super) fn verify(disk: &dyn Disk, path: &Path, map: u32, generation: u64, trailer: Trailer) -> Result<(), String> {
+    let mut reader = RecordReader::open(disk, path, HISTORY_MAGIC, map)?;
+    if reader.header.position != generation {
+        return Err("the content differs".to_owned());
+    }
+    let mut buffer = Vec::new();
+    loop {
+        let kind = reader.next_kind()?;
+        reader.raw(kind, &mut buffer)?;
+        if kind == RecordKind::End {
+            break;
+        }
+    }
+    if reader.finish()? == trailer { Ok(()) } else { Err("the content differs".to_owned()) }
+}

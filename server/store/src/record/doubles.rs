@@ -1,0 +1,24 @@
+//! Arrays of doubles as bytes, little-endian, in bulk.
+//!
+//! Invariant: every bit comes back.
+
+/// Appends doubles.
+pub(crate) fn push(out: &mut Vec<u8>, numbers: &[f64]) {
+    let start = out.len();
+    out.resize(start + numbers.len() * 8, 0);
+    for (bytes, number) in out[start..].as_chunks_mut::<8>().0.iter_mut().zip(numbers) {
+        *bytes = number.to_le_bytes();
+    }
+}
+
+/// The doubles of these bytes in place of what was in `out`; bytes that are no whole double are left out.
+pub(crate) fn take(bytes: &[u8], out: &mut Vec<f64>) {
+    out.clear();
+    out.extend(bytes.as_chunks::<8>().0.iter().map(|&bytes| f64::from_le_bytes(bytes)));
+}
+
+/// Whether all of them are numbers of a finite size.
+pub(crate) fn are_finite(bytes: &[u8]) -> bool {
+    let (numbers, rest) = bytes.as_chunks::<8>();
+    rest.is_empty() && numbers.iter().fold(true, |all, &bytes| all & f64::from_le_bytes(bytes).is_finite())
+}

@@ -1,0 +1,91 @@
+//! Exact observations of a state, and the small models of a tile's cells, as records of a history file, and back.
+//!
+//! Invariant: `decode(encode(x)) == x` to the last bit, or `encode` refuses.
+
+use tidemap_map::{
+    event::StateId,
+    history::{OutlierComponent, OutlierModel},
+};
+use tidemap_migrations::v2::history as v2;
+use tidemap_model::Sample;
+
+use super::{Invalid, cells::place, columns, offsets};
+
+/// Most observations in one record. Constant columns take no room, so the payload's length does not bound it.
+pub(crate) const SAMPLES_MAX: usize = 1 << 20;
+
+pub(crate) fn encode_samples(state: StateId, samples: &[Sample]) -> Result<v2::StateSamples, Invalid> {
+    let nanos: Vec<i64> = samples.iter().map(|sample| sample.utc_nanos).collect();
+    let values: Vec<f64> = samples.iter().map(|sample| sample.value).collect();
+    let times = columns::encode_times(&nanos)?;
+    let (value_encoding, values) = columns::encode_values(&values)?;
+    let (offset_counts, offset_secs) = offsets::encode(samples.iter().map(|sample| sample.offset_secs));
+    Ok(v2::StateSamples {
+        state: state.0,
+        count: u32::try_from(samples.len()).map_err(|_| "there are more observations than one record may hold")?,
+        first_time_nanos: times.first_nanos,
+        time_unit_nanos: times.unit_nanos,
+        times: times.differences,
+        value_encoding,
+        values,
+        offset_counts,
+        offset_secs,
+    })
+}
+
+pub(crate) fn decode_samples(message: &v2::StateSamples) -> Result<Vec<Sample>, Invalid> {
+    let count = message.count as usize;
+    if count > SAMPLES_MAX {
+        return Err("there are more observations than one record may hold");
+    }
+    let times = columns::Times {
+        first_nanos: message.first_time_nanos,
+        unit_nanos: message.time_unit_nanos,
+        differences: &message.times,
+    };
+    let nanos = columns::decode_times(&times, count)?;
+    let values = columns::decode_values(message.value_encoding, &message.values, count)?;
+    let offsets = offsets::decode(&message.offset_counts, &message.offset_secs, count)?;
+    let samples = nanos.into_iter().zip(values).zip(offsets);
+    Ok(samples.map(|((utc_nanos, value), offset_secs)| Sample { utc_nanos, offset_secs, value }).collect())
+}
+
+/// Small models of a tile's cells.
+pub(crate) fn encode_models(models: &[OutlierModel]) -> Result<Vec<u8>, Invalid> {
+    let mut out = Vec::new();
+    for model in models {
+        out.extend(model.cell.to_le_bytes());
+        out.extend(model.mean.to_le_bytes());
+        out.push(u8::try_from(model.components.len()).map_err(|_| "a small model has too many components")?);
+        for component in &model.components {
+            out.extend(component.periodicity.to_le_bytes());
+            out.extend(component.gamma_re.to_le_bytes());
+            out.extend(component.gamma_im.to_le_bytes());
+        }
+    }
+    Ok(out)
+}
+
+pub(crate) fn decode_models(mut bytes: &[u8]) -> Result<Vec<OutlierModel>, Invalid> {
+    fn take<const N: usize>(bytes: &mut &[u8]) -> Result<[u8; N], Invalid> {
+        let (taken, rest) = bytes.split_first_chunk::<N>().ok_or("the small models are cut off")?;
+        *bytes = rest;
+        Ok(*taken)
+    }
+    let mut models = Vec::new();
+    while !bytes.is_empty() {
+        let cell = place(u32::from(u16::from_le_bytes(take(&mut bytes)?)))?;
+        let mean = f32::from_le_bytes(take(&mut bytes)?);
+        let [count] = take::<1>(&mut bytes)?;
+        let mut components = Vec::with_capacity(usize::from(count).min(bytes.len() / 10));
+        for _ in 0..count {
+            components.push(OutlierComponent {
+                periodicity: u16::from_le_bytes(take(&mut bytes)?),
+                gamma_re: f32::from_le_bytes(take(&mut bytes)?),
+                gamma_im: f32::from_le_bytes(take(&mut bytes)?),
+            });
+        }
+        models.push(OutlierModel { cell, mean, components });
+    }
+    Ok(models)
+}

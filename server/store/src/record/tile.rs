@@ -1,0 +1,98 @@
+//! Tiles as the newest scans show them, as records, and back.
+//!
+//! Invariant: a tile that is written takes part in no run of like scans; what is read can be counted on without an
+//! overflow.
+
+use tidemap_map::grid::{
+    index::TileIndex,
+    live_tile::{Away, LiveTile},
+};
+use tidemap_migrations::v2::grid as v2;
+
+use super::{
+    Invalid,
+    cells::{CellsIn, CellsOut, decode_mask, decode_masks, encode_mask},
+    varint::{CUT, push_varint, take_varint, unzigzag, zigzag},
+};
+
+/// Counts beyond this are not believed, so that sums of two never overflow.
+const COUNT_MAX: u64 = 1 << 61;
+
+pub(crate) fn encode(tile: &LiveTile, has_model: bool) -> Result<v2::Tile, Invalid> {
+    let mut away = CellsOut::default();
+    for cell in &tile.away {
+        away.push(cell.cell)?;
+        push_varint(&mut away.bytes, zigzag(tile.newest_nanos.wrapping_sub(cell.last_nanos)));
+        push_varint(&mut away.bytes, cell.pairs);
+    }
+    let mut offsets = CellsOut::default();
+    for &(cell, offset) in &tile.offsets {
+        offsets.push(cell)?;
+        push_varint(&mut offsets.bytes, zigzag(offset));
+    }
+    let mut change_rates = CellsOut::default();
+    for &(cell, rate) in &tile.change_rates {
+        change_rates.push(cell)?;
+        change_rates.bytes.extend(rate.to_le_bytes());
+    }
+    Ok(v2::Tile {
+        x: tile.index.x,
+        y: tile.index.y,
+        z: tile.index.z,
+        arrival_observed: encode_mask(tile.arrival.observed()),
+        arrival_occupied: encode_mask(tile.arrival.occupied()),
+        known: encode_mask(tile.known),
+        occupied: encode_mask(tile.occupied),
+        current: encode_mask(tile.current),
+        newest_nanos: tile.newest_nanos,
+        scans: tile.scans,
+        away: away.bytes,
+        offsets: offsets.bytes,
+        change_rates: change_rates.bytes,
+        has_model,
+    })
+}
+
+pub(crate) fn decode(message: &v2::Tile) -> Result<LiveTile, Invalid> {
+    let index = TileIndex { x: message.x, y: message.y, z: message.z };
+    if !index.is_valid() {
+        return Err("a tile lies outside the limits");
+    }
+    if message.scans > COUNT_MAX {
+        return Err("a count is outside its range");
+    }
+    let mut tile = LiveTile::new(index);
+    tile.arrival = decode_masks(&message.arrival_observed, &message.arrival_occupied)?;
+    tile.known = decode_mask(&message.known)?;
+    tile.occupied = decode_mask(&message.occupied)?;
+    tile.current = decode_mask(&message.current)?;
+    tile.newest_nanos = message.newest_nanos;
+    tile.scans = message.scans;
+    let mut away = CellsIn::new(&message.away);
+    while let Some(cell) = away.take()? {
+        let before = unzigzag(take_varint(&mut away.bytes)?);
+        let pairs = count(take_varint(&mut away.bytes)?)?;
+        tile.away.push(Away { cell, last_nanos: message.newest_nanos.wrapping_sub(before), pairs });
+    }
+    let mut offsets = CellsIn::new(&message.offsets);
+    while let Some(cell) = offsets.take()? {
+        let offset = unzigzag(take_varint(&mut offsets.bytes)?);
+        count(offset.unsigned_abs())?;
+        tile.offsets.push((cell, offset));
+    }
+    let mut rates = CellsIn::new(&message.change_rates);
+    while let Some(cell) = rates.take()? {
+        let (rate, rest) = rates.bytes.split_first_chunk().ok_or(CUT)?;
+        rates.bytes = rest;
+        let rate = f64::from_le_bytes(*rate);
+        if !(0.0..=f64::MAX).contains(&rate) {
+            return Err("a rate of change is outside its range");
+        }
+        tile.change_rates.push((cell, rate));
+    }
+    Ok(tile)
+}
+
+fn count(count: u64) -> Result<u64, Invalid> {
+    if count > COUNT_MAX { Err("a count is outside its range") } else { Ok(count) }
+}

@@ -1,0 +1,192 @@
+//! What is learned of a tile: its models and its sums, as records, and back.
+//!
+//! Sums are by far the largest part, so they are copied in bulk. Invariant: every number comes back to the last bit; what
+//! is read has passed the constructors of the model again.
+
+use std::sync::Arc;
+
+use tidemap_map::grid::{
+    mask::Mask,
+    tile::{CellModel, Group, TileModel, TileSums},
+};
+use tidemap_migrations::v2::grid as v2;
+use tidemap_model::{
+    Component, InvalidParts, LocalDay, MAX_ORDER, OrderErrors, OrderErrorsParts, Periodicities, PhasorSum,
+    SpectralModel,
+};
+
+use super::{
+    Invalid,
+    cells::{decode_mask, encode_mask, place},
+    doubles,
+};
+
+/// Bytes of a component.
+const COMPONENT: usize = 20;
+
+pub(crate) fn encode(model: &TileModel) -> v2::TileModel {
+    let group = |group: &Group| v2::Group {
+        cells: encode_mask(group.cells),
+        observations: group.observations,
+        first_nanos: group.first_nanos,
+        last_nanos: group.last_nanos,
+    };
+    v2::TileModel {
+        groups: model.groups.iter().map(group).collect(),
+        always_occupied: encode_mask(model.always_occupied),
+        cells: model.cells.iter().map(encode_cell).collect(),
+    }
+}
+
+fn encode_cell(cell: &CellModel) -> v2::Cell {
+    let errors = cell.errors.to_parts();
+    let mut components = Vec::with_capacity(cell.spectral.components().len() * COMPONENT);
+    for component in cell.spectral.components() {
+        components.extend(component.periodicity.to_le_bytes());
+        components.extend(component.gamma_re.to_le_bytes());
+        components.extend(component.gamma_im.to_le_bytes());
+    }
+    let mut error_sums = Vec::new();
+    doubles::push(&mut error_sums, &errors.sums);
+    v2::Cell {
+        cell: u32::from(cell.cell),
+        occupied: cell.occupied,
+        mean_bits: cell.spectral.mean().to_bits(),
+        observations: cell.spectral.observations(),
+        components,
+        order: u32::from(cell.order),
+        error_sums,
+        errors_last_day: errors.last_day.map(|day| day.0),
+    }
+}
+
+pub(crate) fn decode(message: &v2::TileModel, periodicities: &Periodicities) -> Result<TileModel, String> {
+    let mut observed = Mask::EMPTY;
+    let mut groups = Vec::with_capacity(message.groups.len());
+    for group in &message.groups {
+        let cells = decode_mask(&group.cells)?;
+        if !(observed & cells).is_empty() {
+            return Err("a cell is in two observation groups".to_owned());
+        }
+        observed |= cells;
+        let v2::Group { observations, first_nanos, last_nanos, .. } = *group;
+        groups.push(Group { cells, observations, first_nanos, last_nanos });
+    }
+    let cells = message.cells.iter().map(|cell| decode_cell(cell, periodicities));
+    let cells = cells.collect::<Result<Vec<_>, _>>()?;
+    if !cells.is_sorted_by(|one, next| one.cell < next.cell) || cells.iter().any(|cell| !observed.contains(cell.cell)) {
+        return Err("the changed cells of a tile are out of order or were never observed".to_owned());
+    }
+    Ok(TileModel { groups, always_occupied: decode_mask(&message.always_occupied)?, cells })
+}
+
+fn decode_cell(message: &v2::Cell, periodicities: &Periodicities) -> Result<CellModel, String> {
+    let invalid = |error: InvalidParts| error.to_string();
+    let (components, rest) = message.components.as_chunks::<COMPONENT>();
+    let components: Vec<Component> = components.iter().map(decode_component).collect();
+    if !rest.is_empty() || components.iter().any(|part| part.periodicity as usize >= periodicities.len()) {
+        return Err("the components of a cell are not valid".to_owned());
+    }
+    let mut sums = Vec::with_capacity(MAX_ORDER + 1);
+    doubles::take(&message.error_sums, &mut sums);
+    let errors = OrderErrorsParts {
+        sums: sums.try_into().map_err(|_| "the sums of errors are not 16")?,
+        last_day: message.errors_last_day.map(LocalDay),
+    };
+    let order = u8::try_from(message.order).ok().filter(|&order| usize::from(order) <= MAX_ORDER);
+    Ok(CellModel {
+        cell: place(message.cell)?,
+        occupied: message.occupied,
+        spectral: SpectralModel::from_parts(f64::from_bits(message.mean_bits), message.observations, components)
+            .map_err(invalid)?,
+        order: order.ok_or("the order of a cell is too high")?,
+        errors: OrderErrors::from_parts(errors).map_err(invalid)?,
+    })
+}
+
+fn decode_component(bytes: &[u8; COMPONENT]) -> Component {
+    let eight = |from: usize| bytes[from..from + 8].try_into().map_or(f64::NAN, f64::from_le_bytes);
+    let periodicity = bytes[..4].try_into().map_or(u32::MAX, u32::from_le_bytes);
+    Component { periodicity, gamma_re: eight(4), gamma_im: eight(12) }
+}
+
+/// The sums of a tile as bytes: how many, which shared sums, and the sums of the changed cells.
+pub(crate) fn encode_sums(shared: &[u32], cells: &[PhasorSum], out: &mut Vec<u8>) {
+    out.clear();
+    // A tile has at most 512 of each.
+    out.extend((shared.len() as u32).to_le_bytes());
+    out.extend((cells.len() as u32).to_le_bytes());
+    out.extend(shared.iter().flat_map(|shared| shared.to_le_bytes()));
+    for cell in cells {
+        doubles::push(out, cell.as_slice());
+    }
+}
+
+/// The sums of a tile, still as bytes.
+pub(crate) struct EncodedSums<'bytes> {
+    /// Numbers of the shared sums of its groups.
+    pub(crate) shared: Vec<u32>,
+    /// Sums of its changed cells.
+    cells: &'bytes [u8],
+}
+
+impl EncodedSums<'_> {
+    /// Checks the lengths and every number.
+    pub(crate) fn new<'bytes>(
+        bytes: &'bytes [u8],
+        periodicities: &Periodicities,
+    ) -> Result<EncodedSums<'bytes>, Invalid> {
+        const LENGTH: Invalid = "the sums of a tile do not have their length";
+        let (counts, rest) = bytes.split_first_chunk::<8>().ok_or(LENGTH)?;
+        let number = |bytes: [u8; 4]| u32::from_le_bytes(bytes) as usize;
+        let (groups, changed) = (counts.as_chunks::<4>().0[0], counts.as_chunks::<4>().0[1]);
+        let shared_length = number(groups).checked_mul(4).filter(|&length| length <= rest.len()).ok_or(LENGTH)?;
+        let (shared, cells) = rest.split_at(shared_length);
+        if Some(cells.len()) != number(changed).checked_mul(16 * periodicities.len()) {
+            return Err(LENGTH);
+        }
+        if !doubles::are_finite(cells) {
+            return Err("a sum is not finite");
+        }
+        let shared = shared.as_chunks::<4>().0.iter().map(|&bytes| u32::from_le_bytes(bytes)).collect();
+        Ok(EncodedSums { shared, cells })
+    }
+
+    /// Number of changed cells.
+    pub(crate) fn cells(&self, periodicities: &Periodicities) -> usize {
+        self.cells.len() / (16 * periodicities.len()).max(1)
+    }
+
+    /// The sums, with the shared ones given.
+    pub(crate) fn decode(
+        &self,
+        groups: Vec<Arc<PhasorSum>>,
+        periodicities: &Periodicities,
+    ) -> Result<TileSums, InvalidParts> {
+        let mut numbers = Vec::with_capacity(2 * periodicities.len());
+        let cells = self.cells.chunks_exact(16 * periodicities.len().max(1)).map(|bytes| {
+            doubles::take(bytes, &mut numbers);
+            PhasorSum::from_slice(periodicities, &numbers)
+        });
+        Ok(TileSums { groups, cells: cells.collect::<Result<_, _>>()? })
+    }
+
+    /// The bytes again, with other numbers for the shared sums.
+    pub(crate) fn encode_again(&self, shared: &[u32], periodicities: &Periodicities, out: &mut Vec<u8>) {
+        out.clear();
+        out.extend((shared.len() as u32).to_le_bytes());
+        out.extend((self.cells(periodicities) as u32).to_le_bytes());
+        out.extend(shared.iter().flat_map(|shared| shared.to_le_bytes()));
+        out.extend_from_slice(self.cells);
+    }
+}
+
+/// A shared sum of these bytes.
+pub(crate) fn decode_shared(bytes: &[u8], periodicities: &Periodicities) -> Result<PhasorSum, String> {
+    if !bytes.len().is_multiple_of(8) {
+        return Err("a shared sum does not have its length".to_owned());
+    }
+    let mut numbers = Vec::new();
+    doubles::take(bytes, &mut numbers);
+    PhasorSum::from_slice(periodicities, &numbers).map_err(|error| error.to_string())
+}

@@ -1,0 +1,104 @@
+//! Saving a map: its history, a checkpoint, the index; then whatever these make dispensable is deleted.
+//!
+//! Invariant: at every moment the kept checkpoints, the log behind the oldest of them and the history files give the map
+//! with all that its retention asks for. The newest segment of a log is never deleted.
+
+use std::{
+    path::Path,
+    sync::{Arc, PoisonError},
+};
+
+use tidemap_map::{grid::tile::TileSource, snapshot::MapSnapshot};
+
+use super::{Entry, Inner, Store, catalogue};
+use crate::{
+    MapId,
+    error::StoreError,
+    log::{Log, segment_path, segment_position, writer::LogWriter},
+};
+
+impl Store {
+    /// Writes the history of what the snapshot's updates have folded in, then a checkpoint, and takes the snapshot over
+    /// into the index. Durable when this returns. Appends go on meanwhile. What is not needed any more is deleted: old
+    /// checkpoints, history beyond the map's retention, and the log's segments that every kept checkpoint covers.
+    ///
+    /// Gives, for a map with a grid, where its tiles can be read from instead of being kept in memory.
+    ///
+    /// # Errors
+    /// [`StoreError`]; what was saved before is still there. A failing index is no error: it is reported to the log
+    /// and rebuilt at the next start. Neither is a file that cannot be deleted, which is tried again at the next save.
+    pub fn save(&self, map: MapId, snapshot: &MapSnapshot) -> Result<Option<Arc<dyn TileSource>>, StoreError> {
+        let inner = &*self.inner;
+        let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
+        let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
+        if !inner.maps().entries.contains_key(&map) {
+            return Err(StoreError::UnknownMap(map));
+        }
+        inner.history(map).save(&entry.spec, &snapshot.history)?;
+        let tiles = inner.checkpoints(map).save(&entry.spec, snapshot, inner.options.checkpoints_kept)?;
+        if let Some(log) = &entry.log {
+            log.cover(snapshot.position);
+        }
+        if entry.spec.grid.is_none() {
+            inner.index().save(map.0, snapshot);
+        }
+        inner.forget(map, &entry, snapshot);
+        Ok(tiles.map(|tiles| tiles as Arc<dyn TileSource>))
+    }
+}
+
+impl Inner {
+    /// Deletes what is not needed any more.
+    fn forget(&self, map: MapId, entry: &Entry, snapshot: &MapSnapshot) {
+        if let Err(error) = self.history(map).forget(&entry.spec, snapshot.newest_nanos) {
+            tracing::warn!(map = map.0, %error, "old history is not deleted; tried again at the next save");
+        }
+        // A map of format 1 has its history in its log.
+        if entry.history_complete
+            && let Some(log) = &entry.log
+            && let Err(error) = self.delete_segments(map, log)
+        {
+            tracing::warn!(map = map.0, %error, "old segments are not deleted; tried again at the next save");
+        }
+    }
+
+    /// Deletes the segments that hold nothing that a kept checkpoint needs. As long as there are fewer checkpoints than are
+    /// kept, the log stays whole.
+    fn delete_segments(&self, map: MapId, log: &Log) -> std::io::Result<()> {
+        let Some(replay_from) = self.checkpoints(map).replay_from(self.options.checkpoints_kept.max(1))? else {
+            return Ok(());
+        };
+        let folder = catalogue::log_folder(&self.directory, map);
+        // A newer segment than this one may have a name already and be lost in a power cut all the same.
+        let newest = log.writer.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map_or(0, LogWriter::segment);
+        let deletable = self.deletable(&folder, replay_from.min(newest))?;
+        // The oldest first, so that what is left never has a gap.
+        for &first in &deletable {
+            self.disk.remove(&segment_path(&folder, first))?;
+        }
+        if deletable.is_empty() { Ok(()) } else { self.disk.sync_folder(&folder) }
+    }
+
+    /// Segments that end before a position.
+    fn deletable(&self, folder: &Path, before: u64) -> std::io::Result<Vec<u64>> {
+        let segments: Vec<u64> = self.disk.list(folder)?.iter().filter_map(|name| segment_position(name)).collect();
+        let ends = segments.iter().skip(1);
+        Ok(segments.iter().zip(ends).filter(|&(_, &next)| next <= before).map(|(&first, _)| first).collect())
+    }
+}
+
+/// What tests look at.
+#[cfg(test)]
+mod tests_only {
+    use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
+
+    use crate::{MapId, Store};
+
+    impl Store {
+        /// The newest good checkpoint, and how many damaged ones are newer.
+        pub(crate) fn newest_checkpoint(&self, map: MapId, spec: &MapSpec, tile_bytes: u64) -> (Option<MapSnapshot>, usize) {
+            let (found, damaged) = self.inner.checkpoints(map).load(spec, tile_bytes).expect("listed");
+            (found, damaged.len())
+        }
+    }
+}

@@ -1,0 +1,334 @@
+//! Maps with a grid: their checkpoints, what is shared in them, and tiles that are not in memory.
+
+use std::{collections::HashSet, fs, path::Path, sync::Arc};
+
+use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_map::{
+    grid::{
+        index::TileId,
+        mask::Mask,
+        snapshot::GridSnapshot,
+        tile::{CellModel, ColdTile, Group, ModelSlot, SumsSlot, TileModel, TileSource, TileSums, TileUnavailable},
+    },
+    snapshot::MapSnapshot,
+    spec::MapSpec,
+};
+use tidemap_model::{OrderErrors, Periodicities, PhasorSum, SpectralModel};
+
+use super::{
+    example::{self, append, event},
+    grid_example::{DAY_NANOS, snapshot, spec, sum},
+};
+use crate::{MapId, OpenedMap, Report, Source, Store, StoreError, StoreOptions};
+
+const MAP: MapId = MapId(1);
+
+fn options(tile_cache_bytes: u64, checkpoints_kept: usize) -> StoreOptions {
+    StoreOptions { tile_cache_bytes, checkpoints_kept, ..example::options() }
+}
+
+/// A directory with the map, its log up to `end`, and these snapshots.
+fn fill(directory: &Path, spec: &MapSpec, snapshots: &[MapSnapshot]) {
+    let store = Store::open(directory, example::options()).expect("opens");
+    assert_eq!(store.create_map(spec).expect("creates"), MAP);
+    let opened = store.open_map(MAP, spec).expect("opens");
+    assert_eq!(opened.source, Source::Empty);
+    for position in 1..=20 {
+        append(&opened.log, &event(position)).expect("appends");
+    }
+    for snapshot in snapshots {
+        assert!(store.save(MAP, snapshot).expect("saves").is_some());
+    }
+}
+
+fn reopen(directory: &Path, spec: &MapSpec, options: StoreOptions) -> (Store, OpenedMap) {
+    let store = Store::open(directory, options).expect("opens");
+    assert_eq!(store.maps(), [(MAP, spec.clone())]);
+    let opened = store.open_map(MAP, spec).expect("opens");
+    (store, opened)
+}
+
+fn grid_of(snapshot: &MapSnapshot) -> &GridSnapshot {
+    snapshot.grid.as_ref().expect("has a grid")
+}
+
+/// How many tiles are in memory, and how many different sums their groups have.
+fn resident(grid: &GridSnapshot) -> (usize, usize) {
+    let sums: Vec<&Arc<TileSums>> =
+        grid.sums.iter().filter_map(|slot| if let SumsSlot::Resident(sums) = slot { Some(sums) } else { None }).collect();
+    let shared: HashSet<_> = sums.iter().flat_map(|sums| &sums.groups).map(Arc::as_ptr).collect();
+    let models = grid.models.iter().filter(|slot| matches!(slot, ModelSlot::Resident(_))).count();
+    assert_eq!(models, sums.len());
+    (models, shared.len())
+}
+
+#[test]
+fn a_grid_comes_back_with_what_its_tiles_share() {
+    for seed in 5..=20 {
+        let directory = tempfile::tempdir().expect("temporary directory");
+        let spec = spec("office");
+        let saved = snapshot(&spec, seed, 1 + seed as u32 % 7);
+        fill(directory.path(), &spec, std::slice::from_ref(&saved));
+        let (_store, opened) = reopen(directory.path(), &spec, options(1 << 30, 2));
+        assert_eq!((opened.source, opened.reports), (Source::Checkpoint, vec![]));
+        let found = opened.snapshot.expect("saved");
+        assert_eq!(found, saved);
+        assert_eq!(resident(grid_of(&found)), resident(grid_of(&saved)), "seed {seed}");
+    }
+}
+
+#[test]
+fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let periodicities = Periodicities::harmonics(DAY_NANOS, 2048).expect("valid");
+    let spec = MapSpec { periodicities, ..spec("office") };
+    let mut random = SmallRng::seed_from_u64(1);
+    let mut saved = snapshot(&spec, 10, 1);
+    let cell = |cell| CellModel {
+        cell,
+        occupied: 1,
+        spectral: SpectralModel::default(),
+        order: 0,
+        errors: OrderErrors::default(),
+    };
+    let group = Group { cells: Mask::FULL, observations: 2, first_nanos: 0, last_nanos: 1 };
+    let model =
+        TileModel { groups: vec![group], always_occupied: Mask::EMPTY, cells: (0..70).map(cell).collect() };
+    let sums = TileSums {
+        groups: vec![Arc::new(sum(&spec, &mut random))],
+        cells: (0..70).map(|_| sum(&spec, &mut random)).collect(),
+    };
+    let grid = saved.grid.as_mut().expect("has a grid");
+    grid.models = vec![ModelSlot::Resident(Arc::new(model))];
+    grid.sums = vec![SumsSlot::Resident(Arc::new(sums))];
+    fill(directory.path(), &spec, std::slice::from_ref(&saved));
+    for bytes in [0, 1 << 30] {
+        let (_store, opened) = reopen(directory.path(), &spec, options(bytes, 2));
+        assert_eq!(opened.snapshot.as_ref(), Some(&saved));
+    }
+}
+
+#[test]
+fn the_index_is_not_used_for_a_grid() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let spec = spec("office");
+    let saved = [snapshot(&spec, 10, 3), snapshot(&spec, 15, 4)];
+    fill(directory.path(), &spec, &saved);
+    fs::remove_dir_all(directory.path().join("index")).expect("removable");
+    let (_store, opened) = reopen(directory.path(), &spec, options(1 << 30, 2));
+    assert_eq!((opened.source, opened.snapshot.as_ref()), (Source::Checkpoint, saved.last()));
+    assert_eq!(opened.reports, []);
+}
+
+#[test]
+fn tiles_beyond_the_memory_allowed_are_read_where_they_are() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let spec = spec("office");
+    let saved = snapshot(&spec, 15, 12);
+    let (all, _) = resident(grid_of(&saved));
+    fill(directory.path(), &spec, std::slice::from_ref(&saved));
+    let mut before = all + 1;
+    for bytes in [1 << 30, 40_000, 10_000, 1, 0] {
+        let (_store, opened) = reopen(directory.path(), &spec, options(bytes, 2));
+        let found = opened.snapshot.expect("saved");
+        let (tiles, _) = resident(grid_of(&found));
+        assert!(tiles <= before, "{bytes} bytes");
+        before = tiles;
+        assert_eq!(found, saved, "{bytes} bytes");
+    }
+    assert_eq!(before, 0);
+}
+
+#[test]
+fn sums_read_at_the_same_time_are_shared() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let spec = spec("office");
+    let saved = snapshot(&spec, 15, 12);
+    fill(directory.path(), &spec, std::slice::from_ref(&saved));
+    let (store, opened) = reopen(directory.path(), &spec, options(0, 2));
+    let mut found = opened.snapshot.expect("saved");
+    let grid = found.grid.as_mut().expect("has a grid");
+    for slot in &mut grid.sums {
+        *slot = SumsSlot::Resident(slot.get().expect("readable"));
+    }
+    for slot in &mut grid.models {
+        *slot = ModelSlot::Resident(slot.get().expect("readable"));
+    }
+    assert_eq!(resident(grid), resident(grid_of(&saved)));
+    // What a save gives shares with what is in memory, too.
+    let source = store.save(MAP, &found).expect("saves").expect("a source");
+    let grid = grid_of(&found);
+    for (id, slot) in (0..).zip(&grid.sums) {
+        let (cold, sums) = (source.sums(TileId(id)).expect("readable"), slot.get().expect("in memory"));
+        assert_eq!(cold, sums);
+        assert!(cold.groups.iter().zip(&sums.groups).all(|(one, other)| Arc::ptr_eq(one, other)));
+        assert_eq!(source.model(TileId(id)), grid.models[id as usize].get());
+    }
+    assert_eq!(source.model(TileId(999)), Ok(Arc::default()));
+    assert_eq!(source.sums(TileId(999)), Ok(Arc::default()));
+}
+
+#[test]
+fn a_checkpoint_is_read_after_it_was_superseded() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let spec = spec("office");
+    let saved = snapshot(&spec, 10, 9);
+    fill(directory.path(), &spec, std::slice::from_ref(&saved));
+    let (store, opened) = reopen(directory.path(), &spec, options(0, 1));
+    let mut cold = opened.snapshot.expect("saved");
+    // Copied from checkpoint to checkpoint, with a part of it changed in memory.
+    for position in 11..15 {
+        cold.position = position;
+        let grid = cold.grid.as_mut().expect("has a grid");
+        let changed = position as usize % 3;
+        grid.models[changed] = ModelSlot::Resident(grid.models[changed].get().expect("readable"));
+        grid.sums[changed] = SumsSlot::Resident(grid.sums[changed].get().expect("readable"));
+        let source = store.save(MAP, &cold).expect("saves").expect("a source");
+        for (id, (model, sums)) in (0..).zip(grid_of(&saved).models.iter().zip(&grid_of(&saved).sums)) {
+            assert_eq!((source.model(TileId(id)), source.sums(TileId(id))), (model.get(), sums.get()));
+        }
+    }
+    let names: Vec<_> = fs::read_dir(directory.path().join("maps/00000001/checkpoints"))
+        .expect("readable")
+        .map(|entry| entry.expect("entry").file_name())
+        .collect();
+    assert_eq!(names, ["00000000000000000014.tmc"], "what it was loaded from is gone");
+    assert_eq!(cold.grid, saved.grid);
+    drop((opened.log, opened.replay, store));
+    let (_store, opened) = reopen(directory.path(), &spec, options(1 << 30, 1));
+    let found = opened.snapshot.expect("saved");
+    assert_eq!(found.grid, saved.grid);
+    let distinct = |grid: &GridSnapshot| {
+        let sums: HashSet<Vec<u64>> = grid
+            .sums
+            .iter()
+            .flat_map(|slot| slot.get().expect("readable").groups.clone())
+            .map(|sum| sum.as_slice().iter().map(|part| part.to_bits()).collect())
+            .collect();
+        sums.len()
+    };
+    assert_eq!(resident(grid_of(&found)).1, distinct(grid_of(&saved)), "copies are still shared");
+}
+
+/// A source that is none of the store's.
+#[derive(Debug)]
+struct Foreign(Arc<TileModel>, Arc<TileSums>, bool);
+
+impl TileSource for Foreign {
+    fn model(&self, _: TileId) -> Result<Arc<TileModel>, TileUnavailable> {
+        Ok(Arc::clone(&self.0))
+    }
+
+    fn sums(&self, tile: TileId) -> Result<Arc<TileSums>, TileUnavailable> {
+        if self.2 { Err(TileUnavailable { tile, reason: "gone".to_owned() }) } else { Ok(Arc::clone(&self.1)) }
+    }
+
+    fn as_any(&self) -> &dyn std::any::Any {
+        self
+    }
+}
+
+#[test]
+fn tiles_of_another_source_are_saved_or_the_save_fails() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let spec = spec("office");
+    let saved = snapshot(&spec, 10, 4);
+    fill(directory.path(), &spec, std::slice::from_ref(&saved));
+    let (store, _opened) = reopen(directory.path(), &spec, options(0, 2));
+    for is_gone in [true, false] {
+        let mut foreign = saved.clone();
+        foreign.position = 11;
+        let grid = foreign.grid.as_mut().expect("has a grid");
+        let (model, sums) = (grid.models[0].get().expect("there"), grid.sums[0].get().expect("there"));
+        let source: Arc<dyn TileSource> = Arc::new(Foreign(model, sums, is_gone));
+        grid.models[0] = ModelSlot::Cold(ColdTile { source: Arc::clone(&source), tile: TileId(0) });
+        grid.sums[0] = SumsSlot::Cold(ColdTile { source, tile: TileId(0) });
+        match store.save(MAP, &foreign) {
+            Err(StoreError::InvalidSnapshot { reason, .. }) if is_gone => assert!(reason.contains("gone"), "{reason}"),
+            Ok(Some(source)) if !is_gone => assert_eq!(source.sums(TileId(0)), grid_of(&saved).sums[0].get()),
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[test]
+fn a_snapshot_that_could_not_be_read_back_is_refused() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let spec = spec("office");
+    fill(directory.path(), &spec, &[]);
+    let (store, _opened) = reopen(directory.path(), &spec, options(0, 2));
+    let good = snapshot(&spec, 10, 4);
+    let other_periodicities = MapSpec { periodicities: Periodicities::harmonics(DAY_NANOS, 5).expect("valid"), ..spec };
+    let mut random = SmallRng::seed_from_u64(1);
+    let foreign: PhasorSum = sum(&other_periodicities, &mut random);
+    type Change = fn(&mut GridSnapshot, PhasorSum);
+    let wrong: [(&str, Change); 5] = [
+        ("sums are missing", |grid, _| drop(grid.sums.pop())),
+        ("more models than tiles", |grid, _| grid.tiles.truncate(1)),
+        ("a sum of another length", |grid, sum| {
+            let groups = vec![Arc::new(sum)];
+            grid.sums[0] = SumsSlot::Resident(Arc::new(TileSums { groups, cells: Vec::new() }));
+        }),
+        ("a model without sums", |grid, _| grid.sums[0] = SumsSlot::default()),
+        ("a day out of order", |grid, _| {
+            grid.days = vec![tidemap_map::grid::day::GridDay::new(tidemap_model::LocalDay(5)); 2];
+        }),
+    ];
+    for (what, change) in wrong {
+        let mut bad = good.clone();
+        change(bad.grid.as_mut().expect("has a grid"), foreign.clone());
+        let error = store.save(MAP, &bad).expect_err(what);
+        assert!(matches!(error, StoreError::InvalidSnapshot { .. } | StoreError::NotReadBack { .. }), "{what}: {error}");
+    }
+    let without = MapSnapshot { grid: None, ..good };
+    assert!(matches!(store.save(MAP, &without), Err(StoreError::InvalidSnapshot { .. })));
+    assert_eq!(fs::read_dir(directory.path().join("maps/00000001/checkpoints")).expect("there").count(), 0);
+}
+
+#[test]
+fn every_damaged_byte_of_a_checkpoint_is_noticed() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let spec = spec("office");
+    // With at least a day and a scan ahead of its time, so that there is a record of every kind.
+    let with_all = |snapshot: &MapSnapshot| !grid_of(snapshot).days.is_empty() && !grid_of(snapshot).ahead.is_empty();
+    let position = (5..).find(|&position| with_all(&snapshot(&spec, position, 3))).expect("there is one");
+    let saved = [snapshot(&spec, 4, 2), snapshot(&spec, position, 3)];
+    fill(directory.path(), &spec, &saved);
+    let file = directory.path().join(format!("maps/00000001/checkpoints/{position:020}.tmc"));
+    let good = fs::read(&file).expect("readable");
+    let mut random = SmallRng::seed_from_u64(3);
+    let (store, _opened) = reopen(directory.path(), &spec, options(0, 2));
+    for byte in (0..good.len()).step_by(7).chain(0..28) {
+        let mut bad = good.clone();
+        bad[byte] ^= 1 << random.random_range(0..8);
+        fs::write(&file, &bad).expect("writable");
+        let (found, damaged) = store.newest_checkpoint(MAP, &spec, if byte % 2 == 0 { 0 } else { 1 << 30 });
+        assert_eq!((found.as_ref(), damaged), (Some(&saved[0]), 1), "byte {byte}");
+    }
+    drop(_opened);
+    drop(store);
+    let (_store, opened) = reopen(directory.path(), &spec, options(0, 2));
+    assert_eq!(opened.snapshot.as_ref(), Some(&saved[0]));
+    assert!(matches!(opened.reports[..], [Report::CheckpointSetAside { .. }]), "{:?}", opened.reports);
+}
+
+#[test]
+fn a_cold_tile_that_is_damaged_later_is_an_error_that_names_the_file() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let spec = spec("office");
+    let saved = snapshot(&spec, 10, 6);
+    fill(directory.path(), &spec, std::slice::from_ref(&saved));
+    let (store, opened) = reopen(directory.path(), &spec, options(0, 2));
+    let found = opened.snapshot.expect("saved");
+    let file = directory.path().join("maps/00000001/checkpoints/00000000000000000010.tmc");
+    let good = fs::read(&file).expect("readable");
+    // In place, so that the open file is the damaged one.
+    fs::write(&file, vec![0x5A; good.len()]).expect("writable");
+    let error = grid_of(&found).models[0].get().expect_err("damaged");
+    assert!(error.reason.contains("00000000000000000010.tmc"), "{error}");
+    assert!(grid_of(&found).sums[0].get().is_err());
+    let newer = MapSnapshot { position: 12, ..found };
+    assert!(matches!(store.save(MAP, &newer), Err(StoreError::InvalidSnapshot { .. })));
+    fs::write(&file, good).expect("writable");
+    assert_eq!(newer.grid, saved.grid);
+}
