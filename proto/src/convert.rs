@@ -4,10 +4,12 @@
 
 use std::fmt::Display;
 
+pub mod cells;
 pub mod columns;
 pub mod grid;
 pub mod map;
 pub mod query;
+pub mod scans;
 pub mod time;
 
 /// A field of a request that cannot be what it is.

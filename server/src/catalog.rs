@@ -6,7 +6,10 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use arc_swap::ArcSwap;
-use tidemap_map::{live_map::LiveMap, name::MapName, spec::MapSpec};
+use tidemap_map::{
+    grid::tile::TileUnavailable, history::HistoryPiece, live_map::LiveMap, name::MapName, snapshot::MapSnapshot,
+    spec::MapSpec,
+};
 use tidemap_store::{MapId, OpenError, StoreError};
 use tracing::{info, warn};
 
@@ -15,6 +18,9 @@ use crate::ingest::{
     protocol::Ending,
     writer::{Context, start},
 };
+
+/// History of updates that are run again at the start is saved when it takes this much memory.
+const HISTORY_BYTES: usize = 64 << 20;
 
 /// Why a map is not created or deleted.
 #[derive(Debug, thiserror::Error)]
@@ -57,6 +63,14 @@ pub enum CatalogError {
         first: MapId,
         /// The other.
         second: MapId,
+    },
+    /// An update that the log repeats cannot read what it learns from.
+    #[error("map {map}: {source}. Restore the folder of this map from a backup")]
+    Tile {
+        /// The map.
+        map: MapName,
+        /// What cannot be read.
+        source: TileUnavailable,
     },
     /// No thread for the map.
     #[error("no thread for the map: {0}")]
@@ -243,6 +257,7 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
         None => (LiveMap::new(Arc::clone(&spec)), 0),
     };
     let mut replayed = 0u64;
+    let mut unsaved: Option<MapSnapshot> = None;
     for entry in opened.replay {
         let (position, event) = entry?;
         replayed += 1;
@@ -256,13 +271,28 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
         if let Some(work) = work {
             let done = std::sync::atomic::AtomicU64::new(0);
             let result = context.update_pool.install(|| work.run(&done));
-            // What it learned is saved with the next update; until then the log gives it back.
-            drop(map.finish_update(result));
+            let result = result.map_err(|source| CatalogError::Tile { map: spec.name.clone(), source })?;
+            let mut snapshot = map.finish_update(result);
+            // Of the snapshots before only their history is not in this one.
+            let mut history = unsaved.take().map_or(Vec::new(), |older| older.history);
+            history.append(&mut snapshot.history);
+            snapshot.history = history;
+            if snapshot.history.iter().map(|piece| bytes_of(piece)).sum::<usize>() > HISTORY_BYTES {
+                context.store.save(id, &snapshot)?;
+            } else {
+                unsaved = Some(snapshot);
+            }
         }
     }
     info!(
         map = %spec.name, source = ?opened.source, replayed, states = map.states(), pending = map.pending(),
         "map opened"
     );
-    Ok(start(context.clone(), id, map, opened.log)?)
+    Ok(start(context.clone(), id, map, opened.log, unsaved)?)
+}
+
+/// Memory of a piece of history, about.
+fn bytes_of(piece: &HistoryPiece) -> usize {
+    let states: usize = piece.states.iter().map(|(_, samples)| size_of_val(samples.as_slice())).sum();
+    states + piece.days.iter().map(|day| day.outliers.bytes()).sum::<usize>()
 }

@@ -82,10 +82,18 @@ pub struct Settings {
     pub max_maps: usize,
     /// Most states of a map. A state takes up to 16 bytes per candidate periodicity twice over: 5.4 KB by default.
     pub max_states_per_map: usize,
+    /// Most tiles of the occupancy grid of a map: 8x8x8 cells each, 8x8 in a flat grid.
+    pub max_tiles_per_map: usize,
     /// Most producer keys (producer and label) of a map.
     pub max_producers_per_map: usize,
     /// Most observations of one message.
     pub max_batch_observations: usize,
+    /// Most scans of one message.
+    pub max_batch_scans: usize,
+    /// Most points or rays of one scan. Those of a scan that spans messages wait in memory, 12 bytes each.
+    pub max_scan_points: usize,
+    /// Most tiles of one scan, and of one stream's table of tiles. A tile of the table takes about 350 bytes.
+    pub max_scan_tiles: usize,
     /// Most bytes of one message.
     pub max_message_bytes: usize,
     /// Most bytes of one stream that are taken in and not yet durable.
@@ -107,6 +115,8 @@ pub struct Settings {
     pub index_cache_bytes: u64,
     /// Checkpoints kept of each map.
     pub checkpoints_kept: usize,
+    /// Memory for what is learned of the tiles of a map, in bytes. Tiles beyond it are read from the newest checkpoint.
+    pub tile_cache_bytes: u64,
 }
 
 impl Default for Settings {
@@ -120,8 +130,12 @@ impl Default for Settings {
             log_level: "info".to_owned(),
             max_maps: 256,
             max_states_per_map: 100_000,
+            max_tiles_per_map: 200_000,
             max_producers_per_map: 10_000,
             max_batch_observations: 4096,
+            max_batch_scans: 1024,
+            max_scan_points: 1_000_000,
+            max_scan_tiles: 65_536,
             max_message_bytes: 1 << 20,
             max_stream_buffer_bytes: 1 << 20,
             max_buffer_bytes: 64 << 20,
@@ -132,6 +146,7 @@ impl Default for Settings {
             segment_bytes: 64 << 20,
             index_cache_bytes: 64 << 20,
             checkpoints_kept: 2,
+            tile_cache_bytes: 1 << 30,
         }
     }
 }
@@ -168,8 +183,12 @@ impl Settings {
         for (key, value, least, most) in [
             ("max_maps", self.max_maps as u64, 1, 10_000),
             ("max_states_per_map", self.max_states_per_map as u64, 1, 16_000_000),
+            ("max_tiles_per_map", self.max_tiles_per_map as u64, 1, 8_000_000),
             ("max_producers_per_map", self.max_producers_per_map as u64, 1, 1_000_000),
             ("max_batch_observations", self.max_batch_observations as u64, 1, 65_536),
+            ("max_batch_scans", self.max_batch_scans as u64, 1, 65_536),
+            ("max_scan_points", self.max_scan_points as u64, 1, 100_000_000),
+            ("max_scan_tiles", self.max_scan_tiles as u64, 1, 1 << 18),
             ("max_message_bytes", self.max_message_bytes as u64, 4096, 16 << 20),
             ("max_stream_buffer_bytes", self.max_stream_buffer_bytes as u64, 4096, 1 << 30),
             ("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30),
@@ -180,6 +199,7 @@ impl Settings {
             ("segment_bytes", self.segment_bytes, 1 << 16, 1 << 32),
             ("index_cache_bytes", self.index_cache_bytes, 1 << 20, 1 << 36),
             ("checkpoints_kept", self.checkpoints_kept as u64, 1, 100),
+            ("tile_cache_bytes", self.tile_cache_bytes, 1 << 20, 1 << 44),
         ] {
             if !(least..=most).contains(&value) {
                 bail!("setting {key} is {value}: it must be between {least} and {most}");

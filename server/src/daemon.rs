@@ -84,6 +84,7 @@ fn open_store(settings: &Settings) -> Result<Store, DaemonError> {
         segment_bytes: settings.segment_bytes,
         index_cache_bytes: settings.index_cache_bytes,
         checkpoints_kept: settings.checkpoints_kept,
+        tile_cache_bytes: settings.tile_cache_bytes,
         new_store_id: random_id()?,
     };
     Store::open(&settings.data_dir, options).map_err(|error| match error {
@@ -127,6 +128,8 @@ pub async fn run(settings: Settings) -> Result<(), DaemonError> {
         max_states: settings.max_states_per_map,
         max_producers: settings.max_producers_per_map,
         max_pending: settings.max_pending_observations,
+        max_tiles: settings.max_tiles_per_map,
+        tile_cache_bytes: settings.tile_cache_bytes,
     };
     let store = Arc::clone(&context.store);
     let max_maps = settings.max_maps;

@@ -12,7 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_map::{event::UpdateCause, name::MapName, update::StateOutcome};
+use tidemap_map::{event::UpdateCause, grid::update::GridOutcome, name::MapName, update::StateOutcome};
 use tokio::sync::watch;
 
 const JOBS_KEPT: usize = 1000;
@@ -43,9 +43,9 @@ impl Phase {
 pub struct Status {
     /// How far it is.
     pub phase: Phase,
-    /// States with observations to fold in.
+    /// States and tiles with observations to fold in.
     pub states_total: u64,
-    /// Observations to fold in.
+    /// Observations and scans to fold in.
     pub observations: u64,
     /// What it publishes: generation and cut.
     pub published: Option<(u64, i64)>,
@@ -62,11 +62,20 @@ pub struct Job {
     pub cause: UpdateCause,
     /// When it was asked for, nanoseconds UTC.
     pub created_nanos: i64,
-    /// States done so far.
+    /// States and tiles done so far.
     pub states_done: AtomicU64,
     status: watch::Sender<Status>,
     // A lock, because the report is dropped when the map's next update ends; held only to copy a pointer.
-    report: Mutex<Option<Arc<Vec<StateOutcome>>>>,
+    report: Mutex<Option<Arc<Report>>>,
+}
+
+/// What an update did.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// To the cells of the grid, all together.
+    pub cells: Option<GridOutcome>,
+    /// To each state that had observations.
+    pub states: Vec<StateOutcome>,
 }
 
 impl Job {
@@ -114,9 +123,9 @@ impl Job {
         });
     }
 
-    /// What the update did to each state; `None` where a later update has ended since.
+    /// What the update did; `None` where a later update has ended since.
     #[must_use]
-    pub fn report(&self) -> Option<Arc<Vec<StateOutcome>>> {
+    pub fn report(&self) -> Option<Arc<Report>> {
         self.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
@@ -155,7 +164,7 @@ impl Jobs {
     }
 
     /// Keeps the report of a job and drops that of the map's update before.
-    pub fn set_report(&self, job: &Job, report: Vec<StateOutcome>) {
+    pub fn set_report(&self, job: &Job, report: Report) {
         for other in self.list().iter().filter(|other| other.map == job.map && other.id != job.id) {
             *other.report.lock().unwrap_or_else(PoisonError::into_inner) = None;
         }

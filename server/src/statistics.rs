@@ -4,6 +4,8 @@
 
 use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
+pub mod tiles;
+
 /// Name, value, unit.
 pub type Row = (&'static str, f64, &'static str);
 
@@ -22,6 +24,7 @@ pub fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Row> {
         ("checkpoint_bytes", sizes.checkpoint_bytes as f64, "bytes"),
     ];
     rows.extend(of_storage(catalog));
+    rows.extend(tiles::rows(catalog, handle, &sizes));
     rows
 }
 

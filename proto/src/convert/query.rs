@@ -5,7 +5,7 @@ use tidemap_map::{
     predict::{ModelKind, ModelSelector},
     view::MapView,
 };
-use tidemap_model::MAX_ORDER;
+use tidemap_model::{Component, MAX_ORDER, SpectralModel};
 
 use super::{InvalidField, map::kind_to_wire, time::timestamp};
 use crate::v1;
@@ -65,15 +65,6 @@ pub fn description_to_wire(view: &MapView, id: StateId) -> Option<v1::DescribeMo
     let live = view.live(id);
     let model = view.model(id);
     let spectral = model.spectral();
-    let components = spectral
-        .components()
-        .iter()
-        .map(|component| v1::SpectralComponent {
-            period_secs: view.spec().periodicities.period_secs(component.periodicity as usize),
-            amplitude: component.amplitude(),
-            phase_rad: component.phase_rad(),
-        })
-        .collect();
     Some(v1::DescribeModelResponse {
         state: info.name.as_str().to_owned(),
         kind: kind_to_wire(info.kind).into(),
@@ -81,11 +72,21 @@ pub fn description_to_wire(view: &MapView, id: StateId) -> Option<v1::DescribeMo
         folded_observations: model.accumulator().observations(),
         observations: live.observations,
         order: u32::try_from(model.order()).unwrap_or(u32::MAX),
-        components,
+        components: components_to_wire(view, spectral),
         order_errors: model.errors().sums().to_vec(),
         persistence_tau_secs: live.persistence.tau_secs(),
         last_value: live.persistence.last().map(|(_, value)| value),
         last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
         first_time: model.accumulator().first_nanos().map(timestamp),
     })
+}
+
+/// The components of a model, strongest first.
+pub(super) fn components_to_wire(view: &MapView, spectral: &SpectralModel) -> Vec<v1::SpectralComponent> {
+    let component = |component: &Component| v1::SpectralComponent {
+        period_secs: view.spec().periodicities.period_secs(component.periodicity as usize),
+        amplitude: component.amplitude(),
+        phase_rad: component.phase_rad(),
+    };
+    spectral.components().iter().map(component).collect()
 }

@@ -2,6 +2,7 @@
 
 use std::{path::Path, time::Duration};
 
+use tidemap_map::grid::spec::Retention;
 use tidemap_model::{OrderCriterion, Periodicities, Zone};
 use tidemap_store::{Store, StoreOptions};
 
@@ -23,6 +24,8 @@ fn catalog(store: Store) -> Result<Catalog, CatalogError> {
         max_states: 10,
         max_producers: 10,
         max_pending: 1000,
+        max_tiles: 20,
+        tile_cache_bytes: 1 << 30,
     };
     Catalog::open(context, 10)
 }
@@ -34,6 +37,8 @@ fn spec() -> MapSpec {
         periodicities: Periodicities::default(),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        retention: Retention::Forever,
+        grid: None,
     }
 }
 

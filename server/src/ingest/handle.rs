@@ -2,7 +2,11 @@
 //!
 //! Invariant: reading never waits, and nothing here changes a map except by a command to its writer.
 
-use std::sync::{Arc, mpsc};
+use std::sync::{
+    Arc, Mutex, PoisonError,
+    atomic::{AtomicU64, Ordering},
+    mpsc,
+};
 
 use arc_swap::ArcSwap;
 use tidemap_map::{spec::MapSpec, view::MapView};
@@ -10,6 +14,7 @@ use tidemap_store::MapId;
 use tokio::sync::{oneshot, watch};
 
 use super::protocol::{Command, Ending};
+use crate::statistics::tiles::TileTotals;
 
 /// A map, as everybody but its writer sees it.
 #[derive(Debug)]
@@ -21,10 +26,13 @@ pub struct MapHandle {
     view: Arc<ArcSwap<MapView>>,
     commands: mpsc::Sender<Command>,
     saturated: watch::Receiver<bool>,
+    tile_bytes: Arc<AtomicU64>,
+    // A lock, because the totals of a generation are counted once; held to copy them, not to count.
+    tile_totals: Mutex<Option<(u64, TileTotals)>>,
 }
 
 impl MapHandle {
-    /// The handle of a map whose writer publishes to `view`, listens to `commands` and sets `saturated`.
+    /// The handle of a map whose writer publishes to `view`, listens to `commands` and sets `saturated` and `tile_bytes`.
     #[must_use]
     pub fn new(
         id: MapId,
@@ -32,8 +40,30 @@ impl MapHandle {
         view: Arc<ArcSwap<MapView>>,
         commands: mpsc::Sender<Command>,
         saturated: watch::Receiver<bool>,
+        tile_bytes: Arc<AtomicU64>,
     ) -> Self {
-        Self { id, spec, view, commands, saturated }
+        Self { id, spec, view, commands, saturated, tile_bytes, tile_totals: Mutex::new(None) }
+    }
+
+    /// What models and sums of tiles take in memory, in bytes, about.
+    #[must_use]
+    pub fn tile_bytes(&self) -> u64 {
+        self.tile_bytes.load(Ordering::Relaxed)
+    }
+
+    /// What the generation in force has learned of the tiles. Reads those that are not in memory, once a generation.
+    #[must_use]
+    pub fn tile_totals(&self) -> TileTotals {
+        let view = self.view();
+        let known = *self.tile_totals.lock().unwrap_or_else(PoisonError::into_inner);
+        match known {
+            Some((generation, totals)) if generation == view.generation() => totals,
+            _ => {
+                let totals = TileTotals::of(&view);
+                *self.tile_totals.lock().unwrap_or_else(PoisonError::into_inner) = Some((view.generation(), totals));
+                totals
+            }
+        }
     }
 
     /// The map as it stands; never waits.

@@ -7,6 +7,8 @@ use std::sync::Arc;
 
 use tidemap_map::{
     event::{RefusalReason, UpdateCause},
+    grid::{front::SentScan, index::TileIndex, paging::SavedTiles, tile::TileSource},
+    history::{HistoryPiece, Reading, Subject},
     name::{ProducerKey, StateName},
     snapshot::MapSnapshot,
     update::UpdateResult,
@@ -121,6 +123,69 @@ pub struct Batch {
     pub refused: Vec<Refused>,
 }
 
+/// Which of a stream's two tables of tiles a scan refers to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ScanOrigin {
+    /// The table that the client extends.
+    #[default]
+    Stream,
+    /// That of the scans which the server has cast for it.
+    Cast,
+}
+
+/// A checked scan of a stream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TakenScan {
+    /// Its sequence number.
+    pub sequence: u64,
+    /// Running CRC up to it.
+    pub content_crc: u32,
+    /// What its slots refer to.
+    pub origin: ScanOrigin,
+    /// Whether it is to be logged. The others are only remembered, because later ones refer to them.
+    pub is_taken: bool,
+    /// What it shows.
+    pub scan: SentScan,
+    /// Tiles added to its table before it.
+    pub new_tiles: Vec<TileIndex>,
+    /// Whether its table begins anew before that.
+    pub restarts: bool,
+}
+
+impl Default for TakenScan {
+    fn default() -> Self {
+        let scan =
+            SentScan { utc_nanos: 0, seen: Arc::from([]), observed_flips: Vec::new(), occupied_flips: Vec::new() };
+        let origin = ScanOrigin::default();
+        Self { sequence: 0, content_crc: 0, origin, is_taken: false, scan, new_tiles: Vec::new(), restarts: false }
+    }
+}
+
+/// Checked scans of one message, or some of them.
+#[derive(Debug, Default)]
+pub struct ScanParcel {
+    /// First sequence number that is new.
+    pub first_sequence: u64,
+    /// Last sequence number; less than the first where nothing is new.
+    pub last_sequence: u64,
+    /// Running CRC up to it.
+    pub content_crc: u32,
+    /// Tiles added to the client's table before the scans.
+    pub new_tiles: Vec<TileIndex>,
+    /// The scans, in their order.
+    pub scans: Vec<TakenScan>,
+    /// Those of them that are new and refused.
+    pub refused: Vec<Refused>,
+    /// Memory that it takes, about.
+    pub bytes: usize,
+}
+
+/// Room in the buffers of a stream and of all streams, given back when it is dropped.
+pub type Permits = [OwnedSemaphorePermit; 2];
+
+/// What a save has kept, and where its tiles can be read from, where the map has a grid.
+pub type SavedGrid = Option<(Arc<dyn TileSource>, SavedTiles)>;
+
 /// What a writer tells a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SessionEvent {
@@ -148,6 +213,32 @@ pub enum Ending {
     Storage(AppendError),
 }
 
+/// A question about what was observed.
+#[derive(Debug)]
+pub struct Recall {
+    /// Of which state or cell.
+    pub subject: Subject,
+    /// First instant, nanoseconds UTC.
+    pub from_nanos: i64,
+    /// Beyond the last instant.
+    pub to_nanos: i64,
+    /// The answer; it waits while an update has what was observed then.
+    pub reply: oneshot::Sender<Recalled>,
+}
+
+/// What a writer can tell of the past.
+#[derive(Debug)]
+pub struct Recalled {
+    /// What no update has taken.
+    pub pending: Vec<Reading>,
+    /// What updates have taken and no save has kept.
+    pub unsaved: Vec<Arc<HistoryPiece>>,
+    /// Generations before this one are in the store's history.
+    pub stored_before: u64,
+    /// Greatest time of any observation, nanoseconds UTC.
+    pub newest_nanos: i64,
+}
+
 /// What a writer is asked to do.
 #[derive(Debug)]
 pub enum Command {
@@ -160,7 +251,16 @@ pub enum Command {
         /// The observations.
         batch: Batch,
         /// Room in the buffers, given back when the batch is applied.
-        permits: [OwnedSemaphorePermit; 2],
+        permits: Permits,
+    },
+    /// Take scans in.
+    Scans {
+        /// The stream.
+        session: SessionId,
+        /// The scans.
+        parcel: ScanParcel,
+        /// Room in the buffers, given back when all of them are applied.
+        permits: Permits,
     },
     /// A stream ended.
     Leave {
@@ -188,7 +288,9 @@ pub enum Command {
         result: Result<Box<UpdateResult>, String>,
     },
     /// The store has, or has not, saved a snapshot.
-    Saved(Result<(), (String, MapSnapshot)>),
+    Saved(Result<SavedGrid, (String, MapSnapshot)>),
+    /// Tell what was observed and is not in the store's history yet.
+    Recall(Recall),
     /// End all streams and stop.
     Stop {
         /// What to tell the streams.

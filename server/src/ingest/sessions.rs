@@ -7,7 +7,8 @@ use std::collections::{BTreeMap, HashMap};
 
 use tidemap_map::{
     MAX_AHEAD_NANOS,
-    event::{NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind},
+    event::{Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind},
+    grid::front::{Front, ScanSource},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
 };
@@ -15,6 +16,8 @@ use tidemap_model::OffsetCache;
 use tokio::sync::mpsc;
 
 use super::protocol::{Batch, Ending, Hello, HelloError, Opened, Refused, SessionEvent, SessionId};
+
+mod scans;
 
 #[derive(Debug)]
 enum Slot {
@@ -34,6 +37,9 @@ pub struct Session {
     incarnation: u64,
     events: mpsc::UnboundedSender<SessionEvent>,
     table: Vec<Slot>,
+    /// What it has shown by scans: those that it sent as tiles, and those that were cast for it.
+    shown: ScanSource,
+    cast: ScanSource,
     in_flight: usize,
     open: bool,
     /// Whether data time is announced, and how far the data has come, nanoseconds UTC.
@@ -41,6 +47,17 @@ pub struct Session {
 }
 
 impl Session {
+    /// Whose observations these are, with the key where nothing of it is durable or in flight.
+    fn producer(&mut self, map: &LiveMap, in_flight: &mut usize) -> (ProducerId, Option<ProducerKey>) {
+        if let Some(producer) = self.producer {
+            return (producer, None);
+        }
+        let producer = ProducerId(u32::try_from(map.producers() + *in_flight).unwrap_or(u32::MAX));
+        *in_flight += 1;
+        self.producer = Some(producer);
+        (producer, Some(self.key.clone()))
+    }
+
     /// Tells the stream something; one that is gone does not mind.
     fn tell(&self, event: SessionEvent) {
         // The receiver is gone when the client is: then there is nobody to tell.
@@ -55,8 +72,10 @@ pub struct Limits {
     pub states: usize,
     /// Producer keys of the map.
     pub producers: usize,
-    /// Observations that wait because their time is too far ahead.
+    /// Observations, or tiles of scans, that wait because their time is too far ahead.
     pub ahead: u64,
+    /// Tiles of the map.
+    pub tiles: usize,
 }
 
 /// All streams of a map.
@@ -72,6 +91,10 @@ pub struct Sessions {
     /// Streams that had announced data time and did not end it themselves, with how far their data had come.
     broken: Vec<(ProducerKey, i64)>,
     offsets: OffsetCache,
+    /// The map's tiles as they will be when all that is in flight is applied; `None` until a scan comes.
+    front: Option<Front>,
+    /// Tiles of scans that wait because their time is too far ahead.
+    tiles_ahead: u64,
     limits: Limits,
 }
 
@@ -86,6 +109,8 @@ impl Sessions {
             issued: HashMap::new(),
             broken: Vec::new(),
             offsets,
+            front: None,
+            tiles_ahead: 0,
             limits,
         }
     }
@@ -125,6 +150,8 @@ impl Sessions {
                 incarnation,
                 events: hello.events.clone(),
                 table: Vec::new(),
+                shown: ScanSource::default(),
+                cast: ScanSource::default(),
                 in_flight: 0,
                 open: true,
                 data_time: hello.nightly.then_some(i64::MIN),
@@ -221,15 +248,7 @@ impl Sessions {
             values.push(batch.values[i]);
         }
         refused.sort_by_key(|refused| refused.sequence);
-        let (producer, new_producer) = match session.producer {
-            Some(producer) => (producer, None),
-            None => {
-                let next = map.producers() + self.producers_in_flight;
-                self.producers_in_flight += 1;
-                (ProducerId(u32::try_from(next).unwrap_or(u32::MAX)), Some(session.key.clone()))
-            }
-        };
-        session.producer = Some(producer);
+        let (producer, new_producer) = session.producer(map, &mut self.producers_in_flight);
         session.in_flight += 1;
         let event = Observations {
             producer,
@@ -249,20 +268,31 @@ impl Sessions {
         Some((event, refused))
     }
 
-    /// A batch of the stream was applied to the map.
-    pub fn applied(&mut self, id: SessionId, event: &Observations) {
-        for new in &event.new_states {
-            self.states_in_flight.remove(&new.name);
-        }
-        self.producers_in_flight -= usize::from(event.new_producer.is_some());
+    /// Observations or scans of the stream were applied to the map.
+    pub fn applied(&mut self, id: SessionId, event: &Event) {
         // A time that is not plausible yet does not close the days before it.
-        let plausible = event.plausible_nanos();
+        let (is_first, newest) = match event {
+            Event::Observations(event) => {
+                for new in &event.new_states {
+                    self.states_in_flight.remove(&new.name);
+                }
+                let plausible = event.plausible_nanos();
+                let times = event.times_nanos.iter().copied();
+                (event.new_producer.is_some(), times.filter(|time| *time <= plausible).max())
+            }
+            Event::Scans(event) => {
+                let plausible = event.plausible_nanos();
+                let times = event.scans.iter().map(|scan| scan.utc_nanos);
+                (event.new_producer.is_some(), times.filter(|time| *time <= plausible).max())
+            }
+            Event::UpdateStart(_) => return,
+        };
+        self.producers_in_flight -= usize::from(is_first);
         if let Some(session) = self.sessions.get_mut(&id) {
             session.in_flight -= 1;
             self.issued.remove(&session.key);
-            let newest = event.times_nanos.iter().filter(|time| **time <= plausible).max();
             if let (Some(reached), Some(newest)) = (session.data_time.as_mut(), newest) {
-                *reached = (*reached).max(*newest);
+                *reached = (*reached).max(newest);
             }
         }
         self.forget(id);
@@ -281,6 +311,11 @@ impl Sessions {
     pub fn roll_back(&mut self) {
         self.states_in_flight.clear();
         self.producers_in_flight = 0;
+        self.front = None;
+        for session in self.sessions.values_mut() {
+            session.shown.forget_tiles();
+            session.cast.forget_tiles();
+        }
     }
 
     /// Ends an open stream and says why.

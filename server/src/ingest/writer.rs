@@ -7,19 +7,22 @@
 use std::{
     collections::{BTreeMap, VecDeque},
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::{Arc, mpsc},
+    sync::{Arc, atomic::AtomicU64, mpsc},
     time::{Duration, Instant},
 };
 
 use arc_swap::ArcSwap;
-use tidemap_map::{event::Event, live_map::LiveMap, snapshot::MapSnapshot, update::UpdateWork, view::MapView};
+use tidemap_map::{event::Event, history::HistoryPiece, live_map::LiveMap, snapshot::MapSnapshot, view::MapView};
 use tidemap_store::{AppendError, MapId, MapLog, Store};
-use tokio::sync::{OwnedSemaphorePermit, oneshot, watch};
-use tracing::{error, warn};
+use tokio::sync::{oneshot, watch};
+use tracing::warn;
 
 use super::{
     handle::MapHandle,
-    protocol::{Batch, Command, Ending, Hello, HelloError, Opened, Refused, SessionEvent, SessionId, is_fatal},
+    protocol::{
+        Batch, Command, Ending, Hello, HelloError, Opened, Permits, Recall, Refused, SavedGrid, ScanParcel,
+        SessionEvent, SessionId,
+    },
     sessions::{Limits, Sessions},
     updates::{Updates, Wanted},
 };
@@ -40,7 +43,10 @@ const TAIL_BYTES: u64 = 256 << 20;
 /// How long updates wait after the log could not take one.
 const UPDATE_RETRY: Duration = Duration::from_secs(10);
 
+mod flights;
 mod learning;
+mod recall;
+mod saving;
 #[cfg(test)]
 mod tests;
 
@@ -63,19 +69,31 @@ pub struct Context {
     pub max_producers: usize,
     /// Pending observations above which an update runs early.
     pub max_pending: u64,
+    /// Most tiles of a map.
+    pub max_tiles: usize,
+    /// Memory for what is learned of a map's tiles, in bytes.
+    pub tile_cache_bytes: u64,
 }
 
-/// Starts the writer of a map that was restored.
+/// Starts the writer of a map that was restored. `unsaved`: what an update that was run for that has left to be saved.
 ///
 /// # Errors
 /// The thread cannot be started.
-pub fn start(context: Context, id: MapId, map: LiveMap, log: MapLog) -> std::io::Result<Arc<MapHandle>> {
+pub fn start(
+    context: Context,
+    id: MapId,
+    map: LiveMap,
+    log: MapLog,
+    unsaved: Option<MapSnapshot>,
+) -> std::io::Result<Arc<MapHandle>> {
     let spec = Arc::clone(map.spec());
     let (commands, inbox) = mpsc::channel();
     let (saturated_sender, saturated) = watch::channel(false);
     let mut map = map;
     let view = Arc::new(ArcSwap::from_pointee(map.publish()));
-    let handle = MapHandle::new(id, Arc::clone(&spec), Arc::clone(&view), commands.clone(), saturated);
+    let tile_bytes = Arc::new(AtomicU64::new(map.tile_memory().bytes));
+    let handle =
+        MapHandle::new(id, Arc::clone(&spec), Arc::clone(&view), commands.clone(), saturated, Arc::clone(&tile_bytes));
     let writer = Writer {
         sessions: Sessions::new(
             spec.zone.offset_cache(),
@@ -84,6 +102,7 @@ pub fn start(context: Context, id: MapId, map: LiveMap, log: MapLog) -> std::io:
                 producers: context.max_producers,
                 // A quarter of what may be pending: enough for a robot with a wrong clock, too little to matter.
                 ahead: context.max_pending / 4,
+                tiles: context.max_tiles,
             },
         ),
         updates: Updates::new(spec.name.clone(), Arc::clone(&context.jobs), context.max_pending),
@@ -103,7 +122,13 @@ pub fn start(context: Context, id: MapId, map: LiveMap, log: MapLog) -> std::io:
         changed: false,
         running_job: None,
         updates_wait_until: None,
-        unsaved: None,
+        unsaved,
+        unsaved_history: Vec::new(),
+        saving_history: Vec::new(),
+        waiting_recalls: Vec::new(),
+        updating_times: None,
+        saved_grid: None,
+        tile_bytes,
         saving: false,
         last_save: None,
         stopping: None,
@@ -118,11 +143,7 @@ pub fn start(context: Context, id: MapId, map: LiveMap, log: MapLog) -> std::io:
     Ok(Arc::new(handle))
 }
 
-/// An append that the committer has not answered.
-enum Flight {
-    Observations { session: SessionId, event: Event, refused: Vec<Refused>, _permits: [OwnedSemaphorePermit; 2] },
-    UpdateStart { event: Event, job: Arc<Job> },
-}
+use flights::Flight;
 
 #[derive(Default)]
 struct PendingAck {
@@ -156,8 +177,20 @@ struct Writer {
     running_job: Option<Arc<Job>>,
     /// No update starts before, because the log could not take the last one.
     updates_wait_until: Option<Instant>,
-    /// The newest snapshot that is not saved.
+    /// The newest snapshot that is not saved, with all history that is not saved either.
     unsaved: Option<MapSnapshot>,
+    /// History of snapshots that were dropped before they were saved; the next one takes it along.
+    unsaved_history: Vec<Arc<HistoryPiece>>,
+    /// History that a running save keeps.
+    saving_history: Vec<Arc<HistoryPiece>>,
+    /// Questions about what the running update has.
+    waiting_recalls: Vec<Recall>,
+    /// Least time of the observations that the running update has, and its cut.
+    updating_times: Option<(i64, i64)>,
+    /// What was saved while an update had the tiles.
+    saved_grid: SavedGrid,
+    /// What models and sums of tiles take in memory, for others to read.
+    tile_bytes: Arc<AtomicU64>,
     saving: bool,
     last_save: Option<Instant>,
     stopping: Option<(Ending, oneshot::Sender<()>)>,
@@ -188,11 +221,13 @@ impl Writer {
         match command {
             Command::Hello(hello) => self.hello(hello),
             Command::Batch { session, batch, permits } => self.batch(session, batch, permits),
+            Command::Scans { session, parcel, permits } => self.scans(session, parcel, permits),
             Command::Leave { session, clean } => self.leave(session, clean),
             Command::Update { until_nanos, cause, job } => self.updates.push(Wanted { until_nanos, cause, job }),
             Command::Committed(result) => self.committed(result),
             Command::UpdateDone { job, result } => self.update_done(&job, result),
             Command::Saved(result) => self.saved(result),
+            Command::Recall(recall) => self.recall(recall),
             Command::Stop { ending, done } => self.stopping = Some((ending, done)),
         }
     }
@@ -219,13 +254,15 @@ impl Writer {
         for hello in std::mem::take(&mut self.waiting_hellos) {
             self.hello(hello);
         }
+        for recall in std::mem::take(&mut self.waiting_recalls) {
+            self.recall(recall);
+        }
         if may_update {
             self.start_update(now);
         }
         let saturated = self.map.pending() + self.map.updating() > 2 * self.context.max_pending;
         self.saturated.send_if_modified(|known| std::mem::replace(known, saturated) != saturated);
-        let tail_is_long = self.log.tail_bytes() >= TAIL_BYTES;
-        if tail_is_long || self.last_save.is_none_or(|last| last.elapsed() >= SAVE_INTERVAL) {
+        if self.is_save_due() {
             self.save();
         }
     }
@@ -267,33 +304,34 @@ impl Writer {
         }
     }
 
-    fn batch(&mut self, session: SessionId, batch: Batch, permits: [OwnedSemaphorePermit; 2]) {
-        if self.stopping.is_some() {
-            return;
+    /// Whether a stream may hand something over now; it is told where it may not.
+    fn takes(&mut self, session: SessionId) -> bool {
+        if let Some(error) = self.failing.clone().filter(|_| self.stopping.is_none()) {
+            self.sessions.end(session, &Ending::Storage(error));
+            return false;
         }
-        if let Some(error) = &self.failing {
-            return self.sessions.end(session, &Ending::Storage(error.clone()));
+        self.stopping.is_none()
+    }
+
+    fn batch(&mut self, session: SessionId, batch: Batch, permits: Permits) {
+        if !self.takes(session) {
+            return;
         }
         let now = self.context.clock.now_nanos();
         let Some((observations, refused)) = self.sessions.event(session, batch, &self.map, now) else { return };
         let event = Event::Observations(observations);
-        self.launch(Flight::Observations { session, event, refused, _permits: permits });
+        self.launch(Flight::Taken { session, event, refused, _permits: Arc::new(permits) });
     }
 
-    /// Hands an event to the log.
-    fn launch(&mut self, flight: Flight) {
-        let (Flight::Observations { event, .. } | Flight::UpdateStart { event, .. }) = &flight;
-        match self.append(event) {
-            Ok(()) => self.flights.push_back(flight),
-            // It never joined the queue: the committer owes no answer for it, and those before it wait for theirs.
-            Err(error) => self.append_failed(error, flight),
+    fn scans(&mut self, session: SessionId, parcel: ScanParcel, permits: Permits) {
+        if !self.takes(session) {
+            return;
         }
-    }
-
-    fn append(&self, event: &Event) -> Result<(), AppendError> {
-        let commands = self.commands.clone();
-        // A writer that has stopped does not need the answer.
-        self.log.append(event, Box::new(move |result| drop(commands.send(Command::Committed(result)))))
+        let now = self.context.clock.now_nanos();
+        let permits = Arc::new(permits);
+        for (event, refused) in self.sessions.scan_events(session, parcel, &self.map, now) {
+            self.launch(Flight::Taken { session, event, refused, _permits: Arc::clone(&permits) });
+        }
     }
 
     fn leave(&mut self, session: SessionId, clean: bool) {
@@ -301,76 +339,6 @@ impl Writer {
             && !clean
         {
             self.updates.stream_broke(key, reached);
-        }
-    }
-
-    fn committed(&mut self, result: Result<u64, AppendError>) {
-        let Some(flight) = self.flights.pop_front() else { return };
-        match (result, flight) {
-            (Ok(position), Flight::Observations { session, event, refused, .. }) => {
-                if self.apply(position, &event).is_none() {
-                    return;
-                }
-                if let Event::Observations(observations) = &event {
-                    let ack = self.acks.entry(session).or_default();
-                    ack.durable_sequence = observations.last_sequence;
-                    ack.refused.extend(refused);
-                    metrics::counter!("tidemap_observations_total").increment(observations.states.len() as u64);
-                    metrics::counter!("tidemap_refused_total").increment(observations.refused.len() as u64);
-                    self.sessions.applied(session, observations);
-                }
-            }
-            (Ok(position), Flight::UpdateStart { event, job }) => match self.apply(position, &event) {
-                Some(Some(work)) => self.run_update(work, &job),
-                _ => job.end(Err("the update did not start".to_owned())),
-            },
-            (Err(error), flight) => self.append_failed(error, flight),
-        }
-    }
-
-    fn append_failed(&mut self, error: AppendError, flight: Flight) {
-        if self.failing.is_none() && error == AppendError::AfterFailure && !self.flights.is_empty() {
-            // The answer that says what has failed is on its way.
-            return self.grounded.push(flight);
-        }
-        // What became durable before this is acknowledged before the streams hear of the end.
-        self.publish();
-        if self.failing.is_none() {
-            warn!(map = %self.map.spec().name, %error, "the log could not be written; nothing of it is acknowledged");
-        }
-        if is_fatal(&error) && !self.failing.as_ref().is_some_and(is_fatal) {
-            self.fatal(error.to_string());
-            self.failing = Some(error.clone());
-        }
-        // Those that fail because one before them failed are told of that one.
-        let first = self.failing.get_or_insert(error).clone();
-        match flight {
-            Flight::Observations { session, .. } => self.sessions.failed(session, &Ending::Storage(first)),
-            Flight::UpdateStart { job, .. } => {
-                self.updates.failed(job.cause);
-                self.updates_wait_until = Some(Instant::now() + UPDATE_RETRY);
-                job.end(Err(first.to_string()));
-            }
-        }
-        for flight in std::mem::take(&mut self.grounded) {
-            self.append_failed(AppendError::AfterFailure, flight);
-        }
-    }
-
-    fn fatal(&self, reason: String) {
-        // The daemon is stopping already if nobody listens.
-        let _ = self.context.fatal.send(reason);
-    }
-
-    fn apply(&mut self, position: u64, event: &Event) -> Option<Option<UpdateWork>> {
-        self.changed = true;
-        match self.map.apply(position, event) {
-            Ok(work) => Some(work),
-            Err(inconsistent) => {
-                error!(map = %self.map.spec().name, error = %inconsistent, "the map and its log disagree");
-                self.fatal(inconsistent.to_string());
-                None
-            }
         }
     }
 
@@ -397,6 +365,7 @@ impl Writer {
             // The client is gone if it does not want the answer.
             let _ = hello.reply.send(Err(HelloError::Closing));
         }
+        // History whose snapshot was dropped belongs to an update that is given up: the log gives both back.
         if let Some(snapshot) = self.unsaved.take().filter(|_| ending != Ending::MapDeleted)
             && let Err(error) = self.context.store.save(self.id, &snapshot)
         {

@@ -2,7 +2,7 @@
 
 use std::{sync::Arc, sync::atomic::Ordering, time::Duration};
 
-use tidemap_map::event::UpdateCause;
+use tidemap_map::{event::UpdateCause, grid::update::GridOutcome, update::StateOutcome};
 use tidemap_proto::{
     convert::{
         map::update_to_wire,
@@ -58,6 +58,37 @@ fn job_to_wire(job: &Job) -> v1::Job {
         elapsed: Some(duration(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))),
         error,
         update: status.published.map(|(generation, cut_nanos)| update_to_wire(generation, Some(cut_nanos))),
+    }
+}
+
+/// The row of all cells of the grid.
+fn cells_to_wire(cells: &GridOutcome) -> v1::StateUpdate {
+    let orders = cells.cells_by_order.iter().enumerate();
+    // Of equally many the lower order.
+    let order = orders.rev().max_by_key(|(_, cells)| **cells).map_or(0, |(order, _)| order);
+    let scored = (cells.scored > 0).then_some(cells.scored as f64);
+    v1::StateUpdate {
+        state: "cell/*".to_owned(),
+        order_before: u32::try_from(order).unwrap_or(u32::MAX),
+        order: u32::try_from(order).unwrap_or(u32::MAX),
+        mean_squared_error_before: scored.map(|scored| cells.squared_error_in_force / scored),
+        mean_squared_error: scored.map(|scored| cells.squared_errors[order] / scored),
+        observations: cells.observations,
+        scored: cells.scored,
+    }
+}
+
+fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
+    let outcome = &entry.outcome;
+    let scored = (outcome.scored > 0).then_some(outcome.scored as f64);
+    v1::StateUpdate {
+        state: entry.name.as_str().to_owned(),
+        order_before: u32::try_from(outcome.order_before).unwrap_or(u32::MAX),
+        order: u32::try_from(outcome.order).unwrap_or(u32::MAX),
+        mean_squared_error_before: scored.map(|scored| outcome.squared_error_in_force / scored),
+        mean_squared_error: scored.map(|scored| outcome.squared_errors[outcome.order] / scored),
+        observations: outcome.observations,
+        scored: outcome.scored,
     }
 }
 
@@ -138,21 +169,12 @@ impl MaintenanceService for Maintenance {
         let request = request.into_inner();
         let job = self.job(request.job_id)?;
         let report = job.report().ok_or(RpcError::NoReport(job.id))?;
+        let cells = report.cells.as_ref().filter(|cells| cells.changed_cells > 0).map(cells_to_wire);
+        let rows = usize::from(cells.is_some()) + report.states.len();
         let (range, next_page_token) =
-            page(report.len(), request.page_size, 1000, 10_000, &request.page_token).map_err(RpcError::from)?;
-        let states = report[range].iter().map(|entry| {
-            let outcome = &entry.outcome;
-            let scored = (outcome.scored > 0).then_some(outcome.scored as f64);
-            v1::StateUpdate {
-                state: entry.name.as_str().to_owned(),
-                order_before: u32::try_from(outcome.order_before).unwrap_or(u32::MAX),
-                order: u32::try_from(outcome.order).unwrap_or(u32::MAX),
-                mean_squared_error_before: scored.map(|scored| outcome.squared_error_in_force / scored),
-                mean_squared_error: scored.map(|scored| outcome.squared_errors[outcome.order] / scored),
-                observations: outcome.observations,
-                scored: outcome.scored,
-            }
-        });
+            page(rows, request.page_size, 1000, 10_000, &request.page_token).map_err(RpcError::from)?;
+        let states = cells.into_iter().chain(report.states.iter().map(state_update_to_wire));
+        let states = states.skip(range.start).take(range.len());
         Ok(Response::new(v1::GetUpdateReportResponse { states: states.collect(), next_page_token }))
     }
 

@@ -30,8 +30,8 @@ use crate::{
     catalog::Catalog,
     ingest::{
         handle::MapHandle,
-        intake::{Intake, IntakeError},
-        protocol::{Batch, Command, Ending, Hello, Opened, SessionEvent, is_fatal},
+        intake::{Intake, IntakeError, IntakeLimits},
+        protocol::{Batch, Command, Ending, Hello, Opened, Permits, ScanParcel, SessionEvent, is_fatal},
     },
 };
 
@@ -53,14 +53,12 @@ const NAME_BYTES: usize = 64;
 /// Limits of streams.
 #[derive(Clone, Copy, Debug)]
 pub struct StreamLimits {
-    /// Most observations of one message.
-    pub max_batch: usize,
+    /// What a stream may send.
+    pub intake: IntakeLimits,
     /// Most bytes of one message.
     pub max_message_bytes: usize,
     /// Most bytes of one stream that are not yet durable.
     pub max_stream_buffer: usize,
-    /// Most names of one stream.
-    pub max_table: usize,
     /// Most streams.
     pub max_streams: usize,
 }
@@ -199,7 +197,12 @@ async fn open_and_serve(
     }
     let opened = answered.await.map_err(|_| RpcError::Stopping)??;
     let mut stream = Stream {
-        intake: Intake::new(opened.durable_sequence, opened.content_crc, limits.max_batch, limits.max_table),
+        intake: Some(Intake::new(
+            opened.durable_sequence,
+            opened.content_crc,
+            limits.intake,
+            handle.spec.grid.as_ref(),
+        )),
         own_buffer: Arc::new(Semaphore::new(limits.max_stream_buffer)),
         durable: opened.durable_sequence,
         handed_over: opened.durable_sequence,
@@ -223,7 +226,8 @@ async fn open_and_serve(
 struct Stream<'a> {
     handle: Arc<MapHandle>,
     opened: Opened,
-    intake: Intake,
+    /// Away while it works in another thread.
+    intake: Option<Intake>,
     limits: StreamLimits,
     buffers: Arc<Semaphore>,
     own_buffer: Arc<Semaphore>,
@@ -240,7 +244,10 @@ impl Stream<'_> {
             incarnation: self.opened.incarnation,
             durable_sequence: self.opened.durable_sequence,
             content_crc: self.opened.content_crc,
-            max_batch_observations: u32::try_from(self.limits.max_batch).unwrap_or(u32::MAX),
+            max_batch_observations: u32::try_from(self.limits.intake.batch).unwrap_or(u32::MAX),
+            max_batch_scans: u32::try_from(self.limits.intake.scans.batch_scans).unwrap_or(u32::MAX),
+            max_scan_points: u32::try_from(self.limits.intake.scans.points).unwrap_or(u32::MAX),
+            max_scan_tiles: u32::try_from(self.limits.intake.scans.tiles).unwrap_or(u32::MAX),
             max_message_bytes: u32::try_from(self.limits.max_message_bytes).unwrap_or(u32::MAX),
             max_ahead: Some(duration(MAX_AHEAD_NANOS)),
         };
@@ -258,8 +265,9 @@ impl Stream<'_> {
                 }
                 request = requests.message(), if !wait => match request {
                     Ok(Some(v1::ObserveRequest { message: Some(Up::Batch(batch)) })) => self.take(batch).await?,
+                    Ok(Some(v1::ObserveRequest { message: Some(Up::Scans(scans)) })) => self.take_scans(scans).await?,
                     Ok(Some(_)) => {
-                        let text = "after the Hello a message must be a batch";
+                        let text = "after the Hello a message must be a batch, of observations or of scans";
                         return Err(InvalidField::new("message", text).into());
                     }
                     // The producer has sent all: what is in flight is acknowledged before the stream ends.
@@ -270,21 +278,57 @@ impl Stream<'_> {
         }
     }
 
+    fn intake(&mut self) -> Result<&mut Intake, RpcError> {
+        self.intake.as_mut().ok_or(RpcError::Stopping)
+    }
+
     async fn take(&mut self, message: v1::ObservationBatch) -> Result<(), RpcError> {
-        let Some(batch) = self.intake.take(message)? else { return self.say_durable().await };
+        let Some(batch) = self.intake()?.take(message)? else { return self.say_durable().await };
         let only_names = batch.last_sequence < batch.first_sequence;
-        let bytes = bytes_of(&batch);
-        let permits = [
-            self.room(&Arc::clone(&self.own_buffer), bytes.min(self.limits.max_stream_buffer)).await?,
-            self.room(&Arc::clone(&self.buffers), bytes.min(self.limits.max_stream_buffer)).await?,
-        ];
+        let permits = self.permits(bytes_of(&batch)).await?;
         self.handed_over = batch.last_sequence;
-        let command = Command::Batch { session: self.opened.session, batch, permits };
-        if !self.handle.send(command) {
-            return Err(RpcError::Stopping);
-        }
+        self.hand_over(Command::Batch { session: self.opened.session, batch, permits })?;
         // The writer does not answer for names.
         if only_names { self.say_durable().await } else { Ok(()) }
+    }
+
+    async fn take_scans(&mut self, message: v1::ScanBatch) -> Result<(), RpcError> {
+        let is_much_work = self.intake()?.begin_scans(message)?;
+        let mut is_any_new = false;
+        while let Some(parcel) = self.next_scans(is_much_work).await? {
+            let permits = self.permits(parcel.bytes).await?;
+            is_any_new |= parcel.last_sequence >= parcel.first_sequence;
+            self.handed_over = parcel.last_sequence;
+            self.hand_over(Command::Scans { session: self.opened.session, parcel, permits })?;
+        }
+        // The writer does not answer for tiles, nor for what was taken before; a scan that goes on waits for its end.
+        if is_any_new { Ok(()) } else { self.say_durable().await }
+    }
+
+    /// The next scans of the message, from a thread of its own where rays are to be cast.
+    async fn next_scans(&mut self, is_much_work: bool) -> Result<Option<ScanParcel>, RpcError> {
+        if !is_much_work {
+            return Ok(self.intake()?.next_scans()?);
+        }
+        let mut intake = self.intake.take().ok_or(RpcError::Stopping)?;
+        let work = tokio::task::spawn_blocking(move || {
+            let parcel = intake.next_scans();
+            (intake, parcel)
+        });
+        let (intake, parcel) = work.await.map_err(|_| RpcError::Stopping)?;
+        self.intake = Some(intake);
+        Ok(parcel?)
+    }
+
+    fn hand_over(&self, command: Command) -> Result<(), RpcError> {
+        if self.handle.send(command) { Ok(()) } else { Err(RpcError::Stopping) }
+    }
+
+    /// Room for what is handed over; what is larger than all the room of a stream takes all of it.
+    async fn permits(&mut self, bytes: usize) -> Result<Permits, RpcError> {
+        let bytes = bytes.min(self.limits.max_stream_buffer);
+        let own = self.room(&Arc::clone(&self.own_buffer), bytes).await?;
+        Ok([own, self.room(&Arc::clone(&self.buffers), bytes).await?])
     }
 
     /// Answers a message in which no observation was new.

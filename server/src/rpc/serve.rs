@@ -8,6 +8,7 @@ use std::{
     time::Duration,
 };
 
+use tidemap_proto::convert::scans::ScanLimits;
 use tidemap_proto::v1::{
     DESCRIPTORS, maintenance_service_server::MaintenanceServiceServer, map_service_server::MapServiceServer,
     observation_service_server::ObservationServiceServer, query_service_server::QueryServiceServer,
@@ -24,7 +25,7 @@ use super::{
     observation::{Observations, StreamLimits},
     query::Queries,
 };
-use crate::{catalog::Catalog, config::Settings};
+use crate::{catalog::Catalog, config::Settings, ingest::intake::IntakeLimits};
 
 /// Bytes of a request other than observations: 100,000 times and thousands of names fit.
 const REQUEST_BYTES: usize = 1 << 20;
@@ -52,10 +53,17 @@ pub async fn serve(
     let observations = Observations {
         catalog: Arc::clone(&catalog),
         limits: StreamLimits {
-            max_batch: settings.max_batch_observations,
+            intake: IntakeLimits {
+                batch: settings.max_batch_observations,
+                table: settings.max_states_per_map,
+                scans: ScanLimits {
+                    batch_scans: settings.max_batch_scans,
+                    points: settings.max_scan_points,
+                    tiles: settings.max_scan_tiles,
+                },
+            },
             max_message_bytes: settings.max_message_bytes,
             max_stream_buffer: settings.max_stream_buffer_bytes,
-            max_table: settings.max_states_per_map,
             max_streams: settings.max_streams,
         },
         buffers: Arc::new(Semaphore::new(settings.max_buffer_bytes)),

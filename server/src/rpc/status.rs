@@ -4,8 +4,9 @@
 
 use std::collections::HashMap;
 
+use tidemap_map::grid::tile::TileUnavailable;
 use tidemap_proto::convert::InvalidField;
-use tidemap_store::AppendError;
+use tidemap_store::{AppendError, HistoryError};
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
@@ -47,6 +48,49 @@ pub enum RpcError {
         /// Names that exist.
         known: Vec<String>,
     },
+    /// The map has no grid.
+    #[error("map {map:?} has no grid: create a map with one, with option --grid")]
+    NoGrid {
+        /// The map.
+        map: String,
+    },
+    /// The cell was never observed.
+    #[error("{name} of map {map:?} was never observed")]
+    UnknownCell {
+        /// The map.
+        map: String,
+        /// The cell's name.
+        name: String,
+    },
+    /// A part of the grid cannot be read.
+    #[error(transparent)]
+    Tile(#[from] TileUnavailable),
+    /// The map does not keep what was asked for.
+    #[error("map {map:?} keeps no history of {what}: create it with {option}")]
+    NoHistory {
+        /// The map.
+        map: String,
+        /// What there is no history of.
+        what: &'static str,
+        /// What a map that keeps it is created with.
+        option: &'static str,
+    },
+    /// All of it is older than what is kept.
+    #[error("{name} of map {map:?}: nothing from before {} is kept any more", shown_time(*.kept_from_nanos))]
+    BeyondHistory {
+        /// The map.
+        map: String,
+        /// The state or cell.
+        name: String,
+        /// What is older is gone, nanoseconds UTC.
+        kept_from_nanos: i64,
+    },
+    /// History cannot be read.
+    #[error(transparent)]
+    History(#[from] HistoryError),
+    /// An update has what was asked for, and does not end.
+    #[error("an update has the observations of that time and has not ended within {0} seconds: ask again")]
+    Updating(u64),
     /// There is no such job.
     #[error("job {0} is not known: it is long past, or the daemon was restarted since")]
     UnknownJob(u64),
@@ -104,6 +148,11 @@ fn known_names(known: &[String], what: &str) -> String {
     format!("{what} here: {shown}{more}")
 }
 
+/// Seconds since 1970: what a time zone makes of them is the client's to say.
+fn shown_time(nanos: i64) -> String {
+    format!("{} s after 1970-01-01T00:00:00Z", nanos.div_euclid(1_000_000_000))
+}
+
 fn ending_text(ending: &Ending) -> String {
     match ending {
         Ending::Shutdown => "the daemon is stopping; connect again later".to_owned(),
@@ -126,14 +175,26 @@ impl RpcError {
                 CatalogError::Unknown(_) => (Code::NotFound, "UNKNOWN_MAP"),
                 CatalogError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
                 CatalogError::Store(_) => (Code::Internal, "STORAGE_FAILED"),
-                CatalogError::Open(_) | CatalogError::Inconsistent { .. } | CatalogError::Duplicate { .. } => {
-                    (Code::DataLoss, "STORAGE_FAILED")
-                }
+                CatalogError::Open(_)
+                | CatalogError::Inconsistent { .. }
+                | CatalogError::Tile { .. }
+                | CatalogError::Duplicate { .. } => (Code::DataLoss, "STORAGE_FAILED"),
                 CatalogError::Thread(_) => (Code::ResourceExhausted, "LIMIT"),
                 CatalogError::Stopping => (Code::Unavailable, "STOPPING"),
             },
             Self::UnknownMap { .. } => (Code::NotFound, "UNKNOWN_MAP"),
             Self::UnknownState { .. } => (Code::NotFound, "UNKNOWN_STATE"),
+            Self::NoGrid { .. } => (Code::FailedPrecondition, "NO_GRID"),
+            Self::UnknownCell { .. } => (Code::NotFound, "UNKNOWN_CELL"),
+            Self::Tile(_) => (Code::Internal, "STORAGE_FAILED"),
+            Self::NoHistory { .. } => (Code::FailedPrecondition, "NO_HISTORY"),
+            Self::BeyondHistory { .. } => (Code::OutOfRange, "BEYOND_HISTORY"),
+            Self::History(error) => match error {
+                HistoryError::UnknownMap(_) => (Code::NotFound, "MAP_DELETED"),
+                HistoryError::Damaged { .. } => (Code::DataLoss, "STORAGE_FAILED"),
+                HistoryError::Io { .. } => (Code::Internal, "STORAGE_FAILED"),
+            },
+            Self::Updating(_) => (Code::Unavailable, "UPDATING"),
             Self::UnknownJob(_) => (Code::NotFound, "UNKNOWN_JOB"),
             Self::NoReport(_) => (Code::FailedPrecondition, "NO_REPORT"),
             Self::Limit { .. } | Self::NoTurn { .. } | Self::Intake(IntakeError::Limit { .. }) => {
@@ -172,7 +233,7 @@ impl From<RpcError> for Status {
             RpcError::UnknownMap { name, .. } => {
                 details.set_resource_info("map", name, "", error.to_string());
             }
-            RpcError::UnknownState { name, .. } => {
+            RpcError::UnknownState { name, .. } | RpcError::UnknownCell { name, .. } => {
                 details.set_resource_info("state", name, "", error.to_string());
             }
             RpcError::Limit { what, .. } | RpcError::Intake(IntakeError::Limit { what, .. }) => {

@@ -7,6 +7,7 @@ use std::{
 
 use tidemap_map::{
     event::{RefusalReason, UpdateCause},
+    grid::spec::{GridSpec, Retention},
     name::{MapName, ProducerKey, StateName},
 };
 use tidemap_model::{OrderCriterion, Periodicities, Zone};
@@ -17,6 +18,8 @@ use tidemap_map::spec::MapSpec;
 
 use super::*;
 use crate::{catalog::Catalog, jobs::Phase};
+
+mod scans;
 
 const HOUR: i64 = 3_600_000_000_000;
 /// 2016-07-01T12:00 in London, which is then an hour ahead of UTC.
@@ -38,10 +41,14 @@ struct Bench {
 }
 
 fn bench(dir: &Path, now: i64) -> Bench {
+    bench_with(dir, now, |_| {})
+}
+
+fn bench_with(dir: &Path, now: i64, change: impl FnOnce(&mut Context)) -> Bench {
     let clock = Arc::new(SetClock(AtomicI64::new(now)));
     let jobs = Arc::new(Jobs::default());
     let options = StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() };
-    let context = Context {
+    let mut context = Context {
         store: Arc::new(Store::open(dir, options).expect("a store")),
         jobs: Arc::clone(&jobs),
         clock: Arc::clone(&clock) as Arc<dyn Clock>,
@@ -50,17 +57,26 @@ fn bench(dir: &Path, now: i64) -> Bench {
         max_states: 10,
         max_producers: 10,
         max_pending: 1000,
+        max_tiles: 20,
+        tile_cache_bytes: 1 << 30,
     };
+    change(&mut context);
     Bench { catalog: Catalog::open(context, 10).expect("maps"), clock, jobs }
 }
 
 async fn create(bench: &Bench) -> Arc<MapHandle> {
+    create_with(bench, None).await
+}
+
+async fn create_with(bench: &Bench, grid: Option<GridSpec>) -> Arc<MapHandle> {
     let spec = MapSpec {
         name: MapName::new("office").expect("valid"),
         zone: Zone::named("Europe/London").expect("known"),
         periodicities: Periodicities::default(),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        retention: Retention::Forever,
+        grid,
     };
     bench.catalog.create(spec).await.expect("created")
 }

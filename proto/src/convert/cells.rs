@@ -1,0 +1,199 @@
+//! Cells of a grid: questions about it, and what is told of its tiles.
+//!
+//! Invariant: a tile on the wire has a value for each known cell, from its masks and levels or from its list.
+
+use prost::Message as _;
+use tidemap_map::{
+    grid::{
+        index::{CellIndex, TILE_CELLS},
+        mask::Mask,
+        predict::{CellOutput, GridQuestion, GridSelection, TileCells},
+        view::{CellDescription, GridView},
+    },
+    view::MapView,
+};
+use tidemap_model::MAX_ORDER;
+
+use super::{
+    InvalidField,
+    grid::{cell_box_from_wire, cell_box_to_wire, grid_to_wire},
+    query::{components_to_wire, selector_from_wire},
+    time::timestamp,
+};
+use crate::v1;
+
+/// Bytes of a mask of a tile, and of one of a projected tile.
+const MASK_BYTES: usize = TILE_CELLS / 8;
+const LAYER_BYTES: usize = 8;
+/// Bytes of a tile on the wire beside its masks and values, at most: place, levels, lengths.
+const TILE_OVERHEAD: u64 = 48;
+
+/// A question about a grid.
+///
+/// # Errors
+/// A time before 1970, an unknown output, a threshold that is not in (0, 1] or belongs to another output, a model that is
+/// none.
+pub fn question_from_wire(wire: v1::PredictGridRequest) -> Result<GridQuestion, InvalidField> {
+    if wire.time_nanos < 0 {
+        return Err(InvalidField::new("time_nanos", format!("{} ns is before 1970", wire.time_nanos)));
+    }
+    let output = match v1::GridOutput::try_from(wire.output) {
+        Ok(v1::GridOutput::Unspecified | v1::GridOutput::Probability) => CellOutput::Probability,
+        Ok(v1::GridOutput::Entropy) => CellOutput::Entropy,
+        // 0 is what proto3 sends for "not set".
+        Ok(v1::GridOutput::Threshold) if wire.threshold == 0.0 => CellOutput::Threshold(0.5),
+        Ok(v1::GridOutput::Threshold) => CellOutput::Threshold(wire.threshold as f32),
+        Err(_) => return Err(InvalidField::new("output", format!("{} is not known", wire.output))),
+    };
+    let threshold = match output {
+        CellOutput::Threshold(threshold) => f64::from(threshold),
+        _ => wire.threshold,
+    };
+    if matches!(output, CellOutput::Threshold(_)) {
+        // As a single it must not become 0, which every cell would reach.
+        if !(threshold > 0.0 && wire.threshold <= 1.0) {
+            let text = format!("threshold {} is not above 0 and at most 1", wire.threshold);
+            return Err(InvalidField::new("threshold", text));
+        }
+    } else if threshold != 0.0 {
+        let text = format!("threshold {threshold} was given, but the output has none: use GRID_OUTPUT_THRESHOLD");
+        return Err(InvalidField::new("threshold", text));
+    }
+    Ok(GridQuestion {
+        utc_nanos: wire.time_nanos,
+        selector: selector_from_wire("model", wire.model)?,
+        region: wire.region.as_ref().map(cell_box_from_wire),
+        project: wire.project,
+        output,
+    })
+}
+
+/// What an answer will hold.
+#[must_use]
+pub fn header_to_wire(
+    grid: &GridView,
+    generation: u64,
+    question: &GridQuestion,
+    selection: &GridSelection,
+) -> v1::GridHeader {
+    let masks = 3 * if question.project { LAYER_BYTES } else { MASK_BYTES } as u64;
+    v1::GridHeader {
+        grid: Some(grid_to_wire(grid.spec())),
+        region: (!selection.region.is_empty()).then(|| cell_box_to_wire(&selection.region)),
+        tiles: selection.told,
+        cells: selection.cells,
+        bytes: selection.told * (masks + TILE_OVERHEAD) + selection.values_at_most * size_of::<f32>() as u64,
+        generation,
+    }
+}
+
+/// A tile for the wire; `levels` are the values of a free and an occupied reading.
+#[must_use]
+pub fn tile_to_wire(tile: TileCells, question: &GridQuestion, levels: (f64, f64)) -> v1::PredictedTile {
+    let bytes = if question.project { LAYER_BYTES } else { MASK_BYTES };
+    let mask = |mask: Mask| match mask.is_empty() {
+        true => Vec::new(),
+        false => mask.to_bytes().get(..bytes).map_or_else(Vec::new, <[u8]>::to_vec),
+    };
+    v1::PredictedTile {
+        x: tile.index.x,
+        y: tile.index.y,
+        z: tile.index.z,
+        known: mask(tile.known),
+        changed: mask(tile.changed),
+        high: if tile.all_values { Vec::new() } else { mask(tile.high) },
+        static_high: question.output.of(levels.1 as f32),
+        static_low: question.output.of(levels.0 as f32),
+        values: tile.values,
+        all_values: tile.all_values,
+    }
+}
+
+/// Bytes of a tile on the wire, without its own length.
+#[must_use]
+pub fn tile_bytes(tile: &v1::PredictedTile) -> usize {
+    tile.encoded_len()
+}
+
+/// What was learned of a cell.
+#[must_use]
+pub fn cell_description_to_wire(
+    view: &MapView,
+    cell: CellIndex,
+    description: &CellDescription,
+) -> v1::DescribeModelResponse {
+    let last = description.persistence.last();
+    v1::DescribeModelResponse {
+        state: cell.name(),
+        kind: v1::StateKind::Probability.into(),
+        mean: description.spectral.mean(),
+        folded_observations: description.folded,
+        observations: description.observations,
+        order: u32::try_from(description.order).unwrap_or(u32::MAX),
+        components: components_to_wire(view, &description.spectral),
+        // Where a cell has never changed, every order was right.
+        order_errors: description.errors.unwrap_or([0.0; MAX_ORDER + 1]).to_vec(),
+        persistence_tau_secs: description.persistence.tau_secs(),
+        last_value: last.map(|(_, value)| value),
+        last_time: last.map(|(nanos, _)| timestamp(nanos)),
+        first_time: description.first_nanos.map(timestamp),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_map::grid::index::TileIndex;
+
+    use super::*;
+
+    fn request() -> v1::PredictGridRequest {
+        v1::PredictGridRequest { map: "office".to_owned(), time_nanos: 5, ..v1::PredictGridRequest::default() }
+    }
+
+    fn threshold(output: v1::GridOutput, threshold: f64) -> Result<CellOutput, String> {
+        let wire = v1::PredictGridRequest { output: output.into(), threshold, ..request() };
+        question_from_wire(wire).map(|question| question.output).map_err(|error| error.field)
+    }
+
+    #[test]
+    fn questions_are_checked() {
+        let question = question_from_wire(request()).expect("valid");
+        assert_eq!(question, GridQuestion { utc_nanos: 5, ..GridQuestion::default() });
+        let field = |wire| question_from_wire(wire).expect_err("wrong").field;
+        assert_eq!(field(v1::PredictGridRequest { time_nanos: -1, ..request() }), "time_nanos");
+        assert_eq!(field(v1::PredictGridRequest { output: 99, ..request() }), "output");
+        let model = v1::ModelSelector { order: Some(16), ..v1::ModelSelector::default() };
+        assert_eq!(field(v1::PredictGridRequest { model: Some(model), ..request() }), "model.order");
+        assert_eq!(threshold(v1::GridOutput::Threshold, 0.0), Ok(CellOutput::Threshold(0.5)));
+        assert_eq!(threshold(v1::GridOutput::Threshold, 1.0), Ok(CellOutput::Threshold(1.0)));
+        for wrong in [-0.5, 1.000_000_001, f64::NAN, f64::INFINITY, 1e-60] {
+            assert_eq!(threshold(v1::GridOutput::Threshold, wrong), Err("threshold".to_owned()), "{wrong}");
+        }
+        assert_eq!(threshold(v1::GridOutput::Entropy, 0.5), Err("threshold".to_owned()));
+        assert_eq!(threshold(v1::GridOutput::Probability, f64::NAN), Err("threshold".to_owned()));
+    }
+
+    #[test]
+    fn a_tile_takes_no_more_than_was_said() {
+        let index = TileIndex { x: -1_048_576, y: 1_048_575, z: -1_048_576 };
+        let values = vec![0.25; TILE_CELLS];
+        let (known, changed) = (Mask::FULL, Mask::FULL);
+        let tile = TileCells { index, known, changed, high: Mask::FULL, values, all_values: false };
+        let question = GridQuestion::default();
+        let page = v1::GridPage { tiles: vec![tile_to_wire(tile, &question, (0.1, 0.9)); 3] };
+        let most = 3 * (3 * MASK_BYTES as u64 + TILE_OVERHEAD + 4 * TILE_CELLS as u64);
+        assert!(page.encoded_len() as u64 <= most, "{} of {most}", page.encoded_len());
+    }
+
+    #[test]
+    fn masks_of_a_projected_tile_have_8_bytes_and_empty_ones_none() {
+        let layer = Mask([5, 0, 0, 0, 0, 0, 0, 0]);
+        let index = TileIndex::default();
+        let tile =
+            TileCells { index, known: layer, changed: Mask::EMPTY, high: layer, values: Vec::new(), all_values: false };
+        let question = GridQuestion { project: true, output: CellOutput::Entropy, ..GridQuestion::default() };
+        let wire = tile_to_wire(tile, &question, (0.0, 0.5));
+        assert_eq!((wire.known, wire.changed.len()), (vec![5, 0, 0, 0, 0, 0, 0, 0], 0));
+        assert_eq!((wire.static_low, wire.static_high), (0.0, 1.0));
+    }
+}

@@ -1,0 +1,103 @@
+//! Scans of an occupancy grid: what a stream sends, its table of tiles, and the digests by which both sides compare.
+//!
+//! Way in: [`ScanDecoder`] for what a server receives, [`ScanEncoder`] for what a client sends.
+//!
+//! Invariant: both sides keep the same picture of what the stream last showed of each tile. What makes the table itself
+//! or the order of the stream ambiguous is an error of the message; what is wrong in one scan refuses that scan, and the
+//! picture stays as it was before it.
+
+use tidemap_map::{
+    event::RefusalReason,
+    grid::{front::SentScan, raycast::Readings},
+};
+
+use super::InvalidField;
+
+mod decode;
+mod digest;
+mod encode;
+mod flips;
+mod parts;
+mod points;
+mod shown;
+mod split;
+#[cfg(test)]
+mod tests;
+mod tile_scan;
+
+pub use decode::ScanDecoder;
+pub use digest::{DIGEST_FACTOR, content_crc, points_digest, ranges_digest, tile_digest};
+pub use encode::{EncodedScan, ScanEncoder};
+pub use flips::{pack_flips, pack_seen};
+pub use split::{batch, split};
+
+/// What one stream may send.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ScanLimits {
+    /// Scans of one message.
+    pub batch_scans: usize,
+    /// Points or rays of one scan.
+    pub points: usize,
+    /// Tiles of one scan, and of the stream's table.
+    pub tiles: usize,
+}
+
+/// Why a message of scans ends its stream.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ScanError {
+    /// A field is wrong.
+    #[error(transparent)]
+    Invalid(#[from] InvalidField),
+    /// There is too much of something.
+    #[error("{what}: {got} is more than the {max} that {setting} allows")]
+    Limit {
+        /// What there is too much of.
+        what: &'static str,
+        /// How much was sent.
+        got: u64,
+        /// How much is allowed.
+        max: u64,
+        /// Which setting says so.
+        setting: &'static str,
+    },
+}
+
+/// Why one scan is refused.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ScanRefusal {
+    /// The reason to act on.
+    pub reason: RefusalReason,
+    /// The reason to read.
+    pub detail: String,
+}
+
+impl ScanRefusal {
+    fn malformed(detail: impl Into<String>) -> ScanRefusal {
+        ScanRefusal { reason: RefusalReason::Scan, detail: detail.into() }
+    }
+}
+
+/// What a scan shows.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ScanContent {
+    /// Cells of tiles, within the grid's extent. Where the scan is refused they are only to be remembered: later scans
+    /// of the stream refer to them.
+    Tiles(SentScan),
+    /// Readings to be cast.
+    Readings(Readings),
+}
+
+/// One scan with its number.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DecodedScan {
+    /// Its sequence number.
+    pub sequence: u64,
+    /// When it was made, nanoseconds UTC; negative where it is refused for that.
+    pub utc_nanos: i64,
+    /// Its digest; that of a malformed scan of tiles is 0.
+    pub digest: u64,
+    /// What it shows; `None` where nothing of it is to be remembered.
+    pub content: Option<ScanContent>,
+    /// Why it is refused.
+    pub refusal: Option<ScanRefusal>,
+}

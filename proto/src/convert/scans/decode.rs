@@ -1,0 +1,186 @@
+//! Messages of scans, as a server receives them: checked, put together, and told one by one.
+//!
+//! Invariant: scans leave in the order of their numbers. An error is of the message, and its stream cannot go on; a
+//! refusal is of one scan, and what the stream has shown is then as before it, unless the scan says that it is to be
+//! remembered.
+
+use std::vec::IntoIter;
+
+use tidemap_map::{
+    event::RefusalReason,
+    grid::{index::TileIndex, spec::GridSpec},
+};
+
+use super::{
+    DecodedScan, ScanContent, ScanError, ScanLimits, ScanRefusal,
+    digest::{points_digest, ranges_digest},
+    parts::Parts,
+    points,
+    shown::Shown,
+    tile_scan::TileScans,
+};
+use crate::{
+    convert::InvalidField,
+    v1::{self, scan::Content},
+};
+
+/// The scans of one stream.
+#[derive(Debug)]
+pub struct ScanDecoder {
+    spec: Option<GridSpec>,
+    limits: ScanLimits,
+    shown: Shown,
+    tile_scans: TileScans,
+    /// A scan that goes on in the next message.
+    open: Option<Parts>,
+    message: Message,
+}
+
+/// What is left of a message.
+#[derive(Debug, Default)]
+struct Message {
+    sequence: u64,
+    unit: i64,
+    /// Time of the scan before; `None` where it is nobody's time.
+    time: Option<i64>,
+    deltas: IntoIter<i64>,
+    scans: IntoIter<v1::Scan>,
+    continues: bool,
+}
+
+impl ScanDecoder {
+    /// A stream that has shown nothing, for a map with this grid, or without one.
+    #[must_use]
+    pub fn new(spec: Option<&GridSpec>, limits: ScanLimits) -> ScanDecoder {
+        ScanDecoder {
+            spec: spec.cloned(),
+            limits,
+            shown: Shown::new(spec),
+            tile_scans: TileScans::default(),
+            open: None,
+            message: Message::default(),
+        }
+    }
+
+    /// The number of a scan that goes on in the next message.
+    #[must_use]
+    pub fn open_sequence(&self) -> Option<u64> {
+        self.open.as_ref().map(|open| open.sequence)
+    }
+
+    /// Begins a message; its scans are to be taken out with [`ScanDecoder::next_scan`] before the next one. Gives the
+    /// tiles that it adds to the stream's table.
+    ///
+    /// # Errors
+    /// What ends the stream.
+    pub fn begin(&mut self, message: v1::ScanBatch) -> Result<Vec<TileIndex>, ScanError> {
+        let count = message.scans.len();
+        if count == 0 {
+            return Err(InvalidField::new("scans.scans", "there is no scan: send at least 1").into());
+        }
+        if count > self.limits.batch_scans {
+            let (got, max) = (count as u64, self.limits.batch_scans as u64);
+            return Err(ScanError::Limit {
+                what: "scans of one message",
+                got,
+                max,
+                setting: "setting max_batch_scans",
+            });
+        }
+        if message.time_deltas.len() != count {
+            let text = format!("{} entries for {count} scans: there is one per scan", message.time_deltas.len());
+            return Err(InvalidField::new("scans.time_deltas", text).into());
+        }
+        // 0 is what proto3 sends for "not set", and the default is 1.
+        let unit = i64::try_from(message.time_unit_nanos.max(1)).map_err(|_| {
+            let text = format!("{} ns is too large: at most {} are possible", message.time_unit_nanos, i64::MAX);
+            InvalidField::new("scans.time_unit_nanos", text)
+        })?;
+        let new_tiles = self.shown.extend(&message.new_tiles, self.limits.tiles)?;
+        self.message = Message {
+            sequence: message.first_sequence,
+            unit,
+            time: Some(message.first_time_nanos),
+            deltas: message.time_deltas.into_iter(),
+            scans: message.scans.into_iter(),
+            continues: message.continues,
+        };
+        Ok(new_tiles)
+    }
+
+    /// The next scan of the message; `None` where all are out.
+    ///
+    /// # Errors
+    /// What ends the stream.
+    pub fn next_scan(&mut self) -> Result<Option<DecodedScan>, ScanError> {
+        let message = &mut self.message;
+        let (Some(scan), Some(delta)) = (message.scans.next(), message.deltas.next()) else { return Ok(None) };
+        // A product that overflows is nobody's time; a sum may wrap, as for observations.
+        message.time = message.time.and_then(|time| Some(time.wrapping_add(delta.checked_mul(message.unit)?)));
+        let sequence = message.sequence;
+        message.sequence = sequence.saturating_add(1);
+        let utc_nanos = message.time.unwrap_or(-1);
+        let goes_on = message.continues && message.scans.len() == 0;
+        let mut parts = match self.open.take() {
+            Some(mut open) => {
+                open.join(sequence, utc_nanos, scan.content)?;
+                open
+            }
+            None => Parts { sequence, utc_nanos, content: scan.content },
+        };
+        Parts::check(parts.content.as_ref(), &self.limits)?;
+        if goes_on {
+            self.open = Some(parts);
+            return Ok(None);
+        }
+        let content = parts.content.take();
+        Ok(Some(self.whole(sequence, utc_nanos, content)))
+    }
+
+    fn whole(&mut self, sequence: u64, utc_nanos: i64, content: Option<Content>) -> DecodedScan {
+        let (digest, read) = match content {
+            None => (0, Err(ScanRefusal::malformed("it is neither of tiles nor of points nor of ranges"))),
+            Some(Content::Tiles(scan)) => match self.tile_scans.read(&mut self.shown, &scan, utc_nanos) {
+                Ok(scan) => (self.shown.digest, Ok(ScanContent::Tiles(scan))),
+                Err(refusal) => (0, Err(refusal)),
+            },
+            Some(Content::Cloud(cloud)) => (points_digest(&cloud), self.readings(|spec| points::cloud(spec, cloud))),
+            Some(Content::Ranges(scan)) => (ranges_digest(&scan), self.readings(|spec| points::ranges(spec, scan))),
+        };
+        let scan = DecodedScan { sequence, utc_nanos, digest, content: None, refusal: None };
+        if self.spec.is_none() {
+            return DecodedScan { refusal: Some(no_grid()), ..scan };
+        }
+        match read {
+            Err(refusal) => DecodedScan { refusal: Some(refusal), ..scan },
+            Ok(content) if utc_nanos < 0 => {
+                let detail = format!("time {utc_nanos} ns is before 1970");
+                let refusal = Some(ScanRefusal { reason: RefusalReason::Time, detail });
+                let content = Some(content).filter(|content| matches!(content, ScanContent::Tiles(_)));
+                DecodedScan { content, refusal, ..scan }
+            }
+            Ok(ScanContent::Tiles(sent)) if self.shown.cells == 0 => {
+                let detail = format!("no cell of the {} tiles seen is observed within the grid", self.seen());
+                let refusal = Some(ScanRefusal { reason: RefusalReason::Empty, detail });
+                DecodedScan { content: Some(ScanContent::Tiles(sent)), refusal, ..scan }
+            }
+            Ok(content) => DecodedScan { content: Some(content), ..scan },
+        }
+    }
+
+    /// Number of tiles in the last scan of tiles, as sent.
+    fn seen(&self) -> u64 {
+        self.shown.runs.iter().map(|(first, end)| u64::from(end - first)).sum()
+    }
+
+    fn readings(
+        &self,
+        read: impl FnOnce(&GridSpec) -> Result<tidemap_map::grid::raycast::Readings, ScanRefusal>,
+    ) -> Result<ScanContent, ScanRefusal> {
+        self.spec.as_ref().map_or_else(|| Err(no_grid()), |spec| read(spec).map(ScanContent::Readings))
+    }
+}
+
+fn no_grid() -> ScanRefusal {
+    ScanRefusal { reason: RefusalReason::NoGrid, detail: "the map has no grid".to_owned() }
+}

@@ -1,0 +1,69 @@
+//! Digests of scans, by which a producer notices that it continues something else than what it sent before.
+//!
+//! Invariant: a digest depends on what a scan shows, and not on how it was put into messages.
+
+use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
+
+use crate::v1;
+
+/// What the checksum of a tile is multiplied by.
+pub const DIGEST_FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
+
+/// What one tile adds to the digest of a scan of tiles; the digest is their sum modulo 2^64.
+#[must_use]
+pub fn tile_digest(index: TileIndex, masks: &TileMasks) -> u64 {
+    masks_digest(index_crc(index), masks)
+}
+
+/// The checksum of a tile's index, with which its digest begins.
+pub(super) fn index_crc(index: TileIndex) -> u32 {
+    let mut bytes = [0; 12];
+    for (four, along) in bytes.as_chunks_mut::<4>().0.iter_mut().zip([index.x, index.y, index.z]) {
+        *four = along.to_le_bytes();
+    }
+    crc32c::crc32c(&bytes)
+}
+
+/// The digest of a tile whose index has this checksum.
+pub(super) fn masks_digest(index_crc: u32, masks: &TileMasks) -> u64 {
+    let mut bytes = [0; 128];
+    bytes[..64].copy_from_slice(&masks.observed().to_bytes());
+    bytes[64..].copy_from_slice(&masks.occupied().to_bytes());
+    u64::from(crc32c::crc32c_append(index_crc, &bytes)).wrapping_mul(DIGEST_FACTOR)
+}
+
+/// Digest of a point cloud.
+#[must_use]
+pub fn points_digest(cloud: &v1::PointCloud) -> u64 {
+    u64::from(floats_crc(pose_crc(cloud.pose.as_ref()), &cloud.xyz_m))
+}
+
+/// Digest of a planar scan.
+#[must_use]
+pub fn ranges_digest(scan: &v1::RangeScan) -> u64 {
+    u64::from(floats_crc(pose_crc(scan.pose.as_ref()), &scan.ranges_m))
+}
+
+/// The checksum of a pose as sent.
+pub(super) fn pose_crc(pose: Option<&v1::Pose>) -> u32 {
+    let pose = pose.copied().unwrap_or_default();
+    let numbers = [pose.x_m, pose.y_m, pose.z_m, pose.qx, pose.qy, pose.qz, pose.qw];
+    numbers.iter().fold(0, |crc, number| crc32c::crc32c_append(crc, &number.to_le_bytes()))
+}
+
+/// The checksum goes on over numbers as sent.
+pub(super) fn floats_crc(crc: u32, numbers: &[f32]) -> u32 {
+    let mut bytes = [0; 1024];
+    numbers.chunks(bytes.len() / 4).fold(crc, |crc, numbers| {
+        for (four, number) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(numbers) {
+            *four = number.to_le_bytes();
+        }
+        crc32c::crc32c_append(crc, &bytes[..4 * numbers.len()])
+    })
+}
+
+/// The running checksum of a stream's content, one scan further.
+#[must_use]
+pub fn content_crc(crc: u32, utc_nanos: i64, digest: u64) -> u32 {
+    crc32c::crc32c_append(crc32c::crc32c_append(crc, &utc_nanos.to_le_bytes()), &digest.to_le_bytes())
+}

@@ -1,0 +1,166 @@
+//! A stream's table of tiles: which they are, what it last showed of them, and which of them it saw last.
+//!
+//! Invariant: masks are those that were sent, also beyond the grid's extent, because digests and later flips refer to
+//! them. `digest` and `cells` are the sums over the tiles of `runs`.
+
+use std::{collections::HashSet, sync::Arc};
+
+use tidemap_map::grid::{
+    index::{CellBox, TILE_LIMIT, TileIndex},
+    mask::{Mask, TileMasks},
+    spec::GridSpec,
+};
+
+use super::{
+    ScanError,
+    digest::{index_crc, masks_digest},
+};
+use crate::convert::InvalidField;
+
+/// Cells of a tile that a flat grid has.
+pub(super) const LAYER: Mask = Mask([u64::MAX, 0, 0, 0, 0, 0, 0, 0]);
+
+/// One tile of the table.
+#[derive(Debug)]
+pub(super) struct Slot {
+    pub masks: TileMasks,
+    digest: u64,
+    index_crc: u32,
+    /// Cells within the grid's extent; `None`: all.
+    within: Option<Box<Mask>>,
+}
+
+impl Slot {
+    /// Those of the cells that lie within the grid's extent.
+    pub fn cut(&self, cells: Mask) -> Mask {
+        self.within.as_ref().map_or(cells, |within| cells & **within)
+    }
+
+    /// Whether every cell lies within the grid's extent.
+    pub fn is_whole(&self) -> bool {
+        self.within.is_none()
+    }
+
+    fn cells(&self) -> u64 {
+        u64::from(self.cut(self.masks.observed()).count())
+    }
+}
+
+/// What a stream has shown.
+#[derive(Debug)]
+pub(super) struct Shown {
+    pub is_flat: bool,
+    extent: Option<CellBox>,
+    pub slots: Vec<Slot>,
+    known: HashSet<TileIndex>,
+    /// The slots seen last, as runs.
+    pub runs: Vec<(u32, u32)>,
+    /// The same one by one, those without a cell in the grid's extent left out.
+    pub seen: Arc<[u32]>,
+    pub digest: u64,
+    /// Cells observed within the grid's extent.
+    pub cells: u64,
+}
+
+impl Shown {
+    pub fn new(spec: Option<&GridSpec>) -> Shown {
+        Shown {
+            is_flat: spec.is_some_and(|spec| spec.is_flat),
+            // Without one every tile that the wire allows lies within.
+            extent: spec.filter(|spec| spec.extent.is_some()).map(GridSpec::allowed),
+            slots: Vec::new(),
+            known: HashSet::new(),
+            runs: Vec::new(),
+            seen: Arc::from([]),
+            digest: 0,
+            cells: 0,
+        }
+    }
+
+    /// Adds tiles to the table, all or none.
+    pub fn extend(&mut self, new_tiles: &[i32], max_tiles: usize) -> Result<Vec<TileIndex>, ScanError> {
+        let (triples, rest) = new_tiles.as_chunks::<3>();
+        if !rest.is_empty() {
+            let text = format!("{} entries are not x, y, z of each tile", new_tiles.len());
+            return Err(InvalidField::new("scans.new_tiles", text).into());
+        }
+        let tiles = self.slots.len() + triples.len();
+        if tiles > max_tiles {
+            let (what, setting) = ("tiles of one stream", "setting max_scan_tiles");
+            return Err(ScanError::Limit { what, got: tiles as u64, max: max_tiles as u64, setting });
+        }
+        let mut added = HashSet::with_capacity(triples.len());
+        let mut indices = Vec::with_capacity(triples.len());
+        for (number, &[x, y, z]) in triples.iter().enumerate() {
+            let index = TileIndex { x, y, z };
+            let wrong = if !index.is_valid() {
+                format!("it must be within ±{TILE_LIMIT} along each axis")
+            } else if self.is_flat && z != 0 {
+                "z must be 0 in a flat grid".to_owned()
+            } else if self.known.contains(&index) || !added.insert(index) {
+                "it is in the stream's table already".to_owned()
+            } else {
+                indices.push(index);
+                continue;
+            };
+            let field = format!("scans.new_tiles[{}]", 3 * number);
+            return Err(InvalidField::new(field, format!("tile {x}, {y}, {z}: {wrong}")).into());
+        }
+        for &index in &indices {
+            self.known.insert(index);
+            let index_crc = index_crc(index);
+            let masks = TileMasks::default();
+            let digest = masks_digest(index_crc, &masks);
+            self.slots.push(Slot { masks, digest, index_crc, within: self.within(index).map(Box::new) });
+        }
+        Ok(indices)
+    }
+
+    /// The cells of a tile that lie within the extent, where some do not.
+    fn within(&self, index: TileIndex) -> Option<Mask> {
+        let extent = self.extent?;
+        let mut common = index.cells().intersection(&extent);
+        if self.is_flat {
+            // The cells above the layer are never used: they do not make the tile a cut one.
+            let whole = index.cells();
+            (common.min.z, common.max.z) = (whole.min.z, whole.max.z);
+        }
+        if common == index.cells() {
+            return None;
+        }
+        let mut within = Mask::EMPTY;
+        if !common.is_empty() {
+            for place in Mask::FULL.cells().filter(|&place| common.contains(index.cell(place))) {
+                within.insert(place);
+            }
+        }
+        Some(within)
+    }
+
+    /// Takes a scan over: the masks that it changes, and the runs where it sees other slots than the scan before.
+    pub fn take(&mut self, changes: &[(u32, TileMasks)], runs: Option<&mut Vec<(u32, u32)>>) {
+        for &(slot, masks) in changes {
+            let Some(slot) = self.slots.get_mut(slot as usize) else { continue };
+            self.digest = self.digest.wrapping_sub(slot.digest);
+            let moves_cells = slot.masks.observed() != masks.observed();
+            self.cells = self.cells.wrapping_sub(if moves_cells { slot.cells() } else { 0 });
+            slot.masks = masks;
+            slot.digest = masks_digest(slot.index_crc, &masks);
+            self.digest = self.digest.wrapping_add(slot.digest);
+            self.cells = self.cells.wrapping_add(if moves_cells { slot.cells() } else { 0 });
+        }
+        let Some(runs) = runs else { return };
+        std::mem::swap(&mut self.runs, runs);
+        (self.digest, self.cells) = (0, 0);
+        let mut seen = Vec::with_capacity(self.runs.iter().map(|(first, end)| (end - first) as usize).sum());
+        for number in self.runs.iter().flat_map(|&(first, end)| first..end) {
+            let Some(slot) = self.slots.get(number as usize) else { continue };
+            self.digest = self.digest.wrapping_add(slot.digest);
+            self.cells += slot.cells();
+            if slot.within.as_ref().is_none_or(|within| !within.is_empty()) {
+                seen.push(number);
+            }
+        }
+        self.seen = seen.into();
+    }
+}

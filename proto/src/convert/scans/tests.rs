@@ -1,0 +1,137 @@
+//! Scans there and back, refusals one by one, parts, and what ends a stream.
+
+use prost::Message as _;
+use tidemap_map::grid::{
+    index::{CellBox, CellIndex, TileIndex},
+    mask::{Mask, TileMasks},
+    raycast::Rays,
+    spec::{GridSpec, Retention, SensorNoise},
+};
+
+use super::*;
+use crate::v1::{self, scan::Content};
+
+mod refusals;
+mod round_trip;
+
+const LIMITS: ScanLimits = ScanLimits { batch_scans: 64, points: 100, tiles: 1000 };
+
+fn spec(is_flat: bool) -> GridSpec {
+    GridSpec {
+        frame_id: "map".to_owned(),
+        is_flat,
+        resolution_m: 0.1,
+        origin_m: [0.0; 3],
+        extent: None,
+        sensor: SensorNoise::default(),
+        retention: Retention::None,
+    }
+}
+
+fn decoder(spec: &GridSpec) -> ScanDecoder {
+    ScanDecoder::new(Some(spec), LIMITS)
+}
+
+fn index(x: i32, y: i32, z: i32) -> TileIndex {
+    TileIndex { x, y, z }
+}
+
+fn mask(cells: &[u16]) -> Mask {
+    let mut mask = Mask::EMPTY;
+    for &cell in cells {
+        mask.insert(cell);
+    }
+    mask
+}
+
+fn masks(observed: &[u16], occupied: &[u16]) -> TileMasks {
+    TileMasks::new(mask(observed), mask(occupied)).expect("occupied cells are observed")
+}
+
+/// A message of scans a second apart.
+fn message(first: u64, new_tiles: &[i32], scans: Vec<Content>) -> v1::ScanBatch {
+    let scans: Vec<v1::Scan> = scans.into_iter().map(|content| v1::Scan { content: Some(content) }).collect();
+    v1::ScanBatch {
+        first_sequence: first,
+        new_tiles: new_tiles.to_vec(),
+        time_unit_nanos: 1_000_000_000,
+        first_time_nanos: 1_000_000_000 * i64::try_from(first).expect("small"),
+        time_deltas: (0..scans.len()).map(|i| i64::from(i > 0)).collect(),
+        scans,
+        continues: false,
+    }
+}
+
+fn flips(seen: &[u32], observed: &[u32], occupied: &[u32]) -> Content {
+    Content::Tiles(v1::TileScan {
+        seen: seen.to_vec(),
+        observed_flips: pack_flips(observed),
+        occupied_flips: pack_flips(occupied),
+        ..v1::TileScan::default()
+    })
+}
+
+fn all(decoder: &mut ScanDecoder, message: v1::ScanBatch) -> Result<Vec<DecodedScan>, ScanError> {
+    decoder.begin(message)?;
+    let mut scans = Vec::new();
+    while let Some(scan) = decoder.next_scan()? {
+        scans.push(scan);
+    }
+    Ok(scans)
+}
+
+fn sent(scan: &DecodedScan) -> &SentScan {
+    match &scan.content {
+        Some(ScanContent::Tiles(sent)) => sent,
+        other => panic!("not of tiles: {other:?}, {:?}", scan.refusal),
+    }
+}
+
+#[test]
+#[ignore = "prints a speed"]
+fn speed() {
+    let mut encoder = ScanEncoder::new(false);
+    let tiles: Vec<_> = (0..300).map(|x| (index(x, 0, 0), TileMasks::clipped(Mask::FULL, mask(&[3])))).collect();
+    encoder.tiles(&tiles).expect("x");
+    let limits = ScanLimits { batch_scans: 1024, ..LIMITS };
+    let mut decoder = ScanDecoder::new(Some(&spec(false)), limits);
+    let mut e2 = ScanEncoder::new(false);
+    all(&mut decoder, batch(1, &[0], vec![e2.tiles(&tiles).unwrap()])).unwrap();
+    let mut seed = 1u64;
+    let (mut te, mut td, mut tp) = (std::time::Duration::ZERO, std::time::Duration::ZERO, std::time::Duration::ZERO);
+    let mut bytes_total = 0;
+    let n = 400;
+    for round in 0..n {
+        let t = std::time::Instant::now();
+        let mut scans = Vec::new();
+        let mut cells: Vec<u32> = Vec::new();
+        for _ in 0..1000 {
+            cells.clear();
+            for _ in 0..35 {
+                seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                cells.push(((seed >> 33) % (300 * 512)) as u32);
+            }
+            cells.sort_unstable();
+            cells.dedup();
+            scans.push(e2.flips(None, &[], &cells).unwrap());
+        }
+        let times: Vec<i64> = (0..1000).map(|i| i + round * 1000).collect();
+        let message = batch(2 + round as u64 * 1000, &times, scans).encode_to_vec();
+        te += t.elapsed();
+        bytes_total += message.len();
+        let t = std::time::Instant::now();
+        let message = v1::ScanBatch::decode(message.as_slice()).unwrap();
+        tp += t.elapsed();
+        let t = std::time::Instant::now();
+        decoder.begin(message).unwrap();
+        while let Some(scan) = decoder.next_scan().unwrap() {
+            assert!(scan.refusal.is_none());
+        }
+        td += t.elapsed();
+    }
+    println!(
+        "{} scans: encode {te:?}, prost {tp:?}, decode {td:?}, {} bytes a scan",
+        n * 1000,
+        bytes_total / (n as usize * 1000)
+    );
+}

@@ -1,0 +1,119 @@
+//! Observations and scans as a stream sends them: what is taken, skipped, refused, and what ends the stream.
+
+use tidemap_proto::convert::columns::encode;
+
+use super::*;
+
+fn message(first: u64, names: &[&str], indices: &[u32], times: &[i64], values: &[f64]) -> ObservationBatch {
+    let names = names.iter().map(|name| (*name).to_owned()).collect();
+    ObservationBatch { first_sequence: first, observations: Some(encode(times, indices, values, names)) }
+}
+
+fn limits(batch: usize, table: usize) -> IntakeLimits {
+    IntakeLimits { batch, table, scans: ScanLimits { batch_scans: 8, points: 1000, tiles: 4 } }
+}
+
+fn intake() -> Intake {
+    Intake::new(0, 0, limits(4, 3), None)
+}
+
+#[test]
+fn numbers_go_up_by_one_and_known_ones_are_skipped() {
+    let mut intake = intake();
+    let batch = intake.take(message(1, &["a"], &[0, 0], &[1, 2], &[0.0, 1.0])).expect("fine").expect("new");
+    assert_eq!((batch.first_sequence, batch.last_sequence), (1, 2));
+    assert!(intake.take(message(1, &[], &[0, 0], &[1, 2], &[0.0, 1.0])).expect("fine").is_none());
+    let batch = intake.take(message(2, &[], &[0, 0], &[2, 3], &[1.0, 0.5])).expect("fine").expect("new");
+    assert_eq!((batch.first_sequence, batch.last_sequence, batch.times_nanos.as_slice()), (3, 3, [3].as_slice()));
+    let leap = intake.take(message(5, &[], &[0], &[1], &[0.0]));
+    assert_eq!(leap.expect_err("a gap"), IntakeError::OutOfSequence { got: 5, expected: 4 });
+    assert!(intake.take(message(0, &[], &[0], &[1], &[0.0])).is_err());
+}
+
+#[test]
+fn the_crc_depends_on_content_alone() {
+    let mut whole = intake();
+    let whole = whole.take(message(1, &["a", "b"], &[0, 1, 0], &[1, 2, 3], &[0.0, 1.0, 0.5]));
+    let mut parts = intake();
+    parts.take(message(1, &["b", "a"], &[1, 0], &[1, 2], &[0.0, 1.0])).expect("fine");
+    let parts = parts.take(message(2, &[], &[0, 1], &[2, 3], &[1.0, 0.5]));
+    assert_eq!(whole.expect("fine").expect("new").content_crc, parts.expect("fine").expect("new").content_crc);
+    let by_hand = [("a", 1i64, 0f64), ("b", 2, 1.0), ("a", 3, 0.5)].iter().fold(0, |crc, (name, time, value)| {
+        let crc = crc32c::crc32c_append(crc, name.as_bytes());
+        crc32c::crc32c_append(crc32c::crc32c_append(crc, &time.to_le_bytes()), &value.to_le_bytes())
+    });
+    let mut again = intake();
+    let again = again.take(message(1, &["a", "b"], &[0, 1, 0], &[1, 2, 3], &[0.0, 1.0, 0.5]));
+    assert_eq!(again.expect("fine").expect("new").content_crc, by_hand);
+}
+
+#[test]
+fn a_wrong_observation_does_not_take_its_neighbours_with_it() {
+    let mut intake = Intake::new(10, 7, limits(9, 9), None);
+    let values = [0.5, f64::NAN, 1.0, -0.1, 0.0, 1.5, f64::INFINITY];
+    let sent = message(11, &["a", "b/c"], &[0, 0, 1, 0, 9, 0, 0], &[1, 2, 3, 4, 5, 6, 7], &values);
+    let batch = intake.take(sent).expect("fine").expect("new");
+    assert_eq!(batch.last_sequence, 17);
+    assert_eq!(batch.kept, [0]);
+    assert_eq!(batch.values, [0.5]);
+    let reasons: Vec<_> = batch.refused.iter().map(|refused| (refused.sequence, refused.reason)).collect();
+    assert_eq!(
+        reasons,
+        [
+            (12, RefusalReason::Value),
+            (13, RefusalReason::StateName),
+            (14, RefusalReason::Value),
+            (15, RefusalReason::StateIndex),
+            (16, RefusalReason::Value),
+            (17, RefusalReason::Value),
+        ]
+    );
+    assert!(batch.refused[0].detail.contains("NaN"));
+    assert_eq!(batch.new_names.len(), 2);
+}
+
+#[test]
+fn times_before_1970_are_refused() {
+    let mut intake = intake();
+    let batch = intake.take(message(1, &["a"], &[0, 0], &[-5, 5], &[0.0, 0.0])).expect("fine").expect("new");
+    assert_eq!(batch.refused[0].reason, RefusalReason::Time);
+    assert_eq!(batch.kept, [1]);
+}
+
+#[test]
+fn limits_are_errors_and_nothing_is_taken() {
+    let mut intake = intake();
+    let over = intake.take(message(1, &["a"], &[0; 5], &[0; 5], &[0.0; 5])).expect_err("5 observations");
+    assert!(matches!(over, IntakeError::Limit { got: 5, max: 4, .. }), "{over}");
+    assert!(over.to_string().contains("max_batch_observations"), "{over}");
+    let over = intake.take(message(1, &["a", "b", "c", "d"], &[0], &[0], &[0.0])).expect_err("4 names");
+    assert!(matches!(over, IntakeError::Limit { got: 4, max: 3, .. }), "{over}");
+    assert!(intake.take(ObservationBatch { first_sequence: 1, observations: None }).is_err());
+    let batch = intake.take(message(1, &["a"], &[0], &[0], &[0.0])).expect("fine").expect("new");
+    assert_eq!(batch.first_sequence, 1);
+    let edge = intake.take(message(u64::MAX, &[], &[0], &[0], &[0.0]));
+    assert!(matches!(edge, Err(IntakeError::OutOfSequence { .. })));
+}
+
+#[test]
+fn the_bytes_of_a_table_are_bounded() {
+    let mut intake = intake();
+    // Too long to be valid, and kept all the same.
+    let long = "x".repeat(TABLE_BYTES_LEAST / 2);
+    for sequence in 1..=2 {
+        let batch = intake.take(message(sequence, &[&long], &[0], &[0], &[0.0])).expect("fine").expect("new");
+        assert_eq!(batch.refused[0].reason, RefusalReason::StateName);
+    }
+    let over = intake.take(message(3, &["a"], &[0], &[0], &[0.0])).expect_err("full");
+    assert!(matches!(over, IntakeError::Limit { got, max, .. } if got == max + 1), "{over}");
+    assert!(intake.take(message(3, &[], &[0], &[0], &[0.0])).is_ok());
+}
+
+#[test]
+fn names_alone_are_handed_over_without_observations() {
+    let mut intake = intake();
+    intake.take(message(1, &["a"], &[0], &[1], &[0.0])).expect("fine");
+    let batch = intake.take(message(1, &["b"], &[0], &[1], &[0.0])).expect("fine").expect("names");
+    assert!(batch.last_sequence < batch.first_sequence);
+    assert_eq!((batch.new_names.len(), batch.values.len()), (1, 0));
+}

@@ -1,0 +1,195 @@
+//! Scans of streams turned into events: flips against the last scan of each tile in the order of the log.
+//!
+//! Invariant: an event is one that the log takes, at most 16 MiB, whatever streams show each other; scans of one parcel
+//! are spread over several where that needs it, in their order.
+
+use tidemap_map::{
+    MAX_AHEAD_NANOS,
+    event::{Event, Observations, RefusalReason},
+    grid::{
+        front::{Front, FrontScan, ScanSource},
+        index::TileIndex,
+        scan::{LoggedScan, Scans},
+    },
+    live_map::LiveMap,
+};
+
+use super::{
+    super::protocol::{Refused, ScanOrigin, ScanParcel, SessionId, TakenScan},
+    Session, Sessions,
+};
+
+/// Bits that one scan may flip: 2 bytes each, as near to each other as so many are.
+const FLIPS_MAX: u64 = 3_000_000;
+/// Bits that the scans of one event flip before another is begun: 5 bytes each, however far they are apart.
+const EVENT_FLIPS: u64 = 1_000_000;
+/// Tiles that the scans of one event see, taken together, before another is begun.
+const EVENT_TILES: u64 = 500_000;
+/// Tiles of a scan that cannot flip more bits than it may.
+const TILES_UNCOUNTED: usize = (FLIPS_MAX / 1024) as usize;
+
+/// What goes into one event.
+#[derive(Default)]
+struct Portion {
+    scans: Vec<LoggedScan>,
+    new_tiles: Vec<TileIndex>,
+    flips: u64,
+    seen: u64,
+}
+
+impl Portion {
+    fn push(&mut self, taken: FrontScan) {
+        let FrontScan { scan, new_tiles } = taken;
+        self.flips += (scan.observed_flips.len() + scan.occupied_flips.len()) as u64;
+        self.seen += scan.seen.as_ref().map_or(0, |seen| seen.len() as u64);
+        self.new_tiles.extend(new_tiles);
+        self.scans.push(scan);
+    }
+
+    fn is_full(&self) -> bool {
+        self.flips >= EVENT_FLIPS || self.seen >= EVENT_TILES
+    }
+}
+
+impl Sessions {
+    /// Turns scans into events with their refusals, some added where the map may not have more tiles. None where the
+    /// stream is closed, or nothing is to be logged.
+    pub fn scan_events(
+        &mut self,
+        id: SessionId,
+        parcel: ScanParcel,
+        map: &LiveMap,
+        now: i64,
+    ) -> Vec<(Event, Vec<Refused>)> {
+        let ScanParcel { first_sequence, last_sequence, content_crc, new_tiles, scans, mut refused, .. } = parcel;
+        let Some(mut session) = self.sessions.remove(&id) else { return Vec::new() };
+        let mut portions: Vec<(Portion, u64, u32)> = Vec::new();
+        if session.open {
+            for index in new_tiles {
+                session.shown.push(index);
+            }
+            let mut portion = Portion::default();
+            for taken in scans {
+                let (sequence, crc) = (taken.sequence, taken.content_crc);
+                match self.take(id, &mut session, taken, map, now) {
+                    Ok(Some(scan)) => portion.push(scan),
+                    Ok(None) => {}
+                    Err(refusal) => refused.push(refusal),
+                }
+                if portion.is_full() {
+                    portions.push((std::mem::take(&mut portion), sequence, crc));
+                }
+            }
+            let done = portions.last().map_or(first_sequence.saturating_sub(1), |(_, sequence, _)| *sequence);
+            if last_sequence >= first_sequence && last_sequence > done {
+                portions.push((portion, last_sequence, content_crc));
+            }
+        }
+        refused.sort_by_key(|refused| refused.sequence);
+        let mut refused = refused.into_iter().peekable();
+        let mut first = first_sequence;
+        let mut events = Vec::with_capacity(portions.len());
+        for (portion, last, content_crc) in portions {
+            let of_portion: Vec<Refused> =
+                std::iter::from_fn(|| refused.next_if(|refused| refused.sequence <= last)).collect();
+            let (producer, new_producer) = session.producer(map, &mut self.producers_in_flight);
+            session.in_flight += 1;
+            let incarnation = session.incarnation;
+            let reasons = of_portion.iter().map(|refused| (refused.sequence, refused.reason)).collect();
+            let event = if map.grid().is_some() {
+                Event::Scans(Scans {
+                    producer,
+                    new_producer,
+                    incarnation,
+                    first_sequence: first,
+                    last_sequence: last,
+                    content_crc,
+                    received_nanos: now,
+                    new_tiles: portion.new_tiles,
+                    scans: portion.scans,
+                    refused: reasons,
+                })
+            } else {
+                // A map without a grid has no events of scans; that some were refused is told all the same.
+                Event::Observations(Observations {
+                    producer,
+                    new_producer,
+                    incarnation,
+                    first_sequence: first,
+                    last_sequence: last,
+                    content_crc,
+                    received_nanos: now,
+                    new_states: Vec::new(),
+                    states: Vec::new(),
+                    times_nanos: Vec::new(),
+                    values: Vec::new(),
+                    offsets: Vec::new(),
+                    refused: reasons,
+                })
+            };
+            events.push((event, of_portion));
+            first = last.saturating_add(1);
+        }
+        self.sessions.insert(id, session);
+        events
+    }
+
+    /// Takes one scan: what the log is to hold of it, nothing where it is only to be remembered.
+    fn take(
+        &mut self,
+        id: SessionId,
+        session: &mut Session,
+        taken: TakenScan,
+        map: &LiveMap,
+        now: i64,
+    ) -> Result<Option<FrontScan>, Refused> {
+        let TakenScan { sequence, origin, is_taken, scan, new_tiles, restarts, .. } = taken;
+        let (source, stream) = match origin {
+            ScanOrigin::Stream => (&mut session.shown, 2 * id.0),
+            ScanOrigin::Cast => (&mut session.cast, 2 * id.0 + 1),
+        };
+        if restarts {
+            *source = ScanSource::default();
+        }
+        for index in new_tiles {
+            source.push(index);
+        }
+        let Some(grid) = map.grid().filter(|_| is_taken) else {
+            source.skip(&scan);
+            return Ok(None);
+        };
+        let refuse = |reason: RefusalReason, detail: String| Err(Refused { sequence, reason, detail });
+        if scan.utc_nanos > now.saturating_add(MAX_AHEAD_NANOS) {
+            if grid.ahead() == 0 {
+                self.tiles_ahead = 0;
+            }
+            if map.ahead() + self.tiles_ahead >= self.limits.ahead {
+                source.skip(&scan);
+                let detail = format!(
+                    "time {} ns is more than 5 minutes ahead of the server's clock, and as many observations and \
+                     tiles of scans wait for their time as may, {}",
+                    scan.utc_nanos, self.limits.ahead
+                );
+                return refuse(RefusalReason::Time, detail);
+            }
+            self.tiles_ahead += scan.seen.len() as u64;
+        }
+        let front = self.front.get_or_insert_with(|| Front::new(grid));
+        if scan.seen.len() > TILES_UNCOUNTED {
+            let flips = front.flips_at_most(grid, source, &scan);
+            if flips > FLIPS_MAX {
+                source.skip(&scan);
+                let detail = format!("the scan changes {flips} readings of cells, and one may change {FLIPS_MAX}");
+                return refuse(RefusalReason::Scan, detail);
+            }
+        }
+        let offset_secs = self.offsets.offset_secs(scan.utc_nanos);
+        front.take(grid, stream, source, &scan, offset_secs, self.limits.tiles).map(Some).or_else(|_| {
+            let detail = format!(
+                "the scan has new tiles, and the map would have more than the {} that setting max_tiles_per_map allows",
+                self.limits.tiles
+            );
+            refuse(RefusalReason::TileLimit, detail)
+        })
+    }
+}

@@ -1,0 +1,120 @@
+//! Events on their way into the log: handed over, applied when they are durable, or failed together.
+//!
+//! Invariant: the committer answers in the order of the appends. Once one has failed, all in flight fail with it, and
+//! nothing new starts before the last of them is answered.
+
+use std::sync::Arc;
+
+use tidemap_map::{event::Event, update::UpdateWork};
+use tidemap_store::AppendError;
+use tracing::{error, warn};
+
+use super::{
+    super::protocol::{Command, Ending, Permits, Refused, SessionId, is_fatal},
+    Instant, Job, UPDATE_RETRY, Writer,
+};
+
+/// An append that the committer has not answered.
+pub(super) enum Flight {
+    /// Observations or scans of a stream.
+    Taken { session: SessionId, event: Event, refused: Vec<Refused>, _permits: Arc<Permits> },
+    /// The start of an update.
+    UpdateStart { event: Event, job: Arc<Job> },
+}
+
+impl Writer {
+    /// Hands an event to the log.
+    pub(super) fn launch(&mut self, flight: Flight) {
+        let (Flight::Taken { event, .. } | Flight::UpdateStart { event, .. }) = &flight;
+        match self.append(event) {
+            Ok(()) => self.flights.push_back(flight),
+            // It never joined the queue: the committer owes no answer for it, and those before it wait for theirs.
+            Err(error) => self.append_failed(error, flight),
+        }
+    }
+
+    fn append(&self, event: &Event) -> Result<(), AppendError> {
+        let commands = self.commands.clone();
+        // A writer that has stopped does not need the answer.
+        self.log.append(event, Box::new(move |result| drop(commands.send(Command::Committed(result)))))
+    }
+
+    pub(super) fn committed(&mut self, result: Result<u64, AppendError>) {
+        let Some(flight) = self.flights.pop_front() else { return };
+        match (result, flight) {
+            (Ok(position), Flight::Taken { session, event, refused, .. }) => {
+                if self.apply(position, &event).is_none() {
+                    return;
+                }
+                let last = match &event {
+                    Event::Observations(event) => {
+                        metrics::counter!("tidemap_observations_total").increment(event.states.len() as u64);
+                        metrics::counter!("tidemap_refused_total").increment(event.refused.len() as u64);
+                        event.last_sequence
+                    }
+                    Event::Scans(event) => {
+                        metrics::counter!("tidemap_scans_total").increment(event.scans.len() as u64);
+                        metrics::counter!("tidemap_refused_total").increment(event.refused.len() as u64);
+                        event.last_sequence
+                    }
+                    Event::UpdateStart(_) => return,
+                };
+                let ack = self.acks.entry(session).or_default();
+                ack.durable_sequence = last;
+                ack.refused.extend(refused);
+                self.sessions.applied(session, &event);
+            }
+            (Ok(position), Flight::UpdateStart { event, job }) => match self.apply(position, &event) {
+                Some(Some(work)) => self.run_update(work, &job),
+                _ => job.end(Err("the update did not start".to_owned())),
+            },
+            (Err(error), flight) => self.append_failed(error, flight),
+        }
+    }
+
+    fn append_failed(&mut self, error: AppendError, flight: Flight) {
+        if self.failing.is_none() && error == AppendError::AfterFailure && !self.flights.is_empty() {
+            // The answer that says what has failed is on its way.
+            return self.grounded.push(flight);
+        }
+        // What became durable before this is acknowledged before the streams hear of the end.
+        self.publish();
+        if self.failing.is_none() {
+            warn!(map = %self.map.spec().name, %error, "the log could not be written; nothing of it is acknowledged");
+        }
+        if is_fatal(&error) && !self.failing.as_ref().is_some_and(is_fatal) {
+            self.fatal(error.to_string());
+            self.failing = Some(error.clone());
+        }
+        // Those that fail because one before them failed are told of that one.
+        let first = self.failing.get_or_insert(error).clone();
+        match flight {
+            Flight::Taken { session, .. } => self.sessions.failed(session, &Ending::Storage(first)),
+            Flight::UpdateStart { job, .. } => {
+                self.updates.failed(job.cause);
+                self.updates_wait_until = Some(Instant::now() + UPDATE_RETRY);
+                job.end(Err(first.to_string()));
+            }
+        }
+        for flight in std::mem::take(&mut self.grounded) {
+            self.append_failed(AppendError::AfterFailure, flight);
+        }
+    }
+
+    pub(super) fn fatal(&self, reason: String) {
+        // The daemon is stopping already if nobody listens.
+        let _ = self.context.fatal.send(reason);
+    }
+
+    fn apply(&mut self, position: u64, event: &Event) -> Option<Option<UpdateWork>> {
+        self.changed = true;
+        match self.map.apply(position, event) {
+            Ok(work) => Some(work),
+            Err(inconsistent) => {
+                error!(map = %self.map.spec().name, error = %inconsistent, "the map and its log disagree");
+                self.fatal(inconsistent.to_string());
+                None
+            }
+        }
+    }
+}

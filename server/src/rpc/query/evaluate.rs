@@ -1,0 +1,114 @@
+//! `EvaluateStates`: compares predictions with observations, which are not learned.
+//!
+//! Invariant: memory is bounded by the number of states and models, not by that of observations.
+
+use std::{
+    collections::{HashMap, hash_map::Entry},
+    sync::Arc,
+};
+
+use tidemap_map::{
+    event::StateId,
+    predict::{ModelKind, ModelSelector},
+};
+use tidemap_model::Sample;
+use tidemap_proto::{
+    convert::{
+        InvalidField,
+        columns::decode,
+        query::{order_from_wire, selector_from_wire, selector_to_wire},
+    },
+    v1,
+};
+use tonic::{Status, Streaming};
+
+use super::{Queries, STATES_MAX, check_limit, find_state};
+use crate::{
+    evaluation::Evaluator,
+    rpc::{map::find_map, status::RpcError},
+};
+
+/// Most sums of errors of one evaluation, one per state, model and order: 24 MB, and a reply that can be sent.
+const SUMS_MAX: usize = 1_000_000;
+
+pub(super) async fn evaluate_states(
+    queries: &Queries,
+    mut stream: Streaming<v1::EvaluateStatesRequest>,
+) -> Result<v1::EvaluateStatesResponse, Status> {
+    let Some(v1::evaluate_states_request::Message::Header(header)) =
+        stream.message().await?.and_then(|request| request.message)
+    else {
+        let error = InvalidField::new("header", "the first message of the stream must be the header");
+        return Err(RpcError::from(error).into());
+    };
+    let view = find_map(&queries.catalog, &header.map)?.view();
+    let max_order = header.max_order.map(|order| order_from_wire("header.max_order", order)).transpose();
+    let max_order = max_order.map_err(RpcError::from)?.unwrap_or(tidemap_model::MAX_ORDER);
+    let mut models = Vec::with_capacity(header.models.len());
+    for (i, model) in header.models.into_iter().enumerate() {
+        models.push(selector_from_wire(&format!("header.models[{i}]"), Some(model)).map_err(RpcError::from)?);
+    }
+    if models.is_empty() {
+        models.push(ModelSelector { kind: ModelKind::Spectral, ..ModelSelector::default() });
+    }
+    check_limit("models", models.len() as u64, 64, "one request")?;
+    let mut evaluator = Evaluator::new(Arc::clone(&view), models, max_order);
+    let mut table: Vec<StateId> = Vec::new();
+    while let Some(request) = stream.message().await? {
+        let Some(v1::evaluate_states_request::Message::Observations(mut columns)) = request.message else {
+            let error = InvalidField::new("observations", "every message after the first must have them");
+            return Err(RpcError::from(error).into());
+        };
+        for name in std::mem::take(&mut columns.new_states) {
+            let states = table.len() + 1;
+            check_limit("states", states as u64, STATES_MAX as u64, "one evaluation")?;
+            let sums = states.saturating_mul(evaluator.sums_per_state()) as u64;
+            check_limit("states times models and orders", sums, SUMS_MAX as u64, "one evaluation")?;
+            table.push(find_state(&view, &name)?);
+        }
+        let max = queries.max_batch as u64;
+        let setting = "setting max_batch_observations";
+        check_limit("observations of one message", columns.time_deltas.len() as u64, max, setting)?;
+        let columns = decode(columns).map_err(RpcError::from)?;
+        let mut make = view.sample_maker();
+        let mut by_state: HashMap<StateId, Vec<Sample>> = HashMap::new();
+        let mut first_seen = Vec::new();
+        for i in 0..columns.values.len() {
+            let (index, time, value) = (columns.state_indices[i], columns.times_nanos[i], columns.values[i]);
+            let Some(&state) = table.get(index as usize) else {
+                let text = format!("{index} is beyond the stream's table of {} names", table.len());
+                return Err(RpcError::from(InvalidField::new("observations.state_indices", text)).into());
+            };
+            if time < 0 {
+                let text = format!("{time} ns is before 1970");
+                return Err(RpcError::from(InvalidField::new("observations.times", text)).into());
+            }
+            if !(0.0..=1.0).contains(&value) {
+                let text = format!("value {value} is not between 0 and 1");
+                return Err(RpcError::from(InvalidField::new("observations.values", text)).into());
+            }
+            let samples = match by_state.entry(state) {
+                Entry::Occupied(samples) => samples.into_mut(),
+                Entry::Vacant(none) => {
+                    first_seen.push(state);
+                    none.insert(Vec::new())
+                }
+            };
+            samples.push(make(time, value));
+        }
+        evaluator = tokio::task::spawn_blocking(move || {
+            evaluator.add(&first_seen, &by_state);
+            evaluator
+        })
+        .await
+        .map_err(|_| RpcError::Stopping)?;
+    }
+    let evaluations = evaluator.rows().map(|(state, model, evaluation)| v1::Evaluation {
+        state: state.to_owned(),
+        model: Some(selector_to_wire(model)),
+        observations: evaluation.observations,
+        mean_squared_error: evaluation.mse(),
+        error_rate: evaluation.error_rate(),
+    });
+    Ok(v1::EvaluateStatesResponse { evaluations: evaluations.collect() })
+}

@@ -1,0 +1,84 @@
+//! `PredictGrid`: a grid, or a part of it, at one time.
+//!
+//! Invariant: the whole answer is from one view. What it costs is known, told and checked before any of it is computed.
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    grid::predict::{GridQuestion, GridSelection},
+    view::MapView,
+};
+use tidemap_proto::{
+    convert::cells::{header_to_wire, question_from_wire, tile_bytes, tile_to_wire},
+    v1::{self, predict_grid_response::Message},
+};
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+
+use super::{
+    Queries, check_limit,
+    replies::{Computed, Replies, computed},
+};
+use crate::rpc::{map::find_map, status::RpcError};
+
+/// A page is sent when it has this many bytes.
+const PAGE_BYTES: usize = 128 << 10;
+
+pub(super) async fn predict_grid(
+    queries: &Queries,
+    request: v1::PredictGridRequest,
+) -> Result<Replies<v1::PredictGridResponse>, RpcError> {
+    let view = find_map(&queries.catalog, &request.map)?.view();
+    let estimate_only = request.estimate_only;
+    let question = question_from_wire(request)?;
+    let no_grid = || RpcError::NoGrid { map: view.spec().name.as_str().to_owned() };
+    view.grid().ok_or_else(no_grid)?;
+    // Every tile of a map may have to be looked at.
+    let for_selection = Arc::clone(&view);
+    let select = move || for_selection.grid().map(|grid| grid.select(&question));
+    let selection = tokio::task::spawn_blocking(select).await.map_err(|_| RpcError::Stopping)?;
+    let (grid, selection) = view.grid().zip(selection).ok_or_else(no_grid)?;
+    let header = header_to_wire(grid, view.generation(), &question, &selection);
+    let header = v1::PredictGridResponse { message: Some(Message::Header(header)) };
+    if estimate_only {
+        let (reply, replies) = mpsc::channel(1);
+        // There is room for one, and the reader is still here.
+        let _ = reply.try_send(Ok(header));
+        return Ok(ReceiverStream::new(replies));
+    }
+    check_limit("cells to predict", selection.cells, queries.max_predictions, "setting max_predictions")?;
+    let turn = queries.turns.take().await?;
+    Ok(computed(turn, move |computed| {
+        if !computed.send(header) {
+            return Ok(());
+        }
+        predict(&view, &question, &selection, computed)
+    }))
+}
+
+/// Computes the pages until all are taken or nobody takes them.
+fn predict(
+    view: &MapView,
+    question: &GridQuestion,
+    selection: &GridSelection,
+    computed: &Computed<v1::PredictGridResponse>,
+) -> Result<(), RpcError> {
+    let levels = view.grid().map_or((0.0, 1.0), tidemap_map::grid::view::GridView::levels);
+    let send = |tiles| computed.send(v1::PredictGridResponse { message: Some(Message::Page(v1::GridPage { tiles })) });
+    let (mut page, mut bytes) = (Vec::new(), 0);
+    for tile in view.predict_grid(question, selection) {
+        let tile = tile_to_wire(tile?, question, levels);
+        bytes += tile_bytes(&tile);
+        page.push(tile);
+        if bytes >= PAGE_BYTES {
+            bytes = 0;
+            if !send(std::mem::take(&mut page)) {
+                return Ok(());
+            }
+        }
+    }
+    if !page.is_empty() {
+        send(page);
+    }
+    Ok(())
+}

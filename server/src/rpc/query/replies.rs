@@ -1,0 +1,159 @@
+//! Replies that are computed off the async threads and wait for their reader.
+//!
+//! Invariant: only so many requests compute at once, and a reader is waited for a bounded time. What ends early ends with
+//! an error, never as if it were all.
+
+use std::{sync::Arc, time::Duration};
+
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::Status;
+
+use crate::rpc::status::RpcError;
+
+/// Replies computed ahead of the reader.
+const REPLIES_AHEAD: usize = 8;
+/// Requests that compute at once, at least.
+const COMPUTING_LEAST: usize = 4;
+/// A request waits this long until others have ended.
+const TURN_WITHIN: Duration = Duration::from_secs(30);
+/// A reader takes a reply within this time.
+const READ_WITHIN: Duration = Duration::from_secs(30);
+
+/// A stream of replies.
+pub(super) type Replies<T> = ReceiverStream<Result<T, Status>>;
+
+/// Turns to compute.
+#[derive(Debug)]
+pub(super) struct Turns {
+    /// A permit for each request that may compute.
+    permits: Arc<Semaphore>,
+    max: usize,
+}
+
+impl Default for Turns {
+    fn default() -> Self {
+        // Twice the processors: some wait for their readers.
+        let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        let max = COMPUTING_LEAST.max(2 * processors);
+        Self { permits: Arc::new(Semaphore::new(max)), max }
+    }
+}
+
+impl Turns {
+    /// A turn, which lasts until it is dropped.
+    ///
+    /// # Errors
+    /// [`RpcError::NoTurn`] where none came up in time.
+    pub(super) async fn take(&self) -> Result<OwnedSemaphorePermit, RpcError> {
+        let turn = Arc::clone(&self.permits).acquire_owned();
+        match tokio::time::timeout(TURN_WITHIN, turn).await {
+            Ok(permit) => permit.map_err(|_| RpcError::Stopping),
+            Err(_) => Err(RpcError::NoTurn { max: self.max, secs: TURN_WITHIN.as_secs() }),
+        }
+    }
+}
+
+/// Where computed replies go.
+#[derive(Debug)]
+pub(super) struct Computed<T>(mpsc::Sender<Result<T, RpcError>>);
+
+impl<T> Computed<T> {
+    /// Hands a reply over, once there is room. `false`: nobody wants any more.
+    pub(super) fn send(&self, reply: T) -> bool {
+        self.0.blocking_send(Ok(reply)).is_ok()
+    }
+}
+
+/// The replies that `work` computes, in a thread where it may wait.
+pub(super) fn computed<T: Send + 'static>(
+    turn: OwnedSemaphorePermit,
+    work: impl FnOnce(&Computed<T>) -> Result<(), RpcError> + Send + 'static,
+) -> Replies<T> {
+    let (computed, ready) = mpsc::channel(1);
+    let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
+    let work = tokio::task::spawn_blocking(move || {
+        let _turn = turn;
+        let computed = Computed(computed);
+        if let Err(error) = work(&computed) {
+            // Where nobody wants it, it is not needed.
+            let _ = computed.0.blocking_send(Err(error));
+        }
+    });
+    tokio::spawn(async move {
+        let all_sent = pass_on(ready, &replies, READ_WITHIN).await;
+        if work.await.is_err() && all_sent {
+            // The reader must not take what it has for everything.
+            let _ = tokio::time::timeout(READ_WITHIN, replies.send(Err(RpcError::Stopping.into()))).await;
+        }
+    });
+    ReceiverStream::new(stream)
+}
+
+/// Hands replies to the reader until all are sent, or the reader is gone or too slow, which the last reply says. Whether
+/// all were sent.
+async fn pass_on<T>(
+    mut ready: mpsc::Receiver<Result<T, RpcError>>,
+    replies: &mpsc::Sender<Result<T, Status>>,
+    read_within: Duration,
+) -> bool {
+    // Its place is taken now: there is none when the reader is slow.
+    let Ok(last_word) = replies.clone().reserve_owned().await else { return false };
+    while let Some(reply) = ready.recv().await {
+        match tokio::time::timeout(read_within, replies.send(reply.map_err(Status::from))).await {
+            Ok(Ok(())) => {}
+            Ok(Err(_)) => return false,
+            Err(_) => {
+                last_word.send(Err(RpcError::SlowReader(read_within.as_secs()).into()));
+                return false;
+            }
+        }
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio_stream::StreamExt as _;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_slow_reader_is_told_and_not_waited_for() {
+        let (computed, ready) = mpsc::channel(1);
+        let (replies, mut stream) = mpsc::channel(3);
+        let passing = tokio::spawn(async move { pass_on(ready, &replies, Duration::from_millis(20)).await });
+        while computed.send(Ok(7)).await.is_ok() {}
+        assert!(!passing.await.expect("no panic"));
+        // What was sent before is still read, and then why there is no more.
+        assert!(stream.recv().await.expect("a reply").is_ok());
+        assert!(stream.recv().await.expect("a reply").is_ok());
+        let end = stream.recv().await.expect("an error").expect_err("too slow");
+        assert_eq!(end.code(), tonic::Code::ResourceExhausted);
+        assert!(stream.recv().await.is_none());
+    }
+
+    #[tokio::test]
+    async fn an_error_ends_the_replies() {
+        let turn = || async { Turns::default().take().await.expect("a turn") };
+        let replies: Vec<_> = computed(turn().await, |computed| {
+            assert!(computed.send(1) && computed.send(2));
+            Err(RpcError::UnknownJob(3))
+        })
+        .collect()
+        .await;
+        let codes: Vec<_> =
+            replies.into_iter().map(|reply: Result<i32, Status>| reply.map_err(|end| end.code())).collect();
+        assert_eq!(codes, [Ok(1), Ok(2), Err(tonic::Code::NotFound)]);
+        assert_eq!(
+            computed(turn().await, |computed| {
+                computed.send(1);
+                Ok(())
+            })
+            .collect::<Vec<_>>()
+            .await
+            .len(),
+            1
+        );
+    }
+}
