@@ -4,12 +4,14 @@
 
 mod bench;
 mod evaluate;
+mod grid;
 mod job;
 mod map;
 mod model;
 mod observe;
 mod predict;
 mod producer_id;
+mod reconstruct;
 mod state;
 mod stats;
 mod times;
@@ -72,6 +74,11 @@ enum Command {
     /// Rows come by state as named, then by time as asked. Say when with --at, --times, or --from, --to and --step; the
     /// time of --to is not included. age_secs is the time since the newest observation.
     Predict(predict::PredictArgs),
+    /// Sends scans of an occupancy grid, and writes maps of any time
+    #[command(subcommand)]
+    Grid(grid::GridCommand),
+    /// Shows what was observed of a state, exactly, where the map keeps its history
+    Reconstruct(reconstruct::ReconstructArgs),
     /// Compares predictions with the observations of a file, which are not learned
     Evaluate(evaluate::EvaluateArgs),
     /// Shows what was learned
@@ -117,6 +124,8 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Observe(args) => observe::run(&session, args).await,
         Command::Update(args) => update::run(&session, &args).await,
         Command::Predict(args) => predict::run(&session, args).await,
+        Command::Grid(command) => grid::run(&session, command).await,
+        Command::Reconstruct(args) => reconstruct::run(&session, &args).await,
         Command::Evaluate(args) => evaluate::run(&session, args).await,
         Command::Model(command) => model::run(&session, &command).await,
         Command::Job(command) => job::run(&session, &command).await,

@@ -2,6 +2,10 @@
 //!
 //! Invariant: what a new map leaves out, the daemon fills in; no default is repeated here.
 
+mod grid;
+
+pub use grid::{CellBox, Grid, GridSummary, Retention, SensorNoise};
+
 use tidemap_proto::v1::{self, map_service_client::MapServiceClient, periodicities::Set};
 
 use crate::{
@@ -35,7 +39,7 @@ pub enum OrderCriterion {
 }
 
 /// A map to create.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct NewMap {
     /// Its name.
     pub name: String,
@@ -45,6 +49,10 @@ pub struct NewMap {
     pub periodicities: Option<Periodicities>,
     /// How orders are compared.
     pub order_criterion: OrderCriterion,
+    /// How long the exact observations of named states are kept; for ever where absent.
+    pub retention: Option<Retention>,
+    /// The occupancy grid; none where absent.
+    pub grid: Option<Grid>,
 }
 
 /// Where an update left a map.
@@ -66,7 +74,7 @@ impl UpdateSummary {
 }
 
 /// A map.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Map {
     /// Its name.
     pub name: String,
@@ -86,6 +94,12 @@ pub struct Map {
     pub pending_observations: u64,
     /// The last update.
     pub last_update: UpdateSummary,
+    /// How long the exact observations of named states are kept.
+    pub retention: Option<Retention>,
+    /// The occupancy grid, where it has one.
+    pub grid: Option<Grid>,
+    /// What the grid holds.
+    pub grid_summary: Option<GridSummary>,
 }
 
 /// What the value of a state means.
@@ -149,6 +163,8 @@ impl Client {
             time_zone: map.time_zone.unwrap_or_default(),
             periodicities: map.periodicities.map(periodicities_to_wire),
             order_criterion: criterion.into(),
+            retention: map.retention.map(Retention::to_wire),
+            grid: map.grid.as_ref().map(Grid::to_wire),
         };
         let response = self.map_service().create_map(request).await.map_err(|status| self.error(&status))?;
         map_from_wire(response.into_inner().map)
@@ -246,6 +262,9 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         observations: map.observations,
         pending_observations: map.pending_observations,
         last_update: UpdateSummary::from_wire(map.last_update),
+        retention: Retention::from_wire(map.retention),
+        grid: map.grid.map(Grid::from_wire),
+        grid_summary: map.grid_summary.as_ref().map(GridSummary::from_wire),
     })
 }
 

@@ -1,7 +1,8 @@
-//! Sending observations, each exactly once.
+//! Sending observations and scans, each exactly once.
 //!
 //! [`Producer`] is what callers use. Behind it: [`window`] decides what is sent, kept and given up, without any I/O;
-//! [`columns`] packs; [`retry`] decides when to try again; `link` does the talking.
+//! [`columns`] packs observations; [`tiles`] and [`scan_stream`] pack scans; [`retry`] decides when to try again; `link`
+//! does the talking.
 //!
 //! Invariant: an observation handed to a producer is given its sequence number at once and is kept until the daemon
 //! says that it is durable, whatever happens to connections in between.
@@ -9,11 +10,17 @@
 pub mod columns;
 pub mod content;
 mod link;
+mod outgoing;
 mod producer;
+mod replay;
 pub mod retry;
+pub mod scan;
+pub mod scan_stream;
+pub mod tiles;
 pub mod window;
 
 pub use producer::{Phase, Producer, ProducerOptions, Progress};
+pub use replay::Replay;
 
 use crate::error::Error;
 
@@ -35,6 +42,16 @@ pub enum RefusalReason {
     StateLimit,
     /// The state is of another kind.
     StateKind,
+    /// The map has no grid.
+    NoGrid,
+    /// The scan is malformed.
+    Scan,
+    /// The scan shows nothing of the grid.
+    Empty,
+    /// The map has as many tiles as it may.
+    TileLimit,
+    /// The scan is in another frame than the map.
+    Frame,
     /// A reason that this version does not know.
     Other,
 }
@@ -113,6 +130,9 @@ pub enum ProducerError {
         /// What the daemon has.
         durable: u64,
     },
+    /// A scan that makes no sense.
+    #[error("the scan makes no sense: {0}")]
+    Tiles(#[from] tiles::TileError),
     /// A time before 1970 cannot be sent.
     #[error("time {0} ns is before 1970")]
     TimeBefore1970(i64),

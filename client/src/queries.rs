@@ -3,12 +3,18 @@
 //! Invariant: predictions come in the order in which they were asked for: by state, then by time.
 
 mod evaluate;
+mod grid;
 mod model;
 mod predict;
+mod reconstruct;
 
 pub use evaluate::{EvaluateOptions, Evaluation, Evaluator};
+pub use grid::{
+    CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedGrid, PredictedTile, TILE_EDGE,
+};
 pub use model::{InvalidModel, ModelKind, ModelSelector, ORDER_MAX};
 pub use predict::{PredictionRun, Predictions};
+pub use reconstruct::Reconstruction;
 
 use tidemap_proto::v1::{self, query_service_client::QueryServiceClient};
 

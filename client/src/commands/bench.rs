@@ -3,6 +3,7 @@
 //! Invariant: works through the same calls as everybody else, on a map of its own that is deleted afterwards, and puts
 //! the disk's own speed beside each figure, without which figures of two machines cannot be compared.
 
+mod grid;
 mod latency;
 mod load;
 mod machine;
@@ -28,6 +29,8 @@ pub enum BenchCommand {
     Latency(latency::LatencyArgs),
     /// How many predictions are answered per second
     Predict(predict::PredictArgs),
+    /// How fast months of scans of a whole office are learned, with an update every night
+    Grid(grid::GridArgs),
 }
 
 /// Which process to account for.
@@ -43,13 +46,18 @@ type Figures = Vec<(&'static str, Cell)>;
 
 pub async fn run(session: &Session, command: &BenchCommand) -> anyhow::Result<ExitCode> {
     let client = &session.client;
-    let map = format!("bench-{}-{}", clock::now_nanos() / 1_000_000_000, process::id());
-    client.create_map(NewMap { name: map.clone(), ..NewMap::default() }).await?;
+    let unique = format!("{}-{}", clock::now_nanos() / 1_000_000_000, process::id());
+    let (new_map, keep) = match command {
+        BenchCommand::Grid(args) => (args.new_map(format!("bench-grid-{unique}")), args.keeps()),
+        _ => (NewMap { name: format!("bench-{unique}"), ..NewMap::default() }, false),
+    };
+    let map = new_map.name.clone();
+    client.create_map(new_map).await?;
     let measured = tokio::select! {
         measured = measure(client, &map, command) => measured,
         _ = tokio::signal::ctrl_c() => Err(anyhow::anyhow!("interrupted")),
     };
-    let deleted = client.delete_map(&map).await;
+    let deleted = if keep { Ok(()) } else { client.delete_map(&map).await };
     let figures = measured?;
     deleted?;
     let columns: Vec<&'static str> = figures.iter().map(|(name, _)| *name).collect();
@@ -64,6 +72,7 @@ async fn measure(client: &Client, map: &str, command: &BenchCommand) -> anyhow::
         BenchCommand::Observe(args) => observe::run(client, map, args).await?,
         BenchCommand::Latency(args) => latency::run(client, map, args).await?,
         BenchCommand::Predict(args) => predict::run(client, map, args).await?,
+        BenchCommand::Grid(args) => grid::run(client, map, args).await?,
     };
     figures.extend(machine::disk(client).await?);
     Ok(figures)

@@ -2,14 +2,17 @@
 //!
 //! Invariant: nothing is deleted without being asked for twice.
 
+mod grid_spec;
+
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
 use tidemap::{
-    maps::{Map, NewMap, OrderCriterion, Periodicities},
+    maps::{Grid, Map, NewMap, OrderCriterion, Periodicities, Retention},
     time::format_duration,
 };
 
+use self::grid_spec::{GridSpec, shown, shown_box, shown_retention};
 use super::{Misused, Session, times};
 use crate::{
     output::{Cell, Sheet},
@@ -19,7 +22,7 @@ use crate::{
 #[derive(Debug, Subcommand)]
 pub enum MapCommand {
     /// Creates an empty map and shows it
-    Create(CreateArgs),
+    Create(Box<CreateArgs>),
     /// Lists all maps
     List,
     /// Shows a map
@@ -57,6 +60,16 @@ pub struct CreateArgs {
     /// How the orders of the spectral model are compared
     #[arg(long, value_name = "CRITERION", default_value = "squared-error")]
     order_criterion: Criterion,
+    /// How long exact observations of named states are kept for recall: none, forever or a duration [default: forever]
+    #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention)]
+    retention: Option<Retention>,
+    /// An occupancy grid: resolution=M[,flat][,origin=X:Y:Z][,size=NXxNYxNZ or min=X:Y:Z,max=X:Y:Z][,frame=NAME]
+    /// [,hit=P][,false-alarm=P][,prior=P], metres for resolution and origin, cells for the others [default: none]
+    #[arg(long, value_name = "SPEC")]
+    grid: Option<GridSpec>,
+    /// How long the exact readings of the grid are kept for recall: none, forever or a duration [default: none]
+    #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention, requires = "grid")]
+    grid_retention: Option<Retention>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -70,7 +83,7 @@ enum Criterion {
 const WEEK_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
 const USUAL_COUNT: u32 = 168;
 
-const COLUMNS: [&str; 10] = [
+const COLUMNS: [&str; 11] = [
     "name",
     "states",
     "observations",
@@ -81,12 +94,17 @@ const COLUMNS: [&str; 10] = [
     "created",
     "updates",
     "updated_until",
+    "scans",
 ];
+/// Of a map that is shown by itself.
+const MORE_COLUMNS: [&str; 7] =
+    ["retention", "grid", "grid_retention", "tiles", "pending_scans", "cell_observations", "bounds"];
 
 pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
     let client = &session.client;
+    let all = matches!(command, MapCommand::List);
     let maps = match command {
-        MapCommand::Create(args) => vec![client.create_map(new_map(args)).await?],
+        MapCommand::Create(args) => vec![client.create_map(new_map(*args)).await?],
         MapCommand::List => client.maps().await?,
         MapCommand::Show { name } => vec![client.map(&name).await?],
         MapCommand::Delete { name, yes } => {
@@ -102,9 +120,11 @@ pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitC
             return Ok(ExitCode::SUCCESS);
         }
     };
-    let mut sheet = Sheet::stdout(session.format, &COLUMNS);
+    let columns = if all { COLUMNS.to_vec() } else { [&COLUMNS[..], &MORE_COLUMNS].concat() };
+    let mut sheet = Sheet::stdout(session.format, &columns);
     for map in maps {
-        sheet.row(cells(map))?;
+        let more = if all { Vec::new() } else { more_cells(&map) };
+        sheet.row([cells(map), more].concat())?;
     }
     sheet.finish()?;
     Ok(ExitCode::SUCCESS)
@@ -123,7 +143,15 @@ fn new_map(args: CreateArgs) -> NewMap {
         Criterion::SquaredError => OrderCriterion::SquaredError,
         Criterion::ZeroOne => OrderCriterion::ZeroOne,
     };
-    NewMap { name: args.name, time_zone: args.time_zone, periodicities, order_criterion }
+    let grid = args.grid.map(|GridSpec(grid)| Grid { retention: args.grid_retention, ..grid });
+    NewMap {
+        name: args.name,
+        time_zone: args.time_zone,
+        periodicities,
+        order_criterion,
+        retention: args.retention,
+        grid,
+    }
 }
 
 fn cells(map: Map) -> Vec<Cell> {
@@ -146,5 +174,20 @@ fn cells(map: Map) -> Vec<Cell> {
         Cell::time(map.created_nanos),
         map.last_update.generation.into(),
         Cell::time(map.last_update.cut_nanos),
+        Cell::maybe(map.grid_summary.map(|summary| summary.scans)),
+    ]
+}
+
+fn more_cells(map: &Map) -> Vec<Cell> {
+    let text = |text: Option<String>| text.map_or(Cell::Empty, Cell::Text);
+    let (grid, summary) = (map.grid.as_ref(), map.grid_summary.as_ref());
+    vec![
+        text(map.retention.map(shown_retention)),
+        text(grid.map(shown)),
+        text(grid.and_then(|grid| grid.retention).map(shown_retention)),
+        Cell::maybe(summary.map(|summary| summary.tiles)),
+        Cell::maybe(summary.map(|summary| summary.pending_scans)),
+        Cell::maybe(summary.map(|summary| summary.cell_observations)),
+        text(summary.and_then(|summary| summary.bounds.as_ref()).map(shown_box)),
     ]
 }

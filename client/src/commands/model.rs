@@ -19,7 +19,7 @@ pub enum ModelCommand {
     Show {
         /// Name of the map
         map: String,
-        /// Name of the state
+        /// Name of the state; a cell of the grid is cell/X/Y/Z
         state: String,
     },
 }

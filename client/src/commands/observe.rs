@@ -54,10 +54,10 @@ pub struct ObserveArgs {
 const KEY_PATIENCE: Duration = Duration::from_secs(3);
 const KEY_PAUSE: Duration = Duration::from_millis(200);
 /// After Ctrl-C, what is under way gets this long to become durable.
-const LAST_FLUSH: Duration = Duration::from_secs(5);
+pub(super) const LAST_FLUSH: Duration = Duration::from_secs(5);
 /// Between two looks for nightly updates.
 const NIGHT_PAUSE: Duration = Duration::from_millis(50);
-const INTERRUPTED: u8 = 130;
+pub(super) const INTERRUPTED: u8 = 130;
 
 pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::shown(&args.file);
@@ -145,7 +145,7 @@ fn base_name(file: &Path) -> String {
 }
 
 /// Opens the stream; says so where that takes a while.
-async fn opened(
+pub(super) async fn opened(
     session: &Session,
     options: ProducerOptions,
     bar: &Bar,
@@ -170,7 +170,7 @@ async fn opened(
 }
 
 /// Waits for the updates of the days that the data closed, so that whoever asks next is answered from them.
-async fn nights(session: &Session, map: &str, bar: &Bar) -> anyhow::Result<()> {
+pub(super) async fn nights(session: &Session, map: &str, bar: &Bar) -> anyhow::Result<()> {
     bar.clear();
     // An update is lined up just after the acknowledgement that makes it due: look twice.
     let mut quiet = 0;

@@ -15,7 +15,7 @@ use crate::output::{Cell, Sheet};
 pub struct PredictArgs {
     /// Name of the map
     map: String,
-    /// Names of the states
+    /// Names of the states; a cell of the grid is cell/X/Y/Z
     #[arg(required = true, value_name = "STATE")]
     states: Vec<String>,
     /// Times

@@ -2,7 +2,7 @@
 //!
 //! Invariant: follows the definition at `Welcome.content_crc` in `observation.proto`, bit for bit.
 
-/// CRC-32C over observations in order.
+/// CRC-32C over observations and scans in order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ContentCrc(u32);
 
@@ -19,6 +19,14 @@ impl ContentCrc {
         tail[..8].copy_from_slice(&time_nanos.to_le_bytes());
         tail[8..].copy_from_slice(&value.to_bits().to_le_bytes());
         self.0 = crc32c::crc32c_append(crc32c::crc32c_append(self.0, state.as_bytes()), &tail);
+    }
+
+    /// Adds the next scan.
+    pub fn add_scan(&mut self, time_nanos: i64, digest: u64) {
+        let mut both = [0; 16];
+        both[..8].copy_from_slice(&time_nanos.to_le_bytes());
+        both[8..].copy_from_slice(&digest.to_le_bytes());
+        self.0 = crc32c::crc32c_append(self.0, &both);
     }
 
     /// The checksum so far; 0 where nothing was added.
@@ -38,12 +46,15 @@ mod tests {
         assert_eq!(crc.value(), 0);
         crc.add("door", 1, 0.5);
         crc.add("", 0, 1.0);
+        crc.add_scan(7, 8);
         let bytes = [
             b"door".as_slice(),
             &1_i64.to_le_bytes(),
             &0.5_f64.to_le_bytes(),
             &0_i64.to_le_bytes(),
             &1.0_f64.to_le_bytes(),
+            &7_i64.to_le_bytes(),
+            &8_u64.to_le_bytes(),
         ];
         assert_eq!(crc.value(), crc32c::crc32c(&bytes.concat()));
     }

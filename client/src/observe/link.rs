@@ -9,7 +9,7 @@ use std::{
 };
 
 use tidemap_proto::v1::{
-    Ack, Goodbye, GoodbyeReason, Hello, ObservationBatch, ObserveRequest, ObserveResponse, Welcome,
+    Ack, Goodbye, GoodbyeReason, Hello, ObserveRequest, ObserveResponse, Welcome,
     observation_service_client::ObservationServiceClient, observe_request, observe_response,
 };
 use tokio::sync::mpsc;
@@ -18,7 +18,7 @@ use tonic::{Code, Streaming};
 
 use super::{
     ProducerError, Refusal, RefusalReason,
-    columns::{BatchLimits, Entry, StreamTable, fitting, pack},
+    outgoing::{Limits, Outgoing},
     producer::{Phase, Shared},
     retry::Outage,
     window::Window,
@@ -131,14 +131,13 @@ impl Link {
             observe_response::Message::Goodbye(goodbye) => return Err(ending(goodbye)),
             _ => return Err(protocol("no Welcome")),
         };
-        let limits = self.welcome(&welcome)?;
-        let mut table = StreamTable::default();
+        let mut messages = self.welcome(&welcome)?;
         loop {
             if self.is_closing() {
                 drop(requests);
                 return Err(self.drained(&mut replies).await);
             }
-            let ready = self.has_batch(&table, limits);
+            let ready = messages.is_ready(&self.shared.state());
             tokio::select! {
                 reply = self.reply(&mut replies) => match reply? {
                     observe_response::Message::Ack(ack) => self.acknowledge(ack)?,
@@ -152,8 +151,8 @@ impl Link {
                 },
                 // Where the connection is closing the replies say why.
                 Ok(permit) = requests.reserve(), if ready => {
-                    if let Some(batch) = self.batch(&mut table, limits) {
-                        permit.send(batch);
+                    if let Some(message) = messages.next(&mut self.shared.state()) {
+                        permit.send(message);
                     }
                 }
                 () = self.shared.more.notified(), if !ready => {}
@@ -185,17 +184,15 @@ impl Link {
         }
     }
 
-    fn welcome(&mut self, welcome: &Welcome) -> Result<BatchLimits, End> {
+    fn welcome(&mut self, welcome: &Welcome) -> Result<Outgoing, End> {
+        let options = &self.shared.options;
         let unreported = {
             let mut state = self.shared.state();
-            match &mut state.window {
-                Some(window) => window.welcomed(welcome.durable_sequence, welcome.content_crc)?,
-                None => {
-                    let size = self.shared.options.window;
-                    state.window = Some(Window::new(size, welcome.durable_sequence, welcome.content_crc));
-                    0
-                }
-            }
+            let (durable, crc) = (welcome.durable_sequence, welcome.content_crc);
+            let unreported = state.window.as_mut().map_or(Ok(0), |window| window.welcomed(durable, crc))?;
+            let new = || Window::new(options.window, durable, crc).with_bytes(options.window_bytes);
+            state.window.get_or_insert_with(new);
+            unreported
         };
         self.incarnation = welcome.incarnation;
         self.outage.connected(self.epoch.elapsed());
@@ -210,8 +207,7 @@ impl Link {
             progress.store_id.clone_from(&welcome.store_id);
             progress.unreported += unreported;
         });
-        let limit = |limit: u32| usize::try_from(limit).unwrap_or(usize::MAX).max(1);
-        Ok(BatchLimits { observations: limit(welcome.max_batch_observations), bytes: limit(welcome.max_message_bytes) })
+        Ok(Outgoing::new(Limits::of(welcome)))
     }
 
     fn acknowledge(&mut self, ack: Ack) -> Result<(), End> {
@@ -233,30 +229,6 @@ impl Link {
             more || dropped > 0
         });
         Ok(())
-    }
-
-    fn has_batch(&self, table: &StreamTable, limits: BatchLimits) -> bool {
-        let state = self.shared.state();
-        state.window.as_ref().is_some_and(|window| {
-            let waiting = window.to_send(limits.observations, state.urgent);
-            fitting(waiting.take(1), window.names(), table, limits) > 0
-        })
-    }
-
-    fn batch(&self, table: &mut StreamTable, limits: BatchLimits) -> Option<ObserveRequest> {
-        let mut state = self.shared.state();
-        let urgent = state.urgent;
-        let window = state.window.as_mut()?;
-        let first_sequence = window.next_unsent();
-        let count = fitting(window.to_send(limits.observations, urgent), window.names(), table, limits);
-        let entries: Vec<Entry> = window.to_send(limits.observations, urgent).take(count).copied().collect();
-        if entries.is_empty() {
-            return None;
-        }
-        window.sent(entries.len());
-        let observations = Some(pack(&entries, window.names(), table));
-        let batch = ObservationBatch { first_sequence, observations };
-        Some(ObserveRequest { message: Some(observe_request::Message::Batch(batch)) })
     }
 }
 
@@ -320,6 +292,11 @@ fn refusal(refusal: tidemap_proto::v1::Refusal) -> Refusal {
         Wire::StateIndex => RefusalReason::StateIndex,
         Wire::StateLimit => RefusalReason::StateLimit,
         Wire::StateKind => RefusalReason::StateKind,
+        Wire::NoGrid => RefusalReason::NoGrid,
+        Wire::Scan => RefusalReason::Scan,
+        Wire::Empty => RefusalReason::Empty,
+        Wire::TileLimit => RefusalReason::TileLimit,
+        Wire::Frame => RefusalReason::Frame,
         Wire::Unspecified => RefusalReason::Other,
     };
     Refusal { sequence: refusal.sequence, reason, detail: refusal.detail }

@@ -3,6 +3,8 @@
 //! Invariant: the window is the only state that the handle and the task which talks share; its lock is never held across
 //! an await.
 
+mod scans;
+
 use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
@@ -13,7 +15,11 @@ use tokio::{
     task::JoinHandle,
 };
 
-use super::{ProducerError, Refusal, STATE_NAME_BYTES_MAX, link::Link, window::Window};
+use super::{
+    ProducerError, Refusal, STATE_NAME_BYTES_MAX,
+    link::Link,
+    window::{WINDOW_BYTES, Window},
+};
 use crate::{connection::Client, error::Error};
 
 /// Who sends, what, and to which map.
@@ -27,14 +33,16 @@ pub struct ProducerOptions {
     pub map: String,
     /// Lets the nightly update run in the time of the data.
     pub nightly: bool,
-    /// Most observations kept until they are durable; sending more waits.
+    /// Most observations and scans kept until they are durable; sending more waits.
     pub window: usize,
+    /// Most bytes of them; one scan may go beyond it.
+    pub window_bytes: usize,
     /// How long to go on trying when the daemon cannot be reached.
     pub patience: Duration,
 }
 
 impl ProducerOptions {
-    /// Options with the usual window (65,536 observations) and patience (a minute).
+    /// Options with the usual window (65,536 observations, 64 MiB) and patience (a minute).
     #[must_use]
     pub fn new(producer: &str, label: &str, map: &str) -> Self {
         Self {
@@ -43,6 +51,7 @@ impl ProducerOptions {
             map: map.to_owned(),
             nightly: false,
             window: 65_536,
+            window_bytes: WINDOW_BYTES,
             patience: Duration::from_secs(60),
         }
     }
@@ -184,27 +193,31 @@ impl Producer {
         if state.len() > STATE_NAME_BYTES_MAX {
             return Err(ProducerError::NameTooLong(state.len()));
         }
+        self.room().await?;
+        let sequence = self.shared.state().window.as_mut().and_then(|window| window.push(state, time_nanos, value));
+        // There is room: only this handle pushes.
+        let sequence = sequence.ok_or(ProducerError::Closed)?;
+        self.shared.more.notify_one();
+        Ok(sequence)
+    }
+
+    /// Waits until the window is open and has room.
+    async fn room(&mut self) -> Result<(), ProducerError> {
         loop {
             if let Phase::Ended(error) = &self.progress.borrow().phase {
                 return Err(error.clone());
             }
-            let (taken, last) = {
-                let mut shared = self.shared.state();
-                match &mut shared.window {
-                    Some(window) => (window.push(state, time_nanos, value), window.last()),
-                    None => (None, 0),
-                }
+            let durable = match &self.shared.state().window {
+                Some(window) if window.has_room() => return Ok(()),
+                Some(window) => Some(window.durable()),
+                None => None,
             };
-            if let Some(sequence) = taken {
-                self.shared.more.notify_one();
-                return Ok(sequence);
-            }
-            // Full, or not open yet: any acknowledgement of something in the window makes room.
-            let window = self.shared.options.window.max(1) as u64;
-            self.reached(|progress| {
-                progress.phase == Phase::Connected && last.saturating_sub(progress.durable_sequence) < window
-            })
-            .await?;
+            // Any acknowledgement of something in the window makes room.
+            let goal = |progress: &Progress| match durable {
+                Some(durable) => progress.durable_sequence > durable,
+                None => progress.phase == Phase::Connected,
+            };
+            self.reached(goal).await?;
         }
     }
 

@@ -1,26 +1,64 @@
 //! What a producer keeps until it is durable.
 //!
-//! Invariant: pure. Sequence numbers are gapless; an observation is kept from [`Window::push`] until it is acknowledged;
-//! after a reconnection sending starts right after what the daemon has, so that nothing is left out, and what is sent
-//! twice carries the same number twice.
+//! Invariant: pure. Sequence numbers are gapless, of observations and scans together; each is kept from its push until it
+//! is acknowledged; after a reconnection sending starts right after what the daemon has, so that nothing is left out, and
+//! what is sent twice carries the same number twice. What scans showed is known for the last one acknowledged, so that
+//! the differences of those after it can be told anew.
+
+mod scans;
 
 use std::collections::{HashMap, VecDeque};
 
-use super::{ProducerError, columns::Entry, content::ContentCrc};
+pub use scans::KeptScan;
 
-/// The observations of a producer that are not known to be durable, and the names of its states.
+use super::{
+    ProducerError,
+    columns::Entry,
+    content::ContentCrc,
+    tiles::{Shown, TileTable},
+};
+
+/// Most bytes of scans and observations kept, unless told otherwise.
+pub const WINDOW_BYTES: usize = 64 << 20;
+
+/// What has a number.
+#[derive(Clone, Debug)]
+enum Item {
+    Observation(Entry),
+    Scan(Box<KeptScan>),
+}
+
+impl Item {
+    fn bytes(&self) -> usize {
+        size_of::<Self>()
+            + match self {
+                Self::Observation(_) => 0,
+                Self::Scan(scan) => scan.bytes(),
+            }
+    }
+}
+
+/// The observations and scans of a producer that are not known to be durable, and the names of its states.
 #[derive(Clone, Debug)]
 pub struct Window {
     capacity: usize,
+    bytes_max: usize,
     /// Sequence number of `entries[0]`.
     first_kept: u64,
-    entries: VecDeque<Entry>,
+    entries: VecDeque<Item>,
+    /// Bytes of all entries, and of those sent on this connection.
+    bytes: usize,
+    sent_bytes: usize,
     /// Sequence number of the next observation to send on this connection.
     next_unsent: u64,
     /// Checksum over everything before `first_kept`.
     crc: ContentCrc,
     names: Vec<Box<str>>,
     indices: HashMap<Box<str>, u32>,
+    /// What the last scan pushed has shown.
+    tiles: TileTable,
+    /// What the last scan acknowledged has shown.
+    base: Shown,
 }
 
 impl Window {
@@ -29,23 +67,45 @@ impl Window {
     pub fn new(capacity: usize, durable: u64, content_crc: u32) -> Self {
         Self {
             capacity: capacity.max(1),
+            bytes_max: WINDOW_BYTES,
+            bytes: 0,
+            sent_bytes: 0,
             first_kept: durable + 1,
             entries: VecDeque::new(),
             next_unsent: durable + 1,
             crc: ContentCrc::from_value(content_crc),
             names: Vec::new(),
             indices: HashMap::new(),
+            tiles: TileTable::default(),
+            base: Shown::default(),
         }
+    }
+
+    /// As it is, with another bound on its bytes. One scan may go beyond it.
+    #[must_use]
+    pub fn with_bytes(self, bytes_max: usize) -> Self {
+        Self { bytes_max: bytes_max.max(1), ..self }
+    }
+
+    /// Whether there is room for another observation or scan.
+    #[must_use]
+    pub fn has_room(&self) -> bool {
+        self.entries.len() < self.capacity && self.bytes < self.bytes_max
     }
 
     /// Takes an observation in and gives it the next number; `None` where the window is full.
     pub fn push(&mut self, state: &str, time_nanos: i64, value: f64) -> Option<u64> {
-        if self.entries.len() >= self.capacity {
+        if !self.has_room() {
             return None;
         }
         let state = self.index(state);
-        self.entries.push_back(Entry { state, time_nanos, value });
-        Some(self.last())
+        Some(self.take(Item::Observation(Entry { state, time_nanos, value })))
+    }
+
+    fn take(&mut self, item: Item) -> u64 {
+        self.bytes += item.bytes();
+        self.entries.push_back(item);
+        self.last()
     }
 
     fn index(&mut self, name: &str) -> u32 {
@@ -71,6 +131,12 @@ impl Window {
         self.first_kept - 1
     }
 
+    /// Checksum over everything that is durable.
+    #[must_use]
+    pub fn content_crc(&self) -> u32 {
+        self.crc.value()
+    }
+
     /// Number of the next observation to send.
     #[must_use]
     pub fn next_unsent(&self) -> u64 {
@@ -83,19 +149,30 @@ impl Window {
         &self.names
     }
 
-    /// The observations to send next, at most `most`; empty where it is better to wait for more.
+    /// The observations to send next, at most `most`; empty where it is better to wait for more, or a scan comes next.
     ///
     /// A batch leaves when it is full, when nothing is under way, or when somebody waits for one of its observations
     /// (`urgent`: up to that number). So a slow producer's observations leave at once, and a fast one's together.
     pub fn to_send(&self, most: usize, urgent: u64) -> impl Iterator<Item = &Entry> {
+        self.unsent(most, usize::MAX, urgent).map_while(|item| match item {
+            Item::Observation(entry) => Some(entry),
+            Item::Scan(_) => None,
+        })
+    }
+
+    /// What to send next of whatever kind, at most `most`; empty where it is better to wait for more.
+    fn unsent(&self, most: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &Item> {
         let sent = usize::try_from(self.next_unsent - self.first_kept).unwrap_or(usize::MAX);
         let unsent = self.entries.len() - sent;
-        let go = unsent >= most || sent == 0 || urgent >= self.next_unsent;
+        let full = unsent >= most || self.bytes - self.sent_bytes >= bytes;
+        let go = full || sent == 0 || urgent >= self.next_unsent;
         self.entries.iter().skip(if go { sent } else { self.entries.len() }).take(most)
     }
 
-    /// Notes that the next `count` observations were sent.
+    /// Notes that the next `count` observations or scans were sent.
     pub fn sent(&mut self, count: usize) {
+        let from = usize::try_from(self.next_unsent - self.first_kept).unwrap_or(usize::MAX);
+        self.sent_bytes += self.entries.iter().skip(from).take(count).map(Item::bytes).sum::<usize>();
         self.next_unsent += count as u64;
     }
 
@@ -108,10 +185,20 @@ impl Window {
             return Err(ProducerError::Foreign { durable, sent: self.next_unsent - 1 });
         }
         while self.first_kept <= durable {
-            let Some(entry) = self.entries.pop_front() else { break };
+            let Some(item) = self.entries.pop_front() else { break };
             self.first_kept += 1;
-            let name = self.names.get(entry.state as usize).map_or("", |name| name);
-            self.crc.add(name, entry.time_nanos, entry.value);
+            self.bytes -= item.bytes();
+            self.sent_bytes = self.sent_bytes.saturating_sub(item.bytes());
+            match item {
+                Item::Observation(entry) => {
+                    let name = self.names.get(entry.state as usize).map_or("", |name| name);
+                    self.crc.add(name, entry.time_nanos, entry.value);
+                }
+                Item::Scan(scan) => {
+                    self.crc.add_scan(scan.time_nanos(), scan.digest());
+                    scan.shown_in(&mut self.base);
+                }
+            }
         }
         Ok(())
     }
@@ -133,6 +220,7 @@ impl Window {
         self.next_unsent = self.last() + 1;
         self.acknowledged(durable)?;
         self.next_unsent = durable + 1;
+        self.sent_bytes = 0;
         if self.crc.value() != content_crc {
             return Err(ProducerError::Differs { durable });
         }

@@ -34,6 +34,12 @@ impl CpuTimes {
     pub(super) fn daemon_since(self, earlier: Self) -> Cell {
         since(self.daemon, earlier.daemon)
     }
+
+    /// Most memory that the daemon had at any time since its start.
+    pub(super) fn daemon_peak_bytes(process: DaemonProcess) -> Cell {
+        let daemon = process.daemon_pid.or_else(only_daemon);
+        Cell::maybe(daemon.and_then(peak_bytes))
+    }
 }
 
 fn since(now: Option<f64>, earlier: Option<f64>) -> Cell {
@@ -48,6 +54,13 @@ fn cpu_secs(pid: &str) -> Option<f64> {
     let mut times = fields.split_whitespace().skip(11);
     let mut ticks = || times.next()?.parse::<u64>().ok();
     Some((ticks()? + ticks()?) as f64 / TICKS_PER_SEC)
+}
+
+/// Peak of the memory of a process that was in use.
+fn peak_bytes(pid: u32) -> Option<u64> {
+    let status = fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    Some(peak.split_whitespace().next()?.parse::<u64>().ok()? * 1024)
 }
 
 /// The daemon, where one and only one runs on this machine.

@@ -110,6 +110,7 @@ fn read<R: Read>(mut rows: Rows<BufReader<R>>, sender: &mpsc::Sender<Result<Chun
 #[derive(Debug)]
 pub struct Told {
     bar: Bar,
+    noun: &'static str,
     verb: &'static str,
     wrong: u64,
     /// Those of them that were told.
@@ -120,7 +121,12 @@ pub struct Told {
 impl Told {
     /// Nothing so far. A wrong row "is refused", or whatever the verb is.
     pub fn new(bar: Bar, verb: &'static str) -> Self {
-        Self { bar, verb, wrong: 0, told: 0, torn: false }
+        Self::of(bar, "row", verb)
+    }
+
+    /// As [`Told::new`], of other things than rows.
+    pub fn of(bar: Bar, noun: &'static str, verb: &'static str) -> Self {
+        Self { bar, noun, verb, wrong: 0, told: 0, torn: false }
     }
 
     /// A row is wrong.
@@ -129,7 +135,7 @@ impl Told {
         if self.told < TOLD_MAX {
             self.told += 1;
             let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
-            self.bar.notice(&format!("row {number}{line} {}: {why}", self.verb));
+            self.bar.notice(&format!("{} {number}{line} {}: {why}", self.noun, self.verb));
         }
     }
 
@@ -158,7 +164,7 @@ impl Told {
     /// Says how many there were beside those that were told.
     pub fn conclude(&self) {
         if self.wrong > self.told {
-            self.bar.notice(&format!("and {} more rows like these", self.wrong - self.told));
+            self.bar.notice(&format!("and {} more {}s like these", self.wrong - self.told, self.noun));
         }
     }
 }

@@ -9,7 +9,7 @@ use std::{
 };
 
 use tidemap_proto::v1::{
-    Refusal as WireRefusal, RefusalReason as WireReason,
+    ObservationBatch, Refusal as WireRefusal, RefusalReason as WireReason,
     observation_service_server::{ObservationService, ObservationServiceServer},
 };
 use tokio::net::TcpListener;
@@ -113,7 +113,7 @@ impl Fake {
                 content_crc: stored.crc(),
                 max_batch_observations: 3,
                 max_message_bytes: 4096,
-                max_ahead: None,
+                ..Welcome::default()
             }
         };
         let _ = say(observe_response::Message::Welcome(welcome)).await;

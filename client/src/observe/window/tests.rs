@@ -45,7 +45,10 @@ fn a_first_observation_leaves_at_once_and_the_next_wait_for_company() {
         assert!(taken(&mut window, 4, 0).1.is_empty(), "something is under way");
     }
     window.push("a", 5, 0.0);
-    assert_eq!(taken(&mut window, 4, 0), (2, window.entries.iter().skip(1).map(|e| ("a".to_owned(), *e)).collect()));
+    assert_eq!(
+        taken(&mut window, 4, 0),
+        (2, (2..6).map(|time| ("a".to_owned(), Entry { state: 0, time_nanos: time, value: 0.0 })).collect())
+    );
     window.push("a", 6, 0.0);
     assert_eq!(taken(&mut window, 4, 6).1.len(), 1, "somebody waits for it");
     assert_eq!(window.acknowledged(6), Ok(()));

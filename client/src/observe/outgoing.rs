@@ -1,0 +1,146 @@
+//! The messages of one connection, made of what the window has to send.
+//!
+//! Invariant: what was told on an earlier connection counts for nothing: names and tiles are told anew. What is handed out
+//! counts as sent, in the order of its numbers.
+
+use std::collections::VecDeque;
+
+use tidemap_proto::v1::{ObservationBatch, ObserveRequest, ScanBatch, Welcome, observe_request::Message};
+
+use super::{
+    columns::{BatchLimits, Entry, StreamTable, fitting, pack},
+    producer::State,
+    scan_stream::{ScanLimits, ScanStream},
+    window::Window,
+};
+
+/// Bytes by which a request is longer than the batch in it, at most.
+const REQUEST_BYTES_EXTRA: usize = 16;
+
+/// What the daemon takes in one message.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    observations: BatchLimits,
+    scans: ScanLimits,
+}
+
+impl Limits {
+    pub(super) fn of(welcome: &Welcome) -> Self {
+        let limit = |limit: u32| usize::try_from(limit).unwrap_or(usize::MAX).max(1);
+        let bytes = limit(welcome.max_message_bytes).saturating_sub(REQUEST_BYTES_EXTRA).max(1);
+        Self {
+            observations: BatchLimits { observations: limit(welcome.max_batch_observations), bytes },
+            scans: ScanLimits { scans: limit(welcome.max_batch_scans), bytes },
+        }
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Outgoing {
+    limits: Limits,
+    names: StreamTable,
+    /// Absent until the first scan.
+    scans: Option<ScanStream>,
+    /// Parts of a scan that is too large for one message.
+    parts: VecDeque<ScanBatch>,
+}
+
+impl Outgoing {
+    /// A new connection.
+    pub(super) fn new(limits: Limits) -> Self {
+        Self { limits, names: StreamTable::default(), scans: None, parts: VecDeque::new() }
+    }
+
+    /// Whether there is a message to send now.
+    pub(super) fn is_ready(&self, state: &State) -> bool {
+        let Limits { observations, scans } = self.limits;
+        !self.parts.is_empty()
+            || state.window.as_ref().is_some_and(|window| {
+                window.to_send(observations.observations, state.urgent).next().is_some()
+                    || window.scans_to_send(scans.scans, scans.bytes, state.urgent).next().is_some()
+            })
+    }
+
+    /// The next message; what is in it counts as sent.
+    pub(super) fn next(&mut self, state: &mut State) -> Option<ObserveRequest> {
+        let urgent = state.urgent;
+        let window = state.window.as_mut()?;
+        let message = match self.parts.pop_front() {
+            Some(part) => Message::Scans(part),
+            None => self.observations(window, urgent).or_else(|| self.scans(window, urgent))?,
+        };
+        Some(ObserveRequest { message: Some(message) })
+    }
+
+    fn observations(&mut self, window: &mut Window, urgent: u64) -> Option<Message> {
+        let limits = self.limits.observations;
+        let first_sequence = window.next_unsent();
+        let waiting = || window.to_send(limits.observations, urgent);
+        let count = fitting(waiting(), window.names(), &self.names, limits);
+        let entries: Vec<Entry> = waiting().take(count).copied().collect();
+        if entries.is_empty() {
+            return None;
+        }
+        window.sent(entries.len());
+        let observations = Some(pack(&entries, window.names(), &mut self.names));
+        Some(Message::Batch(ObservationBatch { first_sequence, observations }))
+    }
+
+    fn scans(&mut self, window: &mut Window, urgent: u64) -> Option<Message> {
+        let limits = self.limits.scans;
+        let first_sequence = window.next_unsent();
+        let mut waiting = window.scans_to_send(limits.scans, limits.bytes, urgent).peekable();
+        waiting.peek()?;
+        // Before the first scan of a connection everything else is acknowledged.
+        let stream = self.scans.get_or_insert_with(|| ScanStream::new(window.base()));
+        let (count, messages) = stream.pack(waiting, window.tiles(), first_sequence, limits);
+        window.sent(count);
+        self.parts = messages.into();
+        self.parts.pop_front().map(Message::Scans)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observe::{
+        scan::{PointCloud, Scan},
+        tiles::{SeenTile, TileMasks},
+    };
+
+    #[test]
+    fn observations_and_scans_leave_in_the_order_of_their_numbers() -> Result<(), Box<dyn std::error::Error>> {
+        let welcome =
+            Welcome { max_batch_observations: 3, max_batch_scans: 2, max_message_bytes: 5000, ..Welcome::default() };
+        let tile = |x| SeenTile { tile: [x, 0, 0], masks: TileMasks { observed: [1; 8], occupied: [0; 8] } };
+        let mut window = Window::new(100, 0, 0);
+        for time in 0..5 {
+            window.push("door", time, 1.0);
+        }
+        for time in 5..8 {
+            window.push_scan(time, Scan::Tiles(vec![tile(1), tile(2)]))?;
+        }
+        window.push_scan(8, Scan::Cloud(PointCloud { xyz_m: vec![0.5; 3000], ..PointCloud::default() }))?;
+        window.push("door", 9, 0.0);
+        let mut state = State { window: Some(window), urgent: 10, closing: false, refusals: Vec::new() };
+        let mut outgoing = Outgoing::new(Limits::of(&welcome));
+        let mut sent = Vec::new();
+        while outgoing.is_ready(&state) {
+            let message = outgoing.next(&mut state).and_then(|request| request.message);
+            sent.push(match message.ok_or("a message")? {
+                Message::Batch(batch) => {
+                    (batch.first_sequence, batch.observations.map_or(0, |columns| columns.time_deltas.len()), false)
+                }
+                Message::Scans(batch) => (batch.first_sequence, batch.scans.len(), batch.continues),
+                Message::Hello(_) => return Err("a second Hello".into()),
+            });
+        }
+        let parts = sent.iter().filter(|(sequence, ..)| *sequence == 9).count();
+        assert!(parts >= 3, "{sent:?}");
+        assert_eq!(sent[..4], [(1, 3, false), (4, 2, false), (6, 2, false), (8, 1, false)]);
+        assert!(sent[4..4 + parts - 1].iter().all(|part| *part == (9, 1, true)), "{sent:?}");
+        assert_eq!(sent[3 + parts..], [(9, 1, false), (10, 1, false)]);
+        assert!(outgoing.next(&mut state).is_none());
+        Ok(())
+    }
+}

@@ -1,0 +1,67 @@
+//! What a file of scans would have made the daemon hold, without sending it.
+//!
+//! Invariant: numbers, checksum and tiles are those of a producer that had sent the same scans.
+
+use tidemap_proto::v1;
+
+use super::{
+    scan::Scan,
+    tiles::{TileError, TileTable},
+    window::Window,
+};
+
+/// Follows scans from the first on.
+#[derive(Debug)]
+pub struct Replay(Window);
+
+impl Default for Replay {
+    fn default() -> Self {
+        Self(Window::new(1, 0, 0))
+    }
+}
+
+impl Replay {
+    /// The next scan.
+    ///
+    /// # Errors
+    /// [`TileError`]
+    pub fn scan(&mut self, time_nanos: i64, scan: Scan) -> Result<(), TileError> {
+        let number = self.0.push_scan(time_nanos, scan)?;
+        self.follow(number);
+        Ok(())
+    }
+
+    /// The next scan, as on the wire.
+    ///
+    /// # Errors
+    /// [`TileError`]
+    pub fn wire_scan(&mut self, time_nanos: i64, new_tiles: &[i32], scan: v1::Scan) -> Result<(), TileError> {
+        let number = self.0.push_wire_scan(time_nanos, new_tiles, scan)?;
+        self.follow(number);
+        Ok(())
+    }
+
+    fn follow(&mut self, number: u64) {
+        self.0.sent(1);
+        // What was just sent can be acknowledged.
+        let _ = self.0.acknowledged(number);
+    }
+
+    /// Number of scans so far.
+    #[must_use]
+    pub fn scans(&self) -> u64 {
+        self.0.durable()
+    }
+
+    /// Their checksum.
+    #[must_use]
+    pub fn content_crc(&self) -> u32 {
+        self.0.content_crc()
+    }
+
+    /// What the last of them has shown.
+    #[must_use]
+    pub fn into_tiles(self) -> TileTable {
+        self.0.into_tiles()
+    }
+}

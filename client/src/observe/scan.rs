@@ -1,0 +1,147 @@
+//! Scans of a grid as callers give them: tiles, point clouds, ranges.
+//!
+//! Invariant: a scan is sent as it was given; whether it makes sense on the map is the daemon's to say.
+
+use tidemap_proto::v1::{self, scan::Content};
+
+use super::tiles::SeenTile;
+
+/// Bytes that a scan takes on the wire beside its points, masks and flips, at most.
+const FRAME_BYTES: usize = 256;
+
+/// The transform map_from_sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Metres.
+    pub position_m: [f64; 3],
+    /// Unit quaternion, its scalar part last.
+    pub quaternion_xyzw: [f64; 4],
+}
+
+impl Default for Pose {
+    /// At the map's origin, unturned.
+    fn default() -> Self {
+        Self { position_m: [0.0; 3], quaternion_xyzw: [0.0, 0.0, 0.0, 1.0] }
+    }
+}
+
+impl Pose {
+    fn to_wire(self) -> v1::Pose {
+        let ([x_m, y_m, z_m], [qx, qy, qz, qw]) = (self.position_m, self.quaternion_xyzw);
+        v1::Pose { x_m, y_m, z_m, qx, qy, qz, qw }
+    }
+}
+
+/// Points in the sensor's frame, ray-cast by the daemon.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PointCloud {
+    /// Where the sensor was.
+    pub pose: Pose,
+    /// The frame that the pose leads to; empty: the map's.
+    pub frame_id: String,
+    /// x, y, z of each point.
+    pub xyz_m: Vec<f32>,
+    /// Nearer points are left out.
+    pub min_range_m: f32,
+    /// Farther points only say that the way is free up to this range; 0: no limit but the daemon's.
+    pub max_range_m: f32,
+}
+
+/// A scan of a planar range finder, ray-cast by the daemon.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RangeScan {
+    /// Where the sensor was.
+    pub pose: Pose,
+    /// The frame that the pose leads to; empty: the map's.
+    pub frame_id: String,
+    /// Angle of the first ray from the sensor's x axis.
+    pub angle_min_rad: f32,
+    /// Angle between rays, counter-clockwise.
+    pub angle_increment_rad: f32,
+    /// Ranges; infinity: nothing up to `max_range_m`; NaN: no reading.
+    pub ranges_m: Vec<f32>,
+    /// Nearer readings are left out.
+    pub min_range_m: f32,
+    /// Farther readings only say that the way is free up to this range; above 0.
+    pub max_range_m: f32,
+}
+
+/// A scan.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Scan {
+    /// The tiles that were seen, none twice. What differs from the producer's scan before is sent.
+    Tiles(Vec<SeenTile>),
+    /// A point cloud.
+    Cloud(PointCloud),
+    /// A planar range scan.
+    Ranges(RangeScan),
+}
+
+impl From<PointCloud> for v1::PointCloud {
+    fn from(cloud: PointCloud) -> Self {
+        Self {
+            pose: Some(cloud.pose.to_wire()),
+            frame_id: cloud.frame_id,
+            xyz_m: cloud.xyz_m,
+            min_range_m: cloud.min_range_m,
+            max_range_m: cloud.max_range_m,
+        }
+    }
+}
+
+impl From<RangeScan> for v1::RangeScan {
+    fn from(scan: RangeScan) -> Self {
+        Self {
+            pose: Some(scan.pose.to_wire()),
+            frame_id: scan.frame_id,
+            angle_min_rad: scan.angle_min_rad,
+            angle_increment_rad: scan.angle_increment_rad,
+            ranges_m: scan.ranges_m,
+            min_range_m: scan.min_range_m,
+            max_range_m: scan.max_range_m,
+        }
+    }
+}
+
+/// Digest of a scan of points or ranges, as at `Scan` in `observation.proto`.
+pub(crate) fn points_digest(pose: Option<&v1::Pose>, numbers: &[f32]) -> u64 {
+    let pose = pose.copied().unwrap_or_default();
+    let parts = [pose.x_m, pose.y_m, pose.z_m, pose.qx, pose.qy, pose.qz, pose.qw];
+    let mut crc = crc32c::crc32c(parts.map(f64::to_le_bytes).as_flattened());
+    // Few at a time: the checksum of four bytes costs as much as that of a hundred.
+    for numbers in numbers.chunks(1024) {
+        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        crc = crc32c::crc32c_append(crc, &bytes);
+    }
+    u64::from(crc)
+}
+
+/// Most bytes that a scan takes on the wire, and about as many in memory.
+pub(super) fn wire_bytes(content: &Content) -> usize {
+    // A packed number takes 5 bytes at most, a float 4.
+    FRAME_BYTES
+        + match content {
+            Content::Tiles(scan) => {
+                let numbers =
+                    scan.seen.len() + scan.masked.len() + scan.observed_flips.len() + scan.occupied_flips.len();
+                numbers * 5 + scan.observed.len() + scan.occupied.len()
+            }
+            Content::Cloud(cloud) => cloud.xyz_m.len() * 4 + cloud.frame_id.len(),
+            Content::Ranges(ranges) => ranges.ranges_m.len() * 4 + ranges.frame_id.len(),
+        }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_digest_is_that_of_the_bytes_in_a_row() {
+        let pose = Pose { position_m: [1.0, 2.0, 3.0], ..Pose::default() }.to_wire();
+        let numbers: Vec<f32> = (0..3000_u16).map(f32::from).collect();
+        let mut bytes: Vec<u8> = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0_f64].iter().flat_map(|n| n.to_le_bytes()).collect();
+        bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+        assert_eq!(points_digest(Some(&pose), &numbers), u64::from(crc32c::crc32c(&bytes)));
+        assert_eq!(points_digest(None, &[]), u64::from(crc32c::crc32c(&[0; 56])));
+    }
+}

@@ -1,0 +1,143 @@
+//! The scans of a window.
+//!
+//! Invariant: a scan of tiles is kept as what differs from the producer's scan of tiles before it; each slot that it uses
+//! is among the first [`KeptScan::tiles`] of the producer's table.
+
+use tidemap_proto::v1::{self, scan::Content};
+
+use super::{Item, Window};
+use crate::observe::{
+    scan::{Scan, points_digest, wire_bytes},
+    tiles::{Shown, TileError, TileTable},
+};
+
+/// A scan that is kept until it is durable.
+#[derive(Clone, Debug)]
+pub struct KeptScan {
+    time_nanos: i64,
+    digest: u64,
+    tiles: usize,
+    content: Content,
+}
+
+impl KeptScan {
+    /// When it was made.
+    #[must_use]
+    pub fn time_nanos(&self) -> i64 {
+        self.time_nanos
+    }
+
+    /// Its digest.
+    #[must_use]
+    pub fn digest(&self) -> u64 {
+        self.digest
+    }
+
+    /// Length of the producer's table of tiles with this scan's new tiles.
+    #[must_use]
+    pub fn tiles(&self) -> usize {
+        self.tiles
+    }
+
+    /// What it shows, with the slots of the producer's table.
+    #[must_use]
+    pub fn content(&self) -> &Content {
+        &self.content
+    }
+
+    /// Most bytes that it takes on the wire, but for tiles that have to be told anew.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        wire_bytes(&self.content)
+    }
+
+    /// Follows it.
+    pub(crate) fn shown_in(&self, shown: &mut Shown) {
+        if let Content::Tiles(scan) = &self.content {
+            shown.grow(self.tiles);
+            shown.follow(scan, |_| {});
+        }
+    }
+}
+
+impl Window {
+    /// Takes a scan in and gives it the next number, whether there is room or not.
+    ///
+    /// # Errors
+    /// [`TileError`]; it has then not been taken.
+    pub fn push_scan(&mut self, time_nanos: i64, scan: Scan) -> Result<u64, TileError> {
+        let (content, digest) = match scan {
+            Scan::Tiles(seen) => {
+                let (_, scan, digest) = self.tiles.changes(&seen)?;
+                (Content::Tiles(scan), digest)
+            }
+            Scan::Cloud(cloud) => digested(Content::Cloud(cloud.into())),
+            Scan::Ranges(ranges) => digested(Content::Ranges(ranges.into())),
+        };
+        Ok(self.keep(time_nanos, digest, content))
+    }
+
+    /// Takes in a scan as on the wire, its slots those of the tiles so far and of `new_tiles`.
+    ///
+    /// # Errors
+    /// [`TileError`]; it has then not been taken.
+    pub fn push_wire_scan(&mut self, time_nanos: i64, new_tiles: &[i32], scan: v1::Scan) -> Result<u64, TileError> {
+        self.tiles.extend(new_tiles)?;
+        let content = scan.content.unwrap_or_else(|| Content::Tiles(v1::TileScan::default()));
+        let (content, digest) = match content {
+            Content::Tiles(scan) => {
+                let digest = self.tiles.apply(&scan)?;
+                (Content::Tiles(scan), digest)
+            }
+            points => digested(points),
+        };
+        Ok(self.keep(time_nanos, digest, content))
+    }
+
+    fn keep(&mut self, time_nanos: i64, digest: u64, content: Content) -> u64 {
+        let tiles = self.tiles.tiles().len();
+        self.take(Item::Scan(Box::new(KeptScan { time_nanos, digest, tiles, content })))
+    }
+
+    /// Goes on from a table of tiles: what the last scan showed that the daemon has.
+    pub fn go_on_from(&mut self, tiles: TileTable) {
+        debug_assert!(self.entries.is_empty(), "scans follow it");
+        self.base = tiles.shown().clone();
+        self.tiles = tiles;
+    }
+
+    /// What the last scan taken in has shown.
+    #[must_use]
+    pub fn into_tiles(self) -> TileTable {
+        self.tiles
+    }
+
+    /// The producer's tiles.
+    #[must_use]
+    pub fn tiles(&self) -> &[[i32; 3]] {
+        self.tiles.tiles()
+    }
+
+    /// What the last scan acknowledged has shown.
+    #[must_use]
+    pub fn base(&self) -> &Shown {
+        &self.base
+    }
+
+    /// The scans to send next, at most `most`; empty where it is better to wait for more, or an observation comes next.
+    pub fn scans_to_send(&self, most: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &KeptScan> {
+        self.unsent(most, bytes, urgent).map_while(|item| match item {
+            Item::Scan(scan) => Some(&**scan),
+            Item::Observation(_) => None,
+        })
+    }
+}
+
+fn digested(content: Content) -> (Content, u64) {
+    let digest = match &content {
+        Content::Cloud(cloud) => points_digest(cloud.pose.as_ref(), &cloud.xyz_m),
+        Content::Ranges(ranges) => points_digest(ranges.pose.as_ref(), &ranges.ranges_m),
+        Content::Tiles(_) => 0,
+    };
+    (content, digest)
+}

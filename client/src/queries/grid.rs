@@ -1,0 +1,233 @@
+//! The grid at one time, past or future.
+//!
+//! Invariant: every tile that the daemon announced arrives, each once and in order; a part that is missing is an error,
+//! never unknown cells.
+
+mod tile;
+
+use tidemap_proto::v1::{self, predict_grid_response::Message};
+use tonic::Streaming;
+
+pub use tile::{CellPrediction, PredictedTile};
+
+use super::ModelSelector;
+use crate::{
+    connection::Client,
+    error::Error,
+    maps::{CellBox, Grid},
+};
+
+/// Cells along a tile's edge.
+pub const TILE_EDGE: i32 = 8;
+
+/// What is told of each cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum GridOutput {
+    /// Probability that it is occupied.
+    #[default]
+    Probability,
+    /// Entropy of the prediction in bits.
+    Entropy,
+    /// 1 where the probability is at least this, else 0.
+    Threshold(f64),
+}
+
+/// A question about a grid.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GridQuery {
+    /// Name of the map.
+    pub map: String,
+    /// When.
+    pub time_nanos: i64,
+    /// Which model answers.
+    pub model: ModelSelector,
+    /// The cells asked for; all where absent.
+    pub region: Option<CellBox>,
+    /// Projects the region along z to one layer: a column counts as its most probable known cell.
+    pub is_projected: bool,
+    /// What is told of each cell.
+    pub output: GridOutput,
+}
+
+/// What an answer holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GridHeader {
+    /// The grid.
+    pub grid: Grid,
+    /// The cells that the tiles cover; z from 0 to 1 where projected.
+    pub region: CellBox,
+    /// Tiles to come.
+    pub tiles: u64,
+    /// Cells of these tiles.
+    pub cells: u64,
+    /// Bytes of all of them, at most.
+    pub bytes: u64,
+    /// Number of updates published when the question was answered.
+    pub generation: u64,
+}
+
+/// An answer under way.
+#[derive(Debug)]
+pub struct GridPrediction {
+    client: Client,
+    header: GridHeader,
+    is_projected: bool,
+    replies: Streaming<v1::PredictGridResponse>,
+    received: u64,
+    /// Place of the last tile: z, y, x.
+    last: Option<[i32; 3]>,
+}
+
+/// A whole answer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PredictedGrid {
+    /// What it holds.
+    pub header: GridHeader,
+    /// Its tiles, by z, then y, then x.
+    pub tiles: Vec<PredictedTile>,
+}
+
+impl GridQuery {
+    fn to_wire(&self, estimate_only: bool) -> v1::PredictGridRequest {
+        let (output, threshold) = match self.output {
+            GridOutput::Probability => (v1::GridOutput::Probability, 0.0),
+            GridOutput::Entropy => (v1::GridOutput::Entropy, 0.0),
+            GridOutput::Threshold(threshold) => (v1::GridOutput::Threshold, threshold),
+        };
+        v1::PredictGridRequest {
+            map: self.map.clone(),
+            time_nanos: self.time_nanos,
+            model: Some(self.model.to_wire()),
+            region: self.region.map(CellBox::to_wire),
+            project: self.is_projected,
+            output: output.into(),
+            threshold,
+            estimate_only,
+        }
+    }
+}
+
+impl Client {
+    /// Asks for the grid at one time. Tiles come as [`GridPrediction::next`] takes them.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map, `FAILED_PRECONDITION` where it has no grid,
+    /// `RESOURCE_EXHAUSTED` where the region has more cells than the daemon predicts at once.
+    pub async fn predict_grid(&self, query: &GridQuery) -> Result<GridPrediction, Error> {
+        self.asked(query, false).await
+    }
+
+    /// What an answer would hold, without the work.
+    ///
+    /// # Errors
+    /// As [`Client::predict_grid`].
+    pub async fn estimate_grid(&self, query: &GridQuery) -> Result<GridHeader, Error> {
+        self.asked(query, true).await.map(|answer| answer.header)
+    }
+
+    async fn asked(&self, query: &GridQuery, estimate_only: bool) -> Result<GridPrediction, Error> {
+        let request = query.to_wire(estimate_only);
+        let answer = self.query_service().predict_grid(request).await.map_err(|status| self.error(&status))?;
+        let mut replies = answer.into_inner();
+        let first = replies.message().await.map_err(|status| self.error(&status))?;
+        let Some(Message::Header(header)) = first.and_then(|reply| reply.message) else {
+            return Err(Error::Protocol("no header of a grid"));
+        };
+        let header = header_from_wire(header)?;
+        let is_projected = query.is_projected;
+        Ok(GridPrediction { client: self.clone(), header, is_projected, replies, received: 0, last: None })
+    }
+}
+
+fn header_from_wire(header: v1::GridHeader) -> Result<GridHeader, Error> {
+    Ok(GridHeader {
+        grid: header.grid.map(Grid::from_wire).ok_or(Error::Protocol("no grid in its header"))?,
+        // A grid without cells has no region.
+        region: header.region.as_ref().map(CellBox::from_wire).unwrap_or_default(),
+        tiles: header.tiles,
+        cells: header.cells,
+        bytes: header.bytes,
+        generation: header.generation,
+    })
+}
+
+impl GridPrediction {
+    /// What the answer holds.
+    #[must_use]
+    pub fn header(&self) -> &GridHeader {
+        &self.header
+    }
+
+    /// The next tiles; `None` after the last.
+    ///
+    /// # Errors
+    /// [`Error`]
+    pub async fn next(&mut self) -> Result<Option<Vec<PredictedTile>>, Error> {
+        let Some(reply) = self.replies.message().await.map_err(|status| self.client.error(&status))? else {
+            if self.received != self.header.tiles {
+                return Err(Error::Protocol("tiles of a grid are missing"));
+            }
+            return Ok(None);
+        };
+        let Some(Message::Page(page)) = reply.message else { return Err(Error::Protocol("no page of a grid")) };
+        let tiles: Vec<PredictedTile> = page
+            .tiles
+            .into_iter()
+            .map(|tile| PredictedTile::from_wire(tile, self.is_projected))
+            .collect::<Result<_, _>>()?;
+        for tile in &tiles {
+            let [x, y, z] = tile.place;
+            if self.last.replace([z, y, x]).is_some_and(|last| last >= [z, y, x]) {
+                return Err(Error::Protocol("tiles of a grid are out of order"));
+            }
+        }
+        self.received += tiles.len() as u64;
+        Ok(Some(tiles))
+    }
+
+    /// All tiles.
+    ///
+    /// # Errors
+    /// [`Error`]
+    pub async fn whole(mut self) -> Result<PredictedGrid, Error> {
+        let mut tiles = Vec::new();
+        while let Some(more) = self.next().await? {
+            tiles.extend(more);
+        }
+        Ok(PredictedGrid { header: self.header, tiles })
+    }
+}
+
+impl PredictedGrid {
+    /// What is predicted of a cell; unknown where it is not part of the answer.
+    #[must_use]
+    pub fn cell(&self, cell: [i32; 3]) -> CellPrediction {
+        let [x, y, z] = cell.map(|index| index.div_euclid(TILE_EDGE));
+        let key = |tile: &PredictedTile| [tile.place[2], tile.place[1], tile.place[0]];
+        let Ok(at) = self.tiles.binary_search_by_key(&[z, y, x], key) else { return CellPrediction::Unknown };
+        let [x, y, z] = cell.map(|index| index.rem_euclid(TILE_EDGE) as usize);
+        self.tiles[at].cells[x + 8 * y + 64 * z]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cell_is_found_by_its_index() {
+        let tile = |place, at: usize| {
+            let mut cells = Box::new([CellPrediction::Unknown; 512]);
+            cells[at] = CellPrediction::Static(0.25);
+            PredictedTile { place, cells }
+        };
+        let grid = Grid { resolution_m: 0.1, ..Grid::default() };
+        let header = GridHeader { grid, region: CellBox::default(), tiles: 2, cells: 1024, bytes: 0, generation: 1 };
+        let grid = PredictedGrid { header, tiles: vec![tile([5, 0, -1], 511), tile([-1, 2, 0], 8)] };
+        let known: Vec<[i32; 3]> = (-16..48)
+            .flat_map(|x| (0..24).flat_map(move |y| (-8..8).map(move |z| [x, y, z])))
+            .filter(|&cell| grid.cell(cell) != CellPrediction::Unknown)
+            .collect();
+        assert_eq!(known, [[-8, 17, 0], [47, 7, -1]]);
+    }
+}

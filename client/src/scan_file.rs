@@ -1,0 +1,251 @@
+//! Files of scans, `.tms`: what a robot has seen, to be sent later, once or to several maps.
+//!
+//! A file is a line and length-delimited protobuf messages, so that any language with protobuf can write it:
+//!
+//! ```text
+//! tidemap scans 1\n
+//! <length as varint> <ScanFileHeader>
+//! <length as varint> <tidemap.v1.ScanBatch>   any number of times
+//! ```
+//!
+//! ```protobuf
+//! message ScanFileHeader {
+//!   double resolution_m = 1;         // edge of a cell; 0 or absent: the file has no scans of tiles
+//!   string frame_id = 2;             // frame of the map that the scans are for; empty: not said
+//!   repeated double origin_m = 3;    // lower corner of cell (0, 0, 0), three numbers; none: not said
+//! }
+//! ```
+//!
+//! The batches are those of one Observe stream from its beginning: the first has `first_sequence` 1, and each goes on
+//! where the one before ended; the table of tiles starts empty. A batch of up to 256 scans and 512 KiB, its
+//! `first_sequence` at 1, can be sent as it is.
+//!
+//! Invariant: no more than one batch, or one scan that spans batches, is in memory. A file that is cut off gives every
+//! whole batch and then an error that says where.
+
+mod error;
+mod writer;
+
+use std::{
+    io::{self, BufRead, Read as _},
+    sync::Arc,
+};
+
+use prost::Message as _;
+use tidemap_proto::v1::{Scan, ScanBatch};
+
+pub use error::{ScanFileError, Wrong};
+pub use writer::{ScanFileWriter, ScanWriteError};
+
+use crate::observe::tiles::join;
+
+/// The first line.
+pub const MAGIC: &[u8] = b"tidemap scans 1\n";
+/// Longest message. A batch that a daemon takes is far shorter.
+pub const MESSAGE_BYTES_MAX: u64 = 64 << 20;
+/// Most messages that one scan spans.
+const PARTS_MAX: usize = 256;
+const VARINT_BYTES_MAX: u32 = 10;
+
+/// What the scans of a file are for.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct ScanFileHeader {
+    /// Length of a cell's edge in metres; 0 where the file has no scans of tiles.
+    #[prost(double, tag = "1")]
+    pub resolution_m: f64,
+    /// The map's frame; empty where it is not said.
+    #[prost(string, tag = "2")]
+    pub frame_id: String,
+    /// Lower corner of cell (0, 0, 0) in metres; empty where it is not said.
+    #[prost(double, repeated, tag = "3")]
+    pub origin_m: Vec<f64>,
+}
+
+/// A scan of a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FileScan {
+    /// Its number, from 1.
+    pub number: u64,
+    /// When it was made.
+    pub time_nanos: i64,
+    /// Tiles that the file's table has from here on: x, y, z of each.
+    pub new_tiles: Vec<i32>,
+    /// What it shows, its slots those of the file's table.
+    pub scan: Scan,
+}
+
+/// A batch as it stands in the file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RawBatch {
+    /// Where its length begins, in bytes from the start of the file.
+    pub offset: u64,
+    /// An encoded `ScanBatch`.
+    pub bytes: Vec<u8>,
+}
+
+/// Reads a file batch by batch.
+#[derive(Debug)]
+pub struct ScanFile<R> {
+    reader: R,
+    header: ScanFileHeader,
+    offset: u64,
+    /// Scans of the batches so far, whole ones.
+    scans: u64,
+    /// A scan that goes on in the next batch, and how many parts it has.
+    unfinished: Option<(FileScan, usize)>,
+}
+
+impl<R: BufRead> ScanFile<R> {
+    /// Reads what comes before the batches.
+    ///
+    /// # Errors
+    /// [`ScanFileError`]
+    pub fn new(reader: R) -> Result<Self, ScanFileError> {
+        let mut file = Self { reader, header: ScanFileHeader::default(), offset: 0, scans: 0, unfinished: None };
+        let mut magic = Vec::new();
+        (&mut file.reader).take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(|error| file.io(error))?;
+        if magic != MAGIC {
+            return Err(file.wrong(0, Wrong::Magic(magic)));
+        }
+        file.offset = MAGIC.len() as u64;
+        let at = file.offset;
+        let bytes = file.message("the header")?.ok_or_else(|| file.wrong(at, Wrong::NoHeader))?.bytes;
+        file.header =
+            ScanFileHeader::decode(bytes.as_slice()).map_err(|error| file.wrong(at, Wrong::Malformed(error)))?;
+        let ScanFileHeader { resolution_m, origin_m, .. } = &file.header;
+        if !(resolution_m.is_finite() && *resolution_m >= 0.0) {
+            return Err(file.wrong(at, Wrong::Resolution(*resolution_m)));
+        }
+        if !matches!(origin_m.len(), 0 | 3) || origin_m.iter().any(|number| !number.is_finite()) {
+            return Err(file.wrong(at, Wrong::Origin(origin_m.clone())));
+        }
+        Ok(file)
+    }
+
+    /// What the scans are for.
+    pub fn header(&self) -> &ScanFileHeader {
+        &self.header
+    }
+
+    /// Bytes read so far.
+    pub fn bytes(&self) -> u64 {
+        self.offset
+    }
+
+    /// The next batch, undecoded; `None` at the end.
+    ///
+    /// # Errors
+    /// [`ScanFileError`]
+    pub fn next_raw(&mut self) -> Result<Option<RawBatch>, ScanFileError> {
+        self.message("a batch")
+    }
+
+    /// The scans that the next batch completes, which may be none; `None` at the end.
+    ///
+    /// # Errors
+    /// [`ScanFileError`]
+    pub fn next_scans(&mut self) -> Result<Option<Vec<FileScan>>, ScanFileError> {
+        let at = self.offset;
+        let Some(raw) = self.next_raw()? else {
+            return match self.unfinished {
+                Some(_) => Err(self.wrong(at, Wrong::Unfinished)),
+                None => Ok(None),
+            };
+        };
+        let batch = ScanBatch::decode(raw.bytes.as_slice()).map_err(|error| self.wrong(at, Wrong::Malformed(error)))?;
+        self.taken(batch).map(Some).map_err(|wrong| self.wrong(at, wrong))
+    }
+
+    fn taken(&mut self, batch: ScanBatch) -> Result<Vec<FileScan>, Wrong> {
+        let expected = self.scans + 1;
+        if batch.first_sequence != expected {
+            return Err(Wrong::Sequence { expected, found: batch.first_sequence });
+        }
+        let (count, times) = (batch.scans.len(), batch.time_deltas.len());
+        if count == 0 || count != times {
+            return Err(Wrong::Lengths { scans: count, times });
+        }
+        let unit = i64::try_from(batch.time_unit_nanos.max(1)).ok();
+        let mut time = Some(batch.first_time_nanos);
+        let mut new_tiles = batch.new_tiles;
+        let mut scans = Vec::with_capacity(count);
+        for (i, (scan, delta)) in batch.scans.into_iter().zip(batch.time_deltas).enumerate() {
+            time = time.and_then(|time| time.checked_add(delta.checked_mul(unit?)?));
+            let time_nanos = time.filter(|time| *time >= 0).ok_or(Wrong::Time { scan: self.scans + 1 })?;
+            let new_tiles = std::mem::take(&mut new_tiles);
+            let (whole, parts) = match self.unfinished.take() {
+                None => (FileScan { number: self.scans + 1, time_nanos, new_tiles, scan }, 1),
+                Some((mut whole, parts)) => {
+                    if parts == PARTS_MAX {
+                        return Err(Wrong::Parts(PARTS_MAX));
+                    }
+                    whole.new_tiles.extend(new_tiles);
+                    join(&mut whole.scan, scan).map_err(Wrong::Tiles)?;
+                    (whole, parts + 1)
+                }
+            };
+            if batch.continues && i + 1 == count {
+                self.unfinished = Some((whole, parts));
+            } else {
+                self.scans += 1;
+                scans.push(whole);
+            }
+        }
+        Ok(scans)
+    }
+
+    /// A message with its length; `None` at the end of the file.
+    fn message(&mut self, what: &'static str) -> Result<Option<RawBatch>, ScanFileError> {
+        let offset = self.offset;
+        let Some(length) = self.length(what)? else { return Ok(None) };
+        if length > MESSAGE_BYTES_MAX {
+            return Err(self.wrong(offset, Wrong::Length(length)));
+        }
+        let mut bytes = Vec::new();
+        // Grows as bytes come: a length alone takes no memory.
+        (&mut self.reader).take(length).read_to_end(&mut bytes).map_err(|error| self.io(error))?;
+        if (bytes.len() as u64) < length {
+            return Err(self.wrong(offset, Wrong::CutOff { what, needs: length, has: bytes.len() as u64 }));
+        }
+        self.offset += length;
+        Ok(Some(RawBatch { offset, bytes }))
+    }
+
+    fn length(&mut self, what: &'static str) -> Result<Option<u64>, ScanFileError> {
+        let offset = self.offset;
+        let mut length = 0_u64;
+        for place in 0..VARINT_BYTES_MAX {
+            let byte = loop {
+                match self.reader.fill_buf() {
+                    Ok(buffer) => break buffer.first().copied(),
+                    Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                    Err(error) => return Err(self.io(error)),
+                }
+            };
+            let Some(byte) = byte else {
+                if place == 0 {
+                    return Ok(None);
+                }
+                return Err(self.wrong(offset, Wrong::CutOff { what, needs: u64::from(place) + 1, has: place.into() }));
+            };
+            self.reader.consume(1);
+            self.offset += 1;
+            length |= u64::from(byte & 0x7f).checked_shl(7 * place).unwrap_or(u64::MAX);
+            if byte & 0x80 == 0 {
+                return Ok(Some(length));
+            }
+        }
+        Err(self.wrong(offset, Wrong::Length(u64::MAX)))
+    }
+
+    fn wrong(&self, offset: u64, wrong: Wrong) -> ScanFileError {
+        ScanFileError::Wrong { offset, scans: self.scans, wrong }
+    }
+
+    fn io(&self, error: io::Error) -> ScanFileError {
+        ScanFileError::Io { offset: self.offset, error: Arc::new(error) }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,112 @@
+//! Writing a file of scans.
+//!
+//! Invariant: the batches are those that a producer would send on its first connection; each can be sent as it is.
+
+use std::io::{self, Write};
+
+use prost::Message as _;
+use tidemap_proto::v1;
+
+use super::{MAGIC, ScanFileHeader};
+use crate::observe::{
+    ProducerError,
+    scan::Scan,
+    scan_stream::{ScanLimits, ScanStream},
+    window::Window,
+};
+
+/// Scans and bytes of a batch.
+const LIMITS: ScanLimits = ScanLimits { scans: 256, bytes: 512 << 10 };
+
+/// Writes a file of scans.
+#[derive(Debug)]
+pub struct ScanFileWriter<W> {
+    writer: W,
+    window: Window,
+    stream: ScanStream,
+    bytes: u64,
+}
+
+/// Why a scan cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum ScanWriteError {
+    /// Writing failed.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// The scan makes no sense.
+    #[error(transparent)]
+    Scan(#[from] crate::observe::tiles::TileError),
+    /// The scan has a time before 1970.
+    #[error(transparent)]
+    Time(ProducerError),
+}
+
+impl<W: Write> ScanFileWriter<W> {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// What `writer` says.
+    pub fn new(mut writer: W, header: &ScanFileHeader) -> io::Result<Self> {
+        writer.write_all(MAGIC)?;
+        let header = header.encode_length_delimited_to_vec();
+        writer.write_all(&header)?;
+        let window = Window::new(LIMITS.scans * 2, 0, 0).with_bytes(LIMITS.bytes);
+        let stream = ScanStream::new(window.base());
+        Ok(Self { writer, window, stream, bytes: (MAGIC.len() + header.len()) as u64 })
+    }
+
+    /// Adds a scan.
+    ///
+    /// # Errors
+    /// [`ScanWriteError`]
+    pub fn scan(&mut self, time_nanos: i64, scan: Scan) -> Result<(), ScanWriteError> {
+        checked(time_nanos)?;
+        self.window.push_scan(time_nanos, scan)?;
+        Ok(self.write(false)?)
+    }
+
+    /// Adds a scan as on the wire: its slots are those of the tiles so far, `new_tiles` (x, y, z of each) included.
+    ///
+    /// # Errors
+    /// [`ScanWriteError`]
+    pub fn wire_scan(&mut self, time_nanos: i64, new_tiles: &[i32], scan: v1::Scan) -> Result<(), ScanWriteError> {
+        checked(time_nanos)?;
+        self.window.push_wire_scan(time_nanos, new_tiles, scan)?;
+        Ok(self.write(false)?)
+    }
+
+    /// Writes what is left and gives the writer and the bytes of the file. Without it the file lacks its last scans.
+    ///
+    /// # Errors
+    /// What the writer says.
+    pub fn finish(mut self) -> io::Result<(W, u64)> {
+        self.write(true)?;
+        self.writer.flush()?;
+        Ok((self.writer, self.bytes))
+    }
+
+    /// Writes what makes a batch, or all.
+    fn write(&mut self, all: bool) -> io::Result<()> {
+        loop {
+            let (window, first_sequence) = (&self.window, self.window.next_unsent());
+            let waiting = window.last() + 1 - first_sequence;
+            if waiting == 0 || !(all || waiting >= LIMITS.scans as u64 || !window.has_room()) {
+                return Ok(());
+            }
+            let scans = window.scans_to_send(LIMITS.scans, LIMITS.bytes, u64::MAX);
+            let (count, messages) = self.stream.pack(scans, window.tiles(), first_sequence, LIMITS);
+            for message in messages {
+                let bytes = message.encode_length_delimited_to_vec();
+                self.writer.write_all(&bytes)?;
+                self.bytes += bytes.len() as u64;
+            }
+            self.window.sent(count);
+            // What was just sent can be acknowledged.
+            let _ = self.window.acknowledged(first_sequence + count as u64 - 1);
+        }
+    }
+}
+
+fn checked(time_nanos: i64) -> Result<(), ScanWriteError> {
+    if time_nanos < 0 { Err(ScanWriteError::Time(ProducerError::TimeBefore1970(time_nanos))) } else { Ok(()) }
+}
