@@ -5,8 +5,8 @@
 //! | `maps/00000001/MAP` | as before, with one record [`map::MapSpec`] |
 //! | `maps/00000001/log/00000000000000000001.log` | as before, with frames of [`event::Scans`] too |
 //! | `maps/00000001/checkpoints/00000000000000000007.tmc` | as before; for a map with a grid [`grid`] records follow |
-//! | `maps/00000001/history/00000000000000000007.states.tmh` | [`file`] with [`history`] records |
-//! | `maps/00000001/history/00000000000000000007.grid.tmh` | [`file`] with [`history`] records |
+//! | `maps/00000001/history/00000000000000000007.states.tmh` | [`mod@file`] with [`history`] records |
+//! | `maps/00000001/history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
 //!
 //! The containers (segments, frames, files, records, trailers) are those of format 1 and go on saying 1. A log of a map
 //! that was created under this format may begin at a later record than the first.

@@ -33,7 +33,7 @@ const TILE_OVERHEAD: u64 = 48;
 /// # Errors
 /// A time before 1970, an unknown output, a threshold that is not in (0, 1] or belongs to another output, a model that is
 /// none.
-pub fn question_from_wire(wire: v1::PredictGridRequest) -> Result<GridQuestion, InvalidField> {
+pub fn question_from_wire(wire: &v1::PredictGridRequest) -> Result<GridQuestion, InvalidField> {
     if wire.time_nanos < 0 {
         return Err(InvalidField::new("time_nanos", format!("{} ns is before 1970", wire.time_nanos)));
     }
@@ -152,14 +152,14 @@ mod tests {
 
     fn threshold(output: v1::GridOutput, threshold: f64) -> Result<CellOutput, String> {
         let wire = v1::PredictGridRequest { output: output.into(), threshold, ..request() };
-        question_from_wire(wire).map(|question| question.output).map_err(|error| error.field)
+        question_from_wire(&wire).map(|question| question.output).map_err(|error| error.field)
     }
 
     #[test]
     fn questions_are_checked() {
-        let question = question_from_wire(request()).expect("valid");
+        let question = question_from_wire(&request()).expect("valid");
         assert_eq!(question, GridQuestion { utc_nanos: 5, ..GridQuestion::default() });
-        let field = |wire| question_from_wire(wire).expect_err("wrong").field;
+        let field = |wire| question_from_wire(&wire).expect_err("wrong").field;
         assert_eq!(field(v1::PredictGridRequest { time_nanos: -1, ..request() }), "time_nanos");
         assert_eq!(field(v1::PredictGridRequest { output: 99, ..request() }), "output");
         let model = v1::ModelSelector { order: Some(16), ..v1::ModelSelector::default() };

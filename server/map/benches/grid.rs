@@ -8,7 +8,7 @@ use std::{hint::black_box, sync::Arc, sync::atomic::AtomicU64};
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use tidemap_map::{
     event::{Event, UpdateCause},
-    grid::{front::Front, index::TileId},
+    grid::{front::Front, index::TileId, spec::Retention},
     live_map::LiveMap,
     predict::{ModelKind, ModelSelector},
     snapshot::MapSnapshot,
@@ -49,7 +49,7 @@ fn full(spec: &Arc<MapSpec>, before: Option<&MapSnapshot>, events: &[Event], day
 }
 
 fn day(c: &mut Criterion) {
-    let spec = spec();
+    let (spec, keeping) = (spec(Retention::None), spec(Retention::Forever));
     let mut office = Office::new();
     let mut map = LiveMap::new(Arc::clone(&spec));
     let sent = office.day(0);
@@ -106,12 +106,14 @@ fn day(c: &mut Criterion) {
     });
     group.throughput(Throughput::Elements(FLIPS as u64));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
-    for (name, before, events, day) in
-        [("update_accumulate", None, &first, 0), ("update_score_too", Some(&snapshot), &second, 1)]
-    {
+    for (name, spec, before, events, day) in [
+        ("update_accumulate", &spec, None, &first, 0),
+        ("update_score_too", &spec, Some(&snapshot), &second, 1),
+        ("update_score_and_keep_history", &keeping, Some(&snapshot), &second, 1),
+    ] {
         group.bench_function(name, |b| {
             b.iter_batched(
-                || full(&spec, before, events, day),
+                || full(spec, before, events, day),
                 |(map, work)| (map, pool.install(|| work.run(&AtomicU64::new(0)))),
                 BatchSize::PerIteration,
             );
@@ -144,6 +146,30 @@ fn predict(c: &mut Criterion, spec: &Arc<MapSpec>, learned: MapSnapshot) {
     group.finish();
 }
 
+/// Tiles whose cells are each observed at times of their own, as at the edge of sight: every cell is a group.
+fn flicker(c: &mut Criterion) {
+    const SOME: usize = 16;
+    let spec = spec(Retention::None);
+    let mut map = LiveMap::new(Arc::clone(&spec));
+    let events = Office::events(&mut map, &Office::new().flickering_day(SOME, 2_000), BATCH);
+    let work = learn(&mut map, 0);
+    let snapshot = finish(&mut map, work);
+    let sums: usize = snapshot.grid.iter().flat_map(|grid| &grid.sums).map(|sums| sums.bytes()).sum();
+    println!("flickering: sums {} B a tile", sums / SOME);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+    let mut group = c.benchmark_group("grid_flicker");
+    group.sample_size(10);
+    group.throughput(Throughput::Elements(SOME as u64));
+    group.bench_function("update_16_tiles", |b| {
+        b.iter_batched(
+            || full(&spec, None, &events, 0),
+            |(map, work)| (map, pool.install(|| work.run(&AtomicU64::new(0)))),
+            BatchSize::PerIteration,
+        );
+    });
+    group.finish();
+}
+
 /// What memory the grid takes.
 fn report(learned: &MapSnapshot, mut map: LiveMap) {
     let view = map.publish();
@@ -155,12 +181,10 @@ fn report(learned: &MapSnapshot, mut map: LiveMap) {
     let changed: usize = models.iter().map(|model| model.cells.len()).sum();
     let sums: usize = learned.grid.iter().flat_map(|grid| &grid.sums).map(|sums| sums.bytes()).sum();
     let orders = models.iter().flat_map(|model| &model.cells).map(|cell| usize::from(cell.order)).sum::<usize>();
-    let days: usize = learned.history.iter().flat_map(|piece| &piece.days).map(|day| day.outliers.bytes()).sum();
     println!("{changed} of {CELLS} cells changed, mean order {:.1}", orders as f64 / changed as f64);
     println!("live {} B a tile", live / TILES);
     println!("models {} B a changed cell, sums {} B (shared ones counted each)", model / changed, sums / changed);
-    println!("a day of scans before its update {} B a flip", days / FLIPS);
 }
 
-criterion_group!(benches, day);
+criterion_group!(benches, day, flicker);
 criterion_main!(benches);

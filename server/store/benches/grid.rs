@@ -159,9 +159,14 @@ fn benches(criterion: &mut Criterion) {
         drop((store, opened));
         group.throughput(Throughput::Elements(SCANS));
         group.bench_function(format!("{what}: read"), |bencher| {
-            bencher.iter(|| {
-                let (_store, _, opened) = open(directory.path());
-                opened.replay.map(|item| flips_of(&item.expect("readable").1)).sum::<u64>()
+            bencher.iter_custom(|count| {
+                let read = |_| {
+                    let (_store, _, opened) = open(directory.path());
+                    let start = Instant::now();
+                    black_box(opened.replay.map(|item| flips_of(&item.expect("readable").1)).sum::<u64>());
+                    start.elapsed()
+                };
+                (0..count).map(read).sum()
             });
         });
         let directory = tempfile::tempdir().expect("temporary directory");
@@ -186,11 +191,15 @@ fn benches(criterion: &mut Criterion) {
     group.bench_function("checkpoint alone", |bencher| bencher.iter(|| store.save(map, &snapshot).expect("saves")));
     let history = store.history(map).expect("known");
     group.bench_function("read the day's history", |bencher| {
-        bencher.iter(|| history.grid_days(i64::MIN, i64::MAX, None).map(|day| day.expect("readable").models.len()).sum::<usize>());
+        bencher.iter(|| {
+            history.grid_days(i64::MIN, i64::MAX, None).map(|day| day.expect("readable").models.len()).sum::<usize>()
+        });
     });
     group.bench_function("read one tile of it", |bencher| {
         let tile = || Some(vec![TileId(7)]);
-        bencher.iter(|| history.grid_days(i64::MIN, i64::MAX, tile()).map(|day| day.expect("readable").models.len()).sum::<usize>());
+        bencher.iter(|| {
+            history.grid_days(i64::MIN, i64::MAX, tile()).map(|day| day.expect("readable").models.len()).sum::<usize>()
+        });
     });
     drop((opened, store));
     group.bench_function("open", |bencher| bencher.iter(|| open(directory.path()).2.source));

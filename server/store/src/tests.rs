@@ -7,6 +7,8 @@ mod golden;
 mod golden_grid;
 mod grid;
 pub(crate) mod grid_example;
+mod grid_life;
+mod grid_records;
 mod history;
 mod life;
 mod round_trip;

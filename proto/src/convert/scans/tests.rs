@@ -1,6 +1,5 @@
 //! Scans there and back, refusals one by one, parts, and what ends a stream.
 
-use prost::Message as _;
 use tidemap_map::grid::{
     index::{CellBox, CellIndex, TileIndex},
     mask::{Mask, TileMasks},
@@ -85,53 +84,4 @@ fn sent(scan: &DecodedScan) -> &SentScan {
         Some(ScanContent::Tiles(sent)) => sent,
         other => panic!("not of tiles: {other:?}, {:?}", scan.refusal),
     }
-}
-
-#[test]
-#[ignore = "prints a speed"]
-fn speed() {
-    let mut encoder = ScanEncoder::new(false);
-    let tiles: Vec<_> = (0..300).map(|x| (index(x, 0, 0), TileMasks::clipped(Mask::FULL, mask(&[3])))).collect();
-    encoder.tiles(&tiles).expect("x");
-    let limits = ScanLimits { batch_scans: 1024, ..LIMITS };
-    let mut decoder = ScanDecoder::new(Some(&spec(false)), limits);
-    let mut e2 = ScanEncoder::new(false);
-    all(&mut decoder, batch(1, &[0], vec![e2.tiles(&tiles).unwrap()])).unwrap();
-    let mut seed = 1u64;
-    let (mut te, mut td, mut tp) = (std::time::Duration::ZERO, std::time::Duration::ZERO, std::time::Duration::ZERO);
-    let mut bytes_total = 0;
-    let n = 400;
-    for round in 0..n {
-        let t = std::time::Instant::now();
-        let mut scans = Vec::new();
-        let mut cells: Vec<u32> = Vec::new();
-        for _ in 0..1000 {
-            cells.clear();
-            for _ in 0..35 {
-                seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-                cells.push(((seed >> 33) % (300 * 512)) as u32);
-            }
-            cells.sort_unstable();
-            cells.dedup();
-            scans.push(e2.flips(None, &[], &cells).unwrap());
-        }
-        let times: Vec<i64> = (0..1000).map(|i| i + round * 1000).collect();
-        let message = batch(2 + round as u64 * 1000, &times, scans).encode_to_vec();
-        te += t.elapsed();
-        bytes_total += message.len();
-        let t = std::time::Instant::now();
-        let message = v1::ScanBatch::decode(message.as_slice()).unwrap();
-        tp += t.elapsed();
-        let t = std::time::Instant::now();
-        decoder.begin(message).unwrap();
-        while let Some(scan) = decoder.next_scan().unwrap() {
-            assert!(scan.refusal.is_none());
-        }
-        td += t.elapsed();
-    }
-    println!(
-        "{} scans: encode {te:?}, prost {tp:?}, decode {td:?}, {} bytes a scan",
-        n * 1000,
-        bytes_total / (n as usize * 1000)
-    );
 }

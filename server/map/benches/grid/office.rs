@@ -29,8 +29,8 @@ pub const CELLS: usize = 15_000;
 const CHANGES: usize = 40;
 pub const FLIPS: usize = CELLS * CHANGES;
 
-/// A map with a grid that keeps its exact readings, to see their size.
-pub fn spec() -> Arc<MapSpec> {
+/// A map with a grid.
+pub fn spec(retention: Retention) -> Arc<MapSpec> {
     Arc::new(MapSpec {
         name: MapName::new("office").expect("valid"),
         zone: Zone::utc(),
@@ -45,7 +45,7 @@ pub fn spec() -> Arc<MapSpec> {
             origin_m: [0.0; 3],
             extent: None,
             sensor: SensorNoise::default(),
-            retention: Retention::Forever,
+            retention,
         }),
     })
 }
@@ -111,6 +111,20 @@ impl Office {
                 SentScan { utc_nanos, seen: Arc::clone(&self.seen), observed_flips, occupied_flips }
             })
             .collect()
+    }
+
+    /// Scans of some tiles, each of which loses sight of three cells of each tile, or sees them again.
+    pub fn flickering_day(&mut self, tiles: usize, scans: usize) -> Vec<SentScan> {
+        let seen: Arc<[u32]> = (0..tiles as u32).collect();
+        let step = DAY_NANOS / scans as i64;
+        let scan = |scan: usize| {
+            let mut cells: Vec<u32> =
+                (0..tiles * 3).map(|place| (place / 3 * 512 + place % 3 * 170 + self.random(170)) as u32).collect();
+            cells.sort_unstable();
+            let (utc_nanos, seen) = (scan as i64 * step + self.random(1_000_000_000) as i64, Arc::clone(&seen));
+            SentScan { utc_nanos, seen, observed_flips: cells, occupied_flips: Vec::new() }
+        };
+        (0..scans).map(scan).collect()
     }
 
     /// The events that they become; the map has them applied.

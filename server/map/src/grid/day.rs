@@ -149,7 +149,9 @@ impl GridDay {
                     (Bit::Observed, known.last.observed(), masks.observed()),
                     (Bit::Occupied, known.last.occupied(), masks.occupied()),
                 ] {
-                    known.flips.extend((before ^ now).cells().map(|cell| Flip::new(scan, cell, bit)));
+                    for cell in (before ^ now).cells() {
+                        known.flips.push(Flip::new(scan, cell, bit));
+                    }
                 }
                 known.last = masks;
                 (known.flips.len() - before) as u64

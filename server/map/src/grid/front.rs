@@ -9,9 +9,12 @@ use std::{collections::HashMap, sync::Arc};
 use super::{
     index::{TileId, TileIndex},
     live::LiveGrid,
-    mask::{Mask, TileMasks},
+    mask::TileMasks,
     scan::{CellRef, LoggedScan},
 };
+
+#[cfg(test)]
+mod tests;
 
 /// A cell of a stream: slot·512 + place, where the slot is the tile's index in the stream's table.
 pub type SlotCell = u32;
@@ -34,6 +37,8 @@ pub struct SentScan {
 pub struct ScanSource {
     slots: Vec<Slot>,
     seen: Option<SeenSlots>,
+    /// Whether two of these slots are the same tile.
+    has_twins: bool,
     /// Whether a scan since then was not handed on.
     has_skipped: bool,
 }
@@ -69,21 +74,52 @@ impl ScanSource {
 
     /// Takes in a scan that is refused: what follows refers to it all the same.
     pub fn skip(&mut self, scan: &SentScan) {
-        self.flip(&scan.observed_flips, |observed, _, cell| observed.flip(cell));
-        self.flip(&scan.occupied_flips, |_, occupied, cell| occupied.flip(cell));
+        self.flip(&scan.observed_flips, |slot, cells| {
+            let observed = slot.masks.observed().flipped(places(cells));
+            slot.masks = TileMasks::clipped(observed, slot.masks.occupied());
+        });
+        self.flip(&scan.occupied_flips, |slot, cells| {
+            let occupied = slot.masks.occupied().flipped(places(cells));
+            slot.masks = TileMasks::clipped(slot.masks.observed(), occupied);
+        });
         self.has_skipped = true;
     }
 
-    fn flip(&mut self, flips: &[SlotCell], bit: impl Fn(&mut Mask, &mut Mask, u16)) {
-        for &flip in flips {
-            let cell = CellRef(flip);
-            if let Some(slot) = self.slots.get_mut(cell.tile().0 as usize) {
-                let (mut observed, mut occupied) = (slot.masks.observed(), slot.masks.occupied());
-                bit(&mut observed, &mut occupied, cell.cell());
-                slot.masks = TileMasks::clipped(observed, occupied);
+    /// Flips bits of cells, slot by slot.
+    fn flip(&mut self, flips: &[SlotCell], flip: impl Fn(&mut Slot, &[SlotCell])) {
+        for cells in flips.chunk_by(|one, next| slot_of(*one) == slot_of(*next)) {
+            let slot = cells.first().and_then(|cell| self.slots.get_mut(slot_of(*cell)));
+            if let Some(slot) = slot {
+                flip(slot, cells);
             }
         }
     }
+}
+
+/// What two slots of one tile flip both stays as it was; the cells are sorted.
+fn cancel_pairs(cells: &mut Vec<CellRef>) {
+    let odd = cells.chunk_by(|one, next| one == next).filter(|same| same.len() % 2 == 1);
+    *cells = odd.filter_map(|same| same.first().copied()).collect();
+}
+
+/// The cells behind those of a slot that come first.
+fn behind(cells: &[SlotCell], slot: usize) -> &[SlotCell] {
+    let of_slot = cells.iter().take_while(|cell| slot_of(**cell) <= slot).count();
+    cells.get(of_slot..).unwrap_or_default()
+}
+
+fn places(cells: &[SlotCell]) -> impl Iterator<Item = u16> {
+    cells.iter().map(|cell| CellRef(*cell).cell())
+}
+
+/// Whether a slot is among some that ascend; found at once where none is left out.
+fn is_among(seen: &[u32], slot: u32) -> bool {
+    let place = seen.first().map_or(0, |first| slot.wrapping_sub(*first) as usize);
+    seen.get(place) == Some(&slot) || seen.binary_search(&slot).is_ok()
+}
+
+fn slot_of(cell: SlotCell) -> usize {
+    CellRef(cell).tile().0 as usize
 }
 
 /// A map's tiles, as they will be when everything handed to the log is applied.
@@ -123,19 +159,6 @@ impl Front {
         }
     }
 
-    /// How many bits a scan of a stream would flip, at most. The scan is not taken in.
-    #[must_use]
-    pub fn flips_at_most(&self, grid: &LiveGrid, source: &ScanSource, scan: &SentScan) -> u64 {
-        let sent = (scan.observed_flips.len() + scan.occupied_flips.len()) as u64;
-        let differing = scan.seen.iter().filter_map(|&slot| source.slots.get(slot as usize)).map(|slot| {
-            let tile = slot.tile.or_else(|| grid.find(slot.index)).or_else(|| self.new_ids.get(&slot.index).copied());
-            let shown = tile.and_then(|tile| self.masks.get(tile.0 as usize)).copied().unwrap_or_default();
-            let observed = (shown.observed() ^ slot.masks.observed()).count();
-            u64::from(observed + (shown.occupied() ^ slot.masks.occupied()).count())
-        });
-        sent + differing.sum::<u64>()
-    }
-
     /// Turns a scan of a stream into one for the log. `stream` is the stream's number, not 0.
     ///
     /// # Errors
@@ -159,6 +182,8 @@ impl Front {
             let mut seen: Vec<TileId> =
                 scan.seen.iter().filter_map(|&slot| source.slots.get(slot as usize)?.tile).collect();
             seen.sort_unstable();
+            source.has_twins = seen.windows(2).any(|pair| pair.first() == pair.last());
+            seen.dedup();
             source.seen = Some(SeenSlots { slots: Arc::clone(&scan.seen), tiles: seen.into() });
         }
         let Some(seen) = &source.seen else { return Err(TooManyTiles) };
@@ -166,11 +191,14 @@ impl Front {
         let mut flips = Flips::default();
         if is_like_before && !has_skipped && self.last_owner == stream {
             // All its tiles are as this stream showed them last.
-            let mut cells = scan.observed_flips.iter().chain(&scan.occupied_flips).copied().collect::<Vec<_>>();
-            cells.sort_unstable();
-            cells.dedup_by_key(|cell| CellRef(*cell).tile());
-            for cell in cells {
-                self.show(source, CellRef(cell).tile().0, &mut flips);
+            let (mut observed, mut occupied) = (&scan.observed_flips[..], &scan.occupied_flips[..]);
+            while let Some(slot) = observed.first().into_iter().chain(occupied.first()).map(|cell| slot_of(*cell)).min()
+            {
+                (observed, occupied) = (behind(observed, slot), behind(occupied, slot));
+                let slot = u32::try_from(slot).unwrap_or(u32::MAX);
+                if is_among(&scan.seen, slot) {
+                    self.show(source, slot, &mut flips);
+                }
             }
         } else {
             for &slot in scan.seen.iter() {
@@ -185,6 +213,10 @@ impl Front {
         }
         flips.observed.sort_unstable();
         flips.occupied.sort_unstable();
+        if source.has_twins {
+            cancel_pairs(&mut flips.observed);
+            cancel_pairs(&mut flips.occupied);
+        }
         let scan = LoggedScan {
             utc_nanos: scan.utc_nanos,
             offset_secs,
@@ -193,6 +225,18 @@ impl Front {
             occupied_flips: flips.occupied,
         };
         Ok(FrontScan { scan, new_tiles })
+    }
+
+    /// How many flips a scan of a stream would be in the log, or a few more; nothing is changed.
+    #[must_use]
+    pub fn flips_at_most(&self, grid: &LiveGrid, source: &ScanSource, scan: &SentScan) -> u64 {
+        let differing = scan.seen.iter().filter_map(|&slot| source.slots.get(slot as usize)).map(|slot| {
+            let tile = slot.tile.or_else(|| grid.find(slot.index)).or_else(|| self.new_ids.get(&slot.index).copied());
+            let known = tile.and_then(|tile| self.masks.get(tile.0 as usize)).copied().unwrap_or_default();
+            let observed = (known.observed() ^ slot.masks.observed()).count();
+            u64::from(observed + (known.occupied() ^ slot.masks.occupied()).count())
+        });
+        differing.sum::<u64>() + (scan.observed_flips.len() + scan.occupied_flips.len()) as u64
     }
 
     /// Finds the map's tiles of the slots, new ones added.

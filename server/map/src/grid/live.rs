@@ -22,6 +22,9 @@ use super::{
 mod due;
 mod scans;
 
+#[cfg(test)]
+mod tests;
+
 /// Tiles are copied on publication in pieces of this many.
 pub(crate) const TILE_CHUNK: usize = 64;
 
@@ -183,11 +186,15 @@ impl LiveGrid {
     }
 
     fn touch(&mut self, tile: TileId) {
+        Self::note_touch(&mut self.dirty, tile);
+    }
+
+    fn note_touch(dirty: &mut Vec<bool>, tile: TileId) {
         let chunk = tile.0 as usize / TILE_CHUNK;
-        if chunk >= self.dirty.len() {
-            self.dirty.resize(chunk + 1, true);
+        if chunk >= dirty.len() {
+            dirty.resize(chunk + 1, true);
         }
-        self.dirty[chunk] = true;
+        dirty[chunk] = true;
     }
 
     /// Number of tiles.

@@ -114,11 +114,11 @@ impl LiveTile {
         if observed != self.current {
             self.leave(self.current.without(observed));
             self.enter(observed.without(self.current), changed, utc_nanos);
+            self.known |= observed;
+            self.current = observed;
         }
         self.scans += 1;
         self.occupied = self.occupied.without(observed) | occupied;
-        self.known |= observed;
-        self.current = observed;
         self.newest_nanos = utc_nanos;
     }
 

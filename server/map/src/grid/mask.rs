@@ -45,7 +45,7 @@ impl Mask {
     /// Whether there is no cell.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        *self == Mask::EMPTY
+        self.0.iter().fold(0, |all, word| all | word) == 0
     }
 
     /// The set with the cells of an iterator flipped.
@@ -72,12 +72,15 @@ impl Mask {
 
     /// The cells, ascending.
     pub fn cells(self) -> impl Iterator<Item = u16> {
-        self.0.into_iter().zip(0u16..).flat_map(|(word, z)| {
-            std::iter::successors((word != 0).then_some(word), |rest| {
-                let rest = rest & (rest - 1);
-                (rest != 0).then_some(rest)
-            })
-            .map(move |rest| z * 64 + u16::try_from(rest.trailing_zeros()).unwrap_or(0))
+        let mut words = self.0.into_iter().zip((0u16..).step_by(64));
+        let (mut rest, mut base) = (0, 0);
+        std::iter::from_fn(move || {
+            while rest == 0 {
+                (rest, base) = words.next()?;
+            }
+            let cell = base + (rest.trailing_zeros() & 63) as u16;
+            rest &= rest - 1;
+            Some(cell)
         })
     }
 

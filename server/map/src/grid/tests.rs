@@ -10,7 +10,7 @@ mod compare;
 mod oracle;
 mod robot;
 mod scans;
-mod world;
+pub(crate) mod world;
 
 fn config() -> ProptestConfig {
     let usual = ProptestConfig::default();

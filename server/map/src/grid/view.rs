@@ -8,7 +8,7 @@ use tidemap_model::{InstantPhasors, Persistence, SpectralModel};
 
 use super::{
     generation::Generation,
-    index::{CellBox, CellIndex, TileId, TileIndex},
+    index::{CellBox, CellIndex, TILE_CELLS, TileId, TileIndex},
     live::{LiveGrid, TILE_CHUNK, TileChunk},
     live_tile::{LikeScans, LiveTile},
     mask::Mask,
@@ -193,7 +193,11 @@ impl GridView {
         if selector.persistence {
             for cell in live.known.cells() {
                 let Some(out) = out.get_mut(usize::from(cell)) else { continue };
-                *out = live.persistence(cell, self.run, levels).blend(f64::from(*out), utc_nanos) as f32;
+                let last = if live.occupied.contains(cell) { levels.1 } else { levels.0 };
+                // Nothing lies between a value and itself.
+                if *out != last as f32 {
+                    *out = live.persistence(cell, self.run, levels).blend(f64::from(*out), utc_nanos) as f32;
+                }
             }
         }
         Ok(prediction)
@@ -234,14 +238,16 @@ impl GridView {
     }
 }
 
-fn set_levels(out: &mut [f32; 512], cells: Mask, occupied: Mask, levels: (f64, f64)) {
+fn set_levels(out: &mut [f32; TILE_CELLS], cells: Mask, occupied: Mask, levels: (f64, f64)) {
     let (free, full) = (levels.0 as f32, levels.1 as f32);
-    for (word, out) in out.chunks_mut(64).enumerate() {
-        let (cells, occupied) = (cells.0[word], occupied.0[word]);
+    for ((out, cells), occupied) in out.as_chunks_mut::<64>().0.iter_mut().zip(cells.0).zip(occupied.0) {
+        if cells == u64::MAX && occupied == 0 {
+            out.fill(free);
+            continue;
+        }
         for (bit, out) in out.iter_mut().enumerate() {
-            if cells >> bit & 1 == 1 {
-                *out = if occupied >> bit & 1 == 1 { full } else { free };
-            }
+            let level = if occupied >> bit & 1 == 1 { full } else { free };
+            *out = if cells >> bit & 1 == 1 { level } else { *out };
         }
     }
 }

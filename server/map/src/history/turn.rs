@@ -8,8 +8,9 @@
 
 use tidemap_model::{Periodicities, PeriodicityDefinition};
 
-/// A turn, 2^64 of the fraction's units, in radians.
-const RADIANS_PER_UNIT: f64 = std::f64::consts::TAU / 18_446_744_073_709_551_616.0;
+/// Units of a turn: 2^64.
+const UNITS: f64 = 65_536.0 * 65_536.0 * 65_536.0 * 65_536.0;
+const RADIANS_PER_UNIT: f64 = std::f64::consts::TAU / UNITS;
 
 /// Taylor series of (sin x / x - 1) and (cos x - 1) in x², by ascending power from the first.
 const SIN: [f64; 7] = [
@@ -134,7 +135,7 @@ mod tests {
         let mut fraction = 0_u64;
         for _ in 0..100_000 {
             fraction = fraction.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            let turns = fraction as f64 / 18_446_744_073_709_551_616.0;
+            let turns = fraction as f64 / UNITS;
             let (sin, cos) = (std::f64::consts::TAU * turns).sin_cos();
             let found = cos_sin(fraction);
             assert!((found.0 - cos).abs() < 2e-13 && (found.1 - sin).abs() < 2e-13, "{fraction}: {found:?}");

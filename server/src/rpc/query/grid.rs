@@ -29,8 +29,7 @@ pub(super) async fn predict_grid(
     request: v1::PredictGridRequest,
 ) -> Result<Replies<v1::PredictGridResponse>, RpcError> {
     let view = find_map(&queries.catalog, &request.map)?.view();
-    let estimate_only = request.estimate_only;
-    let question = question_from_wire(request)?;
+    let question = question_from_wire(&request)?;
     let no_grid = || RpcError::NoGrid { map: view.spec().name.as_str().to_owned() };
     view.grid().ok_or_else(no_grid)?;
     // Every tile of a map may have to be looked at.
@@ -40,7 +39,7 @@ pub(super) async fn predict_grid(
     let (grid, selection) = view.grid().zip(selection).ok_or_else(no_grid)?;
     let header = header_to_wire(grid, view.generation(), &question, &selection);
     let header = v1::PredictGridResponse { message: Some(Message::Header(header)) };
-    if estimate_only {
+    if request.estimate_only {
         let (reply, replies) = mpsc::channel(1);
         // There is room for one, and the reader is still here.
         let _ = reply.try_send(Ok(header));

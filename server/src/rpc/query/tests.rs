@@ -50,8 +50,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn open(dir: &Path, max_predictions: u64) -> Arc<Catalog> {
-        let _ = max_predictions;
+    fn open(dir: &Path) -> Arc<Catalog> {
         let options = StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() };
         let context = Context {
             store: Arc::new(Store::open(dir, options).expect("a store")),
@@ -70,7 +69,7 @@ impl Bench {
 
     /// A new map `office`.
     async fn new(dir: &Path, retention: Retention, grid: Option<Retention>) -> Self {
-        let catalog = Self::open(dir, 0);
+        let catalog = Self::open(dir);
         let grid = grid.map(|retention| GridSpec {
             frame_id: "map".to_owned(),
             is_flat: false,
@@ -104,7 +103,7 @@ impl Bench {
         queries.catalog.stop().await;
         queries.catalog.context().store.close();
         drop((queries, handle));
-        Self::of(Self::open(dir, 0))
+        Self::of(Self::open(dir))
     }
 
     fn context(&self) -> &Context {

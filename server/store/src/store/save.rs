@@ -96,7 +96,12 @@ mod tests_only {
 
     impl Store {
         /// The newest good checkpoint, and how many damaged ones are newer.
-        pub(crate) fn newest_checkpoint(&self, map: MapId, spec: &MapSpec, tile_bytes: u64) -> (Option<MapSnapshot>, usize) {
+        pub(crate) fn newest_checkpoint(
+            &self,
+            map: MapId,
+            spec: &MapSpec,
+            tile_bytes: u64,
+        ) -> (Option<MapSnapshot>, usize) {
             let (found, damaged) = self.inner.checkpoints(map).load(spec, tile_bytes).expect("listed");
             (found, damaged.len())
         }

@@ -54,8 +54,11 @@ fn grid_of(snapshot: &MapSnapshot) -> &GridSnapshot {
 
 /// How many tiles are in memory, and how many different sums their groups have.
 fn resident(grid: &GridSnapshot) -> (usize, usize) {
-    let sums: Vec<&Arc<TileSums>> =
-        grid.sums.iter().filter_map(|slot| if let SumsSlot::Resident(sums) = slot { Some(sums) } else { None }).collect();
+    let sums: Vec<&Arc<TileSums>> = grid
+        .sums
+        .iter()
+        .filter_map(|slot| if let SumsSlot::Resident(sums) = slot { Some(sums) } else { None })
+        .collect();
     let shared: HashSet<_> = sums.iter().flat_map(|sums| &sums.groups).map(Arc::as_ptr).collect();
     let models = grid.models.iter().filter(|slot| matches!(slot, ModelSlot::Resident(_))).count();
     assert_eq!(models, sums.len());
@@ -92,8 +95,7 @@ fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
         errors: OrderErrors::default(),
     };
     let group = Group { cells: Mask::FULL, observations: 2, first_nanos: 0, last_nanos: 1 };
-    let model =
-        TileModel { groups: vec![group], always_occupied: Mask::EMPTY, cells: (0..70).map(cell).collect() };
+    let model = TileModel { groups: vec![group], always_occupied: Mask::EMPTY, cells: (0..70).map(cell).collect() };
     let sums = TileSums {
         groups: vec![Arc::new(sum(&spec, &mut random))],
         cells: (0..70).map(|_| sum(&spec, &mut random)).collect(),
@@ -278,7 +280,10 @@ fn a_snapshot_that_could_not_be_read_back_is_refused() {
         let mut bad = good.clone();
         change(bad.grid.as_mut().expect("has a grid"), foreign.clone());
         let error = store.save(MAP, &bad).expect_err(what);
-        assert!(matches!(error, StoreError::InvalidSnapshot { .. } | StoreError::NotReadBack { .. }), "{what}: {error}");
+        assert!(
+            matches!(error, StoreError::InvalidSnapshot { .. } | StoreError::NotReadBack { .. }),
+            "{what}: {error}"
+        );
     }
     let without = MapSnapshot { grid: None, ..good };
     assert!(matches!(store.save(MAP, &without), Err(StoreError::InvalidSnapshot { .. })));

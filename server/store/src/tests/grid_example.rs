@@ -95,7 +95,7 @@ pub(crate) fn scans(number: u64, random: &mut SmallRng) -> Event {
     })
 }
 
-fn live_tile(index: TileIndex, random: &mut SmallRng) -> LiveTile {
+pub(crate) fn live_tile(index: TileIndex, random: &mut SmallRng) -> LiveTile {
     let mut tile = LiveTile::new(index);
     tile.arrival = masks(random);
     tile.current = mask(random);
@@ -121,7 +121,7 @@ pub(crate) fn sum(spec: &MapSpec, random: &mut SmallRng) -> PhasorSum {
 }
 
 /// The model and the sums of a tile; `shared` are the sums of groups that it may share.
-fn learned(
+pub(crate) fn learned(
     spec: &MapSpec,
     random: &mut SmallRng,
     shared: &[Arc<PhasorSum>],

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use prost::Message as _;
 use proptest::{collection::vec, prelude::*};
+use prost::Message as _;
 use rand::{SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
     event::{Event, ProducerId},

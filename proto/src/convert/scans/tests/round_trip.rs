@@ -2,6 +2,8 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
+use prost::Message as _;
+
 use super::*;
 
 type Tiles = BTreeMap<(i32, i32, i32), (Mask, Mask)>;

@@ -21,12 +21,41 @@ use super::{
     AheadScan, LiveGrid, Previous,
 };
 
-/// The tiles that a scan flips, and by how many the observed cells of all become more.
-#[derive(Default)]
-struct Flipped {
-    /// Ascending.
-    tiles: Vec<TileId>,
-    observed: i64,
+/// The flips of a scan, tile by tile.
+struct Flips<'a> {
+    observed: &'a [CellRef],
+    occupied: &'a [CellRef],
+}
+
+impl Flips<'_> {
+    /// The next tile that has any.
+    fn next_tile(&self) -> Option<TileId> {
+        match (self.observed.first(), self.occupied.first()) {
+            (Some(one), Some(other)) => Some(one.tile().min(other.tile())),
+            (one, other) => one.or(other).map(|cell| cell.tile()),
+        }
+    }
+
+    /// The masks of that tile with its flips, and by how many more cells are observed.
+    fn flip(&mut self, tile: TileId, masks: TileMasks) -> (TileMasks, i64) {
+        let (mut observed, mut occupied, mut more) = (masks.observed(), masks.occupied(), 0);
+        while let Some((cell, rest)) = self.observed.split_first().filter(|(cell, _)| cell.tile() == tile) {
+            observed.flip(cell.cell());
+            more += if observed.contains(cell.cell()) { 1 } else { -1 };
+            self.observed = rest;
+        }
+        while let Some((cell, rest)) = self.occupied.split_first().filter(|(cell, _)| cell.tile() == tile) {
+            occupied.flip(cell.cell());
+            self.occupied = rest;
+        }
+        (TileMasks::clipped(observed, occupied), more)
+    }
+}
+
+/// Whether a tile is among some that ascend; found at once where none is left out.
+fn is_among(seen: &[TileId], tile: TileId) -> bool {
+    let place = seen.first().map_or(0, |first| tile.0.wrapping_sub(first.0) as usize);
+    seen.get(place) == Some(&tile) || seen.binary_search(&tile).is_ok()
 }
 
 impl LiveGrid {
@@ -58,7 +87,7 @@ impl LiveGrid {
                 }
                 let of_tiles = flips.chunk_by(|one, next| one.tile() == next.tile());
                 let mut tiles = of_tiles.filter_map(|cells| cells.first()).map(|cell| cell.tile());
-                if tiles.any(|tile| seen.binary_search(&tile).is_err()) {
+                if tiles.any(|tile| !is_among(seen, tile)) {
                     return Err("a cell is of a tile that its scan did not see".to_owned());
                 }
             }
@@ -87,9 +116,10 @@ impl LiveGrid {
         }
         let seen = Arc::clone(&self.last_seen);
         self.scans += 1;
-        let flipped = self.flip_arrivals(&scan.observed_flips, &scan.occupied_flips);
         let time = ScanTime { utc_nanos: scan.utc_nanos, offset_secs: scan.offset_secs };
+        let flips = Flips { observed: &scan.observed_flips, occupied: &scan.occupied_flips };
         if scan.utc_nanos > plausible {
+            self.flip_arrivals(flips);
             let shown = seen.iter().filter_map(|&tile| Some((tile, self.arrival(tile)?)));
             let tiles: Vec<(TileId, TileMasks)> = shown.collect();
             self.cell_observations += tiles.iter().map(|(_, masks)| u64::from(masks.observed().count())).sum::<u64>();
@@ -101,90 +131,78 @@ impl LiveGrid {
         }
         let day = LocalDay::of_civil_nanos(time.civil_nanos());
         let same = self.previous.take().filter(|previous| previous.day == day && Arc::ptr_eq(&previous.seen, &seen));
-        let observed = match &same {
-            Some(previous) => previous.observed.saturating_add_signed(flipped.observed),
-            None => seen.iter().filter_map(|&t| self.arrival(t)).map(|m| u64::from(m.observed().count())).sum(),
+        let goes_on = self.run_seen.as_ref().is_some_and(|run| Arc::ptr_eq(run, &seen));
+        let observed = match same {
+            Some(previous) if goes_on && scan.utc_nanos > self.run.newest_nanos => {
+                previous.observed.saturating_add_signed(self.take_in_like(day, time, &seen, flips))
+            }
+            _ => {
+                self.flip_arrivals(flips);
+                self.take_in_all(day, time, &seen);
+                seen.iter().filter_map(|&t| self.arrival(t)).map(|m| u64::from(m.observed().count())).sum()
+            }
         };
         self.cell_observations += observed;
-        self.keep(day, time, &seen, same.is_some(), &flipped.tiles);
-        self.see(scan.utc_nanos, &seen, &flipped.tiles);
+        self.oldest_pending_nanos = Some(self.oldest_pending_nanos.map_or(time.utc_nanos, |t| t.min(time.utc_nanos)));
         self.previous = Some(Previous { day, seen, observed });
         true
     }
 
     /// Brings the arrival masks of flipped tiles up to date.
-    fn flip_arrivals(&mut self, observed: &[CellRef], occupied: &[CellRef]) -> Flipped {
-        let mut flipped = Flipped::default();
-        let (mut observed, mut occupied) = (observed, occupied);
-        while let Some(id) = observed.first().into_iter().chain(occupied.first()).map(|cell| cell.tile()).min() {
-            let of_tile = |cells: &[CellRef]| cells.iter().take_while(|cell| cell.tile() == id).count();
-            let (observed_cells, occupied_cells);
-            (observed_cells, observed) = observed.split_at(of_tile(observed));
-            (occupied_cells, occupied) = occupied.split_at(of_tile(occupied));
+    fn flip_arrivals(&mut self, mut flips: Flips<'_>) {
+        while let Some(id) = flips.next_tile() {
+            let arrival = self.arrival(id).unwrap_or_default();
+            let (masks, _) = flips.flip(id, arrival);
             if let Some(tile) = self.tiles.get_mut(id.0 as usize) {
-                let tile = Arc::make_mut(tile);
-                let before = tile.arrival;
-                let observed = before.observed().flipped(observed_cells.iter().map(|cell| cell.cell()));
-                let occupied = before.occupied().flipped(occupied_cells.iter().map(|cell| cell.cell()));
-                tile.arrival = TileMasks::clipped(observed, occupied);
-                flipped.observed += i64::from(observed.count()) - i64::from(before.observed().count());
+                Arc::make_mut(tile).arrival = masks;
             }
             self.touch(id);
-            flipped.tiles.push(id);
         }
-        flipped
     }
 
-    /// Keeps a scan for the update of its day.
-    fn keep(
-        &mut self,
-        day: LocalDay,
-        time: ScanTime,
-        seen: &Arc<[TileId]>,
-        is_like_previous: bool,
-        flipped: &[TileId],
-    ) {
+    /// Takes in a scan of the same day, newer than the one before and with the same tiles: all that it does not flip show
+    /// what they showed in that one. Gives by how many more cells are observed than in that one.
+    fn take_in_like(&mut self, day: LocalDay, time: ScanTime, seen: &Arc<[TileId]>, mut flips: Flips<'_>) -> i64 {
+        let run = self.run;
+        let next = LikeScans { count: run.count + 1, newest_nanos: time.utc_nanos };
         let kept = Self::day_of(&mut self.days, day);
         let (scan, mut changes) = kept.take(time, seen);
-        // The other tiles show what they showed in the scan before, which went into this day too.
-        for &id in if is_like_previous { flipped } else { seen } {
-            if let Some(tile) = self.tiles.get(id.0 as usize) {
-                changes += kept.show(scan, id, tile.arrival);
-            }
+        let mut more_observed = 0;
+        while let Some(id) = flips.next_tile() {
+            let Some(tile) = self.tiles.get_mut(id.0 as usize) else { break };
+            let tile = Arc::make_mut(tile);
+            let (masks, more) = flips.flip(id, tile.arrival);
+            tile.arrival = masks;
+            tile.settle(run);
+            tile.observe(time.utc_nanos, masks);
+            tile.joined = Some(next.count);
+            more_observed += more;
+            changes += kept.show(scan, id, masks);
+            Self::note_touch(&mut self.dirty, id);
         }
         self.pending_changes += changes;
-        self.oldest_pending_nanos = Some(self.oldest_pending_nanos.map_or(time.utc_nanos, |t| t.min(time.utc_nanos)));
+        self.run = next;
+        more_observed
     }
 
-    /// Shows a scan to the tiles' last values and persistence.
-    fn see(&mut self, utc_nanos: i64, seen: &Arc<[TileId]>, flipped: &[TileId]) {
-        let goes_on = self.run_seen.as_ref().is_some_and(|run| Arc::ptr_eq(run, seen));
-        if goes_on && utc_nanos > self.run.newest_nanos {
-            let run = self.run;
-            let next = LikeScans { count: run.count + 1, newest_nanos: utc_nanos };
-            for &id in flipped {
-                let Some(tile) = self.tiles.get_mut(id.0 as usize) else { continue };
-                let tile = Arc::make_mut(tile);
-                tile.settle(run);
-                tile.observe(utc_nanos, tile.arrival);
-                tile.joined = Some(next.count);
-            }
-            self.run = next;
-            return;
-        }
+    /// Takes in any scan: each of its tiles shows its arrival masks, to the day, to last values and persistence.
+    fn take_in_all(&mut self, day: LocalDay, time: ScanTime, seen: &Arc<[TileId]>) {
         self.end_run();
+        let (scan, mut changes) = Self::day_of(&mut self.days, day).take(time, seen);
         let mut all_newer = true;
         for &id in seen.iter() {
             let Some(arrival) = self.arrival(id) else { continue };
-            all_newer &= self.show_tile(id, utc_nanos, arrival);
+            changes += Self::day_of(&mut self.days, day).show(scan, id, arrival);
+            all_newer &= self.show_tile(id, time.utc_nanos, arrival);
         }
+        self.pending_changes += changes;
         if all_newer {
             for &id in seen.iter() {
                 if let Some(tile) = self.tiles.get_mut(id.0 as usize) {
                     Arc::make_mut(tile).joined = Some(0);
                 }
             }
-            self.run = LikeScans { count: 0, newest_nanos: utc_nanos };
+            self.run = LikeScans { count: 0, newest_nanos: time.utc_nanos };
             self.run_seen = Some(Arc::clone(seen));
         }
     }

@@ -6,14 +6,14 @@
 use super::super::index::CellBox;
 
 /// The part of a ray that is traversed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Clipped {
     /// Cell of its start.
     pub from: [i32; 3],
     /// Cell of its end.
     pub to: [i32; 3],
-    /// Whether its end is that of the ray.
-    pub has_end: bool,
+    /// Where along the ray it leaves the box; `None` where its end is that of the ray.
+    pub leaves: Option<f64>,
 }
 
 /// Where a ray passes the box's surface: how far along it, 0 to 1, and through which axis' side.
@@ -70,6 +70,6 @@ pub(super) fn clip(cells: &CellBox, start: [f64; 3], end: [f64; 3]) -> Option<Cl
     Some(Clipped {
         from: enters.map_or_else(|| cell(start), |passage| passing(passage, is_forward(passage.1))),
         to: leaves.map_or_else(|| cell(end), |passage| passing(passage, !is_forward(passage.1))),
-        has_end: leaves.is_none(),
+        leaves: leaves.map(|(at, _)| at),
     })
 }

@@ -218,24 +218,3 @@ proptest! {
         }
     }
 }
-
-#[test]
-#[ignore = "prints a speed"]
-fn speed() {
-    let spec = GridSpec { resolution_m: 0.1, ..unit() };
-    let n = 100_000;
-    let mut xyz = Vec::new();
-    for i in 0..n {
-        let z = 1.0 - 2.0 * (i as f64 + 0.5) / n as f64;
-        let a = i as f64 * 2.399963229728653;
-        let r = (1.0 - z * z).sqrt();
-        xyz.extend([(5.0 * r * a.cos()) as f32, (5.0 * r * a.sin()) as f32, (5.0 * z) as f32]);
-    }
-    let readings =
-        Readings { pose: at([0.03, 0.04, 0.05]), min_range_m: 0.0, max_range_m: None, rays: Rays::Points(xyz) };
-    for _ in 0..5 {
-        let t = std::time::Instant::now();
-        let tiles = cast(&spec, &readings, LIMITS).unwrap();
-        println!("{:?} {}", t.elapsed(), tiles.len());
-    }
-}

@@ -3,7 +3,7 @@
 //! Invariant: a ray takes as many steps along each axis as its end's cell is away from its start's, so that it ends in
 //! that cell whatever is rounded on the way.
 
-use std::collections::HashMap;
+use std::{collections::HashMap, hint::select_unpredictable};
 
 use super::{
     CastError, CastLimits, Tile,
@@ -17,8 +17,57 @@ use crate::grid::{
 
 /// No link yet.
 const UNKNOWN: u32 = u32::MAX;
-/// Bit position of an axis' last three bits in a cell's place.
-const SHIFTS: [u32; 3] = [0, 3, 6];
+/// A whole ray in fixed point.
+const ONE: f64 = (1u64 << 61) as f64;
+/// Bits of each axis in a place that is spread: three, and one above them that tells when a tile is left.
+const FIELDS: [u32; 3] = [0x007, 0x070, 0x700];
+const GUARDS: u32 = 0x888;
+
+fn spread(place: u16) -> u32 {
+    let place = u32::from(place);
+    place & 7 | (place & 0o70) << 1 | (place & 0o700) << 2
+}
+
+fn gather(spread: u32) -> u16 {
+    (spread & 7 | spread >> 1 & 0o70 | spread >> 2 & 0o700) as u16
+}
+
+/// How far along a ray, in fixed point; what lies far beyond its end is brought nearer.
+fn fixed(along: f64) -> u64 {
+    (along * ONE).clamp(0.0, 2.0 * ONE) as u64
+}
+
+/// Where along a ray the borders of one axis are crossed.
+#[derive(Clone, Copy)]
+struct Borders {
+    next: u64,
+    apart: u64,
+}
+
+impl Borders {
+    /// The first border lies `first` cells away, and the ray goes `along` cells in all. As many borders as `crossings`
+    /// are crossed up to `until`, and none more, whatever is rounded.
+    fn new(crossings: u32, first: f64, along: f64, until: u64) -> Borders {
+        if crossings == 0 {
+            return Borders { next: u64::MAX, apart: 0 };
+        }
+        let count = u64::from(crossings);
+        let share = along.recip();
+        let mut borders = Borders { next: fixed(first * share), apart: fixed(share.abs()).max(1) };
+        let last = borders.next.saturating_add(borders.apart.saturating_mul(count - 1));
+        if last > until {
+            let over = last - until;
+            if over > borders.next && count > 1 {
+                borders = Borders { next: 0, apart: until / (count - 1) };
+            } else {
+                borders.next = borders.next.saturating_sub(over);
+            }
+        }
+        let beyond = borders.next.saturating_add(borders.apart.saturating_mul(count));
+        borders.next += (until + 1).saturating_sub(beyond);
+        borders
+    }
+}
 
 /// The rays of one scan.
 #[derive(Debug)]
@@ -69,8 +118,7 @@ impl<'a> Walk<'a> {
     pub(super) fn ray(&mut self, number: usize, along_m: [f64; 3], is_hit: bool) -> Result<(), CastError> {
         let end = self.in_cells(std::array::from_fn(|axis| self.position_m[axis] + along_m[axis]));
         let Some(clipped) = clip(&self.allowed, self.start, end) else { return Ok(()) };
-        let Clipped { from, to, has_end } = clipped;
-        let steps = (0..3).map(|axis| u64::from(from[axis].abs_diff(to[axis]))).sum::<u64>();
+        let steps = (0..3).map(|axis| u64::from(clipped.from[axis].abs_diff(clipped.to[axis]))).sum::<u64>();
         if steps >= self.limits.ray_cells {
             return Err(CastError::RayTooLong { ray: number, cells: steps + 1, max: self.limits.ray_cells });
         }
@@ -78,9 +126,9 @@ impl<'a> Walk<'a> {
         if self.cells > self.limits.cells {
             return Err(CastError::TooManyCells { max: self.limits.cells });
         }
-        let (tile, place) = self.pass(end, from, to, steps)?;
+        let (tile, place) = self.pass(end, &clipped, steps)?;
         let end = &mut self.tiles[tile];
-        if is_hit && has_end {
+        if is_hit && clipped.leaves.is_none() {
             end.occupied.insert(place);
         } else {
             end.free.insert(place);
@@ -89,41 +137,40 @@ impl<'a> Walk<'a> {
     }
 
     /// Frees the cells of a ray but for the last, and gives that: its tile and its place there.
-    fn pass(&mut self, end: [f64; 3], from: [i32; 3], to: [i32; 3], steps: u64) -> Result<(usize, u16), CastError> {
+    fn pass(&mut self, end: [f64; 3], clipped: &Clipped, steps: u64) -> Result<(usize, u16), CastError> {
+        let Clipped { from, to, leaves } = *clipped;
         let (index, place) = CellIndex { x: from[0], y: from[1], z: from[2] }.tile();
         let mut tile = self.first_tile(index)?;
-        let mut place = u32::from(place);
-        let along: [f64; 3] = std::array::from_fn(|axis| end[axis] - self.start[axis]);
-        let is_up: [bool; 3] = std::array::from_fn(|axis| to[axis] >= from[axis]);
-        // How far along the ray the next border of each axis lies, and how far its borders are apart.
-        let mut next: [f64; 3] = std::array::from_fn(|axis| {
-            let border = f64::from(from[axis]) + if is_up[axis] { 1.0 } else { 0.0 };
-            if from[axis] == to[axis] { f64::INFINITY } else { (border - self.start[axis]) / along[axis] }
+        // Seen in a mirror along the axes on which the ray goes down, so that every step goes up.
+        let mirror = (0..3).filter(|&axis| to[axis] < from[axis]).fold(0, |mirror, axis| mirror | FIELDS[axis]);
+        let mut place = spread(place) ^ mirror;
+        let until = fixed(leaves.unwrap_or(1.0));
+        let [one, two, three] = std::array::from_fn(|axis| {
+            let crossings = from[axis].abs_diff(to[axis]);
+            let border = f64::from(from[axis].max(from[axis] + (to[axis] - from[axis]).signum()));
+            Borders::new(crossings, border - self.start[axis], end[axis] - self.start[axis], until)
         });
-        let apart: [f64; 3] = along.map(|along| along.abs().recip());
-        let mut left: [u32; 3] = std::array::from_fn(|axis| from[axis].abs_diff(to[axis]));
+        let (mut next, apart) = ([one.next, two.next, three.next], [one.apart, two.apart, three.apart]);
         let mut free = &mut self.tiles[tile].free.0;
         for _ in 0..steps {
-            free[(place >> 6 & 7) as usize] |= 1 << (place & 63);
-            let axis = if next[0] <= next[1] {
-                if next[0] <= next[2] { 0 } else { 2 }
-            } else if next[1] <= next[2] {
-                1
-            } else {
-                2
-            };
-            left[axis] -= 1;
-            next[axis] = if left[axis] == 0 { f64::INFINITY } else { next[axis] + apart[axis] };
-            let shift = SHIFTS[axis];
-            let three = place >> shift & 7;
-            let moved = if is_up[axis] { three + 1 } else { three.wrapping_sub(1) } & 7;
-            place = place & !(7 << shift) | moved << shift;
-            if moved == if is_up[axis] { 0 } else { 7 } {
-                tile = self.neighbour(tile, axis, is_up[axis])?;
+            let real = place ^ mirror;
+            free[(real >> 8 & 7) as usize] |= 1 << (real & 7 | real >> 1 & 0o70);
+            // No branches: which border comes next is no more to be guessed than a dice.
+            let is_two = next[1] < next[0];
+            let is_three = next[2] < select_unpredictable(is_two, next[1], next[0]);
+            let is = [!is_two & !is_three, is_two & !is_three, is_three];
+            for axis in 0..3 {
+                next[axis] += select_unpredictable(is[axis], apart[axis], 0);
+            }
+            place += select_unpredictable(is_three, 0x100, select_unpredictable(is_two, 0x10, 1));
+            if place & GUARDS != 0 {
+                let axis = (place & GUARDS).trailing_zeros() as usize / 4;
+                place &= !GUARDS;
+                tile = self.neighbour(tile, axis, mirror & FIELDS[axis] == 0)?;
                 free = &mut self.tiles[tile].free.0;
             }
         }
-        Ok((tile, u16::try_from(place).unwrap_or(0)))
+        Ok((tile, gather(place ^ mirror)))
     }
 
     fn first_tile(&mut self, index: TileIndex) -> Result<usize, CastError> {

@@ -4,7 +4,7 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use tidemap_model::LocalDay;
+use tidemap_model::{LocalDay, Periodicities};
 
 use super::robot::Seen;
 use crate::{
@@ -55,7 +55,13 @@ impl ScanOracle {
     }
 
     /// Compares with what the update says that it has folded in.
-    pub fn finish_update(&mut self, outcome: &GridOutcome, history: &[Arc<HistoryPiece>], grid: &LiveGrid) {
+    pub fn finish_update(
+        &mut self,
+        outcome: &GridOutcome,
+        history: &[Arc<HistoryPiece>],
+        periodicities: &Periodicities,
+        grid: &LiveGrid,
+    ) {
         let taken = std::mem::take(&mut self.taken);
         assert_eq!(outcome.scans, taken.len() as u64);
         let count = |scan: &Whole| scan.tiles.iter().map(|(_, masks)| u64::from(masks.observed().count())).sum::<u64>();
@@ -64,9 +70,10 @@ impl ScanOracle {
         for scan in taken {
             by_day.entry(LocalDay::of_civil_nanos(scan.time.civil_nanos())).or_default().push(scan);
         }
-        let days: Vec<&GridDay> = history.iter().flat_map(|piece| &piece.days).map(|day| &day.outliers).collect();
+        let days: Vec<GridDay> =
+            history.iter().flat_map(|piece| &piece.days).map(|day| day.decode(periodicities)).collect();
         assert_eq!(days.len(), by_day.len(), "days");
-        for (found, (day, scans)) in days.into_iter().zip(by_day) {
+        for (found, (day, scans)) in days.iter().zip(by_day) {
             assert_eq!((found.day, found.scans.len()), (day, scans.len()));
             let shown = unfold(found);
             for ((found, shown), scan) in found.scans.iter().zip(shown).zip(scans) {

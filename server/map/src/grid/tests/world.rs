@@ -45,7 +45,7 @@ pub struct World {
     max_tiles: usize,
 }
 
-fn spec(rng: &mut u64) -> MapSpec {
+pub fn spec(rng: &mut u64) -> MapSpec {
     let sensor = match random(rng, 3) {
         0 => SensorNoise { hit: 0.83, false_alarm: 0.07, prior: 0.37 },
         _ => SensorNoise::default(),
@@ -242,7 +242,8 @@ impl World {
         self.oracle.finish_update();
         let outcome = *result.grid_outcome().expect("a grid");
         let snapshot = self.map.finish_update(result);
-        self.scans.finish_update(&outcome, &snapshot.history, self.map.grid().expect("a grid"));
+        let grid = self.map.grid().expect("a grid");
+        self.scans.finish_update(&outcome, &snapshot.history, &self.spec.periodicities, grid);
         self.snapshot = Some(snapshot);
     }
 

@@ -42,6 +42,8 @@ struct GroupDay {
     at: usize,
     is_on: bool,
     weights: Vec<f64>,
+    /// Scans of the chunk that count.
+    scored: u64,
 }
 
 /// One tile on one day.
@@ -76,7 +78,7 @@ impl TileDay {
             let newer_than = last_nanos.filter(|_| toggles.is_some());
             let all_newer = newer_than.is_some_and(|last| times.oldest_nanos > last);
             let all = all_newer && toggles.is_some_and(|toggles| toggles.as_slice() == [0]);
-            groups.push(GroupDay { newer_than, all, at: 0, is_on: false, weights: Vec::new() });
+            groups.push(GroupDay { newer_than, all, at: 0, is_on: false, weights: Vec::new(), scored: 0 });
         }
         let mut group_of = [usize::MAX; TILE_CELLS];
         for (index, group) in refined.iter().enumerate() {
@@ -107,20 +109,25 @@ impl TileDay {
             group.weigh(toggles.map_or(&[], Vec::as_slice), chunk);
         }
         let with_wrong = rules.criterion == OrderCriterion::ZeroOne;
-        let mut values = [rules.levels.0; CHUNK];
-        let values = &mut values[..chunk.utc_nanos.len()];
+        let (free, occupied, mut mixed) = ([rules.levels.0; CHUNK], [rules.levels.1; CHUNK], [0.0; CHUNK]);
+        let length = chunk.utc_nanos.len();
+        let end = chunk.first + length;
         let cells = self.cells.iter_mut().zip(&self.working.model.cells).zip(&mut self.working.sums.cells);
         for ((day, model), sum) in cells {
             let Some(group) = self.groups.get(day.group) else { continue };
-            let weights = if group.all { None } else { Some(group.weights.as_slice()) };
-            let scored = match weights {
-                None => values.len() as u64,
-                Some(weights) => weights.iter().filter(|weight| **weight > 0.0).count() as u64,
-            };
-            if group.newer_than.is_some() && scored > 0 {
-                fill(values, &day.toggles, day.at, day.is_on, chunk.first, rules.levels);
+            let weights = (!group.all).then_some(group.weights.as_slice());
+            if group.scored > 0 {
+                let toggles = day.toggles.get(day.at).is_some_and(|&toggle| (toggle as usize) < end);
+                let values = match (toggles, day.is_on) {
+                    (true, _) => {
+                        fill(&mut mixed[..length], &day.toggles, day.at, day.is_on, chunk.first, rules.levels);
+                        &mixed[..length]
+                    }
+                    (false, true) => &occupied[..length],
+                    (false, false) => &free[..length],
+                };
                 model.spectral.score_run_values(chunk.phasors, values, weights, &mut day.scores, with_wrong);
-                day.scored += scored;
+                day.scored += group.scored;
             }
             fold_toggles(&day.toggles, &mut day.at, &mut day.is_on, sum, chunk);
         }
@@ -212,9 +219,13 @@ impl TileDay {
 }
 
 impl GroupDay {
-    /// Sets the weights of a chunk's scans: 1 where the group was observed and the scan is newer than what is known.
+    /// Sets the weights of a chunk's scans, where not all count: 1 where the group was observed and the scan is newer than what is known.
     fn weigh(&mut self, toggles: &[u32], chunk: &Chunk<'_>) {
-        let Some(newer_than) = self.newer_than.filter(|_| !self.all) else { return };
+        let Some(newer_than) = self.newer_than else { return };
+        if self.all {
+            self.scored = chunk.utc_nanos.len() as u64;
+            return;
+        }
         self.weights.resize(chunk.utc_nanos.len(), 0.0);
         fill(&mut self.weights, toggles, self.at, self.is_on, chunk.first, (0.0, 1.0));
         for (weight, &nanos) in self.weights.iter_mut().zip(chunk.utc_nanos) {
@@ -222,6 +233,7 @@ impl GroupDay {
                 *weight = 0.0;
             }
         }
+        self.scored = self.weights.iter().filter(|weight| **weight > 0.0).count() as u64;
         let end = chunk.first + chunk.utc_nanos.len();
         while toggles.get(self.at).is_some_and(|&toggle| (toggle as usize) < end) {
             (self.at, self.is_on) = (self.at + 1, !self.is_on);
