@@ -105,6 +105,9 @@ pub struct Settings {
     /// Pending observations of a map above which an update runs early; above twice as many, those of a running
     /// update included, streams wait. An observation takes 24 to 48 bytes.
     pub max_pending_observations: u64,
+    /// The same for the grid of a map, in changes: cells that read otherwise than in the scan before, and scans. A change
+    /// takes 8 to 16 bytes.
+    pub max_pending_changes: u64,
     /// Most predictions (states times times) of one request.
     pub max_predictions: u64,
     /// Threads of updates, all maps together; 0: half the processors, at least one.
@@ -141,6 +144,7 @@ impl Default for Settings {
             max_buffer_bytes: 64 << 20,
             max_streams: 1024,
             max_pending_observations: 4_000_000,
+            max_pending_changes: 1_000_000,
             max_predictions: 10_000_000,
             update_threads: 0,
             segment_bytes: 64 << 20,
@@ -194,6 +198,7 @@ impl Settings {
             ("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30),
             ("max_streams", self.max_streams as u64, 1, 100_000),
             ("max_pending_observations", self.max_pending_observations, 1000, 1 << 32),
+            ("max_pending_changes", self.max_pending_changes, 1000, 1 << 32),
             ("max_predictions", self.max_predictions, 1, 1 << 40),
             ("update_threads", self.update_threads as u64, 0, 1024),
             ("segment_bytes", self.segment_bytes, 1 << 16, 1 << 32),

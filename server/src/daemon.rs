@@ -127,7 +127,10 @@ pub async fn run(settings: Settings) -> Result<(), DaemonError> {
         fatal: fatal_sender,
         max_states: settings.max_states_per_map,
         max_producers: settings.max_producers_per_map,
-        max_pending: settings.max_pending_observations,
+        max_pending: PendingLimits {
+            observations: settings.max_pending_observations,
+            changes: settings.max_pending_changes,
+        },
         max_tiles: settings.max_tiles_per_map,
         tile_cache_bytes: settings.tile_cache_bytes,
     };

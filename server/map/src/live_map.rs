@@ -37,6 +37,15 @@ pub struct InconsistentEvent {
     pub reason: String,
 }
 
+/// How much may be pending before an update runs early.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PendingLimits {
+    /// Observations of named states.
+    pub observations: u64,
+    /// Changes in scans of the grid.
+    pub changes: u64,
+}
+
 /// A map that takes events.
 #[derive(Debug)]
 pub struct LiveMap {
@@ -57,7 +66,7 @@ pub struct LiveMap {
     pending: Pending,
     pub(crate) grid: Option<LiveGrid>,
     /// The update that is out: where it started, and how many observations it took.
-    running: Option<(UpdateStart, u64)>,
+    running: Option<(UpdateStart, PendingLimits)>,
 }
 
 impl LiveMap {
@@ -178,7 +187,18 @@ impl LiveMap {
     /// Observations that a running update has taken.
     #[must_use]
     pub fn updating(&self) -> u64 {
-        self.running.map_or(0, |(_, taken)| taken)
+        self.running.map_or(0, |(_, taken)| taken.observations + taken.changes)
+    }
+
+    /// How full the memory for what is pending is, what a running update has taken included where that is asked: 1 where
+    /// the fuller of the two kinds has reached its limit.
+    #[must_use]
+    pub fn crowding(&self, limits: PendingLimits, with_running: bool) -> f64 {
+        let taken = self.running.map(|(_, taken)| taken).filter(|_| with_running).unwrap_or_default();
+        let observations = self.pending.total() + taken.observations;
+        let changes = self.grid.as_ref().map_or(0, |grid| grid.pending_changes) + taken.changes;
+        let share = |held: u64, limit: u64| held as f64 / limit.max(1) as f64;
+        share(observations, limits.observations).max(share(changes, limits.changes))
     }
 
     /// The least time of the pending observations, nanoseconds UTC, or less.

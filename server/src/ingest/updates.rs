@@ -12,7 +12,7 @@ use std::{
 
 use tidemap_map::{
     event::UpdateCause,
-    live_map::LiveMap,
+    live_map::{LiveMap, PendingLimits},
     name::{MapName, ProducerKey},
 };
 
@@ -44,11 +44,11 @@ pub struct Updates {
     data_midnight_nanos: i64,
     /// The last midnight of the clock for which an update was due.
     clock_midnight_nanos: i64,
-    max_pending: u64,
+    limits: PendingLimits,
 }
 
 impl Updates {
-    pub fn new(map: MapName, jobs: Arc<Jobs>, max_pending: u64) -> Self {
+    pub fn new(map: MapName, jobs: Arc<Jobs>, limits: PendingLimits) -> Self {
         Self {
             map,
             jobs,
@@ -56,7 +56,7 @@ impl Updates {
             broken: HashMap::new(),
             data_midnight_nanos: i64::MIN,
             clock_midnight_nanos: i64::MIN,
-            max_pending,
+            limits,
         }
     }
 
@@ -76,6 +76,11 @@ impl Updates {
             UpdateCause::DataTime => self.data_midnight_nanos = i64::MIN,
             UpdateCause::Request | UpdateCause::PendingLimit => {}
         }
+    }
+
+    /// Whether an update waits for its turn.
+    pub fn is_waited_for(&self) -> bool {
+        !self.queue.is_empty()
     }
 
     /// The next update to run.
@@ -154,7 +159,7 @@ impl Updates {
     }
 
     fn look_at_pending(&mut self, map: &LiveMap, now_nanos: i64) {
-        if map.pending() <= self.max_pending || map.is_updating() || !self.queue.is_empty() {
+        if map.crowding(self.limits, false) <= 1.0 || map.is_updating() || !self.queue.is_empty() {
             return;
         }
         // Whole days first: a model is then scored on days that it has not seen a part of.

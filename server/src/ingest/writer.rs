@@ -12,7 +12,13 @@ use std::{
 };
 
 use arc_swap::ArcSwap;
-use tidemap_map::{event::Event, history::HistoryPiece, live_map::LiveMap, snapshot::MapSnapshot, view::MapView};
+use tidemap_map::{
+    event::Event,
+    history::HistoryPiece,
+    live_map::{LiveMap, PendingLimits},
+    snapshot::MapSnapshot,
+    view::MapView,
+};
 use tidemap_store::{AppendError, MapId, MapLog, Store};
 use tokio::sync::{oneshot, watch};
 use tracing::warn;
@@ -68,7 +74,7 @@ pub struct Context {
     /// Most producer keys of a map.
     pub max_producers: usize,
     /// Pending observations above which an update runs early.
-    pub max_pending: u64,
+    pub max_pending: PendingLimits,
     /// Most tiles of a map.
     pub max_tiles: usize,
     /// Memory for what is learned of a map's tiles, in bytes.
@@ -101,7 +107,7 @@ pub fn start(
                 states: context.max_states,
                 producers: context.max_producers,
                 // A quarter of what may be pending: enough for a robot with a wrong clock, too little to matter.
-                ahead: context.max_pending / 4,
+                ahead: context.max_pending.observations / 4,
                 tiles: context.max_tiles,
             },
         ),
@@ -260,7 +266,7 @@ impl Writer {
         if may_update {
             self.start_update(now);
         }
-        let saturated = self.map.pending() + self.map.updating() > 2 * self.context.max_pending;
+        let saturated = self.map.crowding(self.context.max_pending, true) > 2.0;
         self.saturated.send_if_modified(|known| std::mem::replace(known, saturated) != saturated);
         if self.is_save_due() {
             self.save();

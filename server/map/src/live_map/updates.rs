@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use super::LiveMap;
+use super::{LiveMap, PendingLimits};
 use crate::{
     MAX_AHEAD_NANOS,
     event::{UpdateCause, UpdateStart},
@@ -51,8 +51,9 @@ impl LiveMap {
             self.newest_nanos = self.newest_nanos.max(newest.unwrap_or(0));
             (work, basis, before.saturating_sub(grid.pending_changes))
         });
-        let taken = samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>();
-        self.running = Some((start, taken + grid.as_ref().map_or(0, |(_, _, changes)| *changes)));
+        let observations = samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>();
+        let changes = grid.as_ref().map_or(0, |(_, _, changes)| *changes);
+        self.running = Some((start, PendingLimits { observations, changes }));
         let (grid_work, grid_basis) = grid.map(|(work, basis, _)| (work, basis)).unzip();
         if self.pending() == 0 && self.ahead() == 0 {
             self.pending.all_taken();

@@ -27,14 +27,18 @@ impl Writer {
     }
 
     pub(super) fn start_update(&mut self, now: i64) {
-        if self.map.is_updating() {
+        // A save holds what the last update learned: a grid's sums would have to be copied to change them meanwhile.
+        if self.map.is_updating() || (self.saving && self.map.grid().is_some()) {
             return;
         }
-        let Some(Wanted { until_nanos, cause, job }) = self.updates.pop() else { return };
         // What is due goes first, and beside an update there is no room for what waits.
-        if self.is_save_due() {
+        if self.updates.is_waited_for() && self.unsaved.is_some() && self.is_save_due() {
             self.save();
+            if self.saving && self.map.grid().is_some() {
+                return;
+            }
         }
+        let Some(Wanted { until_nanos, cause, job }) = self.updates.pop() else { return };
         self.drop_unsaved();
         let event = Event::UpdateStart(self.map.plan_update(until_nanos, now, cause));
         self.launch(Flight::UpdateStart { event, job });

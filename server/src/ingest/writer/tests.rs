@@ -56,7 +56,7 @@ fn bench_with(dir: &Path, now: i64, change: impl FnOnce(&mut Context)) -> Bench 
         fatal: events::unbounded_channel().0,
         max_states: 10,
         max_producers: 10,
-        max_pending: 1000,
+        max_pending: PendingLimits { observations: 1000, changes: 1000 },
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
     };
