@@ -5,6 +5,7 @@
 
 use std::{io::Write as _, sync::Arc, time::Duration};
 
+use tidemap_map::live_map::PendingLimits;
 use tidemap_store::{OpenError, Store, StoreOptions};
 use tokio::{
     net::TcpListener,

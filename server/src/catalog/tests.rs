@@ -23,7 +23,7 @@ fn catalog(store: Store) -> Result<Catalog, CatalogError> {
         fatal: tokio::sync::mpsc::unbounded_channel().0,
         max_states: 10,
         max_producers: 10,
-        max_pending: 1000,
+        max_pending: tidemap_map::live_map::PendingLimits { observations: 1000, changes: 1000 },
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
     };

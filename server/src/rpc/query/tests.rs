@@ -60,7 +60,7 @@ impl Bench {
             fatal: mpsc::unbounded_channel().0,
             max_states: 10,
             max_producers: 10,
-            max_pending: 1_000_000,
+            max_pending: tidemap_map::live_map::PendingLimits { observations: 1_000_000, changes: 1_000_000 },
             max_tiles: 5000,
             tile_cache_bytes: 1 << 30,
         };
