@@ -2,7 +2,7 @@
 //!
 //! Invariant: nothing is deleted without being asked for twice.
 
-mod grid_spec;
+pub mod grid_spec;
 
 use std::process::ExitCode;
 

@@ -7,6 +7,7 @@ mod feed;
 mod nights;
 mod office;
 mod probe;
+mod quality;
 
 use std::{
     path::PathBuf,
@@ -58,6 +59,13 @@ pub struct GridArgs {
     /// Pause between two such predictions
     #[arg(long, value_name = "DURATION", default_value = "1s", value_parser = times::duration)]
     probe_pause: i64,
+    /// Compares orders 0 to 5 with the office afterwards, at this many scans of each day: the estimation error over the
+    /// changing cells
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    compare: u32,
+    /// How long the exact readings are kept: none, forever, or a duration
+    #[arg(long, value_name = "RETENTION", default_value = "none", value_parser = crate::commands::map::grid_spec::retention)]
+    retention: tidemap::maps::Retention,
     /// Keeps the map
     #[arg(long)]
     keep: bool,
@@ -72,7 +80,7 @@ impl GridArgs {
 
     /// The map that the scans are for.
     pub(super) fn new_map(&self, name: String) -> NewMap {
-        let grid = Grid { resolution_m: office::RESOLUTION_M, ..Grid::default() };
+        let grid = Grid { resolution_m: office::RESOLUTION_M, retention: Some(self.retention), ..Grid::default() };
         NewMap { name, time_zone: Some(office::ZONE.to_owned()), grid: Some(grid), ..NewMap::default() }
     }
 }
@@ -125,6 +133,12 @@ pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::
     ];
     if let Some(probe) = probe {
         figures.extend(probe.ended().await?);
+    }
+    for name in ["changed_cells", "published_model_bytes", "compression_ratio", "history_compression_ratio"] {
+        figures.push((name, figure(name)));
+    }
+    if args.compare > 0 {
+        figures.extend(quality::estimation_errors(client, map, args, args.compare).await?);
     }
     Ok(figures)
 }

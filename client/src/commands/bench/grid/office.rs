@@ -25,9 +25,9 @@ pub(super) const ZONE: &str = "Europe/London";
 /// Edge of its cells.
 pub(super) const RESOLUTION_M: f64 = 0.1;
 
-/// Writes the file; gives its length. A file that is not whole does not get its name.
-pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
-    let office = GridOffice::new(&GridOfficeOptions {
+/// The office of the options.
+pub(super) fn make(args: &GridArgs) -> anyhow::Result<GridOffice> {
+    Ok(GridOffice::new(&GridOfficeOptions {
         seed: args.seed,
         zone: ZONE.to_owned(),
         cells: args.cells,
@@ -37,7 +37,12 @@ pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
         views: args.views,
         dwell_scans: args.dwell_scans,
         ..GridOfficeOptions::default()
-    })?;
+    })?)
+}
+
+/// Writes the file; gives its length. A file that is not whole does not get its name.
+pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
+    let office = make(args)?;
     let mut unfinished = path.as_os_str().to_owned();
     unfinished.push(".part");
     let unfinished = PathBuf::from(unfinished);
