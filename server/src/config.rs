@@ -192,7 +192,7 @@ impl Settings {
             ("max_batch_observations", self.max_batch_observations as u64, 1, 65_536),
             ("max_batch_scans", self.max_batch_scans as u64, 1, 65_536),
             ("max_scan_points", self.max_scan_points as u64, 1, 100_000_000),
-            ("max_scan_tiles", self.max_scan_tiles as u64, 1, 1 << 18),
+            ("max_scan_tiles", self.max_scan_tiles as u64, 1, 100_000),
             ("max_message_bytes", self.max_message_bytes as u64, 4096, 16 << 20),
             ("max_stream_buffer_bytes", self.max_stream_buffer_bytes as u64, 4096, 1 << 30),
             ("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30),

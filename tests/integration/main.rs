@@ -3,6 +3,7 @@
 mod bad_input;
 mod daemon;
 mod durability;
+mod grid;
 mod main_job;
 mod model_test;
 mod tidy;

@@ -10,6 +10,7 @@ pub mod cli;
 pub mod daemon;
 pub mod disk;
 pub mod feed;
+pub mod film;
 pub mod garbage;
 pub mod herd;
 pub mod oracle;

@@ -68,6 +68,11 @@ pub struct Scans {
     /// Cells whose occupied bit is flipped, likewise.
     #[prost(bytes = "vec", tag = "19")]
     pub occupied_flips: Vec<u8>,
+    /// Tiles all of whose observed bits are flipped; their cells are neither among `observed_flips` nor in
+    /// `observed_counts`. Where there are any: how many scans lie between this one and the last one that is named here,
+    /// and the set of tiles as the difference from the empty one.
+    #[prost(bytes = "vec", tag = "22")]
+    pub observed_tiles: Vec<u8>,
     /// Sequence numbers of refused scans, each as the difference from the one before.
     #[prost(uint64, repeated, tag = "20")]
     pub refused_sequences: Vec<u64>,

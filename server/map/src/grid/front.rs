@@ -9,7 +9,7 @@ use std::{collections::HashMap, sync::Arc};
 use super::{
     index::{TileId, TileIndex},
     live::LiveGrid,
-    mask::TileMasks,
+    mask::{Mask, TileMasks},
     scan::{CellRef, LoggedScan},
 };
 
@@ -227,16 +227,23 @@ impl Front {
         Ok(FrontScan { scan, new_tiles })
     }
 
-    /// How many flips a scan of a stream would be in the log, or a few more; nothing is changed.
+    /// How many flips a scan of a stream would be in the log, those of tiles that are observed anew as a whole not
+    /// counted; nothing is changed.
     #[must_use]
     pub fn flips_at_most(&self, grid: &LiveGrid, source: &ScanSource, scan: &SentScan) -> u64 {
-        let differing = scan.seen.iter().filter_map(|&slot| source.slots.get(slot as usize)).map(|slot| {
+        let (mut observed, mut occupied) = (&scan.observed_flips[..], &scan.occupied_flips[..]);
+        let mut flips = 0;
+        for &number in scan.seen.iter() {
+            let Some(slot) = source.slots.get(number as usize) else { continue };
+            let (of_observed, of_occupied) = (take_slot(&mut observed, number), take_slot(&mut occupied, number));
             let tile = slot.tile.or_else(|| grid.find(slot.index)).or_else(|| self.new_ids.get(&slot.index).copied());
             let known = tile.and_then(|tile| self.masks.get(tile.0 as usize)).copied().unwrap_or_default();
-            let observed = (known.observed() ^ slot.masks.observed()).count();
-            u64::from(observed + (known.occupied() ^ slot.masks.occupied()).count())
-        });
-        differing.sum::<u64>() + (scan.observed_flips.len() + scan.occupied_flips.len()) as u64
+            let observed = known.observed() ^ slot.masks.observed().flipped(of_observed);
+            let occupied = known.occupied() ^ slot.masks.occupied().flipped(of_occupied);
+            flips += u64::from(occupied.count());
+            flips += if observed == Mask::FULL { 0 } else { u64::from(observed.count()) };
+        }
+        flips
     }
 
     /// Finds the map's tiles of the slots, new ones added.
@@ -300,4 +307,13 @@ impl Front {
 struct Flips {
     observed: Vec<CellRef>,
     occupied: Vec<CellRef>,
+}
+
+/// Takes the cells of a slot off the front of ascending cells, and those before it.
+fn take_slot<'a>(cells: &mut &'a [SlotCell], slot: u32) -> impl Iterator<Item = u16> + 'a {
+    let first = cells.partition_point(|cell| CellRef(*cell).tile().0 < slot);
+    let rest = &cells[first..];
+    let end = rest.partition_point(|cell| CellRef(*cell).tile().0 <= slot);
+    *cells = &rest[end..];
+    rest[..end].iter().map(|cell| CellRef(*cell).cell())
 }

@@ -19,7 +19,8 @@ use super::{
     Session, Sessions,
 };
 
-/// Bits that one scan may flip: 2 bytes each, as near to each other as so many are.
+/// Bits that one scan may flip, those of tiles that are observed anew as a whole not counted: 2 bytes each, as near to
+/// each other as so many are.
 const FLIPS_MAX: u64 = 3_000_000;
 /// Bits that the scans of one event flip before another is begun: 5 bytes each, however far they are apart.
 const EVENT_FLIPS: u64 = 1_000_000;

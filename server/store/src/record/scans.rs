@@ -4,12 +4,12 @@
 //! `encode` refuses; what a payload makes `decode` allocate follows its length, but for sets of tiles, whose sizes have a
 //! bound of their own.
 
-use std::sync::Arc;
+use std::{borrow::Cow, sync::Arc};
 
 use tidemap_map::{
     event::ProducerId,
     grid::{
-        index::{TileId, TileIndex},
+        index::{TILE_CELLS, TileId, TileIndex},
         scan::{CellRef, LoggedScan, Scans},
     },
 };
@@ -28,6 +28,69 @@ pub const SCANS_MAX: usize = 1 << 16;
 /// Most tiles in all sets of seen tiles of one event together.
 pub const SEEN_TILES_MAX: usize = 1 << 24;
 
+/// Most tiles of one event that are observed anew as a whole.
+pub const WHOLE_TILES_MAX: usize = 1 << 17;
+
+/// The observed bits that a scan flips.
+struct Observed<'a> {
+    /// Tiles all of whose bits flip.
+    whole: Vec<TileId>,
+    others: Cow<'a, [CellRef]>,
+}
+
+impl Observed<'_> {
+    fn new(flips: &[CellRef]) -> Observed<'_> {
+        let mut observed = Observed { whole: Vec::new(), others: Cow::Borrowed(flips) };
+        if flips.len() < TILE_CELLS {
+            return observed;
+        }
+        let mut others = Vec::new();
+        for of_tile in flips.chunk_by(|one, other| one.tile() == other.tile()) {
+            // An ascending list of 512 cells of one tile is the whole tile; any other order is refused later.
+            match of_tile.first().filter(|_| of_tile.len() == TILE_CELLS && of_tile.is_sorted()) {
+                Some(first) => observed.whole.push(first.tile()),
+                None => others.extend_from_slice(of_tile),
+            }
+        }
+        observed.others = Cow::Owned(others);
+        observed
+    }
+}
+
+fn encode_whole(scans: &[Observed<'_>]) -> Result<Vec<u8>, Invalid> {
+    let mut out = Vec::new();
+    let mut next = 0;
+    for (number, scan) in scans.iter().enumerate().filter(|(_, scan)| !scan.whole.is_empty()) {
+        push_varint(&mut out, (number - next) as u64);
+        push_set(&mut out, &[], &scan.whole)?;
+        next = number + 1;
+    }
+    Ok(out)
+}
+
+/// The number of each scan that observes whole tiles anew, and those.
+fn decode_whole(mut bytes: &[u8], count: usize) -> Result<Vec<(usize, Vec<TileId>)>, Invalid> {
+    let mut whole = Vec::new();
+    let (mut next, mut room) = (0_usize, WHOLE_TILES_MAX);
+    while !bytes.is_empty() {
+        let gap = usize::try_from(take_varint(&mut bytes)?).unwrap_or(usize::MAX);
+        let scan = next.saturating_add(gap);
+        if scan >= count {
+            return Err("more scans observe something anew than there are");
+        }
+        whole.push((scan, take_set(&mut bytes, &[], CellRef::TILES_MAX, &mut room)?));
+        next = scan + 1;
+    }
+    Ok(whole)
+}
+
+/// Adds all cells of some tiles to ascending flips.
+fn add_whole(flips: &mut Vec<CellRef>, tiles: &[TileId]) {
+    let cells = 0..TILE_CELLS as u16;
+    flips.extend(tiles.iter().flat_map(|&tile| cells.clone().map(move |cell| CellRef::new(tile, cell))));
+    flips.sort_unstable();
+}
+
 /// The message of an event.
 pub(super) fn encode(event: &Scans) -> Result<v2::Scans, Invalid> {
     let scans = &event.scans;
@@ -38,6 +101,10 @@ pub(super) fn encode(event: &Scans) -> Result<v2::Scans, Invalid> {
         return Err("the last sequence number is before the first");
     }
     let (refused_sequences, refused_reasons) = encode_refused(&event.refused)?;
+    let observed: Vec<Observed<'_>> = scans.iter().map(|scan| Observed::new(&scan.observed_flips)).collect();
+    if observed.iter().map(|scan| scan.whole.len()).sum::<usize>() > WHOLE_TILES_MAX {
+        return Err("its scans observe more tiles anew than one record may hold");
+    }
     let nanos: Vec<i64> = scans.iter().map(|scan| scan.utc_nanos).collect();
     let times = columns::encode_times(&nanos)?;
     let (offset_counts, offset_secs) = offsets::encode(scans.iter().map(|scan| scan.offset_secs));
@@ -58,10 +125,11 @@ pub(super) fn encode(event: &Scans) -> Result<v2::Scans, Invalid> {
         offset_counts,
         offset_secs,
         seen: encode_seen(scans)?,
-        observed_counts: encode_counts(scans, |scan| &scan.observed_flips),
-        occupied_counts: encode_counts(scans, |scan| &scan.occupied_flips),
-        observed_flips: encode_flips(scans, |scan| &scan.observed_flips)?,
-        occupied_flips: encode_flips(scans, |scan| &scan.occupied_flips)?,
+        observed_counts: encode_counts(observed.iter().map(|scan| &*scan.others)),
+        occupied_counts: encode_counts(scans.iter().map(|scan| &*scan.occupied_flips)),
+        observed_flips: encode_flips(observed.iter().map(|scan| &*scan.others))?,
+        occupied_flips: encode_flips(scans.iter().map(|scan| &*scan.occupied_flips))?,
+        observed_tiles: encode_whole(&observed)?,
         refused_sequences,
         refused_reasons,
     })
@@ -89,7 +157,8 @@ pub(super) fn decode(message: &v2::Scans) -> Result<Scans, Invalid> {
     let occupied_counts = columns::decode_numbers(&message.occupied_counts, count, size)?;
     let mut observed: &[u8] = &message.observed_flips;
     let mut occupied: &[u8] = &message.occupied_flips;
-    let mut scans = Vec::with_capacity(count);
+    let whole = decode_whole(&message.observed_tiles, count)?;
+    let mut scans: Vec<LoggedScan> = Vec::with_capacity(count);
     let columns = nanos.into_iter().zip(offsets).zip(seen).zip(observed_counts.into_iter().zip(occupied_counts));
     for (((utc_nanos, offset_secs), seen), (observed_count, occupied_count)) in columns {
         scans.push(LoggedScan {
@@ -102,6 +171,11 @@ pub(super) fn decode(message: &v2::Scans) -> Result<Scans, Invalid> {
     }
     if !observed.is_empty() || !occupied.is_empty() {
         return Err(columns::LENGTH);
+    }
+    for (scan, tiles) in whole {
+        if let Some(scan) = scans.get_mut(scan) {
+            add_whole(&mut scan.observed_flips, &tiles);
+        }
     }
     Ok(Scans {
         producer: ProducerId(message.producer),
@@ -177,17 +251,17 @@ fn decode_seen(mut bytes: &[u8], count: usize) -> Result<Vec<Option<Arc<[TileId]
     Ok(all)
 }
 
-fn encode_counts(scans: &[LoggedScan], flips: impl Fn(&LoggedScan) -> &Vec<CellRef>) -> Vec<u8> {
-    let counts: Vec<u64> = scans.iter().map(|scan| flips(scan).len() as u64).collect();
+fn encode_counts<'a>(flips: impl Iterator<Item = &'a [CellRef]>) -> Vec<u8> {
+    let counts: Vec<u64> = flips.map(|flips| flips.len() as u64).collect();
     columns::encode_numbers(&counts, |count| count)
 }
 
-fn encode_flips(scans: &[LoggedScan], flips: impl Fn(&LoggedScan) -> &Vec<CellRef>) -> Result<Vec<u8>, Invalid> {
-    let total: usize = scans.iter().map(|scan| flips(scan).len()).sum();
+fn encode_flips<'a>(scans: impl Iterator<Item = &'a [CellRef]> + Clone) -> Result<Vec<u8>, Invalid> {
+    let total: usize = scans.clone().map(<[CellRef]>::len).sum();
     let mut out = Vec::with_capacity(total * 2);
-    for scan in scans {
+    for flips in scans {
         let mut next = 0;
-        for cell in flips(scan) {
+        for cell in flips {
             let gap = u64::from(cell.0).checked_sub(next).ok_or("the flips of a scan do not ascend")?;
             push_varint(&mut out, gap);
             next = u64::from(cell.0) + 1;
@@ -208,4 +282,42 @@ fn take_flips(bytes: &mut &[u8], count: usize) -> Result<Vec<CellRef>, Invalid> 
         next = cell + 1;
     }
     Ok(flips)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_observed_anew_as_a_whole_come_back_and_cost_next_to_nothing() {
+        let scan = |observed_flips: Vec<CellRef>| LoggedScan {
+            utc_nanos: 5,
+            offset_secs: 0,
+            seen: None,
+            observed_flips,
+            occupied_flips: Vec::new(),
+        };
+        let whole = |tiles: std::ops::Range<u32>| (tiles.start * 512..tiles.end * 512).map(CellRef);
+        let scans = vec![
+            scan(whole(0..1000).collect()),
+            scan(Vec::new()),
+            scan([CellRef(7)].into_iter().chain(whole(3..4)).chain(whole(9..10).skip(1)).collect()),
+        ];
+        let event = Scans {
+            producer: ProducerId(0),
+            new_producer: None,
+            incarnation: 1,
+            first_sequence: 1,
+            last_sequence: 3,
+            content_crc: 0,
+            received_nanos: 0,
+            new_tiles: Vec::new(),
+            scans,
+            refused: Vec::new(),
+        };
+        let message = encode(&event).expect("a good event");
+        assert_eq!(message.observed_flips.len(), 1 + 2 + 510);
+        assert!(message.observed_tiles.len() < 16);
+        assert_eq!(decode(&message).expect("what was encoded"), event);
+    }
 }

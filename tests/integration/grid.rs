@@ -1,0 +1,102 @@
+//! Occupancy grids from outside: scans go in over the real port, through kills and restarts, and what comes out is what
+//! follows from the scans alone.
+//!
+//! Invariant: what is expected is computed from what was sent, never from what a daemon said, except where two daemons
+//! are compared.
+
+mod bad_files;
+mod bad_scans;
+mod bad_streams;
+mod history;
+mod kill;
+mod map_file;
+mod naive;
+mod oracle;
+mod rays;
+
+use tempfile::TempDir;
+use tidemap::{
+    maps::{Grid, GridSummary, NewMap, Retention},
+    observe::{
+        Producer, ProducerOptions,
+        scan::Scan,
+        tiles::{Mask, SeenTile},
+    },
+    queries::{GridQuery, ModelKind, ModelSelector, PredictedGrid},
+};
+use tidemap_tests::{
+    daemon::{Daemon, Launch},
+    film::Film,
+};
+
+/// The map of all these tests.
+const MAP: &str = "office";
+
+/// Cells of 0.1 m.
+fn grid(retention: Retention) -> Grid {
+    Grid { resolution_m: 0.1, retention: Some(retention), ..Grid::default() }
+}
+
+fn new_map(grid: Grid) -> NewMap {
+    let zone = Some(Film::ZONE.to_owned());
+    NewMap { name: MAP.to_owned(), time_zone: zone, grid: Some(grid), ..NewMap::default() }
+}
+
+/// A daemon with an empty map. Its data lives as long as the folder.
+async fn office(grid: Grid) -> (TempDir, Daemon) {
+    let data = tempfile::tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    daemon.client().create_map(new_map(grid)).await.expect("a new map");
+    (data, daemon)
+}
+
+async fn summary(daemon: &Daemon) -> GridSummary {
+    daemon.client().map(MAP).await.expect("the map").grid_summary.expect("a grid")
+}
+
+fn model(kind: ModelKind, order: Option<u32>) -> ModelSelector {
+    ModelSelector { kind, order, persistence: false }
+}
+
+/// The whole grid at one time.
+async fn predicted(daemon: &Daemon, time_nanos: i64, model: ModelSelector) -> PredictedGrid {
+    let query = GridQuery { map: MAP.to_owned(), time_nanos, model, ..GridQuery::default() };
+    daemon.client().predict_grid(&query).await.expect("a grid").whole().await.expect("all of it")
+}
+
+async fn producer(daemon: &Daemon, name: &str) -> Producer {
+    let options = ProducerOptions::new(name, "", MAP);
+    Producer::open(&daemon.client(), options).await.expect("a Welcome")
+}
+
+/// Sends scans of tiles and waits until they are durable; none of them may be refused.
+async fn send(producer: &mut Producer, scans: impl IntoIterator<Item = (i64, Vec<SeenTile>)>) {
+    for (time, tiles) in scans {
+        producer.send_scan(time, Scan::Tiles(tiles)).await.expect("taken");
+    }
+    producer.flush().await.expect("durable");
+    assert_eq!(producer.take_refusals(), []);
+}
+
+/// A part of what a film shows: every fifth scan, seven seconds later, with six of the tiles, some layers of them, and now
+/// and then something in the way where nothing ever is.
+fn partial_view(film: &Film) -> impl Iterator<Item = (i64, Vec<SeenTile>)> {
+    film.run().enumerate().skip(3).step_by(5).map(|(number, (time, occupied))| {
+        let turn = number / 250;
+        let observed: Mask = std::array::from_fn(|z| match (z + turn) % 8 {
+            0 | 1 => 0,
+            2 => 0x0F0F_0F0F_0F0F_0F0F,
+            _ => u64::MAX,
+        });
+        let mut tiles = film.seen(&occupied);
+        tiles = tiles.into_iter().skip(turn % 4).step_by(2).take(6).collect();
+        for seen in &mut tiles {
+            seen.masks.observed = observed;
+            if number % 7 == 0 {
+                seen.masks.occupied[3] ^= 1 << 17;
+            }
+            seen.masks.occupied = std::array::from_fn(|z| seen.masks.occupied[z] & observed[z]);
+        }
+        (time + 7_000_000_000, tiles)
+    })
+}

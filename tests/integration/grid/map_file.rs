@@ -1,0 +1,126 @@
+//! A map written as PGM and YAML, read by somebody else's reader, cell by cell: `pyrobosim` of the Python package index,
+//! installed beside the build by the first run, which takes about a minute.
+//!
+//! Invariant: without Python or the network the test says that it is skipped; nothing but the reader's own answers is
+//! compared.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use tidemap::{
+    maps::Retention,
+    queries::{GridQuery, ModelKind},
+    time::format_time,
+};
+use tidemap_tests::{cli, film::Film, oracle::run_update};
+
+use super::{MAP, grid, model, office, partial_view, producer, send};
+
+/// The reader's version: a later one may read otherwise.
+const READER: &str = "pyrobosim==5.0.1";
+
+/// Prints what the reader sees: resolution, origin, width and height, then a line per row from the bottom.
+const SCRIPT: &str = r#"
+from pyrobosim.navigation.occupancy_grid import OccupancyGrid
+import sys
+grid = OccupancyGrid.from_file(".", sys.argv[1])
+print(grid.resolution, grid.origin[0], grid.origin[1], grid.width, grid.height)
+for y in range(grid.height):
+    print("".join({1.0: "#", 0.0: "."}.get(float(grid.data[x, y]), "?") for x in range(grid.width)))
+"#;
+
+fn run(command: &mut Command) -> Result<String, String> {
+    let output = command.output().map_err(|error| format!("{}: {error}", command.get_program().display()))?;
+    if output.status.success() {
+        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+    }
+    let said = String::from_utf8_lossy(&output.stderr);
+    Err(format!("{}: {}", command.get_program().display(), said.trim().lines().last().unwrap_or_default()))
+}
+
+/// Python with the reader; why there is none, where there is none.
+fn reader() -> Result<PathBuf, String> {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let (ready, unfinished) = (folder.join(READER), folder.join(format!("{READER}.{}", std::process::id())));
+    let python = ready.join("bin/python");
+    if python.is_file() {
+        return Ok(python);
+    }
+    let installed = run(Command::new("python3").args(["-m", "venv"]).arg(&unfinished)).and_then(|_| {
+        let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", READER];
+        run(Command::new(unfinished.join("bin/python")).args(pip))
+    });
+    if let Err(reason) = installed {
+        let _ = fs::remove_dir_all(&unfinished);
+        return Err(reason);
+    }
+    // It has its name only when it is whole. Another run may have been faster.
+    if fs::rename(&unfinished, &ready).is_err() {
+        let _ = fs::remove_dir_all(&unfinished);
+    }
+    Ok(python)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn grid_written_as_pgm_is_read_by_others_as_it_was_meant() {
+    let python = match reader() {
+        Ok(python) => python,
+        Err(reason) => return println!("SKIPPED: {READER} cannot be installed: {reason}"),
+    };
+    let film = Film::new(2, 300);
+    let (data, daemon) = office(grid(Retention::None)).await;
+    // Only the partial view, so that some columns stay unknown.
+    let mut robot = producer(&daemon, "robot").await;
+    send(&mut robot, partial_view(&film)).await;
+    let client = daemon.client();
+    run_update(&client, MAP, None).await;
+
+    let at = film.time(film.scans() - 50) + 1_234_567_890;
+    let query = GridQuery {
+        map: MAP.to_owned(),
+        time_nanos: at,
+        model: model(ModelKind::Mean, None),
+        is_projected: true,
+        ..GridQuery::default()
+    };
+    let expected = client.predict_grid(&query).await.expect("a grid").whole().await.expect("all of it");
+    let out = data.path().join("office.pgm");
+    let out = out.to_str().expect("a path of text");
+    let words = ["grid", "predict", MAP, "--at", &format_time(at), "--model", "mean", "--out", out];
+    cli::tidemap(&daemon, words).table();
+
+    let said = run(Command::new(python).current_dir(data.path()).args(["-c", SCRIPT, "office.yaml"]));
+    let said = said.unwrap_or_else(|reason| panic!("the reader does not take the files: {reason}"));
+    let mut lines = said.lines();
+    let numbers = lines.next().expect("a first line").split(' ').map(|n| n.parse().expect("a number"));
+    let numbers: Vec<f64> = numbers.collect();
+    let region = expected.header.region;
+    let [width, height, layers] = region.size();
+    assert_eq!(layers, 1);
+    let corner = [0, 1].map(|axis| f64::from(region.min[axis]) * 0.1);
+    for (found, expected) in numbers.iter().zip([0.1, corner[0], corner[1], width.into(), height.into()]) {
+        assert!((found - expected).abs() < 1e-9, "{numbers:?}");
+    }
+    let rows: Vec<&str> = lines.collect();
+    assert_eq!(rows.len(), height as usize);
+    let mut seen = [0; 4];
+    for (y, row) in (region.min[1]..).zip(&rows) {
+        assert_eq!(row.len(), width as usize);
+        for (x, found) in (region.min[0]..).zip(row.chars()) {
+            let cell = expected.cell([x, y, 0]).value().map(|value| (f64::from(value) * 100.0).round());
+            let (kind, meant) = match cell {
+                Some(percent) if percent <= 25.0 => (0, '.'),
+                Some(percent) if percent >= 65.0 => (1, '#'),
+                Some(_) => (2, '?'),
+                None => (3, '?'),
+            };
+            assert_eq!(found, meant, "cell {x}, {y} with {cell:?} per cent");
+            seen[kind] += 1;
+        }
+    }
+    println!("free, occupied, unsure, unknown: {seen:?}");
+    assert!(seen[0] > 50 && seen[1] > 50 && seen[3] > 50, "there is something to compare: {seen:?}");
+}

@@ -1,0 +1,157 @@
+//! What is learned of one cell, the naive way: every reading and every phasor by itself, in f64, after T-RO 2017,
+//! equations 10 to 13, with local days scored before they are folded in.
+//!
+//! Invariant: nothing here is shared with the daemon but the formulas; readings are taken in the order of their arrival.
+
+use std::{collections::BTreeMap, f64::consts::TAU};
+
+const SECOND_NANOS: i64 = 1_000_000_000;
+const DAY_NANOS: i64 = 86_400 * SECOND_NANOS;
+const WEEK_NANOS: i64 = 7 * DAY_NANOS;
+/// Harmonics of a week.
+const HARMONICS: usize = 168;
+const ORDERS: usize = 16;
+/// 2025-03-30T01:00:00Z: clocks in London go forward.
+const SUMMER_NANOS: i64 = 1_743_296_400 * SECOND_NANOS;
+
+/// Time in London.
+fn civil(utc_nanos: i64) -> i64 {
+    if utc_nanos < SUMMER_NANOS { utc_nanos } else { utc_nanos + 3_600 * SECOND_NANOS }
+}
+
+fn phasor(harmonic: usize, utc_nanos: i64) -> (f64, f64) {
+    let turned = i128::from(civil(utc_nanos)) * (harmonic as i128 + 1) % i128::from(WEEK_NANOS);
+    let (sin, cos) = (TAU * turned as f64 / WEEK_NANOS as f64).sin_cos();
+    (cos, sin)
+}
+
+/// The phasors of times, each computed once.
+#[derive(Default)]
+pub struct Phasors(BTreeMap<i64, Vec<(f64, f64)>>);
+
+impl Phasors {
+    pub fn add(&mut self, utc_nanos: i64) {
+        let all = || (0..HARMONICS).map(|harmonic| phasor(harmonic, utc_nanos)).collect();
+        self.0.entry(utc_nanos).or_insert_with(all);
+    }
+}
+
+/// What is learned.
+#[derive(Clone, Debug, Default)]
+pub struct Naive {
+    pub mean: f64,
+    pub folded: u64,
+    pub order: usize,
+    pub errors: [f64; ORDERS],
+    /// Harmonic and γ, strongest first.
+    components: Vec<(usize, f64, f64)>,
+    /// Whether two components were as strong as each other, so that another choice is as good.
+    pub is_tied: bool,
+    pub tau_secs: f64,
+    pub last: Option<(i64, f64)>,
+}
+
+impl Naive {
+    /// Learns from readings in the order of their arrival; those before the cut are folded in.
+    pub fn new(readings: &[(i64, f64)], cut_nanos: i64, phasors: &Phasors) -> Self {
+        let mut learned = Self { mean: 0.5, ..Self::default() };
+        learned.persist(readings);
+        let mut folded: Vec<(i64, f64)> = readings.iter().copied().filter(|(time, _)| *time < cut_nanos).collect();
+        folded.sort_by_key(|(time, _)| *time);
+        let (mut a, mut b, mut sum) = ([(0.0, 0.0); HARMONICS], [(0.0, 0.0); HARMONICS], 0.0);
+        let mut day_before = None;
+        for of_day in folded.chunk_by(|one, next| civil(one.0) / DAY_NANOS == civil(next.0) / DAY_NANOS) {
+            let day = civil(of_day[0].0) / DAY_NANOS;
+            if let Some(before) = day_before.replace(day) {
+                learned.score(of_day, 0.93_f64.powi((day - before) as i32), phasors);
+            }
+            for (time, value) in of_day {
+                let row = &phasors.0[time];
+                for harmonic in 0..HARMONICS {
+                    let (cos, sin) = row[harmonic];
+                    b[harmonic] = (b[harmonic].0 + cos, b[harmonic].1 - sin);
+                    if *value != 0.0 {
+                        a[harmonic] = (a[harmonic].0 + value * cos, a[harmonic].1 - value * sin);
+                    }
+                }
+                sum += value;
+            }
+            learned.folded += of_day.len() as u64;
+            learned.fit((&a, &b, sum), of_day[of_day.len() - 1].0 - folded[0].0);
+        }
+        learned
+    }
+
+    fn persist(&mut self, readings: &[(i64, f64)]) {
+        let (mut pairs, mut rates) = (0.0, 1.0 / 3600.0);
+        for &(time, value) in readings {
+            if let Some((last_time, last_value)) = self.last {
+                if time <= last_time {
+                    continue;
+                }
+                pairs += 1.0;
+                rates += (value - last_value).abs() / ((time - last_time) as f64 / 1e9);
+            }
+            self.last = Some((time, value));
+        }
+        self.tau_secs = (1.0 + pairs) / rates;
+    }
+
+    fn score(&mut self, of_day: &[(i64, f64)], kept: f64, phasors: &Phasors) {
+        self.errors = self.errors.map(|error| error * kept);
+        for (time, value) in of_day {
+            let row = &phasors.0[time];
+            let mut p = self.mean;
+            for order in 0..ORDERS {
+                if let Some((harmonic, re, im)) = order.checked_sub(1).and_then(|at| self.components.get(at)) {
+                    p += 2.0 * (re * row[*harmonic].0 - im * row[*harmonic].1);
+                }
+                self.errors[order] += (p.clamp(0.0, 1.0) - value).powi(2);
+            }
+        }
+        let lowest = self.errors.iter().copied().fold(f64::INFINITY, f64::min);
+        self.order = self.errors.iter().position(|&error| error <= lowest * 1.001).expect("one is the lowest");
+    }
+
+    fn fit(&mut self, (a, b, sum): (&[(f64, f64)], &[(f64, f64)], f64), span_nanos: i64) {
+        let n = self.folded as f64;
+        self.mean = sum / n;
+        let eligible = |harmonic: &usize| {
+            i128::from(span_nanos) * 100 * (*harmonic as i128 + 1) >= i128::from(WEEK_NANOS) * 99
+        };
+        let gamma = |harmonic: usize| {
+            let (a, b) = (a[harmonic], b[harmonic]);
+            (harmonic, (a.0 - self.mean * b.0) / n, (a.1 - self.mean * b.1) / n)
+        };
+        let power = |&(_, re, im): &(usize, f64, f64)| re * re + im * im;
+        let mut all: Vec<(usize, f64, f64)> = (0..HARMONICS).filter(eligible).map(gamma).collect();
+        all.retain(|component| power(component) > 0.0);
+        all.sort_by(|one, next| power(next).total_cmp(&power(one)));
+        let ties = all.windows(2).take(ORDERS - 1);
+        self.is_tied |= ties.into_iter().any(|pair| power(&pair[0]) - power(&pair[1]) < 1e-9 * power(&pair[0]));
+        all.truncate(ORDERS - 1);
+        self.components = all;
+    }
+
+    /// The probability by so many components.
+    pub fn probability(&self, order: usize, utc_nanos: i64) -> f64 {
+        let mut p = self.mean;
+        for &(harmonic, re, im) in self.components.iter().take(order) {
+            let (cos, sin) = phasor(harmonic, utc_nanos);
+            p += 2.0 * (re * cos - im * sin);
+        }
+        p.clamp(0.0, 1.0)
+    }
+
+    /// The same with the last reading blended in.
+    pub fn persistent(&self, order: usize, utc_nanos: i64) -> f64 {
+        let p = self.probability(order, utc_nanos);
+        match self.last {
+            Some((time, value)) if utc_nanos >= time => {
+                let weight = (-((utc_nanos - time) as f64 / 1e9) / self.tau_secs).exp();
+                value * weight + p * (1.0 - weight)
+            }
+            _ => p,
+        }
+    }
+}

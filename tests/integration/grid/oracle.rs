@@ -1,0 +1,148 @@
+//! Cells of a grid that two producers observe, one of them only in part, against a naive model of each.
+
+use std::collections::BTreeMap;
+
+use tidemap::queries::{ModelKind, ModelSelector};
+use tidemap_tests::{
+    daemon::Daemon,
+    film::{Film, FilmCell, holds},
+    oracle::run_update,
+};
+
+use super::{
+    MAP, grid, model,
+    naive::{Naive, Phasors},
+    office, partial_view, predicted, producer, send, summary,
+};
+use tidemap::{maps::Retention, observe::tiles::SeenTile};
+
+/// Readings of each cell in the order of their arrival.
+#[derive(Default)]
+struct Sent {
+    readings: BTreeMap<FilmCell, Vec<(i64, f64)>>,
+    phasors: Phasors,
+    scans: u64,
+    cell_observations: u64,
+}
+
+impl Sent {
+    fn note(&mut self, film: &Film, scans: &[(i64, Vec<SeenTile>)]) {
+        for (time, tiles) in scans {
+            self.phasors.add(*time);
+            self.scans += 1;
+            for seen in tiles {
+                let slot = film.tiles().iter().position(|tile| *tile == seen.tile).expect("a tile of the film");
+                self.cell_observations += seen.masks.observed.iter().map(|w| u64::from(w.count_ones())).sum::<u64>();
+                for (&(_, place), readings) in self.readings.range_mut((slot, 0)..(slot + 1, 0)) {
+                    if holds(&seen.masks.observed, place) {
+                        let is_occupied = holds(&seen.masks.occupied, place);
+                        readings.push((*time, f64::from(u8::from(is_occupied))));
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn near(found: f64, expected: f64, what: &str) {
+    assert!((found - expected).abs() <= 1e-6, "{what} is {found}, and not {expected}");
+}
+
+/// Compares all that the daemon says of the cells with what follows from the readings before the cut; gives the number of
+/// cells whose components were compared.
+async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> usize {
+    let client = daemon.client();
+    let (from, to) = (film.time(0), film.time(film.scans() - 1));
+    let times = [from, from + (to - from) / 3, to - 3_600_000_000_000, to + 8_000_000_000, to + 400_000_000_000_000];
+    let names: Vec<String> = sent.readings.keys().map(|&cell| film.name(cell)).collect();
+    let persistent = ModelSelector { kind: ModelKind::Auto, order: None, persistence: true };
+    let selectors = [
+        model(ModelKind::Auto, None),
+        model(ModelKind::Mean, None),
+        model(ModelKind::Spectral, Some(2)),
+        model(ModelKind::Spectral, Some(15)),
+        model(ModelKind::Latest, None),
+        persistent,
+    ];
+    let mut answers = Vec::new();
+    for selector in selectors {
+        let mut runs = client.predict(MAP, names.clone(), times.to_vec(), selector);
+        let mut by_cell = Vec::new();
+        while let Some(run) = runs.next().await.expect("cells are states") {
+            by_cell.extend(run.probabilities);
+        }
+        assert_eq!(by_cell.len(), names.len() * times.len());
+        answers.push(by_cell);
+    }
+    let drawn = predicted(daemon, times[2], model(ModelKind::Auto, None)).await;
+    let (mut compared, mut orders) = (0, 0);
+    for (at, (&cell, readings)) in sent.readings.iter().enumerate() {
+        let name = &names[at];
+        let expected = Naive::new(readings, cut_nanos, &sent.phasors);
+        let said = client.describe_model(MAP, name).await.expect("a cell");
+        assert_eq!(said.folded_observations, expected.folded, "{name}");
+        assert_eq!(said.last_nanos, expected.last.map(|(time, _)| time), "{name}");
+        assert_eq!(said.last_value, expected.last.map(|(_, value)| value), "{name}");
+        near(said.mean, expected.mean, &format!("the mean of {name}"));
+        near(said.persistence_tau_secs / expected.tau_secs, 1.0, &format!("τ of {name} by what it should be"));
+        for (at_time, &time) in times.iter().enumerate() {
+            let answer = |selector: usize| answers[selector][at * times.len() + at_time];
+            let what = |kind: &str| format!("{kind} of {name} at {time}");
+            near(answer(1), expected.mean, &what("the mean"));
+            near(answer(4), expected.last.map_or(0.5, |(_, value)| value), &what("the latest"));
+            if expected.is_tied {
+                continue;
+            }
+            near(answer(0), expected.probability(expected.order, time), &what("the prediction"));
+            near(answer(2), expected.probability(2, time), &what("the prediction of order 2"));
+            near(answer(3), expected.probability(15, time), &what("the prediction of order 15"));
+            near(answer(5), expected.persistent(expected.order, time), &what("the prediction with persistence"));
+        }
+        if expected.is_tied {
+            continue;
+        }
+        compared += 1;
+        orders += usize::from(expected.order > 0);
+        assert_eq!(said.order as usize, expected.order, "the order of {name}, by errors {:?}", expected.errors);
+        for (found, expected) in said.order_errors.iter().zip(expected.errors) {
+            near(found / (1.0 + expected), expected / (1.0 + expected), &format!("an error of {name}"));
+        }
+        let value = f64::from(drawn.cell(film.index(cell)).value().expect("a known cell"));
+        near(value, expected.probability(expected.order, times[2]), &format!("{name} in the whole grid"));
+    }
+    println!("{compared} of {} cells have components that can be told apart; {orders} an order", names.len());
+    compared
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn grid_models_of_cells_are_those_of_a_naive_model() {
+    let film = Film::new(6, 1_000);
+    let (_data, daemon) = office(grid(Retention::None)).await;
+    let client = daemon.client();
+    let mut sent = Sent::default();
+    // What stands in the way of the partial view in layer 3 is a cell that the office never changes.
+    let in_the_way = (0..film.tiles().len()).map(|slot| (slot, 3 * 64 + 17)).step_by(3);
+    for cell in film.changing(10).chain(film.still(900)).chain(in_the_way) {
+        sent.readings.insert(cell, Vec::new());
+    }
+    assert!(sent.readings.len() >= 50, "{}", sent.readings.len());
+
+    let whole: Vec<_> = film.run().map(|(time, occupied)| (time, film.seen(&occupied))).collect();
+    let part: Vec<_> = partial_view(&film).collect();
+    let (mut one, mut other) = (producer(&daemon, "camera").await, producer(&daemon, "robot").await);
+    // Midnight in London, which is that of UTC until then.
+    let midnight = film.time(film.scans_of(2));
+    for (from, to) in [(i64::MIN, midnight), (midnight, i64::MAX)] {
+        for (producer, scans) in [(&mut one, &whole), (&mut other, &part)] {
+            let of_round: Vec<_> = scans.iter().filter(|(time, _)| (from..to).contains(time)).cloned().collect();
+            sent.note(&film, &of_round);
+            send(producer, of_round).await;
+        }
+        run_update(&client, MAP, Some(to).filter(|to| *to < i64::MAX)).await;
+        let summary = summary(&daemon).await;
+        assert_eq!((summary.scans, summary.pending_scans), (sent.scans, 0));
+        assert_eq!(summary.cell_observations, sent.cell_observations);
+        let compared = compare(&daemon, &film, &sent, to).await;
+        assert!(compared >= 40, "{compared} cells are too few");
+    }
+}
