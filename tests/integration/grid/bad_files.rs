@@ -58,9 +58,9 @@ async fn grid_files_that_are_cut_off_or_do_not_fit_are_refused_and_harm_nothing(
     assert_eq!(summary(&daemon).await.scans, 0, "nothing was sent");
 
     let sent = observe(&daemon, &good, &["--at", AT]).table();
-    assert_eq!((sent.number("accepted"), sent.number("refused")), (1.0, 0.0));
+    assert_eq!((sent.number("scans"), sent.number("cells"), sent.number("refused")), (1.0, 2.0, 0.0));
     let again = observe(&daemon, &good, &["--at", AT]).table();
-    assert_eq!((again.number("accepted"), again.number("duplicate")), (0.0, 1.0));
+    assert_eq!((again.number("scans"), again.number("duplicate")), (0.0, 1.0));
     let latest = predicted(&daemon, 1_741_000_000_000_000_000, model(ModelKind::Latest, None)).await;
     let cells = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [-1, 0, 0]].map(|cell| latest.cell(cell).value());
     assert_eq!(cells, [Some(1.0), Some(0.0), None, None]);

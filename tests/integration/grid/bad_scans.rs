@@ -3,8 +3,8 @@
 
 use tidemap::maps::{CellBox, Grid};
 use tidemap_proto::v1::{
-    ObservationBatch, PointCloud, Pose, RangeScan, RefusalReason, Scan, ScanBatch, TileScan,
-    observe_request::Message, scan::Content,
+    ObservationBatch, PointCloud, Pose, RangeScan, RefusalReason, Scan, ScanBatch, TileScan, observe_request::Message,
+    scan::Content,
 };
 use tidemap_tests::{
     daemon::{Daemon, Launch},

@@ -12,8 +12,9 @@ use std::{
 
 use tidemap::{
     maps::Retention,
+    observe::tiles::{SeenTile, TileMasks},
     queries::{GridQuery, ModelKind},
-    time::format_time,
+    time::format_rfc3339,
 };
 use tidemap_tests::{cli, film::Film, oracle::run_update};
 
@@ -23,14 +24,14 @@ use super::{MAP, grid, model, office, partial_view, producer, send};
 const READER: &str = "pyrobosim==5.0.1";
 
 /// Prints what the reader sees: resolution, origin, width and height, then a line per row from the bottom.
-const SCRIPT: &str = r#"
+const SCRIPT: &str = r"
 from pyrobosim.navigation.occupancy_grid import OccupancyGrid
 import sys
-grid = OccupancyGrid.from_file(".", sys.argv[1])
+grid = OccupancyGrid.from_file('.', sys.argv[1])
 print(grid.resolution, grid.origin[0], grid.origin[1], grid.width, grid.height)
 for y in range(grid.height):
-    print("".join({1.0: "#", 0.0: "."}.get(float(grid.data[x, y]), "?") for x in range(grid.width)))
-"#;
+    print(''.join({1.0: '#', 0.0: '.'}.get(float(grid.data[x, y]), '?') for x in range(grid.width)))
+";
 
 fn run(command: &mut Command) -> Result<String, String> {
     let output = command.output().map_err(|error| format!("{}: {error}", command.get_program().display()))?;
@@ -72,9 +73,17 @@ async fn grid_written_as_pgm_is_read_by_others_as_it_was_meant() {
     };
     let film = Film::new(2, 300);
     let (data, daemon) = office(grid(Retention::None)).await;
-    // Only the partial view, so that some columns stay unknown.
+    // A partial view that leaves some columns of each tile out, so that these stay unknown.
     let mut robot = producer(&daemon, "robot").await;
-    send(&mut robot, partial_view(&film)).await;
+    let hidden = |(time, mut tiles): (i64, Vec<SeenTile>)| {
+        for TileMasks { observed, occupied } in tiles.iter_mut().map(|seen| &mut seen.masks) {
+            for layer in observed.iter_mut().chain(occupied) {
+                *layer &= !0xF0F0_0000_0000_0081;
+            }
+        }
+        (time, tiles)
+    };
+    send(&mut robot, partial_view(&film).map(hidden)).await;
     let client = daemon.client();
     run_update(&client, MAP, None).await;
 
@@ -89,10 +98,10 @@ async fn grid_written_as_pgm_is_read_by_others_as_it_was_meant() {
     let expected = client.predict_grid(&query).await.expect("a grid").whole().await.expect("all of it");
     let out = data.path().join("office.pgm");
     let out = out.to_str().expect("a path of text");
-    let words = ["grid", "predict", MAP, "--at", &format_time(at), "--model", "mean", "--out", out];
+    let words = ["grid", "predict", MAP, "--at", &format_rfc3339(at), "--model", "mean", "--out", out];
     cli::tidemap(&daemon, words).table();
 
-    let said = run(Command::new(python).current_dir(data.path()).args(["-c", SCRIPT, "office.yaml"]));
+    let said = run(Command::new(python).current_dir(data.path()).args(["-c", SCRIPT, "office"]));
     let said = said.unwrap_or_else(|reason| panic!("the reader does not take the files: {reason}"));
     let mut lines = said.lines();
     let numbers = lines.next().expect("a first line").split(' ').map(|n| n.parse().expect("a number"));
@@ -122,5 +131,5 @@ async fn grid_written_as_pgm_is_read_by_others_as_it_was_meant() {
         }
     }
     println!("free, occupied, unsure, unknown: {seen:?}");
-    assert!(seen[0] > 50 && seen[1] > 50 && seen[3] > 50, "there is something to compare: {seen:?}");
+    assert!(seen[0] > 40 && seen[1] > 40 && seen[3] > 40, "there is something to compare: {seen:?}");
 }

@@ -25,6 +25,9 @@ fn phasor(harmonic: usize, utc_nanos: i64) -> (f64, f64) {
     (cos, sin)
 }
 
+/// A complex sum of each harmonic.
+type Sums = [(f64, f64); HARMONICS];
+
 /// The phasors of times, each computed once.
 #[derive(Default)]
 pub struct Phasors(BTreeMap<i64, Vec<(f64, f64)>>);
@@ -77,7 +80,7 @@ impl Naive {
                 sum += value;
             }
             learned.folded += of_day.len() as u64;
-            learned.fit((&a, &b, sum), of_day[of_day.len() - 1].0 - folded[0].0);
+            learned.fit([&a, &b], sum, of_day[of_day.len() - 1].0 - folded[0].0);
         }
         learned
     }
@@ -113,12 +116,11 @@ impl Naive {
         self.order = self.errors.iter().position(|&error| error <= lowest * 1.001).expect("one is the lowest");
     }
 
-    fn fit(&mut self, (a, b, sum): (&[(f64, f64)], &[(f64, f64)], f64), span_nanos: i64) {
+    fn fit(&mut self, [a, b]: [&Sums; 2], sum: f64, span_nanos: i64) {
         let n = self.folded as f64;
         self.mean = sum / n;
-        let eligible = |harmonic: &usize| {
-            i128::from(span_nanos) * 100 * (*harmonic as i128 + 1) >= i128::from(WEEK_NANOS) * 99
-        };
+        let eligible =
+            |harmonic: &usize| i128::from(span_nanos) * 100 * (*harmonic as i128 + 1) >= i128::from(WEEK_NANOS) * 99;
         let gamma = |harmonic: usize| {
             let (a, b) = (a[harmonic], b[harmonic]);
             (harmonic, (a.0 - self.mean * b.0) / n, (a.1 - self.mean * b.1) / n)

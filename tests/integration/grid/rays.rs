@@ -159,7 +159,11 @@ async fn grid_questions_that_make_no_sense_are_refused_by_name() {
         (GridQuery { time_nanos: -7, ..question(MAP) }, Code::InvalidArgument, ["time_nanos", "-7"]),
         (with(GridOutput::Threshold(1.5)), Code::InvalidArgument, ["threshold", "1.5"]),
         (with(GridOutput::Threshold(-0.5)), Code::InvalidArgument, ["threshold", "-0.5"]),
-        (GridQuery { model: model(ModelKind::Auto, Some(16)), ..question(MAP) }, Code::InvalidArgument, ["order", "16"]),
+        (
+            GridQuery { model: model(ModelKind::Auto, Some(16)), ..question(MAP) },
+            Code::InvalidArgument,
+            ["order", "16"],
+        ),
         // Two tiles.
         (question(MAP), Code::ResourceExhausted, ["1024", "max_predictions"]),
     ] {
@@ -202,4 +206,32 @@ async fn refused(client: &Client, query: &GridQuery, code: Code, words: &[&str])
         }
         other => panic!("{query:?} should be refused: {other:?}"),
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn grid_rays_beyond_all_bounds_are_refused_and_short_ones_go_on() {
+    let (_data, daemon) = office(coarse()).await;
+    let mut robot = producer(&daemon, "robot").await;
+    let far = |xyz_m: &[f32], position_m: [f64; 3]| {
+        let pose = Pose { position_m, ..Pose::default() };
+        Scan::Cloud(PointCloud { pose, xyz_m: xyz_m.to_vec(), ..PointCloud::default() })
+    };
+    let scans = [
+        far(&[1e6, 0.0, 0.0], [0.25; 3]),
+        far(&[f32::MAX, f32::MAX, f32::MAX], [0.25; 3]),
+        far(&[1.0, 0.0, 0.0], [1e300, 0.0, 0.0]),
+        ranges(&[2.0; 4]),
+    ];
+    for (minute, scan) in (0..).zip(scans) {
+        robot.send_scan(NOON_NANOS + minute * MINUTE_NANOS, scan).await.expect("taken");
+    }
+    robot.flush().await.expect("the stream goes on");
+    let refusals = robot.take_refusals();
+    let numbers: Vec<u64> = refusals.iter().map(|refusal| refusal.sequence).collect();
+    assert_eq!(numbers, [1, 2, 3], "{refusals:?}");
+    assert!(refusals[..2].iter().all(|refusal| refusal.detail.contains("max_range_m")), "{refusals:?}");
+    let summary = summary(&daemon).await;
+    assert_eq!((summary.scans, summary.cell_observations), (1, 17), "four arms of four cells and the middle");
+    let log = daemon.stop_in_order();
+    assert!(!log.contains("panicked"), "{log}");
 }
