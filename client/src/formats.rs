@@ -20,9 +20,8 @@ mod points;
 mod scalar;
 mod text;
 
-pub use error::{FormatError, Place, Problem};
 pub use picture::{MapPicture, PictureCell, PictureError};
-pub use points::{PointFile, Pose};
+pub use points::PointFile;
 
 /// Most points that are read from one file.
 pub const POINTS_MAX: u64 = 50_000_000;

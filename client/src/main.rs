@@ -5,7 +5,6 @@
 
 mod commands;
 mod demo;
-#[allow(dead_code, unused_imports)]
 mod formats;
 mod output;
 mod progress;

@@ -15,7 +15,7 @@ use std::process::{self, ExitCode};
 use clap::{Args, Subcommand};
 use tidemap::{Client, clock, maps::NewMap, updates::Job};
 
-use super::{Session, job};
+use super::{Session, job, map::with_grid};
 use crate::{
     output::{Cell, Sheet},
     progress::notice,
@@ -52,7 +52,11 @@ pub async fn run(session: &Session, command: &BenchCommand) -> anyhow::Result<Ex
         _ => (NewMap { name: format!("bench-{unique}"), ..NewMap::default() }, false),
     };
     let map = new_map.name.clone();
-    client.create_map(new_map).await?;
+    if let BenchCommand::Grid(args) = command {
+        args.check()?;
+    }
+    let has_grid = new_map.grid.is_some();
+    with_grid(client.create_map(new_map).await?, has_grid)?;
     let measured = tokio::select! {
         measured = measure(client, &map, command) => measured,
         _ = tokio::signal::ctrl_c() => Err(anyhow::anyhow!("interrupted")),

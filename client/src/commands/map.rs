@@ -104,7 +104,11 @@ pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitC
     let client = &session.client;
     let all = matches!(command, MapCommand::List);
     let maps = match command {
-        MapCommand::Create(args) => vec![client.create_map(new_map(*args)).await?],
+        MapCommand::Create(args) => {
+            let wanted = new_map(*args);
+            let has_grid = wanted.grid.is_some();
+            vec![with_grid(client.create_map(wanted).await?, has_grid)?]
+        }
         MapCommand::List => client.maps().await?,
         MapCommand::Show { name } => vec![client.map(&name).await?],
         MapCommand::Delete { name, yes } => {
@@ -128,6 +132,17 @@ pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitC
     }
     sheet.finish()?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The map that was made, if it has the grid that it was to have: a daemon that does not know of grids passes over one.
+pub fn with_grid(made: Map, wanted: bool) -> anyhow::Result<Map> {
+    anyhow::ensure!(
+        made.grid.is_some() || !wanted,
+        "map {0:?} was created without its grid: the daemon is too old for grids. Delete the map, with tidemap map \
+         delete {0} --yes, and create it with a newer daemon",
+        made.name
+    );
+    Ok(made)
 }
 
 fn new_map(args: CreateArgs) -> NewMap {

@@ -1,8 +1,9 @@
-//! The known cells of a map as CSV: `x,y,z,probability,entropy_bits,changing,observed`.
+//! The known cells of a map as CSV: `x,y,z,probability,entropy_bits,changing,observed,cell_x,cell_y,cell_z`.
 //!
 //! x, y and z are the centre of the cell in metres; `changing` says whether the cell has a model of how it changes.
 //! Unknown cells are left out, so `observed` is `true` in every row; it is there for tables that are joined with
-//! others.
+//! others. The last three are the cell's index along each axis, from which its state is named: `cell/X/Y/Z`; of a map
+//! that was projected, cell_z is 0.
 //!
 //! Invariant: one row a known cell, in the order of the picture; the picture holds probabilities, not entropies.
 
@@ -11,19 +12,20 @@ use std::fmt::Write as _;
 use super::{MapPicture, PictureCell, PictureError};
 
 /// The first line.
-pub const HEADER: &str = "x,y,z,probability,entropy_bits,changing,observed";
+pub const HEADER: &str = "x,y,z,probability,entropy_bits,changing,observed,cell_x,cell_y,cell_z";
 
 /// The known cells as a CSV file.
 pub fn write(picture: &MapPicture) -> Result<String, PictureError> {
     picture.check()?;
     let mut file = format!("{HEADER}\n");
-    for (centre, cell) in picture.known() {
+    for ((centre, cell), (index, _)) in picture.known().zip(picture.known_indices()) {
         let Some(probability) = cell.value() else { continue };
         let [x, y, z] = centre.map(micrometres);
+        let [cell_x, cell_y, cell_z] = index;
         let entropy = entropy_bits(f64::from(probability));
         let changing = matches!(cell, PictureCell::Changing { .. });
         // Writing to a String does not fail.
-        let _ = writeln!(file, "{x},{y},{z},{probability},{entropy:.6},{changing},true");
+        let _ = writeln!(file, "{x},{y},{z},{probability},{entropy:.6},{changing},true,{cell_x},{cell_y},{cell_z}");
     }
     Ok(file)
 }
@@ -50,11 +52,11 @@ mod tests {
         picture.cells[5] = PictureCell::Changing { probability: 0.11 };
         let rows = [
             HEADER,
-            "-1.475,2.025,0.025,0,0.000000,false,true",
-            "-1.425,2.025,0.025,1,0.000000,false,true",
-            "-1.475,2.075,0.025,0,0.000000,true,true",
-            "-1.425,2.075,0.025,0.5,1.000000,true,true",
-            "-1.375,2.075,0.025,0.11,0.499916,true,true",
+            "-1.475,2.025,0.025,0,0.000000,false,true,-30,40,0",
+            "-1.425,2.025,0.025,1,0.000000,false,true,-29,40,0",
+            "-1.475,2.075,0.025,0,0.000000,true,true,-30,41,0",
+            "-1.425,2.075,0.025,0.5,1.000000,true,true,-29,41,0",
+            "-1.375,2.075,0.025,0.11,0.499916,true,true,-28,41,0",
         ];
         assert_eq!(write(&picture)?, format!("{}\n", rows.join("\n")));
         Ok(())

@@ -2,7 +2,7 @@
 //!
 //! Invariant: the file given is whole and good; anything shorter is refused, and anything else does not panic.
 
-use super::FormatError;
+use super::error::FormatError;
 
 /// Reads a good file cut off at every byte: each time an error, and each time one that says something.
 #[track_caller]

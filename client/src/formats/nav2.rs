@@ -27,7 +27,7 @@ mod write;
 use super::error::{FormatError, Place};
 
 pub use settings::{GridMode, GridSettings, read_settings};
-pub use write::{GridFiles, Thresholds, write};
+pub use write::{Thresholds, write};
 
 /// A grid of cells in the plane.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,16 +65,6 @@ impl GridCell {
             Self::Unknown | Self::Between { .. } => None,
             Self::Free => Some(false),
             Self::Occupied => Some(true),
-        }
-    }
-
-    /// The probability that it is occupied; none where it is unknown.
-    pub fn percent(self) -> Option<u8> {
-        match self {
-            Self::Unknown => None,
-            Self::Free => Some(0),
-            Self::Between { percent } => Some(percent),
-            Self::Occupied => Some(100),
         }
     }
 

@@ -12,7 +12,7 @@ mod tests;
 
 use super::{
     error::{FormatError, Place},
-    points::PointFile,
+    points::{PointFile, Pose},
     scalar::Endian,
     text::Lines,
 };
@@ -30,6 +30,11 @@ pub fn read(bytes: &[u8]) -> Result<PointFile, FormatError> {
         Data::Binary => binary(&header, &lines),
         Data::Compressed => compressed(&header, &lines),
     }
+}
+
+/// Where the sensor was, of a file or its first bytes; none where the header does not say.
+pub fn read_pose(bytes: &[u8]) -> Result<Option<Pose>, FormatError> {
+    Ok(header::read(bytes, &mut Lines::new(bytes))?.pose)
 }
 
 fn ascii(header: &Header, mut lines: Lines<'_>) -> Result<PointFile, FormatError> {

@@ -12,6 +12,8 @@ pub struct MapPicture {
     pub resolution_m: f64,
     /// Lower corner of the cell (0, 0, 0) of the picture.
     pub origin_m: [f64; 3],
+    /// Index of that cell in the grid, from which cells are named.
+    pub min_cell: [i32; 3],
     /// Number of cells along x, y and z; z is 1 for a map in the plane.
     pub size_cells: [u32; 3],
     /// The cells: x fastest, then y, then z.
@@ -143,11 +145,24 @@ impl MapPicture {
 
     /// The known cells with their centres in metres.
     pub fn known(&self) -> impl Iterator<Item = ([f64; 3], PictureCell)> {
+        let centre = |at: [usize; 3], axis: usize| self.origin_m[axis] + (at[axis] as f64 + 0.5) * self.resolution_m;
+        self.known_at().map(move |(at, cell)| (std::array::from_fn(|axis| centre(at, axis)), cell))
+    }
+
+    /// The known cells with their indices in the grid.
+    pub fn known_indices(&self) -> impl Iterator<Item = ([i64; 3], PictureCell)> {
+        let index = |at: [usize; 3], axis: usize| i64::from(self.min_cell[axis]) + at[axis] as i64;
+        self.known_at().map(move |(at, cell)| (std::array::from_fn(|axis| index(at, axis)), cell))
+    }
+
+    /// The known cells with their places in the picture.
+    fn known_at(&self) -> impl Iterator<Item = ([usize; 3], PictureCell)> {
         let [width, height, _] = self.size_cells.map(|cells| (cells as usize).max(1));
-        self.cells.iter().enumerate().filter(|(_, cell)| **cell != PictureCell::Unknown).map(move |(index, &cell)| {
-            let at = [index % width, index / width % height, index / width / height];
-            (std::array::from_fn(|axis| self.origin_m[axis] + (at[axis] as f64 + 0.5) * self.resolution_m), cell)
-        })
+        self.cells
+            .iter()
+            .enumerate()
+            .filter(|(_, cell)| **cell != PictureCell::Unknown)
+            .map(move |(index, &cell)| ([index % width, index / width % height, index / width / height], cell))
     }
 
     /// The rows of a flat picture, the one with the largest y first, as images have them.
@@ -170,6 +185,7 @@ pub mod samples {
         MapPicture {
             resolution_m: 0.05,
             origin_m: [-1.5, 2.0, 0.0],
+            min_cell: [-30, 40, 0],
             size_cells: [3, 2, 1],
             cells: vec![
                 Static { probability: 0.0 },

@@ -1,9 +1,10 @@
 //! `tidemap bench grid`: months of scans of a whole office, as fast as the daemon takes them.
 //!
 //! Invariant: the scans are made before the clock starts, and are sent as they stand in the file; what is measured is the
-//! daemon. Updates run as they would in life, at every midnight of the data, and count.
+//! daemon. Updates run as midnights of the data pass, those that pass while one runs joined into one, and count.
 
 mod feed;
+mod made;
 mod nights;
 mod office;
 mod probe;
@@ -20,7 +21,7 @@ use tidemap::{
     maps::{Grid, NewMap},
 };
 
-use self::{nights::Nights, probe::Probe};
+use self::{made::Made, nights::Nights, probe::Probe};
 use super::{DaemonProcess, Figures, machine::CpuTimes, updated};
 use crate::{commands::times, output::Cell, progress::notice};
 
@@ -50,7 +51,9 @@ pub struct GridArgs {
     /// Another seed makes another office
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// File of scans: sent as it is where it exists, else made and kept [default: a temporary one]
+    /// File of scans: sent as it is where it exists, else made and kept [default: a temporary one]. Of one that exists
+    /// --cells, --days and the others that say what the office is like are used by --compare only, and have to be those
+    /// that it was made with
     #[arg(long, value_name = "PATH")]
     file: Option<PathBuf>,
     /// Predicts the whole grid again and again meanwhile, and times it
@@ -74,6 +77,16 @@ pub struct GridArgs {
 }
 
 impl GridArgs {
+    /// Whether there is such an office, where one is needed.
+    pub(super) fn check(&self) -> anyhow::Result<()> {
+        if self.compare > 0 || self.existing().is_none() { office::make(self).map(drop) } else { Ok(()) }
+    }
+
+    /// The file to send as it is.
+    fn existing(&self) -> Option<&PathBuf> {
+        self.file.as_ref().filter(|path| path.exists())
+    }
+
     pub(super) fn keeps(&self) -> bool {
         self.keep
     }
@@ -88,21 +101,35 @@ impl GridArgs {
 pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::Result<Figures> {
     let folder = tempfile::tempdir()?;
     let path = args.file.clone().unwrap_or_else(|| folder.path().join("bench.tms"));
-    if path.exists() {
-        notice(&format!("sending {} as it is", path.display()));
+    let made = if args.existing().is_some() {
+        let made = Made::look(&path)?;
+        notice(&format!(
+            "sending {} as it is: --days, --cells, --scans-per-day and what else the office is like are not used for it",
+            path.display()
+        ));
+        anyhow::ensure!(
+            args.compare == 0 || made.is_of(args)?,
+            "{} is not of the office that the options describe: --compare takes the options that it was made with",
+            path.display()
+        );
+        Some(made)
     } else {
         let began = Instant::now();
         notice(&format!("making {} days of scans in {}", args.days, path.display()));
         let (of, to) = (args.clone(), path.clone());
         let bytes = tokio::task::spawn_blocking(move || office::write(&to, &of)).await??;
         notice(&format!("{bytes} bytes in {:.1} s, which do not count", began.elapsed().as_secs_f64()));
-    }
-    notice(&format!("sending to map {map}, with an update at each midnight of the data"));
+        None
+    };
+    notice(&format!(
+        "sending to map {map}; updates as midnights of the data pass; those that pass while one runs are joined"
+    ));
     let nights = Nights::watch(client, map);
     let pause = Duration::from_nanos(args.probe_pause.unsigned_abs());
     let probe = args.probe.then(|| Probe::start(client, map, pause));
     let (before, began) = (CpuTimes::now(args.process), Instant::now());
     let fed = feed::send(client, map, &path).await?;
+    anyhow::ensure!(fed.scans == 0 || fed.refused < fed.scans, "all {} scans were refused", fed.scans);
     let sent_secs = began.elapsed().as_secs_f64();
     updated(client, map).await?;
     let secs = began.elapsed().as_secs_f64();
@@ -111,8 +138,11 @@ pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::
     let statistics = client.statistics(map).await?;
     let figure = |name: &str| Cell::maybe(statistics.iter().find(|row| row.name == name).map(|row| row.value));
     let summary = client.map(map).await?.grid_summary.unwrap_or_default();
+    let scans_per_day = made.map_or(Some(f64::from(args.scans_per_day)), |made| made.scans_per_day());
+    let days = scans_per_day.map(|a_day| fed.scans as f64 / a_day);
     let mut figures = vec![
         ("scans", Cell::from(fed.scans)),
+        ("days", Cell::maybe(days)),
         ("refused", fed.refused.into()),
         ("tiles", summary.tiles.into()),
         ("cell_observations", summary.cell_observations.into()),
@@ -138,7 +168,9 @@ pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::
         figures.push((name, figure(name)));
     }
     if args.compare > 0 {
-        figures.extend(quality::estimation_errors(client, map, args, args.compare).await?);
+        // Whole days of what was sent.
+        let args = GridArgs { days: days.map_or(args.days, |days| days as u32), ..args.clone() };
+        figures.extend(quality::estimation_errors(client, map, &args, args.compare).await?);
     }
     Ok(figures)
 }

@@ -43,12 +43,12 @@ pub struct ObserveArgs {
     /// Where the sensor was: metres and a unit quaternion [default: what the file says]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = place::pose, allow_hyphen_values = true)]
     pose: Option<Pose>,
-    /// Nearer points are left out, such as those of the robot itself
-    #[arg(long, value_name = "METRES", default_value_t = 0.0, value_parser = range)]
-    min_range: f32,
+    /// Nearer points are left out, such as those of the robot itself [default: 0]
+    #[arg(long, value_name = "METRES", value_parser = range)]
+    min_range: Option<f32>,
     /// Farther points only say that the way is free up to here [default: no limit but the daemon's]
-    #[arg(long, value_name = "METRES", default_value_t = 0.0, value_parser = range, hide_default_value = true)]
-    max_range: f32,
+    #[arg(long, value_name = "METRES", value_parser = range)]
+    max_range: Option<f32>,
     /// Who observes [default: a name for this user and machine, made once and kept]
     #[arg(long, value_name = "ID")]
     producer: Option<String>,
@@ -69,7 +69,6 @@ fn range(text: &str) -> Result<f32, String> {
 }
 
 pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
-    let (grid, cells_before) = grid_of(session, &args.map).await?;
     let given = scans::Given {
         at_nanos: args.at,
         every_nanos: args.every,
@@ -77,7 +76,9 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
         min_range_m: args.min_range,
         max_range_m: args.max_range,
     };
-    let (chunks, bar) = scans::open(&args.files, &given, &grid)?;
+    let plan = scans::plan(&args.files, &given)?;
+    let (grid, cells_before) = grid_of(session, &args.map).await?;
+    let (chunks, bar) = scans::open(plan, &grid)?;
     let options = options(&args)?;
     let (producer, label) = (options.producer.clone(), options.label.clone());
     let mut transfer = {

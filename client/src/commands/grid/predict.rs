@@ -20,6 +20,7 @@ use crate::{
     commands::{Misused, Session, times},
     formats::{CELLS_MAX, MapPicture, PictureCell, cells_csv, nav2, ply, png},
     output::{Cell, Sheet},
+    progress::notice,
 };
 
 #[derive(Debug, Args)]
@@ -130,6 +131,10 @@ pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
     let predicted = predicted.whole().await?;
     let picture = picture(&predicted);
     write(kind, &picture, &args)?;
+    let is_picture = matches!(kind, Kind::Pgm | Kind::Png);
+    if is_picture && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
+        notice("every column is occupied at some height: ask for heights with --z MIN:MAX");
+    }
     let count = |wanted: fn(&PictureCell) -> bool| picture.cells.iter().filter(|cell| wanted(cell)).count() as u64;
     let mut sheet = Sheet::stdout(session.format, &["out", "cells", "known", "changing", "generation"]);
     sheet.row(vec![
@@ -163,6 +168,12 @@ async fn region(session: &Session, args: &PredictArgs) -> anyhow::Result<Option<
     }))
 }
 
+/// Whether there are known cells, and all of them are rather occupied than free.
+fn is_full(picture: &MapPicture) -> bool {
+    let mut values = picture.cells.iter().filter_map(|cell| cell.value()).peekable();
+    values.peek().is_some() && values.all(|probability| probability >= 0.5)
+}
+
 /// The region cell by cell, as files show it.
 fn picture(predicted: &PredictedGrid) -> MapPicture {
     let CellBox { min, max } = predicted.header.region;
@@ -186,7 +197,13 @@ fn picture(predicted: &PredictedGrid) -> MapPicture {
         }
     }
     let corner = |axis: usize| grid.origin_m[axis] + f64::from(min[axis]) * grid.resolution_m;
-    MapPicture { resolution_m: grid.resolution_m, origin_m: std::array::from_fn(corner), size_cells, cells: picture }
+    MapPicture {
+        resolution_m: grid.resolution_m,
+        origin_m: std::array::from_fn(corner),
+        min_cell: min,
+        size_cells,
+        cells: picture,
+    }
 }
 
 fn write(kind: Kind, picture: &MapPicture, args: &PredictArgs) -> anyhow::Result<()> {
@@ -231,6 +248,9 @@ mod tests {
         let header = GridHeader { grid, region, tiles: 1, cells: 512, bytes: 0, generation: 3 };
         let picture = picture(&PredictedGrid { header, tiles });
         assert_eq!((picture.size_cells, picture.origin_m), ([4, 2, 2], [6.5, 1.0, 5.0]));
+        let indices: Vec<_> = picture.known_indices().map(|(index, _)| index).collect();
+        assert_eq!(indices, [[-7, 2, 11], [-5, 2, 11]]);
+        assert!(!is_full(&picture));
         let known: Vec<_> = picture.known().collect();
         assert_eq!(
             known,

@@ -3,6 +3,8 @@
 //! Invariant: scans come in the order of their numbers, 1, 2, 3, ...; little is read ahead. A file that is cut off gives
 //! its whole scans, then the error.
 
+mod plan;
+
 use std::{
     fs::{self, File},
     io::BufReader,
@@ -19,9 +21,10 @@ use tidemap::{
 use tidemap_proto::v1::scan::Content;
 use tokio::sync::mpsc;
 
+use self::plan::Kind;
+pub(super) use self::plan::{Given, Plan, plan};
 use super::cell_masks::{OnGrid, of_octomap, of_plane};
 use crate::{
-    commands::Misused,
     formats::{PointFile, nav2, octomap, pcd, ply},
     progress::Bar,
 };
@@ -53,69 +56,24 @@ pub(super) struct Chunk {
 
 pub(super) type Chunks = mpsc::Receiver<anyhow::Result<Chunk>>;
 
-/// What else than the files says what the scans are.
-#[derive(Clone, Debug)]
-pub(super) struct Given {
-    pub(super) at_nanos: Option<i64>,
-    pub(super) every_nanos: Option<i64>,
-    pub(super) pose: Option<Pose>,
-    pub(super) min_range_m: f32,
-    pub(super) max_range_m: f32,
-}
-
-/// What the ending of a file says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Scans,
-    Pcd,
-    Ply,
-    OctoMap,
-    Plane,
-}
-
-fn kind(path: &Path) -> Result<Kind, Misused> {
-    let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
-    match ending.as_deref() {
-        Some("tms") => Ok(Kind::Scans),
-        Some("pcd") => Ok(Kind::Pcd),
-        Some("ply") => Ok(Kind::Ply),
-        Some("bt" | "ot") => Ok(Kind::OctoMap),
-        Some("yaml" | "yml" | "pgm") => Ok(Kind::Plane),
-        _ => Err(Misused(format!(
-            "{}: its ending does not say what it is: use .tms, .pcd, .ply, .bt, .ot, .yaml or .pgm",
-            path.display()
-        ))),
-    }
-}
-
 /// Opens files; gives their scans and a bar for them.
-pub(super) fn open(files: &[PathBuf], given: &Given, grid: &Grid) -> anyhow::Result<(Chunks, Bar)> {
-    let kinds = files.iter().map(|file| kind(file)).collect::<Result<Vec<Kind>, Misused>>()?;
+pub(super) fn open(plan: Plan, grid: &Grid) -> anyhow::Result<(Chunks, Bar)> {
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
-    if kinds.contains(&Kind::Scans) {
-        let [file] = files else {
-            return Err(Misused("a .tms file is sent by itself: one a command".to_owned()).into());
-        };
-        if given.at_nanos.is_some() || given.every_nanos.is_some() || given.pose.is_some() {
-            return Err(Misused(
-                "a .tms file has its own times and poses: leave out --at, --every and --pose".to_owned(),
-            )
-            .into());
+    let (each, given) = match plan {
+        Plan::Each(each, given) => (each, given),
+        Plan::Scans(file) => {
+            let (scans, total) = scan_file(&file).with_context(|| file.display().to_string())?;
+            fits(scans.header(), grid).with_context(|| file.display().to_string())?;
+            let (name, is_flat) = (file.display().to_string(), grid.is_flat);
+            spawn(move || send_scans(scans, &name, is_flat, &sender))?;
+            return Ok((receiver, Bar::bytes(total)));
         }
-        let (scans, total) = scan_file(file).with_context(|| file.display().to_string())?;
-        fits(scans.header(), grid).with_context(|| file.display().to_string())?;
-        let (name, is_flat) = (file.display().to_string(), grid.is_flat);
-        spawn(move || send_scans(scans, &name, is_flat, &sender))?;
-        return Ok((receiver, Bar::bytes(total)));
-    }
-    let times = times(given, files.len())?;
+    };
     let bar = Bar::count("files");
-    bar.set_of(0, files.len() as u64);
-    let jobs: Vec<(PathBuf, Kind, i64)> =
-        files.iter().cloned().zip(kinds).zip(times).map(|((f, k), t)| (f, k, t)).collect();
-    let (given, grid, notices) = (given.clone(), grid.clone(), bar.clone());
+    bar.set_of(0, each.len() as u64);
+    let (grid, notices) = (grid.clone(), bar.clone());
     spawn(move || {
-        for ((file, kind, time_nanos), position) in jobs.into_iter().zip(1..) {
+        for ((file, kind, time_nanos), position) in each.into_iter().zip(1..) {
             let scan = one_scan(&file, kind, &given, &grid, &notices).with_context(|| file.display().to_string());
             let failed = scan.is_err();
             let chunk = scan.map(|scan| Chunk { scans: vec![FromFile::Given { time_nanos, scan }], position });
@@ -130,23 +88,6 @@ pub(super) fn open(files: &[PathBuf], given: &Given, grid: &Grid) -> anyhow::Res
 fn spawn(work: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
     thread::Builder::new().name("scans".to_owned()).spawn(work).context("thread")?;
     Ok(())
-}
-
-/// A time for each file.
-fn times(given: &Given, files: usize) -> anyhow::Result<Vec<i64>> {
-    let at = given.at_nanos.ok_or_else(|| Misused("say when the scan was made, with --at".to_owned()))?;
-    let every = match given.every_nanos {
-        Some(every) => every,
-        None if files == 1 => 0,
-        None => {
-            return Err(
-                Misused(format!("{files} files are as many scans: say how far apart they are, with --every")).into()
-            );
-        }
-    };
-    let time = |index: i64| every.checked_mul(index).and_then(|after| at.checked_add(after));
-    let times = (0..).take(files).map(time).collect::<Option<Vec<i64>>>();
-    times.ok_or_else(|| Misused("--at and --every lead beyond the year 2262".to_owned()).into())
 }
 
 fn scan_file(file: &Path) -> anyhow::Result<(ScanFile<BufReader<File>>, Option<u64>)> {
@@ -216,9 +157,16 @@ fn one_scan(file: &Path, kind: Kind, given: &Given, grid: &Grid, bar: &Bar) -> a
         }
         Scan::Tiles(on.tiles)
     };
+    let some_finite = |points: PointFile| {
+        if points.points.is_empty() && points.not_finite > 0 {
+            let text = format!("none of its points is finite: {} are left out", points.not_finite);
+            bar.notice(&format!("{}: {text}", file.display()));
+        }
+        points
+    };
     match kind {
-        Kind::Pcd => cloud(pcd::read(&fs::read(file)?)?, given),
-        Kind::Ply => cloud(ply::read(&fs::read(file)?)?, given),
+        Kind::Pcd => cloud(some_finite(pcd::read(&fs::read(file)?)?), given),
+        Kind::Ply => cloud(some_finite(ply::read(&fs::read(file)?)?), given),
         Kind::OctoMap => of_octomap(&octomap::read(&fs::read(file)?)?, grid).map(tiles),
         Kind::Plane => of_plane(&plane(file)?, grid).map(tiles),
         Kind::Scans => anyhow::bail!("a file of scans is not one scan"),
@@ -232,53 +180,41 @@ fn cloud(points: PointFile, given: &Given) -> anyhow::Result<Scan> {
         pose,
         frame_id: String::new(),
         xyz_m: points.points.into_flattened(),
-        min_range_m: given.min_range_m,
-        max_range_m: given.max_range_m,
+        min_range_m: given.min_range_m.unwrap_or(0.0),
+        max_range_m: given.max_range_m.unwrap_or(0.0),
     }))
 }
 
-/// A grid in the plane from its YAML file, or from its image with the YAML file of the same name beside it.
+/// A grid in the plane from its YAML file, or from its image with the YAML file of the same name beside it. An error
+/// names a file where it is not the given one.
 fn plane(file: &Path) -> anyhow::Result<nav2::Grid> {
+    let (settings, image_path) = plane_files(file)?;
+    let read = || Ok(nav2::read(&settings, &fs::read(&image_path)?)?);
+    of_file(read(), &image_path, file)
+}
+
+/// What is to be read of such a grid: its settings, and where its image is.
+fn plane_files(file: &Path) -> anyhow::Result<(nav2::GridSettings, PathBuf)> {
     let is_image = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("pgm"));
     let settings_path = if is_image { file.with_extension("yaml") } else { file.to_path_buf() };
-    let settings = fs::read(&settings_path).with_context(|| settings_path.display().to_string())?;
-    let settings = nav2::read_settings(&settings).with_context(|| settings_path.display().to_string())?;
+    let read = || Ok(nav2::read_settings(&fs::read(&settings_path)?)?);
+    let settings = of_file(read(), &settings_path, file)?;
     let image_path = match (is_image, settings_path.parent()) {
         (true, _) => file.to_path_buf(),
         (false, Some(folder)) => folder.join(&settings.image),
         (false, None) => PathBuf::from(&settings.image),
     };
-    let image = fs::read(&image_path).with_context(|| image_path.display().to_string())?;
-    nav2::read(&settings, &image).with_context(|| image_path.display().to_string())
+    Ok((settings, image_path))
+}
+
+/// Names the file that was read, where it is another than the given one, which is named in any case.
+fn of_file<T>(read: anyhow::Result<T>, path: &Path, given: &Path) -> anyhow::Result<T> {
+    if path == given { read } else { read.with_context(|| path.display().to_string()) }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn given() -> Given {
-        Given { at_nanos: Some(100), every_nanos: None, pose: None, min_range_m: 0.0, max_range_m: 0.0 }
-    }
-
-    #[test]
-    fn an_ending_says_what_a_file_is() {
-        assert_eq!(kind(Path::new("a/b.TMS")).ok(), Some(Kind::Scans));
-        assert_eq!(kind(Path::new("map.pgm")).ok(), Some(Kind::Plane));
-        for unknown in ["scan", "scan.las", "-"] {
-            assert!(kind(Path::new(unknown)).is_err_and(|error| error.0.contains(".tms, .pcd")), "{unknown}");
-        }
-    }
-
-    #[test]
-    fn each_file_has_a_time() -> anyhow::Result<()> {
-        assert_eq!(times(&given(), 1)?, [100]);
-        assert_eq!(times(&Given { every_nanos: Some(5), ..given() }, 3)?, [100, 105, 110]);
-        let said = |given: &Given, files| times(given, files).err().map(|error| error.to_string()).unwrap_or_default();
-        assert!(said(&given(), 2).contains("--every"));
-        assert!(said(&Given { at_nanos: None, ..given() }, 1).contains("--at"));
-        assert!(said(&Given { every_nanos: Some(i64::MAX), ..given() }, 3).contains("2262"));
-        Ok(())
-    }
 
     #[test]
     fn a_file_of_scans_has_to_be_of_the_same_cells() {

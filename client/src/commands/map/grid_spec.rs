@@ -41,6 +41,7 @@ pub enum InvalidGridSpec {
     Together(&'static str),
 }
 
+const RESOLUTION: &str = "has to be the edge of a cell in metres, above 0, such as 0.1";
 const METRES: &str = "has to be metres, as X:Y:Z such as -5:-5:0";
 const CELLS: &str = "has to be whole cells, as X:Y:Z such as -50:-50:0";
 const SIZE: &str = "has to be cells along each axis, as 100x80x20, or 100x80 of a flat grid";
@@ -64,7 +65,10 @@ impl FromStr for GridSpec {
         let [resolution, flat, origin, size, min, max, frame, hit, false_alarm, prior] = values;
         let resolution = resolution.ok_or(InvalidGridSpec::NoResolution)?;
         let number = |key, text: &str, right| text.parse::<f64>().map_err(|_| wrong(key, text, right));
-        let resolution_m = number("resolution", resolution, "has to be the edge of a cell in metres, such as 0.1")?;
+        let resolution_m = number("resolution", resolution, RESOLUTION)?;
+        if !(resolution_m > 0.0 && resolution_m.is_finite()) {
+            return Err(wrong("resolution", resolution, RESOLUTION));
+        }
         let is_flat = flat.is_some();
         let origin_m = origin.map_or(Ok([0.0; 3]), |text| triple("origin", text, ':', 0.0, METRES))?;
         let probability =
@@ -76,13 +80,22 @@ impl FromStr for GridSpec {
                 prior: probability("prior", prior, 0.5)?,
             })
         });
+        let sensor: Option<SensorNoise> = sensor.transpose()?;
+        if let Some(SensorNoise { hit, false_alarm, prior }) = sensor {
+            if !((0.0..1.0).contains(&false_alarm) && hit > false_alarm && hit <= 1.0) {
+                return Err(InvalidGridSpec::Together("hit has to be above false-alarm, both within 0 and 1"));
+            }
+            if !(prior > 0.0 && prior < 1.0) {
+                return Err(InvalidGridSpec::Together("prior has to be above 0 and below 1"));
+            }
+        }
         Ok(Self(Grid {
             frame_id: frame.unwrap_or_default().to_owned(),
             is_flat,
             resolution_m,
             origin_m,
             extent: extent(size, min, max, is_flat)?,
-            sensor: sensor.transpose()?,
+            sensor,
             retention: None,
         }))
     }
@@ -117,11 +130,21 @@ fn extent(
     if !is_flat && size.is_some_and(|size| size.split('x').count() == 2) {
         return Err(wrong("size", size.unwrap_or_default(), SIZE));
     }
+    let is_box = |cells: &CellBox| (0..3).all(|axis| cells.min[axis] < cells.max[axis]);
     match (size, min, max) {
         (None, None, None) => Ok(None),
-        (Some(size), None, None) => Ok(Some(CellBox { min: [0; 3], max: triple("size", size, 'x', 1, SIZE)? })),
+        (Some(size), None, None) => {
+            let cells = CellBox { min: [0; 3], max: triple("size", size, 'x', 1, SIZE)? };
+            if is_box(&cells) {
+                Ok(Some(cells))
+            } else {
+                Err(wrong("size", size, "has to be at least 1 along each axis"))
+            }
+        }
         (None, Some(min), Some(max)) => {
-            Ok(Some(CellBox { min: triple("min", min, ':', 0, CELLS)?, max: triple("max", max, ':', 1, CELLS)? }))
+            let cells = CellBox { min: triple("min", min, ':', 0, CELLS)?, max: triple("max", max, ':', 1, CELLS)? };
+            let unordered = InvalidGridSpec::Together("max has to be above min along each axis: it is not included");
+            if is_box(&cells) { Ok(Some(cells)) } else { Err(unordered) }
         }
         (Some(_), ..) => Err(InvalidGridSpec::Together("say either size, or min and max: not both")),
         _ => Err(InvalidGridSpec::Together("min and max go together: say both, in cells")),
@@ -220,6 +243,12 @@ mod tests {
             ("resolution=1,size=5x5x5,min=0:0:0,max=1:1:1", "either size, or min and max"),
             ("resolution=1,min=0:0:0", "min and max go together"),
             ("resolution=1,hit=often", "hit=often"),
+            ("resolution=0", "resolution=0: has to be the edge of a cell in metres, above 0"),
+            ("resolution=nan", "resolution=nan"),
+            ("resolution=1,size=0x1x1", "size=0x1x1: has to be at least 1"),
+            ("resolution=1,min=0:0:0,max=1:0:1", "above min along each axis"),
+            ("resolution=1,hit=0.3,false-alarm=0.5", "hit has to be above false-alarm"),
+            ("resolution=1,prior=1", "prior has to be"),
         ] {
             let error = parsed(text).expect_err(text);
             assert!(error.contains(words), "{text}: {error}");

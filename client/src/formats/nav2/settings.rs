@@ -3,15 +3,14 @@
 //! Needed are `image`, `resolution`, `origin`, `negate`, `occupied_thresh` and `free_thresh`, as the map servers need
 //! them; `mode` is trinary unless the file says otherwise. Other keys are passed over.
 //!
+//! The last line needs no line end: a file in which every needed key has a value is taken as it is.
+//!
 //! Invariant: settings that are returned are finite and make sense: 0 <= free < occupied <= 1, a positive resolution,
 //! and a grid that is not turned.
 
 use saphyr_parser::{Event, Parser};
 
-use super::{
-    super::error::{Problem, shown},
-    FormatError, Place,
-};
+use super::{super::error::shown, FormatError, Place};
 
 /// Most bytes of a YAML file; those of grids have a few hundred.
 const YAML_BYTES_MAX: usize = 64 * 1024;
@@ -78,11 +77,7 @@ pub fn read_settings(bytes: &[u8]) -> Result<GridSettings, FormatError> {
     }
     let text = std::str::from_utf8(bytes)
         .map_err(|error| FormatError::value(Place::Byte(error.valid_up_to() as u64), "a byte", "not UTF-8", "text"))?;
-    // A number that was cut in two still looks like a number.
     let lines = text.lines().count() as u64;
-    if !text.is_empty() && !text.ends_with('\n') {
-        return Err(FormatError { place: Place::Line(lines), problem: Problem::NoLineEnd });
-    }
     let entries = Entries { entries: entries(text)?, lines };
     let image = entries.word("image", "the name of the image file")?;
     if image.0.is_empty() {

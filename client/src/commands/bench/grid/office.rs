@@ -15,10 +15,10 @@ use tidemap::{
     scan_file::{ScanFileHeader, ScanFileWriter},
 };
 use tidemap_proto::v1::{Scan, TileScan, scan::Content};
-use tidemap_sim::{GridOffice, GridOfficeOptions, GridScan, GridStream};
+use tidemap_sim::{GridOffice, GridOfficeError, GridOfficeOptions, GridScan, GridStream};
 
 use super::GridArgs;
-use crate::progress::Bar;
+use crate::{commands::Misused, progress::Bar};
 
 /// Time zone of the office.
 pub(super) const ZONE: &str = "Europe/London";
@@ -27,7 +27,7 @@ pub(super) const RESOLUTION_M: f64 = 0.1;
 
 /// The office of the options.
 pub(super) fn make(args: &GridArgs) -> anyhow::Result<GridOffice> {
-    Ok(GridOffice::new(&GridOfficeOptions {
+    let office = GridOffice::new(&GridOfficeOptions {
         seed: args.seed,
         zone: ZONE.to_owned(),
         cells: args.cells,
@@ -37,7 +37,18 @@ pub(super) fn make(args: &GridArgs) -> anyhow::Result<GridOffice> {
         views: args.views,
         dwell_scans: args.dwell_scans,
         ..GridOfficeOptions::default()
-    })?)
+    });
+    office.map_err(|error| match error {
+        GridOfficeError::OutOfRange { option, allowed, given } => {
+            let option = option.replace('_', "-");
+            Misused(format!("--{option} {given}: it has to be {allowed} here")).into()
+        }
+        GridOfficeError::TooQuiet { asked, least } => {
+            let text = format!("--changes-per-day {asked}: the routines of this office alone make {least:.1}");
+            Misused(text).into()
+        }
+        GridOfficeError::Zone(_) => error.into(),
+    })
 }
 
 /// Writes the file; gives its length. A file that is not whole does not get its name.
@@ -69,19 +80,19 @@ pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
 }
 
 /// Turns scans of the office into those of the wire.
-struct WireScans<'a> {
+pub(super) struct WireScans<'a> {
     office: &'a GridOffice,
     shown: Vec<bool>,
     view: Option<u32>,
 }
 
 impl<'a> WireScans<'a> {
-    fn new(office: &'a GridOffice) -> Self {
+    pub(super) fn new(office: &'a GridOffice) -> Self {
         Self { office, shown: Vec::new(), view: None }
     }
 
     /// The scan, and the tiles that are new to the table.
-    fn wire(&mut self, scan: &GridScan<'_>) -> (Vec<i32>, Scan) {
+    pub(super) fn wire(&mut self, scan: &GridScan<'_>) -> (Vec<i32>, Scan) {
         let mut tiles = TileScan::default();
         let mut new_tiles = Vec::new();
         if self.view.is_none() {
@@ -95,17 +106,32 @@ impl<'a> WireScans<'a> {
                 self.shown.resize(view + 1, false);
             }
             if !std::mem::replace(&mut self.shown[view], true) {
-                // All observed, all free; the flips say what is occupied.
+                // All observed; whole masks say what is occupied, which is less than one flip for each cell of it.
                 tiles.masked = slots.to_vec();
-                tiles.occupied = vec![0; slots.len() * MASK_BYTES];
+                tiles.occupied = occupied_masks(slots, scan.occupied_flips);
             }
             self.view = Some(scan.view);
+        }
+        if !tiles.masked.is_empty() {
+            return (new_tiles, Scan { content: Some(Content::Tiles(tiles)) });
         }
         let mut before = 0;
         let difference = |&cell: &u32| cell - std::mem::replace(&mut before, cell);
         tiles.occupied_flips = scan.occupied_flips.iter().map(difference).collect();
         (new_tiles, Scan { content: Some(Content::Tiles(tiles)) })
     }
+}
+
+/// The masks of slots of which these cells are occupied, both ascending.
+fn occupied_masks(slots: &[u32], occupied: &[u32]) -> Vec<u8> {
+    let mut masks = vec![0; slots.len() * MASK_BYTES];
+    let mut cells = occupied.iter().peekable();
+    for (slot, mask) in slots.iter().zip(masks.chunks_exact_mut(MASK_BYTES)) {
+        while let Some(cell) = cells.next_if(|cell| **cell / 512 <= *slot) {
+            mask[*cell as usize % 512 / 8] |= 1 << (cell % 8);
+        }
+    }
+    masks
 }
 
 #[cfg(test)]

@@ -48,6 +48,8 @@ pub(super) struct Transfer {
     read: u64,
     duplicate: u64,
     refused: u64,
+    /// Whether options say what the scans are, and not a file of scans.
+    of_options: bool,
 }
 
 impl Transfer {
@@ -66,6 +68,7 @@ impl Transfer {
             read: 0,
             duplicate: 0,
             refused: 0,
+            of_options: false,
         }
     }
 
@@ -117,6 +120,7 @@ impl Transfer {
 
     async fn scan(&mut self, scan: FromFile) -> Result<(), Ended> {
         let number = self.read + 1;
+        self.of_options = matches!(scan, FromFile::Given { .. });
         let senseless = |error: TileError| Ended::Unreadable(anyhow::anyhow!("scan {number} makes no sense: {error}"));
         if let Some(replay) = &mut self.replay {
             let followed = match scan {
@@ -161,7 +165,8 @@ impl Transfer {
     fn collect(&mut self) {
         for refusal in self.producer.take_refusals() {
             self.refused += 1;
-            self.told.refused(refusal.sequence, None, &refusal.detail);
+            let why = if self.of_options { in_options(&refusal.detail) } else { refusal.detail };
+            self.told.refused(refusal.sequence, None, &why);
         }
     }
 
@@ -180,6 +185,11 @@ impl Transfer {
         let refused = self.refused + progress.dropped_refusals;
         Counts { accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
     }
+}
+
+/// What the daemon says of fields of the wire, said of the options that they come from.
+fn in_options(detail: &str) -> String {
+    detail.replace("min_range_m", "--min-range").replace("max_range_m", "--max-range")
 }
 
 impl Drop for Transfer {
