@@ -7,8 +7,7 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use arc_swap::ArcSwap;
 use tidemap_map::{
-    grid::tile::TileUnavailable, history::HistoryPiece, live_map::LiveMap, name::MapName, snapshot::MapSnapshot,
-    spec::MapSpec,
+    grid::tile::TileUnavailable, live_map::LiveMap, name::MapName, snapshot::MapSnapshot, spec::MapSpec,
 };
 use tidemap_store::{MapId, OpenError, StoreError};
 use tracing::{info, warn};
@@ -258,6 +257,7 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
     };
     let mut replayed = 0u64;
     let mut unsaved: Option<MapSnapshot> = None;
+    let mut save_above = HISTORY_BYTES;
     for entry in opened.replay {
         let (position, event) = entry?;
         replayed += 1;
@@ -277,10 +277,11 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
             let mut history = unsaved.take().map_or(Vec::new(), |older| older.history);
             history.append(&mut snapshot.history);
             snapshot.history = history;
-            if snapshot.history.iter().map(|piece| bytes_of(piece)).sum::<usize>() > HISTORY_BYTES {
-                context.store.save(id, &snapshot)?;
-            } else {
-                unsaved = Some(snapshot);
+            let bytes = snapshot.history.iter().map(|piece| piece.bytes()).sum::<usize>();
+            unsaved = if bytes > save_above { save_or_keep(context, id, snapshot) } else { Some(snapshot) };
+            if bytes > save_above {
+                // One that was not saved is tried again when there is as much history again.
+                save_above = HISTORY_BYTES + if unsaved.is_some() { bytes } else { 0 };
             }
         }
     }
@@ -291,8 +292,13 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
     Ok(start(context.clone(), id, map, opened.log, unsaved)?)
 }
 
-/// Memory of a piece of history, about.
-fn bytes_of(piece: &HistoryPiece) -> usize {
-    let states: usize = piece.states.iter().map(|(_, samples)| size_of_val(samples.as_slice())).sum();
-    states + piece.days.iter().map(|day| day.outliers.bytes()).sum::<usize>()
+/// Saves a snapshot; gives it back where that fails, because the log has everything that it holds.
+fn save_or_keep(context: &Context, id: MapId, snapshot: MapSnapshot) -> Option<MapSnapshot> {
+    match context.store.save(id, &snapshot) {
+        Ok(_) => None,
+        Err(error) => {
+            warn!(id = id.0, %error, "checkpoint not saved; the log keeps everything, tried again later");
+            Some(snapshot)
+        }
+    }
 }

@@ -100,6 +100,8 @@ pub struct Settings {
     pub max_stream_buffer_bytes: usize,
     /// Most bytes of all streams that are taken in and not yet durable.
     pub max_buffer_bytes: usize,
+    /// Most bytes of the tables of tiles and unfinished scans of all streams.
+    pub max_stream_tables_bytes: usize,
     /// Most streams of observations at once.
     pub max_streams: usize,
     /// Pending observations of a map above which an update runs early; above twice as many, those of a running
@@ -142,6 +144,7 @@ impl Default for Settings {
             max_message_bytes: 1 << 20,
             max_stream_buffer_bytes: 1 << 20,
             max_buffer_bytes: 64 << 20,
+            max_stream_tables_bytes: 256 << 20,
             max_streams: 1024,
             max_pending_observations: 4_000_000,
             max_pending_changes: 1_000_000,
@@ -195,6 +198,7 @@ impl Settings {
             ("max_scan_tiles", self.max_scan_tiles as u64, 1, 100_000),
             ("max_message_bytes", self.max_message_bytes as u64, 4096, 16 << 20),
             ("max_stream_buffer_bytes", self.max_stream_buffer_bytes as u64, 4096, 1 << 30),
+            ("max_stream_tables_bytes", self.max_stream_tables_bytes as u64, 1 << 20, 1 << 36),
             ("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30),
             ("max_streams", self.max_streams as u64, 1, 100_000),
             ("max_pending_observations", self.max_pending_observations, 1000, 1 << 32),

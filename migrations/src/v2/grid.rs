@@ -30,6 +30,9 @@ pub struct Grid {
     /// The tiles of the last scan in the log: a set.
     #[prost(bytes = "vec", tag = "7")]
     pub last_seen: Vec<u8>,
+    /// When the first of the scans in `days` and `ahead` was received, or earlier, where there are any.
+    #[prost(sint64, optional, tag = "8")]
+    pub received_nanos: Option<i64>,
 }
 
 /// A tile as the newest scans show it.

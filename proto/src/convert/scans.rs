@@ -4,7 +4,7 @@
 //!
 //! Invariant: both sides keep the same picture of what the stream last showed of each tile. What makes the table itself
 //! or the order of the stream ambiguous is an error of the message; what is wrong in one scan refuses that scan, and the
-//! picture stays as it was before it.
+//! picture stays as it was before it. The slots that it names are then in doubt, and only masks end that.
 
 use tidemap_map::{
     event::RefusalReason,

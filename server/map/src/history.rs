@@ -91,6 +91,13 @@ impl HistoryPiece {
         HistoryPiece { generation, from_nanos: 0, to_nanos: 0, states: Vec::new(), days: Vec::new() }
     }
 
+    /// Memory in bytes, about.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let states: usize = self.states.iter().map(|(_, samples)| size_of_val(samples.as_slice())).sum();
+        states + self.days.iter().map(HistoryDay::bytes).sum::<usize>()
+    }
+
     /// The piece with the times of its observations found out; `None` where it has none.
     #[must_use]
     pub(crate) fn bounded(mut self) -> Option<HistoryPiece> {
@@ -110,5 +117,12 @@ impl HistoryDay {
     #[must_use]
     pub fn plain(day: GridDay) -> HistoryDay {
         HistoryDay { outliers: day, models: Vec::new() }
+    }
+
+    /// Memory in bytes, about.
+    fn bytes(&self) -> usize {
+        let models = self.models.iter().flat_map(|(_, models)| models);
+        let models = models.map(|model| size_of::<OutlierModel>() + size_of_val(model.components.as_slice()));
+        self.outliers.bytes() + models.sum::<usize>()
     }
 }

@@ -119,11 +119,10 @@ impl LiveMap {
         }
         map.models = Arc::new(models);
         if let Some(grid) = snapshot.grid {
-            map.grid = map.grid.map(|empty| LiveGrid::restore(empty.spec, grid));
-            // The snapshot holds pending scans, but not when they were received: hardly before they were made.
-            if let Some(oldest) = map.grid.as_ref().and_then(|grid| grid.oldest_pending_nanos) {
-                map.pending.received(oldest);
+            if let Some(received) = grid.received_nanos {
+                map.pending.received(received);
             }
+            map.grid = map.grid.map(|empty| LiveGrid::restore(empty.spec, grid));
         }
         map
     }

@@ -108,6 +108,12 @@ impl Intake {
         }
     }
 
+    /// Memory of what the stream's scans refer to, in bytes, about: its table of tiles and an unfinished scan.
+    #[must_use]
+    pub fn held_bytes(&self) -> usize {
+        self.scans.held_bytes()
+    }
+
     /// Checks a message. `None`: nothing of it is new.
     ///
     /// # Errors

@@ -222,6 +222,8 @@ pub struct Recall {
     pub from_nanos: i64,
     /// Beyond the last instant.
     pub to_nanos: i64,
+    /// Of what no update has taken, no more than so many observations are wanted.
+    pub at_most: usize,
     /// The answer; it waits while an update has what was observed then.
     pub reply: oneshot::Sender<Recalled>,
 }

@@ -19,6 +19,8 @@ use super::protocol::{Batch, Ending, Hello, HelloError, Opened, Refused, Session
 
 mod scans;
 
+pub use scans::ScanEvent;
+
 #[derive(Debug)]
 enum Slot {
     /// A state of the map, or of a batch in flight.
@@ -93,7 +95,7 @@ pub struct Sessions {
     offsets: OffsetCache,
     /// The map's tiles as they will be when all that is in flight is applied; `None` until a scan comes.
     front: Option<Front>,
-    /// Tiles of scans that wait because their time is too far ahead.
+    /// Tiles of scans in flight whose time is too far ahead.
     tiles_ahead: u64,
     limits: Limits,
 }
@@ -268,8 +270,9 @@ impl Sessions {
         Some((event, refused))
     }
 
-    /// Observations or scans of the stream were applied to the map.
-    pub fn applied(&mut self, id: SessionId, event: &Event) {
+    /// Observations or scans of the stream were applied to the map. `tiles_ahead`: what of them waits for its time.
+    pub fn applied(&mut self, id: SessionId, event: &Event, tiles_ahead: u64) {
+        self.tiles_ahead = self.tiles_ahead.saturating_sub(tiles_ahead);
         // A time that is not plausible yet does not close the days before it.
         let (is_first, newest) = match event {
             Event::Observations(event) => {
@@ -311,6 +314,7 @@ impl Sessions {
     pub fn roll_back(&mut self) {
         self.states_in_flight.clear();
         self.producers_in_flight = 0;
+        self.tiles_ahead = 0;
         self.front = None;
         for session in self.sessions.values_mut() {
             session.shown.forget_tiles();
@@ -325,6 +329,11 @@ impl Sessions {
         }
         let announced = self.leave(id);
         self.broken.extend(announced);
+    }
+
+    /// The open stream of a key.
+    pub fn open_of(&self, key: &ProducerKey) -> Option<SessionId> {
+        self.open_by_key.get(key).copied()
     }
 
     /// Tells a stream something, while it is open or has batches in flight.

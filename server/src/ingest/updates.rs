@@ -11,6 +11,7 @@ use std::{
 };
 
 use tidemap_map::{
+    MAX_AHEAD_NANOS,
     event::UpdateCause,
     live_map::{LiveMap, PendingLimits},
     name::{MapName, ProducerKey},
@@ -21,6 +22,9 @@ use crate::jobs::{Job, Jobs};
 
 /// How long a producer whose stream broke keeps its say in when a day of imported data closes.
 const ANNOUNCEMENT_KEPT: Duration = Duration::from_secs(60);
+
+/// What is pending from just after the last cut on may in truth be later: an update of it is tried this often.
+const UNSURE_NANOS: i64 = 60_000_000_000;
 
 /// Most updates that wait.
 const WAITING_MAX: usize = 16;
@@ -160,6 +164,15 @@ impl Updates {
 
     fn look_at_pending(&mut self, map: &LiveMap, now_nanos: i64) {
         if map.crowding(self.limits, false) <= 1.0 || map.is_updating() || !self.queue.is_empty() {
+            return;
+        }
+        // What is later than a cut may be, the clock having been set back, has to wait: no update could take it.
+        let latest = now_nanos.saturating_add(MAX_AHEAD_NANOS);
+        let may_take = |oldest: i64| {
+            let unsure = if oldest == map.cut_nanos() { UNSURE_NANOS } else { 0 };
+            oldest.saturating_add(unsure) <= latest
+        };
+        if !map.pending_since_nanos().is_some_and(may_take) {
             return;
         }
         // Whole days first: a model is then scored on days that it has not seen a part of.

@@ -13,7 +13,6 @@ use std::{
 
 use arc_swap::ArcSwap;
 use tidemap_map::{
-    event::Event,
     history::HistoryPiece,
     live_map::{LiveMap, PendingLimits},
     snapshot::MapSnapshot,
@@ -25,10 +24,7 @@ use tracing::warn;
 
 use super::{
     handle::MapHandle,
-    protocol::{
-        Batch, Command, Ending, Hello, HelloError, Opened, Permits, Recall, Refused, SavedGrid, ScanParcel,
-        SessionEvent, SessionId,
-    },
+    protocol::{Command, Ending, Hello, HelloError, Opened, Recall, Refused, SavedGrid, SessionEvent, SessionId},
     sessions::{Limits, Sessions},
     updates::{Updates, Wanted},
 };
@@ -44,13 +40,12 @@ const BURST: usize = 512;
 /// Updates in the time of imported data follow each other fast; they are not each saved, because the log gives them
 /// back. At least this often they are.
 const SAVE_INTERVAL: Duration = Duration::from_secs(20);
-/// A log that has grown by this much since the last checkpoint is not to grow further before the next.
-const TAIL_BYTES: u64 = 256 << 20;
 /// How long updates wait after the log could not take one.
 const UPDATE_RETRY: Duration = Duration::from_secs(10);
 
 mod flights;
 mod learning;
+mod queue;
 mod recall;
 mod saving;
 #[cfg(test)]
@@ -92,15 +87,33 @@ pub fn start(
     log: MapLog,
     unsaved: Option<MapSnapshot>,
 ) -> std::io::Result<Arc<MapHandle>> {
+    let (writer, inbox, handle) = build(context, id, map, log, unsaved);
+    std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
+        let fatal = writer.context.fatal.clone();
+        if catch_unwind(AssertUnwindSafe(|| writer.run(&inbox))).is_err() {
+            // A map without a writer is no service. The log has what was acknowledged.
+            drop(fatal.send("the writer of a map panicked; this is a defect of tidemap".to_owned()));
+        }
+    })?;
+    Ok(Arc::new(handle))
+}
+
+/// A writer that does not run yet, where its commands come from, and its handle.
+fn build(
+    context: Context,
+    id: MapId,
+    mut map: LiveMap,
+    log: MapLog,
+    unsaved: Option<MapSnapshot>,
+) -> (Writer, mpsc::Receiver<Command>, MapHandle) {
     let spec = Arc::clone(map.spec());
     let (commands, inbox) = mpsc::channel();
     let (saturated_sender, saturated) = watch::channel(false);
-    let mut map = map;
     let view = Arc::new(ArcSwap::from_pointee(map.publish()));
     let tile_bytes = Arc::new(AtomicU64::new(map.tile_memory().bytes));
     let handle =
         MapHandle::new(id, Arc::clone(&spec), Arc::clone(&view), commands.clone(), saturated, Arc::clone(&tile_bytes));
-    let writer = Writer {
+    let mut writer = Writer {
         sessions: Sessions::new(
             spec.zone.offset_cache(),
             Limits {
@@ -119,7 +132,10 @@ pub fn start(
         view,
         saturated: saturated_sender,
         commands,
+        deferred: VecDeque::new(),
         flights: VecDeque::new(),
+        flight_bytes: 0,
+        flight_bytes_max: queue::FLIGHT_BYTES,
         grounded: Vec::new(),
         failing: None,
         waiting_hellos: Vec::new(),
@@ -135,21 +151,18 @@ pub fn start(
         updating_times: None,
         saved_grid: None,
         tile_bytes,
+        history_bytes: 0,
         saving: false,
         last_save: None,
+        save_failures: 0,
         stopping: None,
     };
-    std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
-        let fatal = writer.context.fatal.clone();
-        if catch_unwind(AssertUnwindSafe(|| writer.run(&inbox))).is_err() {
-            // A map without a writer is no service. The log has what was acknowledged.
-            drop(fatal.send("the writer of a map panicked; this is a defect of tidemap".to_owned()));
-        }
-    })?;
-    Ok(Arc::new(handle))
+    writer.count_history();
+    (writer, inbox, handle)
 }
 
 use flights::Flight;
+use queue::Deferred;
 
 #[derive(Default)]
 struct PendingAck {
@@ -170,7 +183,12 @@ struct Writer {
     commands: mpsc::Sender<Command>,
     sessions: Sessions,
     updates: Updates,
+    /// What streams have handed over and is not taken yet.
+    deferred: VecDeque<Deferred>,
     flights: VecDeque<Flight>,
+    /// Memory of the scans among them, about, and above which no more are taken.
+    flight_bytes: usize,
+    flight_bytes_max: usize,
     /// Refused by the log because of a failure whose answer is still on its way.
     grounded: Vec<Flight>,
     /// Set while appends fail, until all in flight are answered.
@@ -197,8 +215,12 @@ struct Writer {
     saved_grid: SavedGrid,
     /// What models and sums of tiles take in memory, for others to read.
     tile_bytes: Arc<AtomicU64>,
+    /// Memory of the history that no save has kept, about.
+    history_bytes: usize,
     saving: bool,
     last_save: Option<Instant>,
+    /// Saves that have failed since the last that did not.
+    save_failures: u32,
     stopping: Option<(Ending, oneshot::Sender<()>)>,
 }
 
@@ -226,15 +248,19 @@ impl Writer {
     fn handle(&mut self, command: Command) {
         match command {
             Command::Hello(hello) => self.hello(hello),
-            Command::Batch { session, batch, permits } => self.batch(session, batch, permits),
-            Command::Scans { session, parcel, permits } => self.scans(session, parcel, permits),
-            Command::Leave { session, clean } => self.leave(session, clean),
+            Command::Batch { session, batch, permits } => self.defer(Deferred::Batch(session, batch, permits)),
+            Command::Scans { session, parcel, permits } => self.defer(Deferred::Scans(session, parcel, permits)),
+            Command::Leave { session, clean } => self.defer(Deferred::Leave(session, clean)),
             Command::Update { until_nanos, cause, job } => self.updates.push(Wanted { until_nanos, cause, job }),
             Command::Committed(result) => self.committed(result),
             Command::UpdateDone { job, result } => self.update_done(&job, result),
             Command::Saved(result) => self.saved(result),
             Command::Recall(recall) => self.recall(recall),
-            Command::Stop { ending, done } => self.stopping = Some((ending, done)),
+            Command::Stop { ending, done } => {
+                self.stopping = Some((ending, done));
+                // Not acknowledged: the streams end, and their producers have it.
+                self.deferred.clear();
+            }
         }
     }
 
@@ -266,9 +292,14 @@ impl Writer {
         if may_update {
             self.start_update(now);
         }
-        let saturated = self.map.crowding(self.context.max_pending, true) > 2.0;
+        // Before it takes more: an update that is due makes room, and so do appends and a running update.
+        let is_idle = may_update && self.flights.is_empty() && !self.map.is_updating() && !self.updates.is_waited_for();
+        self.take_deferred(is_idle);
+        let saturated =
+            self.map.crowding(self.context.max_pending, true) > queue::CROWDING_MAX || self.is_history_too_large();
         self.saturated.send_if_modified(|known| std::mem::replace(known, saturated) != saturated);
-        if self.is_save_due() {
+        // At a stop the last save follows by itself.
+        if self.stopping.is_none() && !self.is_update_starting() && self.is_save_due() {
             self.save();
         }
     }
@@ -287,10 +318,15 @@ impl Writer {
     }
 
     fn hello(&mut self, hello: Hello) {
+        if hello.reply.is_closed() {
+            return;
+        }
         let answer = if self.stopping.is_some() {
             Err(HelloError::Closing)
         } else if let Some(error) = &self.failing {
             Err(HelloError::Storage(error.clone()))
+        } else if hello.incarnation == 0 && self.defers_end_of(&hello) {
+            return self.waiting_hellos.push(hello);
         } else {
             match self.sessions.open(&hello, &self.map) {
                 Ok(Some(opened)) => Ok(opened),
@@ -307,44 +343,6 @@ impl Writer {
             if let Some(opened) = opened {
                 self.sessions.leave(opened.session);
             }
-        }
-    }
-
-    /// Whether a stream may hand something over now; it is told where it may not.
-    fn takes(&mut self, session: SessionId) -> bool {
-        if let Some(error) = self.failing.clone().filter(|_| self.stopping.is_none()) {
-            self.sessions.end(session, &Ending::Storage(error));
-            return false;
-        }
-        self.stopping.is_none()
-    }
-
-    fn batch(&mut self, session: SessionId, batch: Batch, permits: Permits) {
-        if !self.takes(session) {
-            return;
-        }
-        let now = self.context.clock.now_nanos();
-        let Some((observations, refused)) = self.sessions.event(session, batch, &self.map, now) else { return };
-        let event = Event::Observations(observations);
-        self.launch(Flight::Taken { session, event, refused, _permits: Arc::new(permits) });
-    }
-
-    fn scans(&mut self, session: SessionId, parcel: ScanParcel, permits: Permits) {
-        if !self.takes(session) {
-            return;
-        }
-        let now = self.context.clock.now_nanos();
-        let permits = Arc::new(permits);
-        for (event, refused) in self.sessions.scan_events(session, parcel, &self.map, now) {
-            self.launch(Flight::Taken { session, event, refused, _permits: Arc::clone(&permits) });
-        }
-    }
-
-    fn leave(&mut self, session: SessionId, clean: bool) {
-        if let Some((key, reached)) = self.sessions.leave(session)
-            && !clean
-        {
-            self.updates.stream_broke(key, reached);
         }
     }
 

@@ -61,18 +61,21 @@ fn job_to_wire(job: &Job) -> v1::Job {
     }
 }
 
-/// The row of all cells of the grid.
+/// The row of all cells of the grid: the most frequent orders, and the errors with each cell's own.
 fn cells_to_wire(cells: &GridOutcome) -> v1::StateUpdate {
-    let orders = cells.cells_by_order.iter().enumerate();
     // Of equally many the lower order.
-    let order = orders.rev().max_by_key(|(_, cells)| **cells).map_or(0, |(order, _)| order);
+    let most = |cells_by_order: &[u64]| {
+        let orders = cells_by_order.iter().enumerate().rev();
+        let order = orders.max_by_key(|(_, cells)| **cells).map_or(0, |(order, _)| order);
+        u32::try_from(order).unwrap_or(u32::MAX)
+    };
     let scored = (cells.scored > 0).then_some(cells.scored as f64);
     v1::StateUpdate {
         state: "cell/*".to_owned(),
-        order_before: u32::try_from(order).unwrap_or(u32::MAX),
-        order: u32::try_from(order).unwrap_or(u32::MAX),
+        order_before: most(&cells.cells_by_order_before),
+        order: most(&cells.cells_by_order),
         mean_squared_error_before: scored.map(|scored| cells.squared_error_in_force / scored),
-        mean_squared_error: scored.map(|scored| cells.squared_errors[order] / scored),
+        mean_squared_error: scored.map(|scored| cells.squared_error_chosen / scored),
         observations: cells.observations,
         scored: cells.scored,
     }

@@ -72,6 +72,8 @@ pub struct Observations {
     pub limits: StreamLimits,
     /// Room for all streams together, in bytes.
     pub buffers: Arc<Semaphore>,
+    /// Room for the tables of tiles and the unfinished scans of all streams together, in units of 1 KiB.
+    pub tables: Arc<Semaphore>,
     /// Open streams.
     pub streams: Arc<AtomicUsize>,
     /// Turns true when the daemon stops.
@@ -106,10 +108,10 @@ impl ObservationService for Observations {
         let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
         let catalog = Arc::clone(&self.catalog);
         let limits = self.limits;
-        let buffers = Arc::clone(&self.buffers);
+        let room = (Arc::clone(&self.buffers), Arc::clone(&self.tables));
         let stopping = self.stopping.clone();
         tokio::spawn(async move {
-            let result = open_and_serve(catalog, limits, buffers, stopping, request.into_inner(), &replies).await;
+            let result = open_and_serve(catalog, limits, room, stopping, request.into_inner(), &replies).await;
             if let Err(error) = result {
                 debug!(%error, "stream ended");
                 // A client that is gone does not hear why.
@@ -168,7 +170,7 @@ fn bytes_of(batch: &Batch) -> usize {
 async fn open_and_serve(
     catalog: Arc<Catalog>,
     limits: StreamLimits,
-    buffers: Arc<Semaphore>,
+    (buffers, tables): (Arc<Semaphore>, Arc<Semaphore>),
     stopping: watch::Receiver<bool>,
     mut requests: Streaming<v1::ObserveRequest>,
     replies: &Replies,
@@ -210,6 +212,8 @@ async fn open_and_serve(
         opened,
         limits,
         buffers,
+        tables,
+        held: None,
         events,
         replies,
     };
@@ -230,6 +234,9 @@ struct Stream<'a> {
     intake: Option<Intake>,
     limits: StreamLimits,
     buffers: Arc<Semaphore>,
+    tables: Arc<Semaphore>,
+    /// Room for this stream's table of tiles and its unfinished scan.
+    held: Option<OwnedSemaphorePermit>,
     own_buffer: Arc<Semaphore>,
     events: mpsc::UnboundedReceiver<SessionEvent>,
     replies: &'a Replies,
@@ -294,6 +301,7 @@ impl Stream<'_> {
 
     async fn take_scans(&mut self, message: v1::ScanBatch) -> Result<(), RpcError> {
         let is_much_work = self.intake()?.begin_scans(message)?;
+        self.hold_tables()?;
         let mut is_any_new = false;
         while let Some(parcel) = self.next_scans(is_much_work).await? {
             let permits = self.permits(parcel.bytes).await?;
@@ -303,6 +311,30 @@ impl Stream<'_> {
         }
         // The writer does not answer for tiles, nor for what was taken before; a scan that goes on waits for its end.
         if is_any_new { Ok(()) } else { self.say_durable().await }
+    }
+
+    /// Takes room for what the stream's scans refer to, for as long as the stream lives. Waiting for it could go on for
+    /// ever, because it is other streams that have it.
+    fn hold_tables(&mut self) -> Result<(), RpcError> {
+        let wanted = u32::try_from(self.intake()?.held_bytes().div_ceil(1024)).unwrap_or(u32::MAX);
+        let held = self.held.as_ref().map_or(0, |held| u32::try_from(held.num_permits()).unwrap_or(u32::MAX));
+        if wanted <= held {
+            return Ok(());
+        }
+        let Ok(more) = Arc::clone(&self.tables).try_acquire_many_owned(wanted - held) else {
+            let free = (held as usize).saturating_add(self.tables.available_permits()) as u64 * 1024;
+            return Err(RpcError::Limit {
+                what: "bytes of this stream's tiles and unfinished scan, beside those of other streams",
+                got: u64::from(wanted) * 1024,
+                max: free,
+                setting: "setting max_stream_tables_bytes",
+            });
+        };
+        match &mut self.held {
+            Some(held) => held.merge(more),
+            none => *none = Some(more),
+        }
+        Ok(())
     }
 
     /// The next scans of the message, from a thread of its own where rays are to be cast.

@@ -1,7 +1,7 @@
 //! `QueryService`: questions to an immutable view, and to what is kept of the past.
 //!
 //! Invariant: a request is answered from one view, off the async threads, in pieces that wait for the reader, and for a
-//! bounded time. Only so many requests compute predictions at once; the others wait for them.
+//! bounded time. Only so many requests look up and compute at once; the others wait for them.
 
 use std::sync::Arc;
 
@@ -33,13 +33,15 @@ pub struct Queries {
     max_predictions: u64,
     max_batch: usize,
     turns: Turns,
+    /// Turns to ask about the past. They are others: who has one may wait for an update, and predictions go on meanwhile.
+    recalls: Turns,
 }
 
 impl Queries {
     /// Answers with at most so many predictions a request, and takes at most so many observations a message.
     #[must_use]
     pub fn new(catalog: Arc<Catalog>, max_predictions: u64, max_batch: usize) -> Self {
-        Self { catalog, max_predictions, max_batch, turns: Turns::default() }
+        Self { catalog, max_predictions, max_batch, turns: Turns::default(), recalls: Turns::default() }
     }
 }
 

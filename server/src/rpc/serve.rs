@@ -67,6 +67,7 @@ pub async fn serve(
             max_streams: settings.max_streams,
         },
         buffers: Arc::new(Semaphore::new(settings.max_buffer_bytes)),
+        tables: Arc::new(Semaphore::new(settings.max_stream_tables_bytes / 1024)),
         streams: Arc::new(AtomicUsize::new(0)),
         stopping,
     };

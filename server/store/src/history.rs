@@ -87,6 +87,8 @@ pub struct History {
     pub(crate) before: u64,
     /// No file is opened for more observations of a state than this.
     pub(crate) enough: usize,
+    /// Whether there is a file for every update that folded something in.
+    pub(crate) is_complete: bool,
 }
 
 impl fmt::Debug for History {
@@ -138,6 +140,26 @@ impl History {
     #[must_use]
     pub fn at_most(self, observations: usize) -> History {
         History { enough: observations, ..self }
+    }
+
+    /// Whether the map's first update is in it already, unless it is older than what is kept. It is not for a map that was
+    /// created under format 1, of which updates before the migration left no files.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.is_complete
+    }
+
+    /// The first generation that has a file of named states, and the greatest time of its observations.
+    ///
+    /// # Errors
+    /// [`HistoryError`] names the file that cannot be read.
+    pub fn first_of_states(&self) -> Result<Option<(u64, i64)>, HistoryError> {
+        for generation in self.generations(Part::States).map_err(|error| self.list_error(error))? {
+            if let Some(file) = self.open_if_there(generation, Part::States)? {
+                return Ok(Some((generation, file.to_nanos())));
+            }
+        }
+        Ok(None)
     }
 
     /// The observations of a state at times from `from_nanos` up to but not including `to_nanos`, ascending by time; of

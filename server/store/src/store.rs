@@ -164,7 +164,7 @@ impl Inner {
 
     fn history(&self, map: MapId) -> History {
         let folder = catalogue::history_folder(&self.directory, map);
-        History { disk: Arc::clone(&self.disk), folder, map, before: u64::MAX, enough: usize::MAX }
+        History { disk: Arc::clone(&self.disk), folder, map, before: u64::MAX, enough: usize::MAX, is_complete: true }
     }
 
     fn checkpoints(&self, map: MapId) -> Checkpoints<'_> {
@@ -274,8 +274,9 @@ impl Store {
     /// # Errors
     /// [`HistoryError::UnknownMap`].
     pub fn history(&self, map: MapId) -> Result<History, HistoryError> {
-        let is_known = self.inner.maps().entries.contains_key(&map);
-        if is_known { Ok(self.inner.history(map)) } else { Err(HistoryError::UnknownMap(map)) }
+        let is_complete = self.inner.maps().entries.get(&map).map(|entry| entry.history_complete);
+        let is_complete = is_complete.ok_or(HistoryError::UnknownMap(map))?;
+        Ok(History { is_complete, ..self.inner.history(map) })
     }
 
     /// How long fdatasync of the logs has taken.

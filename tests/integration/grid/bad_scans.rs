@@ -148,8 +148,11 @@ async fn grid_scans_that_are_wrong_are_refused_one_by_one() {
     }
     let all: Vec<Content> = wrong().into_iter().map(|(content, ..)| content).collect();
     let count = all.len() as u64;
-    let flips = TileScan { seen: vec![0, 2], observed_flips: vec![512], ..TileScan::default() };
-    let good = tiles(TileScan { occupied_flips: vec![5], ..flips });
+    // The wrong ones have named its slots: what they show is said anew.
+    let (mut observed, mut occupied) = (vec![0xFF; 64], vec![0; 128]);
+    observed.extend(std::iter::once(1).chain([0; 63]));
+    occupied[0] = 0b10_1000;
+    let good = tiles(TileScan { seen: vec![0, 2], masked: vec![0, 1], observed, occupied, ..TileScan::default() });
     let last = sequence + count + 1;
     stream.say(Message::Scans(message(sequence + 1, &[], all.into_iter().chain([good]).collect()))).await;
     let refused = stream.acknowledged(last).await.expect("the stream goes on");

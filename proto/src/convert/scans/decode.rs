@@ -68,6 +68,12 @@ impl ScanDecoder {
         self.open.as_ref().map(|open| open.sequence)
     }
 
+    /// Memory that the stream takes between messages, in bytes, about: its table of tiles, and a scan that goes on.
+    #[must_use]
+    pub fn held_bytes(&self) -> usize {
+        self.shown.bytes() + self.open.as_ref().map_or(0, Parts::bytes)
+    }
+
     /// Begins a message; its scans are to be taken out with [`ScanDecoder::next_scan`] before the next one. Gives the
     /// tiles that it adds to the stream's table.
     ///
@@ -126,12 +132,19 @@ impl ScanDecoder {
                 open.join(sequence, utc_nanos, scan.content)?;
                 open
             }
-            None => Parts { sequence, utc_nanos, content: scan.content },
+            None => Parts { sequence, utc_nanos, content: scan.content, folded: None },
         };
-        Parts::check(parts.content.as_ref(), &self.limits)?;
+        parts.check(&self.limits)?;
+        if self.spec.is_none() {
+            parts.fold();
+        }
         if goes_on {
             self.open = Some(parts);
             return Ok(None);
+        }
+        if let Some(folded) = parts.folded {
+            let (digest, refusal) = (folded.digest(), Some(no_grid()));
+            return Ok(Some(DecodedScan { sequence, utc_nanos, digest, content: None, refusal }));
         }
         let content = parts.content.take();
         Ok(Some(self.whole(sequence, utc_nanos, content)))

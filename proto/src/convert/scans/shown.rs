@@ -1,7 +1,8 @@
 //! A stream's table of tiles: which they are, what it last showed of them, and which of them it saw last.
 //!
 //! Invariant: masks are those that were sent, also beyond the grid's extent, because digests and later flips refer to
-//! them. `digest` and `cells` are the sums over the tiles of `runs`.
+//! them. `digest` and `cells` are the sums over the tiles of `runs`. A slot is in doubt from a malformed scan that named
+//! it until a scan gives its masks whole: the sender may take it for moved.
 
 use std::{collections::HashSet, sync::Arc};
 
@@ -28,6 +29,8 @@ pub(super) struct Slot {
     index_crc: u32,
     /// Cells within the grid's extent; `None`: all.
     within: Option<Box<Mask>>,
+    /// Whether its sender may believe that it has shown something else.
+    pub is_in_doubt: bool,
 }
 
 impl Slot {
@@ -60,6 +63,8 @@ pub(super) struct Shown {
     pub digest: u64,
     /// Cells observed within the grid's extent.
     pub cells: u64,
+    /// Whether slots that are yet to come are in doubt.
+    is_rest_in_doubt: bool,
 }
 
 impl Shown {
@@ -74,6 +79,7 @@ impl Shown {
             seen: Arc::from([]),
             digest: 0,
             cells: 0,
+            is_rest_in_doubt: false,
         }
     }
 
@@ -111,7 +117,8 @@ impl Shown {
             let index_crc = index_crc(index);
             let masks = TileMasks::default();
             let digest = masks_digest(index_crc, &masks);
-            self.slots.push(Slot { masks, digest, index_crc, within: self.within(index).map(Box::new) });
+            let within = self.within(index).map(Box::new);
+            self.slots.push(Slot { masks, digest, index_crc, within, is_in_doubt: self.is_rest_in_doubt });
         }
         Ok(indices)
     }
@@ -135,6 +142,39 @@ impl Shown {
             }
         }
         Some(within)
+    }
+
+    /// Memory that it takes, in bytes, about.
+    pub fn bytes(&self) -> usize {
+        let cut = self.slots.iter().filter(|slot| !slot.is_whole()).count();
+        let per_slot = size_of::<Slot>() + 2 * size_of::<TileIndex>();
+        self.slots.len() * per_slot + cut * size_of::<Mask>() + 4 * self.seen.len() + 8 * self.runs.len()
+    }
+
+    /// Puts slots in doubt; `None`: all of them, and those that are yet to come.
+    pub fn doubt(&mut self, slots: Option<&[u32]>) {
+        match slots {
+            Some(slots) => {
+                for &number in slots {
+                    if let Some(slot) = self.slots.get_mut(number as usize) {
+                        slot.is_in_doubt = true;
+                    }
+                }
+            }
+            None => {
+                self.slots.iter_mut().for_each(|slot| slot.is_in_doubt = true);
+                self.is_rest_in_doubt = true;
+            }
+        }
+    }
+
+    /// Ends the doubt about slots whose masks were given whole.
+    pub fn trust(&mut self, slots: &[u32]) {
+        for &number in slots {
+            if let Some(slot) = self.slots.get_mut(number as usize) {
+                slot.is_in_doubt = false;
+            }
+        }
     }
 
     /// Takes a scan over: the masks that it changes, and the runs where it sees other slots than the scan before.

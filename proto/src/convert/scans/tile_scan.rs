@@ -1,6 +1,7 @@
 //! One scan of tiles against what its stream last showed of them.
 //!
-//! Invariant: a scan that is refused has changed nothing. What a scan costs follows what it changes, and the number of
+//! Invariant: a scan that is refused has changed no masks, and puts the slots that it names in doubt; flips of these are
+//! refused until masks come. What a scan costs follows what it changes, and the number of
 //! slots where it sees others than the scan before.
 
 use tidemap_map::grid::{
@@ -96,6 +97,15 @@ impl TileScans {
         scan: &v1::TileScan,
         utc_nanos: i64,
     ) -> Result<SentScan, ScanRefusal> {
+        let read = self.read_whole(shown, scan, utc_nanos);
+        match &read {
+            Ok(_) => shown.trust(&scan.masked),
+            Err(_) => shown.doubt(named(scan, shown.slots.len()).as_deref()),
+        }
+        read
+    }
+
+    fn read_whole(&mut self, shown: &mut Shown, scan: &v1::TileScan, utc_nanos: i64) -> Result<SentScan, ScanRefusal> {
         let mut sees_others = false;
         if !scan.seen.is_empty() {
             unpack_seen(&scan.seen, shown.slots.len(), &mut self.runs)?;
@@ -108,6 +118,7 @@ impl TileScans {
         let (mut to_observed, mut to_occupied) =
             (Vec::with_capacity(scan.observed_flips.len()), Vec::with_capacity(scan.occupied_flips.len()));
         self.changes.clear();
+        let mut in_doubt = None;
         loop {
             let next = [masks.slot(), observed_flips.slot(), occupied_flips.slot()].into_iter().flatten().min();
             let Some(number) = next else { break };
@@ -119,6 +130,9 @@ impl TileScans {
             }
             let whole = masks.next_of(number);
             let (mut observed, mut occupied) = whole.unwrap_or((slot.masks.observed(), slot.masks.occupied()));
+            if whole.is_none() && slot.is_in_doubt {
+                in_doubt = in_doubt.or(Some(number));
+            }
             // What is sent can be handed on as it is, unless masks come before it or cells are cut off.
             let is_plain = whole.is_none() && slot.is_whole();
             while let Some(cell) = observed_flips.next_of(number)? {
@@ -140,10 +154,36 @@ impl TileScans {
             }
             self.changes.push((number, checked));
         }
+        if let Some(number) = in_doubt {
+            let text = format!(
+                "slot {number}: a scan before that named it was refused as malformed, and what its flips refer to is in \
+                 doubt: send the slot's masks whole"
+            );
+            return Err(ScanRefusal::malformed(text));
+        }
         shown.take(&self.changes, sees_others.then_some(&mut self.runs));
         let seen = shown.seen.clone();
         Ok(SentScan { utc_nanos, seen, observed_flips: to_observed, occupied_flips: to_occupied })
     }
+}
+
+/// The slots that a malformed scan names as changed; `None` where that cannot be told.
+fn named(scan: &v1::TileScan, table: usize) -> Option<Vec<u32>> {
+    let most = scan.masked.len() * MASK_BYTES;
+    if scan.observed.len() > most || scan.occupied.len() > most {
+        return None;
+    }
+    let mut slots = scan.masked.clone();
+    for flips in [&scan.observed_flips, &scan.occupied_flips] {
+        let mut cell = 0u32;
+        for &further in flips {
+            cell = cell.checked_add(further)?;
+            if slots.last() != Some(&(cell >> 9)) {
+                slots.push(cell >> 9);
+            }
+        }
+    }
+    slots.iter().all(|slot| (*slot as usize) < table).then_some(slots)
 }
 
 fn check(slot: u32, observed: Mask, occupied: Mask, is_flat: bool) -> Result<TileMasks, ScanRefusal> {

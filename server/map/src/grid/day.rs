@@ -1,7 +1,8 @@
 //! The exact scans of one local day that no update has folded in yet, tile by tile.
 //!
 //! Invariant: nothing is lost: each scan's masks can be told from what is kept. Scans are numbered in the order of
-//! arrival. A tile's flips refer to the last scan of this day that saw the tile.
+//! arrival. A tile's flips refer to the last scan of this day that saw the tile. A day costs what its scans saw, however
+//! many tiles the grid has.
 
 use std::sync::Arc;
 
@@ -101,9 +102,12 @@ pub struct GridDay {
     pub scans: Vec<ScanTime>,
     /// Which tiles they saw; the counts add up to their number.
     pub presence: Vec<PresenceRun>,
-    /// The tiles by their id; `None` where the day has no scan of the tile.
-    pub tiles: Vec<Option<Box<DayTile>>>,
+    /// The tiles that its scans saw, ascending.
+    tiles: Vec<(TileId, Box<DayTile>)>,
 }
+
+/// What a tile counts in [`GridDay::changes`] apart from its flips: its size in units of 12 bytes.
+const TILE_CHANGES: u64 = (size_of::<DayTile>() + size_of::<(TileId, Box<DayTile>)>()).div_ceil(12) as u64;
 
 impl GridDay {
     /// A day without scans.
@@ -138,48 +142,79 @@ impl GridDay {
     /// Says what a scan showed of a tile that it saw. A tile of which nothing is said shows what it showed before. Gives
     /// by how much [`GridDay::changes`] becomes more.
     pub fn show(&mut self, scan: u32, tile: TileId, masks: TileMasks) -> u64 {
-        let index = tile.0 as usize;
-        if index >= self.tiles.len() {
-            self.tiles.resize_with(index + 1, || None);
+        let at = match self.place(tile) {
+            Ok(at) => at,
+            Err(at) => {
+                self.tiles.insert(at, (tile, Box::new(DayTile { first: masks, flips: Vec::new(), last: masks })));
+                return TILE_CHANGES;
+            }
+        };
+        let Some((_, known)) = self.tiles.get_mut(at) else { return 0 };
+        let before = known.flips.len();
+        for (bit, before, now) in [
+            (Bit::Observed, known.last.observed(), masks.observed()),
+            (Bit::Occupied, known.last.occupied(), masks.occupied()),
+        ] {
+            for cell in (before ^ now).cells() {
+                known.flips.push(Flip::new(scan, cell, bit));
+            }
         }
-        match &mut self.tiles[index] {
-            Some(known) => {
-                let before = known.flips.len();
-                for (bit, before, now) in [
-                    (Bit::Observed, known.last.observed(), masks.observed()),
-                    (Bit::Occupied, known.last.occupied(), masks.occupied()),
-                ] {
-                    for cell in (before ^ now).cells() {
-                        known.flips.push(Flip::new(scan, cell, bit));
-                    }
-                }
-                known.last = masks;
-                (known.flips.len() - before) as u64
-            }
-            none => {
-                *none = Some(Box::new(DayTile { first: masks, flips: Vec::new(), last: masks }));
-                1
-            }
+        known.last = masks;
+        (known.flips.len() - before) as u64
+    }
+
+    /// Where a tile is, or belongs.
+    fn place(&self, tile: TileId) -> Result<usize, usize> {
+        // A day's first scan gives its tiles one after the other.
+        match self.tiles.last() {
+            Some((last, _)) if *last < tile => Err(self.tiles.len()),
+            _ => self.tiles.binary_search_by_key(&tile, |(tile, _)| *tile),
         }
     }
 
     /// A tile on this day.
     #[must_use]
     pub fn tile(&self, tile: TileId) -> Option<&DayTile> {
-        self.tiles.get(tile.0 as usize)?.as_deref()
+        self.tiles.get(self.place(tile).ok()?).map(|(_, tile)| &**tile)
     }
 
-    /// The scans that saw each tile, as ranges of their numbers, first and end; by tile id.
+    /// The tiles that the day's scans saw, ascending.
+    pub fn tiles(&self) -> impl DoubleEndedIterator<Item = (TileId, &DayTile)> + ExactSizeIterator {
+        self.tiles.iter().map(|(id, tile)| (*id, &**tile))
+    }
+
+    /// Gives the day a tile as a whole, instead of what it has of it.
+    pub fn put(&mut self, id: TileId, tile: DayTile) {
+        match self.place(id) {
+            Ok(at) => *self.tiles[at].1 = tile,
+            Err(at) => self.tiles.insert(at, (id, Box::new(tile))),
+        }
+    }
+
+    /// The tiles to be changed, in the order of [`GridDay::tiles`].
+    pub(crate) fn tiles_mut(&mut self) -> &mut Vec<(TileId, Box<DayTile>)> {
+        &mut self.tiles
+    }
+
+    /// The scans that saw each tile, as ranges of their numbers, first and end; in the order of [`GridDay::tiles`].
     #[must_use]
     pub fn presence_by_tile(&self) -> Vec<Vec<(u32, u32)>> {
         let mut ranges: Vec<Vec<(u32, u32)>> = vec![Vec::new(); self.tiles.len()];
         for run in &self.presence {
+            // Both ascend, and mostly name the same tiles.
+            let mut at = 0;
             for tile in run.seen.iter() {
-                let Some(ranges) = ranges.get_mut(tile.0 as usize) else { continue };
-                match ranges.last_mut() {
-                    Some((_, end)) if *end == run.first => *end = run.first + run.count,
-                    _ => ranges.push((run.first, run.first + run.count)),
+                if self.tiles.get(at).is_some_and(|(known, _)| known < tile) {
+                    at += self.tiles[at..].partition_point(|(known, _)| known < tile);
                 }
+                if self.tiles.get(at).is_none_or(|(known, _)| known != tile) {
+                    continue;
+                }
+                match ranges[at].last_mut() {
+                    Some((_, end)) if *end == run.first => *end = run.first + run.count,
+                    _ => ranges[at].push((run.first, run.first + run.count)),
+                }
+                at += 1;
             }
         }
         ranges
@@ -213,8 +248,7 @@ impl GridDay {
             })
             .collect();
         let presence = self.presence_by_tile();
-        for (index, (tile, ranges)) in self.tiles.into_iter().zip(presence).enumerate() {
-            let (Some(tile), Ok(id)) = (tile, u32::try_from(index).map(TileId)) else { continue };
+        for ((id, tile), ranges) in self.tiles.into_iter().zip(presence) {
             let (mut masks, mut flips) = (tile.first, tile.flips.as_slice());
             for (from, to) in ranges {
                 let of_range = runs.partition_point(|&(_, end, _)| end <= from);
@@ -239,7 +273,7 @@ impl GridDay {
     /// How much is held for the update of the day: scans, tiles, flips, and what was seen.
     #[must_use]
     pub fn changes(&self) -> u64 {
-        let tiles = self.tiles.iter().flatten().map(|tile| 1 + tile.flips.len() as u64);
+        let tiles = self.tiles.iter().map(|(_, tile)| TILE_CHANGES + tile.flips.len() as u64);
         self.scans.len() as u64 + tiles.sum::<u64>() + self.presence.iter().map(PresenceRun::changes).sum::<u64>()
     }
 
@@ -248,7 +282,7 @@ impl GridDay {
         self.scans.shrink_to_fit();
         self.presence.shrink_to_fit();
         self.tiles.shrink_to_fit();
-        for tile in self.tiles.iter_mut().flatten() {
+        for (_, tile) in &mut self.tiles {
             tile.flips.shrink_to_fit();
         }
     }
@@ -256,10 +290,14 @@ impl GridDay {
     /// Memory in bytes, about.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        let tiles = self.tiles.iter().flatten();
-        let flips: usize = tiles.map(|tile| size_of::<DayTile>() + tile.flips.capacity() * size_of::<Flip>()).sum();
+        let tiles = self.tiles.iter();
+        let flips: usize =
+            tiles.map(|(_, tile)| size_of::<DayTile>() + tile.flips.capacity() * size_of::<Flip>()).sum();
         let seen: usize = self.presence.iter().map(|run| 40 + 4 * run.seen.len()).sum();
-        self.scans.capacity() * size_of::<ScanTime>() + self.tiles.capacity() * 8 + flips + seen
+        self.scans.capacity() * size_of::<ScanTime>()
+            + self.tiles.capacity() * size_of::<(TileId, Box<DayTile>)>()
+            + flips
+            + seen
     }
 }
 
@@ -303,5 +341,26 @@ impl Iterator for DayTileScans<'_> {
         self.range.0 += 1;
         self.flips = apply_flips(&mut self.masks, self.flips, scan);
         Some((scan, self.masks))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_day_costs_what_its_scans_saw() {
+        let mut day = GridDay::new(LocalDay(17_000));
+        let (far, near) = (TileId(u32::MAX), TileId(3));
+        let counted = [far, near].map(|tile| {
+            let (scan, changes) = day.take(ScanTime { utc_nanos: 0, offset_secs: 0 }, &Arc::from([tile]));
+            changes + day.show(scan, tile, TileMasks::default())
+        });
+        assert_eq!(day.tiles().map(|(tile, _)| tile).collect::<Vec<_>>(), [near, far]);
+        assert_eq!(day.presence_by_tile(), [vec![(1, 2)], vec![(0, 1)]]);
+        assert_eq!((day.tile(TileId(4)), day.tile(far).is_some()), (None, true));
+        assert_eq!(day.changes(), counted.iter().sum::<u64>());
+        day.shrink();
+        assert!(day.bytes() < 1000 && day.changes() * 12 >= 2 * size_of::<DayTile>() as u64);
     }
 }

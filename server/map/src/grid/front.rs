@@ -2,7 +2,8 @@
 //! each tile in the order of the log.
 //!
 //! Invariant: `Front` shows the map as it will be when everything handed to the log so far is applied; after a failure
-//! it is made anew from the map. A `ScanSource` shows its tiles as its stream has sent them.
+//! it is made anew from the map. A `ScanSource` shows its tiles as its stream has sent them. No tile beyond the limits of
+//! indices gets into the log.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -70,6 +71,10 @@ impl ScanSource {
             slot.tile = None;
         }
         self.seen = None;
+    }
+
+    fn is_like_before(&self, scan: &SentScan) -> bool {
+        self.seen.as_ref().is_some_and(|seen| Arc::ptr_eq(&seen.slots, &scan.seen))
     }
 
     /// Takes in a scan that is refused: what follows refers to it all the same.
@@ -173,9 +178,9 @@ impl Front {
         offset_secs: i32,
         max_tiles: usize,
     ) -> Result<FrontScan, TooManyTiles> {
-        let has_skipped = source.has_skipped;
+        let goes_on = self.goes_on(stream, source, scan);
+        let is_like_before = source.is_like_before(scan);
         source.skip(scan);
-        let is_like_before = source.seen.as_ref().is_some_and(|seen| Arc::ptr_eq(&seen.slots, &scan.seen));
         let mut new_tiles = Vec::new();
         if !is_like_before {
             new_tiles = self.resolve(grid, source, &scan.seen, max_tiles)?;
@@ -189,7 +194,7 @@ impl Front {
         let Some(seen) = &source.seen else { return Err(TooManyTiles) };
         let seen = Arc::clone(&seen.tiles);
         let mut flips = Flips::default();
-        if is_like_before && !has_skipped && self.last_owner == stream {
+        if goes_on {
             // All its tiles are as this stream showed them last.
             let (mut observed, mut occupied) = (&scan.observed_flips[..], &scan.occupied_flips[..]);
             while let Some(slot) = observed.first().into_iter().chain(occupied.first()).map(|cell| slot_of(*cell)).min()
@@ -227,10 +232,19 @@ impl Front {
         Ok(FrontScan { scan, new_tiles })
     }
 
+    /// Whether a scan follows the one before it in the log, of the same stream and the same tiles: then all its tiles are as
+    /// this stream showed them last.
+    fn goes_on(&self, stream: u64, source: &ScanSource, scan: &SentScan) -> bool {
+        source.is_like_before(scan) && !source.has_skipped && self.last_owner == stream
+    }
+
     /// How many flips a scan of a stream would be in the log, those of tiles that are observed anew as a whole not
     /// counted; nothing is changed.
     #[must_use]
-    pub fn flips_at_most(&self, grid: &LiveGrid, source: &ScanSource, scan: &SentScan) -> u64 {
+    pub fn flips_at_most(&self, grid: &LiveGrid, stream: u64, source: &ScanSource, scan: &SentScan) -> u64 {
+        if self.goes_on(stream, source, scan) {
+            return (scan.observed_flips.len() + scan.occupied_flips.len()) as u64;
+        }
         let (mut observed, mut occupied) = (&scan.observed_flips[..], &scan.occupied_flips[..]);
         let mut flips = 0;
         for &number in scan.seen.iter() {
@@ -246,7 +260,7 @@ impl Front {
         flips
     }
 
-    /// Finds the map's tiles of the slots, new ones added.
+    /// Finds the map's tiles of the slots, new ones added. A tile that there cannot be gets no id, and is not shown.
     fn resolve(
         &mut self,
         grid: &LiveGrid,
@@ -264,7 +278,7 @@ impl Front {
             if slot.tile.is_none() {
                 slot.tile = grid.find(slot.index).or_else(|| self.new_ids.get(&slot.index).copied());
             }
-            if slot.tile.is_none() {
+            if slot.tile.is_none() && slot.index.is_valid() {
                 unknown.push(slot.index);
             }
         }
@@ -316,4 +330,35 @@ fn take_slot<'a>(cells: &mut &'a [SlotCell], slot: u32) -> impl Iterator<Item = 
     let end = rest.partition_point(|cell| CellRef(*cell).tile().0 <= slot);
     *cells = &rest[end..];
     rest[..end].iter().map(|cell| CellRef(*cell).cell())
+}
+
+#[cfg(test)]
+mod limits {
+    use super::*;
+    use crate::{
+        grid::{index::TILE_LIMIT, tests::world::spec},
+        live_map::LiveMap,
+    };
+
+    #[test]
+    fn a_tile_beyond_the_limits_gets_no_id() {
+        let map = LiveMap::new(Arc::new(spec(&mut 1)));
+        let grid = map.grid().expect("a grid");
+        let (mut front, mut source) = (Front::new(grid), ScanSource::default());
+        let index = TileIndex { x: 1, y: 2, z: 3 };
+        source.push(TileIndex { x: TILE_LIMIT, ..index });
+        source.push(index);
+        for places in [[3, 600], [4, 601]] {
+            let sent = SentScan {
+                utc_nanos: 1,
+                seen: Arc::from([0, 1]),
+                observed_flips: places.to_vec(),
+                occupied_flips: places.to_vec(),
+            };
+            let taken = front.take(grid, 1, &mut source, &sent, 0, 1).expect("room for one");
+            assert!(taken.new_tiles.iter().all(|new| *new == index));
+            assert_eq!(taken.scan.observed_flips, [CellRef(places[1] - 512)]);
+        }
+        assert_eq!(front.tiles, 1);
+    }
 }

@@ -58,6 +58,8 @@ pub(crate) struct GridBasis {
     ahead: Vec<AheadScan>,
     scans: u64,
     cell_observations: u64,
+    /// When the first of the scans that stay pending was received, or earlier.
+    pub(crate) received_nanos: Option<i64>,
 }
 
 /// The grid as its writer holds it.
@@ -74,6 +76,8 @@ pub struct LiveGrid {
     /// Scans that no update has folded in, by local day.
     pub(crate) days: Vec<GridDay>,
     pub(crate) ahead: Vec<AheadScan>,
+    /// Tiles of those, taken together.
+    ahead_tiles: u64,
     pub(crate) pending_changes: u64,
     pub(crate) oldest_pending_nanos: Option<i64>,
     pub(crate) generation: Arc<Generation>,
@@ -99,6 +103,7 @@ impl LiveGrid {
             run_seen: None,
             days: Vec::new(),
             ahead: Vec::new(),
+            ahead_tiles: 0,
             pending_changes: 0,
             oldest_pending_nanos: None,
             generation: Arc::default(),
@@ -152,6 +157,7 @@ impl LiveGrid {
             ahead: self.ahead.clone(),
             scans: self.scans,
             cell_observations: self.cell_observations,
+            received_nanos: None,
         };
         (work, basis, newest_ahead)
     }
@@ -165,7 +171,7 @@ impl LiveGrid {
     ) -> GridSnapshot {
         self.generation = Arc::new(generation);
         self.sums = sums;
-        let GridBasis { tiles, last_seen, days, ahead, scans, cell_observations } = basis;
+        let GridBasis { tiles, last_seen, days, ahead, scans, cell_observations, received_nanos } = basis;
         GridSnapshot {
             tiles,
             models: self.generation.models.clone(),
@@ -175,6 +181,7 @@ impl LiveGrid {
             ahead,
             scans,
             cell_observations,
+            received_nanos,
         }
     }
 
@@ -225,6 +232,12 @@ impl LiveGrid {
     #[must_use]
     pub fn ahead(&self) -> u64 {
         self.ahead.len() as u64
+    }
+
+    /// Tiles of the scans that wait, each as often as a scan saw it.
+    #[must_use]
+    pub fn ahead_tiles(&self) -> u64 {
+        self.ahead_tiles
     }
 
     /// The greatest time before `limit_nanos` of the scans that wait.

@@ -13,6 +13,7 @@ use tidemap_model::PhasorSum;
 use super::{
     generation::Generation,
     index::TileId,
+    live::LiveGrid,
     snapshot::GridSnapshot,
     tile::{ColdTile, ModelSlot, SumsSlot, TileModel, TileSource, TileSums},
 };
@@ -71,11 +72,17 @@ impl LiveMap {
         memory
     }
 
-    /// Lets tiles go that the save has kept until those in memory take `budget_bytes` or less, the ones first that were
+    /// Lets tiles that are gone already be read from this save, the newest, and lets tiles go that it has kept until those in memory take `budget_bytes` or less, the ones first that were
     /// not observed for longest. Gives how many went; views published from now on are without them.
     pub fn page_out(&mut self, source: &Arc<dyn TileSource>, saved: &SavedTiles, budget_bytes: u64) -> usize {
+        if self.is_updating() {
+            return 0;
+        }
+        if let Some(grid) = &mut self.grid {
+            grid.follow(source);
+        }
         let mut bytes = self.tile_memory().bytes;
-        if self.is_updating() || bytes <= budget_bytes {
+        if bytes <= budget_bytes {
             return 0;
         }
         let Some(grid) = &mut self.grid else { return 0 };
@@ -126,6 +133,29 @@ impl LiveMap {
     }
 }
 
+impl LiveGrid {
+    /// Lets tiles that are gone be read from the newest save, which has them unchanged, so that no older one is kept open
+    /// for them.
+    fn follow(&mut self, source: &Arc<dyn TileSource>) {
+        let is_older = |cold: &ColdTile| !Arc::ptr_eq(&cold.source, source);
+        let is_model_older = |slot: &ModelSlot| matches!(slot, ModelSlot::Cold(cold) if is_older(cold));
+        if self.generation.models.iter().any(is_model_older) {
+            let mut models = self.generation.models.clone();
+            for slot in &mut models {
+                if let ModelSlot::Cold(cold) = slot {
+                    cold.source = Arc::clone(source);
+                }
+            }
+            self.generation = Arc::new(Generation { models });
+        }
+        for slot in &mut self.sums {
+            if let SumsSlot::Cold(cold) = slot {
+                cold.source = Arc::clone(source);
+            }
+        }
+    }
+}
+
 fn resident(slot: &SumsSlot) -> Option<&TileSums> {
     match slot {
         SumsSlot::Resident(sums) => Some(sums),
@@ -147,4 +177,57 @@ fn bytes_of(model: &ModelSlot, sums: Option<&SumsSlot>, shared: &mut HashSet<*co
         }
     }
     bytes as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::{
+        spec::{GridSpec, Retention, SensorNoise},
+        tile::TileUnavailable,
+    };
+
+    /// A save in which every tile is empty.
+    #[derive(Debug)]
+    struct Empty;
+
+    impl TileSource for Empty {
+        fn model(&self, _: TileId) -> Result<Arc<TileModel>, TileUnavailable> {
+            Ok(Arc::default())
+        }
+
+        fn sums(&self, _: TileId) -> Result<Arc<TileSums>, TileUnavailable> {
+            Ok(Arc::default())
+        }
+
+        fn as_any(&self) -> &dyn std::any::Any {
+            self
+        }
+    }
+
+    #[test]
+    fn no_save_but_the_newest_is_kept_open() {
+        let spec = GridSpec {
+            frame_id: "map".to_owned(),
+            is_flat: false,
+            resolution_m: 0.1,
+            origin_m: [0.0; 3],
+            extent: None,
+            sensor: SensorNoise::default(),
+            retention: Retention::Forever,
+        };
+        let mut grid = LiveGrid::new(Arc::new(spec));
+        let (old, new): (Arc<dyn TileSource>, Arc<dyn TileSource>) = (Arc::new(Empty), Arc::new(Empty));
+        let cold = |tile| ColdTile { source: Arc::clone(&old), tile: TileId(tile) };
+        let models = vec![ModelSlot::Cold(cold(0)), ModelSlot::default(), ModelSlot::Cold(cold(2))];
+        grid.generation = Arc::new(Generation { models });
+        grid.sums = vec![SumsSlot::Cold(cold(0)), SumsSlot::default(), SumsSlot::Cold(cold(2))];
+        grid.follow(&new);
+        assert_eq!((Arc::strong_count(&old), Arc::strong_count(&new)), (1, 5));
+        let tiles = grid.generation.models.iter().map(|slot| match slot {
+            ModelSlot::Cold(cold) => Some(cold.tile.0),
+            ModelSlot::Resident(_) => None,
+        });
+        assert_eq!(tiles.collect::<Vec<_>>(), [Some(0), None, Some(2)]);
+    }
 }

@@ -31,4 +31,6 @@ pub struct GridSnapshot {
     pub scans: u64,
     /// Observations of single cells in them.
     pub cell_observations: u64,
+    /// When the first of the pending scans was received, or earlier; nanoseconds UTC of the server's clock.
+    pub received_nanos: Option<i64>,
 }

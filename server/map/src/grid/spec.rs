@@ -81,8 +81,8 @@ pub enum InvalidGrid {
     #[error("origin {0} m: it must be between -1e7 and 1e7")]
     Origin(f64),
     /// The extent is empty or too large.
-    #[error("an extent of {}x{}x{} cells from {:?}: it must hold at least one cell, within ±{} cells of the origin{}",
-        .0.size()[0], .0.size()[1], .0.size()[2], .0.min, TILE_LIMIT * TILE_EDGE,
+    #[error("an extent of {}x{}x{} cells from ({}, {}, {}): it must hold at least one cell, within ±{} cells of the origin{}",
+        .0.size()[0], .0.size()[1], .0.size()[2], .0.min.x, .0.min.y, .0.min.z, TILE_LIMIT * TILE_EDGE,
         if *.1 { ", and the layer z = 0 alone" } else { "" })]
     Extent(CellBox, bool),
     /// The sensor's probabilities do not fit together.

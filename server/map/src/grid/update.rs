@@ -76,6 +76,10 @@ pub struct GridOutcome {
     pub squared_errors: [f64; MAX_ORDER + 1],
     /// Sum of squared errors, each predicted with the order in force for its cell on its day.
     pub squared_error_in_force: f64,
+    /// The same with the order that was chosen for its cell on that day.
+    pub squared_error_chosen: f64,
+    /// How many cells of these tiles had each order before; those without a spectrum are not counted.
+    pub cells_by_order_before: [u64; MAX_ORDER + 1],
     /// How many cells have each order now.
     pub cells_by_order: [u64; MAX_ORDER + 1],
 }
@@ -85,6 +89,7 @@ impl GridOutcome {
         self.observations += other.observations;
         self.scored += other.scored;
         self.squared_error_in_force += other.squared_error_in_force;
+        self.squared_error_chosen += other.squared_error_chosen;
         for (sum, error) in self.squared_errors.iter_mut().zip(&other.squared_errors) {
             *sum += error;
         }
@@ -120,8 +125,13 @@ impl Working {
 impl GridWork {
     /// Number of tiles that have scans to fold in.
     pub(crate) fn busy_tiles(&self) -> u64 {
-        let is_busy = |tile: usize| self.days.iter().any(|day| day.tiles.get(tile).is_some_and(Option::is_some));
-        (0..self.tiles).filter(|&tile| is_busy(tile)).count() as u64
+        let mut is_busy = vec![false; self.tiles];
+        for (tile, _) in self.days.iter().flat_map(GridDay::tiles) {
+            if let Some(is_busy) = is_busy.get_mut(tile.0 as usize) {
+                *is_busy = true;
+            }
+        }
+        is_busy.into_iter().filter(|is_busy| *is_busy).count() as u64
     }
 
     /// Number of scans to fold in.
@@ -144,7 +154,10 @@ impl GridWork {
         let last_day = self.days.len().saturating_sub(1);
         for (number, day) in self.days.iter().enumerate() {
             outcome.scans += day.scans.len() as u64;
-            let patterns = self.patterns(day, &models, &mut sums, &mut working)?;
+            let (patterns, before) = self.patterns(day, &models, &mut sums, &mut working)?;
+            for (total, cells) in outcome.cells_by_order_before.iter_mut().zip(before) {
+                *total += cells;
+            }
             let done: Vec<(Vec<(TileId, Working)>, GridOutcome)> =
                 patterns.into_par_iter().map(|pattern| pattern.run(&self.rules, day)).collect();
             for (tiles, of_pattern) in done {
@@ -159,9 +172,7 @@ impl GridWork {
         for (tile, mut state) in working {
             state.shrink();
             let Working { model, sums: of_tile } = state;
-            for cell in &model.cells {
-                outcome.cells_by_order[usize::from(cell.order).min(MAX_ORDER)] += 1;
-            }
+            count_orders(&model, &mut outcome.cells_by_order);
             outcome.changed_cells += model.cells.len() as u64;
             models[tile.0 as usize] = ModelSlot::Resident(Arc::new(model));
             sums[tile.0 as usize] = SumsSlot::Resident(Arc::new(of_tile));
@@ -169,30 +180,31 @@ impl GridWork {
         Ok(GridResult { generation: Generation { models }, sums, outcome, days: self.days })
     }
 
-    /// The tiles of a day, those together that were seen by the same scans.
+    /// The tiles of a day, those together that were seen by the same scans, and how many cells of those that no day of the
+    /// update had before have each order.
     fn patterns(
         &self,
         day: &GridDay,
         models: &[ModelSlot],
         sums: &mut [SumsSlot],
         working: &mut HashMap<TileId, Working>,
-    ) -> Result<Vec<Pattern>, TileUnavailable> {
+    ) -> Result<(Vec<Pattern>, CellsByOrder), TileUnavailable> {
         let mut by_ranges: HashMap<Vec<(u32, u32)>, usize> = HashMap::new();
         let mut patterns: Vec<Pattern> = Vec::new();
-        for (index, ranges) in day.presence_by_tile().into_iter().enumerate() {
+        let mut cells_by_order = CellsByOrder::default();
+        for ((tile, _), ranges) in day.tiles().zip(day.presence_by_tile()) {
             if ranges.is_empty() {
                 continue;
             }
-            let tile = TileId(u32::try_from(index).unwrap_or(u32::MAX));
+            let index = tile.0 as usize;
             let state = match working.remove(&tile) {
                 Some(state) => state,
-                None => Working {
-                    model: models
-                        .get(index)
-                        .map_or_else(|| Ok(Arc::default()), ModelSlot::get)
-                        .map(Arc::unwrap_or_clone)?,
-                    sums: sums.get_mut(index).map_or_else(|| Ok(TileSums::default()), SumsSlot::take)?,
-                },
+                None => {
+                    let model = models.get(index).map_or_else(|| Ok(Arc::default()), ModelSlot::get)?;
+                    count_orders(&model, &mut cells_by_order);
+                    let sums = sums.get_mut(index).map_or_else(|| Ok(TileSums::default()), SumsSlot::take)?;
+                    Working { model: Arc::unwrap_or_clone(model), sums }
+                }
             };
             let pattern = match by_ranges.get(&ranges) {
                 Some(&pattern) => pattern,
@@ -204,6 +216,15 @@ impl GridWork {
             };
             patterns[pattern].tiles.push((tile, state));
         }
-        Ok(patterns)
+        Ok((patterns, cells_by_order))
+    }
+}
+
+/// How many cells have each order.
+type CellsByOrder = [u64; MAX_ORDER + 1];
+
+fn count_orders(model: &TileModel, cells_by_order: &mut CellsByOrder) {
+    for cell in &model.cells {
+        cells_by_order[usize::from(cell.order).min(MAX_ORDER)] += 1;
     }
 }

@@ -32,33 +32,29 @@ impl HistoryDay {
     ) -> HistoryDay {
         let phasors = DayPhasors::new(periodicities, &day.scans);
         let presence = day.presence_by_tile();
-        let tiles = std::mem::take(&mut day.tiles);
-        let encode = |rows: &mut Rows, index: usize, tile: Box<DayTile>, ranges: &[(u32, u32)]| {
-            let id = TileId(u32::try_from(index).unwrap_or(u32::MAX));
+        let tiles = std::mem::take(day.tiles_mut());
+        let encode = |rows: &mut Rows, id: TileId, tile: Box<DayTile>, ranges: &[(u32, u32)]| {
             // A tile whose model cannot be read now is kept as it is, and so are flips that would come back in another
             // order.
             let model = generation.model(id).and_then(|slot| ModelSlot::get(slot).ok());
             let model = model.filter(|_| tile.flips.is_sorted_by_key(order));
-            let Some(model) = model else { return (Some(tile), None) };
+            let Some(model) = model else { return ((id, tile), None) };
             let seen = Seen::new(ranges, phasors.scans());
             let models = choose(&tile, &seen, &model, levels, &phasors, rows);
             if models.is_empty() {
-                return (Some(tile), None);
+                return ((id, tile), None);
             }
-            (Some(Box::new(exchange(&tile, &seen, &models, &phasors, rows))), Some((id, models)))
+            let outliers = exchange(&tile, &seen, &models, &phasors, rows);
+            ((id, Box::new(outliers)), Some((id, models)))
         };
         let encoded: Vec<_> = tiles
             .into_par_iter()
             .zip(presence)
-            .enumerate()
-            .map_init(Rows::default, |rows, (index, (tile, ranges))| match tile {
-                Some(tile) => encode(rows, index, tile, &ranges),
-                None => (None, None),
-            })
+            .map_init(Rows::default, |rows, ((id, tile), ranges)| encode(rows, id, tile, &ranges))
             .collect();
         let mut models = Vec::new();
         for (tile, of_tile) in encoded {
-            day.tiles.push(tile);
+            day.tiles_mut().push(tile);
             models.extend(of_tile);
         }
         HistoryDay { outliers: day, models }
@@ -73,16 +69,13 @@ impl HistoryDay {
         }
         let phasors = DayPhasors::new(periodicities, &day.scans);
         let presence = day.presence_by_tile();
-        day.tiles.par_iter_mut().zip(presence).enumerate().for_each_init(
-            Rows::default,
-            |rows, (index, (tile, ranges))| {
-                let models = self.models_of(TileId(u32::try_from(index).unwrap_or(u32::MAX)));
-                if let Some(tile) = tile.as_mut().filter(|_| !models.is_empty()) {
-                    let seen = Seen::new(&ranges, phasors.scans());
-                    **tile = exchange(tile, &seen, models, &phasors, rows);
-                }
-            },
-        );
+        day.tiles_mut().par_iter_mut().zip(presence).for_each_init(Rows::default, |rows, ((id, tile), ranges)| {
+            let models = self.models_of(*id);
+            if !models.is_empty() {
+                let seen = Seen::new(&ranges, phasors.scans());
+                **tile = exchange(tile, &seen, models, &phasors, rows);
+            }
+        });
         day
     }
 

@@ -172,7 +172,7 @@ fn waves(wrong: impl Fn(usize) -> bool) -> (Vec<Shown>, Vec<ModelSlot>) {
 }
 
 fn occupied_flips(day: &GridDay) -> usize {
-    day.tiles.iter().flatten().flat_map(|tile| &tile.flips).filter(|flip| flip.bit() == Bit::Occupied).count()
+    day.tiles().flat_map(|(_, tile)| &tile.flips).filter(|flip| flip.bit() == Bit::Occupied).count()
 }
 
 #[test]

@@ -19,14 +19,15 @@ impl LiveMap {
         self.generation
     }
 
-    /// Observations that no update has taken, from an instant up to but not including another, in order of arrival.
+    /// Observations that no update has taken, from an instant up to but not including another, in order of arrival; no more
+    /// than so many of them.
     #[must_use]
-    pub fn pending_readings(&self, subject: Subject, from_nanos: i64, to_nanos: i64) -> Vec<Reading> {
+    pub fn pending_readings(&self, subject: Subject, from_nanos: i64, to_nanos: i64, at_most: usize) -> Vec<Reading> {
         let within = from_nanos..to_nanos;
         match subject {
             Subject::State(state) => {
                 let samples = self.pending.of_state(state).filter(|sample| within.contains(&sample.utc_nanos));
-                samples.map(|sample: &Sample| (sample.utc_nanos, sample.value)).collect()
+                samples.map(|sample: &Sample| (sample.utc_nanos, sample.value)).take(at_most).collect()
             }
             Subject::Cell(tile, cell) => {
                 let Some(grid) = &self.grid else { return Vec::new() };
@@ -38,7 +39,8 @@ impl LiveMap {
                     let (_, masks) = scan.tiles.get(at)?;
                     masks.observed().contains(cell).then(|| (scan.time.utc_nanos, masks.occupied().contains(cell)))
                 });
-                cell_readings(pending.chain(ahead).filter(|(nanos, _)| within.contains(nanos))).collect()
+                let asked = pending.chain(ahead).filter(|(nanos, _)| within.contains(nanos));
+                cell_readings(asked.take(at_most)).collect()
             }
         }
     }

@@ -54,9 +54,12 @@ impl LiveMap {
         let observations = samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>();
         let changes = grid.as_ref().map_or(0, |(_, _, changes)| *changes);
         self.running = Some((start, PendingLimits { observations, changes }));
-        let (grid_work, grid_basis) = grid.map(|(work, basis, _)| (work, basis)).unzip();
+        let (grid_work, mut grid_basis) = grid.map(|(work, basis, _)| (work, basis)).unzip();
         if self.pending() == 0 && self.ahead() == 0 {
             self.pending.all_taken();
+        }
+        if let Some(basis) = &mut grid_basis {
+            basis.received_nanos = self.pending.received_nanos();
         }
         let basis = Basis {
             start,

@@ -1,6 +1,7 @@
 //! The scans of one stream: decoded, cast where they are readings, and handed over in parcels.
 //!
-//! Invariant: a parcel is about as large as [`PARCEL_BYTES`], or holds a single scan, however much a message unpacks to.
+//! Invariant: a parcel is about as large as [`PARCEL_BYTES`] and as much work as [`PARCEL_CELLS`], or holds a single
+//! scan, however much a message unpacks to. What is cast lies within the cells that the grid may have.
 //! Scans that were taken before are handed over too, only to be remembered: later ones refer to them.
 
 use std::sync::Arc;
@@ -8,6 +9,8 @@ use std::sync::Arc;
 use tidemap_map::{
     event::RefusalReason,
     grid::{
+        index::TileIndex,
+        mask::TileMasks,
         raycast::{CastError, CastLimits, Readings, cast},
         spec::GridSpec,
     },
@@ -17,11 +20,15 @@ use tidemap_proto::{
         InvalidField,
         scans::{DecodedScan, ScanContent, ScanDecoder, ScanLimits, ScanRefusal, content_crc},
     },
-    v1::{ScanBatch, scan::Content},
+    v1::ScanBatch,
 };
 
 use super::{Intake, IntakeError, cast_table::CastTable, last_sequence, shortened};
 use crate::ingest::protocol::{Refused, ScanOrigin, ScanParcel, TakenScan};
+
+mod effort;
+
+use effort::RayCells;
 
 /// Memory of a parcel at which it is handed over.
 const PARCEL_BYTES: usize = 256 << 10;
@@ -33,8 +40,10 @@ const REFUSED_BYTES: usize = 300;
 const RAY_CELLS_MAX: u64 = 100_000;
 /// Cells that the rays of one scan may pass.
 const CAST_CELLS_MAX: u64 = 200_000_000;
-/// Readings of a message from which on casting them is no work for a stream's task.
-const READINGS_AT_ONCE: usize = 2000;
+/// Cells of a parcel's rays at which it is handed over.
+const PARCEL_CELLS: u64 = 20_000_000;
+/// Cells that the rays of a message may pass for casting them to be work for a stream's task.
+const CELLS_AT_ONCE: u64 = 20_000;
 
 /// What a stream has shown by scans.
 #[derive(Debug)]
@@ -44,9 +53,13 @@ pub(super) struct ScanIntake {
     cast_table: CastTable,
     limits: ScanLimits,
     /// What the message at hand adds to the stream's table, until it is handed over.
-    new_tiles: Vec<tidemap_map::grid::index::TileIndex>,
-    /// Readings of a scan that goes on.
-    open_readings: usize,
+    new_tiles: Vec<TileIndex>,
+    /// What rays cost; `None` where there is no grid to cast into.
+    ray_cells: Option<RayCells>,
+    /// Cells of a scan that goes on.
+    open_cells: u64,
+    /// Whether casting the message at hand is much work.
+    is_much_work: bool,
     /// What the parcel before saw, shared by scans that saw the same.
     seen: Option<Arc<[u32]>>,
 }
@@ -59,9 +72,15 @@ impl ScanIntake {
             cast_table: CastTable::new(limits.tiles),
             limits,
             new_tiles: Vec::new(),
-            open_readings: 0,
+            ray_cells: grid.map(RayCells::new),
+            open_cells: 0,
+            is_much_work: false,
             seen: None,
         }
+    }
+
+    pub fn held_bytes(&self) -> usize {
+        self.decoder.held_bytes()
     }
 
     pub fn open_sequence(&self) -> Option<u64> {
@@ -71,7 +90,11 @@ impl ScanIntake {
     /// What readings say of the grid, as flips against the scans that were cast before.
     fn cast(&mut self, utc_nanos: i64, readings: &Readings) -> Result<super::cast_table::CastScan, ScanRefusal> {
         let limits = CastLimits { ray_cells: RAY_CELLS_MAX, cells: CAST_CELLS_MAX, tiles: self.limits.tiles };
-        let tiles = self.spec.as_ref().map_or(Ok(Vec::new()), |spec| cast(spec, readings, limits));
+        let tiles = self.spec.as_ref().map_or(Ok(Vec::new()), |spec| {
+            let mut tiles = cast(spec, readings, limits)?;
+            cut(spec, &mut tiles);
+            Ok(tiles)
+        });
         let tiles = tiles.map_err(|error: CastError| refusal(RefusalReason::Scan, error.to_string()))?;
         if tiles.is_empty() {
             let detail = "no ray passes the grid's extent, or every reading is nearer than min_range_m";
@@ -79,6 +102,25 @@ impl ScanIntake {
         }
         Ok(self.cast_table.show(utc_nanos, &tiles))
     }
+}
+
+/// Leaves out what the grid may not have, whatever was cast.
+fn cut(spec: &GridSpec, tiles: &mut Vec<(TileIndex, TileMasks)>) {
+    let allowed = spec.allowed();
+    tiles.retain_mut(|(index, masks)| {
+        if !index.is_valid() {
+            return false;
+        }
+        let cells = index.cells();
+        if cells.intersection(&allowed) != cells {
+            let mut observed = masks.observed();
+            for place in masks.observed().cells().filter(|&place| !allowed.contains(index.cell(place))) {
+                observed.flip(place);
+            }
+            *masks = TileMasks::clipped(observed, masks.occupied());
+        }
+        !masks.observed().is_empty()
+    });
 }
 
 fn refusal(reason: RefusalReason, detail: String) -> ScanRefusal {
@@ -101,19 +143,27 @@ impl Intake {
             let text = format!("{first}: scan {open} goes on, and its next part has its number");
             return Err(InvalidField::new("scans.first_sequence", text).into());
         }
-        let readings = |content: Option<&Content>| match content {
-            Some(Content::Cloud(cloud)) => cloud.xyz_m.len() / 3,
-            Some(Content::Ranges(scan)) => scan.ranges_m.len(),
-            _ => 0,
-        };
-        let count: usize = message.scans.iter().map(|scan| readings(scan.content.as_ref())).sum();
-        let all = self.scans.open_readings + count;
-        self.scans.open_readings = if message.continues { all } else { 0 };
+        let mut all = std::mem::take(&mut self.scans.open_cells);
+        if let Some(cells) = &self.scans.ray_cells {
+            let is_open = self.scans.open_sequence().is_some();
+            let last = message.scans.len().saturating_sub(1);
+            for (number, content) in message.scans.iter().map(|scan| scan.content.as_ref()).enumerate() {
+                let is_part = (number == 0 && is_open) || (number == last && message.continues);
+                let of = |content| if is_part { cells.of_part(content) } else { cells.of_content(content) };
+                all = all.saturating_add(content.map_or(0, of));
+            }
+        }
+        self.scans.open_cells = if message.continues { all } else { 0 };
+        self.scans.is_much_work = all > CELLS_AT_ONCE;
         self.scans.new_tiles = self.scans.decoder.begin(message)?;
-        Ok(all > READINGS_AT_ONCE)
+        if self.scans.spec.is_none() {
+            // Without a grid nothing of them is handed over, and nobody else is to remember the tiles.
+            self.scans.new_tiles = Vec::new();
+        }
+        Ok(self.scans.is_much_work)
     }
 
-    /// The next scans of the message; `None` where all are out.
+    /// The next scans of the message; `None` where all are out. Waits for a turn where that is much work.
     ///
     /// # Errors
     /// What ends the stream.
@@ -122,17 +172,21 @@ impl Intake {
         let mut parcel = ScanParcel { first_sequence: self.next_sequence, new_tiles, ..ScanParcel::default() };
         parcel.bytes = 4 * SCAN_BYTES + parcel.new_tiles.len() * SCAN_BYTES;
         let mut is_empty = parcel.new_tiles.is_empty();
-        while parcel.bytes < PARCEL_BYTES {
+        let turn = self.scans.is_much_work.then(effort::turn);
+        let mut cells = 0;
+        while parcel.bytes < PARCEL_BYTES && cells < PARCEL_CELLS {
             let Some(scan) = self.scans.decoder.next_scan()? else { break };
             is_empty = false;
-            self.take_scan(scan, &mut parcel);
+            cells += self.take_scan(scan, &mut parcel);
         }
+        drop(turn);
         parcel.last_sequence = self.next_sequence - 1;
         parcel.content_crc = self.content_crc;
         Ok((!is_empty).then_some(parcel))
     }
 
-    fn take_scan(&mut self, decoded: DecodedScan, parcel: &mut ScanParcel) {
+    /// Takes one scan; says how many cells its rays pass, about.
+    fn take_scan(&mut self, decoded: DecodedScan, parcel: &mut ScanParcel) -> u64 {
         let DecodedScan { sequence, utc_nanos, digest, content, mut refusal } = decoded;
         let is_new = sequence == self.next_sequence;
         if is_new {
@@ -141,20 +195,23 @@ impl Intake {
         }
         let is_taken = is_new && refusal.is_none();
         let content_crc = self.content_crc;
-        let mut taken = None;
+        let (mut taken, mut cells) = (None, 0);
         match content {
             Some(ScanContent::Tiles(scan)) => {
                 let origin = ScanOrigin::Stream;
                 taken = Some(TakenScan { sequence, content_crc, origin, is_taken, scan, ..TakenScan::default() });
             }
-            Some(ScanContent::Readings(readings)) if is_taken => match self.scans.cast(utc_nanos, &readings) {
-                Ok(cast) => {
-                    let (scan, new_tiles, restarts) = (cast.scan, cast.new_tiles, cast.restarts);
-                    let origin = ScanOrigin::Cast;
-                    taken = Some(TakenScan { sequence, content_crc, origin, is_taken, scan, new_tiles, restarts });
+            Some(ScanContent::Readings(readings)) if is_taken => {
+                cells = self.scans.ray_cells.as_ref().map_or(0, |cells| cells.of_readings(&readings));
+                match self.scans.cast(utc_nanos, &readings) {
+                    Ok(cast) => {
+                        let (scan, new_tiles, restarts) = (cast.scan, cast.new_tiles, cast.restarts);
+                        let origin = ScanOrigin::Cast;
+                        taken = Some(TakenScan { sequence, content_crc, origin, is_taken, scan, new_tiles, restarts });
+                    }
+                    Err(refused) => refusal = Some(refused),
                 }
-                Err(refused) => refusal = Some(refused),
-            },
+            }
             _ => {}
         }
         parcel.bytes += SCAN_BYTES;
@@ -173,5 +230,6 @@ impl Intake {
             parcel.bytes += REFUSED_BYTES;
             parcel.refused.push(Refused { sequence, reason, detail: shortened(&detail) });
         }
+        cells
     }
 }

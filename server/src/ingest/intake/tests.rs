@@ -1,6 +1,10 @@
 //! Observations and scans as a stream sends them: what is taken, skipped, refused, and what ends the stream.
 
-use tidemap_proto::convert::columns::encode;
+use tidemap_map::grid::spec::{Retention, SensorNoise};
+use tidemap_proto::{
+    convert::columns::encode,
+    v1::{PointCloud, Scan, ScanBatch, scan::Content},
+};
 
 use super::*;
 
@@ -116,4 +120,55 @@ fn names_alone_are_handed_over_without_observations() {
     let batch = intake.take(message(1, &["b"], &[0], &[1], &[0.0])).expect("fine").expect("names");
     assert!(batch.last_sequence < batch.first_sequence);
     assert_eq!((batch.new_names.len(), batch.values.len()), (1, 0));
+}
+
+fn wide() -> GridSpec {
+    GridSpec {
+        frame_id: "map".to_owned(),
+        is_flat: false,
+        resolution_m: 1.0,
+        origin_m: [0.0; 3],
+        extent: None,
+        sensor: SensorNoise::default(),
+        retention: Retention::None,
+    }
+}
+
+fn clouds(first: u64, points: &[f32], count: usize) -> ScanBatch {
+    let cloud = PointCloud { xyz_m: points.to_vec(), ..PointCloud::default() };
+    let scan = Scan { content: Some(Content::Cloud(cloud)) };
+    ScanBatch { first_sequence: first, time_deltas: vec![0; count], scans: vec![scan; count], ..ScanBatch::default() }
+}
+
+#[test]
+fn a_few_long_rays_are_much_work_and_end_parcels() {
+    let scans = ScanLimits { batch_scans: 8, points: 1000, tiles: 100_000 };
+    let limits = IntakeLimits { scans, ..limits(4, 3) };
+    let mut intake = Intake::new(0, 0, limits, Some(&wide()));
+    assert!(!intake.begin_scans(clouds(1, &[50.0, 0.0, 0.0], 2)).expect("fine"));
+    assert_eq!(intake.next_scans().expect("fine").expect("scans").last_sequence, 2);
+    assert!(intake.begin_scans(clouds(3, &[30_000.0, 0.0, 0.0], 1)).expect("fine"));
+    assert_eq!(intake.next_scans().expect("fine").expect("scans").scans.len(), 1);
+    assert!(intake.next_scans().expect("fine").is_none());
+    // Each of these scans is more than half of what a parcel may be.
+    let points = [11_000.0, 0.0, 0.0].repeat(1000);
+    assert!(intake.begin_scans(clouds(4, &points, 3)).expect("fine"));
+    let lasts: Vec<u64> =
+        std::iter::from_fn(|| intake.next_scans().expect("fine").map(|parcel| parcel.last_sequence)).collect();
+    assert_eq!(lasts, [5, 6]);
+    // The parts of a scan are taken together.
+    let part = |continues| ScanBatch { continues, ..clouds(7, &[9_000.0, 0.0, 0.0], 1) };
+    assert!(!intake.begin_scans(part(true)).expect("fine"));
+    assert!(intake.next_scans().expect("fine").is_none());
+    assert!(intake.begin_scans(part(false)).expect("fine"));
+    assert_eq!(intake.next_scans().expect("fine").expect("scans").scans.len(), 1);
+}
+
+#[test]
+fn without_a_grid_no_tiles_are_handed_over() {
+    let mut intake = intake();
+    let message = ScanBatch { new_tiles: vec![1, 2, 3], ..clouds(1, &[f32::MAX; 3], 1) };
+    assert!(!intake.begin_scans(message).expect("fine"));
+    let parcel = intake.next_scans().expect("fine").expect("a refusal");
+    assert_eq!((parcel.new_tiles.len(), parcel.refused[0].reason), (0, RefusalReason::NoGrid));
 }

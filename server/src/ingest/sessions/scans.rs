@@ -21,13 +21,24 @@ use super::{
 
 /// Bits that one scan may flip, those of tiles that are observed anew as a whole not counted: 2 bytes each, as near to
 /// each other as so many are.
-const FLIPS_MAX: u64 = 3_000_000;
+const FLIPS_MAX: u64 = 8_000_000;
 /// Bits that the scans of one event flip before another is begun: 5 bytes each, however far they are apart.
 const EVENT_FLIPS: u64 = 1_000_000;
 /// Tiles that the scans of one event see, taken together, before another is begun.
 const EVENT_TILES: u64 = 500_000;
 /// Tiles of a scan that cannot flip more bits than it may.
 const TILES_UNCOUNTED: usize = (FLIPS_MAX / 1024) as usize;
+
+/// An event of scans on its way into the log.
+#[derive(Debug)]
+pub struct ScanEvent {
+    /// The event.
+    pub event: Event,
+    /// Those of its scans that are refused.
+    pub refused: Vec<Refused>,
+    /// Tiles of those of its scans whose time is too far ahead.
+    pub tiles_ahead: u64,
+}
 
 /// What goes into one event.
 #[derive(Default)]
@@ -36,10 +47,12 @@ struct Portion {
     new_tiles: Vec<TileIndex>,
     flips: u64,
     seen: u64,
+    tiles_ahead: u64,
 }
 
 impl Portion {
-    fn push(&mut self, taken: FrontScan) {
+    fn push(&mut self, taken: FrontScan, tiles_ahead: u64) {
+        self.tiles_ahead += tiles_ahead;
         let FrontScan { scan, new_tiles } = taken;
         self.flips += (scan.observed_flips.len() + scan.occupied_flips.len()) as u64;
         self.seen += scan.seen.as_ref().map_or(0, |seen| seen.len() as u64);
@@ -55,13 +68,7 @@ impl Portion {
 impl Sessions {
     /// Turns scans into events with their refusals, some added where the map may not have more tiles. None where the
     /// stream is closed, or nothing is to be logged.
-    pub fn scan_events(
-        &mut self,
-        id: SessionId,
-        parcel: ScanParcel,
-        map: &LiveMap,
-        now: i64,
-    ) -> Vec<(Event, Vec<Refused>)> {
+    pub fn scan_events(&mut self, id: SessionId, parcel: ScanParcel, map: &LiveMap, now: i64) -> Vec<ScanEvent> {
         let ScanParcel { first_sequence, last_sequence, content_crc, new_tiles, scans, mut refused, .. } = parcel;
         let Some(mut session) = self.sessions.remove(&id) else { return Vec::new() };
         let mut portions: Vec<(Portion, u64, u32)> = Vec::new();
@@ -73,7 +80,7 @@ impl Sessions {
             for taken in scans {
                 let (sequence, crc) = (taken.sequence, taken.content_crc);
                 match self.take(id, &mut session, taken, map, now) {
-                    Ok(Some(scan)) => portion.push(scan),
+                    Ok(Some((scan, tiles_ahead))) => portion.push(scan, tiles_ahead),
                     Ok(None) => {}
                     Err(refusal) => refused.push(refusal),
                 }
@@ -128,14 +135,15 @@ impl Sessions {
                     refused: reasons,
                 })
             };
-            events.push((event, of_portion));
+            events.push(ScanEvent { event, refused: of_portion, tiles_ahead: portion.tiles_ahead });
             first = last.saturating_add(1);
         }
         self.sessions.insert(id, session);
         events
     }
 
-    /// Takes one scan: what the log is to hold of it, nothing where it is only to be remembered.
+    /// Takes one scan: what the log is to hold of it, and how many tiles that wait for their time; nothing where it is
+    /// only to be remembered.
     fn take(
         &mut self,
         id: SessionId,
@@ -143,7 +151,7 @@ impl Sessions {
         taken: TakenScan,
         map: &LiveMap,
         now: i64,
-    ) -> Result<Option<FrontScan>, Refused> {
+    ) -> Result<Option<(FrontScan, u64)>, Refused> {
         let TakenScan { sequence, origin, is_taken, scan, new_tiles, restarts, .. } = taken;
         let (source, stream) = match origin {
             ScanOrigin::Stream => (&mut session.shown, 2 * id.0),
@@ -160,24 +168,19 @@ impl Sessions {
             return Ok(None);
         };
         let refuse = |reason: RefusalReason, detail: String| Err(Refused { sequence, reason, detail });
-        if scan.utc_nanos > now.saturating_add(MAX_AHEAD_NANOS) {
-            if grid.ahead() == 0 {
-                self.tiles_ahead = 0;
-            }
-            if map.ahead() + self.tiles_ahead >= self.limits.ahead {
-                source.skip(&scan);
-                let detail = format!(
-                    "time {} ns is more than 5 minutes ahead of the server's clock, and as many observations and \
-                     tiles of scans wait for their time as may, {}",
-                    scan.utc_nanos, self.limits.ahead
-                );
-                return refuse(RefusalReason::Time, detail);
-            }
-            self.tiles_ahead += scan.seen.len() as u64;
+        let is_ahead = scan.utc_nanos > now.saturating_add(MAX_AHEAD_NANOS);
+        if is_ahead && map.ahead() + grid.ahead_tiles() + self.tiles_ahead >= self.limits.ahead {
+            source.skip(&scan);
+            let detail = format!(
+                "time {} ns is more than 5 minutes ahead of the server's clock, and as many observations and tiles of \
+                 scans wait for their time as may, {}",
+                scan.utc_nanos, self.limits.ahead
+            );
+            return refuse(RefusalReason::Time, detail);
         }
         let front = self.front.get_or_insert_with(|| Front::new(grid));
         if scan.seen.len() > TILES_UNCOUNTED {
-            let flips = front.flips_at_most(grid, source, &scan);
+            let flips = front.flips_at_most(grid, stream, source, &scan);
             if flips > FLIPS_MAX {
                 source.skip(&scan);
                 let detail = format!("the scan changes {flips} readings of cells, and one may change {FLIPS_MAX}");
@@ -185,12 +188,15 @@ impl Sessions {
             }
         }
         let offset_secs = self.offsets.offset_secs(scan.utc_nanos);
-        front.take(grid, stream, source, &scan, offset_secs, self.limits.tiles).map(Some).or_else(|_| {
+        let Ok(taken) = front.take(grid, stream, source, &scan, offset_secs, self.limits.tiles) else {
             let detail = format!(
                 "the scan has new tiles, and the map would have more than the {} that setting max_tiles_per_map allows",
                 self.limits.tiles
             );
-            refuse(RefusalReason::TileLimit, detail)
-        })
+            return refuse(RefusalReason::TileLimit, detail);
+        };
+        let tiles_ahead = if is_ahead { scan.seen.len() as u64 } else { 0 };
+        self.tiles_ahead += tiles_ahead;
+        Ok(Some((taken, tiles_ahead)))
     }
 }

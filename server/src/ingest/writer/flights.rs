@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{event::Event, update::UpdateWork};
+use tidemap_map::{event::Event, grid::scan::LoggedScan, update::UpdateWork};
 use tidemap_store::AppendError;
 use tracing::{error, warn};
 
@@ -17,20 +17,50 @@ use super::{
 /// An append that the committer has not answered.
 pub(super) enum Flight {
     /// Observations or scans of a stream.
-    Taken { session: SessionId, event: Event, refused: Vec<Refused>, _permits: Arc<Permits> },
+    Taken { session: SessionId, event: Event, refused: Vec<Refused>, tiles_ahead: u64, _permits: Arc<Permits> },
     /// The start of an update.
     UpdateStart { event: Event, job: Arc<Job> },
 }
 
+impl Flight {
+    /// Memory of what was made of scans, in bytes; all else is bounded by the permits.
+    fn bytes(&self) -> usize {
+        let Flight::Taken { event: Event::Scans(event), .. } = self else { return 0 };
+        let of_scan = |scan: &LoggedScan| {
+            let flips = scan.observed_flips.len() + scan.occupied_flips.len();
+            size_of::<LoggedScan>() + 4 * (flips + scan.seen.as_ref().map_or(0, |seen| seen.len()))
+        };
+        event.scans.iter().map(of_scan).sum::<usize>() + size_of_val(event.new_tiles.as_slice())
+    }
+}
+
 impl Writer {
-    /// Hands an event to the log.
-    pub(super) fn launch(&mut self, flight: Flight) {
+    /// Hands an event to the log; gives whether the log has it on its way.
+    pub(super) fn launch(&mut self, flight: Flight) -> bool {
         let (Flight::Taken { event, .. } | Flight::UpdateStart { event, .. }) = &flight;
         match self.append(event) {
-            Ok(()) => self.flights.push_back(flight),
+            Ok(()) => {
+                self.flight_bytes += flight.bytes();
+                self.flights.push_back(flight);
+                true
+            }
             // It never joined the queue: the committer owes no answer for it, and those before it wait for theirs.
-            Err(error) => self.append_failed(error, flight),
+            Err(error) => {
+                self.append_failed(error, flight);
+                false
+            }
         }
+    }
+
+    /// Fails what follows an event that the log has not taken; gives that it is not on its way.
+    pub(super) fn ground(&mut self, flight: Flight) -> bool {
+        self.append_failed(AppendError::AfterFailure, flight);
+        false
+    }
+
+    /// Whether the start of an update is on its way into the log.
+    pub(super) fn is_update_starting(&self) -> bool {
+        self.flights.iter().any(|flight| matches!(flight, Flight::UpdateStart { .. }))
     }
 
     fn append(&self, event: &Event) -> Result<(), AppendError> {
@@ -41,8 +71,9 @@ impl Writer {
 
     pub(super) fn committed(&mut self, result: Result<u64, AppendError>) {
         let Some(flight) = self.flights.pop_front() else { return };
+        self.flight_bytes = self.flight_bytes.saturating_sub(flight.bytes());
         match (result, flight) {
-            (Ok(position), Flight::Taken { session, event, refused, .. }) => {
+            (Ok(position), Flight::Taken { session, event, refused, tiles_ahead, .. }) => {
                 if self.apply(position, &event).is_none() {
                     return;
                 }
@@ -62,7 +93,7 @@ impl Writer {
                 let ack = self.acks.entry(session).or_default();
                 ack.durable_sequence = last;
                 ack.refused.extend(refused);
-                self.sessions.applied(session, &event);
+                self.sessions.applied(session, &event, tiles_ahead);
             }
             (Ok(position), Flight::UpdateStart { event, job }) => match self.apply(position, &event) {
                 Some(Some(work)) => self.run_update(work, &job),

@@ -23,7 +23,7 @@ impl Writer {
         self.stopping.is_none()
             && self.failing.is_none()
             && self.updates_wait_until.is_none_or(|until| until <= Instant::now())
-            && !self.flights.iter().any(|flight| matches!(flight, Flight::UpdateStart { .. }))
+            && !self.is_update_starting()
     }
 
     pub(super) fn start_update(&mut self, now: i64) {
@@ -31,20 +31,22 @@ impl Writer {
         if self.map.is_updating() || (self.saving && self.map.grid().is_some()) {
             return;
         }
-        // What is due goes first, and beside an update there is no room for what waits.
-        if self.updates.is_waited_for() && self.unsaved.is_some() && self.is_save_due() {
+        // What is due goes first, and beside an update there is no room for what waits. What has failed before may fail
+        // again, and takes its time: no update waits for that.
+        if self.updates.is_waited_for() && self.unsaved.is_some() && self.save_failures == 0 && self.is_save_due() {
             self.save();
             if self.saving && self.map.grid().is_some() {
                 return;
             }
         }
         let Some(Wanted { until_nanos, cause, job }) = self.updates.pop() else { return };
-        self.drop_unsaved();
         let event = Event::UpdateStart(self.map.plan_update(until_nanos, now, cause));
         self.launch(Flight::UpdateStart { event, job });
     }
 
     pub(super) fn run_update(&mut self, work: UpdateWork, job: &Arc<Job>) {
+        // Beside the update there is no room for what it replaces.
+        self.drop_unsaved();
         job.start(work.states(), work.observations());
         self.updating_times = work.from_nanos().map(|from| (from, work.start().cut_nanos));
         self.running_job = Some(Arc::clone(job));

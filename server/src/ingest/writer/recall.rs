@@ -18,6 +18,8 @@ impl Writer {
             return;
         }
         if self.updating_times.is_some_and(|(from, cut)| recall.from_nanos < cut && from < recall.to_nanos) {
+            // Who asks has one of a bounded number of turns: there are never more than of these.
+            self.waiting_recalls.retain(|waiting| !waiting.reply.is_closed());
             self.waiting_recalls.push(recall);
             return;
         }
@@ -27,7 +29,7 @@ impl Writer {
         // What comes later is told here as pending.
         let next = self.map.generation() + 1;
         let recalled = Recalled {
-            pending: self.map.pending_readings(recall.subject, recall.from_nanos, recall.to_nanos),
+            pending: self.map.pending_readings(recall.subject, recall.from_nanos, recall.to_nanos, recall.at_most),
             stored_before: unsaved.iter().map(|piece| piece.generation).fold(next, u64::min),
             unsaved,
             newest_nanos: self.map.newest_nanos(),

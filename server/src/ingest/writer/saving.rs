@@ -6,7 +6,7 @@
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{Arc, atomic::Ordering},
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use tidemap_map::{grid::paging::SavedTiles, snapshot::MapSnapshot};
@@ -14,12 +14,42 @@ use tracing::{debug, warn};
 
 use super::{
     super::protocol::{Command, SavedGrid},
-    SAVE_INTERVAL, TAIL_BYTES, Writer,
+    SAVE_INTERVAL, Writer,
 };
+
+/// A log that has grown by this much since the last checkpoint is not to grow further before the next.
+const TAIL_BYTES: u64 = 256 << 20;
+/// History that takes this much memory is not to grow further before the next save either.
+const HISTORY_BYTES: usize = 64 << 20;
+/// While saves fail, streams wait when history takes this much memory.
+const HISTORY_MAX_BYTES: usize = 256 << 20;
+/// The longest time between saves that fail.
+const SAVE_RETRY_MAX: Duration = Duration::from_secs(600);
+
+/// How long after this many failed saves the next is tried.
+pub(super) fn retry_pause(failures: u32) -> Duration {
+    SAVE_INTERVAL.saturating_mul(1 << failures.saturating_sub(1).min(10)).min(SAVE_RETRY_MAX)
+}
 
 impl Writer {
     pub(super) fn is_save_due(&self) -> bool {
-        self.log.tail_bytes() >= TAIL_BYTES || self.last_save.is_none_or(|last| last.elapsed() >= SAVE_INTERVAL)
+        let Some(last) = self.last_save else { return true };
+        if self.save_failures > 0 {
+            return last.elapsed() >= retry_pause(self.save_failures);
+        }
+        last.elapsed() >= SAVE_INTERVAL || self.history_bytes >= HISTORY_BYTES || self.log.tail_bytes() >= TAIL_BYTES
+    }
+
+    /// Whether history has no room any more, because it cannot be saved.
+    pub(super) fn is_history_too_large(&self) -> bool {
+        self.save_failures > 0 && self.history_bytes >= HISTORY_MAX_BYTES
+    }
+
+    /// Finds out how much memory history takes that is not saved.
+    pub(super) fn count_history(&mut self) {
+        let pieces = self.unsaved.iter().flat_map(|snapshot| &snapshot.history);
+        let pieces = pieces.chain(&self.unsaved_history).chain(&self.saving_history);
+        self.history_bytes = pieces.map(|piece| piece.bytes()).sum();
     }
 
     /// A snapshot is to be saved; history that was not takes its way with it.
@@ -28,6 +58,7 @@ impl Writer {
         snapshot.history.append(&mut self.unsaved_history);
         snapshot.history.sort_by_key(|piece| piece.generation);
         self.unsaved = Some(snapshot);
+        self.count_history();
     }
 
     /// Frees a snapshot that is not saved, but for its history.
@@ -69,10 +100,12 @@ impl Writer {
         self.last_save = Some(Instant::now());
         match result {
             Ok(saved) => {
+                self.save_failures = 0;
                 self.saved_grid = saved;
                 self.page_out();
             }
             Err((error, failed)) => {
+                self.save_failures = self.save_failures.saturating_add(1);
                 warn!(map = %self.map.spec().name, error, "checkpoint not saved; the log keeps everything, tried again");
                 match &mut self.unsaved {
                     // A newer one is better, with the history of both.
@@ -81,6 +114,7 @@ impl Writer {
                 }
             }
         }
+        self.count_history();
     }
 
     /// Lets tiles go that the last save has, where those in memory are too large.

@@ -17,8 +17,10 @@ use tokio::sync::{Semaphore, mpsc as events};
 use tidemap_map::spec::MapSpec;
 
 use super::*;
-use crate::{catalog::Catalog, jobs::Phase};
+use crate::{catalog::Catalog, ingest::protocol::Batch, jobs::Phase};
 
+mod queue;
+mod saving;
 mod scans;
 
 const HOUR: i64 = 3_600_000_000_000;
@@ -69,7 +71,11 @@ async fn create(bench: &Bench) -> Arc<MapHandle> {
 }
 
 async fn create_with(bench: &Bench, grid: Option<GridSpec>) -> Arc<MapHandle> {
-    let spec = MapSpec {
+    bench.catalog.create(spec_with(grid)).await.expect("created")
+}
+
+fn spec_with(grid: Option<GridSpec>) -> MapSpec {
+    MapSpec {
         name: MapName::new("office").expect("valid"),
         zone: Zone::named("Europe/London").expect("known"),
         periodicities: Periodicities::default(),
@@ -77,8 +83,7 @@ async fn create_with(bench: &Bench, grid: Option<GridSpec>) -> Arc<MapHandle> {
         created_nanos: 0,
         retention: Retention::Forever,
         grid,
-    };
-    bench.catalog.create(spec).await.expect("created")
+    }
 }
 
 struct Robot {

@@ -32,10 +32,11 @@ pub(super) async fn predict_grid(
     let question = question_from_wire(&request)?;
     let no_grid = || RpcError::NoGrid { map: view.spec().name.as_str().to_owned() };
     view.grid().ok_or_else(no_grid)?;
-    // Every tile of a map may have to be looked at.
+    let turn = queries.turns.take().await?;
+    // Every tile of a map may have to be looked at. The turn lasts as long as that, even if nobody waits any more.
     let for_selection = Arc::clone(&view);
-    let select = move || for_selection.grid().map(|grid| grid.select(&question));
-    let selection = tokio::task::spawn_blocking(select).await.map_err(|_| RpcError::Stopping)?;
+    let select = move || (turn, for_selection.grid().map(|grid| grid.select(&question)));
+    let (turn, selection) = tokio::task::spawn_blocking(select).await.map_err(|_| RpcError::Stopping)?;
     let (grid, selection) = view.grid().zip(selection).ok_or_else(no_grid)?;
     let header = header_to_wire(grid, view.generation(), &question, &selection);
     let header = v1::PredictGridResponse { message: Some(Message::Header(header)) };
@@ -46,7 +47,6 @@ pub(super) async fn predict_grid(
         return Ok(ReceiverStream::new(replies));
     }
     check_limit("cells to predict", selection.cells, queries.max_predictions, "setting max_predictions")?;
-    let turn = queries.turns.take().await?;
     Ok(computed(turn, move |computed| {
         if !computed.send(header) {
             return Ok(());

@@ -7,7 +7,7 @@ use std::{sync::Arc, time::Duration};
 
 use tidemap_map::{
     grid::spec::Retention,
-    history::{Reading, Subject, cell_readings},
+    history::{HistoryPiece, Reading, Subject, cell_readings},
     spec::MapSpec,
     view::MapView,
 };
@@ -52,14 +52,18 @@ pub(super) async fn reconstruct(
         return Err(InvalidField::new("to_nanos", text).into());
     }
     let view = handle.view();
+    let recall_turn = queries.recalls.take().await?;
     let subject = find_subject(&view, &name).await?;
     let spec = Arc::clone(&handle.spec);
     let retention = retention(&spec, subject)?;
     let question = Question { name, subject, from_nanos, to_nanos };
 
+    let max = queries.max_predictions;
+    // One more than may be told says that there are too many.
+    let at_most = usize::try_from(max).unwrap_or(usize::MAX).saturating_add(1);
     let (reply, recalled) = oneshot::channel();
     let stopped = || RpcError::Ended(Ending::Shutdown);
-    if !handle.send(Command::Recall(Recall { subject, from_nanos, to_nanos, reply })) {
+    if !handle.send(Command::Recall(Recall { subject, from_nanos, to_nanos, at_most, reply })) {
         return Err(stopped());
     }
     let recalled = match tokio::time::timeout(UPDATE_WITHIN, recalled).await {
@@ -67,10 +71,17 @@ pub(super) async fn reconstruct(
         Err(_) => return Err(RpcError::Updating(UPDATE_WITHIN.as_secs())),
     };
     let turn = queries.turns.take().await?;
-    let max = queries.max_predictions;
     let history = queries.catalog.context().store.history(handle.id)?.before(recalled.stored_before);
     let gather = move || {
         let newest_nanos = recalled.newest_nanos;
+        if let Subject::State(_) = subject
+            && !history.is_complete()
+        {
+            let kept_from_nanos = kept_from(first_of_states(&history, &recalled)?, view.cut_nanos());
+            if let Some(kept_from_nanos) = kept_from_nanos.filter(|&kept| question.from_nanos < kept) {
+                return Err(RpcError::BeyondHistory { map, name: question.name, kept_from_nanos });
+            }
+        }
         let found = gather(&history, &spec, recalled, &question, max)?;
         if let (true, Retention::Duration(nanos)) = (found.is_empty(), retention) {
             let kept_from_nanos = newest_nanos.saturating_sub(nanos);
@@ -80,7 +91,7 @@ pub(super) async fn reconstruct(
         }
         Ok(found)
     };
-    Ok(computed(turn, move |computed| {
+    Ok(computed((recall_turn, turn), move |computed| {
         for readings in gather()?.chunks(READINGS_PER_REPLY) {
             let (times_nanos, values) = readings.iter().copied().unzip();
             if !computed.send(v1::ReconstructResponse { times_nanos, values }) {
@@ -116,6 +127,26 @@ fn retention(spec: &MapSpec, subject: Subject) -> Result<Retention, RpcError> {
         return Err(RpcError::NoHistory { map: spec.name.as_str().to_owned(), what, option });
     }
     Ok(retention)
+}
+
+/// The first update that left its observations of named states, and the greatest time of these.
+fn first_of_states(history: &History, recalled: &Recalled) -> Result<Option<(u64, i64)>, RpcError> {
+    let of_piece = |piece: &Arc<HistoryPiece>| {
+        let samples = piece.states.iter().flat_map(|(_, samples)| samples);
+        Some((piece.generation, samples.map(|sample| sample.utc_nanos).max()?))
+    };
+    let unsaved = || recalled.unsaved.iter().filter_map(of_piece).min();
+    Ok(history.first_of_states()?.or_else(unsaved))
+}
+
+/// From when on everything is kept of a map whose first updates may have left nothing; `None` where none was without.
+/// What those had folded in is older than the observations of the first that left its own, or than the last cut.
+fn kept_from(first: Option<(u64, i64)>, cut_nanos: Option<i64>) -> Option<i64> {
+    match first {
+        Some((0 | 1, _)) => None,
+        Some((_, last_nanos)) => Some(last_nanos.saturating_add(1)),
+        None => cut_nanos,
+    }
 }
 
 /// The readings, ascending by time; of equal times in the order in which updates took them.
@@ -157,4 +188,17 @@ fn gather(
     check(&found)?;
     found.sort_by_key(|(nanos, _)| *nanos);
     Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn updates_that_left_nothing_are_known_by_what_came_after() {
+        assert_eq!(kept_from(None, None), None);
+        assert_eq!(kept_from(Some((1, 50)), Some(90)), None);
+        assert_eq!(kept_from(Some((3, 50)), Some(90)), Some(51));
+        assert_eq!(kept_from(None, Some(90)), Some(90));
+    }
 }

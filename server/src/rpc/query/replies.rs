@@ -1,9 +1,13 @@
 //! Replies that are computed off the async threads and wait for their reader.
 //!
-//! Invariant: only so many requests compute at once, and a reader is waited for a bounded time. What ends early ends with
+//! Invariant: only so many requests compute at once, and a reader is waited for a bounded time, all its replies
+//! together. What ends early ends with
 //! an error, never as if it were all.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
@@ -17,7 +21,7 @@ const REPLIES_AHEAD: usize = 8;
 const COMPUTING_LEAST: usize = 4;
 /// A request waits this long until others have ended.
 const TURN_WITHIN: Duration = Duration::from_secs(30);
-/// A reader takes a reply within this time.
+/// A reader is waited for so long, all its replies together.
 const READ_WITHIN: Duration = Duration::from_secs(30);
 
 /// A stream of replies.
@@ -65,15 +69,15 @@ impl<T> Computed<T> {
     }
 }
 
-/// The replies that `work` computes, in a thread where it may wait.
+/// The replies that `work` computes, in a thread where it may wait. The turns are given back when it has ended.
 pub(super) fn computed<T: Send + 'static>(
-    turn: OwnedSemaphorePermit,
+    turns: impl Send + 'static,
     work: impl FnOnce(&Computed<T>) -> Result<(), RpcError> + Send + 'static,
 ) -> Replies<T> {
     let (computed, ready) = mpsc::channel(1);
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
     let work = tokio::task::spawn_blocking(move || {
-        let _turn = turn;
+        let _turns = turns;
         let computed = Computed(computed);
         if let Err(error) = work(&computed) {
             // Where nobody wants it, it is not needed.
@@ -99,9 +103,11 @@ async fn pass_on<T>(
 ) -> bool {
     // Its place is taken now: there is none when the reader is slow.
     let Ok(last_word) = replies.clone().reserve_owned().await else { return false };
+    let mut left = read_within;
     while let Some(reply) = ready.recv().await {
-        match tokio::time::timeout(read_within, replies.send(reply.map_err(Status::from))).await {
-            Ok(Ok(())) => {}
+        let began = Instant::now();
+        match tokio::time::timeout(left, replies.send(reply.map_err(Status::from))).await {
+            Ok(Ok(())) => left = left.saturating_sub(began.elapsed()),
             Ok(Err(_)) => return false,
             Err(_) => {
                 last_word.send(Err(RpcError::SlowReader(read_within.as_secs()).into()));
@@ -131,6 +137,23 @@ mod tests {
         let end = stream.recv().await.expect("an error").expect_err("too slow");
         assert_eq!(end.code(), tonic::Code::ResourceExhausted);
         assert!(stream.recv().await.is_none());
+    }
+
+    #[tokio::test]
+    async fn a_reader_that_takes_a_reply_now_and_then_is_not_waited_for_longer() {
+        let (computed, ready) = mpsc::channel(1);
+        let (replies, mut stream) = mpsc::channel(2);
+        let passing = tokio::spawn(async move { pass_on(ready, &replies, Duration::from_millis(50)).await });
+        let computing = tokio::spawn(async move { while computed.send(Ok(7)).await.is_ok() {} });
+        // Each one is waited for less long than there is time for all.
+        let mut end = None;
+        while let Some(reply) = stream.recv().await {
+            end = reply.err();
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        assert_eq!(end.map(|end| end.code()), Some(tonic::Code::ResourceExhausted));
+        assert!(!passing.await.expect("no panic"));
+        computing.await.expect("no panic");
     }
 
     #[tokio::test]

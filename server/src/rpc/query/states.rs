@@ -21,6 +21,8 @@ use tidemap_proto::{
     v1,
 };
 
+use tokio::sync::OwnedSemaphorePermit;
+
 use super::{
     Queries, STATES_MAX, check_limit, find_state,
     replies::{Computed, Replies, computed},
@@ -48,18 +50,24 @@ pub(super) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellDescripti
     grid.describe(cell)?.ok_or_else(|| RpcError::UnknownCell { map: map(), name: cell.name() })
 }
 
-/// What names stand for.
-async fn find_all(view: &Arc<MapView>, field: &'static str, names: Vec<String>) -> Result<Vec<Named>, RpcError> {
+/// What names stand for, and the turn again. `field` gives the name of the field of each.
+async fn find_all(
+    view: &Arc<MapView>,
+    turn: OwnedSemaphorePermit,
+    field: fn(usize) -> String,
+    names: Vec<String>,
+) -> Result<(Vec<Named>, OwnedSemaphorePermit), RpcError> {
     let view = Arc::clone(view);
     let any_cell = names.iter().any(|name| matches!(CellIndex::from_name(name), Some(Ok(_))));
     let find = move || {
-        let find = |(i, name): (usize, &String)| match cell_of(&format!("{field}[{i}]"), name)? {
+        let find = |(i, name): (usize, &String)| match cell_of(&field(i), name)? {
             Some(cell) => Ok(Named::Cell(cell, Box::new(find_cell(&view, cell)?))),
             None => find_state(&view, name).map(Named::State),
         };
-        names.iter().enumerate().map(find).collect()
+        let named = names.iter().enumerate().map(find).collect::<Result<_, RpcError>>()?;
+        Ok((named, turn))
     };
-    // A cell may have to be read from the disk.
+    // A cell may have to be read from the disk. The turn lasts as long as that, even if nobody waits any more.
     if any_cell { tokio::task::spawn_blocking(find).await.map_err(|_| RpcError::Stopping)? } else { find() }
 }
 
@@ -82,8 +90,8 @@ pub(super) async fn predict_states(
     let predictions = request.states.len() as u64 * request.times_nanos.len() as u64;
     check_limit("predictions", predictions, queries.max_predictions, "setting max_predictions")?;
     let selector = selector_from_wire("model", request.model)?;
-    let named = find_all(&view, "states", request.states).await?;
     let turn = queries.turns.take().await?;
+    let (named, turn) = find_all(&view, turn, |i| format!("states[{i}]"), request.states).await?;
     Ok(computed(turn, move |computed| {
         predict(&view, &named, &request.times_nanos, selector, computed);
         Ok(())
@@ -136,8 +144,9 @@ pub(super) async fn describe_model(
     request: v1::DescribeModelRequest,
 ) -> Result<v1::DescribeModelResponse, RpcError> {
     let view = find_map(&queries.catalog, &request.map)?.view();
-    let found = find_all(&view, "state", vec![request.state]).await?.pop();
-    Ok(match found {
+    let turn = queries.turns.take().await?;
+    let (mut found, _turn) = find_all(&view, turn, |_| "state".to_owned(), vec![request.state]).await?;
+    Ok(match found.pop() {
         Some(Named::State(id)) => description_to_wire(&view, id).unwrap_or_default(),
         Some(Named::Cell(cell, description)) => cell_description_to_wire(&view, cell, &description),
         None => v1::DescribeModelResponse::default(),

@@ -100,6 +100,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
         ahead: Vec::new(),
         scans: head.scans,
         cell_observations: head.cell_observations,
+        received_nanos: head.received_nanos,
     };
     let room = match keep {
         Keep::Places => 0,
@@ -199,9 +200,11 @@ fn read_day(
     let mut next = 0;
     for _ in 0..head.tiles {
         let message: v2::DayTile = reader.long_message(RecordKind::DayTile, buffer)?;
-        let place = kept.tiles.get_mut(message.tile as usize).filter(|_| message.tile >= next);
+        if !(next..head.tiles_end).contains(&message.tile) {
+            return Err("the tiles of a day are out of order".to_owned());
+        }
         let scans = message.scans.as_ref().ok_or("a tile of a day has no scans")?;
-        *place.ok_or("the tiles of a day are out of order")? = Some(Box::new(day::decode_tile(scans, head.scans)?));
+        kept.put(TileId(message.tile), day::decode_tile(scans, head.scans)?);
         next = message.tile + 1;
     }
     Ok(kept)

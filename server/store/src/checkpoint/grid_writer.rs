@@ -79,6 +79,7 @@ pub(super) fn write(
         ahead: number(grid.ahead.len())?,
         scans: grid.scans,
         cell_observations: grid.cell_observations,
+        received_nanos: grid.received_nanos,
         last_seen,
     };
     writer.long(RecordKind::Grid, &head.encode_to_vec())?;
@@ -97,11 +98,9 @@ pub(super) fn write(
     }
     let shared = tiles.shared.in_memory;
     for kept in &grid.days {
-        let tiles = kept.tiles.iter().flatten().count();
-        writer.long(RecordKind::Day, &day::encode(kept, tiles)?.encode_to_vec())?;
-        for (tile, of_day) in (0..).zip(&kept.tiles) {
-            let Some(of_day) = of_day else { continue };
-            let message = v2::DayTile { tile, scans: Some(day::encode_tile(of_day)?), models: Vec::new() };
+        writer.long(RecordKind::Day, &day::encode(kept, kept.tiles().len())?.encode_to_vec())?;
+        for (tile, of_day) in kept.tiles() {
+            let message = v2::DayTile { tile: tile.0, scans: Some(day::encode_tile(of_day)?), models: Vec::new() };
             writer.long(RecordKind::DayTile, &message.encode_to_vec())?;
         }
     }

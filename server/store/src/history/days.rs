@@ -96,8 +96,10 @@ impl GridDays {
             }
             if let Some(shown) = &message.scans {
                 let shown = day::decode_tile(shown, head.scans).map_err(damaged)?;
-                let place = scans.tiles.get_mut(message.tile as usize);
-                *place.ok_or_else(|| damaged("a tile is not known"))? = Some(Box::new(shown));
+                if message.tile >= head.tiles_end {
+                    return Err(damaged("a tile is not known"));
+                }
+                scans.put(TileId(message.tile), shown);
             }
             let of_tile = decode_models(&message.models).map_err(damaged)?;
             if !of_tile.is_empty() {

@@ -4,7 +4,10 @@
 
 use std::path::Path;
 
-use tidemap_map::history::{HistoryDay, HistoryPiece};
+use tidemap_map::{
+    grid::index::TileId,
+    history::{HistoryDay, HistoryPiece},
+};
 use tidemap_migrations::{
     v1::file::{FileHeader, Trailer},
     v2::{
@@ -140,15 +143,15 @@ impl Out {
             let at = day.models.binary_search_by_key(&tile, |(tile, _)| tile.0).ok();
             at.and_then(|at| day.models.get(at)).map(|(_, models)| &models[..])
         };
-        let limit = day.models.last().map_or(0, |(tile, _)| tile.0 as usize + 1).max(scans.tiles.len());
-        let limit = u32::try_from(limit).map_err(|_| "a day has more tiles than can be numbered")?;
-        let has = |&tile: &u32| scans.tiles.get(tile as usize).is_some_and(Option::is_some) || models(tile).is_some();
-        let tiles: Vec<u32> = (0..limit).filter(has).collect();
+        let mut tiles: Vec<u32> = scans.tiles().map(|(tile, _)| tile.0).collect();
+        tiles.extend(day.models.iter().map(|(tile, _)| tile.0));
+        tiles.sort_unstable();
+        tiles.dedup();
         self.begin(day_key(number))?;
         self.put(RecordKind::Day, &day::encode(scans, tiles.len())?)?;
         for tile in tiles {
             self.begin(tile_key(number, tile))?;
-            let of_day = scans.tiles.get(tile as usize).and_then(Option::as_deref);
+            let of_day = scans.tile(TileId(tile));
             let message = v2::DayTile {
                 tile,
                 scans: of_day.map(day::encode_tile).transpose()?,

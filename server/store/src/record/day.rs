@@ -63,11 +63,14 @@ pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<v2::Day, Invalid> {
         offset_secs,
         presence,
         tiles: u32::try_from(tiles).map_err(|_| MANY)?,
-        tiles_end: u32::try_from(day.tiles.len()).map_err(|_| MANY)?,
+        tiles_end: match day.tiles().next_back() {
+            Some((last, _)) => last.0.checked_add(1).ok_or(MANY)?,
+            None => 0,
+        },
     })
 }
 
-/// The day with room for its tiles, all of which are below `limit`. `keep` says which tiles the runs of presence keep.
+/// The day without its tiles, all of which are below `tiles_end` and so below `limit`. `keep` says which tiles the runs of presence keep.
 pub(crate) fn decode(message: &v2::Day, limit: u32, keep: impl Fn(TileId) -> bool) -> Result<GridDay, Invalid> {
     let count = message.scans as usize;
     if count > SCANS_MAX {
@@ -101,7 +104,6 @@ pub(crate) fn decode(message: &v2::Day, limit: u32, keep: impl Fn(TileId) -> boo
     if message.tiles_end > limit {
         return Err("a tile is not known");
     }
-    day.tiles.resize_with(message.tiles_end as usize, || None);
     Ok(day)
 }
 

@@ -180,6 +180,9 @@ fn format_1_is_read_as_it_always_was() {
     assert_eq!(content(directory.path()).iter().filter(|(_, content)| content.is_some()).count(), FILES.len());
     let store = Store::open(directory.path(), options()).expect("opens");
     assert_eq!(store.maps(), [(MapId(1), spec())]);
+    // What its updates have folded in is in its log alone.
+    let history = store.history(MapId(1)).expect("known");
+    assert_eq!((history.is_complete(), history.first_of_states().expect("readable")), (false, None));
     let opened = store.open_map(MapId(1), &spec()).expect("opens");
     assert_eq!((opened.source, opened.snapshot), (Source::Checkpoint, Some(snapshot())));
     let replayed: Vec<_> = opened.replay.map(|item| item.expect("readable")).collect();

@@ -197,6 +197,7 @@ fn grid() -> GridSnapshot {
         }],
         scans: 9,
         cell_observations: 321,
+        received_nanos: None,
     }
 }
 

@@ -207,6 +207,7 @@ pub(crate) fn grid(spec: &MapSpec, tiles: u32, random: &mut SmallRng) -> GridSna
         ahead: Vec::new(),
         scans: random.random(),
         cell_observations: random.random(),
+        received_nanos: random.random::<bool>().then(|| random.random()),
     };
     for id in 0..tiles {
         let index = TileIndex { x: id as i32 - 2, y: -(id as i32), z: 0 };

@@ -66,15 +66,15 @@ proptest! {
         let message = day_record::encode(&kept, 6).expect("valid");
         let found = day_record::decode(&message, 6, |_| true).expect("valid");
         prop_assert_eq!((found.day, &found.scans, &found.presence), (kept.day, &kept.scans, &kept.presence));
-        prop_assert_eq!(found.tiles.len(), kept.tiles.len());
+        prop_assert_eq!(found.tiles().len(), 0);
         if let Some(Ok(found)) = changed(&message, at, byte).map(|message| day_record::decode(&message, 6, |_| true)) {
             prop_assert!(day_record::encode(&found, 6).is_ok());
         }
         let scans = kept.scans.len() as u32;
-        for tile in kept.tiles.iter().flatten() {
+        for (_, tile) in kept.tiles() {
             let message = day_record::encode_tile(tile).expect("valid");
             prop_assert!(message.last.is_none() && message.flips_in_order.is_empty());
-            prop_assert_eq!(day_record::decode_tile(&message, scans), Ok(DayTile::clone(tile)));
+            prop_assert_eq!(day_record::decode_tile(&message, scans), Ok(tile.clone()));
             if let Some(Ok(found)) = changed(&message, at, byte).map(|message| day_record::decode_tile(&message, scans)) {
                 prop_assert!(day_record::encode_tile(&found).is_ok());
             }
@@ -84,13 +84,14 @@ proptest! {
     #[test]
     fn flips_in_any_order_and_any_last_masks_come_back(seed in any::<u64>()) {
         let mut random = SmallRng::seed_from_u64(seed);
-        for mut tile in day(19_000, 6, &mut random).tiles.into_iter().flatten() {
+        for (_, tile) in day(19_000, 6, &mut random).tiles() {
+            let mut tile = tile.clone();
             tile.last = masks(&mut random);
             tile.flips.shuffle(&mut random);
             tile.flips.sort_by_key(|flip| flip.scan);
             tile.flips.extend_from_within(tile.flips.len().saturating_sub(1)..);
             let message = day_record::encode_tile(&tile).expect("valid");
-            prop_assert_eq!(day_record::decode_tile(&message, 60), Ok(*tile));
+            prop_assert_eq!(day_record::decode_tile(&message, 60), Ok(tile));
         }
     }
 

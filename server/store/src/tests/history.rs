@@ -67,9 +67,11 @@ fn expected(pieces: &[Arc<HistoryPiece>], id: StateId, from: i64, to: i64) -> Ve
 
 /// A day with the tiles of a set alone.
 fn restricted(day: &HistoryDay, tiles: &[TileId]) -> HistoryDay {
-    let mut outliers = GridDay { ..day.outliers.clone() };
-    for (id, tile) in (0..).zip(&mut outliers.tiles) {
-        tile.take_if(|_| !tiles.contains(&TileId(id)));
+    let mut outliers = GridDay::new(day.outliers.day);
+    outliers.scans.clone_from(&day.outliers.scans);
+    outliers.presence.clone_from(&day.outliers.presence);
+    for (id, tile) in day.outliers.tiles().filter(|(id, _)| tiles.contains(id)) {
+        outliers.put(id, tile.clone());
     }
     for run in &mut outliers.presence {
         run.seen = run.seen.iter().copied().filter(|tile| tiles.contains(tile)).collect();
@@ -83,6 +85,8 @@ fn observations_of_a_state_are_found_again_by_time() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let pieces = pieces(4);
     let history = fill(directory.path(), &spec("office"), &pieces).history(MAP).expect("known");
+    let first = pieces.iter().find(|piece| !piece.states.is_empty()).map(|piece| (piece.generation, piece.to_nanos));
+    assert_eq!((history.is_complete(), history.first_of_states().expect("readable")), (true, first));
     let start = 19_001 * DAY_NANOS;
     for (from, to) in [(0, i64::MAX), (start + DAY_NANOS / 2, start + 2 * DAY_NANOS), (5, 5), (i64::MAX, 0)] {
         for id in [0, 1, 3, 4, 5].map(StateId) {

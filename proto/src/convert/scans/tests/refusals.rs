@@ -55,6 +55,41 @@ fn a_malformed_scan_changes_nothing() {
 }
 
 #[test]
+fn flips_of_what_a_malformed_scan_named_need_masks_first() {
+    let mut decoder = decoder(&spec(false));
+    let tiles = [0, 0, 0, 1, 0, 0, 2, 0, 0];
+    all(&mut decoder, message(1, &tiles, vec![flips(&[0, 3], &[1, 600, 1100], &[])])).expect("fine");
+    let masked = |slot: u32| {
+        let (observed, occupied) = (mask(&[1, 2]).to_bytes().to_vec(), vec![0; 64]);
+        Content::Tiles(v1::TileScan { masked: vec![slot], observed, occupied, ..v1::TileScan::default() })
+    };
+    let taken = |decoder: &mut ScanDecoder, tiles: &[i32], content: Content| {
+        let scans = all(decoder, message(2, tiles, vec![content])).expect("fine");
+        assert_eq!(scans[0].refusal, None);
+    };
+    refused(&mut decoder, flips(&[], &[], &[77, 600]), RefusalReason::Scan, "place 77");
+    for _ in 0..2 {
+        refused(&mut decoder, flips(&[], &[3], &[]), RefusalReason::Scan, "slot 0: a scan before");
+    }
+    taken(&mut decoder, &[], flips(&[], &[1101], &[]));
+    // Slot 2 is named by what is refused for slot 1.
+    refused(&mut decoder, flips(&[], &[601, 1102], &[]), RefusalReason::Scan, "slot 1: ");
+    refused(&mut decoder, flips(&[], &[1102], &[]), RefusalReason::Scan, "slot 2: ");
+    for slot in 0..3 {
+        taken(&mut decoder, &[], masked(slot));
+        taken(&mut decoder, &[], flips(&[], &[slot * 512 + 9], &[]));
+    }
+    // Nobody knows which slots these were.
+    let garbled = v1::TileScan { observed_flips: vec![5, u32::MAX], ..v1::TileScan::default() };
+    refused(&mut decoder, Content::Tiles(garbled), RefusalReason::Scan, "beyond any cell");
+    refused(&mut decoder, flips(&[], &[1030], &[]), RefusalReason::Scan, "send the slot's masks whole");
+    taken(&mut decoder, &[3, 0, 0], flips(&[0, 4], &[], &[]));
+    refused(&mut decoder, flips(&[], &[1540], &[]), RefusalReason::Scan, "slot 3: ");
+    taken(&mut decoder, &[], masked(3));
+    taken(&mut decoder, &[], flips(&[], &[1540], &[]));
+}
+
+#[test]
 fn a_flat_grid_has_one_layer() {
     let mut decoder = decoder(&spec(true));
     let tile = message(1, &[0, 0, 0], vec![flips(&[0, 1], &[63], &[])]);
@@ -116,6 +151,25 @@ fn a_map_without_a_grid_takes_no_scan_and_knows_its_digest() {
         assert_eq!(without.refusal.as_ref().map(|refusal| refusal.reason), Some(RefusalReason::NoGrid));
         assert_eq!((without.digest, &without.content), (with.digest, &None));
     }
+}
+
+#[test]
+fn of_readings_for_a_map_without_a_grid_only_the_digest_is_kept() {
+    let (mut none, mut some) = (ScanDecoder::new(None, LIMITS), decoder(&spec(false)));
+    let part = |count: usize, continues| {
+        let pose = Some(v1::Pose { x_m: 3.0, qw: 1.0, ..v1::Pose::default() });
+        let cloud = v1::PointCloud { pose, xyz_m: vec![1.5; 3 * count], ..v1::PointCloud::default() };
+        v1::ScanBatch { continues, ..message(1, &[], vec![Content::Cloud(cloud)]) }
+    };
+    for decoder in [&mut none, &mut some] {
+        all(decoder, part(60, true)).expect("fine");
+    }
+    assert_eq!((none.held_bytes(), some.held_bytes()), (0, 720));
+    let (without, with) = (all(&mut none, part(40, false)), all(&mut some, part(40, false)));
+    assert_eq!(without.expect("fine")[0].digest, with.expect("fine")[0].digest);
+    all(&mut none, part(60, true)).expect("fine");
+    let error = all(&mut none, part(41, false)).expect_err("101 points").to_string();
+    assert!(error.contains("points of one scan: 101 is more than the 100"), "{error}");
 }
 
 #[test]

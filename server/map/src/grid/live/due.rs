@@ -65,6 +65,7 @@ impl LiveGrid {
 
     pub(super) fn count_pending(&mut self) {
         self.pending_changes = self.days.iter().map(GridDay::changes).sum();
+        self.ahead_tiles = self.ahead.iter().map(|scan| scan.tiles.len() as u64).sum();
         self.oldest_pending_nanos = self.days.iter().flat_map(|day| &day.scans).map(|scan| scan.utc_nanos).min();
     }
 }

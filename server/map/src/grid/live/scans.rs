@@ -123,6 +123,7 @@ impl LiveGrid {
             let shown = seen.iter().filter_map(|&tile| Some((tile, self.arrival(tile)?)));
             let tiles: Vec<(TileId, TileMasks)> = shown.collect();
             self.cell_observations += tiles.iter().map(|(_, masks)| u64::from(masks.observed().count())).sum::<u64>();
+            self.ahead_tiles += tiles.len() as u64;
             self.ahead.push(AheadScan { time, tiles });
             // What its tiles show now has gone into no day, and into no last value.
             self.previous = None;

@@ -1,7 +1,8 @@
 //! The part of a ray that lies within a box, in cells.
 //!
 //! Invariant: the end of a ray that lies within the box keeps its cell, the one that
-//! [`GridSpec::cell_at`](crate::grid::spec::GridSpec::cell_at) names.
+//! [`GridSpec::cell_at`](crate::grid::spec::GridSpec::cell_at) names. Both ends of what is left lie within the box,
+//! borders included, and so do their cells, however far away the ray's own ends are.
 
 use super::super::index::CellBox;
 
@@ -12,8 +13,12 @@ pub(super) struct Clipped {
     pub from: [i32; 3],
     /// Cell of its end.
     pub to: [i32; 3],
-    /// Where along the ray it leaves the box; `None` where its end is that of the ray.
-    pub leaves: Option<f64>,
+    /// Where it starts, in cells.
+    pub start: [f64; 3],
+    /// Where it ends, in cells.
+    pub end: [f64; 3],
+    /// Whether its end is that of the ray, and not where the ray leaves the box.
+    pub is_whole: bool,
 }
 
 /// Where a ray passes the box's surface: how far along it, 0 to 1, and through which axis' side.
@@ -61,15 +66,18 @@ pub(super) fn clip(cells: &CellBox, start: [f64; 3], end: [f64; 3]) -> Option<Cl
     }
     let is_forward = |axis: usize| end[axis] > start[axis];
     let cell = |at: [f64; 3]| std::array::from_fn(|axis| (at[axis].floor() as i32).clamp(low[axis], high[axis] - 1));
-    let passing = |(at, side): (f64, usize), is_at_low: bool| {
-        let mut cell: [i32; 3] = cell(std::array::from_fn(|axis| start[axis] + at * (end[axis] - start[axis])));
-        // Through which side it passes is known, whatever is rounded.
-        cell[side] = if is_at_low { low[side] } else { high[side] - 1 };
-        cell
+    let passing = |(at, side): (f64, usize), is_at_low: bool| -> [f64; 3] {
+        std::array::from_fn(|axis| {
+            let (low, high) = (f64::from(low[axis]), f64::from(high[axis]));
+            // Through which side it passes is known, whatever is rounded.
+            match (axis == side, is_at_low) {
+                (true, true) => low,
+                (true, false) => high,
+                (false, _) => (start[axis] + at * (end[axis] - start[axis])).clamp(low, high),
+            }
+        })
     };
-    Some(Clipped {
-        from: enters.map_or_else(|| cell(start), |passage| passing(passage, is_forward(passage.1))),
-        to: leaves.map_or_else(|| cell(end), |passage| passing(passage, !is_forward(passage.1))),
-        leaves: leaves.map(|(at, _)| at),
-    })
+    let first = enters.map_or(start, |passage| passing(passage, is_forward(passage.1)));
+    let last = leaves.map_or(end, |passage| passing(passage, !is_forward(passage.1)));
+    Some(Clipped { from: cell(first), to: cell(last), start: first, end: last, is_whole: leaves.is_none() })
 }

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::grid::{
-    index::{CellBox, CellIndex},
+    index::{CellBox, CellIndex, TILE_EDGE, TILE_LIMIT},
     spec::{Retention, SensorNoise},
 };
 
@@ -215,6 +215,88 @@ proptest! {
             let is_allowed = allowed.contains(CellIndex { x: cell.0, y: cell.1, z: cell.2 });
             prop_assert!(is_allowed);
             prop_assert!(touches(cell, in_cells(place(0.0)), in_cells(place(1.0)), 1e-6), "{cell:?} was not passed");
+        }
+    }
+}
+
+/// The one free line of a ray along a diagonal, from a cell's middle, as far as it is allowed.
+fn diagonal(from: [i32; 3], step: [i32; 3], allowed: &CellBox) -> Vec<[i32; 3]> {
+    let mut at = from;
+    let mut cells = Vec::new();
+    while allowed.contains(CellIndex { x: at[0], y: at[1], z: at[2] }) {
+        cells.push(at);
+        at = std::array::from_fn(|axis| at[axis] + step[axis]);
+    }
+    cells
+}
+
+/// Checks that a ray passes the cells of a diagonal and otherwise only neighbours that share a corner with it.
+#[track_caller]
+fn check_diagonal(spec: &GridSpec, readings: &Readings, from: [i32; 3], step: [i32; 3]) {
+    let allowed = spec.allowed();
+    let (free, occupied) = cast_cells(spec, readings);
+    assert!(occupied.is_empty());
+    let expected = diagonal(from, step, &allowed);
+    for at in &expected {
+        assert!(free.contains(&(at[0], at[1], at[2])), "{at:?} was passed");
+    }
+    for &(x, y, z) in &free {
+        assert!(allowed.contains(CellIndex { x, y, z }), "{x} {y} {z} is outside");
+        let steps = |to: i32, axis: usize| (to - from[axis]) * step[axis];
+        let along: Vec<i32> = [x, y, z]
+            .into_iter()
+            .enumerate()
+            .filter(|(axis, _)| step[*axis] != 0)
+            .map(|(axis, to)| steps(to, axis))
+            .collect();
+        let (least, most) = (along.iter().min().expect("an axis"), along.iter().max().expect("an axis"));
+        assert!(*least >= 0 && most - least <= 1, "{x} {y} {z} is not on the way");
+    }
+}
+
+const DIAGONALS: [[i32; 3]; 6] = [[1, 1, 1], [-1, -1, -1], [1, -1, 1], [-1, 1, 0], [0, -1, -1], [0, 0, 1]];
+
+#[test]
+fn very_distant_ends_leave_the_ray_where_it_is() {
+    let extent = CellBox { min: CellIndex { x: -20, y: -13, z: -9 }, max: CellIndex { x: 31, y: 17, z: 11 } };
+    let limit = TILE_LIMIT * TILE_EDGE;
+    for far in [1e18f32, 1e30, f32::MAX] {
+        for step in DIAGONALS {
+            let end: [f32; 3] = std::array::from_fn(|axis| far * step[axis] as f32);
+            let within = GridSpec { extent: Some(extent), ..unit() };
+            check_diagonal(&within, &points(at([0.5; 3]), &[end]), [0; 3], step);
+            // Near the border of all indices, without an extent.
+            let from: [i32; 3] = std::array::from_fn(|axis| if step[axis] < 0 { 100 - limit } else { limit - 100 });
+            let place = from.map(|cell| f64::from(cell) + 0.5);
+            check_diagonal(&unit(), &points(at(place), &[end]), from, step);
+        }
+    }
+}
+
+#[test]
+fn planar_scans_may_believe_very_far() {
+    let extent = CellBox { min: CellIndex { x: -40, y: -40, z: -1 }, max: CellIndex { x: 40, y: 40, z: 1 } };
+    let spec = GridSpec { extent: Some(extent), ..unit() };
+    for (max, turn) in [(1e18f32, 1), (1e30, 3), (f32::MAX, 5), (f32::MAX, 7)] {
+        let angle_min_rad = f64::from(turn) * std::f64::consts::FRAC_PI_4;
+        let rays = Rays::Planar { angle_min_rad, angle_increment_rad: 0.0, ranges_m: vec![f32::INFINITY] };
+        let readings = Readings { pose: at([0.5; 3]), min_range_m: 0.0, max_range_m: Some(max), rays };
+        let sign = |along: f64| if along > 0.0 { 1 } else { -1 };
+        check_diagonal(&spec, &readings, [0; 3], [sign(angle_min_rad.cos()), sign(angle_min_rad.sin()), 0]);
+    }
+}
+
+#[test]
+fn rays_from_very_far_stay_within_the_extent() {
+    let extent = CellBox { min: CellIndex { x: -20, y: -13, z: -9 }, max: CellIndex { x: 31, y: 17, z: 11 } };
+    let spec = GridSpec { extent: Some(extent), ..unit() };
+    for far in [1e9, 1e18, 1e30] {
+        for step in DIAGONALS {
+            let from: [f64; 3] = std::array::from_fn(|axis| 0.5 - far * f64::from(step[axis]));
+            let end: [f32; 3] = std::array::from_fn(|axis| (2.0 * far) as f32 * step[axis] as f32);
+            let (free, occupied) = cast_cells(&spec, &points(at(from), &[end]));
+            assert!(occupied.is_empty());
+            assert!(free.iter().all(|&(x, y, z)| extent.contains(CellIndex { x, y, z })));
         }
     }
 }

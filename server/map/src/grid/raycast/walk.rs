@@ -17,7 +17,7 @@ use crate::grid::{
 
 /// No link yet.
 const UNKNOWN: u32 = u32::MAX;
-/// A whole ray in fixed point.
+/// The whole of what is traversed of a ray, in fixed point.
 const ONE: f64 = (1u64 << 61) as f64;
 /// Bits of each axis in a place that is spread: three, and one above them that tells when a tile is left.
 const FIELDS: [u32; 3] = [0x007, 0x070, 0x700];
@@ -32,7 +32,7 @@ fn gather(spread: u32) -> u16 {
     (spread & 7 | spread >> 1 & 0o70 | spread >> 2 & 0o700) as u16
 }
 
-/// How far along a ray, in fixed point; what lies far beyond its end is brought nearer.
+/// How far along what is traversed of a ray, in fixed point; what lies far beyond its end is brought nearer.
 fn fixed(along: f64) -> u64 {
     (along * ONE).clamp(0.0, 2.0 * ONE) as u64
 }
@@ -46,8 +46,9 @@ struct Borders {
 
 impl Borders {
     /// The first border lies `first` cells away, and the ray goes `along` cells in all. As many borders as `crossings`
-    /// are crossed up to `until`, and none more, whatever is rounded.
-    fn new(crossings: u32, first: f64, along: f64, until: u64) -> Borders {
+    /// are crossed up to its end, and none more, whatever is rounded.
+    fn new(crossings: u32, first: f64, along: f64) -> Borders {
+        let until = ONE as u64;
         if crossings == 0 {
             return Borders { next: u64::MAX, apart: 0 };
         }
@@ -126,9 +127,9 @@ impl<'a> Walk<'a> {
         if self.cells > self.limits.cells {
             return Err(CastError::TooManyCells { max: self.limits.cells });
         }
-        let (tile, place) = self.pass(end, &clipped, steps)?;
+        let (tile, place) = self.pass(&clipped, steps)?;
         let end = &mut self.tiles[tile];
-        if is_hit && clipped.leaves.is_none() {
+        if is_hit && clipped.is_whole {
             end.occupied.insert(place);
         } else {
             end.free.insert(place);
@@ -137,18 +138,17 @@ impl<'a> Walk<'a> {
     }
 
     /// Frees the cells of a ray but for the last, and gives that: its tile and its place there.
-    fn pass(&mut self, end: [f64; 3], clipped: &Clipped, steps: u64) -> Result<(usize, u16), CastError> {
-        let Clipped { from, to, leaves } = *clipped;
+    fn pass(&mut self, clipped: &Clipped, steps: u64) -> Result<(usize, u16), CastError> {
+        let Clipped { from, to, start, end, .. } = *clipped;
         let (index, place) = CellIndex { x: from[0], y: from[1], z: from[2] }.tile();
         let mut tile = self.first_tile(index)?;
         // Seen in a mirror along the axes on which the ray goes down, so that every step goes up.
         let mirror = (0..3).filter(|&axis| to[axis] < from[axis]).fold(0, |mirror, axis| mirror | FIELDS[axis]);
         let mut place = spread(place) ^ mirror;
-        let until = fixed(leaves.unwrap_or(1.0));
         let [one, two, three] = std::array::from_fn(|axis| {
             let crossings = from[axis].abs_diff(to[axis]);
             let border = f64::from(from[axis].max(from[axis] + (to[axis] - from[axis]).signum()));
-            Borders::new(crossings, border - self.start[axis], end[axis] - self.start[axis], until)
+            Borders::new(crossings, border - start[axis], end[axis] - start[axis])
         });
         let (mut next, apart) = ([one.next, two.next, three.next], [one.apart, two.apart, three.apart]);
         let mut free = &mut self.tiles[tile].free.0;

@@ -66,6 +66,12 @@ impl ScanOracle {
         assert_eq!(outcome.scans, taken.len() as u64);
         let count = |scan: &Whole| scan.tiles.iter().map(|(_, masks)| u64::from(masks.observed().count())).sum::<u64>();
         assert_eq!(outcome.observations, taken.iter().map(count).sum::<u64>());
+        let [before, now] =
+            [outcome.cells_by_order_before, outcome.cells_by_order].map(|cells| cells.iter().sum::<u64>());
+        assert!(before <= now && now == outcome.changed_cells, "{outcome:?}");
+        // What is chosen is one of the orders, cell by cell.
+        let all = outcome.squared_errors.iter().sum::<f64>();
+        assert!((0.0..=all + 1e-9).contains(&outcome.squared_error_chosen), "{outcome:?}");
         let mut by_day: BTreeMap<LocalDay, Vec<Whole>> = BTreeMap::new();
         for scan in taken {
             by_day.entry(LocalDay::of_civil_nanos(scan.time.civil_nanos())).or_default().push(scan);
@@ -89,12 +95,8 @@ impl ScanOracle {
 /// What each scan of a day showed.
 fn unfold(day: &GridDay) -> Vec<BTreeMap<TileId, TileMasks>> {
     let mut shown = vec![BTreeMap::new(); day.scans.len()];
-    for (index, ranges) in day.presence_by_tile().iter().enumerate() {
-        let id = TileId(u32::try_from(index).expect("few"));
-        let Some(tile) = day.tile(id) else {
-            assert!(ranges.is_empty());
-            continue;
-        };
+    for ((id, tile), ranges) in day.tiles().zip(&day.presence_by_tile()) {
+        assert_eq!(day.tile(id), Some(tile));
         let mut last = tile.first;
         for (scan, masks) in tile.scans(ranges) {
             shown[scan as usize].insert(id, masks);

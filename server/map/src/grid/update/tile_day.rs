@@ -200,6 +200,7 @@ impl TileDay {
                 };
                 cell.errors.record(day, errors);
                 cell.order = u8::try_from(cell.errors.best()).unwrap_or(0);
+                outcome.squared_error_chosen += of_day.scores.squared[usize::from(cell.order).min(MAX_ORDER)];
             }
             cell.occupied += run_length(&of_day.toggles, self.scans);
             cell.spectral = SpectralModel::fit_sums(

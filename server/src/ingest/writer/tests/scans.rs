@@ -17,7 +17,7 @@ const MINUTE: i64 = HOUR / 60;
 const LIMITS: IntakeLimits =
     IntakeLimits { batch: 100, table: 10, scans: ScanLimits { batch_scans: 100, points: 5000, tiles: 30 } };
 
-fn grid() -> GridSpec {
+pub(super) fn grid() -> GridSpec {
     GridSpec {
         frame_id: "map".to_owned(),
         is_flat: false,
@@ -29,7 +29,7 @@ fn grid() -> GridSpec {
     }
 }
 
-fn masks(observed: &[u16], occupied: &[u16]) -> TileMasks {
+pub(super) fn masks(observed: &[u16], occupied: &[u16]) -> TileMasks {
     let set = |cells: &[u16]| {
         let mut mask = Mask::EMPTY;
         cells.iter().for_each(|&cell| mask.insert(cell));
@@ -38,21 +38,21 @@ fn masks(observed: &[u16], occupied: &[u16]) -> TileMasks {
     TileMasks::new(set(observed), set(occupied)).expect("occupied cells are observed")
 }
 
-fn tile(x: i32) -> TileIndex {
+pub(super) fn tile(x: i32) -> TileIndex {
     TileIndex { x, y: 0, z: 0 }
 }
 
-type Shown = Vec<(TileIndex, TileMasks)>;
+pub(super) type Shown = Vec<(TileIndex, TileMasks)>;
 
 /// A stream of scans with all that both of its sides remember.
-struct Scanner {
-    robot: Robot,
+pub(super) struct Scanner {
+    pub(super) robot: Robot,
     intake: Intake,
     encoder: ScanEncoder,
     crc: u32,
 }
 
-async fn scanner(handle: &MapHandle, name: &str, nightly: bool) -> Scanner {
+pub(super) async fn scanner(handle: &MapHandle, name: &str, nightly: bool) -> Scanner {
     let robot = hello(handle, name, 0, nightly).await.expect("accepted");
     let opened = robot.opened;
     let intake = Intake::new(opened.durable_sequence, opened.content_crc, LIMITS, handle.spec.grid.as_ref());
@@ -72,7 +72,7 @@ impl Scanner {
     }
 
     /// Sends scans without waiting.
-    fn send(&mut self, handle: &MapHandle, scans: &[(i64, Shown)]) {
+    pub(super) fn send(&mut self, handle: &MapHandle, scans: &[(i64, Shown)]) {
         let first = self.robot.sent + 1;
         let times: Vec<i64> = scans.iter().map(|(time, _)| *time).collect();
         let encoded: Vec<_> = scans.iter().map(|(_, shown)| self.encoder.tiles(shown).expect("tiles")).collect();
@@ -85,7 +85,7 @@ impl Scanner {
     }
 
     /// Waits until all that was sent is acknowledged; gives what was refused.
-    async fn settled(&mut self) -> Vec<(u64, RefusalReason)> {
+    pub(super) async fn settled(&mut self) -> Vec<(u64, RefusalReason)> {
         let mut all = Vec::new();
         loop {
             match self.robot.events.recv().await {
@@ -107,7 +107,7 @@ impl Scanner {
 }
 
 /// What the last scan of each tile showed, in the order of the log, and counters.
-fn picture(handle: &MapHandle) -> (Vec<(i32, TileMasks)>, u64, u64) {
+pub(super) fn picture(handle: &MapHandle) -> (Vec<(i32, TileMasks)>, u64, u64) {
     let view = handle.view();
     let grid = view.grid().expect("a grid");
     let tiles = (-20..20).filter_map(|x| Some((x, grid.live(grid.find(tile(x))?)?.arrival)));
@@ -369,4 +369,32 @@ fn describe(handle: &MapHandle) -> String {
     let view = handle.view();
     let cell = view.grid().expect("a grid").describe(CellIndex { x: 2, y: 0, z: 0 }).expect("readable");
     format!("{} {cell:?}", view.generation())
+}
+
+#[tokio::test]
+async fn as_many_tiles_wait_for_their_time_as_may_also_after_a_restart_and_no_longer_than_that() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let ahead = |from: i64| -> Vec<(i64, Shown)> {
+        (from..from + 90).map(|i| (NOON + HOUR + i, vec![(tile(0), masks(&[1], &[]))])).collect()
+    };
+    {
+        let bench = bench(dir.path(), NOON);
+        let handle = create_with(&bench, Some(grid())).await;
+        let mut robot = scanner(&handle, "r", false).await;
+        assert_eq!(robot.show(&handle, &ahead(0)).await, []);
+        // 250 may wait: each is a scan and a tile, and on its way a tile.
+        assert_eq!(robot.show(&handle, &ahead(90)).await.len(), 90 - (250 - 2 * 90));
+        bench.catalog.stop().await;
+        bench.catalog.context().store.close();
+    }
+    let bench = bench(dir.path(), NOON);
+    let handle = bench.catalog.get("office").expect("there");
+    let mut robot = scanner(&handle, "r", false).await;
+    assert_eq!(robot.show(&handle, &ahead(180)).await.len(), 90, "as many as before");
+    bench.clock.0.store(NOON + 2 * HOUR, Ordering::SeqCst);
+    let job = bench.jobs.create(handle.spec.name.clone(), UpdateCause::Request, NOON);
+    assert!(handle.send(Command::Update { until_nanos: None, cause: UpdateCause::Request, job }));
+    ended(&bench, 1).await;
+    bench.clock.0.store(NOON, Ordering::SeqCst);
+    assert_eq!(robot.show(&handle, &ahead(270)).await, [], "those before have gone in");
 }

@@ -62,6 +62,8 @@ async fn cells_are_predicted_and_described_by_name() {
         &["states[1]", "cell/X/Y/Z"],
     );
     check_refused(describe("cell/4/0/0").await, Code::NotFound, &["cell/4/0/0"]);
+    let unnamed = describe("cell/1/0").await.expect_err("refused");
+    assert!(unnamed.message().starts_with("state: "), "{unnamed:?}");
 }
 
 #[tokio::test]

@@ -1,0 +1,136 @@
+//! What casting rays takes, told before it is done, and the turns in which it is done.
+//!
+//! Invariant: no more casts that are much work run at a time than there are processors, in all streams together; those
+//! that wait get their turns in the order in which they asked.
+
+use std::sync::{Condvar, LazyLock, Mutex, MutexGuard, PoisonError};
+
+use tidemap_map::grid::{
+    raycast::{Rays, Readings},
+    spec::GridSpec,
+};
+use tidemap_proto::v1::scan::Content;
+
+use super::RAY_CELLS_MAX;
+
+#[cfg(test)]
+mod tests;
+
+/// Cells that rays pass at most, looked up by range alone.
+#[derive(Debug)]
+pub(super) struct RayCells {
+    per_metre: f64,
+    most: f64,
+}
+
+impl RayCells {
+    pub fn new(spec: &GridSpec) -> RayCells {
+        // A ray passes as many borders along each axis as it is long there, and one more.
+        let per_metre = 3f64.sqrt() / spec.resolution_m;
+        let across = spec.allowed().size().iter().fold(1u64, |sum, size| sum.saturating_add(*size));
+        RayCells { per_metre, most: across.min(RAY_CELLS_MAX) as f64 }
+    }
+
+    fn of(&self, ranges: impl Iterator<Item = f64>, max_range_m: f64) -> u64 {
+        // What is not a number is no reading, and what is below 0 is none that is believed.
+        ranges.map(|range| (range.min(max_range_m).max(0.0) * self.per_metre + 4.0).min(self.most)).sum::<f64>() as u64
+    }
+
+    /// Of a part of a scan as sent. Its limits may be those of another part.
+    pub fn of_part(&self, part: &Content) -> u64 {
+        match part {
+            Content::Cloud(cloud) => self.of(points(&cloud.xyz_m), f64::INFINITY),
+            Content::Ranges(scan) => self.of(numbers(&scan.ranges_m), f64::INFINITY),
+            Content::Tiles(_) => 0,
+        }
+    }
+
+    /// Of a scan that one message has as a whole.
+    pub fn of_content(&self, content: &Content) -> u64 {
+        let bound = |max: f32| if max > 0.0 { f64::from(max) } else { f64::INFINITY };
+        match content {
+            Content::Cloud(cloud) => self.of(points(&cloud.xyz_m), bound(cloud.max_range_m)),
+            Content::Ranges(scan) => self.of(numbers(&scan.ranges_m), bound(scan.max_range_m)),
+            Content::Tiles(_) => 0,
+        }
+    }
+
+    /// Of readings that are to be cast.
+    pub fn of_readings(&self, readings: &Readings) -> u64 {
+        let max = readings.max_range_m.map_or(f64::INFINITY, f64::from);
+        match &readings.rays {
+            Rays::Points(xyz) => self.of(points(xyz), max),
+            Rays::Planar { ranges_m, .. } => self.of(numbers(ranges_m), max),
+        }
+    }
+}
+
+fn points(xyz_m: &[f32]) -> impl Iterator<Item = f64> + '_ {
+    let points = xyz_m.as_chunks::<3>().0.iter();
+    let lengths =
+        points.map(|point| point.iter().map(|&along| f64::from(along) * f64::from(along)).sum::<f64>().sqrt());
+    lengths.filter(|range| range.is_finite())
+}
+
+fn numbers(ranges_m: &[f32]) -> impl Iterator<Item = f64> + '_ {
+    ranges_m.iter().map(|&range| f64::from(range)).filter(|range| !range.is_nan())
+}
+
+/// Turns of all streams of the process.
+static TURNS: LazyLock<Turns> =
+    LazyLock::new(|| Turns::new(std::thread::available_parallelism().map_or(1, std::num::NonZero::get)));
+
+/// Waits for a turn at casting; it ends when what is given is dropped. Not to be called where tasks run.
+pub(super) fn turn() -> Turn<'static> {
+    TURNS.take()
+}
+
+#[derive(Debug)]
+struct Turns {
+    queue: Mutex<Queue>,
+    moved: Condvar,
+}
+
+#[derive(Debug)]
+struct Queue {
+    free: usize,
+    /// The number of the one that asks next, and of the one that is served next.
+    next: u64,
+    first: u64,
+}
+
+/// A turn that is being had.
+#[derive(Debug)]
+pub(super) struct Turn<'a>(&'a Turns);
+
+impl Turns {
+    fn new(free: usize) -> Turns {
+        Turns { queue: Mutex::new(Queue { free, next: 0, first: 0 }), moved: Condvar::new() }
+    }
+
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn take(&self) -> Turn<'_> {
+        let mut queue = self.queue();
+        let own = queue.next;
+        queue.next += 1;
+        while queue.free == 0 || queue.first != own {
+            queue = self.moved.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
+        queue.free -= 1;
+        queue.first += 1;
+        drop(queue);
+        // There may be room for the next one too.
+        self.moved.notify_all();
+        Turn(self)
+    }
+}
+
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        self.0.queue().free += 1;
+        self.0.moved.notify_all();
+    }
+}

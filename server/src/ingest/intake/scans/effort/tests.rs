@@ -1,0 +1,64 @@
+//! Turns are bounded, and what rays cost is never told too low.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use tidemap_map::grid::{
+    index::{CellBox, CellIndex},
+    spec::{Retention, SensorNoise},
+};
+use tidemap_proto::v1;
+
+use super::*;
+
+fn spec(extent: Option<CellBox>) -> GridSpec {
+    GridSpec {
+        frame_id: "map".to_owned(),
+        is_flat: false,
+        resolution_m: 0.5,
+        origin_m: [0.0; 3],
+        extent,
+        sensor: SensorNoise::default(),
+        retention: Retention::None,
+    }
+}
+
+#[test]
+fn no_more_have_a_turn_than_may() {
+    let (turns, inside, most) = (Turns::new(2), AtomicUsize::new(0), AtomicUsize::new(0));
+    std::thread::scope(|scope| {
+        for _ in 0..8 {
+            scope.spawn(|| {
+                for _ in 0..50 {
+                    let turn = turns.take();
+                    most.fetch_max(inside.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
+                    std::thread::yield_now();
+                    inside.fetch_sub(1, Ordering::SeqCst);
+                    drop(turn);
+                }
+            });
+        }
+    });
+    assert!(most.into_inner() <= 2);
+    let queue = turns.queue();
+    assert_eq!((queue.free, queue.next, queue.first), (2, 400, 400));
+}
+
+#[test]
+fn what_rays_pass_is_bounded_by_their_ranges_and_the_extent() {
+    let cells = RayCells::new(&spec(None));
+    let cloud = |xyz_m: &[f32], max_range_m| {
+        Content::Cloud(v1::PointCloud { xyz_m: xyz_m.to_vec(), max_range_m, ..v1::PointCloud::default() })
+    };
+    let along = cells.of_content(&cloud(&[10.0, 10.0, 10.0], 0.0));
+    assert!((61..80).contains(&along), "{along}");
+    assert!(cells.of_content(&cloud(&[10.0, 10.0, 10.0], 1.0)) < 10);
+    // The limits of a part may be those of another.
+    assert_eq!(cells.of_part(&cloud(&[10.0, 10.0, 10.0], 1.0)), along);
+    assert_eq!(cells.of_content(&cloud(&[f32::NAN, 1.0, 1.0, f32::INFINITY, 0.0, 0.0], 0.0)), 0);
+    assert_eq!(cells.of_content(&cloud(&[f32::MAX; 6], 0.0)), 2 * RAY_CELLS_MAX);
+    let scan = v1::RangeScan { ranges_m: vec![f32::INFINITY, f32::NAN, -1.0], max_range_m: 5.0, ..Default::default() };
+    let ranges = cells.of_content(&Content::Ranges(scan));
+    assert!((17..30).contains(&ranges), "{ranges}");
+    let extent = CellBox { min: CellIndex { x: 0, y: 0, z: 0 }, max: CellIndex { x: 9, y: 9, z: 9 } };
+    assert_eq!(RayCells::new(&spec(Some(extent))).of_content(&cloud(&[f32::MAX; 3], 0.0)), 28);
+}
