@@ -4,6 +4,7 @@
 
 use tidemap_map::grid::{
     index::{CellBox, CellIndex},
+    raycast::Pose,
     spec::{GridSpec, InvalidGrid, Retention, SensorNoise},
     view::GridView,
 };
@@ -18,15 +19,6 @@ use crate::v1;
 pub const DEFAULT_FRAME: &str = "map";
 /// How far the length of a quaternion may be from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
-
-/// A transform map_from_sensor: a position and a unit quaternion.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
-    /// Metres.
-    pub position_m: [f64; 3],
-    /// x, y, z, w; of length 1.
-    pub quaternion_xyzw: [f64; 4],
-}
 
 /// A grid's specification.
 ///
@@ -154,7 +146,7 @@ pub fn pose_from_wire(field: &str, wire: Option<v1::Pose>) -> Result<Pose, Inval
         return Err(InvalidField::new(field, format!("{wrong} is not a finite number")));
     }
     if quaternion == [0.0; 4] {
-        return Ok(Pose { position_m, quaternion_xyzw: [0.0, 0.0, 0.0, 1.0] });
+        return Ok(Pose { position_m, ..Pose::default() });
     }
     let length = quaternion.iter().map(|part| part * part).sum::<f64>().sqrt();
     if (length - 1.0).abs() > QUATERNION_TOLERANCE {

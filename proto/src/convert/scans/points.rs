@@ -65,8 +65,7 @@ fn posed(spec: &GridSpec, frame_id: &str, pose: Option<v1::Pose>) -> Result<Pose
         let detail = format!("the scan is in frame {frame_id:?}, and the map in {own:?}");
         return Err(ScanRefusal { reason: RefusalReason::Frame, detail });
     }
-    let pose = pose_from_wire("pose", pose).map_err(|error| ScanRefusal::malformed(error.to_string()))?;
-    Ok(Pose { position_m: pose.position_m, quaternion_xyzw: pose.quaternion_xyzw })
+    pose_from_wire("pose", pose).map_err(|error| ScanRefusal::malformed(error.to_string()))
 }
 
 fn least(min_range_m: f32) -> Result<f32, ScanRefusal> {
