@@ -4,7 +4,7 @@
 //! number of pieces, and is learned once. What the daemon has is compared with the file before anything is sent.
 
 pub mod feed;
-mod transfer;
+pub mod transfer;
 
 use std::{
     path::{Path, PathBuf},

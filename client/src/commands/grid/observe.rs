@@ -15,12 +15,12 @@ use anyhow::Context as _;
 use clap::Args;
 use tidemap::observe::{ProducerOptions, scan::Pose};
 
-use self::transfer::{Ended, Transfer};
+use self::transfer::Transfer;
 use super::{grid_of, place, scans};
 use crate::{
     commands::{
         Session,
-        observe::{INTERRUPTED, LAST_FLUSH, feed::Told, nights, opened},
+        observe::{INTERRUPTED, LAST_FLUSH, feed::Told, nights, opened, transfer::Ended},
         producer_id, times,
     },
     output::Sheet,

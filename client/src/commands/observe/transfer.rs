@@ -17,19 +17,19 @@ use crate::{
     rows::{Row, RowsError},
 };
 
-/// How a transfer ended.
-pub(super) enum Ended {
-    /// The file was sent to its end.
+/// How a transfer of rows or scans ended.
+pub enum Ended {
+    /// All was sent.
     Whole,
     /// By Ctrl-C.
     Interrupted,
-    /// The file is not the one that was sent before; how it differs.
+    /// The content is not what was sent before; how it differs.
     Differs(String),
-    /// The file cannot be read further.
+    /// A file cannot be read further.
     Unreadable(anyhow::Error),
     /// The producer ended.
     Stopped(ProducerError),
-    /// The file was sent, but the nightly updates failed.
+    /// All was sent, but the nightly updates failed.
     Nights(anyhow::Error),
 }
 

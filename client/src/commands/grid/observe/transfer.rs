@@ -7,23 +7,10 @@ use tidemap::observe::{Phase, Producer, ProducerError, Progress, Replay, tiles::
 use tokio::{sync::watch, task::JoinHandle};
 
 use super::super::scans::{Chunk, Chunks, FromFile};
-use crate::{commands::observe::feed::Told, progress::Bar};
-
-/// How a transfer ended.
-pub(super) enum Ended {
-    /// Everything was sent.
-    Whole,
-    /// By Ctrl-C.
-    Interrupted,
-    /// The scans are not those that were sent before; how they differ.
-    Differs(String),
-    /// A file cannot be read further.
-    Unreadable(anyhow::Error),
-    /// The producer ended.
-    Stopped(ProducerError),
-    /// Everything was sent, but the nightly updates failed.
-    Nights(anyhow::Error),
-}
+use crate::{
+    commands::observe::{feed::Told, transfer::Ended},
+    progress::Bar,
+};
 
 /// What became of the scans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
