@@ -34,6 +34,7 @@ mod accumulator;
 mod civil;
 mod entropy;
 mod evaluate;
+pub mod family;
 mod order;
 mod periodicity;
 mod persistence;

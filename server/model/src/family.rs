@@ -1,0 +1,83 @@
+//! The family of temporal models: several answers to "when", behind one small interface.
+//!
+//! Each model is fitted to the readings of one state and answers what to expect at a moment. Which of them predicts best is
+//! for held-out error to say. Invariant: whatever the readings, a prediction is finite.
+
+use crate::{Sample, civil::NANOS_PER_SEC};
+
+/// A moment, with the local time that people lived by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Moment {
+    /// UTC, nanoseconds since 1970.
+    pub utc_nanos: i64,
+    /// The UTC offset of the map's zone, in seconds, east positive.
+    pub offset_secs: i32,
+}
+
+impl Moment {
+    /// Local civil time, nanoseconds since 1970-01-01T00:00 local; saturates at the ends of `i64`.
+    pub fn civil_nanos(self) -> i64 {
+        self.utc_nanos.saturating_add(i64::from(self.offset_secs) * NANOS_PER_SEC)
+    }
+}
+
+impl Sample {
+    /// When it was made.
+    pub fn moment(&self) -> Moment {
+        Moment { utc_nanos: self.utc_nanos, offset_secs: self.offset_secs }
+    }
+}
+
+/// What all models of the family answer.
+pub trait TemporalModel {
+    /// The value to expect at a moment: of a state that is a probability or binary a probability, in `[0,1]`.
+    fn predict(&self, at: Moment) -> f64;
+}
+
+/// What a model is fitted to: the readings of one state.
+#[derive(Clone, Copy, Debug)]
+pub struct Readings<'a> {
+    /// Ascending by UTC time, values finite; equal times may occur.
+    pub samples: &'a [Sample],
+    /// A reading that is this much older than the newest counts half, in seconds; `None`: all count alike.
+    pub half_life_secs: Option<f64>,
+}
+
+impl<'a> Readings<'a> {
+    /// Readings that all count alike.
+    pub fn new(samples: &'a [Sample]) -> Readings<'a> {
+        Readings { samples, half_life_secs: None }
+    }
+
+    /// How much each reading counts, in `(0,1]`, in the order of the samples: 0.5^(age / half-life), the newest 1.
+    pub fn weights(self) -> impl Iterator<Item = f64> + use<'a> {
+        let newest_nanos = self.samples.last().map_or(0, |sample| sample.utc_nanos);
+        let half_life_secs = self.half_life_secs;
+        self.samples.iter().map(move |sample| match half_life_secs {
+            Some(half_life_secs) if half_life_secs > 0.0 => {
+                let age_secs = newest_nanos.abs_diff(sample.utc_nanos) as f64 / 1e9;
+                // Not 0, however old: an only reading still says something.
+                0.5_f64.powf(age_secs / half_life_secs).max(f64::MIN_POSITIVE)
+            }
+            _ => 1.0,
+        })
+    }
+}
+
+/// Why a model could not be fitted.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CannotFit {
+    /// There are no readings.
+    #[error("there are no observations to fit it to")]
+    NoReadings,
+    /// A parameter is outside its range.
+    #[error("{parameter} is {found}, expected {expected}")]
+    Parameter {
+        /// The parameter.
+        parameter: &'static str,
+        /// Its value.
+        found: f64,
+        /// What would be right.
+        expected: &'static str,
+    },
+}
