@@ -36,7 +36,8 @@ pub enum RecordKind {
     /// [`super::grid::TileModel`] of the tile before.
     TileModel = 8,
     /// Sums of the tile before: number of groups u32, number of changed cells u32, per group the number of its shared sum
-    /// u32, per cell its sums as doubles; little-endian.
+    /// u32, per cell its sums as doubles; little-endian. The length u32 of a
+    /// [`super::grid::Sightings`] and the message may follow.
     TileSums = 9,
     /// [`super::grid::Day`].
     Day = 10,

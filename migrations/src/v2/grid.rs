@@ -143,6 +143,36 @@ pub struct Cell {
     pub errors_last_day: Option<i32>,
 }
 
+/// When cells of a tile were observed that have no sums for it. Follows the sums of a tile, where there are any, in the same
+/// record.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Sightings {
+    /// Days, in the order in which they were folded in.
+    #[prost(message, repeated, tag = "1")]
+    pub days: Vec<SeenDay>,
+}
+
+/// When cells of a tile were observed on one day.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct SeenDay {
+    /// Number of scans that saw the tile, at least 1.
+    #[prost(uint32, tag = "1")]
+    pub scans: u32,
+    /// Local civil time of the first, in nanoseconds since 1970 local.
+    #[prost(sint64, tag = "2")]
+    pub first_civil_nanos: i64,
+    /// Unit of the differences of times.
+    #[prost(uint64, tag = "3")]
+    pub time_unit_nanos: u64,
+    /// Column of differences of times, zigzag, modulo 2^64: `scans` - 1 of them, or one where all are equal.
+    #[prost(bytes = "vec", tag = "4")]
+    pub times: Vec<u8>,
+    /// Cells observed alike, list by list: number of cells, the places that lie between each and the one before, number
+    /// of toggles, the scans that lie between each and the one before; all as varints.
+    #[prost(bytes = "vec", tag = "5")]
+    pub lists: Vec<u8>,
+}
+
 /// Scans of one local day. Its tiles follow.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Day {

@@ -17,6 +17,7 @@ pub mod paging;
 pub mod predict;
 pub mod raycast;
 pub mod scan;
+pub mod sightings;
 pub mod snapshot;
 pub mod spec;
 pub mod tile;

@@ -11,6 +11,7 @@ pub(crate) mod event;
 pub(crate) mod history;
 mod offsets;
 pub(crate) mod scans;
+mod sightings;
 pub(crate) mod snapshot;
 pub(crate) mod spec;
 pub(crate) mod tile;

@@ -2,7 +2,8 @@
 //!
 //! A cell that never changed is a bit. Cells that were observed at the same times so far form an observation group and
 //! share B_k = Σ e^(-jω_k t) over its observations; groups of different tiles with the same history share it too. A cell
-//! that changed has A_k over its occupied readings.
+//! that changed has A_k over its occupied readings. Where a tile has many groups, the sums of those without a changed cell
+//! stop at some day, and what was observed later is kept as [`Sightings`].
 //!
 //! Invariant: the groups of a tile are disjoint and hold exactly the cells that were ever observed; a changed cell lies
 //! in a group; `TileSums` runs parallel to the groups and cells of its `TileModel`.
@@ -11,10 +12,10 @@ use std::sync::Arc;
 
 use tidemap_model::{OrderErrors, PhasorSum, SpectralModel};
 
-use super::{index::TileId, mask::Mask};
+use super::{index::TileId, mask::Mask, sightings::Sightings};
 
 /// Cells of a tile that have been observed at the same times so far.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Group {
     /// The cells.
     pub cells: Mask,
@@ -96,10 +97,12 @@ impl TileModel {
 /// The sums from which the next generation's models of a tile follow.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TileSums {
-    /// B_k of each group.
+    /// B_k of each group; of a group without a changed cell less what `sightings` hold.
     pub groups: Vec<Arc<PhasorSum>>,
     /// A_k of each changed cell, over its occupied readings.
     pub cells: Vec<PhasorSum>,
+    /// When cells were observed that have no sum for it. Where there are any, no group has both changed cells and others.
+    pub sightings: Sightings,
 }
 
 impl TileSums {
@@ -107,7 +110,8 @@ impl TileSums {
     #[must_use]
     pub fn bytes(&self) -> usize {
         let groups: usize = self.groups.iter().map(|sum| sum.bytes()).sum();
-        size_of::<Self>() + groups + self.cells.iter().map(PhasorSum::bytes).sum::<usize>()
+        let cells: usize = self.cells.iter().map(PhasorSum::bytes).sum();
+        size_of::<Self>() + groups + cells + self.sightings.bytes()
     }
 }
 

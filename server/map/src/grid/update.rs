@@ -30,9 +30,14 @@ mod pattern;
 mod tile_day;
 
 use pattern::Pattern;
+pub(super) use pattern::{Chunk, fold_toggles};
 
 /// Scans of one map day whose phasors are in memory at a time. Tests come across the ends of chunks often.
 pub(crate) const CHUNK: usize = if cfg!(test) { 3 } else { 256 };
+
+/// Observation groups of a tile up to which each has its sum; with more, cells that never changed have sightings. Tests
+/// come across it often.
+pub(crate) const SUMMED_GROUPS_MAX: usize = if cfg!(test) { 2 } else { 16 };
 
 /// What all cells share.
 #[derive(Clone, Debug)]

@@ -181,7 +181,7 @@ impl TileWriter<'_> {
             return Err("a sum has another number of periodicities than its map".into());
         }
         let shared = sums.groups.iter().map(|sum| self.share(sum)).collect::<Result<Vec<_>, _>>()?;
-        tile_model::encode_sums(&shared, &sums.cells, &mut self.sums);
+        tile_model::encode_sums(&shared, sums, &mut self.sums)?;
         Ok(true)
     }
 

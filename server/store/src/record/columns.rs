@@ -71,21 +71,31 @@ fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
     a
 }
 
+/// The greatest number that divides all of them; 0 where all are 0.
+fn common_divisor(differences: &[i64]) -> u64 {
+    let mut divisor = 0;
+    for difference in differences {
+        if divisor == 1 {
+            break;
+        }
+        divisor = greatest_common_divisor(difference.unsigned_abs(), divisor);
+    }
+    divisor
+}
+
+/// The greatest number that divides all of them; 1 where all are 0, or where it does not fit.
+pub(super) fn unit(differences: &[i64]) -> i64 {
+    i64::try_from(common_divisor(differences)).unwrap_or(1).max(1)
+}
+
 /// Times, which must not be negative, so that no difference overflows.
 pub(super) fn encode_times(nanos: &[i64]) -> Result<Times<Vec<u8>>, Invalid> {
     if nanos.iter().any(|&nanos| nanos < 0) {
         return Err("a time is before 1970");
     }
     let differences: Vec<i64> = nanos.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let mut unit_nanos = 0;
-    for difference in &differences {
-        if unit_nanos == 1 {
-            break;
-        }
-        unit_nanos = greatest_common_divisor(difference.unsigned_abs(), unit_nanos);
-    }
-    // The divisor fits into i64, as do all differences; 0 where all times are equal.
-    let divisor = (unit_nanos as i64).max(1);
+    let unit_nanos = common_divisor(&differences);
+    let divisor = unit(&differences);
     let differences = encode_numbers(&differences, |difference| zigzag(difference / divisor));
     Ok(Times { first_nanos: nanos.first().copied().unwrap_or(0), unit_nanos, differences })
 }

@@ -5,8 +5,10 @@
 
 use std::sync::Arc;
 
+use prost::Message as _;
 use tidemap_map::grid::{
     mask::Mask,
+    sightings::Sightings,
     tile::{CellModel, Group, TileModel, TileSums},
 };
 use tidemap_migrations::v2::grid as v2;
@@ -18,7 +20,7 @@ use tidemap_model::{
 use super::{
     Invalid,
     cells::{decode_mask, encode_mask, place},
-    doubles,
+    doubles, sightings,
 };
 
 /// Bytes of a component.
@@ -110,16 +112,23 @@ fn decode_component(bytes: &[u8; COMPONENT]) -> Component {
     Component { periodicity, gamma_re: eight(4), gamma_im: eight(12) }
 }
 
-/// The sums of a tile as bytes: how many, which shared sums, and the sums of the changed cells.
-pub(crate) fn encode_sums(shared: &[u32], cells: &[PhasorSum], out: &mut Vec<u8>) {
+/// The sums of a tile as bytes: how many, which shared sums, the sums of the changed cells, and sightings.
+pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) -> Result<(), Invalid> {
     out.clear();
     // A tile has at most 512 of each.
     out.extend((shared.len() as u32).to_le_bytes());
-    out.extend((cells.len() as u32).to_le_bytes());
+    out.extend((sums.cells.len() as u32).to_le_bytes());
     out.extend(shared.iter().flat_map(|shared| shared.to_le_bytes()));
-    for cell in cells {
+    for cell in &sums.cells {
         doubles::push(out, cell.as_slice());
     }
+    if !sums.sightings.is_empty() {
+        let message = sightings::encode(&sums.sightings)?.encode_to_vec();
+        let length = u32::try_from(message.len()).map_err(|_| "the sightings of a tile are too many")?;
+        out.extend(length.to_le_bytes());
+        out.extend(message);
+    }
+    Ok(())
 }
 
 /// The sums of a tile, still as bytes.
@@ -128,6 +137,10 @@ pub(crate) struct EncodedSums<'bytes> {
     pub(crate) shared: Vec<u32>,
     /// Sums of its changed cells.
     cells: &'bytes [u8],
+    /// Its sightings.
+    sightings: Sightings,
+    /// The same as bytes; none where there are none.
+    sightings_bytes: &'bytes [u8],
 }
 
 impl EncodedSums<'_> {
@@ -141,15 +154,23 @@ impl EncodedSums<'_> {
         let number = |bytes: [u8; 4]| u32::from_le_bytes(bytes) as usize;
         let (groups, changed) = (counts.as_chunks::<4>().0[0], counts.as_chunks::<4>().0[1]);
         let shared_length = number(groups).checked_mul(4).filter(|&length| length <= rest.len()).ok_or(LENGTH)?;
-        let (shared, cells) = rest.split_at(shared_length);
-        if Some(cells.len()) != number(changed).checked_mul(16 * periodicities.len()) {
-            return Err(LENGTH);
-        }
+        let (shared, rest) = rest.split_at(shared_length);
+        let cells_length = number(changed).checked_mul(16 * periodicities.len()).filter(|&length| length <= rest.len());
+        let (cells, sightings_bytes) = rest.split_at(cells_length.ok_or(LENGTH)?);
+        let sightings = match sightings_bytes.split_first_chunk::<4>() {
+            Some((&length, message)) if number(length) == message.len() => {
+                let message =
+                    v2::Sightings::decode(message).map_err(|_| "the sightings of a tile are not a message")?;
+                sightings::decode(&message)?
+            }
+            None if sightings_bytes.is_empty() => Sightings::default(),
+            _ => return Err(LENGTH),
+        };
         if !doubles::are_finite(cells) {
             return Err("a sum is not finite");
         }
         let shared = shared.as_chunks::<4>().0.iter().map(|&bytes| u32::from_le_bytes(bytes)).collect();
-        Ok(EncodedSums { shared, cells })
+        Ok(EncodedSums { shared, cells, sightings, sightings_bytes })
     }
 
     /// Number of changed cells.
@@ -168,7 +189,7 @@ impl EncodedSums<'_> {
             doubles::take(bytes, &mut numbers);
             PhasorSum::from_slice(periodicities, &numbers)
         });
-        Ok(TileSums { groups, cells: cells.collect::<Result<_, _>>()? })
+        Ok(TileSums { groups, cells: cells.collect::<Result<_, _>>()?, sightings: self.sightings.clone() })
     }
 
     /// The bytes again, with other numbers for the shared sums.
@@ -178,6 +199,7 @@ impl EncodedSums<'_> {
         out.extend((self.cells(periodicities) as u32).to_le_bytes());
         out.extend(shared.iter().flat_map(|shared| shared.to_le_bytes()));
         out.extend_from_slice(self.cells);
+        out.extend_from_slice(self.sightings_bytes);
     }
 }
 

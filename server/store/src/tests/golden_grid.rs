@@ -16,6 +16,7 @@ use tidemap_map::{
         live_tile::{Away, LiveTile},
         mask::{Mask, TileMasks},
         scan::{CellRef, LoggedScan, Scans},
+        sightings::Sightings,
         snapshot::GridSnapshot,
         spec::{GridSpec, Retention, SensorNoise},
         tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
@@ -162,6 +163,7 @@ fn learned() -> (TileModel, TileSums) {
     let sums = TileSums {
         groups: vec![Arc::new(sum([1.0, 2.0, -3.0, 0.1])), Arc::new(sum([-0.0, 0.2, 0.3, 0.4]))],
         cells: vec![sum([5.0, 6.0, 7.0, 8.0]), sum([0.5, 0.6, 0.7, 0.8])],
+        sightings: Sightings::default(),
     };
     (model, sums)
 }
@@ -180,7 +182,8 @@ fn grid() -> GridSnapshot {
     let (model, sums) = learned();
     // The other tile shares a sum with the first, and a third has not been learned.
     let other_model = TileModel { groups: vec![model.groups[0]], always_occupied: Mask::EMPTY, cells: vec![] };
-    let other_sums = TileSums { groups: vec![Arc::clone(&sums.groups[0])], cells: vec![] };
+    let other_sums =
+        TileSums { groups: vec![Arc::clone(&sums.groups[0])], cells: vec![], sightings: Sightings::default() };
     let models = [model, other_model, TileModel::default()];
     let sums = [sums, other_sums, TileSums::default()];
     GridSnapshot {

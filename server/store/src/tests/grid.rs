@@ -7,6 +7,7 @@ use tidemap_map::{
     grid::{
         index::TileId,
         mask::Mask,
+        sightings::Sightings,
         snapshot::GridSnapshot,
         tile::{CellModel, ColdTile, Group, ModelSlot, SumsSlot, TileModel, TileSource, TileSums, TileUnavailable},
     },
@@ -99,6 +100,7 @@ fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
     let sums = TileSums {
         groups: vec![Arc::new(sum(&spec, &mut random))],
         cells: (0..70).map(|_| sum(&spec, &mut random)).collect(),
+        sightings: Sightings::default(),
     };
     let grid = saved.grid.as_mut().expect("has a grid");
     grid.models = vec![ModelSlot::Resident(Arc::new(model))];
@@ -269,7 +271,8 @@ fn a_snapshot_that_could_not_be_read_back_is_refused() {
         ("more models than tiles", |grid, _| grid.tiles.truncate(1)),
         ("a sum of another length", |grid, sum| {
             let groups = vec![Arc::new(sum)];
-            grid.sums[0] = SumsSlot::Resident(Arc::new(TileSums { groups, cells: Vec::new() }));
+            grid.sums[0] =
+                SumsSlot::Resident(Arc::new(TileSums { groups, cells: Vec::new(), sightings: Sightings::default() }));
         }),
         ("a model without sums", |grid, _| grid.sums[0] = SumsSlot::default()),
         ("a day out of order", |grid, _| {

@@ -12,6 +12,7 @@ use tidemap_map::{
         live_tile::{Away, LiveTile},
         mask::{Mask, TileMasks},
         scan::{CellRef, LoggedScan, Scans},
+        sightings::{SeenAlike, SeenDay, Sightings},
         snapshot::GridSnapshot,
         spec::{GridSpec, Retention, SensorNoise},
         tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
@@ -165,7 +166,31 @@ pub(crate) fn learned(
         });
         sums.cells.push(sum(spec, random));
     }
+    if random.random_bool(0.5) {
+        sums.sightings = sightings(random);
+    }
     (model, sums)
+}
+
+/// When cells were observed on some days, by scans at even times and at others.
+fn sightings(random: &mut SmallRng) -> Sightings {
+    let days = (0..random.random_range(1..4)).map(|_| {
+        let mut now: i64 = random.random();
+        let (scans, is_even) = (random.random_range(1..30_u32), random.random_bool(0.5));
+        let mut next = || {
+            now = now.wrapping_add(if is_even { 5_000_000_000 } else { random.random() });
+            now
+        };
+        let civil_nanos = (0..scans).map(|_| next()).collect();
+        let list = |cells: Mask| SeenAlike {
+            cells: cells.cells().collect(),
+            toggles: (0..scans).filter(|_| random.random_bool(0.3)).collect(),
+        };
+        let some = mask(&mut SmallRng::seed_from_u64(u64::from(scans)));
+        let others = Mask::FULL.without(some);
+        SeenDay { civil_nanos, lists: [some, others].map(list).into() }
+    });
+    Sightings::from_days(days.collect()).expect("valid")
 }
 
 /// A day of scans of these tiles.

@@ -45,7 +45,7 @@ proptest! {
         let _ = changed(&message, at, byte).map(|message| tile_model::decode(&message, &periodicities));
         let shared: Vec<u32> = (0..sums.groups.len() as u32).collect();
         let mut bytes = Vec::new();
-        tile_model::encode_sums(&shared, &sums.cells, &mut bytes);
+        tile_model::encode_sums(&shared, &sums, &mut bytes).expect("valid");
         let found = EncodedSums::new(&bytes, &periodicities).expect("valid");
         prop_assert_eq!((&found.shared, found.cells(&periodicities)), (&shared, sums.cells.len()));
         let mut again = Vec::new();

@@ -103,6 +103,8 @@ pub(super) struct Refined {
     pub(super) before: Option<usize>,
     /// Index into [`DayToggles::observed`]; `None`: not observed on the day.
     pub(super) toggles: Option<usize>,
+    /// Whether its sum is whole; otherwise the tile's sightings hold the rest of it.
+    pub(super) is_summed: bool,
 }
 
 /// Splits the groups where their cells were not observed alike, and adds groups of new cells. By their lowest cell.
@@ -123,7 +125,7 @@ pub(super) fn refine(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<Refi
                 Some((_, cells)) => rest & *cells,
                 None => rest.without(seen),
             };
-            refined.push(Refined { cells, before, toggles: toggles_of });
+            refined.push(Refined { cells, before, toggles: toggles_of, is_summed: true });
             rest = rest.without(cells);
         }
     };
@@ -133,4 +135,17 @@ pub(super) fn refine(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<Refi
     split(seen.without(known), None);
     refined.sort_unstable_by_key(|group| group.cells.first());
     refined
+}
+
+/// Splits groups into cells that have or get a spectrum, whose sums are whole, and others.
+pub(super) fn split_by_spectrum(refined: Vec<Refined>, with_spectrum: Mask) -> Vec<Refined> {
+    let halves = |group: Refined| {
+        let summed = Refined { cells: group.cells & with_spectrum, is_summed: true, ..group };
+        let others = Refined { cells: group.cells.without(with_spectrum), is_summed: false, ..group };
+        [summed, others]
+    };
+    let mut split: Vec<Refined> =
+        refined.into_iter().flat_map(halves).filter(|group| !group.cells.is_empty()).collect();
+    split.sort_unstable_by_key(|group| group.cells.first());
+    split
 }

@@ -29,20 +29,48 @@ pub(super) struct Pattern {
 #[derive(Debug)]
 pub(super) struct Times {
     pub(super) utc_nanos: Vec<i64>,
-    civil_nanos: Vec<i64>,
-    /// The least of `utc_nanos`.
-    pub(super) oldest_nanos: i64,
+    pub(super) civil_nanos: Arc<[i64]>,
+    /// What is seen by all scans.
+    pub(super) all: Counted,
+}
+
+impl Times {
+    /// How many scans see what turns over at these, and when the first and the last do.
+    pub(super) fn count(&self, toggles: &[u32]) -> Counted {
+        if toggles == [0] {
+            return self.all;
+        }
+        let mut counted = Counted { observations: 0, first_nanos: i64::MAX, last_nanos: i64::MIN };
+        for run in toggles.chunks(2) {
+            let from = run.first().map_or(0, |&from| from as usize);
+            let to = run.get(1).map_or(self.utc_nanos.len(), |&to| to as usize);
+            for &nanos in self.utc_nanos.get(from..to).unwrap_or_default() {
+                counted.observations += 1;
+                counted.first_nanos = counted.first_nanos.min(nanos);
+                counted.last_nanos = counted.last_nanos.max(nanos);
+            }
+        }
+        counted
+    }
+}
+
+/// How often some cells were observed on the day, and when first and last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Counted {
+    pub(super) observations: u64,
+    pub(super) first_nanos: i64,
+    pub(super) last_nanos: i64,
 }
 
 /// Phasors of one chunk of a pattern's scans.
-pub(super) struct Chunk<'a> {
+pub(in crate::grid) struct Chunk<'a> {
     /// Number of the first scan.
-    pub(super) first: usize,
-    pub(super) phasors: &'a PhasorTable,
+    pub(in crate::grid) first: usize,
+    pub(in crate::grid) phasors: &'a PhasorTable,
     /// Running sums: row i is that of the scans before scan `first` + i.
-    pub(super) rows: &'a RunningSums,
-    pub(super) utc_nanos: &'a [i64],
-    pub(super) is_last: bool,
+    pub(in crate::grid) rows: &'a RunningSums,
+    pub(in crate::grid) utc_nanos: &'a [i64],
+    pub(in crate::grid) is_last: bool,
 }
 
 /// B_k over the scans at which some cells were observed on the day.
@@ -52,18 +80,12 @@ struct Contribution {
     at: usize,
     is_on: bool,
     sum: PhasorSum,
-    observations: u64,
-    first_nanos: i64,
-    last_nanos: i64,
 }
 
 /// What a group's cells gain on the day.
 #[derive(Clone, Debug)]
-pub(super) struct Gain {
-    pub(super) sum: Arc<PhasorSum>,
-    pub(super) observations: u64,
-    pub(super) first_nanos: i64,
-    pub(super) last_nanos: i64,
+struct Gain {
+    sum: Arc<PhasorSum>,
 }
 
 /// The gains of a pattern, and sums made of them, so that groups with the same history share theirs.
@@ -71,14 +93,27 @@ pub(super) struct Gain {
 pub(super) struct Gains {
     gains: Vec<Gain>,
     by_toggles: HashMap<Vec<u32>, usize>,
+    zero: Option<Arc<PhasorSum>>,
     /// By the group's sum before, by address, and the gain; the old sum is kept alive.
     shared: HashMap<(usize, usize), (Arc<PhasorSum>, Arc<PhasorSum>)>,
 }
 
 impl Gains {
-    pub(super) fn gain(&self, toggles: &Vec<u32>) -> Option<(usize, &Gain)> {
-        let index = *self.by_toggles.get(toggles)?;
-        Some((index, self.gains.get(index)?))
+    /// The gain of cells with these toggles, where one was asked for.
+    pub(super) fn gain(&self, toggles: &Vec<u32>) -> Option<usize> {
+        self.by_toggles.get(toggles).copied()
+    }
+
+    /// The sum of a group that was not observed before the day.
+    pub(super) fn sum(&self, index: usize, rules: &Rules) -> Arc<PhasorSum> {
+        self.gains
+            .get(index)
+            .map_or_else(|| Arc::new(PhasorSum::zero(&rules.periodicities)), |gain| Arc::clone(&gain.sum))
+    }
+
+    /// The sum of a group none of whose observations are in it; all share it.
+    pub(super) fn zero(&mut self, rules: &Rules) -> Arc<PhasorSum> {
+        Arc::clone(self.zero.get_or_insert_with(|| Arc::new(PhasorSum::zero(&rules.periodicities))))
     }
 
     /// The sum of a group after the day.
@@ -108,7 +143,11 @@ impl Pattern {
         Times {
             utc_nanos: scans.iter().map(|scan| scan.utc_nanos).collect(),
             civil_nanos: scans.iter().map(|scan| scan.civil_nanos()).collect(),
-            oldest_nanos: scans.iter().map(|scan| scan.utc_nanos).min().unwrap_or(0),
+            all: Counted {
+                observations: scans.len() as u64,
+                first_nanos: scans.iter().map(|scan| scan.utc_nanos).min().unwrap_or(i64::MAX),
+                last_nanos: scans.iter().map(|scan| scan.utc_nanos).max().unwrap_or(i64::MIN),
+            },
         }
     }
 
@@ -130,7 +169,7 @@ impl Pattern {
         for toggles in tiles.iter().flat_map(TileDay::toggles) {
             if !gains.by_toggles.contains_key(toggles) {
                 gains.by_toggles.insert(toggles.clone(), contributions.len());
-                contributions.push(Contribution::new(toggles.clone(), &times.utc_nanos, rules));
+                contributions.push(Contribution::new(toggles.clone(), rules));
             }
         }
         let mut rows = RunningSums::new(&rules.periodicities);
@@ -146,7 +185,7 @@ impl Pattern {
         }
         gains.gains = contributions.into_iter().map(Contribution::gain).collect();
         for tile in &mut tiles {
-            tile.regroup(&mut gains, rules);
+            tile.regroup(&mut gains, &times, rules);
         }
         let (tiles, outcomes): (Vec<_>, Vec<_>) = tiles.into_par_iter().map(|tile| tile.refit(day.day, rules)).unzip();
         let mut outcome = GridOutcome::default();
@@ -156,19 +195,8 @@ impl Pattern {
 }
 
 impl Contribution {
-    fn new(toggles: Vec<u32>, utc_nanos: &[i64], rules: &Rules) -> Contribution {
-        let (mut observations, mut first_nanos, mut last_nanos) = (0, i64::MAX, i64::MIN);
-        for run in toggles.chunks(2) {
-            let from = run.first().map_or(0, |&from| from as usize);
-            let to = run.get(1).map_or(utc_nanos.len(), |&to| to as usize);
-            for &nanos in utc_nanos.get(from..to).unwrap_or_default() {
-                observations += 1;
-                first_nanos = first_nanos.min(nanos);
-                last_nanos = last_nanos.max(nanos);
-            }
-        }
-        let sum = PhasorSum::zero(&rules.periodicities);
-        Contribution { toggles, at: 0, is_on: false, sum, observations, first_nanos, last_nanos }
+    fn new(toggles: Vec<u32>, rules: &Rules) -> Contribution {
+        Contribution { toggles, at: 0, is_on: false, sum: PhasorSum::zero(&rules.periodicities) }
     }
 
     fn fold(&mut self, chunk: &Chunk<'_>) {
@@ -176,13 +204,18 @@ impl Contribution {
     }
 
     fn gain(self) -> Gain {
-        let Contribution { sum, observations, first_nanos, last_nanos, .. } = self;
-        Gain { sum: Arc::new(sum), observations, first_nanos, last_nanos }
+        Gain { sum: Arc::new(self.sum) }
     }
 }
 
 /// Adds the phasors of the scans of a chunk at which a bit is set. `at` is the next toggle, `is_on` the bit so far.
-pub(super) fn fold_toggles(toggles: &[u32], at: &mut usize, is_on: &mut bool, sum: &mut PhasorSum, chunk: &Chunk<'_>) {
+pub(in crate::grid) fn fold_toggles(
+    toggles: &[u32],
+    at: &mut usize,
+    is_on: &mut bool,
+    sum: &mut PhasorSum,
+    chunk: &Chunk<'_>,
+) {
     let end = chunk.first + chunk.utc_nanos.len();
     while let Some(&toggle) = toggles.get(*at).filter(|&&toggle| (toggle as usize) < end) {
         let row = chunk.rows.row(toggle as usize - chunk.first);

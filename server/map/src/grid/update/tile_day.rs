@@ -11,12 +11,17 @@ use super::{
         day::DayTile,
         index::{TILE_CELLS, TileId},
         mask::Mask,
-        tile::{CellModel, Group},
+        sightings::Sightings,
+        tile::{CellModel, Group, TileModel, TileSums},
     },
-    CHUNK, GridOutcome, Rules, Working,
-    observed::{DayToggles, Refined, refine},
+    CHUNK, GridOutcome, Rules, SUMMED_GROUPS_MAX, Working,
+    observed::{DayToggles, Refined, refine, split_by_spectrum},
     pattern::{Chunk, Gains, Times, fold_toggles},
 };
+
+/// Sightings of a tile may take as much memory as this many sums for each group without one. Tests, whose sums are short,
+/// keep sightings for some days.
+const SIGHTINGS_PER_SUM: usize = if cfg!(test) { 4 } else { 1 };
 
 /// A cell that has a spectrum, on the day.
 #[derive(Debug, Default)]
@@ -69,14 +74,14 @@ impl TileDay {
         rules: &Rules,
     ) -> TileDay {
         let toggles = DayToggles::new(tile, ranges);
-        let refined = refine(&working.model.groups, &toggles.observed);
+        let refined = refine_working(&mut working, &toggles, rules);
         begin_spectra(&mut working, &toggles, rules);
         let mut groups: Vec<GroupDay> = Vec::with_capacity(refined.len());
         for group in &refined {
             let last_nanos = group.before.and_then(|before| working.model.groups.get(before)).map(|g| g.last_nanos);
             let toggles = group.toggles.and_then(|index| toggles.observed.get(index)).map(|(toggles, _)| toggles);
             let newer_than = last_nanos.filter(|_| toggles.is_some());
-            let all_newer = newer_than.is_some_and(|last| times.oldest_nanos > last);
+            let all_newer = newer_than.is_some_and(|last| times.all.first_nanos > last);
             let all = all_newer && toggles.is_some_and(|toggles| toggles.as_slice() == [0]);
             groups.push(GroupDay { newer_than, all, at: 0, is_on: false, weights: Vec::new(), scored: 0 });
         }
@@ -97,9 +102,10 @@ impl TileDay {
         TileDay { id, working, observed: toggles.observed, refined, groups, cells, scans: times.utc_nanos.len() }
     }
 
-    /// The distinct times at which cells of the tile were observed.
+    /// The times at which cells of the tile were observed whose sums are to be whole; some may come twice.
     pub(super) fn toggles(&self) -> impl Iterator<Item = &Vec<u32>> {
-        self.observed.iter().map(|(toggles, _)| toggles)
+        let summed = self.refined.iter().filter(|group| group.is_summed);
+        summed.filter_map(|group| self.observed.get(group.toggles?)).map(|(toggles, _)| toggles)
     }
 
     /// Works off one chunk: scores it, then adds it to the sums of occupied readings.
@@ -134,42 +140,51 @@ impl TileDay {
     }
 
     /// Gives the tile its groups as they are after the day.
-    pub(super) fn regroup(&mut self, gains: &mut Gains, rules: &Rules) {
+    pub(super) fn regroup(&mut self, gains: &mut Gains, times: &Times, rules: &Rules) {
+        let Working { model, sums } = &mut self.working;
         let mut groups = Vec::with_capacity(self.refined.len());
-        let mut sums = Vec::with_capacity(self.refined.len());
+        let mut group_sums = Vec::with_capacity(self.refined.len());
         for refined in &self.refined {
-            let before = refined.before.and_then(|before| {
-                Some((*self.working.model.groups.get(before)?, self.working.sums.groups.get(before)?))
-            });
-            let toggles = refined.toggles.and_then(|index| self.observed.get(index));
-            let gain = toggles.and_then(|(toggles, _)| gains.gain(toggles)).map(|(index, gain)| (index, gain.clone()));
-            let (mut group, sum) = match (before, gain) {
-                (Some((group, sum)), Some((index, gain))) => {
-                    let group = Group {
-                        observations: group.observations + gain.observations,
-                        first_nanos: group.first_nanos.min(gain.first_nanos),
-                        last_nanos: group.last_nanos.max(gain.last_nanos),
-                        ..group
-                    };
-                    (group, gains.add_to(sum, index))
-                }
-                (Some((group, sum)), None) => (group, Arc::clone(sum)),
-                (None, Some((_, gain))) => {
-                    let (observations, first_nanos, last_nanos) =
-                        (gain.observations, gain.first_nanos, gain.last_nanos);
-                    (Group { cells: Mask::EMPTY, observations, first_nanos, last_nanos }, gain.sum)
-                }
-                (None, None) => {
-                    let group = Group { cells: Mask::EMPTY, observations: 0, first_nanos: 0, last_nanos: 0 };
-                    (group, Arc::new(PhasorSum::zero(&rules.periodicities)))
-                }
+            let before = refined.before.and_then(|before| Some((*model.groups.get(before)?, sums.groups.get(before)?)));
+            let toggles = refined.toggles.and_then(|index| self.observed.get(index)).map(|(toggles, _)| toggles);
+            let counted = toggles.map(|toggles| times.count(toggles));
+            let gain = toggles.filter(|_| refined.is_summed).and_then(|toggles| gains.gain(toggles));
+            let sum = match (before, gain) {
+                (Some((_, sum)), Some(gain)) => gains.add_to(sum, gain),
+                (Some((_, sum)), None) => Arc::clone(sum),
+                (None, Some(gain)) => gains.sum(gain, rules),
+                (None, None) => gains.zero(rules),
             };
-            group.cells = refined.cells;
-            groups.push(group);
-            sums.push(sum);
+            let mut group = before.map_or_else(Group::default, |(group, _)| group);
+            if let Some(counted) = counted {
+                group.first_nanos = counted.first_nanos.min(before.map_or(i64::MAX, |(group, _)| group.first_nanos));
+                group.last_nanos = counted.last_nanos.max(before.map_or(i64::MIN, |(group, _)| group.last_nanos));
+                group.observations += counted.observations;
+            }
+            groups.push(Group { cells: refined.cells, ..group });
+            group_sums.push(sum);
         }
-        self.working.model.groups = groups;
-        self.working.sums.groups = sums;
+        model.groups = groups;
+        sums.groups = group_sums;
+        self.keep_sightings(times, rules);
+    }
+
+    /// Keeps when the cells were observed whose sums are not whole, or makes all sums whole where that takes less.
+    fn keep_sightings(&mut self, times: &Times, rules: &Rules) {
+        let sums = &mut self.working.sums;
+        let others: Vec<(usize, &Refined)> =
+            self.refined.iter().enumerate().filter(|(_, group)| !group.is_summed).collect();
+        if others.is_empty() {
+            return;
+        }
+        let cells = others.iter().fold(Mask::EMPTY, |all, (_, group)| all | group.cells);
+        sums.sightings.push(&times.civil_nanos, self.observed.iter().map(|(toggles, alike)| (toggles, *alike & cells)));
+        if sums.sightings.bytes() > others.len() * SIGHTINGS_PER_SUM * 16 * rules.periodicities.len() {
+            let groups: Vec<(usize, u16)> =
+                others.into_iter().filter_map(|(index, group)| Some((index, group.cells.first()?))).collect();
+            complete(sums, &groups, rules);
+            sums.sightings = Sightings::default();
+        }
     }
 
     /// Chooses orders and fits the models anew.
@@ -262,15 +277,68 @@ fn run_length(toggles: &[u32], scans: usize) -> u64 {
     toggles.chunks(2).map(|run| u64::from(run.get(1).unwrap_or(&end).saturating_sub(run[0]))).sum()
 }
 
+/// Refines the groups of a tile by a day. Where there are too many for a sum each, those with and those without a
+/// spectrum are parted, and the sums of cells that get one on the day are made whole.
+fn refine_working(working: &mut Working, toggles: &DayToggles, rules: &Rules) -> Vec<Refined> {
+    let refined = refine(&working.model.groups, &toggles.observed);
+    let is_new = working.model.groups.len() <= SUMMED_GROUPS_MAX && refined.len() > SUMMED_GROUPS_MAX;
+    if working.sums.sightings.is_empty() && !is_new {
+        return refined;
+    }
+    let Working { model, sums } = working;
+    let changed = model.changed();
+    let changing = changing(model, toggles);
+    let mut to_complete = Vec::new();
+    for index in 0..model.groups.len() {
+        let (Some(group), Some(sum)) = (model.groups.get(index).copied(), sums.groups.get(index).map(Arc::clone))
+        else {
+            continue;
+        };
+        let is_whole = !(group.cells & changed).is_empty() || sums.sightings.is_empty();
+        let starting = group.cells & changing;
+        let (Some(first), false) = (starting.first(), is_whole) else { continue };
+        let rest = group.cells.without(starting);
+        if rest.is_empty() {
+            to_complete.push((index, first));
+            continue;
+        }
+        model.groups[index].cells = rest;
+        to_complete.push((model.groups.len(), first));
+        model.groups.push(Group { cells: starting, ..group });
+        sums.groups.push(sum);
+    }
+    complete(sums, &to_complete, rules);
+    split_by_spectrum(refine(&model.groups, &toggles.observed), changed | changing)
+}
+
+/// Makes the sums of groups whole, each given with a cell of it.
+fn complete(sums: &mut TileSums, groups: &[(usize, u16)], rules: &Rules) {
+    if groups.is_empty() || sums.sightings.is_empty() {
+        return;
+    }
+    let cells: Vec<u16> = groups.iter().map(|&(_, cell)| cell).collect();
+    for (&(index, _), mut sum) in groups.iter().zip(sums.sightings.sums(&cells, &rules.periodicities)) {
+        if let Some(before) = sums.groups.get_mut(index) {
+            sum.add(before);
+            *before = Arc::new(sum);
+        }
+    }
+}
+
+/// Cells without a spectrum that have now shown both values.
+fn changing(model: &TileModel, toggles: &DayToggles) -> Mask {
+    let changed = model.changed();
+    let was_free = model.observed().without(model.always_occupied).without(changed);
+    let ever_occupied = toggles.ever_occupied | model.always_occupied;
+    let ever_free = toggles.ever_free | was_free;
+    (ever_occupied & ever_free).without(changed)
+}
+
 /// Gives a spectrum to the cells that show another value than ever before, and notes those that never have.
 fn begin_spectra(working: &mut Working, toggles: &DayToggles, rules: &Rules) {
     let Working { model, sums } = working;
-    let changed = model.changed();
-    let known = model.observed();
-    let was_free = known.without(model.always_occupied).without(changed);
-    let ever_occupied = toggles.ever_occupied | model.always_occupied;
-    let ever_free = toggles.ever_free | was_free;
-    for cell in (ever_occupied & ever_free).without(changed).cells() {
+    let changing = changing(model, toggles);
+    for cell in changing.cells() {
         let before = model.groups.iter().position(|group| group.cells.contains(cell));
         let before = before.and_then(|at| Some((*model.groups.get(at)?, sums.groups.get(at)?)));
         let zero = || PhasorSum::zero(&rules.periodicities);
@@ -286,7 +354,8 @@ fn begin_spectra(working: &mut Working, toggles: &DayToggles, rules: &Rules) {
         model.cells.insert(at, CellModel { cell, occupied, spectral, order: 0, errors });
         sums.cells.insert(at, sum);
     }
-    model.always_occupied = ever_occupied.without(ever_free).without(changed);
+    model.always_occupied =
+        (model.always_occupied | toggles.ever_occupied).without(toggles.ever_free).without(model.changed());
 }
 
 /// The model of a cell that has only shown one value.

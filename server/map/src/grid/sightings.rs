@@ -1,0 +1,137 @@
+//! When the cells of a tile were observed, kept as runs of scans instead of sums.
+//!
+//! A robot that sees nearly every cell at times of its own makes nearly every cell an observation group of its own, and a
+//! sum for each of them would be most of what a map keeps, although only cells that change ever need it. So from a number
+//! of groups on, what was observed is kept run-length coded, and the sum of a cell is computed at its first change. Once
+//! the runs take more than the sums would, the sums are computed and the runs dropped: a tile never takes more than twice
+//! what the smaller of the two would have taken.
+//!
+//! Invariant: a cell is in at most one list of a day; toggles ascend and are below the number of the day's scans, except
+//! that of a run that the last scan does not end.
+
+use std::sync::Arc;
+
+use tidemap_model::{Periodicities, PhasorSum, PhasorTable, RunningSums};
+
+use super::{
+    index::TILE_CELLS,
+    mask::Mask,
+    update::{CHUNK, Chunk, fold_toggles},
+};
+
+/// Cells that were observed at the same times of a day.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SeenAlike {
+    /// The cells, ascending.
+    pub cells: Box<[u16]>,
+    /// Ascending numbers of scans at which whether they are observed turns over; not observed before the first.
+    pub toggles: Box<[u32]>,
+}
+
+/// When cells of a tile were observed on one day.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SeenDay {
+    /// Local civil times of the scans that saw the tile, in nanoseconds since 1970 local. Tiles seen by the same scans
+    /// share them.
+    pub civil_nanos: Arc<[i64]>,
+    /// Cells observed alike.
+    pub lists: Vec<SeenAlike>,
+}
+
+/// When the cells of a tile were observed since its groups became too many to keep a sum each.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Sightings {
+    days: Vec<SeenDay>,
+}
+
+/// Why sightings were refused: they cannot have come from a tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the runs in which cells were observed are not valid")]
+pub struct InvalidSightings;
+
+impl Sightings {
+    /// Sightings from what was stored.
+    ///
+    /// # Errors
+    /// [`InvalidSightings`] where the invariant does not hold.
+    pub fn from_days(days: Vec<SeenDay>) -> Result<Sightings, InvalidSightings> {
+        for day in &days {
+            let mut seen = Mask::EMPTY;
+            for list in &day.lists {
+                for &cell in &list.cells {
+                    if usize::from(cell) >= TILE_CELLS || seen.contains(cell) {
+                        return Err(InvalidSightings);
+                    }
+                    seen.insert(cell);
+                }
+                let ascend = list.toggles.is_sorted_by(|one, next| one < next);
+                if !ascend || list.toggles.last().is_some_and(|&last| last as usize >= day.civil_nanos.len()) {
+                    return Err(InvalidSightings);
+                }
+            }
+        }
+        Ok(Sightings { days })
+    }
+
+    /// The days, in the order in which they were folded in.
+    #[must_use]
+    pub fn days(&self) -> &[SeenDay] {
+        &self.days
+    }
+
+    /// Whether nothing is kept: the sums of all groups are whole.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.days.is_empty()
+    }
+
+    /// Takes in a day: the times of the scans that saw the tile, and which cells were observed when.
+    pub(super) fn push<'a>(&mut self, civil_nanos: &Arc<[i64]>, observed: impl Iterator<Item = (&'a Vec<u32>, Mask)>) {
+        let lists: Vec<SeenAlike> = observed
+            .filter(|(_, cells)| !cells.is_empty())
+            .map(|(toggles, cells)| SeenAlike { cells: cells.cells().collect(), toggles: toggles.as_slice().into() })
+            .collect();
+        if !lists.is_empty() {
+            self.days.push(SeenDay { civil_nanos: Arc::clone(civil_nanos), lists });
+        }
+    }
+
+    /// Σ e^(-jω_k t) over the times at which each of these cells was observed, in their order.
+    pub(super) fn sums(&self, cells: &[u16], periodicities: &Periodicities) -> Vec<PhasorSum> {
+        let mut sums = vec![PhasorSum::zero(periodicities); cells.len()];
+        for day in &self.days {
+            let mut wanted: Vec<(&[u32], usize, bool, &mut PhasorSum)> = Vec::new();
+            for (&cell, sum) in cells.iter().zip(&mut sums) {
+                if let Some(list) = day.lists.iter().find(|list| list.cells.binary_search(&cell).is_ok()) {
+                    wanted.push((&list.toggles, 0, false, sum));
+                }
+            }
+            if wanted.is_empty() {
+                continue;
+            }
+            let mut rows = RunningSums::new(periodicities);
+            for (number, civil_nanos) in day.civil_nanos.chunks(CHUNK).enumerate() {
+                let first = number * CHUNK;
+                let phasors = PhasorTable::new(periodicities, civil_nanos);
+                rows.extend_chunk(&phasors);
+                let is_last = first + civil_nanos.len() == day.civil_nanos.len();
+                let chunk = Chunk { first, phasors: &phasors, rows: &rows, utc_nanos: civil_nanos, is_last };
+                for (toggles, at, is_on, sum) in &mut wanted {
+                    fold_toggles(toggles, at, is_on, sum, &chunk);
+                }
+            }
+        }
+        sums
+    }
+
+    /// Memory in bytes, about; times that tiles share are counted as if they were not.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let of_list =
+            |list: &SeenAlike| size_of::<SeenAlike>() + size_of_val(&*list.cells) + size_of_val(&*list.toggles);
+        let of_day = |day: &SeenDay| {
+            size_of::<SeenDay>() + size_of_val(&*day.civil_nanos) + day.lists.iter().map(of_list).sum::<usize>()
+        };
+        self.days.iter().map(of_day).sum()
+    }
+}

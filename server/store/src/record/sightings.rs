@@ -1,0 +1,97 @@
+//! When cells of a tile were observed that have no sums for it, as a message, and back.
+//!
+//! Invariant: what is read has passed the constructor of the domain again, and is as large as its bytes, but for times
+//! at equal distances.
+
+use tidemap_map::grid::sightings::{SeenAlike, SeenDay, Sightings};
+use tidemap_migrations::v2::grid as v2;
+
+use super::{
+    Invalid, columns,
+    varint::{push_varint, take_u32, take_varint, unzigzag, zigzag},
+};
+
+/// No day has more scans.
+const SCANS_MAX: u32 = 1 << 26;
+const INVALID: Invalid = "the runs in which cells were observed are not valid";
+
+pub(crate) fn encode(sightings: &Sightings) -> Result<v2::Sightings, Invalid> {
+    let days = sightings.days().iter().map(encode_day);
+    Ok(v2::Sightings { days: days.collect::<Result<_, _>>()? })
+}
+
+fn encode_day(day: &SeenDay) -> Result<v2::SeenDay, Invalid> {
+    let scans = u32::try_from(day.civil_nanos.len()).ok().filter(|&scans| (1..=SCANS_MAX).contains(&scans));
+    // Times may lie at the ends of i64.
+    let differences: Vec<i64> = day.civil_nanos.windows(2).map(|pair| pair[1].wrapping_sub(pair[0])).collect();
+    let unit = columns::unit(&differences);
+    let times = columns::encode_numbers(&differences, |difference| zigzag(difference / unit));
+    let mut lists = Vec::new();
+    for list in &day.lists {
+        push_gaps(&mut lists, list.cells.iter().map(|&cell| u32::from(cell)))?;
+        push_gaps(&mut lists, list.toggles.iter().copied())?;
+    }
+    Ok(v2::SeenDay {
+        scans: scans.ok_or("a day has more scans than it may have")?,
+        first_civil_nanos: day.civil_nanos.first().copied().unwrap_or(0),
+        time_unit_nanos: unit.unsigned_abs(),
+        times,
+        lists,
+    })
+}
+
+fn push_gaps(out: &mut Vec<u8>, numbers: impl ExactSizeIterator<Item = u32>) -> Result<(), Invalid> {
+    push_varint(out, numbers.len() as u64);
+    let mut next = 0;
+    for number in numbers {
+        push_varint(out, u64::from(number).checked_sub(next).ok_or(INVALID)?);
+        next = u64::from(number) + 1;
+    }
+    Ok(())
+}
+
+pub(crate) fn decode(message: &v2::Sightings) -> Result<Sightings, Invalid> {
+    let days = message.days.iter().map(decode_day).collect::<Result<_, _>>()?;
+    Sightings::from_days(days).map_err(|_| INVALID)
+}
+
+fn decode_day(message: &v2::SeenDay) -> Result<SeenDay, Invalid> {
+    if !(1..=SCANS_MAX).contains(&message.scans) {
+        return Err(INVALID);
+    }
+    let unit = i64::try_from(message.time_unit_nanos).map_err(|_| INVALID)?;
+    let mut now = message.first_civil_nanos;
+    let differences =
+        columns::decode_numbers(&message.times, message.scans as usize - 1, |number| Ok(unzigzag(number)))?;
+    let mut civil_nanos = Vec::with_capacity(message.scans as usize);
+    civil_nanos.push(now);
+    for difference in differences {
+        now = now.wrapping_add(difference.wrapping_mul(unit));
+        civil_nanos.push(now);
+    }
+    let mut lists = Vec::new();
+    let mut bytes = &message.lists[..];
+    while !bytes.is_empty() {
+        let cells = take_gaps(&mut bytes)?;
+        let cells = cells.into_iter().map(|cell| u16::try_from(cell).map_err(|_| INVALID)).collect::<Result<_, _>>()?;
+        lists.push(SeenAlike { cells, toggles: take_gaps(&mut bytes)?.into() });
+    }
+    Ok(SeenDay { civil_nanos: civil_nanos.into(), lists })
+}
+
+fn take_gaps(bytes: &mut &[u8]) -> Result<Vec<u32>, Invalid> {
+    let count = take_u32(bytes)? as usize;
+    // Each takes a byte or more.
+    if count > bytes.len() {
+        return Err(INVALID);
+    }
+    let mut numbers = Vec::with_capacity(count);
+    let mut next = 0_u64;
+    for _ in 0..count {
+        let number =
+            next.checked_add(take_varint(bytes)?).and_then(|number| u32::try_from(number).ok()).ok_or(INVALID)?;
+        numbers.push(number);
+        next = u64::from(number) + 1;
+    }
+    Ok(numbers)
+}
