@@ -15,6 +15,8 @@ mod tests;
 
 /// Observations that are folded in at a time; their phasors and values stay in cache.
 const CHUNK: usize = 1024;
+/// All observations together never count less than this.
+const LEAST_WEIGHT: f64 = 1e-9;
 
 /// Sums over the observations of one state.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,7 +29,9 @@ pub struct Accumulator {
 pub struct AccumulatorParts {
     /// Number of observations n.
     pub observations: u64,
-    /// Sum of values S.
+    /// How much they count together: n, or less where older ones count less.
+    pub weight: f64,
+    /// Sum of values S, each as much as it counts, like all sums here.
     pub sum: f64,
     /// Sum of squared values.
     pub sum_squares: f64,
@@ -50,12 +54,17 @@ impl Accumulator {
         self.parts.observations
     }
 
+    /// How much the observations count together: n, or less where older ones count less.
+    pub fn weight(&self) -> f64 {
+        self.parts.weight
+    }
+
     /// Mean value μ = S/n; 0.5 where nothing was observed.
     pub fn mean(&self) -> f64 {
         if self.parts.observations == 0 {
             return 0.5;
         }
-        (self.parts.sum / self.parts.observations as f64).clamp(0.0, 1.0)
+        (self.parts.sum / self.parts.weight).clamp(0.0, 1.0)
     }
 
     /// Time of the first observation, UTC in nanoseconds since 1970.
@@ -97,9 +106,45 @@ impl Accumulator {
                 parts.last_nanos = parts.last_nanos.max(sample.utc_nanos);
             }
             parts.observations += chunk.len() as u64;
+            parts.weight += chunk.len() as f64;
             parts.sum += sum;
             parts.sum_squares += sum_squares;
             arch.dispatch(fold::Fold { cycles: periodicities.cycles(), samples: chunk, spectrum: &mut parts.spectrum });
+        }
+    }
+
+    /// Makes all that was folded in so far count `factor` times as much, above 0 and at most 1: forgetting. Their number
+    /// and their span stay.
+    pub(crate) fn fade(&mut self, factor: f64) {
+        let parts = &mut self.parts;
+        // Never so little that nothing is left to divide by.
+        let factor = factor.clamp(0.0, 1.0).max(LEAST_WEIGHT / parts.weight.max(LEAST_WEIGHT));
+        parts.weight *= factor;
+        parts.sum *= factor;
+        parts.sum_squares *= factor;
+        for entry in parts.spectrum.as_flattened_mut() {
+            *entry *= factor;
+        }
+    }
+
+    /// Folds in what another has folded in.
+    pub(crate) fn merge(&mut self, other: &Accumulator) {
+        if self.parts.observations == 0 {
+            self.parts = other.parts.clone();
+            return;
+        }
+        if other.parts.observations == 0 {
+            return;
+        }
+        let (parts, other) = (&mut self.parts, &other.parts);
+        parts.observations += other.observations;
+        parts.weight += other.weight;
+        parts.sum += other.sum;
+        parts.sum_squares += other.sum_squares;
+        parts.first_nanos = parts.first_nanos.min(other.first_nanos);
+        parts.last_nanos = parts.last_nanos.max(other.last_nanos);
+        for (entry, other) in parts.spectrum.as_flattened_mut().iter_mut().zip(other.spectrum.as_flattened()) {
+            *entry += other;
         }
     }
 
@@ -122,7 +167,9 @@ impl Accumulator {
             return Err(InvalidParts::TimesReversed { first_nanos, last_nanos });
         }
         // Room for the rounding of long sums.
-        let most = parts.observations as f64 * (1.0 + 1e-9);
+        let most = parts.weight * (1.0 + 1e-9);
+        let least = if parts.observations == 0 { 0.0 } else { f64::MIN_POSITIVE };
+        InvalidParts::check("weight", parts.weight, least..=parts.observations as f64)?;
         InvalidParts::check("sum", parts.sum, 0.0..=most)?;
         InvalidParts::check("sum of squares", parts.sum_squares, 0.0..=most)?;
         for &entry in parts.spectrum.as_flattened() {

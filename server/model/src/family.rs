@@ -3,6 +3,38 @@
 //! Each model is fitted to the readings of one state and answers what to expect at a moment. Which of them predicts best is
 //! for held-out error to say. Invariant: whatever the readings, a prediction is finite.
 
+mod alarm;
+mod calibrated;
+mod chain;
+mod histogram;
+mod hypertime;
+mod interval;
+mod latest;
+mod mean;
+mod pergam;
+mod poisson;
+mod support;
+mod uniform;
+
+pub use alarm::{ChangeAlarm, ChangeAlarmParts, DayErrors};
+pub use calibrated::{Calibrated, CalibratedOptions, CalibratedParts};
+pub use chain::{Chain, ChainParts};
+pub use histogram::{
+    HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle, HistogramParts, HistogramSettings, HourSpread, HourTable,
+    HourTableParts,
+};
+pub use hypertime::{
+    FieldReading, Hypertime, HypertimeAxis, HypertimeCluster, HypertimeDistribution, HypertimeField,
+    HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeOptions, HypertimeParts,
+};
+pub use interval::{HourMoments, Interval, credible_interval};
+pub use latest::{Latest, LatestParts};
+pub use mean::{Mean, MeanParts};
+pub use pergam::{Pergam, PergamGaussian, PergamOptions, PergamParts};
+pub use poisson::{COUNT_BIN_NANOS, PoissonSpectral, PoissonSpectralParts};
+pub use support::{DependenceSums, OrderGains, OrderGainsParts, effective_observations, supported_order};
+pub use uniform::{UniformSpectral, UniformSpectralParts};
+
 use crate::{Sample, civil::NANOS_PER_SEC};
 
 /// A moment, with the local time that people lived by.

@@ -55,7 +55,7 @@ pub use phasor::PhasorTable;
 pub use phasor_sum::{PhasorSum, RunningSums};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
-pub use state::{StateModel, UpdateOutcome};
+pub use state::{Alternatives, AlternativesParts, HISTOGRAMS, ModelChoice, StateModel, UpdateOutcome, UpdateRules};
 
 /// The highest model order: at most this many spectral components are kept and used.
 pub const MAX_ORDER: usize = 15;

@@ -9,7 +9,7 @@ use crate::{InvalidParts, LocalDay, MAX_ORDER};
 mod tests;
 
 /// What a day's errors keep per local day that passes.
-const KEPT_PER_DAY: f64 = 0.93;
+pub(crate) const KEPT_PER_DAY: f64 = 0.93;
 /// A lower order wins where its error exceeds the lowest by no more than this factor.
 const NEAR_TIE: f64 = 1.001;
 

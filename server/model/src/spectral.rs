@@ -66,7 +66,7 @@ impl SpectralModel {
     /// first, UTC) holds 0.99 of its period; components of 0 are left out.
     pub fn fit(accumulator: &Accumulator, periodicities: &Periodicities) -> SpectralModel {
         let (mean, observations) = (accumulator.mean(), accumulator.observations());
-        let per_observation = 1.0 / observations.max(1) as f64;
+        let per_observation = if observations == 0 { 1.0 } else { 1.0 / accumulator.weight() };
         let span_nanos = accumulator.span_nanos();
         let mut strongest = Strongest::new();
         for (k, &[a_re, a_im, b_re, b_im]) in accumulator.spectrum().iter().enumerate() {

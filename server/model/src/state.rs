@@ -10,8 +10,11 @@ use crate::SpectralModel;
 use crate::evaluate::score_samples;
 use crate::{Accumulator, InvalidParts, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Sample};
 
+mod alternatives;
 #[cfg(test)]
 mod tests;
+
+pub use alternatives::{Alternatives, AlternativesParts, HISTOGRAMS, ModelChoice};
 
 /// The long-term model of one state.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +23,23 @@ pub struct StateModel {
     spectral: SpectralModel,
     order: usize,
     errors: OrderErrors,
+    /// Absent where nothing was folded in.
+    alternatives: Option<Box<Alternatives>>,
+}
+
+/// How a state is updated.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct UpdateRules {
+    /// Which error decides between orders and models.
+    pub criterion: OrderCriterion,
+    /// An observation of this many local days ago counts half, above 0; `None`: all count alike, however old.
+    pub half_life_days: Option<f64>,
+}
+
+impl From<OrderCriterion> for UpdateRules {
+    fn from(criterion: OrderCriterion) -> UpdateRules {
+        UpdateRules { criterion, half_life_days: None }
+    }
 }
 
 /// What an update did.
@@ -35,7 +55,7 @@ pub struct UpdateOutcome {
     pub scored: u64,
     /// Sum of squared errors over the scored observations, per order 0..=[`MAX_ORDER`].
     pub squared_errors: [f64; MAX_ORDER + 1],
-    /// Sum of squared errors over the scored observations, each predicted with the order in force on its day.
+    /// Sum of squared errors over the scored observations, each predicted with the model in force on its day.
     pub squared_error_in_force: f64,
 }
 
@@ -47,7 +67,14 @@ impl StateModel {
             spectral: SpectralModel::default(),
             order: 0,
             errors: OrderErrors::default(),
+            alternatives: None,
         }
+    }
+
+    /// A state of which nothing is known but what to expect of such states, in `[0,1]`; 0.5 where it is not.
+    pub fn with_prior(periodicities: &Periodicities, prior: f64) -> StateModel {
+        let spectral = SpectralModel::from_parts(prior, 0, Vec::new()).unwrap_or_default();
+        StateModel { spectral, ..StateModel::new(periodicities) }
     }
 
     /// A state from what was stored.
@@ -63,7 +90,31 @@ impl StateModel {
         if order > MAX_ORDER {
             return Err(InvalidParts::OrderTooHigh { found: order });
         }
-        Ok(StateModel { accumulator, spectral, order, errors })
+        Ok(StateModel { accumulator, spectral, order, errors, alternatives: None })
+    }
+
+    /// The same with what was stored apart from its spectrum.
+    #[must_use]
+    pub fn with_alternatives(self, alternatives: Alternatives) -> StateModel {
+        StateModel { alternatives: Some(Box::new(alternatives)), ..self }
+    }
+
+    /// What is known apart from the spectrum; `None` where nothing was folded in since it is kept.
+    pub fn alternatives(&self) -> Option<&Alternatives> {
+        self.alternatives.as_deref()
+    }
+
+    /// The model that has predicted best so far.
+    pub fn choice(&self) -> ModelChoice {
+        self.alternatives.as_ref().map_or(ModelChoice::Spectral, |alternatives| alternatives.choice())
+    }
+
+    /// The histogram that is in force; `None` where the spectral model is.
+    pub fn chosen_histogram(&self) -> Option<crate::family::Histogram> {
+        match self.choice() {
+            ModelChoice::Spectral => None,
+            ModelChoice::Histogram(number) => self.alternatives.as_ref()?.histogram(number),
+        }
     }
 
     /// The sums over all observations folded in.
@@ -76,8 +127,15 @@ impl StateModel {
         &self.spectral
     }
 
-    /// The order to predict with, 0..=[`MAX_ORDER`].
+    /// The order to predict with, 0..=[`MAX_ORDER`]: the one that has predicted best, or fewer where noise would show
+    /// components as strong.
     pub fn order(&self) -> usize {
+        let supported = self.alternatives.as_ref().map_or(MAX_ORDER, |known| known.supported_order());
+        self.order.min(supported)
+    }
+
+    /// The order that has predicted best, supported or not.
+    pub fn best_order(&self) -> usize {
         self.order
     }
 
@@ -87,38 +145,73 @@ impl StateModel {
     }
 
     /// Takes in observations, day by local day: scores those newer than the last one folded in before
-    /// that day with every order, chooses the order, folds the day in and refits.
+    /// that day with every order and every histogram, chooses, folds the day in and refits.
     ///
     /// A local day that is split over two updates is scored in two parts, the second against the model
-    /// that has seen the first.
+    /// that has seen the first. With a half-life, what is folded in on a day counts by its age in whole local days, late
+    /// data too.
     pub fn update(
         &mut self,
         periodicities: &Periodicities,
-        criterion: OrderCriterion,
+        rules: impl Into<UpdateRules>,
         mut samples: Vec<Sample>,
     ) -> UpdateOutcome {
+        let rules = rules.into();
         if !samples.is_sorted_by_key(|sample| sample.utc_nanos) {
             samples.sort_by_key(|sample| sample.utc_nanos);
         }
-        let mut outcome = UpdateOutcome { order_before: self.order, ..UpdateOutcome::default() };
+        let mut outcome = UpdateOutcome { order_before: self.order(), ..UpdateOutcome::default() };
         let mut rest = samples.as_slice();
         while let Some(first) = rest.first() {
             let day = first.local_day();
             // Clocks set back over midnight return to a date that has already ended: no new day.
             let length = rest.iter().position(|sample| sample.local_day() > day).unwrap_or(rest.len());
             let (of_day, later) = rest.split_at(length);
-            self.score_day(periodicities, criterion, day, of_day, &mut outcome);
-            self.accumulator.add(periodicities, of_day);
+            self.score_day(periodicities, rules.criterion, day, of_day, &mut outcome);
+            self.fold_in(periodicities, rules.half_life_days, day, of_day);
             // Refitted each day: the next is scored by what was known before it.
             self.spectral = SpectralModel::fit(&self.accumulator, periodicities);
+            if let Some(alternatives) = &mut self.alternatives {
+                alternatives.support(&self.spectral, periodicities, &self.accumulator);
+            }
             rest = later;
         }
         outcome.observations = samples.len() as u64;
-        outcome.order = self.order;
+        outcome.order = self.order();
         outcome
     }
 
-    /// Scores the samples of a day that are newer than all before it, and chooses the order.
+    /// Folds a day in, with each observation's say by its age in local days.
+    fn fold_in(
+        &mut self,
+        periodicities: &Periodicities,
+        half_life_days: Option<f64>,
+        day: LocalDay,
+        of_day: &[Sample],
+    ) {
+        let alternatives = self.alternatives.get_or_insert_default();
+        let Some(half_life_days) = half_life_days else {
+            self.accumulator.add(periodicities, of_day);
+            alternatives.add(day, of_day);
+            return;
+        };
+        let age_days = alternatives.folded_day().map_or(0, |last| i64::from(day.0) - i64::from(last.0));
+        let factor = 0.5_f64.powf(age_days.unsigned_abs() as f64 / half_life_days);
+        if age_days >= 0 {
+            self.accumulator.fade(factor);
+            self.accumulator.add(periodicities, of_day);
+            alternatives.fade(factor);
+            alternatives.add(day, of_day);
+        } else {
+            let mut late = Accumulator::new(periodicities);
+            late.add(periodicities, of_day);
+            late.fade(factor);
+            self.accumulator.merge(&late);
+            alternatives.add_late(of_day, factor);
+        }
+    }
+
+    /// Scores the samples of a day that are newer than all before it, and chooses.
     fn score_day(
         &mut self,
         periodicities: &Periodicities,
@@ -137,9 +230,17 @@ impl StateModel {
             OrderCriterion::SquaredError => &sums.squared,
             OrderCriterion::ZeroOne => &sums.wrong,
         };
-        outcome.squared_error_in_force += sums.squared[self.order];
+        let squared = sums.squared[self.order()];
         self.errors.record(day, errors);
         self.order = self.errors.best();
+        outcome.squared_error_in_force += match &mut self.alternatives {
+            Some(alternatives) => {
+                let order = self.order.min(alternatives.supported_order());
+                let spectral = (errors[order], self.errors.sums()[order]);
+                alternatives.score(day, criterion, newer, spectral, squared)
+            }
+            None => squared,
+        };
         outcome.scored += newer.len() as u64;
         for (total, error) in outcome.squared_errors.iter_mut().zip(&sums.squared) {
             *total += error;

@@ -94,6 +94,92 @@ fn clocks_set_back_over_midnight_do_not_begin_the_day_twice() {
 }
 
 #[test]
+fn with_a_half_life_an_old_routine_is_unlearned() {
+    // Open by day for eight weeks, then by night.
+    let mut samples = door(0, 56);
+    samples.extend(door(56, 21).into_iter().map(|sample| Sample { value: 1.0 - sample.value, ..sample }));
+    let squared = |half_life_days| {
+        let mut state = StateModel::new(&week());
+        let rules = UpdateRules { half_life_days, ..UpdateRules::default() };
+        state.update(&week(), rules, samples.clone());
+        let next: Vec<Sample> =
+            door(77, 7).into_iter().map(|sample| Sample { value: 1.0 - sample.value, ..sample }).collect();
+        state.update(&week(), rules, next).squared_error_in_force
+    };
+    let (for_ever, forgetting) = (squared(None), squared(Some(5.0)));
+    assert!(forgetting < 0.6 * for_ever, "{forgetting} with a half-life, {for_ever} without");
+}
+
+#[test]
+fn forgetting_does_not_depend_on_the_order_of_days() {
+    let rules = UpdateRules { half_life_days: Some(3.0), ..UpdateRules::default() };
+    let (mut in_order, mut late) = (StateModel::new(&week()), StateModel::new(&week()));
+    in_order.update(&week(), rules, door(0, 10));
+    let (early, rest): (Vec<Sample>, Vec<Sample>) =
+        door(0, 10).into_iter().partition(|sample| sample.local_day().0 == 4);
+    late.update(&week(), rules, rest);
+    late.update(&week(), rules, early);
+    let (one, other) = (in_order.accumulator().to_parts(), late.accumulator().to_parts());
+    assert_eq!((one.observations, one.first_nanos), (other.observations, other.first_nanos));
+    assert!((one.weight - other.weight).abs() < 1e-9 && (one.sum - other.sum).abs() < 1e-9);
+    for (a, b) in one.spectrum.as_flattened().iter().zip(other.spectrum.as_flattened()) {
+        assert!((a - b).abs() < 1e-9);
+    }
+    let weight = |state: &StateModel| state.alternatives().unwrap().hours().weight(30);
+    assert!((weight(&in_order) - weight(&late)).abs() < 1e-9);
+}
+
+#[test]
+fn a_routine_of_the_clock_and_the_kind_of_day_chooses_the_model_that_has_it() {
+    // One hour, on weekdays only: no few components make that.
+    let sharp = |days: i64| {
+        let open = |slot: i64| (60..66).contains(&(slot % 144)) && (slot / 144 + 3) % 7 < 5;
+        let sample = move |slot: i64| Sample {
+            utc_nanos: slot * 10 * MINUTE_NANOS,
+            offset_secs: 0,
+            value: f64::from(u8::from(open(slot))),
+        };
+        (0..days * 144).map(sample).collect::<Vec<Sample>>()
+    };
+    let mut state = StateModel::new(&week());
+    state.update(&week(), OrderCriterion::SquaredError, sharp(28));
+    assert_ne!(state.choice(), ModelChoice::Spectral, "{:?}", state.alternatives().map(Alternatives::error_sums));
+    assert!(state.chosen_histogram().is_some());
+}
+
+#[test]
+fn a_change_of_routine_rings_the_alarm_until_it_is_history() {
+    let mut state = StateModel::new(&week());
+    state.update(&week(), OrderCriterion::SquaredError, door(0, 42));
+    let rang = |state: &StateModel| state.alternatives().unwrap().alarm().rang_on();
+    assert_eq!(rang(&state), None);
+    let changed: Vec<Sample> =
+        door(42, 7).into_iter().map(|sample| Sample { value: 1.0 - sample.value, ..sample }).collect();
+    state.update(&week(), OrderCriterion::SquaredError, changed);
+    let day = rang(&state).expect("rings").0;
+    assert!((43..49).contains(&day), "{day}");
+}
+
+#[test]
+fn noise_has_no_rhythm() {
+    // Failures at any time of day, each some hours long: twenty sequences.
+    for seed in 0..20_u64 {
+        let mut random = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+        let mut failed = false;
+        let samples = (0..144 * 60_i64).map(|slot| {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            if (random >> 33) % 24 == 0 {
+                failed = (random >> 50) % 4 == 0;
+            }
+            Sample { utc_nanos: slot * 10 * MINUTE_NANOS, offset_secs: 0, value: f64::from(u8::from(failed)) }
+        });
+        let mut state = StateModel::new(&week());
+        state.update(&week(), OrderCriterion::SquaredError, samples.collect());
+        assert_eq!((state.order(), state.choice()), (0, ModelChoice::Spectral), "seed {seed}");
+    }
+}
+
+#[test]
 fn parts_make_the_same_state_again() {
     let mut state = StateModel::new(&week());
     state.update(&week(), OrderCriterion::SquaredError, door(0, 9));
@@ -105,10 +191,11 @@ fn parts_make_the_same_state_again() {
             state.spectral().components().to_vec(),
         )
         .unwrap(),
-        state.order(),
+        state.best_order(),
         OrderErrors::from_parts(state.errors().to_parts()).unwrap(),
     )
-    .unwrap();
+    .unwrap()
+    .with_alternatives(Alternatives::from_parts(state.alternatives().unwrap().to_parts()).unwrap());
     assert_eq!(again, state);
     let too_high =
         StateModel::from_parts(Accumulator::new(&week()), SpectralModel::default(), 16, OrderErrors::default());

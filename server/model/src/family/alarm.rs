@@ -1,0 +1,161 @@
+//! The change alarm: rings when a model's recent errors depart from their history.
+//!
+//! A one-sided cumulative sum (E. S. Page, "Continuous Inspection Schemes", Biometrika 1954) of each day's error, in
+//! standard deviations above what such days had. Fewer errors than usual never ring it. Invariant: the sum is finite and
+//! not negative, and once the alarm rings it rings until it is reset.
+
+use crate::{InvalidParts, LocalDay};
+
+#[cfg(test)]
+mod tests;
+
+/// How many days the history reaches back: older days fade with this time constant.
+const MEMORY_DAYS: f64 = 60.0;
+/// Days before the alarm can ring: a standard deviation of fewer is too unsure.
+const LEAST_DAYS: f64 = 14.0;
+/// Days of a kind (weekday, weekend) before one of that kind can add to the sum.
+const LEAST_DAYS_OF_KIND: f64 = 4.0;
+/// A day adds its standard score less this to the sum …
+const SLACK: f64 = 0.75;
+/// … but no score above this: one odd day, however odd, is not a change of routine.
+const MOST_SCORE: f64 = 3.5;
+/// The sum at which the alarm rings: at the least four odd days.
+const THRESHOLD: f64 = 8.5;
+/// Root mean squared errors are not told apart more finely than this.
+const LEAST_DEVIATION: f64 = 0.02;
+/// While the standard deviation rests on n days it may be too low; it is widened by 1 + this/n.
+const WIDENING_DAYS: f64 = 3.0;
+
+/// Tells when the errors of a state's predictions have risen above their history.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct ChangeAlarm {
+    parts: ChangeAlarmParts,
+}
+
+/// What a [`ChangeAlarm`] consists of, for storage.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct ChangeAlarmParts {
+    /// History of weekdays, and of Saturdays and Sundays.
+    pub kinds: [DayErrors; 2],
+    /// Faded mean number of scored observations of a day.
+    pub typical_observations: f64,
+    /// The cumulative sum, in standard deviations, at least 0.
+    pub sum: f64,
+    /// The last local day taken in.
+    pub last_day: Option<LocalDay>,
+    /// The day on which the alarm rang, if it rings.
+    pub rang: Option<LocalDay>,
+}
+
+/// The history of the errors of one kind of days.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct DayErrors {
+    /// Faded number of days.
+    pub days: f64,
+    /// Faded mean of the root mean squared error of a day.
+    pub mean: f64,
+    /// Faded variance of it.
+    pub variance: f64,
+}
+
+impl ChangeAlarm {
+    /// Takes in a local day: the mean squared error of `observations` predictions that were made before the day was
+    /// learnt. Returns whether the alarm rings.
+    ///
+    /// The error is that of a state in `[0,1]`; of others divide it by the variance of the values first. Its root is
+    /// compared with the history of days of its kind, weekdays or weekend, so that easy weekends are no change; both
+    /// kinds share the larger of their standard deviations. A day with fewer observations than usual counts less. The
+    /// first 14 days cannot ring. A day without observations, not after the last one, or with an error that is negative
+    /// or not finite changes nothing.
+    pub fn observe(&mut self, day: LocalDay, mse: f64, observations: u64) -> bool {
+        let is_new = self.parts.last_day.is_none_or(|last_day| day > last_day);
+        if is_new && observations > 0 && mse.is_finite() && mse >= 0.0 {
+            self.parts.last_day = Some(day);
+            self.take_in(day, mse.sqrt(), observations as f64);
+        }
+        self.is_ringing()
+    }
+
+    fn take_in(&mut self, day: LocalDay, error: f64, observations: f64) {
+        let parts = &mut self.parts;
+        let kind = usize::from(is_weekend(day));
+        let all_days = parts.kinds[0].days + parts.kinds[1].days;
+        parts.typical_observations += (observations - parts.typical_observations) / (all_days + 1.0).min(MEMORY_DAYS);
+        let weight = (observations / parts.typical_observations).min(1.0);
+
+        let deviation = deviation(&parts.kinds);
+        let history = &mut parts.kinds[kind];
+        let mut score = 0.0;
+        if all_days >= LEAST_DAYS && history.days >= LEAST_DAYS_OF_KIND {
+            score = ((error - history.mean) / deviation).min(MOST_SCORE);
+            // Weighted as a whole: the error of a day of few observations varies more in the same proportion, and so the
+            // sum climbs to the threshold by chance as rarely as on full days.
+            parts.sum = (parts.sum + weight * (score - SLACK)).max(0.0);
+        }
+        if parts.rang.is_none() && parts.sum > THRESHOLD {
+            parts.rang = Some(day);
+        }
+        // What is far above the history enters it as the most that still scores.
+        let error = if score >= MOST_SCORE { history.mean + MOST_SCORE * deviation } else { error };
+        history.add(error, weight);
+    }
+
+    /// Whether the alarm rings.
+    pub fn is_ringing(&self) -> bool {
+        self.parts.rang.is_some()
+    }
+
+    /// The day on which the alarm rang, if it rings.
+    pub fn rang_on(&self) -> Option<LocalDay> {
+        self.parts.rang
+    }
+
+    /// Silences the alarm and begins a new history: what was usual before the change no longer counts. Days up to the
+    /// last one taken in stay closed.
+    pub fn reset(&mut self) {
+        self.parts = ChangeAlarmParts { last_day: self.parts.last_day, ..ChangeAlarmParts::default() };
+    }
+
+    /// What to store.
+    pub fn to_parts(&self) -> ChangeAlarmParts {
+        self.parts
+    }
+
+    /// An alarm from what was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where a number is negative or not finite.
+    pub fn from_parts(parts: ChangeAlarmParts) -> Result<ChangeAlarm, InvalidParts> {
+        for kind in &parts.kinds {
+            InvalidParts::check("days of errors", kind.days, 0.0..=f64::MAX)?;
+            InvalidParts::check("mean daily error", kind.mean, 0.0..=f64::MAX)?;
+            InvalidParts::check("variance of daily errors", kind.variance, 0.0..=f64::MAX)?;
+        }
+        InvalidParts::check("typical observations", parts.typical_observations, 0.0..=f64::MAX)?;
+        InvalidParts::check("alarm sum", parts.sum, 0.0..=f64::MAX)?;
+        Ok(ChangeAlarm { parts })
+    }
+}
+
+impl DayErrors {
+    /// Takes in a day's error; fades the others by how much it counts.
+    fn add(&mut self, error: f64, weight: f64) {
+        self.days = (self.days + weight).min(MEMORY_DAYS);
+        let share = (weight / self.days).min(1.0);
+        let from_mean = error - self.mean;
+        self.mean += share * from_mean;
+        // West's update of a weighted variance. Huge errors stop at the largest number.
+        self.variance = ((1.0 - share) * (self.variance + share * from_mean * from_mean)).min(f64::MAX);
+    }
+}
+
+/// The standard deviation that a day's error is measured by: of the kind that varies more.
+fn deviation(kinds: &[DayErrors; 2]) -> f64 {
+    let widened = |kind: &DayErrors| kind.variance.sqrt() * (1.0 + WIDENING_DAYS / kind.days.max(1.0));
+    kinds.iter().filter(|kind| kind.days >= LEAST_DAYS_OF_KIND).map(widened).fold(LEAST_DEVIATION, f64::max)
+}
+
+fn is_weekend(day: LocalDay) -> bool {
+    // 1970-01-01 was a Thursday.
+    (day.0.rem_euclid(7) + 3) % 7 >= 5
+}

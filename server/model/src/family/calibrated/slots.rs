@@ -1,0 +1,176 @@
+//! Readings reduced to sums per day of the week and slot of ten minutes, over days.
+//!
+//! A day counts once in a slot however often it was looked at there: readings minutes apart say the same thing
+//! again. Invariant: values have been brought to `[0,1]`, so every mean lies there.
+
+use super::{CalibratedOptions, day_of_week};
+use crate::civil::NANOS_PER_SEC;
+use crate::family::Readings;
+use crate::{LocalDay, Sample};
+
+/// Slots of ten minutes in a day.
+pub(super) const SLOTS_PER_DAY: usize = 144;
+pub(super) const DAYS_OF_WEEK: usize = 7;
+const SECS_PER_SLOT: f64 = 86_400.0 / SLOTS_PER_DAY as f64;
+
+/// What days said about one slot: a day's value x there, its weight w, and the share c of the slot's neighbourhood that was
+/// seen, in `(0,1]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Sums {
+    /// Σ w c over days.
+    weight: f64,
+    /// Σ (w c)².
+    weight_squared: f64,
+    /// Σ w² c.
+    seen: f64,
+    /// Σ w c x.
+    value: f64,
+    /// Σ w c x².
+    value_squared: f64,
+}
+
+impl Sums {
+    fn add(&mut self, weight: f64, seen: f64, value: f64) {
+        let counts = weight * seen;
+        self.weight += counts;
+        self.weight_squared += counts * counts;
+        self.seen += weight * counts;
+        self.value += counts * value;
+        self.value_squared += counts * value * value;
+    }
+
+    /// Of the days of both.
+    pub(super) fn and(self, other: Sums) -> Sums {
+        Sums {
+            weight: self.weight + other.weight,
+            weight_squared: self.weight_squared + other.weight_squared,
+            seen: self.seen + other.seen,
+            value: self.value + other.value,
+            value_squared: self.value_squared + other.value_squared,
+        }
+    }
+
+    /// The number of days of equal weight, wholly seen, that would say as much: (Σ w c)²/Σ w² c, 0 where none was seen.
+    pub(super) fn days(self) -> f64 {
+        if self.weight > 0.0 { self.weight * self.weight / self.seen } else { 0.0 }
+    }
+
+    /// The share of a day that each of them says, in `[0,1]`: days that all were seen in part say the less.
+    pub(super) fn share_seen(self) -> f64 {
+        if self.weight > 0.0 { self.weight_squared / self.seen } else { 0.0 }
+    }
+
+    /// Weighted mean over days; 0 where none was seen.
+    pub(super) fn mean(self) -> f64 {
+        if self.weight > 0.0 { (self.value / self.weight).clamp(0.0, 1.0) } else { 0.0 }
+    }
+
+    /// Sum of squared deviations from the mean over days, as if [`Sums::days`] days had been seen.
+    pub(super) fn deviations(self) -> f64 {
+        if self.weight > 0.0 {
+            let mean = self.value / self.weight;
+            self.days() * (self.value_squared / self.weight - mean * mean).max(0.0)
+        } else {
+            0.0
+        }
+    }
+
+    /// The degrees of freedom of [`Sums::deviations`].
+    pub(super) fn freedom(self) -> f64 {
+        (self.days() - self.share_seen()).max(0.0)
+    }
+}
+
+/// The sums of one slot of the day, per day of the week, Monday first.
+pub(super) type WeekSums = [Sums; DAYS_OF_WEEK];
+
+/// The sums of all slots of the day.
+pub(super) struct SlotSums {
+    /// Each day smoothed a little.
+    pub(super) fine: Vec<WeekSums>,
+    /// Each day smoothed broadly.
+    pub(super) broad: Vec<WeekSums>,
+}
+
+impl SlotSums {
+    /// The sums over days, the newest of them of a date.
+    pub(super) fn of(days: impl Iterator<Item = Day>, newest: i32, options: CalibratedOptions) -> SlotSums {
+        let empty = || vec![WeekSums::default(); SLOTS_PER_DAY];
+        let mut sums = SlotSums { fine: empty(), broad: empty() };
+        let (fine, broad) = (kernel(options.smoothing_secs), kernel(options.broad_smoothing_secs));
+        for day in days {
+            let age_days = f64::from(newest.abs_diff(day.date.0));
+            let weight = day.weight / (1.0 + age_days / options.memory_days);
+            smooth(&day.means, &fine, |slot, seen, value| sums.fine[slot][day.of_week].add(weight, seen, value));
+            smooth(&day.means, &broad, |slot, seen, value| sums.broad[slot][day.of_week].add(weight, seen, value));
+        }
+        sums
+    }
+}
+
+/// One local day.
+pub(super) struct Day {
+    pub(super) date: LocalDay,
+    /// Monday 0 to Sunday 6.
+    pub(super) of_week: usize,
+    /// How much its readings count, on average, in `(0,1]`.
+    pub(super) weight: f64,
+    /// The mean value in each slot that was seen.
+    pub(super) means: [Option<f64>; SLOTS_PER_DAY],
+}
+
+/// The days of the readings, ascending; `to_unit` brings values to `[0,1]`. Where clocks are set back over midnight a date may
+/// come in two pieces.
+pub(super) fn days<'a>(readings: Readings<'a>, to_unit: impl Fn(f64) -> f64 + 'a) -> impl Iterator<Item = Day> + 'a {
+    let mut weights = readings.weights();
+    readings.samples.chunk_by(|a, b| a.local_day() == b.local_day()).map(move |of_day| {
+        let date = of_day[0].local_day();
+        let mut slots = [(0.0, 0.0); SLOTS_PER_DAY];
+        let mut day_weight = 0.0;
+        for (sample, weight) in of_day.iter().zip(&mut weights) {
+            // Clear of the smallest numbers, whose squares would vanish.
+            let weight = f64::max(weight, 1e-100);
+            if !sample.value.is_finite() {
+                continue;
+            }
+            let (weight_sum, value_sum) = &mut slots[slot_of(sample)];
+            *weight_sum += weight;
+            *value_sum += weight * to_unit(sample.value);
+            day_weight += weight;
+        }
+        let means = slots.map(|(weight, value)| (weight > 0.0).then(|| value / weight));
+        Day { date, of_week: day_of_week(date), weight: day_weight / of_day.len() as f64, means }
+    })
+}
+
+fn slot_of(sample: &Sample) -> usize {
+    let secs = sample.civil_nanos().div_euclid(NANOS_PER_SEC).rem_euclid(86_400);
+    secs as usize * SLOTS_PER_DAY / 86_400
+}
+
+/// Half a Gaussian over slots, from its middle to three standard deviations.
+fn kernel(deviation_secs: f64) -> Vec<f64> {
+    let deviation = deviation_secs / SECS_PER_SLOT;
+    let reach = ((3.0 * deviation).ceil() as usize).min(SLOTS_PER_DAY - 1);
+    (0..=reach).map(|slots| if slots == 0 { 1.0 } else { (-0.5 * (slots as f64 / deviation).powi(2)).exp() }).collect()
+}
+
+/// Hands on each slot's local mean and how much of its neighbourhood within the day was seen, in `(0,1]`.
+fn smooth(means: &[Option<f64>; SLOTS_PER_DAY], kernel: &[f64], mut each: impl FnMut(usize, f64, f64)) {
+    for slot in 0..SLOTS_PER_DAY {
+        let first = slot.saturating_sub(kernel.len() - 1);
+        let last = (slot + kernel.len() - 1).min(SLOTS_PER_DAY - 1);
+        let (mut all, mut seen, mut value) = (0.0, 0.0, 0.0);
+        for (other, mean) in means.iter().enumerate().take(last + 1).skip(first) {
+            let weight = kernel[other.abs_diff(slot)];
+            all += weight;
+            if let Some(mean) = mean {
+                seen += weight;
+                value += weight * mean;
+            }
+        }
+        if seen > 0.0 {
+            each(slot, seen / all, value / seen);
+        }
+    }
+}

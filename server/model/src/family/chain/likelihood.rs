@@ -1,0 +1,125 @@
+//! The likelihood of a two-state chain seen at irregular times, and its maximum.
+//!
+//! Parameters are the sum λ = α + β and the share π = α/λ: for a given λ the logarithm of the likelihood is concave in π,
+//! so that two nested searches in one dimension find the maximum. Invariant: nothing here is NaN.
+
+use std::collections::BTreeMap;
+
+/// Gaps whose logarithms round to the same multiple of this count as one.
+const LOG_GAP_STEP: f64 = 0.02;
+/// The prior: this many rises and as many falls …
+const PRIOR_CHANGES: f64 = 0.5;
+/// … in this many seconds at each of the two values.
+const PRIOR_SECS: f64 = 3600.0;
+/// ln λ is searched in this range (λ from one change in 3,000 years to ten a nanosecond), first at this distance.
+const LOG_RATES: (f64, f64) = (-25.0, 23.0);
+const LOG_RATE_STEP: f64 = 0.5;
+
+/// How often the state stayed and changed over gaps of about the same length.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
+    weight: f64,
+    gap_secs_sum: f64,
+    /// Weight of pairs that stayed 0, rose, fell and stayed 1.
+    low: f64,
+    rises: f64,
+    falls: f64,
+    high: f64,
+}
+
+/// What successive readings say about the rates.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Transitions {
+    by_gap: BTreeMap<i32, Counts>,
+}
+
+impl Transitions {
+    /// Counts a pair of readings in `[0,1]`; a gap of 0 says nothing.
+    pub(super) fn add(&mut self, gap_nanos: u64, from: f64, to: f64, weight: f64) {
+        if gap_nanos == 0 {
+            return;
+        }
+        let gap_secs = gap_nanos as f64 / 1e9;
+        let counts = self.by_gap.entry((gap_secs.ln() / LOG_GAP_STEP).round() as i32).or_default();
+        counts.weight += weight;
+        counts.gap_secs_sum += weight * gap_secs;
+        counts.low += weight * (1.0 - from.max(to));
+        counts.rises += weight * (to - from).max(0.0);
+        counts.falls += weight * (from - to).max(0.0);
+        counts.high += weight * from.min(to);
+    }
+
+    /// (λ, π) of the highest posterior density.
+    pub(super) fn most_likely(&self) -> (f64, f64) {
+        let (from, to) = LOG_RATES;
+        let steps = ((to - from) / LOG_RATE_STEP) as usize;
+        let value = |log_rate: f64| self.profile(log_rate).0;
+        let grid = (0..=steps).map(|step| from + step as f64 * LOG_RATE_STEP);
+        let best = grid
+            .map(|at| (value(at), at))
+            .fold((f64::NEG_INFINITY, from), |best, next| if next.0 > best.0 { next } else { best });
+        let at = golden_section(best.1 - LOG_RATE_STEP, best.1 + LOG_RATE_STEP, value);
+        (at.exp(), self.profile(at).1)
+    }
+
+    /// For a sum of rates, the highest log posterior and the share that has it.
+    fn profile(&self, log_rate: f64) -> (f64, f64) {
+        let rate = log_rate.exp();
+        // Per gap the probability 1 - e^(-λΔ) that the reading before is forgotten; exact where it is tiny.
+        let gaps: Vec<(f64, Counts)> = self
+            .by_gap
+            .values()
+            .map(|counts| (-(-rate * counts.gap_secs_sum / counts.weight).exp_m1(), *counts))
+            .collect();
+        // The slope in π falls from +∞ to -∞, since the prior has a half of either change.
+        let slope = |share: f64| {
+            let mut slope = PRIOR_CHANGES / share - PRIOR_CHANGES / (1.0 - share);
+            for &(mixed, counts) in &gaps {
+                slope += counts.rises / share - counts.falls / (1.0 - share);
+                slope += counts.high * mixed / (1.0 - (1.0 - share) * mixed);
+                slope -= counts.low * mixed / (1.0 - share * mixed);
+            }
+            slope
+        };
+        // In the logit, so that shares near 0 and 1 are found as precisely as others.
+        let (mut low, mut high) = (-34.0, 34.0);
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if slope(logistic(middle)) > 0.0 { low = middle } else { high = middle }
+        }
+        let share = logistic(0.5 * (low + high));
+        // The Gamma densities of α and β, in π and λ.
+        let mut value =
+            PRIOR_CHANGES * (share * (1.0 - share)).ln() + 2.0 * PRIOR_CHANGES * log_rate - PRIOR_SECS * rate;
+        for &(mixed, counts) in &gaps {
+            // λ and Δ are positive, so this is 0 only where it underflowed, far from the maximum.
+            let log_mixed = mixed.max(f64::MIN_POSITIVE).ln();
+            value += counts.rises * (share.ln() + log_mixed) + counts.falls * ((1.0 - share).ln() + log_mixed);
+            value += counts.low * (-share * mixed).ln_1p() + counts.high * (-(1.0 - share) * mixed).ln_1p();
+        }
+        (value, share)
+    }
+}
+
+fn logistic(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+/// The place of the maximum of a function with one maximum between two places, to 1e-7 of the distance.
+fn golden_section(mut low: f64, mut high: f64, value: impl Fn(f64) -> f64) -> f64 {
+    const RATIO: f64 = 0.618_033_988_749_894_9;
+    let (mut left, mut right) = (high - RATIO * (high - low), low + RATIO * (high - low));
+    let (mut at_left, mut at_right) = (value(left), value(right));
+    for _ in 0..34 {
+        if at_left >= at_right {
+            (high, right, at_right) = (right, left, at_left);
+            left = high - RATIO * (high - low);
+            at_left = value(left);
+        } else {
+            (low, left, at_left) = (left, right, at_right);
+            right = low + RATIO * (high - low);
+            at_right = value(right);
+        }
+    }
+    0.5 * (low + high)
+}

@@ -1,0 +1,195 @@
+//! A histogram over the day or the week: each interval of the cycle has the mean of what was read in it.
+//!
+//! The Hist_n of RA-L 2019, section IV ("divides each day into n intervals and predicts the given variable as an average
+//! in a relevant time of a day"), over local civil time, so that it keeps to the clock that people live by.
+//! Invariant: every answer is finite and lies between the lowest and the highest reading.
+
+use super::mean::{RunningMean, check_values};
+use super::{CannotFit, Moment, Readings, TemporalModel};
+use crate::InvalidParts;
+
+mod cycle;
+mod hours;
+
+pub use cycle::HistogramCycle;
+pub use hours::{HourSpread, HourTable, HourTableParts};
+
+#[cfg(test)]
+mod tests;
+
+/// The overall mean counts in every bin as this many readings by default.
+pub const HISTOGRAM_PRIOR_READINGS: f64 = 1.0;
+
+/// How a [`Histogram`] is to be made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HistogramSettings {
+    /// What repeats.
+    pub cycle: HistogramCycle,
+    /// Bins of the cycle, 1 to [`HistogramCycle::max_bins`]; of weekday and weekend, bins of each of the two days.
+    pub bins: usize,
+    /// Standard deviation of the circular Gaussian kernel that bins are smoothed with, in bins, 0 (none) to a quarter of
+    /// `bins`. Bins of a weekday and of a weekend day are never mixed.
+    pub smoothing_bins: f64,
+    /// How many readings the overall mean counts as in every bin, 0 to 1e9: bins with little data shrink towards it.
+    pub prior_readings: f64,
+}
+
+impl HistogramSettings {
+    /// No smoothing and the prior of [`HISTOGRAM_PRIOR_READINGS`].
+    pub fn new(cycle: HistogramCycle, bins: usize) -> HistogramSettings {
+        HistogramSettings { cycle, bins, smoothing_bins: 0.0, prior_readings: HISTOGRAM_PRIOR_READINGS }
+    }
+
+    fn check(&self) -> Result<(), CannotFit> {
+        if !(1..=self.cycle.max_bins()).contains(&self.bins) {
+            let expected = match self.cycle {
+                HistogramCycle::Day | HistogramCycle::WeekdayWeekend => "1 to 1440 bins of the day",
+                HistogramCycle::Week => "1 to 10080 bins of the week",
+            };
+            return Err(CannotFit::Parameter { parameter: "bins", found: self.bins as f64, expected });
+        }
+        let found = self.smoothing_bins;
+        if !(0.0..=self.bins as f64 / 4.0).contains(&found) {
+            let expected = "0 to a quarter of the bins";
+            return Err(CannotFit::Parameter { parameter: "smoothing width in bins", found, expected });
+        }
+        let found = self.prior_readings;
+        if !(0.0..=1e9).contains(&found) {
+            return Err(CannotFit::Parameter { parameter: "prior readings", found, expected: "0 to 1e9" });
+        }
+        Ok(())
+    }
+}
+
+/// The mean value of each interval of a cycle (RA-L 2019, section IV).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Histogram {
+    parts: HistogramParts,
+}
+
+/// What a [`Histogram`] consists of, for storage.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HistogramParts {
+    /// What repeats.
+    pub cycle: HistogramCycle,
+    /// The answer of each bin in order of time; of weekday and weekend first the weekday's bins, then the weekend's.
+    pub values: Vec<f64>,
+    /// The weight of the readings in each bin, before smoothing; as long as `values`.
+    pub weights: Vec<f64>,
+}
+
+impl Histogram {
+    /// The mean of the readings in each bin, shrunk towards the mean of all: (Σwv + κμ)/(Σw + κ) with
+    /// κ = `prior_readings`. A bin without readings answers the mean of all.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where there are no readings, a value is not finite, or a setting is outside its range.
+    pub fn fit(readings: Readings<'_>, settings: &HistogramSettings) -> Result<Histogram, CannotFit> {
+        settings.check()?;
+        check_values(readings, f64::MIN..=f64::MAX, "a finite number")?;
+        let mut bins = vec![RunningMean::default(); settings.cycle.runs() * settings.bins];
+        let mut all = RunningMean::default();
+        for (sample, weight) in readings.samples.iter().zip(readings.weights()) {
+            all.add(sample.value, weight);
+            bins[settings.cycle.bin(settings.bins, sample.civil_nanos())].add(sample.value, weight);
+        }
+        let bins: Vec<(f64, f64)> = bins.iter().map(|bin| (bin.weight, bin.mean)).collect();
+        Ok(Histogram::of_bins(settings, &bins, all.mean))
+    }
+
+    /// From the weight and mean value of each bin and the mean of all readings.
+    fn of_bins(settings: &HistogramSettings, bins: &[(f64, f64)], mean: f64) -> Histogram {
+        let smoothed = match settings.smoothing_bins {
+            width if width > 0.0 => smoothed(bins, settings.bins, width),
+            _ => bins.to_vec(),
+        };
+        let shrunk = |&(weight, value): &(f64, f64)| {
+            if weight <= 0.0 {
+                return mean;
+            }
+            let total = weight + settings.prior_readings;
+            let between = value * (weight / total) + mean * (settings.prior_readings / total);
+            // Rounding must not lead out of what was read.
+            between.clamp(value.min(mean), value.max(mean))
+        };
+        let values = smoothed.iter().map(shrunk).collect();
+        let weights = bins.iter().map(|&(weight, _)| weight).collect();
+        Histogram { parts: HistogramParts { cycle: settings.cycle, values, weights } }
+    }
+
+    /// What repeats.
+    pub fn cycle(&self) -> HistogramCycle {
+        self.parts.cycle
+    }
+
+    /// Bins of the cycle; of weekday and weekend, bins of each of the two days.
+    pub fn bins(&self) -> usize {
+        self.parts.values.len() / self.parts.cycle.runs()
+    }
+
+    /// The weight of the readings in the bin of a moment; 0 where the answer is the mean of all readings.
+    pub fn weight(&self, at: Moment) -> f64 {
+        self.parts.weights.get(self.bin(at)).copied().unwrap_or(0.0)
+    }
+
+    fn bin(&self, at: Moment) -> usize {
+        self.parts.cycle.bin(self.bins(), at.civil_nanos())
+    }
+
+    /// What to store.
+    pub fn to_parts(&self) -> HistogramParts {
+        self.parts.clone()
+    }
+
+    /// A model from what was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where the number of bins does not fit the cycle or a number is outside its range.
+    pub fn from_parts(parts: HistogramParts) -> Result<Histogram, InvalidParts> {
+        let (runs, found) = (parts.cycle.runs(), parts.values.len());
+        if found == 0 || found % runs != 0 || found / runs > parts.cycle.max_bins() {
+            return Err(InvalidParts::OutOfRange { field: "number of bins", found: found as f64 });
+        }
+        if parts.weights.len() != found {
+            return Err(InvalidParts::OutOfRange { field: "number of weights", found: parts.weights.len() as f64 });
+        }
+        for (&value, &weight) in parts.values.iter().zip(&parts.weights) {
+            InvalidParts::check("bin value", value, f64::MIN..=f64::MAX)?;
+            InvalidParts::check("bin weight", weight, 0.0..=f64::MAX)?;
+        }
+        Ok(Histogram { parts })
+    }
+}
+
+impl TemporalModel for Histogram {
+    fn predict(&self, at: Moment) -> f64 {
+        self.parts.values[self.bin(at)]
+    }
+}
+
+/// Each bin's weight and mean over its surroundings, within runs of `run` bins that close into a circle: the
+/// kernel-weighted mean of the readings (Nadaraya and Watson).
+fn smoothed(bins: &[(f64, f64)], run: usize, width_bins: f64) -> Vec<(f64, f64)> {
+    // Beyond four standard deviations a kernel has 6e-5 of its mass; beyond half the circle it would count bins twice.
+    let reach = ((4.0 * width_bins).ceil() as usize).min((run - 1) / 2);
+    let kernel: Vec<f64> = (0..=reach).map(|bin| (-0.5 * (bin as f64 / width_bins).powi(2)).exp()).collect();
+    let mut smoothed = Vec::with_capacity(bins.len());
+    for circle in bins.chunks(run) {
+        for at in 0..circle.len() {
+            let mut mean = RunningMean::default();
+            let mut add = |bin: usize, factor: f64| {
+                let (weight, value) = circle[bin % circle.len()];
+                if weight * factor > 0.0 {
+                    mean.add(value, weight * factor);
+                }
+            };
+            add(at, kernel[0]);
+            for (distance, &factor) in kernel.iter().enumerate().skip(1) {
+                add(at + distance, factor);
+                add(at + circle.len() - distance, factor);
+            }
+            smoothed.push((mean.weight, mean.mean));
+        }
+    }
+    smoothed
+}

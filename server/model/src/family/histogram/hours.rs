@@ -1,0 +1,202 @@
+//! Sums per hour of the week, from which histograms follow without raw data.
+//!
+//! 168 cells of the week and, to judge how much days differ, the means of single hours of single days: 3.8 kB a state.
+//! Invariant: sums commute, so the table depends neither on order nor on batching beyond 1e-9, as long as no local hour
+//! is split over two batches.
+
+use std::collections::BTreeMap;
+
+use super::cycle::{DAY_HOURS, WEEK_HOURS, civil_hour, hour_of_week_of, is_weekend};
+use super::{HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle, HistogramSettings};
+use crate::{InvalidParts, Sample};
+
+/// Weights below this are forgotten: their sums have no precision left.
+const LEAST_WEIGHT: f64 = 1e-9;
+
+/// What was read in each hour of the local week, and how single days differed in each hour of the day.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HourTable {
+    parts: HourTableParts,
+}
+
+/// What an [`HourTable`] consists of, for storage.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HourTableParts {
+    /// 168 cells, one per hour of the local week from Monday, midnight: `[weight, Σ value]` of the readings.
+    pub cells: Vec<[f64; 2]>,
+    /// 48 cells, per hour of the local day first of weekdays, then of Saturday and Sunday: `[weight, Σ m, Σ m²]` of the
+    /// means m of that hour on single days.
+    pub days: Vec<[f64; 3]>,
+}
+
+/// How the mean value of one hour of the day differs from day to day.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HourSpread {
+    /// How many days it rests on; forgetting makes fractions of days.
+    pub days: f64,
+    /// The mean over days.
+    pub mean: f64,
+    /// The standard deviation over days, with n - 1; 0 where it rests on one day or less.
+    pub standard_deviation: f64,
+}
+
+impl Default for HourTable {
+    /// Nothing read yet.
+    fn default() -> HourTable {
+        HourTable { parts: HourTableParts { cells: vec![[0.0; 2]; WEEK_HOURS], days: vec![[0.0; 3]; 2 * DAY_HOURS] } }
+    }
+}
+
+impl HourTable {
+    /// Adds readings in any order; one that is not finite is left out.
+    ///
+    /// A local hour of one date that is split over two batches enters the cells of the week all the same, but counts as
+    /// two days in [`HourTable::spread`]. The hour that comes twice when clocks are set back is one hour.
+    pub fn add(&mut self, samples: &[Sample]) {
+        // Per civil hour the readings' number and sum.
+        let mut hours: BTreeMap<i64, (f64, f64)> = BTreeMap::new();
+        for sample in samples.iter().filter(|sample| sample.value.is_finite()) {
+            let (count, sum) = hours.entry(civil_hour(sample.civil_nanos())).or_default();
+            *count += 1.0;
+            *sum = bounded(*sum + sample.value);
+        }
+        for (hour, (count, sum)) in hours {
+            let hour_of_week = hour_of_week_of(hour);
+            add_to(&mut self.parts.cells[hour_of_week], [count, sum]);
+            let mean = sum / count;
+            add_to(
+                &mut self.parts.days[day_cell(hour_of_week % DAY_HOURS, is_weekend(hour_of_week))],
+                [1.0, mean, mean * mean],
+            );
+        }
+    }
+
+    /// Adds what another table has read.
+    pub(crate) fn merge(&mut self, other: &HourTable) {
+        for (cell, &other) in self.parts.cells.iter_mut().zip(&other.parts.cells) {
+            add_to(cell, other);
+        }
+        for (cell, &other) in self.parts.days.iter_mut().zip(&other.parts.days) {
+            add_to(cell, other);
+        }
+    }
+
+    /// Makes all that was read so far count `factor` times as much, 0 to 1: forgetting. Other factors count as the nearer
+    /// end, and NaN changes nothing.
+    pub fn scale(&mut self, factor: f64) {
+        if factor.is_nan() {
+            return;
+        }
+        let factor = factor.clamp(0.0, 1.0);
+        self.parts.cells.iter_mut().for_each(|cell| scale_by(cell, factor));
+        self.parts.days.iter_mut().for_each(|cell| scale_by(cell, factor));
+    }
+
+    /// The histogram with the default prior and no smoothing, equal to [`Histogram::fit`] on the same readings. `None`
+    /// where nothing was read, or where a bin would not hold whole hours: the number of bins must divide 168 for the
+    /// week, 24 for the others.
+    pub fn histogram(&self, cycle: HistogramCycle, bins: usize) -> Option<Histogram> {
+        if bins == 0 || !cycle.hours().is_multiple_of(bins) {
+            return None;
+        }
+        let per_bin = cycle.hours() / bins;
+        let mut sums = vec![[0.0; 2]; cycle.runs() * bins];
+        let mut all = [0.0; 2];
+        for (hour_of_week, &cell) in self.parts.cells.iter().enumerate() {
+            let bin = match cycle {
+                HistogramCycle::Day => (hour_of_week % DAY_HOURS) / per_bin,
+                HistogramCycle::Week => hour_of_week / per_bin,
+                HistogramCycle::WeekdayWeekend => {
+                    usize::from(is_weekend(hour_of_week)) * bins + (hour_of_week % DAY_HOURS) / per_bin
+                }
+            };
+            add_to(&mut sums[bin], cell);
+            add_to(&mut all, cell);
+        }
+        if all[0] <= 0.0 {
+            return None;
+        }
+        let mean = |[weight, sum]: [f64; 2]| if weight > 0.0 { bounded(sum / weight) } else { 0.0 };
+        let means: Vec<(f64, f64)> = sums.iter().map(|&bin| (bin[0], mean(bin))).collect();
+        let settings =
+            HistogramSettings { prior_readings: HISTOGRAM_PRIOR_READINGS, ..HistogramSettings::new(cycle, bins) };
+        Some(Histogram::of_bins(&settings, &means, mean(all)))
+    }
+
+    /// The weight of the readings of an hour of the local week, 0..168 from Monday, midnight; 0 for others.
+    pub fn weight(&self, hour_of_week: usize) -> f64 {
+        self.parts.cells.get(hour_of_week).map_or(0.0, |cell| cell[0])
+    }
+
+    /// How many single hours of single days were read, faded by forgetting.
+    pub fn observed_hours(&self) -> f64 {
+        bounded(self.parts.days.iter().map(|cell| cell[0]).sum())
+    }
+
+    /// How an hour of the day, 0..24, differs between weekdays, or between days of weekends; `None` where it was never
+    /// read.
+    pub fn spread(&self, hour_of_day: usize, weekend: bool) -> Option<HourSpread> {
+        if hour_of_day >= DAY_HOURS {
+            return None;
+        }
+        let [days, sum, squares] = self.parts.days[day_cell(hour_of_day, weekend)];
+        if days <= 0.0 {
+            return None;
+        }
+        let mean = bounded(sum / days);
+        let variance = if days > 1.0 { (squares - sum * mean).max(0.0) / (days - 1.0) } else { 0.0 };
+        Some(HourSpread { days, mean, standard_deviation: bounded(variance.sqrt()) })
+    }
+
+    /// What to store.
+    pub fn to_parts(&self) -> HourTableParts {
+        self.parts.clone()
+    }
+
+    /// A table from what was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where there are not 168 and 48 cells or a number is outside its range.
+    pub fn from_parts(parts: HourTableParts) -> Result<HourTable, InvalidParts> {
+        for (field, found, expected) in [
+            ("cells of the week", parts.cells.len(), WEEK_HOURS),
+            ("cells of the days", parts.days.len(), 2 * DAY_HOURS),
+        ] {
+            if found != expected {
+                return Err(InvalidParts::OutOfRange { field, found: found as f64 });
+            }
+        }
+        for &[weight, sum] in &parts.cells {
+            InvalidParts::check("weight of an hour", weight, 0.0..=f64::MAX)?;
+            InvalidParts::check("sum of an hour", sum, f64::MIN..=f64::MAX)?;
+        }
+        for &[weight, sum, squares] in &parts.days {
+            InvalidParts::check("weight of days", weight, 0.0..=f64::MAX)?;
+            InvalidParts::check("sum over days", sum, f64::MIN..=f64::MAX)?;
+            InvalidParts::check("sum of squares over days", squares, 0.0..=f64::MAX)?;
+        }
+        Ok(HourTable { parts })
+    }
+}
+
+fn day_cell(hour_of_day: usize, weekend: bool) -> usize {
+    usize::from(weekend) * DAY_HOURS + hour_of_day
+}
+
+fn add_to<const N: usize>(cell: &mut [f64; N], other: [f64; N]) {
+    for (sum, other) in cell.iter_mut().zip(other) {
+        *sum = bounded(*sum + other);
+    }
+}
+
+fn scale_by<const N: usize>(cell: &mut [f64; N], factor: f64) {
+    cell.iter_mut().for_each(|sum| *sum *= factor);
+    if cell[0] < LEAST_WEIGHT {
+        *cell = [0.0; N];
+    }
+}
+
+/// Sums of huge values stop at the largest number instead of overflowing.
+fn bounded(sum: f64) -> f64 {
+    sum.clamp(f64::MIN, f64::MAX)
+}

@@ -1,0 +1,198 @@
+//! Warped hypertime: time wound onto circles, one for each period found, and clusters over them.
+//!
+//! Krajník et al., "Warped Hypertime Representations for Long-term Autonomy of Mobile Robots", RA-L 2019 ("RA-L
+//! 2019"), section III. Readings get a cosine and a sine for each period, mixtures are fitted to what comes of it,
+//! and the periodicity that the error still has gives the next period. HyT-EM fits Gaussians over the circles' plane
+//! coordinates, HyT-KM starts from k-means, keeps to the cosine distance on circles, and finds the number of clusters
+//! itself. What this departs from in the paper is said at [`Hypertime::fit`].
+//! Invariant: at most five periods and 50 clusters; every prediction is finite, that of a probability in `[0,1]`.
+
+use super::{CannotFit, Moment, Readings, TemporalModel};
+use crate::InvalidParts;
+
+mod axis;
+mod cluster;
+mod concentration;
+mod conditional;
+mod field;
+mod grow;
+mod joint;
+mod mixture;
+mod odds;
+mod seeding;
+mod week;
+
+pub use axis::HypertimeAxis;
+pub use cluster::HypertimeCluster;
+pub use conditional::HypertimeDistribution;
+pub use field::{FieldReading, HypertimeField, HypertimeFieldParts};
+use grow::{Extent, deal, grow, unit_weight};
+pub use odds::HypertimeOddsParts;
+use odds::{Counts, Folds, Odds};
+
+#[cfg(test)]
+mod tests;
+
+/// How clusters in hypertime are found (RA-L 2019 section III.H).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum HypertimeMethod {
+    /// HyT-EM: expectation-maximisation of as many Gaussians as asked for.
+    Em,
+    /// HyT-KM: cosine distance on the circles, and more clusters for as long as that leaves weaker periods in the
+    /// error. It goes by the mean alone: for the shape of a distribution, ask HyT-EM for as many clusters as it has
+    /// peaks.
+    Km,
+}
+
+/// How a hypertime model is fitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HypertimeOptions {
+    /// How the clusters are found.
+    pub method: HypertimeMethod,
+    /// How many clusters (HyT-EM; of a probability, for each of the two values), or at most how many (HyT-KM); from 1
+    /// to [`HypertimeOptions::MAX_CLUSTERS`]. Fewer where there are fewer distinct readings.
+    pub clusters: usize,
+    /// What the starts of the clustering and the readings left out are drawn from.
+    pub seed: u64,
+}
+
+impl HypertimeOptions {
+    /// The most clusters that may be asked for.
+    pub const MAX_CLUSTERS: usize = 50;
+
+    fn check(&self) -> Result<(), CannotFit> {
+        if (1..=HypertimeOptions::MAX_CLUSTERS).contains(&self.clusters) {
+            Ok(())
+        } else {
+            let (parameter, found) = ("clusters", self.clusters as f64);
+            Err(CannotFit::Parameter { parameter, found, expected: "1 to 50" })
+        }
+    }
+}
+
+impl Default for HypertimeOptions {
+    /// HyT-KM with up to ten clusters: it depends least on the seed.
+    fn default() -> HypertimeOptions {
+        HypertimeOptions { method: HypertimeMethod::Km, clusters: 10, seed: 0 }
+    }
+}
+
+/// What a [`Hypertime`] consists of, to be stored.
+#[derive(Clone, Debug, PartialEq)]
+pub enum HypertimeParts {
+    /// Of a probability.
+    Probability(HypertimeOddsParts),
+    /// Of any other number.
+    Continuous(HypertimeFieldParts),
+}
+
+/// The value of one state over time, by warped hypertime.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hypertime {
+    shape: Shape,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Shape {
+    Probability(Odds),
+    Continuous(HypertimeField),
+}
+
+impl Hypertime {
+    /// Fits the model of a probability; values outside `[0,1]` count as the nearer end. Readings are summed by slot
+    /// of the week, of five minutes, so that years of them take little longer than weeks.
+    ///
+    /// Departures from RA-L 2019: the error that periods are searched in, and that stops the growth (eq. 6), is that of
+    /// readings left out, a quarter of the days at a time (of the hours, where there are fewer than four days), and a
+    /// period must lower it by a hundredth; of several seeded starts the one is kept under which those readings are
+    /// likeliest; periods are a week divided by 1 to 84, at most five of them; covariances have a prior.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where there are no readings or an option is outside its range.
+    pub fn fit(readings: Readings<'_>, options: &HypertimeOptions) -> Result<Hypertime, CannotFit> {
+        options.check()?;
+        let samples = readings.samples;
+        let (Some(first), Some(last)) = (samples.first(), samples.last()) else { return Err(CannotFit::NoReadings) };
+        let civil: Vec<i64> = samples.iter().map(|sample| sample.civil_nanos()).collect();
+        let (folds_of, count) = deal(&civil, options.seed);
+        let unit = unit_weight(&civil, readings.weights().sum());
+        let mut folds = vec![Counts::new(); count];
+        for (((sample, weight), civil), fold) in samples.iter().zip(readings.weights()).zip(civil).zip(folds_of) {
+            let probability = if sample.value.is_nan() { 0.0 } else { sample.value.clamp(0.0, 1.0) };
+            folds[fold].add(week::slot(civil), weight, probability);
+        }
+        let extent = Extent { span_nanos: first.utc_nanos.abs_diff(last.utc_nanos), folds: count };
+        let odds = grow(&Folds { folds, method: options.method, unit }, &extent, options);
+        Ok(Hypertime { shape: Shape::Probability(odds) })
+    }
+
+    /// Fits the model of a value that is not a probability, such as a speed or a count, as [`HypertimeField::fit`]
+    /// does.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where there are no readings, an option is outside its range, or a value is not finite.
+    pub fn fit_continuous(readings: Readings<'_>, options: &HypertimeOptions) -> Result<Hypertime, CannotFit> {
+        let of_one_place = readings.samples.iter().map(|sample| FieldReading {
+            moment: sample.moment(),
+            location: Vec::new(),
+            value: vec![sample.value],
+        });
+        let (points, weights): (Vec<FieldReading>, Vec<f64>) = of_one_place.zip(readings.weights()).unzip();
+        let field = HypertimeField::fit_weighted(&points, &weights, options)?;
+        Ok(Hypertime { shape: Shape::Continuous(field) })
+    }
+
+    /// The distribution p(a | t) at a moment of a value that is not a probability; `None` of a probability, where the
+    /// prediction says it all.
+    pub fn distribution(&self, at: Moment) -> Option<HypertimeDistribution> {
+        match &self.shape {
+            Shape::Probability(_) => None,
+            Shape::Continuous(field) => field.distribution(at, &[]),
+        }
+    }
+
+    /// The periods found, in seconds, in the order found; at most five.
+    pub fn periods_secs(&self) -> Vec<f64> {
+        let divisors = match &self.shape {
+            Shape::Probability(odds) => odds.divisors(),
+            Shape::Continuous(field) => field.week_divisors(),
+        };
+        divisors.iter().map(|&divisor| week::WEEK_NANOS as f64 / f64::from(divisor) / 1e9).collect()
+    }
+
+    /// What the model consists of; a model made of it again predicts the same.
+    pub fn to_parts(&self) -> HypertimeParts {
+        match &self.shape {
+            Shape::Probability(odds) => HypertimeParts::Probability(odds.to_parts()),
+            Shape::Continuous(field) => HypertimeParts::Continuous(field.to_parts()),
+        }
+    }
+
+    /// The model that was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where numbers are outside their range, lists have not the right length, or a continuous model
+    /// has a location or more than one number as its value.
+    pub fn from_parts(parts: &HypertimeParts) -> Result<Hypertime, InvalidParts> {
+        let shape = match parts {
+            HypertimeParts::Probability(odds) => Shape::Probability(Odds::from_parts(odds)?),
+            HypertimeParts::Continuous(field) => {
+                InvalidParts::check("location", field.location.len() as f64, 0.0..=0.0)?;
+                InvalidParts::check("value", field.value.len() as f64, 1.0..=1.0)?;
+                Shape::Continuous(HypertimeField::from_parts(field)?)
+            }
+        };
+        Ok(Hypertime { shape })
+    }
+}
+
+impl TemporalModel for Hypertime {
+    /// The probability, or the mean of the conditional distribution (RA-L 2019 eq. 4), at a moment.
+    fn predict(&self, at: Moment) -> f64 {
+        match &self.shape {
+            Shape::Probability(odds) => odds.at(week::turn(at.civil_nanos())),
+            // A model without location and with one number always answers.
+            Shape::Continuous(field) => field.mean(at, &[]).and_then(|mean| mean.first().copied()).unwrap_or(0.0),
+        }
+    }
+}

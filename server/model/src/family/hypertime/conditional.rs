@@ -1,0 +1,87 @@
+//! What a value is at one place and time: a mixture of Gaussians.
+//!
+//! Invariant: shares add up to 1, every answer is finite.
+
+use super::axis::{HypertimeAxis, standardised};
+use super::cluster::{Cluster, Given, HypertimeCluster, factorised};
+use super::mixture::Mixture;
+
+/// The distribution p(a | x, t) of a value at a place and time (RA-L 2019 section III.C).
+#[derive(Clone, Debug, PartialEq)]
+pub struct HypertimeDistribution {
+    /// Over the value's coordinates alone, standardised.
+    mixture: Mixture,
+    axes: Vec<HypertimeAxis>,
+}
+
+impl HypertimeDistribution {
+    pub(super) fn new(shares: Vec<(f64, Given)>, axes: Vec<HypertimeAxis>) -> HypertimeDistribution {
+        let clusters = shares.into_iter().map(|(weight, given)| {
+            Cluster::new(HypertimeCluster {
+                weight,
+                centre: given.mean,
+                factor: given.factor,
+                directions_rad: Vec::new(),
+                concentrations: Vec::new(),
+            })
+        });
+        HypertimeDistribution { mixture: Mixture { clusters: clusters.collect() }, axes }
+    }
+
+    /// The expected value: the mean of the conditional distribution, within what was observed.
+    pub fn mean(&self) -> Vec<f64> {
+        let standard = (0..self.axes.len()).map(|coordinate| self.standard_mean(coordinate));
+        standard.zip(&self.axes).map(|(mean, axis)| axis.observed(mean)).collect()
+    }
+
+    fn standard_mean(&self, coordinate: usize) -> f64 {
+        self.mixture.clusters.iter().map(|cluster| cluster.parts().weight * cluster.parts().centre[coordinate]).sum()
+    }
+
+    /// Variance of each coordinate of the value, in its squared unit; at most the greatest finite number.
+    pub fn variance(&self) -> Vec<f64> {
+        let of = |coordinate: usize| {
+            let mean = self.standard_mean(coordinate);
+            let second = self.mixture.clusters.iter().map(|cluster| {
+                let distance = cluster.parts().centre[coordinate] - mean;
+                cluster.parts().weight * (cluster.variance(coordinate) + distance * distance)
+            });
+            second.sum::<f64>()
+        };
+        let scaled = self.axes.iter().enumerate().map(|(coordinate, axis)| of(coordinate) * axis.scale * axis.scale);
+        scaled.map(|variance| variance.min(f64::MAX)).collect()
+    }
+
+    /// Probability density of a value, per unit of each of its coordinates, averaged over a cell of these widths
+    /// around it: the variances grow by width²/12. With widths of 0 it is the density at the value, which a tight
+    /// cluster makes very great in its middle; to sum up cells, give their widths. `None` where a list has not one
+    /// number for each coordinate, a value is not finite, or a width is negative or NaN.
+    pub fn density(&self, value: &[f64], widths: &[f64]) -> Option<f64> {
+        let coordinates = self.axes.len();
+        let fitting = value.len() == coordinates && widths.len() == coordinates;
+        if !fitting || !value.iter().all(|number| number.is_finite()) || !widths.iter().all(|&width| width >= 0.0) {
+            return None;
+        }
+        let added: Vec<f64> =
+            widths.iter().zip(&self.axes).map(|(&width, axis)| axis.standard_width(width).powi(2) / 12.0).collect();
+        let standard = standardised(value, &self.axes);
+        let log = if added.iter().all(|&variance| variance == 0.0) {
+            self.mixture.log_densities(&standard, coordinates, 0).1
+        } else {
+            let widened = self.mixture.clusters.iter().map(|cluster| widened(cluster, &added));
+            Mixture { clusters: widened.collect() }.log_densities(&standard, coordinates, 0).1
+        };
+        let scales: f64 = self.axes.iter().map(|axis| axis.scale.ln()).sum();
+        Some((log - scales).exp().min(f64::MAX))
+    }
+}
+
+/// The cluster with variance added along each coordinate.
+fn widened(cluster: &Cluster, added: &[f64]) -> Cluster {
+    let mut covariance = cluster.covariance();
+    for (index, added) in added.iter().enumerate() {
+        covariance[index * (index + 3) / 2] += added;
+    }
+    let factor = factorised(&covariance, added.len());
+    Cluster::new(HypertimeCluster { factor, ..cluster.parts().clone() })
+}

@@ -1,0 +1,193 @@
+//! Values over place and time in hypertime: one mixture over location, circles and value (RA-L 2019 eq. 2).
+//!
+//! The value at a place and time is then a mixture of Gaussians, conditional on both (section III.F; in closed form
+//! here, not on a raster of values). Invariant: an answer is finite, and a mean lies within what was observed.
+
+use super::axis::{HypertimeAxis, standardised};
+use super::cluster::MAX_COORDINATES;
+use super::conditional::HypertimeDistribution;
+use super::grow::{Extent, deal, grow, unit_weight};
+use super::joint::{Joint, Readable};
+use super::mixture::Mixture;
+use super::week::{check_divisors, project, turn};
+use super::{HypertimeCluster, HypertimeMethod, HypertimeOptions};
+use crate::InvalidParts;
+use crate::family::{CannotFit, Moment};
+
+#[cfg(test)]
+mod tests;
+
+/// Most coordinates of location and value together.
+const MAX_DIMENSIONS: usize = MAX_COORDINATES - 10;
+
+/// One reading of a value that has a place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FieldReading {
+    /// When.
+    pub moment: Moment,
+    /// Where: any number of coordinates, the same for all readings; empty where the value is of one place.
+    pub location: Vec<f64>,
+    /// What: one or more numbers, as many for all readings. For events it is the place that they happened at.
+    pub value: Vec<f64>,
+}
+
+/// What a [`HypertimeField`] consists of, to be stored.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HypertimeFieldParts {
+    /// How the clusters were found.
+    pub method: HypertimeMethod,
+    /// The periods, as divisors of a week, in the order found; at most five.
+    pub week_divisors: Vec<u32>,
+    /// How each coordinate of a location is standardised.
+    pub location: Vec<HypertimeAxis>,
+    /// How each coordinate of a value is standardised.
+    pub value: Vec<HypertimeAxis>,
+    /// The clusters, at least one.
+    pub clusters: Vec<HypertimeCluster>,
+}
+
+/// What a value is at a place and time, as a distribution.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HypertimeField {
+    method: HypertimeMethod,
+    divisors: Vec<u32>,
+    location: Vec<HypertimeAxis>,
+    value: Vec<HypertimeAxis>,
+    mixture: Mixture,
+}
+
+impl HypertimeField {
+    /// Fits the model as [`super::Hypertime::fit`] does. Of more than 4,000 readings, one is drawn from each of 4,000
+    /// equal runs in the order given.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where there are no readings, an option is outside its range, readings differ in their number of
+    /// coordinates, have no value or together more than 16 coordinates, or a coordinate is not finite.
+    pub fn fit(readings: &[FieldReading], options: &HypertimeOptions) -> Result<HypertimeField, CannotFit> {
+        HypertimeField::fit_weighted(readings, &vec![1.0; readings.len()], options)
+    }
+
+    /// As [`HypertimeField::fit`], where each reading has a weight above 0.
+    pub(super) fn fit_weighted(
+        readings: &[FieldReading],
+        weights: &[f64],
+        options: &HypertimeOptions,
+    ) -> Result<HypertimeField, CannotFit> {
+        options.check()?;
+        let Some(first) = readings.first() else { return Err(CannotFit::NoReadings) };
+        let (locations, values) = (first.location.len(), first.value.len());
+        check_dimensions(readings, locations, values)?;
+        let column = |number: &dyn Fn(&FieldReading) -> f64| HypertimeAxis::of(readings.iter().map(number));
+        let location: Vec<HypertimeAxis> = (0..locations).map(|i| column(&|reading| reading.location[i])).collect();
+        let value: Vec<HypertimeAxis> = (0..values).map(|i| column(&|reading| reading.value[i])).collect();
+
+        let kept = Readable::thinned(readings.len(), options.seed);
+        let civil: Vec<i64> = kept.iter().map(|&index| readings[index].moment.civil_nanos()).collect();
+        let (folds_of, folds) = deal(&civil, options.seed);
+        let unit = unit_weight(&civil, kept.iter().map(|&index| weights[index]).sum());
+        let readable = kept.iter().zip(civil).zip(folds_of).map(|((&index, civil_nanos), fold)| Readable {
+            civil_nanos,
+            fold,
+            weight: weights[index],
+            location: standardised(&readings[index].location, &location),
+            value: standardised(&readings[index].value, &value),
+        });
+        let joint = Joint { readings: readable.collect(), method: options.method, value: value.clone(), unit };
+        let times = readings.iter().map(|reading| reading.moment.utc_nanos);
+        let (from, until) = times.fold((i64::MAX, i64::MIN), |(from, until), utc| (from.min(utc), until.max(utc)));
+        let (divisors, mixture) = grow(&joint, &Extent { span_nanos: until.abs_diff(from), folds }, options);
+        Ok(HypertimeField { method: options.method, divisors, location, value, mixture })
+    }
+
+    /// The distribution of the value at a place and time; `None` where the location has not as many coordinates as
+    /// those fitted to, or one is not finite.
+    pub fn distribution(&self, at: Moment, location: &[f64]) -> Option<HypertimeDistribution> {
+        if location.len() != self.location.len() || !location.iter().all(|number| number.is_finite()) {
+            return None;
+        }
+        let mut coordinates = standardised(location, &self.location);
+        let mut hypertime = Vec::with_capacity(2 * self.divisors.len());
+        project(turn(at.civil_nanos()), &self.divisors, &mut hypertime);
+        let circles = match self.method {
+            HypertimeMethod::Em => {
+                coordinates.append(&mut hypertime);
+                Vec::new()
+            }
+            HypertimeMethod::Km => hypertime,
+        };
+        Some(HypertimeDistribution::new(self.mixture.given(&coordinates, &circles), self.value.clone()))
+    }
+
+    /// Probability density p(a | x, t) of a value at a place and time, per unit of each of its coordinates; `None` as
+    /// in [`HypertimeField::distribution`], also where that is so of the value.
+    pub fn density(&self, at: Moment, location: &[f64], value: &[f64]) -> Option<f64> {
+        self.distribution(at, location)?.density(value, &vec![0.0; value.len()])
+    }
+
+    /// The value to expect at a place and time (RA-L 2019 eq. 4, of the conditional distribution); `None` as in
+    /// [`HypertimeField::distribution`].
+    pub fn mean(&self, at: Moment, location: &[f64]) -> Option<Vec<f64>> {
+        Some(self.distribution(at, location)?.mean())
+    }
+
+    /// The periods of the model, as divisors of a week, in the order found.
+    pub fn week_divisors(&self) -> &[u32] {
+        &self.divisors
+    }
+
+    /// What the model consists of; a model made of it again predicts the same.
+    pub fn to_parts(&self) -> HypertimeFieldParts {
+        HypertimeFieldParts {
+            method: self.method,
+            week_divisors: self.divisors.clone(),
+            location: self.location.clone(),
+            value: self.value.clone(),
+            clusters: self.mixture.to_parts(),
+        }
+    }
+
+    /// The model that was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where numbers are outside their range or lists have not the right length.
+    pub fn from_parts(parts: &HypertimeFieldParts) -> Result<HypertimeField, InvalidParts> {
+        check_divisors(&parts.week_divisors)?;
+        let (locations, values) = (parts.location.len(), parts.value.len());
+        InvalidParts::check("value", values as f64, 1.0..=MAX_DIMENSIONS as f64)?;
+        InvalidParts::check("location", (locations + values) as f64, 1.0..=MAX_DIMENSIONS as f64)?;
+        InvalidParts::check("clusters", parts.clusters.len() as f64, 1.0..=HypertimeOptions::MAX_CLUSTERS as f64)?;
+        parts.location.iter().chain(&parts.value).try_for_each(HypertimeAxis::check)?;
+        let periods = parts.week_divisors.len();
+        let (hypertime, circles) = match parts.method {
+            HypertimeMethod::Em => (2 * periods, 0),
+            HypertimeMethod::Km => (0, periods),
+        };
+        Ok(HypertimeField {
+            method: parts.method,
+            divisors: parts.week_divisors.clone(),
+            location: parts.location.clone(),
+            value: parts.value.clone(),
+            mixture: Mixture::from_parts(&parts.clusters, locations + hypertime + values, circles)?,
+        })
+    }
+}
+
+fn check_dimensions(readings: &[FieldReading], locations: usize, values: usize) -> Result<(), CannotFit> {
+    let refused = |parameter, found, expected| Err(CannotFit::Parameter { parameter, found, expected });
+    if values == 0 || locations.saturating_add(values) > MAX_DIMENSIONS {
+        let found = (locations as f64) + values as f64;
+        return refused("coordinates", found, "one or more of the value, at most 16 with those of the location");
+    }
+    for reading in readings {
+        if reading.location.len() != locations {
+            return refused("location coordinates", reading.location.len() as f64, "as many in every reading");
+        }
+        if reading.value.len() != values {
+            return refused("value coordinates", reading.value.len() as f64, "as many in every reading");
+        }
+        if let Some(&found) = reading.location.iter().chain(&reading.value).find(|number| !number.is_finite()) {
+            return refused("reading", found, "finite numbers");
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,144 @@
+//! Fits of one mixture over location, circles and value, and their error on readings left out.
+//!
+//! Invariant: errors are taken along standardised coordinates, so that each coordinate of the value counts alike.
+
+use rand::rngs::SmallRng;
+use rand::{Rng, SeedableRng};
+
+use super::HypertimeMethod;
+use super::axis::{HypertimeAxis, standardised};
+use super::conditional::HypertimeDistribution;
+use super::grow::{Attempt, Circles, Fit};
+use super::mixture::{Mixture, Points};
+use super::week::{Residuals, project, slot, turn};
+
+/// Most readings fitted to.
+const MAX_READINGS: usize = 4_000;
+const FIRST_STEPS: usize = 40;
+const FOLD_STEPS: usize = 10;
+/// Bound on what one reading can add to a log-likelihood, so that one outlier does not choose between starts.
+const MAX_LOG: f64 = 20.0;
+
+/// A reading with standardised numbers.
+pub(super) struct Readable {
+    pub(super) civil_nanos: i64,
+    pub(super) fold: usize,
+    /// Above 0.
+    pub(super) weight: f64,
+    pub(super) location: Vec<f64>,
+    pub(super) value: Vec<f64>,
+}
+
+impl Readable {
+    /// Which of so many readings are kept: all, or one drawn from each of equal runs.
+    pub(super) fn thinned(count: usize, seed: u64) -> Vec<usize> {
+        if count <= MAX_READINGS {
+            return (0..count).collect();
+        }
+        let mut rng = SmallRng::seed_from_u64(seed);
+        let start = |run: usize| (run as u128 * count as u128 / MAX_READINGS as u128) as usize;
+        // Drawn, as a fixed stride would always meet the same minute of the hour.
+        (0..MAX_READINGS).map(|run| rng.random_range(start(run)..start(run + 1))).collect()
+    }
+}
+
+pub(super) struct Joint {
+    pub(super) readings: Vec<Readable>,
+    pub(super) method: HypertimeMethod,
+    pub(super) value: Vec<HypertimeAxis>,
+    /// What independent readings weigh.
+    pub(super) unit: f64,
+}
+
+impl Joint {
+    /// The readings in hypertime: location, circles where they are coordinates, value; then circles where they are not.
+    fn points(&self, divisors: &[u32]) -> Points {
+        let first = self.readings.first();
+        let linear = first.map_or(0, |reading| reading.location.len() + reading.value.len());
+        let (hypertime, circles) = match self.method {
+            HypertimeMethod::Em => (2 * divisors.len(), 0),
+            HypertimeMethod::Km => (0, divisors.len()),
+        };
+        let mut points = Points::new(linear + hypertime, circles, self.unit);
+        for reading in &self.readings {
+            points.numbers.extend_from_slice(&reading.location);
+            if self.method == HypertimeMethod::Em {
+                project(turn(reading.civil_nanos), divisors, &mut points.numbers);
+            }
+            points.numbers.extend_from_slice(&reading.value);
+            if self.method == HypertimeMethod::Km {
+                project(turn(reading.civil_nanos), divisors, &mut points.numbers);
+            }
+            points.weights.push(reading.weight);
+        }
+        points
+    }
+
+    /// The points of all folds but one.
+    fn others(&self, points: &Points, fold: usize) -> Points {
+        let mut others = Points::new(points.coordinates, points.circles, points.unit);
+        for (reading, (numbers, weight)) in self.readings.iter().zip(points.iter()) {
+            if reading.fold != fold {
+                others.numbers.extend_from_slice(numbers);
+                others.weights.push(weight);
+            }
+        }
+        others
+    }
+
+    /// Scores a fit without a fold on that fold.
+    fn score(&self, fitted: &Mixture, points: &Points, fold: usize, score: &mut Score) {
+        let given = points.coordinates - self.value.len();
+        let mut residuals = Residuals::new(self.value.len());
+        for (reading, (numbers, weight)) in self.readings.iter().zip(points.iter()) {
+            if reading.fold != fold {
+                continue;
+            }
+            let (coordinates, circles) = numbers.split_at(points.coordinates);
+            let (log_given, log_all) = fitted.log_densities(numbers, points.coordinates, given);
+            score.logs += weight * (log_all - log_given).clamp(-MAX_LOG, MAX_LOG);
+            score.total += weight;
+            let shares = fitted.given(&coordinates[..given], circles);
+            let mean = HypertimeDistribution::new(shares, self.value.clone()).mean();
+            let standard = standardised(&mean, &self.value);
+            for (dimension, (mean, value)) in standard.iter().zip(&reading.value).enumerate() {
+                score.squared += weight * (mean - value) * (mean - value);
+                residuals.add(slot(reading.civil_nanos), dimension, weight, mean - value);
+            }
+        }
+        score.residuals.push(residuals);
+    }
+}
+
+/// How well readings left out were predicted.
+#[derive(Default)]
+struct Score {
+    squared: f64,
+    logs: f64,
+    total: f64,
+    residuals: Vec<Residuals>,
+}
+
+impl Fit for Joint {
+    type Model = (Vec<u32>, Mixture);
+
+    fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<(Vec<u32>, Mixture)> {
+        let points = self.points(&circles.all);
+        let mixture = Mixture::fit(&points, clusters, seed, FIRST_STEPS);
+        let mut score = Score::default();
+        for (fold, divisors) in circles.without.iter().enumerate() {
+            // From where the fit to all readings ended, so that its optimum is what is judged; of other circles, anew.
+            if *divisors == circles.all {
+                let mut fitted = mixture.clone();
+                fitted.refit(&self.others(&points, fold), FOLD_STEPS);
+                self.score(&fitted, &points, fold, &mut score);
+            } else {
+                let other = self.points(divisors);
+                let fitted = Mixture::fit(&self.others(&other, fold), clusters, seed, FIRST_STEPS);
+                self.score(&fitted, &other, fold, &mut score);
+            }
+        }
+        let (error, log_likelihood) = (score.squared / score.total, score.logs / score.total);
+        Attempt { model: (circles.all.clone(), mixture), error, log_likelihood, residuals: score.residuals }
+    }
+}

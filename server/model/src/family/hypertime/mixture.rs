@@ -1,0 +1,259 @@
+//! Mixtures of clusters, fitted by expectation-maximisation (RA-L 2019 sections III.E and III.H).
+//!
+//! Covariances are drawn towards that of all readings as by a few readings more (C. Fraley and A. Raftery, "Bayesian
+//! regularization for normal mixture estimation", J. Classification 2007), which keeps clusters of few readings
+//! sound; a reading is an hour's worth here.
+//! Invariant: no cluster has no weight, and densities are finite.
+
+use super::HypertimeOptions;
+use super::cluster::{Cluster, Given, HypertimeCluster, LEAST_VARIANCE, factorised};
+use super::concentration::concentration;
+use super::seeding::{first_clusters, spread};
+use crate::InvalidParts;
+
+/// Nats per reading below which a step is the last.
+const LEAST_GAIN: f64 = 1e-5;
+
+/// Weighted points, each of so many coordinates and then cosine and sine on so many circles.
+#[derive(Clone, Debug)]
+pub(super) struct Points {
+    pub(super) coordinates: usize,
+    pub(super) circles: usize,
+    pub(super) numbers: Vec<f64>,
+    /// Above 0.
+    pub(super) weights: Vec<f64>,
+    /// What independent readings weigh: those of the same hour say much the same.
+    pub(super) unit: f64,
+}
+
+impl Points {
+    pub(super) fn new(coordinates: usize, circles: usize, unit: f64) -> Points {
+        Points { coordinates, circles, numbers: Vec::new(), weights: Vec::new(), unit }
+    }
+
+    pub(super) fn stride(&self) -> usize {
+        self.coordinates + 2 * self.circles
+    }
+
+    /// Numbers and weight of each.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (&[f64], f64)> {
+        // Without coordinates and circles, a point is still a point.
+        let stride = self.stride();
+        self.weights.iter().enumerate().map(move |(index, &weight)| (&self.numbers[index * stride..][..stride], weight))
+    }
+}
+
+/// Sums that a step makes of the readings, for one cluster; coordinates are relative to its present centre.
+struct Moments {
+    weight: f64,
+    first: Vec<f64>,
+    /// Row-major lower triangle.
+    second: Vec<f64>,
+    circles: Vec<f64>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Mixture {
+    pub(super) clusters: Vec<Cluster>,
+}
+
+impl Mixture {
+    /// Fits so many clusters, or fewer where there are fewer points; none where there are none.
+    pub(super) fn fit(points: &Points, clusters: usize, seed: u64, max_steps: usize) -> Mixture {
+        let mut mixture = Mixture { clusters: first_clusters(points, clusters, seed) };
+        mixture.refit(points, max_steps);
+        mixture
+    }
+
+    /// Goes on fitting to (perhaps other) points.
+    pub(super) fn refit(&mut self, points: &Points, max_steps: usize) {
+        if points.weights.is_empty() {
+            return;
+        }
+        let spread = spread(points);
+        let mut likelihood = f64::NEG_INFINITY;
+        for _ in 0..max_steps {
+            let before = likelihood;
+            likelihood = self.step(points, &spread);
+            if self.clusters.len() == 1 || likelihood - before < LEAST_GAIN {
+                break;
+            }
+        }
+    }
+
+    /// One step; the mean log-likelihood is that of the mixture before it.
+    fn step(&mut self, points: &Points, spread: &[f64]) -> f64 {
+        let coordinates = points.coordinates;
+        let mut moments: Vec<Moments> = self.clusters.iter().map(|_| Moments::new(points)).collect();
+        let mut shares = vec![0.0; self.clusters.len()];
+        let (mut total, mut likelihood) = (0.0, 0.0);
+        for (numbers, weight) in points.iter() {
+            let (linear, circles) = numbers.split_at(coordinates);
+            for (share, cluster) in shares.iter_mut().zip(&self.clusters) {
+                *share = cluster.log_densities(linear, circles, 0).1;
+            }
+            likelihood += weight * normalise(&mut shares);
+            total += weight;
+            for ((share, cluster), moments) in shares.iter().zip(&self.clusters).zip(&mut moments) {
+                if *share > 1e-12 {
+                    moments.add(numbers, weight * share, &cluster.parts().centre);
+                }
+            }
+        }
+        let prior = Prior { spread, clusters: self.clusters.len(), unit: points.unit };
+        let updated = moments.iter().zip(&self.clusters).filter(|(moments, _)| moments.weight > 1e-9 * total);
+        self.clusters = updated.map(|(moments, cluster)| moments.cluster(cluster, total, &prior)).collect();
+        likelihood / total
+    }
+
+    /// ln density: of the circles and the first `given` coordinates, and of the circles and all coordinates.
+    pub(super) fn log_densities(&self, numbers: &[f64], coordinates: usize, given: usize) -> (f64, f64) {
+        let (linear, circles) = numbers.split_at(coordinates);
+        let (mut first, mut all) = (LogSum::default(), LogSum::default());
+        for cluster in &self.clusters {
+            let (log_given, log_all) = cluster.log_densities(linear, circles, given);
+            first.add(log_given);
+            all.add(log_all);
+        }
+        (first.get(), all.get())
+    }
+
+    /// What each cluster says of the remaining coordinates, and its share of the answer.
+    pub(super) fn given(&self, coordinates: &[f64], circles: &[f64]) -> Vec<(f64, Given)> {
+        let conditionals: Vec<Given> =
+            self.clusters.iter().map(|cluster| cluster.given(coordinates, circles)).collect();
+        let mut shares: Vec<f64> = conditionals.iter().map(|given| given.log_share).collect();
+        normalise(&mut shares);
+        shares.into_iter().zip(conditionals).collect()
+    }
+}
+
+impl Mixture {
+    pub(super) fn to_parts(&self) -> Vec<HypertimeCluster> {
+        self.clusters.iter().map(|cluster| cluster.parts().clone()).collect()
+    }
+
+    /// Checks clusters that were stored.
+    pub(super) fn from_parts(
+        parts: &[HypertimeCluster],
+        coordinates: usize,
+        circles: usize,
+    ) -> Result<Mixture, InvalidParts> {
+        InvalidParts::check("clusters", parts.len() as f64, 0.0..=HypertimeOptions::MAX_CLUSTERS as f64)?;
+        let clusters = parts.iter().map(|cluster| Cluster::from_parts(cluster.clone(), coordinates, circles));
+        Ok(Mixture { clusters: clusters.collect::<Result<_, _>>()? })
+    }
+}
+
+/// ln Σ exp of numbers added one by one.
+#[derive(Clone, Copy)]
+struct LogSum {
+    most: f64,
+    sum: f64,
+}
+
+impl Default for LogSum {
+    fn default() -> LogSum {
+        LogSum { most: f64::NEG_INFINITY, sum: 0.0 }
+    }
+}
+
+impl LogSum {
+    fn add(&mut self, log: f64) {
+        if log > self.most {
+            self.sum = self.sum * (self.most - log).exp() + 1.0;
+            self.most = log;
+        } else {
+            self.sum += (log - self.most).exp();
+        }
+    }
+
+    fn get(self) -> f64 {
+        self.most + self.sum.ln()
+    }
+}
+
+/// Turns logarithms into shares that add up to 1; returns the logarithm of their sum.
+fn normalise(logs: &mut [f64]) -> f64 {
+    let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let mut sum = 0.0;
+    for log in logs.iter_mut() {
+        *log = (*log - most).exp();
+        sum += *log;
+    }
+    for log in logs.iter_mut() {
+        *log /= sum;
+    }
+    most + sum.ln()
+}
+
+/// What a cluster is drawn towards.
+struct Prior<'a> {
+    /// Variance of all points along each coordinate.
+    spread: &'a [f64],
+    clusters: usize,
+    unit: f64,
+}
+
+impl Moments {
+    fn new(points: &Points) -> Moments {
+        let coordinates = points.coordinates;
+        Moments {
+            weight: 0.0,
+            first: vec![0.0; coordinates],
+            second: vec![0.0; coordinates * (coordinates + 1) / 2],
+            circles: vec![0.0; 2 * points.circles],
+        }
+    }
+
+    fn add(&mut self, numbers: &[f64], weight: f64, centre: &[f64]) {
+        self.weight += weight;
+        let mut place = 0;
+        for (i, (number, centre_i)) in numbers.iter().zip(centre).enumerate() {
+            let weighted = weight * (number - centre_i);
+            self.first[i] += weighted;
+            for (other, centre_j) in numbers.iter().zip(&centre[..=i]) {
+                self.second[place] += weighted * (other - centre_j);
+                place += 1;
+            }
+        }
+        for (sum, number) in self.circles.iter_mut().zip(&numbers[centre.len()..]) {
+            *sum += weight * number;
+        }
+    }
+
+    /// The cluster that these sums make likeliest, prior included.
+    fn cluster(&self, before: &Cluster, total: f64, prior: &Prior<'_>) -> Cluster {
+        let coordinates = self.first.len();
+        let shift: Vec<f64> = self.first.iter().map(|sum| sum / self.weight).collect();
+        let centre = before.parts().centre.iter().zip(&shift).map(|(centre, shift)| centre + shift).collect();
+        let prior_readings = (coordinates as f64 + 2.0) * prior.unit;
+        let shrunk = (prior.clusters as f64).powf(-2.0 / coordinates.max(1) as f64);
+        let mut covariance = self.second.clone();
+        let mut place = 0;
+        for i in 0..coordinates {
+            for j in 0..=i {
+                let mut entry = covariance[place] - self.weight * shift[i] * shift[j];
+                if i == j {
+                    entry += prior_readings * shrunk * prior.spread[i];
+                }
+                covariance[place] = entry / (self.weight + prior_readings);
+                if i == j {
+                    covariance[place] += LEAST_VARIANCE;
+                }
+                place += 1;
+            }
+        }
+        let pairs = || self.circles.chunks_exact(2);
+        Cluster::new(HypertimeCluster {
+            weight: self.weight / total,
+            centre,
+            factor: factorised(&covariance, coordinates),
+            directions_rad: pairs().map(|pair| pair[1].atan2(pair[0])).collect(),
+            // One reading more, spread evenly, draws the concentration towards 0.
+            concentrations: pairs()
+                .map(|pair| concentration(pair[0].hypot(pair[1]) / (self.weight + prior.unit)))
+                .collect(),
+        })
+    }
+}

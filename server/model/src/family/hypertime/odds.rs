@@ -1,0 +1,322 @@
+//! A probability in hypertime: the density of readings that are 1 against that of readings that are 0.
+//!
+//! p = n₁f₁/(n₁f₁ + n₀f₀), which is eq. 2 of RA-L 2019 with a fixed at 1 and at 0; a reading between counts for both.
+//! One factor between the two makes the mean prediction over the readings their mean, as γ does in eq. 3.
+//! Invariant: a prediction lies in `[0,1]`, and where nothing was observed it tends to the mean.
+
+use super::grow::{Attempt, Circles, Fit};
+use super::mixture::{Mixture, Points};
+use super::week::{Residuals, SLOTS, check_divisors, project, slot_turn};
+use super::{HypertimeCluster, HypertimeMethod};
+use crate::InvalidParts;
+
+const FIRST_STEPS: usize = 60;
+const FOLD_STEPS: usize = 15;
+/// Probabilities are scored as if between this and 1 less this.
+const LEAST_PROBABILITY: f64 = 1e-4;
+/// Bound on logarithms, so that two of them can be added and exponentiated.
+const MAX_LOG: f64 = 300.0;
+
+/// What a hypertime model of a probability consists of, to be stored.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HypertimeOddsParts {
+    /// How the clusters were found.
+    pub method: HypertimeMethod,
+    /// The periods, as divisors of a week, in the order found; at most five.
+    pub week_divisors: Vec<u32>,
+    /// Mean value, in `[0,1]`.
+    pub mean: f64,
+    /// Weight of the mean value, spread evenly over all times, that is added to the readings; above 0.
+    pub background: f64,
+    /// ln of what the density of the readings that are 1 is multiplied with.
+    pub log_ones: f64,
+    /// ln of what the density of the readings that are 0 is multiplied with.
+    pub log_zeros: f64,
+    /// Clusters of readings that are 1; none where the prediction is the mean.
+    pub ones: Vec<HypertimeCluster>,
+    /// Clusters of readings that are 0; none where the prediction is the mean.
+    pub zeros: Vec<HypertimeCluster>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Odds {
+    method: HypertimeMethod,
+    divisors: Vec<u32>,
+    mean: f64,
+    background: f64,
+    log_ones: f64,
+    log_zeros: f64,
+    ones: Mixture,
+    zeros: Mixture,
+}
+
+/// Weights of readings by slot of the week: of 1, and of 0.
+#[derive(Clone, Debug)]
+pub(super) struct Counts {
+    pub(super) ones: Vec<f64>,
+    pub(super) zeros: Vec<f64>,
+}
+
+impl Counts {
+    pub(super) fn new() -> Counts {
+        Counts { ones: vec![0.0; SLOTS], zeros: vec![0.0; SLOTS] }
+    }
+
+    /// A value in `[0,1]` counts for both.
+    pub(super) fn add(&mut self, slot: usize, weight: f64, value: f64) {
+        self.ones[slot] += weight * value;
+        self.zeros[slot] += weight * (1.0 - value);
+    }
+
+    fn combined<'a>(folds: impl Iterator<Item = &'a Counts>) -> Counts {
+        folds.fold(Counts::new(), |mut sum, counts| {
+            sum.ones.iter_mut().zip(&counts.ones).for_each(|(sum, count)| *sum += count);
+            sum.zeros.iter_mut().zip(&counts.zeros).for_each(|(sum, count)| *sum += count);
+            sum
+        })
+    }
+
+    fn mean(&self) -> f64 {
+        let (ones, zeros): (f64, f64) = (self.ones.iter().sum(), self.zeros.iter().sum());
+        (ones / (ones + zeros)).clamp(0.0, 1.0)
+    }
+}
+
+/// Readings of a probability, by fold.
+pub(super) struct Folds {
+    pub(super) folds: Vec<Counts>,
+    pub(super) method: HypertimeMethod,
+    /// What independent readings weigh.
+    pub(super) unit: f64,
+}
+
+impl Fit for Folds {
+    type Model = Odds;
+
+    fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<Odds> {
+        let all = Counts::combined(self.folds.iter());
+        let hypertime = Hypergrid::new(&circles.all);
+        let fresh = |hypertime: &Hypergrid, weights: &[f64]| {
+            Mixture::fit(&hypertime.points(weights, self.method, self.unit), clusters, seed, FIRST_STEPS)
+        };
+        let model = self.calibrated(&hypertime, &all, || (fresh(&hypertime, &all.ones), fresh(&hypertime, &all.zeros)));
+        let mut score = Score::default();
+        for (index, (left_out, divisors)) in self.folds.iter().zip(&circles.without).enumerate() {
+            let others = self.folds.iter().enumerate().filter(|(other, _)| *other != index);
+            let seen = Counts::combined(others.map(|(_, counts)| counts));
+            // From where the fit to all readings ended, so that its optimum is what is judged; of other circles, anew.
+            let again = |mixture: &Mixture, weights: &[f64]| {
+                let mut mixture = mixture.clone();
+                mixture.refit(&hypertime.points(weights, self.method, self.unit), FOLD_STEPS);
+                mixture
+            };
+            if *divisors == circles.all {
+                let mixtures = || (again(&model.ones, &seen.ones), again(&model.zeros, &seen.zeros));
+                score.add(&self.calibrated(&hypertime, &seen, mixtures), &hypertime, left_out);
+            } else {
+                let other = Hypergrid::new(divisors);
+                let mixtures = || (fresh(&other, &seen.ones), fresh(&other, &seen.zeros));
+                score.add(&self.calibrated(&other, &seen, mixtures), &other, left_out);
+            }
+        }
+        let (error, log_likelihood) = (score.squared / score.total, score.logs / score.total);
+        Attempt { model, error, log_likelihood, residuals: score.residuals }
+    }
+}
+
+impl Folds {
+    /// The mean where there is no period or only one kind of reading; else the mixtures, with their factor.
+    fn calibrated(
+        &self,
+        hypertime: &Hypergrid,
+        counts: &Counts,
+        mixtures: impl FnOnce() -> (Mixture, Mixture),
+    ) -> Odds {
+        let mean = counts.mean();
+        let mut odds = Odds {
+            method: self.method,
+            divisors: hypertime.divisors.clone(),
+            mean,
+            background: self.unit,
+            log_ones: 0.0,
+            log_zeros: 0.0,
+            ones: Mixture::default(),
+            zeros: Mixture::default(),
+        };
+        // Also where too little is left of one kind to say anything.
+        if hypertime.divisors.is_empty() || mean <= 1e-9 || mean >= 1.0 - 1e-9 {
+            return odds;
+        }
+        (odds.ones, odds.zeros) = mixtures();
+        if odds.is_constant() {
+            return odds;
+        }
+        let (ones, zeros): (f64, f64) = (counts.ones.iter().sum(), counts.zeros.iter().sum());
+        let logs: Vec<(f64, f64)> = (0..SLOTS).map(|slot| odds.log_densities(hypertime.point(slot))).collect();
+        odds.log_ones = (ones.ln() - log_mean(logs.iter().map(|log| log.0))).clamp(-MAX_LOG, MAX_LOG);
+        odds.log_zeros = (zeros.ln() - log_mean(logs.iter().map(|log| log.1))).clamp(-MAX_LOG, MAX_LOG);
+        odds.log_ones += odds.factor(counts, &logs);
+        odds
+    }
+}
+
+/// How well readings left out were predicted.
+#[derive(Default)]
+struct Score {
+    squared: f64,
+    logs: f64,
+    total: f64,
+    residuals: Vec<Residuals>,
+}
+
+impl Score {
+    fn add(&mut self, fitted: &Odds, hypertime: &Hypergrid, left_out: &Counts) {
+        let mut residuals = Residuals::new(1);
+        for (slot, (&ones, &zeros)) in left_out.ones.iter().zip(&left_out.zeros).enumerate() {
+            if ones + zeros > 0.0 {
+                let p = fitted.at_point(hypertime.point(slot));
+                self.squared += ones * (1.0 - p) * (1.0 - p) + zeros * p * p;
+                let scored = p.clamp(LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY);
+                self.logs += ones * scored.ln() + zeros * (1.0 - scored).ln();
+                self.total += ones + zeros;
+                residuals.add(slot, 0, ones + zeros, p - ones / (ones + zeros));
+            }
+        }
+        self.residuals.push(residuals);
+    }
+}
+
+/// Every slot of the week in hypertime.
+struct Hypergrid {
+    divisors: Vec<u32>,
+    numbers: Vec<f64>,
+}
+
+impl Hypergrid {
+    fn new(divisors: &[u32]) -> Hypergrid {
+        let mut numbers = Vec::new();
+        for slot in 0..SLOTS {
+            project(slot_turn(slot), divisors, &mut numbers);
+        }
+        Hypergrid { divisors: divisors.to_vec(), numbers }
+    }
+
+    fn point(&self, slot: usize) -> &[f64] {
+        let stride = 2 * self.divisors.len();
+        &self.numbers[slot * stride..][..stride]
+    }
+
+    /// The slots that have weight.
+    fn points(&self, weights: &[f64], method: HypertimeMethod, unit: f64) -> Points {
+        let (coordinates, circles) = shape(method, self.divisors.len());
+        let mut points = Points::new(coordinates, circles, unit);
+        for (slot, &weight) in weights.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
+            points.numbers.extend_from_slice(self.point(slot));
+            points.weights.push(weight);
+        }
+        points
+    }
+}
+
+/// Coordinates of the Gaussians, and circles.
+fn shape(method: HypertimeMethod, periods: usize) -> (usize, usize) {
+    match method {
+        HypertimeMethod::Em => (2 * periods, 0),
+        HypertimeMethod::Km => (0, periods),
+    }
+}
+
+impl Odds {
+    /// ln of the factor with which the mean prediction over the readings is their mean; by bisection, as it only rises.
+    fn factor(&self, counts: &Counts, logs: &[(f64, f64)]) -> f64 {
+        let (mut low, mut high) = (-20.0, 20.0);
+        for _ in 0..50 {
+            let middle = 0.5 * (low + high);
+            let mut excess = 0.0;
+            for ((ones, zeros), &(log_one, log_zero)) in counts.ones.iter().zip(&counts.zeros).zip(logs) {
+                if ones + zeros > 0.0 {
+                    excess += (ones + zeros) * (self.ratio(log_one + middle, log_zero) - self.mean);
+                }
+            }
+            if excess > 0.0 {
+                high = middle;
+            } else {
+                low = middle;
+            }
+        }
+        0.5 * (low + high)
+    }
+
+    fn is_constant(&self) -> bool {
+        self.ones.clusters.is_empty() || self.zeros.clusters.is_empty()
+    }
+
+    fn log_densities(&self, point: &[f64]) -> (f64, f64) {
+        let (coordinates, _) = shape(self.method, self.divisors.len());
+        (self.ones.log_densities(point, coordinates, 0).1, self.zeros.log_densities(point, coordinates, 0).1)
+    }
+
+    fn ratio(&self, log_one: f64, log_zero: f64) -> f64 {
+        let ones = (self.log_ones + log_one).min(2.0 * MAX_LOG).exp();
+        let zeros = (self.log_zeros + log_zero).min(2.0 * MAX_LOG).exp();
+        ((ones + self.background * self.mean) / (ones + zeros + self.background)).clamp(0.0, 1.0)
+    }
+
+    fn at_point(&self, point: &[f64]) -> f64 {
+        if self.is_constant() {
+            return self.mean;
+        }
+        let (log_one, log_zero) = self.log_densities(point);
+        self.ratio(log_one, log_zero)
+    }
+
+    /// The probability at a place in the week, in turns.
+    pub(super) fn at(&self, turn: f64) -> f64 {
+        let mut point = Vec::with_capacity(2 * self.divisors.len());
+        project(turn, &self.divisors, &mut point);
+        self.at_point(&point)
+    }
+
+    pub(super) fn divisors(&self) -> &[u32] {
+        &self.divisors
+    }
+
+    pub(super) fn to_parts(&self) -> HypertimeOddsParts {
+        HypertimeOddsParts {
+            method: self.method,
+            week_divisors: self.divisors.clone(),
+            mean: self.mean,
+            background: self.background,
+            log_ones: self.log_ones,
+            log_zeros: self.log_zeros,
+            ones: self.ones.to_parts(),
+            zeros: self.zeros.to_parts(),
+        }
+    }
+
+    pub(super) fn from_parts(parts: &HypertimeOddsParts) -> Result<Odds, InvalidParts> {
+        check_divisors(&parts.week_divisors)?;
+        InvalidParts::check("mean", parts.mean, 0.0..=1.0)?;
+        InvalidParts::check("background", parts.background, 1e-300..=1e18)?;
+        InvalidParts::check("log_ones", parts.log_ones, -2.0 * MAX_LOG..=2.0 * MAX_LOG)?;
+        InvalidParts::check("log_zeros", parts.log_zeros, -2.0 * MAX_LOG..=2.0 * MAX_LOG)?;
+        let (coordinates, circles) = shape(parts.method, parts.week_divisors.len());
+        Ok(Odds {
+            method: parts.method,
+            divisors: parts.week_divisors.clone(),
+            mean: parts.mean,
+            background: parts.background,
+            log_ones: parts.log_ones,
+            log_zeros: parts.log_zeros,
+            ones: Mixture::from_parts(&parts.ones, coordinates, circles)?,
+            zeros: Mixture::from_parts(&parts.zeros, coordinates, circles)?,
+        })
+    }
+}
+
+/// ln of the mean of what the numbers are logarithms of.
+fn log_mean(logs: impl Iterator<Item = f64> + Clone) -> f64 {
+    let most = logs.clone().fold(f64::NEG_INFINITY, f64::max);
+    let (sum, count) = logs.fold((0.0, 0.0), |(sum, count), log| (sum + (log - most).exp(), count + 1.0));
+    most + (sum / count).ln()
+}

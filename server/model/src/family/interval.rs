@@ -1,0 +1,141 @@
+//! Credible intervals: how far from the prediction the state may well be.
+//!
+//! The interval of a moment is the band in which the mean of the state over the hour around it lies with a given
+//! probability. Single readings of a door are 0 or 1 and need no band; what differs from day to day, and what a plan has to
+//! reckon with, is how much of the hour it is open. The hour's mean is taken to follow a Beta distribution whose mean
+//! is the prediction and whose variance is that between days, as recorded for this hour of the day; where few days
+//! were seen, both are drawn towards what is known of all hours, and to not knowing.
+//! Invariant: 0 ≤ lower ≤ p ≤ upper ≤ 1.
+
+use super::HourSpread;
+
+mod beta;
+
+use beta::Beta;
+
+#[cfg(test)]
+mod door_tests;
+#[cfg(test)]
+mod tests;
+
+/// A band of values in `[0,1]`, both ends included.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Interval {
+    /// The lower end, at most the prediction.
+    pub lower: f64,
+    /// The upper end, at least the prediction.
+    pub upper: f64,
+}
+
+impl Interval {
+    /// Upper less lower end, in `[0,1]`.
+    pub fn width(self) -> f64 {
+        self.upper - self.lower
+    }
+
+    /// Whether a value lies in it; NaN never does.
+    pub fn contains(self, value: f64) -> bool {
+        (self.lower..=self.upper).contains(&value)
+    }
+}
+
+/// What single days said about the mean of one hour of the day, as sums over days.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct HourMoments {
+    /// Number of days on which the hour was seen; forgetting makes fractions. 0 where it never was.
+    pub days: f64,
+    /// Sum of the hour's means on these days, each in `[0,1]`.
+    pub sum: f64,
+    /// Sum of their squares.
+    pub sum_of_squares: f64,
+}
+
+impl HourMoments {
+    /// Of the days of both.
+    #[must_use]
+    pub fn and(self, other: HourMoments) -> HourMoments {
+        HourMoments {
+            days: self.days + other.days,
+            sum: self.sum + other.sum,
+            sum_of_squares: self.sum_of_squares + other.sum_of_squares,
+        }
+    }
+
+    /// The same with numbers that cannot have come from hourly means in `[0,1]` brought back to what can.
+    fn plausible(self) -> HourMoments {
+        let number = |found: f64, most: f64| if found > 0.0 { found.min(most) } else { 0.0 };
+        let days = number(self.days, 1e12);
+        let sum = number(self.sum, days);
+        let least = if days > 0.0 { sum * sum / days } else { 0.0 };
+        HourMoments { days, sum, sum_of_squares: number(self.sum_of_squares, sum).max(least) }
+    }
+
+    /// How much of the largest possible variance for its mean there is between days, in `[0,1]`, with what weight in days:
+    /// 1 where hours are all or nothing, 0 where all days are alike. An hour that is nearly always 0, or 1, says little.
+    fn scatter(self) -> (f64, f64) {
+        let HourMoments { days, sum, sum_of_squares } = self.plausible();
+        if days <= 1.0 {
+            return (0.0, 0.0);
+        }
+        let mean = sum / days;
+        let variance = (sum_of_squares - sum * mean).max(0.0) / (days - 1.0);
+        // The mean's own variance is missing from m(1 - m).
+        let largest = mean * (1.0 - mean) + variance / days;
+        if largest <= 0.0 {
+            (0.0, 0.0)
+        } else {
+            ((variance / largest).min(1.0), (days - 1.0) * (4.0 * largest).min(1.0))
+        }
+    }
+}
+
+impl From<HourSpread> for HourMoments {
+    fn from(spread: HourSpread) -> HourMoments {
+        let HourSpread { days, mean, standard_deviation } = spread;
+        let between = standard_deviation * standard_deviation * (days - 1.0).max(0.0);
+        HourMoments { days, sum: days * mean, sum_of_squares: days * mean * mean + between }
+    }
+}
+
+/// How much is borrowed where little was seen; found by rolling origin on ten weeks of one office door.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Borrowed {
+    /// The scatter of all hours counts as that of this many days of the hour itself.
+    scatter_days: f64,
+    /// And not knowing at all, a mean of 1/2, as this many days.
+    doubt_days: f64,
+    /// An hour whose mean is this close to 0 or 1 counts as 0 or 1.
+    end: f64,
+}
+
+const BORROWED: Borrowed = Borrowed { scatter_days: 1.0, doubt_days: 1.0, end: 0.0001 };
+
+/// The scatter before anything was seen: that of the uniform distribution, with the weight of one day.
+const SCATTER_BEFORE: (f64, f64) = (1.0 / 3.0, 1.0);
+
+/// The band that holds the mean of the state over the hour around a moment with probability `level`.
+///
+/// `p` is what a model predicts for the moment; the band contains it, and is the shortest that does. `hour` is
+/// what was recorded of this hour of the day on such days (weekdays, or the weekend), `all` the same of all hours together. The
+/// band widens as days grow few; where the hour was never seen it is `[0,1]`. `p` and `level` outside `[0,1]` count as the
+/// nearer end, a `p` that is NaN as never seen, a `level` that is NaN as 1.
+pub fn credible_interval(p: f64, hour: HourMoments, all: HourMoments, level: f64) -> Interval {
+    interval(p, hour, all, level, BORROWED)
+}
+
+fn interval(p: f64, hour: HourMoments, all: HourMoments, level: f64, borrowed: Borrowed) -> Interval {
+    let hour = hour.plausible();
+    if p.is_nan() || hour.days <= 0.0 || level.is_nan() || level >= 1.0 {
+        return Interval { lower: 0.0, upper: 1.0 };
+    }
+    let p = p.clamp(0.0, 1.0);
+    let mean = (hour.days * p + borrowed.doubt_days * 0.5) / (hour.days + borrowed.doubt_days);
+    let of_all = blend(all.scatter(), SCATTER_BEFORE);
+    let scatter = blend(hour.scatter(), (of_all, borrowed.scatter_days));
+    Beta::with_moments(mean, scatter).shortest_around(p, level.max(0.0), borrowed.end)
+}
+
+/// The mean of two values by weight.
+fn blend((value, weight): (f64, f64), (other, other_weight): (f64, f64)) -> f64 {
+    (value * weight + other * other_weight) / (weight + other_weight)
+}

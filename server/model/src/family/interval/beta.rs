@@ -1,0 +1,95 @@
+//! The Beta distribution by numerical integration, and its shortest intervals.
+//!
+//! With x = 1/(1 + e^-u) the density of u is proportional to x^α (1 - x)^β: smooth, with one peak, whatever α and β; so equal
+//! steps in u integrate it well, where the density of x itself may be infinite at the ends. What lies beyond the grid is
+//! added in closed form. Invariant: the masses are positive and sum to 1.
+
+use super::Interval;
+
+/// Steps of the grid.
+const STEPS: usize = 1024;
+/// The grid ends at x = 8e-7 from 0 or 1, if not before.
+const FARTHEST: f64 = 14.0;
+/// Neither more certain nor less than this, so that α and β stay in range.
+const SCATTERS: std::ops::RangeInclusive<f64> = 1e-6..=0.999;
+
+/// A Beta distribution as masses between ascending places in `[0,1]`.
+pub(super) struct Beta {
+    /// STEPS + 1 places.
+    places: Vec<f64>,
+    /// The probability of less than each place.
+    below: Vec<f64>,
+}
+
+impl Beta {
+    /// Of that mean, and variance = scatter · mean · (1 - mean), scatter = 1/(α + β + 1).
+    pub(super) fn with_moments(mean: f64, scatter: f64) -> Beta {
+        let total = 1.0 / scatter.clamp(*SCATTERS.start(), *SCATTERS.end()) - 1.0;
+        let mean = mean.clamp(1e-9, 1.0 - 1e-9);
+        let (alpha, beta) = (total * mean, total * (1.0 - mean));
+        // Twelve standard deviations of u about the peak, or as good as all of the tails.
+        let (peak, reach) = ((alpha / beta).ln(), 12.0 * (1.0 / alpha + 1.0 / beta).sqrt());
+        let first = (peak - reach).clamp(-FARTHEST, FARTHEST - 1.0);
+        let last = (peak + reach).clamp(first + 1e-3, FARTHEST);
+        let step = (last - first) / STEPS as f64;
+
+        let at = |u: f64| alpha * -softplus(-u) + beta * -softplus(u);
+        let nodes: Vec<f64> = (0..=STEPS).map(|i| first + step * i as f64).collect();
+        let logs: Vec<f64> = nodes.iter().map(|&u| at(u)).collect();
+        // ∫ x^(α-1) (1 - x)^(β-1) from 0 to x0 is nearly x0^α (1 - x0)^β / α, and alike at the other end.
+        let (left, right) = (logs[0] - alpha.ln(), logs[STEPS] - beta.ln());
+        let largest = logs.iter().copied().fold(left.max(right), f64::max);
+        let mut sum = (left - largest).exp();
+        let mut below = Vec::with_capacity(STEPS + 1);
+        below.push(sum);
+        for pair in logs.windows(2) {
+            sum += 0.5 * step * ((pair[0] - largest).exp() + (pair[1] - largest).exp());
+            below.push(sum);
+        }
+        let all = sum + (right - largest).exp();
+        below.iter_mut().for_each(|mass| *mass /= all);
+        Beta { places: nodes.into_iter().map(|u| 1.0 / (1.0 + (-u).exp())).collect(), below }
+    }
+
+    /// The shortest interval that contains `p` and holds at least `level`. All within `end` of 0, and of 1, is taken in as a
+    /// whole or not at all.
+    pub(super) fn shortest_around(&self, p: f64, level: f64, end: f64) -> Interval {
+        let first = self.places.partition_point(|&x| x <= end);
+        let last = self.places.partition_point(|&x| x < 1.0 - end);
+        let mut cuts = vec![(0.0, 0.0), (end, self.mass_below(end))];
+        cuts.extend((first..last).map(|i| (self.places[i], self.below[i])));
+        cuts.extend([(1.0 - end, self.mass_below(1.0 - end)), (1.0, 1.0)]);
+        if p > end && p < 1.0 - end {
+            // It may lie beyond the grid.
+            cuts.insert(cuts.partition_point(|cut| cut.0 < p), (p, self.mass_below(p)));
+        }
+        let mut best = Interval { lower: 0.0, upper: 1.0 };
+        let mut upper = 0;
+        for &(from, below) in cuts.iter().take_while(|cut| cut.0 <= p) {
+            // Both ends move up together: the first upper end that is far enough for this lower one.
+            while upper < cuts.len() && (cuts[upper].0 < p || cuts[upper].1 - below < level) {
+                upper += 1;
+            }
+            let Some(&(to, _)) = cuts.get(upper) else { break };
+            if to - from < best.width() {
+                best = Interval { lower: from, upper: to };
+            }
+        }
+        best
+    }
+
+    /// The probability of less than x, straight between places.
+    pub(super) fn mass_below(&self, x: f64) -> f64 {
+        let next = self.places.partition_point(|&place| place < x);
+        match (next.checked_sub(1).map(|i| (self.places[i], self.below[i])), self.places.get(next)) {
+            (Some((from, mass)), Some(&to)) => mass + (self.below[next] - mass) * (x - from) / (to - from),
+            (Some((_, mass)), None) => mass,
+            (None, _) => self.below[0],
+        }
+    }
+}
+
+/// ln(1 + e^u) without overflow.
+fn softplus(u: f64) -> f64 {
+    u.max(0.0) + (-u.abs()).exp().ln_1p()
+}

@@ -1,0 +1,192 @@
+//! Intervals on the office door of RA-L 2019: how what is borrowed was chosen, and how the intervals do on weeks that had no part
+//! in the choice. Skipped where the recordings are not at hand.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::*;
+use crate::family::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
+use crate::{Sample, Zone};
+
+const HOUR_NANOS: i64 = 3_600_000_000_000;
+
+fn recordings() -> Option<PathBuf> {
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join("door");
+    if !folder.is_dir() {
+        println!("SKIPPED: no recordings at {}", folder.display());
+        return None;
+    }
+    Some(folder)
+}
+
+fn read(folder: &Path, name: &str) -> Vec<Sample> {
+    let text = std::fs::read_to_string(folder.join(name)).unwrap();
+    let mut offsets = Zone::named("Europe/London").unwrap().offset_cache();
+    text.lines()
+        .skip(1)
+        .map(|row| {
+            let mut fields = row.split(',');
+            let utc_nanos = fields.next().unwrap().parse::<i64>().unwrap() * 1_000_000_000;
+            let value = fields.nth(1).unwrap().parse().unwrap();
+            Sample { utc_nanos, offset_secs: offsets.offset_secs(utc_nanos), value }
+        })
+        .collect()
+}
+
+/// The mean of each civil hour that was seen, by hours since 1970 local.
+fn hourly_means(samples: &[Sample]) -> BTreeMap<i64, f64> {
+    let mut hours: BTreeMap<i64, (f64, f64)> = BTreeMap::new();
+    for sample in samples {
+        let (count, sum) = hours.entry(sample.civil_nanos().div_euclid(HOUR_NANOS)).or_default();
+        *count += 1.0;
+        *sum += sample.value;
+    }
+    hours.into_iter().map(|(hour, (count, sum))| (hour, sum / count)).collect()
+}
+
+/// Hour of the local week, from Monday 00:00.
+fn hour_of_week(hour: i64) -> usize {
+    (hour + 72).rem_euclid(168) as usize
+}
+
+/// The hour of the day, of weekdays from 0 and of the weekend from 24.
+fn cell(hour: i64) -> usize {
+    let of_week = hour_of_week(hour);
+    of_week % 24 + if of_week >= 120 { 24 } else { 0 }
+}
+
+/// All that intervals are made from, learnt from some weeks.
+struct Learnt {
+    model: Calibrated,
+    cells: Vec<HourMoments>,
+    all: HourMoments,
+    /// Mean by hour of the week.
+    week: Vec<f64>,
+    /// Mean by hour of the day.
+    day: Vec<f64>,
+}
+
+fn means_by(hours: &BTreeMap<i64, f64>, slots: usize, slot: impl Fn(i64) -> usize) -> Vec<f64> {
+    let mut sums = vec![(0.0, 0.0); slots];
+    for (&hour, mean) in hours {
+        sums[slot(hour)].0 += 1.0;
+        sums[slot(hour)].1 += mean;
+    }
+    sums.into_iter().map(|(count, sum)| sum / count).collect()
+}
+
+impl Learnt {
+    fn from(samples: &[Sample]) -> Learnt {
+        let model = Calibrated::fit(Readings::new(samples), CalibratedOptions::default()).unwrap();
+        let hours = hourly_means(samples);
+        let mut cells = vec![HourMoments::default(); 48];
+        for (&hour, &mean) in &hours {
+            let one = HourMoments { days: 1.0, sum: mean, sum_of_squares: mean * mean };
+            cells[cell(hour)] = cells[cell(hour)].and(one);
+        }
+        let all = cells.iter().fold(HourMoments::default(), |all, &cell| all.and(cell));
+        let week = means_by(&hours, 168, hour_of_week);
+        let day = means_by(&hours, 24, |hour| hour_of_week(hour) % 24);
+        Learnt { model, cells, all, week, day }
+    }
+}
+
+/// How often an interval held the mean of its hour, and how wide intervals were.
+#[derive(Clone, Copy, Debug, Default)]
+struct Held {
+    hours: f64,
+    held: f64,
+    width: f64,
+}
+
+impl Held {
+    fn add(&mut self, interval: Interval, mean: f64) {
+        self.hours += 1.0;
+        self.held += f64::from(u8::from(interval.contains(mean)));
+        self.width += interval.width();
+    }
+
+    fn show(self) -> String {
+        format!("{:5} hours {:.4} width {:.4}", self.hours, self.held / self.hours, self.width / self.hours)
+    }
+}
+
+/// By hour of the week: where the state varies, and elsewhere; then the same by hour of the day.
+type Score = [Held; 4];
+
+fn varies(mean: f64) -> bool {
+    (0.05..=0.95).contains(&mean)
+}
+
+fn score(learnt: &Learnt, test: &[Sample], borrowed: Borrowed, scores: &mut Score) {
+    for (hour, mean) in hourly_means(test) {
+        // The civil time of the middle of the hour, as if it were UTC: a profile of the week knows no more.
+        let p = learnt.model.predict(Moment { utc_nanos: hour * HOUR_NANOS + HOUR_NANOS / 2, offset_secs: 0 });
+        let found = interval(p, learnt.cells[cell(hour)], learnt.all, 0.9, borrowed);
+        scores[usize::from(!varies(learnt.week[hour_of_week(hour)]))].add(found, mean);
+        scores[2 + usize::from(!varies(learnt.day[hour_of_week(hour) % 24]))].add(found, mean);
+    }
+}
+
+fn print(name: &str, scores: &Score) {
+    for (by, pair) in ["hour of week", "hour of day"].iter().zip(scores.chunks(2)) {
+        println!("{name}, by {by}: varying {}, else {}", pair[0].show(), pair[1].show());
+    }
+}
+
+#[test]
+#[ignore = "the search by which the borrowed days were chosen: of interest when the intervals change"]
+fn what_is_borrowed_comes_from_rolling_origin_on_the_training_weeks() {
+    let Some(folder) = recordings() else { return };
+    let train = read(&folder, "train.csv");
+    let week_of = |sample: &Sample| (sample.local_day().0 - train[0].local_day().0) / 7;
+    // Learnt from the first weeks, three or more, asked about up to four weeks after.
+    let folds: Vec<(Learnt, Vec<Sample>)> = (3..10)
+        .map(|origin| {
+            let before = train.partition_point(|sample| week_of(sample) < origin);
+            let until = train.partition_point(|sample| week_of(sample) < origin + 4);
+            (Learnt::from(&train[..before]), train[before..until].to_vec())
+        })
+        .collect();
+    let mut tried = Vec::new();
+    for end in [0.0, 0.0001, 0.001, 0.005, 0.02] {
+        for scatter_days in [0.5, 1.0, 2.0, 4.0, 8.0] {
+            for doubt_days in [0.5, 1.0, 2.0] {
+                let borrowed = Borrowed { scatter_days, doubt_days, end };
+                let mut scores = Score::default();
+                for (learnt, weeks) in &folds {
+                    score(learnt, weeks, borrowed, &mut scores);
+                }
+                print(&format!("{borrowed:?}"), &scores);
+                tried.push((borrowed, scores));
+            }
+        }
+    }
+    // One day of not knowing is settled for the sake of states seen on few days. Of the others those that hold within a
+    // hundredth of nine in ten where the state varies, and of these the narrowest.
+    let (chosen, _) = tried
+        .iter()
+        .filter(|(borrowed, scores)| {
+            borrowed.doubt_days == 1.0 && (scores[0].held / scores[0].hours - 0.9).abs() <= 0.01
+        })
+        .min_by(|(_, a), (_, b)| a[0].width.total_cmp(&b[0].width))
+        .unwrap();
+    println!("chosen {chosen:?}");
+    assert_eq!(*chosen, BORROWED);
+}
+
+#[test]
+fn nine_in_ten_hold_on_weeks_that_had_no_part_in_the_choice() {
+    let Some(folder) = recordings() else { return };
+    let learnt = Learnt::from(&read(&folder, "train.csv"));
+    let mut scores = Score::default();
+    for name in ["week1.csv", "week2.csv", "week3.csv", "week4.csv"] {
+        score(&learnt, &read(&folder, name), BORROWED, &mut scores);
+    }
+    print("four weeks", &scores);
+    let share = |held: Held| held.held / held.hours;
+    for (varying, elsewhere) in [(scores[0], scores[1]), (scores[2], scores[3])] {
+        assert!((0.85..=0.95).contains(&share(varying)), "{}", varying.show());
+        assert!(share(elsewhere) >= 0.85 && elsewhere.width / elsewhere.hours <= 0.1, "{}", elsewhere.show());
+    }
+}

@@ -1,0 +1,85 @@
+//! The latest value: what was seen last is what will be seen.
+//!
+//! The map that robots have by default: it remembers one reading. Invariant: the answer is a reading.
+
+use super::mean::check_values;
+use super::{CannotFit, Moment, Readings, TemporalModel};
+use crate::InvalidParts;
+
+#[cfg(test)]
+mod tests;
+
+/// The newest reading's value from the first reading on, and the first reading's value before it.
+///
+/// It keeps two readings, not all: between them too it answers the newest (RAS 2017, section 4.3: maps that "reflect
+/// the latest state measurements").
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Latest {
+    parts: LatestParts,
+}
+
+/// What a [`Latest`] consists of, for storage.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LatestParts {
+    /// When the first reading was made: UTC, nanoseconds since 1970.
+    pub first_nanos: i64,
+    /// Its value, finite.
+    pub first_value: f64,
+    /// When the newest reading was made: UTC, nanoseconds since 1970.
+    pub last_nanos: i64,
+    /// Its value, finite.
+    pub last_value: f64,
+}
+
+impl Latest {
+    /// The first and the newest of the readings; of several at the newest time the last.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where there are no readings or a value is not finite.
+    pub fn fit(readings: Readings<'_>) -> Result<Latest, CannotFit> {
+        check_values(readings, f64::MIN..=f64::MAX, "a finite number")?;
+        let (Some(first), Some(last)) = (readings.samples.first(), readings.samples.last()) else {
+            return Err(CannotFit::NoReadings);
+        };
+        Ok(Latest {
+            parts: LatestParts {
+                first_nanos: first.utc_nanos,
+                first_value: first.value,
+                last_nanos: last.utc_nanos,
+                last_value: last.value,
+            },
+        })
+    }
+
+    /// Takes a reading in as the newest; one that is older than the newest, or not finite, changes nothing.
+    pub fn observe(&mut self, utc_nanos: i64, value: f64) {
+        if utc_nanos >= self.parts.last_nanos && value.is_finite() {
+            (self.parts.last_nanos, self.parts.last_value) = (utc_nanos, value);
+        }
+    }
+
+    /// What to store.
+    pub fn to_parts(&self) -> LatestParts {
+        self.parts
+    }
+
+    /// A model from what was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where a value is not finite or the first reading is later than the newest.
+    pub fn from_parts(parts: LatestParts) -> Result<Latest, InvalidParts> {
+        InvalidParts::check("first value", parts.first_value, f64::MIN..=f64::MAX)?;
+        InvalidParts::check("last value", parts.last_value, f64::MIN..=f64::MAX)?;
+        let (first_nanos, last_nanos) = (parts.first_nanos, parts.last_nanos);
+        if first_nanos > last_nanos {
+            return Err(InvalidParts::TimesReversed { first_nanos, last_nanos });
+        }
+        Ok(Latest { parts })
+    }
+}
+
+impl TemporalModel for Latest {
+    fn predict(&self, at: Moment) -> f64 {
+        if at.utc_nanos < self.parts.first_nanos { self.parts.first_value } else { self.parts.last_value }
+    }
+}

@@ -1,0 +1,157 @@
+//! Periodic Gaussian mixture: what happens at its own time of day, every day.
+//!
+//! PerGaM of Krajník et al., "Where's Waldo at time t?", ICRA 2015 ("Waldo"), section IV.B: the readings are folded
+//! into one period (eq. 6) and a mixture of Gaussians is fitted to what they make of it (eq. 7). The Gaussians are
+//! wrapped here, so that 23:59 is next to 0:01. It can show several short events, but one period alone, which must be
+//! known.
+//! Invariant: at most [`PergamOptions::MAX_GAUSSIANS`], widths positive; a prediction lies in `[0,1]`.
+
+use super::{CannotFit, Moment, Readings, TemporalModel};
+use crate::InvalidParts;
+use crate::civil::NANOS_PER_SEC;
+
+mod expectation;
+mod folded;
+
+use expectation::{Wrapped, fit_wrapped};
+use folded::Folded;
+
+#[cfg(test)]
+mod tests;
+
+const DAY_NANOS: i64 = 86_400 * NANOS_PER_SEC;
+/// A hundred years of 365.25 days.
+const MAX_PERIOD_NANOS: i64 = 36_525 * DAY_NANOS;
+
+/// How a periodic Gaussian mixture is fitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PergamOptions {
+    /// How many Gaussians, from 1 to [`PergamOptions::MAX_GAUSSIANS`]; fewer where the readings have fewer distinct
+    /// phases.
+    pub gaussians: usize,
+    /// The period, in nanoseconds of local civil time, from 1 s to 100 years.
+    pub period_nanos: i64,
+    /// What the starting points of the fit are drawn from.
+    pub seed: u64,
+}
+
+impl PergamOptions {
+    /// The most Gaussians that may be asked for.
+    pub const MAX_GAUSSIANS: usize = 20;
+}
+
+impl Default for PergamOptions {
+    /// Three Gaussians over a day, the most that Waldo evaluates (section VII.A).
+    fn default() -> PergamOptions {
+        PergamOptions { gaussians: 3, period_nanos: DAY_NANOS, seed: 0 }
+    }
+}
+
+/// One Gaussian of a [`Pergam`], in plain numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PergamGaussian {
+    /// What it adds to the probability on average over a period, in `[0,1]`: w_j/τ of Waldo eq. 7.
+    pub weight: f64,
+    /// Where it is in the period, μ_j, in seconds from the start, from 0 to the period.
+    pub mean_secs: f64,
+    /// How wide it is, σ_j, in seconds; above 0, at most the period.
+    pub deviation_secs: f64,
+}
+
+/// What a [`Pergam`] consists of, to be stored.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PergamParts {
+    /// The period τ, in nanoseconds.
+    pub period_nanos: i64,
+    /// Its Gaussians; none where the state was never on.
+    pub gaussians: Vec<PergamGaussian>,
+}
+
+/// A probability over a period, as a sum of wrapped Gaussians (Waldo eq. 7).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pergam {
+    period_nanos: i64,
+    /// Weight as in [`PergamGaussian`]; mean and deviation in turns.
+    gaussians: Vec<Wrapped>,
+}
+
+impl Pergam {
+    /// The mixture that expectation-maximisation finds, the likeliest of several seeded starts. Phases are taken to a
+    /// 1,440th of the period; one that was never observed takes a value between those of its observed neighbours.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where there are no readings or an option is outside its range.
+    pub fn fit(readings: Readings<'_>, options: &PergamOptions) -> Result<Pergam, CannotFit> {
+        check_range("gaussians", options.gaussians as f64, 1.0, PergamOptions::MAX_GAUSSIANS as f64, "1 to 20")?;
+        let period_secs = options.period_nanos as f64 / 1e9;
+        check_range("period_secs", period_secs, 1.0, MAX_PERIOD_NANOS as f64 / 1e9, "1 s to 100 years")?;
+        if readings.samples.is_empty() {
+            return Err(CannotFit::NoReadings);
+        }
+        let folded = Folded::new(readings, options.period_nanos);
+        let level = folded.level();
+        let mut gaussians = fit_wrapped(folded.shares(), options.gaussians, options.seed);
+        for gaussian in &mut gaussians {
+            gaussian.weight *= level;
+        }
+        Ok(Pergam { period_nanos: options.period_nanos, gaussians })
+    }
+
+    /// The model that was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where there are too many Gaussians or a number is outside its range.
+    pub fn from_parts(parts: &PergamParts) -> Result<Pergam, InvalidParts> {
+        let period_secs = parts.period_nanos as f64 / 1e9;
+        InvalidParts::check("period_secs", period_secs, 1.0..=MAX_PERIOD_NANOS as f64 / 1e9)?;
+        InvalidParts::check("gaussians", parts.gaussians.len() as f64, 0.0..=PergamOptions::MAX_GAUSSIANS as f64)?;
+        let mut gaussians = Vec::with_capacity(parts.gaussians.len());
+        for gaussian in &parts.gaussians {
+            // Leave room for rounding.
+            InvalidParts::check("weight", gaussian.weight, 0.0..=1.01)?;
+            InvalidParts::check("mean_secs", gaussian.mean_secs, 0.0..=period_secs)?;
+            InvalidParts::check("deviation_secs", gaussian.deviation_secs, period_secs * 1e-6..=period_secs * 1.01)?;
+            gaussians.push(Wrapped {
+                weight: gaussian.weight,
+                mean: gaussian.mean_secs / period_secs,
+                deviation: gaussian.deviation_secs / period_secs,
+            });
+        }
+        Ok(Pergam { period_nanos: parts.period_nanos, gaussians })
+    }
+
+    /// What the model consists of. Predictions of a model made of it again agree to rounding.
+    pub fn to_parts(&self) -> PergamParts {
+        let period_secs = self.period_secs();
+        let gaussians = self.gaussians.iter().map(|wrapped| PergamGaussian {
+            weight: wrapped.weight,
+            mean_secs: (wrapped.mean * period_secs).clamp(0.0, period_secs),
+            deviation_secs: wrapped.deviation * period_secs,
+        });
+        PergamParts { period_nanos: self.period_nanos, gaussians: gaussians.collect() }
+    }
+
+    /// The period τ, in seconds.
+    pub fn period_secs(&self) -> f64 {
+        self.period_nanos as f64 / 1e9
+    }
+}
+
+impl TemporalModel for Pergam {
+    /// The probability at a moment (Waldo eq. 7), saturated to `[0,1]`.
+    fn predict(&self, at: Moment) -> f64 {
+        let turn = folded::turn(at.civil_nanos(), self.period_nanos);
+        let sum: f64 = self.gaussians.iter().map(|gaussian| gaussian.weight * gaussian.density(turn)).sum();
+        sum.clamp(0.0, 1.0)
+    }
+}
+
+fn check_range(
+    parameter: &'static str,
+    found: f64,
+    low: f64,
+    high: f64,
+    expected: &'static str,
+) -> Result<(), CannotFit> {
+    if (low..=high).contains(&found) { Ok(()) } else { Err(CannotFit::Parameter { parameter, found, expected }) }
+}

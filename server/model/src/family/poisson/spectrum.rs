@@ -1,0 +1,49 @@
+//! The spectrum of weighted counts: γ_k = Σ w (c - μ) e^(-jω_k t) / Σ w.
+//!
+//! As the accumulator's, but of values beyond 1 and with weights. Invariant: components are finite, strongest first, and
+//! of periods that the observed span holds.
+
+use super::Bin;
+use crate::{Component, MAX_ORDER, Periodicities, PhasorTable};
+
+/// Bins that share one table of phasors.
+const CHUNK: usize = 512;
+
+/// γ_k for every periodicity.
+pub(super) struct Spectrum {
+    gammas: Vec<Component>,
+}
+
+impl Spectrum {
+    /// The spectrum of observed bins, ascending; empty where there are none.
+    pub(super) fn of(bins: &[Bin], periodicities: &Periodicities) -> Spectrum {
+        let (Some(first), Some(last)) = (bins.first(), bins.last()) else { return Spectrum { gammas: Vec::new() } };
+        let weight: f64 = bins.iter().map(|bin| bin.weight).sum();
+        // Shares of the whole: sums of huge counts stay in range.
+        let mean: f64 = bins.iter().map(|bin| bin.count * (bin.weight / weight)).sum();
+        let mut gammas: Vec<Component> = (0..periodicities.len() as u32)
+            .map(|periodicity| Component { periodicity, gamma_re: 0.0, gamma_im: 0.0 })
+            .collect();
+        for chunk in bins.chunks(CHUNK) {
+            let times: Vec<i64> = chunk.iter().map(|bin| bin.centre_nanos).collect();
+            let values: Vec<f64> = chunk.iter().map(|bin| (bin.count - mean) * (bin.weight / weight)).collect();
+            let phasors = PhasorTable::new(periodicities, &times);
+            for gamma in &mut gammas {
+                let Some((cos, sin)) = phasors.row(gamma.periodicity) else { continue };
+                gamma.gamma_re += values.iter().zip(cos).map(|(value, cos)| value * cos).sum::<f64>();
+                gamma.gamma_im -= values.iter().zip(sin).map(|(value, sin)| value * sin).sum::<f64>();
+            }
+        }
+        let span_nanos = last.centre_nanos.abs_diff(first.centre_nanos);
+        gammas.retain(|gamma| periodicities.is_eligible(gamma.periodicity as usize, span_nanos));
+        Spectrum { gammas }
+    }
+
+    /// The [`MAX_ORDER`] strongest, of equal ones the lower index first.
+    pub(super) fn strongest(mut self) -> Vec<Component> {
+        self.gammas.retain(|gamma| gamma.amplitude() > 0.0);
+        self.gammas.sort_by(|a, b| b.amplitude().total_cmp(&a.amplitude()));
+        self.gammas.truncate(MAX_ORDER);
+        self.gammas
+    }
+}

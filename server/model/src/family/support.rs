@@ -1,0 +1,93 @@
+//! How many components of a spectral model the observations support, and which are what noise would show as well.
+//!
+//! Of 168 candidates the strongest is never 0. Two independent judgements: how likely noise alone is to have such a peak
+//! in its periodogram, and whether predictions gained by it day after day. Invariant: more observations that say the same
+//! never lower what is supported; nothing here is NaN.
+
+use crate::{Periodicities, SpectralModel};
+
+mod gains;
+pub use gains::{OrderGains, OrderGainsParts};
+
+#[cfg(test)]
+mod tests;
+
+/// A component counts where noise alone would show one as strong, at any of the candidate periods, less often than this.
+const FALSE_ALARM: f64 = 0.01;
+
+/// What is known of how much successive readings depend on each other; all of it from sums that are kept anyway.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DependenceSums {
+    /// Number of pairs of successive readings: [`PersistenceParts::pairs`](crate::PersistenceParts::pairs).
+    pub pairs: u64,
+    /// Σ |change of value| / time between, per second:
+    /// [`PersistenceParts::change_rate_sum`](crate::PersistenceParts::change_rate_sum).
+    pub change_rate_sum: f64,
+    /// Time from the first reading to the last, in seconds.
+    pub span_secs: f64,
+    /// Mean value, in `[0,1]`: [`Accumulator::mean`](crate::Accumulator::mean).
+    pub mean: f64,
+    /// How many single hours held a reading: [`HourTable::observed_hours`](super::HourTable::observed_hours). `None`:
+    /// not known; then readings are taken to be spread over the span, and visits that each bring many readings seem to say
+    /// more than they do.
+    pub observed_hours: Option<f64>,
+}
+
+/// How many independent readings the readings are worth, from 1 to their number.
+///
+/// Readings of a state that changes slowly repeat each other. With a correlation ρ of neighbours that fades exponentially
+/// (the state as a two-state Markov chain, RAS 2017 section 4.2), the mean of N readings, and any slow component of their
+/// spectrum, vary as those of N(1 - ρ)/(1 + ρ) independent ones (G. V. Bayley and J. M. Hammersley, "The 'Effective'
+/// Number of Independent Observations in an Autocorrelated Time Series", 1946). Of the chain E|Δs| = 2μ(1-μ)(1 - ρ), so
+/// 1 - ρ is the mean rate of change times the mean time between readings, over 2μ(1-μ). A rhythm of the state itself makes
+/// neighbours more alike, and values between 0 and 1 vary less than 2μ(1-μ) allows: both lower the number, which errs on
+/// the side of caution.
+///
+/// Where hours are known, readings of hours that were watched count by the time watched rather than by the span, but at
+/// least one an hour.
+pub fn effective_observations(sums: &DependenceSums) -> f64 {
+    let over = |secs: f64| effective_over(sums, secs);
+    let number = match sums.observed_hours {
+        Some(hours) if hours > 0.0 => over(sums.span_secs).min(over(hours * 3600.0).max(hours)),
+        _ => over(sums.span_secs),
+    };
+    let readings = sums.pairs as f64 + 1.0;
+    // NaN, from sums that are none, says nothing.
+    if number.is_nan() { 1.0 } else { number.clamp(1.0, readings) }
+}
+
+/// The effective number where the pairs of readings share that time.
+fn effective_over(sums: &DependenceSums, secs: f64) -> f64 {
+    let (pairs, most_change) = (sums.pairs as f64, 2.0 * sums.mean * (1.0 - sums.mean));
+    if sums.pairs == 0 || most_change <= 0.0 {
+        return 1.0;
+    }
+    let forgotten = (sums.change_rate_sum / pairs * (secs / pairs) / most_change).min(1.0);
+    (pairs + 1.0) * forgotten / (2.0 - forgotten)
+}
+
+/// How many of a model's strongest components are supported, 0..=[`MAX_ORDER`](crate::MAX_ORDER).
+///
+/// Of n independent readings with variance v, |γ|²n/v is exponentially distributed with mean 1, so that noise shows a
+/// peak of z or more among K candidates with probability 1 - (1 - e^-z)^K (J. D. Scargle, "Studies in Astronomical Time
+/// Series Analysis II", ApJ 1982, section III). Components are judged in turn, each against the variance that the ones
+/// before leave of μ(1-μ), the most that values in `[0,1]` can have; the first that noise would show with 1 % or more ends
+/// it. To predict with no more than this is to predict with `order.min(supported)`.
+pub fn supported_order(model: &SpectralModel, periodicities: &Periodicities, effective_observations: f64) -> usize {
+    let candidates = periodicities.len() as f64;
+    let mut variance = model.mean() * (1.0 - model.mean());
+    let mut supported = 0;
+    for component in model.components() {
+        let power = component.gamma_re.powi(2) + component.gamma_im.powi(2);
+        let peak = power * effective_observations / variance;
+        // 1 - (1 - e^-z)^K, exact where e^-z is tiny.
+        let false_alarm = -(candidates * (-(-peak).exp()).ln_1p()).exp_m1();
+        // Where components overlap they can explain more than there is; NaN supports nothing.
+        if variance <= 0.0 || false_alarm.is_nan() || false_alarm >= FALSE_ALARM {
+            break;
+        }
+        variance -= 2.0 * power;
+        supported += 1;
+    }
+    supported
+}

@@ -1,0 +1,208 @@
+//! What `support.rs` promises, over many seeds: noise supports nothing, a routine is seen.
+
+use proptest::prelude::*;
+use rand::rngs::SmallRng;
+use rand::{Rng, SeedableRng};
+
+use super::*;
+use crate::family::HourTable;
+use crate::{Accumulator, Component, MAX_ORDER, OrderCriterion, Persistence, Sample, StateModel};
+
+const MINUTE_NANOS: i64 = 60_000_000_000;
+const SEEDS: u64 = 40;
+
+/// A state at some minutes, with a value drawn by minute.
+fn observed(minutes: impl Iterator<Item = i64>, mut value: impl FnMut(i64) -> bool) -> Vec<Sample> {
+    minutes
+        .map(|minute| Sample {
+            utc_nanos: minute * MINUTE_NANOS,
+            offset_secs: 0,
+            value: f64::from(u8::from(value(minute))),
+        })
+        .collect()
+}
+
+/// A chain that stays at 0 and at 1 for these mean times, at rising minutes.
+fn chain(random: &mut SmallRng, low_minutes: f64, high_minutes: f64) -> impl FnMut(i64) -> bool {
+    let (mut is_high, mut change) = (false, 0.0);
+    move |minute| {
+        while change <= minute as f64 {
+            is_high = !is_high;
+            let mean = if is_high { high_minutes } else { low_minutes };
+            change -= mean * (1.0 - random.random::<f64>()).ln();
+        }
+        is_high
+    }
+}
+
+struct Judged {
+    supported: usize,
+    effective: f64,
+    model: SpectralModel,
+}
+
+fn judged(samples: &[Sample]) -> Judged {
+    let week = Periodicities::default();
+    let mut accumulator = Accumulator::new(&week);
+    accumulator.add(&week, samples);
+    let (mut persistence, mut hours) = (Persistence::default(), HourTable::default());
+    samples.iter().for_each(|sample| persistence.observe(sample.utc_nanos, sample.value));
+    hours.add(samples);
+    let effective = effective_observations(&DependenceSums {
+        pairs: persistence.to_parts().pairs,
+        change_rate_sum: persistence.to_parts().change_rate_sum,
+        span_secs: accumulator.span_nanos() as f64 / 1e9,
+        mean: accumulator.mean(),
+        observed_hours: Some(hours.observed_hours()),
+    });
+    let model = SpectralModel::fit(&accumulator, &week);
+    Judged { supported: supported_order(&model, &week, effective), effective, model }
+}
+
+/// In how many of the seeds nothing is supported.
+fn unsupported(name: &str, samples: impl Fn(&mut SmallRng) -> Vec<Sample>) {
+    let orders: Vec<usize> =
+        (0..SEEDS).map(|seed| judged(&samples(&mut SmallRng::seed_from_u64(seed))).supported).collect();
+    let none = orders.iter().filter(|&&order| order == 0).count();
+    println!("{name}: nothing supported in {none} of {SEEDS}");
+    assert!(none as f64 >= 0.95 * SEEDS as f64, "{name}: {orders:?}");
+}
+
+const FOUR_WEEKS_MINUTES: i64 = 28 * 1440;
+
+#[test]
+fn independent_noise_supports_nothing() {
+    unsupported("independent, every 10 minutes", |random| {
+        observed((0..FOUR_WEEKS_MINUTES).step_by(10), |_| random.random::<f64>() < 0.3)
+    });
+    unsupported("independent, at random times", |random| {
+        let mut minutes: Vec<i64> = (0..800).map(|_| random.random_range(0..FOUR_WEEKS_MINUTES)).collect();
+        minutes.sort_unstable();
+        observed(minutes.into_iter(), |_| random.random::<f64>() < 0.5)
+    });
+}
+
+#[test]
+fn a_slow_chain_supports_nothing() {
+    unsupported("2 h dwell, every 10 minutes", |random| {
+        observed((0..FOUR_WEEKS_MINUTES).step_by(10), chain(random, 120.0, 120.0))
+    });
+    unsupported("2 h and 30 min dwell, every 5 minutes", |random| {
+        observed((0..FOUR_WEEKS_MINUTES).step_by(5), chain(random, 120.0, 30.0))
+    });
+    unsupported("12 h dwell, every hour for ten weeks", |random| {
+        observed((0..10 * 7 * 1440).step_by(60), chain(random, 720.0, 720.0))
+    });
+    unsupported("2 h dwell, an hour of minutes every seven hours", |random| {
+        observed((0..FOUR_WEEKS_MINUTES).filter(|minute| minute % 420 < 60), chain(random, 120.0, 120.0))
+    });
+}
+
+#[test]
+fn a_daily_routine_with_noise_is_supported() {
+    for seed in 0..SEEDS {
+        let mut random = SmallRng::seed_from_u64(seed);
+        let samples = observed((0..14 * 1440).step_by(10), |minute| {
+            (540..1020).contains(&(minute % 1440)) != (random.random::<f64>() < 0.2)
+        });
+        let Judged { supported, effective, model } = judged(&samples);
+        assert!(supported >= 1, "seed {seed}: {effective}");
+        assert_eq!(model.components()[0].periodicity, 6, "seed {seed}");
+    }
+}
+
+#[test]
+fn the_effective_number_is_known_for_chains() {
+    let effective = |dwell: f64, step: usize| {
+        let mut random = SmallRng::seed_from_u64(9);
+        let minutes = (0..8 * FOUR_WEEKS_MINUTES).step_by(step);
+        judged(&observed(minutes, chain(&mut random, dwell, dwell))).effective
+    };
+    for (dwell, step) in [(120.0, 10_usize), (120.0, 60), (30.0, 60)] {
+        let kept: f64 = (-2.0 / dwell * step as f64).exp();
+        let expected = (8 * FOUR_WEEKS_MINUTES) as f64 / step as f64 * (1.0 - kept) / (1.0 + kept);
+        let found = effective(dwell, step);
+        assert!((found / expected - 1.0).abs() < 0.1, "dwell {dwell}, step {step}: {found}, expected {expected}");
+    }
+}
+
+#[test]
+fn nothing_is_known_from_nothing() {
+    let none = DependenceSums { pairs: 0, change_rate_sum: 0.0, span_secs: 0.0, mean: 0.5, observed_hours: None };
+    assert!((effective_observations(&none) - 1.0).abs() < 1e-12);
+    let constant = DependenceSums { pairs: 1000, span_secs: 1e6, mean: 1.0, ..none };
+    assert!((effective_observations(&constant) - 1.0).abs() < 1e-12);
+    let week = Periodicities::default();
+    assert_eq!(supported_order(&SpectralModel::default(), &week, 1e9), 0);
+    let strong = Component { periodicity: 6, gamma_re: 0.25, gamma_im: 0.0 };
+    let model = SpectralModel::from_parts(0.5, 1000, vec![strong]).unwrap();
+    assert_eq!(supported_order(&model, &week, 1000.0), 1);
+    for effective in [f64::NAN, 0.0, 10.0, -5.0] {
+        assert_eq!(supported_order(&model, &week, effective), 0);
+    }
+}
+
+#[test]
+fn gains_are_seen_day_by_day() {
+    let week = Periodicities::default();
+    let gains = |routine: bool, seed: u64| {
+        let mut random = SmallRng::seed_from_u64(seed);
+        let samples = observed((0..6 * 7 * 1440).step_by(20), |minute| {
+            (routine && (540..1020).contains(&(minute % 1440))) != (random.random::<f64>() < 0.2)
+        });
+        let (mut state, mut gains) = (StateModel::new(&week), OrderGains::default());
+        for day in samples.chunk_by(|a, b| a.local_day() == b.local_day()) {
+            let outcome = state.update(&week, OrderCriterion::SquaredError, day.to_vec());
+            gains.record(&outcome.squared_errors, outcome.scored);
+        }
+        assert_eq!(OrderGains::from_parts(gains.to_parts()), Ok(gains));
+        gains.supported_order()
+    };
+    assert_eq!((0..20).filter(|&seed| gains(false, seed) == 0).count(), 20);
+    assert_eq!((0..20).filter(|&seed| gains(true, seed) >= 1).count(), 20);
+}
+
+#[test]
+fn gains_need_days_and_sound_numbers() {
+    let mut errors = [0.1; MAX_ORDER + 1];
+    errors[0] = 0.2;
+    let mut gains = OrderGains::default();
+    for _ in 0..6 {
+        gains.record(&errors, 1);
+    }
+    gains.record(&errors, 0);
+    gains.record(&[f64::NAN; MAX_ORDER + 1], 1);
+    assert_eq!((gains.supported_order(), gains.to_parts().days), (0, 6));
+    gains.record(&errors, 1);
+    assert_eq!(gains.supported_order(), MAX_ORDER);
+    let parts = gains.to_parts();
+    let (mut sums, mut squares) = (parts.sums, parts.squares);
+    (sums[3], squares[3]) = (f64::NAN, -1.0);
+    assert!(OrderGains::from_parts(OrderGainsParts { sums, ..parts }).is_err());
+    assert!(OrderGains::from_parts(OrderGainsParts { squares, ..parts }).is_err());
+}
+
+proptest! {
+    #[test]
+    fn answers_are_sound_and_grow_with_the_evidence(
+        pairs in any::<u64>(),
+        change_rate_sum in prop::num::f64::POSITIVE,
+        span_secs in prop::num::f64::POSITIVE,
+        mean in 0.0..=1.0_f64,
+        observed_hours in prop::option::of(prop::num::f64::ANY),
+        gammas in prop::collection::vec(-0.3..0.3_f64, 0..=MAX_ORDER),
+    ) {
+        let sums = DependenceSums { pairs, change_rate_sum, span_secs, mean, observed_hours };
+        let effective = effective_observations(&sums);
+        prop_assert!((1.0..=pairs as f64 + 1.0).contains(&effective), "{}", effective);
+        let component = |(k, &gamma_re): (usize, &f64)| Component { periodicity: k as u32, gamma_re, gamma_im: 0.0 };
+        let model = SpectralModel::from_parts(mean, 1, gammas.iter().enumerate().map(component).collect()).unwrap();
+        let week = Periodicities::default();
+        let mut least = 0;
+        for effective in [1.0, 10.0, 100.0, 1e4, 1e8] {
+            let supported = supported_order(&model, &week, effective);
+            prop_assert!(supported >= least && supported <= gammas.len());
+            least = supported;
+        }
+    }
+}

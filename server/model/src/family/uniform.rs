@@ -1,0 +1,336 @@
+//! The uniform variant of FreMEn: a regularly sampled binary state as the strongest components of its Fourier transform
+//! and the set of outliers that they miss, from which every state can be had back exactly.
+//!
+//! T-RO section III.B. The spectral model of the crate needs neither regular samples nor a transform of all of them; this
+//! one keeps history. Invariant: `reconstruct` gives what was fitted and appended, whatever the order.
+
+use realfft::RealFftPlanner;
+use realfft::num_complex::Complex;
+
+use super::mean::check_values;
+use super::{CannotFit, Moment, Readings, TemporalModel};
+use crate::{Component, InvalidParts, MAX_ORDER, Sample};
+
+mod gaps;
+
+#[cfg(test)]
+mod tests;
+
+/// A reading may lie this share of the interval off its regular time.
+const JITTER: f64 = 0.01;
+/// A probability this little below 0.5 counts as 0.5: where components meet there exactly, as those of a square wave do,
+/// machines that round the last digit differently must agree.
+const TIE: f64 = 1e-9;
+/// Components weaker than this are what rounding leaves of 0.
+const LEAST_GAMMA: f64 = 1e-12;
+/// More readings than this are refused: steps are stored in 32 bits.
+const MAX_STEPS: u64 = u32::MAX as u64;
+
+/// A regularly sampled binary state (T-RO, section III.B).
+///
+/// Time is counted in steps: reading i was made i intervals (UTC) after the first. What is predicted for a moment follows
+/// the local clock, so that a model fitted in winter keeps its hours in summer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UniformSpectral {
+    parts: UniformSpectralParts,
+    /// The outlier set decoded: the steps at which the estimate starts and stops to differ from the state, ascending.
+    outliers: Vec<u32>,
+}
+
+/// What a [`UniformSpectral`] consists of, for storage.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UniformSpectralParts {
+    /// When the first reading was made: UTC, nanoseconds since 1970.
+    pub first_nanos: i64,
+    /// The UTC offset of the map's zone then, in seconds, east positive.
+    pub offset_secs: i32,
+    /// Time between readings, in nanoseconds, at least 1.
+    pub interval_nanos: i64,
+    /// Readings that the spectrum was made of, at least 2: component k turns k times in that many steps.
+    pub fitted_steps: u32,
+    /// Readings held, at least `fitted_steps`.
+    pub steps: u32,
+    /// Mean of the readings that the spectrum was made of, in `[0,1]`.
+    pub mean: f64,
+    /// The components P, strongest first, at most [`MAX_ORDER`]: index k from 1 to half of `fitted_steps`, phase 0 at the
+    /// first reading.
+    pub components: Vec<Component>,
+    /// The outlier set O, Δ-encoded: from step 0 on, the number of steps to where the estimate p ≥ 0.5 starts to differ from
+    /// the state, from there to where it stops, and so on; 7 bits a byte, the lowest first, the top bit set where more
+    /// follow.
+    pub outlier_gaps: Vec<u8>,
+}
+
+impl UniformSpectral {
+    /// The `order` strongest components of the readings' Fourier transform, and the outliers that they leave. Of the
+    /// readings all count alike.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where there are fewer than two readings, a value is neither 0 nor 1, a reading lies more than 1 % of
+    /// the interval off its regular time, or the order is above [`MAX_ORDER`].
+    pub fn fit(readings: Readings<'_>, order: usize) -> Result<UniformSpectral, CannotFit> {
+        check_values(readings, 0.0..=1.0, "0 or 1")?;
+        let samples = readings.samples;
+        let states = samples.iter().map(binary).collect::<Result<Vec<bool>, CannotFit>>()?;
+        let (first, interval_nanos) = regular(samples)?;
+        let header = UniformSpectralParts {
+            first_nanos: first.utc_nanos,
+            offset_secs: first.offset_secs,
+            interval_nanos,
+            fitted_steps: 0,
+            steps: 0,
+            mean: 0.5,
+            components: Vec::new(),
+            outlier_gaps: Vec::new(),
+        };
+        UniformSpectral::of_states(&header, &states, order)
+    }
+
+    /// The model of all states held, with another order: the update of T-RO III.B.3. Nothing is lost by it.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where the order is above [`MAX_ORDER`].
+    pub fn with_order(&self, order: usize) -> Result<UniformSpectral, CannotFit> {
+        UniformSpectral::of_states(&self.parts, &self.reconstruct(), order)
+    }
+
+    fn of_states(header: &UniformSpectralParts, states: &[bool], order: usize) -> Result<UniformSpectral, CannotFit> {
+        if order > MAX_ORDER {
+            return Err(CannotFit::Parameter { parameter: "order", found: order as f64, expected: "0 to 15" });
+        }
+        let steps = states.len() as u32;
+        let (mean, components) = strongest(states, order)?;
+        let parts = UniformSpectralParts {
+            fitted_steps: steps,
+            steps: 0,
+            mean,
+            components,
+            outlier_gaps: Vec::new(),
+            ..header.clone()
+        };
+        let mut model = UniformSpectral { parts, outliers: Vec::new() };
+        for &state in states {
+            model.append_state(state);
+        }
+        Ok(model)
+    }
+
+    /// Takes in the next reading, without changing the spectrum (T-RO eq. 8): where the prediction starts or stops to
+    /// differ from the state, the outlier set grows.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where the value is neither 0 nor 1 or the time is not one interval after the last reading's.
+    pub fn append(&mut self, sample: &Sample) -> Result<(), CannotFit> {
+        let state = binary(sample)?;
+        let parts = &self.parts;
+        if u64::from(parts.steps) >= MAX_STEPS || off_time(sample, parts.first_nanos, parts.interval_nanos, parts.steps)
+        {
+            return Err(CannotFit::Parameter {
+                parameter: "time of a reading in seconds after the first",
+                found: (i128::from(sample.utc_nanos) - i128::from(parts.first_nanos)) as f64 / 1e9,
+                expected: "one interval after the last reading",
+            });
+        }
+        self.append_state(state);
+        Ok(())
+    }
+
+    fn append_state(&mut self, state: bool) {
+        let step = self.parts.steps;
+        let is_outlier = self.estimate(step) != state;
+        let was_outlier = self.outliers.len() % 2 == 1;
+        if is_outlier != was_outlier {
+            gaps::push(&mut self.parts.outlier_gaps, step - self.outliers.last().copied().unwrap_or(0));
+            self.outliers.push(step);
+        }
+        self.parts.steps = step + 1;
+    }
+
+    /// Every state held, in order: s(t) = (p(t) ≥ 0.5) ⊕ (t ∈ O), T-RO eq. 7.
+    pub fn reconstruct(&self) -> Vec<bool> {
+        let mut outliers = self.outliers.iter().peekable();
+        let mut is_outlier = false;
+        let state = |step: u32| {
+            if outliers.next_if(|&&change| change <= step).is_some() {
+                is_outlier = !is_outlier;
+            }
+            self.estimate(step) != is_outlier
+        };
+        (0..self.parts.steps).map(state).collect()
+    }
+
+    /// The state at one step; `None` beyond the last.
+    pub fn state(&self, step: u32) -> Option<bool> {
+        let changes = self.outliers.partition_point(|&change| change <= step);
+        (step < self.parts.steps).then(|| self.estimate(step) != (changes % 2 == 1))
+    }
+
+    /// The share of the states held that the spectrum alone gives wrongly, 0 to 1: the estimation error of T-RO eq. 15.
+    pub fn estimation_error(&self) -> f64 {
+        let ends = self.outliers.chunks(2).map(|run| {
+            let until = run.get(1).copied().unwrap_or(self.parts.steps);
+            f64::from(until - run[0])
+        });
+        ends.sum::<f64>() / f64::from(self.parts.steps)
+    }
+
+    /// The compression ratio r = m/z of T-RO eq. 16 for one state: m readings would take one bit each, z is the size of
+    /// what is stored, in bits. Lossless with the outlier set, lossy without it.
+    ///
+    /// Stored are the numbers of [`UniformSpectralParts`] at their own sizes: 288 bits, 160 a component and
+    /// the bytes of the outlier set.
+    pub fn compression_ratio(&self, with_outliers: bool) -> f64 {
+        let outlier_bits = if with_outliers { 8 * self.parts.outlier_gaps.len() } else { 0 };
+        let bits = 64 + 32 + 64 + 32 + 32 + 64 + 160 * self.parts.components.len() + outlier_bits;
+        f64::from(self.parts.steps) / bits as f64
+    }
+
+    /// Mean of the readings that the spectrum was made of, in `[0,1]`.
+    pub fn mean(&self) -> f64 {
+        self.parts.mean
+    }
+
+    /// The components, strongest first; periodicity k has a period of the fitted span (steps times interval) over k.
+    pub fn components(&self) -> &[Component] {
+        &self.parts.components
+    }
+
+    /// The steps at which the prediction starts and stops to differ from the state.
+    pub fn outliers(&self) -> &[u32] {
+        &self.outliers
+    }
+
+    /// Number of states held.
+    pub fn steps(&self) -> u32 {
+        self.parts.steps
+    }
+
+    /// s'(t): the state at a step by the spectrum alone (T-RO eq. 9 with c = 0.5).
+    fn estimate(&self, step: u32) -> bool {
+        let fitted = u64::from(self.parts.fitted_steps);
+        // k·step modulo the span in integers, so that a step far on has the phase that it had when it was encoded.
+        let turns = |k: u32| (u64::from(k) * u64::from(step) % fitted) as f64 / fitted as f64;
+        self.probability(turns) >= 0.5 - TIE
+    }
+
+    /// p by the phase of each component, in turns.
+    fn probability(&self, turns: impl Fn(u32) -> f64) -> f64 {
+        let mut p = self.parts.mean;
+        for component in &self.parts.components {
+            let (sin, cos) = (std::f64::consts::TAU * turns(component.periodicity)).sin_cos();
+            let term = component.gamma_re * cos - component.gamma_im * sin;
+            // At half the sampling rate a component is its own mirror image and enters once.
+            let is_fastest = 2 * u64::from(component.periodicity) == u64::from(self.parts.fitted_steps);
+            p += if is_fastest { term } else { 2.0 * term };
+        }
+        p.clamp(0.0, 1.0)
+    }
+
+    /// What to store.
+    pub fn to_parts(&self) -> UniformSpectralParts {
+        self.parts.clone()
+    }
+
+    /// A model from what was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where a number is outside its range or there are too many components.
+    pub fn from_parts(parts: UniformSpectralParts) -> Result<UniformSpectral, InvalidParts> {
+        InvalidParts::check("interval", parts.interval_nanos as f64, 1.0..=i64::MAX as f64)?;
+        InvalidParts::check("fitted steps", f64::from(parts.fitted_steps), 2.0..=f64::from(parts.steps))?;
+        InvalidParts::check("mean", parts.mean, 0.0..=1.0)?;
+        if parts.components.len() > MAX_ORDER {
+            return Err(InvalidParts::OrderTooHigh { found: parts.components.len() });
+        }
+        for component in &parts.components {
+            let highest = f64::from(parts.fitted_steps / 2);
+            InvalidParts::check("component index", f64::from(component.periodicity), 1.0..=highest)?;
+            InvalidParts::check("gamma_re", component.gamma_re, -1.01..=1.01)?;
+            InvalidParts::check("gamma_im", component.gamma_im, -1.01..=1.01)?;
+        }
+        let outliers = gaps::decode(&parts.outlier_gaps, parts.steps)?;
+        Ok(UniformSpectral { parts, outliers })
+    }
+}
+
+impl TemporalModel for UniformSpectral {
+    /// p(t) by the spectrum alone, continued periodically before and after what was fitted (T-RO eq. 10).
+    fn predict(&self, at: Moment) -> f64 {
+        let parts = &self.parts;
+        let first = Moment { utc_nanos: parts.first_nanos, offset_secs: parts.offset_secs };
+        let span_nanos = i128::from(parts.interval_nanos) * i128::from(parts.fitted_steps);
+        let elapsed_nanos = i128::from(at.civil_nanos()) - i128::from(first.civil_nanos());
+        let elapsed_nanos = elapsed_nanos.rem_euclid(span_nanos);
+        self.probability(|k| (elapsed_nanos * i128::from(k) % span_nanos) as f64 / span_nanos as f64)
+    }
+}
+
+/// A sample's state, 0 or 1.
+fn binary(sample: &Sample) -> Result<bool, CannotFit> {
+    let (parameter, found, expected) = ("a reading's value", sample.value, "0 or 1");
+    let distance = |state: f64| (found - state).abs();
+    // NaN is far from both.
+    if distance(1.0) <= f64::EPSILON {
+        Ok(true)
+    } else if distance(0.0) <= f64::EPSILON {
+        Ok(false)
+    } else {
+        Err(CannotFit::Parameter { parameter, found, expected })
+    }
+}
+
+/// The first sample and the interval, where samples are regular.
+fn regular(samples: &[Sample]) -> Result<(Sample, i64), CannotFit> {
+    let found = samples.len();
+    let (&[first, .., last], 2..=MAX_STEPS) = (samples, found as u64) else {
+        return Err(CannotFit::Parameter {
+            parameter: "number of readings",
+            found: found as f64,
+            expected: "2 to 4e9",
+        });
+    };
+    let span_nanos = i128::from(last.utc_nanos) - i128::from(first.utc_nanos);
+    let gaps = found as i128 - 1;
+    // Rounded: a wrong nanosecond of a million would add up.
+    let interval_nanos = i64::try_from((2 * span_nanos + gaps).div_euclid(2 * gaps)).unwrap_or(i64::MAX);
+    let off = (0..).zip(samples).find(|&(step, sample)| off_time(sample, first.utc_nanos, interval_nanos, step));
+    match off {
+        None if interval_nanos > 0 => Ok((first, interval_nanos)),
+        _ => Err(CannotFit::Parameter {
+            parameter: "time of a reading in seconds after the first",
+            found: off
+                .map_or(0.0, |(_, sample)| (i128::from(sample.utc_nanos) - i128::from(first.utc_nanos)) as f64 / 1e9),
+            expected: "regular intervals, none missing, each reading within 1 % of its time",
+        }),
+    }
+}
+
+/// Whether a sample is not at the time of its step.
+fn off_time(sample: &Sample, first_nanos: i64, interval_nanos: i64, step: u32) -> bool {
+    let regular_nanos = i128::from(first_nanos) + i128::from(interval_nanos) * i128::from(step);
+    let off_nanos = (i128::from(sample.utc_nanos) - regular_nanos).unsigned_abs();
+    off_nanos as f64 > JITTER * interval_nanos as f64
+}
+
+/// Mean and strongest components of the transform, of equal ones the slower first.
+fn strongest(states: &[bool], order: usize) -> Result<(f64, Vec<Component>), CannotFit> {
+    let transform = RealFftPlanner::<f64>::new().plan_fft_forward(states.len());
+    let mut values: Vec<f64> = states.iter().map(|&state| f64::from(u8::from(state))).collect();
+    let mut spectrum: Vec<Complex<f64>> = transform.make_output_vec();
+    let (parameter, expected) = ("number of readings", "a length that can be transformed");
+    let refused = |_| CannotFit::Parameter { parameter, found: states.len() as f64, expected };
+    transform.process(&mut values, &mut spectrum).map_err(refused)?;
+    let per_reading = 1.0 / states.len() as f64;
+    let mean = (spectrum[0].re * per_reading).clamp(0.0, 1.0);
+    let component = |(k, sum): (usize, &Complex<f64>)| Component {
+        periodicity: k as u32,
+        gamma_re: sum.re * per_reading,
+        gamma_im: sum.im * per_reading,
+    };
+    let mut components: Vec<Component> = spectrum.iter().enumerate().skip(1).map(component).collect();
+    components.retain(|component| component.amplitude() > 2.0 * LEAST_GAMMA);
+    // Stable, so that equal ones stay in the order of their index.
+    components.sort_by(|a, b| b.amplitude().total_cmp(&a.amplitude()));
+    components.truncate(order);
+    Ok((mean, components))
+}
