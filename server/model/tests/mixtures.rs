@@ -160,11 +160,9 @@ fn figures() {
     };
     let year = year();
     let by_mean = error(&mean(&year), &year);
-    for (method, clusters) in [(HypertimeMethod::Em, 1), (HypertimeMethod::Em, 2), (HypertimeMethod::Em, 3)]
-        .into_iter()
-        .chain([5, 10, 50].map(|clusters| (HypertimeMethod::Em, clusters)))
-        .chain([3, 10, 50].map(|clusters| (HypertimeMethod::Km, clusters)))
-    {
+    let em = [1, 2, 3, 5, 10, 50].map(|clusters| (HypertimeMethod::Em, clusters));
+    let km = [3, 10, 50].map(|clusters| (HypertimeMethod::Km, clusters));
+    for (method, clusters) in em.into_iter().chain(km) {
         for seed in 0..3 {
             let options = HypertimeOptions { method, clusters, seed };
             let found = door_by_hypertime(&door, &options);
