@@ -2,8 +2,10 @@
 //!
 //! Invariant: names, columns and meaning of what is here stay as they are; scripts rely on them.
 
+mod anomalies;
 mod bench;
 mod evaluate;
+mod experiment;
 mod grid;
 mod job;
 mod map;
@@ -79,6 +81,11 @@ enum Command {
     Grid(grid::GridCommand),
     /// Shows what was observed of a state, exactly, where the map keeps its history
     Reconstruct(reconstruct::ReconstructArgs),
+    /// Shows the observations of a state that the model did not expect, or waits for them with --watch
+    ///
+    /// An observation is shown where the model says the contrary with the confidence: a value below 0.5 where the
+    /// probability is at least C, and another where it is at most 1 - C. It needs the map's history; --watch does not.
+    Anomalies(anomalies::AnomaliesArgs),
     /// Compares predictions with the observations of a file, which are not learned
     Evaluate(evaluate::EvaluateArgs),
     /// Shows what was learned
@@ -89,6 +96,12 @@ enum Command {
     Job(job::JobCommand),
     /// Shows the counters of a map, or of the whole daemon
     Stats(stats::StatsArgs),
+    /// Compares temporal models on recordings, by a protocol, without a daemon
+    ///
+    /// A protocol is a YAML file: training and test data, models with their parameters, how lists of parameters are tuned
+    /// on the training data, and the model that the others are compared with. The comparison goes to stdout; tables,
+    /// predictions and a picture go to the folder that the protocol names.
+    Experiment(experiment::ExperimentArgs),
     /// Measures a running daemon under load
     #[command(subcommand)]
     Bench(bench::BenchCommand),
@@ -109,6 +122,9 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
     if let Command::Demo(args) = &line.command {
         return demo::run(args).await;
     }
+    if let Command::Experiment(args) = line.command {
+        return experiment::run(args, line.output.unwrap_or_else(Format::usual));
+    }
     let client = match &line.token_file {
         Some(path) => {
             let text = fs::read_to_string(path).with_context(|| format!("token file {}", path.display()))?;
@@ -126,12 +142,14 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Predict(args) => predict::run(&session, args).await,
         Command::Grid(command) => grid::run(&session, command).await,
         Command::Reconstruct(args) => reconstruct::run(&session, &args).await,
+        Command::Anomalies(args) => anomalies::run(&session, args).await,
         Command::Evaluate(args) => evaluate::run(&session, args).await,
         Command::Model(command) => model::run(&session, &command).await,
         Command::Job(command) => job::run(&session, &command).await,
         Command::Stats(args) => stats::run(&session, &args).await,
         Command::Bench(command) => bench::run(&session, &command).await,
-        Command::Demo(_) => Ok(ExitCode::SUCCESS),
+        // Done above.
+        Command::Demo(_) | Command::Experiment(_) => Ok(ExitCode::SUCCESS),
     }
 }
 

@@ -5,6 +5,7 @@
 
 mod commands;
 mod demo;
+mod experiment;
 mod formats;
 mod output;
 mod progress;

@@ -6,6 +6,9 @@ mod grid;
 
 pub use grid::{CellBox, Grid, GridSummary, Retention, SensorNoise};
 
+use std::str::FromStr;
+
+use tidemap_model::StateKind as Rule;
 use tidemap_proto::v1::{self, map_service_client::MapServiceClient, periodicities::Set};
 
 use crate::{
@@ -53,6 +56,10 @@ pub struct NewMap {
     pub retention: Option<Retention>,
     /// The occupancy grid; none where absent.
     pub grid: Option<Grid>,
+    /// Age at which an observation of a named state counts half; all count alike where absent.
+    pub half_life_nanos: Option<i64>,
+    /// What a named state answers of which nothing was learned; 0.5 where absent.
+    pub prior: Option<f64>,
 }
 
 /// Where an update left a map.
@@ -100,13 +107,22 @@ pub struct Map {
     pub grid: Option<Grid>,
     /// What the grid holds.
     pub grid_summary: Option<GridSummary>,
+    /// Age at which an observation of a named state counts half.
+    pub half_life_nanos: Option<i64>,
+    /// What a named state answers of which nothing was learned.
+    pub prior: f64,
 }
 
 /// What the value of a state means.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum StateKind {
     /// A value in [0, 1].
+    #[default]
     Probability,
+    /// Any number of magnitude 1e12 at most.
+    Continuous,
+    /// A whole number from 0 to 1e12.
+    Count,
     /// A kind that this version does not know.
     Other,
 }
@@ -117,15 +133,54 @@ impl StateKind {
     pub fn name(self) -> &'static str {
         match self {
             Self::Probability => "probability",
+            Self::Continuous => "continuous",
+            Self::Count => "count",
             Self::Other => "other",
+        }
+    }
+
+    /// Why a state of this kind cannot have the value; `None` where it can.
+    #[must_use]
+    pub fn misfit(self, value: f64) -> Option<&'static str> {
+        let rule = match self {
+            Self::Probability => Rule::Probability,
+            Self::Continuous => Rule::Continuous,
+            Self::Count => Rule::Count,
+            Self::Other => return None,
+        };
+        (!rule.allows(value)).then(|| rule.expected())
+    }
+
+    pub(crate) fn to_wire(self) -> v1::StateKind {
+        match self {
+            Self::Probability => v1::StateKind::Probability,
+            Self::Continuous => v1::StateKind::Continuous,
+            Self::Count => v1::StateKind::Count,
+            Self::Other => v1::StateKind::Unspecified,
         }
     }
 
     pub(crate) fn from_wire(kind: v1::StateKind) -> Self {
         match kind {
             v1::StateKind::Probability => Self::Probability,
+            v1::StateKind::Continuous => Self::Continuous,
+            v1::StateKind::Count => Self::Count,
             v1::StateKind::Unspecified => Self::Other,
         }
+    }
+}
+
+/// A text does not name a kind of states.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not a kind of states: use probability, continuous or count")]
+pub struct InvalidKind(pub String);
+
+impl FromStr for StateKind {
+    type Err = InvalidKind;
+
+    fn from_str(text: &str) -> Result<Self, InvalidKind> {
+        let kinds = [Self::Probability, Self::Continuous, Self::Count];
+        kinds.into_iter().find(|kind| kind.name() == text).ok_or_else(|| InvalidKind(text.to_owned()))
     }
 }
 
@@ -165,6 +220,8 @@ impl Client {
             order_criterion: criterion.into(),
             retention: map.retention.map(Retention::to_wire),
             grid: map.grid.as_ref().map(Grid::to_wire),
+            half_life: map.half_life_nanos.map(duration),
+            prior: map.prior,
         };
         let response = self.map_service().create_map(request).await.map_err(|status| self.error(&status))?;
         map_from_wire(response.into_inner().map)
@@ -208,6 +265,17 @@ impl Client {
         let request = v1::DeleteMapRequest { name: name.to_owned() };
         self.map_service().delete_map(request).await.map_err(|status| self.error(&status))?;
         Ok(())
+    }
+
+    /// Adds a state of a kind before anything is observed of it; it is durable when this returns. Fine where the state
+    /// exists with the same kind.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `ALREADY_EXISTS` where it exists with another kind, `NOT_FOUND` where there is no such map.
+    pub async fn add_state(&self, map: &str, state: &str, kind: StateKind) -> Result<State, Error> {
+        let request = v1::AddStateRequest { map: map.to_owned(), state: state.to_owned(), kind: kind.to_wire().into() };
+        let response = self.map_service().add_state(request).await.map_err(|status| self.error(&status))?;
+        response.into_inner().state.map(state_from_wire).ok_or(Error::Protocol("no state in the answer"))
     }
 
     /// A page of a map's states, in the order in which they were first seen, and the token of the next page. The first
@@ -265,6 +333,8 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         retention: Retention::from_wire(map.retention),
         grid: map.grid.map(Grid::from_wire),
         grid_summary: map.grid_summary.as_ref().map(GridSummary::from_wire),
+        half_life_nanos: span(map.half_life),
+        prior: map.prior,
     })
 }
 

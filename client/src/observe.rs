@@ -30,7 +30,7 @@ pub const STATE_NAME_BYTES_MAX: usize = 512;
 /// Why an observation was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum RefusalReason {
-    /// Not a number, infinite, or outside [0, 1].
+    /// Not a number, infinite, or not one of the state's kind.
     Value,
     /// Before 1970, or beyond what i64 nanoseconds hold.
     Time,
@@ -54,6 +54,15 @@ pub enum RefusalReason {
     Frame,
     /// A reason that this version does not know.
     Other,
+}
+
+/// A sensor of scans. The prior is the map's: a reading counts as the posterior P(occupied | reading).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensor {
+    /// P(reads occupied | is occupied), above `false_alarm` and at most 1.
+    pub hit: f64,
+    /// P(reads occupied | is free), at least 0 and below 1.
+    pub false_alarm: f64,
 }
 
 /// An observation that the daemon refused. It used up its sequence number.

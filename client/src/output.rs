@@ -121,32 +121,54 @@ fn six_digits(number: f64) -> String {
 /// Rows of a table that are laid out together; a longer result comes as several tables.
 const TABLE_ROWS_MAX: usize = 10_000;
 
+/// Least width of the columns of a table whose rows come one by one.
+const LIVE_WIDTH: usize = 14;
+
 /// A result: columns, then row after row.
 pub struct Sheet<W: Write> {
     format: Format,
-    columns: Vec<&'static str>,
+    columns: Vec<String>,
     writer: W,
     rows: u64,
     waiting: Vec<Vec<Cell>>,
+    live: bool,
 }
 
 impl Sheet<BufWriter<io::Stdout>> {
     /// A result on stdout.
-    pub fn stdout(format: Format, columns: &[&'static str]) -> Self {
+    pub fn stdout(format: Format, columns: &[&str]) -> Self {
         Self::new(format, columns, BufWriter::with_capacity(64 * 1024, io::stdout()))
     }
 }
 
 impl<W: Write> Sheet<W> {
     /// A result in `writer`.
-    pub fn new(format: Format, columns: &[&'static str], writer: W) -> Self {
-        Self { format, columns: columns.to_vec(), writer, rows: 0, waiting: Vec::new() }
+    pub fn new<S: AsRef<str>>(format: Format, columns: &[S], writer: W) -> Self {
+        let columns = columns.iter().map(|column| column.as_ref().to_owned()).collect();
+        Self { format, columns, writer, rows: 0, waiting: Vec::new(), live: false }
+    }
+
+    /// A result whose rows come one by one, each written when it comes; the header at once. A table is not laid out as a
+    /// whole then, and in JSON each row ends its line.
+    pub fn live(mut self) -> io::Result<Self> {
+        self.live = true;
+        match self.format {
+            Format::Table => self.write_line(&self.columns.clone())?,
+            Format::Csv => self.write_header()?,
+            Format::Json => {}
+        }
+        self.writer.flush()?;
+        Ok(self)
     }
 
     /// Adds a row: a value for each column.
     pub fn row(&mut self, cells: Vec<Cell>) -> io::Result<()> {
         debug_assert_eq!(cells.len(), self.columns.len());
         match self.format {
+            Format::Table if self.live => {
+                let cells: Vec<String> = cells.iter().map(Cell::rounded).collect();
+                self.write_line(&cells)?;
+            }
             Format::Table => {
                 self.waiting.push(cells);
                 if self.waiting.len() == TABLE_ROWS_MAX {
@@ -154,36 +176,50 @@ impl<W: Write> Sheet<W> {
                 }
             }
             Format::Csv => {
-                if self.rows == 0 {
-                    let header: Vec<String> = self.columns.iter().map(ToString::to_string).collect();
-                    self.write_csv(&header)?;
+                if self.rows == 0 && !self.live {
+                    self.write_header()?;
                 }
                 let fields: Vec<String> = cells.iter().map(Cell::exact).collect();
                 self.write_csv(&fields)?;
             }
             Format::Json => {
-                self.writer.write_all(if self.rows == 0 { b"[" } else { b",\n " })?;
-                let object = object(self.columns.iter().copied().zip(cells.iter().map(Cell::json)));
+                let separator: &[u8] = if self.live { b"," } else { b",\n " };
+                self.writer.write_all(if self.rows == 0 { b"[" } else { separator })?;
+                let object = object(self.columns.iter().map(String::as_str).zip(cells.iter().map(Cell::json)));
                 self.writer.write_all(object.as_bytes())?;
+                if self.live {
+                    self.writer.write_all(b"\n")?;
+                }
             }
         }
         self.rows += 1;
-        Ok(())
+        if self.live { self.writer.flush() } else { Ok(()) }
     }
 
     /// Writes what is left. Without it the result is not whole.
     pub fn finish(mut self) -> io::Result<()> {
         match self.format {
+            Format::Table | Format::Csv if self.live => {}
             Format::Table if self.rows == 0 || !self.waiting.is_empty() => self.write_table()?,
             Format::Table => {}
             Format::Csv if self.rows == 0 => {
-                let header: Vec<String> = self.columns.iter().map(ToString::to_string).collect();
-                self.write_csv(&header)?;
+                self.write_header()?;
             }
             Format::Csv => {}
             Format::Json => self.writer.write_all(if self.rows == 0 { b"[]\n" } else { b"]\n" })?,
         }
         self.writer.flush()
+    }
+
+    /// A line of a table whose other lines are not known.
+    fn write_line(&mut self, cells: &[String]) -> io::Result<()> {
+        let cells: Vec<String> = cells.iter().map(|cell| format!("{cell:<LIVE_WIDTH$}")).collect();
+        writeln!(self.writer, "{}", cells.join("  ").trim_end())
+    }
+
+    fn write_header(&mut self) -> io::Result<()> {
+        let header = self.columns.clone();
+        self.write_csv(&header)
     }
 
     fn write_csv(&mut self, fields: &[String]) -> io::Result<()> {

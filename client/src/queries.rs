@@ -2,17 +2,19 @@
 //!
 //! Invariant: predictions come in the order in which they were asked for: by state, then by time.
 
+mod anomalies;
 mod evaluate;
 mod grid;
 mod model;
 mod predict;
 mod reconstruct;
 
-pub use evaluate::{EvaluateOptions, Evaluation, Evaluator};
+pub use anomalies::{Anomalies, Anomaly, AnomalyWatch, Judgement, Watched};
+pub use evaluate::{Comparison, EvaluateOptions, Evaluation, Evaluator, Unavailable};
 pub use grid::{
     CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedGrid, PredictedTile, TILE_EDGE,
 };
-pub use model::{InvalidModel, ModelKind, ModelSelector, ORDER_MAX};
+pub use model::{Cycle, InvalidModel, ModelKind, ModelSelector, ORDER_MAX};
 pub use predict::{PredictionRun, Predictions};
 pub use reconstruct::Reconstruction;
 
@@ -32,7 +34,7 @@ pub struct ModelDescription {
     pub state: String,
     /// Its kind.
     pub kind: StateKind,
-    /// Mean of the values folded in; 0.5 where there are none.
+    /// Mean of the values folded in; where there are none 0.5, or 0 of a state that is no probability.
     pub mean: f64,
     /// Observations folded in by updates.
     pub folded_observations: u64,
@@ -52,6 +54,12 @@ pub struct ModelDescription {
     pub last_nanos: Option<i64>,
     /// Oldest observation folded in.
     pub first_nanos: Option<i64>,
+    /// The model in force, by which `auto` answers.
+    pub chosen: ModelSelector,
+    /// Decayed sums of errors of the models between which updates choose.
+    pub model_errors: Vec<(ModelSelector, f64)>,
+    /// The local date, YYYY-MM-DD, on which recent errors were found to depart from their history.
+    pub change_date: Option<String>,
 }
 
 /// One term amplitude · cos(2π t / period + phase), t in seconds of local civil time since 1970-01-01T00:00.
@@ -96,6 +104,13 @@ impl Client {
             last_value: model.last_value,
             last_nanos: instant(model.last_time),
             first_nanos: instant(model.first_time),
+            chosen: ModelSelector::from_wire(model.chosen.unwrap_or_default()),
+            model_errors: model
+                .model_errors
+                .into_iter()
+                .map(|error| (ModelSelector::from_wire(error.model.unwrap_or_default()), error.error_sum))
+                .collect(),
+            change_date: Some(model.change_date).filter(|date| !date.is_empty()),
         })
     }
 }

@@ -57,8 +57,10 @@ pub struct Row {
     /// Value; NaN, which no daemon accepts, where anything of the row could not be read. One that is out of range is
     /// kept as it is: what is sent, and its checksum, is what the file says.
     pub value: f64,
-    /// What could not be read, or why no daemon accepts it.
+    /// What could not be read, or why it is no observation of a probability.
     pub wrong: Option<String>,
+    /// Whether all of it could be read. What is wrong then is the value, and states of other kinds may have it.
+    pub is_read: bool,
     /// Whether the line has an end. The last one of a file may lack it.
     pub has_end: bool,
 }
@@ -234,10 +236,12 @@ impl<R: BufRead> Rows<R> {
             time_nanos: 0,
             value: f64::NAN,
             wrong: None,
+            is_read: false,
             has_end: true,
         };
         let filled = self.fill(&mut row);
         let readable = filled.is_ok();
+        row.is_read = readable;
         row.wrong = filled.unwrap_or_else(Some);
         (row, readable)
     }

@@ -5,8 +5,12 @@
 //! | `maps/00000001/MAP` | as before, with one record [`map::MapSpec`] |
 //! | `maps/00000001/log/00000000000000000001.log` | as before, with frames of [`event::Scans`] too |
 //! | `maps/00000001/checkpoints/00000000000000000007.tmc` | as before; for a map with a grid [`grid`] records follow |
+//! | `maps/00000001/checkpoints/update-00000000000000000008.tmu` | [`mod@file`] without a trailer, with [`update`] records |
 //! | `maps/00000001/history/00000000000000000007.states.tmh` | [`mod@file`] with [`history`] records |
 //! | `maps/00000001/history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
+//!
+//! The records of states in checkpoints and in the index are [`map::State`]; in the index chunks from [`HOURS_CHUNK`] on
+//! are those of its `hours`, and from [`PROFILE_CHUNK`] on those of its calibrated model's `profile`.
 //!
 //! The containers (segments, frames, files, records, trailers) are those of format 1 and go on saying 1. A log of a map
 //! that was created under this format may begin at a later record than the first.
@@ -19,6 +23,13 @@ pub mod grid;
 pub mod history;
 pub mod log;
 pub mod map;
+pub mod update;
 
 /// The number of this format.
 pub const FORMAT: u32 = 2;
+
+/// Chunks of a state in the index with this number and above are those of [`map::Alternatives::hours`].
+pub const HOURS_CHUNK: u16 = 0x8000;
+
+/// Chunks of a state in the index with this number and above are those of [`map::Calibrated::profile`].
+pub const PROFILE_CHUNK: u16 = 0xC000;

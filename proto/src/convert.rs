@@ -4,6 +4,7 @@
 
 use std::fmt::Display;
 
+pub mod anomaly;
 pub mod cells;
 pub mod columns;
 pub mod grid;

@@ -270,7 +270,8 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
             result.map_err(|error| CatalogError::Inconsistent { map: spec.name.clone(), reason: error.to_string() })?;
         if let Some(work) = work {
             let done = std::sync::atomic::AtomicU64::new(0);
-            let result = context.update_pool.install(|| work.run(&done));
+            let kept = unsaved.as_ref().map_or(Vec::new(), |snapshot| snapshot.history.clone());
+            let result = context.run_update(id, &spec.name, work, kept, &done);
             let result = result.map_err(|source| CatalogError::Tile { map: spec.name.clone(), source })?;
             let mut snapshot = map.finish_update(result);
             // Of the snapshots before only their history is not in this one.

@@ -112,6 +112,14 @@ pub struct Settings {
     pub max_pending_changes: u64,
     /// Most predictions (states times times) of one request.
     pub max_predictions: u64,
+    /// Most fitted models that are kept, those of all maps together, and most that evaluations hold at once: models that
+    /// are fitted when they are asked for. One takes 100 bytes to 10 KB; a histogram takes 16 bytes a bin.
+    pub max_fitted_models: usize,
+    /// Most observations that a model is fitted to. A fit takes some 100 bytes of each while it runs.
+    pub max_fit_readings: u64,
+    /// Most watches of anomalies at once. A map that is watched keeps what its watchers have not read yet, 5 MB at most, and
+    /// for them the models of the generation before the one in force.
+    pub max_watches: usize,
     /// Threads of updates, all maps together; 0: half the processors, at least one.
     pub update_threads: usize,
     /// Size at which a segment of the log is closed and the next one begun.
@@ -122,6 +130,9 @@ pub struct Settings {
     pub checkpoints_kept: usize,
     /// Memory for what is learned of the tiles of a map, in bytes. Tiles beyond it are read from the newest checkpoint.
     pub tile_cache_bytes: u64,
+    /// Work that the update of a grid has done, in changed cells times scans, before it begins to note what it has done, so
+    /// that it goes on from there after a kill. A unit takes about 4 ns of a processor. 0: every tile is noted each day.
+    pub update_journal_min_work: u64,
 }
 
 impl Default for Settings {
@@ -149,11 +160,15 @@ impl Default for Settings {
             max_pending_observations: 4_000_000,
             max_pending_changes: 1_000_000,
             max_predictions: 10_000_000,
+            max_fitted_models: 4000,
+            max_fit_readings: 2_000_000,
+            max_watches: 64,
             update_threads: 0,
             segment_bytes: 64 << 20,
             index_cache_bytes: 64 << 20,
             checkpoints_kept: 2,
             tile_cache_bytes: 1 << 30,
+            update_journal_min_work: 2_000_000_000,
         }
     }
 }
@@ -204,11 +219,15 @@ impl Settings {
             ("max_pending_observations", self.max_pending_observations, 1000, 1 << 32),
             ("max_pending_changes", self.max_pending_changes, 1000, 1 << 32),
             ("max_predictions", self.max_predictions, 1, 1 << 40),
+            ("max_fitted_models", self.max_fitted_models as u64, 1, 1_000_000),
+            ("max_fit_readings", self.max_fit_readings, 1, 1 << 32),
+            ("max_watches", self.max_watches as u64, 1, 100_000),
             ("update_threads", self.update_threads as u64, 0, 1024),
             ("segment_bytes", self.segment_bytes, 1 << 16, 1 << 32),
             ("index_cache_bytes", self.index_cache_bytes, 1 << 20, 1 << 36),
             ("checkpoints_kept", self.checkpoints_kept as u64, 1, 100),
             ("tile_cache_bytes", self.tile_cache_bytes, 1 << 20, 1 << 44),
+            ("update_journal_min_work", self.update_journal_min_work, 0, 1 << 60),
         ] {
             if !(least..=most).contains(&value) {
                 bail!("setting {key} is {value}: it must be between {least} and {most}");

@@ -1,8 +1,11 @@
-//! How well the models of a view tell given observations, which are not learned.
+//! How well models tell given observations, which are not learned.
 //!
 //! Invariant: sums only, so that any number of observations needs a fixed amount of memory per state and model.
 
-use std::{collections::HashMap, sync::Arc};
+use std::{
+    collections::{HashMap, HashSet, hash_map::Entry},
+    sync::Arc,
+};
 
 use tidemap_map::{
     event::StateId,
@@ -11,8 +14,19 @@ use tidemap_map::{
 };
 use tidemap_model::{Evaluation, Sample};
 
+use crate::fits::Fitted;
+
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 1024;
+
+/// What answers for a state where a model has to be fitted to its readings.
+#[derive(Clone, Debug)]
+pub enum Answering {
+    /// The fitted model.
+    Fitted(Arc<Fitted>),
+    /// There is no such model, for this reason.
+    Nothing(Arc<str>),
+}
 
 /// Sums of errors per state and model.
 #[derive(Debug)]
@@ -21,7 +35,17 @@ pub struct Evaluator {
     /// One per row of a state: kinds without an order of their own are spread over all orders.
     rows: Vec<ModelSelector>,
     states: Vec<StateId>,
-    sums: HashMap<StateId, Vec<Evaluation>>,
+    /// Why there are no models: many states share few reasons.
+    reasons: HashSet<Arc<str>>,
+    sums: HashMap<StateId, Sums>,
+}
+
+/// What is known of one state, each as long as the rows.
+#[derive(Debug)]
+struct Sums {
+    /// Who answers, where it is not the view.
+    answering: Vec<Option<Answering>>,
+    errors: Vec<Evaluation>,
 }
 
 impl Evaluator {
@@ -36,7 +60,7 @@ impl Evaluator {
                 rows.push(model);
             }
         }
-        Self { view, rows, states: Vec::new(), sums: HashMap::new() }
+        Self { view, rows, states: Vec::new(), reasons: HashSet::new(), sums: HashMap::new() }
     }
 
     /// Sums kept for each state.
@@ -45,20 +69,56 @@ impl Evaluator {
         self.rows.len()
     }
 
-    /// Adds observations, grouped by state; `order` lists the states.
+    /// The kind of each row that needs a model fitted to the readings of a state, in order.
+    pub fn kinds_to_fit(&self) -> impl Iterator<Item = ModelKind> + use<> {
+        let kinds: Vec<_> = self.rows.iter().map(|row| row.kind).filter(|kind| kind.needs_readings()).collect();
+        kinds.into_iter()
+    }
+
+    /// Whether there is nothing of this state yet.
+    #[must_use]
+    pub fn is_new(&self, id: StateId) -> bool {
+        !self.sums.contains_key(&id)
+    }
+
+    /// That there is no model, for this reason.
+    pub fn nothing(&mut self, reason: &str) -> Answering {
+        let known = self.reasons.get(reason).cloned();
+        Answering::Nothing(known.unwrap_or_else(|| {
+            let reason: Arc<str> = reason.into();
+            self.reasons.insert(Arc::clone(&reason));
+            reason
+        }))
+    }
+
+    /// Begins with a state: who answers, for each of [`Evaluator::kinds_to_fit`]. Has no effect on a state that there is.
+    pub fn begin(&mut self, id: StateId, fitted: impl IntoIterator<Item = Answering>) {
+        if let Entry::Vacant(entry) = self.sums.entry(id) {
+            let mut fitted = fitted.into_iter();
+            let answering = self.rows.iter().map(|row| if row.kind.needs_readings() { fitted.next() } else { None });
+            entry.insert(Sums { answering: answering.collect(), errors: vec![Evaluation::default(); self.rows.len()] });
+            self.states.push(id);
+        }
+    }
+
+    /// Adds observations, grouped by state; `order` lists the states, with all of which was begun.
     pub fn add(&mut self, order: &[StateId], by_state: &HashMap<StateId, Vec<Sample>>) {
         for id in order {
-            let Some(samples) = by_state.get(id) else { continue };
-            let sums = self.sums.entry(*id).or_insert_with(|| {
-                self.states.push(*id);
-                vec![Evaluation::default(); self.rows.len()]
-            });
+            let (Some(samples), Some(sums)) = (by_state.get(id), self.sums.get_mut(id)) else { continue };
             for block in samples.chunks(TIMES_PER_BLOCK) {
                 let times: Vec<i64> = block.iter().map(|sample| sample.utc_nanos).collect();
                 let prepared = self.view.prepare(&times);
                 let mut predicted = vec![0.0; block.len()];
-                for (row, sum) in self.rows.iter().zip(sums.iter_mut()) {
-                    self.view.predict_into(*id, &prepared, *row, &mut predicted);
+                let rows = self.rows.iter().zip(&sums.answering).zip(&mut sums.errors);
+                for ((row, answering), sum) in rows {
+                    match answering {
+                        None => self.view.predict_into(*id, &prepared, *row, &mut predicted),
+                        Some(Answering::Fitted(fitted)) => {
+                            let moments = prepared.moments();
+                            fitted.predict_into(&self.view, *id, moments, row.persistence, &mut predicted);
+                        }
+                        Some(Answering::Nothing(_)) => continue,
+                    }
                     for (sample, &probability) in block.iter().zip(&predicted) {
                         sum.add(probability, sample.value);
                     }
@@ -69,14 +129,44 @@ impl Evaluator {
 
     /// The rows: name of the state, model with its order, sums.
     pub fn rows(&self) -> impl Iterator<Item = (&str, ModelSelector, &Evaluation)> {
-        self.states.iter().flat_map(move |id| {
-            let name = self.view.info(*id).map_or("", |info| info.name.as_str());
-            let sums = self.sums.get(id).map_or(&[][..], Vec::as_slice);
-            self.rows.iter().zip(sums).map(move |(row, sum)| {
-                let order = Some(row.order_for(self.view.model(*id)));
-                let order = order.filter(|_| matches!(row.kind, ModelKind::Auto | ModelKind::Spectral));
-                (name, ModelSelector { order, ..*row }, sum)
-            })
+        self.all().filter(|(.., answering, _)| !matches!(answering, Some(Answering::Nothing(_)))).map(
+            |(id, row, _, errors)| {
+                let order = Some(row.order_for(self.view.model(id))).filter(|_| row.kind.has_order());
+                (self.name(id), ModelSelector { order, ..*row }, errors)
+            },
+        )
+    }
+
+    /// The rows that there are not: model, why, and names of the states, by model.
+    #[must_use]
+    pub fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<&str>)> {
+        let mut found: Vec<(ModelSelector, &str, Vec<&str>)> = Vec::new();
+        let mut places = HashMap::new();
+        for (id, row, answering, _) in self.all() {
+            let Some(Answering::Nothing(reason)) = answering else { continue };
+            let reason = &**reason;
+            let place = *places.entry((*row, reason)).or_insert_with(|| {
+                found.push((*row, reason, Vec::new()));
+                found.len() - 1
+            });
+            if let Some((.., states)) = found.get_mut(place) {
+                states.push(self.name(id));
+            }
+        }
+        found.sort_by_key(|(row, ..)| self.rows.iter().position(|other| other == row));
+        found
+    }
+
+    /// All rows by state, whether there is one who answers or not.
+    fn all(&self) -> impl Iterator<Item = (StateId, &ModelSelector, &Option<Answering>, &Evaluation)> {
+        let of_state = |&id: &StateId| self.sums.get(&id).map(|sums| (id, sums));
+        self.states.iter().filter_map(of_state).flat_map(|(id, sums)| {
+            let rows = self.rows.iter().zip(&sums.answering).zip(&sums.errors);
+            rows.map(move |((row, answering), errors)| (id, row, answering, errors))
         })
+    }
+
+    fn name(&self, id: StateId) -> &str {
+        self.view.info(id).map_or("", |info| info.name.as_str())
     }
 }

@@ -8,6 +8,7 @@ mod clock;
 mod config;
 mod daemon;
 mod evaluation;
+mod fits;
 mod http;
 mod ingest;
 mod jobs;

@@ -55,7 +55,7 @@ async fn summary(daemon: &Daemon) -> GridSummary {
 }
 
 fn model(kind: ModelKind, order: Option<u32>) -> ModelSelector {
-    ModelSelector { kind, order, persistence: false }
+    ModelSelector { kind, order, ..ModelSelector::default() }
 }
 
 /// The whole grid at one time.

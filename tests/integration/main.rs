@@ -4,6 +4,7 @@ mod bad_input;
 mod daemon;
 mod durability;
 mod grid;
+mod kinds;
 mod main_job;
 mod model_test;
 mod tidy;

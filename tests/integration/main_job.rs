@@ -2,7 +2,9 @@
 //! The expected figures come from an independent implementation.
 
 mod again;
+mod anomalies;
 mod figures;
+mod models;
 mod nightly;
 mod predictions;
 

@@ -172,7 +172,14 @@ impl RawStream {
 /// A Hello that wants a new incarnation.
 #[must_use]
 pub fn hello(producer: &str, map: &str) -> Hello {
-    Hello { producer: producer.to_owned(), label: String::new(), map: map.to_owned(), incarnation: 0, nightly: false }
+    Hello {
+        producer: producer.to_owned(),
+        label: String::new(),
+        map: map.to_owned(),
+        incarnation: 0,
+        nightly: false,
+        sensor: None,
+    }
 }
 
 /// Observations as columns in their plainest form. `names` are added to the stream's table before.
@@ -188,6 +195,7 @@ pub fn columns(names: &[&str], rows: &[(u32, i64, f64)]) -> ObservationColumns {
         state_indices: rows.iter().map(|row| row.0).collect(),
         new_states: names.iter().map(|&name| name.to_owned()).collect(),
         bits: Vec::new().into(),
+        new_kinds: Vec::new(),
         values: rows.iter().map(|row| row.2).collect(),
     }
 }

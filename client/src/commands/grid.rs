@@ -7,6 +7,7 @@ mod observe;
 mod place;
 mod predict;
 mod scans;
+mod sensor;
 
 use std::process::ExitCode;
 

@@ -70,6 +70,12 @@ pub struct CreateArgs {
     /// How long the exact readings of the grid are kept for recall: none, forever or a duration [default: none]
     #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention, requires = "grid")]
     grid_retention: Option<Retention>,
+    /// Age at which an observation of a named state counts half, so that an old routine is unlearned [default: never]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+    half_life: Option<i64>,
+    /// What a named state answers of which nothing was learned, 0 to 1 [default: 0.5]
+    #[arg(long, value_name = "P")]
+    prior: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -97,8 +103,17 @@ const COLUMNS: [&str; 11] = [
     "scans",
 ];
 /// Of a map that is shown by itself.
-const MORE_COLUMNS: [&str; 7] =
-    ["retention", "grid", "grid_retention", "tiles", "pending_scans", "cell_observations", "bounds"];
+const MORE_COLUMNS: [&str; 9] = [
+    "retention",
+    "grid",
+    "grid_retention",
+    "tiles",
+    "pending_scans",
+    "cell_observations",
+    "bounds",
+    "half_life",
+    "prior",
+];
 
 pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
     let client = &session.client;
@@ -166,6 +181,8 @@ fn new_map(args: CreateArgs) -> NewMap {
         order_criterion,
         retention: args.retention,
         grid,
+        half_life_nanos: args.half_life,
+        prior: args.prior,
     }
 }
 
@@ -204,5 +221,7 @@ fn more_cells(map: &Map) -> Vec<Cell> {
         Cell::maybe(summary.map(|summary| summary.pending_scans)),
         Cell::maybe(summary.map(|summary| summary.cell_observations)),
         text(summary.and_then(|summary| summary.bounds.as_ref()).map(shown_box)),
+        text(map.half_life_nanos.map(format_duration)),
+        map.prior.into(),
     ]
 }

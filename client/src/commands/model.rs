@@ -8,7 +8,7 @@ use std::{
 };
 
 use clap::Subcommand;
-use tidemap::queries::{Component, ModelDescription};
+use tidemap::queries::{Component, ModelDescription, ModelSelector};
 
 use super::Session;
 use crate::output::{Cell, Format, Sheet, object};
@@ -39,7 +39,7 @@ fn used(model: &ModelDescription, index: usize) -> bool {
     index < model.order as usize
 }
 
-fn summary(model: &ModelDescription) -> [(&'static str, Cell); 8] {
+fn summary(model: &ModelDescription) -> [(&'static str, Cell); 10] {
     [
         ("mean", model.mean.into()),
         ("n", model.folded_observations.into()),
@@ -49,6 +49,8 @@ fn summary(model: &ModelDescription) -> [(&'static str, Cell); 8] {
         ("last_time", Cell::time(model.last_nanos)),
         ("last_value", Cell::maybe(model.last_value)),
         ("persistence_tau_secs", model.persistence_tau_secs.into()),
+        ("model", Cell::Text(model.chosen.to_string())),
+        ("change_date", model.change_date.clone().map_or(Cell::Empty, Cell::Text)),
     ]
 }
 
@@ -63,10 +65,30 @@ fn component_cells(component: &Component, used: bool) -> [(&'static str, Cell); 
 
 /// Two tables: the state, then its components.
 fn table(model: &ModelDescription) -> io::Result<()> {
-    let mut sheet = Sheet::stdout(Format::Table, &["state", "mean", "n", "order"]);
-    let state = Cell::Text(model.state.clone());
-    sheet.row(vec![state, model.mean.into(), model.folded_observations.into(), model.order.into()])?;
+    let mut sheet = Sheet::stdout(Format::Table, &["state", "mean", "n", "order", "model"]);
+    let (state, chosen) = (Cell::Text(model.state.clone()), Cell::Text(model.chosen.to_string()));
+    sheet.row(vec![state, model.mean.into(), model.folded_observations.into(), model.order.into(), chosen])?;
     sheet.finish()?;
+    if let Some(date) = &model.change_date {
+        writeln!(
+            io::stdout(),
+            "\nThe routine seems to have changed: since about {date} predictions are worse than before."
+        )?;
+    }
+    if !model.model_errors.is_empty() {
+        writeln!(io::stdout())?;
+        let mut sheet = Sheet::stdout(Format::Table, &["model", "order", "recent_error", "used"]);
+        for (tried, error) in &model.model_errors {
+            let used = (tried.kind, tried.cycle) == (model.chosen.kind, model.chosen.cycle);
+            sheet.row(vec![
+                Cell::Text(tried.to_string()),
+                Cell::maybe(tried.order),
+                (*error).into(),
+                Cell::Flag(used),
+            ])?;
+        }
+        sheet.finish()?;
+    }
     if model.components.is_empty() {
         return writeln!(
             io::stdout(),
@@ -108,7 +130,14 @@ fn json(model: &ModelDescription) -> io::Result<()> {
     let summary = summary(model).map(|(name, cell)| (name, cell.json()));
     let state = ("state", Cell::Text(model.state.clone()).json());
     let components = ("components", format!("[{}]", components.join(",")));
-    writeln!(io::stdout(), "{}", object([state].into_iter().chain(summary).chain([components])))
+    let error = |(model, error): &(ModelSelector, f64)| {
+        let (name, order) = (Cell::Text(model.to_string()), Cell::maybe(model.order));
+        let error: Cell = (*error).into();
+        object([("model", name.json()), ("order", order.json()), ("recent_error", error.json())].into_iter())
+    };
+    let errors: Vec<String> = model.model_errors.iter().map(error).collect();
+    let errors = ("model_errors", format!("[{}]", errors.join(",")));
+    writeln!(io::stdout(), "{}", object([state].into_iter().chain(summary).chain([components, errors])))
 }
 
 /// A period as people say it: `7 d`, `24 h`, `45 min`.

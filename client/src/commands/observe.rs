@@ -4,6 +4,7 @@
 //! number of pieces, and is learned once. What the daemon has is compared with the file before anything is sent.
 
 pub mod feed;
+pub mod kinds;
 pub mod transfer;
 
 use std::{
@@ -15,6 +16,7 @@ use std::{
 use anyhow::Context as _;
 use clap::Args;
 use tidemap::{
+    maps::StateKind,
     observe::{Phase, Producer, ProducerError, ProducerOptions, Progress},
     updates::{Job, JobCause, JobState},
 };
@@ -22,6 +24,7 @@ use tokio::{sync::watch, task::JoinHandle};
 
 use self::{
     feed::{Feed, Told},
+    kinds::Kinds,
     transfer::{Ended, Transfer},
 };
 use super::{Session, job, producer_id, times};
@@ -42,6 +45,10 @@ pub struct ObserveArgs {
     /// Which of the producer's files this is [default: its base name, or stdin]
     #[arg(long, value_name = "LABEL")]
     label: Option<String>,
+    /// What the values of the file's states mean: probability, continuous or count; new states become that, and rows of
+    /// states of another kind are refused [default: what each state is; new ones are probabilities]
+    #[arg(long, value_name = "KIND")]
+    kind: Option<StateKind>,
     /// Runs the nightly update whenever the data passes the map's local midnight
     #[arg(long)]
     nightly: bool,
@@ -68,7 +75,8 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
     let mut transfer = {
         let (producer, notices) = opened(session, options, &bar).await?;
         let told = Told::new(bar.clone(), "is refused");
-        Transfer::new(producer, notices, rows, told, bar.clone())
+        let kinds = Kinds::new(session.client.clone(), args.map.clone(), args.kind);
+        Transfer::new(producer, notices, rows, (told, kinds), bar.clone())
     };
     if transfer.sent_before() > 0 {
         let rows = transfer.sent_before();
@@ -134,7 +142,12 @@ fn options(args: &ObserveArgs) -> anyhow::Result<ProducerOptions> {
         notice(&format!("observing as producer {producer}, label {label}"));
     }
     let patience = Duration::from_nanos(args.patience.unsigned_abs());
-    Ok(ProducerOptions { nightly: args.nightly, patience, ..ProducerOptions::new(&producer, &label, &args.map) })
+    Ok(ProducerOptions {
+        nightly: args.nightly,
+        kind: args.kind,
+        patience,
+        ..ProducerOptions::new(&producer, &label, &args.map)
+    })
 }
 
 fn base_name(file: &Path) -> String {

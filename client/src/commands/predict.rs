@@ -36,9 +36,15 @@ pub struct PredictArgs {
     /// Number of spectral components, 0 to 15 [default: what the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
     order: Option<u32>,
-    /// Model: auto, mean, latest or spectral, each optionally with +persistence
+    /// Model, optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS], histogram:week[:BINS],
+    /// histogram:weekend[:BINS], spectral, pergam[:GAUSSIANS], hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson,
+    /// calibrated; cells have auto, mean, latest and spectral
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
+    /// Probability with which the interval from lower to upper holds the mean over the hour around the time, 0 (no
+    /// interval) or more and below 1
+    #[arg(long, value_name = "P", default_value_t = 0.9)]
+    interval: f64,
 }
 
 const COLUMNS: [&str; 9] =
@@ -52,6 +58,9 @@ pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
         ))
         .into());
     }
+    if args.states.iter().any(|state| state.starts_with("cell/")) {
+        check_for_cells(args.model)?;
+    }
     let model = ModelSelector { order: args.order, ..args.model };
     let times = match (args.at, args.times, args.from, args.to, args.step) {
         (Some(at), ..) => at,
@@ -59,7 +68,7 @@ pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
         (None, None, Some(from), Some(to), Some(step)) => times::steps(from, to, step)?,
         _ => return Err(Misused("say when: --at, --times, or --from with --to and --step".to_owned()).into()),
     };
-    let mut predictions = session.client.predict(&args.map, args.states, times, model);
+    let mut predictions = session.client.predict(&args.map, args.states, times, model).with_intervals(args.interval);
     let mut sheet = Sheet::stdout(session.format, &COLUMNS);
     while let Some(run) = predictions.next().await? {
         let (states, times) = (predictions.states(), predictions.times());
@@ -69,6 +78,14 @@ pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
     }
     sheet.finish()?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses a model that cells of a grid do not have.
+pub(super) fn check_for_cells(model: ModelSelector) -> Result<(), Misused> {
+    if model.kind.is_for_cells() {
+        return Ok(());
+    }
+    Err(Misused(format!("cells have no model {model}: use auto, mean, latest or spectral")))
 }
 
 fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl Iterator<Item = Vec<Cell>> + 'a {

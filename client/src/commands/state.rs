@@ -1,10 +1,11 @@
 //! `tidemap state`.
 //!
-//! Invariant: states come in the order in which they were first seen, page by page.
+//! Invariant: states come in the order in which they were first seen, page by page; what was added is durable.
 
 use std::process::ExitCode;
 
 use clap::Subcommand;
+use tidemap::maps::{State, StateKind};
 
 use super::Session;
 use crate::output::{Cell, Sheet};
@@ -16,22 +17,47 @@ pub enum StateCommand {
         /// Name of the map
         map: String,
     },
+    /// Adds a state before anything is observed of it, so that its values mean what they are to mean
+    Add {
+        /// Name of the map
+        map: String,
+        /// Name of the state
+        state: String,
+        /// What its values mean: probability (0 to 1), continuous (any number) or count (0, 1, 2, …)
+        #[arg(long, value_name = "KIND", default_value = "probability")]
+        kind: StateKind,
+    },
+}
+
+const COLUMNS: [&str; 5] = ["state", "kind", "observations", "order", "last_time"];
+
+fn cells(state: State) -> Vec<Cell> {
+    vec![
+        Cell::Text(state.name),
+        state.kind.name().into(),
+        state.observations.into(),
+        state.order.into(),
+        Cell::time(state.last_nanos),
+    ]
 }
 
 pub async fn run(session: &Session, command: StateCommand) -> anyhow::Result<ExitCode> {
-    let StateCommand::List { map } = command;
+    let map = match command {
+        StateCommand::List { map } => map,
+        StateCommand::Add { map, state, kind } => {
+            let added = session.client.add_state(&map, &state, kind).await?;
+            let mut sheet = Sheet::stdout(session.format, &COLUMNS);
+            sheet.row(cells(added))?;
+            sheet.finish()?;
+            return Ok(ExitCode::SUCCESS);
+        }
+    };
     let mut page = session.client.states(&map, "").await?;
-    let mut sheet = Sheet::stdout(session.format, &["state", "kind", "observations", "order", "last_time"]);
+    let mut sheet = Sheet::stdout(session.format, &COLUMNS);
     loop {
         let (states, next) = page;
         for state in states {
-            sheet.row(vec![
-                Cell::Text(state.name),
-                state.kind.name().into(),
-                state.observations.into(),
-                state.order.into(),
-                Cell::time(state.last_nanos),
-            ])?;
+            sheet.row(cells(state))?;
         }
         let Some(token) = next else { break };
         page = session.client.states(&map, &token).await?;

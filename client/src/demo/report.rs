@@ -144,7 +144,10 @@ fn rhythms(model: &ModelDescription) -> String {
 
 #[cfg(test)]
 mod tests {
-    use tidemap::{maps::StateKind, queries::Component};
+    use tidemap::{
+        maps::StateKind,
+        queries::{Component, ModelSelector},
+    };
 
     use super::*;
 
@@ -163,6 +166,9 @@ mod tests {
             last_value: None,
             last_nanos: None,
             first_nanos: None,
+            chosen: ModelSelector::default(),
+            model_errors: Vec::new(),
+            change_date: None,
         }
     }
 

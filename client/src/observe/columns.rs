@@ -26,8 +26,8 @@ pub struct BatchLimits {
 
 /// Most bytes that an observation takes: a delta of 10, an index of 5, a value of 8.
 const ENTRY_BYTES_MAX: usize = 23;
-/// Bytes that a name takes beside itself, at most.
-const NAME_BYTES_EXTRA: usize = 4;
+/// Bytes that a name takes beside itself, its kind included, at most.
+const NAME_BYTES_EXTRA: usize = 5;
 /// Bytes of everything else in a message, at most.
 const MESSAGE_BYTES_EXTRA: usize = 128;
 

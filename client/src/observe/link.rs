@@ -9,7 +9,7 @@ use std::{
 };
 
 use tidemap_proto::v1::{
-    Ack, Goodbye, GoodbyeReason, Hello, ObserveRequest, ObserveResponse, Welcome,
+    Ack, Goodbye, GoodbyeReason, Hello, ObserveRequest, ObserveResponse, ProducerSensor, Welcome,
     observation_service_client::ObservationServiceClient, observe_request, observe_response,
 };
 use tokio::sync::mpsc;
@@ -207,7 +207,7 @@ impl Link {
             progress.store_id.clone_from(&welcome.store_id);
             progress.unreported += unreported;
         });
-        Ok(Outgoing::new(Limits::of(welcome)))
+        Ok(Outgoing::new(Limits::of(welcome), self.shared.options.kind))
     }
 
     fn acknowledge(&mut self, ack: Ack) -> Result<(), End> {
@@ -240,6 +240,9 @@ fn hello(shared: &Shared, incarnation: u64) -> ObserveRequest {
         map: options.map.clone(),
         incarnation,
         nightly: options.nightly,
+        sensor: options
+            .sensor
+            .map(|sensor| ProducerSensor { hit: Some(sensor.hit), false_alarm: Some(sensor.false_alarm) }),
     };
     ObserveRequest { message: Some(observe_request::Message::Hello(hello)) }
 }

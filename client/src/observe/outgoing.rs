@@ -13,6 +13,7 @@ use super::{
     scan_stream::{ScanLimits, ScanStream},
     window::Window,
 };
+use crate::maps::StateKind;
 
 /// Bytes by which a request is longer than the batch in it, at most.
 const REQUEST_BYTES_EXTRA: usize = 16;
@@ -39,6 +40,8 @@ impl Limits {
 pub(super) struct Outgoing {
     limits: Limits,
     names: StreamTable,
+    /// What the stream says of its names.
+    kind: Option<StateKind>,
     /// Absent until the first scan.
     scans: Option<ScanStream>,
     /// Parts of a scan that is too large for one message.
@@ -47,8 +50,8 @@ pub(super) struct Outgoing {
 
 impl Outgoing {
     /// A new connection.
-    pub(super) fn new(limits: Limits) -> Self {
-        Self { limits, names: StreamTable::default(), scans: None, parts: VecDeque::new() }
+    pub(super) fn new(limits: Limits, kind: Option<StateKind>) -> Self {
+        Self { limits, names: StreamTable::default(), kind, scans: None, parts: VecDeque::new() }
     }
 
     /// Whether there is a message to send now.
@@ -82,8 +85,11 @@ impl Outgoing {
             return None;
         }
         window.sent(entries.len());
-        let observations = Some(pack(&entries, window.names(), &mut self.names));
-        Some(Message::Batch(ObservationBatch { first_sequence, observations }))
+        let mut columns = pack(&entries, window.names(), &mut self.names);
+        if let Some(kind) = self.kind {
+            columns.new_kinds = vec![kind.to_wire().into(); columns.new_states.len()];
+        }
+        Some(Message::Batch(ObservationBatch { first_sequence, observations: Some(columns) }))
     }
 
     fn scans(&mut self, window: &mut Window, urgent: u64) -> Option<Message> {
@@ -123,7 +129,7 @@ mod tests {
         window.push_scan(8, Scan::Cloud(PointCloud { xyz_m: vec![0.5; 3000], ..PointCloud::default() }))?;
         window.push("door", 9, 0.0);
         let mut state = State { window: Some(window), urgent: 10, closing: false, refusals: Vec::new() };
-        let mut outgoing = Outgoing::new(Limits::of(&welcome));
+        let mut outgoing = Outgoing::new(Limits::of(&welcome), None);
         let mut sent = Vec::new();
         while outgoing.is_ready(&state) {
             let message = outgoing.next(&mut state).and_then(|request| request.message);

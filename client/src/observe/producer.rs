@@ -16,11 +16,11 @@ use tokio::{
 };
 
 use super::{
-    ProducerError, Refusal, STATE_NAME_BYTES_MAX,
+    ProducerError, Refusal, STATE_NAME_BYTES_MAX, Sensor,
     link::Link,
     window::{WINDOW_BYTES, Window},
 };
-use crate::{connection::Client, error::Error};
+use crate::{connection::Client, error::Error, maps::StateKind};
 
 /// Who sends, what, and to which map.
 #[derive(Clone, Debug)]
@@ -33,6 +33,12 @@ pub struct ProducerOptions {
     pub map: String,
     /// Lets the nightly update run in the time of the data.
     pub nightly: bool,
+    /// What the values of its states mean: states that are new become of that kind, and observations of states of another
+    /// kind are refused. `None`: each state is as it is, and a probability where it is new.
+    pub kind: Option<StateKind>,
+    /// How far its scans are believed; `None`: as the daemon knows of this producer and label, of a new one as the map's
+    /// grid says. What the daemon knows does not change any more: announcing something else is refused.
+    pub sensor: Option<Sensor>,
     /// Most observations and scans kept until they are durable; sending more waits.
     pub window: usize,
     /// Most bytes of them; one scan may go beyond it.
@@ -50,6 +56,8 @@ impl ProducerOptions {
             label: label.to_owned(),
             map: map.to_owned(),
             nightly: false,
+            kind: None,
+            sensor: None,
             window: 65_536,
             window_bytes: WINDOW_BYTES,
             patience: Duration::from_secs(60),

@@ -80,3 +80,59 @@ fn a_reader_that_has_gone_away_is_told_by_its_kind() {
     let result = sheet.row(vec![Cell::Empty]);
     assert_eq!(result.map_err(|error| error.kind()), Err(io::ErrorKind::BrokenPipe));
 }
+
+/// Keeps what is written, and whether anything of it was not flushed.
+#[derive(Default)]
+struct Flushed {
+    written: String,
+    unflushed: bool,
+}
+
+impl Write for &mut Flushed {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.written.push_str(&String::from_utf8_lossy(bytes));
+        self.unflushed = true;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.unflushed = false;
+        Ok(())
+    }
+}
+
+#[test]
+fn rows_that_come_one_by_one_are_whole_lines_at_once() -> io::Result<()> {
+    for (format, expected) in [
+        (Format::Csv, "state,n,p,time\nb,3,NaN,\nb,3,NaN,\n"),
+        (
+            Format::Json,
+            "[{\"state\":\"b\",\"n\":3,\"p\":null,\"time\":null}\n,{\"state\":\"b\",\"n\":3,\"p\":null,\"time\":null}\n]\n",
+        ),
+        (
+            Format::Table,
+            "state           n               p               time\nb               3               NaN\n\
+             b               3               NaN\n",
+        ),
+    ] {
+        let mut kept = Flushed::default();
+        let mut sheet = Sheet::new(format, &["state", "n", "p", "time"], &mut kept).live()?;
+        for row in 1..=2 {
+            sheet.row(rows().remove(1))?;
+            assert!(!sheet.writer.unflushed, "row {row}");
+            assert!(sheet.writer.written.ends_with('\n'));
+        }
+        sheet.finish()?;
+        assert_eq!(kept.written, expected);
+    }
+    // Before the first row there is the header, and at the end something that can be read.
+    let mut kept = Flushed::default();
+    let sheet = Sheet::new(Format::Csv, &["state"], &mut kept).live()?;
+    assert_eq!((sheet.writer.written.as_str(), sheet.writer.unflushed), ("state\n", false));
+    sheet.finish()?;
+    assert_eq!(kept.written, "state\n");
+    let mut kept = Flushed::default();
+    Sheet::new(Format::Json, &["state"], &mut kept).live()?.finish()?;
+    assert_eq!(kept.written, "[]\n");
+    Ok(())
+}

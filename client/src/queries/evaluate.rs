@@ -36,14 +36,34 @@ pub struct EvaluateOptions {
 pub struct Evaluation {
     /// Name of the state.
     pub state: String,
-    /// The model, with its order filled in.
+    /// The model, with its order or parameter filled in.
     pub model: ModelSelector,
     /// Number of observations compared.
     pub observations: u64,
-    /// Mean squared error.
+    /// Mean squared error, in the square of the values' unit.
     pub mean_squared_error: f64,
-    /// Share of observations on the other side of 0.5 than their prediction.
-    pub error_rate: f64,
+    /// Share of observations on the other side of 0.5 than their prediction; absent of a state that is no probability.
+    pub error_rate: Option<f64>,
+}
+
+/// A model that could not be compared for some states.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Unavailable {
+    /// The model, with its parameter filled in.
+    pub model: ModelSelector,
+    /// Why, to read.
+    pub reason: String,
+    /// Names of the states.
+    pub states: Vec<String>,
+}
+
+/// What a comparison has found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Comparison {
+    /// By state in the order of first appearance, then by model, then by order.
+    pub evaluations: Vec<Evaluation>,
+    /// What is missing in them, by model.
+    pub unavailable: Vec<Unavailable>,
 }
 
 /// A comparison under way.
@@ -119,18 +139,25 @@ impl Evaluator {
         true
     }
 
-    /// Sends what is left and waits for the result: by state in the order of first appearance, then by model, then by
-    /// order.
+    /// Sends what is left and waits for the result.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state.
-    pub async fn finish(mut self) -> Result<Vec<Evaluation>, Error> {
+    pub async fn finish(mut self) -> Result<Comparison, Error> {
         self.send().await;
         let Self { client, requests, answer, .. } = self;
         drop(requests);
         let answer = answer.await.map_err(|_| Error::Protocol("the comparison was interrupted"))?;
-        let evaluations = answer.map_err(|status| client.error(&status))?.evaluations;
-        Ok(evaluations.into_iter().map(from_wire).collect())
+        let answer = answer.map_err(|status| client.error(&status))?;
+        let unavailable = answer.unavailable.into_iter().map(|missing| Unavailable {
+            model: ModelSelector::from_wire(missing.model.unwrap_or_default()),
+            reason: missing.reason,
+            states: missing.states,
+        });
+        Ok(Comparison {
+            evaluations: answer.evaluations.into_iter().map(from_wire).collect(),
+            unavailable: unavailable.collect(),
+        })
     }
 }
 

@@ -19,13 +19,39 @@ pub enum ModelKind {
     Mean,
     /// The last acknowledged value.
     Latest,
+    /// A Markov chain of two states from the newest value on.
+    Persistence,
+    /// The mean of each interval of the day or the week.
+    Histogram,
     /// FreMEn: the mean and the strongest spectral components.
     Spectral,
+    /// A periodic mixture of Gaussians over the day.
+    Pergam,
+    /// Warped hypertime, by expectation maximisation.
+    HypertimeEm,
+    /// Warped hypertime, by k-means.
+    HypertimeKm,
+    /// A spectral model of the rate of counts.
+    Poisson,
+    /// Regression on the rhythms of day and week.
+    Calibrated,
 }
 
 impl ModelKind {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Auto, Self::Mean, Self::Latest, Self::Spectral];
+    pub const ALL: [Self; 11] = [
+        Self::Auto,
+        Self::Mean,
+        Self::Latest,
+        Self::Persistence,
+        Self::Histogram,
+        Self::Spectral,
+        Self::Pergam,
+        Self::HypertimeEm,
+        Self::HypertimeKm,
+        Self::Poisson,
+        Self::Calibrated,
+    ];
 
     /// As the command line writes it.
     #[must_use]
@@ -34,7 +60,14 @@ impl ModelKind {
             Self::Auto => "auto",
             Self::Mean => "mean",
             Self::Latest => "latest",
+            Self::Persistence => "persistence",
+            Self::Histogram => "histogram",
             Self::Spectral => "spectral",
+            Self::Pergam => "pergam",
+            Self::HypertimeEm => "hypertime-em",
+            Self::HypertimeKm => "hypertime-km",
+            Self::Poisson => "poisson",
+            Self::Calibrated => "calibrated",
         }
     }
 
@@ -43,11 +76,43 @@ impl ModelKind {
     pub fn has_order(self) -> bool {
         matches!(self, Self::Auto | Self::Spectral)
     }
+
+    /// Whether cells of a grid have it too.
+    #[must_use]
+    pub fn is_for_cells(self) -> bool {
+        matches!(self, Self::Auto | Self::Mean | Self::Latest | Self::Spectral)
+    }
+
+    /// Whether a parameter can be given with it.
+    #[must_use]
+    pub fn has_parameter(self) -> bool {
+        matches!(self, Self::Histogram | Self::Pergam | Self::HypertimeEm | Self::HypertimeKm)
+    }
 }
 
-/// Kinds that are planned, so that asking for one of them is told from a slip of the pen.
-const PLANNED: [&str; 7] =
-    ["persistence", "histogram", "pergam", "hypertime-em", "hypertime-km", "poisson", "calibrated"];
+/// What repeats in a histogram.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Cycle {
+    /// The day.
+    #[default]
+    Day,
+    /// The week, from Monday on.
+    Week,
+    /// The day, Saturdays and Sundays apart.
+    Weekend,
+}
+
+impl Cycle {
+    const ALL: [Self; 3] = [Self::Day, Self::Week, Self::Weekend];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Day => "day",
+            Self::Week => "week",
+            Self::Weekend => "weekend",
+        }
+    }
+}
 
 /// A model, with its parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -58,22 +123,39 @@ pub struct ModelSelector {
     pub order: Option<u32>,
     /// Blends the last value in.
     pub persistence: bool,
+    /// Bins of a histogram, Gaussians or clusters of a mixture; the daemon's default where absent.
+    pub parameter: Option<u32>,
+    /// What repeats in a histogram.
+    pub cycle: Cycle,
 }
 
 /// Why a text does not name a model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidModel {
     /// No such kind.
-    #[error("{0:?} is not a model: use auto, mean, latest or spectral, each optionally with +persistence")]
-    Unknown(String),
-    /// Not in this version.
     #[error(
-        "model {0:?} is not in this version: use auto, mean, latest or spectral, each optionally with +persistence"
+        "{0:?} is not a model: use auto, mean, latest, persistence, histogram, spectral, pergam, hypertime-em, \
+         hypertime-km, poisson or calibrated, each optionally with +persistence"
     )]
-    Planned(String),
+    Unknown(String),
     /// A parameter where there is none.
     #[error("model {0:?} takes no parameter after a colon")]
     Parameter(String),
+    /// A parameter that is no number.
+    #[error("{0:?}: the parameter has to be a number above 0, as in histogram:24, histogram:week:168 or pergam:3")]
+    NotANumber(String),
+    /// A parameter that is too large.
+    #[error("{text:?}: {kind} takes at most {max} {what}", kind = kind.name())]
+    TooFine {
+        /// What was given.
+        text: String,
+        /// The kind of model.
+        kind: ModelKind,
+        /// The greatest parameter.
+        max: u32,
+        /// What it counts.
+        what: &'static str,
+    },
     /// A suffix that is not `+persistence`.
     #[error("{0:?}: the only suffix is +persistence")]
     Suffix(String),
@@ -88,22 +170,53 @@ impl FromStr for ModelSelector {
             Some(_) => return Err(InvalidModel::Suffix(text.to_owned())),
             None => (text, false),
         };
-        let (name, parameter) = model.split_once(':').map_or((model, None), |(name, after)| (name, Some(after)));
-        if PLANNED.contains(&name) {
-            return Err(InvalidModel::Planned(name.to_owned()));
-        }
+        let mut parts = model.split(':').peekable();
+        let name = parts.next().unwrap_or_default();
         let kind = ModelKind::ALL.into_iter().find(|kind| kind.name() == name);
         let kind = kind.ok_or_else(|| InvalidModel::Unknown(text.to_owned()))?;
-        if parameter.is_some() {
+        if parts.peek().is_some() && !kind.has_parameter() {
             return Err(InvalidModel::Parameter(name.to_owned()));
         }
-        Ok(Self { kind, order: None, persistence })
+        let cycle = Cycle::ALL.into_iter().filter(|_| kind == ModelKind::Histogram);
+        let cycle = cycle.into_iter().find(|cycle| parts.peek() == Some(&cycle.name()));
+        if cycle.is_some() {
+            parts.next();
+        }
+        let number = |part: &str| part.parse().ok().filter(|&number: &u32| number > 0);
+        let wrong = || InvalidModel::NotANumber(text.to_owned());
+        let parameter = parts.next().map(|part| number(part).ok_or_else(wrong)).transpose()?;
+        if parts.next().is_some() {
+            return Err(wrong());
+        }
+        let cycle = cycle.unwrap_or_default();
+        let (max, what) = finest(kind, cycle);
+        if parameter.is_some_and(|parameter| parameter > max) {
+            return Err(InvalidModel::TooFine { text: text.to_owned(), kind, max, what });
+        }
+        Ok(Self { kind, order: None, persistence, parameter, cycle })
+    }
+}
+
+/// The greatest parameter of a kind, and what it counts.
+fn finest(kind: ModelKind, cycle: Cycle) -> (u32, &'static str) {
+    match (kind, cycle) {
+        (ModelKind::Histogram, Cycle::Day | Cycle::Weekend) => (1440, "bins a day"),
+        (ModelKind::Histogram, Cycle::Week) => (10_080, "bins a week"),
+        (ModelKind::Pergam, _) => (20, "Gaussians"),
+        (ModelKind::HypertimeEm | ModelKind::HypertimeKm, _) => (50, "clusters"),
+        _ => (0, "parameters"),
     }
 }
 
 impl fmt::Display for ModelSelector {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.kind.name())?;
+        if self.cycle != Cycle::Day {
+            write!(f, ":{}", self.cycle.name())?;
+        }
+        if let Some(parameter) = self.parameter {
+            write!(f, ":{parameter}")?;
+        }
         if self.persistence { f.write_str("+persistence") } else { Ok(()) }
     }
 }
@@ -114,19 +227,50 @@ impl ModelSelector {
             ModelKind::Auto => v1::ModelKind::Auto,
             ModelKind::Mean => v1::ModelKind::Mean,
             ModelKind::Latest => v1::ModelKind::Latest,
+            ModelKind::Persistence => v1::ModelKind::Persistence,
+            ModelKind::Histogram => v1::ModelKind::Histogram,
             ModelKind::Spectral => v1::ModelKind::Spectral,
+            ModelKind::Pergam => v1::ModelKind::Pergam,
+            ModelKind::HypertimeEm => v1::ModelKind::HypertimeEm,
+            ModelKind::HypertimeKm => v1::ModelKind::HypertimeKm,
+            ModelKind::Poisson => v1::ModelKind::Poisson,
+            ModelKind::Calibrated => v1::ModelKind::Calibrated,
         };
-        v1::ModelSelector { kind: kind.into(), order: self.order, persistence: self.persistence }
+        let cycle = match (self.kind, self.cycle) {
+            (ModelKind::Histogram, Cycle::Day) => v1::HistogramCycle::Day,
+            (ModelKind::Histogram, Cycle::Week) => v1::HistogramCycle::Week,
+            (ModelKind::Histogram, Cycle::Weekend) => v1::HistogramCycle::WeekdayWeekend,
+            _ => v1::HistogramCycle::Unspecified,
+        };
+        v1::ModelSelector {
+            kind: kind.into(),
+            order: self.order,
+            persistence: self.persistence,
+            parameter: self.parameter,
+            cycle: cycle.into(),
+        }
     }
 
     pub(super) fn from_wire(model: v1::ModelSelector) -> Self {
         let kind = match model.kind() {
             v1::ModelKind::Mean => ModelKind::Mean,
             v1::ModelKind::Latest => ModelKind::Latest,
+            v1::ModelKind::Persistence => ModelKind::Persistence,
+            v1::ModelKind::Histogram => ModelKind::Histogram,
             v1::ModelKind::Spectral => ModelKind::Spectral,
+            v1::ModelKind::Pergam => ModelKind::Pergam,
+            v1::ModelKind::HypertimeEm => ModelKind::HypertimeEm,
+            v1::ModelKind::HypertimeKm => ModelKind::HypertimeKm,
+            v1::ModelKind::Poisson => ModelKind::Poisson,
+            v1::ModelKind::Calibrated => ModelKind::Calibrated,
             v1::ModelKind::Auto | v1::ModelKind::Unspecified => ModelKind::Auto,
         };
-        Self { kind, order: model.order, persistence: model.persistence }
+        let cycle = match model.cycle() {
+            v1::HistogramCycle::Week => Cycle::Week,
+            v1::HistogramCycle::WeekdayWeekend => Cycle::Weekend,
+            v1::HistogramCycle::Day | v1::HistogramCycle::Unspecified => Cycle::Day,
+        };
+        Self { kind, order: model.order, persistence: model.persistence, parameter: model.parameter, cycle }
     }
 }
 
@@ -136,19 +280,50 @@ mod tests {
 
     #[test]
     fn models_are_named_as_on_the_command_line() {
-        for text in ["auto", "mean", "latest", "spectral", "spectral+persistence", "auto+persistence"] {
-            assert_eq!(text.parse::<ModelSelector>().map(|model| model.to_string()), Ok(text.to_owned()));
+        for text in [
+            "auto",
+            "mean",
+            "latest",
+            "persistence",
+            "histogram",
+            "histogram:24",
+            "histogram:week:168",
+            "histogram:weekend:12+persistence",
+            "histogram:week",
+            "spectral+persistence",
+            "pergam:3",
+            "hypertime-em:5",
+            "hypertime-km",
+            "poisson",
+            "calibrated+persistence",
+        ] {
+            let model: ModelSelector = text.parse().expect(text);
+            assert_eq!(model.to_string(), text);
+            assert_eq!(ModelSelector::from_wire(model.to_wire()), model);
         }
     }
 
     #[test]
-    fn what_is_not_a_model_is_told_from_what_is_not_yet_one() {
+    fn what_is_wrong_with_a_name_is_told() {
         let parsed = |text: &str| text.parse::<ModelSelector>();
         assert_eq!(parsed("fremen"), Err(InvalidModel::Unknown("fremen".to_owned())));
         assert_eq!(parsed(""), Err(InvalidModel::Unknown(String::new())));
-        assert_eq!(parsed("histogram:24"), Err(InvalidModel::Planned("histogram".to_owned())));
-        assert_eq!(parsed("persistence"), Err(InvalidModel::Planned("persistence".to_owned())));
         assert_eq!(parsed("spectral:2"), Err(InvalidModel::Parameter("spectral".to_owned())));
+        for text in ["histogram:", "histogram:0", "histogram:month:3", "pergam:week:3", "histogram:24:7", "pergam:-1"] {
+            assert_eq!(parsed(text), Err(InvalidModel::NotANumber(text.to_owned())));
+        }
         assert_eq!(parsed("mean+x"), Err(InvalidModel::Suffix("mean+x".to_owned())));
+        for (text, words) in [
+            ("histogram:1441", "at most 1440 bins a day"),
+            ("histogram:weekend:1441", "at most 1440 bins a day"),
+            ("histogram:week:10081", "at most 10080 bins a week"),
+            ("pergam:1000", "pergam takes at most 20 Gaussians"),
+            ("hypertime-em:1000000", "hypertime-em takes at most 50 clusters"),
+        ] {
+            let error = parsed(text).expect_err(text).to_string();
+            assert!(error.contains(text) && error.contains(words), "{error}");
+        }
+        assert!(parsed("histogram:1440").is_ok() && parsed("histogram:week:10080").is_ok());
+        assert!(parsed("pergam:20").is_ok() && parsed("hypertime-km:50").is_ok());
     }
 }

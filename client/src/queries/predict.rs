@@ -26,7 +26,7 @@ pub struct PredictionRun {
     pub state: usize,
     /// Which of the times asked for is the first.
     pub first_time: usize,
-    /// Probability that the state is 1, one per time.
+    /// Probability that the state is 1, or the value to expect of a state that is no probability, one per time.
     pub probabilities: Vec<f64>,
     /// Lower end of the credible interval, one per time, or empty.
     pub lower: Vec<f64>,
@@ -50,6 +50,7 @@ pub struct Predictions {
     states: Vec<String>,
     times: Vec<i64>,
     model: ModelSelector,
+    interval_level: f64,
     pieces: std::vec::IntoIter<Piece>,
     current: Option<(Piece, Streaming<v1::PredictStatesResponse>)>,
     /// What comes next, if the daemon keeps the order: state and time within the current piece.
@@ -76,6 +77,7 @@ impl Client {
             states,
             times,
             model,
+            interval_level: 0.0,
             pieces,
             current: None,
             next: (0, 0),
@@ -106,12 +108,19 @@ impl Predictions {
                 states: self.states[piece.states.clone()].to_vec(),
                 times_nanos: self.times[piece.times.clone()].to_vec(),
                 model: Some(self.model.to_wire()),
+                interval_level: self.interval_level,
             };
             let answer = self.client.query_service().predict_states(request).await;
             let replies = answer.map_err(|status| self.client.error(&status))?.into_inner();
             self.next = (0, 0);
             self.current = Some((piece, replies));
         }
+    }
+
+    /// Asks for credible intervals, too, that hold the mean over the hour around a time with this probability, in (0, 1).
+    #[must_use]
+    pub fn with_intervals(self, level: f64) -> Self {
+        Self { interval_level: level, ..self }
     }
 
     /// The states asked for.
@@ -130,9 +139,9 @@ impl Predictions {
 fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut (usize, usize)) -> Result<PredictionRun, Error> {
     let (state, time, count) = (reply.state_index as usize, reply.first_time_index as usize, reply.probabilities.len());
     let in_order = (state, time) == *next && state < piece.states.len();
-    let fits = count > 0 && time + count <= piece.times.len() && reply.entropies_bits.len() == count;
-    let interval = |bound: &[f64]| bound.is_empty() || bound.len() == count;
-    if !in_order || !fits || !interval(&reply.lower) || !interval(&reply.upper) {
+    let fits = count > 0 && time + count <= piece.times.len();
+    let fits_too = |column: &Vec<f64>| column.is_empty() || column.len() == count;
+    if !in_order || !fits || ![&reply.lower, &reply.upper, &reply.entropies_bits].into_iter().all(fits_too) {
         return Err(Error::Protocol("predictions are not those that were asked for"));
     }
     *next = if time + count == piece.times.len() { (state + 1, 0) } else { (state, time + count) };

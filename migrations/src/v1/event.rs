@@ -85,7 +85,7 @@ pub struct NewState {
     /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Its kind: 0 probability.
+    /// Its kind: 0 probability; from format 2 on 1 continuous, 2 count. Values of these are from -1e12 to 1e12.
     #[prost(uint32, tag = "3")]
     pub kind: u32,
 }

@@ -94,7 +94,7 @@ pub struct State {
     /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Its kind: 0 probability.
+    /// Its kind: 0 probability; from format 2 on as in [`super::event::NewState`].
     #[prost(uint32, tag = "3")]
     pub kind: u32,
     /// Observations acknowledged.

@@ -1,4 +1,4 @@
-//! Payload of the log's frames of scans.
+//! Payloads of the log's frames of observations and of scans.
 //!
 //! A column of numbers holds one varint per scan, or a single one where all are equal. A set of tiles is written as the
 //! tiles in which it differs from the set before: the number of ranges of tile ids, and per range how many ids lie
@@ -7,15 +7,77 @@
 //! Invariant: the lengths of the columns follow from `count` and from the columns of counts, so that a column that was
 //! cut or lengthened is noticed.
 
+/// Observations of one producer that became durable together: as in format 1, and the sensor of a new producer.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Observations {
+    /// Number of the producer.
+    #[prost(uint32, tag = "1")]
+    pub producer: u32,
+    /// The producer, where this is its first record.
+    #[prost(message, optional, tag = "2")]
+    pub new_producer: Option<super::map::NewProducer>,
+    /// The producer's incarnation.
+    #[prost(uint64, tag = "3")]
+    pub incarnation: u64,
+    /// Sequence number of the first observation, refused ones included.
+    #[prost(uint64, tag = "4")]
+    pub first_sequence: u64,
+    /// Sequence number of the last observation, refused ones included.
+    #[prost(uint64, tag = "5")]
+    pub last_sequence: u64,
+    /// Running CRC-32C of the producer's observations.
+    #[prost(fixed32, tag = "6")]
+    pub content_crc: u32,
+    /// When they were received.
+    #[prost(sint64, tag = "7")]
+    pub received_nanos: i64,
+    /// States that appear for the first time.
+    #[prost(message, repeated, tag = "8")]
+    pub new_states: Vec<crate::v1::event::NewState>,
+    /// Number of accepted observations.
+    #[prost(uint32, tag = "9")]
+    pub count: u32,
+    /// Column of states.
+    #[prost(bytes = "vec", tag = "10")]
+    pub states: Vec<u8>,
+    /// Time of the first accepted observation.
+    #[prost(int64, tag = "11")]
+    pub first_time_nanos: i64,
+    /// Unit of the differences of times.
+    #[prost(uint64, tag = "12")]
+    pub time_unit_nanos: u64,
+    /// Column of differences of times: `count` - 1 of them.
+    #[prost(bytes = "vec", tag = "13")]
+    pub times: Vec<u8>,
+    /// How values are encoded.
+    #[prost(uint32, tag = "14")]
+    pub value_encoding: u32,
+    /// Column of values.
+    #[prost(bytes = "vec", tag = "15")]
+    pub values: Vec<u8>,
+    /// Lengths of the runs of equal UTC offsets.
+    #[prost(uint32, repeated, tag = "16")]
+    pub offset_counts: Vec<u32>,
+    /// Offset of each run.
+    #[prost(sint32, repeated, tag = "17")]
+    pub offset_secs: Vec<i32>,
+    /// Sequence numbers of refused observations, each as the difference from the one before.
+    #[prost(uint64, repeated, tag = "18")]
+    pub refused_sequences: Vec<u64>,
+    /// Why each was refused: 1 value, 2 time, 3 state name, 4 state index, 5 state limit, 6 state kind.
+    #[prost(uint32, repeated, tag = "19")]
+    pub refused_reasons: Vec<u32>,
+}
+
 /// Scans of one producer that became durable together.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Scans {
     /// Number of the producer.
     #[prost(uint32, tag = "1")]
     pub producer: u32,
-    /// The producer's key, where this is its first record.
+    /// The producer, where this is its first record.
     #[prost(message, optional, tag = "2")]
-    pub new_producer: Option<crate::v1::map::ProducerKey>,
+    pub new_producer: Option<super::map::NewProducer>,
     /// The producer's incarnation.
     #[prost(uint64, tag = "3")]
     pub incarnation: u64,

@@ -12,6 +12,8 @@ use crate::v1::{
 
 /// First bytes of a history file; the position in its header is the generation.
 pub const HISTORY_MAGIC: [u8; 8] = *b"tidemhst";
+/// First bytes of the file of an update that runs; the position in its header is the generation.
+pub const UPDATE_MAGIC: [u8; 8] = *b"tidemupd";
 /// Most bytes of a long record in one piece.
 pub const PIECE_MAX: usize = RECORD_MAX - 1;
 
@@ -22,9 +24,9 @@ pub enum RecordKind {
     Spec = 1,
     /// [`crate::v1::map::Snapshot`], the first of a checkpoint.
     Snapshot = 2,
-    /// [`crate::v1::map::Producer`], in the order of their numbers.
+    /// [`super::map::Producer`], in the order of their numbers.
     Producer = 3,
-    /// [`crate::v1::map::State`], in the order of their numbers.
+    /// [`super::map::State`], in the order of their numbers.
     State = 4,
     /// [`super::grid::Grid`], the first of a grid.
     Grid = 5,
@@ -37,7 +39,9 @@ pub enum RecordKind {
     TileModel = 8,
     /// Sums of the tile before: number of groups u32, number of changed cells u32, per group the number of its shared sum
     /// u32, per cell its sums as doubles; little-endian. The length u32 of a
-    /// [`super::grid::Sightings`] and the message may follow.
+    /// [`super::grid::Sightings`] and the message may follow. Behind these, where readings of other sensors than the map's
+    /// own are in the groups, the numbers of two more shared sums u32 per group: of phasors weighted by α and by β, both
+    /// 2^32 - 1 where a group has none. The length is then there in any case, 0 where there is no message.
     TileSums = 9,
     /// [`super::grid::Day`].
     Day = 10,
@@ -51,9 +55,13 @@ pub enum RecordKind {
     Table = 14,
     /// [`super::history::End`], the last record of a history file.
     End = 15,
+    /// [`super::update::Update`], the first of the file of an update.
+    Update = 16,
+    /// [`super::update::DoneTile`], the last of a tile in the file of an update.
+    DoneTile = 17,
 }
 
-const KINDS: [RecordKind; 15] = [
+const KINDS: [RecordKind; 17] = [
     RecordKind::Spec,
     RecordKind::Snapshot,
     RecordKind::Producer,
@@ -69,6 +77,8 @@ const KINDS: [RecordKind; 15] = [
     RecordKind::StateSamples,
     RecordKind::Table,
     RecordKind::End,
+    RecordKind::Update,
+    RecordKind::DoneTile,
 ];
 
 /// Header of a record, laid out as [`crate::v1::file::RecordHeader`].

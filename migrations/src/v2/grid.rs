@@ -81,6 +81,13 @@ pub struct Tile {
     /// Whether a model and sums follow; otherwise both are empty.
     #[prost(bool, tag = "14")]
     pub has_model: bool,
+    /// Number of the sensor of the newest scan: 0 the map's own, the others in the order in which their first producers
+    /// appear in the log.
+    #[prost(uint32, tag = "15")]
+    pub sensor: u32,
+    /// The sensor that last observed each cell of `away`, a byte each, in their order; empty: all the map's own.
+    #[prost(bytes = "vec", tag = "16")]
+    pub away_sensors: Vec<u8>,
 }
 
 /// What the generation says of a tile.
@@ -112,6 +119,12 @@ pub struct Group {
     /// Time of the last.
     #[prost(sint64, tag = "4")]
     pub last_nanos: i64,
+    /// Sum of α over the observations. Present in all groups of a tile or in none: then all are of the map's own sensor.
+    #[prost(fixed64, optional, tag = "5")]
+    pub alpha_bits: Option<u64>,
+    /// Sum of β over the observations; as `alpha_bits`.
+    #[prost(fixed64, optional, tag = "6")]
+    pub beta_bits: Option<u64>,
 }
 
 /// The model of a cell.
@@ -141,6 +154,9 @@ pub struct Cell {
     /// Last local day recorded in the errors, in days since 1970-01-01.
     #[prost(sint32, optional, tag = "8")]
     pub errors_last_day: Option<i32>,
+    /// Sum of β over the readings as occupied. Present where the groups have theirs.
+    #[prost(fixed64, optional, tag = "9")]
+    pub occupied_weight_bits: Option<u64>,
 }
 
 /// When cells of a tile were observed that have no sums for it. Follows the sums of a tile, where there are any, in the same
@@ -171,6 +187,12 @@ pub struct SeenDay {
     /// of toggles, the scans that lie between each and the one before; all as varints.
     #[prost(bytes = "vec", tag = "5")]
     pub lists: Vec<u8>,
+    /// Lengths of the runs of scans of one sensor; none where all are of the map's own.
+    #[prost(uint32, repeated, tag = "6")]
+    pub sensor_counts: Vec<u32>,
+    /// Sensor of each run.
+    #[prost(uint32, repeated, tag = "7")]
+    pub sensors: Vec<u32>,
 }
 
 /// Scans of one local day. Its tiles follow.
@@ -206,6 +228,12 @@ pub struct Day {
     /// One more than the greatest number of a tile for which there is room.
     #[prost(uint32, tag = "10")]
     pub tiles_end: u32,
+    /// Lengths of the runs of scans of one sensor; none where all are of the map's own.
+    #[prost(uint32, repeated, tag = "11")]
+    pub sensor_counts: Vec<u32>,
+    /// Sensor of each run.
+    #[prost(uint32, repeated, tag = "12")]
+    pub sensors: Vec<u32>,
 }
 
 /// One tile on one day.
@@ -272,4 +300,7 @@ pub struct AheadScan {
     /// Per tile the cells observed and the cells occupied, 64 bytes each.
     #[prost(bytes = "vec", tag = "4")]
     pub masks: Vec<u8>,
+    /// Its sensor.
+    #[prost(uint32, tag = "5")]
+    pub sensor: u32,
 }

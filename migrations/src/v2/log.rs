@@ -1,4 +1,4 @@
-//! Frames of the observation log: those of format 1, with one kind more.
+//! Frames of the observation log: those of format 1, with two kinds more.
 //!
 //! Invariant: a frame of format 1 is the same to the byte.
 
@@ -11,12 +11,14 @@ use crate::v1::{
 /// What a frame's payload is. The numbers have several bits set, so that no single flipped bit makes a first byte zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameKind {
-    /// [`v1::event::Observations`].
+    /// [`super::event::Observations`].
     Observations = v1::log::FrameKind::Observations as isize,
     /// [`v1::event::UpdateStart`].
     UpdateStart = v1::log::FrameKind::UpdateStart as isize,
     /// [`super::event::Scans`].
     Scans = b'S' as isize,
+    /// [`v1::event::NewState`], of which nothing was observed yet.
+    AddState = b'K' as isize,
 }
 
 /// Header of a frame, laid out as [`v1::log::FrameHeader`].
@@ -61,6 +63,7 @@ impl FrameHeader {
             b'O' => FrameKind::Observations,
             b'U' => FrameKind::UpdateStart,
             b'S' => FrameKind::Scans,
+            b'K' => FrameKind::AddState,
             _ => return None,
         };
         let payload_length = u32_at(bytes, 4);
@@ -122,12 +125,13 @@ mod tests {
 
     #[test]
     fn headers_come_back_and_every_flipped_bit_is_noticed() {
-        let frame = header(FrameKind::Scans);
-        assert_eq!(FrameHeader::decode(&frame.encode()), Some(frame));
-        for bit in 0..256 {
-            let mut bytes = frame.encode();
-            bytes[bit / 8] ^= 1 << (bit % 8);
-            assert_eq!(FrameHeader::decode(&bytes), None, "bit {bit}");
+        for frame in [header(FrameKind::Scans), header(FrameKind::AddState)] {
+            assert_eq!(FrameHeader::decode(&frame.encode()), Some(frame));
+            for bit in 0..256 {
+                let mut bytes = frame.encode();
+                bytes[bit / 8] ^= 1 << (bit % 8);
+                assert_eq!(FrameHeader::decode(&bytes), None, "bit {bit}");
+            }
         }
     }
 }

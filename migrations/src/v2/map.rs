@@ -1,4 +1,5 @@
-//! What a map is: as in format 1, with its grid and for how long exact observations are kept.
+//! What a map is and its states: as in format 1, with a grid, with for how long exact observations are kept, and with what
+//! is known of a state apart from its spectrum.
 //!
 //! Invariant: a message of format 1 reads as one of these whose further fields are absent.
 
@@ -36,6 +37,60 @@ pub struct MapSpec {
     /// False for a map that was created under format 1, whose log is its history.
     #[prost(bool, tag = "10")]
     pub history_complete: bool,
+    /// An observation that is this much older counts half; 0: all count alike.
+    #[prost(sint64, tag = "11")]
+    pub half_life_nanos: i64,
+    /// What a state answers of which nothing is known; absent: 0.5.
+    #[prost(fixed64, optional, tag = "12")]
+    pub prior_bits: Option<u64>,
+}
+
+/// The sensor of a producer, where it is not the map's own.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Sensor {
+    /// P(reads occupied | is occupied).
+    #[prost(fixed64, tag = "1")]
+    pub hit_bits: u64,
+    /// P(reads occupied | is free).
+    #[prost(fixed64, tag = "2")]
+    pub false_alarm_bits: u64,
+}
+
+/// Whose sequence of observations: the key of format 1, and its sensor.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct NewProducer {
+    /// The producer.
+    #[prost(string, tag = "1")]
+    pub producer: String,
+    /// One of its labels.
+    #[prost(string, tag = "2")]
+    pub label: String,
+    /// The sensor of all its scans; absent: the map's own.
+    #[prost(message, optional, tag = "3")]
+    pub sensor: Option<Sensor>,
+}
+
+/// How far a producer's sequence is durable: as in format 1, and its sensor.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Producer {
+    /// Its number.
+    #[prost(uint32, tag = "1")]
+    pub id: u32,
+    /// Its key.
+    #[prost(message, optional, tag = "2")]
+    pub key: Option<crate::v1::map::ProducerKey>,
+    /// Highest incarnation seen.
+    #[prost(uint64, tag = "3")]
+    pub incarnation: u64,
+    /// Everything up to here is durable or refused.
+    #[prost(uint64, tag = "4")]
+    pub durable_sequence: u64,
+    /// Running CRC-32C of its observations.
+    #[prost(fixed32, tag = "5")]
+    pub content_crc: u32,
+    /// The sensor of all its scans; absent: the map's own.
+    #[prost(message, optional, tag = "6")]
+    pub sensor: Option<Sensor>,
 }
 
 /// How long exact observations are kept.
@@ -92,6 +147,142 @@ pub struct CellBox {
     pub max: Vec<i32>,
 }
 
+/// One state: that of format 1, and what is known apart from its spectrum. In the index it has neither `spectrum` nor
+/// `hours` nor `profile`; the chunks of those have keys of their own.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct State {
+    /// Its number.
+    #[prost(uint32, tag = "1")]
+    pub id: u32,
+    /// Its name.
+    #[prost(string, tag = "2")]
+    pub name: String,
+    /// Its kind: 0 probability, 1 continuous, 2 count.
+    #[prost(uint32, tag = "3")]
+    pub kind: u32,
+    /// Observations acknowledged.
+    #[prost(uint64, tag = "4")]
+    pub observations: u64,
+    /// Persistence: pairs of successive observations.
+    #[prost(uint64, tag = "5")]
+    pub pairs: u64,
+    /// Persistence: summed rate of change.
+    #[prost(fixed64, tag = "6")]
+    pub change_rate_sum_bits: u64,
+    /// The newest observation, where there is one.
+    #[prost(message, optional, tag = "7")]
+    pub last: Option<crate::v1::map::LastObservation>,
+    /// The accumulator without its spectrum.
+    #[prost(message, optional, tag = "8")]
+    pub accumulator: Option<crate::v1::map::Accumulator>,
+    /// Per periodicity four doubles of eight bytes.
+    #[prost(bytes = "vec", tag = "9")]
+    pub spectrum: Vec<u8>,
+    /// The spectral model.
+    #[prost(message, optional, tag = "10")]
+    pub spectral: Option<crate::v1::map::Spectral>,
+    /// Number of components in force.
+    #[prost(uint32, tag = "11")]
+    pub order: u32,
+    /// Faded sums of errors, orders 0 to 15.
+    #[prost(fixed64, repeated, tag = "12")]
+    pub error_sums_bits: Vec<u64>,
+    /// Last local day recorded in the errors, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "13")]
+    pub errors_last_day: Option<i32>,
+    /// What is known apart from the spectrum; absent where nothing was folded in since it is kept.
+    #[prost(message, optional, tag = "14")]
+    pub alternatives: Option<Alternatives>,
+}
+
+/// What is known of a state apart from its spectrum.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Alternatives {
+    /// Per hour of the local week from Monday on: weight and sum of values. Then per hour of the day, first of weekdays,
+    /// then of weekends: weight, sum and sum of squares of the means of single days. 480 doubles, little-endian.
+    #[prost(bytes = "vec", tag = "1")]
+    pub hours: Vec<u8>,
+    /// Faded sums of errors: of the spectral model, of the histograms of the day, of weekday and weekend, of the week.
+    #[prost(fixed64, repeated, tag = "2")]
+    pub error_sums_bits: Vec<u64>,
+    /// Last local day recorded in the errors, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "3")]
+    pub errors_last_day: Option<i32>,
+    /// Last local day folded in.
+    #[prost(sint32, optional, tag = "4")]
+    pub folded_day: Option<i32>,
+    /// The model in force: 0 the spectral model, 128 the calibrated one, else the number of the histogram, from 1.
+    #[prost(uint32, tag = "5")]
+    pub choice: u32,
+    /// How much the observations of the accumulator count together; absent: their number.
+    #[prost(fixed64, optional, tag = "6")]
+    pub weight_bits: Option<u64>,
+    /// The change alarm.
+    #[prost(message, optional, tag = "7")]
+    pub alarm: Option<Alarm>,
+    /// Pairs of successive observations folded in.
+    #[prost(uint64, tag = "8")]
+    pub pairs: u64,
+    /// Their summed rate of change.
+    #[prost(fixed64, tag = "9")]
+    pub change_rate_sum_bits: u64,
+    /// The newest observation folded in.
+    #[prost(message, optional, tag = "10")]
+    pub last: Option<crate::v1::map::LastObservation>,
+    /// Components that noise would not show as well.
+    #[prost(uint32, tag = "11")]
+    pub supported: u32,
+    /// Local days folded in, those that came late not counted.
+    #[prost(uint32, tag = "12")]
+    pub days: u32,
+    /// The calibrated model; absent before its first fit.
+    #[prost(message, optional, tag = "13")]
+    pub calibrated: Option<Calibrated>,
+}
+
+/// The calibrated model of a state, as it was last fitted.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Calibrated {
+    /// The last local day that it was fitted to, in days since 1970-01-01.
+    #[prost(sint32, tag = "1")]
+    pub day: i32,
+    /// Faded sum of errors; absent before the first day that it was scored on.
+    #[prost(fixed64, optional, tag = "2")]
+    pub error_sum_bits: Option<u64>,
+    /// Readings that it was fitted to.
+    #[prost(uint64, tag = "3")]
+    pub observations: u64,
+    /// The lowest of them.
+    #[prost(fixed64, tag = "4")]
+    pub lowest_bits: u64,
+    /// The highest of them.
+    #[prost(fixed64, tag = "5")]
+    pub highest_bits: u64,
+    /// What to expect in each slot of ten minutes of the local week from Monday on: 1,008 doubles, little-endian.
+    #[prost(bytes = "vec", tag = "6")]
+    pub profile: Vec<u8>,
+}
+
+/// The change alarm of a state.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Alarm {
+    /// Of weekdays, then of weekends: days, mean and variance of the errors. Six doubles.
+    #[prost(fixed64, repeated, tag = "1")]
+    pub history_bits: Vec<u64>,
+    /// Faded mean number of observations of a day.
+    #[prost(fixed64, tag = "2")]
+    pub typical_observations_bits: u64,
+    /// The cumulative sum.
+    #[prost(fixed64, tag = "3")]
+    pub sum_bits: u64,
+    /// The last local day taken in.
+    #[prost(sint32, optional, tag = "4")]
+    pub last_day: Option<i32>,
+    /// The local day on which it rang, where it rings.
+    #[prost(sint32, optional, tag = "5")]
+    pub rang: Option<i32>,
+}
+
 #[cfg(test)]
 mod tests {
     use prost::Message as _;
@@ -113,5 +304,16 @@ mod tests {
         let new = MapSpec::decode(&old.encode_to_vec()[..]).expect("a message");
         assert_eq!((&new.retention, &new.grid, new.history_complete), (&None, &None, false));
         assert_eq!(new.encode_to_vec(), old.encode_to_vec());
+    }
+
+    #[test]
+    fn a_producer_of_format_1_has_no_sensor() {
+        let key = v1::map::ProducerKey { producer: "robot".to_owned(), label: "lidar".to_owned() };
+        let new = NewProducer::decode(&key.encode_to_vec()[..]).expect("a message");
+        assert_eq!((new.sensor, new.encode_to_vec()), (None, key.encode_to_vec()));
+        let old =
+            v1::map::Producer { id: 3, key: Some(key), incarnation: 2, durable_sequence: 1 << 40, content_crc: 7 };
+        let new = Producer::decode(&old.encode_to_vec()[..]).expect("a message");
+        assert_eq!((new.sensor, new.encode_to_vec()), (None, old.encode_to_vec()));
     }
 }

@@ -17,7 +17,7 @@ use tidemap_model::MAX_ORDER;
 use super::{
     InvalidField,
     grid::{cell_box_from_wire, cell_box_to_wire, grid_to_wire},
-    query::{components_to_wire, selector_from_wire},
+    query::{check_for_cells, components_to_wire, selector_from_wire},
     time::timestamp,
 };
 use crate::v1;
@@ -59,9 +59,11 @@ pub fn question_from_wire(wire: &v1::PredictGridRequest) -> Result<GridQuestion,
         let text = format!("threshold {threshold} was given, but the output has none: use GRID_OUTPUT_THRESHOLD");
         return Err(InvalidField::new("threshold", text));
     }
+    let selector = selector_from_wire("model", wire.model)?;
+    check_for_cells("model", selector)?;
     Ok(GridQuestion {
         utc_nanos: wire.time_nanos,
-        selector: selector_from_wire("model", wire.model)?,
+        selector,
         region: wire.region.as_ref().map(cell_box_from_wire),
         project: wire.project,
         output,
@@ -137,6 +139,12 @@ pub fn cell_description_to_wire(
         last_value: last.map(|(_, value)| value),
         last_time: last.map(|(nanos, _)| timestamp(nanos)),
         first_time: description.first_nanos.map(timestamp),
+        chosen: Some(v1::ModelSelector {
+            kind: v1::ModelKind::Spectral.into(),
+            order: u32::try_from(description.order).ok(),
+            ..v1::ModelSelector::default()
+        }),
+        ..v1::DescribeModelResponse::default()
     }
 }
 
@@ -164,6 +172,8 @@ mod tests {
         assert_eq!(field(v1::PredictGridRequest { output: 99, ..request() }), "output");
         let model = v1::ModelSelector { order: Some(16), ..v1::ModelSelector::default() };
         assert_eq!(field(v1::PredictGridRequest { model: Some(model), ..request() }), "model.order");
+        let model = v1::ModelSelector { kind: v1::ModelKind::Pergam.into(), ..v1::ModelSelector::default() };
+        assert_eq!(field(v1::PredictGridRequest { model: Some(model), ..request() }), "model.kind");
         assert_eq!(threshold(v1::GridOutput::Threshold, 0.0), Ok(CellOutput::Threshold(0.5)));
         assert_eq!(threshold(v1::GridOutput::Threshold, 1.0), Ok(CellOutput::Threshold(1.0)));
         for wrong in [-0.5, 1.000_000_001, f64::NAN, f64::INFINITY, 1e-60] {

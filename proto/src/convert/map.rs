@@ -5,7 +5,7 @@ use tidemap_map::{
     event::{RefusalReason, StateId, StateKind},
     grid::spec::Retention,
     name::MapName,
-    spec::MapSpec,
+    spec::{HALF_LIFE_MIN_NANOS, MapSpec},
     view::MapView,
 };
 use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
@@ -42,7 +42,21 @@ pub fn spec_from_request(request: v1::CreateMapRequest, created_nanos: i64) -> R
     };
     let retention = retention_from_wire("retention", request.retention, Retention::Forever)?;
     let grid = request.grid.map(grid_from_wire).transpose()?;
-    Ok(MapSpec { name, zone, periodicities, criterion, created_nanos, retention, grid })
+    let half_life_nanos = match request.half_life {
+        None => None,
+        Some(half_life) => match nanos_from_duration("half_life", half_life)? {
+            nanos if nanos < HALF_LIFE_MIN_NANOS => {
+                let text = format!("{} s is too short: it has to be 0.1 days (8640 s) or more", nanos as f64 / 1e9);
+                return Err(InvalidField::new("half_life", text));
+            }
+            nanos => Some(nanos),
+        },
+    };
+    let prior = match request.prior.unwrap_or(0.5) {
+        prior if (0.0..=1.0).contains(&prior) => prior,
+        other => return Err(InvalidField::new("prior", format!("{other} is not between 0 and 1"))),
+    };
+    Ok(MapSpec { name, zone, periodicities, criterion, created_nanos, half_life_nanos, prior, retention, grid })
 }
 
 fn periodicities_from_wire(wire: Option<v1::Periodicities>) -> Result<Periodicities, InvalidField> {
@@ -95,6 +109,8 @@ pub fn map_to_wire(view: &MapView) -> v1::Map {
         retention: Some(retention_to_wire(spec.retention)),
         grid: spec.grid.as_ref().map(grid_to_wire),
         grid_summary: view.grid().map(grid_summary_to_wire),
+        half_life: spec.half_life_nanos.map(duration),
+        prior: spec.prior,
     }
 }
 
@@ -123,6 +139,22 @@ pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
 pub fn kind_to_wire(kind: StateKind) -> v1::StateKind {
     match kind {
         StateKind::Probability => v1::StateKind::Probability,
+        StateKind::Continuous => v1::StateKind::Continuous,
+        StateKind::Count => v1::StateKind::Count,
+    }
+}
+
+/// A kind of state from the wire; `None` where it says nothing.
+///
+/// # Errors
+/// A kind that is not known.
+pub fn kind_from_wire(field: &str, kind: i32) -> Result<Option<StateKind>, InvalidField> {
+    match v1::StateKind::try_from(kind) {
+        Ok(v1::StateKind::Unspecified) => Ok(None),
+        Ok(v1::StateKind::Probability) => Ok(Some(StateKind::Probability)),
+        Ok(v1::StateKind::Continuous) => Ok(Some(StateKind::Continuous)),
+        Ok(v1::StateKind::Count) => Ok(Some(StateKind::Count)),
+        Err(_) => Err(InvalidField::new(field, format!("{kind} is not known"))),
     }
 }
 

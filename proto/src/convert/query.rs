@@ -5,10 +5,15 @@ use tidemap_map::{
     predict::{ModelKind, ModelSelector},
     view::MapView,
 };
-use tidemap_model::{Component, MAX_ORDER, SpectralModel};
+use tidemap_model::{Component, HISTOGRAMS, MAX_ORDER, ModelChoice, SpectralModel, StateModel, family::HistogramCycle};
 
 use super::{InvalidField, map::kind_to_wire, time::timestamp};
 use crate::v1;
+
+/// Most Gaussians of a periodic mixture.
+const GAUSSIANS_MAX: u32 = 20;
+/// Most clusters of a warped hypertime.
+const CLUSTERS_MAX: u32 = 50;
 
 /// The model that a request names.
 ///
@@ -16,22 +21,73 @@ use crate::v1;
 /// An unknown kind, an order above 15, or an order for a model that has none.
 pub fn selector_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<ModelSelector, InvalidField> {
     let wire = wire.unwrap_or_default();
+    let wrong = |name: &str, text: String| InvalidField::new(format!("{field}.{name}"), text);
+    let parameter = |default: u32, max: u32, what: &str| match wire.parameter {
+        None => Ok(default),
+        Some(found) if (1..=max).contains(&found) => Ok(found),
+        Some(found) => Err(wrong("parameter", format!("{found} {what}: 1 to {max} are possible"))),
+    };
     let kind = match v1::ModelKind::try_from(wire.kind) {
         Ok(v1::ModelKind::Unspecified | v1::ModelKind::Auto) => ModelKind::Auto,
         Ok(v1::ModelKind::Mean) => ModelKind::Mean,
         Ok(v1::ModelKind::Latest) => ModelKind::Latest,
         Ok(v1::ModelKind::Spectral) => ModelKind::Spectral,
-        Err(_) => return Err(InvalidField::new(format!("{field}.kind"), format!("{} is not known", wire.kind))),
+        Ok(v1::ModelKind::Persistence) => ModelKind::Persistence,
+        Ok(v1::ModelKind::Histogram) => {
+            let (cycle, default) = match v1::HistogramCycle::try_from(wire.cycle) {
+                Ok(v1::HistogramCycle::Unspecified | v1::HistogramCycle::Day) => (HistogramCycle::Day, 24),
+                Ok(v1::HistogramCycle::Week) => (HistogramCycle::Week, 168),
+                Ok(v1::HistogramCycle::WeekdayWeekend) => (HistogramCycle::WeekdayWeekend, 24),
+                Err(_) => return Err(wrong("cycle", format!("{} is not known", wire.cycle))),
+            };
+            let max = u32::try_from(cycle.max_bins()).unwrap_or(u32::MAX);
+            ModelKind::Histogram { cycle, bins: parameter(default, max, "bins")? }
+        }
+        Ok(v1::ModelKind::Pergam) => ModelKind::Pergam { gaussians: parameter(3, GAUSSIANS_MAX, "Gaussians")? },
+        Ok(v1::ModelKind::HypertimeEm) => ModelKind::HypertimeEm { clusters: parameter(3, CLUSTERS_MAX, "clusters")? },
+        Ok(v1::ModelKind::HypertimeKm) => ModelKind::HypertimeKm { clusters: parameter(3, CLUSTERS_MAX, "clusters")? },
+        Ok(v1::ModelKind::Poisson) => ModelKind::Poisson,
+        Ok(v1::ModelKind::Calibrated) => ModelKind::Calibrated,
+        Err(_) => return Err(wrong("kind", format!("{} is not known", wire.kind))),
     };
+    if let (Some(found), None) = (wire.parameter, parameter_of(kind)) {
+        return Err(wrong("parameter", format!("{found} was given, but this model has none")));
+    }
+    if wire.cycle != 0 && !matches!(kind, ModelKind::Histogram { .. }) {
+        return Err(wrong("cycle", "only a histogram has one".to_owned()));
+    }
     let order = match wire.order {
         None => None,
-        Some(order) if matches!(kind, ModelKind::Mean | ModelKind::Latest) => {
+        Some(order) if !kind.has_order() => {
             let text = format!("order {order} was given, but this model has none: use it with auto or spectral");
-            return Err(InvalidField::new(format!("{field}.order"), text));
+            return Err(wrong("order", text));
         }
         Some(order) => Some(order_from_wire(&format!("{field}.order"), order)?),
     };
     Ok(ModelSelector { kind, order, persistence: wire.persistence })
+}
+
+/// Whether a model is one that cells of a grid have.
+///
+/// # Errors
+/// The model is of named states only.
+pub fn check_for_cells(field: &str, selector: ModelSelector) -> Result<(), InvalidField> {
+    if selector.kind.is_for_cells() {
+        return Ok(());
+    }
+    let text = format!("cells have no model {}: use auto, mean, latest or spectral", selector.kind);
+    Err(InvalidField::new(format!("{field}.kind"), text))
+}
+
+/// The parameter of a kind that has one.
+fn parameter_of(kind: ModelKind) -> Option<u32> {
+    match kind {
+        ModelKind::Histogram { bins: parameter, .. }
+        | ModelKind::Pergam { gaussians: parameter }
+        | ModelKind::HypertimeEm { clusters: parameter }
+        | ModelKind::HypertimeKm { clusters: parameter } => Some(parameter),
+        _ => None,
+    }
 }
 
 /// An order from the wire.
@@ -53,9 +109,27 @@ pub fn selector_to_wire(selector: ModelSelector) -> v1::ModelSelector {
         ModelKind::Mean => v1::ModelKind::Mean,
         ModelKind::Latest => v1::ModelKind::Latest,
         ModelKind::Spectral => v1::ModelKind::Spectral,
+        ModelKind::Persistence => v1::ModelKind::Persistence,
+        ModelKind::Histogram { .. } => v1::ModelKind::Histogram,
+        ModelKind::Pergam { .. } => v1::ModelKind::Pergam,
+        ModelKind::HypertimeEm { .. } => v1::ModelKind::HypertimeEm,
+        ModelKind::HypertimeKm { .. } => v1::ModelKind::HypertimeKm,
+        ModelKind::Poisson => v1::ModelKind::Poisson,
+        ModelKind::Calibrated => v1::ModelKind::Calibrated,
     };
-    let order = selector.order.map(|order| u32::try_from(order).unwrap_or(u32::MAX));
-    v1::ModelSelector { kind: kind.into(), order, persistence: selector.persistence }
+    let cycle = match selector.kind {
+        ModelKind::Histogram { cycle: HistogramCycle::Day, .. } => v1::HistogramCycle::Day,
+        ModelKind::Histogram { cycle: HistogramCycle::Week, .. } => v1::HistogramCycle::Week,
+        ModelKind::Histogram { cycle: HistogramCycle::WeekdayWeekend, .. } => v1::HistogramCycle::WeekdayWeekend,
+        _ => v1::HistogramCycle::Unspecified,
+    };
+    v1::ModelSelector {
+        kind: kind.into(),
+        order: selector.order.map(|order| u32::try_from(order).unwrap_or(u32::MAX)),
+        persistence: selector.persistence,
+        parameter: parameter_of(selector.kind),
+        cycle: cycle.into(),
+    }
 }
 
 /// What was learned of a state; `None` where the view has no such state.
@@ -74,11 +148,43 @@ pub fn description_to_wire(view: &MapView, id: StateId) -> Option<v1::DescribeMo
         order: u32::try_from(model.order()).unwrap_or(u32::MAX),
         components: components_to_wire(view, spectral),
         order_errors: model.errors().sums().to_vec(),
-        persistence_tau_secs: live.persistence.tau_secs(),
+        persistence_tau_secs: live.persistence.tau_secs_of(model.usual_change()),
         last_value: live.persistence.last().map(|(_, value)| value),
         last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
         first_time: model.accumulator().first_nanos().map(timestamp),
+        chosen: Some(selector_to_wire(selector_of(model.choice(), model))),
+        model_errors: model_errors_to_wire(model),
+        change_date: change_date(model),
     })
+}
+
+/// The model that a choice stands for.
+fn selector_of(choice: ModelChoice, model: &StateModel) -> ModelSelector {
+    let kind = match choice {
+        ModelChoice::Spectral => {
+            return ModelSelector { kind: ModelKind::Spectral, order: Some(model.order()), persistence: false };
+        }
+        ModelChoice::Histogram(number) => {
+            HISTOGRAMS.get(usize::from(number)).map_or(ModelKind::Auto, |&(cycle, bins)| ModelKind::Histogram {
+                cycle,
+                bins: u32::try_from(bins).unwrap_or(u32::MAX),
+            })
+        }
+        ModelChoice::Calibrated => ModelKind::Calibrated,
+    };
+    ModelSelector { kind, ..ModelSelector::default() }
+}
+
+fn model_errors_to_wire(model: &StateModel) -> Vec<v1::ModelError> {
+    let Some(alternatives) = model.alternatives() else { return Vec::new() };
+    let error =
+        |(choice, error_sum)| v1::ModelError { model: Some(selector_to_wire(selector_of(choice, model))), error_sum };
+    alternatives.error_sums().map(error).collect()
+}
+
+fn change_date(model: &StateModel) -> String {
+    let rang = model.alternatives().and_then(|alternatives| alternatives.alarm().rang_on());
+    rang.map_or_else(String::new, |day| day.to_string())
 }
 
 /// The components of a model, strongest first.

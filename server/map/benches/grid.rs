@@ -170,6 +170,22 @@ fn flicker(c: &mut Criterion) {
     group.finish();
 }
 
+/// What tiles take that a robot sees on its rounds, each time other cells of them, after some days.
+fn patrol(_: &mut Criterion) {
+    const SOME: usize = 16;
+    let spec = spec(Retention::None);
+    let (mut map, mut office) = (LiveMap::new(Arc::clone(&spec)), Office::new());
+    for day in 0..112 {
+        Office::events(&mut map, &office.patrol_day(day, SOME, 10, 50), BATCH);
+        let work = learn(&mut map, day);
+        let snapshot = finish(&mut map, work);
+        if (day + 1) % 14 == 0 {
+            let sums: usize = snapshot.grid.iter().flat_map(|grid| &grid.sums).map(|sums| sums.bytes()).sum();
+            println!("patrol, day {}: sums and sightings {} B a tile", day + 1, sums / SOME);
+        }
+    }
+}
+
 /// What memory the grid takes.
 fn report(learned: &MapSnapshot, mut map: LiveMap) {
     let view = map.publish();
@@ -186,5 +202,5 @@ fn report(learned: &MapSnapshot, mut map: LiveMap) {
     println!("models {} B a changed cell, sums {} B (shared ones counted each)", model / changed, sums / changed);
 }
 
-criterion_group!(benches, day, flicker);
+criterion_group!(benches, day, flicker, patrol);
 criterion_main!(benches);

@@ -4,10 +4,11 @@
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
 
 use tidemap_model::Sample;
+pub use tidemap_model::StateKind;
 
 use crate::{
     MAX_AHEAD_NANOS,
-    grid::scan::Scans,
+    grid::{scan::Scans, sensors::ProducerSensor},
     name::{ProducerKey, StateName},
 };
 
@@ -19,18 +20,10 @@ pub struct StateId(pub u32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ProducerId(pub u32);
 
-/// What the value of a state means.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum StateKind {
-    /// A value in [0, 1]; binary states have only 0 and 1.
-    #[default]
-    Probability,
-}
-
 /// Why an observation was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum RefusalReason {
-    /// Not a number, infinite, or outside [0, 1].
+    /// Not a number, infinite, or not one of the state's kind.
     Value,
     /// Before 1970, or beyond what i64 nanoseconds hold.
     Time,
@@ -40,7 +33,7 @@ pub enum RefusalReason {
     StateIndex,
     /// The map or the stream may not have more states.
     StateLimit,
-    /// The state is of another kind.
+    /// The state is of another kind than the stream said.
     StateKind,
     /// The map has no grid.
     NoGrid,
@@ -68,8 +61,8 @@ pub struct OffsetRun {
 pub struct Observations {
     /// Whose.
     pub producer: ProducerId,
-    /// The producer's key, where this is the first event of the producer.
-    pub new_producer: Option<ProducerKey>,
+    /// The producer, where this is its first event.
+    pub new_producer: Option<NewProducer>,
     /// The producer's incarnation.
     pub incarnation: u64,
     /// Sequence number of the first observation, refused ones included.
@@ -86,7 +79,7 @@ pub struct Observations {
     pub states: Vec<StateId>,
     /// Per accepted observation: time in nanoseconds UTC, at least 0.
     pub times_nanos: Vec<i64>,
-    /// Per accepted observation: value in [0, 1].
+    /// Per accepted observation: a value that the state's kind allows.
     pub values: Vec<f64>,
     /// UTC offsets of the accepted observations; the counts add up to their number.
     pub offsets: Vec<OffsetRun>,
@@ -110,6 +103,22 @@ impl Observations {
     #[must_use]
     pub fn plausible_nanos(&self) -> i64 {
         self.received_nanos.saturating_add(MAX_AHEAD_NANOS)
+    }
+}
+
+/// A producer that appears for the first time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NewProducer {
+    /// Its key.
+    pub key: ProducerKey,
+    /// The sensor of all its scans; `None`: the map's own.
+    pub sensor: Option<ProducerSensor>,
+}
+
+impl From<ProducerKey> for NewProducer {
+    /// A producer that has the map's own sensor.
+    fn from(key: ProducerKey) -> NewProducer {
+        NewProducer { key, sensor: None }
     }
 }
 
@@ -158,4 +167,6 @@ pub enum Event {
     Scans(Scans),
     /// An update starts.
     UpdateStart(UpdateStart),
+    /// A state was added of which nothing was observed yet.
+    AddState(NewState),
 }

@@ -4,12 +4,15 @@
 //! Invariant: no I/O, no clock, no hidden randomness. Every change of a map is an [`event::Event`]; applying the same
 //! events in the same order gives the same map, whether they arrive live or are replayed from a log.
 
+pub mod anomaly;
 pub mod event;
 pub mod grid;
 pub mod history;
+pub mod interval;
 pub mod live_map;
 pub mod name;
 pub mod predict;
+pub mod refit;
 pub mod snapshot;
 pub mod spec;
 pub mod update;
@@ -17,6 +20,7 @@ pub mod view;
 
 mod directory;
 mod pending;
+mod unlearned;
 
 /// How far ahead of the clock of receipt an observation's time counts as plausible, in nanoseconds. Observations beyond
 /// wait: they change nothing until an update whose cut has passed their time.

@@ -10,12 +10,13 @@ use tidemap_model::StateModel;
 
 use crate::{
     directory::{Directory, StateInfo},
-    event::{Event, ProducerId, StateId, UpdateStart},
+    event::{Event, ProducerId, StateId, StateKind, UpdateStart},
     grid::{live::LiveGrid, view::GridView},
     name::ProducerKey,
     pending::Pending,
     snapshot::{MapSnapshot, ProducerMark},
     spec::MapSpec,
+    unlearned::Unlearned,
     update::UpdateWork,
     view::{LIVE_CHUNK, LiveState, MapView},
 };
@@ -62,7 +63,7 @@ pub struct LiveMap {
     live_published: Vec<Arc<[LiveState]>>,
     live_dirty: Vec<bool>,
     models: Arc<Vec<Arc<StateModel>>>,
-    unlearned: Arc<StateModel>,
+    unlearned: Unlearned,
     pending: Pending,
     pub(crate) grid: Option<LiveGrid>,
     /// The update that is out: where it started, and how many observations it took.
@@ -73,7 +74,7 @@ impl LiveMap {
     /// An empty map.
     #[must_use]
     pub fn new(spec: Arc<MapSpec>) -> Self {
-        let unlearned = Arc::new(StateModel::new(&spec.periodicities));
+        let unlearned = Unlearned::new(&spec);
         let grid = spec.grid.clone().map(|grid| LiveGrid::new(Arc::new(grid)));
         Self {
             spec,
@@ -122,7 +123,7 @@ impl LiveMap {
             if let Some(received) = grid.received_nanos {
                 map.pending.received(received);
             }
-            map.grid = map.grid.map(|empty| LiveGrid::restore(empty.spec, grid));
+            map.grid = map.grid.map(|empty| empty.restore(grid));
         }
         map
     }
@@ -162,6 +163,12 @@ impl LiveMap {
     #[must_use]
     pub fn producers(&self) -> usize {
         self.producers.len()
+    }
+
+    /// What the values of a state mean.
+    #[must_use]
+    pub fn kind(&self, id: StateId) -> Option<StateKind> {
+        self.directory.info(id).map(|info| info.kind)
     }
 
     /// The grid, where the map has one.
@@ -250,6 +257,10 @@ impl LiveMap {
                 None
             }
             Event::UpdateStart(start) => Some(self.start_update(position, *start).map_err(inconsistent)?),
+            Event::AddState(new) => {
+                self.add_new_state(new).map_err(inconsistent)?;
+                None
+            }
         };
         self.position = position;
         Ok(work)
@@ -303,7 +314,7 @@ impl LiveMap {
             directory: self.directory.clone(),
             live: self.live_published.clone(),
             models: Arc::clone(&self.models),
-            unlearned: Arc::clone(&self.unlearned),
+            unlearned: self.unlearned.clone(),
             grid: self.grid.as_mut().map(GridView::new),
         }
     }

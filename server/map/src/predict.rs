@@ -1,10 +1,14 @@
 //! Questions to a view: what a state is at given times, and how well a model tells given observations.
 //!
-//! Invariant: a probability that leaves here lies in [0, 1]. The phasors of a set of times are computed once and shared
+//! Invariant: what leaves here lies in the bounds of its state's kind, a probability in [0, 1]. The phasors of a set of times are computed once and shared
 //! by all states.
 
+use std::fmt;
+
 use tidemap_model::{
-    InstantPhasors, MAX_ORDER, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateModel,
+    InstantPhasors, MAX_ORDER, ModelChoice, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
+    StateModel,
+    family::{HistogramCycle, Moment, TemporalModel},
 };
 
 use crate::{event::StateId, grid::view::CellDescription, view::MapView};
@@ -17,10 +21,79 @@ pub enum ModelKind {
     Auto,
     /// The mean of the values folded in.
     Mean,
-    /// The last acknowledged value; 0.5 before the first.
+    /// The last acknowledged value; what an unlearned state answers before the first.
     Latest,
     /// The mean and the strongest spectral components (T-RO 2017, section III).
     Spectral,
+    /// The Markov chain of two states, from the newest value on (RAS 2017, section 4.2).
+    Persistence,
+    /// The mean of each interval of a cycle (RA-L 2019, section IV).
+    Histogram {
+        /// What repeats.
+        cycle: HistogramCycle,
+        /// Intervals of the cycle; of weekday and weekend, of each.
+        bins: u32,
+    },
+    /// Periodic mixture of Gaussians (ICRA 2015, eq. 5 to 7).
+    Pergam {
+        /// How many.
+        gaussians: u32,
+    },
+    /// Warped hypertime, by expectation maximisation (RA-L 2019, section III).
+    HypertimeEm {
+        /// How many.
+        clusters: u32,
+    },
+    /// Warped hypertime, by k-means (RA-L 2019, section III).
+    HypertimeKm {
+        /// How many.
+        clusters: u32,
+    },
+    /// A spectral model of the rate of counts.
+    Poisson,
+    /// Regression on the rhythms of day and week.
+    Calibrated,
+}
+
+impl ModelKind {
+    /// Whether it has an order.
+    #[must_use]
+    pub fn has_order(self) -> bool {
+        matches!(self, ModelKind::Auto | ModelKind::Spectral)
+    }
+
+    /// Whether it has to be fitted to the readings of a state before it can answer.
+    #[must_use]
+    pub fn needs_readings(self) -> bool {
+        !self.is_for_cells()
+    }
+
+    /// Whether cells of a grid have it too.
+    #[must_use]
+    pub fn is_for_cells(self) -> bool {
+        matches!(self, ModelKind::Auto | ModelKind::Mean | ModelKind::Latest | ModelKind::Spectral)
+    }
+}
+
+impl fmt::Display for ModelKind {
+    /// As the command line names it, with its parameter.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Mean => f.write_str("mean"),
+            Self::Latest => f.write_str("latest"),
+            Self::Spectral => f.write_str("spectral"),
+            Self::Persistence => f.write_str("persistence"),
+            Self::Histogram { cycle: HistogramCycle::Day, bins } => write!(f, "histogram:{bins}"),
+            Self::Histogram { cycle: HistogramCycle::Week, bins } => write!(f, "histogram:week:{bins}"),
+            Self::Histogram { cycle: HistogramCycle::WeekdayWeekend, bins } => write!(f, "histogram:weekend:{bins}"),
+            Self::Pergam { gaussians } => write!(f, "pergam:{gaussians}"),
+            Self::HypertimeEm { clusters } => write!(f, "hypertime-em:{clusters}"),
+            Self::HypertimeKm { clusters } => write!(f, "hypertime-km:{clusters}"),
+            Self::Poisson => f.write_str("poisson"),
+            Self::Calibrated => f.write_str("calibrated"),
+        }
+    }
 }
 
 /// A model as a question names it.
@@ -36,13 +109,11 @@ pub struct ModelSelector {
 }
 
 impl ModelSelector {
-    /// Order of the spectral model that answers for this state; 0 for a constant one.
+    /// Order of the spectral model that answers for this state; 0 for a constant one, and where another model answers.
     #[must_use]
     pub fn order_for(&self, model: &StateModel) -> usize {
-        match self.kind {
-            ModelKind::Auto | ModelKind::Spectral => self.order_or(model.order()),
-            ModelKind::Mean | ModelKind::Latest => 0,
-        }
+        let is_other = self.kind == ModelKind::Auto && self.order.is_none() && model.choice() != ModelChoice::Spectral;
+        if self.kind.has_order() && !is_other { self.order_or(model.order()) } else { 0 }
     }
 
     /// The order asked for, or else the one that the last update chose.
@@ -54,17 +125,14 @@ impl ModelSelector {
     /// Order of the spectral model that answers for this cell; 0 for a constant one.
     #[must_use]
     pub fn order_for_cell(&self, cell: &CellDescription) -> usize {
-        match self.kind {
-            ModelKind::Auto | ModelKind::Spectral => self.order_or(cell.order),
-            ModelKind::Mean | ModelKind::Latest => 0,
-        }
+        if self.kind.has_order() { self.order_or(cell.order) } else { 0 }
     }
 }
 
 /// Times with their phasors, ready for any number of states of one map.
 #[derive(Debug)]
 pub struct PreparedTimes {
-    utc_nanos: Vec<i64>,
+    moments: Vec<Moment>,
     phasors: PhasorTable,
 }
 
@@ -72,13 +140,19 @@ impl PreparedTimes {
     /// Number of times.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.utc_nanos.len()
+        self.moments.len()
     }
 
     /// Whether there is no time.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.utc_nanos.is_empty()
+        self.moments.is_empty()
+    }
+
+    /// The times, with the local time of the map.
+    #[must_use]
+    pub fn moments(&self) -> &[Moment] {
+        &self.moments
     }
 }
 
@@ -86,16 +160,55 @@ impl MapView {
     /// Computes the phasors of times in nanoseconds UTC. Memory: 16 bytes per time and candidate periodicity.
     #[must_use]
     pub fn prepare(&self, utc_nanos: &[i64]) -> PreparedTimes {
-        let mut offsets = self.spec.zone.offset_cache();
-        let civil: Vec<i64> = utc_nanos.iter().map(|&nanos| civil_nanos(&mut offsets, nanos)).collect();
-        PreparedTimes { utc_nanos: utc_nanos.to_vec(), phasors: PhasorTable::new(&self.spec.periodicities, &civil) }
+        let moments = self.moments(utc_nanos);
+        let civil: Vec<i64> = moments.iter().map(|moment| moment.civil_nanos()).collect();
+        PreparedTimes { moments, phasors: PhasorTable::new(&self.spec.periodicities, &civil) }
     }
 
-    /// Probability that a state is 1 at each of the times, written to `out`, which is as long as the times.
+    /// Times in nanoseconds UTC, with the local time of the map: what a model that was fitted to readings is asked with.
+    #[must_use]
+    pub fn moments(&self, utc_nanos: &[i64]) -> Vec<Moment> {
+        let mut offsets = self.spec.zone.offset_cache();
+        let moment = |&utc_nanos| Moment { utc_nanos, offset_secs: offsets.offset_secs(utc_nanos) };
+        utc_nanos.iter().map(moment).collect()
+    }
+
+    /// Probability that a state is 1, or the value to expect, at each of the moments, by a model that was fitted to its readings, written to `out`,
+    /// which is as long as the moments.
+    pub fn predict_fitted_into(
+        &self,
+        id: StateId,
+        moments: &[Moment],
+        fitted: &dyn TemporalModel,
+        with_persistence: bool,
+        out: &mut [f64],
+    ) {
+        let kind = self.kind(id);
+        for (probability, &moment) in out.iter_mut().zip(moments) {
+            // A sum of Gaussians or of components may be off by rounding.
+            *probability = kind.saturate(fitted.predict(moment));
+        }
+        if with_persistence {
+            blend(&self.live(id).persistence, self.model(id).usual_change(), moments, out);
+        }
+    }
+
+    /// Probability that a state is 1, or the value to expect, at each of the times, written to `out`, which is as long as the times. A kind that
+    /// has to be fitted to readings first ([`ModelKind::needs_readings`]) answers as [`ModelKind::Auto`] does.
     pub fn predict_into(&self, id: StateId, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         let model = self.model(id);
         let live = self.live(id);
-        predict_state((model.spectral(), selector.order_for(model), &live.persistence), times, selector, out);
+        let chosen = if selector.kind == ModelKind::Auto && selector.order.is_none() { model.chosen() } else { None };
+        match chosen {
+            Some(chosen) => self.predict_fitted_into(id, &times.moments, &chosen, selector.persistence, out),
+            None if selector.kind == ModelKind::Latest && live.persistence.last().is_none() => {
+                out.fill(self.unlearned.of(model.kind()).spectral().mean());
+            }
+            None => {
+                let parts = (model.spectral(), selector.order_for(model), &live.persistence);
+                predict_state(model.kind(), parts, model.usual_change(), times, selector, out);
+            }
+        }
     }
 
     /// Probability that a cell is occupied at each of the times, written to `out`, which is as long as the times.
@@ -107,7 +220,7 @@ impl MapView {
         out: &mut [f64],
     ) {
         let parts = (&cell.spectral, selector.order_for_cell(cell), &cell.persistence);
-        predict_state(parts, times, selector, out);
+        predict_state(StateKind::Probability, parts, 1.0, times, selector, out);
     }
 
     /// The phasors of one time in nanoseconds UTC, for many cells.
@@ -128,19 +241,25 @@ fn civil_nanos(offsets: &mut OffsetCache, utc_nanos: i64) -> i64 {
 }
 
 fn predict_state(
+    kind: StateKind,
     (spectral, order, persistence): (&SpectralModel, usize, &Persistence),
+    usual_change: f64,
     times: &PreparedTimes,
     selector: ModelSelector,
     out: &mut [f64],
 ) {
     match selector.kind {
-        ModelKind::Auto | ModelKind::Spectral => spectral.predict_into(order, &times.phasors, out),
-        ModelKind::Mean => out.fill(spectral.mean().clamp(0.0, 1.0)),
-        ModelKind::Latest => out.fill(persistence.last().map_or(0.5, |(_, value)| value)),
+        ModelKind::Mean => out.fill(kind.saturate(spectral.mean())),
+        ModelKind::Latest => out.fill(persistence.last().map_or_else(|| kind.unlearned(), |(_, value)| value)),
+        _ => spectral.predict_values_into(kind, order, &times.phasors, out),
     }
     if selector.persistence {
-        for (probability, &nanos) in out.iter_mut().zip(&times.utc_nanos) {
-            *probability = persistence.blend(*probability, nanos);
-        }
+        blend(persistence, usual_change, &times.moments, out);
+    }
+}
+
+fn blend(persistence: &Persistence, usual_change: f64, moments: &[Moment], out: &mut [f64]) {
+    for (probability, moment) in out.iter_mut().zip(moments) {
+        *probability = persistence.blend_of(usual_change, *probability, moment.utc_nanos);
     }
 }

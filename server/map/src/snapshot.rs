@@ -10,7 +10,7 @@ use tidemap_model::{Persistence, StateModel};
 
 use crate::{
     event::StateKind,
-    grid::snapshot::GridSnapshot,
+    grid::{sensors::ProducerSensor, snapshot::GridSnapshot},
     history::HistoryPiece,
     name::{ProducerKey, StateName},
 };
@@ -40,7 +40,7 @@ pub struct MapSnapshot {
 }
 
 /// How far a producer's sequence is durable.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ProducerMark {
     /// Its key.
     pub key: ProducerKey,
@@ -50,6 +50,8 @@ pub struct ProducerMark {
     pub durable_sequence: u64,
     /// Running CRC-32C over the observations 1..=`durable_sequence`.
     pub content_crc: u32,
+    /// The sensor of all its scans; `None`: the map's own.
+    pub sensor: Option<ProducerSensor>,
 }
 
 /// One state.

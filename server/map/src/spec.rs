@@ -1,11 +1,14 @@
 //! What a map is: the choices made when it is created, which never change afterwards.
 
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{OrderCriterion, Periodicities, UpdateRules, Zone};
 
 use crate::{
     grid::spec::{GridSpec, Retention},
     name::MapName,
 };
+
+/// The shortest half-life: a tenth of a day.
+pub const HALF_LIFE_MIN_NANOS: i64 = 8_640 * 1_000_000_000;
 
 /// The fixed properties of a map.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,8 +23,22 @@ pub struct MapSpec {
     pub criterion: OrderCriterion,
     /// When the map was created, nanoseconds UTC.
     pub created_nanos: i64,
+    /// An observation of a named state that is this much older than the newest counts half, in nanoseconds, above 0; `None`:
+    /// all count alike.
+    pub half_life_nanos: Option<i64>,
+    /// What a state answers of which nothing has been learned, in [0, 1].
+    pub prior: f64,
     /// How long the exact observations of named states are kept for recall.
     pub retention: Retention,
     /// Its occupancy grid, if it has one.
     pub grid: Option<GridSpec>,
+}
+
+impl MapSpec {
+    /// How its states are updated.
+    #[must_use]
+    pub fn update_rules(&self) -> UpdateRules {
+        let days = |nanos: i64| nanos as f64 / (86_400.0 * 1e9);
+        UpdateRules { criterion: self.criterion, half_life_days: self.half_life_nanos.map(days) }
+    }
 }

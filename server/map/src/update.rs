@@ -1,7 +1,7 @@
 //! The update: what it takes along, and what it brings back.
 //!
 //! Invariant: the work holds all that it needs, so that the map goes on changing meanwhile; the result depends on
-//! nothing but the work. States are worked off independently of each other.
+//! nothing but the work and the readings that it is given. States are worked off independently of each other.
 
 use std::sync::{
     Arc,
@@ -16,14 +16,17 @@ use crate::{
     event::{StateId, UpdateStart},
     grid::{
         live::GridBasis,
+        progress::{self, Notes, UpdateIdentity, UpdateJournal},
         spec::Retention,
         tile::TileUnavailable,
         update::{GridOutcome, GridResult, GridWork},
     },
     history::{HistoryDay, HistoryPiece},
     name::StateName,
+    refit::{Refits, StateReadings, refit},
     snapshot::ProducerMark,
     spec::MapSpec,
+    unlearned::Unlearned,
     view::LiveState,
 };
 
@@ -46,9 +49,10 @@ pub struct UpdateWork {
     pub(crate) basis: Basis,
     pub(crate) spec: Arc<MapSpec>,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
-    pub(crate) unlearned: Arc<StateModel>,
+    pub(crate) unlearned: Unlearned,
     pub(crate) samples: Vec<(StateId, Vec<Sample>)>,
     pub(crate) grid: Option<GridWork>,
+    pub(crate) readings: Option<Arc<dyn StateReadings>>,
 }
 
 /// What an update learned.
@@ -59,6 +63,7 @@ pub struct UpdateResult {
     pub(crate) grid: Option<GridResult>,
     pub(crate) history: Option<HistoryPiece>,
     outcomes: Vec<StateOutcome>,
+    refits: Refits,
 }
 
 /// What an update did to one state.
@@ -90,19 +95,61 @@ impl UpdateWork {
         self.samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>() + scans
     }
 
+    /// What the update is known by.
+    #[must_use]
+    pub fn identity(&self) -> UpdateIdentity {
+        let Basis { start: UpdateStart { generation, cut_nanos, .. }, position, .. } = self.basis;
+        let content = progress::content(self.grid.as_ref().map_or(&[], |grid| &grid.days));
+        UpdateIdentity { generation, position, cut_nanos, content }
+    }
+
+    /// Whether a journal could be of use: there are tiles of a grid to work on.
+    #[must_use]
+    pub fn has_tiles(&self) -> bool {
+        self.grid.as_ref().is_some_and(|grid| grid.busy_tiles() > 0)
+    }
+
+    /// The same with what earlier updates have folded in, so that calibrated models are fitted again where they are due.
+    /// Without it they stay as they are. The same update is to be given the same readings whenever it is run.
+    #[must_use]
+    pub fn with_readings(self, readings: Arc<dyn StateReadings>) -> UpdateWork {
+        UpdateWork { readings: Some(readings), ..self }
+    }
+
     /// Runs the update, on the threads of the rayon pool that this is called in. `progress` counts the states and tiles
-    /// done.
+    /// done; a tile that was seen on several days is done in as many parts.
     ///
     /// # Errors
     /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
     pub fn run(self, progress: &AtomicU64) -> Result<UpdateResult, TileUnavailable> {
+        self.run_with(progress, &Notes::new(None, 0))
+    }
+
+    /// Runs the update as [`UpdateWork::run`] does, from where an earlier run of the same update was cut off, and notes
+    /// what it does in a journal of this update. The result is the same.
+    ///
+    /// Nothing is noted before the update has done `min_work`, in changed cells times scans; from then on tiles are noted
+    /// when enough has been done to them. With 0 every tile is noted on every day.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
+    pub fn run_noting(
+        self,
+        progress: &AtomicU64,
+        journal: &dyn UpdateJournal,
+        min_work: u64,
+    ) -> Result<UpdateResult, TileUnavailable> {
+        self.run_with(progress, &Notes::new(Some(journal), min_work))
+    }
+
+    fn run_with(self, progress: &AtomicU64, notes: &Notes<'_>) -> Result<UpdateResult, TileUnavailable> {
         let keeps_states = self.spec.retention != Retention::None;
         let kept_grid = self.spec.grid.as_ref().filter(|grid| grid.retention != Retention::None);
         let mut history = HistoryPiece::new(self.basis.start.generation);
         if keeps_states {
             history.states.clone_from(&self.samples);
         }
-        let mut grid = self.grid.map(|grid| grid.run(progress)).transpose()?;
+        let mut grid = self.grid.map(|grid| grid.run(progress, notes)).transpose()?;
         if let Some(grid) = &mut grid {
             let days = std::mem::take(&mut grid.days);
             if let Some(spec) = kept_grid {
@@ -113,13 +160,13 @@ impl UpdateWork {
         }
         let mut models: Vec<Arc<StateModel>> = Vec::with_capacity(self.basis.directory.len());
         models.extend(self.models.iter().cloned());
-        models.resize(self.basis.directory.len(), Arc::clone(&self.unlearned));
+        models.extend(self.basis.directory.iter().skip(models.len()).map(|info| self.unlearned.of(info.kind).clone()));
         let learned: Vec<(StateId, Arc<StateModel>, UpdateOutcome)> = self
             .samples
             .into_par_iter()
             .map(|(id, samples)| {
                 let mut model = StateModel::clone(&models[id.0 as usize]);
-                let outcome = model.update(&self.spec.periodicities, self.spec.criterion, samples);
+                let outcome = model.update(&self.spec.periodicities, self.spec.update_rules(), samples);
                 progress.fetch_add(1, Ordering::Relaxed);
                 (id, Arc::new(model), outcome)
             })
@@ -131,8 +178,11 @@ impl UpdateWork {
                 outcomes.push(StateOutcome { name: info.name.clone(), outcome });
             }
         }
+        let refits = self.readings.map_or_else(Refits::default, |readings| {
+            refit(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
+        });
         let history = history.bounded();
-        Ok(UpdateResult { basis: self.basis, models: Arc::new(models), grid, history, outcomes })
+        Ok(UpdateResult { basis: self.basis, models: Arc::new(models), grid, history, outcomes, refits })
     }
 }
 
@@ -141,6 +191,12 @@ impl UpdateResult {
     #[must_use]
     pub fn outcomes(&self) -> &[StateOutcome] {
         &self.outcomes
+    }
+
+    /// What became of the calibrated models that were due.
+    #[must_use]
+    pub fn refits(&self) -> &Refits {
+        &self.refits
     }
 
     /// What was done to the cells of the grid, where the map has one.

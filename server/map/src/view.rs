@@ -8,7 +8,13 @@ use std::sync::Arc;
 use tidemap_model::{Persistence, StateModel};
 
 pub use crate::directory::StateInfo;
-use crate::{directory::Directory, event::StateId, grid::view::GridView, spec::MapSpec};
+use crate::{
+    directory::Directory,
+    event::{StateId, StateKind},
+    grid::view::GridView,
+    spec::MapSpec,
+    unlearned::Unlearned,
+};
 
 /// Live values are copied on publication in pieces of this many states.
 pub(crate) const LIVE_CHUNK: usize = 128;
@@ -34,7 +40,7 @@ pub struct MapView {
     pub(crate) directory: Directory,
     pub(crate) live: Vec<Arc<[LiveState]>>,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
-    pub(crate) unlearned: Arc<StateModel>,
+    pub(crate) unlearned: Unlearned,
     pub(crate) grid: Option<GridView>,
 }
 
@@ -117,9 +123,15 @@ impl MapView {
         self.live.get(index / LIVE_CHUNK).and_then(|chunk| chunk.get(index % LIVE_CHUNK)).copied().unwrap_or_default()
     }
 
-    /// The model that the last update gave a state; an unlearned one, which answers 0.5, before its first.
+    /// What the values of a state mean; of one that there is not, that they are probabilities.
+    #[must_use]
+    pub fn kind(&self, id: StateId) -> StateKind {
+        self.info(id).map_or_else(StateKind::default, |info| info.kind)
+    }
+
+    /// The model that the last update gave a state; an unlearned one before its first.
     #[must_use]
     pub fn model(&self, id: StateId) -> &StateModel {
-        self.models.get(id.0 as usize).unwrap_or(&self.unlearned)
+        self.models.get(id.0 as usize).unwrap_or_else(|| self.unlearned.of(self.kind(id)))
     }
 }

@@ -6,7 +6,7 @@
 
 use pulp::Arch;
 
-use crate::{InvalidParts, Periodicities, Sample};
+use crate::{InvalidParts, Periodicities, Sample, StateKind};
 
 mod fold;
 
@@ -21,6 +21,7 @@ const LEAST_WEIGHT: f64 = 1e-9;
 /// Sums over the observations of one state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accumulator {
+    kind: StateKind,
     parts: AccumulatorParts,
 }
 
@@ -44,9 +45,19 @@ pub struct AccumulatorParts {
 }
 
 impl Accumulator {
-    /// No observations yet.
+    /// No observations yet, of a probability.
     pub fn new(_periodicities: &Periodicities) -> Accumulator {
-        Accumulator { parts: AccumulatorParts::default() }
+        Accumulator::of_kind(StateKind::Probability)
+    }
+
+    /// No observations yet, of a state of that kind.
+    pub fn of_kind(kind: StateKind) -> Accumulator {
+        Accumulator { kind, parts: AccumulatorParts::default() }
+    }
+
+    /// What the values mean.
+    pub fn kind(&self) -> StateKind {
+        self.kind
     }
 
     /// Number of observations n.
@@ -59,12 +70,21 @@ impl Accumulator {
         self.parts.weight
     }
 
-    /// Mean value μ = S/n; 0.5 where nothing was observed.
+    /// Mean value μ = S/n; where nothing was observed 0.5 of a probability, else 0.
     pub fn mean(&self) -> f64 {
         if self.parts.observations == 0 {
-            return 0.5;
+            return self.kind.unlearned();
         }
-        (self.parts.sum / self.parts.weight).clamp(0.0, 1.0)
+        self.kind.saturate(self.parts.sum / self.parts.weight)
+    }
+
+    /// Variance of the values around their mean, at least 0; 0 where nothing was observed. Precise to some 1e-15 of the
+    /// square of the mean.
+    pub fn variance(&self) -> f64 {
+        if self.parts.observations == 0 {
+            return 0.0;
+        }
+        (self.parts.sum_squares / self.parts.weight - self.mean().powi(2)).max(0.0)
     }
 
     /// Time of the first observation, UTC in nanoseconds since 1970.
@@ -153,11 +173,23 @@ impl Accumulator {
         self.parts.clone()
     }
 
-    /// An accumulator from what was stored.
+    /// An accumulator of a probability from what was stored.
     ///
     /// # Errors
     /// [`InvalidParts`] where the spectrum does not fit the periodicities or a number is outside its range.
     pub fn from_parts(periodicities: &Periodicities, parts: AccumulatorParts) -> Result<Accumulator, InvalidParts> {
+        Accumulator::from_parts_of(StateKind::Probability, periodicities, parts)
+    }
+
+    /// An accumulator of a state of that kind from what was stored.
+    ///
+    /// # Errors
+    /// As [`Accumulator::from_parts`].
+    pub fn from_parts_of(
+        kind: StateKind,
+        periodicities: &Periodicities,
+        parts: AccumulatorParts,
+    ) -> Result<Accumulator, InvalidParts> {
         let expected = if parts.observations == 0 { 0 } else { periodicities.len() };
         if parts.spectrum.len() != expected {
             return Err(InvalidParts::SpectrumLength { expected, found: parts.spectrum.len() });
@@ -170,11 +202,12 @@ impl Accumulator {
         let most = parts.weight * (1.0 + 1e-9);
         let least = if parts.observations == 0 { 0.0 } else { f64::MIN_POSITIVE };
         InvalidParts::check("weight", parts.weight, least..=parts.observations as f64)?;
-        InvalidParts::check("sum", parts.sum, 0.0..=most)?;
-        InvalidParts::check("sum of squares", parts.sum_squares, 0.0..=most)?;
+        let magnitude = kind.magnitude();
+        InvalidParts::check("sum", parts.sum, most * kind.bounds().start()..=most * magnitude)?;
+        InvalidParts::check("sum of squares", parts.sum_squares, 0.0..=most * magnitude * magnitude)?;
         for &entry in parts.spectrum.as_flattened() {
-            InvalidParts::check("spectrum", entry, -most..=most)?;
+            InvalidParts::check("spectrum", entry, -most * magnitude..=most * magnitude)?;
         }
-        Ok(Accumulator { parts })
+        Ok(Accumulator { kind, parts })
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Invariant: evaluating changes nothing; every observation counts once.
 
-use crate::{MAX_ORDER, Periodicities, PhasorTable, Sample, ScoreSums, SpectralModel};
+use crate::{MAX_ORDER, Periodicities, PhasorTable, Sample, ScoreSums, SpectralModel, StateKind};
 
 #[cfg(test)]
 mod tests;
@@ -23,14 +23,16 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
-    /// Counts one observation and what was predicted for it, both in [0,1].
+    /// Counts one observation and what was predicted for it. Of values that are no probabilities the squared error alone
+    /// means something.
     pub fn add(&mut self, predicted: f64, value: f64) {
         self.observations += 1;
         self.squared_error += (predicted - value) * (predicted - value);
         self.wrong += u64::from((predicted >= 0.5) != (value >= 0.5));
     }
 
-    /// Mean squared error, 0 to 1; 0 where there are no observations.
+    /// Mean squared error, in the square of the value's unit, of probabilities 0 to 1; 0 where there are no
+    /// observations.
     pub fn mse(&self) -> f64 {
         self.squared_error / self.observations.max(1) as f64
     }
@@ -41,7 +43,7 @@ impl Evaluation {
     }
 }
 
-/// The errors of a model on samples, one [`Evaluation`] per order 0..=`max_order`; orders above
+/// The errors of a model of a probability on samples, one [`Evaluation`] per order 0..=`max_order`; orders above
 /// [`MAX_ORDER`] are left out.
 pub fn evaluate(
     model: &SpectralModel,
@@ -49,7 +51,7 @@ pub fn evaluate(
     samples: &[Sample],
     max_order: usize,
 ) -> Vec<Evaluation> {
-    let sums = score_samples(model, periodicities, samples);
+    let sums = score_samples(StateKind::Probability, model, periodicities, samples);
     let of_order = |order: usize| Evaluation {
         observations: samples.len() as u64,
         squared_error: sums.squared[order],
@@ -58,15 +60,23 @@ pub fn evaluate(
     (0..=max_order.min(MAX_ORDER)).map(of_order).collect()
 }
 
-/// The errors of every order, summed over the samples.
-pub(crate) fn score_samples(model: &SpectralModel, periodicities: &Periodicities, samples: &[Sample]) -> ScoreSums {
+/// The errors of every order, summed over the samples; of a state that is no probability, nothing is counted as wrong.
+pub(crate) fn score_samples(
+    kind: StateKind,
+    model: &SpectralModel,
+    periodicities: &Periodicities,
+    samples: &[Sample],
+) -> ScoreSums {
     let chosen: Vec<u32> = model.components().iter().map(|component| component.periodicity).collect();
     let mut sums = ScoreSums::default();
     for chunk in samples.chunks(CHUNK) {
         let civil_nanos: Vec<i64> = chunk.iter().map(Sample::civil_nanos).collect();
         let values: Vec<f64> = chunk.iter().map(|sample| sample.value).collect();
         let phasors = PhasorTable::only(periodicities, &civil_nanos, &chosen);
-        model.score_run_values(&phasors, &values, None, &mut sums, true);
+        match kind {
+            StateKind::Probability => model.score_run_values(&phasors, &values, None, &mut sums, true),
+            _ => model.score_values(kind, &phasors, &values, &mut sums.squared),
+        }
     }
     sums
 }

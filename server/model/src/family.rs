@@ -27,12 +27,15 @@ pub use hypertime::{
     FieldReading, Hypertime, HypertimeAxis, HypertimeCluster, HypertimeDistribution, HypertimeField,
     HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeOptions, HypertimeParts,
 };
-pub use interval::{HourMoments, Interval, credible_interval};
+pub use interval::{HourMoments, Interval, credible_interval, value_interval};
 pub use latest::{Latest, LatestParts};
 pub use mean::{Mean, MeanParts};
 pub use pergam::{Pergam, PergamGaussian, PergamOptions, PergamParts};
 pub use poisson::{COUNT_BIN_NANOS, PoissonSpectral, PoissonSpectralParts};
-pub use support::{DependenceSums, OrderGains, OrderGainsParts, effective_observations, supported_order};
+pub use support::{
+    DependenceSums, OrderGains, OrderGainsParts, effective_observations, effective_observations_of_values,
+    supported_order, supported_order_of_values,
+};
 pub use uniform::{UniformSpectral, UniformSpectralParts};
 
 use crate::{Sample, civil::NANOS_PER_SEC};

@@ -3,11 +3,12 @@
 //! The models are FreMEn, Frequency Map Enhancement: Krajník et al., "FreMEn: Frequency Map
 //! Enhancement for Long-Term Mobile Robot Autonomy in Changing Environments", T-RO 2017 ("T-RO"), and
 //! Santos et al., "Lifelong Information-Driven Exploration to Complete and Refine 4-D Spatio-Temporal
-//! Maps", RA-L 2016 ("RA-L"). A state is anything with a value in `[0,1]` over time: a door, a cell, an
-//! edge. This crate knows nothing of where a state is, of other states, of files or of the network.
+//! Maps", RA-L 2016 ("RA-L"). A state is anything with a value over time, a probability or, by its [`StateKind`],
+//! another number: a door, a cell, an edge, the speed of people at a place. This crate knows nothing of where a state is, of other states, of files or of the network.
 //!
 //! Invariants: no I/O, no clock, no randomness; a sum over observations does not depend on their
-//! order or on how they were batched (to 1e-9); every prediction lies in `[0,1]`.
+//! order or on how they were batched (to 1e-9); every prediction lies in the bounds of its state's kind, `[0,1]` of a
+//! probability.
 //!
 //! ```
 //! use tidemap_model::{OrderCriterion, Periodicities, Sample, StateModel};
@@ -35,6 +36,7 @@ mod civil;
 mod entropy;
 mod evaluate;
 pub mod family;
+mod kind;
 mod order;
 mod periodicity;
 mod persistence;
@@ -48,6 +50,7 @@ pub use accumulator::{Accumulator, AccumulatorParts};
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits, information_gain_bits};
 pub use evaluate::{Evaluation, evaluate};
+pub use kind::{StateKind, VALUE_MAX};
 pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};
 pub use periodicity::{InvalidPeriodicities, Periodicities, PeriodicityDefinition};
 pub use persistence::{Persistence, PersistenceParts};
@@ -55,7 +58,10 @@ pub use phasor::PhasorTable;
 pub use phasor_sum::{PhasorSum, RunningSums};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
-pub use state::{Alternatives, AlternativesParts, HISTOGRAMS, ModelChoice, StateModel, UpdateOutcome, UpdateRules};
+pub use state::{
+    Alternatives, AlternativesParts, CalibratedFitParts, Chosen, HISTOGRAMS, ModelChoice, StateModel, UpdateOutcome,
+    UpdateRules,
+};
 
 /// The highest model order: at most this many spectral components are kept and used.
 pub const MAX_ORDER: usize = 15;

@@ -1,9 +1,9 @@
 //! Persistence: how long a state tends to keep its value, and what the last observation still says.
 //!
 //! Unlike the spectral model it depends on the order of arrival: only observations newer than the
-//! last one count. Invariant: 1/τ is finite and not negative, and the last value lies in `[0,1]`.
+//! last one count. Invariant: 1/τ is finite and not negative, and the last value is one that the state's kind allows.
 
-use crate::InvalidParts;
+use crate::{InvalidParts, StateKind};
 
 #[cfg(test)]
 mod tests;
@@ -29,7 +29,7 @@ pub struct PersistenceParts {
 }
 
 impl Persistence {
-    /// Takes in an observation with a value in `[0,1]`; one that is not newer than the last changes
+    /// Takes in an observation with a value that the state's kind allows; one that is not newer than the last changes
     /// nothing (T-RO eq. 12).
     pub fn observe(&mut self, utc_nanos: i64, value: f64) {
         if let Some((last_nanos, last_value)) = self.parts.last {
@@ -50,15 +50,28 @@ impl Persistence {
     /// Mean time between changes τ in seconds: 1/τ = (1/3600 + Σ |Δs|/Δt) / (1 + m), which is T-RO
     /// eq. 12 with a prior of one hour that weighs as much as one pair of observations.
     pub fn tau_secs(&self) -> f64 {
-        (1.0 + self.parts.pairs as f64) / (1.0 / PRIOR_TAU_SECS + self.parts.change_rate_sum)
+        self.tau_secs_of(1.0)
+    }
+
+    /// [`Persistence::tau_secs`] of a state whose values change by `change` rather than by 1, such as from one standard
+    /// deviation below their mean to one above it: changes count in units of it. One that is not above 0 and finite
+    /// counts as 1.
+    pub fn tau_secs_of(&self, change: f64) -> f64 {
+        let change = if change > 0.0 && change.is_finite() { change } else { 1.0 };
+        (1.0 + self.parts.pairs as f64) / (1.0 / PRIOR_TAU_SECS + self.parts.change_rate_sum / change)
     }
 
     /// The long-term prediction `p` for a time, drawn towards the last observed value by how recent it
     /// is (T-RO eq. 13). For a time before the last observation it is `p`.
     pub fn blend(&self, p: f64, utc_nanos: i64) -> f64 {
+        self.blend_of(1.0, p, utc_nanos)
+    }
+
+    /// [`Persistence::blend`] of a state whose values change by `change`; see [`Persistence::tau_secs_of`].
+    pub fn blend_of(&self, change: f64, p: f64, utc_nanos: i64) -> f64 {
         match self.parts.last {
             Some((last_nanos, last_value)) if utc_nanos >= last_nanos => {
-                let weight = (-secs_between(last_nanos, utc_nanos) / self.tau_secs()).exp();
+                let weight = (-secs_between(last_nanos, utc_nanos) / self.tau_secs_of(change)).exp();
                 last_value * weight + p * (1.0 - weight)
             }
             _ => p,
@@ -70,14 +83,22 @@ impl Persistence {
         self.parts
     }
 
-    /// A model from what was stored.
+    /// A model of a probability from what was stored.
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range.
     pub fn from_parts(parts: PersistenceParts) -> Result<Persistence, InvalidParts> {
+        Persistence::from_parts_of(StateKind::Probability, parts)
+    }
+
+    /// A model of a state of that kind from what was stored.
+    ///
+    /// # Errors
+    /// As [`Persistence::from_parts`].
+    pub fn from_parts_of(kind: StateKind, parts: PersistenceParts) -> Result<Persistence, InvalidParts> {
         InvalidParts::check("change_rate_sum", parts.change_rate_sum, 0.0..=f64::MAX)?;
         if let Some((_, value)) = parts.last {
-            InvalidParts::check("last value", value, 0.0..=1.0)?;
+            InvalidParts::check("last value", value, kind.bounds())?;
         }
         Ok(Persistence { parts })
     }

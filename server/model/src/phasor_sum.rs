@@ -188,6 +188,16 @@ impl RunningSums {
     /// Moves on to the next chunk of times: its row 0 is the last row there was, and each time of the
     /// table gives one more. A periodicity that the table does not hold stays as it was.
     pub fn extend_chunk(&mut self, phasors: &PhasorTable) {
+        self.extend::<false>(phasors, &[]);
+    }
+
+    /// As [`RunningSums::extend_chunk`], each time counting as much as its weight: row i becomes Σ w·e^(-jω_k t). The
+    /// weights are finite, of either sign, one per time; times beyond them count as 0.
+    pub fn extend_weighted(&mut self, phasors: &PhasorTable, weights: &[f64]) {
+        self.extend::<true>(phasors, weights);
+    }
+
+    fn extend<const WEIGHTED: bool>(&mut self, phasors: &PhasorTable, weights: &[f64]) {
         let last = self.row(self.times).to_vec();
         self.times = phasors.len();
         if self.rows.count() <= self.times {
@@ -200,15 +210,22 @@ impl RunningSums {
         for at in (0..self.times).step_by(STRIP) {
             let strip = at..self.times.min(at + STRIP);
             for (group, (cos, sin)) in cos.chunks(TILE).zip(sin.chunks(TILE)).enumerate() {
-                self.run_on::<false>(cos, group * TILE, strip.clone());
-                self.run_on::<true>(sin, self.periodicities + group * TILE, strip.clone());
+                self.run_on::<false, WEIGHTED>(cos, weights, group * TILE, strip.clone());
+                self.run_on::<true, WEIGHTED>(sin, weights, self.periodicities + group * TILE, strip.clone());
             }
         }
     }
 
     /// Fills at most [`TILE`] columns from `column` on, one per row of phasors, behind some times: with
-    /// sums of the phasors, or of the `NEGATED` phasors, and what the row before them holds.
-    fn run_on<const NEGATED: bool>(&mut self, phasors: &[&[f64]], column: usize, strip: Range<usize>) {
+    /// sums of the phasors, or of the `NEGATED` phasors, and what the row before them holds. Where they are `WEIGHTED`,
+    /// each time counts as its weight.
+    fn run_on<const NEGATED: bool, const WEIGHTED: bool>(
+        &mut self,
+        phasors: &[&[f64]],
+        weights: &[f64],
+        column: usize,
+        strip: Range<usize>,
+    ) {
         let columns = column..column + phasors.len();
         let mut sums = [0.0; TILE];
         sums[..phasors.len()].copy_from_slice(&self.rows.row(strip.start)[columns.clone()]);
@@ -220,6 +237,13 @@ impl RunningSums {
                 match phasors.first_chunk::<TILE>() {
                     Some(whole) => *tile = *whole,
                     None => tile.iter_mut().zip(phasors).for_each(|(entry, phasor)| *entry = *phasor),
+                }
+            }
+            if WEIGHTED {
+                let mut factors = [0.0; TILE];
+                factors.iter_mut().zip(weights.get(at..).unwrap_or_default()).for_each(|(to, from)| *to = *from);
+                for tile in &mut tile {
+                    tile.iter_mut().zip(&factors).for_each(|(entry, factor)| *entry *= factor);
                 }
             }
             for time in 0..TILE.min(strip.end - at) {

@@ -1,6 +1,6 @@
 //! One observation of one state, as the models take it.
 //!
-//! Invariant: the caller guarantees a value in `[0,1]`; nothing here checks it again.
+//! Invariant: the caller guarantees a value that the state's kind allows; nothing here checks it again.
 
 use crate::LocalDay;
 use crate::civil::NANOS_PER_SEC;
@@ -12,7 +12,8 @@ pub struct Sample {
     pub utc_nanos: i64,
     /// The UTC offset of the map's zone that was used when it was logged, in seconds, east positive.
     pub offset_secs: i32,
-    /// What was seen, in `[0,1]`; guaranteed by the caller.
+    /// What was seen: in `[0,1]` of a probability, else what the state's [`crate::StateKind`] allows; guaranteed by the
+    /// caller.
     pub value: f64,
 }
 

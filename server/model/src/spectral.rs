@@ -6,13 +6,14 @@
 
 use pulp::Arch;
 
-use crate::{Accumulator, InvalidParts, MAX_ORDER, Periodicities, PhasorTable};
+use crate::{Accumulator, InvalidParts, MAX_ORDER, Periodicities, PhasorTable, StateKind};
 
 mod cell;
 mod instant;
 mod score;
 mod strongest;
 mod sweep;
+mod values;
 
 pub use cell::CellSums;
 pub use instant::InstantPhasors;
@@ -86,19 +87,34 @@ impl SpectralModel {
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range or there are too many components.
     pub fn from_parts(mean: f64, observations: u64, components: Vec<Component>) -> Result<SpectralModel, InvalidParts> {
-        InvalidParts::check("mean", mean, 0.0..=1.0)?;
+        SpectralModel::from_parts_of(StateKind::Probability, mean, observations, components)
+    }
+
+    /// A model of a state of that kind from what was stored: mean in its bounds, components strongest first.
+    ///
+    /// # Errors
+    /// As [`SpectralModel::from_parts`].
+    pub fn from_parts_of(
+        kind: StateKind,
+        mean: f64,
+        observations: u64,
+        components: Vec<Component>,
+    ) -> Result<SpectralModel, InvalidParts> {
+        InvalidParts::check("mean", mean, kind.bounds())?;
         if components.len() > MAX_ORDER {
             return Err(InvalidParts::OrderTooHigh { found: components.len() });
         }
         for component in &components {
-            // |γ| is at most 1 for values in [0,1]; leave room for rounding.
-            InvalidParts::check("gamma_re", component.gamma_re, -1.01..=1.01)?;
-            InvalidParts::check("gamma_im", component.gamma_im, -1.01..=1.01)?;
+            // |γ| is at most 1 for values in [0,1], and twice the magnitude of values that may be negative; leave room
+            // for rounding.
+            let most = if kind == StateKind::Probability { 1.01 } else { 2.02 * kind.magnitude() };
+            InvalidParts::check("gamma_re", component.gamma_re, -most..=most)?;
+            InvalidParts::check("gamma_im", component.gamma_im, -most..=most)?;
         }
         Ok(SpectralModel { mean, observations, components })
     }
 
-    /// Mean value μ, in `[0,1]`.
+    /// Mean value μ, in `[0,1]` of a probability.
     pub fn mean(&self) -> f64 {
         self.mean
     }
@@ -121,6 +137,11 @@ impl SpectralModel {
     /// Probability or expected value at a local civil time (nanoseconds since 1970 local) by the
     /// `order` strongest components, or as many as there are; in `[0,1]` (T-RO eq. 10).
     pub fn predict(&self, periodicities: &Periodicities, order: usize, civil_nanos: i64) -> f64 {
+        self.sum(periodicities, order, civil_nanos).clamp(0.0, 1.0)
+    }
+
+    /// The mean and the leading components at a time, not saturated.
+    fn sum(&self, periodicities: &Periodicities, order: usize, civil_nanos: i64) -> f64 {
         let mut p = self.mean;
         for component in self.leading(order) {
             // A periodicity that these periodicities do not have adds nothing.
@@ -129,7 +150,7 @@ impl SpectralModel {
                 p += 2.0 * (component.gamma_re * cos - component.gamma_im * sin);
             }
         }
-        p.clamp(0.0, 1.0)
+        p
     }
 
     /// [`SpectralModel::predict`] at each time of a table, into the first `phasors.len()` places of

@@ -4,17 +4,23 @@
 //! model as it was before, then the day is folded in (T-RO section IV.B). So the score is of
 //! predictions, never of data the model has seen. Invariant: the result of an update does not depend
 //! on how it was batched, as long as no local day is split and batches come in order of time; data
-//! older than the last observation folded in is never scored.
+//! older than the last observation folded in is never scored. What is given between updates, the calibrated model
+//! ([`StateModel::refitted`]), has a say from the next day on.
 
 use crate::SpectralModel;
 use crate::evaluate::score_samples;
-use crate::{Accumulator, InvalidParts, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Sample};
+use crate::family::Calibrated;
+use crate::{
+    Accumulator, InvalidParts, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Sample, StateKind,
+};
 
 mod alternatives;
 #[cfg(test)]
+mod kind_tests;
+#[cfg(test)]
 mod tests;
 
-pub use alternatives::{Alternatives, AlternativesParts, HISTOGRAMS, ModelChoice};
+pub use alternatives::{Alternatives, AlternativesParts, CalibratedFitParts, Chosen, HISTOGRAMS, ModelChoice};
 
 /// The long-term model of one state.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,18 +66,19 @@ pub struct UpdateOutcome {
 }
 
 impl StateModel {
-    /// A state of which nothing is known.
-    pub fn new(periodicities: &Periodicities) -> StateModel {
-        StateModel {
-            accumulator: Accumulator::new(periodicities),
-            spectral: SpectralModel::default(),
-            order: 0,
-            errors: OrderErrors::default(),
-            alternatives: None,
-        }
+    /// A probability of which nothing is known.
+    pub fn new(_periodicities: &Periodicities) -> StateModel {
+        StateModel::of_kind(StateKind::Probability)
     }
 
-    /// A state of which nothing is known but what to expect of such states, in `[0,1]`; 0.5 where it is not.
+    /// A state of that kind of which nothing is known. It answers 0.5 where it is a probability, else 0.
+    pub fn of_kind(kind: StateKind) -> StateModel {
+        let accumulator = Accumulator::of_kind(kind);
+        let spectral = SpectralModel::from_parts_of(kind, kind.unlearned(), 0, Vec::new()).unwrap_or_default();
+        StateModel { accumulator, spectral, order: 0, errors: OrderErrors::default(), alternatives: None }
+    }
+
+    /// A probability of which nothing is known but what to expect of such states, in `[0,1]`; 0.5 where it is not.
     pub fn with_prior(periodicities: &Periodicities, prior: f64) -> StateModel {
         let spectral = SpectralModel::from_parts(prior, 0, Vec::new()).unwrap_or_default();
         StateModel { spectral, ..StateModel::new(periodicities) }
@@ -109,12 +116,39 @@ impl StateModel {
         self.alternatives.as_ref().map_or(ModelChoice::Spectral, |alternatives| alternatives.choice())
     }
 
-    /// The histogram that is in force; `None` where the spectral model is.
-    pub fn chosen_histogram(&self) -> Option<crate::family::Histogram> {
-        match self.choice() {
-            ModelChoice::Spectral => None,
-            ModelChoice::Histogram(number) => self.alternatives.as_ref()?.histogram(number),
+    /// The model in force; `None` where it is the spectral one.
+    pub fn chosen(&self) -> Option<Chosen<'_>> {
+        self.alternatives.as_ref()?.chosen()
+    }
+
+    /// Whether the calibrated model is to be fitted again: when seven local days were observed, seven local days after
+    /// the last fit, and when the change alarm has rung since.
+    pub fn is_refit_due(&self) -> bool {
+        self.alternatives.as_ref().is_some_and(|alternatives| alternatives.is_refit_due())
+    }
+
+    /// The same with a calibrated model that was fitted to the state's readings up to a local day, that day included. It is
+    /// scored on what is folded in from now on, and may come into force then. A state into which nothing was folded takes
+    /// none.
+    #[must_use]
+    pub fn refitted(mut self, calibrated: Calibrated, day: LocalDay) -> StateModel {
+        if let Some(alternatives) = &mut self.alternatives {
+            alternatives.refit(calibrated, day);
         }
+        self
+    }
+
+    /// What its values mean.
+    pub fn kind(&self) -> StateKind {
+        self.accumulator.kind()
+    }
+
+    /// The change of value by which persistence measures changes, above 0: 1 of a probability; of other kinds two standard
+    /// deviations of what was folded in, which is how far a state apart lies that has two values equally often. 1 where
+    /// that is not known.
+    pub fn usual_change(&self) -> f64 {
+        let width = 2.0 * self.accumulator.variance().sqrt();
+        if self.kind() != StateKind::Probability && width > 0.0 { width } else { 1.0 }
     }
 
     /// The sums over all observations folded in.
@@ -145,7 +179,8 @@ impl StateModel {
     }
 
     /// Takes in observations, day by local day: scores those newer than the last one folded in before
-    /// that day with every order and every histogram, chooses, folds the day in and refits.
+    /// that day with every order, every histogram and the calibrated model, chooses, folds the day in and refits; the
+    /// calibrated model stays as it is.
     ///
     /// A local day that is split over two updates is scored in two parts, the second against the model
     /// that has seen the first. With a half-life, what is folded in on a day counts by its age in whole local days, late
@@ -156,7 +191,11 @@ impl StateModel {
         rules: impl Into<UpdateRules>,
         mut samples: Vec<Sample>,
     ) -> UpdateOutcome {
-        let rules = rules.into();
+        let mut rules = rules.into();
+        if self.kind() != StateKind::Probability {
+            // Such values have no two sides of 0.5.
+            rules.criterion = OrderCriterion::SquaredError;
+        }
         if !samples.is_sorted_by_key(|sample| sample.utc_nanos) {
             samples.sort_by_key(|sample| sample.utc_nanos);
         }
@@ -203,7 +242,7 @@ impl StateModel {
             alternatives.fade(factor);
             alternatives.add(day, of_day);
         } else {
-            let mut late = Accumulator::new(periodicities);
+            let mut late = Accumulator::of_kind(self.accumulator.kind());
             late.add(periodicities, of_day);
             late.fade(factor);
             self.accumulator.merge(&late);
@@ -225,19 +264,20 @@ impl StateModel {
         if newer.is_empty() {
             return;
         }
-        let sums = score_samples(&self.spectral, periodicities, newer);
+        let sums = score_samples(self.kind(), &self.spectral, periodicities, newer);
         let errors = match criterion {
             OrderCriterion::SquaredError => &sums.squared,
             OrderCriterion::ZeroOne => &sums.wrong,
         };
-        let squared = sums.squared[self.order()];
+        let (kind, squared) = (self.kind(), sums.squared[self.order()]);
         self.errors.record(day, errors);
         self.order = self.errors.best();
         outcome.squared_error_in_force += match &mut self.alternatives {
             Some(alternatives) => {
                 let order = self.order.min(alternatives.supported_order());
                 let spectral = (errors[order], self.errors.sums()[order]);
-                alternatives.score(day, criterion, newer, spectral, squared)
+                let unit = if kind == StateKind::Probability { 1.0 } else { self.accumulator.variance() };
+                alternatives.score(day, criterion, newer, spectral, (squared, unit))
             }
             None => squared,
         };

@@ -26,6 +26,7 @@ fn catalog(store: Store) -> Result<Catalog, CatalogError> {
         max_pending: tidemap_map::live_map::PendingLimits { observations: 1000, changes: 1000 },
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
+        update_journal_min_work: 0,
     };
     Catalog::open(context, 10)
 }
@@ -37,6 +38,8 @@ fn spec() -> MapSpec {
         periodicities: Periodicities::default(),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::Forever,
         grid: None,
     }

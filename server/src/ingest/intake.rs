@@ -1,17 +1,22 @@
 //! Checks the observations and scans of one stream, in the stream's own task, before its map's writer sees them.
 //!
 //! Invariant: sequence numbers go up by one; what was taken before is skipped, a gap ends the stream. An observation
-//! that is wrong is refused by itself and uses up its number.
+//! that is wrong is refused by itself and uses up its number. Of a name without a kind, what its values may be is for the
+//! map's writer to say, which knows the state.
 
-use tidemap_map::{event::RefusalReason, grid::spec::GridSpec, name::StateName};
+use tidemap_map::{
+    event::{RefusalReason, StateKind},
+    grid::spec::GridSpec,
+    name::StateName,
+};
 use tidemap_proto::convert::{
     InvalidField,
-    columns::{DecodedColumns, decode},
+    columns::{DecodedColumns, decode, new_kinds},
     scans::{ScanError, ScanLimits},
 };
 use tidemap_proto::v1::ObservationBatch;
 
-use super::protocol::{Batch, Refused};
+use super::protocol::{Batch, NewName, Refused};
 
 mod cast_table;
 mod scans;
@@ -79,6 +84,15 @@ pub struct IntakeLimits {
 struct TableEntry {
     raw: String,
     refusal: Option<String>,
+    /// What the stream said of it.
+    kind: Option<StateKind>,
+}
+
+impl TableEntry {
+    /// Whether the state may have the value, as far as is known here.
+    fn may_have(&self, value: f64) -> bool {
+        self.kind.unwrap_or(StateKind::Continuous).allows(value)
+    }
 }
 
 /// One stream's table of names, sequence and running CRC.
@@ -127,11 +141,12 @@ impl Intake {
         }
         let mut columns =
             message.observations.ok_or_else(|| InvalidField::new("observations", "missing: send at least 1"))?;
+        let kinds = new_kinds(&columns)?;
         let names = std::mem::take(&mut columns.new_states);
         self.check_limits(columns.time_deltas.len(), &names)?;
         let columns = decode(columns)?;
         let last = last_sequence(first, columns.values.len())?;
-        let new_names = self.extend_table(names);
+        let new_names = self.extend_table(names, kinds);
         let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
         if last < self.next_sequence && new_names.is_empty() {
             return Ok(None);
@@ -170,15 +185,15 @@ impl Intake {
         Ok(())
     }
 
-    fn extend_table(&mut self, names: Vec<String>) -> Vec<Option<StateName>> {
+    fn extend_table(&mut self, names: Vec<String>, kinds: Vec<Option<StateKind>>) -> Vec<Option<NewName>> {
         let mut checked = Vec::with_capacity(names.len());
-        for raw in names {
+        for (raw, kind) in names.into_iter().zip(kinds) {
             let (name, refusal) = match StateName::new(&raw) {
-                Ok(name) => (Some(name), None),
+                Ok(name) => (Some(NewName { name, kind }), None),
                 Err(error) => (None, Some(format!("state {error}"))),
             };
             self.table_bytes += raw.len();
-            self.table.push(TableEntry { raw, refusal });
+            self.table.push(TableEntry { raw, refusal, kind });
             checked.push(name);
         }
         checked
@@ -201,7 +216,7 @@ impl Intake {
             self.rows.extend_from_slice(&time.to_le_bytes());
             self.rows.extend_from_slice(&value.to_le_bytes());
             let refusal = match entry {
-                Some(TableEntry { refusal: None, .. }) if time >= 0 && (0.0..=1.0).contains(&value) => None,
+                Some(entry) if entry.refusal.is_none() && time >= 0 && entry.may_have(value) => None,
                 _ => Some(refuse(entry, index, self.table.len(), time, value)),
             };
             let offset = i - skip;
@@ -237,6 +252,11 @@ fn shortened(detail: &str) -> String {
     detail.chars().take(DETAIL_CHARS_MAX).collect()
 }
 
+/// That a state of that kind cannot have the value.
+pub(super) fn refuse_value(value: f64, kind: StateKind) -> (RefusalReason, String) {
+    (RefusalReason::Value, format!("value {value} is not {}", kind.expected()))
+}
+
 fn refuse(entry: Option<&TableEntry>, index: u32, table_len: usize, time: i64, value: f64) -> (RefusalReason, String) {
     match entry {
         None => {
@@ -245,6 +265,6 @@ fn refuse(entry: Option<&TableEntry>, index: u32, table_len: usize, time: i64, v
         }
         Some(TableEntry { refusal: Some(text), .. }) => (RefusalReason::StateName, text.clone()),
         Some(_) if time < 0 => (RefusalReason::Time, format!("time {time} ns is before 1970")),
-        Some(_) => (RefusalReason::Value, format!("value {value} is not between 0 and 1")),
+        Some(entry) => refuse_value(value, entry.kind.unwrap_or(StateKind::Continuous)),
     }
 }

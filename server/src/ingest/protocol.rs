@@ -6,8 +6,14 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{RefusalReason, UpdateCause},
-    grid::{front::SentScan, index::TileIndex, paging::SavedTiles, tile::TileSource},
+    event::{RefusalReason, StateKind, UpdateCause},
+    grid::{
+        front::SentScan,
+        index::TileIndex,
+        paging::SavedTiles,
+        sensors::{InvalidSensor, ProducerSensor},
+        tile::TileSource,
+    },
     history::{HistoryPiece, Reading, Subject},
     name::{ProducerKey, StateName},
     snapshot::MapSnapshot,
@@ -16,6 +22,7 @@ use tidemap_map::{
 use tidemap_store::AppendError;
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
+use super::watching::Listening;
 use crate::jobs::Job;
 
 /// Whether the daemon cannot go on: what the disk holds is not known any more.
@@ -37,6 +44,8 @@ pub struct Hello {
     pub incarnation: u64,
     /// Whether data time is announced.
     pub nightly: bool,
+    /// The sensor that is announced.
+    pub sensor: Option<ProducerSensor>,
     /// Where the writer's messages to the stream go.
     pub events: mpsc::UnboundedSender<SessionEvent>,
     /// The answer.
@@ -57,7 +66,7 @@ pub struct Opened {
 }
 
 /// Why a stream is not accepted.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum HelloError {
     /// Another stream of the key is open.
     #[error(
@@ -81,6 +90,25 @@ pub enum HelloError {
         /// The limit.
         max: usize,
     },
+    /// The sensor cannot be one of the map's.
+    #[error(transparent)]
+    Sensor(#[from] InvalidSensor),
+    /// A sensor was announced to a map without a grid.
+    #[error("the map has no grid: a sensor has nothing to observe there")]
+    SensorWithoutGrid,
+    /// The key has another sensor.
+    #[error(
+        "producer {:?} has a sensor of {fixed} with label {:?} since its first observation, and announces {announced}: \
+         announce the same or none, or use another label", key.producer(), key.label()
+    )]
+    OtherSensor {
+        /// Whose.
+        key: ProducerKey,
+        /// What it has.
+        fixed: ProducerSensor,
+        /// What it announces.
+        announced: ProducerSensor,
+    },
     /// The log cannot be written now.
     #[error(transparent)]
     Storage(#[from] AppendError),
@@ -100,6 +128,22 @@ pub struct Refused {
     pub detail: String,
 }
 
+/// A name of a stream's table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NewName {
+    /// The name.
+    pub name: StateName,
+    /// What its values are said to mean.
+    pub kind: Option<StateKind>,
+}
+
+impl From<StateName> for NewName {
+    /// A name of which nothing is said.
+    fn from(name: StateName) -> Self {
+        Self { name, kind: None }
+    }
+}
+
 /// Checked observations of one message, with their states as indices into the stream's table.
 #[derive(Debug, Default)]
 pub struct Batch {
@@ -110,14 +154,14 @@ pub struct Batch {
     /// Running CRC up to it.
     pub content_crc: u32,
     /// Names added to the stream's table since the last batch; an invalid one keeps its place.
-    pub new_names: Vec<Option<StateName>>,
+    pub new_names: Vec<Option<NewName>>,
     /// Per accepted observation: sequence number minus `first_sequence`. Empty where all were accepted.
     pub kept: Vec<u32>,
     /// Per accepted observation: index into the stream's table; its name is valid.
     pub table_indices: Vec<u32>,
     /// Per accepted observation: nanoseconds UTC.
     pub times_nanos: Vec<i64>,
-    /// Per accepted observation: value in [0, 1].
+    /// Per accepted observation: a value that some kind of state may have, and the named kind where one was named.
     pub values: Vec<f64>,
     /// The others.
     pub refused: Vec<Refused>,
@@ -213,6 +257,44 @@ pub enum Ending {
     Storage(AppendError),
 }
 
+/// A state to add.
+#[derive(Debug)]
+pub struct AddState {
+    /// Its name.
+    pub name: StateName,
+    /// What its values mean.
+    pub kind: StateKind,
+    /// The answer, when it is durable and shown.
+    pub reply: oneshot::Sender<Result<(), AddStateError>>,
+}
+
+/// Why a state is not added.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AddStateError {
+    /// It is there, and of another kind.
+    #[error("state {name:?} exists and is a {found}, not a {asked}: the kind of a state never changes", name = .name.as_str(), found = .found.name(), asked = .asked.name())]
+    OtherKind {
+        /// Its name.
+        name: StateName,
+        /// The kind that it has.
+        found: StateKind,
+        /// The kind asked for.
+        asked: StateKind,
+    },
+    /// No more states.
+    #[error("the map has {max} states, as many as setting max_states_per_map allows")]
+    TooMany {
+        /// The limit.
+        max: usize,
+    },
+    /// The log cannot be written now.
+    #[error(transparent)]
+    Storage(#[from] AppendError),
+    /// The daemon stops or the map is deleted.
+    #[error("the map is closing")]
+    Closing,
+}
+
 /// A question about what was observed.
 #[derive(Debug)]
 pub struct Recall {
@@ -291,8 +373,12 @@ pub enum Command {
     },
     /// The store has, or has not, saved a snapshot.
     Saved(Result<SavedGrid, (String, MapSnapshot)>),
+    /// Add a state.
+    AddState(AddState),
     /// Tell what was observed and is not in the store's history yet.
     Recall(Recall),
+    /// Tell what is applied from now on. The answer: where it is heard, and how many observations were told before.
+    Watch(oneshot::Sender<(Listening, u64)>),
     /// End all streams and stop.
     Stop {
         /// What to tell the streams.

@@ -7,26 +7,35 @@ use std::collections::{BTreeMap, HashMap};
 
 use tidemap_map::{
     MAX_AHEAD_NANOS,
-    event::{Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind},
-    grid::front::{Front, ScanSource},
+    event::{Event, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind},
+    grid::{
+        front::{Front, ScanSource},
+        sensors::ProducerSensor,
+    },
     live_map::LiveMap,
     name::{ProducerKey, StateName},
 };
 use tidemap_model::OffsetCache;
 use tokio::sync::mpsc;
 
-use super::protocol::{Batch, Ending, Hello, HelloError, Opened, Refused, SessionEvent, SessionId};
+use super::intake::refuse_value;
+use super::protocol::{Batch, Ending, Hello, HelloError, NewName, Opened, Refused, SessionEvent, SessionId};
 
 mod scans;
+mod sensors;
+mod states;
 
 pub use scans::ScanEvent;
+use states::{known_state, other_kind};
 
 #[derive(Debug)]
 enum Slot {
     /// A state of the map, or of a batch in flight.
-    State(StateId),
+    State(StateId, StateKind),
+    /// A state that is not of the kind that the stream said.
+    OtherKind(StateName, StateKind, StateKind),
     /// A name that no observation has used yet.
-    Unused(StateName),
+    Unused(NewName),
     /// A name that is not valid; intake refuses its observations.
     Invalid,
 }
@@ -36,6 +45,8 @@ enum Slot {
 pub struct Session {
     key: ProducerKey,
     producer: Option<ProducerId>,
+    /// The sensor of all its scans; `None`: the map's own.
+    sensor: Option<ProducerSensor>,
     incarnation: u64,
     events: mpsc::UnboundedSender<SessionEvent>,
     table: Vec<Slot>,
@@ -49,15 +60,15 @@ pub struct Session {
 }
 
 impl Session {
-    /// Whose observations these are, with the key where nothing of it is durable or in flight.
-    fn producer(&mut self, map: &LiveMap, in_flight: &mut usize) -> (ProducerId, Option<ProducerKey>) {
+    /// Whose observations these are, with what is new where nothing of the key is durable or in flight.
+    fn producer(&mut self, map: &LiveMap, in_flight: &mut usize) -> (ProducerId, Option<NewProducer>) {
         if let Some(producer) = self.producer {
             return (producer, None);
         }
         let producer = ProducerId(u32::try_from(map.producers() + *in_flight).unwrap_or(u32::MAX));
         *in_flight += 1;
         self.producer = Some(producer);
-        (producer, Some(self.key.clone()))
+        (producer, Some(NewProducer { key: self.key.clone(), sensor: self.sensor }))
     }
 
     /// Tells the stream something; one that is gone does not mind.
@@ -86,7 +97,7 @@ pub struct Sessions {
     next_id: u64,
     sessions: BTreeMap<SessionId, Session>,
     open_by_key: HashMap<ProducerKey, SessionId>,
-    states_in_flight: HashMap<StateName, StateId>,
+    states_in_flight: HashMap<StateName, (StateId, StateKind)>,
     producers_in_flight: usize,
     /// Highest incarnation handed out to keys of which nothing is durable yet.
     issued: HashMap<ProducerKey, u64>,
@@ -131,6 +142,7 @@ impl Sessions {
         if hello.incarnation != 0 && hello.incarnation < current {
             return Err(HelloError::Fenced { key: hello.key.clone(), got: hello.incarnation, current });
         }
+        let sensor = self.sensor(hello, map)?;
         if let Some(id) = self.open_by_key.get(&hello.key).copied() {
             self.end(id, &Ending::Superseded);
         }
@@ -149,6 +161,7 @@ impl Sessions {
             Session {
                 key: hello.key.clone(),
                 producer: mark.map(|(id, _)| id),
+                sensor,
                 incarnation,
                 events: hello.events.clone(),
                 table: Vec::new(),
@@ -208,24 +221,42 @@ impl Sessions {
                 continue;
             }
             let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
-            let state = match slot {
-                Slot::State(state) => *state,
+            let (state, kind) = match slot {
+                Slot::State(state, kind) => (*state, *kind),
+                Slot::OtherKind(name, found, said) => {
+                    let (reason, text) = other_kind(name, *found, *said);
+                    refuse(i, reason, text);
+                    continue;
+                }
                 Slot::Invalid => continue,
-                Slot::Unused(name) => {
-                    let known = map.find(name.as_str()).or_else(|| self.states_in_flight.get(name).copied());
+                Slot::Unused(NewName { name, kind: said }) => {
+                    let known = known_state(map, &self.states_in_flight, name);
                     let next = map.states() + self.states_in_flight.len();
                     match known {
-                        Some(state) => {
-                            *slot = Slot::State(state);
-                            state
+                        Some((state, kind)) if said.is_none_or(|said| said == kind) => {
+                            *slot = Slot::State(state, kind);
+                            (state, kind)
+                        }
+                        Some((_, found)) => {
+                            let (name, said) = (name.clone(), said.unwrap_or_default());
+                            let (reason, text) = other_kind(&name, found, said);
+                            refuse(i, reason, text);
+                            *slot = Slot::OtherKind(name, found, said);
+                            continue;
+                        }
+                        // A value that no such state may have does not make one.
+                        None if !said.unwrap_or_default().allows(batch.values[i]) => {
+                            let (reason, text) = refuse_value(batch.values[i], said.unwrap_or_default());
+                            refuse(i, reason, text);
+                            continue;
                         }
                         None if next < self.limits.states => {
                             let state = StateId(u32::try_from(next).unwrap_or(u32::MAX));
-                            let name = name.clone();
-                            self.states_in_flight.insert(name.clone(), state);
-                            new_states.push(NewState { id: state, name, kind: StateKind::default() });
-                            *slot = Slot::State(state);
-                            state
+                            let (name, kind) = (name.clone(), said.unwrap_or_default());
+                            self.states_in_flight.insert(name.clone(), (state, kind));
+                            new_states.push(NewState { id: state, name, kind });
+                            *slot = Slot::State(state, kind);
+                            (state, kind)
                         }
                         None => {
                             let text = format!(
@@ -240,6 +271,11 @@ impl Sessions {
                     }
                 }
             };
+            if !kind.allows(batch.values[i]) {
+                let (reason, text) = refuse_value(batch.values[i], kind);
+                refuse(i, reason, text);
+                continue;
+            }
             let offset_secs = self.offsets.offset_secs(time);
             match offsets.last_mut() {
                 Some(run) if run.offset_secs == offset_secs => run.count += 1,
@@ -288,7 +324,7 @@ impl Sessions {
                 let times = event.scans.iter().map(|scan| scan.utc_nanos);
                 (event.new_producer.is_some(), times.filter(|time| *time <= plausible).max())
             }
-            Event::UpdateStart(_) => return,
+            Event::UpdateStart(_) | Event::AddState(_) => return,
         };
         self.producers_in_flight -= usize::from(is_first);
         if let Some(session) = self.sessions.get_mut(&id) {

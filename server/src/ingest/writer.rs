@@ -24,9 +24,12 @@ use tracing::warn;
 
 use super::{
     handle::MapHandle,
-    protocol::{Command, Ending, Hello, HelloError, Opened, Recall, Refused, SavedGrid, SessionEvent, SessionId},
+    protocol::{
+        AddState, Command, Ending, Hello, HelloError, Opened, Recall, Refused, SavedGrid, SessionEvent, SessionId,
+    },
     sessions::{Limits, Sessions},
     updates::{Updates, Wanted},
+    watching::Watchers,
 };
 use crate::{
     clock::Clock,
@@ -48,6 +51,7 @@ mod learning;
 mod queue;
 mod recall;
 mod saving;
+mod states;
 #[cfg(test)]
 mod tests;
 
@@ -74,6 +78,8 @@ pub struct Context {
     pub max_tiles: usize,
     /// Memory for what is learned of a map's tiles, in bytes.
     pub tile_cache_bytes: u64,
+    /// Work of an update of a grid before it notes what it has done.
+    pub update_journal_min_work: u64,
 }
 
 /// Starts the writer of a map that was restored. `unsaved`: what an update that was run for that has left to be saved.
@@ -139,6 +145,8 @@ fn build(
         grounded: Vec::new(),
         failing: None,
         waiting_hellos: Vec::new(),
+        waiting_adds: Vec::new(),
+        added: Vec::new(),
         acks: BTreeMap::new(),
         ended_jobs: Vec::new(),
         changed: false,
@@ -151,6 +159,7 @@ fn build(
         updating_times: None,
         saved_grid: None,
         tile_bytes,
+        watchers: Watchers::default(),
         history_bytes: 0,
         saving: false,
         last_save: None,
@@ -194,6 +203,10 @@ struct Writer {
     /// Set while appends fail, until all in flight are answered.
     failing: Option<AppendError>,
     waiting_hellos: Vec<Hello>,
+    /// States that are on their way into the log for somebody else.
+    waiting_adds: Vec<AddState>,
+    /// Those whose states are durable and not yet public.
+    added: Vec<states::Added>,
     acks: BTreeMap<SessionId, PendingAck>,
     ended_jobs: Vec<EndedJob>,
     changed: bool,
@@ -215,6 +228,7 @@ struct Writer {
     saved_grid: SavedGrid,
     /// What models and sums of tiles take in memory, for others to read.
     tile_bytes: Arc<AtomicU64>,
+    watchers: Watchers,
     /// Memory of the history that no save has kept, about.
     history_bytes: usize,
     saving: bool,
@@ -255,7 +269,10 @@ impl Writer {
             Command::Committed(result) => self.committed(result),
             Command::UpdateDone { job, result } => self.update_done(&job, result),
             Command::Saved(result) => self.saved(result),
+            Command::AddState(add) => self.add_state(add),
             Command::Recall(recall) => self.recall(recall),
+            // Who asked may have gone away.
+            Command::Watch(reply) => drop(reply.send(self.watchers.listen())),
             Command::Stop { ending, done } => {
                 self.stopping = Some((ending, done));
                 // Not acknowledged: the streams end, and their producers have it.
@@ -289,6 +306,9 @@ impl Writer {
         for recall in std::mem::take(&mut self.waiting_recalls) {
             self.recall(recall);
         }
+        for add in std::mem::take(&mut self.waiting_adds) {
+            self.add_state(add);
+        }
         if may_update {
             self.start_update(now);
         }
@@ -309,6 +329,8 @@ impl Writer {
         if std::mem::take(&mut self.changed) {
             self.view.store(Arc::new(self.map.publish()));
         }
+        self.watchers.tell(&self.view.load());
+        self.tell_added();
         for (id, ack) in std::mem::take(&mut self.acks) {
             self.sessions.tell(id, SessionEvent::Ack { durable_sequence: ack.durable_sequence, refused: ack.refused });
         }
@@ -361,6 +383,7 @@ impl Writer {
             }
         }
         self.sessions.end_all(&ending);
+        self.watchers.end(ending.clone());
         self.updates.fail_all(reason);
         if let Some(job) = self.running_job.take() {
             job.end(Err(reason.to_owned()));

@@ -1,18 +1,25 @@
-//! `MapService`: creates, lists and deletes maps.
+//! `MapService`: creates, lists and deletes maps, and adds states.
 
 use std::sync::Arc;
 
-use tidemap_map::event::StateId;
+use tidemap_map::{event::StateId, name::StateName};
 use tidemap_proto::{
-    convert::map::{map_to_wire, spec_from_request, state_to_wire},
+    convert::{
+        InvalidField,
+        map::{kind_from_wire, map_to_wire, spec_from_request, state_to_wire},
+    },
     v1::{self, map_service_server::MapService},
 };
+use tokio::sync::oneshot;
 use tonic::{Request, Response, Status};
 
 use super::{page::page, status::RpcError};
 use crate::{
     catalog::{Catalog, CatalogError},
-    ingest::handle::MapHandle,
+    ingest::{
+        handle::MapHandle,
+        protocol::{AddState, AddStateError, Command},
+    },
 };
 
 /// The service.
@@ -67,6 +74,20 @@ impl MapService for Maps {
         find_map(&self.catalog, &name)?;
         self.catalog.delete(&name).await.map_err(RpcError::from)?;
         Ok(Response::new(v1::DeleteMapResponse {}))
+    }
+
+    async fn add_state(&self, request: Request<v1::AddStateRequest>) -> Result<Response<v1::AddStateResponse>, Status> {
+        let v1::AddStateRequest { map, state, kind } = request.into_inner();
+        let handle = find_map(&self.catalog, &map)?;
+        let name = StateName::new(&state).map_err(|error| RpcError::from(InvalidField::new("state", error)))?;
+        let kind = kind_from_wire("kind", kind).map_err(RpcError::from)?.unwrap_or_default();
+        let (reply, answer) = oneshot::channel();
+        let add = AddState { name, kind, reply };
+        let answer = if handle.send(Command::AddState(add)) { answer.await.ok() } else { None };
+        answer.unwrap_or(Err(AddStateError::Closing)).map_err(RpcError::from)?;
+        let view = handle.view();
+        let state = view.find(&state).and_then(|id| state_to_wire(&view, id));
+        Ok(Response::new(v1::AddStateResponse { state }))
     }
 
     async fn list_states(

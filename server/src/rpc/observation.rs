@@ -12,7 +12,7 @@ use std::{
     time::Duration,
 };
 
-use tidemap_map::{MAX_AHEAD_NANOS, name::ProducerKey};
+use tidemap_map::{MAX_AHEAD_NANOS, grid::sensors::ProducerSensor, name::ProducerKey};
 use tidemap_proto::{
     convert::{InvalidField, time::duration},
     v1::{
@@ -161,9 +161,15 @@ fn key(hello: &v1::Hello) -> Result<ProducerKey, InvalidField> {
     ProducerKey::new(&hello.producer, &hello.label).map_err(|error| InvalidField::new("hello.label", error))
 }
 
+/// A sensor with what is not said; the map's writer checks it.
+fn sensor(wire: &v1::ProducerSensor) -> ProducerSensor {
+    ProducerSensor { hit: wire.hit.unwrap_or(1.0), false_alarm: wire.false_alarm.unwrap_or(0.0) }
+}
+
 /// Memory that a batch takes until it is durable, about.
 fn bytes_of(batch: &Batch) -> usize {
-    let names = batch.new_names.iter().map(|name| NAME_BYTES + name.as_ref().map_or(0, |name| name.as_str().len()));
+    let names =
+        batch.new_names.iter().map(|name| NAME_BYTES + name.as_ref().map_or(0, |name| name.name.as_str().len()));
     64 + OBSERVATION_BYTES * batch.values.len() + REFUSED_BYTES * batch.refused.len() + names.sum::<usize>()
 }
 
@@ -192,8 +198,14 @@ async fn open_and_serve(
     let key = key(&first)?;
     let (events_sender, events) = mpsc::unbounded_channel();
     let (answer, answered) = oneshot::channel();
-    let hello =
-        Hello { key, incarnation: first.incarnation, nightly: first.nightly, events: events_sender, reply: answer };
+    let hello = Hello {
+        key,
+        incarnation: first.incarnation,
+        nightly: first.nightly,
+        sensor: first.sensor.as_ref().map(sensor),
+        events: events_sender,
+        reply: answer,
+    };
     if !handle.send(Command::Hello(hello)) {
         return Err(RpcError::Stopping);
     }

@@ -12,16 +12,24 @@ use tonic::{Request, Response, Status, Streaming};
 use super::status::RpcError;
 use crate::catalog::Catalog;
 
+mod anomalies;
 mod evaluate;
+mod fitting;
 mod grid;
+mod readings;
 mod reconstruct;
 mod replies;
 mod states;
+mod watch;
 
 #[cfg(test)]
 mod tests;
 
+pub(super) use fitting::Unavailable;
+
+use fitting::Fitting;
 use replies::{Replies, Turns};
+use watch::Watches;
 
 /// Most states of one request.
 const STATES_MAX: usize = 10_000;
@@ -35,13 +43,40 @@ pub struct Queries {
     turns: Turns,
     /// Turns to ask about the past. They are others: who has one may wait for an update, and predictions go on meanwhile.
     recalls: Turns,
+    fitting: Arc<Fitting>,
+    watches: Watches,
+}
+
+/// Most of what questions may ask for.
+#[derive(Clone, Copy, Debug)]
+pub struct QueryLimits {
+    /// Predictions of one request.
+    pub predictions: u64,
+    /// Observations of one message.
+    pub batch: usize,
+    /// Fitted models that are kept.
+    pub fitted_models: usize,
+    /// Readings that a model is fitted to.
+    pub fit_readings: u64,
+    /// Watches at once.
+    pub watches: usize,
 }
 
 impl Queries {
-    /// Answers with at most so many predictions a request, and takes at most so many observations a message.
+    /// Answers within these limits.
     #[must_use]
-    pub fn new(catalog: Arc<Catalog>, max_predictions: u64, max_batch: usize) -> Self {
-        Self { catalog, max_predictions, max_batch, turns: Turns::default(), recalls: Turns::default() }
+    pub fn new(catalog: Arc<Catalog>, limits: QueryLimits) -> Self {
+        let fitting = Arc::new(Fitting::new(Arc::clone(&catalog), limits.fitted_models, limits.fit_readings));
+        let (max_predictions, max_batch) = (limits.predictions, limits.batch);
+        Self {
+            catalog,
+            max_predictions,
+            max_batch,
+            turns: Turns::default(),
+            recalls: Turns::default(),
+            fitting,
+            watches: Watches::new(limits.watches),
+        }
     }
 }
 
@@ -63,6 +98,8 @@ impl QueryService for Queries {
     type PredictStatesStream = Replies<v1::PredictStatesResponse>;
     type PredictGridStream = Replies<v1::PredictGridResponse>;
     type ReconstructStream = Replies<v1::ReconstructResponse>;
+    type FindAnomaliesStream = Replies<v1::FindAnomaliesResponse>;
+    type WatchAnomaliesStream = Replies<v1::WatchAnomaliesResponse>;
 
     async fn predict_states(
         &self,
@@ -97,5 +134,19 @@ impl QueryService for Queries {
         request: Request<v1::ReconstructRequest>,
     ) -> Result<Response<Self::ReconstructStream>, Status> {
         Ok(Response::new(reconstruct::reconstruct(self, request.into_inner()).await?))
+    }
+
+    async fn find_anomalies(
+        &self,
+        request: Request<v1::FindAnomaliesRequest>,
+    ) -> Result<Response<Self::FindAnomaliesStream>, Status> {
+        Ok(Response::new(anomalies::find_anomalies(self, request.into_inner()).await?))
+    }
+
+    async fn watch_anomalies(
+        &self,
+        request: Request<v1::WatchAnomaliesRequest>,
+    ) -> Result<Response<Self::WatchAnomaliesStream>, Status> {
+        Ok(Response::new(watch::watch_anomalies(self, request.into_inner()).await?))
     }
 }

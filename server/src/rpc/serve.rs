@@ -23,7 +23,7 @@ use super::{
     maintenance::Maintenance,
     map::Maps,
     observation::{Observations, StreamLimits},
-    query::Queries,
+    query::{Queries, QueryLimits},
 };
 use crate::{catalog::Catalog, config::Settings, ingest::intake::IntakeLimits};
 
@@ -71,7 +71,14 @@ pub async fn serve(
         streams: Arc::new(AtomicUsize::new(0)),
         stopping,
     };
-    let queries = Queries::new(Arc::clone(&catalog), settings.max_predictions, settings.max_batch_observations);
+    let limits = QueryLimits {
+        predictions: settings.max_predictions,
+        batch: settings.max_batch_observations,
+        fitted_models: settings.max_fitted_models,
+        fit_readings: settings.max_fit_readings,
+        watches: settings.max_watches,
+    };
+    let queries = Queries::new(Arc::clone(&catalog), limits);
     let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
     let local = listener.local_addr()?.ip().is_loopback();
     let reflection = tonic_reflection::server::Builder::configure()

@@ -4,7 +4,10 @@
 
 use std::collections::HashMap;
 
-use tidemap_map::grid::tile::TileUnavailable;
+use tidemap_map::{
+    grid::{sensors::InvalidSensor, tile::TileUnavailable},
+    predict::ModelKind,
+};
 use tidemap_proto::convert::InvalidField;
 use tidemap_store::{AppendError, HistoryError};
 use tonic::{Code, Status};
@@ -14,8 +17,9 @@ use crate::{
     catalog::CatalogError,
     ingest::{
         intake::IntakeError,
-        protocol::{Ending, HelloError, is_fatal},
+        protocol::{AddStateError, Ending, HelloError, is_fatal},
     },
+    rpc::query::Unavailable,
 };
 
 const DOMAIN: &str = "tidemap";
@@ -75,6 +79,18 @@ pub enum RpcError {
         /// What a map that keeps it is created with.
         option: &'static str,
     },
+    /// There is no such model of the state.
+    #[error("model {model} of state {state:?} in map {map:?}: {reason}")]
+    Unavailable {
+        /// The model.
+        model: ModelKind,
+        /// The map.
+        map: String,
+        /// The state.
+        state: String,
+        /// Why not.
+        reason: Unavailable,
+    },
     /// All of it is older than what is kept.
     #[error("{name} of map {map:?}: nothing from before {} is kept any more", shown_time(*.kept_from_nanos))]
     BeyondHistory {
@@ -109,6 +125,9 @@ pub enum RpcError {
         /// Which setting or rule says so.
         setting: &'static str,
     },
+    /// A state was not added.
+    #[error(transparent)]
+    AddState(#[from] AddStateError),
     /// A stream was not accepted.
     #[error(transparent)]
     Hello(#[from] HelloError),
@@ -188,6 +207,15 @@ impl RpcError {
             Self::UnknownCell { .. } => (Code::NotFound, "UNKNOWN_CELL"),
             Self::Tile(_) => (Code::Internal, "STORAGE_FAILED"),
             Self::NoHistory { .. } => (Code::FailedPrecondition, "NO_HISTORY"),
+            Self::Unavailable { reason, .. } => match reason {
+                Unavailable::NotKept | Unavailable::Forgotten | Unavailable::Incomplete { .. } => {
+                    (Code::FailedPrecondition, "NO_HISTORY")
+                }
+                Unavailable::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
+                Unavailable::OtherKind { .. } | Unavailable::CannotFit(_) => {
+                    (Code::FailedPrecondition, "MODEL_UNAVAILABLE")
+                }
+            },
             Self::BeyondHistory { .. } => (Code::OutOfRange, "BEYOND_HISTORY"),
             Self::History(error) => match error {
                 HistoryError::UnknownMap(_) => (Code::NotFound, "MAP_DELETED"),
@@ -200,10 +228,21 @@ impl RpcError {
             Self::Limit { .. } | Self::NoTurn { .. } | Self::Intake(IntakeError::Limit { .. }) => {
                 (Code::ResourceExhausted, "LIMIT")
             }
+            Self::AddState(error) => match error {
+                AddStateError::OtherKind { .. } => (Code::AlreadyExists, "STATE_EXISTS"),
+                AddStateError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
+                AddStateError::Storage(error) => append_code(error),
+                AddStateError::Closing => (Code::Unavailable, "STOPPING"),
+            },
             Self::Hello(error) => match error {
                 HelloError::AlreadyStreaming(_) => (Code::AlreadyExists, "ALREADY_STREAMING"),
                 HelloError::Fenced { .. } => (Code::Aborted, "FENCED"),
                 HelloError::TooManyProducers { .. } => (Code::ResourceExhausted, "LIMIT"),
+                HelloError::Sensor(InvalidSensor::Range(_)) => (Code::InvalidArgument, "INVALID_FIELD"),
+                HelloError::Sensor(InvalidSensor::TooMany) => (Code::ResourceExhausted, "LIMIT"),
+                HelloError::Sensor(InvalidSensor::Own { .. }) => (Code::FailedPrecondition, "SENSOR"),
+                HelloError::SensorWithoutGrid => (Code::FailedPrecondition, "NO_GRID"),
+                HelloError::OtherSensor { .. } => (Code::FailedPrecondition, "OTHER_SENSOR"),
                 HelloError::Storage(error) => append_code(error),
                 HelloError::Closing => (Code::Unavailable, "STOPPING"),
             },
@@ -229,6 +268,9 @@ impl From<RpcError> for Status {
         match &error {
             RpcError::Field(field) | RpcError::Intake(IntakeError::Invalid(field)) => {
                 details.add_bad_request_violation(&field.field, &field.description);
+            }
+            RpcError::Hello(HelloError::Sensor(invalid @ InvalidSensor::Range(_))) => {
+                details.add_bad_request_violation("hello.sensor", invalid.to_string());
             }
             RpcError::UnknownMap { name, .. } => {
                 details.set_resource_info("map", name, "", error.to_string());

@@ -75,6 +75,8 @@ fn benches(criterion: &mut Criterion) {
         periodicities: Periodicities::default(),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::Forever,
         grid: None,
     };

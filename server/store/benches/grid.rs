@@ -36,6 +36,8 @@ fn spec() -> MapSpec {
         periodicities: Periodicities::harmonics(604_800_000_000_000, 168).expect("valid"),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::Forever,
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
@@ -77,7 +79,7 @@ fn events(random: &mut SmallRng, flips_per_scan: usize) -> Vec<Event> {
         }
         events.push(Event::Scans(Scans {
             producer: ProducerId(0),
-            new_producer: (first == 1).then(|| ProducerKey::new("robot", "lidar").expect("valid")),
+            new_producer: (first == 1).then(|| ProducerKey::new("robot", "lidar").expect("valid").into()),
             incarnation: 1,
             first_sequence: first,
             last_sequence: first + count - 1,

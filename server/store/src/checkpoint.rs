@@ -33,8 +33,8 @@ mod model_cache;
 mod tiles;
 
 use grid_reader::{Keep, ReadGrid};
-use grid_writer::WriteError;
-pub(crate) use tiles::CheckpointTiles;
+pub(crate) use grid_writer::{Shared, TileWriter, WriteError};
+pub(crate) use tiles::{CheckpointTiles, Places, TilePlace};
 
 const SUFFIX: &str = ".tmc";
 const NEW_SUFFIX: &str = ".tmc.new";

@@ -27,10 +27,13 @@ use crate::{
 mod days;
 mod file;
 mod pick;
+mod states;
 mod write;
 
 pub use days::GridDays;
 use file::HistoryFile;
+use pick::Table;
+pub use states::StateFiles;
 
 const SUFFIX: &str = ".tmh";
 const NEW_SUFFIX: &str = ".tmh.new";
@@ -175,7 +178,7 @@ impl History {
             }
             let Some(file) = self.open_if_there(generation, Part::States)? else { continue };
             if file.overlaps(from_nanos, to_nanos) {
-                file.samples(id, |sample| {
+                file.samples(&mut Table::new(&file), id, |sample| {
                     if (from_nanos..to_nanos).contains(&sample.utc_nanos) {
                         found.push(sample);
                     }

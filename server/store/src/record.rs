@@ -3,6 +3,7 @@
 //! Invariant: what is written can be read: whatever could not be read back is refused before it is written, and what
 //! is read has passed the constructors of the domain again.
 
+mod alternatives;
 mod cells;
 mod columns;
 pub(crate) mod day;
@@ -11,6 +12,7 @@ pub(crate) mod event;
 pub(crate) mod history;
 mod offsets;
 pub(crate) mod scans;
+mod sensors;
 mod sightings;
 pub(crate) mod snapshot;
 pub(crate) mod spec;

@@ -6,3 +6,4 @@ mod crash;
 mod disk;
 mod faults;
 mod machine;
+mod updates;

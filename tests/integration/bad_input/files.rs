@@ -156,7 +156,7 @@ async fn questions_that_make_no_sense_are_wrong_usage() {
     predict(&["--at", "9223372037"]).fails(2, &["9223372037", "2262"]);
     predict(&["--at", "0", "--order", "16"]).fails(2, &["16", "0..=15"]);
     predict(&["--at", "0", "--model", "fremen"]).fails(2, &["fremen", "spectral"]);
-    predict(&["--at", "0", "--model", "histogram:24"]).fails(2, &["histogram", "spectral"]);
+    predict(&["--at", "0", "--model", "histogram:0"]).fails(2, &["histogram:0", "above 0"]);
     predict(&["--at", "0", "--model", "mean", "--order", "1"]).fails(2, &["--order", "mean"]);
     predict(&["--from", "10", "--to", "5", "--step", "1s"]).fails(2, &["--from"]);
     predict(&["--from", "0", "--to", "5"]).fails(2, &["--step"]);

@@ -109,6 +109,7 @@ fn predict(states: &[&str], times_nanos: &[i64]) -> PredictStatesRequest {
         states: states.iter().map(|&state| state.to_owned()).collect(),
         times_nanos: times_nanos.to_vec(),
         model: None,
+        interval_level: 0.0,
     }
 }
 
@@ -120,18 +121,40 @@ async fn questions_that_make_no_sense_name_their_field() {
     stream.acknowledged(1).await.expect("taken");
     let mut queries = QueryServiceClient::new(daemon.client().requests());
     let with = |kind: i32, order| PredictStatesRequest {
-        model: Some(ModelSelector { kind, order, persistence: false }),
+        model: Some(ModelSelector { kind, order, ..ModelSelector::default() }),
         ..predict(&["door"], &[0])
     };
+    let selected = |model| PredictStatesRequest { model: Some(model), ..predict(&["door"], &[0]) };
+    let of_kind = |kind: ModelKind| ModelSelector { kind: kind.into(), ..ModelSelector::default() };
+    let fine = |kind, parameter| selected(ModelSelector { parameter: Some(parameter), ..of_kind(kind) });
+    let of_cycle = |kind, cycle| selected(ModelSelector { cycle, ..of_kind(kind) });
+    let with_level = |interval_level| PredictStatesRequest { interval_level, ..predict(&["door"], &[0]) };
     for (request, code, words) in [
         (predict(&[], &[0]), Code::InvalidArgument, ["states", "one"]),
         (predict(&["door"], &[]), Code::InvalidArgument, ["times_nanos", "one"]),
         (predict(&["door"], &[0, 5, -7]), Code::InvalidArgument, ["times_nanos[2]", "-7"]),
+        (with_level(1.0), Code::InvalidArgument, ["interval_level", "1"]),
+        (with_level(-0.1), Code::InvalidArgument, ["interval_level", "-0.1"]),
+        (with_level(f64::NAN), Code::InvalidArgument, ["interval_level", "NaN"]),
         (predict(&["door"; 11], &[0]), Code::ResourceExhausted, ["max_predictions", "11"]),
         (predict(&["door"], &[0; 11]), Code::ResourceExhausted, ["max_predictions", "11"]),
         (with(99, None), Code::InvalidArgument, ["model.kind", "99"]),
         (with(ModelKind::Spectral.into(), Some(16)), Code::InvalidArgument, ["model.order", "16"]),
         (with(ModelKind::Mean.into(), Some(1)), Code::InvalidArgument, ["model.order", "1"]),
+        (with(ModelKind::Pergam.into(), Some(3)), Code::InvalidArgument, ["model.order", "3"]),
+        (fine(ModelKind::Histogram, 0), Code::InvalidArgument, ["model.parameter", "0"]),
+        (fine(ModelKind::Histogram, 1441), Code::InvalidArgument, ["model.parameter", "1441"]),
+        (fine(ModelKind::Pergam, 1000), Code::InvalidArgument, ["model.parameter", "1000"]),
+        (fine(ModelKind::HypertimeEm, 1_000_000), Code::InvalidArgument, ["model.parameter", "1000000"]),
+        (fine(ModelKind::HypertimeKm, u32::MAX), Code::InvalidArgument, ["model.parameter", "4294967295"]),
+        (fine(ModelKind::Spectral, 3), Code::InvalidArgument, ["model.parameter", "3"]),
+        (of_cycle(ModelKind::Pergam, 2), Code::InvalidArgument, ["model.cycle", "histogram"]),
+        (of_cycle(ModelKind::Histogram, 9), Code::InvalidArgument, ["model.cycle", "9"]),
+        (
+            PredictStatesRequest { states: vec!["cell/0/0/0".to_owned()], ..fine(ModelKind::Pergam, 3) },
+            Code::InvalidArgument,
+            ["model.kind", "pergam:3"],
+        ),
     ] {
         check(&queries.predict_states(request).await.expect_err("refused"), code, &words);
     }

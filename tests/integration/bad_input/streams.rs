@@ -4,7 +4,8 @@ use std::io::{Read as _, Write as _};
 
 use prost::Message as _;
 use tidemap_proto::v1::{
-    GoodbyeReason, Hello, ObservationBatch, ObservationColumns, ObserveRequest, observe_request::Message,
+    GoodbyeReason, Hello, ObservationBatch, ObservationColumns, ObserveRequest, ProducerSensor,
+    observe_request::Message,
 };
 use tidemap_tests::{
     daemon::Daemon,
@@ -175,6 +176,7 @@ async fn a_stream_begins_with_one_hello() {
 async fn a_hello_names_a_map_and_a_producer() {
     let (_data, daemon) = office(|launch| launch).await;
     let long = "x".repeat(129);
+    let sensor = ProducerSensor { hit: Some(0.9), false_alarm: None };
     for (hello, code, words) in [
         (hello("robot", "attic"), Code::NotFound, ["attic", "office"]),
         (hello("robot", ""), Code::NotFound, ["\"\"", "office"]),
@@ -183,6 +185,7 @@ async fn a_hello_names_a_map_and_a_producer() {
         (hello(&long, "office"), Code::InvalidArgument, ["producer", "129"]),
         (hello("a\nb", "office"), Code::InvalidArgument, ["producer", "U+000A"]),
         (Hello { label: long.clone(), ..hello("robot", "office") }, Code::InvalidArgument, ["label", "129"]),
+        (Hello { sensor: Some(sensor), ..hello("robot", "office") }, Code::FailedPrecondition, ["no grid", "sensor"]),
     ] {
         check(RawStream::open(&daemon.grpc, hello).await.expect_err("refused"), None, code, &words);
     }

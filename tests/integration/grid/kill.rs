@@ -1,7 +1,11 @@
 //! kill -9 while scans stream in and while updates in the time of the data run: what is left is what an undisturbed
-//! daemon has.
+//! daemon has, and what an update had done is not done again.
 
-use std::{path::Path, time::Duration};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
 
 use rand::Rng as _;
 use tempfile::tempdir;
@@ -211,4 +215,80 @@ async fn grid_history_that_was_imported_waits_for_the_night_after_a_restart_too(
         daemon = Launch::on(data.path()).start();
     }
     assert_eq!(summary(&daemon).await.pending_scans, 100, "what came after midnight");
+}
+
+/// The files of updates that have noted something.
+fn update_files(data: &Path) -> Vec<PathBuf> {
+    let files = disk::files(data).into_iter().filter(|file| file.extension().is_some_and(|ending| ending == "tmu"));
+    files.filter(|file| fs::metadata(data.join(file)).is_ok_and(|file| file.len() > 0)).collect()
+}
+
+/// Waits until something is so.
+async fn until(what: &str, is_so: impl Fn() -> bool) {
+    let since = Instant::now();
+    while !is_so() {
+        assert!(since.elapsed() < Duration::from_secs(120), "still waiting for {what}");
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
+const GOES_ON: &str = "going on with an update that was cut off";
+
+/// How many tiles a daemon says that it had noted of an update when it went on with it.
+fn resumed(stderr: &str) -> Option<u64> {
+    let line = stderr.lines().find(|line| line.contains(GOES_ON))?;
+    line.split("tiles=").nth(1)?.split(' ').next()?.parse().ok()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_grid_update_that_was_killed_goes_on_from_what_it_had_done() {
+    let film = Film::new(24, 1_000);
+    let scans: Vec<(i64, Vec<Mask>)> = film.run().collect();
+    let tiles = film.tiles().len() as u64;
+    // Everything waits for one update of all days, which notes each tile each day.
+    let launch = |data: &Path| launch(data).setting("update_threads", 1).setting("update_journal_min_work", 0);
+    let filled = async |data: &Path| {
+        let daemon = launch(data).start();
+        daemon.client().create_map(new_map(grid(Retention::Forever))).await.expect("a new map");
+        let options = ProducerOptions::new("camera", "", MAP);
+        let mut producer = Producer::open(&daemon.client(), options).await.expect("a Welcome");
+        send(&mut producer, &film, &scans).await;
+        producer.close().await.expect("durable");
+        daemon
+    };
+    let undisturbed = tempdir().expect("a folder");
+    let expected = {
+        let daemon = filled(undisturbed.path()).await;
+        run_update(&daemon.client(), MAP, None).await;
+        answers(&daemon, &film).await
+    };
+    assert_eq!((expected.summary.scans, expected.summary.pending_scans), (24_000, 0));
+
+    let data = tempdir().expect("a folder");
+    let daemon = filled(data.path()).await;
+    daemon.client().run_update(MAP, None).await.expect("the map is there");
+    until("the first note", || !update_files(data.path()).is_empty()).await;
+    let exit = daemon.kill();
+    assert_eq!(resumed(&exit.stderr), None, "a first run: {exit}");
+    assert_eq!(update_files(data.path()).len(), 1, "{exit}");
+
+    // The start repeats the update, and is killed while it does.
+    let again = launch(data.path()).spawn();
+    until("the update to go on", || again.stderr().contains(GOES_ON)).await;
+    let exit = again.kill();
+    // Of the first day's tiles some may have been on their way to the file when the process ended.
+    let noted = resumed(&exit.stderr).expect("a number");
+    assert!((1..=tiles).contains(&noted), "{exit}");
+
+    let daemon = launch(data.path()).start();
+    compare(&answers(&daemon, &film).await, &expected);
+    assert_eq!(generation(&daemon).await, 1);
+    // What it has learned is saved by then, and what it had noted is gone.
+    let stderr = daemon.stop_in_order();
+    assert!(resumed(&stderr).is_some_and(|now| (noted..=tiles).contains(&now)), "{stderr}");
+    assert_eq!(update_files(data.path()), [""; 0].map(PathBuf::from));
+    let daemon = launch(data.path()).start();
+    compare(&answers(&daemon, &film).await, &expected);
+    let stderr = daemon.stop_in_order();
+    assert_eq!(resumed(&stderr), None, "{stderr}");
 }

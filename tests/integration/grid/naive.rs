@@ -25,6 +25,9 @@ fn phasor(harmonic: usize, utc_nanos: i64) -> (f64, f64) {
     (cos, sin)
 }
 
+/// When something was read, what it counts as, and whether it was occupied.
+pub type Reading = (i64, f64, bool);
+
 /// A complex sum of each harmonic.
 type Sums = [(f64, f64); HARMONICS];
 
@@ -56,19 +59,23 @@ pub struct Naive {
 
 impl Naive {
     /// Learns from readings in the order of their arrival; those before the cut are folded in.
-    pub fn new(readings: &[(i64, f64)], cut_nanos: i64, phasors: &Phasors) -> Self {
+    pub fn new(readings: &[Reading], cut_nanos: i64, phasors: &Phasors) -> Self {
         let mut learned = Self { mean: 0.5, ..Self::default() };
         learned.persist(readings);
-        let mut folded: Vec<(i64, f64)> = readings.iter().copied().filter(|(time, _)| *time < cut_nanos).collect();
-        folded.sort_by_key(|(time, _)| *time);
+        let mut folded: Vec<Reading> = readings.iter().copied().filter(|(time, ..)| *time < cut_nanos).collect();
+        folded.sort_by_key(|(time, ..)| *time);
         let (mut a, mut b, mut sum) = ([(0.0, 0.0); HARMONICS], [(0.0, 0.0); HARMONICS], 0.0);
         let mut day_before = None;
+        // Until a cell has been read as both free and occupied it has its mean, and nothing is scored.
+        let mut seen = [false; 2];
         for of_day in folded.chunk_by(|one, next| civil(one.0) / DAY_NANOS == civil(next.0) / DAY_NANOS) {
             let day = civil(of_day[0].0) / DAY_NANOS;
-            if let Some(before) = day_before.replace(day) {
+            of_day.iter().for_each(|(.., is_occupied)| seen[usize::from(*is_occupied)] = true);
+            let has_changed = seen == [true; 2];
+            if let Some(before) = day_before.replace(day).filter(|_| has_changed) {
                 learned.score(of_day, 0.93_f64.powi((day - before) as i32), phasors);
             }
-            for (time, value) in of_day {
+            for (time, value, _) in of_day {
                 let row = &phasors.0[time];
                 for harmonic in 0..HARMONICS {
                     let (cos, sin) = row[harmonic];
@@ -80,14 +87,17 @@ impl Naive {
                 sum += value;
             }
             learned.folded += of_day.len() as u64;
-            learned.fit([&a, &b], sum, of_day[of_day.len() - 1].0 - folded[0].0);
+            learned.mean = sum / learned.folded as f64;
+            if has_changed {
+                learned.fit([&a, &b], of_day[of_day.len() - 1].0 - folded[0].0);
+            }
         }
         learned
     }
 
-    fn persist(&mut self, readings: &[(i64, f64)]) {
+    fn persist(&mut self, readings: &[Reading]) {
         let (mut pairs, mut rates) = (0.0, 1.0 / 3600.0);
-        for &(time, value) in readings {
+        for &(time, value, _) in readings {
             if let Some((last_time, last_value)) = self.last {
                 if time <= last_time {
                     continue;
@@ -100,9 +110,9 @@ impl Naive {
         self.tau_secs = (1.0 + pairs) / rates;
     }
 
-    fn score(&mut self, of_day: &[(i64, f64)], kept: f64, phasors: &Phasors) {
+    fn score(&mut self, of_day: &[Reading], kept: f64, phasors: &Phasors) {
         self.errors = self.errors.map(|error| error * kept);
-        for (time, value) in of_day {
+        for (time, value, _) in of_day {
             let row = &phasors.0[time];
             let mut p = self.mean;
             for order in 0..ORDERS {
@@ -116,9 +126,8 @@ impl Naive {
         self.order = self.errors.iter().position(|&error| error <= lowest * 1.001).expect("one is the lowest");
     }
 
-    fn fit(&mut self, [a, b]: [&Sums; 2], sum: f64, span_nanos: i64) {
+    fn fit(&mut self, [a, b]: [&Sums; 2], span_nanos: i64) {
         let n = self.folded as f64;
-        self.mean = sum / n;
         let eligible =
             |harmonic: &usize| i128::from(span_nanos) * 100 * (*harmonic as i128 + 1) >= i128::from(WEEK_NANOS) * 99;
         let gamma = |harmonic: usize| {

@@ -4,29 +4,35 @@ use std::collections::BTreeMap;
 
 use tidemap::queries::{ModelKind, ModelSelector};
 use tidemap_tests::{
-    daemon::Daemon,
+    cli,
+    daemon::{Daemon, Launch},
     film::{Film, FilmCell, holds},
     oracle::run_update,
 };
 
 use super::{
     MAP, grid, model,
-    naive::{Naive, Phasors},
+    naive::{Naive, Phasors, Reading},
     office, partial_view, predicted, producer, send, summary,
 };
-use tidemap::{maps::Retention, observe::tiles::SeenTile};
+use tidemap::{
+    maps::{Grid, Retention, SensorNoise},
+    observe::{Producer, ProducerOptions, Sensor, tiles::SeenTile},
+    time::format_rfc3339,
+};
 
 /// Readings of each cell in the order of their arrival.
 #[derive(Default)]
 struct Sent {
-    readings: BTreeMap<FilmCell, Vec<(i64, f64)>>,
+    readings: BTreeMap<FilmCell, Vec<Reading>>,
     phasors: Phasors,
     scans: u64,
     cell_observations: u64,
 }
 
 impl Sent {
-    fn note(&mut self, film: &Film, scans: &[(i64, Vec<SeenTile>)]) {
+    /// Notes what readings count as: `levels` of a free and an occupied one.
+    fn note(&mut self, film: &Film, scans: &[(i64, Vec<SeenTile>)], levels: (f64, f64)) {
         for (time, tiles) in scans {
             self.phasors.add(*time);
             self.scans += 1;
@@ -36,7 +42,7 @@ impl Sent {
                 for (&(_, place), readings) in self.readings.range_mut((slot, 0)..(slot + 1, 0)) {
                     if holds(&seen.masks.observed, place) {
                         let is_occupied = holds(&seen.masks.occupied, place);
-                        readings.push((*time, f64::from(u8::from(is_occupied))));
+                        readings.push((*time, if is_occupied { levels.1 } else { levels.0 }, is_occupied));
                     }
                 }
             }
@@ -55,7 +61,7 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
     let (from, to) = (film.time(0), film.time(film.scans() - 1));
     let times = [from, from + (to - from) / 3, to - 3_600_000_000_000, to + 8_000_000_000, to + 400_000_000_000_000];
     let names: Vec<String> = sent.readings.keys().map(|&cell| film.name(cell)).collect();
-    let persistent = ModelSelector { kind: ModelKind::Auto, order: None, persistence: true };
+    let persistent = ModelSelector { persistence: true, ..ModelSelector::default() };
     let selectors = [
         model(ModelKind::Auto, None),
         model(ModelKind::Mean, None),
@@ -82,7 +88,8 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
         let said = client.describe_model(MAP, name).await.expect("a cell");
         assert_eq!(said.folded_observations, expected.folded, "{name}");
         assert_eq!(said.last_nanos, expected.last.map(|(time, _)| time), "{name}");
-        assert_eq!(said.last_value, expected.last.map(|(_, value)| value), "{name}");
+        let values = [said.last_value, expected.last.map(|(_, value)| value)].map(|value| value.unwrap_or(f64::NAN));
+        near(values[0], values[1], &format!("the last value of {name}"));
         near(said.mean, expected.mean, &format!("the mean of {name}"));
         near(said.persistence_tau_secs / expected.tau_secs, 1.0, &format!("τ of {name} by what it should be"));
         for (at_time, &time) in times.iter().enumerate() {
@@ -135,7 +142,7 @@ async fn grid_models_of_cells_are_those_of_a_naive_model() {
     for (from, to) in [(i64::MIN, midnight), (midnight, i64::MAX)] {
         for (producer, scans) in [(&mut one, &whole), (&mut other, &part)] {
             let of_round: Vec<_> = scans.iter().filter(|(time, _)| (from..to).contains(time)).cloned().collect();
-            sent.note(&film, &of_round);
+            sent.note(&film, &of_round, (0.0, 1.0));
             send(producer, of_round).await;
         }
         run_update(&client, MAP, Some(to).filter(|to| *to < i64::MAX)).await;
@@ -144,5 +151,95 @@ async fn grid_models_of_cells_are_those_of_a_naive_model() {
         assert_eq!(summary.cell_observations, sent.cell_observations);
         let compared = compare(&daemon, &film, &sent, to).await;
         assert!(compared >= 40, "{compared} cells are too few");
+    }
+}
+
+/// P(occupied | reads free) and P(occupied | reads occupied), by Bayes' rule.
+fn levels(Sensor { hit, false_alarm }: Sensor, prior: f64) -> (f64, f64) {
+    let of = |if_occupied: f64, if_free: f64| if_occupied * prior / (if_occupied * prior + if_free * (1.0 - prior));
+    (of(1.0 - hit, 1.0 - false_alarm), of(hit, false_alarm))
+}
+
+async fn with_sensor(daemon: &Daemon, name: &str, sensor: Option<Sensor>) -> Result<Producer, String> {
+    let options = ProducerOptions { sensor, ..ProducerOptions::new(name, "", MAP) };
+    Producer::open(&daemon.client(), options).await.map_err(|error| error.to_string())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior_means() {
+    let film = Film::new(6, 400);
+    let own = Sensor { hit: 0.9, false_alarm: 0.05 };
+    let sensor = Some(SensorNoise { hit: own.hit, false_alarm: own.false_alarm, prior: 0.4 });
+    let (data, mut daemon) = office(Grid { sensor, ..grid(Retention::Forever) }).await;
+    let mut sent = Sent::default();
+    let in_the_way = (0..film.tiles().len()).map(|slot| (slot, 3 * 64 + 17)).step_by(3);
+    for cell in film.changing(30).chain(film.still(900)).chain(in_the_way) {
+        sent.readings.insert(cell, Vec::new());
+    }
+
+    let whole: Vec<_> = film.run().map(|(time, occupied)| (time, film.seen(&occupied))).collect();
+    let part: Vec<_> = partial_view(&film).collect();
+    // A third producer sees as the robot does, with a better sensor, a little later.
+    let shift = 60_000_000_000;
+    let late: Vec<_> = part.iter().step_by(3).map(|(time, seen)| (time + shift, seen.clone())).collect();
+    let (weak, sharp) = (Sensor { hit: 0.7, false_alarm: 0.2 }, Sensor { hit: 0.99, false_alarm: 0.001 });
+    let midnight = film.time(film.scans_of(2));
+    for (from, to) in [(i64::MIN, midnight), (midnight, i64::MAX)] {
+        let announced = |sensor| Some(sensor).filter(|_| from == i64::MIN);
+        // In the second round the robot says nothing of its sensor.
+        for (name, says, is, scans) in [
+            ("camera", None, own, &whole),
+            ("robot", announced(weak), weak, &part),
+            ("inspector", Some(sharp), sharp, &late),
+        ] {
+            let of_round: Vec<_> = scans.iter().filter(|(time, _)| (from..to).contains(time)).cloned().collect();
+            sent.note(&film, &of_round, levels(is, 0.4));
+            let mut producer = with_sensor(&daemon, name, says).await.expect("a Welcome");
+            send(&mut producer, of_round).await;
+        }
+        // What is pending comes back from the log, and with the second round from a checkpoint too.
+        daemon.kill();
+        daemon = Launch::on(data.path()).start();
+        run_update(&daemon.client(), MAP, Some(to).filter(|to| *to < i64::MAX)).await;
+        let compared = compare(&daemon, &film, &sent, to).await;
+        assert!(compared >= 25, "{compared} cells are too few");
+    }
+    daemon.stop_in_order();
+    let daemon = Launch::on(data.path()).start();
+
+    // Drawn on the command line, cell by cell.
+    let out = data.path().join("mean.csv");
+    let out = out.to_str().expect("a path of text");
+    let at = format_rfc3339(film.time(film.scans() / 2));
+    cli::tidemap(&daemon, ["grid", "predict", MAP, "--at", &at, "--model", "mean", "--out", out]).table();
+    let text = std::fs::read_to_string(out).expect("a file");
+    let mut drawn: BTreeMap<[i32; 3], f64> = BTreeMap::new();
+    let mut lines = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let head = lines.next().expect("a first line");
+    let column =
+        |name: &str| head.iter().position(|found| *found == name).unwrap_or_else(|| panic!("{name}: {head:?}"));
+    let (cell, value) = (["cell_x", "cell_y", "cell_z"].map(column), column("probability"));
+    for line in lines {
+        let index = cell.map(|column| line[column].parse().expect("an index"));
+        drawn.insert(index, line[value].parse().expect("a number"));
+    }
+    for (&cell, readings) in &sent.readings {
+        let expected = readings.iter().map(|(_, value, _)| value).sum::<f64>() / readings.len() as f64;
+        near(drawn[&film.index(cell)], expected, &format!("the mean of {} as it is drawn", film.name(cell)));
+    }
+
+    // What a key has does not change any more.
+    for (name, says, words) in [
+        ("robot", Sensor { hit: 0.75, ..weak }, ["0.7,", "0.75", "another label"]),
+        ("robot", own, ["0.7,", "0.9", "another label"]),
+        ("camera", weak, ["0.9,", "0.7", "another label"]),
+        ("fourth", Sensor { hit: 0.2, false_alarm: 0.2 }, ["0.2", "false alarm", "hit <= 1"]),
+        ("fourth", Sensor { hit: f64::NAN, false_alarm: 0.2 }, ["NaN", "false alarm", "hit <= 1"]),
+    ] {
+        let refused = with_sensor(&daemon, name, Some(says)).await.expect_err("refused");
+        assert!(words.iter().all(|word| refused.contains(word)), "{refused}");
+    }
+    for (name, says) in [("robot", weak), ("camera", own)] {
+        with_sensor(&daemon, name, Some(says)).await.expect("what it has");
     }
 }

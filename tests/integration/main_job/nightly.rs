@@ -34,7 +34,7 @@ async fn mean_squared_error(client: &Client, map: &str, day: &[Row]) -> f64 {
     for &(nanos, value) in day {
         assert!(evaluator.add("door", nanos, value).await);
     }
-    evaluator.finish().await.expect("an evaluation")[0].mean_squared_error
+    evaluator.finish().await.expect("an evaluation").evaluations[0].mean_squared_error
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -66,8 +66,8 @@ async fn each_day_is_predicted_from_the_days_before() {
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     println!("next day: {mean:.5} over {} days", errors.len());
     assert_eq!(days.len() - 14, errors.len());
-    assert!(mean <= 0.0675, "{mean:.5}");
-    assert!((mean - 0.06653).abs() <= 0.0002, "{mean:.5}, expected 0.06653");
+    // The best order alone has 0.06653.
+    assert!((mean - 0.05897).abs() <= 0.0002, "{mean:.5}, expected 0.05897");
     let generations = client.map("door").await.expect("the map").last_update.generation;
     assert_eq!(generations, days.len() as u64 - 1, "one update for each day that closed");
 

@@ -60,9 +60,14 @@ fn predictions_follow_from_what_was_learned() {
         }
         assert!(table.column("order").iter().all(|&found| found == text));
         assert!(table.column("observations").iter().all(|&found| found == "96480"));
-        assert!(table.column("lower").iter().chain(&table.column("upper")).all(|bound| bound.is_empty()));
+        let (lower, upper) = (table.numbers("lower"), table.numbers("upper"));
+        for ((p, lower), upper) in table.numbers("probability").into_iter().zip(lower).zip(upper) {
+            assert!(0.0 <= lower && lower <= p && p <= upper && upper <= 1.0, "{lower} {p} {upper}");
+        }
     }
-    let in_force = door.tidemap(args).table();
+    let none = door.tidemap(args.into_iter().chain(["--interval", "0"])).table();
+    assert!(none.column("lower").iter().chain(&none.column("upper")).all(|bound| bound.is_empty()));
+    let in_force = door.tidemap(args.into_iter().chain(["--model", "spectral"])).table();
     assert_eq!(in_force.column("order")[0], model.column("order")[0], "what the update chose");
 }
 

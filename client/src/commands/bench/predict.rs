@@ -58,7 +58,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &PredictArgs) -> anyho
     let states: Vec<String> = (0..args.states).map(|state| load.name(state)).collect();
     let future = START_NANOS + 5 * 7 * 24 * HOUR_NANOS;
     let times: Vec<i64> = (0..i64::from(args.times)).map(|i| future + i * 61 * NANOS_PER_SEC).collect();
-    let model = ModelSelector { kind: ModelKind::Spectral, order: Some(args.order), persistence: false };
+    let model = ModelSelector { kind: ModelKind::Spectral, order: Some(args.order), ..ModelSelector::default() };
 
     notice("predicting");
     asked(client, map, &states, &times, model).await?;

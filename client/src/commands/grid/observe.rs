@@ -13,10 +13,10 @@ use std::{
 
 use anyhow::Context as _;
 use clap::Args;
-use tidemap::observe::{ProducerOptions, scan::Pose};
+use tidemap::observe::{ProducerOptions, Sensor, scan::Pose};
 
 use self::transfer::Transfer;
-use super::{grid_of, place, scans};
+use super::{grid_of, place, scans, sensor};
 use crate::{
     commands::{
         Session,
@@ -55,6 +55,10 @@ pub struct ObserveArgs {
     /// Which of the producer's files these are [default: base name of the first]
     #[arg(long, value_name = "LABEL")]
     label: Option<String>,
+    /// How far these scans are believed, where that is not as the map says: P(reads occupied | is occupied) [default: 1]
+    /// and P(reads occupied | is free) [default: 0]. Fixed for a producer and label once it has sent something
+    #[arg(long, value_name = "hit=P,false-alarm=P", value_parser = sensor::sensor)]
+    sensor: Option<Sensor>,
     /// Runs the nightly update whenever the scans pass the map's local midnight
     #[arg(long)]
     nightly: bool,
@@ -159,5 +163,6 @@ fn options(args: &ObserveArgs) -> anyhow::Result<ProducerOptions> {
         notice(&format!("observing as producer {producer}, label {label}"));
     }
     let patience = Duration::from_nanos(args.patience.unsigned_abs());
-    Ok(ProducerOptions { nightly: args.nightly, patience, ..ProducerOptions::new(&producer, &label, &args.map) })
+    let (nightly, sensor) = (args.nightly, args.sensor);
+    Ok(ProducerOptions { nightly, sensor, patience, ..ProducerOptions::new(&producer, &label, &args.map) })
 }

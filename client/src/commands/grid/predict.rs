@@ -17,7 +17,7 @@ use tidemap::{
 
 use super::place::{Rectangle, Stretch, cells};
 use crate::{
-    commands::{Misused, Session, times},
+    commands::{Misused, Session, predict::check_for_cells, times},
     formats::{CELLS_MAX, MapPicture, PictureCell, cells_csv, nav2, ply, png},
     output::{Cell, Sheet},
     progress::notice,
@@ -100,6 +100,7 @@ pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
         let text = format!("--order does not go with --model {}: only auto and spectral have one", args.model);
         return Err(Misused(text).into());
     }
+    check_for_cells(args.model)?;
     if args.entropy && kind == Kind::Csv {
         return Err(
             Misused("a .csv file has the entropy in a column of its own: leave out --entropy".to_owned()).into()

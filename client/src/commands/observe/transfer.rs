@@ -11,7 +11,10 @@ use tokio::{
     task::JoinHandle,
 };
 
-use super::feed::{Chunk, Told};
+use super::{
+    feed::{Chunk, Told},
+    kinds::Kinds,
+};
 use crate::{
     progress::Bar,
     rows::{Row, RowsError},
@@ -48,6 +51,7 @@ pub(super) struct Transfer {
     notices: JoinHandle<()>,
     rows: mpsc::Receiver<Result<Chunk, RowsError>>,
     pub(super) told: Told,
+    kinds: Kinds,
     bar: Bar,
     /// What the daemon had at the start, with its checksum.
     sent_before: u64,
@@ -67,7 +71,7 @@ impl Transfer {
         producer: Producer,
         notices: JoinHandle<()>,
         rows: mpsc::Receiver<Result<Chunk, RowsError>>,
-        told: Told,
+        (told, kinds): (Told, Kinds),
         bar: Bar,
     ) -> Self {
         let progress = producer.progress();
@@ -77,6 +81,7 @@ impl Transfer {
             notices,
             rows,
             told,
+            kinds,
             bar,
             sent_before: progress.resumed_at,
             content_crc: progress.content_crc,
@@ -153,10 +158,10 @@ impl Transfer {
         let sequence = self.producer.send(&row.state, row.time_nanos, row.value).await.map_err(Ended::Stopped)?;
         debug_assert_eq!(sequence, row.number);
         self.read = row.number;
-        if let Some(wrong) = &row.wrong {
+        if let Some(wrong) = self.kinds.wrong(row).await {
             self.refused += 1;
             self.wrong.insert(row.number);
-            self.told.refused(row.number, Some(row.line), wrong);
+            self.told.refused(row.number, Some(row.line), &wrong);
         }
         Ok(())
     }

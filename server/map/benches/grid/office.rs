@@ -37,6 +37,8 @@ pub fn spec(retention: Retention) -> Arc<MapSpec> {
         periodicities: Periodicities::default(),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::None,
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
@@ -127,6 +129,38 @@ impl Office {
         (0..scans).map(scan).collect()
     }
 
+    /// Scans of some tiles by a robot that comes by on its rounds, and each time sees what lies on one side of a plane of
+    /// its own. The last scan of a day sees all.
+    pub fn patrol_day(&mut self, day: i64, tiles: usize, visits: usize, scans_per_visit: usize) -> Vec<SentScan> {
+        let seen: Arc<[u32]> = (0..tiles as u32).collect();
+        let mut shown = vec![day > 0; tiles * 512];
+        let mut scans = Vec::new();
+        for visit in 0..visits {
+            for scan in 0..scans_per_visit {
+                let is_last = visit + 1 == visits && scan + 1 == scans_per_visit;
+                let mut observed_flips = Vec::new();
+                if scan == 0 || is_last {
+                    for tile in 0..tiles {
+                        let normal = [0; 3].map(|_: i64| self.random(201) as i64 - 100);
+                        let offset = self.random(800) as i64 - 400;
+                        for cell in 0..512 {
+                            let place = [cell % 8, cell / 8 % 8, cell / 64].map(|at| at as i64 * 2 - 7);
+                            let side: i64 = place.iter().zip(&normal).map(|(at, normal)| at * normal).sum();
+                            let is_seen = is_last || side > offset;
+                            if std::mem::replace(&mut shown[tile * 512 + cell], is_seen) != is_seen {
+                                observed_flips.push((tile * 512 + cell) as u32);
+                            }
+                        }
+                    }
+                }
+                let since = (visit as i64 * 7200 + scan as i64 * 5) * 1_000_000_000;
+                let utc_nanos = day * DAY_NANOS + since + self.random(1_000_000_000) as i64;
+                scans.push(SentScan { utc_nanos, seen: Arc::clone(&seen), observed_flips, occupied_flips: Vec::new() });
+            }
+        }
+        scans
+    }
+
     /// The events that they become; the map has them applied.
     pub fn events(map: &mut LiveMap, sent: &[SentScan], batch: usize) -> Vec<Event> {
         let key = ProducerKey::new("robot", "").expect("valid");
@@ -143,7 +177,7 @@ impl Office {
             let first_sequence = map.producer(&key).map_or(0, |(_, mark)| mark.durable_sequence) + 1;
             let mut event = Scans {
                 producer: ProducerId(0),
-                new_producer: (first_sequence == 1).then(|| key.clone()),
+                new_producer: (first_sequence == 1).then(|| key.clone().into()),
                 incarnation: 1,
                 first_sequence,
                 last_sequence: first_sequence + scans.len() as u64 - 1,

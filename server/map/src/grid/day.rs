@@ -8,15 +8,17 @@ use std::sync::Arc;
 
 use tidemap_model::LocalDay;
 
-use super::{index::TileId, mask::TileMasks};
+use super::{index::TileId, mask::TileMasks, sensors::SensorId};
 
-/// When a scan was made.
+/// When a scan was made, and with which sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ScanTime {
     /// Nanoseconds UTC.
     pub utc_nanos: i64,
     /// Seconds to add to UTC for local civil time.
     pub offset_secs: i32,
+    /// The sensor that made it.
+    pub sensor: SensorId,
 }
 
 impl ScanTime {
@@ -353,7 +355,8 @@ mod tests {
         let mut day = GridDay::new(LocalDay(17_000));
         let (far, near) = (TileId(u32::MAX), TileId(3));
         let counted = [far, near].map(|tile| {
-            let (scan, changes) = day.take(ScanTime { utc_nanos: 0, offset_secs: 0 }, &Arc::from([tile]));
+            let (scan, changes) =
+                day.take(ScanTime { utc_nanos: 0, offset_secs: 0, sensor: SensorId::OWN }, &Arc::from([tile]));
             changes + day.show(scan, tile, TileMasks::default())
         });
         assert_eq!(day.tiles().map(|(tile, _)| tile).collect::<Vec<_>>(), [near, far]);

@@ -13,6 +13,7 @@ use super::{
     index::{TileId, TileIndex},
     live_tile::{LikeScans, LiveTile},
     mask::TileMasks,
+    sensors::{InvalidSensor, ProducerSensor, SensorId, Sensors},
     snapshot::GridSnapshot,
     spec::GridSpec,
     tile::SumsSlot,
@@ -66,6 +67,7 @@ pub(crate) struct GridBasis {
 #[derive(Debug)]
 pub struct LiveGrid {
     pub(crate) spec: Arc<GridSpec>,
+    pub(crate) sensors: Arc<Sensors>,
     pub(crate) tiles: Vec<Arc<LiveTile>>,
     pub(crate) ids: Arc<HashMap<TileIndex, TileId>>,
     /// The tiles of the last scan in the log.
@@ -73,6 +75,8 @@ pub struct LiveGrid {
     previous: Option<Previous>,
     pub(crate) run: LikeScans,
     run_seen: Option<Arc<[TileId]>>,
+    /// The sensor that made all its scans.
+    run_sensor: SensorId,
     /// Scans that no update has folded in, by local day.
     pub(crate) days: Vec<GridDay>,
     pub(crate) ahead: Vec<AheadScan>,
@@ -94,6 +98,7 @@ impl LiveGrid {
     #[must_use]
     pub(crate) fn new(spec: Arc<GridSpec>) -> LiveGrid {
         LiveGrid {
+            sensors: Arc::new(Sensors::new(spec.sensor)),
             spec,
             tiles: Vec::new(),
             ids: Arc::default(),
@@ -101,6 +106,7 @@ impl LiveGrid {
             previous: None,
             run: LikeScans::default(),
             run_seen: None,
+            run_sensor: SensorId::OWN,
             days: Vec::new(),
             ahead: Vec::new(),
             ahead_tiles: 0,
@@ -115,9 +121,9 @@ impl LiveGrid {
         }
     }
 
-    /// The grid as it was when the snapshot was taken.
-    pub(crate) fn restore(spec: Arc<GridSpec>, snapshot: GridSnapshot) -> LiveGrid {
-        let mut grid = LiveGrid::new(spec);
+    /// The grid as it was when the snapshot was taken, out of an empty one that knows the sensors of its producers.
+    pub(crate) fn restore(self, snapshot: GridSnapshot) -> LiveGrid {
+        let mut grid = self;
         for tile in snapshot.tiles {
             grid.add_tile(tile);
         }
@@ -144,7 +150,7 @@ impl LiveGrid {
         self.end_run();
         let (days, newest_ahead) = self.take_before(cut_nanos);
         let work = GridWork {
-            rules: Rules::new(periodicities, criterion, self.spec.sensor),
+            rules: Rules::new(periodicities, criterion, &self.sensors),
             generation: Arc::clone(&self.generation),
             sums: std::mem::take(&mut self.sums),
             days,
@@ -182,6 +188,42 @@ impl LiveGrid {
             scans,
             cell_observations,
             received_nanos,
+        }
+    }
+
+    /// Whether a producer that is new may have this sensor, as it is announced. Gives what it then has: `None` where that is
+    /// the map's own. `others`: sensors that other producers will have, and that may be new, too.
+    ///
+    /// # Errors
+    /// [`InvalidSensor`] where it may not.
+    pub fn may_have(
+        &self,
+        announced: ProducerSensor,
+        others: impl Iterator<Item = ProducerSensor>,
+    ) -> Result<Option<ProducerSensor>, InvalidSensor> {
+        let sensor = self.sensors.check(announced)?;
+        if self.sensors.find(sensor).is_none() {
+            let mut sensors = Sensors::clone(&self.sensors);
+            for other in others {
+                // Where there is no room for it, there is none for this one.
+                let _ = sensors.add(Some(other));
+            }
+            sensors.add(sensor)?;
+        }
+        Ok(sensor)
+    }
+
+    /// The sensors of its producers.
+    #[must_use]
+    pub fn sensors(&self) -> &Sensors {
+        &self.sensors
+    }
+
+    /// Numbers the sensor of a new producer; [`LiveGrid::may_have`] has let it pass.
+    pub(crate) fn add_sensor(&mut self, sensor: Option<ProducerSensor>) {
+        if self.sensors.find(sensor).is_none() {
+            // One that cannot be had counts as the map's own, and no log has one.
+            let _ = Arc::make_mut(&mut self.sensors).add(sensor);
         }
     }
 

@@ -4,14 +4,19 @@
 //! the newest observation) is kept per tile for the cells of the newest scan, and per cell only for the others and for
 //! those that have changed.
 //!
+//! Where sensors of different levels observe the same cells, a cell can change its value although it reads as before. Rates
+//! of change are kept in units of the map's own sensor (see [`super::sensors`]).
+//!
 //! Invariant: `known` = `current` and the cells of `away`; lists ascend by cell. An observation of a cell counts exactly
 //! if it is newer than all of that cell before it.
 
 use tidemap_model::{Persistence, PersistenceParts};
 
 use super::{
+    day::ScanTime,
     index::TileIndex,
     mask::{Mask, TileMasks},
+    sensors::{SensorId, Sensors},
 };
 
 /// A cell that the newest scan did not observe.
@@ -19,6 +24,8 @@ use super::{
 pub struct Away {
     /// Its place in the tile.
     pub cell: u16,
+    /// The sensor that last observed it.
+    pub sensor: SensorId,
     /// When it was last observed, nanoseconds UTC.
     pub last_nanos: i64,
     /// Pairs of successive observations so far.
@@ -30,6 +37,8 @@ pub struct Away {
 pub struct LiveTile {
     /// Where it is.
     pub index: TileIndex,
+    /// The sensor of the newest scan.
+    pub sensor: SensorId,
     /// What the last scan in the order of the log showed.
     pub arrival: TileMasks,
     /// Cells that were ever observed.
@@ -46,15 +55,16 @@ pub struct LiveTile {
     pub away: Vec<Away>,
     /// Current cells whose pairs of successive observations are not `scans` - 1 but `scans` - this.
     pub offsets: Vec<(u16, i64)>,
-    /// Sum over changes of 1 / seconds between the two readings, of cells that have changed.
+    /// Sum over changes of value of their size, in units of the map's own sensor, / seconds between the two readings; of
+    /// cells that have changed.
     pub change_rates: Vec<(u16, f64)>,
     /// Where the tile takes part in the map's run of like scans: the run's count up to which `scans` and
     /// `newest_nanos` have been brought.
     pub(crate) joined: Option<u64>,
 }
 
-/// Scans that follow each other, each newer than the one before, that saw the same tiles: unchanged tiles need not be
-/// touched for them.
+/// Scans that follow each other, each newer than the one before, that saw the same tiles with the same sensor: unchanged
+/// tiles need not be touched for them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LikeScans {
     pub(crate) count: u64,
@@ -67,6 +77,7 @@ impl LiveTile {
     pub fn new(index: TileIndex) -> LiveTile {
         LiveTile {
             index,
+            sensor: SensorId::OWN,
             arrival: TileMasks::default(),
             known: Mask::EMPTY,
             occupied: Mask::EMPTY,
@@ -105,41 +116,54 @@ impl LiveTile {
     }
 
     /// Takes in a scan that is newer than all before; the tile is settled.
-    pub(crate) fn observe(&mut self, utc_nanos: i64, masks: TileMasks) {
+    pub(crate) fn observe(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
         let (observed, occupied) = (masks.observed(), masks.occupied());
-        let changed = (self.occupied ^ occupied) & observed & self.known;
-        for cell in (changed & self.current).cells() {
-            self.note_change(cell, self.newest_nanos, utc_nanos);
+        let utc_nanos = time.utc_nanos;
+        // With another sensor every cell may count as something else.
+        let same = self.current & observed;
+        let may_change = if time.sensor == self.sensor { (self.occupied ^ occupied) & same } else { same };
+        for cell in may_change.cells() {
+            let size = self.change(cell, self.sensor, time.sensor, occupied.contains(cell), sensors);
+            self.note_change(cell, size, self.newest_nanos, utc_nanos);
         }
         if observed != self.current {
             self.leave(self.current.without(observed));
-            self.enter(observed.without(self.current), changed, utc_nanos);
+            self.enter(observed.without(self.current), occupied, time, sensors);
             self.known |= observed;
             self.current = observed;
         }
         self.scans += 1;
         self.occupied = self.occupied.without(observed) | occupied;
         self.newest_nanos = utc_nanos;
+        self.sensor = time.sensor;
+    }
+
+    /// By how much the value of a known cell changes with a reading, in units of the map's own sensor.
+    fn change(&self, cell: u16, from: SensorId, to: SensorId, is_occupied: bool, sensors: &Sensors) -> f64 {
+        let before = sensors.weights(from).units(self.occupied.contains(cell));
+        (sensors.weights(to).units(is_occupied) - before).abs()
     }
 
     /// Takes in a scan that is not newer than all before: it counts for the cells whose own observations are older.
-    pub(crate) fn observe_late(&mut self, utc_nanos: i64, masks: TileMasks) {
+    pub(crate) fn observe_late(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
+        let ScanTime { utc_nanos, sensor, .. } = time;
         for cell in masks.observed().without(self.current).cells() {
             let is_occupied = masks.occupied().contains(cell);
             match self.away.binary_search_by_key(&cell, |away| away.cell) {
                 Ok(at) => {
-                    let Away { last_nanos, pairs, .. } = self.away[at];
+                    let Away { last_nanos, pairs, sensor: before, .. } = self.away[at];
                     if utc_nanos <= last_nanos {
                         continue;
                     }
-                    self.away[at] = Away { cell, last_nanos: utc_nanos, pairs: pairs + 1 };
+                    self.away[at] = Away { cell, sensor, last_nanos: utc_nanos, pairs: pairs + 1 };
+                    let size = self.change(cell, before, sensor, is_occupied, sensors);
+                    self.note_change(cell, size, last_nanos, utc_nanos);
                     if self.occupied.contains(cell) != is_occupied {
-                        self.note_change(cell, last_nanos, utc_nanos);
                         self.occupied.flip(cell);
                     }
                 }
                 Err(at) => {
-                    self.away.insert(at, Away { cell, last_nanos: utc_nanos, pairs: 0 });
+                    self.away.insert(at, Away { cell, sensor, last_nanos: utc_nanos, pairs: 0 });
                     self.known.insert(cell);
                     if is_occupied {
                         self.occupied.insert(cell);
@@ -149,8 +173,11 @@ impl LiveTile {
         }
     }
 
-    fn note_change(&mut self, cell: u16, from_nanos: i64, to_nanos: i64) {
-        let rate = 1e9 / to_nanos.abs_diff(from_nanos).max(1) as f64;
+    fn note_change(&mut self, cell: u16, size: f64, from_nanos: i64, to_nanos: i64) {
+        if size == 0.0 {
+            return;
+        }
+        let rate = size * 1e9 / to_nanos.abs_diff(from_nanos).max(1) as f64;
         match self.change_rates.binary_search_by_key(&cell, |(cell, _)| *cell) {
             Ok(at) => self.change_rates[at].1 += rate,
             Err(at) => self.change_rates.insert(at, (cell, rate)),
@@ -164,21 +191,20 @@ impl LiveTile {
                 self.offsets.remove(at);
             }
             if let Err(at) = self.away.binary_search_by_key(&cell, |away| away.cell) {
-                self.away.insert(at, Away { cell, last_nanos: self.newest_nanos, pairs });
+                self.away.insert(at, Away { cell, sensor: self.sensor, last_nanos: self.newest_nanos, pairs });
             }
         }
     }
 
-    fn enter(&mut self, cells: Mask, changed: Mask, utc_nanos: i64) {
+    fn enter(&mut self, cells: Mask, occupied: Mask, time: ScanTime, sensors: &Sensors) {
         let scans = i64::try_from(self.scans + 1).unwrap_or(i64::MAX);
         for cell in cells.cells() {
             let mut pairs = 0;
             if let Ok(at) = self.away.binary_search_by_key(&cell, |away| away.cell) {
                 let away = self.away.remove(at);
                 pairs = away.pairs + 1;
-                if changed.contains(cell) {
-                    self.note_change(cell, away.last_nanos, utc_nanos);
-                }
+                let size = self.change(cell, away.sensor, time.sensor, occupied.contains(cell), sensors);
+                self.note_change(cell, size, away.last_nanos, time.utc_nanos);
             }
             let offset = scans - i64::try_from(pairs).unwrap_or(i64::MAX);
             if offset != 1
@@ -195,10 +221,34 @@ impl LiveTile {
         u64::try_from(i64::try_from(scans).unwrap_or(i64::MAX) - offset).unwrap_or(0)
     }
 
-    /// Persistence of a cell with the run's scans counted in; `levels` are the values of a free and an occupied reading.
-    /// Before the first observation it is that of an unknown state.
+    /// The sensor that last observed a known cell.
+    fn reader(&self, cell: u16, sensors: &Sensors) -> SensorId {
+        if sensors.others() == 0 {
+            return SensorId::OWN;
+        }
+        if self.current.contains(cell) {
+            return self.sensor;
+        }
+        let found = self.away.binary_search_by_key(&cell, |away| away.cell);
+        found.map_or(SensorId::OWN, |at| self.away[at].sensor)
+    }
+
+    /// Whether some cell was last observed by another sensor than the map's own.
     #[must_use]
-    pub(crate) fn persistence(&self, cell: u16, run: LikeScans, levels: (f64, f64)) -> Persistence {
+    pub(crate) fn has_other_readers(&self, sensors: &Sensors) -> bool {
+        let is_other = |sensor: SensorId| sensor != SensorId::OWN;
+        sensors.others() > 0 && (is_other(self.sensor) || self.away.iter().any(|away| is_other(away.sensor)))
+    }
+
+    /// What the newest reading of a known cell counts as.
+    #[must_use]
+    pub(crate) fn value(&self, cell: u16, sensors: &Sensors) -> f64 {
+        sensors.value(self.reader(cell, sensors), self.occupied.contains(cell))
+    }
+
+    /// Persistence of a cell with the run's scans counted in. Before the first observation it is that of an unknown state.
+    #[must_use]
+    pub(crate) fn persistence(&self, cell: u16, run: LikeScans, sensors: &Sensors) -> Persistence {
         if !self.known.contains(cell) {
             return Persistence::default();
         }
@@ -210,8 +260,9 @@ impl LiveTile {
             found.ok().map_or((newest_nanos, 0), |at| (self.away[at].last_nanos, self.away[at].pairs))
         };
         let found = self.change_rates.binary_search_by_key(&cell, |(cell, _)| *cell);
-        let change_rate_sum = found.ok().map_or(0.0, |at| self.change_rates[at].1) * (levels.1 - levels.0);
-        let value = if self.occupied.contains(cell) { levels.1 } else { levels.0 };
+        let (free, occupied) = sensors.levels(SensorId::OWN);
+        let change_rate_sum = found.ok().map_or(0.0, |at| self.change_rates[at].1) * (occupied - free);
+        let value = self.value(cell, sensors);
         let parts = PersistenceParts { pairs, change_rate_sum, last: Some((last_nanos, value)) };
         // Its parts are in their ranges by construction.
         Persistence::from_parts(parts).unwrap_or_default()

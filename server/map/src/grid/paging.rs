@@ -99,7 +99,7 @@ impl LiveMap {
         // A sum is free with the last tile that has it.
         let mut holders: std::collections::HashMap<*const PhasorSum, usize> = std::collections::HashMap::new();
         for sums in grid.sums.iter().filter_map(resident) {
-            for group in &sums.groups {
+            for group in sums.shared() {
                 *holders.entry(Arc::as_ptr(group)).or_default() += 1;
             }
         }
@@ -114,9 +114,8 @@ impl LiveMap {
                 bytes = bytes.saturating_sub(model.bytes() as u64);
             }
             if let SumsSlot::Resident(sums) = std::mem::replace(&mut grid.sums[tile], SumsSlot::Cold(cold)) {
-                let shared: usize = sums.groups.iter().map(|group| group.bytes()).sum();
-                bytes = bytes.saturating_sub((sums.bytes() - shared) as u64);
-                for group in &sums.groups {
+                bytes = bytes.saturating_sub(sums.own_bytes() as u64);
+                for group in sums.shared() {
                     let left = holders.entry(Arc::as_ptr(group)).or_default();
                     *left = left.saturating_sub(1);
                     if *left == 0 {
@@ -169,12 +168,9 @@ fn bytes_of(model: &ModelSlot, sums: Option<&SumsSlot>, shared: &mut HashSet<*co
         ModelSlot::Cold(_) => 0,
     };
     if let Some(sums) = sums.and_then(resident) {
-        bytes += sums.bytes();
-        for group in &sums.groups {
-            if !shared.insert(Arc::as_ptr(group)) {
-                bytes -= group.bytes();
-            }
-        }
+        bytes += sums.own_bytes();
+        bytes +=
+            sums.shared().filter(|group| shared.insert(Arc::as_ptr(group))).map(|group| group.bytes()).sum::<usize>();
     }
     bytes as u64
 }

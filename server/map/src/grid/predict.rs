@@ -9,6 +9,7 @@ use super::{
     index::{CellBox, CellIndex, TILE_CELLS, TILE_EDGE, TileId, TileIndex},
     live_tile::LiveTile,
     mask::Mask,
+    sensors::Sensors,
     tile::{ModelSlot, TileModel, TileUnavailable},
     view::GridView,
 };
@@ -105,19 +106,29 @@ struct Shape {
 }
 
 impl Shape {
-    fn new(model: &TileModel, live: Option<&LiveTile>, within: Mask, selector: ModelSelector) -> Shape {
+    fn new(
+        model: &TileModel,
+        live: Option<&LiveTile>,
+        within: Mask,
+        selector: ModelSelector,
+        sensors: &Sensors,
+    ) -> Shape {
         let (seen, occupied) = live.map_or((Mask::EMPTY, Mask::EMPTY), |live| (live.known, live.occupied));
         let learned = model.observed();
         let known = (learned | seen) & within;
         let changed = model.changed() & within;
         let fixed = known.without(changed);
+        let has_other_readers = || live.is_some_and(|live| live.has_other_readers(sensors));
         if selector.kind == ModelKind::Latest {
-            return Shape { known, learned, changed, high: fixed & occupied, all_values: false };
+            return Shape { known, learned, changed, high: fixed & occupied, all_values: has_other_readers() };
         }
         let high = fixed & model.always_occupied;
-        // A cell that still reads as it always did stays at its level, however recent the reading is.
-        let blended = selector.persistence && !(seen & fixed & (occupied ^ model.always_occupied)).is_empty();
-        Shape { known, learned, changed, high, all_values: blended || !known.without(learned).is_empty() }
+        // A cell that still reads as it always did stays at its level, however recent the reading is, unless another
+        // sensor made it.
+        let has_changed = || !(seen & fixed & (occupied ^ model.always_occupied)).is_empty();
+        let blended = selector.persistence && (has_changed() || has_other_readers());
+        let has_own_levels = blended || model.sensors.is_some();
+        Shape { known, learned, changed, high, all_values: has_own_levels || !known.without(learned).is_empty() }
     }
 
     fn values(&self) -> u32 {
@@ -190,8 +201,12 @@ impl GridView {
         let live = self.live(id);
         match self.generation.model(id) {
             Some(ModelSlot::Cold(_)) => live.map_or(TILE_CELLS as u64, |live| u64::from((live.known & within).count())),
-            Some(ModelSlot::Resident(model)) => u64::from(Shape::new(model, live, within, question.selector).values()),
-            None => u64::from(Shape::new(&TileModel::default(), live, within, question.selector).values()),
+            Some(ModelSlot::Resident(model)) => {
+                u64::from(Shape::new(model, live, within, question.selector, &self.sensors).values())
+            }
+            None => {
+                u64::from(Shape::new(&TileModel::default(), live, within, question.selector, &self.sensors).values())
+            }
         }
     }
 
@@ -210,12 +225,12 @@ impl GridView {
         let model = self.model(id)?;
         let live = self.live(id);
         let selector = question.selector;
-        let shape = Shape::new(&model, live, within(index, question.region.as_ref()), selector);
+        let shape = Shape::new(&model, live, within(index, question.region.as_ref()), selector, &self.sensors);
         let levels = self.levels();
         let level = |is_high: bool| if is_high { levels.1 as f32 } else { levels.0 as f32 };
         let blend = |cell: u16, probability: f32| match live.filter(|_| selector.persistence) {
             Some(live) if live.known.contains(cell) => {
-                let persistence = live.persistence(cell, self.run, levels);
+                let persistence = live.persistence(cell, self.run, &self.sensors);
                 persistence.blend(f64::from(probability), question.utc_nanos) as f32
             }
             _ => probability,
@@ -223,7 +238,15 @@ impl GridView {
         values.reserve(shape.values() as usize);
         if selector.kind == ModelKind::Latest {
             let occupied = live.map_or(Mask::EMPTY, |live| live.occupied);
-            values.extend(shape.changed.cells().map(|cell| level(occupied.contains(cell))));
+            if let (true, Some(live)) = (shape.all_values, live) {
+                let value = |cell| match live.known.contains(cell) {
+                    true => live.value(cell, &self.sensors) as f32,
+                    false => level(false),
+                };
+                values.extend(shape.known.cells().map(value));
+            } else {
+                values.extend(shape.changed.cells().map(|cell| level(occupied.contains(cell))));
+            }
         } else {
             let changed = model.cells.iter().filter(|cell| shape.changed.contains(cell.cell)).map(|cell| {
                 let order =
@@ -231,10 +254,19 @@ impl GridView {
                 (cell.cell, cell.spectral.predict_at(order, phasors) as f32)
             });
             if shape.all_values {
+                let constants = model.sensors.as_ref().map(|_| {
+                    let mut constants = Box::new([0.0; TILE_CELLS]);
+                    self.set_constants(&mut constants, &model);
+                    constants
+                });
+                let constant = |cell: u16| match &constants {
+                    Some(constants) => constants[usize::from(cell)],
+                    None => level(shape.high.contains(cell)),
+                };
                 let mut changed = changed.peekable();
                 values.extend(shape.known.cells().map(|cell| {
                     let learned = changed.next_if(|(of, _)| *of == cell).map(|(_, probability)| probability);
-                    let fixed = || if shape.learned.contains(cell) { level(shape.high.contains(cell)) } else { 0.5 };
+                    let fixed = || if shape.learned.contains(cell) { constant(cell) } else { 0.5 };
                     blend(cell, learned.unwrap_or_else(fixed))
                 }));
             } else if selector.persistence {

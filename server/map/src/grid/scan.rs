@@ -6,10 +6,7 @@
 use std::sync::Arc;
 
 use super::index::{TILE_CELLS, TileId, TileIndex};
-use crate::{
-    event::{ProducerId, RefusalReason},
-    name::ProducerKey,
-};
+use crate::event::{NewProducer, ProducerId, RefusalReason};
 
 /// A cell of a map: tile and place there as one number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -58,8 +55,8 @@ pub struct LoggedScan {
 pub struct Scans {
     /// Whose.
     pub producer: ProducerId,
-    /// The producer's key, where this is the first event of the producer.
-    pub new_producer: Option<ProducerKey>,
+    /// The producer, where this is its first event.
+    pub new_producer: Option<NewProducer>,
     /// The producer's incarnation.
     pub incarnation: u64,
     /// Sequence number of the first scan, refused ones included.

@@ -16,7 +16,9 @@ use tidemap_model::{Periodicities, PhasorSum, PhasorTable, RunningSums};
 use super::{
     index::TILE_CELLS,
     mask::Mask,
-    update::{CHUNK, Chunk, fold_toggles},
+    sensor_sums::{GroupSums, WeightedSums},
+    sensors::{SensorId, Sensors},
+    update::{CHUNK, Chunk, Cursor, WeightedRows, WeightedScans, fold_toggles},
 };
 
 /// Cells that were observed at the same times of a day.
@@ -34,6 +36,8 @@ pub struct SeenDay {
     /// Local civil times of the scans that saw the tile, in nanoseconds since 1970 local. Tiles seen by the same scans
     /// share them.
     pub civil_nanos: Arc<[i64]>,
+    /// The sensors of these scans, in their order; `None` where all are the map's own. Shared likewise.
+    pub sensors: Option<Arc<Vec<SensorId>>>,
     /// Cells observed alike.
     pub lists: Vec<SeenAlike>,
 }
@@ -56,6 +60,9 @@ impl Sightings {
     /// [`InvalidSightings`] where the invariant does not hold.
     pub fn from_days(days: Vec<SeenDay>) -> Result<Sightings, InvalidSightings> {
         for day in &days {
+            if day.sensors.as_ref().is_some_and(|sensors| sensors.len() != day.civil_nanos.len()) {
+                return Err(InvalidSightings);
+            }
             let mut seen = Mask::EMPTY;
             for list in &day.lists {
                 for &cell in &list.cells {
@@ -85,43 +92,72 @@ impl Sightings {
         self.days.is_empty()
     }
 
-    /// Takes in a day: the times of the scans that saw the tile, and which cells were observed when.
-    pub(super) fn push<'a>(&mut self, civil_nanos: &Arc<[i64]>, observed: impl Iterator<Item = (&'a Vec<u32>, Mask)>) {
+    /// Takes in a day: the times of the scans that saw the tile, their sensors, and which cells were observed when.
+    pub(super) fn push<'a>(
+        &mut self,
+        civil_nanos: &Arc<[i64]>,
+        sensors: Option<&Arc<Vec<SensorId>>>,
+        observed: impl Iterator<Item = (&'a Vec<u32>, Mask)>,
+    ) {
         let lists: Vec<SeenAlike> = observed
             .filter(|(_, cells)| !cells.is_empty())
             .map(|(toggles, cells)| SeenAlike { cells: cells.cells().collect(), toggles: toggles.as_slice().into() })
             .collect();
         if !lists.is_empty() {
-            self.days.push(SeenDay { civil_nanos: Arc::clone(civil_nanos), lists });
+            self.days.push(SeenDay { civil_nanos: Arc::clone(civil_nanos), sensors: sensors.cloned(), lists });
         }
     }
 
-    /// Σ e^(-jω_k t) over the times at which each of these cells was observed, in their order.
-    pub(super) fn sums(&self, cells: &[u16], periodicities: &Periodicities) -> Vec<PhasorSum> {
-        let mut sums = vec![PhasorSum::zero(periodicities); cells.len()];
+    /// The sums over the times at which each of these cells was observed, in their order.
+    pub(super) fn sums(&self, cells: &[u16], periodicities: &Periodicities, sensors: &Sensors) -> Vec<GroupSums> {
+        let has_others = self.days.iter().any(|day| day.sensors.is_some());
+        let mut sums: Vec<CellSums> = cells.iter().map(|_| CellSums::zero(periodicities, has_others)).collect();
         for day in &self.days {
-            let mut wanted: Vec<(&[u32], usize, bool, &mut PhasorSum)> = Vec::new();
+            let mut wanted: Vec<(&[u32], Cursor, &mut CellSums)> = Vec::new();
             for (&cell, sum) in cells.iter().zip(&mut sums) {
                 if let Some(list) = day.lists.iter().find(|list| list.cells.binary_search(&cell).is_ok()) {
-                    wanted.push((&list.toggles, 0, false, sum));
+                    wanted.push((&list.toggles, Cursor::default(), sum));
                 }
             }
             if wanted.is_empty() {
                 continue;
             }
+            let weighted = day.sensors.as_ref().map(|ids| WeightedScans::new(Arc::clone(ids), sensors));
             let mut rows = RunningSums::new(periodicities);
+            let mut weighted_rows = weighted.as_ref().map(|_| WeightedRows::new(periodicities));
             for (number, civil_nanos) in day.civil_nanos.chunks(CHUNK).enumerate() {
                 let first = number * CHUNK;
                 let phasors = PhasorTable::new(periodicities, civil_nanos);
                 rows.extend_chunk(&phasors);
+                if let (Some(rows), Some(weighted)) = (&mut weighted_rows, &weighted) {
+                    rows.extend_chunk(&phasors, weighted, first);
+                }
                 let is_last = first + civil_nanos.len() == day.civil_nanos.len();
-                let chunk = Chunk { first, phasors: &phasors, rows: &rows, utc_nanos: civil_nanos, is_last };
-                for (toggles, at, is_on, sum) in &mut wanted {
-                    fold_toggles(toggles, at, is_on, sum, &chunk);
+                let weighted = weighted_rows.as_ref();
+                let chunk = Chunk {
+                    first,
+                    phasors: &phasors,
+                    rows: &rows,
+                    weighted,
+                    levels: None,
+                    utc_nanos: civil_nanos,
+                    is_last,
+                };
+                for (toggles, cursor, sum) in &mut wanted {
+                    let from = *cursor;
+                    fold_toggles(toggles, cursor, &mut sum.plain, &rows, &chunk);
+                    if let Some((alpha, beta)) = &mut sum.weighted {
+                        // On a day of the map's own sensor alone α is 0 and β is 1.
+                        if let Some(weighted) = weighted {
+                            fold_toggles(toggles, &mut { from }, alpha, &weighted.alpha, &chunk);
+                        }
+                        let rows = weighted.map_or(&rows, |weighted| &weighted.beta);
+                        fold_toggles(toggles, &mut { from }, beta, rows, &chunk);
+                    }
                 }
             }
         }
-        sums
+        sums.into_iter().map(CellSums::finish).collect()
     }
 
     /// Memory in bytes, about; times that tiles share are counted as if they were not.
@@ -130,8 +166,29 @@ impl Sightings {
         let of_list =
             |list: &SeenAlike| size_of::<SeenAlike>() + size_of_val(&*list.cells) + size_of_val(&*list.toggles);
         let of_day = |day: &SeenDay| {
-            size_of::<SeenDay>() + size_of_val(&*day.civil_nanos) + day.lists.iter().map(of_list).sum::<usize>()
+            let sensors = day.sensors.as_ref().map_or(0, |sensors| sensors.len());
+            let lists = day.lists.iter().map(of_list).sum::<usize>();
+            size_of::<SeenDay>() + size_of_val(&*day.civil_nanos) + sensors + lists
         };
         self.days.iter().map(of_day).sum()
+    }
+}
+
+/// The sums of one cell, while they are computed.
+struct CellSums {
+    plain: PhasorSum,
+    /// Of α and of β.
+    weighted: Option<(PhasorSum, PhasorSum)>,
+}
+
+impl CellSums {
+    fn zero(periodicities: &Periodicities, has_others: bool) -> CellSums {
+        let zero = || PhasorSum::zero(periodicities);
+        CellSums { plain: zero(), weighted: has_others.then(|| (zero(), zero())) }
+    }
+
+    fn finish(self) -> GroupSums {
+        let weighted = self.weighted.map(|(alpha, beta)| WeightedSums { alpha: Arc::new(alpha), beta: Arc::new(beta) });
+        GroupSums { plain: Arc::new(self.plain), weighted }
     }
 }

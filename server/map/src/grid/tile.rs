@@ -12,7 +12,13 @@ use std::sync::Arc;
 
 use tidemap_model::{OrderErrors, PhasorSum, SpectralModel};
 
-use super::{index::TileId, mask::Mask, sightings::Sightings};
+use super::{
+    index::TileId,
+    mask::Mask,
+    sensor_sums::{GroupSums, SensorSums, SensorWeights},
+    sensors::{SensorId, Sensors, Weights},
+    sightings::Sightings,
+};
 
 /// Cells of a tile that have been observed at the same times so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -51,6 +57,8 @@ pub struct TileModel {
     pub always_occupied: Mask,
     /// Cells that have changed, ascending by place.
     pub cells: Vec<CellModel>,
+    /// What readings count; `None` where all are of the map's own sensor.
+    pub sensors: Option<Box<SensorWeights>>,
 }
 
 impl TileModel {
@@ -83,6 +91,41 @@ impl TileModel {
         self.cells.get(at)
     }
 
+    /// Σα and Σβ over the readings of a group, by its index.
+    #[must_use]
+    pub fn weights(&self, group: usize) -> Weights {
+        let known = self.sensors.as_ref().and_then(|sensors| sensors.groups.get(group).copied());
+        known.unwrap_or_else(|| Weights::own(self.groups.get(group).map_or(0, |group| group.observations)))
+    }
+
+    /// Σβ over the occupied readings of a changed cell, by its index.
+    #[must_use]
+    pub fn occupied_weight(&self, cell: usize) -> f64 {
+        let known = self.sensors.as_ref().and_then(|sensors| sensors.occupied.get(cell).copied());
+        known.unwrap_or_else(|| self.cells.get(cell).map_or(0.0, |cell| cell.occupied as f64))
+    }
+
+    /// The means of the readings of a group's cells that were always read as free, and as occupied, by its index.
+    #[must_use]
+    pub fn constant_levels(&self, group: usize, sensors: &Sensors) -> (f64, f64) {
+        let weights = self.weights(group);
+        let observations = self.groups.get(group).map_or(0, |group| group.observations);
+        if observations == 0 || weights == Weights::own(observations) {
+            return sensors.levels(SensorId::OWN);
+        }
+        let mean = |is_occupied| sensors.value_of_units(weights.units(is_occupied) / observations as f64);
+        (mean(false), mean(true))
+    }
+
+    /// Begins to keep what readings count, where it is not kept yet; all so far were of the map's own sensor.
+    pub(crate) fn keep_weights(&mut self) {
+        if self.sensors.is_none() {
+            let groups = self.groups.iter().map(|group| Weights::own(group.observations)).collect();
+            let occupied = self.cells.iter().map(|cell| cell.occupied as f64).collect();
+            self.sensors = Some(Box::new(SensorWeights { groups, occupied }));
+        }
+    }
+
     /// Memory in bytes, about.
     #[must_use]
     pub fn bytes(&self) -> usize {
@@ -91,6 +134,7 @@ impl TileModel {
             + self.groups.len() * size_of::<Group>()
             + self.cells.len() * size_of::<CellModel>()
             + components
+            + self.sensors.as_ref().map_or(0, |sensors| sensors.bytes())
     }
 }
 
@@ -99,19 +143,83 @@ impl TileModel {
 pub struct TileSums {
     /// B_k of each group; of a group without a changed cell less what `sightings` hold.
     pub groups: Vec<Arc<PhasorSum>>,
-    /// A_k of each changed cell, over its occupied readings.
+    /// A_k of each changed cell, over its occupied readings, each weighted by β.
     pub cells: Vec<PhasorSum>,
     /// When cells were observed that have no sum for it. Where there are any, no group has both changed cells and others.
     pub sightings: Sightings,
+    /// Weighted sums of the groups; `None` where all their readings are of the map's own sensor.
+    pub sensors: Option<Box<SensorSums>>,
 }
 
 impl TileSums {
-    /// Memory in bytes, about; shared sums are counted as if they were not.
+    /// All sums that groups and tiles may share.
+    pub fn shared(&self) -> impl Iterator<Item = &Arc<PhasorSum>> {
+        self.groups.iter().chain(self.sensors.iter().flat_map(|sensors| sensors.sums()))
+    }
+
+    /// The same, to be replaced.
+    pub(crate) fn shared_mut(&mut self) -> impl Iterator<Item = &mut Arc<PhasorSum>> {
+        self.groups.iter_mut().chain(self.sensors.iter_mut().flat_map(|sensors| sensors.sums_mut()))
+    }
+
+    /// The sums of a group.
+    pub(crate) fn group(&self, index: usize) -> Option<GroupSums> {
+        let plain = Arc::clone(self.groups.get(index)?);
+        let weighted = self.sensors.as_ref().and_then(|sensors| sensors.groups.get(index).cloned().flatten());
+        Some(GroupSums { plain, weighted })
+    }
+
+    /// Replaces the sums of all groups.
+    pub(crate) fn set_groups(&mut self, groups: Vec<GroupSums>) {
+        let has_others = groups.iter().any(|group| group.weighted.is_some());
+        let mut weighted = Vec::with_capacity(if has_others { groups.len() } else { 0 });
+        self.groups = Vec::with_capacity(groups.len());
+        for group in groups {
+            self.groups.push(group.plain);
+            if has_others {
+                weighted.push(group.weighted);
+            }
+        }
+        self.sensors = has_others.then(|| Box::new(SensorSums { groups: weighted }));
+    }
+
+    /// Replaces the sums of a group.
+    pub(crate) fn set_group(&mut self, index: usize, group: GroupSums) {
+        let count = self.groups.len();
+        let Some(plain) = self.groups.get_mut(index) else { return };
+        *plain = group.plain;
+        if group.weighted.is_some() && self.sensors.is_none() {
+            self.sensors = Some(Box::new(SensorSums { groups: vec![None; count] }));
+        }
+        if let Some(weighted) = self.sensors.as_mut().and_then(|sensors| sensors.groups.get_mut(index)) {
+            *weighted = group.weighted;
+        }
+    }
+
+    /// Appends a group.
+    pub(crate) fn push_group(&mut self, group: GroupSums) {
+        self.groups.push(group.plain);
+        if let Some(sensors) = &mut self.sensors {
+            sensors.groups.push(group.weighted);
+        }
+    }
+
+    /// Memory in bytes, about; a sum that groups share counts once, one that tiles share for each.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        let groups: usize = self.groups.iter().map(|sum| sum.bytes()).sum();
+        let mut distinct: Vec<&Arc<PhasorSum>> = self.shared().collect();
+        distinct.sort_unstable_by_key(|sum| Arc::as_ptr(sum));
+        distinct.dedup_by_key(|sum| Arc::as_ptr(sum));
+        self.own_bytes() + distinct.iter().map(|sum| sum.bytes()).sum::<usize>()
+    }
+
+    /// Memory in bytes, about, of what is never shared.
+    #[must_use]
+    pub fn own_bytes(&self) -> usize {
+        let pointers = self.groups.len() * size_of::<Arc<PhasorSum>>();
         let cells: usize = self.cells.iter().map(PhasorSum::bytes).sum();
-        size_of::<Self>() + groups + cells + self.sightings.bytes()
+        let sensors = self.sensors.as_ref().map_or(0, |sensors| size_of_val(sensors.groups.as_slice()));
+        size_of::<Self>() + pointers + cells + self.sightings.bytes() + sensors
     }
 }
 

@@ -2,35 +2,40 @@
 //!
 //! The tiles that were seen by the same scans of a day are worked off together: they share the phasors of those scans and
 //! their running sums, in chunks that stay in cache. A cell then costs one row of sums per change of its value, and a
-//! prediction per observation where it has a spectrum to be scored.
+//! prediction per observation where it has a spectrum to be scored. What was done can be noted meanwhile ([`progress`]), so
+//! that an update that was cut off goes on from there.
+//!
+//! [`progress`]: super::progress
 //!
 //! Invariant: each cell's model is what `StateModel::update` of tidemap-model gives for its readings, to 1e-9.
 
 use std::{
     collections::HashMap,
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, atomic::AtomicU64},
 };
 
 use rayon::prelude::*;
-use tidemap_model::{MAX_ORDER, OrderCriterion, Periodicities};
+use tidemap_model::{LocalDay, MAX_ORDER, OrderCriterion, Periodicities};
 
 use super::{
     day::GridDay,
     generation::Generation,
     index::TileId,
-    spec::SensorNoise,
+    progress::{Account, BusyTile, DoneTile, Notes, Share, TileOutcome, share_alike},
+    sensors::{SensorId, Sensors},
     tile::{ModelSlot, SumsSlot, TileModel, TileSums, TileUnavailable},
 };
 
+mod batch;
 mod observed;
 mod pattern;
 mod tile_day;
+mod weighted;
 
+use batch::Batch;
 use pattern::Pattern;
-pub(super) use pattern::{Chunk, fold_toggles};
+pub(super) use pattern::{Chunk, Cursor, fold_toggles};
+pub(super) use weighted::{WeightedRows, WeightedScans};
 
 /// Scans of one map day whose phasors are in memory at a time. Tests come across the ends of chunks often.
 pub(crate) const CHUNK: usize = if cfg!(test) { 3 } else { 256 };
@@ -44,13 +49,15 @@ pub(crate) const SUMMED_GROUPS_MAX: usize = if cfg!(test) { 2 } else { 16 };
 pub(crate) struct Rules {
     pub(crate) periodicities: Periodicities,
     pub(crate) criterion: OrderCriterion,
-    /// Values of a free and an occupied reading.
+    pub(crate) sensors: Arc<Sensors>,
+    /// Values of a free and an occupied reading of the map's own sensor.
     pub(crate) levels: (f64, f64),
 }
 
 impl Rules {
-    pub(crate) fn new(periodicities: &Periodicities, criterion: OrderCriterion, sensor: SensorNoise) -> Rules {
-        Rules { periodicities: periodicities.clone(), criterion, levels: sensor.levels() }
+    pub(crate) fn new(periodicities: &Periodicities, criterion: OrderCriterion, sensors: &Arc<Sensors>) -> Rules {
+        let (sensors, levels) = (Arc::clone(sensors), sensors.levels(SensorId::OWN));
+        Rules { periodicities: periodicities.clone(), criterion, sensors, levels }
     }
 }
 
@@ -90,7 +97,7 @@ pub struct GridOutcome {
 }
 
 impl GridOutcome {
-    pub(crate) fn add(&mut self, other: &GridOutcome) {
+    fn add(&mut self, other: &TileOutcome) {
         self.observations += other.observations;
         self.scored += other.scored;
         self.squared_error_in_force += other.squared_error_in_force;
@@ -124,6 +131,13 @@ impl Working {
         self.model.cells.shrink_to_fit();
         self.sums.groups.shrink_to_fit();
         self.sums.cells.shrink_to_fit();
+        if let Some(weights) = &mut self.model.sensors {
+            weights.groups.shrink_to_fit();
+            weights.occupied.shrink_to_fit();
+        }
+        if let Some(sums) = &mut self.sums.sensors {
+            sums.groups.shrink_to_fit();
+        }
     }
 }
 
@@ -144,39 +158,44 @@ impl GridWork {
         self.days.iter().map(|day| day.scans.len() as u64).sum()
     }
 
-    /// Runs the update on the threads of the rayon pool that this is called in. `progress` counts tiles done on the last
-    /// of their days.
+    /// Runs the update on the threads of the rayon pool that this is called in. `progress` counts tiles, of which each is
+    /// done in equal parts on each of its days.
     ///
     /// # Errors
     /// [`TileUnavailable`] where a tile cannot be read back from the disk; nothing has been learned then.
-    pub(crate) fn run(mut self, progress: &AtomicU64) -> Result<GridResult, TileUnavailable> {
+    pub(crate) fn run(mut self, progress: &AtomicU64, notes: &Notes<'_>) -> Result<GridResult, TileUnavailable> {
         let mut sums = std::mem::take(&mut self.sums);
         sums.resize_with(self.tiles, SumsSlot::default);
         let mut models = self.generation.models.clone();
         models.resize_with(self.tiles, ModelSlot::default);
-        let mut working: HashMap<TileId, Working> = HashMap::new();
         let mut outcome = GridOutcome::default();
-        let last_day = self.days.len().saturating_sub(1);
-        for (number, day) in self.days.iter().enumerate() {
+        let mut tiles = Tiles { models: &models, sums: &mut sums, busy: HashMap::new(), done: HashMap::new() };
+        tiles.resume(notes, &mut outcome.cells_by_order_before)?;
+        let share = Share::new(progress, self.busy_tiles(), &self.days);
+        for day in &self.days {
             outcome.scans += day.scans.len() as u64;
-            let (patterns, before) = self.patterns(day, &models, &mut sums, &mut working)?;
-            for (total, cells) in outcome.cells_by_order_before.iter_mut().zip(before) {
-                *total += cells;
-            }
-            let done: Vec<(Vec<(TileId, Working)>, GridOutcome)> =
-                patterns.into_par_iter().map(|pattern| pattern.run(&self.rules, day)).collect();
-            for (tiles, of_pattern) in done {
-                outcome.add(&of_pattern);
-                if number == last_day {
-                    progress.fetch_add(tiles.len() as u64, Ordering::Relaxed);
-                }
-                working.extend(tiles);
-            }
+            let (batches, skipped) = tiles.batches(day, &mut outcome.cells_by_order_before)?;
+            share.add(skipped);
+            let done: Vec<_> =
+                batches.into_par_iter().map(|batch| batch.run(&self.rules, day, notes, &share)).collect();
+            tiles.busy.extend(done.into_iter().flatten());
         }
-        outcome.tiles = working.len() as u64;
-        for (tile, mut state) in working {
-            state.shrink();
-            let Working { model, sums: of_tile } = state;
+        let Tiles { busy, done: resumed, .. } = tiles;
+        let mut busy: Vec<(TileId, BusyTile)> = busy.into_iter().collect();
+        // Sums of errors are added in an order that does not depend on what was resumed.
+        busy.sort_unstable_by_key(|(tile, _)| *tile);
+        if !resumed.is_empty() {
+            let unchanged = sums.iter().filter_map(|slot| match slot {
+                SumsSlot::Resident(sums) => Some(&**sums),
+                SumsSlot::Cold(_) => None,
+            });
+            share_alike(unchanged, busy.iter_mut().map(|(_, tile)| &mut tile.working.sums));
+        }
+        outcome.tiles = busy.len() as u64;
+        for (tile, BusyTile { mut working, account }) in busy {
+            working.shrink();
+            outcome.add(&account.outcome);
+            let Working { model, sums: of_tile } = working;
             count_orders(&model, &mut outcome.cells_by_order);
             outcome.changed_cells += model.cells.len() as u64;
             models[tile.0 as usize] = ModelSlot::Resident(Arc::new(model));
@@ -184,44 +203,73 @@ impl GridWork {
         }
         Ok(GridResult { generation: Generation { models }, sums, outcome, days: self.days })
     }
+}
 
-    /// The tiles of a day, those together that were seen by the same scans, and how many cells of those that no day of the
-    /// update had before have each order.
-    fn patterns(
-        &self,
-        day: &GridDay,
-        models: &[ModelSlot],
-        sums: &mut [SumsSlot],
-        working: &mut HashMap<TileId, Working>,
-    ) -> Result<(Vec<Pattern>, CellsByOrder), TileUnavailable> {
+/// All tiles while the update runs.
+struct Tiles<'a> {
+    /// As they were before.
+    models: &'a [ModelSlot],
+    /// As they were before; taken out by the update.
+    sums: &'a mut [SumsSlot],
+    /// Those that the update has changed.
+    busy: HashMap<TileId, BusyTile>,
+    /// Last day that an earlier run has folded in.
+    done: HashMap<TileId, LocalDay>,
+}
+
+impl Tiles<'_> {
+    /// Takes over what an earlier run has noted. How many cells of its tiles had each order is added up.
+    fn resume(&mut self, notes: &Notes<'_>, orders: &mut CellsByOrder) -> Result<(), TileUnavailable> {
+        for DoneTile { tile, through, model, sums, outcome } in notes.resume() {
+            let index = tile.0 as usize;
+            let (Some(before), Some(slot)) = (self.models.get(index), self.sums.get_mut(index)) else { continue };
+            count_orders(&*before.get()?, orders);
+            *slot = SumsSlot::default();
+            let busy = BusyTile { working: Working { model, sums }, account: Account::of_earlier_run(outcome) };
+            self.busy.insert(tile, busy);
+            self.done.insert(tile, through);
+        }
+        Ok(())
+    }
+
+    /// Puts the tiles of a day together that were seen by the same scans. Gives also how many have nothing to be done. How
+    /// many cells of those that no day of the update had before have each order is added up.
+    fn batches(&mut self, day: &GridDay, orders: &mut CellsByOrder) -> Result<(Vec<Batch>, usize), TileUnavailable> {
         let mut by_ranges: HashMap<Vec<(u32, u32)>, usize> = HashMap::new();
-        let mut patterns: Vec<Pattern> = Vec::new();
-        let mut cells_by_order = CellsByOrder::default();
+        let mut batches: Vec<Batch> = Vec::new();
+        let (mut full, mut skipped) = (Vec::new(), 0);
         for ((tile, _), ranges) in day.tiles().zip(day.presence_by_tile()) {
-            if ranges.is_empty() {
+            if ranges.is_empty() || self.done.get(&tile).is_some_and(|through| day.day <= *through) {
+                skipped += 1;
                 continue;
             }
             let index = tile.0 as usize;
-            let state = match working.remove(&tile) {
-                Some(state) => state,
+            let busy = match self.busy.remove(&tile) {
+                Some(busy) => busy,
                 None => {
-                    let model = models.get(index).map_or_else(|| Ok(Arc::default()), ModelSlot::get)?;
-                    count_orders(&model, &mut cells_by_order);
-                    let sums = sums.get_mut(index).map_or_else(|| Ok(TileSums::default()), SumsSlot::take)?;
-                    Working { model: Arc::unwrap_or_clone(model), sums }
+                    let model = self.models.get(index).map_or_else(|| Ok(Arc::default()), ModelSlot::get)?;
+                    count_orders(&model, orders);
+                    let sums = self.sums.get_mut(index).map_or_else(|| Ok(TileSums::default()), SumsSlot::take)?;
+                    let working = Working { model: Arc::unwrap_or_clone(model), sums };
+                    BusyTile { working, account: Account::default() }
                 }
             };
-            let pattern = match by_ranges.get(&ranges) {
-                Some(&pattern) => pattern,
+            let at = match by_ranges.get(&ranges) {
+                Some(&at) => at,
                 None => {
-                    by_ranges.insert(ranges.clone(), patterns.len());
-                    patterns.push(Pattern::new(ranges));
-                    patterns.len() - 1
+                    batches.push(Batch::new(Arc::new(Pattern::new(ranges.clone()))));
+                    by_ranges.insert(ranges, batches.len() - 1);
+                    batches.len() - 1
                 }
             };
-            patterns[pattern].tiles.push((tile, state));
+            if batches[at].is_full() {
+                let next = batches[at].next();
+                full.push(std::mem::replace(&mut batches[at], next));
+            }
+            batches[at].push(tile, busy);
         }
-        Ok((patterns, cells_by_order))
+        full.append(&mut batches);
+        Ok((full, skipped))
     }
 }
 

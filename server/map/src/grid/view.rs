@@ -12,6 +12,7 @@ use super::{
     live::{LiveGrid, TILE_CHUNK, TileChunk},
     live_tile::{LikeScans, LiveTile},
     mask::Mask,
+    sensors::Sensors,
     spec::GridSpec,
     tile::{TileModel, TileUnavailable},
 };
@@ -21,6 +22,7 @@ use crate::predict::{ModelKind, ModelSelector};
 #[derive(Clone, Debug)]
 pub struct GridView {
     pub(crate) spec: Arc<GridSpec>,
+    pub(crate) sensors: Arc<Sensors>,
     pub(crate) ids: Arc<HashMap<TileIndex, TileId>>,
     pub(crate) chunks: Vec<TileChunk>,
     pub(crate) run: LikeScans,
@@ -68,6 +70,7 @@ impl GridView {
     pub(crate) fn new(grid: &mut LiveGrid) -> GridView {
         GridView {
             spec: Arc::clone(&grid.spec),
+            sensors: Arc::clone(&grid.sensors),
             ids: Arc::clone(&grid.ids),
             chunks: grid.publish(),
             run: grid.run,
@@ -84,7 +87,7 @@ impl GridView {
         &self.spec
     }
 
-    /// Values of a free and an occupied reading.
+    /// Values of a free and an occupied reading of the map's own sensor.
     #[must_use]
     pub fn levels(&self) -> (f64, f64) {
         self.spec.sensor.levels()
@@ -175,9 +178,14 @@ impl GridView {
         let out = &mut prediction.probabilities;
         if selector.kind == ModelKind::Latest {
             set_levels(out, known, live.occupied, levels);
+            if live.has_other_readers(&self.sensors) {
+                for cell in live.known.cells() {
+                    out[usize::from(cell)] = live.value(cell, &self.sensors) as f32;
+                }
+            }
             return Ok(prediction);
         }
-        set_levels(out, learned, model.always_occupied, levels);
+        self.set_constants(out, &model);
         for cell in known.without(learned).cells() {
             out[usize::from(cell)] = 0.5;
         }
@@ -193,14 +201,26 @@ impl GridView {
         if selector.persistence {
             for cell in live.known.cells() {
                 let Some(out) = out.get_mut(usize::from(cell)) else { continue };
-                let last = if live.occupied.contains(cell) { levels.1 } else { levels.0 };
+                let last = live.value(cell, &self.sensors);
                 // Nothing lies between a value and itself.
                 if *out != last as f32 {
-                    *out = live.persistence(cell, self.run, levels).blend(f64::from(*out), utc_nanos) as f32;
+                    *out = live.persistence(cell, self.run, &self.sensors).blend(f64::from(*out), utc_nanos) as f32;
                 }
             }
         }
         Ok(prediction)
+    }
+
+    /// Sets the cells of a tile's groups to what cells are that have never changed.
+    pub(crate) fn set_constants(&self, out: &mut [f32; TILE_CELLS], model: &TileModel) {
+        if model.sensors.is_none() {
+            set_levels(out, model.observed(), model.always_occupied, self.levels());
+            return;
+        }
+        for (index, group) in model.groups.iter().enumerate() {
+            let levels = model.constant_levels(index, &self.sensors);
+            set_levels(out, group.cells, model.always_occupied, levels);
+        }
     }
 
     /// What is known of one cell; `None` where it was never observed.
@@ -212,9 +232,9 @@ impl GridView {
         let Some(tile) = self.find(index) else { return Ok(None) };
         let model = self.model(tile)?;
         let Some(live) = self.live(tile).filter(|live| live.known.contains(place)) else { return Ok(None) };
-        let levels = self.levels();
-        let group = model.group_of(place);
-        let persistence = live.persistence(place, self.run, levels);
+        let at = model.groups.iter().position(|group| group.cells.contains(place));
+        let group = at.and_then(|at| model.groups.get(at));
+        let persistence = live.persistence(place, self.run, &self.sensors);
         let mut description = CellDescription {
             changed: false,
             spectral: SpectralModel::default(),
@@ -230,7 +250,8 @@ impl GridView {
             description.spectral = model.spectral.clone();
             description.order = usize::from(model.order);
             description.errors = Some(*model.errors.sums());
-        } else if let Some(group) = group {
+        } else if let (Some(at), Some(group)) = (at, group) {
+            let levels = model.constant_levels(at, &self.sensors);
             let level = if model.always_occupied.contains(place) { levels.1 } else { levels.0 };
             description.spectral = SpectralModel::from_parts(level, group.observations, Vec::new()).unwrap_or_default();
         }

@@ -14,6 +14,7 @@ use crate::grid::{
     day::{Bit, ScanTime},
     generation::Generation,
     mask::{Mask, TileMasks},
+    sensors::SensorId,
     tile::{CellModel, Group, ModelSlot, TileModel},
 };
 
@@ -28,7 +29,7 @@ fn cell_model(cell: u16, order: u8, mean: f64, components: Vec<Component>) -> Ce
 
 fn tile_model(cells: Vec<CellModel>, always_occupied: Mask) -> ModelSlot {
     let group = Group { cells: Mask::FULL, observations: 100, first_nanos: 0, last_nanos: MIDNIGHT };
-    ModelSlot::Resident(Arc::new(TileModel { groups: vec![group], always_occupied, cells }))
+    ModelSlot::Resident(Arc::new(TileModel { groups: vec![group], always_occupied, cells, sensors: None }))
 }
 
 /// A mask of a few cells of a tile, most of them in a row.
@@ -85,7 +86,8 @@ fn day_of(scans: &[Shown]) -> GridDay {
     for (step, seen) in scans {
         utc_nanos += step;
         let tiles: Arc<[TileId]> = seen.iter().map(|(id, ..)| TileId(*id)).collect();
-        let scan = day.push(ScanTime { utc_nanos, offset_secs: 3600 }, &tiles);
+        let scan =
+            day.push(ScanTime { utc_nanos, offset_secs: 3600, sensor: SensorId(u8::from(utc_nanos % 3 == 0)) }, &tiles);
         for &(id, observed, occupied) in seen {
             day.show(scan, TileId(id), TileMasks::clipped(observed, occupied));
         }
@@ -234,8 +236,9 @@ fn models_that_make_no_sense_do_no_harm() {
 
 #[test]
 fn what_a_model_says_has_the_bits_of_the_first_version() {
-    let scans: Vec<ScanTime> =
-        (0..20_000_i64).map(|i| ScanTime { utc_nanos: MIDNIGHT + i * 4_321_000_007, offset_secs: 7200 }).collect();
+    let scans: Vec<ScanTime> = (0..20_000_i64)
+        .map(|i| ScanTime { utc_nanos: MIDNIGHT + i * 4_321_000_007, offset_secs: 7200, sensor: SensorId::OWN })
+        .collect();
     let phasors = DayPhasors::new(&Periodicities::default(), &scans);
     let mut sum = Sum::default();
     sum.start(0.43, &phasors);

@@ -6,9 +6,8 @@
 use super::LiveMap;
 use crate::{
     directory::StateInfo,
-    event::{Observations, ProducerId},
+    event::{NewProducer, NewState, Observations, ProducerId, StateKind},
     grid::scan::Scans,
-    name::ProducerKey,
     snapshot::ProducerMark,
     view::{LIVE_CHUNK, LiveState},
 };
@@ -16,7 +15,7 @@ use crate::{
 /// How an event moves its producer's mark on.
 struct Advance<'a> {
     producer: ProducerId,
-    new_producer: Option<&'a ProducerKey>,
+    new_producer: Option<&'a NewProducer>,
     incarnation: u64,
     first_sequence: u64,
     last_sequence: u64,
@@ -25,6 +24,9 @@ struct Advance<'a> {
 
 impl LiveMap {
     pub(super) fn add_producer(&mut self, mark: ProducerMark) {
+        if let Some(grid) = &mut self.grid {
+            grid.add_sensor(mark.sensor);
+        }
         let id = ProducerId(u32::try_from(self.producers.len()).unwrap_or(u32::MAX));
         self.producer_ids.insert(mark.key.clone(), id);
         self.producers.push(mark);
@@ -41,11 +43,16 @@ impl LiveMap {
 
     /// Moves a producer's mark on.
     fn advance(&mut self, event: &Advance<'_>) -> Result<(), String> {
-        if let Some(key) = event.new_producer {
+        if let Some(NewProducer { key, sensor }) = event.new_producer {
             if event.producer.0 as usize != self.producers.len() || self.producer_ids.contains_key(key) {
                 return Err(format!("producer {} is not new", event.producer.0));
             }
-            self.add_producer(ProducerMark { key: key.clone(), incarnation: 0, durable_sequence: 0, content_crc: 0 });
+            if let Some(sensor) = sensor {
+                let grid = self.grid.as_ref().ok_or("its producer has a sensor, and the map has no grid")?;
+                grid.may_have(*sensor, std::iter::empty()).map_err(|error| error.to_string())?;
+            }
+            let (key, sensor) = (key.clone(), *sensor);
+            self.add_producer(ProducerMark { key, incarnation: 0, durable_sequence: 0, content_crc: 0, sensor });
         }
         let mark =
             self.producers.get_mut(event.producer.0 as usize).ok_or("it names an unknown producer".to_owned())?;
@@ -61,6 +68,30 @@ impl LiveMap {
         Ok(())
     }
 
+    pub(super) fn add_new_state(&mut self, new: &NewState) -> Result<(), String> {
+        if new.id.0 as usize != self.directory.len() || self.directory.find(new.name.as_str()).is_some() {
+            return Err(format!("state {:?} is not new", new.name.as_str()));
+        }
+        self.add_state(StateInfo { name: new.name.clone(), kind: new.kind });
+        Ok(())
+    }
+
+    /// Refuses values beyond the bounds of their states' kinds. Nearly all events have probabilities alone, and cost one
+    /// pass over their values.
+    fn check_values(&self, event: &Observations) -> Result<(), String> {
+        let is_probability = |value: &f64| StateKind::Probability.bounds().contains(value);
+        if event.values.iter().all(is_probability) {
+            return Ok(());
+        }
+        for (&state, value) in event.states.iter().zip(&event.values) {
+            let kind = self.kind(state).unwrap_or_default();
+            if !kind.bounds().contains(value) {
+                return Err(format!("value {value} of state {} is not {}", state.0, kind.expected()));
+            }
+        }
+        Ok(())
+    }
+
     pub(super) fn take_in_scans(&mut self, event: &Scans) -> Result<(), String> {
         self.grid.as_ref().ok_or("the map has no grid")?.check(event)?;
         self.advance(&Advance {
@@ -72,7 +103,8 @@ impl LiveMap {
             content_crc: event.content_crc,
         })?;
         if let Some(grid) = &mut self.grid {
-            self.newest_nanos = self.newest_nanos.max(grid.take_in(event).unwrap_or(0));
+            let sensor = self.producers.get(event.producer.0 as usize).and_then(|mark| mark.sensor);
+            self.newest_nanos = self.newest_nanos.max(grid.take_in(event, sensor).unwrap_or(0));
         }
         if !event.scans.is_empty() {
             self.pending.received(event.received_nanos);
@@ -90,11 +122,9 @@ impl LiveMap {
             content_crc: event.content_crc,
         })?;
         for new in &event.new_states {
-            if new.id.0 as usize != self.directory.len() || self.directory.find(new.name.as_str()).is_some() {
-                return Err(format!("state {:?} is not new", new.name.as_str()));
-            }
-            self.add_state(StateInfo { name: new.name.clone(), kind: new.kind });
+            self.add_new_state(new)?;
         }
+        self.check_values(event)?;
         let plausible = event.plausible_nanos();
         for (state, sample) in event.samples() {
             let index = state.0 as usize;

@@ -13,6 +13,9 @@ use crate::{
     name::{MapName, StateName},
 };
 
+mod kinds;
+mod refits;
+
 const HOUR: i64 = 3_600_000_000_000;
 const NOW: i64 = 1000 * HOUR;
 
@@ -23,6 +26,8 @@ fn spec() -> Arc<MapSpec> {
         periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::Forever,
         grid: None,
     })
@@ -43,7 +48,7 @@ fn event(map: &LiveMap, observations: &[(u32, i64, f64)]) -> Event {
     let first_sequence = known.unwrap_or(0) + 1;
     Event::Observations(Observations {
         producer: ProducerId(0),
-        new_producer: known.is_none().then_some(key),
+        new_producer: known.is_none().then_some(key.into()),
         incarnation: 1,
         first_sequence,
         last_sequence: first_sequence + observations.len() as u64 - 1,

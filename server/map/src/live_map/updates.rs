@@ -75,9 +75,10 @@ impl LiveMap {
             basis,
             spec: Arc::clone(&self.spec),
             models: Arc::clone(&self.models),
-            unlearned: Arc::clone(&self.unlearned),
+            unlearned: self.unlearned.clone(),
             samples,
             grid: grid_work,
+            readings: None,
         })
     }
 

@@ -10,11 +10,11 @@
 use super::HourSpread;
 
 mod beta;
+mod values;
 
 use beta::Beta;
+pub use values::value_interval;
 
-#[cfg(test)]
-mod door_tests;
 #[cfg(test)]
 mod tests;
 

@@ -46,7 +46,20 @@ pub struct DependenceSums {
 /// Where hours are known, readings of hours that were watched count by the time watched rather than by the span, but at
 /// least one an hour.
 pub fn effective_observations(sums: &DependenceSums) -> f64 {
-    let over = |secs: f64| effective_over(sums, secs);
+    let most_change = 2.0 * sums.mean * (1.0 - sums.mean);
+    effective(sums, |change| if most_change > 0.0 { change / most_change } else { 0.0 })
+}
+
+/// `forgotten`: 1 - ρ, by the mean change from a reading to the next.
+fn effective(sums: &DependenceSums, forgotten: impl Fn(f64) -> f64) -> f64 {
+    let pairs = sums.pairs as f64;
+    let over = |secs: f64| {
+        if sums.pairs == 0 {
+            return 1.0;
+        }
+        let forgotten = forgotten(sums.change_rate_sum / pairs * (secs / pairs)).min(1.0);
+        (pairs + 1.0) * forgotten / (2.0 - forgotten)
+    };
     let number = match sums.observed_hours {
         Some(hours) if hours > 0.0 => over(sums.span_secs).min(over(hours * 3600.0).max(hours)),
         _ => over(sums.span_secs),
@@ -56,14 +69,12 @@ pub fn effective_observations(sums: &DependenceSums) -> f64 {
     if number.is_nan() { 1.0 } else { number.clamp(1.0, readings) }
 }
 
-/// The effective number where the pairs of readings share that time.
-fn effective_over(sums: &DependenceSums, secs: f64) -> f64 {
-    let (pairs, most_change) = (sums.pairs as f64, 2.0 * sums.mean * (1.0 - sums.mean));
-    if sums.pairs == 0 || most_change <= 0.0 {
-        return 1.0;
-    }
-    let forgotten = (sums.change_rate_sum / pairs * (secs / pairs) / most_change).min(1.0);
-    (pairs + 1.0) * forgotten / (2.0 - forgotten)
+/// [`effective_observations`] of values that are no probabilities and have this variance; the mean is not looked at.
+///
+/// Neighbours with a normal distribution and the correlation ρ differ by E|Δs| = 2σ√((1 - ρ)/π), so 1 - ρ is
+/// π/4·(E|Δs|/σ)².
+pub fn effective_observations_of_values(sums: &DependenceSums, variance: f64) -> f64 {
+    effective(sums, |change| std::f64::consts::FRAC_PI_4 * change * change / variance)
 }
 
 /// How many of a model's strongest components are supported, 0..=[`MAX_ORDER`](crate::MAX_ORDER).
@@ -74,8 +85,19 @@ fn effective_over(sums: &DependenceSums, secs: f64) -> f64 {
 /// before leave of μ(1-μ), the most that values in `[0,1]` can have; the first that noise would show with 1 % or more ends
 /// it. To predict with no more than this is to predict with `order.min(supported)`.
 pub fn supported_order(model: &SpectralModel, periodicities: &Periodicities, effective_observations: f64) -> usize {
+    let variance = model.mean() * (1.0 - model.mean());
+    supported_order_of_values(model, periodicities, effective_observations, variance)
+}
+
+/// [`supported_order`] of values that have this variance.
+pub fn supported_order_of_values(
+    model: &SpectralModel,
+    periodicities: &Periodicities,
+    effective_observations: f64,
+    variance: f64,
+) -> usize {
     let candidates = periodicities.len() as f64;
-    let mut variance = model.mean() * (1.0 - model.mean());
+    let mut variance = variance;
     let mut supported = 0;
     for component in model.components() {
         let power = component.gamma_re.powi(2) + component.gamma_im.powi(2);

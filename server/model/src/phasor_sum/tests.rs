@@ -82,6 +82,30 @@ proptest! {
     }
 
     #[test]
+    fn weighted_times_count_as_their_weights(
+        periodicities in any_periodicities(),
+        chunks in proptest::collection::vec(proptest::collection::vec((0..60 * DAY_NANOS, -4.0..4.0), 0..40), 0..4),
+        missing in 0_usize..3,
+    ) {
+        let mut running = RunningSums::new(&periodicities);
+        let mut expected = vec![0.0; 2 * periodicities.len()];
+        let mut count = 0;
+        for chunk in &chunks {
+            let (times, mut weights): (Vec<i64>, Vec<f64>) = chunk.iter().copied().unzip();
+            weights.truncate(times.len().saturating_sub(missing));
+            running.extend_weighted(&PhasorTable::new(&periodicities, &times), &weights);
+            check_same(running.row(0), &expected, count);
+            for (i, civil) in times.iter().enumerate() {
+                let weight = weights.get(i).copied().unwrap_or(0.0);
+                let phasor = oracle(&periodicities, &[*civil]);
+                expected.iter_mut().zip(phasor).for_each(|(sum, part)| *sum += weight * part);
+                count += 4;
+                check_same(running.row(i + 1), &expected, count);
+            }
+        }
+    }
+
+    #[test]
     fn rows_of_any_length_are_added_and_taken_away(
         count in 1_u32..40,
         plus in proptest::collection::vec(-9.0..9.0, 0..90),

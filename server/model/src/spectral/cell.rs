@@ -19,9 +19,11 @@ const BLOCK: usize = 64;
 pub struct CellSums<'a> {
     /// Number of observations n.
     pub observations: u64,
-    /// Share of the observations that saw it occupied, 0 to 1.
+    /// Mean in units in which seeing it free counts as 0 and seeing it occupied as 1: without observations of other
+    /// levels, the share of those that saw it occupied.
     pub mean: f64,
-    /// Σ e^(-jω_k t) over the times at which it was seen occupied.
+    /// Σ x e^(-jω_k t), x being the observation in those units: without observations of other levels, the sum over the
+    /// times at which it was seen occupied.
     pub a: &'a PhasorSum,
     /// Σ e^(-jω_k t) over all times at which it was observed.
     pub b: &'a PhasorSum,

@@ -1,17 +1,27 @@
-//! What may predict a state better than its spectrum: histograms, and the choice among all, by held-out error.
+//! What may predict a state better than its spectrum: histograms and the calibrated model, and the choice among all, by
+//! held-out error.
 //!
 //! Each is scored on what a local day brought before the day is folded in, as the orders of the spectral model are, with
-//! the same fading (T-RO section IV.B). Invariant: the errors of all are over the same observations, so that they can be
-//! compared.
+//! the same fading (T-RO section IV.B). Histograms are made of what was folded in; the calibrated model is fitted outside,
+//! to the readings themselves, and given from time to time. Invariant: the errors of all are over the same observations,
+//! so that they can be compared, and no model is scored on what it was fitted to.
+
+use std::sync::Arc;
 
 use crate::{
-    Accumulator, InvalidParts, LocalDay, Periodicities, Persistence, PersistenceParts, Sample, SpectralModel,
+    Accumulator, LocalDay, Periodicities, Persistence, Sample, SpectralModel, StateKind,
     family::{
-        ChangeAlarm, ChangeAlarmParts, DependenceSums, HistogramCycle, HourTable, HourTableParts, TemporalModel,
-        effective_observations, supported_order,
+        Calibrated, ChangeAlarm, DependenceSums, Histogram, HistogramCycle, HourTable, Moment, TemporalModel,
+        effective_observations, effective_observations_of_values, supported_order, supported_order_of_values,
     },
     order::{KEPT_PER_DAY, OrderCriterion},
 };
+
+mod parts;
+#[cfg(test)]
+mod tests;
+
+pub use parts::{AlternativesParts, CalibratedFitParts};
 
 /// The histograms that are tried: cycle, and bins of the cycle.
 pub const HISTOGRAMS: [(HistogramCycle, usize); 3] =
@@ -24,6 +34,9 @@ const CLEARLY_LOWER: f64 = 0.95;
 /// An alarm rings for so many days; then what it rang for is history.
 const ALARM_DAYS: i32 = 28;
 
+/// The calibrated model is fitted first when so many local days were observed, and again so many local days later.
+const REFIT_DAYS: u32 = 7;
+
 /// The model that predicts a state best so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ModelChoice {
@@ -32,6 +45,26 @@ pub enum ModelChoice {
     Spectral,
     /// The histogram of that number in [`HISTOGRAMS`].
     Histogram(u8),
+    /// The calibrated model, as it was last fitted.
+    Calibrated,
+}
+
+/// The model in force, where it is not the spectral one.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Chosen<'a> {
+    /// A histogram of what was folded in.
+    Histogram(Histogram),
+    /// The calibrated model.
+    Calibrated(&'a Calibrated),
+}
+
+impl TemporalModel for Chosen<'_> {
+    fn predict(&self, at: Moment) -> f64 {
+        match self {
+            Chosen::Histogram(model) => model.predict(at),
+            Chosen::Calibrated(model) => model.predict(at),
+        }
+    }
 }
 
 /// What is known of a state apart from its spectrum.
@@ -44,6 +77,20 @@ pub struct Alternatives {
     succession: Persistence,
     /// Components that noise would not show as well.
     supported: u8,
+    /// Local days folded in, those that came late not counted.
+    days: u32,
+    calibrated: Option<Fit>,
+}
+
+/// The calibrated model, as it was last fitted.
+#[derive(Clone, Debug, PartialEq)]
+struct Fit {
+    /// Shared: it is the largest part of a state, and most updates leave it as it is.
+    model: Arc<Calibrated>,
+    /// The last local day that it was fitted to.
+    day: LocalDay,
+    /// Faded sum of errors, of this fit and those before it; `None` before the first day that it was scored on.
+    error: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -57,25 +104,27 @@ struct Errors {
     choice: ModelChoice,
 }
 
-/// What [`Alternatives`] consist of, for storage.
-#[derive(Clone, Debug, PartialEq)]
-pub struct AlternativesParts {
-    /// What was read in each hour of the week.
-    pub hours: HourTableParts,
-    /// Faded sums of errors: of the spectral model, then of each of [`HISTOGRAMS`].
-    pub error_sums: Vec<f64>,
-    /// The last local day that was scored.
-    pub last_day: Option<LocalDay>,
-    /// The last local day that was folded in.
-    pub folded_day: Option<LocalDay>,
-    /// The model in force: 0 the spectral model, else the number of the histogram, from 1.
-    pub choice: u8,
-    /// The change alarm.
-    pub alarm: ChangeAlarmParts,
-    /// How the readings that were folded in follow each other.
-    pub succession: PersistenceParts,
-    /// Components of the spectral model that noise would not show as well.
-    pub supported: u8,
+/// The error of one model on what a day brought.
+#[derive(Clone, Copy, Debug, Default)]
+struct DayError {
+    by_criterion: f64,
+    squared: f64,
+}
+
+impl DayError {
+    fn of(model: &impl TemporalModel, criterion: OrderCriterion, samples: &[Sample]) -> DayError {
+        let mut error = DayError::default();
+        for sample in samples {
+            let predicted = model.predict(sample.moment());
+            let difference = predicted - sample.value;
+            error.squared += difference * difference;
+            error.by_criterion += match criterion {
+                OrderCriterion::SquaredError => difference * difference,
+                OrderCriterion::ZeroOne => f64::from(u8::from((predicted >= 0.5) != (sample.value >= 0.5))),
+            };
+        }
+        error
+    }
 }
 
 impl Alternatives {
@@ -89,10 +138,47 @@ impl Alternatives {
         self.parts.choice
     }
 
-    /// Faded sums of errors: of the spectral model with its best order, then of each of [`HISTOGRAMS`].
-    pub fn error_sums(&self) -> [f64; 1 + HISTOGRAMS.len()] {
-        let [day, kind_of_day, week] = self.parts.histograms;
-        [self.parts.spectral, day, kind_of_day, week]
+    /// Faded sums of errors of all that is tried: of the spectral model with its best order, of each of [`HISTOGRAMS`],
+    /// and of the calibrated model once it was scored.
+    pub fn error_sums(&self) -> impl Iterator<Item = (ModelChoice, f64)> {
+        // There are fewer than 256.
+        let histograms = (0..).map(ModelChoice::Histogram).zip(self.parts.histograms);
+        let calibrated = self.calibrated.as_ref().and_then(|fit| fit.error);
+        std::iter::once((ModelChoice::Spectral, self.parts.spectral))
+            .chain(histograms)
+            .chain(calibrated.map(|error| (ModelChoice::Calibrated, error)))
+    }
+
+    /// The calibrated model and the last local day that it was fitted to; `None` before its first fit.
+    pub fn calibrated(&self) -> Option<(&Calibrated, LocalDay)> {
+        self.calibrated.as_ref().map(|fit| (&*fit.model, fit.day))
+    }
+
+    /// The model in force, where it is not the spectral one.
+    pub(super) fn chosen(&self) -> Option<Chosen<'_>> {
+        match self.parts.choice {
+            ModelChoice::Spectral => None,
+            ModelChoice::Histogram(number) => self.histogram(number).map(Chosen::Histogram),
+            ModelChoice::Calibrated => self.calibrated.as_ref().map(|fit| Chosen::Calibrated(&fit.model)),
+        }
+    }
+
+    /// Whether the calibrated model is to be fitted again.
+    pub(super) fn is_refit_due(&self) -> bool {
+        let Some(folded) = self.parts.folded_day else { return false };
+        match &self.calibrated {
+            None => self.days >= REFIT_DAYS,
+            Some(fit) => {
+                let age_days = i64::from(folded.0) - i64::from(fit.day.0);
+                age_days >= i64::from(REFIT_DAYS) || self.alarm.rang_on().is_some_and(|rang| rang > fit.day)
+            }
+        }
+    }
+
+    /// Takes a fresh fit, which is scored from the next day on; what earlier ones were scored stays.
+    pub(super) fn refit(&mut self, model: Calibrated, day: LocalDay) {
+        let error = self.calibrated.as_ref().and_then(|fit| fit.error);
+        self.calibrated = Some(Fit { model: Arc::new(model), day, error });
     }
 
     /// Whether recent errors depart from their history.
@@ -106,49 +192,52 @@ impl Alternatives {
     }
 
     /// The histogram of a number in [`HISTOGRAMS`]; `None` where nothing was read.
-    pub(crate) fn histogram(&self, number: u8) -> Option<crate::family::Histogram> {
+    fn histogram(&self, number: u8) -> Option<Histogram> {
         let &(cycle, bins) = HISTOGRAMS.get(usize::from(number))?;
         self.hours.histogram(cycle, bins)
     }
 
-    /// Scores the histograms on a day's newer samples and chooses. `spectral_day`: the error by the criterion of the order
-    /// that is now best; `spectral_sum`: its faded sum, the day included; `spectral_squared`: the squared error of the
-    /// order that was in force. Gives the squared error of the model that was in force.
+    /// Scores the histograms and the calibrated model on a day's newer samples and chooses. `spectral_day`: the error by
+    /// the criterion of the order that is now best; `spectral_sum`: its faded sum, the day included; `spectral_squared`:
+    /// the squared error of the order that was in force, and the squared error of a day that the alarm takes for 1: the
+    /// variance of values that are no probabilities. Gives the squared error of the model that was in force.
     pub(super) fn score(
         &mut self,
         day: LocalDay,
         criterion: OrderCriterion,
         newer: &[Sample],
         (spectral_day, spectral_sum): (f64, f64),
-        spectral_squared: f64,
+        (spectral_squared, unit): (f64, f64),
     ) -> f64 {
-        let mut errors = [0.0; HISTOGRAMS.len()];
-        let mut squared = [0.0; HISTOGRAMS.len()];
-        for (number, (error, squared)) in errors.iter_mut().zip(&mut squared).enumerate() {
-            // There are fewer than 256.
-            let Some(histogram) = self.histogram(number as u8) else { return spectral_squared };
-            for sample in newer {
-                let predicted = histogram.predict(sample.moment());
-                let difference = predicted - sample.value;
-                *squared += difference * difference;
-                *error += match criterion {
-                    OrderCriterion::SquaredError => difference * difference,
-                    OrderCriterion::ZeroOne => f64::from(u8::from((predicted >= 0.5) != (sample.value >= 0.5))),
-                };
-            }
+        let mut of_day = [DayError::default(); HISTOGRAMS.len()];
+        for (number, error) in (0..).zip(&mut of_day) {
+            let Some(histogram) = self.histogram(number) else { return spectral_squared };
+            *error = DayError::of(&histogram, criterion, newer);
         }
-        let squared_in_force = match self.parts.choice {
-            ModelChoice::Spectral => spectral_squared,
-            ModelChoice::Histogram(number) => squared.get(usize::from(number)).copied().unwrap_or(spectral_squared),
+        let calibrated = self.calibrated.as_ref().map(|fit| DayError::of(&*fit.model, criterion, newer));
+        let in_force = match self.parts.choice {
+            ModelChoice::Spectral => None,
+            ModelChoice::Histogram(number) => of_day.get(usize::from(number)).copied(),
+            ModelChoice::Calibrated => calibrated,
         };
-        self.watch(day, squared_in_force / newer.len().max(1) as f64, newer.len() as u64);
+        let squared_in_force = in_force.map_or(spectral_squared, |error| error.squared);
+        self.watch(day, squared_in_force / newer.len().max(1) as f64 / unit, newer.len() as u64);
         let elapsed_days = self.parts.last_day.map(|last| (i64::from(day.0) - i64::from(last.0)).max(0));
-        for (sum, error) in self.parts.histograms.iter_mut().zip(errors) {
-            *sum = match elapsed_days {
-                Some(elapsed_days) => *sum * KEPT_PER_DAY.powf(elapsed_days as f64) + error,
-                // The spectral model may have been scored for long: all begin with what it has.
-                None => spectral_sum - spectral_day + error,
+        let kept = elapsed_days.map(|days| KEPT_PER_DAY.powf(days as f64));
+        // The spectral model may have been scored for long: the histograms begin with what it has …
+        let before_spectral = spectral_sum - spectral_day;
+        let before = self.parts.histograms.map(|sum| kept.map_or(before_spectral, |kept| sum * kept));
+        if let (Some(fit), Some(error)) = (&mut self.calibrated, calibrated) {
+            // … and the calibrated model with what the model in force has, which it then has to beat from the same start.
+            let begins = match self.parts.choice {
+                ModelChoice::Histogram(number) => before.get(usize::from(number)).copied(),
+                ModelChoice::Spectral | ModelChoice::Calibrated => None,
             };
+            let before = fit.error.zip(kept).map(|(sum, kept)| sum * kept);
+            fit.error = Some(before.or(begins).unwrap_or(before_spectral) + error.by_criterion);
+        }
+        for ((sum, before), error) in self.parts.histograms.iter_mut().zip(before).zip(of_day) {
+            *sum = before + error.by_criterion;
         }
         self.parts.spectral = spectral_sum;
         self.parts.last_day = Some(self.parts.last_day.map_or(day, |last| last.max(day)));
@@ -164,18 +253,13 @@ impl Alternatives {
     }
 
     fn choose(&mut self) {
-        let sum_of = |choice: ModelChoice| match choice {
-            ModelChoice::Spectral => self.parts.spectral,
-            ModelChoice::Histogram(number) => {
-                self.parts.histograms.get(usize::from(number)).copied().unwrap_or(f64::INFINITY)
-            }
+        let sum_of = |wanted: ModelChoice| {
+            self.error_sums().find(|(choice, _)| *choice == wanted).map_or(f64::INFINITY, |(_, sum)| sum)
         };
-        let all =
-            [ModelChoice::Spectral].into_iter().chain((0..HISTOGRAMS.len()).map(|n| ModelChoice::Histogram(n as u8)));
         let mut best = self.parts.choice;
-        for choice in all {
+        for (choice, sum) in self.error_sums() {
             let bar = if best == self.parts.choice { CLEARLY_LOWER * sum_of(best) } else { sum_of(best) };
-            if sum_of(choice) < bar {
+            if sum < bar {
                 best = choice;
             }
         }
@@ -183,7 +267,7 @@ impl Alternatives {
     }
 
     /// The last local day that was folded in.
-    pub(super) fn folded_day(&self) -> Option<LocalDay> {
+    pub fn folded_day(&self) -> Option<LocalDay> {
         self.parts.folded_day
     }
 
@@ -193,23 +277,34 @@ impl Alternatives {
         for sample in samples {
             self.succession.observe(sample.utc_nanos, sample.value);
         }
-        self.parts.folded_day = self.parts.folded_day.max(Some(day));
+        if self.parts.folded_day.is_none_or(|last| day > last) {
+            self.parts.folded_day = Some(day);
+            self.days = self.days.saturating_add(1);
+        }
     }
 
     /// Judges which components of a new fit are supported.
     pub(super) fn support(&mut self, model: &SpectralModel, periodicities: &Periodicities, folded: &Accumulator) {
         let succession = self.succession.to_parts();
-        let effective = effective_observations(&DependenceSums {
+        let sums = DependenceSums {
             pairs: succession.pairs,
             change_rate_sum: succession.change_rate_sum,
             span_secs: folded.span_nanos() as f64 / 1e9,
             mean: folded.mean(),
             observed_hours: Some(self.hours.observed_hours()),
-        });
+        };
         // What is forgotten supports nothing.
         let remembered = folded.weight() / (folded.observations() as f64).max(1.0);
+        let supported = match folded.kind() {
+            StateKind::Probability => supported_order(model, periodicities, effective_observations(&sums) * remembered),
+            _ => {
+                let variance = folded.variance();
+                let effective = effective_observations_of_values(&sums, variance) * remembered;
+                supported_order_of_values(model, periodicities, effective, variance)
+            }
+        };
         // At most 15.
-        self.supported = supported_order(model, periodicities, effective * remembered) as u8;
+        self.supported = supported as u8;
     }
 
     /// Folds an older day in, which counts `factor` times as much as it would today.
@@ -223,56 +318,5 @@ impl Alternatives {
     /// Makes what was folded in so far count less.
     pub(super) fn fade(&mut self, factor: f64) {
         self.hours.scale(factor);
-    }
-
-    /// What to store.
-    pub fn to_parts(&self) -> AlternativesParts {
-        AlternativesParts {
-            hours: self.hours.to_parts(),
-            error_sums: self.error_sums().to_vec(),
-            last_day: self.parts.last_day,
-            folded_day: self.parts.folded_day,
-            choice: match self.parts.choice {
-                ModelChoice::Spectral => 0,
-                ModelChoice::Histogram(number) => number + 1,
-            },
-            alarm: self.alarm.to_parts(),
-            succession: self.succession.to_parts(),
-            supported: self.supported,
-        }
-    }
-
-    /// From what was stored.
-    ///
-    /// # Errors
-    /// [`InvalidParts`] where a number is outside its range.
-    pub fn from_parts(parts: AlternativesParts) -> Result<Alternatives, InvalidParts> {
-        let &[spectral, day, kind_of_day, week] = parts.error_sums.as_slice() else {
-            return Err(InvalidParts::OutOfRange {
-                field: "number of error sums",
-                found: parts.error_sums.len() as f64,
-            });
-        };
-        for &sum in &parts.error_sums {
-            InvalidParts::check("error sum", sum, 0.0..=f64::MAX)?;
-        }
-        let choice = match parts.choice {
-            0 => ModelChoice::Spectral,
-            number if usize::from(number) <= HISTOGRAMS.len() => ModelChoice::Histogram(number - 1),
-            number => return Err(InvalidParts::OutOfRange { field: "chosen model", found: f64::from(number) }),
-        };
-        Ok(Alternatives {
-            hours: HourTable::from_parts(parts.hours)?,
-            parts: Errors {
-                spectral,
-                histograms: [day, kind_of_day, week],
-                last_day: parts.last_day,
-                folded_day: parts.folded_day,
-                choice,
-            },
-            alarm: ChangeAlarm::from_parts(parts.alarm)?,
-            succession: Persistence::from_parts(parts.succession)?,
-            supported: parts.supported,
-        })
     }
 }

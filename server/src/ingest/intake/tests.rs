@@ -3,7 +3,7 @@
 use tidemap_map::grid::spec::{Retention, SensorNoise};
 use tidemap_proto::{
     convert::columns::encode,
-    v1::{PointCloud, Scan, ScanBatch, scan::Content},
+    v1::{self, PointCloud, Scan, ScanBatch, scan::Content},
 };
 
 use super::*;
@@ -11,6 +11,11 @@ use super::*;
 fn message(first: u64, names: &[&str], indices: &[u32], times: &[i64], values: &[f64]) -> ObservationBatch {
     let names = names.iter().map(|name| (*name).to_owned()).collect();
     ObservationBatch { first_sequence: first, observations: Some(encode(times, indices, values, names)) }
+}
+
+fn say_kinds(message: &mut ObservationBatch, kinds: &[v1::StateKind]) {
+    let columns = message.observations.as_mut().expect("there are some");
+    columns.new_kinds = kinds.iter().map(|&kind| kind.into()).collect();
 }
 
 fn limits(batch: usize, table: usize) -> IntakeLimits {
@@ -55,7 +60,8 @@ fn the_crc_depends_on_content_alone() {
 fn a_wrong_observation_does_not_take_its_neighbours_with_it() {
     let mut intake = Intake::new(10, 7, limits(9, 9), None);
     let values = [0.5, f64::NAN, 1.0, -0.1, 0.0, 1.5, f64::INFINITY];
-    let sent = message(11, &["a", "b/c"], &[0, 0, 1, 0, 9, 0, 0], &[1, 2, 3, 4, 5, 6, 7], &values);
+    let mut sent = message(11, &["a", "b/c"], &[0, 0, 1, 0, 9, 0, 0], &[1, 2, 3, 4, 5, 6, 7], &values);
+    say_kinds(&mut sent, &[v1::StateKind::Probability; 2]);
     let batch = intake.take(sent).expect("fine").expect("new");
     assert_eq!(batch.last_sequence, 17);
     assert_eq!(batch.kept, [0]);
@@ -74,6 +80,39 @@ fn a_wrong_observation_does_not_take_its_neighbours_with_it() {
     );
     assert!(batch.refused[0].detail.contains("NaN"));
     assert_eq!(batch.new_names.len(), 2);
+}
+
+#[test]
+fn what_was_said_of_a_state_says_which_values_it_may_have() {
+    let values = [2.5, -3.0, 1e300, 7.0];
+    for (kind, kept) in [
+        (v1::StateKind::Unspecified, vec![2.5, -3.0, 7.0]),
+        (v1::StateKind::Probability, vec![]),
+        (v1::StateKind::Continuous, vec![2.5, -3.0, 7.0]),
+        (v1::StateKind::Count, vec![7.0]),
+    ] {
+        let mut sent = message(1, &["a"], &[0; 4], &[1, 2, 3, 4], &values);
+        say_kinds(&mut sent, &[kind]);
+        let batch = intake().take(sent).expect("fine").expect("new");
+        assert_eq!(batch.values, kept, "{kind:?}");
+        assert!(batch.refused.iter().all(|refused| refused.reason == RefusalReason::Value), "{batch:?}");
+        let said = batch.new_names[0].as_ref().expect("a valid name").kind;
+        assert_eq!(said.is_none(), kind == v1::StateKind::Unspecified);
+    }
+    let mut sent = message(1, &["a"], &[0], &[1], &[2.5]);
+    say_kinds(&mut sent, &[v1::StateKind::Count]);
+    let batch = intake().take(sent).expect("fine").expect("new");
+    assert!(batch.refused[0].detail.contains("2.5 is not a count"), "{}", batch.refused[0].detail);
+}
+
+#[test]
+fn kinds_that_do_not_go_with_the_names_end_the_stream() {
+    for kinds in [vec![1, 1], vec![99]] {
+        let mut sent = message(1, &["a"], &[0], &[1], &[0.0]);
+        sent.observations.as_mut().expect("some").new_kinds = kinds;
+        let error = intake().take(sent).expect_err("malformed").to_string();
+        assert!(error.contains("observations.new_kinds"), "{error}");
+    }
 }
 
 #[test]

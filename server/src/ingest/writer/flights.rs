@@ -10,8 +10,9 @@ use tidemap_store::AppendError;
 use tracing::{error, warn};
 
 use super::{
-    super::protocol::{Command, Ending, Permits, Refused, SessionId, is_fatal},
+    super::protocol::{AddStateError, Command, Ending, Permits, Refused, SessionId, is_fatal},
     Instant, Job, UPDATE_RETRY, Writer,
+    states::Added,
 };
 
 /// An append that the committer has not answered.
@@ -20,6 +21,8 @@ pub(super) enum Flight {
     Taken { session: SessionId, event: Event, refused: Vec<Refused>, tiles_ahead: u64, _permits: Arc<Permits> },
     /// The start of an update.
     UpdateStart { event: Event, job: Arc<Job> },
+    /// A state to add.
+    AddState { event: Event, reply: Added },
 }
 
 impl Flight {
@@ -37,7 +40,8 @@ impl Flight {
 impl Writer {
     /// Hands an event to the log; gives whether the log has it on its way.
     pub(super) fn launch(&mut self, flight: Flight) -> bool {
-        let (Flight::Taken { event, .. } | Flight::UpdateStart { event, .. }) = &flight;
+        let (Flight::Taken { event, .. } | Flight::UpdateStart { event, .. } | Flight::AddState { event, .. }) =
+            &flight;
         match self.append(event) {
             Ok(()) => {
                 self.flight_bytes += flight.bytes();
@@ -79,6 +83,7 @@ impl Writer {
                 }
                 let last = match &event {
                     Event::Observations(event) => {
+                        self.watchers.applied(event);
                         metrics::counter!("tidemap_observations_total").increment(event.states.len() as u64);
                         metrics::counter!("tidemap_refused_total").increment(event.refused.len() as u64);
                         event.last_sequence
@@ -88,7 +93,7 @@ impl Writer {
                         metrics::counter!("tidemap_refused_total").increment(event.refused.len() as u64);
                         event.last_sequence
                     }
-                    Event::UpdateStart(_) => return,
+                    Event::UpdateStart(_) | Event::AddState(_) => return,
                 };
                 let ack = self.acks.entry(session).or_default();
                 ack.durable_sequence = last;
@@ -99,6 +104,11 @@ impl Writer {
                 Some(Some(work)) => self.run_update(work, &job),
                 _ => job.end(Err("the update did not start".to_owned())),
             },
+            (Ok(position), Flight::AddState { event, reply }) => {
+                if self.apply(position, &event).is_some() {
+                    self.state_added(&event, reply);
+                }
+            }
             (Err(error), flight) => self.append_failed(error, flight),
         }
     }
@@ -126,6 +136,8 @@ impl Writer {
                 self.updates_wait_until = Some(Instant::now() + UPDATE_RETRY);
                 job.end(Err(first.to_string()));
             }
+            // Who asked may have gone away.
+            Flight::AddState { reply, .. } => drop(reply.send(Err(AddStateError::Storage(first)))),
         }
         for flight in std::mem::take(&mut self.grounded) {
             self.append_failed(AppendError::AfterFailure, flight);

@@ -4,18 +4,79 @@
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::Arc,
+    sync::{Arc, atomic::AtomicU64},
     time::Instant,
 };
 
 use tidemap_map::{
     event::Event,
+    grid::tile::TileUnavailable,
+    history::HistoryPiece,
+    name::MapName,
     update::{UpdateResult, UpdateWork},
 };
-use tracing::{error, info};
+use tidemap_store::MapId;
+use tracing::{error, info, warn};
 
-use super::{Command, Flight, Job, Wanted, Writer};
-use crate::jobs::Report;
+use super::{Command, Context, Flight, Job, Wanted, Writer};
+use crate::{ingest::folded::Folded, jobs::Report};
+
+impl Context {
+    /// Runs the update of a map, from where an earlier run of it was cut off. `unsaved`: what the updates before have folded
+    /// in and no save has kept yet.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
+    pub fn run_update(
+        &self,
+        id: MapId,
+        map: &MapName,
+        work: UpdateWork,
+        unsaved: Vec<Arc<HistoryPiece>>,
+        progress: &AtomicU64,
+    ) -> Result<UpdateResult, TileUnavailable> {
+        let work = match self.store.history(id) {
+            Ok(history) => {
+                let folded = Folded::before(work.start().generation, history, unsaved);
+                work.with_readings(Arc::new(folded))
+            }
+            Err(error) => {
+                warn!(%map, %error, "no model is fitted again");
+                work
+            }
+        };
+        let result = self.run_noting(id, map, work, progress)?;
+        let refits = result.refits();
+        if let Some(reason) = &refits.failure {
+            warn!(%map, states = refits.failed, reason, "models are not fitted again, because history cannot be read");
+        }
+        if refits.waiting > 0 {
+            info!(%map, fitted = refits.fitted, waiting = refits.waiting, "models wait to be fitted at a later update");
+        }
+        Ok(result)
+    }
+
+    /// Runs an update, and notes what it does where that takes long.
+    fn run_noting(
+        &self,
+        id: MapId,
+        map: &MapName,
+        work: UpdateWork,
+        progress: &AtomicU64,
+    ) -> Result<UpdateResult, TileUnavailable> {
+        let file = if work.has_tiles() { self.store.update_file(id, &work.identity()).map(Some) } else { Ok(None) };
+        let file = file.unwrap_or_else(|error| {
+            warn!(%map, %error, "what the update does is not noted");
+            None
+        });
+        let Some(file) = file else { return self.update_pool.install(|| work.run(progress)) };
+        if file.resumed() > 0 {
+            let (tiles, generation) = (file.resumed(), work.start().generation);
+            info!(%map, generation, tiles, of = work.states(), "going on with an update that was cut off");
+        }
+        self.update_pool.install(|| work.run_noting(progress, &file, self.update_journal_min_work))
+    }
+}
 
 impl Writer {
     /// Whether an update can be started or made due: never while another is on its way into the log.
@@ -51,10 +112,14 @@ impl Writer {
         self.updating_times = work.from_nanos().map(|from| (from, work.start().cut_nanos));
         self.running_job = Some(Arc::clone(job));
         let commands = self.commands.clone();
-        let pool = Arc::clone(&self.context.update_pool);
+        let (context, id, map) = (self.context.clone(), self.id, self.map.spec().name.clone());
         let for_thread = Arc::clone(job);
+        // Its snapshot was dropped above. What a running save keeps may not be in files yet.
+        let unsaved = self.unsaved_history.iter().chain(&self.saving_history).map(Arc::clone).collect();
         let spawned = std::thread::Builder::new().name(format!("update-{}", self.id.0)).spawn(move || {
-            let run = || pool.install(|| work.run(&for_thread.states_done));
+            let progress = Arc::clone(&for_thread);
+            // Moved, so that the store is let go of before the result is on its way.
+            let run = move || context.run_update(id, &map, work, unsaved, &progress.states_done);
             let result = match catch_unwind(AssertUnwindSafe(run)) {
                 Ok(Ok(result)) => Ok(Box::new(result)),
                 Ok(Err(unavailable)) => Err(format!("the update could not read what it learns from: {unavailable}")),

@@ -20,8 +20,10 @@ use super::*;
 use crate::{catalog::Catalog, ingest::protocol::Batch, jobs::Phase};
 
 mod queue;
+mod refits;
 mod saving;
 mod scans;
+mod states;
 
 const HOUR: i64 = 3_600_000_000_000;
 /// 2016-07-01T12:00 in London, which is then an hour ahead of UTC.
@@ -61,6 +63,7 @@ fn bench_with(dir: &Path, now: i64, change: impl FnOnce(&mut Context)) -> Bench 
         max_pending: PendingLimits { observations: 1000, changes: 1000 },
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
+        update_journal_min_work: 0,
     };
     change(&mut context);
     Bench { catalog: Catalog::open(context, 10).expect("maps"), clock, jobs }
@@ -81,6 +84,8 @@ fn spec_with(grid: Option<GridSpec>) -> MapSpec {
         periodicities: Periodicities::default(),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::Forever,
         grid,
     }
@@ -96,7 +101,7 @@ async fn hello(handle: &MapHandle, name: &str, incarnation: u64, nightly: bool) 
     let (sender, events) = events::unbounded_channel();
     let (reply, answer) = oneshot::channel();
     let key = ProducerKey::new(name, "").expect("valid");
-    assert!(handle.send(Command::Hello(Hello { key, incarnation, nightly, events: sender, reply })));
+    assert!(handle.send(Command::Hello(Hello { key, incarnation, nightly, sensor: None, events: sender, reply })));
     let opened = answer.await.expect("an answer")?;
     Ok(Robot { opened, sent: opened.durable_sequence, events })
 }
@@ -111,7 +116,7 @@ impl Robot {
             first_sequence: self.sent,
             last_sequence: self.sent,
             content_crc: 1,
-            new_names: if first { vec![Some(StateName::new("s").expect("valid"))] } else { Vec::new() },
+            new_names: if first { vec![Some(StateName::new("s").expect("valid").into())] } else { Vec::new() },
             table_indices: vec![0],
             times_nanos: vec![time],
             values: vec![1.0],
@@ -264,6 +269,12 @@ async fn the_last_midnight_of_an_import_counts_although_its_stream_ends_at_once(
 
 /// Sends observations of one state without waiting.
 fn send(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>) {
+    let values = vec![1.0; times.len()];
+    send_values(handle, robot, times, values);
+}
+
+/// The same with these values.
+fn send_values(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>, values: Vec<f64>) {
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
     let first = robot.sent == robot.opened.durable_sequence;
     let count = times.len();
@@ -273,9 +284,9 @@ fn send(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>) {
         first_sequence,
         last_sequence: robot.sent,
         content_crc: 1,
-        new_names: if first { vec![Some(StateName::new("s").expect("valid"))] } else { Vec::new() },
+        new_names: if first { vec![Some(StateName::new("s").expect("valid").into())] } else { Vec::new() },
         table_indices: vec![0; count],
-        values: vec![1.0; count],
+        values,
         times_nanos: times,
         ..Batch::default()
     };

@@ -8,7 +8,7 @@ use std::{
 };
 
 use tidemap_map::{
-    event::StateId,
+    event::{StateId, StateKind},
     predict::{ModelKind, ModelSelector},
 };
 use tidemap_model::Sample;
@@ -22,9 +22,9 @@ use tidemap_proto::{
 };
 use tonic::{Status, Streaming};
 
-use super::{Queries, STATES_MAX, check_limit, find_state};
+use super::{Queries, STATES_MAX, Unavailable, check_limit, find_state, fitting::Learned};
 use crate::{
-    evaluation::Evaluator,
+    evaluation::{Answering, Evaluator},
     rpc::{map::find_map, status::RpcError},
 };
 
@@ -41,12 +41,16 @@ pub(super) async fn evaluate_states(
         let error = InvalidField::new("header", "the first message of the stream must be the header");
         return Err(RpcError::from(error).into());
     };
-    let view = find_map(&queries.catalog, &header.map)?.view();
+    let handle = find_map(&queries.catalog, &header.map)?;
+    let view = handle.view();
     let max_order = header.max_order.map(|order| order_from_wire("header.max_order", order)).transpose();
     let max_order = max_order.map_err(RpcError::from)?.unwrap_or(tidemap_model::MAX_ORDER);
     let mut models = Vec::with_capacity(header.models.len());
     for (i, model) in header.models.into_iter().enumerate() {
-        models.push(selector_from_wire(&format!("header.models[{i}]"), Some(model)).map_err(RpcError::from)?);
+        let model = selector_from_wire(&format!("header.models[{i}]"), Some(model)).map_err(RpcError::from)?;
+        if !models.contains(&model) {
+            models.push(model);
+        }
     }
     if models.is_empty() {
         models.push(ModelSelector { kind: ModelKind::Spectral, ..ModelSelector::default() });
@@ -54,6 +58,7 @@ pub(super) async fn evaluate_states(
     check_limit("models", models.len() as u64, 64, "one request")?;
     let mut evaluator = Evaluator::new(Arc::clone(&view), models, max_order);
     let mut table: Vec<StateId> = Vec::new();
+    let mut held = queries.fitting.hold(0)?;
     while let Some(request) = stream.message().await? {
         let Some(v1::evaluate_states_request::Message::Observations(mut columns)) = request.message else {
             let error = InvalidField::new("observations", "every message after the first must have them");
@@ -83,8 +88,9 @@ pub(super) async fn evaluate_states(
                 let text = format!("{time} ns is before 1970");
                 return Err(RpcError::from(InvalidField::new("observations.times", text)).into());
             }
-            if !(0.0..=1.0).contains(&value) {
-                let text = format!("value {value} is not between 0 and 1");
+            let kind = view.kind(state);
+            if !kind.bounds().contains(&value) {
+                let text = format!("value {value} is not {}", kind.expected());
                 return Err(RpcError::from(InvalidField::new("observations.values", text)).into());
             }
             let samples = match by_state.entry(state) {
@@ -95,6 +101,17 @@ pub(super) async fn evaluate_states(
                 }
             };
             samples.push(make(time, value));
+        }
+        for &state in first_seen.iter().filter(|state| evaluator.is_new(**state)).collect::<Vec<_>>() {
+            let learned = Learned::new(Arc::clone(&handle), Arc::clone(&view), state);
+            let models = queries.fitting.all_fitted(&learned, evaluator.kinds_to_fit()).await?;
+            held.merge(queries.fitting.hold(models.iter().flatten().count())?);
+            let answering = |model| match model {
+                Ok(fitted) => Answering::Fitted(fitted),
+                Err(reason) => evaluator.nothing(&Unavailable::to_string(&reason)),
+            };
+            let answering: Vec<Answering> = models.into_iter().map(answering).collect();
+            evaluator.begin(state, answering);
         }
         evaluator = tokio::task::spawn_blocking(move || {
             evaluator.add(&first_seen, &by_state);
@@ -108,7 +125,15 @@ pub(super) async fn evaluate_states(
         model: Some(selector_to_wire(model)),
         observations: evaluation.observations,
         mean_squared_error: evaluation.mse(),
-        error_rate: evaluation.error_rate(),
+        error_rate: view
+            .find(state)
+            .filter(|&id| view.kind(id) == StateKind::Probability)
+            .map(|_| evaluation.error_rate()),
     });
-    Ok(v1::EvaluateStatesResponse { evaluations: evaluations.collect() })
+    let unavailable = evaluator.unavailable().into_iter().map(|(model, reason, states)| v1::UnavailableModel {
+        model: Some(selector_to_wire(model)),
+        reason: reason.to_owned(),
+        states: states.into_iter().map(str::to_owned).collect(),
+    });
+    Ok(v1::EvaluateStatesResponse { evaluations: evaluations.collect(), unavailable: unavailable.collect() })
 }

@@ -27,8 +27,8 @@ const READ_WITHIN: Duration = Duration::from_secs(30);
 /// A stream of replies.
 pub(super) type Replies<T> = ReceiverStream<Result<T, Status>>;
 
-/// Turns to compute.
-#[derive(Debug)]
+/// Turns to compute. Clones share them.
+#[derive(Clone, Debug)]
 pub(super) struct Turns {
     /// A permit for each request that may compute.
     permits: Arc<Semaphore>,
@@ -38,13 +38,21 @@ pub(super) struct Turns {
 impl Default for Turns {
     fn default() -> Self {
         // Twice the processors: some wait for their readers.
-        let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-        let max = COMPUTING_LEAST.max(2 * processors);
-        Self { permits: Arc::new(Semaphore::new(max)), max }
+        Self::new(COMPUTING_LEAST.max(2 * processors()))
     }
 }
 
+/// Processors of the machine.
+pub(super) fn processors() -> usize {
+    std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
+}
+
 impl Turns {
+    /// So many turns at once.
+    pub(super) fn new(max: usize) -> Self {
+        Self { permits: Arc::new(Semaphore::new(max)), max }
+    }
+
     /// A turn, which lasts until it is dropped.
     ///
     /// # Errors
@@ -59,13 +67,18 @@ impl Turns {
 }
 
 /// Where computed replies go.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Computed<T>(mpsc::Sender<Result<T, RpcError>>);
 
 impl<T> Computed<T> {
     /// Hands a reply over, once there is room. `false`: nobody wants any more.
     pub(super) fn send(&self, reply: T) -> bool {
         self.0.blocking_send(Ok(reply)).is_ok()
+    }
+
+    /// Ends when nobody wants any more.
+    pub(super) async fn unwanted(&self) {
+        self.0.closed().await;
     }
 }
 
@@ -74,14 +87,27 @@ pub(super) fn computed<T: Send + 'static>(
     turns: impl Send + 'static,
     work: impl FnOnce(&Computed<T>) -> Result<(), RpcError> + Send + 'static,
 ) -> Replies<T> {
+    streamed(|computed| async move {
+        let work = move || {
+            let _turns = turns;
+            work(&computed)
+        };
+        tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)?
+    })
+}
+
+/// The replies that `work` sends, which waits for others now and then, and takes its turns itself.
+pub(super) fn streamed<T: Send + 'static, W>(work: impl FnOnce(Computed<T>) -> W) -> Replies<T>
+where
+    W: Future<Output = Result<(), RpcError>> + Send + 'static,
+{
     let (computed, ready) = mpsc::channel(1);
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
-    let work = tokio::task::spawn_blocking(move || {
-        let _turns = turns;
-        let computed = Computed(computed);
-        if let Err(error) = work(&computed) {
+    let work = work(Computed(computed.clone()));
+    let work = tokio::spawn(async move {
+        if let Err(error) = work.await {
             // Where nobody wants it, it is not needed.
-            let _ = computed.0.blocking_send(Err(error));
+            let _ = computed.send(Err(error)).await;
         }
     });
     tokio::spawn(async move {

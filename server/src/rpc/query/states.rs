@@ -1,33 +1,42 @@
 //! Predictions of states and cells at many times, and what was learned of one.
 //!
-//! Invariant: the phasors of a block of times are computed once and shared by all states and cells.
+//! Invariant: replies come by state, then by time. Where all times are one block, its phasors are computed once and
+//! shared by all states and cells. Who predicts by a model that there is does not wait for one that is being fitted.
 
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 use tidemap_map::{
-    event::StateId,
+    event::{StateId, StateKind},
     grid::{index::CellIndex, view::CellDescription},
+    interval::cell_intervals,
     predict::ModelSelector,
     view::MapView,
 };
-use tidemap_model::{Persistence, entropy_bits};
+use tidemap_model::{
+    Persistence, entropy_bits,
+    family::{Interval, Moment},
+};
 use tidemap_proto::{
     convert::{
         InvalidField,
         cells::cell_description_to_wire,
-        query::{description_to_wire, selector_from_wire},
+        query::{check_for_cells, description_to_wire, selector_from_wire},
         time::timestamp,
     },
     v1,
 };
-
 use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
     Queries, STATES_MAX, check_limit, find_state,
-    replies::{Computed, Replies, computed},
+    fitting::Learned,
+    replies::{Computed, Replies, computed, streamed},
 };
-use crate::rpc::{map::find_map, status::RpcError};
+use crate::{
+    fits::Fitted,
+    ingest::handle::MapHandle,
+    rpc::{map::find_map, status::RpcError},
+};
 
 /// Times whose phasors are held at once: some 10 MB at 168 periodicities.
 const TIMES_PER_BLOCK: usize = 4096;
@@ -75,7 +84,8 @@ pub(super) async fn predict_states(
     queries: &Queries,
     request: v1::PredictStatesRequest,
 ) -> Result<Replies<v1::PredictStatesResponse>, RpcError> {
-    let view = find_map(&queries.catalog, &request.map)?.view();
+    let handle = find_map(&queries.catalog, &request.map)?;
+    let view = handle.view();
     if request.states.is_empty() {
         return Err(InvalidField::new("states", "name at least one state").into());
     }
@@ -90,12 +100,82 @@ pub(super) async fn predict_states(
     let predictions = request.states.len() as u64 * request.times_nanos.len() as u64;
     check_limit("predictions", predictions, queries.max_predictions, "setting max_predictions")?;
     let selector = selector_from_wire("model", request.model)?;
+    let level = request.interval_level;
+    if !(0.0..1.0).contains(&level) {
+        let text = format!("{level} is not a probability: 0 (no intervals) or more, and below 1");
+        return Err(InvalidField::new("interval_level", text).into());
+    }
+    let field = |i| format!("states[{i}]");
+    if selector.kind.needs_readings() {
+        let find = |(i, name): (usize, &String)| {
+            if cell_of(&field(i), name)?.is_some() {
+                check_for_cells("model", selector)?;
+            }
+            find_state(&view, name)
+        };
+        let states = request.states.iter().enumerate().map(find).collect::<Result<_, RpcError>>()?;
+        return Ok(predict_fitted(queries, handle, view, states, &request.times_nanos, (selector, level)));
+    }
     let turn = queries.turns.take().await?;
-    let (named, turn) = find_all(&view, turn, |i| format!("states[{i}]"), request.states).await?;
+    let (named, turn) = find_all(&view, turn, field, request.states).await?;
     Ok(computed(turn, move |computed| {
-        predict(&view, &named, &request.times_nanos, selector, computed);
+        predict(&view, &named, &request.times_nanos, (selector, level), computed);
         Ok(())
     }))
+}
+
+/// Predicts by models that are fitted to the states' readings, one state after the other. Others predict while a model is
+/// being fitted.
+fn predict_fitted(
+    queries: &Queries,
+    handle: Arc<MapHandle>,
+    view: Arc<MapView>,
+    states: Vec<StateId>,
+    times_nanos: &[i64],
+    (selector, level): (ModelSelector, f64),
+) -> Replies<v1::PredictStatesResponse> {
+    let (fitting, turns) = (Arc::clone(&queries.fitting), queries.turns.clone());
+    let moments: Arc<[Moment]> = view.moments(times_nanos).into();
+    streamed(move |computed| async move {
+        for (state_index, id) in states.into_iter().enumerate() {
+            let learned = Learned::new(Arc::clone(&handle), Arc::clone(&view), id);
+            let fitted = tokio::select! {
+                () = computed.unwanted() => return Ok(()),
+                fitted = fitting.fitted(&learned, selector.kind) => fitted?,
+            };
+            let turn = turns.take().await?;
+            let (view, moments, computed) = (Arc::clone(&view), Arc::clone(&moments), computed.clone());
+            let predict = move || {
+                let _turn = turn;
+                predict_one(&view, (state_index, id), &fitted, &moments, (selector, level), &computed)
+            };
+            if !tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)? {
+                break;
+            }
+        }
+        Ok(())
+    })
+}
+
+/// Predicts one state by a fitted model. `false`: nobody wants any more.
+fn predict_one(
+    view: &MapView,
+    (state_index, id): (usize, StateId),
+    fitted: &Fitted,
+    moments: &[Moment],
+    (selector, level): (ModelSelector, f64),
+    computed: &Computed<v1::PredictStatesResponse>,
+) -> bool {
+    let live = view.live(id);
+    let mut blocks = moments.chunks(TIMES_PER_BLOCK).enumerate();
+    blocks.all(|(block, moments)| {
+        let mut probabilities = vec![0.0; moments.len()];
+        fitted.predict_into(view, id, moments, selector.persistence, &mut probabilities);
+        let about =
+            About { kind: view.kind(id), order: 0, observations: live.observations, persistence: live.persistence };
+        let intervals = view.intervals(id, moments, &probabilities, Some(level).filter(|&level| level > 0.0));
+        computed.send(reply(state_index, block * TIMES_PER_BLOCK, probabilities, &intervals, about))
+    })
 }
 
 /// Computes the replies until all are taken or nobody takes them.
@@ -103,39 +183,87 @@ fn predict(
     view: &MapView,
     named: &[Named],
     times_nanos: &[i64],
-    selector: ModelSelector,
+    (selector, level): (ModelSelector, f64),
     computed: &Computed<v1::PredictStatesResponse>,
 ) {
-    for (block, times) in times_nanos.chunks(TIMES_PER_BLOCK).enumerate() {
-        let prepared = view.prepare(times);
-        for (state_index, named) in named.iter().enumerate() {
-            let mut probabilities = vec![0.0; times.len()];
-            let (order, observations, persistence): (usize, u64, Persistence) = match named {
+    let blocks = blocks(times_nanos.len());
+    let shared = (blocks.len() == 1).then(|| view.prepare(times_nanos));
+    for (state_index, named) in named.iter().enumerate() {
+        for block in &blocks {
+            let own;
+            let prepared = match &shared {
+                Some(prepared) => prepared,
+                None => {
+                    own = view.prepare(&times_nanos[block.clone()]);
+                    &own
+                }
+            };
+            let mut probabilities = vec![0.0; block.len()];
+            let level = Some(level).filter(|&level| level > 0.0);
+            let (about, intervals) = match named {
                 Named::State(id) => {
-                    view.predict_into(*id, &prepared, selector, &mut probabilities);
+                    view.predict_into(*id, prepared, selector, &mut probabilities);
                     let live = view.live(*id);
-                    (selector.order_for(view.model(*id)), live.observations, live.persistence)
+                    let about = About {
+                        kind: view.kind(*id),
+                        order: selector.order_for(view.model(*id)),
+                        observations: live.observations,
+                        persistence: live.persistence,
+                    };
+                    (about, view.intervals(*id, prepared.moments(), &probabilities, level))
                 }
                 Named::Cell(_, cell) => {
-                    view.predict_cell_into(cell, &prepared, selector, &mut probabilities);
-                    (selector.order_for_cell(cell), cell.observations, cell.persistence)
+                    view.predict_cell_into(cell, prepared, selector, &mut probabilities);
+                    let about = About {
+                        kind: StateKind::Probability,
+                        order: selector.order_for_cell(cell),
+                        observations: cell.observations,
+                        persistence: cell.persistence,
+                    };
+                    (about, cell_intervals(cell, &probabilities, level))
                 }
             };
-            let reply = v1::PredictStatesResponse {
-                state_index: u32::try_from(state_index).unwrap_or(u32::MAX),
-                first_time_index: u32::try_from(block * TIMES_PER_BLOCK).unwrap_or(u32::MAX),
-                entropies_bits: probabilities.iter().map(|&probability| entropy_bits(probability)).collect(),
-                probabilities,
-                lower: Vec::new(),
-                upper: Vec::new(),
-                order: u32::try_from(order).unwrap_or(u32::MAX),
-                observations,
-                last_time: persistence.last().map(|(nanos, _)| timestamp(nanos)),
-            };
-            if !computed.send(reply) {
+            if !computed.send(reply(state_index, block.start, probabilities, &intervals, about)) {
                 return;
             }
         }
+    }
+}
+
+/// Times by block.
+fn blocks(times: usize) -> Vec<Range<usize>> {
+    (0..times).step_by(TIMES_PER_BLOCK).map(|start| start..times.min(start + TIMES_PER_BLOCK)).collect()
+}
+
+/// What else a reply says of a state: its kind, the order of its model, its observations and what was seen last.
+struct About {
+    kind: StateKind,
+    order: usize,
+    observations: u64,
+    persistence: Persistence,
+}
+
+/// Predictions of one state.
+fn reply(
+    state_index: usize,
+    first_time_index: usize,
+    probabilities: Vec<f64>,
+    intervals: &[Interval],
+    About { kind, order, observations, persistence }: About,
+) -> v1::PredictStatesResponse {
+    v1::PredictStatesResponse {
+        state_index: u32::try_from(state_index).unwrap_or(u32::MAX),
+        first_time_index: u32::try_from(first_time_index).unwrap_or(u32::MAX),
+        entropies_bits: match kind {
+            StateKind::Probability => probabilities.iter().map(|&probability| entropy_bits(probability)).collect(),
+            StateKind::Continuous | StateKind::Count => Vec::new(),
+        },
+        probabilities,
+        lower: intervals.iter().map(|interval| interval.lower).collect(),
+        upper: intervals.iter().map(|interval| interval.upper).collect(),
+        order: u32::try_from(order).unwrap_or(u32::MAX),
+        observations,
+        last_time: persistence.last().map(|(nanos, _)| timestamp(nanos)),
     }
 }
 

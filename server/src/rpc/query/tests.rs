@@ -34,6 +34,8 @@ use crate::{
     jobs::Jobs,
 };
 
+mod anomalies;
+mod fitted;
 mod grids;
 mod past;
 
@@ -63,6 +65,7 @@ impl Bench {
             max_pending: tidemap_map::live_map::PendingLimits { observations: 1_000_000, changes: 1_000_000 },
             max_tiles: 5000,
             tile_cache_bytes: 1 << 30,
+            update_journal_min_work: 0,
         };
         Arc::new(Catalog::open(context, 10).expect("maps"))
     }
@@ -85,6 +88,8 @@ impl Bench {
             periodicities: Periodicities::default(),
             criterion: OrderCriterion::SquaredError,
             created_nanos: 0,
+            half_life_nanos: None,
+            prior: 0.5,
             retention,
             grid,
         };
@@ -94,7 +99,9 @@ impl Bench {
 
     fn of(catalog: Arc<Catalog>) -> Self {
         let handle = catalog.get("office").expect("there");
-        Self { queries: Queries::new(catalog, 10_000, 4096), handle }
+        let limits =
+            QueryLimits { predictions: 10_000, batch: 4096, fitted_models: 100, fit_readings: 10_000, watches: 2 };
+        Self { queries: Queries::new(catalog, limits), handle }
     }
 
     /// The same after a restart.
@@ -122,7 +129,7 @@ impl Bench {
         let (sender, events) = mpsc::unbounded_channel();
         let (reply, answer) = oneshot::channel();
         let key = ProducerKey::new(name, "").expect("valid");
-        let hello = Hello { key, incarnation: 0, nightly: false, events: sender, reply };
+        let hello = Hello { key, incarnation: 0, nightly: false, sensor: None, events: sender, reply };
         assert!(self.handle.send(Command::Hello(hello)));
         let opened = answer.await.expect("an answer").expect("accepted");
         let intake = Intake::new(opened.durable_sequence, opened.content_crc, LIMITS, self.handle.spec.grid.as_ref());
@@ -130,11 +137,21 @@ impl Bench {
     }
 
     async fn names(&self, states: &[&str], times: &[i64]) -> Result<Vec<v1::PredictStatesResponse>, Status> {
+        self.predict(states, times, None).await
+    }
+
+    async fn predict(
+        &self,
+        states: &[&str],
+        times: &[i64],
+        model: Option<v1::ModelSelector>,
+    ) -> Result<Vec<v1::PredictStatesResponse>, Status> {
         let request = v1::PredictStatesRequest {
             map: "office".to_owned(),
             states: states.iter().map(ToString::to_string).collect(),
             times_nanos: times.to_vec(),
-            model: None,
+            model,
+            interval_level: 0.0,
         };
         let replies = self.queries.predict_states(Request::new(request)).await?;
         replies.into_inner().collect::<Vec<_>>().await.into_iter().collect()
@@ -187,7 +204,7 @@ impl Robot {
     /// Sends observations of the state `door` and waits until they are acknowledged.
     async fn observe(&mut self, bench: &Bench, observed: &[(i64, f64)]) {
         let new_names = match self.sent == self.opened.durable_sequence {
-            true => vec![Some(StateName::new("door").expect("valid"))],
+            true => vec![Some(StateName::new("door").expect("valid").into())],
             false => Vec::new(),
         };
         let first_sequence = self.sent + 1;

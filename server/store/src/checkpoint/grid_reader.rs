@@ -173,7 +173,7 @@ impl Tiles<'_> {
         self.places.tiles.push(TilePlace { model: model_place, sums: self.reader.offset() });
         self.reader.long(RecordKind::TileSums, &mut self.buffer)?;
         let sums = EncodedSums::new(&self.buffer, self.periodicities)?;
-        if sums.shared.len() != model.groups.len() || sums.cells(self.periodicities) != model.cells.len() {
+        if sums.groups != model.groups.len() || sums.cells(self.periodicities) != model.cells.len() {
             return Err("the sums of a tile differ in number from its groups and cells".to_owned());
         }
         if sums.shared.iter().any(|&number| number as usize >= self.places.shared.len()) {

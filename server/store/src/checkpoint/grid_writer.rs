@@ -12,7 +12,7 @@ use std::{
 use prost::Message as _;
 use tidemap_map::grid::{
     snapshot::GridSnapshot,
-    tile::{ModelSlot, SumsSlot, TileSums, TileUnavailable},
+    tile::{ModelSlot, SumsSlot, TileModel, TileSums, TileUnavailable},
 };
 use tidemap_migrations::v2::{file::RecordKind, grid as v2};
 use tidemap_model::{Periodicities, PhasorSum};
@@ -29,7 +29,7 @@ use crate::{
 
 /// Why a grid cannot be written.
 #[derive(Debug)]
-pub(super) enum WriteError {
+pub(crate) enum WriteError {
     /// The disk says no.
     Io(io::Error),
     /// The grid could not be read back, or not all of it can be read.
@@ -83,8 +83,7 @@ pub(super) fn write(
         last_seen,
     };
     writer.long(RecordKind::Grid, &head.encode_to_vec())?;
-    let mut tiles =
-        TileWriter { writer, periodicities, shared: Shared::default(), model: Vec::new(), sums: Vec::new() };
+    let mut tiles = TileWriter::new(writer, periodicities, Shared::default());
     for (index, live) in grid.tiles.iter().enumerate() {
         let has_model = match (grid.models.get(index), grid.sums.get(index)) {
             (Some(model), Some(sums)) => tiles.prepare(model, sums)?,
@@ -92,8 +91,7 @@ pub(super) fn write(
         };
         tiles.writer.long(RecordKind::Tile, &tile::encode(live, has_model)?.encode_to_vec())?;
         if has_model {
-            tiles.writer.long(RecordKind::TileModel, &tiles.model)?;
-            tiles.writer.long(RecordKind::TileSums, &tiles.sums)?;
+            tiles.write_prepared()?;
         }
     }
     let shared = tiles.shared.in_memory;
@@ -112,7 +110,7 @@ pub(super) fn write(
 
 /// Which shared sums have been written.
 #[derive(Default)]
-struct Shared {
+pub(crate) struct Shared {
     /// By address. The weak references keep the addresses from being given to others.
     by_address: HashMap<usize, u32>,
     /// Those that are not in memory: by address of their file and number there.
@@ -122,12 +120,23 @@ struct Shared {
 }
 
 impl Shared {
+    /// Those of a file that is gone on with, by number.
+    pub(crate) fn of_file(in_memory: Vec<Weak<PhasorSum>>) -> Shared {
+        let live = (0..).zip(&in_memory).filter(|(_, sum)| sum.strong_count() > 0);
+        Shared {
+            by_address: live.map(|(number, sum)| (sum.as_ptr() as usize, number)).collect(),
+            by_place: HashMap::new(),
+            in_memory,
+        }
+    }
+
     fn next(&self) -> Result<u32, WriteError> {
         u32::try_from(self.in_memory.len()).map_err(|_| "a grid has more shared sums than can be numbered".into())
     }
 }
 
-struct TileWriter<'writer> {
+/// Writes models and sums of tiles.
+pub(crate) struct TileWriter<'writer> {
     writer: &'writer mut RecordWriter,
     periodicities: &'writer Periodicities,
     shared: Shared,
@@ -136,7 +145,40 @@ struct TileWriter<'writer> {
     sums: Vec<u8>,
 }
 
-impl TileWriter<'_> {
+impl<'writer> TileWriter<'writer> {
+    /// `shared`: what has been written to the file before.
+    pub(crate) fn new(
+        writer: &'writer mut RecordWriter,
+        periodicities: &'writer Periodicities,
+        shared: Shared,
+    ) -> TileWriter<'writer> {
+        TileWriter { writer, periodicities, shared, model: Vec::new(), sums: Vec::new() }
+    }
+
+    /// Writes the model and the sums of a tile, after the shared sums that are new with it. Nothing where it has none.
+    pub(crate) fn put(&mut self, model: &TileModel, sums: &TileSums) -> Result<(), WriteError> {
+        self.model.clear();
+        self.sums.clear();
+        let has_model = self.encode_model(model)?;
+        if has_model != self.encode_sums(sums)? {
+            return Err("a tile has a model without sums, or sums without a model".into());
+        }
+        if has_model {
+            self.write_prepared()?;
+        }
+        Ok(())
+    }
+
+    /// What has been written to the file.
+    pub(crate) fn into_shared(self) -> Shared {
+        self.shared
+    }
+
+    fn write_prepared(&mut self) -> io::Result<()> {
+        self.writer.long(RecordKind::TileModel, &self.model)?;
+        self.writer.long(RecordKind::TileSums, &self.sums)
+    }
+
     /// Makes the records of a tile ready and writes the shared sums that are new with it. `false` where it has none.
     fn prepare(&mut self, model: &ModelSlot, sums: &SumsSlot) -> Result<bool, WriteError> {
         self.model.clear();
@@ -144,9 +186,9 @@ impl TileWriter<'_> {
         let has_model = match model {
             ModelSlot::Cold(cold) => match cold.source.as_any().downcast_ref::<CheckpointTiles>() {
                 Some(tiles) => tiles.raw_model(cold.tile)?.map(|bytes| self.model = bytes).is_some(),
-                None => self.encode_model(model)?,
+                None => self.encode_model(&*cold.source.model(cold.tile)?)?,
             },
-            ModelSlot::Resident(_) => self.encode_model(model)?,
+            ModelSlot::Resident(model) => self.encode_model(model)?,
         };
         let has_sums = match sums {
             SumsSlot::Cold(cold) => match cold.source.as_any().downcast_ref::<CheckpointTiles>() {
@@ -164,11 +206,10 @@ impl TileWriter<'_> {
         Ok(has_model)
     }
 
-    fn encode_model(&mut self, model: &ModelSlot) -> Result<bool, WriteError> {
-        let model = model.get()?;
+    fn encode_model(&mut self, model: &TileModel) -> Result<bool, WriteError> {
         let is_empty = model.groups.is_empty() && model.cells.is_empty() && model.always_occupied.is_empty();
         if !is_empty {
-            tile_model::encode(&model).encode(&mut self.model).map_err(|error| error.to_string())?;
+            tile_model::encode(model).encode(&mut self.model).map_err(|error| error.to_string())?;
         }
         Ok(!is_empty)
     }
@@ -180,7 +221,7 @@ impl TileWriter<'_> {
         if sums.cells.iter().any(|cell| cell.as_slice().len() != 2 * self.periodicities.len()) {
             return Err("a sum has another number of periodicities than its map".into());
         }
-        let shared = sums.groups.iter().map(|sum| self.share(sum)).collect::<Result<Vec<_>, _>>()?;
+        let shared = sums.shared().map(|sum| self.share(sum)).collect::<Result<Vec<_>, _>>()?;
         tile_model::encode_sums(&shared, sums, &mut self.sums)?;
         Ok(true)
     }

@@ -29,17 +29,17 @@ const MODELS_BYTES: usize = 16 << 20;
 
 /// Where a tile's records are in the file; 0 where it has none.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct TilePlace {
-    pub(super) model: u64,
-    pub(super) sums: u64,
+pub(crate) struct TilePlace {
+    pub(crate) model: u64,
+    pub(crate) sums: u64,
 }
 
 /// Where everything is in the file.
 #[derive(Default)]
-pub(super) struct Places {
-    pub(super) tiles: Vec<TilePlace>,
+pub(crate) struct Places {
+    pub(crate) tiles: Vec<TilePlace>,
     /// The shared sums, by their number.
-    pub(super) shared: Vec<u64>,
+    pub(crate) shared: Vec<u64>,
 }
 
 /// The tiles of one checkpoint.
@@ -62,7 +62,7 @@ impl fmt::Debug for CheckpointTiles {
 
 impl CheckpointTiles {
     /// `shared`: the shared sums that are in memory, by their number; the rest is not.
-    pub(super) fn new(
+    pub(crate) fn new(
         file: Box<dyn DiskReader>,
         path: PathBuf,
         periodicities: Periodicities,
@@ -117,6 +117,11 @@ impl CheckpointTiles {
         self.shared().get(number as usize)?.upgrade()
     }
 
+    /// All shared sums that are in memory, by number.
+    pub(crate) fn into_shared(self) -> Vec<Weak<PhasorSum>> {
+        self.shared.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn shared_sum(&self, number: u32) -> Result<Arc<PhasorSum>, String> {
         if let Some(sum) = self.shared_in_memory(number) {
             return Ok(sum);
@@ -132,14 +137,14 @@ impl CheckpointTiles {
         Ok(sum)
     }
 
-    fn read_model(&self, tile: TileId) -> Result<TileModel, String> {
+    pub(crate) fn read_model(&self, tile: TileId) -> Result<TileModel, String> {
         let Some(bytes) = self.raw_model(tile)? else { return Ok(TileModel::default()) };
         let message: v2::TileModel =
             prost::Message::decode(&bytes[..]).map_err(|_| "its model is not a message".to_owned())?;
         tile_model::decode(&message, &self.periodicities)
     }
 
-    fn read_sums(&self, tile: TileId) -> Result<TileSums, String> {
+    pub(crate) fn read_sums(&self, tile: TileId) -> Result<TileSums, String> {
         let Some(bytes) = self.raw_sums(tile)? else { return Ok(TileSums::default()) };
         let sums = EncodedSums::new(&bytes, &self.periodicities)?;
         let groups = sums.shared.iter().map(|&number| self.shared_sum(number)).collect::<Result<_, _>>()?;

@@ -67,9 +67,13 @@ impl HistoryFile {
         self.end.from_nanos < to_nanos && self.end.to_nanos >= from_nanos
     }
 
-    /// Gives the observations of a state in order of arrival.
-    pub(super) fn samples(&self, id: StateId, mut take: impl FnMut(Sample)) -> Result<(), HistoryError> {
-        let mut table = Table::new(self);
+    /// Gives the observations of a state in order of arrival. `table` is that of this file.
+    pub(super) fn samples(
+        &self,
+        table: &mut Table<'_>,
+        id: StateId,
+        mut take: impl FnMut(Sample),
+    ) -> Result<(), HistoryError> {
         let Some(entry) = table.find(u64::from(id.0))? else { return Ok(()) };
         let mut offset = entry.offset;
         for _ in 0..entry.records {

@@ -4,9 +4,9 @@
 
 use prost::Message;
 use tidemap_map::spec::MapSpec;
-use tidemap_migrations::v1::{
-    index::{MARKS, MODELS, Mark, STATES, decode_value, item_key, map_key},
-    map as v1,
+use tidemap_migrations::{
+    v1::index::{MARKS, MODELS, Mark, STATES, decode_value, item_key, map_key},
+    v2::{HOURS_CHUNK, PROFILE_CHUNK, map as v2},
 };
 
 use super::{Damage, Found, Trees, Written, rows::Sum};
@@ -16,6 +16,20 @@ fn payload<'value, M: Message + Default>(tree: &str, key: &[u8], value: &'value 
     let payload: &'value [u8] =
         decode_value(tree, key, value).ok_or_else(|| format!("a record in {tree} is damaged or in the wrong place"))?;
     M::decode(payload).map_err(|_| format!("a record in {tree} is not a message"))
+}
+
+/// The column of a state that the chunk of a key belongs to.
+fn column<'state>(message: &'state mut v2::State, key: &[u8]) -> Result<&'state mut Vec<u8>, &'static str> {
+    const STRAY: &str = "a record in models belongs to nothing";
+    let chunk = key.last_chunk::<2>().map_or(0, |&chunk| u16::from_be_bytes(chunk));
+    if chunk < HOURS_CHUNK {
+        return Ok(&mut message.spectrum);
+    }
+    let known = message.alternatives.as_mut().ok_or(STRAY)?;
+    if chunk < PROFILE_CHUNK {
+        return Ok(&mut known.hours);
+    }
+    Ok(&mut known.calibrated.as_mut().ok_or(STRAY)?.profile)
 }
 
 pub(super) fn load(trees: &Trees, map: u32, spec: &MapSpec) -> Result<(Found, Option<Written>), Damage> {
@@ -30,7 +44,7 @@ pub(super) fn load(trees: &Trees, map: u32, spec: &MapSpec) -> Result<(Found, Op
     // The mark itself has the prefix alone as its key.
     for entry in trees.marks.range(item_key(map, 0)..=item_key(map, u32::MAX)) {
         let (key, value) = entry.map_err(text)?;
-        let message: v1::Producer = payload(MARKS, &key, &value)?;
+        let message: v2::Producer = payload(MARKS, &key, &value)?;
         producers.push(record::decode_producer(producers.len(), &message)?);
         let mut sum = Sum::default();
         sum.add_value(&value);
@@ -41,7 +55,7 @@ pub(super) fn load(trees: &Trees, map: u32, spec: &MapSpec) -> Result<(Found, Op
     let mut chunks = trees.models.scan_prefix(prefix).peekable();
     for entry in trees.states.scan_prefix(prefix) {
         let (key, value) = entry.map_err(text)?;
-        let mut message: v1::State = payload(STATES, &key, &value)?;
+        let mut message: v2::State = payload(STATES, &key, &value)?;
         let mut sum = Sum::default();
         sum.add_value(&value);
         // The chunks of a state begin with its key and follow each other in both trees' order.
@@ -51,7 +65,7 @@ pub(super) fn load(trees: &Trees, map: u32, spec: &MapSpec) -> Result<(Found, Op
         while let Some(entry) = chunks.next_if(is_of_state) {
             let (key, value) = entry.map_err(text)?;
             let bytes = decode_value(MODELS, &key, &value).ok_or("a record in models is damaged")?;
-            message.spectrum.extend_from_slice(bytes);
+            column(&mut message, &key)?.extend_from_slice(bytes);
             sum.add_value(&value);
         }
         states.push(record::decode_state(states.len(), &message, &spec.periodicities)?);

@@ -4,6 +4,7 @@
 //! count says, or holds the one value that all have.
 
 use tidemap_migrations::v1::event::{VALUES_BITS, VALUES_DOUBLES, VALUES_FLOATS};
+use tidemap_model::VALUE_MAX;
 
 use super::{
     Invalid,
@@ -119,11 +120,18 @@ pub(super) fn decode_times(times: &Times<&Vec<u8>>, count: usize) -> Result<Vec<
     if nanos.iter().all(|&nanos| nanos >= 0) { Ok(nanos) } else { Err(RANGE) }
 }
 
-/// Values in [0, 1], in the smallest encoding that keeps every bit.
+const RANGE: Invalid = "a value is not a number from -1e12 to 1e12";
+
+/// Whether a state of some kind may have the value; that its own kind allows it is for others to say.
+fn is_value(value: &f64) -> bool {
+    value.abs() <= VALUE_MAX
+}
+
+/// Values, in the smallest encoding that keeps every bit.
 pub(super) fn encode_values(values: &[f64]) -> Result<(u32, Vec<u8>), Invalid> {
     const ONE: u64 = 1.0_f64.to_bits();
-    if !values.iter().all(|value| (0.0..=1.0).contains(value)) {
-        return Err("a value is outside [0, 1]");
+    if !values.iter().all(is_value) {
+        return Err(RANGE);
     }
     // By their bits, because a negative zero is not a zero bit.
     let is_same = values.windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits());
@@ -149,7 +157,7 @@ pub(super) fn decode_values(encoding: u32, bytes: &[u8], count: usize) -> Result
         VALUES_DOUBLES => fixed(bytes, count, f64::from_le_bytes)?,
         _ => return Err("the encoding of the values is not known"),
     };
-    if values.iter().all(|value| (0.0..=1.0).contains(value)) { Ok(values) } else { Err("a value is outside [0, 1]") }
+    if values.iter().all(is_value) { Ok(values) } else { Err(RANGE) }
 }
 
 fn decode_bits(bytes: &[u8], count: usize) -> Result<Vec<f64>, Invalid> {

@@ -10,6 +10,7 @@ use tidemap_map::grid::{
     index::{TILE_CELLS, TileId},
     live::AheadScan,
     mask::{Mask, TileMasks},
+    sensors::SensorId,
 };
 use tidemap_migrations::v2::grid as v2;
 use tidemap_model::LocalDay;
@@ -17,7 +18,7 @@ use tidemap_model::LocalDay;
 use super::{
     Invalid,
     cells::{MASK_LENGTH, decode_masks, encode_mask, masks},
-    columns, offsets,
+    columns, offsets, sensors,
     tile_set::{push_set, take_set},
     varint::{push_varint, take_u32, take_varint},
 };
@@ -35,6 +36,7 @@ pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<v2::Day, Invalid> {
     let nanos: Vec<i64> = day.scans.iter().map(|scan| scan.utc_nanos).collect();
     let times = columns::encode_times(&nanos)?;
     let (offset_counts, offset_secs) = offsets::encode(day.scans.iter().map(|scan| scan.offset_secs));
+    let (sensor_counts, sensor_numbers) = sensors::encode_runs(day.scans.iter().map(|scan| scan.sensor));
     let mut presence = Vec::new();
     let mut before: &[TileId] = &[];
     let mut scans = 0_u64;
@@ -67,6 +69,8 @@ pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<v2::Day, Invalid> {
             Some((last, _)) => last.0.checked_add(1).ok_or(MANY)?,
             None => 0,
         },
+        sensor_counts,
+        sensors: sensor_numbers,
     })
 }
 
@@ -84,8 +88,16 @@ pub(crate) fn decode(message: &v2::Day, limit: u32, keep: impl Fn(TileId) -> boo
     let nanos = columns::decode_times(&times, count)?;
     let offsets = offsets::decode(&message.offset_counts, &message.offset_secs, count)?;
     let mut day = GridDay::new(LocalDay(message.day));
-    day.scans =
-        nanos.into_iter().zip(offsets).map(|(utc_nanos, offset_secs)| ScanTime { utc_nanos, offset_secs }).collect();
+    let sensor = SensorId::OWN;
+    let times = nanos.into_iter().zip(offsets);
+    day.scans = times.map(|(utc_nanos, offset_secs)| ScanTime { utc_nanos, offset_secs, sensor }).collect();
+    for (scan, sensor) in day
+        .scans
+        .iter_mut()
+        .zip(sensors::decode_runs(&message.sensor_counts, &message.sensors, count)?.unwrap_or_default())
+    {
+        scan.sensor = sensor;
+    }
     let mut bytes = &message.presence[..];
     let mut before = Vec::new();
     let mut first = 0_u32;
@@ -255,6 +267,7 @@ pub(crate) fn encode_ahead(scan: &AheadScan) -> v2::AheadScan {
         offset_secs: scan.time.offset_secs,
         tiles: scan.tiles.iter().map(|(tile, _)| tile.0).collect(),
         masks: bytes,
+        sensor: u32::from(scan.time.sensor.0),
     }
 }
 
@@ -272,7 +285,11 @@ pub(crate) fn decode_ahead(message: &v2::AheadScan, limit: u32) -> Result<AheadS
         Ok((TileId(tile), masks(Mask::from_bytes(observed), Mask::from_bytes(occupied))?))
     };
     Ok(AheadScan {
-        time: ScanTime { utc_nanos: message.utc_nanos, offset_secs: message.offset_secs },
+        time: ScanTime {
+            utc_nanos: message.utc_nanos,
+            offset_secs: message.offset_secs,
+            sensor: sensors::number(message.sensor)?,
+        },
         tiles: message.tiles.iter().zip(pairs).map(tile).collect::<Result<_, Invalid>>()?,
     })
 }

@@ -5,17 +5,17 @@
 use prost::Message as _;
 use tidemap_map::{
     event::{
-        Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind, UpdateCause,
-        UpdateStart,
+        Event, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind,
+        UpdateCause, UpdateStart,
     },
     name::{ProducerKey, StateName},
 };
 use tidemap_migrations::{
     v1::{event as v1, map::ProducerKey as V1ProducerKey},
-    v2::{self, log::FrameKind},
+    v2::{self, log::FrameKind, map as v2_map},
 };
 
-use super::{Invalid, columns, scans};
+use super::{Invalid, columns, scans, sensors};
 
 /// Most observations in one event. Constant columns take no room, so the payload's length does not bound it.
 const COUNT_MAX: usize = 1 << 20;
@@ -28,6 +28,7 @@ pub(crate) fn encode(event: &Event) -> Result<(FrameKind, Vec<u8>), Invalid> {
         }
         Event::Scans(event) => Ok((FrameKind::Scans, scans::encode(event)?.encode_to_vec())),
         Event::UpdateStart(start) => Ok((FrameKind::UpdateStart, encode_update_start(start).encode_to_vec())),
+        Event::AddState(state) => Ok((FrameKind::AddState, encode_new_state(state).encode_to_vec())),
     }
 }
 
@@ -36,7 +37,7 @@ pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> 
     const GARBLED: Invalid = "the payload is not a message";
     match kind {
         FrameKind::Observations => {
-            let message = v1::Observations::decode(payload).map_err(|_| GARBLED)?;
+            let message = v2::event::Observations::decode(payload).map_err(|_| GARBLED)?;
             decode_observations(&message).map(Event::Observations)
         }
         FrameKind::Scans => {
@@ -46,6 +47,10 @@ pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> 
         FrameKind::UpdateStart => {
             let message = v1::UpdateStart::decode(payload).map_err(|_| GARBLED)?;
             decode_update_start(&message).map(Event::UpdateStart)
+        }
+        FrameKind::AddState => {
+            let message = v1::NewState::decode(payload).map_err(|_| GARBLED)?;
+            decode_new_state(&message).map(Event::AddState)
         }
     }
 }
@@ -84,7 +89,7 @@ fn check_counts(accepted: usize, columns: [usize; 3], offsets: impl Iterator<Ite
     Ok(())
 }
 
-fn encode_observations(event: &Observations) -> Result<v1::Observations, Invalid> {
+fn encode_observations(event: &Observations) -> Result<v2::event::Observations, Invalid> {
     let lengths = [event.states.len(), event.times_nanos.len(), event.values.len()];
     check_counts(event.states.len(), lengths, event.offsets.iter().map(|run| run.count))?;
     if event.last_sequence < event.first_sequence {
@@ -93,9 +98,9 @@ fn encode_observations(event: &Observations) -> Result<v1::Observations, Invalid
     let (refused_sequences, refused_reasons) = encode_refused(&event.refused)?;
     let times = columns::encode_times(&event.times_nanos)?;
     let (value_encoding, values) = columns::encode_values(&event.values)?;
-    Ok(v1::Observations {
+    Ok(v2::event::Observations {
         producer: event.producer.0,
-        new_producer: event.new_producer.as_ref().map(encode_producer_key),
+        new_producer: event.new_producer.as_ref().map(encode_new_producer),
         incarnation: event.incarnation,
         first_sequence: event.first_sequence,
         last_sequence: event.last_sequence,
@@ -117,7 +122,7 @@ fn encode_observations(event: &Observations) -> Result<v1::Observations, Invalid
     })
 }
 
-fn decode_observations(message: &v1::Observations) -> Result<Observations, Invalid> {
+fn decode_observations(message: &v2::event::Observations) -> Result<Observations, Invalid> {
     let count = message.count as usize;
     check_counts(count, [count; 3], message.offset_counts.iter().copied())?;
     if message.offset_counts.len() != message.offset_secs.len() {
@@ -134,7 +139,7 @@ fn decode_observations(message: &v1::Observations) -> Result<Observations, Inval
     let runs = message.offset_counts.iter().zip(&message.offset_secs);
     Ok(Observations {
         producer: ProducerId(message.producer),
-        new_producer: message.new_producer.as_ref().map(decode_producer_key).transpose()?,
+        new_producer: message.new_producer.as_ref().map(decode_new_producer).transpose()?,
         incarnation: message.incarnation,
         first_sequence: message.first_sequence,
         last_sequence: message.last_sequence,
@@ -182,6 +187,17 @@ pub(super) fn decode_producer_key(key: &V1ProducerKey) -> Result<ProducerKey, In
     ProducerKey::new(&key.producer, &key.label).map_err(|_| "the name of a producer is not valid")
 }
 
+pub(super) fn encode_new_producer(new: &NewProducer) -> v2_map::NewProducer {
+    let V1ProducerKey { producer, label } = encode_producer_key(&new.key);
+    v2_map::NewProducer { producer, label, sensor: sensors::encode(new.sensor) }
+}
+
+pub(super) fn decode_new_producer(new: &v2_map::NewProducer) -> Result<NewProducer, Invalid> {
+    let v2_map::NewProducer { producer, label, sensor } = new;
+    let key = V1ProducerKey { producer: producer.clone(), label: label.clone() };
+    Ok(NewProducer { key: decode_producer_key(&key)?, sensor: sensors::decode(sensor.as_ref())? })
+}
+
 fn encode_new_state(state: &NewState) -> v1::NewState {
     v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind: encode_kind(state.kind) }
 }
@@ -197,12 +213,16 @@ pub(super) fn decode_state_name(name: &str) -> Result<StateName, Invalid> {
 pub(super) fn encode_kind(kind: StateKind) -> u32 {
     match kind {
         StateKind::Probability => 0,
+        StateKind::Continuous => 1,
+        StateKind::Count => 2,
     }
 }
 
 pub(super) fn decode_kind(kind: u32) -> Result<StateKind, Invalid> {
     match kind {
         0 => Ok(StateKind::Probability),
+        1 => Ok(StateKind::Continuous),
+        2 => Ok(StateKind::Count),
         _ => Err("the kind of a state is not known"),
     }
 }

@@ -17,7 +17,7 @@ use tidemap_migrations::v2::event as v2;
 
 use super::{
     Invalid, columns,
-    event::{decode_producer_key, decode_refused, encode_producer_key, encode_refused},
+    event::{decode_new_producer, decode_refused, encode_new_producer, encode_refused},
     offsets,
     tile_set::{push_set, take_set},
     varint::{CUT, push_varint, take_varint, unzigzag, zigzag},
@@ -110,7 +110,7 @@ pub(super) fn encode(event: &Scans) -> Result<v2::Scans, Invalid> {
     let (offset_counts, offset_secs) = offsets::encode(scans.iter().map(|scan| scan.offset_secs));
     Ok(v2::Scans {
         producer: event.producer.0,
-        new_producer: event.new_producer.as_ref().map(encode_producer_key),
+        new_producer: event.new_producer.as_ref().map(encode_new_producer),
         incarnation: event.incarnation,
         first_sequence: event.first_sequence,
         last_sequence: event.last_sequence,
@@ -179,7 +179,7 @@ pub(super) fn decode(message: &v2::Scans) -> Result<Scans, Invalid> {
     }
     Ok(Scans {
         producer: ProducerId(message.producer),
-        new_producer: message.new_producer.as_ref().map(decode_producer_key).transpose()?,
+        new_producer: message.new_producer.as_ref().map(decode_new_producer).transpose()?,
         incarnation: message.incarnation,
         first_sequence: message.first_sequence,
         last_sequence: message.last_sequence,

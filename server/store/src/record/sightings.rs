@@ -3,11 +3,13 @@
 //! Invariant: what is read has passed the constructor of the domain again, and is as large as its bytes, but for times
 //! at equal distances.
 
+use std::sync::Arc;
+
 use tidemap_map::grid::sightings::{SeenAlike, SeenDay, Sightings};
 use tidemap_migrations::v2::grid as v2;
 
 use super::{
-    Invalid, columns,
+    Invalid, columns, sensors,
     varint::{push_varint, take_u32, take_varint, unzigzag, zigzag},
 };
 
@@ -31,12 +33,16 @@ fn encode_day(day: &SeenDay) -> Result<v2::SeenDay, Invalid> {
         push_gaps(&mut lists, list.cells.iter().map(|&cell| u32::from(cell)))?;
         push_gaps(&mut lists, list.toggles.iter().copied())?;
     }
+    let of_scans = day.sensors.as_deref().map_or(&[][..], Vec::as_slice);
+    let (sensor_counts, sensor_numbers) = sensors::encode_runs(of_scans.iter().copied());
     Ok(v2::SeenDay {
         scans: scans.ok_or("a day has more scans than it may have")?,
         first_civil_nanos: day.civil_nanos.first().copied().unwrap_or(0),
         time_unit_nanos: unit.unsigned_abs(),
         times,
         lists,
+        sensor_counts,
+        sensors: sensor_numbers,
     })
 }
 
@@ -76,7 +82,8 @@ fn decode_day(message: &v2::SeenDay) -> Result<SeenDay, Invalid> {
         let cells = cells.into_iter().map(|cell| u16::try_from(cell).map_err(|_| INVALID)).collect::<Result<_, _>>()?;
         lists.push(SeenAlike { cells, toggles: take_gaps(&mut bytes)?.into() });
     }
-    Ok(SeenDay { civil_nanos: civil_nanos.into(), lists })
+    let of_scans = sensors::decode_runs(&message.sensor_counts, &message.sensors, civil_nanos.len())?;
+    Ok(SeenDay { civil_nanos: civil_nanos.into(), sensors: of_scans.map(Arc::new), lists })
 }
 
 fn take_gaps(bytes: &mut &[u8]) -> Result<Vec<u32>, Invalid> {

@@ -6,15 +6,16 @@
 use std::sync::Arc;
 
 use tidemap_map::snapshot::{MapSnapshot, ProducerMark, StateSnapshot};
-use tidemap_migrations::v1::map as v1;
+use tidemap_migrations::{v1::map as v1, v2::map as v2};
 use tidemap_model::{
     Accumulator, AccumulatorParts, Component, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
-    PersistenceParts, SpectralModel, StateModel,
+    PersistenceParts, SpectralModel, StateKind, StateModel,
 };
 
 use super::{
-    Invalid,
+    Invalid, alternatives,
     event::{decode_kind, decode_producer_key, decode_state_name, encode_kind, encode_producer_key},
+    sensors,
 };
 
 /// The snapshot's own numbers. The counts must fit; [`check`] sees to that.
@@ -67,18 +68,19 @@ pub(crate) fn decode(
     })
 }
 
-pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v1::Producer {
-    v1::Producer {
+pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v2::Producer {
+    v2::Producer {
         id,
         key: Some(encode_producer_key(&mark.key)),
         incarnation: mark.incarnation,
         durable_sequence: mark.durable_sequence,
         content_crc: mark.content_crc,
+        sensor: sensors::encode(mark.sensor),
     }
 }
 
 /// The producer that must have number `id`.
-pub(crate) fn decode_producer(id: usize, message: &v1::Producer) -> Result<ProducerMark, Invalid> {
+pub(crate) fn decode_producer(id: usize, message: &v2::Producer) -> Result<ProducerMark, Invalid> {
     if message.id as usize != id {
         return Err("a producer is missing or out of order");
     }
@@ -88,11 +90,12 @@ pub(crate) fn decode_producer(id: usize, message: &v1::Producer) -> Result<Produ
         incarnation: message.incarnation,
         durable_sequence: message.durable_sequence,
         content_crc: message.content_crc,
+        sensor: sensors::decode(message.sensor.as_ref())?,
     })
 }
 
 /// A state, with its spectrum in place.
-pub(crate) fn encode_state(id: u32, state: &StateSnapshot) -> v1::State {
+pub(crate) fn encode_state(id: u32, state: &StateSnapshot) -> v2::State {
     let persistence = state.persistence.to_parts();
     let accumulator = state.model.accumulator().to_parts();
     let spectral = state.model.spectral();
@@ -102,7 +105,10 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot) -> v1::State {
         re_bits: component.gamma_re.to_bits(),
         im_bits: component.gamma_im.to_bits(),
     };
-    v1::State {
+    // Where all count alike their weight is their number.
+    let weight = Some(accumulator.weight).filter(|&weight| weight != accumulator.observations as f64);
+    let known = state.model.alternatives().map(|known| alternatives::encode(known, weight));
+    v2::State {
         id,
         name: state.name.as_str().to_owned(),
         kind: encode_kind(state.kind),
@@ -126,16 +132,17 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot) -> v1::State {
             components: spectral.components().iter().map(component).collect(),
         }),
         // At most 15.
-        order: state.model.order() as u32,
+        order: state.model.best_order() as u32,
         error_sums_bits: errors.sums.iter().map(|sum| sum.to_bits()).collect(),
         errors_last_day: errors.last_day.map(|day| day.0),
+        alternatives: known,
     }
 }
 
 /// The state that must have number `id`.
 pub(crate) fn decode_state(
     id: usize,
-    message: &v1::State,
+    message: &v2::State,
     periodicities: &Periodicities,
 ) -> Result<StateSnapshot, String> {
     if message.id as usize != id {
@@ -146,16 +153,17 @@ pub(crate) fn decode_state(
         change_rate_sum: f64::from_bits(message.change_rate_sum_bits),
         last: message.last.as_ref().map(|last| (last.nanos, f64::from_bits(last.value_bits))),
     };
+    let kind = decode_kind(message.kind)?;
     Ok(StateSnapshot {
         name: decode_state_name(&message.name)?,
-        kind: decode_kind(message.kind)?,
+        kind,
         observations: message.observations,
-        persistence: Persistence::from_parts(persistence).map_err(|error| error.to_string())?,
-        model: Arc::new(decode_model(message, periodicities)?),
+        persistence: Persistence::from_parts_of(kind, persistence).map_err(|error| error.to_string())?,
+        model: Arc::new(decode_model(kind, message, periodicities)?),
     })
 }
 
-fn decode_model(message: &v1::State, periodicities: &Periodicities) -> Result<StateModel, String> {
+fn decode_model(kind: StateKind, message: &v2::State, periodicities: &Periodicities) -> Result<StateModel, String> {
     let sums = message.accumulator.as_ref().ok_or("a state has no accumulator")?;
     let spectral = message.spectral.as_ref().ok_or("a state has no spectral model")?;
     let (numbers, rest) = message.spectrum.as_chunks::<8>();
@@ -164,8 +172,10 @@ fn decode_model(message: &v1::State, periodicities: &Periodicities) -> Result<St
     if !rest.is_empty() || !odd.is_empty() || spectrum.len() != sums.periodicities as usize {
         return Err("a spectrum does not have its length".to_owned());
     }
+    let weight = message.alternatives.as_ref().and_then(|known| known.weight_bits);
     let accumulator = AccumulatorParts {
         observations: sums.observations,
+        weight: weight.map_or(sums.observations as f64, f64::from_bits),
         sum: f64::from_bits(sums.sum_bits),
         sum_squares: f64::from_bits(sums.sum_squares_bits),
         first_nanos: sums.first_nanos,
@@ -184,12 +194,16 @@ fn decode_model(message: &v1::State, periodicities: &Periodicities) -> Result<St
         last_day: message.errors_last_day.map(LocalDay),
     };
     let invalid = |error: tidemap_model::InvalidParts| error.to_string();
-    StateModel::from_parts(
-        Accumulator::from_parts(periodicities, accumulator).map_err(invalid)?,
-        SpectralModel::from_parts(f64::from_bits(spectral.mean_bits), spectral.observations, components)
+    let model = StateModel::from_parts(
+        Accumulator::from_parts_of(kind, periodicities, accumulator).map_err(invalid)?,
+        SpectralModel::from_parts_of(kind, f64::from_bits(spectral.mean_bits), spectral.observations, components)
             .map_err(invalid)?,
         message.order as usize,
         OrderErrors::from_parts(errors).map_err(invalid)?,
     )
-    .map_err(invalid)
+    .map_err(invalid)?;
+    Ok(match &message.alternatives {
+        Some(known) => model.with_alternatives(alternatives::decode(kind, known)?),
+        None => model,
+    })
 }

@@ -13,6 +13,9 @@ use tidemap_map::{
 use tidemap_migrations::v2::map as v2;
 use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 
+/// The prior of a map that says none.
+const PRIOR: f64 = 0.5;
+
 /// The record of a map, and whether its history files replace the beginning of its log.
 pub(crate) fn encode(spec: &MapSpec, history_complete: bool) -> v2::MapSpec {
     let (harmonics_base_nanos, harmonics_count, period_nanos) = match spec.periodicities.definition() {
@@ -34,6 +37,8 @@ pub(crate) fn encode(spec: &MapSpec, history_complete: bool) -> v2::MapSpec {
         retention: Some(encode_retention(spec.retention)),
         grid: spec.grid.as_ref().map(encode_grid),
         history_complete,
+        half_life_nanos: spec.half_life_nanos.unwrap_or(0),
+        prior_bits: Some(spec.prior.to_bits()).filter(|&bits| bits != PRIOR.to_bits()),
     }
 }
 
@@ -54,6 +59,11 @@ pub(crate) fn decode(message: v2::MapSpec) -> Result<MapSpec, String> {
             other => return Err(format!("order criterion {other} is not known")),
         },
         created_nanos: message.created_nanos,
+        half_life_nanos: Some(message.half_life_nanos).filter(|&nanos| nanos != 0),
+        prior: match message.prior_bits.map_or(PRIOR, f64::from_bits) {
+            prior if (0.0..=1.0).contains(&prior) => prior,
+            other => return Err(format!("prior {other} is not between 0 and 1")),
+        },
         retention: message.retention.map_or(Ok(Retention::Forever), decode_retention)?,
         grid: message.grid.map(decode_grid).transpose()?,
     })

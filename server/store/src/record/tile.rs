@@ -6,12 +6,14 @@
 use tidemap_map::grid::{
     index::TileIndex,
     live_tile::{Away, LiveTile},
+    sensors::SensorId,
 };
 use tidemap_migrations::v2::grid as v2;
 
 use super::{
     Invalid,
     cells::{CellsIn, CellsOut, decode_mask, decode_masks, encode_mask},
+    sensors,
     varint::{CUT, push_varint, take_varint, unzigzag, zigzag},
 };
 
@@ -25,6 +27,8 @@ pub(crate) fn encode(tile: &LiveTile, has_model: bool) -> Result<v2::Tile, Inval
         push_varint(&mut away.bytes, zigzag(tile.newest_nanos.wrapping_sub(cell.last_nanos)));
         push_varint(&mut away.bytes, cell.pairs);
     }
+    let is_own = tile.away.iter().all(|away| away.sensor == SensorId::OWN);
+    let away_sensors = if is_own { Vec::new() } else { tile.away.iter().map(|away| away.sensor.0).collect() };
     let mut offsets = CellsOut::default();
     for &(cell, offset) in &tile.offsets {
         offsets.push(cell)?;
@@ -50,6 +54,8 @@ pub(crate) fn encode(tile: &LiveTile, has_model: bool) -> Result<v2::Tile, Inval
         offsets: offsets.bytes,
         change_rates: change_rates.bytes,
         has_model,
+        sensor: u32::from(tile.sensor.0),
+        away_sensors,
     })
 }
 
@@ -68,11 +74,17 @@ pub(crate) fn decode(message: &v2::Tile) -> Result<LiveTile, Invalid> {
     tile.current = decode_mask(&message.current)?;
     tile.newest_nanos = message.newest_nanos;
     tile.scans = message.scans;
+    tile.sensor = sensors::number(message.sensor)?;
+    let mut away_sensors = message.away_sensors.iter();
     let mut away = CellsIn::new(&message.away);
     while let Some(cell) = away.take()? {
         let before = unzigzag(take_varint(&mut away.bytes)?);
         let pairs = count(take_varint(&mut away.bytes)?)?;
-        tile.away.push(Away { cell, last_nanos: message.newest_nanos.wrapping_sub(before), pairs });
+        let sensor = SensorId(away_sensors.next().copied().unwrap_or(0));
+        tile.away.push(Away { cell, sensor, last_nanos: message.newest_nanos.wrapping_sub(before), pairs });
+    }
+    if !message.away_sensors.is_empty() && message.away_sensors.len() != tile.away.len() {
+        return Err("the sensors of a tile differ in number from its cells");
     }
     let mut offsets = CellsIn::new(&message.offsets);
     while let Some(cell) = offsets.take()? {

@@ -8,6 +8,8 @@ use std::sync::Arc;
 use prost::Message as _;
 use tidemap_map::grid::{
     mask::Mask,
+    sensor_sums::{SensorSums, SensorWeights, WeightedSums},
+    sensors::Weights,
     sightings::Sightings,
     tile::{CellModel, Group, TileModel, TileSums},
 };
@@ -25,22 +27,30 @@ use super::{
 
 /// Bytes of a component.
 const COMPONENT: usize = 20;
+/// In place of the number of a shared sum: there is none.
+const NO_SUM: u32 = u32::MAX;
 
 pub(crate) fn encode(model: &TileModel) -> v2::TileModel {
-    let group = |group: &Group| v2::Group {
-        cells: encode_mask(group.cells),
-        observations: group.observations,
-        first_nanos: group.first_nanos,
-        last_nanos: group.last_nanos,
+    let group = |(index, group): (usize, &Group)| {
+        let weights = model.sensors.as_ref().map(|_| model.weights(index));
+        v2::Group {
+            cells: encode_mask(group.cells),
+            observations: group.observations,
+            first_nanos: group.first_nanos,
+            last_nanos: group.last_nanos,
+            alpha_bits: weights.map(|weights| weights.alpha.to_bits()),
+            beta_bits: weights.map(|weights| weights.beta.to_bits()),
+        }
     };
+    let weight = |cell: usize| model.sensors.as_ref().map(|_| model.occupied_weight(cell).to_bits());
     v2::TileModel {
-        groups: model.groups.iter().map(group).collect(),
+        groups: model.groups.iter().enumerate().map(group).collect(),
         always_occupied: encode_mask(model.always_occupied),
-        cells: model.cells.iter().map(encode_cell).collect(),
+        cells: model.cells.iter().enumerate().map(|(at, cell)| encode_cell(cell, weight(at))).collect(),
     }
 }
 
-fn encode_cell(cell: &CellModel) -> v2::Cell {
+fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> v2::Cell {
     let errors = cell.errors.to_parts();
     let mut components = Vec::with_capacity(cell.spectral.components().len() * COMPONENT);
     for component in cell.spectral.components() {
@@ -59,6 +69,7 @@ fn encode_cell(cell: &CellModel) -> v2::Cell {
         order: u32::from(cell.order),
         error_sums,
         errors_last_day: errors.last_day.map(|day| day.0),
+        occupied_weight_bits,
     }
 }
 
@@ -79,7 +90,26 @@ pub(crate) fn decode(message: &v2::TileModel, periodicities: &Periodicities) -> 
     if !cells.is_sorted_by(|one, next| one.cell < next.cell) || cells.iter().any(|cell| !observed.contains(cell.cell)) {
         return Err("the changed cells of a tile are out of order or were never observed".to_owned());
     }
-    Ok(TileModel { groups, always_occupied: decode_mask(&message.always_occupied)?, cells })
+    let sensors = decode_weights(message)?.map(Box::new);
+    Ok(TileModel { groups, always_occupied: decode_mask(&message.always_occupied)?, cells, sensors })
+}
+
+/// What readings count; nothing where all are of the map's own sensor.
+fn decode_weights(message: &v2::TileModel) -> Result<Option<SensorWeights>, Invalid> {
+    const PARTLY: Invalid = "what readings count is not known of all groups and cells of a tile, or is not finite";
+    let parts = || {
+        let groups = message.groups.iter().flat_map(|group| [group.alpha_bits, group.beta_bits]);
+        groups.chain(message.cells.iter().map(|cell| cell.occupied_weight_bits))
+    };
+    if parts().all(|part| part.is_none()) {
+        return Ok(None);
+    }
+    let number = |bits: Option<u64>| bits.map(f64::from_bits).filter(|number| number.is_finite()).ok_or(PARTLY);
+    let group = |group: &v2::Group| Ok(Weights { alpha: number(group.alpha_bits)?, beta: number(group.beta_bits)? });
+    Ok(Some(SensorWeights {
+        groups: message.groups.iter().map(group).collect::<Result<_, Invalid>>()?,
+        occupied: message.cells.iter().map(|cell| number(cell.occupied_weight_bits)).collect::<Result<_, _>>()?,
+    }))
 }
 
 fn decode_cell(message: &v2::Cell, periodicities: &Periodicities) -> Result<CellModel, String> {
@@ -112,13 +142,15 @@ fn decode_component(bytes: &[u8; COMPONENT]) -> Component {
     Component { periodicity, gamma_re: eight(4), gamma_im: eight(12) }
 }
 
-/// The sums of a tile as bytes: how many, which shared sums, the sums of the changed cells, and sightings.
+/// The sums of a tile as bytes: how many, which shared sums, the sums of the changed cells, sightings, and which weighted
+/// sums. `shared`: the numbers of all that it shares, in their order.
 pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) -> Result<(), Invalid> {
+    let (groups, weighted) = shared.split_at_checked(sums.groups.len()).ok_or("a shared sum has no number")?;
     out.clear();
     // A tile has at most 512 of each.
-    out.extend((shared.len() as u32).to_le_bytes());
+    out.extend((groups.len() as u32).to_le_bytes());
     out.extend((sums.cells.len() as u32).to_le_bytes());
-    out.extend(shared.iter().flat_map(|shared| shared.to_le_bytes()));
+    out.extend(groups.iter().flat_map(|shared| shared.to_le_bytes()));
     for cell in &sums.cells {
         doubles::push(out, cell.as_slice());
     }
@@ -128,18 +160,37 @@ pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) ->
         out.extend(length.to_le_bytes());
         out.extend(message);
     }
+    if let Some(sensors) = &sums.sensors {
+        if sums.sightings.is_empty() {
+            out.extend(0_u32.to_le_bytes());
+        }
+        push_weighted(out, weighted, sensors.groups.iter().map(Option::is_some));
+    }
     Ok(())
+}
+
+/// Per group the numbers of two sums.
+fn push_weighted(out: &mut Vec<u8>, numbers: &[u32], has_weighted: impl Iterator<Item = bool>) {
+    let mut numbers = numbers.as_chunks::<2>().0.iter();
+    for has_weighted in has_weighted {
+        let pair = if has_weighted { numbers.next().copied() } else { None }.unwrap_or([NO_SUM; 2]);
+        out.extend(pair.iter().flat_map(|number| number.to_le_bytes()));
+    }
 }
 
 /// The sums of a tile, still as bytes.
 pub(crate) struct EncodedSums<'bytes> {
-    /// Numbers of the shared sums of its groups.
+    /// Numbers of all the sums that it shares: one per group, then two per group that has weighted sums.
     pub(crate) shared: Vec<u32>,
+    /// Number of groups.
+    pub(crate) groups: usize,
+    /// Whether each group has weighted sums; empty where none has.
+    weighted: Vec<bool>,
     /// Sums of its changed cells.
     cells: &'bytes [u8],
     /// Its sightings.
     sightings: Sightings,
-    /// The same as bytes; none where there are none.
+    /// The same as bytes with their length; none where there are none.
     sightings_bytes: &'bytes [u8],
 }
 
@@ -156,21 +207,32 @@ impl EncodedSums<'_> {
         let shared_length = number(groups).checked_mul(4).filter(|&length| length <= rest.len()).ok_or(LENGTH)?;
         let (shared, rest) = rest.split_at(shared_length);
         let cells_length = number(changed).checked_mul(16 * periodicities.len()).filter(|&length| length <= rest.len());
-        let (cells, sightings_bytes) = rest.split_at(cells_length.ok_or(LENGTH)?);
-        let sightings = match sightings_bytes.split_first_chunk::<4>() {
-            Some((&length, message)) if number(length) == message.len() => {
-                let message =
-                    v2::Sightings::decode(message).map_err(|_| "the sightings of a tile are not a message")?;
-                sightings::decode(&message)?
-            }
-            None if sightings_bytes.is_empty() => Sightings::default(),
-            _ => return Err(LENGTH),
+        let (cells, rest) = rest.split_at(cells_length.ok_or(LENGTH)?);
+        let length = match rest.first_chunk::<4>() {
+            Some(&length) => number(length).checked_add(4).filter(|&length| length <= rest.len()).ok_or(LENGTH)?,
+            None if rest.is_empty() => 0,
+            None => return Err(LENGTH),
         };
+        let (sightings_bytes, weighted_bytes) = rest.split_at(length);
+        let message = sightings_bytes.get(4..).unwrap_or_default();
+        let message = v2::Sightings::decode(message).map_err(|_| "the sightings of a tile are not a message")?;
+        let sightings = sightings::decode(&message)?;
+        let (weighted, odd) = weighted_bytes.as_chunks::<8>();
+        if !odd.is_empty() || !(weighted.is_empty() || weighted.len() == number(groups)) {
+            return Err(LENGTH);
+        }
         if !doubles::are_finite(cells) {
             return Err("a sum is not finite");
         }
-        let shared = shared.as_chunks::<4>().0.iter().map(|&bytes| u32::from_le_bytes(bytes)).collect();
-        Ok(EncodedSums { shared, cells, sightings, sightings_bytes })
+        let numbers = |bytes: &[u8]| bytes.as_chunks::<4>().0.iter().map(|&four| u32::from_le_bytes(four)).collect();
+        let mut shared: Vec<u32> = numbers(shared);
+        let pairs: Vec<Vec<u32>> = weighted.iter().map(|pair| numbers(pair)).collect();
+        if pairs.iter().any(|pair| pair.contains(&NO_SUM) && pair[..] != [NO_SUM; 2]) {
+            return Err("a group has one weighted sum without the other");
+        }
+        let weighted = pairs.iter().map(|pair| !pair.contains(&NO_SUM)).collect();
+        shared.extend(pairs.iter().flatten().filter(|&&number| number != NO_SUM));
+        Ok(EncodedSums { shared, groups: number(groups), weighted, cells, sightings, sightings_bytes })
     }
 
     /// Number of changed cells.
@@ -181,7 +243,7 @@ impl EncodedSums<'_> {
     /// The sums, with the shared ones given.
     pub(crate) fn decode(
         &self,
-        groups: Vec<Arc<PhasorSum>>,
+        mut groups: Vec<Arc<PhasorSum>>,
         periodicities: &Periodicities,
     ) -> Result<TileSums, InvalidParts> {
         let mut numbers = Vec::with_capacity(2 * periodicities.len());
@@ -189,17 +251,27 @@ impl EncodedSums<'_> {
             doubles::take(bytes, &mut numbers);
             PhasorSum::from_slice(periodicities, &numbers)
         });
-        Ok(TileSums { groups, cells: cells.collect::<Result<_, _>>()?, sightings: self.sightings.clone() })
+        let mut weighted = groups.split_off(groups.len().min(self.groups)).into_iter();
+        let mut next = |has_weighted: &bool| {
+            let pair = if *has_weighted { weighted.next().zip(weighted.next()) } else { None };
+            pair.map(|(alpha, beta)| WeightedSums { alpha, beta })
+        };
+        let sensors: Vec<Option<WeightedSums>> = self.weighted.iter().map(&mut next).collect();
+        let sensors = (!sensors.is_empty()).then(|| Box::new(SensorSums { groups: sensors }));
+        let cells = cells.collect::<Result<_, _>>()?;
+        Ok(TileSums { groups, cells, sightings: self.sightings.clone(), sensors })
     }
 
     /// The bytes again, with other numbers for the shared sums.
     pub(crate) fn encode_again(&self, shared: &[u32], periodicities: &Periodicities, out: &mut Vec<u8>) {
+        let (groups, weighted) = shared.split_at(shared.len().min(self.groups));
         out.clear();
-        out.extend((shared.len() as u32).to_le_bytes());
+        out.extend((groups.len() as u32).to_le_bytes());
         out.extend((self.cells(periodicities) as u32).to_le_bytes());
-        out.extend(shared.iter().flat_map(|shared| shared.to_le_bytes()));
+        out.extend(groups.iter().flat_map(|shared| shared.to_le_bytes()));
         out.extend_from_slice(self.cells);
         out.extend_from_slice(self.sightings_bytes);
+        push_weighted(out, weighted, self.weighted.iter().copied());
     }
 }
 

@@ -19,7 +19,8 @@ use tidemap_map::{
 };
 use tidemap_model::{
     LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Sample,
-    SpectralModel, StateModel, Zone,
+    SpectralModel, StateModel, UpdateRules, Zone,
+    family::{Calibrated, CalibratedOptions, Readings},
 };
 
 use crate::{AppendError, MapId, MapLog, OpenError, OpenedMap, Source, Store, StoreOptions};
@@ -38,6 +39,8 @@ pub(crate) fn spec(name: &str) -> MapSpec {
         periodicities: Periodicities::harmonics(24 * HOUR_NANOS, 130).expect("valid"),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 1_700_000_000_000_000_000,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::Forever,
         grid: None,
     }
@@ -54,7 +57,7 @@ pub(crate) fn event(position: u64) -> Event {
     let is_first = position == 1;
     Event::Observations(Observations {
         producer: ProducerId(0),
-        new_producer: is_first.then(|| ProducerKey::new("robot", "door").expect("valid")),
+        new_producer: is_first.then(|| ProducerKey::new("robot", "door").expect("valid").into()),
         incarnation: 1,
         first_sequence: position * 100,
         last_sequence: position * 100 + 60,
@@ -90,6 +93,8 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
             incarnation: 1,
             durable_sequence: position * 100,
             content_crc: random.random(),
+            sensor: (position % 3 == 1)
+                .then_some(tidemap_map::grid::sensors::ProducerSensor { hit: 0.75, false_alarm: 0.0625 }),
         }],
         states,
         grid: None,
@@ -106,7 +111,16 @@ pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateS
             value: f64::from(random.random_range(0..2_u8)),
         })
         .collect();
-    model.update(&spec.periodicities, spec.criterion, samples);
+    let half_life_days = random.random_bool(0.5).then_some(3.0);
+    let rules = UpdateRules { half_life_days, ..spec.update_rules() };
+    model.update(&spec.periodicities, rules, samples.clone());
+    if let Ok(calibrated) = Calibrated::fit(Readings::new(&samples), CalibratedOptions::default()) {
+        let next: Vec<Sample> =
+            samples.iter().map(|&sample| Sample { utc_nanos: sample.utc_nanos + 99 * HOUR_NANOS, ..sample }).collect();
+        model = model.refitted(calibrated, LocalDay(4));
+        // Some of them have been scored.
+        model.update(&spec.periodicities, rules, if random.random_bool(0.5) { next } else { Vec::new() });
+    }
     let sums = std::array::from_fn(|_| random.random_range(0.0..9.0));
     let errors = OrderErrors::from_parts(OrderErrorsParts { sums, last_day: Some(LocalDay(19_000)) }).expect("valid");
     let spectral = SpectralModel::from_parts(
@@ -114,7 +128,12 @@ pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateS
         model.spectral().observations(),
         model.spectral().components().to_vec(),
     );
+    let known = model.alternatives().cloned();
     let model = StateModel::from_parts(model.accumulator().clone(), spectral.expect("valid"), 2, errors);
+    let model = model.map(|model| match known {
+        Some(known) => model.with_alternatives(known),
+        None => model,
+    });
     let persistence =
         PersistenceParts { pairs: 7, change_rate_sum: random.random(), last: Some((77, random.random())) };
     StateSnapshot {

@@ -43,6 +43,8 @@ fn spec() -> MapSpec {
         periodicities: Periodicities::list(vec![604_800_000_000_000, 86_400_000_000_000]).expect("valid"),
         criterion: OrderCriterion::ZeroOne,
         created_nanos: 1_700_000_000_123_456_789,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::Forever,
         grid: None,
     }
@@ -51,7 +53,7 @@ fn spec() -> MapSpec {
 fn events() -> Vec<Event> {
     let first = Observations {
         producer: ProducerId(0),
-        new_producer: Some(ProducerKey::new("robot", "door").expect("valid")),
+        new_producer: Some(ProducerKey::new("robot", "door").expect("valid").into()),
         incarnation: 2,
         first_sequence: 1,
         last_sequence: 12,
@@ -98,6 +100,7 @@ fn snapshot() -> MapSnapshot {
     let spec = spec();
     let accumulator = AccumulatorParts {
         observations: 10,
+        weight: 10.0,
         sum: 5.0,
         sum_squares: 4.5,
         first_nanos: 1,
@@ -136,6 +139,7 @@ fn snapshot() -> MapSnapshot {
             incarnation: 2,
             durable_sequence: 15,
             content_crc: 0x1234_5678,
+            sensor: None,
         }],
         states: vec![
             state("Küche", model.expect("valid"), persistence),

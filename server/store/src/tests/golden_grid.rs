@@ -16,6 +16,7 @@ use tidemap_map::{
         live_tile::{Away, LiveTile},
         mask::{Mask, TileMasks},
         scan::{CellRef, LoggedScan, Scans},
+        sensors::SensorId,
         sightings::Sightings,
         snapshot::GridSnapshot,
         spec::{GridSpec, Retention, SensorNoise},
@@ -54,6 +55,8 @@ fn spec() -> MapSpec {
         periodicities: Periodicities::list(vec![604_800_000_000_000, 86_400_000_000_000]).expect("valid"),
         criterion: OrderCriterion::ZeroOne,
         created_nanos: 1_700_000_000_123_456_789,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::Forever,
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
@@ -91,7 +94,7 @@ fn events() -> Vec<Event> {
     };
     let scans = Scans {
         producer: ProducerId(0),
-        new_producer: Some(ProducerKey::new("robot", "lidar").expect("valid")),
+        new_producer: Some(ProducerKey::new("robot", "lidar").expect("valid").into()),
         incarnation: 2,
         first_sequence: 1,
         last_sequence: 8,
@@ -126,7 +129,11 @@ fn sum(parts: [f64; 4]) -> PhasorSum {
 fn day() -> GridDay {
     let mut day = GridDay::new(LocalDay(19_676));
     let seen: Arc<[TileId]> = [TileId(0), TileId(1)].into();
-    let time = |secs: i64| ScanTime { utc_nanos: 1_700_000_100_000_000_000 + secs * 1_000_000_000, offset_secs: 3600 };
+    let time = |secs: i64| ScanTime {
+        utc_nanos: 1_700_000_100_000_000_000 + secs * 1_000_000_000,
+        offset_secs: 3600,
+        sensor: SensorId::OWN,
+    };
     for (secs, first) in [(0, 0), (2, 5), (9, 5), (500, 0)] {
         let scan = day.push(time(secs), &seen);
         day.show(scan, TileId(0), shown(0..64, first..first + 3));
@@ -159,11 +166,13 @@ fn learned() -> (TileModel, TileSums) {
         groups: vec![group(0..40, 4), group(40..64, 3)],
         always_occupied: cells(10..12),
         cells: vec![cell(4, vec![component]), cell(50, vec![])],
+        sensors: None,
     };
     let sums = TileSums {
         groups: vec![Arc::new(sum([1.0, 2.0, -3.0, 0.1])), Arc::new(sum([-0.0, 0.2, 0.3, 0.4]))],
         cells: vec![sum([5.0, 6.0, 7.0, 8.0]), sum([0.5, 0.6, 0.7, 0.8])],
         sightings: Sightings::default(),
+        sensors: None,
     };
     (model, sums)
 }
@@ -176,14 +185,21 @@ fn grid() -> GridSnapshot {
     first.current = cells(0..64);
     first.newest_nanos = 1_700_000_003_000_000_000;
     first.scans = 3;
-    first.away = (64..70).map(|cell| Away { cell, last_nanos: 1_699_000_000_000_000_000, pairs: 7 }).collect();
+    first.away = (64..70)
+        .map(|cell| Away { cell, sensor: SensorId::OWN, last_nanos: 1_699_000_000_000_000_000, pairs: 7 })
+        .collect();
     first.offsets = vec![(5, -3), (63, 2)];
     first.change_rates = vec![(4, 0.25), (5, 0.1)];
     let (model, sums) = learned();
     // The other tile shares a sum with the first, and a third has not been learned.
-    let other_model = TileModel { groups: vec![model.groups[0]], always_occupied: Mask::EMPTY, cells: vec![] };
-    let other_sums =
-        TileSums { groups: vec![Arc::clone(&sums.groups[0])], cells: vec![], sightings: Sightings::default() };
+    let other_model =
+        TileModel { groups: vec![model.groups[0]], always_occupied: Mask::EMPTY, cells: vec![], sensors: None };
+    let other_sums = TileSums {
+        groups: vec![Arc::clone(&sums.groups[0])],
+        cells: vec![],
+        sightings: Sightings::default(),
+        sensors: None,
+    };
     let models = [model, other_model, TileModel::default()];
     let sums = [sums, other_sums, TileSums::default()];
     GridSnapshot {
@@ -195,7 +211,7 @@ fn grid() -> GridSnapshot {
         last_seen: [TileId(0), TileId(2)].into(),
         days: vec![day()],
         ahead: vec![AheadScan {
-            time: ScanTime { utc_nanos: 1_800_000_000_000_000_000, offset_secs: 3600 },
+            time: ScanTime { utc_nanos: 1_800_000_000_000_000_000, offset_secs: 3600, sensor: SensorId::OWN },
             tiles: vec![(TileId(1), shown(0..3, 0..1))],
         }],
         scans: 9,
@@ -235,6 +251,7 @@ fn snapshot() -> MapSnapshot {
             incarnation: 2,
             durable_sequence: 8,
             content_crc: 0x1234_5678,
+            sensor: None,
         }],
         states: Vec::new(),
         grid: Some(grid()),

@@ -96,11 +96,17 @@ fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
         errors: OrderErrors::default(),
     };
     let group = Group { cells: Mask::FULL, observations: 2, first_nanos: 0, last_nanos: 1 };
-    let model = TileModel { groups: vec![group], always_occupied: Mask::EMPTY, cells: (0..70).map(cell).collect() };
+    let model = TileModel {
+        groups: vec![group],
+        always_occupied: Mask::EMPTY,
+        cells: (0..70).map(cell).collect(),
+        sensors: None,
+    };
     let sums = TileSums {
         groups: vec![Arc::new(sum(&spec, &mut random))],
         cells: (0..70).map(|_| sum(&spec, &mut random)).collect(),
         sightings: Sightings::default(),
+        sensors: None,
     };
     let grid = saved.grid.as_mut().expect("has a grid");
     grid.models = vec![ModelSlot::Resident(Arc::new(model))];
@@ -271,8 +277,12 @@ fn a_snapshot_that_could_not_be_read_back_is_refused() {
         ("more models than tiles", |grid, _| grid.tiles.truncate(1)),
         ("a sum of another length", |grid, sum| {
             let groups = vec![Arc::new(sum)];
-            grid.sums[0] =
-                SumsSlot::Resident(Arc::new(TileSums { groups, cells: Vec::new(), sightings: Sightings::default() }));
+            grid.sums[0] = SumsSlot::Resident(Arc::new(TileSums {
+                groups,
+                cells: Vec::new(),
+                sightings: Sightings::default(),
+                sensors: None,
+            }));
         }),
         ("a model without sums", |grid, _| grid.sums[0] = SumsSlot::default()),
         ("a day out of order", |grid, _| {

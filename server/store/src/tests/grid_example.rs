@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Event, ProducerId, RefusalReason, StateId},
+    event::{Event, NewProducer, ProducerId, RefusalReason, StateId},
     grid::{
         day::{GridDay, ScanTime},
         index::{TileId, TileIndex},
@@ -12,6 +12,8 @@ use tidemap_map::{
         live_tile::{Away, LiveTile},
         mask::{Mask, TileMasks},
         scan::{CellRef, LoggedScan, Scans},
+        sensor_sums::{SensorSums, SensorWeights, WeightedSums},
+        sensors::{ProducerSensor, SensorId, Weights},
         sightings::{SeenAlike, SeenDay, Sightings},
         snapshot::GridSnapshot,
         spec::{GridSpec, Retention, SensorNoise},
@@ -82,7 +84,12 @@ pub(crate) fn scans(number: u64, random: &mut SmallRng) -> Event {
     }
     Event::Scans(Scans {
         producer: ProducerId(0),
-        new_producer: random.random_bool(0.3).then(|| ProducerKey::new("robot", "lidar").expect("valid")),
+        new_producer: random.random_bool(0.3).then(|| NewProducer {
+            key: ProducerKey::new("robot", "lidar").expect("valid"),
+            sensor: random
+                .random_bool(0.5)
+                .then(|| ProducerSensor { hit: random.random_range(0.5..1.0), false_alarm: 0.25 }),
+        }),
         incarnation: random.random(),
         first_sequence: number * 100,
         last_sequence: number * 100 + 60,
@@ -96,15 +103,27 @@ pub(crate) fn scans(number: u64, random: &mut SmallRng) -> Event {
     })
 }
 
+/// Sensors of a map: mostly its own alone.
+fn sensors(random: &mut SmallRng) -> u8 {
+    [0, 0, 3, 255][random.random_range(0..4)]
+}
+
+/// One of those.
+fn sensor(most: u8, random: &mut SmallRng) -> SensorId {
+    SensorId(if most == 0 { 0 } else { random.random_range(0..=most) })
+}
+
 pub(crate) fn live_tile(index: TileIndex, random: &mut SmallRng) -> LiveTile {
     let mut tile = LiveTile::new(index);
+    let most = sensors(random);
+    tile.sensor = sensor(most, random);
     tile.arrival = masks(random);
     tile.current = mask(random);
     tile.newest_nanos = random.random_range(0..i64::MAX);
     tile.scans = random.random_range(0..1_000_000);
     for cell in mask(random).without(tile.current).cells() {
         let last_nanos = tile.newest_nanos.wrapping_sub(random.random_range(0..DAY_NANOS));
-        tile.away.push(Away { cell, last_nanos, pairs: random.random_range(0..1000) });
+        tile.away.push(Away { cell, sensor: sensor(most, random), last_nanos, pairs: random.random_range(0..1000) });
         tile.known.insert(cell);
     }
     tile.known |= tile.current;
@@ -169,6 +188,22 @@ pub(crate) fn learned(
     if random.random_bool(0.5) {
         sums.sightings = sightings(random);
     }
+    if random.random_bool(0.4) {
+        let mut number = || random.random_range(-1e3..1e3);
+        let groups = model.groups.iter().map(|_| Weights { alpha: number(), beta: number() }).collect();
+        let occupied = model.cells.iter().map(|_| number()).collect();
+        model.sensors = Some(Box::new(SensorWeights { groups, occupied }));
+        let mut groups: Vec<Option<WeightedSums>> = Vec::new();
+        for _ in &model.groups {
+            let mut pick = || match shared.get(random.random_range(0..shared.len() + 1)) {
+                Some(shared) => Arc::clone(shared),
+                None => Arc::new(sum(spec, random)),
+            };
+            let weighted = WeightedSums { alpha: pick(), beta: pick() };
+            groups.push(Some(weighted).filter(|_| random.random_bool(0.6)));
+        }
+        sums.sensors = Some(Box::new(SensorSums { groups }));
+    }
     (model, sums)
 }
 
@@ -188,7 +223,12 @@ fn sightings(random: &mut SmallRng) -> Sightings {
         };
         let some = mask(&mut SmallRng::seed_from_u64(u64::from(scans)));
         let others = Mask::FULL.without(some);
-        SeenDay { civil_nanos, lists: [some, others].map(list).into() }
+        let lists = [some, others].map(list).into();
+        // A day of the map's own sensor alone has none.
+        let most = sensors(random);
+        let ids = (0..scans).map(|scan| if scan == 0 { SensorId(most) } else { sensor(most, random) });
+        let sensors = (most > 0).then(|| Arc::new(ids.collect()));
+        SeenDay { civil_nanos, sensors, lists }
     });
     Sightings::from_days(days.collect()).expect("valid")
 }
@@ -197,12 +237,14 @@ fn sightings(random: &mut SmallRng) -> Sightings {
 pub(crate) fn day(day: i32, tiles: u32, random: &mut SmallRng) -> GridDay {
     let mut kept = GridDay::new(LocalDay(day));
     let mut seen: Arc<[TileId]> = Arc::default();
+    let most = sensors(random);
     for scan in 0..random.random_range(1..60_i64) {
         if scan == 0 || random.random_bool(0.2) {
             seen = (0..tiles).map(TileId).filter(|_| random.random_bool(0.6)).collect();
         }
         let utc_nanos = i64::from(day) * DAY_NANOS + scan * 1_000_000_000;
-        let number = kept.push(ScanTime { utc_nanos, offset_secs: if scan < 30 { 0 } else { 3600 } }, &seen);
+        let (offset_secs, sensor) = (if scan < 30 { 0 } else { 3600 }, sensor(most, random));
+        let number = kept.push(ScanTime { utc_nanos, offset_secs, sensor }, &seen);
         for &tile in seen.iter() {
             if kept.tile(tile).is_none() || random.random_bool(0.3) {
                 let shown = match kept.tile(tile) {
@@ -248,7 +290,9 @@ pub(crate) fn grid(spec: &MapSpec, tiles: u32, random: &mut SmallRng) -> GridSna
         grid.days.push(day(19_000 + number, tiles, random));
     }
     for _ in 0..random.random_range(0..3) {
-        let time = ScanTime { utc_nanos: random.random_range(0..i64::MAX), offset_secs: -3600 };
+        let most = sensors(random);
+        let (utc_nanos, sensor) = (random.random_range(0..i64::MAX), sensor(most, random));
+        let time = ScanTime { utc_nanos, offset_secs: -3600, sensor };
         let shown = (0..tiles).map(|tile| (TileId(tile), masks(random))).collect();
         grid.ahead.push(AheadScan { time, tiles: shown });
     }

@@ -1,12 +1,19 @@
 //! A map with a grid through the store and back: what goes on from a checkpoint is what would have gone on without.
 
-use std::{collections::VecDeque, sync::Arc};
+use std::{
+    collections::VecDeque,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
     event::{Event, ProducerId, UpdateCause, UpdateStart},
     grid::{
         index::{TileId, TileIndex},
+        progress::{DoneTile, TileNote, UpdateJournal},
         scan::{CellRef, LoggedScan, Scans},
     },
     live_map::LiveMap,
@@ -19,7 +26,7 @@ use super::{
     example::{append, options},
     grid_example::{DAY_NANOS, spec},
 };
-use crate::{MapId, Source, Store, StoreOptions};
+use crate::{MapId, Source, Store, StoreOptions, UpdateFile};
 
 const TILES: u32 = 6;
 const EVENTS: u64 = 12;
@@ -50,7 +57,7 @@ fn events() -> Vec<Event> {
         let tiles = (0..TILES as i32).map(|x| TileIndex { x, y: 0, z: 0 });
         events.push(Event::Scans(Scans {
             producer: ProducerId(0),
-            new_producer: is_first.then(|| ProducerKey::new("robot", "lidar").expect("valid")),
+            new_producer: is_first.then(|| ProducerKey::new("robot", "lidar").expect("valid").into()),
             incarnation: 1,
             first_sequence: first,
             last_sequence: first + PER_EVENT - 1,
@@ -127,5 +134,74 @@ fn a_map_goes_on_from_its_checkpoint_as_if_nothing_had_happened() {
             }
         }
         assert_eq!(newest.as_ref().map(|snapshot| &snapshot.grid), Some(&expected.grid), "{tile_cache_bytes} bytes");
+    }
+}
+
+/// The file of an update in a process that ends after so many notes.
+struct Cut<'file> {
+    file: &'file UpdateFile,
+    left: AtomicUsize,
+}
+
+impl UpdateJournal for Cut<'_> {
+    fn resume(&self) -> Vec<DoneTile> {
+        self.file.resume()
+    }
+
+    fn note(&self, tiles: &[TileNote<'_>]) {
+        let take = |left: usize| left.checked_sub(1);
+        if self.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, take).is_ok() {
+            self.file.note(tiles);
+        }
+    }
+}
+
+#[test]
+fn an_update_that_was_cut_off_goes_on_from_its_file() {
+    let spec = spec("office");
+    let events = events();
+    let expected = last_snapshot(&spec, &events);
+    let (update, before) = events.split_last().expect("some");
+    for tile_cache_bytes in [0, 5000, 1 << 30] {
+        let directory = tempfile::tempdir().expect("temporary directory");
+        let options = || StoreOptions { tile_cache_bytes, ..options() };
+        {
+            let store = Store::open(directory.path(), options()).expect("opens");
+            let id = store.create_map(&spec).expect("creates");
+            let opened = store.open_map(id, &spec).expect("opens");
+            let mut map = LiveMap::new(Arc::new(spec.clone()));
+            for event in before {
+                let position = append(&opened.log, event).expect("appends");
+                if let Some(snapshot) = apply(&mut map, position, event) {
+                    store.save(id, &snapshot).expect("saves");
+                }
+            }
+            append(&opened.log, update).expect("appends");
+        }
+        let mut resumed = Vec::new();
+        // Two days, each noted for all tiles at once: nothing is noted, then one day, then the other.
+        for notes in [0, 1, 0, usize::MAX, 0] {
+            let store = Store::open(directory.path(), options()).expect("opens");
+            let opened = store.open_map(MapId(1), &spec).expect("opens");
+            let snapshot = opened.snapshot.expect("saved");
+            let covered = snapshot.position;
+            let mut map = LiveMap::restore(Arc::new(spec.clone()), snapshot);
+            let mut work = None;
+            for item in opened.replay {
+                let (position, event) = item.expect("readable");
+                if position <= covered {
+                    map.recover_pending(position, &event).expect("fits");
+                } else if let Some(started) = map.apply(position, &event).expect("fits") {
+                    work = Some(started);
+                }
+            }
+            let work = work.expect("repeated");
+            let file = store.update_file(MapId(1), &work.identity()).expect("known");
+            resumed.push(file.resumed());
+            let cut = Cut { file: &file, left: AtomicUsize::new(notes) };
+            let snapshot = map.finish_update(work.run_noting(&Default::default(), &cut, 0).expect("runs"));
+            assert_eq!(snapshot.grid, expected.grid, "{tile_cache_bytes} bytes, {notes} notes");
+        }
+        assert_eq!(resumed, [0, 0, TILES as usize, TILES as usize, TILES as usize], "{tile_cache_bytes} bytes");
     }
 }

@@ -7,6 +7,7 @@ use tidemap_map::{
     event::StateId,
     grid::{day::GridDay, index::TileId, spec::Retention},
     history::{HistoryDay, HistoryPiece},
+    refit::WantedReadings,
     snapshot::MapSnapshot,
     spec::MapSpec,
 };
@@ -97,6 +98,42 @@ fn observations_of_a_state_are_found_again_by_time() {
 }
 
 #[test]
+fn many_states_are_found_as_each_is_by_itself() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let pieces = pieces(5);
+    let history = fill(directory.path(), &spec("office"), &pieces).history(MAP).expect("known");
+    let start = 19_001 * DAY_NANOS;
+    // In any order, one of them twice, one that there is not.
+    let wanted: Vec<WantedReadings> =
+        [(4, 0), (0, start + DAY_NANOS), (9, 0), (3, i64::MIN), (0, start), (1, i64::MAX)]
+            .map(|(state, from_nanos)| WantedReadings { state: StateId(state), from_nanos })
+            .to_vec();
+    for before in [u64::MAX, 4, 0] {
+        let history = history.clone().before(before);
+        let files = history.state_files().expect("readable");
+        let found = files.readings(&wanted).expect("readable");
+        assert_eq!(found.len(), wanted.len());
+        for (wanted, found) in wanted.iter().zip(&found) {
+            let alone = history.state(wanted.state, wanted.from_nanos, i64::MAX).expect("readable");
+            assert_eq!(found, &alone, "{wanted:?} before {before}");
+        }
+        assert_eq!(found[0].is_empty(), before == 0);
+        assert!(files.readings(&[]).expect("nothing to read").is_empty());
+    }
+    // A file that has been deleted since, as one beyond the retention is, is one that was never there.
+    let files = history.state_files().expect("readable");
+    let path = directory.path().join("maps/00000001/history").join(&names(directory.path())[0]);
+    fs::remove_file(&path).expect("removed");
+    let without = history.state_files().expect("readable").readings(&wanted).expect("readable");
+    assert_eq!(files.readings(&wanted).expect("readable"), without);
+    // One that is damaged is named.
+    let damaged = directory.path().join("maps/00000001/history").join(names(directory.path()).last().expect("a file"));
+    fs::write(&damaged, "nothing").expect("written");
+    let error = files.readings(&wanted).expect_err("damaged").to_string();
+    assert!(error.contains(&damaged.display().to_string()), "{error}");
+}
+
+#[test]
 fn days_of_the_grid_are_found_again_by_time_and_tile() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let pieces = pieces(4);
@@ -122,7 +159,11 @@ fn many_states_and_tiles_are_found_through_the_table() {
     for number in 0..3 {
         let mut day = GridDay::new(tidemap_model::LocalDay(number));
         let seen: Arc<[TileId]> = (0..5000).map(|tile| TileId(tile * 2)).collect();
-        let time = tidemap_map::grid::day::ScanTime { utc_nanos: i64::from(number), offset_secs: 0 };
+        let time = tidemap_map::grid::day::ScanTime {
+            utc_nanos: i64::from(number),
+            offset_secs: 0,
+            sensor: tidemap_map::grid::sensors::SensorId::OWN,
+        };
         let scan = day.push(time, &seen);
         for &tile in seen.iter() {
             day.show(scan, tile, super::grid_example::masks(&mut random));

@@ -1,18 +1,21 @@
 //! What is written is read, to the last bit.
 
+use std::sync::Arc;
+
 use proptest::{collection::vec, option, prelude::*};
-use rand::{SeedableRng as _, rngs::SmallRng};
+use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
     event::{
-        Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind, UpdateCause,
-        UpdateStart,
+        Event, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind,
+        UpdateCause, UpdateStart,
     },
-    grid::spec::Retention,
+    grid::{sensors::ProducerSensor, spec::Retention},
     name::{MapName, ProducerKey, StateName},
+    snapshot::StateSnapshot,
     spec::MapSpec,
 };
 use tidemap_migrations::v2::log::FrameKind;
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{OrderCriterion, Periodicities, Persistence, Sample, StateModel, Zone};
 
 use super::example::{snapshot, state};
 use crate::record;
@@ -24,6 +27,7 @@ fn values() -> impl Strategy<Value = Vec<f64>> {
         (0.0..=1.0, 0..40_usize).prop_map(|(value, count)| vec![value; count]),
         (prop_oneof![Just(0.0), Just(1.0), Just(-0.0)], 0..40_usize).prop_map(|(value, count)| vec![value; count]),
         vec((0..=1000_u16).prop_map(|thousandth| f64::from(f32::from(thousandth) / 1000.0)), 0..100),
+        vec(prop_oneof![-1e12..=1e12, Just(1e12), Just(-0.0), (0..1000_u32).prop_map(f64::from)], 0..100),
         vec(prop_oneof![0.0..=1.0, Just(-0.0), Just(f64::MIN_POSITIVE), Just(1.0 - f64::EPSILON)], 0..100),
     ]
 }
@@ -47,7 +51,7 @@ fn observations() -> impl Strategy<Value = Event> {
         ];
         (states, times(count), Just(values), 0..=count as u32, any::<(i32, i32)>())
     });
-    let key = option::of(("[a-zü]{1,9}", "[a-zü]{0,9}"));
+    let key = option::of(("[a-zü]{1,9}", "[a-zü]{0,9}", option::of((0.5..=1.0, 0.0..0.5))));
     let refused = vec((0..1000_u64, 0..6_u8), 0..20);
     let numbers = any::<(u32, u64, u64, u32, u32, i64)>();
     (columns, key, refused, numbers, vec("[a-zü ]{1,20}", 0..5)).prop_map(|(columns, key, refused, numbers, names)| {
@@ -57,7 +61,10 @@ fn observations() -> impl Strategy<Value = Event> {
         let mut sequence = 0;
         Event::Observations(Observations {
             producer: ProducerId(producer),
-            new_producer: key.map(|(producer, label)| ProducerKey::new(&producer, &label).expect("valid")),
+            new_producer: key.map(|(producer, label, sensor)| NewProducer {
+                key: ProducerKey::new(&producer, &label).expect("valid"),
+                sensor: sensor.map(|(hit, false_alarm)| ProducerSensor { hit, false_alarm }),
+            }),
             incarnation,
             first_sequence,
             last_sequence: first_sequence.saturating_add(u64::from(length)),
@@ -68,7 +75,7 @@ fn observations() -> impl Strategy<Value = Event> {
                 .map(|(id, name)| NewState {
                     id: StateId(id),
                     name: StateName::new(&name).expect("valid"),
-                    kind: StateKind::Probability,
+                    kind: StateKind::ALL[id as usize % 3],
                 })
                 .collect(),
             states: states.into_iter().map(StateId).collect(),
@@ -108,11 +115,18 @@ fn update_start() -> impl Strategy<Value = Event> {
         .prop_map(|(generation, cut_nanos, cause)| Event::UpdateStart(UpdateStart { generation, cut_nanos, cause }))
 }
 
+fn add_state() -> impl Strategy<Value = Event> {
+    (any::<u32>(), "[a-zü ]{1,20}", 0..3_usize).prop_map(|(id, name, kind)| {
+        let name = StateName::new(&name).expect("valid");
+        Event::AddState(NewState { id: StateId(id), name, kind: StateKind::ALL[kind] })
+    })
+}
+
 /// Equal to the bit: 0.0 and -0.0 differ.
 fn bits(event: &Event) -> Vec<u64> {
     match event {
         Event::Observations(observations) => observations.values.iter().map(|value| value.to_bits()).collect(),
-        Event::Scans(_) | Event::UpdateStart(_) => Vec::new(),
+        Event::Scans(_) | Event::UpdateStart(_) | Event::AddState(_) => Vec::new(),
     }
 }
 
@@ -120,7 +134,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn events_come_back(event in prop_oneof![9 => observations(), 1 => update_start()]) {
+    fn events_come_back(event in prop_oneof![9 => observations(), 1 => update_start(), 1 => add_state()]) {
         let (kind, payload) = record::event::encode(&event).expect("valid");
         let found = record::event::decode(kind, &payload).expect("readable");
         prop_assert_eq!(bits(&found), bits(&event));
@@ -129,7 +143,7 @@ proptest! {
 
     #[test]
     fn no_payload_panics_or_takes_endless_memory(payload in vec(any::<u8>(), 0..200)) {
-        for kind in [FrameKind::Observations, FrameKind::UpdateStart, FrameKind::Scans] {
+        for kind in [FrameKind::Observations, FrameKind::UpdateStart, FrameKind::Scans, FrameKind::AddState] {
             let _ = record::event::decode(kind, &payload);
         }
     }
@@ -158,6 +172,31 @@ proptest! {
     }
 
     #[test]
+    fn states_of_other_kinds_come_back(seed in any::<u64>(), scale in 1e-3..1e9_f64, is_count: bool) {
+        let spec = super::example::spec("office");
+        let mut random = SmallRng::seed_from_u64(seed);
+        let of_unit = state(&spec, "speed", &mut random);
+        let kind = if is_count { StateKind::Count } else { StateKind::Continuous };
+        let value = |unit: f64| if is_count { (unit * scale).round() } else { (unit - 0.5) * scale };
+        let samples = (0..50_i64).map(|hour| Sample {
+            utc_nanos: hour * 3_600_000_000_000,
+            offset_secs: 0,
+            value: value(random.random()),
+        });
+        let mut model = StateModel::of_kind(kind);
+        model.update(&spec.periodicities, spec.update_rules(), samples.collect());
+        let last = value(random.random());
+        let mut persistence = Persistence::default();
+        persistence.observe(1, value(0.25));
+        persistence.observe(2, last);
+        let state = StateSnapshot { kind, persistence, model: Arc::new(model), ..of_unit };
+        let message = record::snapshot::encode_state(7, &state);
+        prop_assert_eq!(record::snapshot::decode_state(7, &message, &spec.periodicities), Ok(state));
+        let as_probability = tidemap_migrations::v2::map::State { kind: 0, ..message };
+        prop_assert!(last <= 1.0 || record::snapshot::decode_state(7, &as_probability, &spec.periodicities).is_err());
+    }
+
+    #[test]
     fn specs_come_back(base in 86_400_000_000_000..=604_800_000_000_000_i64, count in 1..=100_u32, is_list: bool) {
         let periodicities = if is_list {
             Periodicities::list((1..=i64::from(count)).map(|k| base / k).collect())
@@ -170,6 +209,8 @@ proptest! {
             periodicities: periodicities.expect("valid"),
             criterion: if is_list { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError },
             created_nanos: base,
+            half_life_nanos: None,
+            prior: 0.5,
             retention: Retention::Forever,
             grid: None,
         };

@@ -58,7 +58,7 @@ impl LiveGrid {
                 day.show(number, id, masks);
             }
             for (id, masks) in scan.tiles {
-                self.show_tile(id, scan.time.utc_nanos, masks);
+                self.show_tile(id, scan.time, masks);
             }
         }
     }

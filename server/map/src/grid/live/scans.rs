@@ -1,7 +1,7 @@
 //! Logged scans into a grid: what each one changes, and only that.
 //!
-//! Scans that follow each other, each newer than the one before, and that saw the same tiles are like scans: of them a
-//! tile is touched only by those that flip a bit of it.
+//! Scans that follow each other, each newer than the one before, that saw the same tiles with the same sensor are like
+//! scans: of them a tile is touched only by those that flip a bit of it.
 //!
 //! Invariant: while a run of like scans goes on, each of its tiles has shown its `arrival` masks since the run's scan
 //! that last flipped them.
@@ -17,6 +17,7 @@ use super::{
         live_tile::{LikeScans, LiveTile},
         mask::TileMasks,
         scan::{CellRef, LoggedScan, Scans},
+        sensors::{ProducerSensor, SensorId},
     },
     AheadScan, LiveGrid, Previous,
 };
@@ -95,28 +96,30 @@ impl LiveGrid {
         Ok(())
     }
 
-    /// Takes in scans that [`LiveGrid::check`] has let pass. Gives the greatest time that did not have to wait.
-    pub(crate) fn take_in(&mut self, event: &Scans) -> Option<i64> {
+    /// Takes in scans that [`LiveGrid::check`] has let pass, made with this sensor of their producer. Gives the greatest time
+    /// that did not have to wait.
+    pub(crate) fn take_in(&mut self, event: &Scans, sensor: Option<ProducerSensor>) -> Option<i64> {
+        let sensor = self.sensors.find(sensor).unwrap_or_default();
         for &index in &event.new_tiles {
             self.add_tile(Arc::new(LiveTile::new(index)));
         }
         let plausible = event.plausible_nanos();
         let mut newest = None;
         for scan in &event.scans {
-            if self.take_in_scan(scan, plausible) {
+            if self.take_in_scan(scan, sensor, plausible) {
                 newest = newest.max(Some(scan.utc_nanos));
             }
         }
         newest
     }
 
-    fn take_in_scan(&mut self, scan: &LoggedScan, plausible: i64) -> bool {
+    fn take_in_scan(&mut self, scan: &LoggedScan, sensor: SensorId, plausible: i64) -> bool {
         if let Some(seen) = &scan.seen {
             self.last_seen = Arc::clone(seen);
         }
         let seen = Arc::clone(&self.last_seen);
         self.scans += 1;
-        let time = ScanTime { utc_nanos: scan.utc_nanos, offset_secs: scan.offset_secs };
+        let time = ScanTime { utc_nanos: scan.utc_nanos, offset_secs: scan.offset_secs, sensor };
         let flips = Flips { observed: &scan.observed_flips, occupied: &scan.occupied_flips };
         if scan.utc_nanos > plausible {
             self.flip_arrivals(flips);
@@ -132,7 +135,8 @@ impl LiveGrid {
         }
         let day = LocalDay::of_civil_nanos(time.civil_nanos());
         let same = self.previous.take().filter(|previous| previous.day == day && Arc::ptr_eq(&previous.seen, &seen));
-        let goes_on = self.run_seen.as_ref().is_some_and(|run| Arc::ptr_eq(run, &seen));
+        let is_run = self.run_seen.as_ref().is_some_and(|run| Arc::ptr_eq(run, &seen));
+        let goes_on = is_run && self.run_sensor == sensor;
         let observed = match same {
             Some(previous) if goes_on && scan.utc_nanos > self.run.newest_nanos => {
                 previous.observed.saturating_add_signed(self.take_in_like(day, time, &seen, flips))
@@ -175,7 +179,7 @@ impl LiveGrid {
             let (masks, more) = flips.flip(id, tile.arrival);
             tile.arrival = masks;
             tile.settle(run);
-            tile.observe(time.utc_nanos, masks);
+            tile.observe(time, masks, &self.sensors);
             tile.joined = Some(next.count);
             more_observed += more;
             changes += kept.show(scan, id, masks);
@@ -194,7 +198,7 @@ impl LiveGrid {
         for &id in seen.iter() {
             let Some(arrival) = self.arrival(id) else { continue };
             changes += Self::day_of(&mut self.days, day).show(scan, id, arrival);
-            all_newer &= self.show_tile(id, time.utc_nanos, arrival);
+            all_newer &= self.show_tile(id, time, arrival);
         }
         self.pending_changes += changes;
         if all_newer {
@@ -204,20 +208,20 @@ impl LiveGrid {
                 }
             }
             self.run = LikeScans { count: 0, newest_nanos: time.utc_nanos };
-            self.run_seen = Some(Arc::clone(seen));
+            (self.run_seen, self.run_sensor) = (Some(Arc::clone(seen)), time.sensor);
         }
     }
 
     /// Shows what a scan saw of a settled tile to its last values and persistence. Gives whether the scan is newer than
     /// all before that saw the tile.
-    pub(super) fn show_tile(&mut self, id: TileId, utc_nanos: i64, masks: TileMasks) -> bool {
+    pub(super) fn show_tile(&mut self, id: TileId, time: ScanTime, masks: TileMasks) -> bool {
         let Some(tile) = self.tiles.get_mut(id.0 as usize) else { return true };
-        let is_newer = tile.is_newer(utc_nanos);
+        let is_newer = tile.is_newer(time.utc_nanos);
         if is_newer {
-            Arc::make_mut(tile).observe(utc_nanos, masks);
+            Arc::make_mut(tile).observe(time, masks, &self.sensors);
             self.touch(id);
         } else if !masks.observed().without(tile.current).is_empty() {
-            Arc::make_mut(tile).observe_late(utc_nanos, masks);
+            Arc::make_mut(tile).observe_late(time, masks, &self.sensors);
             self.touch(id);
         }
         is_newer

@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use super::*;
 use crate::{
-    event::{Event, ProducerId, UpdateCause},
+    event::{Event, NewProducer, ProducerId, UpdateCause},
     grid::{
         scan::{CellRef, LoggedScan, Scans},
+        spec::SensorNoise,
         tests::world::spec,
     },
     live_map::LiveMap,
@@ -16,7 +17,7 @@ use crate::{
 fn scans(new_tiles: &[i32], scans: Vec<LoggedScan>) -> Scans {
     Scans {
         producer: ProducerId(0),
-        new_producer: Some(ProducerKey::new("robot", "").expect("valid")),
+        new_producer: Some(ProducerKey::new("robot", "").expect("valid").into()),
         incarnation: 1,
         first_sequence: 1,
         last_sequence: 9,
@@ -98,4 +99,60 @@ fn tiles_of_scans_that_wait_are_counted_until_their_time_has_come() {
     assert_eq!(restored.grid().expect("a grid").ahead_tiles(), 1);
     update(&mut restored, 4, ahead(20));
     assert_eq!(restored.grid().expect("a grid").ahead_tiles(), 0);
+}
+
+#[test]
+fn a_scan_of_another_sensor_changes_what_the_cells_before_it_count_as() {
+    let spec = Arc::new(spec(&mut 1));
+    let noise = spec.grid.as_ref().expect("a grid").sensor;
+    let mut map = LiveMap::new(Arc::clone(&spec));
+    let other = ProducerSensor { hit: 0.6, false_alarm: 0.3 };
+    let levels = [noise.levels(), SensorNoise { hit: other.hit, false_alarm: other.false_alarm, ..noise }.levels()];
+    let mut expected = tidemap_model::Persistence::default();
+    // Both see the same cells as they are, two scans each in turn.
+    for (position, utc_nanos) in (1_u64..).zip((100_000_000_000..).step_by(7_000_000_000)).take(6) {
+        let producer = u32::try_from(position % 2).expect("0 or 1");
+        let (turn, is_first) = (position.div_ceil(2), position <= 2);
+        let scan = |utc_nanos, seen: bool, observed: &[u32]| LoggedScan {
+            utc_nanos,
+            seen: seen.then(|| Arc::from([TileId(0)])),
+            ..scan(&[], observed)
+        };
+        let observed: &[u32] = if position == 1 { &[7, 8] } else { &[] };
+        let times = [utc_nanos, utc_nanos + 3_000_000_000];
+        let key = ProducerKey::new(&format!("robot{producer}"), "").expect("valid");
+        let event = Scans {
+            producer: ProducerId(1 - producer),
+            new_producer: is_first.then_some(NewProducer { key, sensor: (producer == 0).then_some(other) }),
+            first_sequence: turn * 2 - 1,
+            last_sequence: turn * 2,
+            received_nanos: times[1],
+            ..scans(
+                if position == 1 { &[0] } else { &[] },
+                vec![scan(times[0], position == 1, observed), scan(times[1], false, &[])],
+            )
+        };
+        map.apply(position, &Event::Scans(event)).expect("consistent");
+        for time in times {
+            expected.observe(time, levels[usize::from(producer == 0)].0);
+        }
+        let view = map.publish();
+        let cell = TileIndex { x: 0, y: 0, z: 0 }.cell(8);
+        let found = view.grid().expect("a grid").describe(cell).expect("in memory").expect("observed").persistence;
+        let (found, expected) = (found.to_parts(), expected.to_parts());
+        assert_eq!((found.pairs, found.last), (expected.pairs, expected.last), "{position}");
+        assert!((found.change_rate_sum - expected.change_rate_sum).abs() < 1e-12, "{found:?} {expected:?}");
+        assert_eq!(found.change_rate_sum > 0.0, position > 1);
+    }
+}
+
+#[test]
+fn a_producer_that_cannot_have_its_sensor_is_refused() {
+    let mut map = LiveMap::new(Arc::new(spec(&mut 1)));
+    let sensor = Some(ProducerSensor { hit: 0.2, false_alarm: 0.3 });
+    let key = ProducerKey::new("robot", "").expect("valid");
+    let event = Scans { new_producer: Some(NewProducer { key, sensor }), ..scans(&[], vec![]) };
+    let refused = map.apply(1, &Event::Scans(event)).expect_err("refused");
+    assert!(refused.reason.contains("hit 0.2, false alarm 0.3"), "{refused}");
+    assert_eq!((map.producers(), map.grid().map(|grid| grid.sensors().others())), (0, Some(0)));
 }

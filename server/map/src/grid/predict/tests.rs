@@ -8,10 +8,13 @@ use tidemap_model::{Component, OrderCriterion, OrderErrors, Periodicities, Spect
 use super::*;
 use crate::{
     grid::{
+        day::ScanTime,
         generation::Generation,
         live::TILE_CHUNK,
         live_tile::LikeScans,
         mask::TileMasks,
+        sensor_sums::SensorWeights,
+        sensors::{ProducerSensor, SensorId, Weights},
         spec::{GridSpec, Retention, SensorNoise},
         tile::{CellModel, Group},
     },
@@ -28,7 +31,10 @@ struct Tile {
     learned: Mask,
     always: Mask,
     cells: Vec<(u16, u8, f64, f64)>,
-    seen: Vec<(Mask, Mask)>,
+    /// What was observed and occupied, and with which sensor.
+    seen: Vec<(Mask, Mask, u8)>,
+    /// How many of the readings that were learned are of another sensor.
+    learned_others: Option<u8>,
 }
 
 fn mask() -> impl Strategy<Value = Mask> {
@@ -43,20 +49,21 @@ fn mask() -> impl Strategy<Value = Mask> {
 fn tile() -> impl Strategy<Value = Tile> {
     let learned = prop_oneof![Just(Mask::EMPTY), Just(Mask::FULL), mask()];
     let cells = proptest::collection::vec((0..512_u16, 0..4_u8, 0.0..1.0_f64, -0.4..0.4_f64), 0..40);
-    (learned, mask(), cells, proptest::collection::vec((mask(), mask()), 0..3)).prop_map(
-        |(learned, always, mut cells, seen)| {
+    let seen = proptest::collection::vec((mask(), mask(), 0..3_u8), 0..3);
+    (learned, mask(), cells, seen, proptest::option::of(0..9_u8)).prop_map(
+        |(learned, always, mut cells, seen, learned_others)| {
             cells.retain(|(cell, ..)| learned.contains(*cell));
             cells.sort_by_key(|(cell, ..)| *cell);
             cells.dedup_by_key(|(cell, ..)| *cell);
             let mut changed = Mask::EMPTY;
             cells.iter().for_each(|(cell, ..)| changed.insert(*cell));
-            Tile { learned, always: (always & learned).without(changed), cells, seen }
+            Tile { learned, always: (always & learned).without(changed), cells, seen, learned_others }
         },
     )
 }
 
 /// A view of a map with these tiles.
-fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, is_flat: bool) -> MapView {
+fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat: bool) -> MapView {
     let grid = GridSpec {
         frame_id: "map".to_owned(),
         is_flat,
@@ -72,9 +79,15 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, is_flat: bool) -> MapV
         periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),
         criterion: OrderCriterion::SquaredError,
         created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::None,
         grid: Some(grid.clone()),
     };
+    let mut sensors = Sensors::new(sensor);
+    for (hit, false_alarm) in [(0.7, 0.2), (0.99, 0.4)].into_iter().take(others) {
+        sensors.add(Some(ProducerSensor { hit, false_alarm })).expect("a sensor");
+    }
     let (mut ids, mut models, mut live) = (HashMap::new(), Vec::new(), Vec::new());
     for (index, tile) in tiles {
         ids.insert(*index, TileId(u32::try_from(models.len()).expect("few")));
@@ -88,22 +101,34 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, is_flat: bool) -> MapV
         });
         let group = Group { cells: tile.learned, observations: 9, first_nanos: 0, last_nanos: HOUR };
         let groups = if tile.learned.is_empty() { Vec::new() } else { vec![group] };
+        let weights = tile.learned_others.filter(|_| others > 0).map(|readings| {
+            let (mut weights, readings) = (Weights::own(u64::from(9 - readings)), usize::from(readings));
+            (0..readings).for_each(|_| weights += sensors.weights(SensorId(1)));
+            Box::new(SensorWeights { groups: vec![weights; groups.len()], occupied: vec![3.0; tile.cells.len()] })
+        });
         models.push(ModelSlot::Resident(Arc::new(TileModel {
             groups,
             always_occupied: tile.always,
             cells: cells.collect(),
+            sensors: weights,
         })));
         let mut seen = LiveTile::new(*index);
         // What was learned was seen, as its models have it or otherwise.
-        seen.observe(HOUR, TileMasks::clipped(tile.learned, tile.always));
-        for (scan, (observed, occupied)) in (2..).zip(&tile.seen) {
-            seen.observe(scan * HOUR, TileMasks::clipped(*observed, *occupied));
+        let time = |scan: i64, sensor: u8| ScanTime {
+            utc_nanos: scan * HOUR,
+            offset_secs: 0,
+            sensor: SensorId(sensor.min(u8::try_from(others).expect("few"))),
+        };
+        seen.observe(time(1, 0), TileMasks::clipped(tile.learned, tile.always), &sensors);
+        for (scan, (observed, occupied, sensor)) in (2..).zip(&tile.seen) {
+            seen.observe(time(scan, *sensor), TileMasks::clipped(*observed, *occupied), &sensors);
         }
         live.push(Arc::new(seen));
     }
     let mut view = LiveMap::new(Arc::new(spec)).publish();
     view.grid = Some(GridView {
         spec: Arc::new(grid),
+        sensors: Arc::new(sensors),
         ids: Arc::new(ids),
         chunks: live.chunks(TILE_CHUNK).map(|chunk| Arc::new(chunk.to_vec())).collect(),
         run: LikeScans::default(),
@@ -199,6 +224,7 @@ proptest! {
         size in (0..30_i32, 0..20_i32, 0..20_i32),
         hours in 0..200_i64,
         noisy in any::<bool>(),
+        others in 0..3_usize,
         order in proptest::option::of(0..3_usize),
     ) {
         let mut tiles: Vec<(TileIndex, Tile)> =
@@ -206,7 +232,7 @@ proptest! {
         tiles.sort_by_key(|(index, _)| *index);
         tiles.dedup_by_key(|(index, _)| *index);
         let sensor = if noisy { SensorNoise { hit: 0.8, false_alarm: 0.1, prior: 0.4 } } else { SensorNoise::default() };
-        let view = view(&tiles, sensor, false);
+        let view = view(&tiles, sensor, others, false);
         let min = cell(corner.0, corner.1, corner.2);
         let part = CellBox { min, max: cell(min.x + size.0, min.y + size.1, min.z + size.2) };
         for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
@@ -227,9 +253,10 @@ proptest! {
 
 #[test]
 fn a_region_costs_what_there_is_in_it() {
-    let tile = Tile { learned: Mask::FULL, always: Mask::EMPTY, cells: Vec::new(), seen: Vec::new() };
+    let tile =
+        Tile { learned: Mask::FULL, always: Mask::EMPTY, cells: Vec::new(), seen: Vec::new(), learned_others: None };
     let tiles = [(TileIndex { x: 0, y: 0, z: 0 }, tile.clone()), (TileIndex { x: 40, y: -3, z: 0 }, tile)];
-    let view = view(&tiles, SensorNoise::default(), false);
+    let view = view(&tiles, SensorNoise::default(), 0, false);
     let grid = view.grid().expect("a grid");
     let ask = |min, max| grid.select(&GridQuestion { region: Some(CellBox { min, max }), ..GridQuestion::default() });
     let all = ask(cell(i32::MIN, i32::MIN, i32::MIN), cell(i32::MAX, i32::MAX, i32::MAX));
@@ -248,8 +275,14 @@ fn a_region_costs_what_there_is_in_it() {
 fn a_flat_grid_has_64_cells_a_tile() {
     let mut layer = Mask::EMPTY;
     layer.0[0] = u64::MAX;
-    let tile = Tile { learned: layer, always: Mask::EMPTY, cells: vec![(3, 0, 0.25, 0.0)], seen: Vec::new() };
-    let view = view(&[(TileIndex::default(), tile)], SensorNoise::default(), true);
+    let tile = Tile {
+        learned: layer,
+        always: Mask::EMPTY,
+        cells: vec![(3, 0, 0.25, 0.0)],
+        seen: Vec::new(),
+        learned_others: None,
+    };
+    let view = view(&[(TileIndex::default(), tile)], SensorNoise::default(), 0, true);
     let grid = view.grid().expect("a grid");
     let all = grid.select(&GridQuestion::default());
     assert_eq!((all.cells, all.region.count(), all.values_at_most), (64, 64, 1));

@@ -71,12 +71,15 @@ impl World {
             }
             if oracle.has_changed() {
                 changed.insert(cell);
-            } else if let Some(sample) = oracle.folded.first() {
-                let always = sample.value > 0.5;
-                assert_eq!(model.always_occupied.contains(cell), always, "{at}: always occupied");
+            } else if let Some(read) = oracle.folded.first() {
+                assert_eq!(model.always_occupied.contains(cell), read.is_occupied, "{at}: always occupied");
             }
             if let Some(group) = model.group_of(cell) {
-                assert_eq!(Some(group.last_nanos), oracle.folded.iter().map(|s| s.utc_nanos).max(), "{at}: last");
+                assert_eq!(
+                    Some(group.last_nanos),
+                    oracle.folded.iter().map(|read| read.sample.utc_nanos).max(),
+                    "{at}: last"
+                );
             }
         }
         let live = grid.live(id).expect("a tile");
@@ -141,8 +144,10 @@ impl World {
         let b = sums.groups.get(of_group)?.as_slice();
         let n = group.observations as f64;
         let (free, occupied) = self.spec.grid.as_ref()?.sensor.levels();
-        let mean = model.cells.get(at)?.occupied as f64 / n;
-        let gamma = |k: usize| (occupied - free) * (a[k] - mean * b[k]) / n;
+        let mean = (model.weights(of_group).alpha + model.occupied_weight(at)) / n;
+        let weighted = sums.sensors.as_ref().and_then(|sensors| sensors.groups[of_group].as_ref());
+        let alpha = |k: usize| weighted.map_or(0.0, |weighted| weighted.alpha.as_slice()[k]);
+        let gamma = |k: usize| (occupied - free) * (a[k] + alpha(k) - mean * b[k]) / n;
         let half = a.len() / 2;
         Some((0..half).map(|k| (gamma(k), gamma(half + k))).collect())
     }
@@ -161,4 +166,8 @@ fn check_shape(model: &TileModel, at: &str) {
         (model.groups.len(), model.cells.len()),
         "{at}: room"
     );
+    if let Some(weights) = &model.sensors {
+        let lengths = (weights.groups.len(), weights.occupied.len());
+        assert_eq!(lengths, (model.groups.len(), model.cells.len()), "{at}: weights");
+    }
 }

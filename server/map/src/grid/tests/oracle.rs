@@ -5,7 +5,8 @@
 use std::collections::BTreeMap;
 
 use tidemap_model::{
-    AccumulatorParts, MAX_ORDER, OrderCriterion, Periodicities, Persistence, Sample, SpectralModel, StateModel,
+    AccumulatorParts, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Persistence, Sample, SpectralModel,
+    StateModel,
 };
 
 use crate::{
@@ -17,13 +18,20 @@ use crate::{
     predict::{ModelKind, ModelSelector},
 };
 
+/// A reading: what it counts as, and what it was.
+#[derive(Clone, Copy, Debug)]
+pub struct Read {
+    pub sample: Sample,
+    pub is_occupied: bool,
+}
+
 /// One cell.
 #[derive(Clone, Debug)]
 pub struct CellOracle {
-    pending: Vec<Sample>,
-    ahead: Vec<Sample>,
-    taken: Vec<Sample>,
-    pub folded: Vec<Sample>,
+    pending: Vec<Read>,
+    ahead: Vec<Read>,
+    taken: Vec<Read>,
+    pub folded: Vec<Read>,
     pub model: StateModel,
     pub persistence: Persistence,
     /// Whether two components were as strong as each other, so that another choice is as good.
@@ -51,24 +59,38 @@ impl CellOracle {
     }
 
     fn take_before(&mut self, cut_nanos: i64) {
-        let mut due: Vec<Sample> = self.ahead.extract_if(.., |sample| sample.utc_nanos < cut_nanos).collect();
+        let is_due = |read: &mut Read| read.sample.utc_nanos < cut_nanos;
+        let mut due: Vec<Read> = self.ahead.extract_if(.., is_due).collect();
         self.pending.extend(&due);
-        due.sort_by_key(|sample| sample.utc_nanos);
-        for sample in due {
+        due.sort_by_key(|read| read.sample.utc_nanos);
+        for Read { sample, .. } in due {
             self.persistence.observe(sample.utc_nanos, sample.value);
         }
-        self.taken = self.pending.extract_if(.., |sample| sample.utc_nanos < cut_nanos).collect();
+        self.taken = self.pending.extract_if(.., is_due).collect();
     }
 
     fn learn(&mut self, periodicities: &Periodicities, criterion: OrderCriterion) {
         let mut taken = std::mem::take(&mut self.taken);
-        self.folded.extend(&taken);
-        taken.sort_by_key(|sample| sample.utc_nanos);
+        taken.sort_by_key(|read| read.sample.utc_nanos);
         // Day by day, so that ties of each day's model are found.
-        for of_day in taken.chunk_by(|one, next| one.local_day() == next.local_day()) {
+        for of_day in taken.chunk_by(|one, next| one.sample.local_day() == next.sample.local_day()) {
             self.tied |= self.has_tie();
-            self.model.update(periodicities, criterion, of_day.to_vec());
+            self.model.update(periodicities, criterion, of_day.iter().map(|read| read.sample).collect());
+            self.folded.extend(of_day);
+            if !self.has_changed() {
+                self.be_constant(periodicities);
+            }
         }
+    }
+
+    /// A cell that never changed has the mean of its readings and nothing to be scored, whatever they count as.
+    fn be_constant(&mut self, periodicities: &Periodicities) {
+        let parts = self.model.accumulator().to_parts();
+        let mean = parts.sum / parts.observations as f64;
+        let spectral = SpectralModel::from_parts(mean, parts.observations, Vec::new()).expect("valid");
+        let accumulator = tidemap_model::Accumulator::from_parts(periodicities, parts).expect("its own");
+        self.model = StateModel::from_parts(accumulator, spectral, 0, OrderErrors::default()).expect("valid");
+        self.tied = false;
     }
 
     /// Whether a component might as well have been another.
@@ -84,7 +106,7 @@ impl CellOracle {
 
     /// Whether it was ever read as both free and occupied.
     pub fn has_changed(&self) -> bool {
-        self.folded.windows(2).any(|pair| pair[0].value != pair[1].value)
+        self.folded.windows(2).any(|pair| pair[0].is_occupied != pair[1].is_occupied)
     }
 
     pub fn probability(&self, selector: ModelSelector, civil_nanos: i64, utc_nanos: i64, omega: &Periodicities) -> f64 {
@@ -92,9 +114,7 @@ impl CellOracle {
         let p = match selector.kind {
             ModelKind::Latest => self.persistence.last().map_or(0.5, |(_, value)| value),
             ModelKind::Mean => spectral.mean(),
-            ModelKind::Auto | ModelKind::Spectral => {
-                spectral.predict(omega, selector.order.unwrap_or(self.model.order()), civil_nanos)
-            }
+            _ => spectral.predict(omega, selector.order.unwrap_or(self.model.best_order()), civil_nanos),
         };
         if selector.persistence { self.persistence.blend(p, utc_nanos) } else { p }
     }
@@ -106,7 +126,7 @@ impl CellOracle {
         near(ours.change_rate_sum, theirs.change_rate_sum, 1e-9 * (1.0 + ours.change_rate_sum), at, "change rates");
         assert_eq!(found.observations, ours.pairs + 1, "{at}: observations");
         assert_eq!(found.folded, self.folded.len() as u64, "{at}: folded");
-        assert_eq!(found.first_nanos, self.folded.iter().map(|s| s.utc_nanos).min(), "{at}: first");
+        assert_eq!(found.first_nanos, self.folded.iter().map(|read| read.sample.utc_nanos).min(), "{at}: first");
         near(found.spectral.mean(), self.model.spectral().mean(), 1e-9, at, "mean");
         assert_eq!(found.spectral.observations(), self.folded.len() as u64, "{at}: observations of the model");
         assert_eq!(found.changed, self.has_changed(), "{at}: changed");
@@ -139,7 +159,7 @@ impl CellOracle {
                 assert!((a - b).abs() < 1e-8 * (1.0 + a), "{at}: error of order {order} is {a}, or {b}");
             }
             let lowest = ours.iter().copied().fold(f64::INFINITY, f64::min);
-            let (a, b) = (self.model.order(), usize::from(found.order));
+            let (a, b) = (self.model.best_order(), usize::from(found.order));
             let is_tie = |order: usize| (ours[order] - lowest * 1.001).abs() < 1e-7;
             assert!(a == b || is_tie(a.min(b)) || lowest < 1e-7, "{at}: order {b}, expected {a} by {ours:?}");
         }
@@ -172,15 +192,15 @@ impl Oracle {
         Oracle { periodicities, criterion, cells, cell_observations: 0 }
     }
 
-    pub fn observe(&mut self, tile: TileIndex, cell: u16, sample: Sample, is_ahead: bool) {
+    pub fn observe(&mut self, tile: TileIndex, cell: u16, read: Read, is_ahead: bool) {
         self.cell_observations += 1;
         let periodicities = &self.periodicities;
         let cell = self.cells.entry((tile, cell)).or_insert_with(|| CellOracle::new(periodicities));
         if is_ahead {
-            cell.ahead.push(sample);
+            cell.ahead.push(read);
         } else {
-            cell.persistence.observe(sample.utc_nanos, sample.value);
-            cell.pending.push(sample);
+            cell.persistence.observe(read.sample.utc_nanos, read.sample.value);
+            cell.pending.push(read);
         }
     }
 

@@ -9,6 +9,7 @@ use crate::{
         front::{ScanSource, SentScan},
         index::TileIndex,
         mask::{Mask, TileMasks},
+        sensors::ProducerSensor,
     },
     name::ProducerKey,
 };
@@ -20,6 +21,13 @@ const TILES: [TileIndex; 3] =
 const CELLS: [u16; 8] = [0, 1, 63, 64, 65, 200, 447, 511];
 /// Cells that are observed now and then, the first always free, the others always occupied.
 const STEADY: [u16; 3] = [300, 301, 302];
+
+/// Sensors that robots may have.
+pub const SENSORS: [ProducerSensor; 3] = [
+    ProducerSensor { hit: 0.6, false_alarm: 0.3 },
+    ProducerSensor { hit: 0.97, false_alarm: 0.002 },
+    ProducerSensor { hit: 0.83, false_alarm: 0.07 },
+];
 
 /// A number below `below`.
 pub fn random(rng: &mut u64, below: usize) -> usize {
@@ -42,6 +50,8 @@ pub struct Seen {
 /// A robot and its stream.
 pub struct Robot {
     pub key: ProducerKey,
+    /// What it announces.
+    pub sensor: Option<ProducerSensor>,
     pub source: ScanSource,
     table: Vec<TileIndex>,
     /// What it has sent of each tile of its table.
@@ -53,12 +63,13 @@ pub struct Robot {
 }
 
 impl Robot {
-    pub fn new(id: usize, rng: &mut u64) -> Robot {
+    pub fn new(id: usize, sensor: Option<ProducerSensor>, rng: &mut u64) -> Robot {
         let mut sight: Vec<_> = TILES.map(|tile| (tile, TileMasks::default())).into();
         let turn = random(rng, TILES.len());
         sight.rotate_left(turn);
         Robot {
             key: ProducerKey::new(&format!("robot{id}"), "").expect("valid"),
+            sensor,
             source: ScanSource::default(),
             table: Vec::new(),
             shown: Vec::new(),

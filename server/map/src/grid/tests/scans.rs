@@ -13,6 +13,7 @@ use crate::{
         index::{TileId, TileIndex},
         live::LiveGrid,
         mask::TileMasks,
+        sensors::ProducerSensor,
         update::GridOutcome,
     },
     history::HistoryPiece,
@@ -21,7 +22,9 @@ use crate::{
 /// A scan and what it showed.
 #[derive(Clone, Debug)]
 struct Whole {
-    time: ScanTime,
+    utc_nanos: i64,
+    offset_secs: i32,
+    sensor: Option<ProducerSensor>,
     tiles: Vec<(TileIndex, TileMasks)>,
 }
 
@@ -35,17 +38,17 @@ pub struct ScanOracle {
 }
 
 impl ScanOracle {
-    pub fn take(&mut self, seen: &Seen, offset_secs: i32, is_ahead: bool) {
-        let time = ScanTime { utc_nanos: seen.utc_nanos, offset_secs };
+    pub fn take(&mut self, seen: &Seen, offset_secs: i32, sensor: Option<ProducerSensor>, is_ahead: bool) {
+        let utc_nanos = seen.utc_nanos;
         let queue = if is_ahead { &mut self.ahead } else { &mut self.pending };
-        queue.push(Whole { time, tiles: seen.tiles.clone() });
+        queue.push(Whole { utc_nanos, offset_secs, sensor, tiles: seen.tiles.clone() });
         self.count += 1;
     }
 
     pub fn start_update(&mut self, cut_nanos: i64) {
-        let is_due = |scan: &mut Whole| scan.time.utc_nanos < cut_nanos;
+        let is_due = |scan: &mut Whole| scan.utc_nanos < cut_nanos;
         let mut due: Vec<Whole> = self.ahead.extract_if(.., is_due).collect();
-        due.sort_by_key(|scan| scan.time.utc_nanos);
+        due.sort_by_key(|scan| scan.utc_nanos);
         self.pending.append(&mut due);
         self.taken = self.pending.extract_if(.., is_due).collect();
     }
@@ -73,8 +76,13 @@ impl ScanOracle {
         let all = outcome.squared_errors.iter().sum::<f64>();
         assert!((0.0..=all + 1e-9).contains(&outcome.squared_error_chosen), "{outcome:?}");
         let mut by_day: BTreeMap<LocalDay, Vec<Whole>> = BTreeMap::new();
+        let time = |scan: &Whole| ScanTime {
+            utc_nanos: scan.utc_nanos,
+            offset_secs: scan.offset_secs,
+            sensor: grid.sensors().find(scan.sensor).expect("one of the grid's"),
+        };
         for scan in taken {
-            by_day.entry(LocalDay::of_civil_nanos(scan.time.civil_nanos())).or_default().push(scan);
+            by_day.entry(LocalDay::of_civil_nanos(time(&scan).civil_nanos())).or_default().push(scan);
         }
         let days: Vec<GridDay> =
             history.iter().flat_map(|piece| &piece.days).map(|day| day.decode(periodicities)).collect();
@@ -86,7 +94,7 @@ impl ScanOracle {
                 let id = |tile: TileIndex| grid.find(tile).expect("a tile that was seen");
                 let tiles: BTreeMap<TileId, TileMasks> =
                     scan.tiles.iter().map(|&(tile, masks)| (id(tile), masks)).collect();
-                assert_eq!((*found, shown), (scan.time, tiles));
+                assert_eq!((*found, shown), (time(&scan), tiles));
             }
         }
     }

@@ -6,14 +6,18 @@ use std::sync::{Arc, atomic::AtomicU64};
 
 use tidemap_model::{OrderCriterion, Periodicities, Sample, Zone};
 
-use super::robot::{Robot, Seen, random};
-use super::{oracle::Oracle, scans::ScanOracle};
+use super::robot::{Robot, SENSORS, Seen, random};
+use super::{
+    oracle::{Oracle, Read},
+    scans::ScanOracle,
+};
 use crate::{
-    event::{Event, ProducerId, RefusalReason, UpdateCause},
+    event::{Event, NewProducer, ProducerId, RefusalReason, UpdateCause},
     grid::{
         front::{Front, TooManyTiles},
         live::LiveGrid,
         scan::Scans,
+        sensors::ProducerSensor,
         spec::{GridSpec, Retention, SensorNoise},
     },
     live_map::LiveMap,
@@ -61,6 +65,8 @@ pub fn spec(rng: &mut u64) -> MapSpec {
         // Without noise predictions of exactly 0.5 occur, whose side is a matter of rounding.
         criterion: if is_noisy && random(rng, 2) == 0 { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError },
         created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
         retention: Retention::Forever,
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
@@ -80,7 +86,11 @@ impl World {
         let spec = Arc::new(spec(&mut rng));
         let map = LiveMap::new(Arc::clone(&spec));
         let front = Front::new(map.grid().expect("a grid"));
-        let robots = (0..1 + random(&mut rng, 3)).map(|id| Robot::new(id, &mut rng)).collect();
+        // A third of the worlds have the map's own sensor alone.
+        let mut choice = !seed;
+        let others = if random(&mut choice, 3) == 0 { 0 } else { SENSORS.len() };
+        let mut sensor = || SENSORS[..others].get(random(&mut choice, others + 1)).copied();
+        let robots = (0..1 + random(&mut rng, 3)).map(|id| Robot::new(id, sensor(), &mut rng)).collect();
         World {
             oracle: Oracle::new(&spec.periodicities, spec.criterion),
             scans: ScanOracle::default(),
@@ -177,9 +187,18 @@ impl World {
         let known = self.map.producer(&stream.key).map(|(id, mark)| (id, mark.durable_sequence));
         let new_id = ProducerId(u32::try_from(self.map.producers()).expect("few"));
         let first_sequence = known.map_or(0, |(_, sequence)| sequence) + 1;
+        let of_grid = self.spec.grid.as_ref().expect("a grid").sensor;
+        let grid = self.map.grid().expect("a grid");
+        let sensor = stream.sensor.and_then(|sensor| grid.may_have(sensor, std::iter::empty()).expect("a sensor"));
+        let noise = sensor.map_or(of_grid, |ProducerSensor { hit, false_alarm }| SensorNoise {
+            hit,
+            false_alarm,
+            prior: of_grid.prior,
+        });
+        let levels = noise.levels();
         let mut event = Scans {
             producer: known.map_or(new_id, |(id, _)| id),
-            new_producer: known.is_none().then(|| stream.key.clone()),
+            new_producer: known.is_none().then(|| NewProducer { key: stream.key.clone(), sensor }),
             incarnation: 1,
             first_sequence,
             last_sequence: first_sequence + seen.len() as u64 - 1,
@@ -189,7 +208,6 @@ impl World {
             scans: Vec::new(),
             refused: Vec::new(),
         };
-        let levels = self.spec.grid.as_ref().expect("a grid").sensor.levels();
         for (sequence, scan) in (first_sequence..).zip(seen) {
             let sent = stream.send(scan);
             let offset_secs = self.spec.zone.offset_secs(scan.utc_nanos);
@@ -206,12 +224,13 @@ impl World {
                 }
             }
             let is_ahead = scan.utc_nanos > event.plausible_nanos();
-            self.scans.take(scan, offset_secs, is_ahead);
+            self.scans.take(scan, offset_secs, sensor, is_ahead);
             for &(tile, masks) in &scan.tiles {
                 for cell in masks.observed().cells() {
-                    let value = if masks.occupied().contains(cell) { levels.1 } else { levels.0 };
+                    let is_occupied = masks.occupied().contains(cell);
+                    let value = if is_occupied { levels.1 } else { levels.0 };
                     let sample = Sample { utc_nanos: scan.utc_nanos, offset_secs, value };
-                    self.oracle.observe(tile, cell, sample, is_ahead);
+                    self.oracle.observe(tile, cell, Read { sample, is_occupied }, is_ahead);
                 }
             }
         }
@@ -245,6 +264,13 @@ impl World {
         let grid = self.map.grid().expect("a grid");
         self.scans.finish_update(&outcome, &snapshot.history, &self.spec.periodicities, grid);
         self.snapshot = Some(snapshot);
+    }
+
+    /// An update of all there is, to be run by hand.
+    pub fn take_work(&mut self) -> UpdateWork {
+        self.finish_update();
+        self.start_update(None);
+        self.running.take().expect("started")
     }
 
     /// An update of all there is.

@@ -1,9 +1,15 @@
 //! Tiles that were seen by the same scans of a day.
 //!
+//! Many tiles are worked off in several batches, each with the phasors and running sums of the pattern's scans made anew.
+//!
 //! Invariant: the running sums of a pattern go on from chunk to chunk, so that a run of readings costs two rows of them
-//! however many chunks it spans.
+//! however many chunks it spans. What a tile becomes does not depend on the others of its batch, and tiles with the same
+//! history share their sums across batches.
 
-use std::{collections::HashMap, sync::Arc};
+use std::{
+    collections::{HashMap, HashSet},
+    sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError},
+};
 
 use rayon::prelude::*;
 use tidemap_model::{PhasorSum, PhasorTable, RunningSums};
@@ -12,17 +18,22 @@ use super::{
     super::{
         day::{DayTile, GridDay},
         index::TileId,
+        sensor_sums::{GroupSums, WeightedSums},
+        sensors::{SensorId, Weights},
     },
-    CHUNK, GridOutcome, Rules, Working,
+    CHUNK, Rules, TileOutcome, Working,
     tile_day::TileDay,
+    weighted::{WeightedRows, WeightedScans},
 };
 
-/// Tiles that were seen by the same scans.
+/// The scans that some tiles were seen by, and what these tiles share.
 #[derive(Debug)]
 pub(super) struct Pattern {
-    /// Their scans, first and end of each range.
+    /// The scans, first and end of each range.
     ranges: Vec<(u32, u32)>,
-    pub(super) tiles: Vec<(TileId, Working)>,
+    times: OnceLock<Times>,
+    /// Held while nothing is done in parallel: a thread that waits for others may begin another batch.
+    gains: Mutex<Gains>,
 }
 
 /// Times of a pattern's scans.
@@ -32,6 +43,8 @@ pub(super) struct Times {
     pub(super) civil_nanos: Arc<[i64]>,
     /// What is seen by all scans.
     pub(super) all: Counted,
+    /// What the scans count; `None` where all are of the map's own sensor.
+    pub(super) weighted: Option<WeightedScans>,
 }
 
 impl Times {
@@ -52,6 +65,20 @@ impl Times {
         }
         counted
     }
+
+    /// What the readings at which a bit with these toggles is set count.
+    pub(super) fn weigh(&self, toggles: &[u32]) -> Weights {
+        match &self.weighted {
+            Some(weighted) => weighted.sum(toggles),
+            None => Weights::own(run_length(toggles, self.utc_nanos.len())),
+        }
+    }
+}
+
+/// Number of scans at which a bit is set.
+pub(super) fn run_length(toggles: &[u32], scans: usize) -> u64 {
+    let end = u32::try_from(scans).unwrap_or(u32::MAX);
+    toggles.chunks(2).map(|run| u64::from(run.get(1).unwrap_or(&end).saturating_sub(run[0]))).sum()
 }
 
 /// How often some cells were observed on the day, and when first and last.
@@ -69,71 +96,115 @@ pub(in crate::grid) struct Chunk<'a> {
     pub(in crate::grid) phasors: &'a PhasorTable,
     /// Running sums: row i is that of the scans before scan `first` + i.
     pub(in crate::grid) rows: &'a RunningSums,
+    /// The same, weighted; `None` where all scans are of the map's own sensor.
+    pub(in crate::grid) weighted: Option<&'a WeightedRows>,
+    /// What a free and an occupied reading of each scan count as; `None` where all are of the map's own sensor.
+    pub(in crate::grid) levels: Option<(&'a [f64], &'a [f64])>,
     pub(in crate::grid) utc_nanos: &'a [i64],
     pub(in crate::grid) is_last: bool,
+}
+
+/// How far the toggles of a bit have been gone through.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::grid) struct Cursor {
+    /// The next toggle.
+    pub(in crate::grid) at: usize,
+    /// Whether the bit is set so far.
+    pub(in crate::grid) is_on: bool,
 }
 
 /// B_k over the scans at which some cells were observed on the day.
 #[derive(Debug)]
 struct Contribution {
     toggles: Vec<u32>,
-    at: usize,
-    is_on: bool,
+    cursor: Cursor,
     sum: PhasorSum,
-}
-
-/// What a group's cells gain on the day.
-#[derive(Clone, Debug)]
-struct Gain {
-    sum: Arc<PhasorSum>,
+    /// G_k and D_k, where some of the scans are of another sensor than the map's own.
+    weighted: Option<Box<(PhasorSum, PhasorSum)>>,
 }
 
 /// The gains of a pattern, and sums made of them, so that groups with the same history share theirs.
 #[derive(Debug, Default)]
 pub(super) struct Gains {
-    gains: Vec<Gain>,
+    gains: Vec<GroupSums>,
     by_toggles: HashMap<Vec<u32>, usize>,
     zero: Option<Arc<PhasorSum>>,
-    /// By the group's sum before, by address, and the gain; the old sum is kept alive.
-    shared: HashMap<(usize, usize), (Arc<PhasorSum>, Arc<PhasorSum>)>,
+    /// By the group's sums before, by address, and the gain; the old sums are kept alive.
+    shared: HashMap<([usize; 3], usize), (GroupSums, GroupSums)>,
 }
 
 impl Gains {
+    /// What is to be computed of these toggles.
+    fn missing<'a>(
+        &self,
+        toggles: impl Iterator<Item = &'a Vec<u32>>,
+        times: &Times,
+        rules: &Rules,
+    ) -> Vec<Contribution> {
+        let mut asked = HashSet::new();
+        let missing = toggles.filter(|toggles| !self.by_toggles.contains_key(*toggles) && asked.insert(*toggles));
+        missing.map(|toggles| Contribution::new(toggles.clone(), times, rules)).collect()
+    }
+
+    /// Takes what was computed; another batch may have been first.
+    fn take(&mut self, contributions: Vec<Contribution>) {
+        for Contribution { toggles, sum, weighted, .. } in contributions {
+            let next = self.gains.len();
+            if *self.by_toggles.entry(toggles).or_insert(next) == next {
+                let weighted = weighted.map(|weighted| {
+                    let (alpha, beta) = *weighted;
+                    WeightedSums { alpha: Arc::new(alpha), beta: Arc::new(beta) }
+                });
+                self.gains.push(GroupSums { plain: Arc::new(sum), weighted });
+            }
+        }
+    }
+
     /// The gain of cells with these toggles, where one was asked for.
     pub(super) fn gain(&self, toggles: &Vec<u32>) -> Option<usize> {
         self.by_toggles.get(toggles).copied()
     }
 
-    /// The sum of a group that was not observed before the day.
-    pub(super) fn sum(&self, index: usize, rules: &Rules) -> Arc<PhasorSum> {
-        self.gains
-            .get(index)
-            .map_or_else(|| Arc::new(PhasorSum::zero(&rules.periodicities)), |gain| Arc::clone(&gain.sum))
+    /// The sums of a group that was not observed before the day.
+    pub(super) fn sum(&mut self, index: usize, rules: &Rules) -> GroupSums {
+        match self.gains.get(index) {
+            Some(gain) => gain.clone(),
+            None => self.zero(rules),
+        }
     }
 
-    /// The sum of a group none of whose observations are in it; all share it.
-    pub(super) fn zero(&mut self, rules: &Rules) -> Arc<PhasorSum> {
-        Arc::clone(self.zero.get_or_insert_with(|| Arc::new(PhasorSum::zero(&rules.periodicities))))
+    /// The sums of a group none of whose observations are in them; all share them.
+    pub(super) fn zero(&mut self, rules: &Rules) -> GroupSums {
+        let zero = self.zero.get_or_insert_with(|| Arc::new(PhasorSum::zero(&rules.periodicities)));
+        GroupSums { plain: Arc::clone(zero), weighted: None }
     }
 
-    /// The sum of a group after the day.
-    pub(super) fn add_to(&mut self, before: &Arc<PhasorSum>, index: usize) -> Arc<PhasorSum> {
-        let Some(gain) = self.gains.get(index) else { return Arc::clone(before) };
-        let entry = self.shared.entry((Arc::as_ptr(before) as usize, index)).or_insert_with(|| {
-            let mut sum = PhasorSum::clone(before);
-            sum.add(&gain.sum);
-            (Arc::clone(before), Arc::new(sum))
+    /// The sums of a group after the day.
+    pub(super) fn add_to(&mut self, before: GroupSums, index: usize) -> GroupSums {
+        let Some(gain) = self.gains.get(index) else { return before };
+        let entry = self.shared.entry((before.addresses(), index)).or_insert_with(|| {
+            let after = before.plus(gain);
+            (before, after)
         });
-        Arc::clone(&entry.1)
+        entry.1.clone()
     }
 }
 
 impl Pattern {
     pub(super) fn new(ranges: Vec<(u32, u32)>) -> Pattern {
-        Pattern { ranges, tiles: Vec::new() }
+        Pattern { ranges, times: OnceLock::new(), gains: Mutex::default() }
     }
 
-    fn times(&self, day: &GridDay) -> Times {
+    /// Number of the scans.
+    pub(super) fn scans(&self) -> usize {
+        self.ranges.iter().map(|(first, end)| (end - first) as usize).sum()
+    }
+
+    fn gains(&self) -> MutexGuard<'_, Gains> {
+        self.gains.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn times(&self, day: &GridDay, rules: &Rules) -> Times {
         let scans: Vec<_> = self
             .ranges
             .iter()
@@ -148,95 +219,123 @@ impl Pattern {
                 first_nanos: scans.iter().map(|scan| scan.utc_nanos).min().unwrap_or(i64::MAX),
                 last_nanos: scans.iter().map(|scan| scan.utc_nanos).max().unwrap_or(i64::MIN),
             },
+            weighted: scans
+                .iter()
+                .any(|scan| scan.sensor != SensorId::OWN)
+                .then(|| WeightedScans::new(Arc::new(scans.iter().map(|scan| scan.sensor).collect()), &rules.sensors)),
         }
     }
 
-    /// Works off the day for these tiles.
-    pub(super) fn run(self, rules: &Rules, day: &GridDay) -> (Vec<(TileId, Working)>, GridOutcome) {
-        let times = self.times(day);
+    /// Works off the day for some of the tiles.
+    pub(super) fn run(
+        &self,
+        rules: &Rules,
+        day: &GridDay,
+        tiles: Vec<(TileId, Working)>,
+    ) -> Vec<((TileId, Working), TileOutcome)> {
+        let times = self.times.get_or_init(|| self.times(day, rules));
         let unseen = DayTile::default();
-        let mut contributions: Vec<Contribution> = Vec::new();
-        let mut gains = Gains::default();
-        let mut tiles: Vec<TileDay> = self
-            .tiles
+        let mut tiles: Vec<TileDay> = tiles
             .into_par_iter()
             .map(|(id, working)| {
                 // Each tile seen has shown something; one that has not loses nothing here.
                 let tile = day.tile(id).unwrap_or(&unseen);
-                TileDay::new(id, working, tile, &self.ranges, &times, rules)
+                TileDay::new(id, working, tile, &self.ranges, times, rules)
             })
             .collect();
-        for toggles in tiles.iter().flat_map(TileDay::toggles) {
-            if !gains.by_toggles.contains_key(toggles) {
-                gains.by_toggles.insert(toggles.clone(), contributions.len());
-                contributions.push(Contribution::new(toggles.clone(), rules));
-            }
-        }
+        let mut contributions = self.gains().missing(tiles.iter().flat_map(TileDay::toggles), times, rules);
         let mut rows = RunningSums::new(&rules.periodicities);
+        let mut weighted = times.weighted.as_ref().map(|_| WeightedRows::new(&rules.periodicities));
         for (number, civil_nanos) in times.civil_nanos.chunks(CHUNK).enumerate() {
             let first = number * CHUNK;
             let phasors = PhasorTable::new(&rules.periodicities, civil_nanos);
             rows.extend_chunk(&phasors);
+            if let (Some(rows), Some(scans)) = (&mut weighted, &times.weighted) {
+                rows.extend_chunk(&phasors, scans, first);
+            }
+            let levels = times.weighted.as_ref().map(|scans| scans.levels(first, civil_nanos.len()));
             let utc_nanos = &times.utc_nanos[first..first + civil_nanos.len()];
             let is_last = first + civil_nanos.len() == times.utc_nanos.len();
-            let chunk = Chunk { first, phasors: &phasors, rows: &rows, utc_nanos, is_last };
+            let weighted = weighted.as_ref();
+            let chunk = Chunk { first, phasors: &phasors, rows: &rows, weighted, levels, utc_nanos, is_last };
             contributions.par_iter_mut().for_each(|contribution| contribution.fold(&chunk));
             tiles.par_iter_mut().for_each(|tile| tile.fold(&chunk, rules));
         }
-        gains.gains = contributions.into_iter().map(Contribution::gain).collect();
+        let mut gains = self.gains();
+        gains.take(contributions);
         for tile in &mut tiles {
-            tile.regroup(&mut gains, &times, rules);
+            tile.regroup(&mut gains, times, rules);
         }
-        let (tiles, outcomes): (Vec<_>, Vec<_>) = tiles.into_par_iter().map(|tile| tile.refit(day.day, rules)).unzip();
-        let mut outcome = GridOutcome::default();
-        outcomes.iter().for_each(|of_tile| outcome.add(of_tile));
-        (tiles, outcome)
+        drop(gains);
+        tiles.into_par_iter().map(|tile| tile.refit(day.day, rules)).collect()
     }
 }
 
 impl Contribution {
-    fn new(toggles: Vec<u32>, rules: &Rules) -> Contribution {
-        Contribution { toggles, at: 0, is_on: false, sum: PhasorSum::zero(&rules.periodicities) }
+    fn new(toggles: Vec<u32>, times: &Times, rules: &Rules) -> Contribution {
+        let zero = || PhasorSum::zero(&rules.periodicities);
+        let has_others = times.weighted.as_ref().is_some_and(|scans| scans.has_others(&toggles));
+        let weighted = has_others.then(|| Box::new((zero(), zero())));
+        Contribution { toggles, cursor: Cursor::default(), sum: zero(), weighted }
     }
 
     fn fold(&mut self, chunk: &Chunk<'_>) {
-        fold_toggles(&self.toggles, &mut self.at, &mut self.is_on, &mut self.sum, chunk);
-    }
-
-    fn gain(self) -> Gain {
-        Gain { sum: Arc::new(self.sum) }
+        let from = self.cursor;
+        fold_toggles(&self.toggles, &mut self.cursor, &mut self.sum, chunk.rows, chunk);
+        if let (Some((alpha, beta)), Some(rows)) = (self.weighted.as_deref_mut(), chunk.weighted) {
+            fold_toggles(&self.toggles, &mut { from }, alpha, &rows.alpha, chunk);
+            fold_toggles(&self.toggles, &mut { from }, beta, &rows.beta, chunk);
+        }
     }
 }
 
-/// Adds the phasors of the scans of a chunk at which a bit is set. `at` is the next toggle, `is_on` the bit so far.
+/// Adds the phasors of the scans of a chunk at which a bit is set, as `rows`, which are some of the chunk, have them.
 pub(in crate::grid) fn fold_toggles(
     toggles: &[u32],
-    at: &mut usize,
-    is_on: &mut bool,
+    cursor: &mut Cursor,
     sum: &mut PhasorSum,
+    rows: &RunningSums,
     chunk: &Chunk<'_>,
 ) {
     let end = chunk.first + chunk.utc_nanos.len();
-    while let Some(&toggle) = toggles.get(*at).filter(|&&toggle| (toggle as usize) < end) {
-        let row = chunk.rows.row(toggle as usize - chunk.first);
-        if *is_on {
+    while let Some(&toggle) = toggles.get(cursor.at).filter(|&&toggle| (toggle as usize) < end) {
+        let row = rows.row(toggle as usize - chunk.first);
+        if cursor.is_on {
             sum.add_row(row);
-            (*at, *is_on) = (*at + 1, false);
+            *cursor = Cursor { at: cursor.at + 1, is_on: false };
             continue;
         }
-        match toggles.get(*at + 1).filter(|&&next| (next as usize) < end) {
+        match toggles.get(cursor.at + 1).filter(|&&next| (next as usize) < end) {
             Some(&next) => {
-                sum.add_difference(chunk.rows.row(next as usize - chunk.first), row);
-                *at += 2;
+                sum.add_difference(rows.row(next as usize - chunk.first), row);
+                cursor.at += 2;
             }
             None => {
                 sum.subtract_row(row);
-                (*at, *is_on) = (*at + 1, true);
+                *cursor = Cursor { at: cursor.at + 1, is_on: true };
             }
         }
     }
-    if chunk.is_last && *is_on {
-        sum.add_row(chunk.rows.row(chunk.utc_nanos.len()));
-        *is_on = false;
+    if chunk.is_last && cursor.is_on {
+        sum.add_row(rows.row(chunk.utc_nanos.len()));
+        cursor.is_on = false;
     }
+}
+
+/// Writes the value of each scan of a chunk that begins with scan `first`: that of a bit that is clear, or set, there.
+pub(super) fn fill(values: &mut [f64], toggles: &[u32], cursor: Cursor, first: usize, (clear, set): (&[f64], &[f64])) {
+    let (length, mut from, mut is_on) = (values.len(), 0, cursor.is_on);
+    let mut write = |from: usize, to: usize, is_on: bool| {
+        let levels = if is_on { set } else { clear };
+        values[from..to].copy_from_slice(&levels[from..to]);
+        to == length
+    };
+    for &toggle in toggles.get(cursor.at..).unwrap_or_default() {
+        let to = (toggle as usize).saturating_sub(first).min(length);
+        if write(from, to, is_on) {
+            return;
+        }
+        (from, is_on) = (to, !is_on);
+    }
+    write(from, length, is_on);
 }

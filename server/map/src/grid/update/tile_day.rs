@@ -2,8 +2,6 @@
 //!
 //! Invariant: what is scored is predicted by the models as they were before the day; sums and models change at its end.
 
-use std::sync::Arc;
-
 use tidemap_model::{CellSums, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, PhasorSum, ScoreSums, SpectralModel};
 
 use super::{
@@ -11,12 +9,14 @@ use super::{
         day::DayTile,
         index::{TILE_CELLS, TileId},
         mask::Mask,
+        sensor_sums::SensorWeights,
+        sensors::Weights,
         sightings::Sightings,
         tile::{CellModel, Group, TileModel, TileSums},
     },
-    CHUNK, GridOutcome, Rules, SUMMED_GROUPS_MAX, Working,
+    CHUNK, Rules, SUMMED_GROUPS_MAX, TileOutcome, Working,
     observed::{DayToggles, Refined, refine, split_by_spectrum},
-    pattern::{Chunk, Gains, Times, fold_toggles},
+    pattern::{Chunk, Cursor, Gains, Times, fill, fold_toggles, run_length},
 };
 
 /// Sightings of a tile may take as much memory as this many sums for each group without one. Tests, whose sums are short,
@@ -28,13 +28,14 @@ const SIGHTINGS_PER_SUM: usize = if cfg!(test) { 4 } else { 1 };
 struct CellDay {
     /// Toggles of the occupied bit.
     toggles: Vec<u32>,
-    at: usize,
-    is_on: bool,
+    cursor: Cursor,
     /// The refined group.
     group: usize,
     /// Readings of the day that are newer than all before, where there are any before.
     scored: u64,
     scores: ScoreSums,
+    /// Σβ over the occupied readings of the day.
+    occupied_weight: f64,
 }
 
 /// How a group's cells are scored on the day.
@@ -44,8 +45,7 @@ struct GroupDay {
     newer_than: Option<i64>,
     /// Whether every scan of the pattern counts.
     all: bool,
-    at: usize,
-    is_on: bool,
+    cursor: Cursor,
     weights: Vec<f64>,
     /// Scans of the chunk that count.
     scored: u64,
@@ -74,6 +74,9 @@ impl TileDay {
         rules: &Rules,
     ) -> TileDay {
         let toggles = DayToggles::new(tile, ranges);
+        if times.weighted.is_some() {
+            working.model.keep_weights();
+        }
         let refined = refine_working(&mut working, &toggles, rules);
         begin_spectra(&mut working, &toggles, rules);
         let mut groups: Vec<GroupDay> = Vec::with_capacity(refined.len());
@@ -83,7 +86,7 @@ impl TileDay {
             let newer_than = last_nanos.filter(|_| toggles.is_some());
             let all_newer = newer_than.is_some_and(|last| times.all.first_nanos > last);
             let all = all_newer && toggles.is_some_and(|toggles| toggles.as_slice() == [0]);
-            groups.push(GroupDay { newer_than, all, at: 0, is_on: false, weights: Vec::new(), scored: 0 });
+            groups.push(GroupDay { newer_than, all, cursor: Cursor::default(), weights: Vec::new(), scored: 0 });
         }
         let mut group_of = [usize::MAX; TILE_CELLS];
         for (index, group) in refined.iter().enumerate() {
@@ -97,7 +100,8 @@ impl TileDay {
             while occupied.next_if(|(cell, _)| *cell < model.cell).is_some() {}
             let toggles = occupied.next_if(|(cell, _)| *cell == model.cell).map_or(Vec::new(), |(_, toggles)| toggles);
             let group = group_of.get(usize::from(model.cell)).copied().unwrap_or(usize::MAX);
-            cells.push(CellDay { toggles, group, ..CellDay::default() });
+            let occupied_weight = working.model.sensors.as_ref().map_or(0.0, |_| times.weigh(&toggles).beta);
+            cells.push(CellDay { toggles, group, occupied_weight, ..CellDay::default() });
         }
         TileDay { id, working, observed: toggles.observed, refined, groups, cells, scans: times.utc_nanos.len() }
     }
@@ -118,24 +122,26 @@ impl TileDay {
         let (free, occupied, mut mixed) = ([rules.levels.0; CHUNK], [rules.levels.1; CHUNK], [0.0; CHUNK]);
         let length = chunk.utc_nanos.len();
         let end = chunk.first + length;
+        let (free, occupied) = chunk.levels.unwrap_or((&free[..length], &occupied[..length]));
+        let occupied_rows = chunk.weighted.map_or(chunk.rows, |weighted| &weighted.beta);
         let cells = self.cells.iter_mut().zip(&self.working.model.cells).zip(&mut self.working.sums.cells);
         for ((day, model), sum) in cells {
             let Some(group) = self.groups.get(day.group) else { continue };
             let weights = (!group.all).then_some(group.weights.as_slice());
             if group.scored > 0 {
-                let toggles = day.toggles.get(day.at).is_some_and(|&toggle| (toggle as usize) < end);
-                let values = match (toggles, day.is_on) {
+                let toggles = day.toggles.get(day.cursor.at).is_some_and(|&toggle| (toggle as usize) < end);
+                let values = match (toggles, day.cursor.is_on) {
                     (true, _) => {
-                        fill(&mut mixed[..length], &day.toggles, day.at, day.is_on, chunk.first, rules.levels);
+                        fill(&mut mixed[..length], &day.toggles, day.cursor, chunk.first, (free, occupied));
                         &mixed[..length]
                     }
-                    (false, true) => &occupied[..length],
-                    (false, false) => &free[..length],
+                    (false, true) => occupied,
+                    (false, false) => free,
                 };
                 model.spectral.score_run_values(chunk.phasors, values, weights, &mut day.scores, with_wrong);
                 day.scored += group.scored;
             }
-            fold_toggles(&day.toggles, &mut day.at, &mut day.is_on, sum, chunk);
+            fold_toggles(&day.toggles, &mut day.cursor, sum, occupied_rows, chunk);
         }
     }
 
@@ -144,28 +150,38 @@ impl TileDay {
         let Working { model, sums } = &mut self.working;
         let mut groups = Vec::with_capacity(self.refined.len());
         let mut group_sums = Vec::with_capacity(self.refined.len());
+        let mut weights = Vec::with_capacity(model.sensors.as_ref().map_or(0, |_| self.refined.len()));
         for refined in &self.refined {
-            let before = refined.before.and_then(|before| Some((*model.groups.get(before)?, sums.groups.get(before)?)));
+            let before = refined.before.and_then(|before| Some((*model.groups.get(before)?, sums.group(before)?)));
             let toggles = refined.toggles.and_then(|index| self.observed.get(index)).map(|(toggles, _)| toggles);
             let counted = toggles.map(|toggles| times.count(toggles));
             let gain = toggles.filter(|_| refined.is_summed).and_then(|toggles| gains.gain(toggles));
+            if model.sensors.is_some() {
+                let mut weight = refined.before.map_or_else(Weights::default, |before| model.weights(before));
+                weight += toggles.map_or_else(Weights::default, |toggles| times.weigh(toggles));
+                weights.push(weight);
+            }
+            let known = before.as_ref().map(|(group, _)| *group);
             let sum = match (before, gain) {
                 (Some((_, sum)), Some(gain)) => gains.add_to(sum, gain),
-                (Some((_, sum)), None) => Arc::clone(sum),
+                (Some((_, sum)), None) => sum,
                 (None, Some(gain)) => gains.sum(gain, rules),
                 (None, None) => gains.zero(rules),
             };
-            let mut group = before.map_or_else(Group::default, |(group, _)| group);
+            let mut group = known.unwrap_or_default();
             if let Some(counted) = counted {
-                group.first_nanos = counted.first_nanos.min(before.map_or(i64::MAX, |(group, _)| group.first_nanos));
-                group.last_nanos = counted.last_nanos.max(before.map_or(i64::MIN, |(group, _)| group.last_nanos));
+                group.first_nanos = counted.first_nanos.min(known.map_or(i64::MAX, |group| group.first_nanos));
+                group.last_nanos = counted.last_nanos.max(known.map_or(i64::MIN, |group| group.last_nanos));
                 group.observations += counted.observations;
             }
             groups.push(Group { cells: refined.cells, ..group });
             group_sums.push(sum);
         }
         model.groups = groups;
-        sums.groups = group_sums;
+        if let Some(known) = &mut model.sensors {
+            known.groups = weights;
+        }
+        sums.set_groups(group_sums);
         self.keep_sightings(times, rules);
     }
 
@@ -178,7 +194,9 @@ impl TileDay {
             return;
         }
         let cells = others.iter().fold(Mask::EMPTY, |all, (_, group)| all | group.cells);
-        sums.sightings.push(&times.civil_nanos, self.observed.iter().map(|(toggles, alike)| (toggles, *alike & cells)));
+        let sensors = times.weighted.as_ref().map(|weighted| &weighted.ids);
+        let observed = self.observed.iter().map(|(toggles, alike)| (toggles, *alike & cells));
+        sums.sightings.push(&times.civil_nanos, sensors, observed);
         if sums.sightings.bytes() > others.len() * SIGHTINGS_PER_SUM * 16 * rules.periodicities.len() {
             let groups: Vec<(usize, u16)> =
                 others.into_iter().filter_map(|(index, group)| Some((index, group.cells.first()?))).collect();
@@ -188,15 +206,16 @@ impl TileDay {
     }
 
     /// Chooses orders and fits the models anew.
-    pub(super) fn refit(mut self, day: LocalDay, rules: &Rules) -> ((TileId, Working), GridOutcome) {
-        let mut outcome = GridOutcome::default();
+    pub(super) fn refit(mut self, day: LocalDay, rules: &Rules) -> ((TileId, Working), TileOutcome) {
+        let mut outcome = TileOutcome::default();
         for (toggles, cells) in &self.observed {
             outcome.observations += u64::from(cells.count()) * run_length(toggles, self.scans);
         }
         let Working { model, sums } = &mut self.working;
-        for ((cell, sum), of_day) in model.cells.iter_mut().zip(&sums.cells).zip(&self.cells) {
+        let TileModel { groups, cells, sensors, .. } = model;
+        for (index, ((cell, sum), of_day)) in cells.iter_mut().zip(&sums.cells).zip(&self.cells).enumerate() {
             let observed = self.refined.get(of_day.group).is_some_and(|group| group.toggles.is_some());
-            let (Some(group), Some(group_sum)) = (model.groups.get(of_day.group), sums.groups.get(of_day.group)) else {
+            let (Some(group), Some(group_sum)) = (groups.get(of_day.group), sums.groups.get(of_day.group)) else {
                 continue;
             };
             if !observed {
@@ -218,11 +237,24 @@ impl TileDay {
                 outcome.squared_error_chosen += of_day.scores.squared[usize::from(cell.order).min(MAX_ORDER)];
             }
             cell.occupied += run_length(&of_day.toggles, self.scans);
+            let mut units = cell.occupied as f64;
+            if let Some(SensorWeights { groups, occupied }) = sensors.as_deref_mut()
+                && let (Some(weights), Some(occupied)) = (groups.get(of_day.group), occupied.get_mut(index))
+            {
+                *occupied += of_day.occupied_weight;
+                units = weights.alpha + *occupied;
+            }
+            let weighted = sums.sensors.as_ref().and_then(|sensors| sensors.groups.get(of_day.group)?.as_ref());
+            let all = weighted.map(|weighted| {
+                let mut all = sum.clone();
+                all.add(&weighted.alpha);
+                all
+            });
             cell.spectral = SpectralModel::fit_sums(
                 CellSums {
                     observations: group.observations,
-                    mean: cell.occupied as f64 / group.observations.max(1) as f64,
-                    a: sum,
+                    mean: units / group.observations.max(1) as f64,
+                    a: all.as_ref().unwrap_or(sum),
                     b: group_sum,
                     span_nanos: group.last_nanos.abs_diff(group.first_nanos),
                     levels: rules.levels,
@@ -243,7 +275,8 @@ impl GroupDay {
             return;
         }
         self.weights.resize(chunk.utc_nanos.len(), 0.0);
-        fill(&mut self.weights, toggles, self.at, self.is_on, chunk.first, (0.0, 1.0));
+        let ends = (&[0.0; CHUNK][..], &[1.0; CHUNK][..]);
+        fill(&mut self.weights, toggles, self.cursor, chunk.first, ends);
         for (weight, &nanos) in self.weights.iter_mut().zip(chunk.utc_nanos) {
             if nanos <= newer_than {
                 *weight = 0.0;
@@ -251,30 +284,10 @@ impl GroupDay {
         }
         self.scored = self.weights.iter().filter(|weight| **weight > 0.0).count() as u64;
         let end = chunk.first + chunk.utc_nanos.len();
-        while toggles.get(self.at).is_some_and(|&toggle| (toggle as usize) < end) {
-            (self.at, self.is_on) = (self.at + 1, !self.is_on);
+        while toggles.get(self.cursor.at).is_some_and(|&toggle| (toggle as usize) < end) {
+            self.cursor = Cursor { at: self.cursor.at + 1, is_on: !self.cursor.is_on };
         }
     }
-}
-
-/// Writes the value of each scan of a chunk that begins with scan `first`: `levels` of a bit that is clear and set.
-fn fill(values: &mut [f64], toggles: &[u32], at: usize, is_on: bool, first: usize, levels: (f64, f64)) {
-    let (mut from, mut is_on) = (0, is_on);
-    for &toggle in toggles.get(at..).unwrap_or_default() {
-        let to = (toggle as usize).saturating_sub(first).min(values.len());
-        values[from..to].fill(if is_on { levels.1 } else { levels.0 });
-        (from, is_on) = (to, !is_on);
-        if to == values.len() {
-            return;
-        }
-    }
-    values[from..].fill(if is_on { levels.1 } else { levels.0 });
-}
-
-/// Number of scans at which a bit is set.
-fn run_length(toggles: &[u32], scans: usize) -> u64 {
-    let end = u32::try_from(scans).unwrap_or(u32::MAX);
-    toggles.chunks(2).map(|run| u64::from(run.get(1).unwrap_or(&end).saturating_sub(run[0]))).sum()
 }
 
 /// Refines the groups of a tile by a day. Where there are too many for a sum each, those with and those without a
@@ -290,10 +303,7 @@ fn refine_working(working: &mut Working, toggles: &DayToggles, rules: &Rules) ->
     let changing = changing(model, toggles);
     let mut to_complete = Vec::new();
     for index in 0..model.groups.len() {
-        let (Some(group), Some(sum)) = (model.groups.get(index).copied(), sums.groups.get(index).map(Arc::clone))
-        else {
-            continue;
-        };
+        let (Some(group), Some(sum)) = (model.groups.get(index).copied(), sums.group(index)) else { continue };
         let is_whole = !(group.cells & changed).is_empty() || sums.sightings.is_empty();
         let starting = group.cells & changing;
         let (Some(first), false) = (starting.first(), is_whole) else { continue };
@@ -305,7 +315,10 @@ fn refine_working(working: &mut Working, toggles: &DayToggles, rules: &Rules) ->
         model.groups[index].cells = rest;
         to_complete.push((model.groups.len(), first));
         model.groups.push(Group { cells: starting, ..group });
-        sums.groups.push(sum);
+        if let Some(weights) = &mut model.sensors {
+            weights.groups.extend(weights.groups.get(index).copied());
+        }
+        sums.push_group(sum);
     }
     complete(sums, &to_complete, rules);
     split_by_spectrum(refine(&model.groups, &toggles.observed), changed | changing)
@@ -317,10 +330,10 @@ fn complete(sums: &mut TileSums, groups: &[(usize, u16)], rules: &Rules) {
         return;
     }
     let cells: Vec<u16> = groups.iter().map(|&(_, cell)| cell).collect();
-    for (&(index, _), mut sum) in groups.iter().zip(sums.sightings.sums(&cells, &rules.periodicities)) {
-        if let Some(before) = sums.groups.get_mut(index) {
-            sum.add(before);
-            *before = Arc::new(sum);
+    let later = sums.sightings.sums(&cells, &rules.periodicities, &rules.sensors);
+    for (&(index, _), later) in groups.iter().zip(later) {
+        if let Some(before) = sums.group(index) {
+            sums.set_group(index, later.plus(&before));
         }
     }
 }
@@ -340,19 +353,25 @@ fn begin_spectra(working: &mut Working, toggles: &DayToggles, rules: &Rules) {
     let changing = changing(model, toggles);
     for cell in changing.cells() {
         let before = model.groups.iter().position(|group| group.cells.contains(cell));
-        let before = before.and_then(|at| Some((*model.groups.get(at)?, sums.groups.get(at)?)));
+        let before = before.and_then(|at| Some((at, *model.groups.get(at)?, sums.group(at)?)));
         let zero = || PhasorSum::zero(&rules.periodicities);
-        let (occupied, sum, spectral) = match before {
-            None => (0, zero(), SpectralModel::default()),
-            Some((group, sum)) if model.always_occupied.contains(cell) => {
-                (group.observations, PhasorSum::clone(sum), constant(rules.levels.1, group.observations))
+        let was_occupied = model.always_occupied.contains(cell);
+        let (mut occupied, mut occupied_weight, mut sum, mut spectral) = (0, 0.0, None, SpectralModel::default());
+        if let Some((at, group, group_sums)) = before {
+            let levels = model.constant_levels(at, &rules.sensors);
+            spectral = constant(if was_occupied { levels.1 } else { levels.0 }, group.observations);
+            if was_occupied {
+                (occupied, occupied_weight) = (group.observations, model.weights(at).beta);
+                sum = Some(PhasorSum::clone(group_sums.beta()));
             }
-            Some((group, _)) => (0, zero(), constant(rules.levels.0, group.observations)),
-        };
+        }
         let at = model.cells.partition_point(|known| known.cell < cell);
         let errors = OrderErrors::default();
         model.cells.insert(at, CellModel { cell, occupied, spectral, order: 0, errors });
-        sums.cells.insert(at, sum);
+        if let Some(weights) = &mut model.sensors {
+            weights.occupied.insert(at.min(weights.occupied.len()), occupied_weight);
+        }
+        sums.cells.insert(at, sum.unwrap_or_else(zero));
     }
     model.always_occupied =
         (model.always_occupied | toggles.ever_occupied).without(toggles.ever_free).without(model.changed());

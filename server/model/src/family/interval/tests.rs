@@ -1,5 +1,7 @@
 //! The distribution against closed forms, and what holds of an interval whatever it is made from.
 
+mod door;
+
 use std::f64::consts::PI;
 
 use proptest::prelude::*;

@@ -98,7 +98,14 @@ async fn scans_wait_while_those_on_their_way_take_too_much_memory() {
     let (reply, mut answer) = oneshot::channel();
     let (events, _kept) = events::unbounded_channel();
     let key = ProducerKey::new("b", "").expect("valid");
-    assert!(bare.handle.send(Command::Hello(Hello { key, incarnation: 0, nightly: false, events, reply })));
+    assert!(bare.handle.send(Command::Hello(Hello {
+        key,
+        incarnation: 0,
+        nightly: false,
+        sensor: None,
+        events,
+        reply
+    })));
     bare.take_in();
     assert!(matches!(bare.writer.deferred.back(), Some(Deferred::Leave(..))));
     assert!(answer.try_recv().is_err());

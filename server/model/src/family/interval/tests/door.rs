@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::*;
+use super::super::*;
 use crate::family::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
 use crate::{Sample, Zone};
 

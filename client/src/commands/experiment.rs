@@ -1,0 +1,93 @@
+//! `tidemap experiment`.
+//!
+//! Invariant: no daemon is asked. A word after `experiment` that names no kind of experiment is a protocol's file, and a
+//! protocol's file ends in .yaml or .yml, so that kinds that come later take no file's name away.
+
+use std::{
+    fs,
+    io::{self, IsTerminal as _},
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use anyhow::Context as _;
+use clap::{Args, Subcommand};
+
+use super::Misused;
+use crate::{
+    experiment::{self, ProtocolError},
+    output::Format,
+    progress::{Bar, notice},
+};
+
+#[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, subcommand_value_name = "KIND")]
+pub struct ExperimentArgs {
+    #[command(flatten)]
+    compare: Option<CompareArgs>,
+    #[command(subcommand)]
+    kind: Option<ExperimentKind>,
+}
+
+#[derive(Debug, Subcommand)]
+enum ExperimentKind {
+    /// Compares temporal models by a protocol; the same as a protocol's file alone
+    Compare(CompareArgs),
+}
+
+#[derive(Debug, Args)]
+struct CompareArgs {
+    /// The protocol, ending in .yaml or .yml; deploy/experiments has examples
+    #[arg(value_name = "FILE.yaml", value_parser = protocol_file)]
+    protocol: PathBuf,
+    /// Folder of the results, instead of the protocol's `out`
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+fn protocol_file(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match path.extension().and_then(|ending| ending.to_str()) {
+        Some("yaml" | "yml") => Ok(path),
+        _ => {
+            Err("it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare"
+                .to_owned())
+        }
+    }
+}
+
+pub fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCode> {
+    match (args.kind, args.compare) {
+        (Some(ExperimentKind::Compare(args)), _) | (None, Some(args)) => compare(&args, format),
+        (None, None) => Err(Misused("name a protocol, a file that ends in .yaml or .yml".to_owned()).into()),
+    }
+}
+
+fn compare(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let shown = args.protocol.display();
+    let protocol = experiment::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
+    let out = args.out.as_ref().unwrap_or(&protocol.out);
+    // Before the work, so that it is not done in vain.
+    fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
+    let bar = Bar::count("fits");
+    let outcome = experiment::run(&protocol, &|done, total| bar.set_of(done, total));
+    bar.clear();
+    let outcome = outcome.with_context(|| shown.to_string())?;
+    experiment::write(&protocol, &outcome, out)?;
+    experiment::summary(&protocol, &outcome, format, io::stdout().lock())?;
+    let undecided = |model: &experiment::Compared| model.difference.is_some_and(|difference| difference.test.is_none());
+    if outcome.models.iter().any(undecided) {
+        notice("the test sets have too few days for a test: intervals and p-values are left out");
+    }
+    if io::stderr().is_terminal() {
+        notice(&format!("results are in {}", out.display()));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What a protocol says wrongly is wrong usage, as if it stood on the command line.
+fn refused(path: &Path, error: &ProtocolError) -> anyhow::Error {
+    let misuse = error.is_misuse();
+    let message = format!("{}: {error}", path.display());
+    if misuse { Misused(message).into() } else { anyhow::anyhow!(message) }
+}

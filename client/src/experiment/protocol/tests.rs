@@ -1,0 +1,218 @@
+//! Protocols are read as written, and what is wrong with one is told with its line and what would be right.
+
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+
+use super::*;
+
+/// A protocol in which each key has a line of its own.
+const WHOLE: &str = "\
+name: door
+zone: Europe/London
+train: [data/train.csv]
+test: [week1.csv, more/week1.csv, week2.csv]
+refit: each
+states: [door, lamp]
+models:
+  - mean
+  - histogram: {bins: [12, 24], cycle: [day, week]}
+  - spectral: {name: fremen, order: 3, period_base: 7d, period_count: 168}
+  - calibrated:
+tuning: {folds: 4, fold: 7d}
+baseline: fremen
+significance: 0.1
+predictions: 5m
+out: results
+";
+
+fn parsed(text: &str) -> Result<Protocol, ProtocolError> {
+    parse(text, "stem", Path::new("lab"))
+}
+
+#[track_caller]
+fn refused(text: &str) -> String {
+    parsed(text).expect_err(text).to_string()
+}
+
+/// The whole protocol with one line replaced; lines of the message are those of the file.
+#[track_caller]
+fn refused_with(line: &str, other: &str) -> String {
+    assert!(WHOLE.contains(line), "{line}");
+    refused(&WHOLE.replace(line, other))
+}
+
+#[test]
+fn everything_of_a_protocol_is_read() {
+    let protocol = parsed(WHOLE).unwrap();
+    assert_eq!(protocol.name, "door");
+    assert_eq!(protocol.zone.name(), "Europe/London");
+    assert_eq!(protocol.train, [Path::new("lab/data/train.csv")]);
+    let tests: Vec<(&str, &Path)> = protocol.test.iter().map(|test| (&*test.label, &*test.path)).collect();
+    let path = Path::new;
+    // Two files of one name are told apart.
+    assert_eq!(
+        tests,
+        [("week1", path("lab/week1.csv")), ("week1-2", path("lab/more/week1.csv")), ("week2", path("lab/week2.csv"))]
+    );
+    assert_eq!(protocol.refit, Refit::Each);
+    assert_eq!(protocol.states, ["door", "lamp"]);
+    assert_eq!(protocol.tuning, Some(Tuning { folds: 4, fold_nanos: 7 * 86_400 * 1_000_000_000 }));
+    assert_eq!((protocol.baseline, protocol.significance), (2, 0.1));
+    assert_eq!(protocol.predictions, Predictions::Every { nanos: 300 * 1_000_000_000 });
+    assert_eq!(protocol.out, Path::new("lab/results"));
+    let models: Vec<(&str, Vec<&str>)> = protocol
+        .models
+        .iter()
+        .map(|model| (&*model.label, model.candidates.iter().map(|candidate| candidate.shown()).collect()))
+        .collect();
+    let histograms = ["bins=12 cycle=day", "bins=12 cycle=week", "bins=24 cycle=day", "bins=24 cycle=week"].to_vec();
+    assert_eq!(
+        models,
+        [
+            ("mean", vec![""]),
+            ("histogram", histograms),
+            ("fremen", vec!["order=3 period_base=7d period_count=168"]),
+            ("calibrated", vec![""]),
+        ]
+    );
+}
+
+#[test]
+fn what_may_be_left_out_has_a_default() {
+    let protocol =
+        parsed("zone: UTC\ntrain: a.csv\ntest: b.csv\nmodels: [mean, spectral]\npredictions: off\nout: o").unwrap();
+    assert_eq!(protocol.name, "stem");
+    assert_eq!((protocol.kind, protocol.format), (ValueKind::Probability, RowFormat::Csv));
+    assert_eq!((protocol.refit, protocol.tuning), (Refit::Never, None));
+    assert_eq!((protocol.baseline, protocol.significance), (0, 0.05));
+    assert_eq!(protocol.predictions, Predictions::Off);
+    assert!(protocol.states.is_empty());
+}
+
+#[test]
+fn an_unknown_key_is_named_with_its_line_and_the_keys_there_are() {
+    let message = refused_with("refit: each", "refits: each");
+    assert!(message.contains("line 5") && message.contains("refits") && message.contains("refit,"), "{message}");
+    let message = refused_with("{folds: 4, fold: 7d}", "{folds: 4, length: 7d}");
+    assert!(message.contains("line 12") && message.contains("length") && message.contains("fold"), "{message}");
+}
+
+#[test]
+fn an_unknown_model_is_named_with_the_models_there_are() {
+    assert_eq!(
+        refused_with("  - mean", "  - fremen"),
+        "line 8: model is \"fremen\": it has to be one of: mean, latest, persistence, histogram, spectral, pergam, \
+         hypertime-em, hypertime-km, poisson, calibrated"
+    );
+    assert!(refused_with("  - mean", "  - auto").starts_with("line 8: model is \"auto\""));
+}
+
+#[test]
+fn wrong_parameters_are_named_with_the_right_ones() {
+    assert_eq!(
+        refused_with("bins: [12, 24]", "bims: [12, 24]"),
+        "line 9: model histogram: \"bims\" is not a parameter of it: use bins, cycle, smoothing_bins, prior_readings or \
+         name"
+    );
+    assert_eq!(
+        refused_with("  - mean", "  - mean: {order: 3}"),
+        "line 8: model mean: \"order\" is not a parameter of it: it has none but name"
+    );
+    assert_eq!(
+        refused_with("bins: [12, 24]", "bins: [12, many]"),
+        "line 9: bins of histogram is \"many\": it has to be a whole number from 1"
+    );
+    assert_eq!(
+        refused_with("order: 3", "order: 16"),
+        "line 10: order of spectral is \"16\": it has to be a whole number from 0 to 15"
+    );
+    assert_eq!(
+        refused_with("bins: [12, 24]", "bins: [12, 2000]"),
+        "line 9: model histogram: bins is 2000, expected 1 to 1440 bins of the day"
+    );
+    assert!(refused_with("period_base: 7d", "period_base: seven").contains("period_base of spectral is \"seven\""));
+    assert!(refused_with("period_count: 168", "period_count: 0").contains("0 periodicities, expected 1 to 2048"));
+    assert!(refused_with("bins: [12, 24]", "bins: []").contains("bins is an empty list"));
+}
+
+#[test]
+fn a_list_that_nothing_chooses_from_is_refused() {
+    assert_eq!(
+        refused_with("tuning: {folds: 4, fold: 7d}\n", ""),
+        "line 9: model histogram: bins lists 2 values and nothing chooses one: write tuning: {folds: 4, fold: 7d}, or \
+         one value"
+    );
+}
+
+#[test]
+fn wrong_values_are_named_with_their_lines() {
+    for (line, other, begins) in [
+        ("zone: Europe/London", "zone: Mars/Base", "line 2: zone is \"Mars/Base\": it has to be an IANA time zone"),
+        ("refit: each", "refit: daily", "line 5: refit is \"daily\": it has to be one of: never, each"),
+        ("folds: 4", "folds: 0", "line 12: folds is \"0\": it has to be a whole number"),
+        ("fold: 7d", "fold: week", "line 12: fold is \"week\": it has to be a duration"),
+        (
+            "baseline: fremen",
+            "baseline: spectral",
+            "line 13: baseline is \"spectral\": it has to be one of the models: mean, histogram, fremen, calibrated",
+        ),
+        ("significance: 0.1", "significance: 5", "line 14: significance is \"5\": it has to be a number from 0.001"),
+        ("significance: 0.1", "significance: .nan", "line 14: significance is"),
+        ("predictions: 5m", "predictions: some", "line 15: predictions is \"some\": it has to be all, off, or a"),
+        ("[door, lamp]", "[door, door]", "line 6: states is \"door\": it has to be each state once"),
+        ("test: [week1.csv,", "test: [week2.csv,", "line 4: test is \"week2.csv\": it has to be each file once"),
+    ] {
+        let message = refused_with(line, other);
+        assert!(message.starts_with(begins), "{message}");
+    }
+}
+
+#[test]
+fn missing_keys_are_named() {
+    for (line, begins) in [
+        ("zone: Europe/London\n", "key zone is missing: write an IANA time zone"),
+        ("train: [data/train.csv]\n", "key train is missing: write a list of files"),
+        ("test: [week1.csv, more/week1.csv, week2.csv]\n", "key test is missing: write a list of files"),
+        ("out: results\n", "key out is missing: write the folder"),
+    ] {
+        assert!(refused_with(line, "").starts_with(begins), "{}", refused_with(line, ""));
+    }
+    assert!(refused("zone: UTC\ntrain: a\ntest: b\nmodels: []\nout: o").starts_with("key models is missing"));
+}
+
+#[test]
+fn two_models_of_one_name_are_refused() {
+    assert_eq!(
+        refused_with("  - calibrated:", "  - mean"),
+        "line 11: model mean: two models are called \"mean\": give one a name of its own, as in mean: {name: other}"
+    );
+}
+
+#[test]
+fn a_model_of_counts_needs_counts() {
+    assert!(refused_with("  - mean", "  - poisson").starts_with("line 8: model poisson: it is a model of counts"));
+    assert!(parsed(&WHOLE.replace("  - mean", "  - poisson").replace("name: door", "kind: count")).is_ok());
+}
+
+#[test]
+fn a_file_that_is_no_protocol_is_refused_with_a_line() {
+    for text in
+        ["models: [mean\n", "time,state,value\n1,door,0\n", "", "- mean\n", "zone: UTC\nzone: UTC\n", "zone: [UTC]\n"]
+    {
+        let message = refused(text);
+        assert!(message.contains("line ") || message.starts_with("key "), "{text:?}: {message}");
+        assert!(!message.contains('\n'), "{message}");
+    }
+    // One model a dash.
+    let message = refused_with("  - mean", "  - {mean: , latest: }");
+    assert!(message.contains("line 8") && message.contains("dash"), "{message}");
+}
+
+#[test]
+fn too_many_combinations_are_refused_before_they_are_made() {
+    let values = (1..=300).map(|bins| bins.to_string()).collect::<Vec<_>>().join(", ");
+    let lists = format!("bins: [{values}], smoothing_bins: [{values}], prior_readings: [{values}], cycle: [day, week]");
+    let message = refused_with("bins: [12, 24], cycle: [day, week]", &lists);
+    assert!(message.contains("more than 10000 combinations"), "{message}");
+}

@@ -1,0 +1,117 @@
+//! Scoring the models that were chosen on the test sets.
+//!
+//! Invariant: a reading is predicted by a model that has seen nothing of its test set, nor of a later one; the days of all
+//! models are the same days in the same order.
+
+use rayon::prelude::*;
+use tidemap_model::{Evaluation, LocalDay, Sample};
+
+use super::{
+    Problem,
+    candidate::{Candidate, ValueKind},
+    data::Data,
+    protocol::Refit,
+};
+
+/// The errors of one local day of a test set, all states together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DayErrors {
+    /// Index of the test set.
+    pub set: usize,
+    /// Which day.
+    pub day: LocalDay,
+    /// Its errors.
+    pub errors: Evaluation,
+}
+
+/// How a model did.
+#[derive(Clone, Debug)]
+pub struct Score {
+    /// Errors of each test set.
+    pub sets: Vec<Evaluation>,
+    /// Errors of each day, by test set, then by date.
+    pub days: Vec<DayErrors>,
+    /// What was predicted: by test set, by state, in the order of the readings.
+    pub predictions: Vec<Vec<Vec<f64>>>,
+}
+
+impl Score {
+    /// The mean over test sets of their mean squared errors.
+    pub fn mse(&self) -> f64 {
+        mean(self.sets.iter().map(Evaluation::mse))
+    }
+
+    /// The mean over test sets of their shares of wrong predictions.
+    pub fn error_rate(&self) -> f64 {
+        mean(self.sets.iter().map(Evaluation::error_rate))
+    }
+}
+
+fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len().max(1) as f64;
+    values.sum::<f64>() / count
+}
+
+/// Fits each model and predicts all test sets.
+pub fn score(
+    data: &Data,
+    models: &[(&str, &Candidate)],
+    refit: Refit,
+    kind: ValueKind,
+    step: &(impl Fn() + Sync),
+) -> Result<Vec<Score>, Problem> {
+    let jobs: Vec<(usize, usize)> =
+        (0..models.len()).flat_map(|model| (0..data.states.len()).map(move |state| (model, state))).collect();
+    let predictions = jobs
+        .into_par_iter()
+        .map(|(model, state)| {
+            let (label, candidate) = models[model];
+            let predictions = predict(data, state, candidate, refit, kind)
+                .map_err(|refused| Problem::fit(label, candidate, &data.states[state], refused));
+            step();
+            predictions
+        })
+        .collect::<Result<Vec<Vec<Vec<f64>>>, Problem>>()?;
+    Ok(predictions.chunks(data.states.len()).map(|of_model| tally(data, of_model)).collect())
+}
+
+/// Predictions of one state, by test set.
+fn predict(
+    data: &Data,
+    state: usize,
+    candidate: &Candidate,
+    refit: Refit,
+    kind: ValueKind,
+) -> Result<Vec<Vec<f64>>, tidemap_model::family::CannotFit> {
+    let mut known: Vec<Sample> = data.train[state].clone();
+    let mut model = candidate.fit(&known, kind)?;
+    let mut predictions = Vec::with_capacity(data.tests.len());
+    for (set, test) in data.tests.iter().enumerate() {
+        let samples = &test.samples[state];
+        predictions.push(samples.iter().map(|sample| model.predict(sample.moment())).collect());
+        if refit == Refit::Each && set + 1 < data.tests.len() && !samples.is_empty() {
+            known.extend_from_slice(samples);
+            model = candidate.fit(&known, kind)?;
+        }
+    }
+    Ok(predictions)
+}
+
+/// Adds up the errors of one model; `predictions` by state, then by test set.
+fn tally(data: &Data, predictions: &[Vec<Vec<f64>>]) -> Score {
+    let mut score = Score { sets: Vec::new(), days: Vec::new(), predictions: Vec::new() };
+    for (set, test) in data.tests.iter().enumerate() {
+        let mut whole = Evaluation::default();
+        let mut days = std::collections::BTreeMap::<LocalDay, Evaluation>::new();
+        for (samples, predicted) in test.samples.iter().zip(predictions) {
+            for (sample, &predicted) in samples.iter().zip(&predicted[set]) {
+                whole.add(predicted, sample.value);
+                days.entry(sample.local_day()).or_default().add(predicted, sample.value);
+            }
+        }
+        score.sets.push(whole);
+        score.days.extend(days.into_iter().map(|(day, errors)| DayErrors { set, day, errors }));
+        score.predictions.push(predictions.iter().map(|of_state| of_state[set].clone()).collect());
+    }
+    score
+}

@@ -1,0 +1,203 @@
+//! Observations that the model did not expect: looked back at, and as they come.
+//!
+//! Invariant: what is looked back at comes by time, each observation once, and none outside of what was asked for; what is
+//! watched comes in the order in which the daemon applied it, and what was missed is told.
+
+use tidemap_proto::v1;
+use tonic::Streaming;
+
+use super::ModelSelector;
+use crate::{connection::Client, error::Error};
+
+/// An observation that was not expected.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Anomaly {
+    /// When, nanoseconds UTC.
+    pub time_nanos: i64,
+    /// What was observed, in [0, 1].
+    pub value: f64,
+    /// Probability that the model gave the value 1, in [0, 1].
+    pub probability: f64,
+}
+
+/// What counts as an anomaly, by the T-RO paper of 2017, section V: that the model says the contrary with this confidence.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Judgement {
+    /// Above 0.5, at most 1.
+    pub confidence: f64,
+    /// The model that judges.
+    pub model: ModelSelector,
+}
+
+impl Default for Judgement {
+    fn default() -> Self {
+        Self { confidence: 0.99, model: ModelSelector::default() }
+    }
+}
+
+/// A look back under way.
+#[derive(Debug)]
+pub struct Anomalies {
+    client: Client,
+    replies: Streaming<v1::FindAnomaliesResponse>,
+    from_nanos: i64,
+    to_nanos: i64,
+}
+
+/// A watch under way. It ends when it is dropped.
+#[derive(Debug)]
+pub struct AnomalyWatch {
+    client: Client,
+    replies: Streaming<v1::WatchAnomaliesResponse>,
+}
+
+/// What a watch tells at once.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Watched {
+    /// Names of states, and what was not expected of them, in the order in which the observations were applied.
+    pub anomalies: Vec<(String, Anomaly)>,
+    /// Observations of the map that came before these and were not judged, because this end did not keep up.
+    pub missed: u64,
+}
+
+impl Client {
+    /// The observations of a state, or of a cell (`cell/X/Y/Z`), from one time up to but not including another, that were
+    /// not to be expected, as the model is now.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `INVALID_ARGUMENT` where the confidence is none or the model answers from the newest value,
+    /// and otherwise as of [`Client::reconstruct`].
+    pub async fn anomalies(
+        &self,
+        map: &str,
+        state: &str,
+        from_nanos: i64,
+        to_nanos: i64,
+        judgement: Judgement,
+    ) -> Result<Anomalies, Error> {
+        let request = v1::FindAnomaliesRequest {
+            map: map.to_owned(),
+            state: state.to_owned(),
+            from_nanos,
+            to_nanos,
+            confidence: Some(judgement.confidence),
+            model: Some(judgement.model.to_wire()),
+        };
+        let answer = self.query_service().find_anomalies(request).await.map_err(|status| self.error(&status))?;
+        Ok(Anomalies { client: self.clone(), replies: answer.into_inner(), from_nanos, to_nanos })
+    }
+
+    /// The observations that are not to be expected, of these states or of all where none is named, from now on. When
+    /// this returns the watch has begun.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state, `INVALID_ARGUMENT` where the confidence is
+    /// none or the model is not `auto`, `mean` or `spectral`, `RESOURCE_EXHAUSTED` where too many watch.
+    pub async fn watch_anomalies(
+        &self,
+        map: &str,
+        states: Vec<String>,
+        judgement: Judgement,
+    ) -> Result<AnomalyWatch, Error> {
+        let request = v1::WatchAnomaliesRequest {
+            map: map.to_owned(),
+            states,
+            confidence: Some(judgement.confidence),
+            model: Some(judgement.model.to_wire()),
+        };
+        let answer = self.query_service().watch_anomalies(request).await.map_err(|status| self.error(&status))?;
+        Ok(AnomalyWatch { client: self.clone(), replies: answer.into_inner() })
+    }
+}
+
+impl Anomalies {
+    /// The next anomalies, perhaps none; `None` after the last.
+    ///
+    /// # Errors
+    /// [`Error`]
+    pub async fn next(&mut self) -> Result<Option<Vec<Anomaly>>, Error> {
+        let Some(reply) = self.replies.message().await.map_err(|status| self.client.error(&status))? else {
+            return Ok(None);
+        };
+        let found = found(reply, self.from_nanos..self.to_nanos)?;
+        if let Some(last) = found.last() {
+            self.from_nanos = last.time_nanos;
+        }
+        Ok(Some(found))
+    }
+}
+
+impl AnomalyWatch {
+    /// What comes next. It waits as long as that takes; `None` where the daemon ends the watch without a word.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where the map is deleted, `UNAVAILABLE` where the daemon stops.
+    pub async fn next(&mut self) -> Result<Option<Watched>, Error> {
+        let reply = self.replies.message().await.map_err(|status| self.client.error(&status))?;
+        reply.map(watched).transpose()
+    }
+}
+
+/// Several producers may observe a state at the same time.
+fn found(reply: v1::FindAnomaliesResponse, asked: std::ops::Range<i64>) -> Result<Vec<Anomaly>, Error> {
+    let v1::FindAnomaliesResponse { times_nanos, values, probabilities } = reply;
+    if !times_nanos.is_sorted() || !times_nanos.iter().all(|time| asked.contains(time)) {
+        return Err(Error::Protocol("anomalies are not those that were asked for"));
+    }
+    rows(times_nanos, values, probabilities)
+}
+
+fn watched(reply: v1::WatchAnomaliesResponse) -> Result<Watched, Error> {
+    let v1::WatchAnomaliesResponse { states, times_nanos, values, probabilities, missed_observations } = reply;
+    let anomalies = rows(times_nanos, values, probabilities)?;
+    if anomalies.len() != states.len() {
+        return Err(Error::Protocol("anomalies lack the names of their states"));
+    }
+    Ok(Watched { anomalies: states.into_iter().zip(anomalies).collect(), missed: missed_observations })
+}
+
+fn rows(times_nanos: Vec<i64>, values: Vec<f64>, probabilities: Vec<f64>) -> Result<Vec<Anomaly>, Error> {
+    if times_nanos.len() != values.len() || times_nanos.len() != probabilities.len() {
+        return Err(Error::Protocol("anomalies are not whole"));
+    }
+    let rows = times_nanos.into_iter().zip(values).zip(probabilities);
+    Ok(rows.map(|((time_nanos, value), probability)| Anomaly { time_nanos, value, probability }).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn anomalies_come_by_time_and_within_what_was_asked_for() {
+        let reply = |times: &[i64]| v1::FindAnomaliesResponse {
+            times_nanos: times.to_vec(),
+            values: vec![0.0; 2],
+            probabilities: vec![1.0; 2],
+        };
+        let anomaly = |time_nanos| Anomaly { time_nanos, value: 0.0, probability: 1.0 };
+        assert_eq!(found(reply(&[5, 9]), 5..10), Ok(vec![anomaly(5), anomaly(9)]));
+        assert_eq!(found(reply(&[5, 5]), 5..10), Ok(vec![anomaly(5), anomaly(5)]));
+        for wrong in [&[9, 5][..], &[4, 5], &[5, 10], &[5], &[5, 6, 7]] {
+            assert!(found(reply(wrong), 5..10).is_err(), "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_watched_has_names_and_may_be_in_any_order() {
+        let reply = v1::WatchAnomaliesResponse {
+            states: vec!["door".to_owned(), "gate".to_owned()],
+            times_nanos: vec![9, 5],
+            values: vec![0.0, 1.0],
+            probabilities: vec![1.0, 0.0],
+            missed_observations: 7,
+        };
+        let anomalies = vec![
+            ("door".to_owned(), Anomaly { time_nanos: 9, value: 0.0, probability: 1.0 }),
+            ("gate".to_owned(), Anomaly { time_nanos: 5, value: 1.0, probability: 0.0 }),
+        ];
+        assert_eq!(watched(reply.clone()), Ok(Watched { anomalies, missed: 7 }));
+        assert!(watched(v1::WatchAnomaliesResponse { states: vec!["door".to_owned()], ..reply.clone() }).is_err());
+        assert!(watched(v1::WatchAnomaliesResponse { values: vec![0.0], ..reply }).is_err());
+    }
+}

@@ -1,0 +1,77 @@
+//! What a request for anomalies says of the confidence and the model.
+
+use tidemap_map::{
+    anomaly::{CannotJudge, Confidence},
+    predict::ModelSelector,
+};
+
+use super::{InvalidField, query::selector_from_wire};
+use crate::v1;
+
+/// The confidence; 0.99 where none is given.
+///
+/// # Errors
+/// It is not above 0.5 and at most 1.
+pub fn confidence_from_wire(field: &str, wire: Option<f64>) -> Result<Confidence, InvalidField> {
+    let confidence = wire.map(Confidence::new).transpose().map_err(|error| InvalidField::new(field, error))?;
+    Ok(confidence.unwrap_or_default())
+}
+
+/// The model that judges what was observed long ago.
+///
+/// # Errors
+/// As of any model; and the model answers from the newest value.
+pub fn judge_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<ModelSelector, InvalidField> {
+    let selector = selector_from_wire(field, wire)?;
+    selector.can_judge().map_err(|error| cannot_judge(field, error))?;
+    Ok(selector)
+}
+
+/// The model that judges observations as they come.
+///
+/// # Errors
+/// As of any model; and the model answers from the newest value, or has to be fitted first.
+pub fn watching_judge_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<ModelSelector, InvalidField> {
+    let selector = selector_from_wire(field, wire)?;
+    selector.can_watch().map_err(|error| cannot_judge(field, error))?;
+    Ok(selector)
+}
+
+fn cannot_judge(field: &str, error: CannotJudge) -> InvalidField {
+    let name = if error == CannotJudge::Persistence { "persistence" } else { "kind" };
+    InvalidField::new(format!("{field}.{name}"), error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_confidence_is_that_of_the_paper_unless_told_otherwise() {
+        assert_eq!(confidence_from_wire("confidence", None).map(Confidence::get), Ok(0.99));
+        assert_eq!(confidence_from_wire("confidence", Some(0.6)).map(Confidence::get), Ok(0.6));
+        for wrong in [0.0, 0.5, 1.5, f64::NAN] {
+            assert_eq!(
+                confidence_from_wire("confidence", Some(wrong)).map_err(|error| error.field),
+                Err("confidence".to_owned())
+            );
+        }
+    }
+
+    #[test]
+    fn a_model_that_cannot_judge_is_refused_by_the_field_that_makes_it_so() {
+        let wire = |kind: v1::ModelKind, persistence| {
+            Some(v1::ModelSelector { kind: kind.into(), persistence, ..v1::ModelSelector::default() })
+        };
+        let field = |error: InvalidField| error.field;
+        let judge = |kind, persistence| judge_from_wire("model", wire(kind, persistence)).map_err(field);
+        let watching = |kind, persistence| watching_judge_from_wire("model", wire(kind, persistence)).map_err(field);
+        assert_eq!(judge_from_wire("model", None), Ok(ModelSelector::default()));
+        assert_eq!(judge(v1::ModelKind::Latest, false), Err("model.kind".to_owned()));
+        assert_eq!(judge(v1::ModelKind::Auto, true), Err("model.persistence".to_owned()));
+        assert!(judge(v1::ModelKind::Calibrated, false).is_ok());
+        assert_eq!(watching(v1::ModelKind::Calibrated, false), Err("model.kind".to_owned()));
+        assert_eq!(watching(v1::ModelKind::Mean, true), Err("model.persistence".to_owned()));
+        assert!(watching(v1::ModelKind::Mean, false).is_ok());
+    }
+}

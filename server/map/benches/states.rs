@@ -1,0 +1,132 @@
+//! A night of 10,000 named states that were read once a minute, on two threads.
+//!
+//! `cargo bench -p tidemap-map --bench states`. The update scores and folds in a day of 1,440 readings of each state: with no
+//! calibrated model to fit, and with as many as an update fits, each to twelve weeks of minutes. Measured once each, because
+//! a night takes seconds. The readings of earlier updates come from memory; reading files is the store's.
+
+use std::{
+    sync::{Arc, atomic::AtomicU64},
+    time::Instant,
+};
+
+use tidemap_map::{
+    event::{Event, NewState, Observations, OffsetRun, ProducerId, StateId, StateKind, UpdateCause},
+    grid::spec::Retention,
+    live_map::LiveMap,
+    name::{MapName, ProducerKey, StateName},
+    refit::{REFIT_NANOS, StateReadings, WantedReadings},
+    spec::MapSpec,
+};
+use tidemap_model::{OrderCriterion, Periodicities, Sample, Zone};
+
+const STATES: u32 = 10_000;
+const MINUTE: i64 = 60_000_000_000;
+const DAY: i64 = 1440 * MINUTE;
+/// Days of a reading an hour before the nights that are measured: then every state is due.
+const BEFORE: i64 = 7;
+
+/// Open from about nine to five on weekdays, now and then shut for some minutes.
+fn value(state: u32, minute: i64) -> f64 {
+    let (day, of_day) = (minute.div_euclid(1440), minute.rem_euclid(1440));
+    let seed = (u64::from(state) << 40) ^ (minute / 7).unsigned_abs().wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let shut = (seed ^ (seed >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 60 == 0;
+    let opens = 480 + i64::from(state % 90);
+    f64::from(u8::from((day + 3).rem_euclid(7) < 5 && (opens..opens + 480).contains(&of_day) && !shut))
+}
+
+/// Twelve weeks of minutes before a night, the same for all states.
+#[derive(Debug)]
+struct Weeks(Vec<Sample>);
+
+impl StateReadings for Weeks {
+    fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
+        Ok(vec![self.0.clone(); wanted.len()])
+    }
+}
+
+fn samples(state: u32, minutes: impl Iterator<Item = i64>) -> Vec<Sample> {
+    let sample = |minute| Sample { utc_nanos: minute * MINUTE, offset_secs: 0, value: value(state, minute) };
+    minutes.map(sample).collect()
+}
+
+fn apply(map: &mut LiveMap, event: &Event) -> Option<tidemap_map::update::UpdateWork> {
+    map.apply(map.position() + 1, event).expect("consistent")
+}
+
+/// Takes a day in, read every so many minutes.
+fn observe(map: &mut LiveMap, day: i64, step: i64) {
+    for state in 0..STATES {
+        let key = ProducerKey::new("bench", "").expect("valid");
+        let known = map.producer(&key).map(|(_, mark)| mark.durable_sequence);
+        let is_new = map.states() as u32 <= state;
+        let samples = samples(state, (day * 1440..(day + 1) * 1440).step_by(step as usize));
+        let first_sequence = known.unwrap_or(0) + 1;
+        let new = NewState {
+            id: StateId(state),
+            name: StateName::new(&format!("state {state}")).expect("valid"),
+            kind: StateKind::Probability,
+        };
+        let event = Observations {
+            producer: ProducerId(0),
+            new_producer: known.is_none().then(|| key.into()),
+            incarnation: 1,
+            first_sequence,
+            last_sequence: first_sequence + samples.len() as u64 - 1,
+            content_crc: 0,
+            received_nanos: (day + 1) * DAY,
+            new_states: if is_new { vec![new] } else { Vec::new() },
+            states: vec![StateId(state); samples.len()],
+            times_nanos: samples.iter().map(|sample| sample.utc_nanos).collect(),
+            values: samples.iter().map(|sample| sample.value).collect(),
+            offsets: vec![OffsetRun { count: samples.len() as u32, offset_secs: 0 }],
+            refused: Vec::new(),
+        };
+        apply(map, &Event::Observations(event));
+    }
+}
+
+/// The update after a day; gives its seconds.
+fn update(map: &mut LiveMap, pool: &rayon::ThreadPool, day: i64, readings: Option<Arc<dyn StateReadings>>) -> f64 {
+    let cut = (day + 1) * DAY;
+    let start = Event::UpdateStart(map.plan_update(Some(cut), cut, UpdateCause::Midnight));
+    let mut work = apply(map, &start).expect("an update");
+    if let Some(readings) = readings {
+        work = work.with_readings(readings);
+    }
+    let started = Instant::now();
+    let result = pool.install(|| work.run(&AtomicU64::new(0))).expect("in memory");
+    let secs = started.elapsed().as_secs_f64();
+    let refits = result.refits().clone();
+    map.finish_update(result);
+    println!("day {day}: {secs:.2} s, {} models fitted, {} wait", refits.fitted, refits.waiting);
+    secs
+}
+
+fn main() {
+    let spec = MapSpec {
+        name: MapName::new("bench").expect("valid"),
+        zone: Zone::utc(),
+        periodicities: Periodicities::default(),
+        criterion: OrderCriterion::SquaredError,
+        created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
+        retention: Retention::Forever,
+        grid: None,
+    };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
+    let mut map = LiveMap::new(Arc::new(spec));
+    // After twelve weeks, of which this map has seen the last.
+    let first = REFIT_NANOS / DAY;
+    for day in first..first + BEFORE {
+        observe(&mut map, day, 60);
+        update(&mut map, &pool, day, None);
+    }
+    let night = first + BEFORE;
+    observe(&mut map, night, 1);
+    let without = update(&mut map, &pool, night, None);
+    observe(&mut map, night + 1, 1);
+    let weeks = samples(7, (night + 1) * 1440 - REFIT_NANOS / MINUTE..(night + 1) * 1440);
+    let with = update(&mut map, &pool, night + 1, Some(Arc::new(Weeks(weeks))));
+    println!("{STATES} states, a day of minutes each: {without:.1} s without fits, {with:.1} s with");
+}

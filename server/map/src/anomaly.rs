@@ -1,0 +1,126 @@
+//! Observations that a model did not expect (T-RO 2017, section V).
+//!
+//! Invariant: what counts as an anomaly is said here and nowhere else. A probability of one half is never sure enough to
+//! make one, so a state of which nothing was learned has none.
+
+use crate::{
+    history::Reading,
+    predict::{ModelKind, ModelSelector},
+    view::MapView,
+};
+
+/// How sure a model has to be before an observation of the contrary counts as an anomaly: above 0.5, at most 1.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct Confidence(f64);
+
+/// Why a number is no confidence.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("{0} is not a confidence: it must be above 0.5 and at most 1, for example 0.99")]
+pub struct InvalidConfidence(pub f64);
+
+impl Confidence {
+    /// 0.99, with which the paper finds the visitor at midnight (T-RO 2017, figure 4).
+    pub const DEFAULT: Self = Self(0.99);
+
+    /// A confidence.
+    ///
+    /// # Errors
+    /// [`InvalidConfidence`] where it is not above 0.5 and at most 1; not a number is none either.
+    pub fn new(confidence: f64) -> Result<Self, InvalidConfidence> {
+        if confidence > 0.5 && confidence <= 1.0 { Ok(Self(confidence)) } else { Err(InvalidConfidence(confidence)) }
+    }
+
+    /// The number.
+    #[must_use]
+    pub fn get(self) -> f64 {
+        self.0
+    }
+}
+
+impl Default for Confidence {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+/// Whether an observed value, in [0, 1], is the contrary of what a model says with confidence c, which gives the state the
+/// value 1 with `probability`: it is below 0.5 where p ≥ c, or not below 0.5 where p ≤ 1 − c.
+///
+/// T-RO 2017, section V: a measurement is anomalous where it is less than s'(t, c) or greater than s'(t, 1 − c), with
+/// s'(t, c) = p(t) ≥ c (eq. 9). Both sides include the threshold here, so that they are alike and that a model which is
+/// certain can be contradicted at confidence 1; and a value between 0 and 1 counts as the one that it is nearer to.
+#[must_use]
+pub fn is_anomalous(value: f64, probability: f64, confidence: Confidence) -> bool {
+    if value < 0.5 { probability >= confidence.0 } else { probability <= 1.0 - confidence.0 }
+}
+
+/// An observation that was not expected.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Anomaly {
+    /// When, nanoseconds UTC.
+    pub utc_nanos: i64,
+    /// What was observed, in [0, 1].
+    pub value: f64,
+    /// The probability that the model had given the value 1, in [0, 1].
+    pub probability: f64,
+}
+
+/// The readings among these that a model did not expect which gives them these probabilities of being 1, in their order.
+pub fn anomalies<'a>(
+    readings: &'a [Reading],
+    probabilities: &'a [f64],
+    confidence: Confidence,
+) -> impl Iterator<Item = Anomaly> + 'a {
+    let judged = readings.iter().zip(probabilities);
+    let judged = judged.map(|(&(utc_nanos, value), &probability)| Anomaly { utc_nanos, value, probability });
+    judged.filter(move |judged| is_anomalous(judged.value, judged.probability, confidence))
+}
+
+/// Why a model cannot judge observations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CannotJudge {
+    /// It answers from the newest value, which is not the one before the observation.
+    #[error("{0} answers from the newest value, not from the one before an observation: use a model such as auto")]
+    Newest(ModelKind),
+    /// The newest value is blended in.
+    #[error("persistence blends in the newest value, not the one before an observation: leave it out")]
+    Persistence,
+    /// It is fitted when it is asked for, and observations do not wait for that.
+    #[error("{0} has to be fitted, and a watch does not wait for that: use auto, mean or spectral")]
+    NeedsFit(ModelKind),
+}
+
+impl ModelSelector {
+    /// Whether the model says what was to be expected of observations long past.
+    ///
+    /// # Errors
+    /// [`CannotJudge`], with what to use instead.
+    pub fn can_judge(&self) -> Result<(), CannotJudge> {
+        match self.kind {
+            ModelKind::Latest | ModelKind::Persistence => Err(CannotJudge::Newest(self.kind)),
+            _ if self.persistence => Err(CannotJudge::Persistence),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether the model judges observations as they come: it is one of those that every view has.
+    ///
+    /// # Errors
+    /// [`CannotJudge`], with what to use instead.
+    pub fn can_watch(&self) -> Result<(), CannotJudge> {
+        self.can_judge()?;
+        if self.kind.needs_readings() { Err(CannotJudge::NeedsFit(self.kind)) } else { Ok(()) }
+    }
+}
+
+impl MapView {
+    /// The view without last values and grid: enough to judge observations of named states by its models. Keeping one
+    /// keeps little more than the models of its generation.
+    #[must_use]
+    pub fn models_only(&self) -> MapView {
+        MapView { live: Vec::new(), grid: None, ..self.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+//! What is kept of a tile beside its counts and sums where sensors of different levels have observed it.
+//!
+//! With α and β of each reading (see [`super::sensors`]) a cell of a group has x̄ = (Σα + Σ_occupied β)/n, and
+//! Σ x e^(-jω_k t) = G_k + A_k, where G_k = Σ α e^(-jω_k t) over the group's readings and A_k = Σ β e^(-jω_k t) over the
+//! cell's occupied ones. D_k = Σ β e^(-jω_k t) over the group's readings is A_k of a cell that was always occupied.
+//!
+//! Invariant: where all readings are of the map's own sensor nothing is kept: G = 0, D = B, Σα = 0, Σβ = n.
+
+use std::sync::Arc;
+
+use tidemap_model::PhasorSum;
+
+use super::sensors::Weights;
+
+/// What the readings of a tile's cells count, parallel to the groups and cells of its model.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SensorWeights {
+    /// Σα and Σβ over the readings of each group.
+    pub groups: Vec<Weights>,
+    /// Σβ over the occupied readings of each changed cell.
+    pub occupied: Vec<f64>,
+}
+
+impl SensorWeights {
+    /// Memory in bytes, about.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        size_of::<Self>() + self.groups.len() * size_of::<Weights>() + self.occupied.len() * 8
+    }
+}
+
+/// Weighted sums over the readings of a group, of which some are of another sensor than the map's own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WeightedSums {
+    /// G_k = Σ α e^(-jω_k t).
+    pub alpha: Arc<PhasorSum>,
+    /// D_k = Σ β e^(-jω_k t).
+    pub beta: Arc<PhasorSum>,
+}
+
+/// Weighted sums of a tile, parallel to the groups of its model; `None` where all readings of a group are of the map's own
+/// sensor.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SensorSums {
+    /// Of each group.
+    pub groups: Vec<Option<WeightedSums>>,
+}
+
+impl SensorSums {
+    /// The sums, which groups and tiles may share.
+    pub fn sums(&self) -> impl Iterator<Item = &Arc<PhasorSum>> {
+        self.groups.iter().flatten().flat_map(|weighted| [&weighted.alpha, &weighted.beta])
+    }
+
+    /// The sums, to be replaced.
+    pub(crate) fn sums_mut(&mut self) -> impl Iterator<Item = &mut Arc<PhasorSum>> {
+        self.groups.iter_mut().flatten().flat_map(|weighted| [&mut weighted.alpha, &mut weighted.beta])
+    }
+}
+
+/// The sums over the readings of a group.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct GroupSums {
+    /// B_k.
+    pub(crate) plain: Arc<PhasorSum>,
+    pub(crate) weighted: Option<WeightedSums>,
+}
+
+impl GroupSums {
+    /// D_k.
+    pub(crate) fn beta(&self) -> &Arc<PhasorSum> {
+        self.weighted.as_ref().map_or(&self.plain, |weighted| &weighted.beta)
+    }
+
+    /// Sums over these readings and others.
+    pub(crate) fn plus(&self, other: &GroupSums) -> GroupSums {
+        let sum = |one: &PhasorSum, other: &PhasorSum| {
+            let mut sum = one.clone();
+            sum.add(other);
+            Arc::new(sum)
+        };
+        let weighted = (self.weighted.is_some() || other.weighted.is_some()).then(|| WeightedSums {
+            alpha: match (&self.weighted, &other.weighted) {
+                (Some(one), Some(other)) => sum(&one.alpha, &other.alpha),
+                (Some(one), None) => Arc::clone(&one.alpha),
+                // One of them is there.
+                (None, other) => Arc::clone(other.as_ref().map_or(&self.plain, |other| &other.alpha)),
+            },
+            beta: sum(self.beta(), other.beta()),
+        });
+        GroupSums { plain: sum(&self.plain, &other.plain), weighted }
+    }
+
+    /// What tells equal sums apart from others while all of them are alive: their addresses.
+    pub(crate) fn addresses(&self) -> [usize; 3] {
+        let address = |sum: &Arc<PhasorSum>| Arc::as_ptr(sum) as usize;
+        let weighted = self.weighted.as_ref();
+        [address(&self.plain), weighted.map_or(0, |w| address(&w.alpha)), weighted.map_or(0, |w| address(&w.beta))]
+    }
+}

@@ -1,0 +1,176 @@
+//! How sure a prediction is: the band in which the mean over the hour around its moment lies with a given probability.
+//!
+//! Invariant: a band holds its prediction and lies in the bounds of the state's kind; of a probability that was never
+//! observed it is [0, 1] itself, of other kinds there is none then.
+
+use tidemap_model::{
+    StateKind,
+    family::{HourMoments, HourTable, Interval, Moment, credible_interval, value_interval},
+};
+
+use crate::{event::StateId, grid::view::CellDescription, view::MapView};
+
+const HOUR_SECS: f64 = 3600.0;
+const HOUR_NANOS: i64 = 3_600_000_000_000;
+/// 1970-01-01 was a Thursday; weeks begin on Monday.
+const EPOCH_HOUR_OF_WEEK: i64 = 3 * 24;
+const NEVER: Interval = Interval { lower: 0.0, upper: 1.0 };
+
+/// What is known of how much single hours of a state differ, ready for many predictions.
+#[derive(Clone, Debug)]
+pub struct Spreads {
+    /// By hour of the day, first of weekdays, then of weekends.
+    hours: Vec<HourMoments>,
+    all: HourMoments,
+}
+
+impl Spreads {
+    fn of(table: &HourTable) -> Spreads {
+        let hour = |(weekend, hour)| table.spread(hour, weekend).map_or_else(HourMoments::default, HourMoments::from);
+        let hours: Vec<HourMoments> =
+            [false, true].into_iter().flat_map(|weekend| (0..24).map(move |h| (weekend, h))).map(hour).collect();
+        let all = hours.iter().fold(HourMoments::default(), |all, &hour| all.and(hour));
+        Spreads { hours, all }
+    }
+
+    /// The band of a prediction `p` for a moment, which holds the mean over the hour around it with probability `level`.
+    #[must_use]
+    pub fn interval(&self, p: f64, at: Moment, level: f64) -> Interval {
+        credible_interval(p, self.hour(at), self.all, level)
+    }
+
+    /// The same of a state that is no probability; `readings`: the variance of its single readings.
+    #[must_use]
+    pub fn value_interval(&self, kind: StateKind, p: f64, at: Moment, readings: f64, level: f64) -> Interval {
+        value_interval(kind, p, self.hour(at), readings, level)
+    }
+
+    /// What was recorded of the hour of the day of a moment.
+    fn hour(&self, at: Moment) -> HourMoments {
+        let hour_of_week = (at.civil_nanos().div_euclid(HOUR_NANOS) + EPOCH_HOUR_OF_WEEK).rem_euclid(168);
+        let (day, hour) = (hour_of_week / 24, hour_of_week % 24);
+        let index = hour + if day >= 5 { 24 } else { 0 };
+        usize::try_from(index).ok().and_then(|index| self.hours.get(index)).copied().unwrap_or_default()
+    }
+}
+
+impl MapView {
+    /// How much single hours of a state differ; `None` where no update has folded anything in.
+    #[must_use]
+    pub fn spreads(&self, id: StateId) -> Option<Spreads> {
+        self.model(id).alternatives().map(|known| Spreads::of(known.hours()))
+    }
+
+    /// The bands of predictions of a state; none where no level is asked for, and none of a state that is no probability
+    /// and has learned of fewer than two observations.
+    #[must_use]
+    pub fn intervals(
+        &self,
+        id: StateId,
+        moments: &[Moment],
+        probabilities: &[f64],
+        level: Option<f64>,
+    ) -> Vec<Interval> {
+        let Some(level) = level else { return Vec::new() };
+        let spreads = self.spreads(id);
+        let (kind, folded) = (self.kind(id), self.model(id).accumulator());
+        if kind != StateKind::Probability {
+            let Some(spreads) = spreads.filter(|_| folded.observations() >= 2) else { return Vec::new() };
+            let readings = folded.variance();
+            let pairs = moments.iter().zip(probabilities);
+            return pairs.map(|(&at, &p)| spreads.value_interval(kind, p, at, readings, level)).collect();
+        }
+        let interval = |(&moment, &p): (&Moment, &f64)| match &spreads {
+            Some(spreads) => spreads.interval(p, moment, level),
+            None => NEVER,
+        };
+        moments.iter().zip(probabilities).map(interval).collect()
+    }
+}
+
+/// The bands of predictions of a cell. It has no record of single hours: as a two-state Markov chain with time constant τ
+/// (T-RO 2017 eq. 12) its mean over an hour T varies by p(1 - p)·(2τ/T)(1 - (τ/T)(1 - e^(-T/τ))), and each hour of its
+/// observations counts as one that was seen. None where no level is asked for.
+#[must_use]
+pub fn cell_intervals(cell: &CellDescription, probabilities: &[f64], level: Option<f64>) -> Vec<Interval> {
+    let Some(level) = level else { return Vec::new() };
+    let Some(hours) = observed_hours(cell) else { return vec![NEVER; probabilities.len()] };
+    let ratio = cell.persistence.tau_secs() / HOUR_SECS;
+    let alike = if ratio > 1e6 { 1.0 } else { 2.0 * ratio * (1.0 - ratio * (1.0 - (-1.0 / ratio).exp())) };
+    let interval = |&p: &f64| {
+        let moments = HourMoments {
+            days: hours,
+            sum: hours * p,
+            sum_of_squares: hours * (p * p + p * (1.0 - p) * alike.clamp(0.0, 1.0)),
+        };
+        credible_interval(p, moments, moments, level)
+    };
+    probabilities.iter().map(interval).collect()
+}
+
+/// Hours of the day that were seen, on how many days, about: never more than the cell's observations.
+fn observed_hours(cell: &CellDescription) -> Option<f64> {
+    let first_nanos = cell.first_nanos?;
+    let last_nanos = cell.persistence.last().map_or(first_nanos, |(nanos, _)| nanos);
+    let days = last_nanos.abs_diff(first_nanos) as f64 / 86_400e9 + 1.0;
+    Some(days.min(cell.folded as f64)).filter(|&days| days >= 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_model::{Persistence, PersistenceParts, Sample, SpectralModel};
+
+    use super::*;
+
+    const DAY_NANOS: i64 = 24 * HOUR_NANOS;
+
+    #[test]
+    fn bands_widen_where_little_was_observed_and_hold_the_prediction() {
+        // From a Thursday, every ten minutes on six weeks: open from 9 to 12, on every third day the whole of it.
+        let sample = |slot: i64| {
+            let (day, hour) = (slot / 144, slot % 144 / 6);
+            let value = if (9..12).contains(&hour) && (hour == 10 || day % 3 == 0) { 1.0 } else { 0.0 };
+            Sample { utc_nanos: slot * HOUR_NANOS / 6, offset_secs: 0, value }
+        };
+        let table = |days: i64| {
+            let mut table = HourTable::default();
+            table.add(&(0..days * 144).map(sample).collect::<Vec<_>>());
+            Spreads::of(&table)
+        };
+        let at = |day: i64, hour: i64| Moment { utc_nanos: day * DAY_NANOS + hour * HOUR_NANOS, offset_secs: 0 };
+        let (few, many) = (table(4), table(42));
+        for (p, moment) in [(0.4, at(50, 9)), (0.98, at(50, 10)), (0.01, at(50, 3))] {
+            let (wide, narrow) = (few.interval(p, moment, 0.9), many.interval(p, moment, 0.9));
+            assert!(wide.contains(p) && narrow.contains(p), "{wide:?} {narrow:?}");
+            assert!(narrow.width() <= wide.width() + 1e-9, "{wide:?} {narrow:?}");
+        }
+        // An hour that is one thing or the other from day to day is less sure than one that is always the same.
+        let (unsure, sure) = (many.interval(0.4, at(50, 9), 0.9), many.interval(0.01, at(50, 3), 0.9));
+        assert!(unsure.width() > 0.5 && sure.width() < 0.1, "{unsure:?} {sure:?}");
+        // Saturday and Sunday were seen in a shorter record alone.
+        assert_eq!(table(2).interval(0.3, at(2, 9), 0.9), NEVER);
+    }
+
+    #[test]
+    fn a_cell_that_changes_slowly_is_less_sure_than_one_that_flickers() {
+        let cell = |tau_secs: f64| CellDescription {
+            changed: true,
+            spectral: SpectralModel::default(),
+            order: 0,
+            errors: None,
+            persistence: Persistence::from_parts(PersistenceParts {
+                pairs: 999,
+                change_rate_sum: 1000.0 / tau_secs,
+                last: Some((40 * DAY_NANOS, 1.0)),
+            })
+            .expect("valid"),
+            folded: 1000,
+            observations: 1000,
+            first_nanos: Some(0),
+        };
+        let width = |tau_secs| cell_intervals(&cell(tau_secs), &[0.4], Some(0.9))[0].width();
+        assert!(width(10.0) < 0.5 * width(36_000.0), "{} {}", width(10.0), width(36_000.0));
+        let unseen = CellDescription { first_nanos: None, ..cell(10.0) };
+        assert_eq!(cell_intervals(&unseen, &[0.5], Some(0.9)), [NEVER]);
+    }
+}

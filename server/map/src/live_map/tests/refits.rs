@@ -1,0 +1,135 @@
+//! Calibrated models are fitted at updates, and the same ones when updates are run again from the log.
+
+use tidemap_model::{ModelChoice, Sample};
+
+use super::*;
+use crate::{
+    history::HistoryPiece,
+    predict::{ModelKind, ModelSelector},
+    refit::{Refits, StateReadings, WantedReadings},
+};
+
+const DAYS: i64 = 40;
+
+/// What updates have folded in so far.
+#[derive(Clone, Debug, Default)]
+struct Pieces(Vec<Arc<HistoryPiece>>);
+
+impl StateReadings for Pieces {
+    fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
+        let of = |wanted: &WantedReadings| {
+            let all = self.0.iter().flat_map(|piece| &piece.states).filter(|(state, _)| *state == wanted.state);
+            let mut found: Vec<Sample> =
+                all.flat_map(|(_, samples)| samples).filter(|s| s.utc_nanos >= wanted.from_nanos).copied().collect();
+            found.sort_by_key(|sample| sample.utc_nanos);
+            found
+        };
+        Ok(wanted.iter().map(of).collect())
+    }
+}
+
+/// A number in [0, 1) that looks random.
+fn noise(seed: i64) -> f64 {
+    let mixed = seed.unsigned_abs().wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let mixed = (mixed ^ (mixed >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    (mixed >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+/// Two states read every hour of a day: one that is open by day, and one by chance.
+fn day(day: i64) -> Vec<(u32, i64, f64)> {
+    let rows = (0..24).flat_map(|hour| {
+        let open = (8..17).contains(&hour) && (day + 3) % 7 < 5;
+        let time = (day * 24 + hour) * HOUR;
+        [(0, time, f64::from(u8::from(open))), (1, time, f64::from(u8::from(noise(day * 24 + hour) < 0.3)))]
+    });
+    rows.collect()
+}
+
+/// A door read every ten minutes of a day, opened and closed a little earlier or later each day.
+fn office(day: i64) -> Vec<(u32, i64, f64)> {
+    let (opened, closed) = (48 + (12.0 * noise(day)) as i64, 102 + (12.0 * noise(day + 1_000)) as i64);
+    let value = |slot: i64| f64::from(u8::from((day + 3) % 7 < 5 && (opened..closed).contains(&slot)));
+    (0..144).map(|slot| (0, (day * 144 + slot) * HOUR / 6, value(slot))).collect()
+}
+
+fn run(map: &mut LiveMap, work: UpdateWork, known: &mut Pieces) -> (MapSnapshot, Refits) {
+    let result = work.with_readings(Arc::new(known.clone())).run(&AtomicU64::new(0)).expect("in memory");
+    let refits = result.refits().clone();
+    let snapshot = map.finish_update(result);
+    known.0.extend(snapshot.history.iter().cloned());
+    (snapshot, refits)
+}
+
+#[test]
+fn updates_that_are_run_again_fit_the_same_models() {
+    let mut map = LiveMap::new(spec());
+    let (mut log, mut snapshots, mut known, mut fitted) = (Vec::new(), Vec::new(), Pieces::default(), Vec::new());
+    for number in 0..DAYS {
+        let observed = event(&map, &day(number));
+        assert!(apply(&mut map, &observed).is_none());
+        let start = Event::UpdateStart(map.plan_update(Some((number + 1) * 24 * HOUR), NOW, UpdateCause::Midnight));
+        let work = apply(&mut map, &start).expect("an update");
+        let pieces_before = known.0.len();
+        let (snapshot, refits) = run(&mut map, work, &mut known);
+        if refits != Refits::default() {
+            assert_eq!(refits, Refits { fitted: 2, ..Refits::default() });
+            fitted.push(number);
+        }
+        log.extend([observed, start]);
+        snapshots.push((snapshot, pieces_before));
+    }
+    assert_eq!(fitted, [6, 13, 20, 27, 34]);
+    let expected = map.publish();
+    assert!(expected.model(StateId(0)).alternatives().is_some_and(|known| known.calibrated().is_some()));
+    for (snapshot, pieces_before) in snapshots {
+        let (position, from) = (snapshot.position, snapshot.replay_from);
+        let mut restored = LiveMap::restore(spec(), snapshot);
+        // History reaches as far as the snapshot; what follows comes from the updates that are run again.
+        let mut again = Pieces(known.0[..=pieces_before].to_vec());
+        for (at, event) in (1..).zip(&log).filter(|(at, _)| *at >= from) {
+            if at <= position {
+                restored.recover_pending(at, event).expect("consistent");
+            } else if let Some(work) = restored.apply(at, event).expect("consistent") {
+                run(&mut restored, work, &mut again);
+            }
+        }
+        let view = restored.publish();
+        for state in [0, 1].map(StateId) {
+            assert_eq!(view.model(state), expected.model(state), "from position {position}");
+        }
+    }
+}
+
+#[test]
+fn auto_answers_by_the_calibrated_model_where_it_is_in_force() {
+    let mut map = LiveMap::new(spec());
+    let mut known = Pieces::default();
+    for number in 0..DAYS {
+        let observed = event(&map, &office(number));
+        apply(&mut map, &observed);
+        let start = Event::UpdateStart(map.plan_update(Some((number + 1) * 24 * HOUR), NOW, UpdateCause::Midnight));
+        let work = apply(&mut map, &start).expect("an update");
+        run(&mut map, work, &mut known);
+    }
+    let view = map.publish();
+    let model = view.model(StateId(0));
+    let errors: Vec<_> = model.alternatives().expect("learned").error_sums().collect();
+    assert_eq!(model.choice(), ModelChoice::Calibrated, "{errors:?}");
+    let times: Vec<i64> = (0..7 * 24).map(|hour| (DAYS * 24 + hour) * HOUR + HOUR / 3).collect();
+    let prepared = view.prepare(&times);
+    let predicted = |selector: ModelSelector| {
+        let mut out = vec![0.0; times.len()];
+        view.predict_into(StateId(0), &prepared, selector, &mut out);
+        out
+    };
+    let (calibrated, _) = model.alternatives().and_then(|known| known.calibrated()).expect("fitted");
+    let mut expected = vec![0.0; times.len()];
+    view.predict_fitted_into(StateId(0), &view.moments(&times), calibrated, false, &mut expected);
+    let auto = ModelSelector::default();
+    assert_eq!(predicted(auto), expected);
+    assert_eq!(auto.order_for(model), 0);
+    // Who asks for an order asks for the spectral model.
+    assert_ne!(predicted(ModelSelector { order: Some(2), ..auto }), expected);
+    assert_ne!(predicted(ModelSelector { kind: ModelKind::Spectral, ..auto }), expected);
+    assert_ne!(predicted(ModelSelector { persistence: true, ..auto }), expected);
+}

@@ -1,0 +1,209 @@
+//! Which models are fitted again, to what, and what happens where that cannot be.
+
+use std::{collections::BTreeMap, sync::Mutex};
+
+use tidemap_model::{OrderCriterion, Periodicities, Zone};
+
+use super::*;
+use crate::name::MapName;
+
+const DAY: i64 = 86_400 * 1_000_000_000;
+const HOUR: i64 = DAY / 24;
+
+/// Readings of earlier updates, and what was asked for.
+#[derive(Debug, Default)]
+struct Kept {
+    readings: BTreeMap<StateId, Vec<Sample>>,
+    asked: Mutex<Vec<Vec<WantedReadings>>>,
+    damaged: Option<StateId>,
+    is_short: bool,
+}
+
+impl StateReadings for Kept {
+    fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
+        self.asked.lock().expect("sound").push(wanted.to_vec());
+        if let Some(damaged) = wanted.iter().find(|wanted| Some(wanted.state) == self.damaged) {
+            return Err(format!("the file of {:?} is damaged", damaged.state));
+        }
+        let of = |wanted: &WantedReadings| {
+            let all = self.readings.get(&wanted.state).into_iter().flatten();
+            all.filter(|sample| sample.utc_nanos >= wanted.from_nanos).copied().collect()
+        };
+        Ok(wanted.iter().skip(usize::from(self.is_short)).map(of).collect())
+    }
+}
+
+fn spec(retention: Retention) -> MapSpec {
+    MapSpec {
+        name: MapName::new("office").expect("valid"),
+        zone: Zone::utc(),
+        periodicities: Periodicities::harmonics(DAY, 4).expect("valid"),
+        criterion: OrderCriterion::SquaredError,
+        created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
+        retention,
+        grid: None,
+    }
+}
+
+/// Every hour of some days; open by day, each state an hour later than the one before.
+fn samples(state: u32, days: std::ops::Range<i64>) -> Vec<Sample> {
+    let sample = |hour: i64| {
+        let open = (8..17).contains(&((hour - i64::from(state)).rem_euclid(24))) && hour % 7 != 3;
+        Sample { utc_nanos: hour * HOUR, offset_secs: 0, value: f64::from(u8::from(open)) }
+    };
+    (days.start * 24..days.end * 24).map(sample).collect()
+}
+
+/// States that were updated up to a day; what the last update had of each; and what those before had.
+struct World {
+    spec: MapSpec,
+    models: Vec<Arc<StateModel>>,
+    own: Vec<(StateId, Vec<Sample>)>,
+    kept: Kept,
+}
+
+impl World {
+    fn new(spec: MapSpec, states: u32, days: i64) -> World {
+        let mut world = World { spec, models: Vec::new(), own: Vec::new(), kept: Kept::default() };
+        for state in 0..states {
+            let mut model = StateModel::new(&world.spec.periodicities);
+            model.update(&world.spec.periodicities, world.spec.update_rules(), samples(state, 0..days));
+            world.models.push(Arc::new(model));
+            world.own.push((StateId(state), samples(state, days - 1..days)));
+            world.kept.readings.insert(StateId(state), samples(state, 0..days - 1));
+        }
+        world
+    }
+
+    /// As if a model had been fitted on a day.
+    fn fitted_on(&mut self, state: usize, day: i32) {
+        let fit = Calibrated::fit(Readings::new(&samples(9, 0..2)), CalibratedOptions::default()).expect("fits");
+        self.models[state] = Arc::new(StateModel::clone(&self.models[state]).refitted(fit, LocalDay(day)));
+    }
+
+    fn refit(&mut self, limits: Limits) -> Refits {
+        let newest = self.own.iter().flat_map(|(_, own)| own).map(|sample| sample.utc_nanos).max().expect("some");
+        refit_within(limits, &self.spec, newest, &self.own, &mut self.models, &self.kept)
+    }
+
+    fn fit_of(&self, state: usize) -> Option<(&Calibrated, i32)> {
+        let (model, day) = self.models[state].alternatives()?.calibrated()?;
+        Some((model, day.0))
+    }
+
+    /// The states asked for, by batch.
+    fn asked(&self) -> Vec<Vec<u32>> {
+        let asked = self.kept.asked.lock().expect("sound");
+        asked.iter().map(|batch| batch.iter().map(|wanted| wanted.state.0).collect()).collect()
+    }
+}
+
+fn fitted(samples: &[Sample]) -> Calibrated {
+    Calibrated::fit(Readings::new(samples), CalibratedOptions::default()).expect("fits")
+}
+
+#[test]
+fn a_model_is_fitted_to_the_last_weeks_and_to_what_the_update_had() {
+    let mut world = World::new(spec(Retention::Forever), 2, 100);
+    assert_eq!(world.refit(LIMITS), Refits { fitted: 2, ..Refits::default() });
+    for state in 0..2 {
+        let newest = 100 * DAY - HOUR;
+        let mut expected = samples(state, 0..100);
+        expected.retain(|sample| sample.utc_nanos >= newest - 84 * DAY);
+        assert_eq!(world.fit_of(state as usize), Some((&fitted(&expected), 99)));
+    }
+    assert_eq!(world.asked(), [[0, 1]]);
+    // Nothing is due any more.
+    assert_eq!(world.refit(LIMITS), Refits::default());
+    assert_eq!(world.asked().len(), 1);
+}
+
+#[test]
+fn late_readings_and_a_half_life_count() {
+    let mut world = World::new(spec(Retention::Forever), 1, 20);
+    world.spec.half_life_nanos = Some(3 * DAY);
+    // This update had an early day as well, which history lacks.
+    let readings = world.kept.readings.get_mut(&StateId(0)).expect("known");
+    readings.retain(|sample| sample.utc_nanos / DAY != 4);
+    world.own[0].1.extend(samples(0, 4..5));
+    assert_eq!(world.refit(LIMITS).fitted, 1);
+    let all = samples(0, 0..20);
+    let readings = Readings { samples: &all, half_life_secs: Some(3.0 * 86_400.0) };
+    let expected = Calibrated::fit(readings, CalibratedOptions::default()).expect("fits");
+    assert_ne!(expected, fitted(&all));
+    assert_eq!(world.fit_of(0), Some((&expected, 19)));
+}
+
+#[test]
+fn readings_that_cannot_be_had_cost_the_fits_of_their_batch_alone() {
+    let mut world = World::new(spec(Retention::Forever), 5, 20);
+    world.fitted_on(2, 3);
+    let before = world.models.clone();
+    world.kept.damaged = Some(StateId(2));
+    // Two states at once.
+    let refits = world.refit(Limits { readings: 2 * 20 * 24 + 5, ..LIMITS });
+    assert_eq!(world.asked(), [vec![0, 1], vec![2, 3], vec![4]]);
+    assert_eq!((refits.fitted, refits.waiting, refits.failed), (3, 0, 2));
+    assert!(refits.failure.expect("a reason").contains("StateId(2) is damaged"));
+    for state in [2, 3] {
+        assert_eq!(world.models[state], before[state]);
+        assert!(world.models[state].is_refit_due());
+    }
+    assert_eq!(world.fit_of(4).map(|(_, day)| day), Some(19));
+    // What is repaired is fitted by the next update.
+    world.kept.damaged = None;
+    assert_eq!(world.refit(LIMITS), Refits { fitted: 2, ..Refits::default() });
+}
+
+#[test]
+fn a_source_that_leaves_a_state_out_is_not_believed() {
+    let mut world = World::new(spec(Retention::Forever), 2, 20);
+    world.kept.is_short = true;
+    let refits = world.refit(LIMITS);
+    assert_eq!((refits.fitted, refits.failed), (0, 2));
+    assert!(refits.failure.is_some() && world.fit_of(1).is_none());
+}
+
+#[test]
+fn those_that_have_waited_longest_go_first() {
+    let mut world = World::new(spec(Retention::Forever), 6, 40);
+    for (state, day) in [(0, 30), (1, 20), (2, 39), (3, 25)] {
+        world.fitted_on(state, day);
+    }
+    let days =
+        |world: &World| (0..6).map(|state| world.fit_of(state).map(|(_, day)| day)).collect::<Vec<Option<i32>>>();
+    // Those that were never fitted, then the oldest fit; the fresh one is not due.
+    let limits = Limits { refits: 3, ..LIMITS };
+    assert_eq!(world.refit(limits), Refits { fitted: 3, waiting: 2, ..Refits::default() });
+    assert_eq!(days(&world), [Some(30), Some(39), Some(39), Some(25), Some(39), Some(39)]);
+    assert_eq!(world.refit(limits), Refits { fitted: 2, ..Refits::default() });
+    assert_eq!(days(&world), [Some(39); 6]);
+}
+
+#[test]
+fn nothing_is_fitted_that_is_not_kept() {
+    let mut world = World::new(spec(Retention::None), 2, 20);
+    assert_eq!(world.refit(LIMITS), Refits::default());
+    assert!(world.asked().is_empty() && world.fit_of(0).is_none());
+    // What a map has forgotten, or is about to, is not asked for; of what it still has a model is fitted all the same.
+    let mut world = World::new(spec(Retention::Duration(5 * DAY)), 1, 20);
+    world.own.push((StateId(7), samples(7, 0..1)));
+    assert_eq!(world.refit(LIMITS).fitted, 1);
+    let newest = 20 * DAY - HOUR;
+    let asked = world.kept.asked.lock().expect("sound").clone();
+    assert_eq!(asked, [[WantedReadings { state: StateId(0), from_nanos: newest - 5 * DAY }]]);
+    assert_eq!(world.fit_of(0).map(|(model, _)| model.observations()), Some(5 * 24 + 1));
+}
+
+#[test]
+fn a_state_that_was_read_too_often_is_fitted_to_fewer_days() {
+    let mut world = World::new(spec(Retention::Forever), 2, 30);
+    assert_eq!(world.refit(Limits { readings: 240, ..LIMITS }).fitted, 2);
+    assert_eq!(world.asked(), [[0], [1]], "one at a time");
+    for state in 0..2 {
+        let observations = world.fit_of(state).expect("fitted").0.observations();
+        assert!((200..=281).contains(&observations), "{observations}");
+    }
+}

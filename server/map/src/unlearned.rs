@@ -1,0 +1,36 @@
+//! What states answer of which nothing was learned.
+//!
+//! Invariant: there is one model of each kind, shared by all states that have learned nothing.
+
+use std::sync::Arc;
+
+use tidemap_model::{StateKind, StateModel};
+
+use crate::spec::MapSpec;
+
+/// A model of each kind of which nothing is known.
+#[derive(Clone, Debug)]
+pub(crate) struct Unlearned {
+    probability: Arc<StateModel>,
+    continuous: Arc<StateModel>,
+    count: Arc<StateModel>,
+}
+
+impl Unlearned {
+    /// Those of a map: probabilities answer its prior, other kinds 0.
+    pub(crate) fn new(spec: &MapSpec) -> Unlearned {
+        Unlearned {
+            probability: Arc::new(StateModel::with_prior(&spec.periodicities, spec.prior)),
+            continuous: Arc::new(StateModel::of_kind(StateKind::Continuous)),
+            count: Arc::new(StateModel::of_kind(StateKind::Count)),
+        }
+    }
+
+    pub(crate) fn of(&self, kind: StateKind) -> &Arc<StateModel> {
+        match kind {
+            StateKind::Probability => &self.probability,
+            StateKind::Continuous => &self.continuous,
+            StateKind::Count => &self.count,
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! Bands of states that are no probabilities: so many standard deviations to either side of the prediction.
+//!
+//! Invariant: a band is finite, holds its prediction and lies in the bounds of the state's kind.
+
+use super::{HourMoments, Interval};
+use crate::StateKind;
+
+#[cfg(test)]
+mod tests;
+
+/// How many days the variance of single readings counts as: where few days were seen, an hour may differ by that.
+const BORROWED_DAYS: f64 = 1.0;
+
+/// The band that holds the mean of the state over the hour around a moment with probability `level`: the prediction p, which
+/// lies in the kind's bounds, ± z·σ, where z is the quantile of the normal distribution at (1 + level)/2.
+///
+/// σ² is the variance between days of this hour of the day on such days, `hour`, drawn towards the variance of single
+/// readings, `readings`, with the weight of one day, and widened by 1 + 1/days, since the mean of these days is not known
+/// for sure either. Where the hour was never seen σ² is twice the variance of single readings. `level` outside
+/// `[0, 0.999999]` counts as the nearer end, and so does NaN, as the upper one.
+pub fn value_interval(kind: StateKind, p: f64, hour: HourMoments, readings: f64, level: f64) -> Interval {
+    let number = |found: f64| if found.is_finite() { found.max(0.0) } else { 0.0 };
+    let p = kind.saturate(p);
+    let days = number(hour.days);
+    let mean = if days > 0.0 { kind.saturate(hour.sum / days) } else { 0.0 };
+    let between = number(hour.sum_of_squares - mean * hour.sum);
+    let freedom = (days - 1.0).max(0.0);
+    let variance = (between.min(f64::MAX) + BORROWED_DAYS * number(readings)) / (freedom + BORROWED_DAYS);
+    let deviation = (variance * (1.0 + 1.0 / days.max(1.0))).sqrt().min(1e13);
+    let reach = normal_quantile(if level.is_nan() { 1.0 } else { level }) * deviation;
+    Interval { lower: kind.saturate(p - reach), upper: kind.saturate(p + reach) }
+}
+
+/// The z within which of either side of 0 the standard normal distribution has probability `level`, to 5e-4 (M. Abramowitz
+/// and I. A. Stegun, "Handbook of Mathematical Functions", 1964, 26.2.23).
+fn normal_quantile(level: f64) -> f64 {
+    let tail = (1.0 - level.clamp(0.0, 0.999_999)) / 2.0;
+    let t = (-2.0 * tail.ln()).sqrt();
+    let numerator = 2.515_517 + t * (0.802_853 + t * 0.010_328);
+    let denominator = 1.0 + t * (1.432_788 + t * (0.189_269 + t * 0.001_308));
+    (t - numerator / denominator).max(0.0)
+}

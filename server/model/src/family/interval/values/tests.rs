@@ -1,0 +1,43 @@
+use proptest::prelude::*;
+
+use super::*;
+
+fn moments(days: f64, mean: f64, deviation: f64) -> HourMoments {
+    let squares = days * mean * mean + (days - 1.0).max(0.0) * deviation * deviation;
+    HourMoments { days, sum: days * mean, sum_of_squares: squares }
+}
+
+#[test]
+fn the_normal_quantile_has_its_known_values() {
+    for (level, z) in [(0.0, 0.0), (0.5, 0.67449), (0.9, 1.64485), (0.95, 1.95996), (0.99, 2.57583)] {
+        assert!((normal_quantile(level) - z).abs() < 5e-4, "{level}: {}", normal_quantile(level));
+    }
+}
+
+#[test]
+fn many_days_say_how_wide_the_band_is_and_few_days_widen_it() {
+    let width = |days| value_interval(StateKind::Continuous, 3.0, moments(days, 3.0, 0.5), 4.0, 0.9).width();
+    // 2 z σ.
+    assert!((width(10_000.0) - 2.0 * 1.64485 * 0.5).abs() < 0.01, "{}", width(10_000.0));
+    assert!(width(2.0) > 2.0 * width(10_000.0) && width(0.0) > width(2.0));
+}
+
+#[test]
+fn a_count_is_never_below_zero() {
+    let band = value_interval(StateKind::Count, 0.5, moments(20.0, 0.5, 2.0), 4.0, 0.9);
+    assert!(band.lower == 0.0 && band.upper > 2.0, "{band:?}");
+}
+
+proptest! {
+    #[test]
+    fn a_band_is_finite_and_holds_its_prediction(
+        p in any::<f64>(), days in any::<f64>(), sum in any::<f64>(), squares in any::<f64>(),
+        readings in any::<f64>(), level in any::<f64>(),
+    ) {
+        for kind in [StateKind::Continuous, StateKind::Count] {
+            let band = value_interval(kind, p, HourMoments { days, sum, sum_of_squares: squares }, readings, level);
+            prop_assert!(band.contains(kind.saturate(p)), "{kind:?} {band:?}");
+            prop_assert!(kind.bounds().contains(&band.lower) && kind.bounds().contains(&band.upper), "{band:?}");
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! What the value of a state means, and so which values it may have.
+//!
+//! Invariant: the values of every kind are finite and lie in its bounds, so that no sum over them overflows.
+
+use std::ops::RangeInclusive;
+
+#[cfg(test)]
+mod tests;
+
+/// The largest magnitude of a value that is no probability.
+pub const VALUE_MAX: f64 = 1e12;
+
+/// What the value of a state means. It is fixed when the state is created. Vectors will be a kind of their own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum StateKind {
+    /// A value in [0, 1]; binary states have only 0 and 1.
+    #[default]
+    Probability,
+    /// Any number of magnitude [`VALUE_MAX`] at most, such as a speed or a temperature, in whatever unit it comes in.
+    Continuous,
+    /// A whole number from 0 to [`VALUE_MAX`], such as how many people passed.
+    Count,
+}
+
+impl StateKind {
+    /// All of them.
+    pub const ALL: [StateKind; 3] = [StateKind::Probability, StateKind::Continuous, StateKind::Count];
+
+    /// As people write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            StateKind::Probability => "probability",
+            StateKind::Continuous => "continuous",
+            StateKind::Count => "count",
+        }
+    }
+
+    /// What observations and predictions lie in; predictions of counts are means, and need not be whole.
+    pub fn bounds(self) -> RangeInclusive<f64> {
+        match self {
+            StateKind::Probability => 0.0..=1.0,
+            StateKind::Continuous => -VALUE_MAX..=VALUE_MAX,
+            StateKind::Count => 0.0..=VALUE_MAX,
+        }
+    }
+
+    /// Whether an observation may have this value; NaN and infinities never may.
+    pub fn allows(self, value: f64) -> bool {
+        self.bounds().contains(&value) && (self != StateKind::Count || value.fract() == 0.0)
+    }
+
+    /// What [`StateKind::allows`], in words: "… is not" goes before it.
+    pub fn expected(self) -> &'static str {
+        match self {
+            StateKind::Probability => "between 0 and 1",
+            StateKind::Continuous => "a number from -1e12 to 1e12",
+            StateKind::Count => "a count: 0, 1, 2, ... up to 1e12",
+        }
+    }
+
+    /// The nearest number in the bounds; of NaN what is answered where nothing was learned.
+    pub fn saturate(self, value: f64) -> f64 {
+        let bounds = self.bounds();
+        if value.is_nan() { self.unlearned() } else { value.clamp(*bounds.start(), *bounds.end()) }
+    }
+
+    /// What is answered where nothing was learned: 0.5 of a probability, else 0.
+    pub fn unlearned(self) -> f64 {
+        if self == StateKind::Probability { 0.5 } else { 0.0 }
+    }
+
+    /// The largest magnitude of a value.
+    pub(crate) fn magnitude(self) -> f64 {
+        *self.bounds().end()
+    }
+}

@@ -1,0 +1,216 @@
+//! When the calibrated model is fitted again, what it is scored on, and when it is chosen.
+
+use super::*;
+use crate::{
+    StateModel,
+    family::{CalibratedOptions, Readings},
+};
+
+const SLOT_NANOS: i64 = 600_000_000_000;
+const SLOTS: i64 = 144;
+
+/// Every ten minutes of some days from `from_day`, as something says by day and slot of the day.
+fn samples(days: std::ops::Range<i64>, value: impl Fn(i64, i64) -> f64) -> Vec<Sample> {
+    let slots = days.start * SLOTS..days.end * SLOTS;
+    slots
+        .map(|slot| Sample {
+            utc_nanos: slot * SLOT_NANOS,
+            offset_secs: 0,
+            value: value(slot.div_euclid(SLOTS), slot % SLOTS),
+        })
+        .collect()
+}
+
+/// A number in `[0,1)` that looks random.
+fn noise(seed: i64) -> f64 {
+    let mixed = (seed as u64).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let mixed = (mixed ^ (mixed >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    (mixed >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+/// Open by day on weekdays, opened and closed a little earlier or later each day.
+fn office(day: i64, slot: i64) -> f64 {
+    let opened = 48 + (12.0 * noise(day)) as i64;
+    let closed = 102 + (12.0 * noise(day + 1_000)) as i64;
+    f64::from(u8::from((day + 3) % 7 < 5 && (opened..closed).contains(&slot)))
+}
+
+fn fit(samples: &[Sample]) -> Calibrated {
+    Calibrated::fit(Readings::new(samples), CalibratedOptions::default()).unwrap()
+}
+
+fn learn(state: &mut StateModel, samples: Vec<Sample>) {
+    state.update(&Periodicities::default(), OrderCriterion::SquaredError, samples);
+}
+
+fn sum_of(state: &StateModel, wanted: ModelChoice) -> Option<f64> {
+    let mut sums = state.alternatives().unwrap().error_sums();
+    sums.find(|(choice, _)| *choice == wanted).map(|(_, sum)| sum)
+}
+
+fn calibrated_error(state: &StateModel) -> Option<f64> {
+    sum_of(state, ModelChoice::Calibrated)
+}
+
+fn squared_error(model: &impl TemporalModel, samples: &[Sample]) -> f64 {
+    samples.iter().map(|sample| (model.predict(sample.moment()) - sample.value).powi(2)).sum()
+}
+
+#[test]
+fn a_fit_is_due_after_seven_observed_days_and_every_seven_days() {
+    let mut state = StateModel::new(&Periodicities::default());
+    assert!(!state.is_refit_due());
+    // Every other day: what counts is what was observed.
+    for observed in 1..7 {
+        learn(&mut state, samples(2 * observed..2 * observed + 1, office));
+        assert!(!state.is_refit_due(), "{observed} days");
+    }
+    // What comes late counts no further day: it may be one of those.
+    learn(&mut state, samples(1..2, office));
+    assert!(!state.is_refit_due());
+    learn(&mut state, samples(14..15, office));
+    assert!(state.is_refit_due());
+    state = state.refitted(fit(&samples(0..15, office)), LocalDay(14));
+    assert!(!state.is_refit_due());
+    // From here on what counts is the calendar.
+    learn(&mut state, samples(20..21, office));
+    assert!(!state.is_refit_due(), "six days after");
+    learn(&mut state, samples(21..22, office));
+    assert!(state.is_refit_due(), "seven days after");
+}
+
+#[test]
+fn a_fit_is_due_when_the_alarm_has_rung_since() {
+    let mut state = StateModel::new(&Periodicities::default());
+    learn(&mut state, samples(0..42, office));
+    let mut fitted = None;
+    for day in 42..56 {
+        let rang = state.alternatives().unwrap().alarm().rang_on();
+        if let Some(rang) = rang {
+            assert!(state.is_refit_due(), "it rang on {rang}, fitted on {fitted:?}");
+            assert_eq!(fitted, Some(i64::from(rang.0) - 1));
+            let again = state.clone().refitted(fit(&samples(0..day, office)), LocalDay(day as i32 - 1));
+            assert!(!again.is_refit_due(), "what it rang for is fitted");
+            return;
+        }
+        state = state.refitted(fit(&samples(0..42, office)), LocalDay(day as i32 - 1));
+        fitted = Some(day - 1);
+        assert!(!state.is_refit_due());
+        learn(&mut state, samples(day..day + 1, |day, slot| 1.0 - office(day, slot)));
+    }
+    panic!("the alarm has not rung");
+}
+
+#[test]
+fn a_day_is_scored_by_the_fit_before_it() {
+    let mut state = StateModel::new(&Periodicities::default());
+    learn(&mut state, samples(0..14, office));
+    let first = fit(&samples(0..14, office));
+    state = state.refitted(first.clone(), LocalDay(13));
+    assert_eq!(calibrated_error(&state), None, "nothing was scored");
+    assert!(matches!(state.choice(), ModelChoice::Histogram(_)));
+    let before = sum_of(&state, state.choice()).unwrap();
+    let day = samples(14..15, office);
+    learn(&mut state, day.clone());
+    let after = calibrated_error(&state).unwrap();
+    // It begins with what the model in force had.
+    let expected = before * KEPT_PER_DAY + squared_error(&first, &day);
+    assert!((after - expected).abs() < 1e-9, "{after}, expected {expected}");
+    // Another fit, two days without observations, and a day.
+    let second = fit(&samples(0..15, office));
+    state = state.refitted(second.clone(), LocalDay(14));
+    assert_eq!(calibrated_error(&state), Some(after), "a fit alone is no score");
+    let day = samples(17..18, office);
+    learn(&mut state, day.clone());
+    let expected = after * KEPT_PER_DAY.powi(3) + squared_error(&second, &day);
+    assert!((calibrated_error(&state).unwrap() - expected).abs() < 1e-9);
+}
+
+#[test]
+fn it_begins_with_the_sum_of_the_spectral_model_where_that_is_in_force() {
+    let chance = |day: i64, slot: i64| f64::from(u8::from(noise(day * SLOTS + slot) < 0.3));
+    let mut state = StateModel::new(&Periodicities::default());
+    learn(&mut state, samples(0..14, chance));
+    assert_eq!(state.choice(), ModelChoice::Spectral);
+    let before = sum_of(&state, ModelChoice::Spectral).unwrap();
+    let model = fit(&samples(0..14, chance));
+    state = state.refitted(model.clone(), LocalDay(13));
+    let day = samples(14..15, chance);
+    learn(&mut state, day.clone());
+    let expected = before * KEPT_PER_DAY + squared_error(&model, &day);
+    // The order that is best may be another after the day, and has another sum.
+    let after = calibrated_error(&state).unwrap();
+    assert!((after - expected).abs() < 0.05 * expected, "{after}, expected {expected}");
+}
+
+#[test]
+fn zero_one_counts_wrong_predictions_of_the_calibrated_model() {
+    let mut state = StateModel::new(&Periodicities::default());
+    let update = |state: &mut StateModel, samples| {
+        state.update(&Periodicities::default(), OrderCriterion::ZeroOne, samples);
+    };
+    update(&mut state, samples(0..14, office));
+    let model = fit(&samples(0..14, office));
+    state = state.refitted(model.clone(), LocalDay(13));
+    for day in 14..16 {
+        let before = calibrated_error(&state);
+        let day = samples(day..day + 1, office);
+        update(&mut state, day.clone());
+        let is_wrong = |sample: &&Sample| (model.predict(sample.moment()) >= 0.5) != (sample.value >= 0.5);
+        let wrong = day.iter().filter(is_wrong).count() as f64;
+        if let Some(before) = before {
+            assert!((calibrated_error(&state).unwrap() - before * KEPT_PER_DAY - wrong).abs() < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn the_calibrated_model_is_chosen_where_it_predicts_best() {
+    // Edges that wander by hours from day to day, and a weekend: neither few components nor hours of the clock tell that.
+    let mut state = StateModel::new(&Periodicities::default());
+    let mut seen = Vec::new();
+    let mut in_force = [0.0; 2];
+    for day in 0..70 {
+        let today = samples(day..day + 1, office);
+        let before = state.clone();
+        let outcome = state.update(&Periodicities::default(), OrderCriterion::SquaredError, today.clone());
+        if let Some(Chosen::Calibrated(model)) = before.chosen() {
+            assert!((outcome.squared_error_in_force - squared_error(model, &today)).abs() < 1e-9);
+            in_force[0] += outcome.squared_error_in_force;
+            in_force[1] += outcome.squared_errors[before.order()];
+        }
+        seen.extend(today);
+        if state.is_refit_due() {
+            state = state.refitted(fit(&seen), LocalDay(day as i32));
+        }
+    }
+    let errors: Vec<_> = state.alternatives().unwrap().error_sums().collect();
+    assert_eq!(state.choice(), ModelChoice::Calibrated, "{errors:?}");
+    assert!(in_force[0] > 0.0 && in_force[0] < 0.9 * in_force[1], "{in_force:?}");
+}
+
+#[test]
+fn parts_make_the_same_again_and_what_cannot_be_is_refused() {
+    let mut state = StateModel::new(&Periodicities::default());
+    learn(&mut state, samples(0..9, office));
+    let unscored = state.clone().refitted(fit(&samples(0..9, office)), LocalDay(8));
+    let mut scored = unscored.clone();
+    learn(&mut scored, samples(9..40, office));
+    for state in [&state, &unscored, &scored] {
+        let known = state.alternatives().unwrap();
+        assert_eq!(&Alternatives::from_parts(known.to_parts()).unwrap(), known);
+    }
+    let parts = scored.alternatives().unwrap().to_parts();
+    let is_refused = |change: fn(&mut AlternativesParts)| {
+        let mut parts = parts.clone();
+        change(&mut parts);
+        Alternatives::from_parts(parts).is_err()
+    };
+    assert!(!is_refused(|parts| parts.choice = 128));
+    assert!(is_refused(|parts| (parts.choice, parts.calibrated) = (128, None)));
+    assert!(is_refused(|parts| parts.choice = 4));
+    assert!(is_refused(|parts| parts.choice = 127));
+    assert!(is_refused(|parts| parts.calibrated.as_mut().unwrap().error_sum = Some(f64::NAN)));
+    assert!(is_refused(|parts| parts.calibrated.as_mut().unwrap().error_sum = Some(-1.0)));
+    assert!(is_refused(|parts| _ = parts.calibrated.as_mut().unwrap().model.profile.pop()));
+}

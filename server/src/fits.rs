@@ -1,0 +1,155 @@
+//! Models that are fitted to the readings of a state when they are asked for, and kept for the next question.
+//!
+//! Invariant: a model is kept under the generation whose readings it was fitted to, so that it never answers for another.
+//! Those who ask for the same model at once share one fit, and no lock is held meanwhile. A fit that failed is not kept.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use tidemap_map::{event::StateId, predict::ModelKind};
+use tidemap_store::MapId;
+use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
+
+mod fitted;
+
+#[cfg(test)]
+mod tests;
+
+pub use fitted::Fitted;
+
+/// Which model, of what.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct FitKey {
+    /// The map.
+    pub map: MapId,
+    /// It knows what the updates up to this one have folded in.
+    pub generation: u64,
+    /// The state.
+    pub state: StateId,
+    /// The kind, with its parameters.
+    pub kind: ModelKind,
+}
+
+/// A model, once it has been fitted.
+type Slot = Arc<OnceCell<Arc<Fitted>>>;
+
+/// The fitted models of all maps.
+#[derive(Debug)]
+pub struct Fits {
+    max: usize,
+    // A lock, because asking for a model changes when it was last used; held to look it up, never to fit.
+    kept: Mutex<Kept>,
+    held: Arc<Semaphore>,
+}
+
+#[derive(Debug, Default)]
+struct Kept {
+    slots: HashMap<FitKey, (Slot, u64)>,
+    /// The same keys by when they were last used, oldest first.
+    by_use: BTreeMap<u64, FitKey>,
+    uses: u64,
+}
+
+impl Fits {
+    /// Keeps at most so many models, at least one; those that are being fitted come on top.
+    #[must_use]
+    pub fn new(max: usize) -> Self {
+        let max = max.clamp(1, Semaphore::MAX_PERMITS);
+        Self { max, kept: Mutex::default(), held: Arc::new(Semaphore::new(max)) }
+    }
+
+    /// The model, if it is kept.
+    #[must_use]
+    pub fn get(&self, key: &FitKey) -> Option<Arc<Fitted>> {
+        self.with_kept(|kept| kept.used(key)?.get().cloned())
+    }
+
+    /// The model: the one that is kept, or the one that somebody is fitting now, or what `fit` gives.
+    ///
+    /// # Errors
+    /// What `fit` ends with. Others who wait for the model then fit it themselves.
+    pub async fn get_or_fit<E>(
+        &self,
+        key: FitKey,
+        fit: impl Future<Output = Result<Fitted, E>>,
+    ) -> Result<Arc<Fitted>, E> {
+        let slot = self.with_kept(|kept| kept.slot(key, self.max));
+        let fitted = slot.get_or_try_init(|| async { fit.await.map(Arc::new) }).await.cloned();
+        if fitted.is_err() {
+            self.with_kept(|kept| kept.forget(&key, &slot));
+        }
+        fitted
+    }
+
+    /// Leave to hold so many models, kept or not, for as long as a request lasts; `None` where all requests together would
+    /// hold more than may be kept.
+    #[must_use]
+    pub fn hold(&self, models: usize) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.held).try_acquire_many_owned(u32::try_from(models).ok()?).ok()
+    }
+
+    /// How many models requests have leave to hold.
+    #[must_use]
+    pub fn held(&self) -> usize {
+        self.max.saturating_sub(self.held.available_permits())
+    }
+
+    /// Most models that are kept, and most that requests hold.
+    #[must_use]
+    pub fn max(&self) -> usize {
+        self.max
+    }
+
+    fn with_kept<T>(&self, work: impl FnOnce(&mut Kept) -> T) -> T {
+        work(&mut self.kept.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Kept {
+    /// A slot that there is, which is now the last used.
+    fn used(&mut self, key: &FitKey) -> Option<Slot> {
+        let (slot, last_use) = self.slots.get_mut(key)?;
+        self.uses += 1;
+        self.by_use.remove(last_use);
+        self.by_use.insert(self.uses, *key);
+        *last_use = self.uses;
+        Some(Arc::clone(slot))
+    }
+
+    /// The slot of a key, which is now the last used; others go where there is no room for it.
+    fn slot(&mut self, key: FitKey, max: usize) -> Slot {
+        if let Some(slot) = self.used(&key) {
+            return slot;
+        }
+        while self.slots.len() >= max {
+            let Some(&last_use) = self.by_use.iter().find(|(_, key)| !self.is_in_flight(key)).map(|(at, _)| at) else {
+                break;
+            };
+            if let Some(key) = self.by_use.remove(&last_use) {
+                self.slots.remove(&key);
+            }
+        }
+        self.uses += 1;
+        let slot = Slot::default();
+        self.slots.insert(key, (Arc::clone(&slot), self.uses));
+        self.by_use.insert(self.uses, key);
+        slot
+    }
+
+    /// Whether somebody waits for the model: were its slot given away, the next one who asks would fit it again.
+    fn is_in_flight(&self, key: &FitKey) -> bool {
+        self.slots.get(key).is_some_and(|(slot, _)| !slot.initialized() && Arc::strong_count(slot) > 1)
+    }
+
+    /// Gives up a slot that has no model.
+    fn forget(&mut self, key: &FitKey, slot: &Slot) {
+        let is_empty = |(kept, _): &(Slot, u64)| Arc::ptr_eq(kept, slot) && !kept.initialized();
+        if self.slots.get(key).is_some_and(is_empty)
+            && let Some((_, last_use)) = self.slots.remove(key)
+        {
+            self.by_use.remove(&last_use);
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! One fitted model, of whatever kind.
+//!
+//! Invariant: a prediction lies in the bounds of the state's kind; a state of which nothing was learned answers as with every other model.
+
+use std::collections::HashSet;
+
+use tidemap_map::{
+    event::{StateId, StateKind},
+    predict::ModelKind,
+    spec::MapSpec,
+    view::MapView,
+};
+use tidemap_model::{
+    Periodicities, Sample,
+    family::{
+        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, Chain, Histogram, HistogramSettings, Hypertime,
+        HypertimeMethod, HypertimeOptions, Moment, Pergam, PergamOptions, PoissonSpectral, Readings, TemporalModel,
+    },
+};
+
+/// What random starts of a fit are drawn from: the same readings give the same model.
+const SEED: u64 = 0;
+
+/// A model that was fitted to the readings of a state.
+#[derive(Clone, Debug)]
+pub enum Fitted {
+    /// There are no readings: what is answered of a state of which nothing was learned.
+    Unlearned,
+    /// Persistence alone.
+    Chain(Chain),
+    /// The mean of each interval of a cycle.
+    Histogram(Histogram),
+    /// Periodic mixture of Gaussians.
+    Pergam(Pergam),
+    /// Warped hypertime.
+    Hypertime(Box<Hypertime>),
+    /// Rate of counts.
+    Poisson(Box<Counts>),
+    /// Rhythms of day and week.
+    Calibrated(Calibrated),
+}
+
+impl Fitted {
+    /// Fits a model of this kind to the readings of a state of a map, ascending by time, whose values are `of` that kind. Kinds that need none
+    /// ([`ModelKind::needs_readings`]) give [`Fitted::Unlearned`].
+    ///
+    /// # Errors
+    /// [`CannotFit`] where a parameter is outside its range or the readings are not those of such a model.
+    pub fn fit(kind: ModelKind, of: StateKind, samples: &[Sample], spec: &MapSpec) -> Result<Self, CannotFit> {
+        if samples.is_empty() {
+            return Ok(Self::Unlearned);
+        }
+        let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
+        let readings = Readings { samples, half_life_secs };
+        let hypertime = |method, clusters: u32| {
+            let options = HypertimeOptions { method, clusters: clusters as usize, seed: SEED };
+            let model = match of {
+                StateKind::Probability => Hypertime::fit(readings, &options),
+                StateKind::Continuous | StateKind::Count => Hypertime::fit_continuous(readings, &options),
+            };
+            model.map(|model| Self::Hypertime(Box::new(model)))
+        };
+        match kind {
+            ModelKind::Auto | ModelKind::Mean | ModelKind::Latest | ModelKind::Spectral => Ok(Self::Unlearned),
+            ModelKind::Persistence => Chain::fit(readings).map(Self::Chain),
+            ModelKind::Histogram { cycle, bins } => {
+                Histogram::fit(readings, &HistogramSettings::new(cycle, bins as usize)).map(Self::Histogram)
+            }
+            ModelKind::Pergam { gaussians } => {
+                let options = PergamOptions { gaussians: gaussians as usize, seed: SEED, ..PergamOptions::default() };
+                Pergam::fit(readings, &options).map(Self::Pergam)
+            }
+            ModelKind::HypertimeEm { clusters } => hypertime(HypertimeMethod::Em, clusters),
+            ModelKind::HypertimeKm { clusters } => hypertime(HypertimeMethod::Km, clusters),
+            ModelKind::Poisson => {
+                Counts::fit(readings, &spec.periodicities).map(|model| Self::Poisson(Box::new(model)))
+            }
+            ModelKind::Calibrated => Calibrated::fit(readings, CalibratedOptions::default()).map(Self::Calibrated),
+        }
+    }
+
+    /// Probability that the state is 1, or the value to expect, at each of the moments, written to `out`, which is as long as these.
+    pub fn predict_into(
+        &self,
+        view: &MapView,
+        id: StateId,
+        moments: &[Moment],
+        with_persistence: bool,
+        out: &mut [f64],
+    ) {
+        let latest;
+        let model: &dyn TemporalModel = match self {
+            Self::Unlearned => &Constant(view.model(id).spectral().mean()),
+            Self::Chain(chain) => {
+                // It starts from the newest value, which changes as soon as that is acknowledged; its rates do not.
+                latest = from_newest(*chain, view, id);
+                &latest
+            }
+            Self::Histogram(model) => model,
+            Self::Pergam(model) => model,
+            Self::Hypertime(model) => &**model,
+            Self::Poisson(model) => &**model,
+            Self::Calibrated(model) => model,
+        };
+        view.predict_fitted_into(id, moments, model, with_persistence, out);
+    }
+}
+
+fn from_newest(mut chain: Chain, view: &MapView, id: StateId) -> Chain {
+    if let Some((nanos, value)) = view.live(id).persistence.last() {
+        chain.observe(nanos, value);
+    }
+    chain
+}
+
+/// The count to expect of a reading, from a model of the counts of bins.
+#[derive(Clone, Debug)]
+pub struct Counts {
+    bins: PoissonSpectral,
+    readings_per_bin: f64,
+}
+
+impl Counts {
+    fn fit(readings: Readings<'_>, periodicities: &Periodicities) -> Result<Self, CannotFit> {
+        let bins = PoissonSpectral::fit(readings, periodicities, COUNT_BIN_NANOS)?;
+        let of_reading = readings.samples.iter().map(|sample| sample.civil_nanos().div_euclid(COUNT_BIN_NANOS));
+        let observed: HashSet<i64> = of_reading.collect();
+        Ok(Self { bins, readings_per_bin: readings.samples.len() as f64 / observed.len().max(1) as f64 })
+    }
+}
+
+impl TemporalModel for Counts {
+    fn predict(&self, at: Moment) -> f64 {
+        self.bins.predict(at) / self.readings_per_bin
+    }
+}
+
+/// The same at any moment.
+struct Constant(f64);
+
+impl TemporalModel for Constant {
+    fn predict(&self, _at: Moment) -> f64 {
+        self.0
+    }
+}

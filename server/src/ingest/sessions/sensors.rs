@@ -1,0 +1,150 @@
+//! Which sensor a stream's scans are of.
+//!
+//! Invariant: a key has the sensor that its first event says, for ever. What is announced and not durable yet is counted
+//! with what is, so that no event has a sensor for which the map has no number left.
+
+use tidemap_map::{grid::sensors::ProducerSensor, live_map::LiveMap};
+
+use super::{
+    super::protocol::{Hello, HelloError},
+    Sessions,
+};
+
+impl Sessions {
+    /// The sensor that the key of a hello has, or is to have; `None`: the map's own.
+    pub(super) fn sensor(&self, hello: &Hello, map: &LiveMap) -> Result<Option<ProducerSensor>, HelloError> {
+        let fixed = map.producer(&hello.key).map(|(_, mark)| mark.sensor);
+        let Some(announced) = hello.sensor else { return Ok(fixed.flatten()) };
+        let grid = map.grid().ok_or(HelloError::SensorWithoutGrid)?;
+        let Some(fixed) = fixed else {
+            // Those that others have announced, and that may become durable before this one.
+            let others = self.sessions.values().filter_map(|session| session.sensor);
+            return Ok(grid.may_have(announced, others)?);
+        };
+        if grid.sensors().check(announced)? != fixed {
+            let fixed = fixed.unwrap_or_else(|| grid.sensors().own());
+            return Err(HelloError::OtherSensor { key: hello.key.clone(), fixed, announced });
+        }
+        Ok(fixed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use tidemap_map::{
+        event::{Event, NewProducer, ProducerId},
+        grid::{
+            scan::Scans,
+            sensors::{InvalidSensor, SENSORS_MAX},
+            spec::{GridSpec, Retention, SensorNoise},
+        },
+        name::{MapName, ProducerKey},
+        spec::MapSpec,
+    };
+    use tidemap_model::{OrderCriterion, Periodicities, Zone};
+    use tokio::sync::{mpsc, oneshot};
+
+    use super::{super::Limits, *};
+
+    const OWN: SensorNoise = SensorNoise { hit: 0.9, false_alarm: 0.1, prior: 0.5 };
+
+    fn map(has_grid: bool) -> LiveMap {
+        let grid = GridSpec {
+            frame_id: "map".to_owned(),
+            is_flat: false,
+            resolution_m: 0.1,
+            origin_m: [0.0; 3],
+            extent: None,
+            sensor: OWN,
+            retention: Retention::None,
+        };
+        LiveMap::new(Arc::new(MapSpec {
+            name: MapName::new("office").expect("valid"),
+            zone: Zone::named("Europe/London").expect("known"),
+            periodicities: Periodicities::default(),
+            criterion: OrderCriterion::SquaredError,
+            created_nanos: 0,
+            half_life_nanos: None,
+            prior: 0.5,
+            retention: Retention::None,
+            grid: has_grid.then_some(grid),
+        }))
+    }
+
+    fn sessions() -> Sessions {
+        let limits = Limits { states: 10, producers: 1000, ahead: 10, tiles: 10 };
+        Sessions::new(Zone::named("Europe/London").expect("known").offset_cache(), limits)
+    }
+
+    fn sensor(hit: f64) -> Option<ProducerSensor> {
+        Some(ProducerSensor { hit, false_alarm: 0.1 })
+    }
+
+    fn key(name: &str) -> ProducerKey {
+        ProducerKey::new(name, "").expect("valid")
+    }
+
+    fn hello(name: &str, sensor: Option<ProducerSensor>) -> Hello {
+        let (events, reply) = (mpsc::unbounded_channel().0, oneshot::channel().0);
+        Hello { key: key(name), incarnation: 0, nightly: false, sensor, events, reply }
+    }
+
+    /// The first event of a producer.
+    fn first(map: &mut LiveMap, name: &str, sensor: Option<ProducerSensor>) {
+        let producer = ProducerId(u32::try_from(map.producers()).expect("few"));
+        let scans = Scans {
+            producer,
+            new_producer: Some(NewProducer { key: key(name), sensor }),
+            incarnation: 1,
+            first_sequence: 1,
+            last_sequence: 1,
+            content_crc: 0,
+            received_nanos: 0,
+            new_tiles: Vec::new(),
+            scans: Vec::new(),
+            refused: Vec::new(),
+        };
+        map.apply(map.position() + 1, &Event::Scans(scans)).expect("consistent");
+    }
+
+    #[test]
+    fn a_key_keeps_the_sensor_that_it_began_with() {
+        let (mut map, sessions) = (map(true), sessions());
+        first(&mut map, "weak", sensor(0.5));
+        first(&mut map, "usual", None);
+        let asked = |name: &str, says| sessions.sensor(&hello(name, says), &map);
+        assert_eq!((asked("weak", None), asked("weak", sensor(0.5))), (Ok(sensor(0.5)), Ok(sensor(0.5))));
+        assert_eq!((asked("usual", None), asked("usual", sensor(0.9))), (Ok(None), Ok(None)));
+        assert_eq!((asked("new", sensor(0.9)), asked("new", sensor(0.6))), (Ok(None), Ok(sensor(0.6))));
+        for (name, says, fixed) in [("weak", 0.6, 0.5), ("weak", 0.9, 0.5), ("usual", 0.5, 0.9)] {
+            let refused = asked(name, sensor(says)).expect_err("refused");
+            assert!(matches!(refused, HelloError::OtherSensor { .. }), "{refused}");
+            let text = refused.to_string();
+            assert!(text.contains(&format!("of hit {fixed},")) && text.contains(&format!("announces hit {says},")));
+        }
+        let invalid = asked("new", sensor(f64::NAN)).expect_err("refused");
+        assert!(matches!(invalid, HelloError::Sensor(InvalidSensor::Range(_))), "{invalid}");
+        let without = sessions.sensor(&hello("new", sensor(0.5)), &self::map(false));
+        assert_eq!(without, Err(HelloError::SensorWithoutGrid));
+    }
+
+    #[test]
+    fn sensors_that_are_announced_count_with_those_that_are_durable() {
+        let (mut map, mut sessions) = (map(true), sessions());
+        let number = |number: usize| sensor(0.2 + number as f64 / 1000.0);
+        for known in 0..SENSORS_MAX - 2 {
+            first(&mut map, &format!("robot{known}"), number(known));
+        }
+        for (name, says, has_room) in
+            [("one", 400, true), ("two", 401, true), ("three", 400, true), ("four", 402, false)]
+        {
+            let opened = sessions.open(&hello(name, number(says)), &map);
+            let is_full = matches!(opened, Err(HelloError::Sensor(InvalidSensor::TooMany)));
+            assert_eq!((opened.is_ok(), is_full), (has_room, !has_room), "{name}");
+        }
+        assert!(sessions.open(&hello("five", number(0)), &map).is_ok());
+        assert!(sessions.open(&hello("six", None), &map).is_ok());
+    }
+}

@@ -1,0 +1,149 @@
+//! What is told to whom, and what is kept of it.
+
+use tidemap_map::{
+    event::{NewState, OffsetRun, ProducerId, StateKind},
+    grid::spec::Retention,
+    live_map::LiveMap,
+    name::{MapName, ProducerKey, StateName},
+    spec::MapSpec,
+};
+use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tokio::sync::broadcast::error::TryRecvError;
+
+use super::*;
+
+fn map() -> LiveMap {
+    LiveMap::new(Arc::new(MapSpec {
+        name: MapName::new("office").expect("valid"),
+        zone: Zone::named("UTC").expect("known"),
+        periodicities: Periodicities::default(),
+        criterion: OrderCriterion::SquaredError,
+        created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
+        retention: Retention::None,
+        grid: None,
+    }))
+}
+
+/// So many observations of one state, the first of them at this time.
+fn observations(first: i64, count: usize) -> Observations {
+    Observations {
+        producer: ProducerId(0),
+        new_producer: Some(ProducerKey::new("r", "").expect("valid").into()),
+        incarnation: 1,
+        first_sequence: 1,
+        last_sequence: count as u64,
+        content_crc: 0,
+        received_nanos: 0,
+        new_states: vec![NewState {
+            id: StateId(0),
+            name: StateName::new("s").expect("valid"),
+            kind: StateKind::Probability,
+        }],
+        states: vec![StateId(0); count],
+        times_nanos: (first..).take(count).collect(),
+        values: vec![1.0; count],
+        offsets: vec![OffsetRun { count: u32::try_from(count).expect("few"), offset_secs: 0 }],
+        refused: Vec::new(),
+    }
+}
+
+/// What is heard next: how many were told before, and the times.
+fn heard(listening: &mut Listening) -> Result<(u64, Vec<i64>), TryRecvError> {
+    match &*listening.try_recv()? {
+        Told::Applied(piece) => Ok((piece.before, piece.times_nanos.clone())),
+        Told::End(ending) => panic!("{ending:?}"),
+    }
+}
+
+#[test]
+fn observations_are_told_in_their_order_once_they_are_public() {
+    let (mut watchers, view) = (Watchers::default(), map().publish());
+    let (mut listening, before) = watchers.listen();
+    assert_eq!(before, 0);
+    watchers.applied(&observations(10, 2));
+    watchers.applied(&observations(20, 1));
+    assert_eq!(heard(&mut listening), Err(TryRecvError::Empty));
+    watchers.tell(&view);
+    assert_eq!(heard(&mut listening), Ok((0, vec![10, 11, 20])));
+    // Whoever comes later hears what comes later.
+    let (mut late, before) = watchers.listen();
+    assert_eq!(before, 3);
+    watchers.applied(&observations(0, PIECE + 1));
+    watchers.tell(&view);
+    for listening in [&mut listening, &mut late] {
+        assert_eq!(heard(listening).map(|(before, times)| (before, times.len())), Ok((3, PIECE)));
+        assert_eq!(heard(listening), Ok((3 + PIECE as u64, vec![PIECE as i64])));
+        assert_eq!(heard(listening), Err(TryRecvError::Empty));
+    }
+    watchers.end(Ending::MapDeleted);
+    assert!(matches!(&*late.try_recv().expect("an end"), Told::End(Ending::MapDeleted)));
+    drop(watchers);
+    assert_eq!(heard(&mut late), Err(TryRecvError::Closed));
+}
+
+#[test]
+fn nothing_is_kept_while_nobody_watches() {
+    let (mut watchers, view) = (Watchers::default(), map().publish());
+    watchers.applied(&observations(0, 5));
+    assert!(watchers.waiting.is_empty());
+    let (listening, _) = watchers.listen();
+    watchers.applied(&observations(0, 5));
+    watchers.tell(&view);
+    assert_eq!(watchers.models.len(), 1);
+    drop(listening);
+    watchers.applied(&observations(0, 5));
+    watchers.tell(&view);
+    assert!(watchers.waiting.is_empty() && watchers.models.is_empty());
+}
+
+#[test]
+fn one_who_lags_loses_the_oldest_and_can_tell_how_many() {
+    let (mut watchers, view) = (Watchers::default(), map().publish());
+    let (mut listening, mut expected) = watchers.listen();
+    let pieces = PIECES as u64 + 10;
+    for piece in 0..pieces {
+        watchers.applied(&observations(piece as i64, 3));
+        watchers.tell(&view);
+    }
+    let mut missed = 0;
+    let mut taken = 0;
+    loop {
+        match heard(&mut listening) {
+            Ok((before, times)) => {
+                missed += before - expected;
+                expected = before + times.len() as u64;
+                taken += times.len() as u64;
+            }
+            Err(TryRecvError::Lagged(_)) => {}
+            Err(_) => break,
+        }
+    }
+    assert_eq!((missed, taken), (30, 3 * PIECES as u64));
+}
+
+#[test]
+fn models_of_two_generations_are_kept_however_far_one_lags() {
+    let mut map = map();
+    let mut watchers = Watchers::default();
+    let (mut listening, _) = watchers.listen();
+    for generation in 0..4 {
+        watchers.applied(&observations(generation, 1));
+        watchers.tell(&map.publish());
+        let event = tidemap_map::event::Event::UpdateStart(map.plan_update(
+            None,
+            1 + generation,
+            tidemap_map::event::UpdateCause::Request,
+        ));
+        let work = map.apply(map.position() + 1, &event).expect("it follows").expect("work");
+        let result = work.run(&std::sync::atomic::AtomicU64::new(0)).expect("no tiles");
+        map.finish_update(result);
+    }
+    let mut judged_by = Vec::new();
+    while let Ok(told) = listening.try_recv() {
+        let Told::Applied(piece) = &*told else { panic!("no end") };
+        judged_by.push(piece.models.upgrade().map(|models| models.generation()));
+    }
+    assert_eq!(judged_by, [None, None, Some(2), Some(3)]);
+}

@@ -1,0 +1,137 @@
+//! Calibrated models: fitted at the nightly update, and the same when the update is run again.
+
+use std::{fs, path::PathBuf};
+
+use tidemap_map::event::StateId;
+use tidemap_model::StateModel;
+
+use super::*;
+
+const DAY: i64 = 24 * HOUR;
+const DAYS: i64 = 24;
+
+/// Open by day, an hour of each day at random; every half hour.
+fn day(day: i64) -> (Vec<i64>, Vec<f64>) {
+    let value = |slot: i64| f64::from(u8::from((16..36).contains(&slot) && (slot * 31 + day * 17) % 13 != 5));
+    let start = NOON - 12 * HOUR - (DAYS - day) * DAY;
+    (0..48).map(|slot| (start + slot * HOUR / 2, value(slot))).unzip()
+}
+
+async fn update(bench: &Bench, handle: &MapHandle, count: usize) {
+    let job = bench.jobs.create(handle.spec.name.clone(), UpdateCause::Request, NOON);
+    assert!(handle.send(Command::Update { until_nanos: None, cause: UpdateCause::Request, job }));
+    ended(bench, count).await;
+}
+
+/// Fills a data folder with a map that was updated after each of many days, in two runs of a daemon. Gives what was learned.
+async fn learn(dir: &Path, retention: Retention) -> StateModel {
+    let mut learned = None;
+    for days in [0..DAYS / 2, DAYS / 2..DAYS] {
+        let bench = bench(dir, NOON);
+        let handle = match bench.catalog.get("office") {
+            Ok(handle) => handle,
+            Err(_) => bench.catalog.create(MapSpec { retention, ..spec_with(None) }).await.expect("created"),
+        };
+        let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+        for (updates, number) in (1..).zip(days) {
+            observe(&handle, &mut robot, number).await;
+            update(&bench, &handle, updates).await;
+        }
+        bench.catalog.stop().await;
+        learned = Some(model(&handle));
+    }
+    learned.expect("two runs")
+}
+
+async fn observe(handle: &MapHandle, robot: &mut Robot, number: i64) {
+    let (times, values) = day(number);
+    send_values(handle, robot, times, values);
+    let expected = SessionEvent::Ack { durable_sequence: robot.sent, refused: Vec::new() };
+    assert_eq!(robot.events.recv().await, Some(expected));
+}
+
+fn model(handle: &MapHandle) -> StateModel {
+    handle.view().model(StateId(0)).clone()
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).expect("writable");
+    for entry in fs::read_dir(from).expect("readable") {
+        let entry = entry.expect("readable");
+        let to = to.join(entry.file_name());
+        if entry.file_type().expect("known").is_dir() {
+            copy(&entry.path(), &to);
+        } else {
+            fs::copy(entry.path(), to).expect("copied");
+        }
+    }
+}
+
+/// The files of a folder, by name.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).expect("readable");
+    let mut files: Vec<PathBuf> = entries.map(|entry| entry.expect("readable").path()).collect();
+    files.sort();
+    files
+}
+
+#[tokio::test]
+async fn updates_that_are_run_again_fit_the_same_models() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let expected = learn(dir.path(), Retention::Forever).await;
+    let known = expected.alternatives().expect("learned");
+    let (calibrated, day) = known.calibrated().expect("fitted");
+    // First after seven days, then every seven.
+    let newest = known.folded_day().expect("folded").0;
+    assert_eq!((newest - day.0, calibrated.observations()), (3, 21 * 48));
+
+    for (name, checkpoints, keeps_history) in
+        [("saved", 2, true), ("saved at half-time", 1, true), ("from the log", 0, true), ("only the log", 0, false)]
+    {
+        // Without the index.
+        let again = dir.path().join(name);
+        copy(&dir.path().join("maps"), &again.join("maps"));
+        fs::copy(dir.path().join("MANIFEST"), again.join("MANIFEST")).expect("copied");
+        let folder = again.join("maps/00000001");
+        let history = files(&folder.join("history"));
+        assert_eq!(history.len(), DAYS as usize);
+        if !keeps_history {
+            history.iter().for_each(|file| fs::remove_file(file).expect("removed"));
+        }
+        let all = files(&folder.join("checkpoints"));
+        assert_eq!(all.len(), 2, "{all:?}");
+        all[checkpoints..].iter().for_each(|file| fs::remove_file(file).expect("removed"));
+
+        let bench = super::bench(&again, NOON);
+        let handle = bench.catalog.get("office").expect("the map");
+        assert_eq!(handle.view().generation(), DAYS as u64, "{name}");
+        assert_eq!(model(&handle), expected, "{name}");
+        bench.catalog.stop().await;
+    }
+}
+
+#[tokio::test]
+async fn a_map_that_keeps_nothing_has_no_calibrated_model() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let learned = learn(dir.path(), Retention::None).await;
+    assert!(learned.is_refit_due() && learned.alternatives().expect("learned").calibrated().is_none());
+}
+
+#[tokio::test]
+async fn damaged_history_costs_the_fit_and_not_the_update() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let before = learn(dir.path(), Retention::Forever).await;
+    let first = files(&dir.path().join("maps/00000001/history")).into_iter().next().expect("a file");
+    fs::write(first, "nothing").expect("written");
+    let bench = bench(dir.path(), NOON + 9 * DAY);
+    let handle = bench.catalog.get("office").expect("the map");
+    let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+    observe(&handle, &mut robot, DAYS + 6).await;
+    update(&bench, &handle, 1).await;
+    let after = model(&handle);
+    assert!(after.is_refit_due(), "tried again");
+    assert_eq!(after.accumulator().observations(), before.accumulator().observations() + 48);
+    let fitted = |model: &StateModel| model.alternatives().and_then(|known| known.calibrated()).map(|(_, day)| day);
+    assert!(fitted(&before).is_some() && fitted(&after) == fitted(&before));
+    bench.catalog.stop().await;
+}

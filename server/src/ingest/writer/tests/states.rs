@@ -1,0 +1,104 @@
+//! States that are added before anything is observed of them, and what a state's kind does to what is sent of it.
+
+use tidemap_map::event::StateKind;
+
+use super::*;
+use crate::ingest::protocol::{AddState, AddStateError, NewName};
+
+async fn add(handle: &MapHandle, name: &str, kind: StateKind) -> Result<(), AddStateError> {
+    let (reply, answer) = oneshot::channel();
+    let name = StateName::new(name).expect("valid");
+    assert!(handle.send(Command::AddState(AddState { name, kind, reply })));
+    answer.await.expect("an answer")
+}
+
+/// Sends these of the stream's only state and gives what was refused.
+async fn send(
+    handle: &MapHandle,
+    robot: &mut Robot,
+    said: Option<StateKind>,
+    values: &[f64],
+) -> Vec<(u64, RefusalReason)> {
+    let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
+    let name = NewName { name: StateName::new("s").expect("valid"), kind: said };
+    let first_sequence = robot.sent + 1;
+    robot.sent += values.len() as u64;
+    let batch = Batch {
+        first_sequence,
+        last_sequence: robot.sent,
+        content_crc: 1,
+        new_names: vec![Some(name)],
+        table_indices: vec![0; values.len()],
+        times_nanos: (0..values.len() as i64).map(|i| NOON + i).collect(),
+        values: values.to_vec(),
+        ..Batch::default()
+    };
+    let permits = [permit(), permit()];
+    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, permits }));
+    match robot.events.recv().await {
+        Some(SessionEvent::Ack { durable_sequence, refused }) if durable_sequence == robot.sent => {
+            refused.into_iter().map(|refused| (refused.sequence, refused.reason)).collect()
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[tokio::test]
+async fn a_state_that_was_added_is_shown_and_survives_a_restart() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    {
+        let bench = bench(dir.path(), NOON);
+        let handle = create(&bench).await;
+        // Two who want the same at the same time.
+        let (one, two) =
+            tokio::join!(add(&handle, "speed", StateKind::Continuous), add(&handle, "speed", StateKind::Continuous));
+        assert_eq!((one, two), (Ok(()), Ok(())));
+        let view = handle.view();
+        assert_eq!(view.find("speed").map(|id| view.kind(id)), Some(StateKind::Continuous));
+        let again = add(&handle, "speed", StateKind::Count).await;
+        assert!(matches!(again, Err(AddStateError::OtherKind { found: StateKind::Continuous, .. })), "{again:?}");
+        for i in 1..10 {
+            assert_eq!(add(&handle, &format!("s{i}"), StateKind::Count).await, Ok(()));
+        }
+        assert_eq!(add(&handle, "s10", StateKind::Count).await, Err(AddStateError::TooMany { max: 10 }));
+        assert_eq!(add(&handle, "s9", StateKind::Count).await, Ok(()), "it is there");
+        bench.catalog.stop().await;
+        bench.catalog.context().store.close();
+    }
+    let view = bench(dir.path(), NOON).catalog.get("office").expect("there").view();
+    let kinds: Vec<StateKind> = view.infos().map(|info| info.kind).collect();
+    assert_eq!(kinds[..2], [StateKind::Continuous, StateKind::Count]);
+    assert_eq!(view.len(), 10);
+}
+
+#[tokio::test]
+async fn observations_have_to_fit_the_kind_of_their_state() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    assert_eq!(add(&handle, "s", StateKind::Count).await, Ok(()));
+    let mut silent = hello(&handle, "silent", 0, false).await.expect("accepted");
+    let refused = send(&handle, &mut silent, None, &[2.5, 7.0, -1.0, 0.5, 0.0]).await;
+    let value = RefusalReason::Value;
+    assert_eq!(refused, [(1, value), (3, value), (4, value)]);
+    let mut right = hello(&handle, "right", 0, false).await.expect("accepted");
+    assert_eq!(send(&handle, &mut right, Some(StateKind::Count), &[3.0]).await, []);
+    let mut wrong = hello(&handle, "wrong", 0, false).await.expect("accepted");
+    let kind = RefusalReason::StateKind;
+    assert_eq!(send(&handle, &mut wrong, Some(StateKind::Probability), &[1.0, 0.0]).await, [(1, kind), (2, kind)]);
+    let view = handle.view();
+    assert_eq!((view.len(), view.observations()), (1, 3));
+}
+
+#[tokio::test]
+async fn a_value_that_no_such_state_may_have_makes_none() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+    assert_eq!(send(&handle, &mut robot, None, &[1.5]).await, [(1, RefusalReason::Value)]);
+    assert_eq!(handle.view().len(), 0);
+    assert_eq!(send(&handle, &mut robot, None, &[0.5]).await, []);
+    let view = handle.view();
+    assert_eq!((view.len(), view.kind(view.find("s").expect("it is new"))), (1, StateKind::Probability));
+}

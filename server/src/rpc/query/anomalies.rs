@@ -1,0 +1,124 @@
+//! `FindAnomalies`: what was observed and not expected.
+//!
+//! Invariant: each observation of the interval is judged once, by one view's model and at its own time.
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    anomaly::{Anomaly, anomalies},
+    event::{StateId, StateKind},
+    grid::view::CellDescription,
+    history::Reading,
+    predict::ModelSelector,
+    view::MapView,
+};
+use tidemap_proto::{
+    convert::{
+        InvalidField,
+        anomaly::{confidence_from_wire, judge_from_wire},
+        query::check_for_cells,
+    },
+    v1,
+};
+
+use super::{
+    Queries, find_state,
+    fitting::Learned,
+    reconstruct::{Asked, past},
+    replies::{Replies, computed},
+    states::{cell_of, find_cell},
+};
+use crate::{
+    fits::Fitted,
+    rpc::{map::find_map, status::RpcError},
+};
+
+/// Observations that are judged at once, and of one reply: their phasors take some 10 MB at 168 periodicities.
+const READINGS_PER_REPLY: usize = 4096;
+
+/// That anomalies of this state make sense.
+///
+/// # Errors
+/// Its values are no probabilities: there is no contrary of a number.
+pub(super) fn check_kind(field: &str, view: &MapView, id: StateId) -> Result<(), RpcError> {
+    let kind = view.kind(id);
+    if kind == StateKind::Probability {
+        return Ok(());
+    }
+    let name = view.info(id).map_or("", |info| info.name.as_str());
+    let text = format!(
+        "{name:?} is a {} state, and only of probabilities there is a contrary to be surprised by",
+        kind.name()
+    );
+    Err(InvalidField::new(field, text).into())
+}
+
+/// Who says what was to be expected.
+enum Judge {
+    /// A model that the view has of a state.
+    State(StateId),
+    /// One that was fitted to the state's readings.
+    Fitted(StateId, Arc<Fitted>),
+    /// A model that the view has of a cell.
+    Cell(Box<CellDescription>),
+}
+
+impl Judge {
+    fn expected(&self, view: &MapView, readings: &[Reading], selector: ModelSelector) -> Vec<f64> {
+        let times: Vec<i64> = readings.iter().map(|(nanos, _)| *nanos).collect();
+        let mut expected = vec![0.0; times.len()];
+        match self {
+            Self::State(id) => view.predict_into(*id, &view.prepare(&times), selector, &mut expected),
+            Self::Fitted(id, fitted) => fitted.predict_into(view, *id, &view.moments(&times), false, &mut expected),
+            Self::Cell(cell) => view.predict_cell_into(cell, &view.prepare(&times), selector, &mut expected),
+        }
+        expected
+    }
+}
+
+pub(super) async fn find_anomalies(
+    queries: &Queries,
+    request: v1::FindAnomaliesRequest,
+) -> Result<Replies<v1::FindAnomaliesResponse>, RpcError> {
+    let v1::FindAnomaliesRequest { map, state: name, from_nanos, to_nanos, confidence, model } = request;
+    let handle = find_map(&queries.catalog, &map)?;
+    let asked = Asked::new(name.clone(), from_nanos, to_nanos)?;
+    let confidence = confidence_from_wire("confidence", confidence)?;
+    let selector = judge_from_wire("model", model)?;
+    let view = handle.view();
+    let cell = cell_of("state", &name)?;
+    if cell.is_some() {
+        check_for_cells("model", selector)?;
+    } else {
+        check_kind("state", &view, find_state(&view, &name)?)?;
+    }
+    // Before the turns to look up are taken: a fit has turns of its own, and may last.
+    let fitted = if selector.kind.needs_readings() {
+        let learned = Learned::new(Arc::clone(&handle), Arc::clone(&view), find_state(&view, &name)?);
+        Some(queries.fitting.fitted(&learned, selector.kind).await?)
+    } else {
+        None
+    };
+    let (turns, gather) = past(queries, &handle, Arc::clone(&view), asked).await?;
+    Ok(computed(turns, move |computed| {
+        let judge = match (cell, fitted) {
+            (Some(cell), _) => Judge::Cell(Box::new(find_cell(&view, cell)?)),
+            (None, Some(fitted)) => Judge::Fitted(find_state(&view, &name)?, fitted),
+            (None, None) => Judge::State(find_state(&view, &name)?),
+        };
+        for readings in gather()?.chunks(READINGS_PER_REPLY) {
+            let expected = judge.expected(&view, readings, selector);
+            let mut reply = v1::FindAnomaliesResponse::default();
+            for Anomaly { utc_nanos, value, probability } in anomalies(readings, &expected, confidence) {
+                reply.times_nanos.push(utc_nanos);
+                reply.values.push(value);
+                reply.probabilities.push(probability);
+            }
+            // An empty one too: that somebody still listens is known only from what is taken.
+            if !computed.send(reply) {
+                break;
+            }
+        }
+        Ok(())
+    }))
+}

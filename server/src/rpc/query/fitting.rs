@@ -1,0 +1,277 @@
+//! Models fitted to what updates have folded in, for the questions that ask for them.
+//!
+//! Invariant: a model is fitted to exactly the observations that the view's updates have folded in, and to nothing that is
+//! pending, so that a comparison with pending observations is one with what was not learned. A fit takes a turn of its own
+//! kind: whoever predicts without one does not wait for it. A fit that was begun ends, and is kept for the next.
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    event::{StateId, StateKind},
+    grid::spec::Retention,
+    history::Subject,
+    predict::ModelKind,
+    view::MapView,
+};
+use tidemap_model::{Sample, family::CannotFit};
+use tokio::sync::{OnceCell, OwnedSemaphorePermit};
+
+use super::{
+    readings::{Wanted, gather, recall, retention},
+    replies::{Turns, processors},
+};
+use crate::{
+    catalog::Catalog,
+    fits::{FitKey, Fits, Fitted},
+    ingest::handle::MapHandle,
+    rpc::status::RpcError,
+};
+
+/// Why a model cannot answer for a state.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Unavailable {
+    /// The map keeps nothing to fit it to.
+    #[error("it has to be fitted to observations, and the map, created with --retention none, keeps none")]
+    NotKept,
+    /// What the state had is older than what the map keeps.
+    #[error("it has to be fitted to observations, and the map keeps those of this state no more: see --retention")]
+    Forgotten,
+    /// The map was made by a version that kept nothing.
+    #[error(
+        "it has to be fitted to all {folded} observations that updates have folded in, and the map, which is older than \
+         its history, keeps {kept} of them"
+    )]
+    Incomplete {
+        /// Observations that updates have folded in.
+        folded: u64,
+        /// Those of them that are kept.
+        kept: u64,
+    },
+    /// There are too many observations.
+    #[error("it would be fitted to {got} observations or more, and setting max_fit_readings allows {max}")]
+    TooMany {
+        /// How many there are at least.
+        got: u64,
+        /// How many are allowed.
+        max: u64,
+    },
+    /// The values of the state are not what such a model is of.
+    #[error("it is a model of {expected}, and the state is a {found}", found = .found.name())]
+    OtherKind {
+        /// What it is a model of.
+        expected: &'static str,
+        /// What the state is.
+        found: StateKind,
+    },
+    /// The readings do not go with the model.
+    #[error("{0}")]
+    CannotFit(#[from] CannotFit),
+}
+
+/// Fits models, or finds them.
+#[derive(Debug)]
+pub(super) struct Fitting {
+    catalog: Arc<Catalog>,
+    fits: Fits,
+    /// Turns to gather readings and fit. They are others than those to predict.
+    turns: Turns,
+    /// The same for kinds whose fit may take seconds: none of the others waits for these.
+    slow_turns: Turns,
+    /// Turns to have several models of a state fitted: whoever has one holds the readings from the first to the last.
+    comparing_turns: Turns,
+    max_readings: u64,
+}
+
+/// A state as one view knows it, and the readings that the view's updates have folded in, once they are gathered.
+#[derive(Debug)]
+pub(super) struct Learned {
+    handle: Arc<MapHandle>,
+    view: Arc<MapView>,
+    id: StateId,
+    samples: OnceCell<Arc<[Sample]>>,
+}
+
+impl Learned {
+    pub(super) fn new(handle: Arc<MapHandle>, view: Arc<MapView>, id: StateId) -> Arc<Self> {
+        Arc::new(Self { handle, view, id, samples: OnceCell::new() })
+    }
+
+    fn folded(&self) -> u64 {
+        self.view.model(self.id).accumulator().observations()
+    }
+
+    fn unavailable(&self, model: ModelKind, reason: impl Into<Unavailable>) -> RpcError {
+        RpcError::Unavailable {
+            model,
+            map: self.handle.spec.name.as_str().to_owned(),
+            state: self.view.info(self.id).map_or_else(String::new, |info| info.name.as_str().to_owned()),
+            reason: reason.into(),
+        }
+    }
+}
+
+impl Fitting {
+    /// Keeps at most so many models, and fits one to at most so many readings.
+    pub(super) fn new(catalog: Arc<Catalog>, max_fitted: usize, max_readings: u64) -> Self {
+        // Half of the processors stay free for everybody else.
+        let slow_turns = Turns::new((processors() / 2).max(1));
+        let (turns, comparing_turns) = (Turns::default(), Turns::default());
+        Self { catalog, fits: Fits::new(max_fitted), turns, slow_turns, comparing_turns, max_readings }
+    }
+
+    /// Several models of a state, each as [`Fitting::fitted`] gives it, from readings that are gathered once.
+    ///
+    /// # Errors
+    /// Where the readings cannot be read, or no turn came up in time.
+    pub(super) async fn all_fitted(
+        self: &Arc<Self>,
+        learned: &Arc<Learned>,
+        kinds: impl Iterator<Item = ModelKind>,
+    ) -> Result<Vec<Result<Arc<Fitted>, Unavailable>>, RpcError> {
+        let mut kinds = kinds.peekable();
+        let mut models = Vec::new();
+        if kinds.peek().is_none() {
+            return Ok(models);
+        }
+        let _turn = self.comparing_turns.take().await?;
+        for kind in kinds {
+            models.push(match self.fitted(learned, kind).await {
+                Ok(fitted) => Ok(fitted),
+                Err(RpcError::Unavailable { reason, .. }) => Err(reason),
+                Err(error) => return Err(error),
+            });
+        }
+        Ok(models)
+    }
+
+    /// The model of a state: the one that is kept, or else one that is fitted now.
+    ///
+    /// # Errors
+    /// [`RpcError::Unavailable`] where there can be no such model; others where the readings cannot be read.
+    pub(super) async fn fitted(
+        self: &Arc<Self>,
+        learned: &Arc<Learned>,
+        kind: ModelKind,
+    ) -> Result<Arc<Fitted>, RpcError> {
+        self.check(learned, kind)?;
+        let map = learned.handle.id;
+        let key = FitKey { map, generation: learned.view.generation(), state: learned.id, kind };
+        if let Some(fitted) = self.fits.get(&key) {
+            return Ok(fitted);
+        }
+        if learned.folded() == 0 {
+            return Ok(Arc::new(Fitted::Unlearned));
+        }
+        let (this, learned) = (Arc::clone(self), Arc::clone(learned));
+        // A task of its own: where this request goes away, others may wait for the same model.
+        let task = tokio::spawn(async move { this.fits.get_or_fit(key, this.fit(&learned, kind)).await });
+        task.await.map_err(|_| RpcError::Stopping)?
+    }
+
+    /// Leave to hold so many models for as long as a request lasts.
+    ///
+    /// # Errors
+    /// [`RpcError::Limit`] where all requests would hold more than may be kept.
+    pub(super) fn hold(&self, models: usize) -> Result<OwnedSemaphorePermit, RpcError> {
+        self.fits.hold(models).ok_or_else(|| RpcError::Limit {
+            what: "fitted models that evaluations hold",
+            got: self.fits.held().saturating_add(models) as u64,
+            max: self.fits.max() as u64,
+            setting: "setting max_fitted_models",
+        })
+    }
+
+    /// What can be told without looking at any reading.
+    fn check(&self, learned: &Learned, kind: ModelKind) -> Result<(), RpcError> {
+        let retention = retention(&learned.handle.spec, Subject::State(learned.id));
+        let retention = retention.ok_or_else(|| learned.unavailable(kind, Unavailable::NotKept))?;
+        let found = learned.view.kind(learned.id);
+        let expected = match kind {
+            ModelKind::Poisson if found != StateKind::Count => Some("counts"),
+            ModelKind::Persistence | ModelKind::Pergam { .. } if found != StateKind::Probability => {
+                Some("probabilities")
+            }
+            _ => None,
+        };
+        if let Some(expected) = expected {
+            return Err(learned.unavailable(kind, Unavailable::OtherKind { expected, found }));
+        }
+        // With another retention some may be kept no more.
+        let (got, max) = (learned.folded(), self.max_readings);
+        if retention == Retention::Forever && got > max {
+            return Err(learned.unavailable(kind, Unavailable::TooMany { got, max }));
+        }
+        Ok(())
+    }
+
+    async fn fit(&self, learned: &Arc<Learned>, kind: ModelKind) -> Result<Fitted, RpcError> {
+        let is_slow = matches!(kind, ModelKind::HypertimeEm { .. } | ModelKind::HypertimeKm { .. });
+        let turn = if is_slow { self.slow_turns.take().await? } else { self.turns.take().await? };
+        let samples = learned.samples.get_or_try_init(|| self.gather(learned, kind)).await?;
+        let (samples, handle) = (Arc::clone(samples), Arc::clone(&learned.handle));
+        let of = learned.view.kind(learned.id);
+        let fit = move || {
+            let _turn = turn;
+            Fitted::fit(kind, of, &samples, &handle.spec)
+        };
+        let fitted = tokio::task::spawn_blocking(fit).await.map_err(|_| RpcError::Stopping)?;
+        fitted.map_err(|error| learned.unavailable(kind, error))
+    }
+
+    /// What the view's updates have folded in of a state, ascending by time.
+    async fn gather(&self, learned: &Arc<Learned>, kind: ModelKind) -> Result<Arc<[Sample]>, RpcError> {
+        let subject = Subject::State(learned.id);
+        let enough = usize::try_from(self.max_readings).unwrap_or(usize::MAX);
+        // Nothing of what no update has taken, and no waiting for an update that runs.
+        let mut recalled = recall(&learned.handle, &Wanted { subject, within_nanos: 0..0, enough }).await?;
+        let generation = learned.view.generation();
+        // An update may have ended since the view was taken.
+        recalled.unsaved.retain(|piece| piece.generation <= generation);
+        recalled.pending.clear();
+        let before = recalled.stored_before.min(generation + 1);
+        let history = self.catalog.context().store.history(learned.handle.id)?.before(before);
+        let is_complete = history.is_complete();
+        let wanted = Wanted { subject, within_nanos: i64::MIN..i64::MAX, enough };
+        let learned = Arc::clone(learned);
+        let (max, folded) = (self.max_readings, learned.folded());
+        let gather = move || {
+            let readings = gather(&history, &learned.handle.spec, recalled, &wanted)?;
+            let is_forever = retention(&learned.handle.spec, subject) == Some(Retention::Forever);
+            match lacking((readings.len() as u64, folded, max), is_forever && !is_complete) {
+                Some(reason) => Err(learned.unavailable(kind, reason)),
+                None => {
+                    let mut make = learned.view.sample_maker();
+                    Ok(readings.into_iter().map(|(nanos, value)| make(nanos, value)).collect())
+                }
+            }
+        };
+        tokio::task::spawn_blocking(gather).await.map_err(|_| RpcError::Stopping)?
+    }
+}
+
+/// Why a model cannot be fitted to so many readings that are kept of those that were folded in, where `max` are allowed.
+/// `lost_some`: of some that should be kept there never was any history.
+fn lacking((kept, folded, max): (u64, u64, u64), lost_some: bool) -> Option<Unavailable> {
+    match kept {
+        _ if kept > max => Some(Unavailable::TooMany { got: kept, max }),
+        _ if lost_some && kept < folded => Some(Unavailable::Incomplete { folded, kept }),
+        0 => Some(Unavailable::Forgotten),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_is_fitted_to_everything_or_to_what_the_map_is_to_keep() {
+        assert_eq!(lacking((5, 5, 5), false), None);
+        assert_eq!(lacking((5, 5, 5), true), None, "of this state nothing was lost");
+        assert_eq!(lacking((4, 5, 5), false), None, "the rest is older than what is kept");
+        assert_eq!(lacking((4, 5, 5), true), Some(Unavailable::Incomplete { folded: 5, kept: 4 }));
+        assert_eq!(lacking((0, 5, 5), true), Some(Unavailable::Incomplete { folded: 5, kept: 0 }));
+        assert_eq!(lacking((0, 5, 5), false), Some(Unavailable::Forgotten));
+        assert_eq!(lacking((6, 9, 5), false), Some(Unavailable::TooMany { got: 6, max: 5 }));
+    }
+}

@@ -1,0 +1,105 @@
+//! The exact observations of a state or a cell, gathered from wherever they are.
+//!
+//! Invariant: each observation is given once, whether it has been saved or not; ascending by time, of equal times in the
+//! order in which updates took them.
+
+use std::{ops::Range, time::Duration};
+
+use tidemap_map::{
+    grid::spec::Retention,
+    history::{Reading, Subject, cell_readings},
+    spec::MapSpec,
+};
+use tidemap_store::{History, HistoryError};
+use tokio::sync::oneshot;
+
+use crate::{
+    ingest::{
+        handle::MapHandle,
+        protocol::{Command, Ending, Recall, Recalled},
+    },
+    rpc::status::RpcError,
+};
+
+/// A running update that has what was asked for is waited for so long.
+const UPDATE_WITHIN: Duration = Duration::from_secs(30);
+
+/// What is asked for.
+#[derive(Clone, Debug)]
+pub(super) struct Wanted {
+    /// Of which state or cell.
+    pub subject: Subject,
+    /// From the first instant up to but not including the last, nanoseconds UTC.
+    pub within_nanos: Range<i64>,
+    /// Where there are more readings than this, no more are looked for.
+    pub enough: usize,
+}
+
+/// How long a map keeps what is asked for; `None`: not at all.
+pub(super) fn retention(spec: &MapSpec, subject: Subject) -> Option<Retention> {
+    let retention = match subject {
+        Subject::State(_) => spec.retention,
+        Subject::Cell(..) => spec.grid.as_ref().map_or(Retention::None, |grid| grid.retention),
+    };
+    (retention != Retention::None).then_some(retention)
+}
+
+/// What the writer of a map knows of it: what has not been saved yet, and what no update has taken.
+pub(super) async fn recall(handle: &MapHandle, wanted: &Wanted) -> Result<Recalled, RpcError> {
+    let (reply, recalled) = oneshot::channel();
+    let stopped = || RpcError::Ended(Ending::Shutdown);
+    let recall = Recall {
+        subject: wanted.subject,
+        from_nanos: wanted.within_nanos.start,
+        to_nanos: wanted.within_nanos.end,
+        // One more than is enough says that there are too many.
+        at_most: wanted.enough.saturating_add(1),
+        reply,
+    };
+    if !handle.send(Command::Recall(recall)) {
+        return Err(stopped());
+    }
+    match tokio::time::timeout(UPDATE_WITHIN, recalled).await {
+        Ok(recalled) => recalled.map_err(|_| stopped()),
+        Err(_) => Err(RpcError::Updating(UPDATE_WITHIN.as_secs())),
+    }
+}
+
+/// The readings; where there are more than enough, some of them, and more than that, in no order.
+pub(super) fn gather(
+    history: &History,
+    spec: &MapSpec,
+    recalled: Recalled,
+    wanted: &Wanted,
+) -> Result<Vec<Reading>, HistoryError> {
+    let &Wanted { subject, ref within_nanos, enough } = wanted;
+    let (from_nanos, to_nanos) = (within_nanos.start, within_nanos.end);
+    let mut found: Vec<Reading> = Vec::new();
+    match subject {
+        Subject::State(state) => {
+            let samples = history.clone().at_most(enough).state(state, from_nanos, to_nanos)?;
+            found.extend(samples.iter().map(|sample| (sample.utc_nanos, sample.value)));
+        }
+        Subject::Cell(tile, cell) => {
+            for day in history.grid_days(from_nanos, to_nanos, Some(vec![tile])) {
+                let readings = day?.readings(tile, cell, &spec.periodicities);
+                found.extend(cell_readings(readings.into_iter().filter(|(nanos, _)| within_nanos.contains(nanos))));
+                if found.len() > enough {
+                    return Ok(found);
+                }
+            }
+        }
+    }
+    let mut unsaved = recalled.unsaved;
+    unsaved.sort_by_key(|piece| piece.generation);
+    unsaved.dedup_by_key(|piece| piece.generation);
+    for piece in &unsaved {
+        if found.len() > enough {
+            return Ok(found);
+        }
+        found.extend(piece.readings(subject, from_nanos, to_nanos, &spec.periodicities));
+    }
+    found.extend(recalled.pending);
+    found.sort_by_key(|(nanos, _)| *nanos);
+    Ok(found)
+}

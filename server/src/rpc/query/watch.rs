@@ -1,0 +1,248 @@
+//! `WatchAnomalies`: what is observed and not expected, as it comes.
+//!
+//! Invariant: nothing that a watcher does or leaves undone slows the writer, and what waits for one is bounded: what it
+//! does not take in time is counted as missed. Judging has turns of its own, which leave processors to everybody else.
+
+use std::{collections::HashSet, sync::Arc, time::Duration};
+
+use tidemap_map::{
+    anomaly::{Anomaly, Confidence, anomalies},
+    event::{StateId, StateKind},
+    grid::index::CellIndex,
+    history::Reading,
+    predict::ModelSelector,
+    view::MapView,
+};
+use tidemap_proto::{
+    convert::{
+        InvalidField,
+        anomaly::{confidence_from_wire, watching_judge_from_wire},
+    },
+    v1,
+};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, broadcast::error::RecvError, mpsc, oneshot};
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::Status;
+
+use super::{
+    Queries, STATES_MAX,
+    anomalies::check_kind,
+    check_limit, find_state,
+    replies::{Replies, processors},
+};
+use crate::{
+    ingest::{
+        handle::MapHandle,
+        protocol::Command,
+        watching::{Applied, Listening, Told},
+    },
+    rpc::{map::find_map, status::RpcError},
+};
+
+/// Replies that wait for the reader.
+const REPLIES_AHEAD: usize = 2;
+/// Anomalies of one reply.
+const ANOMALIES_PER_REPLY: usize = 1024;
+/// A reply is waited for so long to be taken. Longer than elsewhere: a watch is for people, who stop and read.
+const READ_WITHIN: Duration = Duration::from_secs(300);
+
+type Sender = mpsc::Sender<Result<v1::WatchAnomaliesResponse, Status>>;
+
+/// Room for watches.
+#[derive(Debug)]
+pub(super) struct Watches {
+    places: Arc<Semaphore>,
+    max: usize,
+    turns: Arc<Semaphore>,
+}
+
+impl Watches {
+    /// So many at once.
+    pub(super) fn new(max: usize) -> Self {
+        let max = max.min(Semaphore::MAX_PERMITS);
+        let turns = Arc::new(Semaphore::new((processors() / 2).max(1)));
+        Self { places: Arc::new(Semaphore::new(max)), max, turns }
+    }
+
+    fn place(&self) -> Result<OwnedSemaphorePermit, RpcError> {
+        let max = self.max as u64;
+        let full = |_| RpcError::Limit { what: "watches", got: max + 1, max, setting: "setting max_watches" };
+        Arc::clone(&self.places).try_acquire_owned().map_err(full)
+    }
+}
+
+pub(super) async fn watch_anomalies(
+    queries: &Queries,
+    request: v1::WatchAnomaliesRequest,
+) -> Result<Replies<v1::WatchAnomaliesResponse>, RpcError> {
+    let v1::WatchAnomaliesRequest { map, states, confidence, model } = request;
+    let handle = find_map(&queries.catalog, &map)?;
+    let confidence = confidence_from_wire("confidence", confidence)?;
+    let selector = watching_judge_from_wire("model", model)?;
+    check_limit("states", states.len() as u64, STATES_MAX as u64, "one request")?;
+    let watched = watched(&handle.view(), &states)?;
+    let place = queries.watches.place()?;
+    let (reply, listening) = oneshot::channel();
+    if !handle.send(Command::Watch(reply)) {
+        return Err(RpcError::Stopping);
+    }
+    let (listening, told) = listening.await.map_err(|_| RpcError::Stopping)?;
+    let turns = Arc::clone(&queries.watches.turns);
+    let watch = Watch { handle, watched, confidence, selector, turns, told, missed: 0 };
+    let (replies, stream) = mpsc::channel(REPLIES_AHEAD + 1);
+    // Its place is taken now: there is none when the reader is slow.
+    let last_word = replies.clone().try_reserve_owned().map_err(|_| RpcError::Stopping)?;
+    tokio::spawn(async move {
+        let _place = place;
+        if let Err(end) = watch.run(listening, &replies).await {
+            last_word.send(Err(end.into()));
+        }
+    });
+    Ok(ReceiverStream::new(stream))
+}
+
+/// The states that are watched; `None`: all probabilities, those that are yet to come included.
+fn watched(view: &MapView, names: &[String]) -> Result<Option<HashSet<StateId>>, RpcError> {
+    let find = |(i, name): (usize, &String)| match CellIndex::from_name(name) {
+        Some(_) => {
+            let text = format!("{name} is a cell, and cells are not watched: look back at it with FindAnomalies");
+            Err(InvalidField::new(format!("states[{i}]"), text).into())
+        }
+        None => {
+            let id = find_state(view, name)?;
+            check_kind(&format!("states[{i}]"), view, id)?;
+            Ok(id)
+        }
+    };
+    let states = names.iter().enumerate().map(find).collect::<Result<HashSet<_>, RpcError>>()?;
+    Ok((!states.is_empty()).then_some(states))
+}
+
+/// What was observed of which state.
+type Observed = (StateId, Reading);
+
+struct Watch {
+    handle: Arc<MapHandle>,
+    watched: Option<HashSet<StateId>>,
+    confidence: Confidence,
+    selector: ModelSelector,
+    turns: Arc<Semaphore>,
+    /// How many observations were told before the next.
+    told: u64,
+    /// Those of them that were not judged since the last reply.
+    missed: u64,
+}
+
+impl Watch {
+    /// Tells anomalies until nobody listens any more, which is no error, or there is nothing more to tell.
+    async fn run(mut self, mut listening: Listening, replies: &Sender) -> Result<(), RpcError> {
+        loop {
+            let told = tokio::select! {
+                () = replies.closed() => return Ok(()),
+                told = listening.recv() => told,
+            };
+            let found = match told {
+                Ok(told) => match &*told {
+                    Told::Applied(applied) => self.judge(applied).await?,
+                    Told::End(ending) => return Err(RpcError::Ended(ending.clone())),
+                },
+                // The next piece says how many observations these were.
+                Err(RecvError::Lagged(_)) => continue,
+                Err(RecvError::Closed) => return Err(RpcError::Stopping),
+            };
+            if !self.reply(&found, replies).await? {
+                return Ok(());
+            }
+        }
+    }
+
+    /// The anomalies among observations that were applied, in their order.
+    async fn judge(&mut self, applied: &Applied) -> Result<Vec<(StateId, Anomaly)>, RpcError> {
+        let count = applied.states.len() as u64;
+        self.missed += applied.before.saturating_sub(self.told);
+        self.told = applied.before + count;
+        let observed = self.observed(applied);
+        if observed.is_empty() {
+            return Ok(Vec::new());
+        }
+        let Some(models) = applied.models.upgrade() else {
+            self.missed += count;
+            return Ok(Vec::new());
+        };
+        let turn = Arc::clone(&self.turns).acquire_owned().await.map_err(|_| RpcError::Stopping)?;
+        let (confidence, selector) = (self.confidence, self.selector);
+        let judge = move || {
+            let _turn = turn;
+            unexpected(&models, &observed, selector, confidence)
+        };
+        tokio::task::spawn_blocking(judge).await.map_err(|_| RpcError::Stopping)
+    }
+
+    /// The observations of the states that are watched.
+    fn observed(&self, applied: &Applied) -> Vec<Observed> {
+        // The newest view: states that are new came with what was applied.
+        let view = self.handle.view();
+        let is_watched = |&state: &StateId| match &self.watched {
+            Some(watched) => watched.contains(&state),
+            None => view.kind(state) == StateKind::Probability,
+        };
+        let readings = applied.times_nanos.iter().copied().zip(applied.values.iter().copied());
+        applied.states.iter().copied().zip(readings).filter(|(state, _)| is_watched(state)).collect()
+    }
+
+    /// Tells anomalies, and how many observations were missed. `false`: nobody listens any more.
+    async fn reply(&mut self, found: &[(StateId, Anomaly)], replies: &Sender) -> Result<bool, RpcError> {
+        let mut pieces: Vec<_> = found.chunks(ANOMALIES_PER_REPLY).collect();
+        if pieces.is_empty() && self.missed > 0 {
+            pieces.push(&[]);
+        }
+        for piece in pieces {
+            let missed_observations = std::mem::take(&mut self.missed);
+            let reply = self.reply_of(piece, missed_observations);
+            match tokio::time::timeout(READ_WITHIN, replies.send(Ok(reply))).await {
+                Ok(Ok(())) => {}
+                Ok(Err(_)) => return Ok(false),
+                Err(_) => return Err(RpcError::SlowReader(READ_WITHIN.as_secs())),
+            }
+        }
+        Ok(true)
+    }
+
+    fn reply_of(&self, found: &[(StateId, Anomaly)], missed_observations: u64) -> v1::WatchAnomaliesResponse {
+        let view = self.handle.view();
+        let mut reply = v1::WatchAnomaliesResponse { missed_observations, ..Default::default() };
+        for &(state, Anomaly { utc_nanos, value, probability }) in found {
+            reply.states.push(view.info(state).map_or_else(String::new, |info| info.name.as_str().to_owned()));
+            reply.times_nanos.push(utc_nanos);
+            reply.values.push(value);
+            reply.probabilities.push(probability);
+        }
+        reply
+    }
+}
+
+/// The anomalies among observations of several states, in their order. Those of a state are judged together.
+fn unexpected(
+    models: &MapView,
+    observed: &[Observed],
+    selector: ModelSelector,
+    confidence: Confidence,
+) -> Vec<(StateId, Anomaly)> {
+    let mut by_state: Vec<usize> = (0..observed.len()).collect();
+    // Stable, so that the observations of a state keep their order.
+    by_state.sort_by_key(|&i| observed[i].0);
+    let mut found = Vec::new();
+    for places in by_state.chunk_by(|&a, &b| observed[a].0 == observed[b].0) {
+        let state = observed[places[0]].0;
+        let readings: Vec<Reading> = places.iter().map(|&i| observed[i].1).collect();
+        let times: Vec<i64> = readings.iter().map(|(nanos, _)| *nanos).collect();
+        let mut expected = vec![0.0; times.len()];
+        models.predict_into(state, &models.prepare(&times), selector, &mut expected);
+        for (&place, (reading, expected)) in places.iter().zip(readings.iter().zip(&expected)) {
+            let judged = anomalies(std::slice::from_ref(reading), std::slice::from_ref(expected), confidence);
+            found.extend(judged.map(|anomaly| (place, state, anomaly)));
+        }
+    }
+    found.sort_by_key(|(place, ..)| *place);
+    found.into_iter().map(|(_, state, anomaly)| (state, anomaly)).collect()
+}

@@ -1,0 +1,71 @@
+//! The observations of many states at once: each history file is opened once for all of them.
+//!
+//! Invariant: what is given of a state is what [`History::state`] gives of it.
+
+use tidemap_map::refit::WantedReadings;
+use tidemap_model::Sample;
+
+use super::{History, Part, pick::Table};
+use crate::error::HistoryError;
+
+/// The files of named states that a map has, with the times that each is of.
+#[derive(Clone, Debug)]
+pub struct StateFiles {
+    history: History,
+    /// Generation and greatest time, ascending by generation.
+    files: Vec<(u64, i64)>,
+}
+
+impl History {
+    /// The files of named states, to be asked for many states. Those that are written later are not among them.
+    ///
+    /// # Errors
+    /// [`HistoryError`] names the file that cannot be read.
+    pub fn state_files(&self) -> Result<StateFiles, HistoryError> {
+        let mut files = Vec::new();
+        for generation in self.generations(Part::States).map_err(|error| self.list_error(error))? {
+            if let Some(file) = self.open_if_there(generation, Part::States)? {
+                files.push((generation, file.to_nanos()));
+            }
+        }
+        Ok(StateFiles { history: self.clone(), files })
+    }
+}
+
+impl StateFiles {
+    /// The observations of each of the states from an instant on, in the order of `wanted`, each ascending by time; of equal
+    /// times in order of arrival. A file that was deleted since is left out.
+    ///
+    /// # Errors
+    /// [`HistoryError`] names the file that cannot be read.
+    pub fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, HistoryError> {
+        let mut found = vec![Vec::new(); wanted.len()];
+        let Some(earliest) = wanted.iter().map(|wanted| wanted.from_nanos).min() else { return Ok(found) };
+        // In the order of the tables, which are read record by record.
+        let mut order: Vec<usize> = (0..wanted.len()).collect();
+        order.sort_by_key(|&index| wanted[index].state);
+        for &(generation, to_nanos) in &self.files {
+            if to_nanos < earliest {
+                continue;
+            }
+            let Some(file) = self.history.open_if_there(generation, Part::States)? else { continue };
+            let mut table = Table::new(&file);
+            for &index in &order {
+                let WantedReadings { state, from_nanos } = wanted[index];
+                if to_nanos < from_nanos {
+                    continue;
+                }
+                let found = &mut found[index];
+                file.samples(&mut table, state, |sample| {
+                    if sample.utc_nanos >= from_nanos {
+                        found.push(sample);
+                    }
+                })?;
+            }
+        }
+        for found in &mut found {
+            found.sort_by_key(|sample: &Sample| sample.utc_nanos);
+        }
+        Ok(found)
+    }
+}

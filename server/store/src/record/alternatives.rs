@@ -1,0 +1,119 @@
+//! What is known of a state apart from its spectrum, as a message, and back.
+//!
+//! Invariant: every number comes back to the last bit; what is read has passed the constructors of the model again.
+
+use tidemap_migrations::{v1::map as v1, v2::map as v2};
+use tidemap_model::{
+    Alternatives, AlternativesParts, CalibratedFitParts, LocalDay, PersistenceParts, StateKind,
+    family::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
+};
+
+use super::{Invalid, doubles};
+
+/// Hours of a week, with two numbers each.
+const WEEK: usize = 168 * 2;
+/// Hours of a weekday and of a day of the weekend, with three numbers each.
+const DAYS: usize = 48 * 3;
+
+/// Slots of ten minutes of a week.
+const SLOTS: usize = 1008;
+
+/// `weight`: how much the observations count together, where that is not their number.
+pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Alternatives {
+    let parts = alternatives.to_parts();
+    let mut hours = Vec::with_capacity((WEEK + DAYS) * 8);
+    doubles::push(&mut hours, parts.hours.cells.as_flattened());
+    doubles::push(&mut hours, parts.hours.days.as_flattened());
+    let alarm = parts.alarm;
+    let history = alarm.kinds.iter().flat_map(|kind| [kind.days, kind.mean, kind.variance]);
+    v2::Alternatives {
+        hours,
+        error_sums_bits: parts.error_sums.iter().map(|sum| sum.to_bits()).collect(),
+        errors_last_day: parts.last_day.map(|day| day.0),
+        folded_day: parts.folded_day.map(|day| day.0),
+        choice: u32::from(parts.choice),
+        weight_bits: weight.map(f64::to_bits),
+        alarm: Some(v2::Alarm {
+            history_bits: history.map(f64::to_bits).collect(),
+            typical_observations_bits: alarm.typical_observations.to_bits(),
+            sum_bits: alarm.sum.to_bits(),
+            last_day: alarm.last_day.map(|day| day.0),
+            rang: alarm.rang.map(|day| day.0),
+        }),
+        pairs: parts.succession.pairs,
+        change_rate_sum_bits: parts.succession.change_rate_sum.to_bits(),
+        last: parts.succession.last.map(|(nanos, value)| v1::LastObservation { nanos, value_bits: value.to_bits() }),
+        supported: u32::from(parts.supported),
+        days: parts.days,
+        calibrated: parts.calibrated.map(encode_calibrated),
+    }
+}
+
+fn encode_calibrated(fit: CalibratedFitParts) -> v2::Calibrated {
+    let CalibratedFitParts { model, day, error_sum } = fit;
+    let mut profile = Vec::with_capacity(SLOTS * 8);
+    doubles::push(&mut profile, &model.profile);
+    v2::Calibrated {
+        day: day.0,
+        error_sum_bits: error_sum.map(f64::to_bits),
+        observations: model.observations,
+        lowest_bits: model.lowest.to_bits(),
+        highest_bits: model.highest.to_bits(),
+        profile,
+    }
+}
+
+pub(crate) fn decode(of: StateKind, message: &v2::Alternatives) -> Result<Alternatives, String> {
+    const ALARM: Invalid = "the change alarm of a state is not valid";
+    if message.hours.len() != (WEEK + DAYS) * 8 {
+        return Err("the table of the hours of a state does not have its length".to_owned());
+    }
+    let mut numbers = Vec::with_capacity(WEEK + DAYS);
+    doubles::take(&message.hours, &mut numbers);
+    let (week, days) = numbers.split_at(WEEK);
+    let alarm = message.alarm.as_ref().ok_or(ALARM)?;
+    let history: Vec<f64> = alarm.history_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
+    let ([weekdays, weekends], []) = history.as_chunks::<3>() else { return Err(ALARM.to_owned()) };
+    let kind = |&[days, mean, variance]: &[f64; 3]| DayErrors { days, mean, variance };
+    let parts = AlternativesParts {
+        hours: HourTableParts { cells: week.as_chunks::<2>().0.to_vec(), days: days.as_chunks::<3>().0.to_vec() },
+        error_sums: message.error_sums_bits.iter().map(|&bits| f64::from_bits(bits)).collect(),
+        last_day: message.errors_last_day.map(LocalDay),
+        folded_day: message.folded_day.map(LocalDay),
+        choice: u8::try_from(message.choice).map_err(|_| "the chosen model of a state is not known")?,
+        alarm: ChangeAlarmParts {
+            kinds: [kind(weekdays), kind(weekends)],
+            typical_observations: f64::from_bits(alarm.typical_observations_bits),
+            sum: f64::from_bits(alarm.sum_bits),
+            last_day: alarm.last_day.map(LocalDay),
+            rang: alarm.rang.map(LocalDay),
+        },
+        succession: PersistenceParts {
+            pairs: message.pairs,
+            change_rate_sum: f64::from_bits(message.change_rate_sum_bits),
+            last: message.last.as_ref().map(|last| (last.nanos, f64::from_bits(last.value_bits))),
+        },
+        supported: u8::try_from(message.supported).map_err(|_| "the supported order of a state is too high")?,
+        days: message.days,
+        calibrated: message.calibrated.as_ref().map(decode_calibrated).transpose()?,
+    };
+    Alternatives::from_parts_of(of, parts).map_err(|error| error.to_string())
+}
+
+fn decode_calibrated(message: &v2::Calibrated) -> Result<CalibratedFitParts, Invalid> {
+    if message.profile.len() != SLOTS * 8 {
+        return Err("the calibrated profile of a state does not have its length");
+    }
+    let mut profile = Vec::with_capacity(SLOTS);
+    doubles::take(&message.profile, &mut profile);
+    Ok(CalibratedFitParts {
+        model: CalibratedParts {
+            observations: message.observations,
+            lowest: f64::from_bits(message.lowest_bits),
+            highest: f64::from_bits(message.highest_bits),
+            profile,
+        },
+        day: LocalDay(message.day),
+        error_sum: message.error_sum_bits.map(f64::from_bits),
+    })
+}

@@ -1,0 +1,228 @@
+//! States that are no probabilities, from the command line: speeds of a real robot, counts, what is not one of either, and
+//! what a kill leaves of them.
+
+use std::{fmt::Write as _, fs, path::Path};
+
+use tidemap_tests::{
+    cli::{self, Outcome, Table},
+    daemon::{Daemon, Launch},
+    recordings,
+};
+
+const DAY_SECS: i64 = 86_400;
+/// A Monday.
+const START_SECS: i64 = 1_451_865_600;
+
+fn tidemap<'a>(daemon: &Daemon, args: impl IntoIterator<Item = &'a str>) -> Outcome {
+    cli::tidemap(daemon, args)
+}
+
+/// `tidemap observe office - …` of rows `time,state,value`.
+fn observe(daemon: &Daemon, label: &str, rows: &str, more: &[&str]) -> Outcome {
+    let args = ["observe", "office", "-", "--producer", "robot", "--label", label];
+    cli::tidemap_reading(daemon, args.iter().chain(more).copied(), &format!("time,state,value\n{rows}"))
+}
+
+fn evaluate(daemon: &Daemon, rows: &str, models: &str) -> Outcome {
+    let args = ["evaluate", "office", "-", "--models", models];
+    cli::tidemap_reading(daemon, args, &format!("time,state,value\n{rows}"))
+}
+
+fn office(folder: &Path) -> (Launch, Daemon) {
+    let launch = Launch::on(folder);
+    let daemon = launch.start();
+    tidemap(&daemon, ["map", "create", "office", "--time-zone", "Europe/London"]).table();
+    (launch, daemon)
+}
+
+/// State and kind of all states.
+fn kinds(daemon: &Daemon) -> Vec<(String, String)> {
+    let table = tidemap(daemon, ["state", "list", "office"]).table();
+    let pairs = table.column("state").into_iter().zip(table.column("kind"));
+    pairs.map(|(state, kind)| (state.to_owned(), kind.to_owned())).collect()
+}
+
+fn mse(table: &Table, model: &str) -> f64 {
+    let place = table.column("model").iter().position(|name| *name == model);
+    table.numbers("mse")[place.unwrap_or_else(|| panic!("{model} is not in {table:?}"))]
+}
+
+/// Everything that is kept and predicted of a state, as it is printed.
+fn answers(daemon: &Daemon, state: &str, at: &str) -> Vec<String> {
+    let commands: [&[&str]; 5] = [
+        &["reconstruct", "office", state, "--from", "0", "--to", "2000000000"],
+        &["predict", "office", state, "--at", at, "--interval", "0.9"],
+        &["predict", "office", state, "--at", at, "--model", "spectral+persistence", "--order", "2"],
+        &["model", "show", "office", state],
+        &["state", "list", "office"],
+    ];
+    commands
+        .iter()
+        .map(|args| tidemap(daemon, args.iter().copied()))
+        .map(|outcome| {
+            outcome.table();
+            outcome.stdout
+        })
+        .collect()
+}
+
+#[test]
+fn speeds_of_a_robot_are_learned_and_told_as_well_as_by_the_reference() {
+    let Some(folder) = recordings::folder("velocity") else { return };
+    let rows = |name: &str| {
+        let text = fs::read_to_string(folder.join(name)).expect("a recording");
+        text.lines().fold(String::new(), |mut rows, line| {
+            let (time, value) = line.split_once(' ').expect("time and value");
+            let _ = writeln!(rows, "{time},path,{value}");
+            rows
+        })
+    };
+    let data = tempfile::tempdir().expect("a folder");
+    let (launch, daemon) = office(data.path());
+    let sent = observe(&daemon, "train", &rows("train.txt"), &["--kind", "continuous"]).table();
+    assert_eq!((sent.number("accepted"), sent.number("refused")), (800.0, 0.0));
+    tidemap(&daemon, ["update", "office"]).table();
+
+    let test = rows("test1.txt");
+    let found =
+        evaluate(&daemon, &test, "mean,auto,latest,histogram,calibrated,hypertime-em,hypertime-km,spectral").table();
+    for (model, error) in found.column("model").iter().zip(found.column("mse")) {
+        println!("{model}: {error}");
+    }
+    assert!((mse(&found, "mean") - 0.0169).abs() <= 0.0003, "{}", mse(&found, "mean"));
+    assert!(mse(&found, "auto") <= mse(&found, "mean"), "{}", mse(&found, "auto"));
+    assert!(found.column("error_rate").iter().all(|rate| rate.is_empty()), "{found:?}");
+    assert!(found.numbers("n").iter().all(|&n| n == 101.0));
+    // What is of other kinds only is left out, and said so.
+    evaluate(&daemon, &test, "mean,pergam").fails(1, &["pergam:3 is left out of path", "probabilities", "continuous"]);
+    let without = evaluate(&daemon, &test, "all");
+    for model in ["persistence", "pergam:3", "poisson"] {
+        assert!(without.stderr.contains(&format!("{model} is left out of path")), "{model}: {}", without.stderr);
+    }
+    tidemap(&daemon, ["anomalies", "office", "path", "--from", "0", "--to", "1500000000"]).fails(1, &["continuous"]);
+
+    let at = "1409844784,1409900000,1500000000";
+    let told = tidemap(&daemon, ["predict", "office", "path", "--at", at, "--interval", "0.9"]).table();
+    let ends = told.numbers("lower").into_iter().zip(told.numbers("upper"));
+    for (expected, (lower, upper)) in told.numbers("probability").into_iter().zip(ends) {
+        assert!(lower < expected && expected < upper && upper - lower < 2.0, "{lower} {expected} {upper}");
+    }
+    assert!(told.column("entropy_bits").iter().all(|entropy| entropy.is_empty()), "{told:?}");
+
+    let before = answers(&daemon, "path", at);
+    daemon.kill();
+    let daemon = launch.start();
+    assert_eq!(answers(&daemon, "path", at), before);
+    assert_eq!(kinds(&daemon), [("path".to_owned(), "continuous".to_owned())]);
+}
+
+/// People passing within ten minutes, for some days: many at noon, none at night, and one of four days busier.
+fn people(days: i64) -> String {
+    let mut rows = String::new();
+    for slot in 0..days * 144 {
+        let (day, hour) = (slot / 144, slot % 144 / 6);
+        let people =
+            if (8..18).contains(&hour) { 3 + (hour - 8) * (17 - hour) / 2 + slot * 7 % 5 + day % 4 } else { 0 };
+        let _ = writeln!(rows, "{},people,{people}", START_SECS + 600 * slot);
+    }
+    rows
+}
+
+#[test]
+fn counts_are_learned_as_counts() {
+    let data = tempfile::tempdir().expect("a folder");
+    let (launch, daemon) = office(data.path());
+    let rows = people(28);
+    let learn: String = rows.lines().take(21 * 144).map(|row| format!("{row}\n")).collect();
+    let test: String = rows.lines().skip(21 * 144).map(|row| format!("{row}\n")).collect();
+    tidemap(&daemon, ["state", "add", "office", "people", "--kind", "count"]).table();
+    // The kind need not be said again.
+    let sent = observe(&daemon, "learn", &learn, &[]).table();
+    assert_eq!((sent.number("accepted"), sent.number("refused")), (21.0 * 144.0, 0.0));
+
+    // Nothing is learned of it yet: 0, and no interval.
+    let at = (START_SECS + 30 * DAY_SECS + 12 * 3600).to_string();
+    let told = tidemap(&daemon, ["predict", "office", "people", "--at", &at]).table();
+    assert_eq!(
+        (told.column("probability"), told.column("lower"), told.column("upper")),
+        (vec!["0"], vec![""], vec![""])
+    );
+
+    tidemap(&daemon, ["update", "office"]).table();
+    let found = evaluate(&daemon, &test, "mean,auto,poisson,calibrated,histogram").table();
+    for (model, error) in found.column("model").iter().zip(found.column("mse")) {
+        println!("{model}: {error}");
+    }
+    for model in ["auto", "poisson", "calibrated", "histogram:24"] {
+        assert!(mse(&found, model) < 0.3 * mse(&found, "mean"), "{model}: {found:?}");
+    }
+    let night = (START_SECS + 30 * DAY_SECS + 3 * 3600).to_string();
+    for model in ["auto", "spectral", "poisson", "calibrated", "hypertime-em"] {
+        let told =
+            tidemap(&daemon, ["predict", "office", "people", "--at", &format!("{at},{night}"), "--model", model]);
+        let told = told.table();
+        assert!(told.numbers("probability").iter().all(|&p| (0.0..30.0).contains(&p)), "{model}: {told:?}");
+        assert!(told.numbers("probability")[0] > told.numbers("probability")[1], "{model}: {told:?}");
+        assert!(told.numbers("lower").iter().all(|&lower| lower >= 0.0), "{model}: {told:?}");
+    }
+
+    let before = answers(&daemon, "people", &at);
+    daemon.kill();
+    let daemon = launch.start();
+    assert_eq!(answers(&daemon, "people", &at), before);
+    assert_eq!(kinds(&daemon), [("people".to_owned(), "count".to_owned())]);
+    let again = observe(&daemon, "learn", &learn, &[]).table();
+    assert_eq!(again.number("duplicate"), 21.0 * 144.0);
+}
+
+#[test]
+fn what_is_not_a_value_of_the_kind_is_refused_by_itself() {
+    let data = tempfile::tempdir().expect("a folder");
+    let (launch, daemon) = office(data.path());
+    for (state, kind) in [("people", "count"), ("speed", "continuous"), ("door", "probability")] {
+        let added = tidemap(&daemon, ["state", "add", "office", state, "--kind", kind]).table();
+        assert_eq!((added.column("state"), added.column("kind")), (vec![state], vec![kind]));
+    }
+    // Once more is fine, as another kind is not.
+    tidemap(&daemon, ["state", "add", "office", "people", "--kind", "count"]).table();
+    let other = tidemap(&daemon, ["state", "add", "office", "people", "--kind", "continuous"]);
+    other.fails(1, &["\"people\"", "is a count", "never changes"]);
+    tidemap(&daemon, ["state", "add", "office", "a/b"]).fails(1, &["state"]);
+    tidemap(&daemon, ["state", "add", "nowhere", "a"]).fails(1, &["nowhere"]);
+    tidemap(&daemon, ["state", "add", "office", "a", "--kind", "colour"]).fails(2, &["colour", "continuous"]);
+
+    let rows = "1,people,2.5\n2,people,-1\n3,people,7\n4,speed,NaN\n5,speed,1e300\n6,speed,-3.25\n7,speed,inf\n\
+                8,door,1.5\n9,door,1\n10,new,-2\n11,new,1\n";
+    let sent = observe(&daemon, "mixed", rows, &[]);
+    assert_eq!(sent.table_with(1).rows, [["11", "4", "0", "7"]]);
+    for words in [
+        "row 1 (line 2) is refused: value 2.5 is not a count",
+        "row 2 (line 3) is refused: value -1 is not a count",
+        "row 4 (line 5) is refused: value NaN is not a number from -1e12 to 1e12",
+        "row 5 (line 6) is refused",
+        "row 7 (line 8) is refused: value inf is not",
+        "row 8 (line 9) is refused: value 1.5 is not between 0 and 1",
+        "row 10 (line 11) is refused: value -2 is not between 0 and 1",
+    ] {
+        assert!(sent.stderr.contains(words), "{words:?} is not in:\n{}", sent.stderr);
+    }
+    // A half is a probability, and no count: that only the daemon finds.
+    observe(&daemon, "half", "20,people,0.5\n", &[]).fails(1, &["row 1", "0.5 is not a count"]);
+    // A kind that is said and that the state has not.
+    let mismatched = observe(&daemon, "mismatched", "20,people,1\n21,speed,1\n", &["--kind", "continuous"]);
+    assert_eq!(mismatched.table_with(1).rows, [["2", "1", "0", "1"]]);
+    assert!(mismatched.stderr.contains("is a count, not a continuous"), "{}", mismatched.stderr);
+
+    // None of it was folded in, and all of it is in the log.
+    daemon.kill();
+    let daemon = launch.start();
+    let expected = [("people", "count"), ("speed", "continuous"), ("door", "probability"), ("new", "probability")];
+    assert_eq!(kinds(&daemon), expected.map(|(state, kind)| (state.to_owned(), kind.to_owned())));
+    for (state, values) in [("people", vec!["7"]), ("speed", vec!["-3.25", "1"]), ("door", vec!["1"])] {
+        let kept = tidemap(&daemon, ["reconstruct", "office", state, "--from", "0", "--to", "100"]).table();
+        assert_eq!(kept.column("value"), values, "{state}");
+    }
+    // Values of a file that cannot be are left out of a comparison, whatever the state is.
+    let compared = evaluate(&daemon, "1,people,7\n2,people,-1\n3,speed,9\n4,door,3\n", "mean");
+    assert_eq!(compared.table_with(1).column("n"), ["1", "1"]);
+}
