@@ -39,9 +39,9 @@ pub enum RecordKind {
     TileModel = 8,
     /// Sums of the tile before: number of groups u32, number of changed cells u32, per group the number of its shared sum
     /// u32, per cell its sums as doubles; little-endian. The length u32 of a
-    /// [`super::grid::Sightings`] and the message may follow. Behind these, where readings of other sensors than the map's
-    /// own are in the groups, the numbers of two more shared sums u32 per group: of phasors weighted by α and by β, both
-    /// 2^32 - 1 where a group has none. The length is then there in any case, 0 where there is no message.
+    /// [`super::grid::Sightings`] and the message may follow. Where the groups have readings of other sensors than the
+    /// map's own the highest bit of the number of changed cells is set, and behind the numbers of the shared sums come
+    /// those of two more per group u32: of phasors weighted by α and by β, both 2^32 - 1 where a group has none.
     TileSums = 9,
     /// [`super::grid::Day`].
     Day = 10,

@@ -25,7 +25,7 @@ mod tests;
 
 pub use recall::cell_readings;
 
-/// What was observed: nanoseconds UTC, and value in [0, 1].
+/// What was observed: nanoseconds UTC, and value.
 pub type Reading = (i64, f64);
 
 /// Whose observations are asked for.

@@ -24,8 +24,8 @@ pub const REFITS_MAX: usize = 2_000;
 /// count, by the memory of [`CalibratedOptions`].
 pub const REFIT_NANOS: i64 = 84 * 86_400 * 1_000_000_000;
 
-/// Most readings in memory at once, about: 96 MB. One state alone may not have more either; where it was read more often,
-/// its model is fitted to fewer days.
+/// Most readings of a state that its model is fitted to, about: where it was read more often, it is fitted to fewer days.
+/// The readings of as many states are in memory at once as have so many together, and those of the next ones: 200 MB.
 pub const REFIT_READINGS: u64 = 4_000_000;
 
 /// The readings that are wanted of a state: those at this instant and later.
@@ -65,7 +65,7 @@ pub struct Refits {
 struct Limits {
     /// Models.
     refits: usize,
-    /// Readings in memory at once, and of one state.
+    /// Readings of one state, and of those whose models are fitted at the same time.
     readings: u64,
 }
 
@@ -120,34 +120,57 @@ fn refit_within(
     due.truncate(limits.refits);
     // As history has them.
     due.sort_by_key(|due| due.wanted.state);
+    let mut batches = Batches { rest: &due, readings_max: limits.readings, source };
     let mut refits = Refits { waiting, ..Refits::default() };
-    let mut rest = due.as_slice();
-    while !rest.is_empty() {
-        let (batch, later) = rest.split_at(batch_len(rest, limits.readings));
-        rest = later;
-        let wanted: Vec<WantedReadings> = batch.iter().map(|due| due.wanted).collect();
-        let found = source.readings(&wanted).and_then(|found| match found.len() == wanted.len() {
-            true => Ok(found),
-            false => Err(format!("of {} states readings of {} were found", wanted.len(), found.len())),
-        });
-        let found = match found {
-            Ok(found) => found,
+    let mut next = batches.next();
+    while let Some((batch, found)) = next {
+        // The next ones are read meanwhile.
+        let fit =
+            || found.map(|found| batch.par_iter().zip(found).map(|(due, earlier)| fit(spec, due, earlier)).collect());
+        let fitted: Result<Vec<_>, String>;
+        (fitted, next) = rayon::join(fit, || batches.next());
+        match fitted {
+            Ok(fitted) => {
+                for (due, calibrated) in batch.iter().zip(fitted) {
+                    // Where there are no readings after all, the state goes on with what it has.
+                    if let (Ok(calibrated), Some(model)) = (calibrated, models.get_mut(due.wanted.state.0 as usize)) {
+                        *model = Arc::new(StateModel::clone(model).refitted(calibrated, due.day));
+                        refits.fitted += 1;
+                    }
+                }
+            }
             Err(reason) => {
                 refits.failed += batch.len() as u64;
                 refits.failure.get_or_insert(reason);
-                continue;
-            }
-        };
-        let fitted: Vec<_> = batch.par_iter().zip(found).map(|(due, earlier)| fit(spec, due, earlier)).collect();
-        for (due, calibrated) in batch.iter().zip(fitted) {
-            // Where there are no readings after all, the state goes on with what it has.
-            if let (Ok(calibrated), Some(model)) = (calibrated, models.get_mut(due.wanted.state.0 as usize)) {
-                *model = Arc::new(StateModel::clone(model).refitted(calibrated, due.day));
-                refits.fitted += 1;
             }
         }
     }
     refits
+}
+
+/// The states that are due, with the readings of earlier updates, as many at a time as may be in memory.
+struct Batches<'a> {
+    rest: &'a [Due<'a>],
+    readings_max: u64,
+    source: &'a dyn StateReadings,
+}
+
+impl<'a> Iterator for Batches<'a> {
+    type Item = (&'a [Due<'a>], Result<Vec<Vec<Sample>>, String>);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let (batch, rest) = self.rest.split_at(batch_len(self.rest, self.readings_max));
+        self.rest = rest;
+        if batch.is_empty() {
+            return None;
+        }
+        let wanted: Vec<WantedReadings> = batch.iter().map(|due| due.wanted).collect();
+        let found = self.source.readings(&wanted).and_then(|found| match found.len() == wanted.len() {
+            true => Ok(found),
+            false => Err(format!("of {} states readings of {} were found", wanted.len(), found.len())),
+        });
+        Some((batch, found))
+    }
 }
 
 /// What is to be fitted of a state, if anything is.
@@ -172,14 +195,14 @@ fn due<'a>(
     Some(Due { wanted: WantedReadings { state, from_nanos }, own, fitted, day, expected })
 }
 
-/// How many of the states that are due are worked off together: at least one.
+/// How many of the states that are due are worked off together: at least one, if there are any.
 fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
     let mut readings = 0_u64;
     let fits = due.iter().take_while(|due| {
         readings = readings.saturating_add(due.expected);
         readings <= readings_max
     });
-    fits.count().max(1)
+    fits.count().max(1).min(due.len())
 }
 
 fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Result<Calibrated, CannotFit> {

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use tidemap_map::{
     MAX_AHEAD_NANOS,
-    event::{Event, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind},
+    event::{Event, NewProducer, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind},
     grid::{
         front::{Front, ScanSource},
         sensors::ProducerSensor,
@@ -18,27 +18,14 @@ use tidemap_map::{
 use tidemap_model::OffsetCache;
 use tokio::sync::mpsc;
 
-use super::intake::refuse_value;
-use super::protocol::{Batch, Ending, Hello, HelloError, NewName, Opened, Refused, SessionEvent, SessionId};
+use super::protocol::{Batch, Ending, Hello, HelloError, Opened, Refused, SessionEvent, SessionId};
 
 mod scans;
 mod sensors;
 mod states;
 
 pub use scans::ScanEvent;
-use states::{known_state, other_kind};
-
-#[derive(Debug)]
-enum Slot {
-    /// A state of the map, or of a batch in flight.
-    State(StateId, StateKind),
-    /// A state that is not of the kind that the stream said.
-    OtherKind(StateName, StateKind, StateKind),
-    /// A name that no observation has used yet.
-    Unused(NewName),
-    /// A name that is not valid; intake refuses its observations.
-    Invalid,
-}
+use states::{Room, Slot};
 
 /// A stream.
 #[derive(Debug)]
@@ -221,61 +208,15 @@ impl Sessions {
                 continue;
             }
             let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
-            let (state, kind) = match slot {
-                Slot::State(state, kind) => (*state, *kind),
-                Slot::OtherKind(name, found, said) => {
-                    let (reason, text) = other_kind(name, *found, *said);
+            let mut room = Room { map, in_flight: &mut self.states_in_flight, max: self.limits.states };
+            let state = match slot.state_for(batch.values[i], &mut room, &mut new_states) {
+                Ok(state) => state,
+                Err(Some((reason, text))) => {
                     refuse(i, reason, text);
                     continue;
                 }
-                Slot::Invalid => continue,
-                Slot::Unused(NewName { name, kind: said }) => {
-                    let known = known_state(map, &self.states_in_flight, name);
-                    let next = map.states() + self.states_in_flight.len();
-                    match known {
-                        Some((state, kind)) if said.is_none_or(|said| said == kind) => {
-                            *slot = Slot::State(state, kind);
-                            (state, kind)
-                        }
-                        Some((_, found)) => {
-                            let (name, said) = (name.clone(), said.unwrap_or_default());
-                            let (reason, text) = other_kind(&name, found, said);
-                            refuse(i, reason, text);
-                            *slot = Slot::OtherKind(name, found, said);
-                            continue;
-                        }
-                        // A value that no such state may have does not make one.
-                        None if !said.unwrap_or_default().allows(batch.values[i]) => {
-                            let (reason, text) = refuse_value(batch.values[i], said.unwrap_or_default());
-                            refuse(i, reason, text);
-                            continue;
-                        }
-                        None if next < self.limits.states => {
-                            let state = StateId(u32::try_from(next).unwrap_or(u32::MAX));
-                            let (name, kind) = (name.clone(), said.unwrap_or_default());
-                            self.states_in_flight.insert(name.clone(), (state, kind));
-                            new_states.push(NewState { id: state, name, kind });
-                            *slot = Slot::State(state, kind);
-                            (state, kind)
-                        }
-                        None => {
-                            let text = format!(
-                                "the state would be new, and the map has {} states, as many as setting \
-                                 max_states_per_map allows: {:?}",
-                                self.limits.states,
-                                name.as_str().chars().take(60).collect::<String>()
-                            );
-                            refuse(i, RefusalReason::StateLimit, text);
-                            continue;
-                        }
-                    }
-                }
+                Err(None) => continue,
             };
-            if !kind.allows(batch.values[i]) {
-                let (reason, text) = refuse_value(batch.values[i], kind);
-                refuse(i, reason, text);
-                continue;
-            }
             let offset_secs = self.offsets.offset_secs(time);
             match offsets.last_mut() {
                 Some(run) if run.offset_secs == offset_secs => run.count += 1,

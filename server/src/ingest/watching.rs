@@ -32,7 +32,7 @@ pub struct Applied {
     pub states: Vec<StateId>,
     /// Per observation: time in nanoseconds UTC.
     pub times_nanos: Vec<i64>,
-    /// Per observation: value in [0, 1].
+    /// Per observation: its value.
     pub values: Vec<f64>,
 }
 

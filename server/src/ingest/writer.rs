@@ -24,9 +24,7 @@ use tracing::warn;
 
 use super::{
     handle::MapHandle,
-    protocol::{
-        AddState, Command, Ending, Hello, HelloError, Opened, Recall, Refused, SavedGrid, SessionEvent, SessionId,
-    },
+    protocol::{Command, Ending, Hello, HelloError, Opened, Recall, Refused, SavedGrid, SessionEvent, SessionId},
     sessions::{Limits, Sessions},
     updates::{Updates, Wanted},
     watching::Watchers,
@@ -145,8 +143,7 @@ fn build(
         grounded: Vec::new(),
         failing: None,
         waiting_hellos: Vec::new(),
-        waiting_adds: Vec::new(),
-        added: Vec::new(),
+        adds: states::Adds::default(),
         acks: BTreeMap::new(),
         ended_jobs: Vec::new(),
         changed: false,
@@ -203,10 +200,7 @@ struct Writer {
     /// Set while appends fail, until all in flight are answered.
     failing: Option<AppendError>,
     waiting_hellos: Vec<Hello>,
-    /// States that are on their way into the log for somebody else.
-    waiting_adds: Vec<AddState>,
-    /// Those whose states are durable and not yet public.
-    added: Vec<states::Added>,
+    adds: states::Adds,
     acks: BTreeMap<SessionId, PendingAck>,
     ended_jobs: Vec<EndedJob>,
     changed: bool,
@@ -306,9 +300,7 @@ impl Writer {
         for recall in std::mem::take(&mut self.waiting_recalls) {
             self.recall(recall);
         }
-        for add in std::mem::take(&mut self.waiting_adds) {
-            self.add_state(add);
-        }
+        self.go_on_adding();
         if may_update {
             self.start_update(now);
         }
@@ -398,6 +390,8 @@ impl Writer {
         {
             warn!(map = %self.map.spec().name, %error, "checkpoint not saved; the log keeps everything");
         }
+        // The store too is let go of before who waits for the stop goes on.
+        drop(self);
         if let Some(done) = done {
             // The stop was not waited for.
             let _ = done.send(());

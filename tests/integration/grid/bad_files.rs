@@ -14,6 +14,8 @@ use tidemap_tests::{
 use super::{grid, model, office, predicted, summary};
 
 const AT: &str = "2025-03-03T12:00:00Z";
+/// Some time after that.
+const LATER: &str = "2025-03-03T12:05:00Z";
 
 /// A tree of 18 nodes: cell (0, 0, 0) is occupied, cell (1, 0, 0) is free.
 fn octomap(resolution_m: f64) -> Vec<u8> {
@@ -65,6 +67,20 @@ async fn grid_files_that_are_cut_off_or_do_not_fit_are_refused_and_harm_nothing(
     let cells = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [-1, 0, 0]].map(|cell| latest.cell(cell).value());
     assert_eq!(cells, [Some(1.0), Some(0.0), None, None]);
     assert_eq!((summary(&daemon).await.scans, summary(&daemon).await.cell_observations), (1, 2));
+
+    let weak = |sensor: &str, code: i32, words: &[&str]| {
+        observe(&daemon, &good, &["--at", LATER, "--label", "weak", "--sensor", sensor]).fails(code, words);
+    };
+    weak("hit=0.2,false-alarm=0.8", 2, &["--sensor", "hit has to be above false-alarm"]);
+    let words = ["--at", LATER, "--label", "weak", "--sensor", "hit=0.8,false-alarm=0.2"];
+    assert_eq!(observe(&daemon, &good, &words).table().number("scans"), 1.0);
+    let latest = predicted(&daemon, 1_741_000_000_000_000_000, model(ModelKind::Latest, None)).await;
+    for (cell, expected) in [([0, 0, 0], 0.8), ([1, 0, 0], 0.2)] {
+        let value = latest.cell(cell).value().expect("a known cell");
+        assert!((value - expected).abs() < 1e-6, "{cell:?}: {value}");
+    }
+    weak("hit=0.7", 1, &["hit 0.8, false alarm 0.2", "hit 0.7, false alarm 0", "another label"]);
+    assert_eq!(summary(&daemon).await.scans, 2, "what was refused sent nothing");
     let log = daemon.stop_in_order();
     assert!(!log.contains("panicked"), "{log}");
 }

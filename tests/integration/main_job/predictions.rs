@@ -27,9 +27,9 @@ fn predictions_follow_from_what_was_learned() {
     assert_eq!(first.number("accepted"), 2.0);
     let unlearned = door.tidemap(["predict", "door", "door", "--at", "1451865720"]).table();
     assert_eq!(unlearned.columns, COLUMNS);
-    assert_eq!(unlearned.rows, [["1451865720", "door", "0.5", "", "", "1", "0", "2", "60"]]);
+    assert_eq!(unlearned.rows, [["1451865720", "door", "0.5", "0", "1", "1", "0", "2", "60"]]);
     let latest = door.tidemap(["predict", "door", "door", "--at", "1451865720", "--model", "latest"]).table();
-    assert_eq!(latest.rows, [["1451865720", "door", "0", "", "", "0", "0", "2", "60"]]);
+    assert_eq!(latest.rows, [["1451865720", "door", "0", "0", "1", "0", "0", "2", "60"]]);
     door.tidemap(["map", "delete", "door", "--yes"]);
     let created = door.tidemap(["map", "create", "door", "--time-zone", "Europe/London"]).table();
     assert_eq!(created.number("observations"), 0.0);

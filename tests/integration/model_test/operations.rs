@@ -266,7 +266,8 @@ impl World {
             let components = check_components(&what, &shown.collect::<Vec<_>>(), &map.coefficients(id));
             let lowest = model.order_errors.iter().copied().fold(f64::INFINITY, f64::min);
             let best = model.order_errors.iter().position(|&error| error <= lowest * 1.001).expect("there are orders");
-            assert_eq!(model.order as usize, best, "{what}: {:?}", model.order_errors);
+            // Fewer where noise would show components as strong.
+            assert!(model.order as usize <= best, "{what}: {} {:?}", model.order, model.order_errors);
 
             let latest = map.latest(id).map_or(0.5, |(_, value)| value);
             for (kind, order) in [

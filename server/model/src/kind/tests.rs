@@ -1,3 +1,5 @@
+//! Which values each kind of state allows, and what is made of those that it does not.
+
 use super::*;
 
 #[test]

@@ -82,6 +82,8 @@ impl Writer {
                 Ok(Err(error)) => Err((error.to_string(), snapshot)),
                 Err(_) => Err(("saving panicked; this is a defect of tidemap".to_owned(), snapshot)),
             };
+            // Before the answer, which may be what a stop waits for.
+            drop(store);
             // At a stop nobody waits: the log gives back what is not saved.
             let _ = commands.send(Command::Saved(saved));
         });

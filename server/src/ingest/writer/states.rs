@@ -13,6 +13,15 @@ use super::{
 /// Whom to tell what became of it.
 pub(super) type Added = oneshot::Sender<Result<(), AddStateError>>;
 
+/// Those who add states.
+#[derive(Debug, Default)]
+pub(super) struct Adds {
+    /// Their states are on their way into the log for somebody else.
+    waiting: Vec<AddState>,
+    /// Their states are durable, and not yet public.
+    added: Vec<Added>,
+}
+
 impl Writer {
     pub(super) fn add_state(&mut self, add: AddState) {
         if add.reply.is_closed() {
@@ -29,9 +38,9 @@ impl Writer {
             Ok(Some(new)) => {
                 self.launch(Flight::AddState { event: Event::AddState(new), reply: add.reply });
             }
-            Ok(None) if self.map.find(add.name.as_str()).is_some() => self.added.push(add.reply),
+            Ok(None) if self.map.find(add.name.as_str()).is_some() => self.adds.added.push(add.reply),
             // On its way into the log, which may fail.
-            Ok(None) => self.waiting_adds.push(add),
+            Ok(None) => self.adds.waiting.push(add),
             // Who asked may have gone away.
             Err(error) => drop(add.reply.send(Err(error))),
         }
@@ -41,12 +50,19 @@ impl Writer {
         if let Event::AddState(new) = event {
             self.sessions.state_added(&new.name);
         }
-        self.added.push(reply);
+        self.adds.added.push(reply);
+    }
+
+    /// Looks again at states that were on their way for somebody else.
+    pub(super) fn go_on_adding(&mut self) {
+        for add in std::mem::take(&mut self.adds.waiting) {
+            self.add_state(add);
+        }
     }
 
     /// Answers those whose states are public now.
     pub(super) fn tell_added(&mut self) {
-        for reply in self.added.drain(..) {
+        for reply in self.adds.added.drain(..) {
             // Who asked may have gone away.
             let _ = reply.send(Ok(()));
         }

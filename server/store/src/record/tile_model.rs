@@ -29,6 +29,8 @@ use super::{
 const COMPONENT: usize = 20;
 /// In place of the number of a shared sum: there is none.
 const NO_SUM: u32 = u32::MAX;
+/// In the number of changed cells: weighted sums follow.
+const HAS_WEIGHTED: u32 = 1 << 31;
 
 pub(crate) fn encode(model: &TileModel) -> v2::TileModel {
     let group = |(index, group): (usize, &Group)| {
@@ -142,15 +144,14 @@ fn decode_component(bytes: &[u8; COMPONENT]) -> Component {
     Component { periodicity, gamma_re: eight(4), gamma_im: eight(12) }
 }
 
-/// The sums of a tile as bytes: how many, which shared sums, the sums of the changed cells, sightings, and which weighted
-/// sums. `shared`: the numbers of all that it shares, in their order.
+/// The sums of a tile as bytes: how many, which shared sums, which weighted ones, the sums of the changed cells, and
+/// sightings. `shared`: the numbers of all that it shares, in their order.
 pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) -> Result<(), Invalid> {
-    let (groups, weighted) = shared.split_at_checked(sums.groups.len()).ok_or("a shared sum has no number")?;
-    out.clear();
-    // A tile has at most 512 of each.
-    out.extend((groups.len() as u32).to_le_bytes());
-    out.extend((sums.cells.len() as u32).to_le_bytes());
-    out.extend(groups.iter().flat_map(|shared| shared.to_le_bytes()));
+    if shared.len() < sums.groups.len() {
+        return Err("a shared sum has no number");
+    }
+    let has_weighted = sums.sensors.as_ref().map(|sensors| sensors.groups.iter().map(Option::is_some));
+    push_head(out, shared, sums.groups.len(), sums.cells.len(), has_weighted);
     for cell in &sums.cells {
         doubles::push(out, cell.as_slice());
     }
@@ -160,19 +161,25 @@ pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) ->
         out.extend(length.to_le_bytes());
         out.extend(message);
     }
-    if let Some(sensors) = &sums.sensors {
-        if sums.sightings.is_empty() {
-            out.extend(0_u32.to_le_bytes());
-        }
-        push_weighted(out, weighted, sensors.groups.iter().map(Option::is_some));
-    }
     Ok(())
 }
 
-/// Per group the numbers of two sums.
-fn push_weighted(out: &mut Vec<u8>, numbers: &[u32], has_weighted: impl Iterator<Item = bool>) {
-    let mut numbers = numbers.as_chunks::<2>().0.iter();
-    for has_weighted in has_weighted {
+/// How many sums there are, and which shared ones.
+fn push_head(
+    out: &mut Vec<u8>,
+    shared: &[u32],
+    groups: usize,
+    cells: usize,
+    has_weighted: Option<impl Iterator<Item = bool>>,
+) {
+    let (groups, weighted) = shared.split_at(groups.min(shared.len()));
+    out.clear();
+    // A tile has at most 512 of each.
+    out.extend((groups.len() as u32).to_le_bytes());
+    out.extend((cells as u32 | if has_weighted.is_some() { HAS_WEIGHTED } else { 0 }).to_le_bytes());
+    out.extend(groups.iter().flat_map(|shared| shared.to_le_bytes()));
+    let mut numbers = weighted.as_chunks::<2>().0.iter();
+    for has_weighted in has_weighted.into_iter().flatten() {
         let pair = if has_weighted { numbers.next().copied() } else { None }.unwrap_or([NO_SUM; 2]);
         out.extend(pair.iter().flat_map(|number| number.to_le_bytes()));
     }
@@ -184,13 +191,13 @@ pub(crate) struct EncodedSums<'bytes> {
     pub(crate) shared: Vec<u32>,
     /// Number of groups.
     pub(crate) groups: usize,
-    /// Whether each group has weighted sums; empty where none has.
-    weighted: Vec<bool>,
+    /// Whether each group has weighted sums; `None` where none has.
+    weighted: Option<Vec<bool>>,
     /// Sums of its changed cells.
     cells: &'bytes [u8],
     /// Its sightings.
     sightings: Sightings,
-    /// The same as bytes with their length; none where there are none.
+    /// The same as bytes; none where there are none.
     sightings_bytes: &'bytes [u8],
 }
 
@@ -203,36 +210,37 @@ impl EncodedSums<'_> {
         const LENGTH: Invalid = "the sums of a tile do not have their length";
         let (counts, rest) = bytes.split_first_chunk::<8>().ok_or(LENGTH)?;
         let number = |bytes: [u8; 4]| u32::from_le_bytes(bytes) as usize;
-        let (groups, changed) = (counts.as_chunks::<4>().0[0], counts.as_chunks::<4>().0[1]);
-        let shared_length = number(groups).checked_mul(4).filter(|&length| length <= rest.len()).ok_or(LENGTH)?;
-        let (shared, rest) = rest.split_at(shared_length);
-        let cells_length = number(changed).checked_mul(16 * periodicities.len()).filter(|&length| length <= rest.len());
-        let (cells, rest) = rest.split_at(cells_length.ok_or(LENGTH)?);
-        let length = match rest.first_chunk::<4>() {
-            Some(&length) => number(length).checked_add(4).filter(|&length| length <= rest.len()).ok_or(LENGTH)?,
-            None if rest.is_empty() => 0,
-            None => return Err(LENGTH),
+        let (groups, changed) =
+            (number(counts.as_chunks::<4>().0[0]), u32::from_le_bytes(counts.as_chunks::<4>().0[1]));
+        let (changed, has_weighted) = ((changed & !HAS_WEIGHTED) as usize, changed & HAS_WEIGHTED != 0);
+        let fits = |length: Option<usize>, rest: &[u8]| length.filter(|&length| length <= rest.len()).ok_or(LENGTH);
+        let (shared, rest) = rest.split_at(fits(groups.checked_mul(4), rest)?);
+        let pairs = if has_weighted { groups } else { 0 };
+        let (pairs, rest) = rest.split_at(fits(pairs.checked_mul(8), rest)?);
+        let (cells, sightings_bytes) = rest.split_at(fits(changed.checked_mul(16 * periodicities.len()), rest)?);
+        let sightings = match sightings_bytes.split_first_chunk::<4>() {
+            Some((&length, message)) if number(length) == message.len() => {
+                let message =
+                    v2::Sightings::decode(message).map_err(|_| "the sightings of a tile are not a message")?;
+                sightings::decode(&message)?
+            }
+            None if sightings_bytes.is_empty() => Sightings::default(),
+            _ => return Err(LENGTH),
         };
-        let (sightings_bytes, weighted_bytes) = rest.split_at(length);
-        let message = sightings_bytes.get(4..).unwrap_or_default();
-        let message = v2::Sightings::decode(message).map_err(|_| "the sightings of a tile are not a message")?;
-        let sightings = sightings::decode(&message)?;
-        let (weighted, odd) = weighted_bytes.as_chunks::<8>();
-        if !odd.is_empty() || !(weighted.is_empty() || weighted.len() == number(groups)) {
-            return Err(LENGTH);
-        }
         if !doubles::are_finite(cells) {
             return Err("a sum is not finite");
         }
-        let numbers = |bytes: &[u8]| bytes.as_chunks::<4>().0.iter().map(|&four| u32::from_le_bytes(four)).collect();
-        let mut shared: Vec<u32> = numbers(shared);
-        let pairs: Vec<Vec<u32>> = weighted.iter().map(|pair| numbers(pair)).collect();
-        if pairs.iter().any(|pair| pair.contains(&NO_SUM) && pair[..] != [NO_SUM; 2]) {
+        let numbers = |bytes: &[u8]| -> Vec<u32> {
+            bytes.as_chunks::<4>().0.iter().map(|&four| u32::from_le_bytes(four)).collect()
+        };
+        let (mut shared, pairs) = (numbers(shared), numbers(pairs));
+        let (pairs, _) = pairs.as_chunks::<2>();
+        if pairs.iter().any(|pair| pair.contains(&NO_SUM) && *pair != [NO_SUM; 2]) {
             return Err("a group has one weighted sum without the other");
         }
-        let weighted = pairs.iter().map(|pair| !pair.contains(&NO_SUM)).collect();
-        shared.extend(pairs.iter().flatten().filter(|&&number| number != NO_SUM));
-        Ok(EncodedSums { shared, groups: number(groups), weighted, cells, sightings, sightings_bytes })
+        let weighted = has_weighted.then(|| pairs.iter().map(|pair| !pair.contains(&NO_SUM)).collect());
+        shared.extend(pairs.as_flattened().iter().filter(|&&number| number != NO_SUM));
+        Ok(EncodedSums { shared, groups, weighted, cells, sightings, sightings_bytes })
     }
 
     /// Number of changed cells.
@@ -256,22 +264,18 @@ impl EncodedSums<'_> {
             let pair = if *has_weighted { weighted.next().zip(weighted.next()) } else { None };
             pair.map(|(alpha, beta)| WeightedSums { alpha, beta })
         };
-        let sensors: Vec<Option<WeightedSums>> = self.weighted.iter().map(&mut next).collect();
-        let sensors = (!sensors.is_empty()).then(|| Box::new(SensorSums { groups: sensors }));
+        let sensors = self.weighted.as_ref();
+        let sensors = sensors.map(|known| Box::new(SensorSums { groups: known.iter().map(&mut next).collect() }));
         let cells = cells.collect::<Result<_, _>>()?;
         Ok(TileSums { groups, cells, sightings: self.sightings.clone(), sensors })
     }
 
     /// The bytes again, with other numbers for the shared sums.
     pub(crate) fn encode_again(&self, shared: &[u32], periodicities: &Periodicities, out: &mut Vec<u8>) {
-        let (groups, weighted) = shared.split_at(shared.len().min(self.groups));
-        out.clear();
-        out.extend((groups.len() as u32).to_le_bytes());
-        out.extend((self.cells(periodicities) as u32).to_le_bytes());
-        out.extend(groups.iter().flat_map(|shared| shared.to_le_bytes()));
+        let has_weighted = self.weighted.as_ref().map(|weighted| weighted.iter().copied());
+        push_head(out, shared, self.groups, self.cells(periodicities), has_weighted);
         out.extend_from_slice(self.cells);
         out.extend_from_slice(self.sightings_bytes);
-        push_weighted(out, weighted, self.weighted.iter().copied());
     }
 }
 

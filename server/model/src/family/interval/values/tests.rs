@@ -1,3 +1,5 @@
+//! Bands of values: how wide they are, and that they hold their prediction.
+
 use proptest::prelude::*;
 
 use super::*;
