@@ -27,6 +27,9 @@ pub use parts::{AlternativesParts, CalibratedFitParts};
 pub const HISTOGRAMS: [(HistogramCycle, usize); 3] =
     [(HistogramCycle::Day, 24), (HistogramCycle::WeekdayWeekend, 24), (HistogramCycle::Week, 168)];
 
+/// The histograms' bins are of whole hours.
+const HOUR_NANOS: i64 = 3_600_000_000_000;
+
 /// Another model than the one in force is chosen only where its error is lower than that one's by this factor: what was
 /// chosen by a hair today would be dropped by a hair tomorrow.
 const CLEARLY_LOWER: f64 = 0.95;
@@ -115,15 +118,29 @@ impl DayError {
     fn of(model: &impl TemporalModel, criterion: OrderCriterion, samples: &[Sample]) -> DayError {
         let mut error = DayError::default();
         for sample in samples {
-            let predicted = model.predict(sample.moment());
-            let difference = predicted - sample.value;
-            error.squared += difference * difference;
-            error.by_criterion += match criterion {
-                OrderCriterion::SquaredError => difference * difference,
-                OrderCriterion::ZeroOne => f64::from(u8::from((predicted >= 0.5) != (sample.value >= 0.5))),
-            };
+            error.add(model.predict(sample.moment()), criterion, sample.value);
         }
         error
+    }
+
+    /// The same of a model that answers alike within each civil hour, which is asked once for each run of samples of one.
+    fn of_hourly(model: &impl TemporalModel, criterion: OrderCriterion, samples: &[Sample]) -> DayError {
+        let mut error = DayError::default();
+        let hour = |sample: &Sample| sample.civil_nanos().div_euclid(HOUR_NANOS);
+        for run in samples.chunk_by(|one, next| hour(one) == hour(next)) {
+            let predicted = run.first().map_or(0.0, |sample| model.predict(sample.moment()));
+            run.iter().for_each(|sample| error.add(predicted, criterion, sample.value));
+        }
+        error
+    }
+
+    fn add(&mut self, predicted: f64, criterion: OrderCriterion, value: f64) {
+        let difference = predicted - value;
+        self.squared += difference * difference;
+        self.by_criterion += match criterion {
+            OrderCriterion::SquaredError => difference * difference,
+            OrderCriterion::ZeroOne => f64::from(u8::from((predicted >= 0.5) != (value >= 0.5))),
+        };
     }
 }
 
@@ -212,7 +229,7 @@ impl Alternatives {
         let mut of_day = [DayError::default(); HISTOGRAMS.len()];
         for (number, error) in (0..).zip(&mut of_day) {
             let Some(histogram) = self.histogram(number) else { return spectral_squared };
-            *error = DayError::of(&histogram, criterion, newer);
+            *error = DayError::of_hourly(&histogram, criterion, newer);
         }
         let calibrated = self.calibrated.as_ref().map(|fit| DayError::of(&*fit.model, criterion, newer));
         let in_force = match self.parts.choice {

@@ -53,12 +53,16 @@ impl HourTable {
     /// A local hour of one date that is split over two batches enters the cells of the week all the same, but counts as
     /// two days in [`HourTable::spread`]. The hour that comes twice when clocks are set back is one hour.
     pub fn add(&mut self, samples: &[Sample]) {
-        // Per civil hour the readings' number and sum.
+        // Per civil hour the readings' number and sum; looked up once for each run of readings of the same hour.
         let mut hours: BTreeMap<i64, (f64, f64)> = BTreeMap::new();
-        for sample in samples.iter().filter(|sample| sample.value.is_finite()) {
-            let (count, sum) = hours.entry(civil_hour(sample.civil_nanos())).or_default();
-            *count += 1.0;
-            *sum = bounded(*sum + sample.value);
+        for run in samples.chunk_by(|one, next| civil_hour(one.civil_nanos()) == civil_hour(next.civil_nanos())) {
+            let values = run.iter().map(|sample| sample.value).filter(|value| value.is_finite());
+            let (number, of_run) = values.fold((0.0, 0.0), |(number, sum), value| (number + 1.0, bounded(sum + value)));
+            if let (Some(first), true) = (run.first(), number > 0.0) {
+                let (count, sum) = hours.entry(civil_hour(first.civil_nanos())).or_default();
+                *count += number;
+                *sum = bounded(*sum + of_run);
+            }
         }
         for (hour, (count, sum)) in hours {
             let hour_of_week = hour_of_week_of(hour);
