@@ -14,11 +14,9 @@ use super::MAP;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Forecast {
     pub(super) state: &'static str,
-    /// Order of the model that the last update chose.
-    pub(super) order: u32,
     /// Observations that it rests on.
     pub(super) observations: u64,
-    /// Probabilities by that model.
+    /// Probabilities by the model in force.
     pub(super) predicted: Vec<f64>,
     /// Probabilities by the plain mean.
     pub(super) plain: Vec<f64>,
@@ -53,7 +51,6 @@ pub(super) async fn all(client: &Client, office: &Office, times_nanos: &[i64]) -
         while let Some(run) = predictions.next().await? {
             let forecast = &mut forecasts[run.state];
             if kind == ModelKind::Auto {
-                forecast.order = run.order;
                 forecast.observations = run.observations;
                 forecast.predicted.extend(run.probabilities);
             } else {
@@ -69,7 +66,7 @@ pub(super) async fn all(client: &Client, office: &Office, times_nanos: &[i64]) -
 
 impl Forecast {
     fn empty(state: &'static str) -> Self {
-        Self { state, order: 0, observations: 0, predicted: Vec::new(), plain: Vec::new(), truth: Vec::new() }
+        Self { state, observations: 0, predicted: Vec::new(), plain: Vec::new(), truth: Vec::new() }
     }
 }
 

@@ -7,7 +7,7 @@ use std::{
     path::Path,
 };
 
-use tidemap::queries::ModelDescription;
+use tidemap::queries::{ModelDescription, ModelKind};
 
 use super::{
     forecast::{Forecast, errors},
@@ -56,9 +56,9 @@ pub(super) fn tomorrow(day: &str, shown: &[(Forecast, ModelDescription)]) -> Res
         let (error, plain) = (forecast.error(), forecast.plain_error());
         writeln!(
             text,
-            "{}: order {}, from {} observations; error {error:.3}, plain mean {plain:.3} ({})",
+            "{}: by {}, from {} observations; error {error:.3}, plain mean {plain:.3} ({})",
             forecast.state,
-            forecast.order,
+            chosen(model),
             words::count(forecast.observations),
             words::comparison(error, plain)
         )?;
@@ -87,15 +87,13 @@ pub(super) fn lesson() -> &'static str {
     "What you see
   predicted   how probable it is that the door is open, or the room occupied: full bar 1, line 0
   truth       what then happened: █ open or occupied, · not, ░▒ for a part of these 20 minutes
-  order       how many rhythms the forecast adds to the mean. Every night tidemap tries 0 to 15 on
-              the day that ended, and keeps the order that would have predicted it best: none for
-              a door that is always open or follows the toss of a coin, several for habits.
-  rhythms     their periods, strongest first, and how far each swings the probability up and down.
-              A habit of every day takes 24 h and its fractions, one of some weekdays 7 d and its.
+  by          which model foretells it. Every night tidemap tries, on the day that ended, the sums
+              of 0 to 15 rhythms (spectral), three histograms and a profile of day and week
+              (calibrated), and keeps for each state what would have predicted it best.
+  rhythms     those that were found: their periods, strongest first, and how far each swings the
+              probability up and down. A habit of every day takes 24 h and its fractions, one of
+              some weekdays 7 d and its; a door that is always open has none.
   error       mean squared error over the day: 0 is perfect, a guess of 0.5 all day is 0.25
-
-A bump where nothing happens, like the kitchen's on a Saturday, is the limit of 15 rhythms: the
-sharp peaks of the day use them up before those of the week have taken lunch out of the weekend.
 "
 }
 
@@ -125,11 +123,19 @@ pub(super) fn kept(program: &str, address: &str, pid: u32, folder: &Path) -> Res
     Ok(text)
 }
 
-/// The periods that predictions use.
+/// The model that predictions are made by.
+fn chosen(model: &ModelDescription) -> String {
+    match model.chosen.kind {
+        ModelKind::Spectral => format!("spectral of order {}", model.order),
+        _ => model.chosen.to_string(),
+    }
+}
+
+/// The periods that the spectral model has.
 fn rhythms(model: &ModelDescription) -> String {
     let used = model.components.len().min(model.order as usize);
     if used == 0 {
-        return format!("rhythms: none that would help; it predicts the mean, {:.2}, all day", model.mean);
+        return format!("rhythms: none that would help; the mean is {:.2}", model.mean);
     }
     let said: Vec<String> = model.components[..used.min(COMPONENTS_SAID)]
         .iter()
@@ -174,7 +180,7 @@ mod tests {
 
     #[test]
     fn rhythms_are_those_that_predictions_use() {
-        assert_eq!(rhythms(&model(0)), "rhythms: none that would help; it predicts the mean, 0.25, all day");
+        assert_eq!(rhythms(&model(0)), "rhythms: none that would help; the mean is 0.25");
         assert_eq!(rhythms(&model(1)), "rhythms: 7 d ±0.25, around a mean of 0.25");
         assert!(rhythms(&model(5)).contains("7 d ±0.25, 3.5 d ±0.25, 24 h ±0.25, 12 h ±0.25, and 1 more"));
     }
@@ -183,7 +189,6 @@ mod tests {
     fn nothing_is_wider_than_100_columns() -> Result<(), fmt::Error> {
         let forecast = Forecast {
             state: "office-3-door",
-            order: 15,
             observations: 123_456,
             predicted: vec![0.5; 288],
             plain: vec![0.5; 288],
