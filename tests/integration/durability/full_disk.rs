@@ -20,12 +20,20 @@ const DISK_BYTES: u64 = 24 << 20;
 /// What is left to the daemon's log while the ballast lies there.
 const LEFT_BYTES: u64 = 768 << 10;
 
-/// Fills the disk but for so many bytes.
+/// Fills the disk but for so many bytes. The daemon may be saving meanwhile: where it has taken the room that was there a
+/// moment ago, what is left is looked at again.
 fn fill(ballast: &Path, left_bytes: u64) {
     let file = fs::File::create(ballast).expect("room for a file");
-    let available = rustix::fs::fstatvfs(&file).expect("a file system");
-    let bytes = (available.f_bavail * available.f_frsize).saturating_sub(left_bytes);
-    rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes).expect("room for the ballast");
+    for _ in 0..20 {
+        let available = rustix::fs::fstatvfs(&file).expect("a file system");
+        let bytes = (available.f_bavail * available.f_frsize).saturating_sub(left_bytes);
+        match rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes.max(1)) {
+            Ok(()) => return,
+            Err(rustix::io::Errno::NOSPC) => std::thread::sleep(Duration::from_millis(50)),
+            Err(error) => panic!("the ballast cannot be laid: {error}"),
+        }
+    }
+    panic!("the disk is in use all the time");
 }
 
 #[tokio::test(flavor = "multi_thread")]
