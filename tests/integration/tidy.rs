@@ -9,20 +9,25 @@ use std::{
 };
 
 /// Folder, package, and which packages of ours it may depend on.
-const CRATES: [(&str, &str, &[&str]); 9] = [
+const CRATES: [(&str, &str, &[&str]); 10] = [
     ("migrations", "tidemap-migrations", &[]),
     ("server/model", "tidemap-model", &[]),
     ("server/map", "tidemap-map", &["tidemap-model"]),
+    ("server/plan", "tidemap-plan", &["tidemap-map", "tidemap-model"]),
     ("server/store", "tidemap-store", &["tidemap-map", "tidemap-migrations", "tidemap-model"]),
-    ("proto", "tidemap-proto", &["tidemap-map", "tidemap-model"]),
-    ("server", "tidemapd", &["tidemap-map", "tidemap-migrations", "tidemap-model", "tidemap-proto", "tidemap-store"]),
-    ("client", "tidemap", &["tidemap-map", "tidemap-model", "tidemap-proto", "tidemap-sim"]),
+    ("proto", "tidemap-proto", &["tidemap-map", "tidemap-model", "tidemap-plan"]),
+    (
+        "server",
+        "tidemapd",
+        &["tidemap-map", "tidemap-migrations", "tidemap-model", "tidemap-plan", "tidemap-proto", "tidemap-store"],
+    ),
+    ("client", "tidemap", &["tidemap-map", "tidemap-model", "tidemap-plan", "tidemap-proto", "tidemap-sim"]),
     ("client/sim", "tidemap-sim", &[]),
     ("tests", "tidemap-tests", &["tidemap", "tidemap-proto", "tidemap-sim"]),
 ];
 
 /// Crates that do no I/O, read no clock and draw no hidden randomness.
-const PURE: [&str; 3] = ["server/model", "server/map", "client/sim"];
+const PURE: [&str; 4] = ["server/model", "server/map", "server/plan", "client/sim"];
 
 /// What a pure crate does not name.
 const IMPURE: [&str; 18] = [

@@ -1,0 +1,6 @@
+//! Choice: where and when to look next, in which order to go, and what to expect of it, from the views of a map.
+//!
+//! Invariant: no I/O, no clock, no hidden randomness (a seed is an argument). Information is in bits. What a question may
+//! cost is bounded before it is answered, and told where it would cost more.
+#![forbid(unsafe_code)]
+#![cfg_attr(test, allow(clippy::unwrap_used))]
