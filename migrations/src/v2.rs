@@ -3,8 +3,8 @@
 //! | file in the data directory | layout |
 //! | --- | --- |
 //! | `maps/00000001/MAP` | as before, with one record [`map::MapSpec`] |
-//! | `maps/00000001/log/00000000000000000001.log` | as before, with frames of [`event::Scans`] too |
-//! | `maps/00000001/checkpoints/00000000000000000007.tmc` | as before; for a map with a grid [`grid`] records follow |
+//! | `maps/00000001/log/00000000000000000001.log` | as before, with frames of [`event::Scans`] and of [`site::SiteEdit`] too |
+//! | `maps/00000001/checkpoints/00000000000000000007.tmc` | as before, with a [`map::Snapshot`]; a [`site::Site`] follows where there is one, and for a map with a grid [`grid`] records |
 //! | `maps/00000001/checkpoints/update-00000000000000000008.tmu` | [`mod@file`] without a trailer, with [`update`] records |
 //! | `maps/00000001/history/00000000000000000007.states.tmh` | [`mod@file`] with [`history`] records |
 //! | `maps/00000001/history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
@@ -21,8 +21,10 @@ pub mod event;
 pub mod file;
 pub mod grid;
 pub mod history;
+pub mod index;
 pub mod log;
 pub mod map;
+pub mod site;
 pub mod update;
 
 /// The number of this format.

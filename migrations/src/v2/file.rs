@@ -22,7 +22,7 @@ pub const PIECE_MAX: usize = RECORD_MAX - 1;
 pub enum RecordKind {
     /// [`super::map::MapSpec`].
     Spec = 1,
-    /// [`crate::v1::map::Snapshot`], the first of a checkpoint.
+    /// [`super::map::Snapshot`], the first of a checkpoint.
     Snapshot = 2,
     /// [`super::map::Producer`], in the order of their numbers.
     Producer = 3,
@@ -59,9 +59,11 @@ pub enum RecordKind {
     Update = 16,
     /// [`super::update::DoneTile`], the last of a tile in the file of an update.
     DoneTile = 17,
+    /// [`super::site::Site`], after the last state where the snapshot has one.
+    Site = 18,
 }
 
-const KINDS: [RecordKind; 17] = [
+const KINDS: [RecordKind; 18] = [
     RecordKind::Spec,
     RecordKind::Snapshot,
     RecordKind::Producer,
@@ -79,6 +81,7 @@ const KINDS: [RecordKind; 17] = [
     RecordKind::End,
     RecordKind::Update,
     RecordKind::DoneTile,
+    RecordKind::Site,
 ];
 
 /// Header of a record, laid out as [`crate::v1::file::RecordHeader`].

@@ -1,4 +1,4 @@
-//! Frames of the observation log: those of format 1, with two kinds more.
+//! Frames of the observation log: those of format 1, with more kinds.
 //!
 //! Invariant: a frame of format 1 is the same to the byte.
 
@@ -19,6 +19,8 @@ pub enum FrameKind {
     Scans = b'S' as isize,
     /// [`v1::event::NewState`], of which nothing was observed yet.
     AddState = b'K' as isize,
+    /// [`super::site::SiteEdit`].
+    EditSite = b'E' as isize,
 }
 
 /// Header of a frame, laid out as [`v1::log::FrameHeader`].
@@ -64,6 +66,7 @@ impl FrameHeader {
             b'U' => FrameKind::UpdateStart,
             b'S' => FrameKind::Scans,
             b'K' => FrameKind::AddState,
+            b'E' => FrameKind::EditSite,
             _ => return None,
         };
         let payload_length = u32_at(bytes, 4);
@@ -125,7 +128,7 @@ mod tests {
 
     #[test]
     fn headers_come_back_and_every_flipped_bit_is_noticed() {
-        for frame in [header(FrameKind::Scans), header(FrameKind::AddState)] {
+        for frame in [FrameKind::Scans, FrameKind::AddState, FrameKind::EditSite].map(header) {
             assert_eq!(FrameHeader::decode(&frame.encode()), Some(frame));
             for bit in 0..256 {
                 let mut bytes = frame.encode();

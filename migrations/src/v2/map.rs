@@ -45,6 +45,35 @@ pub struct MapSpec {
     pub prior_bits: Option<u64>,
 }
 
+/// What a snapshot says about itself: as in format 1, and whether there is a site.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Snapshot {
+    /// Log position of the update's start.
+    #[prost(uint64, tag = "1")]
+    pub position: u64,
+    /// Log position from which pending observations are read again.
+    #[prost(uint64, tag = "2")]
+    pub replay_from: u64,
+    /// Number of the generation.
+    #[prost(uint64, tag = "3")]
+    pub generation: u64,
+    /// Cut of the last update.
+    #[prost(sint64, tag = "4")]
+    pub cut_nanos: i64,
+    /// Greatest time of any observation.
+    #[prost(sint64, tag = "5")]
+    pub newest_nanos: i64,
+    /// Number of producers.
+    #[prost(uint32, tag = "6")]
+    pub producers: u32,
+    /// Number of states.
+    #[prost(uint32, tag = "7")]
+    pub states: u32,
+    /// Whether the map was told anything about its site.
+    #[prost(bool, tag = "8")]
+    pub has_site: bool,
+}
+
 /// The sensor of a producer, where it is not the map's own.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Sensor {
@@ -304,6 +333,21 @@ mod tests {
         let new = MapSpec::decode(&old.encode_to_vec()[..]).expect("a message");
         assert_eq!((&new.retention, &new.grid, new.history_complete), (&None, &None, false));
         assert_eq!(new.encode_to_vec(), old.encode_to_vec());
+    }
+
+    #[test]
+    fn a_snapshot_of_format_1_has_no_site() {
+        let old = v1::map::Snapshot {
+            position: 9,
+            replay_from: 4,
+            generation: 2,
+            cut_nanos: 1 << 60,
+            newest_nanos: -1,
+            producers: 3,
+            states: 700,
+        };
+        let new = Snapshot::decode(&old.encode_to_vec()[..]).expect("a message");
+        assert_eq!((new.has_site, new.encode_to_vec()), (false, old.encode_to_vec()));
     }
 
     #[test]

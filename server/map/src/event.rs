@@ -10,6 +10,7 @@ use crate::{
     MAX_AHEAD_NANOS,
     grid::{scan::Scans, sensors::ProducerSensor},
     name::{ProducerKey, StateName},
+    site::SiteEdit,
 };
 
 /// Index of a state within its map: dense from 0, in order of first appearance, never reused.
@@ -169,4 +170,6 @@ pub enum Event {
     UpdateStart(UpdateStart),
     /// A state was added of which nothing was observed yet.
     AddState(NewState),
+    /// What is known of the place was changed.
+    EditSite(SiteEdit),
 }

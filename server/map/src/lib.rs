@@ -13,6 +13,7 @@ pub mod live_map;
 pub mod name;
 pub mod predict;
 pub mod refit;
+pub mod site;
 pub mod snapshot;
 pub mod spec;
 pub mod update;

@@ -14,6 +14,7 @@ use crate::{
     grid::{live::LiveGrid, view::GridView},
     name::ProducerKey,
     pending::Pending,
+    site::Site,
     snapshot::{MapSnapshot, ProducerMark},
     spec::MapSpec,
     unlearned::Unlearned,
@@ -65,6 +66,7 @@ pub struct LiveMap {
     models: Arc<Vec<Arc<StateModel>>>,
     unlearned: Unlearned,
     pending: Pending,
+    site: Arc<Site>,
     pub(crate) grid: Option<LiveGrid>,
     /// The update that is out: where it started, and how many observations it took.
     running: Option<(UpdateStart, PendingLimits)>,
@@ -92,6 +94,7 @@ impl LiveMap {
             models: Arc::new(Vec::new()),
             unlearned,
             pending: Pending::default(),
+            site: Arc::default(),
             grid,
             running: None,
         }
@@ -119,6 +122,7 @@ impl LiveMap {
             models.push(state.model);
         }
         map.models = Arc::new(models);
+        map.site = snapshot.site;
         if let Some(grid) = snapshot.grid {
             if let Some(received) = grid.received_nanos {
                 map.pending.received(received);
@@ -169,6 +173,12 @@ impl LiveMap {
     #[must_use]
     pub fn kind(&self, id: StateId) -> Option<StateKind> {
         self.directory.info(id).map(|info| info.kind)
+    }
+
+    /// What is known of the place besides observations.
+    #[must_use]
+    pub fn site(&self) -> &Site {
+        &self.site
     }
 
     /// The grid, where the map has one.
@@ -261,6 +271,11 @@ impl LiveMap {
                 self.add_new_state(new).map_err(inconsistent)?;
                 None
             }
+            Event::EditSite(edit) => {
+                let states = self.directory.len();
+                Arc::make_mut(&mut self.site).apply(edit, states).map_err(|error| inconsistent(error.to_string()))?;
+                None
+            }
         };
         self.position = position;
         Ok(work)
@@ -315,6 +330,7 @@ impl LiveMap {
             live: self.live_published.clone(),
             models: Arc::clone(&self.models),
             unlearned: self.unlearned.clone(),
+            site: Arc::clone(&self.site),
             grid: self.grid.as_mut().map(GridView::new),
         }
     }

@@ -13,6 +13,7 @@ use crate::{
     grid::{sensors::ProducerSensor, snapshot::GridSnapshot},
     history::HistoryPiece,
     name::{ProducerKey, StateName},
+    site::Site,
 };
 
 /// A whole map at one log position.
@@ -32,6 +33,8 @@ pub struct MapSnapshot {
     pub producers: Vec<ProducerMark>,
     /// States; the index is the `StateId`.
     pub states: Vec<StateSnapshot>,
+    /// What is known of the place besides observations.
+    pub site: Arc<Site>,
     /// The grid, where the map has one.
     pub grid: Option<GridSnapshot>,
     /// What updates up to this one have folded in and no save has kept yet, ascending by generation. Not part of the

@@ -24,6 +24,7 @@ use crate::{
     history::{HistoryDay, HistoryPiece},
     name::StateName,
     refit::{Refits, StateReadings, refit},
+    site::Site,
     snapshot::ProducerMark,
     spec::MapSpec,
     unlearned::Unlearned,
@@ -40,6 +41,7 @@ pub(crate) struct Basis {
     pub(crate) producers: Vec<ProducerMark>,
     pub(crate) directory: Directory,
     pub(crate) live: Vec<LiveState>,
+    pub(crate) site: Arc<Site>,
     pub(crate) grid: Option<GridBasis>,
 }
 

@@ -12,6 +12,7 @@ use crate::{
     directory::Directory,
     event::{StateId, StateKind},
     grid::view::GridView,
+    site::Site,
     spec::MapSpec,
     unlearned::Unlearned,
 };
@@ -41,6 +42,7 @@ pub struct MapView {
     pub(crate) live: Vec<Arc<[LiveState]>>,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
     pub(crate) unlearned: Unlearned,
+    pub(crate) site: Arc<Site>,
     pub(crate) grid: Option<GridView>,
 }
 
@@ -55,6 +57,12 @@ impl MapView {
     #[must_use]
     pub fn grid(&self) -> Option<&GridView> {
         self.grid.as_ref()
+    }
+
+    /// What is known of the place besides observations.
+    #[must_use]
+    pub fn site(&self) -> &Site {
+        &self.site
     }
 
     /// Log position up to which the view is complete.

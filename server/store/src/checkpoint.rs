@@ -9,13 +9,11 @@ use std::{
     sync::{Arc, Weak},
 };
 
-use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
+use prost::Message as _;
+use tidemap_map::{site::Site, snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_migrations::{
-    v1::{
-        file::{CHECKPOINT_MAGIC, FileHeader, Trailer},
-        map as v1,
-    },
-    v2::file::RecordKind,
+    v1::file::{CHECKPOINT_MAGIC, FileHeader, Trailer},
+    v2::{file::RecordKind, map as v2, site as v2_site},
 };
 use tidemap_model::PhasorSum;
 
@@ -23,7 +21,7 @@ use crate::{
     MapId,
     disk::Disk,
     error::{OpenError, Report, StoreError, open_io, store_io},
-    record::snapshot as record,
+    record::{site, snapshot as record},
     record_file::{RecordReader, RecordWriter},
 };
 
@@ -119,6 +117,9 @@ impl Checkpoints<'_> {
         for (id, state) in (0..).zip(&snapshot.states) {
             writer.record(RecordKind::State, &record::encode_state(id, state))?;
         }
+        if let Some(site) = site::encode(&snapshot.site) {
+            writer.long(RecordKind::Site, &site.encode_to_vec())?;
+        }
         let shared = match &snapshot.grid {
             Some(grid) => grid_writer::write(&mut writer, grid, &spec.periodicities)?,
             None => Vec::new(),
@@ -139,7 +140,7 @@ impl Checkpoints<'_> {
         let same = |is_same: bool| if is_same { Ok(()) } else { Err("the content differs".to_owned()) };
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
         same(reader.header.position == snapshot.position)?;
-        same(reader.record::<v1::Snapshot>(RecordKind::Snapshot)? == record::encode(snapshot))?;
+        same(reader.record::<v2::Snapshot>(RecordKind::Snapshot)? == record::encode(snapshot))?;
         for (id, producer) in snapshot.producers.iter().enumerate() {
             same(record::decode_producer(id, &reader.record(RecordKind::Producer)?)? == *producer)?;
         }
@@ -147,6 +148,7 @@ impl Checkpoints<'_> {
             let message = reader.record(RecordKind::State)?;
             same(record::decode_state(id, &message, &spec.periodicities)? == *state)?;
         }
+        same(read_site(&mut reader, &record::encode(snapshot))? == *snapshot.site)?;
         let read = match &snapshot.grid {
             Some(_) => Some(grid_reader::read(&mut reader, &spec.periodicities, Keep::Places)?),
             None => None,
@@ -176,7 +178,7 @@ impl Checkpoints<'_> {
 
     fn read(&self, spec: &MapSpec, path: &Path, position: u64, tile_bytes: u64) -> Result<MapSnapshot, String> {
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
-        let message: v1::Snapshot = reader.record(RecordKind::Snapshot)?;
+        let message: v2::Snapshot = reader.record(RecordKind::Snapshot)?;
         if message.position != position || reader.header.position != position {
             return Err("it is of another position than its name says".to_owned());
         }
@@ -190,12 +192,13 @@ impl Checkpoints<'_> {
             record::decode_state(id, &state, &spec.periodicities)
         });
         let states = states.collect::<Result<_, String>>()?;
+        let site = read_site(&mut reader, &message)?;
         let grid = match &spec.grid {
             Some(_) => Some(grid_reader::read(&mut reader, &spec.periodicities, Keep::UpTo(tile_bytes))?),
             None => None,
         };
         reader.finish()?;
-        let mut snapshot = record::decode(&message, producers, states)?;
+        let mut snapshot = record::decode(&message, producers, states, site)?;
         if let Some(mut read) = grid {
             let tiles = self.tiles(spec, path, &mut read, None)?;
             snapshot.grid = Some(read.into_grid(&tiles));
@@ -212,7 +215,7 @@ impl Checkpoints<'_> {
         }
         let replay_from = |&position: &u64| {
             let mut reader = RecordReader::open(self.disk, &self.path(position), CHECKPOINT_MAGIC, self.map.0).ok()?;
-            Some(reader.record::<v1::Snapshot>(RecordKind::Snapshot).ok()?.replay_from)
+            Some(reader.record::<v2::Snapshot>(RecordKind::Snapshot).ok()?.replay_from)
         };
         Ok(positions.iter().map(replay_from).collect::<Option<Vec<u64>>>().and_then(|all| all.into_iter().min()))
     }
@@ -263,6 +266,15 @@ impl Checkpoints<'_> {
         }
         Ok(())
     }
+}
+
+/// The site of a checkpoint whose states have been read.
+fn read_site(reader: &mut RecordReader, snapshot: &v2::Snapshot) -> Result<Site, String> {
+    if !snapshot.has_site {
+        return Ok(Site::default());
+    }
+    let message: v2_site::Site = reader.long_message(RecordKind::Site, &mut Vec::new())?;
+    site::decode(&message, snapshot.states as usize)
 }
 
 fn position(name: &str) -> Option<u64> {

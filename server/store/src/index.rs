@@ -32,11 +32,12 @@ struct Trees {
     folder: PathBuf,
 }
 
-/// The records of a map as they are in the database: a sum per state and producer.
+/// The records of a map as they are in the database: a sum per state and producer, and that of the site.
 #[derive(Default)]
 struct Written {
     states: Vec<Sum>,
     producers: Vec<Sum>,
+    site: Sum,
 }
 
 /// What the index holds of a map.
@@ -195,7 +196,7 @@ pub(crate) mod tests_only {
     pub(crate) fn rows_checksum(map: u32, snapshot: &MapSnapshot) -> u32 {
         let states = (0..).zip(&snapshot.states).flat_map(|(id, state)| rows::of_state(map, id, state));
         let producers = (0..).zip(&snapshot.producers).flat_map(|(id, mark)| rows::of_producer(map, id, mark));
-        let rows = states.chain(producers);
+        let rows = states.chain(producers).chain(rows::of_site(map, &snapshot.site));
         rows.fold(0, |crc, row| crc32c::crc32c_append(crc32c::crc32c_append(crc, &row.key), &row.value))
     }
 }

@@ -14,6 +14,7 @@ mod offsets;
 pub(crate) mod scans;
 mod sensors;
 mod sightings;
+pub(crate) mod site;
 pub(crate) mod snapshot;
 pub(crate) mod spec;
 pub(crate) mod tile;

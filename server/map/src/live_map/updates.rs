@@ -69,6 +69,7 @@ impl LiveMap {
             producers: self.producers.clone(),
             directory: self.directory.clone(),
             live: self.live.clone(),
+            site: Arc::clone(&self.site),
             grid: grid_basis,
         };
         Ok(UpdateWork {
@@ -116,6 +117,7 @@ impl LiveMap {
             newest_nanos: basis.newest_nanos,
             producers: basis.producers,
             states,
+            site: basis.site,
             grid,
             history: history.map(Arc::new).into_iter().collect(),
         }

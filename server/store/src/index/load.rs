@@ -5,12 +5,16 @@
 use prost::Message;
 use tidemap_map::spec::MapSpec;
 use tidemap_migrations::{
-    v1::index::{MARKS, MODELS, Mark, STATES, decode_value, item_key, map_key},
-    v2::{HOURS_CHUNK, PROFILE_CHUNK, map as v2},
+    v1::index::{MARKS, MODELS, STATES, decode_value, item_key, map_key},
+    v2::{
+        HOURS_CHUNK, PROFILE_CHUNK,
+        index::{Mark, SITE_ITEM},
+        map as v2, site as v2_site,
+    },
 };
 
 use super::{Damage, Found, Trees, Written, rows::Sum};
-use crate::record::snapshot as record;
+use crate::record::{site as record_site, snapshot as record};
 
 fn payload<'value, M: Message + Default>(tree: &str, key: &[u8], value: &'value [u8]) -> Result<M, Damage> {
     let payload: &'value [u8] =
@@ -72,9 +76,21 @@ pub(super) fn load(trees: &Trees, map: u32, spec: &MapSpec) -> Result<(Found, Op
         written.states.push(sum);
     }
 
+    let mut site = Vec::new();
+    for entry in chunks {
+        let (key, value) = entry.map_err(text)?;
+        if !key.starts_with(&item_key(map, SITE_ITEM)) {
+            return Err("a record in models belongs to nothing".to_owned());
+        }
+        site.extend_from_slice(decode_value(MODELS, &key, &value).ok_or("a record in models is damaged")?);
+        written.site.add_value(&value);
+    }
+
     if written.total() != (Sum { records: mark.records, fingerprint: mark.fingerprint_sum }) {
         return Err(format!("records of map number {map} are missing, stale or too many"));
     }
-    let snapshot = record::decode(&header, producers, states)?;
+    let site = v2_site::Site::decode(&site[..]).map_err(|_| "the site is not a message")?;
+    let site = record_site::decode(&site, states.len())?;
+    let snapshot = record::decode(&header, producers, states, site)?;
     Ok((Found::Snapshot(Box::new(snapshot)), Some(written)))
 }

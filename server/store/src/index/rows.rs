@@ -3,13 +3,16 @@
 //! Invariant: the same state gives the same records, so that an unchanged one is not written again.
 
 use prost::Message as _;
-use tidemap_map::snapshot::{ProducerMark, StateSnapshot};
+use tidemap_map::{
+    site::Site,
+    snapshot::{ProducerMark, StateSnapshot},
+};
 use tidemap_migrations::{
     v1::index::{CHUNK_LENGTH, MARKS, MODELS, STATES, chunk_key, encode_value, fingerprint, item_key},
-    v2::{HOURS_CHUNK, PROFILE_CHUNK},
+    v2::{HOURS_CHUNK, PROFILE_CHUNK, index::SITE_ITEM},
 };
 
-use crate::record::snapshot as record;
+use crate::record::{site as record_site, snapshot as record};
 
 /// Which tree a record is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,6 +73,16 @@ pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<Row> {
         Row { place: Place::Models, value: encode_value(MODELS, &key, bytes), key }
     });
     std::iter::once(Row { place: Place::States, key, value }).chain(chunks).collect()
+}
+
+/// The records of a site: none where nothing was ever told.
+pub(super) fn of_site(map: u32, site: &Site) -> Vec<Row> {
+    let bytes = record_site::encode(site).map(|message| message.encode_to_vec()).unwrap_or_default();
+    let chunk = |(chunk, bytes): (u16, &[u8])| {
+        let key = chunk_key(map, SITE_ITEM, chunk).to_vec();
+        Row { place: Place::Models, value: encode_value(MODELS, &key, bytes), key }
+    };
+    (0..).zip(bytes.chunks(CHUNK_LENGTH)).map(chunk).collect()
 }
 
 /// The record of a producer.

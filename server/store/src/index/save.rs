@@ -4,7 +4,10 @@
 
 use prost::Message as _;
 use tidemap_map::snapshot::MapSnapshot;
-use tidemap_migrations::v1::index::{MARKS, Mark, encode_value, map_key};
+use tidemap_migrations::{
+    v1::index::{MARKS, encode_value, map_key},
+    v2::index::Mark,
+};
 
 use super::{
     Damage, Trees, Written,
@@ -52,7 +55,7 @@ impl Written {
     /// The sum over everything.
     pub(super) fn total(&self) -> Sum {
         let mut total = Sum::default();
-        for &sum in self.states.iter().chain(&self.producers) {
+        for &sum in self.states.iter().chain(&self.producers).chain([&self.site]) {
             total.add(sum);
         }
         total
@@ -96,9 +99,12 @@ pub(super) fn save(
     before: Option<Written>,
 ) -> Result<Written, Damage> {
     set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
+    let site = rows::of_site(map, &snapshot.site);
     // States and producers are only ever added, and a spectrum only ever appears; anything else begins afresh.
     let before = before.filter(|before| {
-        before.states.len() <= snapshot.states.len() && before.producers.len() <= snapshot.producers.len()
+        before.states.len() <= snapshot.states.len()
+            && before.producers.len() <= snapshot.producers.len()
+            && before.site.records <= site.len() as u64
     });
     let mut before = match before {
         Some(before) => before,
@@ -115,6 +121,13 @@ pub(super) fn save(
     for (id, producer) in (0..).zip(&snapshot.producers) {
         let rows = rows::of_producer(map, id, producer);
         write_changed(trees, &mut batches, &mut before.producers, id, rows)?;
+    }
+    let sum = rows::sum(&site);
+    if sum != before.site {
+        before.site = sum;
+        for row in site {
+            batches.push(trees, row)?;
+        }
     }
     batches.apply(trees)?;
     trees.flush()?;

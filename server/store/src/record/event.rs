@@ -15,7 +15,7 @@ use tidemap_migrations::{
     v2::{self, log::FrameKind, map as v2_map},
 };
 
-use super::{Invalid, columns, scans, sensors};
+use super::{Invalid, columns, scans, sensors, site};
 
 /// Most observations in one event. Constant columns take no room, so the payload's length does not bound it.
 const COUNT_MAX: usize = 1 << 20;
@@ -29,6 +29,7 @@ pub(crate) fn encode(event: &Event) -> Result<(FrameKind, Vec<u8>), Invalid> {
         Event::Scans(event) => Ok((FrameKind::Scans, scans::encode(event)?.encode_to_vec())),
         Event::UpdateStart(start) => Ok((FrameKind::UpdateStart, encode_update_start(start).encode_to_vec())),
         Event::AddState(state) => Ok((FrameKind::AddState, encode_new_state(state).encode_to_vec())),
+        Event::EditSite(edit) => Ok((FrameKind::EditSite, site::encode_edit(edit).encode_to_vec())),
     }
 }
 
@@ -51,6 +52,10 @@ pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> 
         FrameKind::AddState => {
             let message = v1::NewState::decode(payload).map_err(|_| GARBLED)?;
             decode_new_state(&message).map(Event::AddState)
+        }
+        FrameKind::EditSite => {
+            let message = v2::site::SiteEdit::decode(payload).map_err(|_| GARBLED)?;
+            site::decode_edit(&message).map(Event::EditSite)
         }
     }
 }

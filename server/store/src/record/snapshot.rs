@@ -5,7 +5,10 @@
 
 use std::sync::Arc;
 
-use tidemap_map::snapshot::{MapSnapshot, ProducerMark, StateSnapshot};
+use tidemap_map::{
+    site::Site,
+    snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
+};
 use tidemap_migrations::{v1::map as v1, v2::map as v2};
 use tidemap_model::{
     Accumulator, AccumulatorParts, Component, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
@@ -19,8 +22,8 @@ use super::{
 };
 
 /// The snapshot's own numbers. The counts must fit; [`check`] sees to that.
-pub(crate) fn encode(snapshot: &MapSnapshot) -> v1::Snapshot {
-    v1::Snapshot {
+pub(crate) fn encode(snapshot: &MapSnapshot) -> v2::Snapshot {
+    v2::Snapshot {
         position: snapshot.position,
         replay_from: snapshot.replay_from,
         generation: snapshot.generation,
@@ -28,6 +31,7 @@ pub(crate) fn encode(snapshot: &MapSnapshot) -> v1::Snapshot {
         newest_nanos: snapshot.newest_nanos,
         producers: snapshot.producers.len() as u32,
         states: snapshot.states.len() as u32,
+        has_site: !snapshot.site.is_empty(),
     }
 }
 
@@ -40,20 +44,24 @@ pub(crate) fn check(snapshot: &MapSnapshot) -> Result<(), Invalid> {
 }
 
 /// Positions must let the replay begin where the log can.
-pub(crate) fn check_positions(message: &v1::Snapshot) -> Result<(), Invalid> {
+pub(crate) fn check_positions(message: &v2::Snapshot) -> Result<(), Invalid> {
     let is_sound = message.replay_from <= message.position.saturating_add(1);
     if is_sound { Ok(()) } else { Err("replay_from is beyond position + 1") }
 }
 
-/// A snapshot from its numbers, its producers and its states.
+/// A snapshot from its numbers, its producers, its states and its site.
 pub(crate) fn decode(
-    message: &v1::Snapshot,
+    message: &v2::Snapshot,
     producers: Vec<ProducerMark>,
     states: Vec<StateSnapshot>,
+    site: Site,
 ) -> Result<MapSnapshot, Invalid> {
     check_positions(message)?;
     if producers.len() != message.producers as usize || states.len() != message.states as usize {
         return Err("states or producers are missing or too many");
+    }
+    if message.has_site == site.is_empty() {
+        return Err("the site is missing, or is there where none should be");
     }
     Ok(MapSnapshot {
         position: message.position,
@@ -63,6 +71,7 @@ pub(crate) fn decode(
         newest_nanos: message.newest_nanos,
         producers,
         states,
+        site: Arc::new(site),
         grid: None,
         history: Vec::new(),
     })

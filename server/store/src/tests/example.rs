@@ -14,6 +14,7 @@ use tidemap_map::{
     },
     grid::spec::Retention,
     name::{MapName, ProducerKey, StateName},
+    site::{Location, Site, SiteEdit},
     snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
     spec::MapSpec,
 };
@@ -53,6 +54,9 @@ pub(crate) fn event(position: u64) -> Event {
         let cut_nanos = position as i64 * HOUR_NANOS;
         return Event::UpdateStart(UpdateStart { generation: position / 5, cut_nanos, cause: UpdateCause::Midnight });
     }
+    if position % 11 == 4 {
+        return Event::EditSite(SiteEdit::SetLocation(location_name(position), location(&mut random, 3)));
+    }
     let count = random.random_range(1..40);
     let is_first = position == 1;
     Event::Observations(Observations {
@@ -78,9 +82,34 @@ pub(crate) fn event(position: u64) -> Event {
     })
 }
 
+fn location_name(number: u64) -> StateName {
+    StateName::new(&format!("room {number} {}", "x".repeat(100))).expect("valid")
+}
+
+fn location(random: &mut SmallRng, states: u32) -> Location {
+    let seen = (0..states).filter(|id| *id == 0 || random.random()).map(StateId).collect();
+    Location { states: seen, position_m: random.random_bool(0.5).then(|| [random.random(), -random.random::<f64>()]) }
+}
+
+/// A site that has more or fewer records in the index than that of another position, or none.
+fn site(position: u64, states: usize) -> Site {
+    let mut random = SmallRng::seed_from_u64(position ^ 0x517E);
+    let mut site = Site::default();
+    if position.is_multiple_of(4) || states == 0 {
+        return site;
+    }
+    site.apply(&SiteEdit::Charger(Some([random.random(), 1.5])), states).expect("valid");
+    for number in 0..position % 7 * 20 {
+        let location = location(&mut random, states as u32);
+        site.apply(&SiteEdit::SetLocation(location_name(number), location), states).expect("valid");
+    }
+    site
+}
+
 /// A snapshot whose content follows from its position.
 pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnapshot {
     let mut random = SmallRng::seed_from_u64(position ^ 0xABCD);
+    let site = Arc::new(site(position, states));
     let states = (0..states).map(|id| state(spec, &format!("state {id}"), &mut random)).collect();
     MapSnapshot {
         position,
@@ -97,6 +126,7 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
                 .then_some(tidemap_map::grid::sensors::ProducerSensor { hit: 0.75, false_alarm: 0.0625 }),
         }],
         states,
+        site,
         grid: None,
         history: Vec::new(),
     }

@@ -145,6 +145,7 @@ fn snapshot() -> MapSnapshot {
             state("Küche", model.expect("valid"), persistence),
             state("door", StateModel::new(&spec.periodicities), Persistence::default()),
         ],
+        site: Arc::default(),
         grid: None,
         history: Vec::new(),
     }

@@ -254,6 +254,7 @@ fn snapshot() -> MapSnapshot {
             sensor: None,
         }],
         states: Vec::new(),
+        site: Arc::default(),
         grid: Some(grid()),
         history: vec![Arc::new(piece())],
     }

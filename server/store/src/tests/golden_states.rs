@@ -131,6 +131,7 @@ fn snapshot() -> MapSnapshot {
             state("new door", alternatives(Some(None))),
             state("gate", alternatives(None)),
         ],
+        site: Arc::default(),
         grid: None,
         history: Vec::new(),
     }

@@ -11,6 +11,7 @@ use tidemap_map::{
     },
     grid::{sensors::ProducerSensor, spec::Retention},
     name::{MapName, ProducerKey, StateName},
+    site::{Location, Site, SiteEdit},
     snapshot::StateSnapshot,
     spec::MapSpec,
 };
@@ -122,11 +123,24 @@ fn add_state() -> impl Strategy<Value = Event> {
     })
 }
 
+fn edit_site() -> impl Strategy<Value = Event> {
+    let place = option::of([-1e7..=1e7, -1e7..=1e7]);
+    let location = (vec(any::<u32>(), 0..20), place.clone())
+        .prop_map(|(states, position_m)| Location { states: states.into_iter().map(StateId).collect(), position_m });
+    let name = "[a-zü ]{1,20}".prop_map(|name| StateName::new(&name).expect("valid"));
+    let edit = prop_oneof![
+        place.prop_map(SiteEdit::Charger),
+        (name.clone(), location).prop_map(|(name, location)| SiteEdit::SetLocation(name, location)),
+        name.prop_map(SiteEdit::RemoveLocation),
+    ];
+    edit.prop_map(Event::EditSite)
+}
+
 /// Equal to the bit: 0.0 and -0.0 differ.
 fn bits(event: &Event) -> Vec<u64> {
     match event {
         Event::Observations(observations) => observations.values.iter().map(|value| value.to_bits()).collect(),
-        Event::Scans(_) | Event::UpdateStart(_) | Event::AddState(_) => Vec::new(),
+        Event::Scans(_) | Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => Vec::new(),
     }
 }
 
@@ -134,7 +148,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn events_come_back(event in prop_oneof![9 => observations(), 1 => update_start(), 1 => add_state()]) {
+    fn events_come_back(event in prop_oneof![9 => observations(), 1 => update_start(), 1 => add_state(), 1 => edit_site()]) {
         let (kind, payload) = record::event::encode(&event).expect("valid");
         let found = record::event::decode(kind, &payload).expect("readable");
         prop_assert_eq!(bits(&found), bits(&event));
@@ -143,7 +157,13 @@ proptest! {
 
     #[test]
     fn no_payload_panics_or_takes_endless_memory(payload in vec(any::<u8>(), 0..200)) {
-        for kind in [FrameKind::Observations, FrameKind::UpdateStart, FrameKind::Scans, FrameKind::AddState] {
+        for kind in [
+            FrameKind::Observations,
+            FrameKind::UpdateStart,
+            FrameKind::Scans,
+            FrameKind::AddState,
+            FrameKind::EditSite,
+        ] {
             let _ = record::event::decode(kind, &payload);
         }
     }
@@ -223,8 +243,12 @@ fn a_snapshot_comes_back_from_its_parts() {
     let spec = super::example::spec("office");
     let snapshot = snapshot(&spec, 15, 4);
     let message = record::snapshot::encode(&snapshot);
-    let found = record::snapshot::decode(&message, snapshot.producers.clone(), snapshot.states.clone());
+    let site = record::site::encode(&snapshot.site).expect("something was told");
+    let site = record::site::decode(&site, 4).expect("readable");
+    let (producers, states) = (|| snapshot.producers.clone(), || snapshot.states.clone());
+    let found = record::snapshot::decode(&message, producers(), states(), site.clone());
     assert_eq!(found.as_ref(), Ok(&snapshot));
-    assert!(record::snapshot::decode(&message, vec![], snapshot.states.clone()).is_err());
-    assert!(record::snapshot::decode(&message, snapshot.producers, snapshot.states[1..].to_vec()).is_err());
+    assert!(record::snapshot::decode(&message, vec![], states(), site.clone()).is_err());
+    assert!(record::snapshot::decode(&message, producers(), states()[1..].to_vec(), site).is_err());
+    assert!(record::snapshot::decode(&message, producers(), states(), Site::default()).is_err());
 }

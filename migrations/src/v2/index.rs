@@ -1,0 +1,28 @@
+//! The index: as in format 1, with the site of a map.
+//!
+//! | tree | key | value |
+//! | --- | --- | --- |
+//! | `models` | map u32, [`SITE_ITEM`] u32, chunk u16 | up to [`crate::v1::index::CHUNK_LENGTH`] bytes of a [`super::site::Site`] |
+//! | `marks` | map u32 | [`Mark`] |
+//!
+//! Invariant: a mark of format 1 is one of these without a site, to the byte.
+
+/// Stands in the keys of a site's chunks where a state's number would be.
+pub const SITE_ITEM: u32 = u32::MAX;
+
+/// How far the index of a map goes.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Mark {
+    /// While it is set, records are being written and must not be believed.
+    #[prost(bool, tag = "1")]
+    pub dirty: bool,
+    /// The snapshot that the records make up.
+    #[prost(message, optional, tag = "2")]
+    pub snapshot: Option<super::map::Snapshot>,
+    /// Number of records of the map, the mark excepted.
+    #[prost(uint64, tag = "3")]
+    pub records: u64,
+    /// Sum of [`crate::v1::index::fingerprint`] over all records of the map, the mark excepted.
+    #[prost(fixed64, tag = "4")]
+    pub fingerprint_sum: u64,
+}

@@ -1,0 +1,151 @@
+//! What a map is told about the place besides observations: where the robot rests, and which states are seen together.
+//!
+//! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] passes is applied
+//! whole; any other changes nothing.
+
+use std::collections::BTreeMap;
+
+use crate::{event::StateId, name::StateName};
+
+#[cfg(test)]
+mod tests;
+
+/// Most locations of a map.
+pub const LOCATIONS_MAX: usize = 10_000;
+
+/// Most states of a location.
+pub const LOCATION_STATES_MAX: usize = 4_096;
+
+/// Farthest from the map's origin that a place may be, metres.
+pub const PLACE_MAX_M: f64 = 1e7;
+
+/// States that are seen together, from one place.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Location {
+    /// The states, ascending; at least one.
+    pub states: Vec<StateId>,
+    /// Where the robot stands to see them: x, y in the map's frame, metres. `None`: not told.
+    pub position_m: Option<[f64; 2]>,
+}
+
+/// A change of a site.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SiteEdit {
+    /// Where the robot rests and charges: x, y in the map's frame, metres; `None`: nowhere in particular.
+    Charger(Option<[f64; 2]>),
+    /// A location is set, or replaced where there is one of that name.
+    SetLocation(StateName, Location),
+    /// A location is removed.
+    RemoveLocation(StateName),
+}
+
+/// Why an edit is refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum InvalidEdit {
+    /// A coordinate is not a number, or too far away.
+    #[error("coordinate {0} is not a number of metres between -1e7 and 1e7")]
+    Coordinate(f64),
+    /// A location needs states.
+    #[error("location {0:?} has no states: name at least one")]
+    NoStates(String),
+    /// A location has too many.
+    #[error("location {name:?} has {got} states, more than {max}")]
+    TooManyStates {
+        /// The location.
+        name: String,
+        /// How many.
+        got: usize,
+        /// How many it may have.
+        max: usize,
+    },
+    /// A state is not one of the map, or named twice.
+    #[error("location {0:?} names a state that the map does not have, or one twice")]
+    States(String),
+    /// There are as many locations as there may be.
+    #[error("the map has {0} locations, as many as there may be")]
+    TooManyLocations(usize),
+    /// There is no such location.
+    #[error("location {0:?} does not exist")]
+    UnknownLocation(String),
+}
+
+/// What is known of the place besides observations.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Site {
+    charger_m: Option<[f64; 2]>,
+    locations: BTreeMap<StateName, Location>,
+}
+
+impl Site {
+    /// Where the robot rests: x, y in the map's frame, metres.
+    #[must_use]
+    pub fn charger_m(&self) -> Option<[f64; 2]> {
+        self.charger_m
+    }
+
+    /// The locations, by name.
+    #[must_use]
+    pub fn locations(&self) -> &BTreeMap<StateName, Location> {
+        &self.locations
+    }
+
+    /// Whether nothing was ever told.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        *self == Site::default()
+    }
+
+    /// Whether an edit may be applied now. `states`: how many states the map has.
+    ///
+    /// # Errors
+    /// [`InvalidEdit`], with what is wrong.
+    pub fn check(&self, edit: &SiteEdit, states: usize) -> Result<(), InvalidEdit> {
+        match edit {
+            SiteEdit::Charger(at) => check_place(at.as_ref()),
+            SiteEdit::SetLocation(name, location) => {
+                let text = || name.as_str().to_owned();
+                check_place(location.position_m.as_ref())?;
+                if location.states.is_empty() {
+                    return Err(InvalidEdit::NoStates(text()));
+                }
+                let (got, max) = (location.states.len(), LOCATION_STATES_MAX);
+                if got > max {
+                    return Err(InvalidEdit::TooManyStates { name: text(), got, max });
+                }
+                let ascend = location.states.is_sorted_by(|one, next| one < next);
+                if !ascend || location.states.last().is_some_and(|last| last.0 as usize >= states) {
+                    return Err(InvalidEdit::States(text()));
+                }
+                if self.locations.len() >= LOCATIONS_MAX && !self.locations.contains_key(name) {
+                    return Err(InvalidEdit::TooManyLocations(LOCATIONS_MAX));
+                }
+                Ok(())
+            }
+            SiteEdit::RemoveLocation(name) if self.locations.contains_key(name) => Ok(()),
+            SiteEdit::RemoveLocation(name) => Err(InvalidEdit::UnknownLocation(name.as_str().to_owned())),
+        }
+    }
+
+    /// Applies an edit.
+    ///
+    /// # Errors
+    /// As [`Site::check`]; nothing is changed then.
+    pub fn apply(&mut self, edit: &SiteEdit, states: usize) -> Result<(), InvalidEdit> {
+        self.check(edit, states)?;
+        match edit {
+            SiteEdit::Charger(at) => self.charger_m = *at,
+            SiteEdit::SetLocation(name, location) => {
+                self.locations.insert(name.clone(), location.clone());
+            }
+            SiteEdit::RemoveLocation(name) => {
+                self.locations.remove(name);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check_place(at: Option<&[f64; 2]>) -> Result<(), InvalidEdit> {
+    let is_far = |along: &&f64| !(-PLACE_MAX_M..=PLACE_MAX_M).contains(*along);
+    at.into_iter().flatten().find(is_far).map_or(Ok(()), |&along| Err(InvalidEdit::Coordinate(along)))
+}

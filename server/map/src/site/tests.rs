@@ -1,0 +1,54 @@
+//! Edits of a site: what is applied, what is refused. Invariant: a refused edit changes nothing.
+
+use super::*;
+
+fn name(name: &str) -> StateName {
+    StateName::new(name).unwrap()
+}
+
+fn location(states: &[u32]) -> Location {
+    Location { states: states.iter().map(|&id| StateId(id)).collect(), position_m: Some([1.0, -2.0]) }
+}
+
+#[test]
+fn a_location_is_set_replaced_and_removed() {
+    let mut site = Site::default();
+    assert!(site.is_empty());
+    let set = |states: &[u32]| SiteEdit::SetLocation(name("kitchen"), location(states));
+    site.apply(&set(&[0, 2]), 3).unwrap();
+    site.apply(&set(&[1]), 3).unwrap();
+    assert_eq!(site.locations().get(&name("kitchen")), Some(&location(&[1])));
+    site.apply(&SiteEdit::RemoveLocation(name("kitchen")), 3).unwrap();
+    assert!(site.is_empty());
+}
+
+#[test]
+fn a_charger_is_set_and_forgotten() {
+    let mut site = Site::default();
+    site.apply(&SiteEdit::Charger(Some([0.5, 2.0])), 0).unwrap();
+    assert_eq!(site.charger_m(), Some([0.5, 2.0]));
+    site.apply(&SiteEdit::Charger(None), 0).unwrap();
+    assert!(site.is_empty());
+}
+
+#[test]
+fn what_cannot_be_is_refused_and_changes_nothing() {
+    let mut site = Site::default();
+    site.apply(&SiteEdit::SetLocation(name("kitchen"), location(&[0])), 2).unwrap();
+    let before = site.clone();
+    let set = |states: &[u32]| SiteEdit::SetLocation(name("lab"), location(states));
+    for (edit, expected) in [
+        (set(&[]), InvalidEdit::NoStates("lab".to_owned())),
+        (set(&[2]), InvalidEdit::States("lab".to_owned())),
+        (set(&[1, 1]), InvalidEdit::States("lab".to_owned())),
+        (set(&[1, 0]), InvalidEdit::States("lab".to_owned())),
+        (SiteEdit::RemoveLocation(name("lab")), InvalidEdit::UnknownLocation("lab".to_owned())),
+        (SiteEdit::Charger(Some([0.0, f64::INFINITY])), InvalidEdit::Coordinate(f64::INFINITY)),
+    ] {
+        assert_eq!(site.apply(&edit, 2), Err(expected));
+    }
+    assert!(matches!(site.apply(&SiteEdit::Charger(Some([f64::NAN, 0.0])), 2), Err(InvalidEdit::Coordinate(_))));
+    let many: Vec<u32> = (0..=4_096).collect();
+    assert!(matches!(site.apply(&set(&many), 9_999), Err(InvalidEdit::TooManyStates { got: 4_097, .. })));
+    assert_eq!(site, before);
+}

@@ -1,0 +1,79 @@
+//! A site and its edits as messages, and back.
+//!
+//! Invariant: what comes back is what went in, to the last bit.
+
+use tidemap_map::{
+    event::StateId,
+    name::StateName,
+    site::{Location, Site, SiteEdit},
+};
+use tidemap_migrations::v2::site as v2;
+
+use super::{Invalid, event::decode_state_name};
+
+fn encode_place(at: [f64; 2]) -> v2::Place {
+    let [x_bits, y_bits] = at.map(f64::to_bits);
+    v2::Place { x_bits, y_bits }
+}
+
+fn decode_place(place: &v2::Place) -> [f64; 2] {
+    [place.x_bits, place.y_bits].map(f64::from_bits)
+}
+
+fn encode_location(name: &StateName, location: &Location) -> v2::Location {
+    v2::Location {
+        name: name.as_str().to_owned(),
+        states: location.states.iter().map(|state| state.0).collect(),
+        place: location.position_m.map(encode_place),
+    }
+}
+
+fn decode_location(message: &v2::Location) -> Result<(StateName, Location), Invalid> {
+    let states = message.states.iter().map(|&id| StateId(id)).collect();
+    let position_m = message.place.as_ref().map(decode_place);
+    Ok((decode_state_name(&message.name)?, Location { states, position_m }))
+}
+
+/// A site; `None` where nothing was ever told.
+pub(crate) fn encode(site: &Site) -> Option<v2::Site> {
+    (!site.is_empty()).then(|| v2::Site {
+        charger: site.charger_m().map(encode_place),
+        locations: site.locations().iter().map(|(name, location)| encode_location(name, location)).collect(),
+    })
+}
+
+/// The site of a map with so many states.
+pub(crate) fn decode(message: &v2::Site, states: usize) -> Result<Site, String> {
+    let mut site = Site::default();
+    let mut apply = |edit| site.apply(&edit, states).map_err(|error| error.to_string());
+    if let Some(place) = &message.charger {
+        apply(SiteEdit::Charger(Some(decode_place(place))))?;
+    }
+    for location in &message.locations {
+        let (name, location) = decode_location(location)?;
+        apply(SiteEdit::SetLocation(name, location))?;
+    }
+    Ok(site)
+}
+
+pub(super) fn encode_edit(edit: &SiteEdit) -> v2::SiteEdit {
+    let change = match edit {
+        SiteEdit::Charger(Some(at)) => v2::Change::Charger(encode_place(*at)),
+        SiteEdit::Charger(None) => v2::Change::NoCharger(true),
+        SiteEdit::SetLocation(name, location) => v2::Change::SetLocation(encode_location(name, location)),
+        SiteEdit::RemoveLocation(name) => v2::Change::RemoveLocation(name.as_str().to_owned()),
+    };
+    v2::SiteEdit { change: Some(change) }
+}
+
+pub(super) fn decode_edit(message: &v2::SiteEdit) -> Result<SiteEdit, Invalid> {
+    Ok(match message.change.as_ref().ok_or("an edit of the site changes nothing")? {
+        v2::Change::Charger(place) => SiteEdit::Charger(Some(decode_place(place))),
+        v2::Change::NoCharger(_) => SiteEdit::Charger(None),
+        v2::Change::SetLocation(location) => {
+            let (name, location) = decode_location(location)?;
+            SiteEdit::SetLocation(name, location)
+        }
+        v2::Change::RemoveLocation(name) => SiteEdit::RemoveLocation(decode_state_name(name)?),
+    })
+}
