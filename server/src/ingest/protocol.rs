@@ -16,6 +16,7 @@ use tidemap_map::{
     },
     history::{HistoryPiece, Reading, Subject},
     name::{ProducerKey, StateName},
+    site::{InvalidEdit, SiteEdit},
     snapshot::MapSnapshot,
     update::UpdateResult,
 };
@@ -295,6 +296,29 @@ pub enum AddStateError {
     Closing,
 }
 
+/// A change of what is known of the place.
+#[derive(Debug)]
+pub struct EditSite {
+    /// What changes.
+    pub edit: SiteEdit,
+    /// The answer, when it is durable and shown.
+    pub reply: oneshot::Sender<Result<(), EditSiteError>>,
+}
+
+/// Why the site is not changed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EditSiteError {
+    /// It cannot be changed so.
+    #[error(transparent)]
+    Invalid(#[from] InvalidEdit),
+    /// The log cannot be written now.
+    #[error(transparent)]
+    Storage(#[from] AppendError),
+    /// The daemon stops or the map is deleted.
+    #[error("the map is closing")]
+    Closing,
+}
+
 /// A question about what was observed.
 #[derive(Debug)]
 pub struct Recall {
@@ -375,6 +399,8 @@ pub enum Command {
     Saved(Result<SavedGrid, (String, MapSnapshot)>),
     /// Add a state.
     AddState(AddState),
+    /// Change what is known of the place.
+    EditSite(EditSite),
     /// Tell what was observed and is not in the store's history yet.
     Recall(Recall),
     /// Tell what is applied from now on. The answer: where it is heard, and how many observations were told before.

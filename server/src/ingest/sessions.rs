@@ -265,7 +265,7 @@ impl Sessions {
                 let times = event.scans.iter().map(|scan| scan.utc_nanos);
                 (event.new_producer.is_some(), times.filter(|time| *time <= plausible).max())
             }
-            Event::UpdateStart(_) | Event::AddState(_) => return,
+            Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => return,
         };
         self.producers_in_flight -= usize::from(is_first);
         if let Some(session) = self.sessions.get_mut(&id) {

@@ -49,6 +49,7 @@ mod learning;
 mod queue;
 mod recall;
 mod saving;
+mod site;
 mod states;
 #[cfg(test)]
 mod tests;
@@ -144,6 +145,7 @@ fn build(
         failing: None,
         waiting_hellos: Vec::new(),
         adds: states::Adds::default(),
+        edits: site::Edits::default(),
         acks: BTreeMap::new(),
         ended_jobs: Vec::new(),
         changed: false,
@@ -201,6 +203,7 @@ struct Writer {
     failing: Option<AppendError>,
     waiting_hellos: Vec<Hello>,
     adds: states::Adds,
+    edits: site::Edits,
     acks: BTreeMap<SessionId, PendingAck>,
     ended_jobs: Vec<EndedJob>,
     changed: bool,
@@ -264,6 +267,7 @@ impl Writer {
             Command::UpdateDone { job, result } => self.update_done(&job, result),
             Command::Saved(result) => self.saved(result),
             Command::AddState(add) => self.add_state(add),
+            Command::EditSite(edit) => self.edit_site(edit),
             Command::Recall(recall) => self.recall(recall),
             // Who asked may have gone away.
             Command::Watch(reply) => drop(reply.send(self.watchers.listen())),
@@ -301,6 +305,7 @@ impl Writer {
             self.recall(recall);
         }
         self.go_on_adding();
+        self.go_on_editing();
         if may_update {
             self.start_update(now);
         }
@@ -323,6 +328,7 @@ impl Writer {
         }
         self.watchers.tell(&self.view.load());
         self.tell_added();
+        self.tell_edited();
         for (id, ack) in std::mem::take(&mut self.acks) {
             self.sessions.tell(id, SessionEvent::Ack { durable_sequence: ack.durable_sequence, refused: ack.refused });
         }

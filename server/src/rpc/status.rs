@@ -7,6 +7,7 @@ use std::collections::HashMap;
 use tidemap_map::{
     grid::{sensors::InvalidSensor, tile::TileUnavailable},
     predict::ModelKind,
+    site::InvalidEdit,
 };
 use tidemap_proto::convert::InvalidField;
 use tidemap_store::{AppendError, HistoryError};
@@ -17,7 +18,7 @@ use crate::{
     catalog::CatalogError,
     ingest::{
         intake::IntakeError,
-        protocol::{AddStateError, Ending, HelloError, is_fatal},
+        protocol::{AddStateError, EditSiteError, Ending, HelloError, is_fatal},
     },
     rpc::query::Unavailable,
 };
@@ -128,6 +129,9 @@ pub enum RpcError {
     /// A state was not added.
     #[error(transparent)]
     AddState(#[from] AddStateError),
+    /// The site was not changed.
+    #[error(transparent)]
+    EditSite(#[from] EditSiteError),
     /// A stream was not accepted.
     #[error(transparent)]
     Hello(#[from] HelloError),
@@ -233,6 +237,15 @@ impl RpcError {
                 AddStateError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
                 AddStateError::Storage(error) => append_code(error),
                 AddStateError::Closing => (Code::Unavailable, "STOPPING"),
+            },
+            Self::EditSite(error) => match error {
+                EditSiteError::Invalid(InvalidEdit::UnknownLocation(_)) => (Code::NotFound, "UNKNOWN_LOCATION"),
+                EditSiteError::Invalid(InvalidEdit::TooManyLocations(_) | InvalidEdit::TooManyStates { .. }) => {
+                    (Code::ResourceExhausted, "LIMIT")
+                }
+                EditSiteError::Invalid(_) => (Code::InvalidArgument, "INVALID_FIELD"),
+                EditSiteError::Storage(error) => append_code(error),
+                EditSiteError::Closing => (Code::Unavailable, "STOPPING"),
             },
             Self::Hello(error) => match error {
                 HelloError::AlreadyStreaming(_) => (Code::AlreadyExists, "ALREADY_STREAMING"),

@@ -3,7 +3,7 @@
 use super::*;
 
 fn name(name: &str) -> StateName {
-    StateName::new(name).unwrap()
+    StateName::new(name).expect("valid")
 }
 
 fn location(states: &[u32]) -> Location {
@@ -15,26 +15,26 @@ fn a_location_is_set_replaced_and_removed() {
     let mut site = Site::default();
     assert!(site.is_empty());
     let set = |states: &[u32]| SiteEdit::SetLocation(name("kitchen"), location(states));
-    site.apply(&set(&[0, 2]), 3).unwrap();
-    site.apply(&set(&[1]), 3).unwrap();
+    site.apply(&set(&[0, 2]), 3).expect("valid");
+    site.apply(&set(&[1]), 3).expect("valid");
     assert_eq!(site.locations().get(&name("kitchen")), Some(&location(&[1])));
-    site.apply(&SiteEdit::RemoveLocation(name("kitchen")), 3).unwrap();
+    site.apply(&SiteEdit::RemoveLocation(name("kitchen")), 3).expect("valid");
     assert!(site.is_empty());
 }
 
 #[test]
 fn a_charger_is_set_and_forgotten() {
     let mut site = Site::default();
-    site.apply(&SiteEdit::Charger(Some([0.5, 2.0])), 0).unwrap();
+    site.apply(&SiteEdit::Charger(Some([0.5, 2.0])), 0).expect("valid");
     assert_eq!(site.charger_m(), Some([0.5, 2.0]));
-    site.apply(&SiteEdit::Charger(None), 0).unwrap();
+    site.apply(&SiteEdit::Charger(None), 0).expect("valid");
     assert!(site.is_empty());
 }
 
 #[test]
 fn what_cannot_be_is_refused_and_changes_nothing() {
     let mut site = Site::default();
-    site.apply(&SiteEdit::SetLocation(name("kitchen"), location(&[0])), 2).unwrap();
+    site.apply(&SiteEdit::SetLocation(name("kitchen"), location(&[0])), 2).expect("valid");
     let before = site.clone();
     let set = |states: &[u32]| SiteEdit::SetLocation(name("lab"), location(states));
     for (edit, expected) in [

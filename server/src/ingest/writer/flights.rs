@@ -10,8 +10,9 @@ use tidemap_store::AppendError;
 use tracing::{error, warn};
 
 use super::{
-    super::protocol::{AddStateError, Command, Ending, Permits, Refused, SessionId, is_fatal},
+    super::protocol::{AddStateError, Command, EditSiteError, Ending, Permits, Refused, SessionId, is_fatal},
     Instant, Job, UPDATE_RETRY, Writer,
+    site::Edited,
     states::Added,
 };
 
@@ -23,6 +24,8 @@ pub(super) enum Flight {
     UpdateStart { event: Event, job: Arc<Job> },
     /// A state to add.
     AddState { event: Event, reply: Added },
+    /// A change of the site.
+    EditSite { event: Event, reply: Edited },
 }
 
 impl Flight {
@@ -40,8 +43,10 @@ impl Flight {
 impl Writer {
     /// Hands an event to the log; gives whether the log has it on its way.
     pub(super) fn launch(&mut self, flight: Flight) -> bool {
-        let (Flight::Taken { event, .. } | Flight::UpdateStart { event, .. } | Flight::AddState { event, .. }) =
-            &flight;
+        let (Flight::Taken { event, .. }
+        | Flight::UpdateStart { event, .. }
+        | Flight::AddState { event, .. }
+        | Flight::EditSite { event, .. }) = &flight;
         match self.append(event) {
             Ok(()) => {
                 self.flight_bytes += flight.bytes();
@@ -93,7 +98,7 @@ impl Writer {
                         metrics::counter!("tidemap_refused_total").increment(event.refused.len() as u64);
                         event.last_sequence
                     }
-                    Event::UpdateStart(_) | Event::AddState(_) => return,
+                    Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => return,
                 };
                 let ack = self.acks.entry(session).or_default();
                 ack.durable_sequence = last;
@@ -107,6 +112,11 @@ impl Writer {
             (Ok(position), Flight::AddState { event, reply }) => {
                 if self.apply(position, &event).is_some() {
                     self.state_added(&event, reply);
+                }
+            }
+            (Ok(position), Flight::EditSite { event, reply }) => {
+                if self.apply(position, &event).is_some() {
+                    self.site_edited(reply, Ok(()));
                 }
             }
             (Err(error), flight) => self.append_failed(error, flight),
@@ -138,6 +148,7 @@ impl Writer {
             }
             // Who asked may have gone away.
             Flight::AddState { reply, .. } => drop(reply.send(Err(AddStateError::Storage(first)))),
+            Flight::EditSite { reply, .. } => self.site_edited(reply, Err(EditSiteError::Storage(first))),
         }
         for flight in std::mem::take(&mut self.grounded) {
             self.append_failed(AppendError::AfterFailure, flight);
