@@ -4,3 +4,7 @@
 //! cost is bounded before it is answered, and told where it would cost more.
 #![forbid(unsafe_code)]
 #![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod information;
+pub mod predicted;
+pub mod view;

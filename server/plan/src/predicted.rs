@@ -1,0 +1,143 @@
+//! What a grid is expected to be in a region, at one time or at many: every cell's probability of being occupied.
+//!
+//! The region of interest is the grid's extent if it has one, else the bounds of the tiles that there are, cut to what is
+//! asked for. A cell of it that was never observed is unknown: it counts as 0.5, full uncertainty, and does not block a
+//! view unless the threshold is below 0.5. What lies outside the region tells nothing and is not looked into.
+//!
+//! Invariant: probabilities are those of [`tidemap_map::grid::view::GridView::predict_tile`]. A cell that is the same at
+//! all times is held once.
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    grid::{
+        index::{CellBox, CellIndex},
+        spec::InvalidGrid,
+        tile::TileUnavailable,
+    },
+    predict::ModelSelector,
+    view::MapView,
+};
+
+mod lattice;
+mod times;
+
+#[cfg(test)]
+pub(crate) mod tests;
+
+pub use lattice::Lattice;
+pub use times::PredictedTimes;
+
+/// The most cells of a region, unless said otherwise.
+pub const CELLS_MAX: u64 = 1 << 24;
+/// The most values of cells that differ between times, times counted each, unless said otherwise.
+pub const VALUES_MAX: u64 = 1 << 26;
+
+/// Which model predicts, and what.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PredictOptions {
+    /// Which model answers.
+    pub selector: ModelSelector,
+    /// Which cells of the region of interest; `None`: all.
+    pub region: Option<CellBox>,
+    /// The most cells that are held, one cell of border around them counted. Default [`CELLS_MAX`].
+    pub max_cells: u64,
+    /// The most values that are held of cells that differ between times. Default [`VALUES_MAX`].
+    pub max_values: u64,
+}
+
+impl Default for PredictOptions {
+    fn default() -> PredictOptions {
+        PredictOptions {
+            selector: ModelSelector::default(),
+            region: None,
+            max_cells: CELLS_MAX,
+            max_values: VALUES_MAX,
+        }
+    }
+}
+
+/// Why a grid is not predicted.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PredictError {
+    /// The map has named states alone.
+    #[error("the map has no grid")]
+    NoGrid,
+    /// Nothing was ever observed in the region, and the grid has no extent.
+    #[error("the region has no cell: nothing was observed there, or it lies outside the grid's extent")]
+    EmptyRegion,
+    /// No time was asked for.
+    #[error("no time is given: at least one is needed")]
+    NoTime,
+    /// The region is too large.
+    #[error("the region takes {cells} cells with its border, and may take {max}: ask for a smaller region")]
+    TooManyCells {
+        /// How many it has.
+        cells: u128,
+        /// How many it may.
+        max: u64,
+    },
+    /// Too many cells change, at too many times.
+    #[error(
+        "the cells that change take more than {max} values at {times} times: ask for fewer times or a smaller region"
+    )]
+    TooManyValues {
+        /// Times asked for.
+        times: usize,
+        /// How many values there may be.
+        max: u64,
+    },
+    /// The grid's own properties are wrong.
+    #[error(transparent)]
+    Grid(#[from] InvalidGrid),
+    /// A part of the grid cannot be read.
+    #[error(transparent)]
+    Unavailable(#[from] TileUnavailable),
+}
+
+/// A region of a grid at one time.
+#[derive(Clone, Debug)]
+pub struct PredictedGrid {
+    lattice: Arc<Lattice>,
+    /// By place in the lattice; NaN where unknown, and on the border.
+    probabilities: Vec<f32>,
+}
+
+impl PredictedGrid {
+    /// What a map's grid is expected to be at a time in nanoseconds UTC. 4 bytes a cell.
+    ///
+    /// # Errors
+    /// [`PredictError`], before the work begins where it is too much.
+    pub fn new(view: &MapView, utc_nanos: i64, options: &PredictOptions) -> Result<PredictedGrid, PredictError> {
+        Ok(PredictedTimes::new(view, &[utc_nanos], options)?.into_first())
+    }
+
+    /// A grid that was predicted elsewhere, or is known: `probability` says of each cell of the region how probably it is
+    /// occupied, clipped to [0, 1]; `None` and NaN where that is unknown.
+    pub fn from_fn(lattice: Arc<Lattice>, mut probability: impl FnMut(CellIndex) -> Option<f32>) -> PredictedGrid {
+        let mut probabilities = vec![f32::NAN; lattice.held()];
+        for place in lattice.rows().flatten() {
+            let told = lattice.cell(place).and_then(&mut probability);
+            probabilities[place] = told.map_or(f32::NAN, |told| told.clamp(0.0, 1.0));
+        }
+        PredictedGrid { lattice, probabilities }
+    }
+
+    /// Where the cells lie.
+    #[must_use]
+    pub fn lattice(&self) -> &Arc<Lattice> {
+        &self.lattice
+    }
+
+    /// Probability that a cell is occupied; `None` where it was never observed, and outside the region.
+    #[must_use]
+    pub fn probability(&self, cell: CellIndex) -> Option<f32> {
+        let probability = self.probabilities[self.lattice.place(cell)?];
+        (!probability.is_nan()).then_some(probability)
+    }
+
+    /// Probabilities by place in the lattice; NaN where unknown, and on the border.
+    pub(crate) fn probabilities(&self) -> &[f32] {
+        &self.probabilities
+    }
+}

@@ -1,0 +1,175 @@
+//! What is seen from a place, and what looking from there is expected to teach (RA-L, section III.C).
+//!
+//! The viewpoint counts as the centre of its cell. Rays leave it in fixed directions ([`Fan`]): rows of equal elevation,
+//! and equal azimuths in each row, so that neighbouring rays are at most one cell apart at full range. A ray passes the
+//! cells that it goes through, from face to face, as long as it enters them before its range is used up; where it meets an
+//! edge exactly it crosses along x first, then y, then z. It ends in the first cell that is probably occupied
+//! (probability above the threshold), which it sees, and where it would leave the region. Unknown cells count as 0.5. In a
+//! flat grid rays lie in the plane. Information is the sum over the cells seen, each once.
+//!
+//! Invariant: the same question has the same answer, bit by bit, however many threads there are.
+
+use tidemap_map::grid::index::CellIndex;
+
+use crate::predicted::Lattice;
+
+mod fan;
+mod many;
+mod scene;
+mod timed;
+
+#[cfg(test)]
+mod tests;
+
+pub use fan::Fan;
+pub use many::{LookLimits, TooMuchWork, look_many};
+pub use scene::{InvalidThreshold, Looker, Scene, SceneOptions, Seen};
+pub use timed::{TimedLooker, TimedScene};
+
+/// The most cells that the rays of a sensor may pass all together, those that several pass counted for each.
+pub const RAY_CELLS_MAX: f64 = 3e7;
+/// The longest range in cells.
+pub const RANGE_CELLS_MAX: f64 = 4096.0;
+
+/// How a robot looks around.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensor {
+    /// How far it sees, metres, above 0.
+    pub range_m: f64,
+    /// Width of the field of view, radians, above 0; 2π and more is all around, whatever the yaw is.
+    pub horizontal_fov_rad: f64,
+    /// Height of the field of view, half of it above the horizon, radians, in (0, π]. Without effect in a flat grid.
+    pub vertical_fov_rad: f64,
+    /// z of the sensor in the map's frame where a viewpoint does not give it, metres. Without effect in a flat grid.
+    pub height_m: f64,
+}
+
+impl Default for Sensor {
+    /// A sweep of 360° x 90° with a radius of 4 m (RA-L, section III.H), 1.7 m above the map's origin.
+    fn default() -> Sensor {
+        Sensor {
+            range_m: 4.0,
+            horizontal_fov_rad: std::f64::consts::TAU,
+            vertical_fov_rad: std::f64::consts::FRAC_PI_2,
+            height_m: 1.7,
+        }
+    }
+}
+
+/// Why a sensor is none.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum InvalidSensor {
+    /// The range is not a length that makes sense.
+    #[error("range {range_m} m: it must be above 0 and at most {max_m} m on this grid")]
+    Range {
+        /// The range.
+        range_m: f64,
+        /// The longest that there may be.
+        max_m: f64,
+    },
+    /// The field of view is too narrow, or not a number.
+    #[error("horizontal field of view {0} rad: it must be above 0; 2π is all around")]
+    HorizontalFov(f64),
+    /// The field of view is too low, too high, or not a number.
+    #[error("vertical field of view {0} rad: it must be above 0 and at most π")]
+    VerticalFov(f64),
+    /// The height is not a number.
+    #[error("sensor height {0} m: it must be finite")]
+    Height(f64),
+    /// The rays would pass too many cells.
+    #[error(
+        "the rays of this sensor would pass {cells:.0} cells, and may pass {max:.0}: shorten its range or narrow its view"
+    )]
+    TooFine {
+        /// How many they would pass, about.
+        cells: f64,
+        /// How many they may.
+        max: f64,
+    },
+}
+
+impl Sensor {
+    /// Checks every field, as regards a grid with cells of this size.
+    ///
+    /// # Errors
+    /// [`InvalidSensor`] with the value that is wrong and what would be right.
+    pub fn check(&self, lattice: &Lattice) -> Result<(), InvalidSensor> {
+        let max_m = RANGE_CELLS_MAX * lattice.resolution_m();
+        if !(self.range_m > 0.0 && self.range_m <= max_m) {
+            return Err(InvalidSensor::Range { range_m: self.range_m, max_m });
+        }
+        if self.horizontal_fov_rad.is_nan() || self.horizontal_fov_rad <= 0.0 {
+            return Err(InvalidSensor::HorizontalFov(self.horizontal_fov_rad));
+        }
+        if !(self.vertical_fov_rad > 0.0 && self.vertical_fov_rad <= std::f64::consts::PI) {
+            return Err(InvalidSensor::VerticalFov(self.vertical_fov_rad));
+        }
+        if !self.height_m.is_finite() {
+            return Err(InvalidSensor::Height(self.height_m));
+        }
+        Ok(())
+    }
+
+    /// Whether it looks all around.
+    #[must_use]
+    pub fn is_all_around(&self) -> bool {
+        self.horizontal_fov_rad >= std::f64::consts::TAU
+    }
+}
+
+/// From where to look.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Viewpoint {
+    /// In the map's frame, metres.
+    pub x_m: f64,
+    /// In the map's frame, metres.
+    pub y_m: f64,
+    /// In the map's frame, metres; `None`: the sensor's height. Without effect in a flat grid.
+    pub z_m: Option<f64>,
+    /// Where the middle of the field of view points, from the map's x axis to its y axis, radians. Without effect on a
+    /// sensor that looks all around.
+    pub yaw_rad: f64,
+}
+
+/// Why nobody can look from a place.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ViewError {
+    /// A coordinate or the yaw is not a number.
+    #[error("viewpoint ({}, {}, {:?}) m with yaw {} rad: its numbers must be finite", .0.x_m, .0.y_m, .0.z_m, .0.yaw_rad)]
+    NotFinite(Viewpoint),
+    /// The place lies outside the region that is predicted.
+    #[error("viewpoint ({x_m}, {y_m}, {z_m}) m lies outside the region of interest")]
+    Outside {
+        /// In the map's frame, metres.
+        x_m: f64,
+        /// In the map's frame, metres.
+        y_m: f64,
+        /// In the map's frame, metres.
+        z_m: f64,
+    },
+    /// The place is probably occupied.
+    #[error("viewpoint ({x_m}, {y_m}) m lies in cell ({}, {}, {}), which is probably occupied", .cell.x, .cell.y, .cell.z)]
+    Occupied {
+        /// In the map's frame, metres.
+        x_m: f64,
+        /// In the map's frame, metres.
+        y_m: f64,
+        /// The cell.
+        cell: CellIndex,
+    },
+}
+
+impl Viewpoint {
+    /// The cell that holds it.
+    ///
+    /// # Errors
+    /// [`ViewError::NotFinite`] and [`ViewError::Outside`]
+    pub fn cell(&self, sensor: &Sensor, lattice: &Lattice) -> Result<CellIndex, ViewError> {
+        let z_m = self.z_m.unwrap_or(sensor.height_m);
+        if ![self.x_m, self.y_m, z_m, self.yaw_rad].iter().all(|number| number.is_finite()) {
+            return Err(ViewError::NotFinite(*self));
+        }
+        let outside = ViewError::Outside { x_m: self.x_m, y_m: self.y_m, z_m };
+        lattice.cell_at([self.x_m, self.y_m, z_m]).ok_or(outside)
+    }
+}

@@ -1,0 +1,218 @@
+//! The rays of a sensor, as one tree of the cells that they pass.
+//!
+//! A viewpoint is the centre of a cell, so that from everywhere the rays pass the same cells, seen from there. Rays that
+//! begin alike are merged. The tree is kept in the order in which a look goes through it: a cell, then what lies behind
+//! it. A look is one pass, and steps over what lies behind an occupied cell.
+//!
+//! Invariant: the cells of a ray are neighbours by a face each (Amanatides and Woo 1987), so that no ray passes the border
+//! of a lattice unseen.
+
+use std::f64::consts::{PI, TAU};
+
+use super::{InvalidSensor, RAY_CELLS_MAX, Sensor};
+use crate::predicted::Lattice;
+
+/// A cell on the way of a ray or of several.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Node {
+    /// Place in memory, less that of the viewpoint.
+    pub offset: i32,
+    /// Number of the cell: the same in each branch of the tree that has it.
+    pub local: u32,
+    /// The next node that does not lie behind this one.
+    pub skip: u32,
+}
+
+/// The rays of a sensor on a lattice.
+#[derive(Clone, Debug)]
+pub struct Fan {
+    pub(super) nodes: Vec<Node>,
+    /// Distinct cells.
+    pub(super) cells: usize,
+    /// How many cells the rays reach from the viewpoint along x, y, z.
+    reach: [usize; 3],
+    strides: [usize; 3],
+    rays: usize,
+}
+
+/// Directions of the rays of a sensor, of length 1, seen by yaw: rows from the lowest up, each from right to left. Rows of
+/// R = range / resolution cells are at most 1/R rad apart, and so are the rays of a row at its ends, a row at elevation e
+/// having ⌈fov·R·cos e⌉ steps. A field of view that is not all around has rays on its rim.
+pub(super) fn directions(sensor: &Sensor, lattice: &Lattice, yaw_rad: f64) -> Vec<[f64; 3]> {
+    let range = sensor.range_m / lattice.resolution_m();
+    let is_around = sensor.is_all_around();
+    let (width, yaw) = if is_around { (TAU, PI) } else { (sensor.horizontal_fov_rad, yaw_rad) };
+    let height = if lattice.is_flat() { 0.0 } else { sensor.vertical_fov_rad };
+    let mut rays = Vec::new();
+    let rows = (height * range).ceil() as usize;
+    for row in 0..=rows {
+        let elevation = if rows == 0 { 0.0 } else { height * (row as f64 / rows as f64 - 0.5) };
+        let (up, out) = elevation.sin_cos();
+        let steps = (width * range * out).ceil().max(1.0) as usize;
+        let count = if is_around { steps } else { steps + 1 };
+        for step in 0..count {
+            let azimuth = yaw + width * (step as f64 / steps as f64 - 0.5);
+            let (sin, cos) = azimuth.sin_cos();
+            rays.push([out * cos, out * sin, up]);
+        }
+    }
+    rays
+}
+
+impl Fan {
+    /// The rays of a sensor that looks towards a yaw in radians; of one that looks all around the same for any. About 13
+    /// MB and 60 ms for 4 m, 360° x 90°, at 0.1 m, in a hall that is high enough.
+    ///
+    /// # Errors
+    /// [`InvalidSensor`]; before the work begins.
+    pub fn new(sensor: &Sensor, lattice: &Lattice, yaw_rad: f64) -> Result<Fan, InvalidSensor> {
+        sensor.check(lattice)?;
+        let range = sensor.range_m / lattice.resolution_m();
+        let rows = if lattice.is_flat() { 1.0 } else { (sensor.vertical_fov_rad * range).ceil() + 1.0 };
+        // A ray crosses at most √3 borders for each cell's length; from any place the region's far end is reached sooner.
+        let across: f64 = lattice.size().iter().map(|&size| size as f64).sum();
+        let along = (range * 3.0_f64.sqrt() + 2.0).min(across + 2.0);
+        let cells = rows * ((sensor.horizontal_fov_rad.min(TAU) * range).ceil() + 1.0) * along;
+        if cells > RAY_CELLS_MAX {
+            return Err(InvalidSensor::TooFine { cells, max: RAY_CELLS_MAX });
+        }
+        let mut paths = Paths::default();
+        for direction in directions(sensor, lattice, yaw_rad) {
+            paths.add(direction, range, lattice.size());
+        }
+        Ok(paths.merge(lattice))
+    }
+
+    /// Nodes of the tree: what a look goes through where nothing is in its way.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Whether there is none; there is always the viewpoint's own.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// Number of rays.
+    #[must_use]
+    pub fn rays(&self) -> usize {
+        self.rays
+    }
+
+    /// Distinct cells that the rays pass where nothing is in their way.
+    #[must_use]
+    pub fn cells(&self) -> usize {
+        self.cells
+    }
+
+    /// How many cells away from the viewpoint's the rays reach, at most, along x, y, z.
+    #[must_use]
+    pub fn reach(&self) -> [usize; 3] {
+        self.reach
+    }
+
+    /// Whether it was made for a lattice of this shape.
+    pub(super) fn fits(&self, lattice: &Lattice) -> bool {
+        self.strides == lattice.strides()
+    }
+}
+
+/// The ways of rays: which side of a cell is left, one after the other.
+#[derive(Debug, Default)]
+struct Paths {
+    steps: Vec<u8>,
+    ends: Vec<usize>,
+}
+
+impl Paths {
+    /// The way of a ray of a length in cells from the centre of a cell. It ends early where no region of this size has a
+    /// cell that far away.
+    fn add(&mut self, direction: [f64; 3], range: f64, size: [usize; 3]) {
+        let mut crossed = [0_usize; 3];
+        // Divided each time rather than added up, so that nothing is rounded twice.
+        let border = |axis: usize, crossed: usize| (crossed as f64 + 0.5) / direction[axis].abs();
+        let mut next = [border(0, 0), border(1, 0), border(2, 0)];
+        loop {
+            let mut axis = usize::from(next[1] < next[0]);
+            if next[2] < next[axis] {
+                axis = 2;
+            }
+            // From no cell of the region is there another one that far away.
+            if next[axis] >= range || crossed[axis] + 1 >= size[axis] {
+                break;
+            }
+            crossed[axis] += 1;
+            next[axis] = border(axis, crossed[axis]);
+            self.steps.push(2 * axis as u8 + u8::from(direction[axis] < 0.0));
+        }
+        self.ends.push(self.steps.len());
+    }
+
+    /// The tree of all ways.
+    fn merge(self, lattice: &Lattice) -> Fan {
+        let strides = lattice.strides();
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        let mut paths: Vec<&[u8]> = starts.zip(&self.ends).map(|(start, &end)| &self.steps[start..end]).collect();
+        paths.sort_unstable();
+        let mut numbers = Numbers::new(&paths);
+        let mut nodes = vec![Node { offset: 0, local: numbers.of([0; 3]), skip: 0 }];
+        // The way to the last node: its number and where it lies.
+        let mut way: Vec<(usize, [i32; 3])> = vec![(0, [0; 3])];
+        let mut before: &[u8] = &[];
+        for path in paths {
+            let common = path.iter().zip(before).take_while(|(one, other)| one == other).count();
+            for (node, _) in way.drain(common + 1..) {
+                nodes[node].skip = nodes.len() as u32;
+            }
+            for &step in &path[common..] {
+                let mut at = way.last().map_or([0; 3], |(_, at)| *at);
+                at[usize::from(step / 2)] += 1 - 2 * i32::from(step % 2);
+                let offset = (0..3).map(|axis| at[axis] * strides[axis] as i32).sum();
+                way.push((nodes.len(), at));
+                nodes.push(Node { offset, local: numbers.of(at), skip: 0 });
+            }
+            before = path;
+        }
+        for (node, _) in way {
+            nodes[node].skip = nodes.len() as u32;
+        }
+        let Numbers { next, reach, .. } = numbers;
+        let reach = reach.map(|reach| reach as usize);
+        Fan { nodes, cells: next as usize, reach, strides, rays: self.ends.len() }
+    }
+}
+
+/// Numbers of cells, in the order in which they are met.
+struct Numbers {
+    next: u32,
+    reach: [i32; 3],
+    known: Vec<u32>,
+}
+
+impl Numbers {
+    fn new(paths: &[&[u8]]) -> Numbers {
+        let mut reach = [0; 3];
+        for path in paths {
+            let mut at = [0_i32; 3];
+            path.iter().for_each(|step| at[usize::from(step / 2)] += 1);
+            reach = std::array::from_fn(|axis| at[axis].max(reach[axis]));
+        }
+        let cells = reach.iter().map(|&reach| 2 * reach as usize + 1).product();
+        Numbers { next: 0, reach, known: vec![u32::MAX; cells] }
+    }
+
+    fn of(&mut self, at: [i32; 3]) -> u32 {
+        let place = (0..3).rev().fold(0, |place, axis| {
+            let reach = self.reach[axis];
+            place * (2 * reach as usize + 1) + (at[axis] + reach) as usize
+        });
+        let known = &mut self.known[place];
+        if *known == u32::MAX {
+            *known = self.next;
+            self.next += 1;
+        }
+        *known
+    }
+}

@@ -1,0 +1,239 @@
+//! A region of a grid at many times, looked into at all of them in one pass.
+//!
+//! Along a branch of the tree of rays goes the set of times at which it is open, as bits; only a cell that is occupied at
+//! some of the times changes it. Cells seen at all times are summed once where they never change, and time by time where
+//! they do; only what lies behind cells that come and go is summed for the times at which it shows.
+//!
+//! Invariant: what is told of a time is, but for rounding, what a look into the scene of that time alone tells.
+
+use std::sync::Arc;
+
+use tidemap_map::grid::index::CellIndex;
+
+use super::{
+    Fan, InvalidThreshold, SceneOptions, Sensor, ViewError, Viewpoint,
+    scene::{OPAQUE, OUTSIDE},
+};
+use crate::predicted::{Lattice, PredictedTimes};
+
+/// A cell that is not the same at all times.
+const VARIES: u8 = 4;
+/// Of these, one that is occupied at some times but not at all.
+const FLIPS: u8 = 8;
+/// Times of one pass.
+const CHUNK: usize = u128::BITS as usize;
+
+/// A region of a grid at many times, ready to be looked into.
+#[derive(Clone, Debug)]
+pub struct TimedScene {
+    lattice: Arc<Lattice>,
+    times: usize,
+    flags: Vec<u8>,
+    /// Of cells that do not vary.
+    bits: Vec<f64>,
+    /// Numbers of the cells that vary, by place; empty where there are none.
+    numbers: Vec<u32>,
+    /// Information of cells that vary, all times of the first, then of the next.
+    rows: Vec<f64>,
+    /// Times at which they are occupied, in the same order, a set for each chunk of times.
+    occupied: Vec<u128>,
+}
+
+impl TimedScene {
+    /// Predictions to be looked into. 9 bytes a cell; where some vary 13, and 8 bytes a time for each of them.
+    ///
+    /// # Errors
+    /// [`InvalidThreshold`]
+    pub fn new(grid: &PredictedTimes, options: &SceneOptions) -> Result<TimedScene, InvalidThreshold> {
+        options.check()?;
+        let lattice = Arc::clone(grid.lattice());
+        let (mut flags, bits) = options.judge(&lattice, grid.first());
+        let mut numbers = if grid.varying() > 0 { vec![0; lattice.held()] } else { Vec::new() };
+        let mut rows = Vec::with_capacity(grid.varying() * grid.times());
+        let mut occupied = Vec::with_capacity(grid.varying() * grid.times().div_ceil(CHUNK));
+        for (number, (place, probabilities)) in (0..).zip(grid.rows()) {
+            numbers[place] = number;
+            rows.extend(probabilities.iter().map(|&p| options.certainty.bits(f64::from(p))));
+            let mut stops = 0;
+            for chunk in probabilities.chunks(CHUNK) {
+                let times = chunk.iter().rev().fold(0, |times, &p| times << 1 | u128::from(options.stops(p)));
+                stops += times.count_ones() as usize;
+                occupied.push(times);
+            }
+            flags[place] = match stops {
+                0 => VARIES,
+                all if all == grid.times() => VARIES | OPAQUE,
+                _ => VARIES | FLIPS,
+            };
+        }
+        Ok(TimedScene { lattice, times: grid.times(), flags, bits, numbers, rows, occupied })
+    }
+
+    /// Where the cells lie.
+    #[must_use]
+    pub fn lattice(&self) -> &Arc<Lattice> {
+        &self.lattice
+    }
+
+    /// Number of times, at least 1.
+    #[must_use]
+    pub fn times(&self) -> usize {
+        self.times
+    }
+
+    /// Where a viewpoint lies.
+    ///
+    /// # Errors
+    /// [`ViewError`]; [`ViewError::Occupied`] where it is that at all times.
+    pub fn stand(&self, sensor: &Sensor, at: &Viewpoint) -> Result<CellIndex, ViewError> {
+        let cell = at.cell(sensor, &self.lattice)?;
+        if self.lattice.place(cell).is_none_or(|place| self.flags[place] & OPAQUE != 0) {
+            return Err(ViewError::Occupied { x_m: at.x_m, y_m: at.y_m, cell });
+        }
+        Ok(cell)
+    }
+
+    /// Times of a chunk at which a cell that varies is occupied.
+    fn occupied(&self, place: usize, chunk: usize) -> u128 {
+        self.occupied[self.numbers[place] as usize * self.times.div_ceil(CHUNK) + chunk]
+    }
+}
+
+/// A cell that is seen at some of the times.
+#[derive(Clone, Copy, Debug)]
+struct Partly {
+    place: usize,
+    times: u128,
+}
+
+/// Looks into scenes of many times from one viewpoint after the other; has the memory that one look needs.
+#[derive(Clone, Debug)]
+pub struct TimedLooker {
+    /// Of each cell the number of the look that saw it last, twice, and one more where it saw it at all times.
+    marks: Vec<u8>,
+    mark: u8,
+    /// Place in `partly` of a cell seen at some times.
+    slots: Vec<u32>,
+    partly: Vec<Partly>,
+    /// Ends of branches that are open at some times, and the times of what comes after.
+    branches: Vec<(usize, u128)>,
+}
+
+impl TimedLooker {
+    /// For the rays of a fan.
+    #[must_use]
+    pub fn new(fan: &Fan) -> TimedLooker {
+        let (marks, slots) = (vec![0; fan.cells], vec![0; fan.cells]);
+        TimedLooker { marks, mark: 0, slots, partly: Vec::new(), branches: Vec::new() }
+    }
+
+    /// Information in bits that looking from the centre of a cell of the region is expected to give at each of the times;
+    /// `None` at times at which that cell is probably occupied, at all of them outside the region, and for rays that were
+    /// made for a region of another size.
+    #[must_use]
+    pub fn look(&mut self, scene: &TimedScene, fan: &Fan, from: CellIndex) -> Vec<Option<f64>> {
+        let mut told = Vec::with_capacity(scene.times);
+        let Some(start) = scene.lattice.place(from).filter(|_| fan.fits(&scene.lattice)) else {
+            told.resize(scene.times, None);
+            return told;
+        };
+        for chunk in 0..scene.times.div_ceil(CHUNK) {
+            let count = CHUNK.min(scene.times - chunk * CHUNK);
+            let all = u128::MAX >> (CHUNK - count);
+            let flags = scene.flags[start];
+            let free = match flags & (FLIPS | OPAQUE) {
+                0 => all,
+                FLIPS => all & !scene.occupied(start, chunk),
+                _ => 0,
+            };
+            let mut bits = [0.0; CHUNK];
+            if free != 0 {
+                self.pass(scene, fan, start, (chunk, free), &mut bits[..count]);
+            }
+            told.extend((0..count).map(|time| (free >> time & 1 == 1).then_some(bits[time])));
+        }
+        told
+    }
+
+    /// One pass, from a place that is free at these times of a chunk.
+    fn pass(&mut self, scene: &TimedScene, fan: &Fan, start: usize, (chunk, free): (usize, u128), bits: &mut [f64]) {
+        self.begin(fan);
+        let (some, whole) = (2 * self.mark, 2 * self.mark + 1);
+        let row = |place: usize| {
+            let from = scene.numbers[place] as usize * scene.times + chunk * CHUNK;
+            &scene.rows[from..from + bits.len()]
+        };
+        let mut fixed = 0.0;
+        let mut varying = vec![0.0; bits.len()];
+        let (mut at, mut end, mut times) = (0, usize::MAX, free);
+        while let Some(node) = fan.nodes.get(at) {
+            while at == end {
+                (end, times) = self.branches.pop().unwrap_or((usize::MAX, free));
+            }
+            let place = start.wrapping_add_signed(node.offset as isize);
+            let flags = scene.flags[place];
+            let local = node.local as usize;
+            let mark = self.marks[local];
+            if mark != whole && flags & OUTSIDE == 0 {
+                if times == free {
+                    if mark == some {
+                        self.partly[self.slots[local] as usize].times = 0;
+                    }
+                    self.marks[local] = whole;
+                    if flags & VARIES == 0 {
+                        fixed += scene.bits[place];
+                    } else {
+                        varying.iter_mut().zip(row(place)).for_each(|(sum, bits)| *sum += bits);
+                    }
+                } else if mark == some {
+                    self.partly[self.slots[local] as usize].times |= times;
+                } else {
+                    self.marks[local] = some;
+                    self.slots[local] = self.partly.len() as u32;
+                    self.partly.push(Partly { place, times });
+                }
+            }
+            let skip = node.skip as usize;
+            let open = match flags & (FLIPS | OPAQUE) {
+                0 => times,
+                FLIPS => times & !scene.occupied(place, chunk),
+                _ => 0,
+            };
+            if open == 0 {
+                at = skip;
+            } else {
+                at += 1;
+                if open != times {
+                    self.branches.push((end, times));
+                    (end, times) = (skip, open);
+                }
+            }
+        }
+        self.branches.clear();
+        for &Partly { place, times } in &self.partly {
+            let (row, is_fixed) =
+                if scene.flags[place] & VARIES == 0 { (None, scene.bits[place]) } else { (Some(row(place)), 0.0) };
+            let mut rest = times;
+            while rest != 0 {
+                let time = rest.trailing_zeros() as usize;
+                rest &= rest - 1;
+                varying[time] += row.map_or(is_fixed, |row| row[time]);
+            }
+        }
+        bits.iter_mut().zip(varying).for_each(|(bits, varying)| *bits = fixed + varying);
+    }
+
+    fn begin(&mut self, fan: &Fan) {
+        if self.marks.len() < fan.cells {
+            self.marks.resize(fan.cells, 0);
+            self.slots.resize(fan.cells, 0);
+        }
+        self.mark += 1;
+        if self.mark == 128 {
+            self.marks.fill(0);
+            self.mark = 1;
+        }
+        self.partly.clear();
+        self.branches.clear();
+    }
+}
