@@ -12,6 +12,7 @@ pub mod interval;
 pub mod live_map;
 pub mod name;
 pub mod predict;
+pub mod reachability;
 pub mod refit;
 pub mod site;
 pub mod snapshot;

@@ -7,4 +7,5 @@
 
 pub mod information;
 pub mod predicted;
+pub mod travel;
 pub mod view;

@@ -1,0 +1,220 @@
+//! How often robots have reached places: a plane of cells of 50 cm, each with its last five attempts (RA-L, section
+//! III.D).
+//!
+//! A place that nobody has tried has the prior, so that it is tried: RA-L drops places with a rate of 0 and says nothing of
+//! unknown ones. Rates are not smoothed: five failures in a row are a rate of 0, and only a success reported later, from
+//! a robot that goes there for another reason, undoes it.
+//!
+//! Invariant: what is held is a function of the reports and their order of arrival, and bounded by a number of cells.
+
+use std::collections::BTreeMap;
+
+#[cfg(test)]
+mod tests;
+
+/// Length of a cell's edge, metres.
+pub const REACHABILITY_CELL_M: f64 = 0.5;
+/// Attempts that count, of each cell the newest.
+pub const REACHABILITY_ATTEMPTS: u32 = 5;
+/// Coordinates lie within ± this, metres.
+pub const REACHABILITY_LIMIT_M: f64 = 1e7;
+
+/// Where a cell of 50 cm is: x and y in cells from the origin of the map's frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ReachabilityCell {
+    /// Along x.
+    pub x: i32,
+    /// Along y.
+    pub y: i32,
+}
+
+impl ReachabilityCell {
+    /// The cell that holds a point of the map's frame, metres.
+    ///
+    /// # Errors
+    /// [`ReachabilityError::Place`] for a point that is not finite or too far away.
+    pub fn at(x_m: f64, y_m: f64) -> Result<ReachabilityCell, ReachabilityError> {
+        let limit = -REACHABILITY_LIMIT_M..=REACHABILITY_LIMIT_M;
+        if !(limit.contains(&x_m) && limit.contains(&y_m)) {
+            return Err(ReachabilityError::Place { x_m, y_m });
+        }
+        let along = |along_m: f64| (along_m / REACHABILITY_CELL_M).floor() as i32;
+        Ok(ReachabilityCell { x: along(x_m), y: along(y_m) })
+    }
+
+    fn is_valid(self) -> bool {
+        let limit = (REACHABILITY_LIMIT_M / REACHABILITY_CELL_M) as i32;
+        [self.x, self.y].iter().all(|along| (-limit..=limit).contains(along))
+    }
+}
+
+/// The last attempts to reach a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Attempts {
+    /// How many, 1 to 5.
+    pub count: u8,
+    /// Whether they succeeded, the newest in the lowest bit; no bit beyond `count`.
+    pub reached: u8,
+    /// Time of the newest by its own time, nanoseconds UTC.
+    pub last_nanos: i64,
+}
+
+impl Attempts {
+    /// Share of them that succeeded.
+    #[must_use]
+    pub fn rate(&self) -> f64 {
+        f64::from(self.reached.count_ones()) / f64::from(self.count.max(1))
+    }
+
+    fn is_valid(&self) -> bool {
+        (1..=REACHABILITY_ATTEMPTS).contains(&u32::from(self.count)) && u32::from(self.reached) < 1 << self.count
+    }
+}
+
+/// How probably a place is reached.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReachabilityRate {
+    /// Share of the attempts that count which succeeded; the prior where there is none.
+    pub rate: f64,
+    /// How many there are, 0 to 5.
+    pub attempts: u8,
+}
+
+/// Why a report, or what was stored, is refused.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ReachabilityError {
+    /// The place is none.
+    #[error("place ({x_m}, {y_m}) m: both must be finite and within ±{REACHABILITY_LIMIT_M} m")]
+    Place {
+        /// In the map's frame, metres.
+        x_m: f64,
+        /// In the map's frame, metres.
+        y_m: f64,
+    },
+    /// The prior is no probability.
+    #[error("prior reachability {0}: it must be above 0 and at most 1, or no unknown place would ever be tried")]
+    Prior(f64),
+    /// There is no room for another cell.
+    #[error("attempts are kept for {max} cells, and for no more")]
+    TooManyCells {
+        /// How many there may be.
+        max: usize,
+    },
+    /// What was stored of a cell cannot be.
+    #[error("stored attempts of cell ({}, {}) are damaged: {} attempts with bits {:#b}", .cell.x, .cell.y, .attempts.count, .attempts.reached)]
+    Damaged {
+        /// The cell.
+        cell: ReachabilityCell,
+        /// What was stored.
+        attempts: Attempts,
+    },
+    /// A cell was stored twice.
+    #[error("cell ({}, {}) is stored twice", .0.x, .0.y)]
+    Twice(ReachabilityCell),
+}
+
+/// How often robots have reached places.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reachability {
+    prior: f64,
+    max_cells: usize,
+    cells: BTreeMap<ReachabilityCell, Attempts>,
+}
+
+impl Default for Reachability {
+    /// Nothing known, with a prior of 0.5 and room for a million cells.
+    fn default() -> Reachability {
+        Reachability { prior: 0.5, max_cells: 1_000_000, cells: BTreeMap::new() }
+    }
+}
+
+impl Reachability {
+    /// Nothing known. `prior` is the rate of places that nobody has tried, in (0, 1]; `max_cells` how many cells are kept.
+    ///
+    /// # Errors
+    /// [`ReachabilityError::Prior`]
+    pub fn new(prior: f64, max_cells: usize) -> Result<Reachability, ReachabilityError> {
+        if !(prior > 0.0 && prior <= 1.0) {
+            return Err(ReachabilityError::Prior(prior));
+        }
+        Ok(Reachability { prior, max_cells, cells: BTreeMap::new() })
+    }
+
+    /// What [`Reachability::parts`] gave, in any order.
+    ///
+    /// # Errors
+    /// [`ReachabilityError`] where it cannot have come from there.
+    pub fn from_parts(
+        prior: f64,
+        max_cells: usize,
+        parts: impl IntoIterator<Item = (ReachabilityCell, Attempts)>,
+    ) -> Result<Reachability, ReachabilityError> {
+        let mut whole = Reachability::new(prior, max_cells)?;
+        for (cell, attempts) in parts {
+            if !attempts.is_valid() || !cell.is_valid() {
+                return Err(ReachabilityError::Damaged { cell, attempts });
+            }
+            if whole.cells.len() >= max_cells {
+                return Err(ReachabilityError::TooManyCells { max: max_cells });
+            }
+            if whole.cells.insert(cell, attempts).is_some() {
+                return Err(ReachabilityError::Twice(cell));
+            }
+        }
+        Ok(whole)
+    }
+
+    /// Takes in whether a robot reached a place that it was sent to, at a time in nanoseconds UTC. Attempts count in the
+    /// order in which they are reported, whatever their times are.
+    ///
+    /// # Errors
+    /// [`ReachabilityError::Place`]; [`ReachabilityError::TooManyCells`] for a new cell where there is no room.
+    pub fn report(&mut self, x_m: f64, y_m: f64, reached: bool, utc_nanos: i64) -> Result<(), ReachabilityError> {
+        let cell = ReachabilityCell::at(x_m, y_m)?;
+        if let Some(known) = self.cells.get_mut(&cell) {
+            let bits = (1_u8 << REACHABILITY_ATTEMPTS) - 1;
+            known.reached = (known.reached << 1 | u8::from(reached)) & bits;
+            known.count = (known.count + 1).min(REACHABILITY_ATTEMPTS as u8);
+            known.last_nanos = known.last_nanos.max(utc_nanos);
+            return Ok(());
+        }
+        if self.cells.len() >= self.max_cells {
+            return Err(ReachabilityError::TooManyCells { max: self.max_cells });
+        }
+        self.cells.insert(cell, Attempts { count: 1, reached: u8::from(reached), last_nanos: utc_nanos });
+        Ok(())
+    }
+
+    /// How probably a place is reached, metres in the map's frame; one that is not finite or too far away never is.
+    #[must_use]
+    pub fn rate(&self, x_m: f64, y_m: f64) -> ReachabilityRate {
+        let Ok(cell) = ReachabilityCell::at(x_m, y_m) else { return ReachabilityRate { rate: 0.0, attempts: 0 } };
+        match self.cells.get(&cell) {
+            Some(known) => ReachabilityRate { rate: known.rate(), attempts: known.count },
+            None => ReachabilityRate { rate: self.prior, attempts: 0 },
+        }
+    }
+
+    /// The rate of places that nobody has tried.
+    #[must_use]
+    pub fn prior(&self) -> f64 {
+        self.prior
+    }
+
+    /// Number of cells that were tried.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.cells.len()
+    }
+
+    /// Whether nothing was ever tried.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.cells.is_empty()
+    }
+
+    /// The cells that were tried, ascending, for storage.
+    pub fn parts(&self) -> impl Iterator<Item = (ReachabilityCell, Attempts)> {
+        self.cells.iter().map(|(&cell, &attempts)| (cell, attempts))
+    }
+}
