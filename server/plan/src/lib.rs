@@ -5,7 +5,10 @@
 #![forbid(unsafe_code)]
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod day;
 pub mod information;
+pub mod location;
 pub mod predicted;
+pub mod strategy;
 pub mod travel;
 pub mod view;

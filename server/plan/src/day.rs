@@ -1,0 +1,153 @@
+//! A day's plan: the local day in slots, and what is done in each.
+//!
+//! Invariant: slots follow one another without gaps from the first instant of the local date to the first of the next,
+//! whatever the clocks do in between; a plan has a row for each.
+
+use tidemap_model::{LocalDay, Zone};
+
+use crate::strategy::{self, Budget, Gains, Strategy, StrategyError};
+
+#[cfg(test)]
+mod tests;
+
+/// Slots of a plan by default: 15 minutes, of which an ordinary day has 96 (RA-L 2016, section IV.A).
+pub const SLOT_NANOS: i64 = 15 * MINUTE_NANOS;
+
+const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
+
+/// Why a day cannot be planned.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum DayError {
+    /// Slots that suit no day.
+    #[error("a slot of {} s does not suit a day of {} h: use one from 60 s to the day", secs(*slot_nanos), secs(*day_nanos) / 3600.0)]
+    Slot {
+        /// Length of a slot asked for.
+        slot_nanos: i64,
+        /// Length of the day.
+        day_nanos: i64,
+    },
+    /// A date that the zone's clocks skipped, or outside what can be told.
+    #[error("{day} has no hours in this time zone")]
+    NoSuchDay {
+        /// The date.
+        day: LocalDay,
+    },
+    /// No schedule can be made.
+    #[error(transparent)]
+    Strategy(#[from] StrategyError),
+}
+
+fn secs(nanos: i64) -> f64 {
+    nanos as f64 / 1e9
+}
+
+/// A local day in slots.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DaySlots {
+    from_nanos: i64,
+    until_nanos: i64,
+    slot_nanos: i64,
+}
+
+impl DaySlots {
+    /// The local date in slots of that length, in nanoseconds of time that passes: a day of 23 hours has 92 slots of a
+    /// quarter of an hour, one of 25 hours 100. Where the length does not divide the day, the last slot is shorter.
+    ///
+    /// # Errors
+    /// [`DayError`] where slots are shorter than a minute or longer than the day, or the zone skipped the date.
+    pub fn of(zone: &Zone, day: LocalDay, slot_nanos: i64) -> Result<DaySlots, DayError> {
+        let from_nanos = zone.midnight_nanos(day);
+        let until_nanos = zone.midnight_nanos(LocalDay(day.0.saturating_add(1)));
+        let day_nanos = until_nanos.saturating_sub(from_nanos);
+        if day_nanos <= 0 {
+            return Err(DayError::NoSuchDay { day });
+        }
+        if !(MINUTE_NANOS..=day_nanos).contains(&slot_nanos) {
+            return Err(DayError::Slot { slot_nanos, day_nanos });
+        }
+        Ok(DaySlots { from_nanos, until_nanos, slot_nanos })
+    }
+
+    /// How many there are, at least 1.
+    pub fn count(&self) -> usize {
+        let day_nanos = (self.until_nanos - self.from_nanos) as u64;
+        // Slots have a minute at least, so that there are at most 1,500 or so.
+        day_nanos.div_ceil(self.slot_nanos.unsigned_abs()) as usize
+    }
+
+    /// First instant of a slot, UTC in nanoseconds since 1970; beyond the last slot the end of the day.
+    pub fn start_nanos(&self, slot: usize) -> i64 {
+        let offset_nanos = i64::try_from(slot).ok().and_then(|slot| slot.checked_mul(self.slot_nanos));
+        offset_nanos
+            .and_then(|offset| self.from_nanos.checked_add(offset))
+            .map_or(self.until_nanos, |start| start.min(self.until_nanos))
+    }
+
+    /// The middle of a slot, UTC in nanoseconds since 1970: what is predicted for a slot is predicted for it.
+    pub fn middle_nanos(&self, slot: usize) -> i64 {
+        let start_nanos = self.start_nanos(slot);
+        start_nanos + (self.start_nanos(slot.saturating_add(1)) - start_nanos) / 2
+    }
+
+    /// The slot in which a moment lies; `None` outside the day.
+    pub fn slot_at(&self, utc_nanos: i64) -> Option<usize> {
+        let is_inside = (self.from_nanos..self.until_nanos).contains(&utc_nanos);
+        // Not negative, and at most the count.
+        is_inside.then(|| ((utc_nanos - self.from_nanos) / self.slot_nanos) as usize)
+    }
+}
+
+/// What is done in one slot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DayRow {
+    /// Number of the slot, from 0.
+    pub slot: usize,
+    /// Its first instant: UTC, nanoseconds since 1970.
+    pub start_nanos: i64,
+    /// Index of the place to visit; `None`: rest, or other tasks.
+    pub location: Option<usize>,
+    /// What the visit is expected to tell, in bits; 0 at rest.
+    pub information_bits: f64,
+}
+
+/// Plans a day: `gain` tells, of a moment (the middle of a slot, UTC nanoseconds since 1970) and a place, what a visit is
+/// expected to tell, in bits.
+///
+/// Slots are chosen as RA-L 2016, section III.F does where the strategy is [`Strategy::MonteCarlo`] and the budget a number
+/// of visits: in proportion to what they promise, and exactly so many.
+///
+/// # Errors
+/// [`DayError`] where the budget does not suit the day, there are no places or too many, or a gain is no number from 0.
+pub fn plan_day(
+    slots: &DaySlots,
+    places: usize,
+    mut gain: impl FnMut(i64, usize) -> f64,
+    strategy: Strategy,
+    budget: Budget,
+    seed: u64,
+) -> Result<Vec<DayRow>, DayError> {
+    // Before any gain is asked for: these may be costly.
+    budget.visits(slots.count())?;
+    let gains = Gains::of(slots.count(), places, |slot, place| gain(slots.middle_nanos(slot), place))?;
+    let plan = strategy::schedule(strategy, &gains, budget, seed)?;
+    let row = |(slot, location): (usize, Option<usize>)| DayRow {
+        slot,
+        start_nanos: slots.start_nanos(slot),
+        location,
+        information_bits: location.map_or(0.0, |place| gains.at(slot, place)),
+    };
+    Ok(plan.into_iter().enumerate().map(row).collect())
+}
+
+/// One slot of a plan made again for the knowledge of now, given what each place promises in it: a slot that rests goes on
+/// resting, so that the budget is kept; a visit goes where [`strategy::choose`] says (RA-L 2016, section III.A: "at
+/// the beginning of each time slot allocated for exploration").
+///
+/// # Errors
+/// [`DayError`] where a gain is no number from 0, or there are no places.
+pub fn replan(row: &DayRow, gains_now: &[f64], strategy: Strategy, seed: u64) -> Result<DayRow, DayError> {
+    let gains = Gains::of(1, gains_now.len(), |_, place| gains_now[place])?;
+    let location = row.location.map(|planned| strategy::choose(strategy, planned, gains_now, seed));
+    let information_bits = location.map_or(0.0, |place| gains.at(0, place));
+    Ok(DayRow { location, information_bits, ..*row })
+}

@@ -1,0 +1,77 @@
+//! How an online strategy spends a day's visits: each slot is granted or refused when it comes, and never more are granted
+//! than allowed.
+//!
+//! Invariant: of a day whose slots were all asked for exactly as many are granted as allowed, or as there are slots.
+
+use std::collections::VecDeque;
+
+use super::StrategyError;
+
+/// Days of experience that the worth of a visit is judged by.
+const DAYS_KEPT: usize = 7;
+
+/// The visits of a day, of which every slot is asked for in its turn.
+///
+/// A slot is granted where the later slots of the day are expected to have fewer better ones than there are visits left.
+/// What is expected is what was found at those slots on the last seven days, each slot's best gain; equal gains count half.
+/// Before the first day is over, visits are spread evenly.
+#[derive(Clone, Debug)]
+pub struct Allowance {
+    slots: usize,
+    visits: usize,
+    spent: usize,
+    today: Vec<f64>,
+    days: VecDeque<Vec<f64>>,
+}
+
+impl Allowance {
+    /// So many visits of so many slots a day.
+    ///
+    /// # Errors
+    /// [`StrategyError`] where there are no slots or more visits than slots.
+    pub fn new(slots: usize, visits: usize) -> Result<Allowance, StrategyError> {
+        if slots == 0 {
+            return Err(StrategyError::NoSlots);
+        }
+        if visits > slots {
+            return Err(StrategyError::Budget { visits, slots });
+        }
+        Ok(Allowance { slots, visits, spent: 0, today: Vec::new(), days: VecDeque::new() })
+    }
+
+    /// Whether the next slot, whose best visit has this gain, is to be used for it. After the last slot of a day comes the
+    /// first of the next. A gain that is NaN counts as 0.
+    pub fn grant(&mut self, gain: f64) -> bool {
+        let gain = gain.max(0.0);
+        let slot = self.today.len();
+        let (later, left) = (self.slots - slot - 1, self.visits - self.spent);
+        let granted = if left == 0 || left > later {
+            left > 0
+        } else if self.days.is_empty() {
+            (slot + 1) * self.visits / self.slots > self.spent
+        } else {
+            self.better_later(slot, gain) < left as f64
+        };
+        self.spent += usize::from(granted);
+        self.today.push(gain);
+        if later == 0 {
+            self.days.push_back(std::mem::take(&mut self.today));
+            if self.days.len() > DAYS_KEPT {
+                self.days.pop_front();
+            }
+            self.spent = 0;
+        }
+        granted
+    }
+
+    /// How many later slots of a day had more to gain, on average over the days kept.
+    fn better_later(&self, slot: usize, gain: f64) -> f64 {
+        let of_slot = |&other: &f64| match other.total_cmp(&gain) {
+            std::cmp::Ordering::Greater => 1.0,
+            std::cmp::Ordering::Equal => 0.5,
+            std::cmp::Ordering::Less => 0.0,
+        };
+        let later = |day: &Vec<f64>| day.iter().skip(slot + 1).map(of_slot).sum::<f64>();
+        self.days.iter().map(later).sum::<f64>() / self.days.len().max(1) as f64
+    }
+}

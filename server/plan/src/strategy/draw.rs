@@ -1,0 +1,54 @@
+//! Seeded draws.
+//!
+//! Invariant: the same generator and arguments draw the same; of weights that are all 0 each index is as likely.
+
+use rand::{Rng as _, rngs::SmallRng};
+
+/// An index, with a probability in proportion to its weight.
+pub(super) fn index(random: &mut SmallRng, weights: impl Iterator<Item = f64> + Clone) -> usize {
+    let total: f64 = weights.clone().sum();
+    let count = weights.clone().count();
+    if total <= 0.0 || !total.is_finite() {
+        return random.random_range(0..count.max(1));
+    }
+    let mut left = random.random::<f64>() * total;
+    let mut last = 0;
+    for (at, weight) in weights.enumerate() {
+        if weight > 0.0 {
+            last = at;
+            if left < weight {
+                return at;
+            }
+            left -= weight;
+        }
+    }
+    // What rounding left over.
+    last
+}
+
+/// `count` different indices, drawn one after the other, each with a probability in proportion to its weight among those
+/// that are left; ascending.
+pub(super) fn distinct(random: &mut SmallRng, weights: &[f64], count: usize) -> Vec<usize> {
+    // The largest of u^(1/w) have that distribution (P. Efraimidis and P. Spirakis, "Weighted random sampling with a
+    // reservoir", 2006); so have the smallest of -ln(u)/w, which do not underflow.
+    let mut keyed: Vec<(f64, f64, usize)> = weights
+        .iter()
+        .enumerate()
+        .map(|(at, &weight)| {
+            let exponential = -(1.0 - random.random::<f64>()).ln();
+            (exponential / weight.max(f64::MIN_POSITIVE), exponential, at)
+        })
+        .collect();
+    keyed.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let mut drawn: Vec<usize> = keyed.into_iter().take(count).map(|(_, _, at)| at).collect();
+    drawn.sort_unstable();
+    drawn
+}
+
+/// The index of the largest value, with its value; among equal ones each is as likely. `None` of none.
+pub(super) fn largest(random: &mut SmallRng, values: &[f64]) -> Option<(usize, f64)> {
+    let most = values.iter().copied().max_by(f64::total_cmp)?;
+    let tied = || values.iter().enumerate().filter(|(_, value)| **value >= most);
+    let chosen = random.random_range(0..tied().count().max(1));
+    tied().nth(chosen).map(|(at, _)| (at, most))
+}

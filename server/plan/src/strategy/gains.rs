@@ -1,0 +1,109 @@
+//! What each place promises in each slot.
+//!
+//! Invariant: every gain is finite and from 0 to [`GAIN_MAX`]; there is at least one slot and one place, and at most
+//! [`GAINS_MAX`] of both together.
+
+use super::StrategyError;
+
+/// The most slots times places of one plan.
+pub const GAINS_MAX: usize = 4_000_000;
+/// The largest gain of one visit, in bits.
+pub const GAIN_MAX: f64 = 1e12;
+
+/// The gain of visiting a place in a slot, for all slots and places: the entropy of what is seen there, in bits, or another
+/// measure that is 0 where a visit is worth nothing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gains {
+    slots: usize,
+    places: usize,
+    /// By slot, then by place.
+    values: Vec<f64>,
+}
+
+impl Gains {
+    /// Asks for each gain, slot by slot, place by place.
+    ///
+    /// # Errors
+    /// [`StrategyError`] where there are no slots or no places, or too many of both together (nothing is asked then), or a
+    /// gain is negative, NaN or above [`GAIN_MAX`].
+    pub fn of(slots: usize, places: usize, mut gain: impl FnMut(usize, usize) -> f64) -> Result<Gains, StrategyError> {
+        Gains::check_size(slots, places)?;
+        let mut values = Vec::with_capacity(slots * places);
+        for slot in 0..slots {
+            for place in 0..places {
+                let found = gain(slot, place);
+                if !(0.0..=GAIN_MAX).contains(&found) {
+                    return Err(StrategyError::Gain { slot, place, found });
+                }
+                values.push(found);
+            }
+        }
+        Ok(Gains { slots, places, values })
+    }
+
+    /// `Ok` where a matrix may have that size.
+    ///
+    /// # Errors
+    /// As [`Gains::of`].
+    pub fn check_size(slots: usize, places: usize) -> Result<(), StrategyError> {
+        if slots == 0 {
+            return Err(StrategyError::NoSlots);
+        }
+        if places == 0 {
+            return Err(StrategyError::NoPlaces);
+        }
+        match slots.checked_mul(places) {
+            Some(product) if product <= GAINS_MAX => Ok(()),
+            _ => Err(StrategyError::TooMany { slots, places }),
+        }
+    }
+
+    /// What serves learning and a task at once: w·I/I_max + (1 - w)·p, between 0 and 1, with `task` the probability p that
+    /// the task succeeds at a place in a slot, such as that somebody is there to be served, and w = `exploration`, from 0
+    /// (the task alone) to 1 (information alone). The info-terminal of the STRANDS project (Kulich et al., "To explore or
+    /// to exploit?", MESAS 2016) is to be where people are, and has to learn when that is.
+    ///
+    /// # Errors
+    /// [`StrategyError`] where the sizes differ, the weight or a probability is outside `[0,1]`.
+    pub fn weighed(&self, task: &Gains, exploration: f64) -> Result<Gains, StrategyError> {
+        if (self.slots, self.places) != (task.slots, task.places) {
+            return Err(StrategyError::Sizes { expected: (self.slots, self.places), found: (task.slots, task.places) });
+        }
+        if !(0.0..=1.0).contains(&exploration) {
+            return Err(StrategyError::Weight { found: exploration });
+        }
+        let most = self.values.iter().copied().fold(0.0, f64::max);
+        Gains::of(self.slots, self.places, |slot, place| {
+            let information = if most > 0.0 { self.at(slot, place) / most } else { 0.0 };
+            match task.at(slot, place) {
+                p if p <= 1.0 => exploration * information + (1.0 - exploration) * p,
+                _ => f64::NAN,
+            }
+        })
+    }
+
+    /// Number of slots.
+    pub fn slots(&self) -> usize {
+        self.slots
+    }
+
+    /// Number of places.
+    pub fn places(&self) -> usize {
+        self.places
+    }
+
+    /// The gain of a place in a slot; 0 of one that is not there.
+    pub fn at(&self, slot: usize, place: usize) -> f64 {
+        self.slot(slot).get(place).copied().unwrap_or(0.0)
+    }
+
+    /// The gains of all places in a slot; empty of one that is not there.
+    pub fn slot(&self, slot: usize) -> &[f64] {
+        self.values.chunks(self.places).nth(slot).unwrap_or_default()
+    }
+
+    /// The sum over all slots and places, I' of RAS 2017, section 5.1.
+    pub fn total(&self) -> f64 {
+        self.values.iter().sum()
+    }
+}
