@@ -4,20 +4,26 @@
 
 mod anomalies;
 mod bench;
+mod day;
 mod evaluate;
 mod experiment;
 mod grid;
+mod info;
 mod job;
+mod location;
 mod map;
 mod model;
 mod observe;
+mod point;
 mod predict;
 mod producer_id;
 mod reconstruct;
 mod state;
 mod stats;
 mod times;
+mod tour;
 mod update;
+mod visit;
 
 use std::{fs, path::PathBuf, process::ExitCode};
 
@@ -91,6 +97,21 @@ enum Command {
     /// Shows what was learned
     #[command(subcommand)]
     Model(model::ModelCommand),
+    /// Shows what observing states, locations or a place's surroundings would teach, in bits
+    ///
+    /// entropy_bits is how unsure the prediction is; it is empty for a view, which tells the information alone.
+    Info(info::InfoArgs),
+    /// Sets, lists and deletes locations: states that are seen together
+    #[command(subcommand)]
+    Location(location::LocationCommand),
+    /// Reports whether a robot reached a place that it was sent to
+    Visit(visit::VisitArgs),
+    /// Plans one exploration run over the grid: where to look, in driving order
+    Tour(tour::TourArgs),
+    /// Plans which slots of a day to explore, and where
+    ///
+    /// An empty location is a slot to rest, or for other tasks.
+    Day(day::DayArgs),
     /// Lists and watches jobs
     #[command(subcommand)]
     Job(job::JobCommand),
@@ -145,6 +166,11 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Anomalies(args) => anomalies::run(&session, args).await,
         Command::Evaluate(args) => evaluate::run(&session, args).await,
         Command::Model(command) => model::run(&session, &command).await,
+        Command::Info(args) => info::run(&session, args).await,
+        Command::Location(command) => location::run(&session, command).await,
+        Command::Visit(args) => visit::run(&session, &args).await,
+        Command::Tour(args) => tour::run(&session, args).await,
+        Command::Day(args) => day::run(&session, args).await,
         Command::Job(command) => job::run(&session, &command).await,
         Command::Stats(args) => stats::run(&session, &args).await,
         Command::Bench(command) => bench::run(&session, &command).await,

@@ -3,8 +3,11 @@
 //! Invariant: what a new map leaves out, the daemon fills in; no default is repeated here.
 
 mod grid;
+mod site;
 
 pub use grid::{CellBox, Grid, GridSummary, Retention, SensorNoise};
+pub use site::Location;
+pub(crate) use site::{point_from_wire, point_to_wire};
 
 use std::str::FromStr;
 
@@ -111,6 +114,10 @@ pub struct Map {
     pub half_life_nanos: Option<i64>,
     /// What a named state answers of which nothing was learned.
     pub prior: f64,
+    /// Where the robot rests, x and y in metres.
+    pub charger_m: Option<[f64; 2]>,
+    /// Number of locations.
+    pub locations: u64,
 }
 
 /// What the value of a state means.
@@ -335,6 +342,8 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         grid_summary: map.grid_summary.as_ref().map(GridSummary::from_wire),
         half_life_nanos: span(map.half_life),
         prior: map.prior,
+        charger_m: map.charger.map(point_from_wire),
+        locations: map.locations,
     })
 }
 

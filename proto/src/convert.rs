@@ -7,10 +7,12 @@ use std::fmt::Display;
 pub mod anomaly;
 pub mod cells;
 pub mod columns;
+pub mod exploration;
 pub mod grid;
 pub mod map;
 pub mod query;
 pub mod scans;
+pub mod site;
 pub mod time;
 
 /// A field of a request that cannot be what it is.

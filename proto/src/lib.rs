@@ -1,5 +1,5 @@
 //! The wire, `tidemap.v1`: generated message and service types, and with the feature `convert` the way between them and
-//! the domain types of `tidemap-model` and `tidemap-map`.
+//! the domain types of `tidemap-model`, `tidemap-map` and `tidemap-plan`.
 //!
 //! Invariant: nothing here decides anything. Conversions check on receipt and never on sending; v1 only grows.
 

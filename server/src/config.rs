@@ -120,6 +120,11 @@ pub struct Settings {
     /// Most watches of anomalies at once. A map that is watched keeps what its watchers have not read yet, 5 MB at most, and
     /// for them the models of the generation before the one in force.
     pub max_watches: usize,
+    /// Most cells of a grid that are held for one plan. A cell takes 20 bytes or so while it is made.
+    pub max_plan_cells: u64,
+    /// Most work of looking from viewpoints in one request: viewpoints times times times cells that the rays of one view
+    /// pass.
+    pub max_view_work: u64,
     /// Threads of updates, all maps together; 0: half the processors, at least one.
     pub update_threads: usize,
     /// Size at which a segment of the log is closed and the next one begun.
@@ -163,6 +168,8 @@ impl Default for Settings {
             max_fitted_models: 4000,
             max_fit_readings: 2_000_000,
             max_watches: 64,
+            max_plan_cells: 1 << 24,
+            max_view_work: 200_000_000_000,
             update_threads: 0,
             segment_bytes: 64 << 20,
             index_cache_bytes: 64 << 20,
@@ -222,6 +229,8 @@ impl Settings {
             ("max_fitted_models", self.max_fitted_models as u64, 1, 1_000_000),
             ("max_fit_readings", self.max_fit_readings, 1, 1 << 32),
             ("max_watches", self.max_watches as u64, 1, 100_000),
+            ("max_plan_cells", self.max_plan_cells, 1, 1 << 32),
+            ("max_view_work", self.max_view_work, 1, 1 << 60),
             ("update_threads", self.update_threads as u64, 0, 1024),
             ("segment_bytes", self.segment_bytes, 1 << 16, 1 << 32),
             ("index_cache_bytes", self.index_cache_bytes, 1 << 20, 1 << 36),

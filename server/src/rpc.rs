@@ -2,6 +2,7 @@
 //!
 //! Invariant: no decision about maps is taken here, and every error becomes a status in [`status`] and nowhere else.
 
+pub mod exploration;
 pub mod maintenance;
 pub mod map;
 pub mod observation;

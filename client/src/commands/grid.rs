@@ -5,7 +5,7 @@
 mod cell_masks;
 mod observe;
 mod place;
-mod predict;
+pub mod predict;
 mod scans;
 mod sensor;
 

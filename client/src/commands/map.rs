@@ -4,7 +4,7 @@
 
 pub mod grid_spec;
 
-use std::process::ExitCode;
+use std::{process::ExitCode, str::FromStr};
 
 use clap::{Args, Subcommand, ValueEnum};
 use tidemap::{
@@ -13,7 +13,7 @@ use tidemap::{
 };
 
 use self::grid_spec::{GridSpec, shown, shown_box, shown_retention};
-use super::{Misused, Session, times};
+use super::{Misused, Session, point::Point, times};
 use crate::{
     output::{Cell, Sheet},
     progress::notice,
@@ -30,6 +30,14 @@ pub enum MapCommand {
         /// Name of the map
         name: String,
     },
+    /// Sets where the robot rests
+    Set {
+        /// Name of the map
+        name: String,
+        /// Where the robot rests and charges, metres; none: nowhere in particular
+        #[arg(long, value_name = "X,Y|none", allow_hyphen_values = true)]
+        charger: Charger,
+    },
     /// Deletes a map with all it holds, for good
     Delete {
         /// Name of the map
@@ -38,6 +46,18 @@ pub enum MapCommand {
         #[arg(long)]
         yes: bool,
     },
+}
+
+/// A charger, or none.
+#[derive(Clone, Copy, Debug)]
+pub struct Charger(Option<[f64; 2]>);
+
+impl FromStr for Charger {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "none" { Ok(Self(None)) } else { text.parse().map(|Point(at)| Self(Some(at))) }
+    }
 }
 
 #[derive(Debug, Args)]
@@ -103,7 +123,7 @@ const COLUMNS: [&str; 11] = [
     "scans",
 ];
 /// Of a map that is shown by itself.
-const MORE_COLUMNS: [&str; 9] = [
+const MORE_COLUMNS: [&str; 11] = [
     "retention",
     "grid",
     "grid_retention",
@@ -113,6 +133,8 @@ const MORE_COLUMNS: [&str; 9] = [
     "bounds",
     "half_life",
     "prior",
+    "charger",
+    "locations",
 ];
 
 pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
@@ -126,6 +148,10 @@ pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitC
         }
         MapCommand::List => client.maps().await?,
         MapCommand::Show { name } => vec![client.map(&name).await?],
+        MapCommand::Set { name, charger: Charger(at_m) } => {
+            client.set_charger(&name, at_m).await?;
+            vec![client.map(&name).await?]
+        }
         MapCommand::Delete { name, yes } => {
             if !yes {
                 let Map { states, observations, .. } = client.map(&name).await?;
@@ -223,5 +249,7 @@ fn more_cells(map: &Map) -> Vec<Cell> {
         text(summary.and_then(|summary| summary.bounds.as_ref()).map(shown_box)),
         text(map.half_life_nanos.map(format_duration)),
         map.prior.into(),
+        text(map.charger_m.map(|[x, y]| format!("{x},{y}"))),
+        map.locations.into(),
     ]
 }

@@ -27,6 +27,40 @@ pub struct Location {
     pub place: Option<Place>,
 }
 
+/// The last attempts to reach a cell of 50 cm.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Attempts {
+    /// Along x, in cells from the origin.
+    #[prost(sint32, tag = "1")]
+    pub x: i32,
+    /// Along y.
+    #[prost(sint32, tag = "2")]
+    pub y: i32,
+    /// How many, 1 to 5.
+    #[prost(uint32, tag = "3")]
+    pub count: u32,
+    /// Whether they succeeded, the newest in the lowest bit.
+    #[prost(uint32, tag = "4")]
+    pub reached: u32,
+    /// Time of the newest.
+    #[prost(sint64, tag = "5")]
+    pub last_nanos: i64,
+}
+
+/// A robot reached a place, or did not.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Visit {
+    /// Where.
+    #[prost(message, optional, tag = "1")]
+    pub place: Option<Place>,
+    /// Whether it got there.
+    #[prost(bool, tag = "2")]
+    pub reached: bool,
+    /// When.
+    #[prost(sint64, tag = "3")]
+    pub utc_nanos: i64,
+}
+
 /// All of it, in a checkpoint and, in chunks, in the index.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Site {
@@ -36,13 +70,16 @@ pub struct Site {
     /// The locations, ascending by name.
     #[prost(message, repeated, tag = "2")]
     pub locations: Vec<Location>,
+    /// The places that robots tried to reach, ascending by x, then y.
+    #[prost(message, repeated, tag = "3")]
+    pub attempts: Vec<Attempts>,
 }
 
 /// One change, in the log.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct SiteEdit {
     /// What changes.
-    #[prost(oneof = "Change", tags = "1, 2, 3, 4")]
+    #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5")]
     pub change: Option<Change>,
 }
 
@@ -61,4 +98,7 @@ pub enum Change {
     /// The location of this name is removed.
     #[prost(string, tag = "4")]
     RemoveLocation(String),
+    /// A robot reached a place, or did not.
+    #[prost(message, tag = "5")]
+    Visit(Visit),
 }

@@ -13,6 +13,7 @@ use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 use super::{
     InvalidField,
     grid::{grid_from_wire, grid_summary_to_wire, grid_to_wire, retention_from_wire, retention_to_wire},
+    site::point_to_wire,
     time::{duration, nanos_from_duration, timestamp},
 };
 use crate::v1;
@@ -111,6 +112,8 @@ pub fn map_to_wire(view: &MapView) -> v1::Map {
         grid_summary: view.grid().map(grid_summary_to_wire),
         half_life: spec.half_life_nanos.map(duration),
         prior: spec.prior,
+        charger: view.site().charger_m().map(point_to_wire),
+        locations: view.site().locations().len() as u64,
     }
 }
 

@@ -140,6 +140,17 @@ impl Reachability {
         Ok(Reachability { prior, max_cells, cells: BTreeMap::new() })
     }
 
+    /// This prior and limit with what [`Reachability::parts`] gave, in any order, and nothing else.
+    ///
+    /// # Errors
+    /// [`ReachabilityError`] where it cannot have come from there.
+    pub fn with_parts(
+        self,
+        parts: impl IntoIterator<Item = (ReachabilityCell, Attempts)>,
+    ) -> Result<Reachability, ReachabilityError> {
+        Reachability::from_parts(self.prior, self.max_cells, parts)
+    }
+
     /// What [`Reachability::parts`] gave, in any order.
     ///
     /// # Errors
@@ -162,6 +173,16 @@ impl Reachability {
             }
         }
         Ok(whole)
+    }
+
+    /// Whether a report of a place can be taken in.
+    ///
+    /// # Errors
+    /// As [`Reachability::report`].
+    pub fn check(&self, x_m: f64, y_m: f64) -> Result<(), ReachabilityError> {
+        let cell = ReachabilityCell::at(x_m, y_m)?;
+        let has_room = self.cells.contains_key(&cell) || self.cells.len() < self.max_cells;
+        if has_room { Ok(()) } else { Err(ReachabilityError::TooManyCells { max: self.max_cells }) }
     }
 
     /// Takes in whether a robot reached a place that it was sent to, at a time in nanoseconds UTC. Attempts count in the

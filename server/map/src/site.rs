@@ -1,11 +1,16 @@
-//! What a map is told about the place besides observations: where the robot rests, and which states are seen together.
+//! What a map is told about the place besides observations: where the robot rests, which states are seen together,
+//! and which places robots have reached.
 //!
 //! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] passes is applied
 //! whole; any other changes nothing.
 
 use std::collections::BTreeMap;
 
-use crate::{event::StateId, name::StateName};
+use crate::{
+    event::StateId,
+    name::StateName,
+    reachability::{Reachability, ReachabilityError},
+};
 
 #[cfg(test)]
 mod tests;
@@ -37,6 +42,15 @@ pub enum SiteEdit {
     SetLocation(StateName, Location),
     /// A location is removed.
     RemoveLocation(StateName),
+    /// A robot reached a place that it was sent to, or did not.
+    Visit {
+        /// Where, x and y in the map's frame, metres.
+        at_m: [f64; 2],
+        /// Whether it got there.
+        reached: bool,
+        /// When, nanoseconds UTC.
+        utc_nanos: i64,
+    },
 }
 
 /// Why an edit is refused.
@@ -67,6 +81,9 @@ pub enum InvalidEdit {
     /// There is no such location.
     #[error("location {0:?} does not exist")]
     UnknownLocation(String),
+    /// A visit cannot be kept.
+    #[error(transparent)]
+    Visit(#[from] ReachabilityError),
 }
 
 /// What is known of the place besides observations.
@@ -74,6 +91,7 @@ pub enum InvalidEdit {
 pub struct Site {
     charger_m: Option<[f64; 2]>,
     locations: BTreeMap<StateName, Location>,
+    reachability: Reachability,
 }
 
 impl Site {
@@ -87,6 +105,18 @@ impl Site {
     #[must_use]
     pub fn locations(&self) -> &BTreeMap<StateName, Location> {
         &self.locations
+    }
+
+    /// How often robots have reached places.
+    #[must_use]
+    pub fn reachability(&self) -> &Reachability {
+        &self.reachability
+    }
+
+    /// The same site with what was stored of reachability.
+    #[must_use]
+    pub fn with_reachability(self, reachability: Reachability) -> Site {
+        Site { reachability, ..self }
     }
 
     /// Whether nothing was ever told.
@@ -122,6 +152,7 @@ impl Site {
                 Ok(())
             }
             SiteEdit::RemoveLocation(name) if self.locations.contains_key(name) => Ok(()),
+            SiteEdit::Visit { at_m, .. } => Ok(self.reachability.check(at_m[0], at_m[1])?),
             SiteEdit::RemoveLocation(name) => Err(InvalidEdit::UnknownLocation(name.as_str().to_owned())),
         }
     }
@@ -139,6 +170,9 @@ impl Site {
             }
             SiteEdit::RemoveLocation(name) => {
                 self.locations.remove(name);
+            }
+            SiteEdit::Visit { at_m, reached, utc_nanos } => {
+                self.reachability.report(at_m[0], at_m[1], *reached, *utc_nanos)?;
             }
         }
         Ok(())

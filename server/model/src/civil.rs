@@ -27,6 +27,14 @@ impl LocalDay {
         // |i64| nanoseconds are at most 106,752 days.
         LocalDay(civil_nanos.div_euclid(NANOS_PER_DAY) as i32)
     }
+
+    /// The date written as `YYYY-MM-DD`; `None` where there is no such date.
+    pub fn parse(text: &str) -> Option<LocalDay> {
+        let date: jiff::civil::Date = text.parse().ok()?;
+        // Nothing but the date, in one spelling.
+        let day = i32::try_from(date.duration_since(jiff::civil::date(1970, 1, 1)).as_secs() / SECS_PER_DAY).ok()?;
+        Some(LocalDay(day)).filter(|day| day.to_string() == text)
+    }
 }
 
 impl fmt::Display for LocalDay {

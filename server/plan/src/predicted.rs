@@ -136,6 +136,11 @@ impl PredictedGrid {
         (!probability.is_nan()).then_some(probability)
     }
 
+    /// Probabilities of all cells of the region that were ever observed.
+    pub fn known(&self) -> impl Iterator<Item = f32> {
+        self.probabilities.iter().copied().filter(|probability| !probability.is_nan())
+    }
+
     /// Probabilities by place in the lattice; NaN where unknown, and on the border.
     pub(crate) fn probabilities(&self) -> &[f32] {
         &self.probabilities

@@ -1,24 +1,29 @@
-//! `MapService`: creates, lists and deletes maps, and adds states.
+//! `MapService`: creates, lists and deletes maps, adds states, and takes what a map is told about its site.
 
 use std::sync::Arc;
 
-use tidemap_map::{event::StateId, name::StateName};
+use tidemap_map::{
+    event::StateId,
+    name::StateName,
+    site::{Location, SiteEdit},
+};
 use tidemap_proto::{
     convert::{
         InvalidField,
         map::{kind_from_wire, map_to_wire, spec_from_request, state_to_wire},
+        site::{location_to_wire, point_from_wire},
     },
     v1::{self, map_service_server::MapService},
 };
 use tokio::sync::oneshot;
 use tonic::{Request, Response, Status};
 
-use super::{page::page, status::RpcError};
+use super::{page::page, query::find_state, status::RpcError};
 use crate::{
     catalog::{Catalog, CatalogError},
     ingest::{
         handle::MapHandle,
-        protocol::{AddState, AddStateError, Command},
+        protocol::{AddState, AddStateError, Command, EditSite, EditSiteError},
     },
 };
 
@@ -38,6 +43,18 @@ pub fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcErro
         }
         error => error.into(),
     })
+}
+
+/// Changes a map's site; durable and shown when this returns.
+pub(super) async fn edit_site(handle: &MapHandle, edit: SiteEdit) -> Result<(), RpcError> {
+    let (reply, answer) = oneshot::channel();
+    let edit = EditSite { edit, reply };
+    let answer = if handle.send(Command::EditSite(edit)) { answer.await.ok() } else { None };
+    Ok(answer.unwrap_or(Err(EditSiteError::Closing))?)
+}
+
+fn location_name(field: &str, name: &str) -> Result<StateName, RpcError> {
+    StateName::new(name).map_err(|error| InvalidField::new(field, error).into())
 }
 
 #[tonic::async_trait]
@@ -101,5 +118,60 @@ impl MapService for Maps {
         let ids = range.filter_map(|index| u32::try_from(index).ok()).map(StateId);
         let states = ids.filter_map(|id| state_to_wire(&view, id)).collect();
         Ok(Response::new(v1::ListStatesResponse { states, next_page_token }))
+    }
+
+    async fn set_charger(
+        &self,
+        request: Request<v1::SetChargerRequest>,
+    ) -> Result<Response<v1::SetChargerResponse>, Status> {
+        let v1::SetChargerRequest { map, charger } = request.into_inner();
+        let handle = find_map(&self.catalog, &map)?;
+        let at_m = charger.map(|at| point_from_wire("charger", at)).transpose().map_err(RpcError::from)?;
+        edit_site(&handle, SiteEdit::Charger(at_m)).await?;
+        Ok(Response::new(v1::SetChargerResponse {}))
+    }
+
+    async fn set_location(
+        &self,
+        request: Request<v1::SetLocationRequest>,
+    ) -> Result<Response<v1::SetLocationResponse>, Status> {
+        let v1::SetLocationRequest { map, location } = request.into_inner();
+        let handle = find_map(&self.catalog, &map)?;
+        let v1::Location { name, states, position } = location.unwrap_or_default();
+        let name = location_name("location.name", &name)?;
+        let view = handle.view();
+        let mut ids = states.iter().map(|state| find_state(&view, state)).collect::<Result<Vec<StateId>, _>>()?;
+        ids.sort_unstable();
+        let position = position.map(|at| point_from_wire("location.position", at));
+        let location = Location { states: ids, position_m: position.transpose().map_err(RpcError::from)? };
+        edit_site(&handle, SiteEdit::SetLocation(name.clone(), location)).await?;
+        let view = handle.view();
+        let location = view.site().locations().get(&name).map(|set| location_to_wire(&view, &name, set));
+        Ok(Response::new(v1::SetLocationResponse { location }))
+    }
+
+    async fn delete_location(
+        &self,
+        request: Request<v1::DeleteLocationRequest>,
+    ) -> Result<Response<v1::DeleteLocationResponse>, Status> {
+        let v1::DeleteLocationRequest { map, location } = request.into_inner();
+        let handle = find_map(&self.catalog, &map)?;
+        let name = location_name("location", &location)?;
+        edit_site(&handle, SiteEdit::RemoveLocation(name)).await?;
+        Ok(Response::new(v1::DeleteLocationResponse {}))
+    }
+
+    async fn list_locations(
+        &self,
+        request: Request<v1::ListLocationsRequest>,
+    ) -> Result<Response<v1::ListLocationsResponse>, Status> {
+        let request = request.into_inner();
+        let view = find_map(&self.catalog, &request.map)?.view();
+        let all = view.site().locations();
+        let (range, next_page_token) =
+            page(all.len(), request.page_size, 100, 1000, &request.page_token).map_err(RpcError::from)?;
+        let locations = all.iter().skip(range.start).take(range.len());
+        let locations = locations.map(|(name, location)| location_to_wire(&view, name, location)).collect();
+        Ok(Response::new(v1::ListLocationsResponse { locations, next_page_token }))
     }
 }

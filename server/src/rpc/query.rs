@@ -14,12 +14,12 @@ use crate::catalog::Catalog;
 
 mod anomalies;
 mod evaluate;
-mod fitting;
+pub(super) mod fitting;
 mod grid;
 mod readings;
 mod reconstruct;
-mod replies;
-mod states;
+pub(super) mod replies;
+pub(super) mod states;
 mod watch;
 
 #[cfg(test)]
@@ -78,10 +78,15 @@ impl Queries {
             watches: Watches::new(limits.watches),
         }
     }
+
+    /// What fits models, for others who need them too.
+    pub(super) fn fitting(&self) -> Arc<Fitting> {
+        Arc::clone(&self.fitting)
+    }
 }
 
 /// The state of this name, or an error that lists some that exist.
-fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError> {
+pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError> {
     view.find(name).ok_or_else(|| RpcError::UnknownState {
         map: view.spec().name.as_str().to_owned(),
         name: name.chars().take(80).collect(),
@@ -89,7 +94,7 @@ fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError> {
     })
 }
 
-fn check_limit(what: &'static str, got: u64, max: u64, setting: &'static str) -> Result<(), RpcError> {
+pub(super) fn check_limit(what: &'static str, got: u64, max: u64, setting: &'static str) -> Result<(), RpcError> {
     if got > max { Err(RpcError::Limit { what, got, max, setting }) } else { Ok(()) }
 }
 

@@ -10,7 +10,7 @@ use std::{
 
 use tidemap_proto::convert::scans::ScanLimits;
 use tidemap_proto::v1::{
-    DESCRIPTORS, maintenance_service_server::MaintenanceServiceServer, map_service_server::MapServiceServer,
+    DESCRIPTORS, exploration_service_server::ExplorationServiceServer, maintenance_service_server::MaintenanceServiceServer, map_service_server::MapServiceServer,
     observation_service_server::ObservationServiceServer, query_service_server::QueryServiceServer,
 };
 use tokio::{
@@ -20,6 +20,7 @@ use tokio::{
 use tonic::transport::{Server, server::TcpIncoming};
 
 use super::{
+    exploration::{Explorations, PlanLimits},
     maintenance::Maintenance,
     map::Maps,
     observation::{Observations, StreamLimits},
@@ -79,6 +80,12 @@ pub async fn serve(
         watches: settings.max_watches,
     };
     let queries = Queries::new(Arc::clone(&catalog), limits);
+    let plans = PlanLimits {
+        predictions: settings.max_predictions,
+        cells: settings.max_plan_cells,
+        view_work: settings.max_view_work,
+    };
+    let explorations = Explorations::new(Arc::clone(&catalog), &queries, plans);
     let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
     let local = listener.local_addr()?.ip().is_loopback();
     let reflection = tonic_reflection::server::Builder::configure()
@@ -104,6 +111,7 @@ pub async fn serve(
                 .max_decoding_message_size(message_bytes.max(REQUEST_BYTES))
                 .max_encoding_message_size(64 << 20),
         )
+        .add_service(ExplorationServiceServer::new(explorations).max_decoding_message_size(REQUEST_BYTES))
         .add_service(MaintenanceServiceServer::new(Maintenance { catalog }).max_decoding_message_size(REQUEST_BYTES))
         .serve_with_incoming_shutdown(TcpIncoming::from(listener).with_nodelay(Some(true)), stop)
         .await?;

@@ -20,7 +20,7 @@ use crate::{
         intake::IntakeError,
         protocol::{AddStateError, EditSiteError, Ending, HelloError, is_fatal},
     },
-    rpc::query::Unavailable,
+    rpc::{exploration::PlanError, query::Unavailable},
 };
 
 const DOMAIN: &str = "tidemap";
@@ -132,6 +132,9 @@ pub enum RpcError {
     /// The site was not changed.
     #[error(transparent)]
     EditSite(#[from] EditSiteError),
+    /// There is no plan.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
     /// A stream was not accepted.
     #[error(transparent)]
     Hello(#[from] HelloError),
@@ -247,6 +250,7 @@ impl RpcError {
                 EditSiteError::Storage(error) => append_code(error),
                 EditSiteError::Closing => (Code::Unavailable, "STOPPING"),
             },
+            Self::Plan(error) => error.code_and_reason(),
             Self::Hello(error) => match error {
                 HelloError::AlreadyStreaming(_) => (Code::AlreadyExists, "ALREADY_STREAMING"),
                 HelloError::Fenced { .. } => (Code::Aborted, "FENCED"),

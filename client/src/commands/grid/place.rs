@@ -38,6 +38,13 @@ pub struct Stretch {
     to_m: f64,
 }
 
+impl Stretch {
+    /// From one place up to another that is beyond it.
+    pub fn new(from_m: f64, to_m: f64) -> Self {
+        Self { from_m, to_m }
+    }
+}
+
 impl FromStr for Stretch {
     type Err = String;
 

@@ -11,7 +11,7 @@ use std::{
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use tidemap::{
-    maps::CellBox,
+    maps::{CellBox, Map},
     queries::{CellPrediction, GridOutput, GridQuery, ModelSelector, ORDER_MAX, PredictedGrid},
 };
 
@@ -169,6 +169,13 @@ async fn region(session: &Session, args: &PredictArgs) -> anyhow::Result<Option<
     }))
 }
 
+/// The cells of a map between two heights, metres; none where all are wanted or there are none.
+pub fn heights(map: &Map, from_m: f64, to_m: f64) -> Option<CellBox> {
+    let grid = map.grid.as_ref().filter(|grid| !grid.is_flat)?;
+    let bounds = map.grid_summary.as_ref()?.bounds.as_ref()?;
+    Some(cells(grid, bounds, None, Some(Stretch::new(from_m, to_m))))
+}
+
 /// Whether there are known cells, and all of them are rather occupied than free.
 fn is_full(picture: &MapPicture) -> bool {
     let mut values = picture.cells.iter().filter_map(|cell| cell.value()).peekable();
@@ -176,7 +183,7 @@ fn is_full(picture: &MapPicture) -> bool {
 }
 
 /// The region cell by cell, as files show it.
-fn picture(predicted: &PredictedGrid) -> MapPicture {
+pub fn picture(predicted: &PredictedGrid) -> MapPicture {
     let CellBox { min, max } = predicted.header.region;
     let grid = &predicted.header.grid;
     let size_cells = predicted.header.region.size();

@@ -32,6 +32,18 @@ fn a_charger_is_set_and_forgotten() {
 }
 
 #[test]
+fn visits_are_counted_where_they_were() {
+    let mut site = Site::default();
+    for reached in [true, false, false, true] {
+        site.apply(&SiteEdit::Visit { at_m: [1.2, -3.4], reached, utc_nanos: 5 }, 0).expect("valid");
+    }
+    let rate = site.reachability().rate(1.4, -3.1);
+    assert_eq!((rate.rate, rate.attempts), (0.5, 4));
+    let far = SiteEdit::Visit { at_m: [f64::NAN, 0.0], reached: true, utc_nanos: 5 };
+    assert!(matches!(site.apply(&far, 0), Err(InvalidEdit::Visit(_))));
+}
+
+#[test]
 fn what_cannot_be_is_refused_and_changes_nothing() {
     let mut site = Site::default();
     site.apply(&SiteEdit::SetLocation(name("kitchen"), location(&[0])), 2).expect("valid");

@@ -135,3 +135,14 @@ proptest::proptest! {
         }
     }
 }
+
+#[test]
+fn dates_are_read_as_they_are_shown() {
+    for day in [0, -1, 16_861, 20_512, 59, 2_932_896] {
+        assert_eq!(LocalDay::parse(&LocalDay(day).to_string()), Some(LocalDay(day)), "{day}");
+    }
+    assert_eq!(LocalDay::parse("2016-02-29"), Some(LocalDay(16_860)));
+    for wrong in ["", "2015-02-29", "2016-13-01", "20160229", "2016-2-29", "2016-02-29T00:00", " 2016-02-29", "tomorrow"] {
+        assert_eq!(LocalDay::parse(wrong), None, "{wrong:?}");
+    }
+}

@@ -70,7 +70,7 @@ pub enum Unavailable {
 
 /// Fits models, or finds them.
 #[derive(Debug)]
-pub(super) struct Fitting {
+pub(in crate::rpc) struct Fitting {
     catalog: Arc<Catalog>,
     fits: Fits,
     /// Turns to gather readings and fit. They are others than those to predict.
@@ -84,7 +84,7 @@ pub(super) struct Fitting {
 
 /// A state as one view knows it, and the readings that the view's updates have folded in, once they are gathered.
 #[derive(Debug)]
-pub(super) struct Learned {
+pub(in crate::rpc) struct Learned {
     handle: Arc<MapHandle>,
     view: Arc<MapView>,
     id: StateId,
@@ -92,7 +92,7 @@ pub(super) struct Learned {
 }
 
 impl Learned {
-    pub(super) fn new(handle: Arc<MapHandle>, view: Arc<MapView>, id: StateId) -> Arc<Self> {
+    pub(in crate::rpc) fn new(handle: Arc<MapHandle>, view: Arc<MapView>, id: StateId) -> Arc<Self> {
         Arc::new(Self { handle, view, id, samples: OnceCell::new() })
     }
 
@@ -148,7 +148,7 @@ impl Fitting {
     ///
     /// # Errors
     /// [`RpcError::Unavailable`] where there can be no such model; others where the readings cannot be read.
-    pub(super) async fn fitted(
+    pub(in crate::rpc) async fn fitted(
         self: &Arc<Self>,
         learned: &Arc<Learned>,
         kind: ModelKind,

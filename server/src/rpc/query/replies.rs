@@ -25,11 +25,11 @@ const TURN_WITHIN: Duration = Duration::from_secs(30);
 const READ_WITHIN: Duration = Duration::from_secs(30);
 
 /// A stream of replies.
-pub(super) type Replies<T> = ReceiverStream<Result<T, Status>>;
+pub(in crate::rpc) type Replies<T> = ReceiverStream<Result<T, Status>>;
 
 /// Turns to compute. Clones share them.
 #[derive(Clone, Debug)]
-pub(super) struct Turns {
+pub(in crate::rpc) struct Turns {
     /// A permit for each request that may compute.
     permits: Arc<Semaphore>,
     max: usize,
@@ -43,7 +43,7 @@ impl Default for Turns {
 }
 
 /// Processors of the machine.
-pub(super) fn processors() -> usize {
+pub(in crate::rpc) fn processors() -> usize {
     std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
 }
 
@@ -57,7 +57,7 @@ impl Turns {
     ///
     /// # Errors
     /// [`RpcError::NoTurn`] where none came up in time.
-    pub(super) async fn take(&self) -> Result<OwnedSemaphorePermit, RpcError> {
+    pub(in crate::rpc) async fn take(&self) -> Result<OwnedSemaphorePermit, RpcError> {
         let turn = Arc::clone(&self.permits).acquire_owned();
         match tokio::time::timeout(TURN_WITHIN, turn).await {
             Ok(permit) => permit.map_err(|_| RpcError::Stopping),
@@ -68,22 +68,22 @@ impl Turns {
 
 /// Where computed replies go.
 #[derive(Clone, Debug)]
-pub(super) struct Computed<T>(mpsc::Sender<Result<T, RpcError>>);
+pub(in crate::rpc) struct Computed<T>(mpsc::Sender<Result<T, RpcError>>);
 
 impl<T> Computed<T> {
     /// Hands a reply over, once there is room. `false`: nobody wants any more.
-    pub(super) fn send(&self, reply: T) -> bool {
+    pub(in crate::rpc) fn send(&self, reply: T) -> bool {
         self.0.blocking_send(Ok(reply)).is_ok()
     }
 
     /// Ends when nobody wants any more.
-    pub(super) async fn unwanted(&self) {
+    pub(in crate::rpc) async fn unwanted(&self) {
         self.0.closed().await;
     }
 }
 
 /// The replies that `work` computes, in a thread where it may wait. The turns are given back when it has ended.
-pub(super) fn computed<T: Send + 'static>(
+pub(in crate::rpc) fn computed<T: Send + 'static>(
     turns: impl Send + 'static,
     work: impl FnOnce(&Computed<T>) -> Result<(), RpcError> + Send + 'static,
 ) -> Replies<T> {
@@ -97,7 +97,7 @@ pub(super) fn computed<T: Send + 'static>(
 }
 
 /// The replies that `work` sends, which waits for others now and then, and takes its turns itself.
-pub(super) fn streamed<T: Send + 'static, W>(work: impl FnOnce(Computed<T>) -> W) -> Replies<T>
+pub(in crate::rpc) fn streamed<T: Send + 'static, W>(work: impl FnOnce(Computed<T>) -> W) -> Replies<T>
 where
     W: Future<Output = Result<(), RpcError>> + Send + 'static,
 {

@@ -48,12 +48,12 @@ enum Named {
 }
 
 /// The cell of a name, where it is one.
-pub(super) fn cell_of(field: &str, name: &str) -> Result<Option<CellIndex>, RpcError> {
+pub(in crate::rpc) fn cell_of(field: &str, name: &str) -> Result<Option<CellIndex>, RpcError> {
     CellIndex::from_name(name).transpose().map_err(|error| InvalidField::new(field, error).into())
 }
 
 /// What is known of a cell.
-pub(super) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellDescription, RpcError> {
+pub(in crate::rpc) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellDescription, RpcError> {
     let map = || view.spec().name.as_str().to_owned();
     let grid = view.grid().ok_or_else(|| RpcError::NoGrid { map: map() })?;
     grid.describe(cell)?.ok_or_else(|| RpcError::UnknownCell { map: map(), name: cell.name() })

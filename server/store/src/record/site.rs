@@ -5,6 +5,7 @@
 use tidemap_map::{
     event::StateId,
     name::StateName,
+    reachability::{Attempts, Reachability, ReachabilityCell},
     site::{Location, Site, SiteEdit},
 };
 use tidemap_migrations::v2::site as v2;
@@ -34,11 +35,25 @@ fn decode_location(message: &v2::Location) -> Result<(StateName, Location), Inva
     Ok((decode_state_name(&message.name)?, Location { states, position_m }))
 }
 
+fn encode_attempts((cell, attempts): (ReachabilityCell, Attempts)) -> v2::Attempts {
+    let Attempts { count, reached, last_nanos } = attempts;
+    v2::Attempts { x: cell.x, y: cell.y, count: count.into(), reached: reached.into(), last_nanos }
+}
+
+fn decode_attempts(message: &v2::Attempts) -> Result<(ReachabilityCell, Attempts), Invalid> {
+    const MANY: Invalid = "a place has more attempts than count";
+    let count = u8::try_from(message.count).map_err(|_| MANY)?;
+    let reached = u8::try_from(message.reached).map_err(|_| MANY)?;
+    let cell = ReachabilityCell { x: message.x, y: message.y };
+    Ok((cell, Attempts { count, reached, last_nanos: message.last_nanos }))
+}
+
 /// A site; `None` where nothing was ever told.
 pub(crate) fn encode(site: &Site) -> Option<v2::Site> {
     (!site.is_empty()).then(|| v2::Site {
         charger: site.charger_m().map(encode_place),
         locations: site.locations().iter().map(|(name, location)| encode_location(name, location)).collect(),
+        attempts: site.reachability().parts().map(encode_attempts).collect(),
     })
 }
 
@@ -53,7 +68,9 @@ pub(crate) fn decode(message: &v2::Site, states: usize) -> Result<Site, String> 
         let (name, location) = decode_location(location)?;
         apply(SiteEdit::SetLocation(name, location))?;
     }
-    Ok(site)
+    let attempts = message.attempts.iter().map(decode_attempts).collect::<Result<Vec<_>, Invalid>>()?;
+    let reachability = Reachability::default().with_parts(attempts).map_err(|error| error.to_string())?;
+    Ok(site.with_reachability(reachability))
 }
 
 pub(super) fn encode_edit(edit: &SiteEdit) -> v2::SiteEdit {
@@ -62,6 +79,11 @@ pub(super) fn encode_edit(edit: &SiteEdit) -> v2::SiteEdit {
         SiteEdit::Charger(None) => v2::Change::NoCharger(true),
         SiteEdit::SetLocation(name, location) => v2::Change::SetLocation(encode_location(name, location)),
         SiteEdit::RemoveLocation(name) => v2::Change::RemoveLocation(name.as_str().to_owned()),
+        SiteEdit::Visit { at_m, reached, utc_nanos } => v2::Change::Visit(v2::Visit {
+            place: Some(encode_place(*at_m)),
+            reached: *reached,
+            utc_nanos: *utc_nanos,
+        }),
     };
     v2::SiteEdit { change: Some(change) }
 }
@@ -75,5 +97,9 @@ pub(super) fn decode_edit(message: &v2::SiteEdit) -> Result<SiteEdit, Invalid> {
             SiteEdit::SetLocation(name, location)
         }
         v2::Change::RemoveLocation(name) => SiteEdit::RemoveLocation(decode_state_name(name)?),
+        v2::Change::Visit(v2::Visit { place, reached, utc_nanos }) => {
+            let place = place.as_ref().ok_or("a visit has no place")?;
+            SiteEdit::Visit { at_m: decode_place(place), reached: *reached, utc_nanos: *utc_nanos }
+        }
     })
 }

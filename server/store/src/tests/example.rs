@@ -99,6 +99,11 @@ fn site(position: u64, states: usize) -> Site {
         return site;
     }
     site.apply(&SiteEdit::Charger(Some([random.random(), 1.5])), states).expect("valid");
+    for visit in 0..position % 5 * 30 {
+        let at_m = [random.random_range(-9.0..9.0), random.random_range(-9.0..9.0)];
+        let visit = SiteEdit::Visit { at_m, reached: random.random(), utc_nanos: visit as i64 };
+        site.apply(&visit, states).expect("valid");
+    }
     for number in 0..position % 7 * 20 {
         let location = location(&mut random, states as u32);
         site.apply(&SiteEdit::SetLocation(location_name(number), location), states).expect("valid");

@@ -1,0 +1,382 @@
+//! Where and when to look: what looking would teach, tours, a day's plan, and whether places were reached.
+//!
+//! Invariant: information is in bits; an answer that leaves a target or a viewpoint out is an error, never a gap.
+
+use tidemap_proto::v1::{self, exploration_service_client::ExplorationServiceClient};
+
+use crate::{
+    connection::{Client, Connection},
+    error::Error,
+    maps::{point_from_wire, point_to_wire},
+    queries::ModelSelector,
+    wire::duration,
+};
+
+/// What observing a state, a location or a region would teach, per time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Information {
+    /// Name of the state or location, or `region`.
+    pub target: String,
+    /// Sum of the entropies.
+    pub entropy_bits: Vec<f64>,
+    /// What is expected to be learned.
+    pub information_bits: Vec<f64>,
+    /// States, or cells, summed over.
+    pub states: u64,
+}
+
+/// What to ask about.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Targets {
+    /// Names of states that are probabilities, or cells `cell/X/Y/Z`.
+    pub states: Vec<String>,
+    /// Names of locations.
+    pub locations: Vec<String>,
+}
+
+/// How a robot looks around. `None`: the daemon's default.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sensor {
+    /// How far it sees, metres; 4 by default.
+    pub range_m: Option<f64>,
+    /// Horizontal field of view, radians; all around by default.
+    pub horizontal_fov_rad: Option<f64>,
+    /// Vertical field of view, radians; a right angle by default.
+    pub vertical_fov_rad: Option<f64>,
+    /// Height above z = 0, metres; 1.7 by default.
+    pub height_m: Option<f64>,
+}
+
+/// From where to look.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Viewpoint {
+    /// Along x, metres.
+    pub x_m: f64,
+    /// Along y, metres.
+    pub y_m: f64,
+    /// Along z, metres; `None`: the sensor's height.
+    pub z_m: Option<f64>,
+    /// Where the middle of the view points, radians.
+    pub yaw_rad: f64,
+}
+
+/// What is seen from a viewpoint.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Look {
+    /// What is expected to be learned at each time, bits; `None` where the viewpoint is probably occupied then.
+    Information(Vec<Option<f64>>),
+    /// Why nothing can be seen at any time.
+    Nothing(String),
+}
+
+/// What is asked of a tour. `None`: the daemon's default.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TourQuery {
+    /// Name of the map.
+    pub map: String,
+    /// When it is driven, nanoseconds UTC.
+    pub time_nanos: i64,
+    /// Goals, at most.
+    pub count: u32,
+    /// Where it starts, metres; by default at the map's charger.
+    pub start_m: Option<[f64; 2]>,
+    /// Whether the robot stays at its last goal.
+    pub is_open: bool,
+    /// What it looks with.
+    pub sensor: Sensor,
+    /// Which model predicts the grid.
+    pub model: ModelSelector,
+    /// Distance between candidate places, metres.
+    pub spacing_m: Option<f64>,
+    /// Radius of the robot, metres.
+    pub robot_radius_m: Option<f64>,
+    /// Height of the robot, metres.
+    pub robot_height_m: Option<f64>,
+    /// Metres a second.
+    pub speed_m_per_s: Option<f64>,
+    /// How long it looks at each goal, nanoseconds.
+    pub observing_nanos: Option<i64>,
+    /// How long the tour may take, nanoseconds.
+    pub budget_nanos: Option<i64>,
+}
+
+/// A goal of a tour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TourStep {
+    /// Where, metres.
+    pub at_m: [f64; 2],
+    /// What looking there teaches beyond the goals chosen before it.
+    pub information_bits: f64,
+    /// How probably it is reached.
+    pub reachability: f64,
+    /// When, seconds from the start.
+    pub arrival_secs: f64,
+}
+
+/// A tour.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tour {
+    /// The goals in driving order.
+    pub steps: Vec<TourStep>,
+    /// Length of the way, return included.
+    pub length_m: f64,
+    /// How long it takes.
+    pub duration_secs: f64,
+    /// What is learned if all goals are reached.
+    pub information_bits: f64,
+    /// Candidates that could be driven to.
+    pub candidates: u32,
+    /// Why there are no steps, where there are none.
+    pub reason: String,
+}
+
+/// How slots are chosen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Strategy {
+    /// In proportion to the information expected.
+    #[default]
+    MonteCarlo,
+    /// Those with the most information.
+    Greedy,
+    /// All locations in turn.
+    RoundRobin,
+    /// All locations alike, at random.
+    Random,
+}
+
+/// How much of a day is explored.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Budget {
+    /// As the daemon has it: a quarter of the slots.
+    #[default]
+    Usual,
+    /// So many slots.
+    Slots(u32),
+    /// This share of the slots, in (0, 1].
+    Ratio(f64),
+}
+
+/// What is asked of a day's plan.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DayQuery {
+    /// Name of the map.
+    pub map: String,
+    /// Local date, as YYYY-MM-DD.
+    pub date: String,
+    /// Length of a slot, nanoseconds; a quarter of an hour by default.
+    pub slot_nanos: Option<i64>,
+    /// How much is explored.
+    pub budget: Budget,
+    /// How slots are chosen.
+    pub strategy: Strategy,
+    /// Seed of what is random.
+    pub seed: u64,
+    /// Locations to choose from; empty: all.
+    pub locations: Vec<String>,
+    /// Which model predicts.
+    pub model: ModelSelector,
+    /// 1: explore; 0: do what the task profits from.
+    pub exploration_weight: Option<f64>,
+    /// States that a task profits from, one per location.
+    pub task_states: Vec<String>,
+}
+
+/// A slot of a plan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DaySlot {
+    /// Its start, nanoseconds UTC.
+    pub start_nanos: i64,
+    /// The location to look at; `None`: rest.
+    pub location: Option<String>,
+    /// What is expected to be learned there.
+    pub information_bits: f64,
+}
+
+impl Sensor {
+    fn to_wire(self) -> v1::Sensor {
+        v1::Sensor {
+            range_m: self.range_m.unwrap_or_default(),
+            horizontal_fov_rad: self.horizontal_fov_rad.unwrap_or_default(),
+            vertical_fov_rad: self.vertical_fov_rad.unwrap_or_default(),
+            height_m: self.height_m,
+        }
+    }
+}
+
+impl Client {
+    fn exploration_service(&self) -> ExplorationServiceClient<Connection> {
+        ExplorationServiceClient::new(self.requests())
+    }
+
+    /// What observing states and locations would teach at times (nanoseconds), in their order.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map, state or location.
+    pub async fn information(
+        &self,
+        map: &str,
+        targets: Targets,
+        times_nanos: Vec<i64>,
+        model: ModelSelector,
+    ) -> Result<Vec<Information>, Error> {
+        let (wanted, times) = (targets.states.len() + targets.locations.len(), times_nanos.len());
+        let request = v1::GetInformationRequest {
+            map: map.to_owned(),
+            times_nanos,
+            states: targets.states,
+            locations: targets.locations,
+            model: Some(model.to_wire()),
+            ..Default::default()
+        };
+        let answer = self.exploration_service().get_information(request).await;
+        let mut replies = answer.map_err(|status| self.error(&status))?.into_inner();
+        let mut told = Vec::with_capacity(wanted);
+        while let Some(reply) = replies.message().await.map_err(|status| self.error(&status))? {
+            let v1::GetInformationResponse { target, entropy_bits, information_bits, states } = reply;
+            if entropy_bits.len() != times || information_bits.len() != times {
+                return Err(Error::Protocol("information at other times than asked for"));
+            }
+            told.push(Information { target, entropy_bits, information_bits, states });
+        }
+        if told.len() == wanted { Ok(told) } else { Err(Error::Protocol("information about a target is missing")) }
+    }
+
+    /// What would be seen of the grid from viewpoints at times (nanoseconds), in their order.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `FAILED_PRECONDITION` where the map has no grid, `RESOURCE_EXHAUSTED` where it is too much.
+    pub async fn evaluate_views(
+        &self,
+        map: &str,
+        viewpoints: &[Viewpoint],
+        times_nanos: Vec<i64>,
+        sensor: Sensor,
+        model: ModelSelector,
+    ) -> Result<Vec<Look>, Error> {
+        let to_wire = |at: &Viewpoint| v1::Viewpoint { x_m: at.x_m, y_m: at.y_m, z_m: at.z_m, yaw_rad: at.yaw_rad };
+        let times = times_nanos.len();
+        let request = v1::EvaluateViewsRequest {
+            map: map.to_owned(),
+            viewpoints: viewpoints.iter().map(to_wire).collect(),
+            times_nanos,
+            sensor: Some(sensor.to_wire()),
+            model: Some(model.to_wire()),
+            ..Default::default()
+        };
+        let answer = self.exploration_service().evaluate_views(request).await;
+        let mut replies = answer.map_err(|status| self.error(&status))?.into_inner();
+        let mut looks = Vec::with_capacity(viewpoints.len());
+        while let Some(reply) = replies.message().await.map_err(|status| self.error(&status))? {
+            if reply.viewpoint as usize != looks.len() {
+                return Err(Error::Protocol("a viewpoint out of order"));
+            }
+            looks.push(if !reply.reason.is_empty() {
+                Look::Nothing(reply.reason)
+            } else if reply.information_bits.len() == times {
+                Look::Information(reply.information_bits.into_iter().map(|b| Some(b).filter(|b| !b.is_nan())).collect())
+            } else {
+                return Err(Error::Protocol("views at other times than asked for"));
+            });
+        }
+        if looks.len() == viewpoints.len() { Ok(looks) } else { Err(Error::Protocol("a viewpoint is missing")) }
+    }
+
+    /// Goals for one exploration run.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `FAILED_PRECONDITION` where the map has no grid, or neither a start nor a charger is known.
+    pub async fn plan_tour(&self, query: &TourQuery) -> Result<Tour, Error> {
+        let request = v1::PlanTourRequest {
+            map: query.map.clone(),
+            time_nanos: query.time_nanos,
+            count: query.count,
+            start: query.start_m.map(point_to_wire),
+            is_open: query.is_open,
+            sensor: Some(query.sensor.to_wire()),
+            model: Some(query.model.to_wire()),
+            spacing_m: query.spacing_m.unwrap_or_default(),
+            robot_radius_m: query.robot_radius_m,
+            robot_height_m: query.robot_height_m.unwrap_or_default(),
+            speed_m_per_s: query.speed_m_per_s.unwrap_or_default(),
+            observing: query.observing_nanos.map(duration),
+            budget: query.budget_nanos.map(duration),
+            certainty: None,
+        };
+        let answer = self.exploration_service().plan_tour(request).await.map_err(|status| self.error(&status))?;
+        let tour = answer.into_inner();
+        let step = |step: v1::TourStep| {
+            let at = step.at.ok_or(Error::Protocol("a step of the tour is nowhere"))?;
+            let v1::TourStep { information_bits, reachability, arrival_secs, .. } = step;
+            Ok(TourStep { at_m: point_from_wire(at), information_bits, reachability, arrival_secs })
+        };
+        Ok(Tour {
+            steps: tour.steps.into_iter().map(step).collect::<Result<_, Error>>()?,
+            length_m: tour.length_m,
+            duration_secs: tour.duration_secs,
+            information_bits: tour.information_bits,
+            candidates: tour.candidates,
+            reason: tour.reason,
+        })
+    }
+
+    /// Which slots of a local day to explore, and where.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `INVALID_ARGUMENT` where the budget does not suit the day or the date is none.
+    pub async fn plan_day(&self, query: DayQuery) -> Result<Vec<DaySlot>, Error> {
+        use v1::plan_day_request::Budget as Wire;
+        let strategy = match query.strategy {
+            Strategy::MonteCarlo => v1::Strategy::MonteCarlo,
+            Strategy::Greedy => v1::Strategy::Greedy,
+            Strategy::RoundRobin => v1::Strategy::RoundRobin,
+            Strategy::Random => v1::Strategy::Random,
+        };
+        let request = v1::PlanDayRequest {
+            map: query.map,
+            date: query.date,
+            slot: query.slot_nanos.map(duration),
+            strategy: strategy.into(),
+            seed: query.seed,
+            locations: query.locations,
+            model: Some(query.model.to_wire()),
+            certainty: None,
+            exploration_weight: query.exploration_weight,
+            task_states: query.task_states,
+            budget: match query.budget {
+                Budget::Usual => None,
+                Budget::Slots(slots) => Some(Wire::Explore(slots)),
+                Budget::Ratio(ratio) => Some(Wire::Ratio(ratio)),
+            },
+        };
+        let answer = self.exploration_service().plan_day(request).await.map_err(|status| self.error(&status))?;
+        let slot = |slot: v1::DaySlot| DaySlot {
+            start_nanos: slot.start_nanos,
+            location: Some(slot.location).filter(|location| !location.is_empty()),
+            information_bits: slot.information_bits,
+        };
+        Ok(answer.into_inner().slots.into_iter().map(slot).collect())
+    }
+
+    /// Reports whether a robot reached a place, at a time in nanoseconds UTC or now. Gives the share of the last attempts
+    /// that succeeded, and how many count.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    pub async fn report_visit(
+        &self,
+        map: &str,
+        at_m: [f64; 2],
+        reached: bool,
+        time_nanos: Option<i64>,
+    ) -> Result<(f64, u32), Error> {
+        let request = v1::ReportVisitRequest {
+            map: map.to_owned(),
+            at: Some(point_to_wire(at_m)),
+            reached,
+            time_nanos: time_nanos.unwrap_or_default(),
+        };
+        let answer = self.exploration_service().report_visit(request).await.map_err(|status| self.error(&status))?;
+        let v1::ReportVisitResponse { reachability, attempts } = answer.into_inner();
+        Ok((reachability, attempts))
+    }
+}

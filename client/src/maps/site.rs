@@ -1,0 +1,84 @@
+//! What a map is told about its site: the charger, and locations.
+//!
+//! Invariant: what was set is durable when the call returns.
+
+use tidemap_proto::v1;
+
+use crate::{connection::Client, error::Error};
+
+/// States that are seen together, from one place.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Location {
+    /// Its name.
+    pub name: String,
+    /// Names of its states.
+    pub states: Vec<String>,
+    /// Where the robot stands to see them, x and y in metres.
+    pub position_m: Option<[f64; 2]>,
+}
+
+pub(crate) fn point_to_wire([x_m, y_m]: [f64; 2]) -> v1::Point {
+    v1::Point { x_m, y_m }
+}
+
+pub(crate) fn point_from_wire(point: v1::Point) -> [f64; 2] {
+    [point.x_m, point.y_m]
+}
+
+impl Location {
+    fn from_wire(wire: v1::Location) -> Self {
+        Self { name: wire.name, states: wire.states, position_m: wire.position.map(point_from_wire) }
+    }
+}
+
+impl Client {
+    /// Sets where the robot rests and charges; `None`: nowhere in particular.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    pub async fn set_charger(&self, map: &str, at_m: Option<[f64; 2]>) -> Result<(), Error> {
+        let request = v1::SetChargerRequest { map: map.to_owned(), charger: at_m.map(point_to_wire) };
+        self.map_service().set_charger(request).await.map_err(|status| self.error(&status))?;
+        Ok(())
+    }
+
+    /// Sets a location, or replaces the one of that name. Gives it as it stands.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state.
+    pub async fn set_location(&self, map: &str, location: Location) -> Result<Location, Error> {
+        let Location { name, states, position_m } = location;
+        let location = v1::Location { name, states, position: position_m.map(point_to_wire) };
+        let request = v1::SetLocationRequest { map: map.to_owned(), location: Some(location) };
+        let answer = self.map_service().set_location(request).await.map_err(|status| self.error(&status))?;
+        answer.into_inner().location.map(Location::from_wire).ok_or(Error::Protocol("no location in the answer"))
+    }
+
+    /// Deletes a location; its states stay.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is none of that name.
+    pub async fn delete_location(&self, map: &str, location: &str) -> Result<(), Error> {
+        let request = v1::DeleteLocationRequest { map: map.to_owned(), location: location.to_owned() };
+        self.map_service().delete_location(request).await.map_err(|status| self.error(&status))?;
+        Ok(())
+    }
+
+    /// All locations of a map, by name.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    pub async fn locations(&self, map: &str) -> Result<Vec<Location>, Error> {
+        let mut locations = Vec::new();
+        let mut request = v1::ListLocationsRequest { map: map.to_owned(), page_size: 1000, ..Default::default() };
+        loop {
+            let answer = self.map_service().list_locations(request.clone()).await;
+            let page = answer.map_err(|status| self.error(&status))?.into_inner();
+            locations.extend(page.locations.into_iter().map(Location::from_wire));
+            if page.next_page_token.is_empty() {
+                return Ok(locations);
+            }
+            request.page_token = page.next_page_token;
+        }
+    }
+}

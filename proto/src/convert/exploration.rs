@@ -1,0 +1,211 @@
+//! Questions of explorers: sensors, viewpoints, tours, days.
+//!
+//! Invariant: a zero or absent field is its default; what the planner itself checks is left to it.
+
+use tidemap_model::LocalDay;
+use tidemap_plan::{
+    day::{DayRow, SLOT_NANOS},
+    information::Certainty,
+    strategy::{Budget, Strategy},
+    tour::{Tour, TourEnd, TourQuestion},
+    view::{SceneOptions, Sensor, Viewpoint},
+};
+
+use super::{InvalidField, site::point_to_wire, time::nanos_from_duration};
+use crate::v1;
+
+/// A number that is its default where it is 0.
+fn or(value: f64, default: f64) -> f64 {
+    if value == 0.0 { default } else { value }
+}
+
+/// The certainty that is left after an observation.
+///
+/// # Errors
+/// It is not above 0.5 and below 1.
+pub fn certainty_from_wire(field: &str, certainty: Option<f64>) -> Result<Certainty, InvalidField> {
+    certainty.map_or_else(|| Ok(Certainty::default()), Certainty::new).map_err(|error| InvalidField::new(field, error))
+}
+
+/// Nanoseconds UTC that are not before 1970.
+///
+/// # Errors
+/// They are.
+pub fn time_from_wire(field: impl Into<String>, nanos: i64) -> Result<i64, InvalidField> {
+    if nanos >= 0 { Ok(nanos) } else { Err(InvalidField::new(field, format!("{nanos} ns is before 1970"))) }
+}
+
+/// Times of which there is at least one.
+///
+/// # Errors
+/// There is none, or one is before 1970.
+pub fn times_from_wire(field: &str, times_nanos: &[i64]) -> Result<(), InvalidField> {
+    if times_nanos.is_empty() {
+        return Err(InvalidField::new(field, "name at least one time"));
+    }
+    (0..).zip(times_nanos).try_for_each(|(i, &nanos): (usize, _)| time_from_wire(format!("{field}[{i}]"), nanos).map(drop))
+}
+
+/// A sensor.
+#[must_use]
+pub fn sensor_from_wire(wire: Option<v1::Sensor>) -> Sensor {
+    let (wire, default) = (wire.unwrap_or_default(), Sensor::default());
+    Sensor {
+        range_m: or(wire.range_m, default.range_m),
+        horizontal_fov_rad: or(wire.horizontal_fov_rad, default.horizontal_fov_rad),
+        vertical_fov_rad: or(wire.vertical_fov_rad, default.vertical_fov_rad),
+        height_m: wire.height_m.unwrap_or(default.height_m),
+    }
+}
+
+/// A viewpoint.
+#[must_use]
+pub fn viewpoint_from_wire(wire: &v1::Viewpoint) -> Viewpoint {
+    let v1::Viewpoint { x_m, y_m, z_m, yaw_rad } = *wire;
+    Viewpoint { x_m, y_m, z_m, yaw_rad }
+}
+
+/// How predictions are looked into.
+///
+/// # Errors
+/// The certainty or the threshold is none.
+pub fn scene_from_wire(certainty: Option<f64>, threshold: Option<f64>) -> Result<SceneOptions, InvalidField> {
+    let certainty = certainty_from_wire("certainty", certainty)?;
+    match threshold.unwrap_or(0.5) {
+        threshold if (0.0..=1.0).contains(&threshold) => Ok(SceneOptions { certainty, threshold }),
+        wrong => Err(InvalidField::new("threshold", format!("{wrong} is not between 0 and 1"))),
+    }
+}
+
+/// The question for a tour that starts there.
+///
+/// # Errors
+/// The field that is wrong, as far as that can be told without the grid.
+pub fn tour_from_wire(request: &v1::PlanTourRequest, start_m: [f64; 2]) -> Result<TourQuestion, InvalidField> {
+    let default = TourQuestion::default();
+    let secs = |field: &str, span: Option<prost_types::Duration>| {
+        let nanos = span.map(|span| nanos_from_duration(field, span)).transpose()?;
+        Ok::<_, InvalidField>(nanos.map(|nanos| nanos as f64 / 1e9))
+    };
+    let mut travel = default.travel;
+    travel.radius_m = request.robot_radius_m.unwrap_or(travel.radius_m);
+    travel.z_max_m = or(request.robot_height_m, travel.z_max_m);
+    Ok(TourQuestion {
+        start_m,
+        goals: if request.count == 0 { default.goals } else { request.count as usize },
+        spacing_m: or(request.spacing_m, default.spacing_m),
+        sensor: sensor_from_wire(request.sensor),
+        scene: scene_from_wire(request.certainty, None)?,
+        travel,
+        end: if request.is_open { TourEnd::LastGoal } else { TourEnd::Start },
+        speed_m_secs: or(request.speed_m_per_s, default.speed_m_secs),
+        observation_secs: secs("observing", request.observing)?.unwrap_or(default.observation_secs),
+        budget_secs: secs("budget", request.budget)?,
+        ..default
+    })
+}
+
+/// A tour for the wire.
+#[must_use]
+pub fn tour_to_wire(tour: &Tour) -> v1::PlanTourResponse {
+    let step = |step: &tidemap_plan::tour::TourStep| v1::TourStep {
+        at: Some(point_to_wire([step.x_m, step.y_m])),
+        information_bits: step.information_bits,
+        reachability: step.reachability,
+        arrival_secs: step.arrival_secs,
+    };
+    v1::PlanTourResponse {
+        steps: tour.steps.iter().map(step).collect(),
+        length_m: tour.length_m,
+        duration_secs: tour.duration_secs,
+        information_bits: tour.information_bits,
+        expected_bits: tour.expected_bits,
+        candidates: u32::try_from(tour.candidates).unwrap_or(u32::MAX),
+        reason: tour.no_tour.map_or_else(String::new, |reason| reason.to_string()),
+    }
+}
+
+/// A local date.
+///
+/// # Errors
+/// It is none, or not written as YYYY-MM-DD.
+pub fn date_from_wire(field: &str, date: &str) -> Result<LocalDay, InvalidField> {
+    let shown: String = date.chars().take(40).collect();
+    LocalDay::parse(date)
+        .ok_or_else(|| InvalidField::new(field, format!("{shown:?} is not a date: write it as 2016-03-21")))
+}
+
+/// Length of a slot in nanoseconds.
+///
+/// # Errors
+/// It is more than can be told.
+pub fn slot_from_wire(slot: Option<prost_types::Duration>) -> Result<i64, InvalidField> {
+    slot.map_or(Ok(SLOT_NANOS), |slot| nanos_from_duration("slot", slot))
+}
+
+/// How much is explored; by default a quarter of the slots.
+#[must_use]
+pub fn budget_from_wire(budget: Option<v1::plan_day_request::Budget>) -> Budget {
+    match budget {
+        Some(v1::plan_day_request::Budget::Explore(visits)) => Budget::Visits(visits as usize),
+        Some(v1::plan_day_request::Budget::Ratio(ratio)) => Budget::Ratio(ratio),
+        None => Budget::Ratio(0.25),
+    }
+}
+
+/// How slots are chosen.
+///
+/// # Errors
+/// A strategy that is not known.
+pub fn strategy_from_wire(field: &str, strategy: i32) -> Result<Strategy, InvalidField> {
+    match v1::Strategy::try_from(strategy) {
+        Ok(v1::Strategy::Unspecified | v1::Strategy::MonteCarlo) => Ok(Strategy::MonteCarlo),
+        Ok(v1::Strategy::Greedy) => Ok(Strategy::Greedy),
+        Ok(v1::Strategy::RoundRobin) => Ok(Strategy::RoundRobin { visited: 0 }),
+        Ok(v1::Strategy::Random) => Ok(Strategy::Random),
+        Err(_) => Err(InvalidField::new(field, format!("{strategy} is not known"))),
+    }
+}
+
+/// A day's plan for the wire. `names`: those of the locations, by their index.
+#[must_use]
+pub fn day_to_wire(rows: &[DayRow], names: &[String]) -> v1::PlanDayResponse {
+    let slot = |row: &DayRow| v1::DaySlot {
+        start_nanos: row.start_nanos,
+        location: row.location.and_then(|index| names.get(index).cloned()).unwrap_or_default(),
+        information_bits: row.information_bits,
+    };
+    let explored = rows.iter().filter(|row| row.location.is_some()).count();
+    v1::PlanDayResponse {
+        slots: rows.iter().map(slot).collect(),
+        explored: u32::try_from(explored).unwrap_or(u32::MAX),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_question_has_the_defaults() {
+        assert_eq!(sensor_from_wire(None), Sensor::default());
+        assert_eq!(sensor_from_wire(Some(v1::Sensor::default())), Sensor::default());
+        let question = tour_from_wire(&v1::PlanTourRequest::default(), [1.0, 2.0]);
+        assert_eq!(question, Ok(TourQuestion { start_m: [1.0, 2.0], ..TourQuestion::default() }));
+        assert_eq!(strategy_from_wire("strategy", 0), Ok(Strategy::MonteCarlo));
+        assert_eq!(slot_from_wire(None), Ok(SLOT_NANOS));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for wrong in [0.5, 1.0, f64::NAN, -3.0] {
+            assert_eq!(certainty_from_wire("certainty", Some(wrong)).expect_err("wrong").field, "certainty");
+        }
+        assert_eq!(scene_from_wire(None, Some(1.5)).expect_err("wrong").field, "threshold");
+        assert_eq!(times_from_wire("times_nanos", &[]).expect_err("wrong").field, "times_nanos");
+        assert_eq!(times_from_wire("times_nanos", &[1, -1]).expect_err("wrong").field, "times_nanos[1]");
+        assert_eq!(strategy_from_wire("strategy", 99).expect_err("wrong").field, "strategy");
+        let date = date_from_wire("date", "21.3.2016").expect_err("wrong");
+        assert!(date.description.contains("\"21.3.2016\" is not a date"), "{date}");
+    }
+}

@@ -1,0 +1,55 @@
+//! What a map is told about its site: places and locations.
+
+use tidemap_map::{
+    name::StateName,
+    site::{Location, PLACE_MAX_M},
+    view::MapView,
+};
+
+use super::InvalidField;
+use crate::v1;
+
+/// A point from the wire: x, y in metres.
+///
+/// # Errors
+/// A coordinate that is no number, or too far away.
+pub fn point_from_wire(field: &str, point: v1::Point) -> Result<[f64; 2], InvalidField> {
+    let v1::Point { x_m, y_m } = point;
+    for (axis, along) in [("x_m", x_m), ("y_m", y_m)] {
+        if !(-PLACE_MAX_M..=PLACE_MAX_M).contains(&along) {
+            let text = format!("{along} is not a number of metres between -1e7 and 1e7");
+            return Err(InvalidField::new(format!("{field}.{axis}"), text));
+        }
+    }
+    Ok([x_m, y_m])
+}
+
+/// A point for the wire.
+#[must_use]
+pub fn point_to_wire([x_m, y_m]: [f64; 2]) -> v1::Point {
+    v1::Point { x_m, y_m }
+}
+
+/// A location for the wire.
+#[must_use]
+pub fn location_to_wire(view: &MapView, name: &StateName, location: &Location) -> v1::Location {
+    let name_of = |id| view.info(id).map(|info| info.name.as_str().to_owned());
+    v1::Location {
+        name: name.as_str().to_owned(),
+        states: location.states.iter().filter_map(|&id| name_of(id)).collect(),
+        position: location.position_m.map(point_to_wire),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_name_the_coordinate_that_is_wrong() {
+        let point = |x_m, y_m| point_from_wire("start", v1::Point { x_m, y_m });
+        assert_eq!(point(1.0, -2.5), Ok([1.0, -2.5]));
+        assert_eq!(point(f64::NAN, 0.0).expect_err("wrong").field, "start.x_m");
+        assert_eq!(point(0.0, 2e7).expect_err("wrong").field, "start.y_m");
+    }
+}

@@ -1,0 +1,174 @@
+//! `ExplorationService`: what looking would teach, and plans of where and when to look.
+//!
+//! Invariant: a request is answered from one view, off the async threads. What it costs is checked before any of it is
+//! computed, and plans take turns of their own, so that predictions do not wait for them.
+
+use std::sync::Arc;
+
+use tidemap_map::site::SiteEdit;
+use tidemap_plan::{
+    day::DayError,
+    predicted::{PredictError, PredictOptions},
+    strategy::StrategyError,
+    tour::TourError,
+    view::{InvalidThreshold, LookLimits, TooMuchWork},
+};
+use tidemap_proto::{
+    convert::{InvalidField, exploration::time_from_wire, site::point_from_wire},
+    v1::{self, exploration_service_server::ExplorationService},
+};
+use tonic::{Code, Request, Response, Status};
+
+use super::{
+    map::{edit_site, find_map},
+    query::{
+        Queries,
+        fitting::Fitting,
+        replies::{Replies, Turns, processors},
+    },
+    status::RpcError,
+};
+use crate::catalog::Catalog;
+
+mod day;
+mod information;
+mod series;
+mod tour;
+mod views;
+
+/// Most of what plans may ask for.
+#[derive(Clone, Copy, Debug)]
+pub struct PlanLimits {
+    /// Predictions of one request.
+    pub predictions: u64,
+    /// Cells of a grid that are held for one request.
+    pub cells: u64,
+    /// Viewpoints x times x cells that the rays of one view pass, of one request.
+    pub view_work: u64,
+}
+
+/// Why there is no plan.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PlanError {
+    /// The grid cannot be predicted.
+    #[error(transparent)]
+    Predict(#[from] PredictError),
+    /// The question about a tour is none.
+    #[error(transparent)]
+    Tour(#[from] TourError),
+    /// Too many views, or no sensor.
+    #[error(transparent)]
+    Look(#[from] TooMuchWork),
+    /// No day can be planned so.
+    #[error(transparent)]
+    Day(#[from] DayError),
+    /// A threshold is none.
+    #[error(transparent)]
+    Threshold(#[from] InvalidThreshold),
+    /// Nobody knows where the robot starts.
+    #[error("the map has no charger, and no start was given: give one, or set the charger with `tidemap map set --charger`")]
+    NoStart,
+}
+
+impl PlanError {
+    pub(super) fn code_and_reason(&self) -> (Code, &'static str) {
+        match self {
+            Self::Predict(PredictError::NoGrid) => (Code::FailedPrecondition, "NO_GRID"),
+            Self::Predict(PredictError::EmptyRegion) => (Code::FailedPrecondition, "NOTHING_OBSERVED"),
+            Self::NoStart => (Code::FailedPrecondition, "NO_START"),
+            Self::Predict(PredictError::Unavailable(_)) => (Code::Internal, "STORAGE_FAILED"),
+            Self::Predict(PredictError::TooManyCells { .. } | PredictError::TooManyValues { .. })
+            | Self::Tour(TourError::TooManyCandidates { .. })
+            | Self::Look(TooMuchWork::Work { .. })
+            | Self::Day(DayError::Strategy(StrategyError::TooMany { .. })) => (Code::ResourceExhausted, "LIMIT"),
+            _ => (Code::InvalidArgument, "INVALID_FIELD"),
+        }
+    }
+}
+
+/// The service.
+#[derive(Debug)]
+pub struct Explorations {
+    catalog: Arc<Catalog>,
+    limits: PlanLimits,
+    fitting: Arc<Fitting>,
+    turns: Turns,
+}
+
+impl Explorations {
+    /// Plans within these limits; models are fitted where questions have theirs fitted.
+    #[must_use]
+    pub fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits) -> Self {
+        // A plan keeps all processors busy; more than a few at once only wait for each other.
+        Self { catalog, limits, fitting: queries.fitting(), turns: Turns::new(processors().max(2)) }
+    }
+
+    /// The same, for work that goes on by itself.
+    fn share(&self) -> Explorations {
+        Self {
+            catalog: Arc::clone(&self.catalog),
+            limits: self.limits,
+            fitting: Arc::clone(&self.fitting),
+            turns: self.turns.clone(),
+        }
+    }
+
+    fn predict_options(&self) -> PredictOptions {
+        PredictOptions { max_cells: self.limits.cells, ..PredictOptions::default() }
+    }
+
+    fn look_limits(&self) -> LookLimits {
+        LookLimits { max_work: self.limits.view_work }
+    }
+
+    async fn visited(&self, request: v1::ReportVisitRequest) -> Result<v1::ReportVisitResponse, RpcError> {
+        let handle = find_map(&self.catalog, &request.map)?;
+        let at = request.at.ok_or_else(|| InvalidField::new("at", "say where the robot wanted to"))?;
+        let at_m = point_from_wire("at", at)?;
+        let utc_nanos = match time_from_wire("time_nanos", request.time_nanos)? {
+            0 => self.catalog.context().clock.now_nanos(),
+            nanos => nanos,
+        };
+        edit_site(&handle, SiteEdit::Visit { at_m, reached: request.reached, utc_nanos }).await?;
+        let rate = handle.view().site().reachability().rate(at_m[0], at_m[1]);
+        Ok(v1::ReportVisitResponse { reachability: rate.rate, attempts: rate.attempts.into() })
+    }
+}
+
+#[tonic::async_trait]
+impl ExplorationService for Explorations {
+    type GetInformationStream = Replies<v1::GetInformationResponse>;
+    type EvaluateViewsStream = Replies<v1::EvaluateViewsResponse>;
+
+    async fn get_information(
+        &self,
+        request: Request<v1::GetInformationRequest>,
+    ) -> Result<Response<Self::GetInformationStream>, Status> {
+        Ok(Response::new(information::get_information(self, request.into_inner()).await?))
+    }
+
+    async fn evaluate_views(
+        &self,
+        request: Request<v1::EvaluateViewsRequest>,
+    ) -> Result<Response<Self::EvaluateViewsStream>, Status> {
+        Ok(Response::new(views::evaluate_views(self, request.into_inner()).await?))
+    }
+
+    async fn plan_tour(
+        &self,
+        request: Request<v1::PlanTourRequest>,
+    ) -> Result<Response<v1::PlanTourResponse>, Status> {
+        Ok(Response::new(tour::plan_tour(self, request.into_inner()).await?))
+    }
+
+    async fn plan_day(&self, request: Request<v1::PlanDayRequest>) -> Result<Response<v1::PlanDayResponse>, Status> {
+        Ok(Response::new(day::plan_day(self, request.into_inner()).await?))
+    }
+
+    async fn report_visit(
+        &self,
+        request: Request<v1::ReportVisitRequest>,
+    ) -> Result<Response<v1::ReportVisitResponse>, Status> {
+        Ok(Response::new(self.visited(request.into_inner()).await?))
+    }
+}

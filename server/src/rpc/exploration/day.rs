@@ -1,0 +1,130 @@
+//! `PlanDay`: which slots of a day to explore, and where.
+//!
+//! Invariant: what a slot promises is predicted for its middle; a plan has a row per slot of the local day.
+
+use tidemap_map::event::{StateId, StateKind};
+use tidemap_plan::{
+    day::{DaySlots, plan_day as plan},
+    information::Certainty,
+    strategy::Gains,
+};
+use tidemap_proto::{
+    convert::{
+        InvalidField,
+        exploration::{
+            budget_from_wire, certainty_from_wire, date_from_wire, day_to_wire, slot_from_wire, strategy_from_wire,
+        },
+        query::selector_from_wire,
+    },
+    v1,
+};
+
+use super::{
+    Explorations, PlanError,
+    information::location_states,
+    series::{check_kind, series},
+};
+use crate::rpc::{
+    map::find_map,
+    query::{check_limit, find_state},
+    status::RpcError,
+};
+
+/// Most locations of one request.
+const LOCATIONS_MAX: usize = 10_000;
+
+/// The locations to choose from, by name, with their states.
+fn locations(
+    view: &tidemap_map::view::MapView,
+    asked: Vec<String>,
+) -> Result<(Vec<String>, Vec<Vec<StateId>>), RpcError> {
+    let names = if asked.is_empty() {
+        view.site().locations().keys().map(|name| name.as_str().to_owned()).collect()
+    } else {
+        asked
+    };
+    check_limit("locations", names.len() as u64, LOCATIONS_MAX as u64, "one request")?;
+    if !names.is_empty() {
+        let states = |(i, name): (usize, &String)| location_states(view, &format!("locations[{i}]"), name);
+        let states = names.iter().enumerate().map(states).collect::<Result<_, _>>()?;
+        return Ok((names, states));
+    }
+    let is_probability = |info: &&tidemap_map::view::StateInfo| info.kind == StateKind::Probability;
+    let names: Vec<String> = view.infos().filter(is_probability).map(|info| info.name.as_str().to_owned()).collect();
+    check_limit("states", names.len() as u64, LOCATIONS_MAX as u64, "one request without locations")?;
+    if names.is_empty() {
+        return Err(InvalidField::new("locations", "the map has neither locations nor states to explore").into());
+    }
+    let states = names.iter().map(|name| find_state(view, name).map(|id| vec![id])).collect::<Result<_, _>>()?;
+    Ok((names, states))
+}
+
+pub(super) async fn plan_day(
+    explorations: &Explorations,
+    request: v1::PlanDayRequest,
+) -> Result<v1::PlanDayResponse, RpcError> {
+    let handle = find_map(&explorations.catalog, &request.map)?;
+    let view = handle.view();
+    let day = date_from_wire("date", &request.date)?;
+    let slots = DaySlots::of(&view.spec().zone, day, slot_from_wire(request.slot)?).map_err(PlanError::from)?;
+    let (budget, strategy) = (budget_from_wire(request.budget), strategy_from_wire("strategy", request.strategy)?);
+    budget.visits(slots.count()).map_err(|error| PlanError::Day(error.into()))?;
+    let selector = selector_from_wire("model", request.model)?;
+    let certainty = certainty_from_wire("certainty", request.certainty)?;
+    let weight = request.exploration_weight.unwrap_or(1.0);
+    if !(0.0..=1.0).contains(&weight) {
+        return Err(InvalidField::new("exploration_weight", format!("{weight} is not between 0 and 1")).into());
+    }
+    let (names, by_location) = locations(&view, request.locations)?;
+    let tasks = request.task_states.iter().map(|name| find_state(&view, name)).collect::<Result<Vec<_>, _>>()?;
+    for (i, &id) in tasks.iter().enumerate() {
+        check_kind(&view, id, &format!("task_states[{i}]"))?;
+    }
+    if weight < 1.0 && tasks.len() != names.len() {
+        let text = format!("{} states for {} locations: name one per location", tasks.len(), names.len());
+        return Err(InvalidField::new("task_states", text).into());
+    }
+    if weight >= 1.0 && !tasks.is_empty() {
+        let text = "they count only with an exploration_weight below 1";
+        return Err(InvalidField::new("task_states", text).into());
+    }
+    let middles: Vec<i64> = (0..slots.count()).map(|slot| slots.middle_nanos(slot)).collect();
+    let counts: Vec<usize> = by_location.iter().map(Vec::len).collect();
+    let asked: Vec<StateId> = by_location.into_iter().flatten().chain(tasks.iter().copied()).collect();
+    let rows = series(explorations, &handle, &view, (asked, middles), selector).await?;
+    let (of_tasks, of_locations) = (&rows[rows.len() - tasks.len()..], &rows[..rows.len() - tasks.len()]);
+    let information = gains(of_locations, &counts, slots.count(), certainty).map_err(PlanError::from)?;
+    let weighed = if weight < 1.0 {
+        let task = Gains::of(slots.count(), names.len(), |slot, place| of_tasks[place][slot]);
+        let weighed = task.and_then(|task| information.weighed(&task, weight));
+        Some(weighed.map_err(|error| PlanError::Day(error.into()))?)
+    } else {
+        None
+    };
+    let values = weighed.as_ref().unwrap_or(&information);
+    let value = |nanos, place| slots.slot_at(nanos).map_or(0.0, |slot| values.at(slot, place));
+    let mut rows = plan(&slots, names.len(), value, strategy, budget, request.seed).map_err(PlanError::from)?;
+    for row in &mut rows {
+        row.information_bits = row.location.map_or(0.0, |place| information.at(row.slot, place));
+    }
+    Ok(day_to_wire(&rows, &names))
+}
+
+/// What each location is expected to teach in each slot. `rows` has the states of the locations one after the other.
+fn gains(
+    rows: &[Vec<f64>],
+    counts: &[usize],
+    slots: usize,
+    certainty: Certainty,
+) -> Result<Gains, tidemap_plan::day::DayError> {
+    let mut begin = 0;
+    let of_location: Vec<&[Vec<f64>]> = counts
+        .iter()
+        .map(|count| {
+            begin += count;
+            &rows[begin - count..begin]
+        })
+        .collect();
+    let gain = |slot: usize, place: usize| certainty.bits_of(of_location[place].iter().map(|row| row[slot]));
+    Ok(Gains::of(slots, counts.len(), gain)?)
+}

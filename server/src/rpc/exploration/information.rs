@@ -1,0 +1,171 @@
+//! `GetInformation`: the entropy of states, locations and regions, and what observing them would teach.
+//!
+//! Invariant: replies come in the order of states, locations, region; each has a number per time.
+
+use std::sync::Arc;
+
+use tidemap_map::{event::StateId, grid::view::CellDescription, name::StateName, site::InvalidEdit, view::MapView};
+use tidemap_plan::{
+    information::{Certainty, entropy_of},
+    predicted::{PredictOptions, PredictedTimes},
+};
+use tidemap_proto::{
+    convert::{
+        InvalidField,
+        exploration::{certainty_from_wire, times_from_wire},
+        grid::cell_box_from_wire,
+        query::{check_for_cells, selector_from_wire},
+    },
+    v1,
+};
+
+use super::{
+    Explorations, PlanError,
+    series::{check_kind, series},
+};
+use crate::{
+    ingest::protocol::EditSiteError,
+    rpc::{
+        map::find_map,
+        query::{
+            check_limit, find_state,
+            replies::{Replies, computed, streamed},
+            states::{cell_of, find_cell},
+        },
+        status::RpcError,
+    },
+};
+
+/// Most targets of one request.
+const TARGETS_MAX: usize = 10_000;
+
+/// What is asked about.
+enum Target {
+    States(Vec<StateId>),
+    Cell(Box<CellDescription>),
+}
+
+/// The states of a location.
+pub(super) fn location_states(view: &MapView, field: &str, name: &str) -> Result<Vec<StateId>, RpcError> {
+    let unknown = || RpcError::EditSite(EditSiteError::Invalid(InvalidEdit::UnknownLocation(name.to_owned())));
+    let known = StateName::new(name).map_err(|error| InvalidField::new(field, error))?;
+    let states = view.site().locations().get(&known).map(|location| location.states.clone()).ok_or_else(unknown)?;
+    states.iter().try_for_each(|&id| check_kind(view, id, field))?;
+    Ok(states)
+}
+
+fn reply(target: &str, rows: &[Vec<f64>], times: usize, certainty: Certainty) -> v1::GetInformationResponse {
+    let at = |time: usize| rows.iter().map(move |row| row[time]);
+    v1::GetInformationResponse {
+        target: target.to_owned(),
+        entropy_bits: (0..times).map(|time| entropy_of(at(time))).collect(),
+        information_bits: (0..times).map(|time| certainty.bits_of(at(time))).collect(),
+        states: rows.len() as u64,
+    }
+}
+
+/// What all cells of a region teach that were ever observed.
+fn of_region(
+    view: &MapView,
+    times_nanos: &[i64],
+    options: &PredictOptions,
+    (certainty, most): (Certainty, u64),
+) -> Result<v1::GetInformationResponse, RpcError> {
+    let grid = PredictedTimes::new(view, times_nanos, options).map_err(PlanError::from)?;
+    let cells = grid.lattice().size().iter().map(|&along| along as u64).product::<u64>();
+    check_limit("cells x times", cells * times_nanos.len() as u64, most, "setting max_predictions")?;
+    let mut told = v1::GetInformationResponse { target: "region".to_owned(), ..Default::default() };
+    for time in 0..grid.times() {
+        let Some(grid) = grid.at(time) else { break };
+        let known = || grid.known().map(f64::from);
+        told.states = known().count() as u64;
+        told.entropy_bits.push(entropy_of(known()));
+        told.information_bits.push(certainty.bits_of(known()));
+    }
+    Ok(told)
+}
+
+pub(super) async fn get_information(
+    explorations: &Explorations,
+    request: v1::GetInformationRequest,
+) -> Result<Replies<v1::GetInformationResponse>, RpcError> {
+    let handle = find_map(&explorations.catalog, &request.map)?;
+    let view = handle.view();
+    let v1::GetInformationRequest { times_nanos, states, locations, region, model, certainty, .. } = request;
+    times_from_wire("times_nanos", &times_nanos)?;
+    let selector = selector_from_wire("model", model)?;
+    let certainty = certainty_from_wire("certainty", certainty)?;
+    if states.is_empty() && locations.is_empty() && region.is_none() {
+        return Err(InvalidField::new("states", "name a state, a location or a region").into());
+    }
+    check_limit("targets", (states.len() + locations.len()) as u64, TARGETS_MAX as u64, "one request")?;
+    if let Some(region) = region {
+        check_for_cells("model", selector)?;
+        view.grid().ok_or(PlanError::from(tidemap_plan::predicted::PredictError::NoGrid))?;
+        if !states.is_empty() || !locations.is_empty() {
+            return Err(InvalidField::new("region", "ask for a region in a request of its own").into());
+        }
+        let options =
+            PredictOptions { selector, region: Some(cell_box_from_wire(&region)), ..explorations.predict_options() };
+        let most = explorations.limits.predictions;
+        let turn = explorations.turns.take().await?;
+        return Ok(computed(turn, move |computed| {
+            computed.send(of_region(&view, &times_nanos, &options, (certainty, most))?);
+            Ok(())
+        }));
+    }
+    let mut targets = Vec::with_capacity(states.len() + locations.len());
+    for (i, name) in states.into_iter().enumerate() {
+        let field = format!("states[{i}]");
+        let target = match cell_of(&field, &name)? {
+            Some(cell) => {
+                check_for_cells("model", selector)?;
+                Target::Cell(Box::new(find_cell(&view, cell)?))
+            }
+            None => {
+                let id = find_state(&view, &name)?;
+                check_kind(&view, id, &field)?;
+                Target::States(vec![id])
+            }
+        };
+        targets.push((name, target));
+    }
+    for (i, name) in locations.into_iter().enumerate() {
+        let states = location_states(&view, &format!("locations[{i}]"), &name)?;
+        targets.push((name, Target::States(states)));
+    }
+    let all = |(_, target): &(String, Target)| match target {
+        Target::States(states) => states.len() as u64,
+        Target::Cell(_) => 1,
+    };
+    let predictions = targets.iter().map(all).sum::<u64>() * times_nanos.len() as u64;
+    check_limit("predictions", predictions, explorations.limits.predictions, "setting max_predictions")?;
+    let asked = explorations.share();
+    Ok(streamed(move |computed| async move {
+        for (name, target) in targets {
+            let rows = match target {
+                Target::States(states) => {
+                    tokio::select! {
+                        () = computed.unwanted() => return Ok(()),
+                        rows = series(&asked, &handle, &view, (states, times_nanos.clone()), selector) => rows?,
+                    }
+                }
+                Target::Cell(cell) => {
+                    let (view, times) = (Arc::clone(&view), times_nanos.clone());
+                    let predict = move || {
+                        let mut row = vec![0.0; times.len()];
+                        view.predict_cell_into(&cell, &view.prepare(&times), selector, &mut row);
+                        vec![row]
+                    };
+                    tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)?
+                }
+            };
+            let told = reply(&name, &rows, times_nanos.len(), certainty);
+            let to = computed.clone();
+            if !tokio::task::spawn_blocking(move || to.send(told)).await.map_err(|_| RpcError::Stopping)? {
+                break;
+            }
+        }
+        Ok(())
+    }))
+}

@@ -1,0 +1,87 @@
+//! Probabilities of states at times, by whichever model.
+//!
+//! Invariant: a row per state, as long as the times; every number in [0, 1].
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    event::{StateId, StateKind},
+    predict::ModelSelector,
+    view::MapView,
+};
+use tidemap_proto::convert::InvalidField;
+
+use super::Explorations;
+use crate::{
+    ingest::handle::MapHandle,
+    rpc::{
+        query::{check_limit, fitting::Learned},
+        status::RpcError,
+    },
+};
+
+/// Times whose phasors are held at once.
+const TIMES_PER_BLOCK: usize = 4096;
+
+/// A state that has an entropy.
+///
+/// # Errors
+/// Its values are no probabilities. `field` names what asked for it.
+pub(super) fn check_kind(view: &MapView, id: StateId, field: &str) -> Result<(), RpcError> {
+    let kind = view.kind(id);
+    if kind == StateKind::Probability {
+        return Ok(());
+    }
+    let name = view.info(id).map_or("", |info| info.name.as_str());
+    let text = format!("state {name:?} is a {}: only probabilities have an entropy", kind.name());
+    Err(InvalidField::new(field, text).into())
+}
+
+/// Probabilities that the states are 1 at the times.
+///
+/// # Errors
+/// There are more predictions than may be, or a model cannot be fitted.
+pub(super) async fn series(
+    explorations: &Explorations,
+    handle: &Arc<MapHandle>,
+    view: &Arc<MapView>,
+    (states, times_nanos): (Vec<StateId>, Vec<i64>),
+    selector: ModelSelector,
+) -> Result<Vec<Vec<f64>>, RpcError> {
+    let predictions = states.len() as u64 * times_nanos.len() as u64;
+    check_limit("predictions", predictions, explorations.limits.predictions, "setting max_predictions")?;
+    if !selector.kind.needs_readings() {
+        let turn = explorations.turns.take().await?;
+        let view = Arc::clone(view);
+        let predict = move || {
+            let _turn = turn;
+            let mut rows = vec![Vec::with_capacity(times_nanos.len()); states.len()];
+            for block in times_nanos.chunks(TIMES_PER_BLOCK) {
+                let prepared = view.prepare(block);
+                for (&id, row) in states.iter().zip(&mut rows) {
+                    let from = row.len();
+                    row.resize(from + block.len(), 0.0);
+                    view.predict_into(id, &prepared, selector, &mut row[from..]);
+                }
+            }
+            rows
+        };
+        return tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping);
+    }
+    let moments: Arc<[_]> = view.moments(&times_nanos).into();
+    let mut rows = Vec::with_capacity(states.len());
+    for id in states {
+        let learned = Learned::new(Arc::clone(handle), Arc::clone(view), id);
+        let fitted = explorations.fitting.fitted(&learned, selector.kind).await?;
+        let turn = explorations.turns.take().await?;
+        let (view, moments) = (Arc::clone(view), Arc::clone(&moments));
+        let predict = move || {
+            let _turn = turn;
+            let mut row = vec![0.0; moments.len()];
+            fitted.predict_into(&view, id, &moments, selector.persistence, &mut row);
+            row
+        };
+        rows.push(tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)?);
+    }
+    Ok(rows)
+}

@@ -1,0 +1,42 @@
+//! `PlanTour`: goals for one exploration run.
+//!
+//! Invariant: the tour, and the reachability it counts with, are of one view.
+
+use tidemap_plan::{
+    predicted::{PredictOptions, PredictedGrid},
+    tour::plan_tour as plan,
+};
+use tidemap_proto::{
+    convert::{
+        exploration::{time_from_wire, tour_from_wire, tour_to_wire},
+        query::{check_for_cells, selector_from_wire},
+        site::point_from_wire,
+    },
+    v1,
+};
+
+use super::{Explorations, PlanError};
+use crate::rpc::{map::find_map, status::RpcError};
+
+pub(super) async fn plan_tour(
+    explorations: &Explorations,
+    request: v1::PlanTourRequest,
+) -> Result<v1::PlanTourResponse, RpcError> {
+    let view = find_map(&explorations.catalog, &request.map)?.view();
+    let time_nanos = time_from_wire("time_nanos", request.time_nanos)?;
+    let selector = selector_from_wire("model", request.model)?;
+    check_for_cells("model", selector)?;
+    view.grid().ok_or(PlanError::from(tidemap_plan::predicted::PredictError::NoGrid))?;
+    let start = request.start.map(|start| point_from_wire("start", start)).transpose()?;
+    let start = start.or(view.site().charger_m()).ok_or(PlanError::NoStart)?;
+    let question = tour_from_wire(&request, start)?;
+    let options = PredictOptions { selector, ..explorations.predict_options() };
+    let turn = explorations.turns.take().await?;
+    let work = move || {
+        let _turn = turn;
+        let grid = PredictedGrid::new(&view, time_nanos, &options)?;
+        Ok::<_, PlanError>(plan(&grid, view.site().reachability(), &question)?)
+    };
+    let tour = tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)??;
+    Ok(tour_to_wire(&tour))
+}

@@ -1,0 +1,64 @@
+//! `EvaluateViews`: what a sensor would see from many places at many times.
+//!
+//! Invariant: a reply per viewpoint, in their order; one that cannot be stood on spoils no other.
+
+use std::ops::ControlFlow;
+
+use tidemap_plan::{
+    predicted::{PredictOptions, PredictedTimes},
+    view::{TimedScene, Viewpoint, look_many},
+};
+use tidemap_proto::{
+    convert::{
+        InvalidField,
+        exploration::{scene_from_wire, sensor_from_wire, times_from_wire, viewpoint_from_wire},
+        query::{check_for_cells, selector_from_wire},
+    },
+    v1,
+};
+
+use super::{Explorations, PlanError};
+use crate::rpc::{
+    map::find_map,
+    query::{
+        check_limit,
+        replies::{Replies, computed},
+    },
+    status::RpcError,
+};
+
+pub(super) async fn evaluate_views(
+    explorations: &Explorations,
+    request: v1::EvaluateViewsRequest,
+) -> Result<Replies<v1::EvaluateViewsResponse>, RpcError> {
+    let view = find_map(&explorations.catalog, &request.map)?.view();
+    times_from_wire("times_nanos", &request.times_nanos)?;
+    let selector = selector_from_wire("model", request.model)?;
+    check_for_cells("model", selector)?;
+    if request.viewpoints.is_empty() {
+        return Err(InvalidField::new("viewpoints", "name at least one").into());
+    }
+    let looks = request.viewpoints.len() as u64 * request.times_nanos.len() as u64;
+    check_limit("viewpoints x times", looks, explorations.limits.predictions, "setting max_predictions")?;
+    let scene_options = scene_from_wire(request.certainty, request.threshold)?;
+    let sensor = sensor_from_wire(request.sensor);
+    let viewpoints: Vec<Viewpoint> = request.viewpoints.iter().map(viewpoint_from_wire).collect();
+    let options = PredictOptions { selector, ..explorations.predict_options() };
+    let limits = explorations.look_limits();
+    let turn = explorations.turns.take().await?;
+    Ok(computed(turn, move |computed| {
+        let grid = PredictedTimes::new(&view, &request.times_nanos, &options).map_err(PlanError::from)?;
+        let scene = TimedScene::new(&grid, &scene_options).map_err(PlanError::from)?;
+        let tell = |number: usize, told: Result<Vec<Option<f64>>, _>| {
+            let mut reply =
+                v1::EvaluateViewsResponse { viewpoint: u32::try_from(number).unwrap_or(u32::MAX), ..Default::default() };
+            match told {
+                Ok(bits) => reply.information_bits = bits.into_iter().map(|bits| bits.unwrap_or(f64::NAN)).collect(),
+                Err(error) => reply.reason = ToString::to_string(&error),
+            }
+            if computed.send(reply) { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        };
+        look_many(&scene, &sensor, &viewpoints, limits, tell).map_err(PlanError::from)?;
+        Ok(())
+    }))
+}
