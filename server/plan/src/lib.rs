@@ -10,5 +10,6 @@ pub mod information;
 pub mod location;
 pub mod predicted;
 pub mod strategy;
+pub mod tour;
 pub mod travel;
 pub mod view;

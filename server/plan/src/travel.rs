@@ -15,7 +15,7 @@ use tidemap_map::grid::index::CellIndex;
 use crate::predicted::{Lattice, PredictedGrid};
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 /// The largest radius of a robot, in cells.
 const RADIUS_CELLS_MAX: f64 = 200.0;

@@ -1,0 +1,127 @@
+//! Looking around in an office, at one time and through a day, and tours through it.
+//!
+//! `cargo bench -p tidemap-plan --bench views`. The sensor sees 4 m far, 360° x 90°, in cells of 0.1 m. "hall" is a look
+//! where nothing is in the way of any ray.
+
+use std::{hint::black_box, ops::ControlFlow, sync::Arc};
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use tidemap_map::{
+    grid::{
+        index::{CellBox, CellIndex},
+        spec::{GridSpec, Retention, SensorNoise},
+    },
+    reachability::Reachability,
+};
+use tidemap_plan::{
+    predicted::{Lattice, PredictedTimes},
+    tour::{TourQuestion, plan_tour},
+    view::{Fan, LookLimits, Looker, Scene, SceneOptions, Sensor, TimedScene, Viewpoint, look_many},
+};
+
+use crate::office::{Office, SIZE, TIMES};
+
+#[path = "views/office.rs"]
+mod office;
+
+fn lattice(size: [i32; 3]) -> Arc<Lattice> {
+    let spec = GridSpec {
+        frame_id: "map".to_owned(),
+        is_flat: false,
+        resolution_m: 0.1,
+        origin_m: [0.0; 3],
+        extent: None,
+        sensor: SensorNoise::default(),
+        retention: Retention::None,
+    };
+    let region = CellBox { min: CellIndex::default(), max: CellIndex { x: size[0], y: size[1], z: size[2] } };
+    Arc::new(Lattice::new(&spec, region, 1 << 24).expect("small"))
+}
+
+fn looks(c: &mut Criterion) {
+    let mut group = c.benchmark_group("look");
+    let sensor = Sensor::default();
+    let hall = PredictedTimes::from_fn(lattice([100, 100, 100]), 1, |_, _| Some(0.3)).expect("a time");
+    let scene = Scene::new(&hall.at(0).expect("a time"), &SceneOptions::default()).expect("valid");
+    group.bench_function("rays", |b| b.iter(|| Fan::new(&sensor, scene.lattice(), 0.0)));
+    let fan = Fan::new(&sensor, scene.lattice(), 0.0).expect("valid");
+    println!("hall: {} rays, {} nodes, {} cells", fan.rays(), fan.len(), fan.cells());
+    let mut looker = Looker::new(&fan);
+    group.bench_function("hall", |b| b.iter(|| looker.look(&scene, &fan, CellIndex { x: 50, y: 50, z: 50 })));
+    let office = Office::new();
+    let day = PredictedTimes::from_fn(lattice(SIZE), TIMES, |cell, time| office.probability(cell, time));
+    let day = day.expect("times");
+    let scene = Scene::new(&day.at(48).expect("a time"), &SceneOptions::default()).expect("valid");
+    let fan = Fan::new(&sensor, scene.lattice(), 0.0).expect("valid");
+    println!("office: {} rays, {} nodes, {} cells", fan.rays(), fan.len(), fan.cells());
+    let mut looker = Looker::new(&fan);
+    let viewpoints = office.viewpoints(500, &day, &sensor);
+    let cells: Vec<CellIndex> = viewpoints.iter().filter_map(|at| scene.stand(&sensor, at).ok()).collect();
+    group.bench_function("office_500", |b| {
+        b.iter(|| cells.iter().map(|&at| looker.look(&scene, &fan, at).information_bits).sum::<f64>());
+    });
+    group.finish();
+}
+
+fn day(c: &mut Criterion) {
+    let mut group = c.benchmark_group("day");
+    group.sample_size(10);
+    let (office, sensor) = (Office::new(), Sensor::default());
+    let day = PredictedTimes::from_fn(lattice(SIZE), TIMES, |cell, time| office.probability(cell, time));
+    let day = day.expect("times");
+    let viewpoints = office.viewpoints(500, &day, &sensor);
+    println!("{} cells, {} vary, {} viewpoints, {TIMES} times", day.lattice().held(), day.varying(), viewpoints.len());
+    group.bench_function("scene_96", |b| b.iter(|| TimedScene::new(&day, &SceneOptions::default())));
+    let scene = TimedScene::new(&day, &SceneOptions::default()).expect("valid");
+    let run = |viewpoints: &[Viewpoint]| {
+        let mut sum = 0.0;
+        let told = look_many(&scene, &sensor, viewpoints, LookLimits::default(), |_, told| {
+            sum += told.into_iter().flatten().flatten().sum::<f64>();
+            ControlFlow::Continue(())
+        });
+        told.expect("little work");
+        sum
+    };
+    group.bench_function("views_500_times_96", |b| b.iter(|| run(black_box(&viewpoints))));
+    let single = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+    group.bench_function("views_500_times_96_one_thread", |b| {
+        b.iter(|| {
+            let mut sum = 0.0;
+            single.install(|| {
+                let told = look_many(&scene, &sensor, &viewpoints, LookLimits::default(), |_, told| {
+                    sum += told.into_iter().flatten().flatten().sum::<f64>();
+                    ControlFlow::Continue(())
+                });
+                told.expect("little work");
+            });
+            sum
+        });
+    });
+    group.finish();
+}
+
+fn tours(c: &mut Criterion) {
+    let mut group = c.benchmark_group("tour");
+    group.sample_size(20);
+    let office = Office::new();
+    let day = PredictedTimes::from_fn(lattice(SIZE), TIMES, |cell, time| office.probability(cell, time));
+    let grid = day.expect("times").at(48).expect("a time");
+    let reachability = Reachability::default();
+    for (name, goals, spacing_m) in [("6_goals", 6, 0.58), ("12_goals", 12, 0.58), ("6_goals_of_many", 6, 0.2)] {
+        let question = TourQuestion { start_m: [1.0, 5.0], goals, spacing_m, ..TourQuestion::default() };
+        let told = plan_tour(&grid, &reachability, &question).expect("valid");
+        println!(
+            "{name}: {} goals of {} candidates, {} looks, {:.0} bits, {:.0} m",
+            told.steps.len(),
+            told.candidates,
+            told.looks,
+            told.information_bits,
+            told.length_m
+        );
+        group.bench_function(name, |b| b.iter(|| plan_tour(&grid, &reachability, &question)));
+    }
+    group.finish();
+}
+
+criterion_group!(benches, looks, day, tours);
+criterion_main!(benches);

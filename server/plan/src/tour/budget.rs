@@ -1,0 +1,68 @@
+//! Which goals fit into the time of a tour.
+//!
+//! Invariant: the drive through what is kept takes no longer than the time there is.
+
+use super::order::Ways;
+
+/// What a tour costs, and may cost.
+#[derive(Debug)]
+pub(super) struct Budget<'a> {
+    pub ways: &'a Ways,
+    /// Of each goal.
+    pub values: &'a [f64],
+    /// Seconds a metre.
+    pub secs_m: f64,
+    /// Seconds at each goal.
+    pub observation_secs: f64,
+    /// Infinite where there is no limit.
+    pub budget_secs: f64,
+}
+
+impl Budget<'_> {
+    /// How long a drive takes, looking included.
+    pub(super) fn duration_secs(&self, order: &[usize]) -> f64 {
+        self.ways.length(order) * self.secs_m + order.len() as f64 * self.observation_secs
+    }
+
+    fn fits(&self, order: &[usize]) -> bool {
+        self.duration_secs(order) <= self.budget_secs
+    }
+
+    /// How long the goal takes that takes least alone.
+    pub(super) fn least_secs(&self) -> f64 {
+        (0..self.ways.count()).map(|goal| self.duration_secs(&[goal])).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The goals that fit, in the order of the drive. Those that do not fit even alone are left out; then, one after the
+    /// other, those with the least value for the time that they add to the drive; in the end those come back, the most
+    /// valuable first, that fit after all.
+    pub(super) fn fit(&self) -> Vec<usize> {
+        let mut goals: Vec<usize> = (0..self.ways.count()).filter(|&goal| self.fits(&[goal])).collect();
+        let mut left_out = Vec::new();
+        let mut order = self.ways.order(&goals);
+        while !self.fits(&order) {
+            let whole = self.duration_secs(&order);
+            let value_of_time = |goal: usize| {
+                let rest: Vec<usize> = order.iter().copied().filter(|&other| other != goal).collect();
+                let added = whole - self.duration_secs(&rest);
+                if added > 0.0 { self.values[goal] / added } else { f64::INFINITY }
+            };
+            let worse = |one: &usize, other: &usize| value_of_time(*one).total_cmp(&value_of_time(*other));
+            let Some(worst) = goals.iter().copied().min_by(worse) else { break };
+            goals.retain(|&goal| goal != worst);
+            left_out.push(worst);
+            order = self.ways.order(&goals);
+        }
+        left_out.sort_by(|&one, &other| self.values[other].total_cmp(&self.values[one]).then(one.cmp(&other)));
+        for goal in left_out {
+            goals.push(goal);
+            let longer = self.ways.order(&goals);
+            if self.fits(&longer) {
+                order = longer;
+            } else {
+                goals.pop();
+            }
+        }
+        order
+    }
+}

@@ -1,0 +1,247 @@
+//! The greedy choice of goals, looking no more often than it must.
+//!
+//! No candidate can teach more than all cells in its reach, which a table of sums tells at once, nor more than it did
+//! before others were chosen. Only candidates whose bound is the highest left are looked from, some at a time.
+//!
+//! Invariant: what is chosen, and its value, is what looking from every candidate in every round would give, bit by bit.
+
+use std::{
+    collections::BinaryHeap,
+    sync::{Mutex, PoisonError},
+};
+
+use rayon::prelude::*;
+use tidemap_map::grid::index::CellIndex;
+
+use super::Suppression;
+use crate::{
+    travel::Column,
+    view::{Fan, Looker, Scene},
+};
+
+/// Candidates that are looked from at once.
+const BATCH: usize = 16;
+
+/// A place to look from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Candidate {
+    pub column: Column,
+    pub cell: CellIndex,
+    pub at_m: [f64; 2],
+    /// Above 0.
+    pub reachability: f64,
+}
+
+/// A candidate that was chosen.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Chosen {
+    pub candidate: usize,
+    /// What it was expected to teach when it was chosen, suppression included, bits.
+    pub bits: f64,
+    /// Places of the cells that it sees.
+    pub seen: Vec<u32>,
+}
+
+/// How much a candidate is worth, or at most.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Entry {
+    value: f64,
+    is_exact: bool,
+    candidate: usize,
+}
+
+impl Eq for Entry {}
+
+impl Ord for Entry {
+    /// The most valuable last; of equal ones those that may be worth less, so that they are looked from; then the first.
+    fn cmp(&self, other: &Entry) -> std::cmp::Ordering {
+        let by_value = self.value.total_cmp(&other.value);
+        by_value.then(other.is_exact.cmp(&self.is_exact)).then(other.candidate.cmp(&self.candidate))
+    }
+}
+
+impl PartialOrd for Entry {
+    fn partial_cmp(&self, other: &Entry) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// A choice among candidates.
+pub(super) struct Choice<'a> {
+    scene: &'a Scene,
+    fan: &'a Fan,
+    candidates: &'a [Candidate],
+    suppression: Suppression,
+    /// By place: cells that a chosen goal sees.
+    covered: Vec<bool>,
+    /// What each candidate teaches, or at most, before it is multiplied by anything.
+    bits: Vec<f64>,
+    /// By how much it is suppressed for its distance.
+    factors: Vec<f64>,
+    entries: BinaryHeap<Entry>,
+    lookers: Mutex<Vec<Looker>>,
+    looks: usize,
+}
+
+impl<'a> Choice<'a> {
+    pub(super) fn new(
+        scene: &'a Scene,
+        fan: &'a Fan,
+        candidates: &'a [Candidate],
+        suppression: Suppression,
+    ) -> Choice<'a> {
+        let bits = bounds(scene, fan, candidates);
+        let mut choice = Choice {
+            scene,
+            fan,
+            candidates,
+            suppression,
+            covered: vec![false; scene.lattice().held()],
+            bits,
+            factors: vec![1.0; candidates.len()],
+            entries: BinaryHeap::new(),
+            lookers: Mutex::default(),
+            looks: 0,
+        };
+        choice.entries = (0..candidates.len()).map(|candidate| choice.entry(candidate, false)).collect();
+        choice
+    }
+
+    /// Looks taken so far.
+    pub(super) fn looks(&self) -> usize {
+        self.looks
+    }
+
+    /// The best so many goals, in the order of choice; fewer where no other teaches anything.
+    pub(super) fn choose(&mut self, goals: usize) -> Vec<Chosen> {
+        let mut chosen = Vec::new();
+        while chosen.len() < goals {
+            self.settle();
+            let Some(best) = self.entries.pop().filter(|best| best.value > 0.0) else { break };
+            let candidate = best.candidate;
+            let mut seen = Vec::new();
+            self.looking(|looker| {
+                looker.each(self.scene, self.fan, self.candidates[candidate].cell, |place| seen.push(place as u32));
+            });
+            self.looks += 1;
+            chosen.push(Chosen { candidate, bits: self.bits[candidate] * self.factors[candidate], seen });
+            if let Some(goal) = chosen.last() {
+                self.suppress(goal);
+            }
+        }
+        chosen
+    }
+
+    fn entry(&self, candidate: usize, is_exact: bool) -> Entry {
+        let value = self.bits[candidate] * self.factors[candidate] * self.candidates[candidate].reachability;
+        Entry { value, is_exact, candidate }
+    }
+
+    /// Looks from candidates until the best is known.
+    fn settle(&mut self) {
+        loop {
+            let mut batch = Vec::new();
+            while batch.len() < BATCH && self.entries.peek().is_some_and(|best| !best.is_exact && best.value > 0.0) {
+                batch.extend(self.entries.pop().map(|best| best.candidate));
+            }
+            if batch.is_empty() {
+                return;
+            }
+            let new: Vec<(usize, f64)> =
+                batch.into_par_iter().map(|candidate| (candidate, self.new_bits(candidate))).collect();
+            self.looks += new.len();
+            for (candidate, bits) in new {
+                self.bits[candidate] = bits;
+                self.entries.push(self.entry(candidate, true));
+            }
+        }
+    }
+
+    /// What a candidate teaches that no chosen goal does.
+    fn new_bits(&self, candidate: usize) -> f64 {
+        let mut bits = 0.0;
+        self.looking(|looker| {
+            looker.each(self.scene, self.fan, self.candidates[candidate].cell, |place| {
+                if !self.covered[place] {
+                    bits += self.scene.bits_at(place);
+                }
+            });
+        });
+        bits
+    }
+
+    fn looking(&self, look: impl FnOnce(&mut Looker)) {
+        let lookers = || self.lookers.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = lookers().pop();
+        let mut looker = known.unwrap_or_else(|| Looker::new(self.fan));
+        look(&mut looker);
+        lookers().push(looker);
+    }
+
+    /// Lowers the values of the candidates around a goal.
+    fn suppress(&mut self, goal: &Chosen) {
+        let Candidate { cell, at_m, .. } = self.candidates[goal.candidate];
+        let mut entries = std::mem::take(&mut self.entries).into_vec();
+        match self.suppression {
+            Suppression::Shared => {
+                for &place in &goal.seen {
+                    self.covered[place as usize] = true;
+                }
+                let [reach_x, reach_y, _] = self.fan.reach();
+                for entry in &mut entries {
+                    let other = self.candidates[entry.candidate].cell;
+                    let is_near = other.x.abs_diff(cell.x) as usize <= 2 * reach_x
+                        && other.y.abs_diff(cell.y) as usize <= 2 * reach_y;
+                    entry.is_exact &= !is_near;
+                }
+            }
+            Suppression::Distance { radius_m } => {
+                for entry in &mut entries {
+                    let other = self.candidates[entry.candidate].at_m;
+                    let away_m = (other[0] - at_m[0]).hypot(other[1] - at_m[1]);
+                    self.factors[entry.candidate] *= (away_m / radius_m).min(1.0);
+                    *entry = self.entry(entry.candidate, entry.is_exact);
+                }
+            }
+        }
+        self.entries = entries.into();
+    }
+}
+
+/// The most that each candidate can teach: the sum over the cells in its reach, a little more for what is rounded.
+fn bounds(scene: &Scene, fan: &Fan, candidates: &[Candidate]) -> Vec<f64> {
+    let lattice = scene.lattice();
+    let (region, [width, depth, _], reach) = (lattice.region(), lattice.size(), fan.reach());
+    let Some(z) = candidates.first().map(|candidate| candidate.cell.z) else { return Vec::new() };
+    let reach_z = i32::try_from(reach[2]).unwrap_or(i32::MAX);
+    let layers =
+        region.min.z.max(z.saturating_sub(reach_z))..region.max.z.min(z.saturating_add(reach_z).saturating_add(1));
+    // Over all columns with a lower x and a lower y.
+    let mut sums = vec![0.0; (width + 1) * (depth + 1)];
+    for z in layers {
+        for (row, y) in (1..).zip(region.min.y..region.max.y) {
+            let Some(start) = lattice.place(CellIndex { x: region.min.x, y, z }) else { continue };
+            for (column, place) in (1..=width).zip(start..) {
+                sums[row * (width + 1) + column] += scene.bits_at(place);
+            }
+        }
+    }
+    for row in 1..=depth {
+        let mut along = 0.0;
+        for column in 1..=width {
+            let at = row * (width + 1) + column;
+            along += sums[at];
+            sums[at] = along + sums[at - width - 1];
+        }
+    }
+    let bound = |candidate: &Candidate| {
+        let Column { x, y } = candidate.column;
+        let (left, right) = (x.saturating_sub(reach[0]), (x + reach[0] + 1).min(width));
+        let (low, high) = (y.saturating_sub(reach[1]), (y + reach[1] + 1).min(depth));
+        let at = |row: usize, column: usize| sums[row * (width + 1) + column];
+        let within = at(high, right) - at(low, right) - at(high, left) + at(low, left);
+        // Differences of sums over the whole region.
+        (within + 1e-9 * at(depth, width)).max(0.0)
+    };
+    candidates.iter().map(bound).collect()
+}
