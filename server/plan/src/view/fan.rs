@@ -12,6 +12,9 @@ use std::f64::consts::{PI, TAU};
 use super::{InvalidSensor, RAY_CELLS_MAX, Sensor};
 use crate::predicted::Lattice;
 
+#[cfg(test)]
+mod tests;
+
 /// A cell on the way of a ray or of several.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Node {
