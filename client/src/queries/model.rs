@@ -222,7 +222,7 @@ impl fmt::Display for ModelSelector {
 }
 
 impl ModelSelector {
-    pub(super) fn to_wire(self) -> v1::ModelSelector {
+    pub(crate) fn to_wire(self) -> v1::ModelSelector {
         let kind = match self.kind {
             ModelKind::Auto => v1::ModelKind::Auto,
             ModelKind::Mean => v1::ModelKind::Mean,

@@ -49,7 +49,7 @@ pub(in crate::rpc) fn processors() -> usize {
 
 impl Turns {
     /// So many turns at once.
-    pub(super) fn new(max: usize) -> Self {
+    pub(in crate::rpc) fn new(max: usize) -> Self {
         Self { permits: Arc::new(Semaphore::new(max)), max }
     }
 
