@@ -10,7 +10,8 @@ mod tests;
 /// The largest magnitude of a value that is no probability.
 pub const VALUE_MAX: f64 = 1e12;
 
-/// What the value of a state means. It is fixed when the state is created. Vectors will be a kind of their own.
+/// What the value of a state means. It is fixed when the state is created. A position
+/// ([`crate::Position`]) is a state of continuous values for each of its coordinates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum StateKind {
     /// A value in [0, 1]; binary states have only 0 and 1.

@@ -42,6 +42,7 @@ mod periodicity;
 mod persistence;
 mod phasor;
 mod phasor_sum;
+mod position;
 mod sample;
 mod spectral;
 mod state;
@@ -56,6 +57,7 @@ pub use periodicity::{InvalidPeriodicities, Periodicities, PeriodicityDefinition
 pub use persistence::{Persistence, PersistenceParts};
 pub use phasor::PhasorTable;
 pub use phasor_sum::{PhasorSum, RunningSums};
+pub use position::{Dimensions, Position};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
 pub use state::{

@@ -19,6 +19,7 @@ mod grow;
 mod joint;
 mod mixture;
 mod odds;
+mod raster;
 mod seeding;
 mod week;
 

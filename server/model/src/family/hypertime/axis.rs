@@ -38,7 +38,7 @@ impl HypertimeAxis {
         HypertimeAxis { centre: (mean * greatest).clamp(low, high), scale: scale.max(f64::MIN_POSITIVE), low, high }
     }
 
-    fn standard(&self, number: f64) -> f64 {
+    pub(super) fn standard(&self, number: f64) -> f64 {
         // Halved first: the difference of two great numbers may be infinite.
         ((0.5 * number - 0.5 * self.centre) / self.scale * 2.0).clamp(-FARTHEST, FARTHEST)
     }

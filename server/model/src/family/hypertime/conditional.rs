@@ -10,8 +10,8 @@ use super::mixture::Mixture;
 #[derive(Clone, Debug, PartialEq)]
 pub struct HypertimeDistribution {
     /// Over the value's coordinates alone, standardised.
-    mixture: Mixture,
-    axes: Vec<HypertimeAxis>,
+    pub(super) mixture: Mixture,
+    pub(super) axes: Vec<HypertimeAxis>,
 }
 
 impl HypertimeDistribution {

@@ -68,13 +68,17 @@ impl HypertimeField {
     }
 
     /// As [`HypertimeField::fit`], where each reading has a weight above 0.
-    pub(super) fn fit_weighted(
+    ///
+    /// # Errors
+    /// As there; also where there are not as many weights as readings, or one is not a finite number above 0.
+    pub fn fit_weighted(
         readings: &[FieldReading],
         weights: &[f64],
         options: &HypertimeOptions,
     ) -> Result<HypertimeField, CannotFit> {
         options.check()?;
         let Some(first) = readings.first() else { return Err(CannotFit::NoReadings) };
+        check_weights(weights, readings.len())?;
         let (locations, values) = (first.location.len(), first.value.len());
         check_dimensions(readings, locations, values)?;
         let column = |number: &dyn Fn(&FieldReading) -> f64| HypertimeAxis::of(readings.iter().map(number));
@@ -169,6 +173,17 @@ impl HypertimeField {
             value: parts.value.clone(),
             mixture: Mixture::from_parts(&parts.clusters, locations + hypertime + values, circles)?,
         })
+    }
+}
+
+fn check_weights(weights: &[f64], readings: usize) -> Result<(), CannotFit> {
+    let refused = |parameter, found, expected| Err(CannotFit::Parameter { parameter, found, expected });
+    if weights.len() != readings {
+        return refused("weights", weights.len() as f64, "as many as readings");
+    }
+    match weights.iter().find(|weight| !(**weight > 0.0 && weight.is_finite())) {
+        Some(&found) => refused("weight", found, "a finite number above 0"),
+        None => Ok(()),
     }
 }
 
