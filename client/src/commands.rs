@@ -15,6 +15,7 @@ mod map;
 mod model;
 mod observe;
 mod point;
+mod position;
 mod predict;
 mod producer_id;
 mod reconstruct;
@@ -72,6 +73,7 @@ enum Command {
     /// Sends the observations of a file, each exactly once
     ///
     /// The file has a header and the columns time, state and value, in any order; a value is 0, 1 or anything between.
+    /// With x and y, and perhaps z, in place of value, its rows are positions in metres.
     /// The same producer and label again continue where it was, and a file that differs from what was sent is refused.
     /// The exit status is 0 only where nothing was refused.
     Observe(observe::ObserveArgs),
@@ -82,6 +84,11 @@ enum Command {
     /// Rows come by state as named, then by time as asked. Say when with --at, --times, or --from, --to and --step; the
     /// time of --to is not included. age_secs is the time since the newest observation.
     Predict(predict::PredictArgs),
+    /// Predicts where something will be, as probabilities of places
+    ///
+    /// Rows are cells of space, by their middles, the most probable first; what lies outside of them and the position to
+    /// expect go to stderr. The state is a vector, observed with columns x and y.
+    Position(position::PositionArgs),
     /// Sends scans of an occupancy grid, and writes maps of any time
     #[command(subcommand)]
     Grid(grid::GridCommand),
@@ -161,6 +168,7 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Observe(args) => observe::run(&session, args).await,
         Command::Update(args) => update::run(&session, &args).await,
         Command::Predict(args) => predict::run(&session, args).await,
+        Command::Position(args) => position::run(&session, args).await,
         Command::Grid(command) => grid::run(&session, command).await,
         Command::Reconstruct(args) => reconstruct::run(&session, &args).await,
         Command::Anomalies(args) => anomalies::run(&session, args).await,

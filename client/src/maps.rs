@@ -130,6 +130,8 @@ pub enum StateKind {
     Continuous,
     /// A whole number from 0 to 1e12.
     Count,
+    /// A position: two or three coordinates, each of magnitude 1e12 at most.
+    Vector,
     /// A kind that this version does not know.
     Other,
 }
@@ -142,6 +144,7 @@ impl StateKind {
             Self::Probability => "probability",
             Self::Continuous => "continuous",
             Self::Count => "count",
+            Self::Vector => "vector",
             Self::Other => "other",
         }
     }
@@ -153,6 +156,7 @@ impl StateKind {
             Self::Probability => Rule::Probability,
             Self::Continuous => Rule::Continuous,
             Self::Count => Rule::Count,
+            Self::Vector => return Some("a position: a vector has coordinates x and y"),
             Self::Other => return None,
         };
         (!rule.allows(value)).then(|| rule.expected())
@@ -163,6 +167,7 @@ impl StateKind {
             Self::Probability => v1::StateKind::Probability,
             Self::Continuous => v1::StateKind::Continuous,
             Self::Count => v1::StateKind::Count,
+            Self::Vector => v1::StateKind::Vector,
             Self::Other => v1::StateKind::Unspecified,
         }
     }
@@ -172,6 +177,7 @@ impl StateKind {
             v1::StateKind::Probability => Self::Probability,
             v1::StateKind::Continuous => Self::Continuous,
             v1::StateKind::Count => Self::Count,
+            v1::StateKind::Vector => Self::Vector,
             v1::StateKind::Unspecified => Self::Other,
         }
     }
@@ -179,14 +185,14 @@ impl StateKind {
 
 /// A text does not name a kind of states.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a kind of states: use probability, continuous or count")]
+#[error("{0:?} is not a kind of states: use probability, continuous, count or vector")]
 pub struct InvalidKind(pub String);
 
 impl FromStr for StateKind {
     type Err = InvalidKind;
 
     fn from_str(text: &str) -> Result<Self, InvalidKind> {
-        let kinds = [Self::Probability, Self::Continuous, Self::Count];
+        let kinds = [Self::Probability, Self::Continuous, Self::Count, Self::Vector];
         kinds.into_iter().find(|kind| kind.name() == text).ok_or_else(|| InvalidKind(text.to_owned()))
     }
 }
@@ -198,9 +204,11 @@ pub struct State {
     pub name: String,
     /// Its kind.
     pub kind: StateKind,
+    /// How many coordinates a vector has, 2 or 3; 0 of any other kind.
+    pub dimensions: u32,
     /// Acknowledged observations of it.
     pub observations: u64,
-    /// Order of its model in force.
+    /// Order of its model in force; of a vector 0: each axis has its own.
     pub order: u32,
     /// Time of the newest observation.
     pub last_nanos: Option<i64>,
@@ -280,7 +288,20 @@ impl Client {
     /// # Errors
     /// [`Error`]; the code is `ALREADY_EXISTS` where it exists with another kind, `NOT_FOUND` where there is no such map.
     pub async fn add_state(&self, map: &str, state: &str, kind: StateKind) -> Result<State, Error> {
-        let request = v1::AddStateRequest { map: map.to_owned(), state: state.to_owned(), kind: kind.to_wire().into() };
+        self.add(map, state, kind, 0).await
+    }
+
+    /// As [`Client::add_state`], a vector with 2 or 3 coordinates.
+    ///
+    /// # Errors
+    /// [`Error`], as there; the code is `INVALID_ARGUMENT` where a vector cannot have so many.
+    pub async fn add_vector(&self, map: &str, state: &str, dimensions: u32) -> Result<State, Error> {
+        self.add(map, state, StateKind::Vector, dimensions).await
+    }
+
+    async fn add(&self, map: &str, state: &str, kind: StateKind, dimensions: u32) -> Result<State, Error> {
+        let (map, state) = (map.to_owned(), state.to_owned());
+        let request = v1::AddStateRequest { map, state, kind: kind.to_wire().into(), dimensions };
         let response = self.map_service().add_state(request).await.map_err(|status| self.error(&status))?;
         response.into_inner().state.map(state_from_wire).ok_or(Error::Protocol("no state in the answer"))
     }
@@ -351,6 +372,7 @@ fn state_from_wire(state: v1::State) -> State {
     State {
         kind: StateKind::from_wire(state.kind()),
         name: state.name,
+        dimensions: state.dimensions,
         observations: state.observations,
         order: state.order,
         last_nanos: instant(state.last_time),

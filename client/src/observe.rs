@@ -145,6 +145,9 @@ pub enum ProducerError {
     /// A time before 1970 cannot be sent.
     #[error("time {0} ns is before 1970")]
     TimeBefore1970(i64),
+    /// A position has 2 or 3 coordinates.
+    #[error("{0} coordinates are no position: 2 or 3 are")]
+    Coordinates(usize),
     /// A name that long cannot be sent.
     #[error("a state's name of {0} bytes is too long: at most 128 characters are allowed")]
     NameTooLong(usize),

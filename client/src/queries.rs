@@ -6,6 +6,7 @@ mod anomalies;
 mod evaluate;
 mod grid;
 mod model;
+mod positions;
 mod predict;
 mod reconstruct;
 
@@ -15,6 +16,7 @@ pub use grid::{
     CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedGrid, PredictedTile, TILE_EDGE,
 };
 pub use model::{Cycle, InvalidModel, ModelKind, ModelSelector, ORDER_MAX};
+pub use positions::{PositionForecast, PositionQuery, Positions, PositionsHeader};
 pub use predict::{PredictionRun, Predictions};
 pub use reconstruct::Reconstruction;
 

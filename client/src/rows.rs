@@ -1,4 +1,5 @@
-//! Files of observations: `time,state,value`, one row a line, with a header.
+//! Files of observations: `time,state,value`, one row a line, with a header; or `time,state,x,y` and perhaps `z`, where
+//! they are positions.
 //!
 //! Invariant: the n-th row of a file has the number n, whether it can be read or not, and the same row always gives the
 //! same observation; only so can an interrupted transfer go on where it was. No more than one line is in memory. Once the
@@ -10,6 +11,7 @@ use std::io::{self, BufRead};
 
 use fields::split;
 use tidemap::time::parse_time;
+use tidemap_model::{Dimensions, Position, StateKind};
 
 /// Longest line. Three fields need far less; a file without line ends must not fill the memory.
 const LINE_BYTES_MAX: usize = 64 * 1024;
@@ -26,7 +28,7 @@ pub enum RowsError {
     #[error("it is empty: the first line must be the header time,state,value")]
     Empty,
     /// A column is missing.
-    #[error("column {column:?} is missing: the header must name time, state and value, but is {header:?}")]
+    #[error("column {column:?} is missing: the header must name {}, but is {header:?}", needed(.column))]
     MissingColumn {
         /// Which.
         column: &'static str,
@@ -41,6 +43,16 @@ pub enum RowsError {
         /// The header found, shortened.
         header: String,
     },
+    /// There are positions where values are needed.
+    #[error(
+        "it has positions, columns x and y: use a file of single values, where each axis is a state, NAME/x and so on"
+    )]
+    Positions,
+}
+
+/// What a header has to name beside this column.
+fn needed(column: &str) -> &'static str {
+    if matches!(column, "x" | "y") { "time, state, x and y" } else { "time, state and value" }
 }
 
 /// A row of the file.
@@ -57,6 +69,9 @@ pub struct Row {
     /// Value; NaN, which no daemon accepts, where anything of the row could not be read. One that is out of range is
     /// kept as it is: what is sent, and its checksum, is what the file says.
     pub value: f64,
+    /// The position in a file of positions, where there is no value; as there, its coordinates are NaN where anything of the
+    /// row could not be read.
+    pub position: Option<Position>,
     /// What could not be read, or why it is no observation of a probability.
     pub wrong: Option<String>,
     /// Whether all of it could be read. What is wrong then is the value, and states of other kinds may have it.
@@ -86,6 +101,9 @@ struct Columns {
     time: usize,
     state: usize,
     value: usize,
+    axes: [usize; 3],
+    /// Of positions; `None` where there are values.
+    dimensions: Option<Dimensions>,
     count: usize,
 }
 
@@ -114,7 +132,7 @@ enum LineEnd {
 impl<R: BufRead> Rows<R> {
     /// Reads the header.
     pub fn new(reader: R) -> Result<Self, RowsError> {
-        let columns = Columns { time: 0, state: 0, value: 0, count: 0 };
+        let columns = Columns { time: 0, state: 0, value: 0, axes: [0; 3], dimensions: None, count: 0 };
         let mut rows = Self {
             reader,
             columns,
@@ -138,10 +156,28 @@ impl<R: BufRead> Rows<R> {
                 (Some(_), Some(_)) => Err(RowsError::DoubleColumn { column, header: shown(header) }),
             }
         };
-        rows.columns =
-            Columns { time: column("time")?, state: column("state")?, value: column("value")?, count: names.len() };
-        let Columns { time, state, value, .. } = rows.columns;
-        let used = [time, state, value];
+        let (time, state) = (column("time")?, column("state")?);
+        let has = |name: &str| names.iter().any(|column| column == name);
+        let dimensions = (!has("value") && (has("x") || has("y"))).then_some(if has("z") {
+            Dimensions::Three
+        } else {
+            Dimensions::Two
+        });
+        let (mut value, mut axes) = (0, [0; 3]);
+        let mut used = vec![time, state];
+        match dimensions {
+            None => {
+                value = column("value")?;
+                used.push(value);
+            }
+            Some(dimensions) => {
+                for (place, axis) in axes.iter_mut().zip(dimensions.axes()) {
+                    *place = column(axis)?;
+                    used.push(*place);
+                }
+            }
+        }
+        rows.columns = Columns { time, state, value, axes, dimensions, count: names.len() };
         rows.ignored = (0..).zip(&names).filter(|(i, _)| !used.contains(i)).map(|(_, name)| name.clone()).collect();
         Ok(rows)
     }
@@ -151,6 +187,16 @@ impl<R: BufRead> Rows<R> {
     pub fn lines_must_end(mut self) -> Self {
         self.lines_must_end = true;
         self
+    }
+
+    /// Refuses a file of positions.
+    pub fn values_only(self) -> Result<Self, RowsError> {
+        if self.has_positions() { Err(RowsError::Positions) } else { Ok(self) }
+    }
+
+    /// Whether it is a file of positions.
+    pub fn has_positions(&self) -> bool {
+        self.columns.dimensions.is_some()
     }
 
     /// Columns of the header that are not used.
@@ -235,6 +281,7 @@ impl<R: BufRead> Rows<R> {
             state: String::new(),
             time_nanos: 0,
             value: f64::NAN,
+            position: self.columns.dimensions.and_then(|dimensions| Position::of(&[f64::NAN; 3][..dimensions.count()])),
             wrong: None,
             is_read: false,
             has_end: true,
@@ -255,7 +302,7 @@ impl<R: BufRead> Rows<R> {
         let text = str::from_utf8(&self.buffer)
             .map_err(|_| format!("{:?} is not UTF-8", shown(&String::from_utf8_lossy(&self.buffer))))?;
         let fields = split(text).map_err(|wrong| format!("{:?}: {wrong}", shown(text)))?;
-        let Columns { time, state, value, count } = self.columns;
+        let Columns { time, state, value, axes, dimensions, count } = self.columns;
         if fields.len() != count {
             return Err(format!("{:?} has {} fields, the header has {count}", shown(text), fields.len()));
         }
@@ -267,6 +314,19 @@ impl<R: BufRead> Rows<R> {
         if chars > STATE_CHARS_MAX {
             let name = shown(&fields[state]);
             return Err(format!("state {name:?} has {chars} characters: at most {STATE_CHARS_MAX} are allowed"));
+        }
+        if let Some(dimensions) = dimensions {
+            let mut coordinates = Vec::with_capacity(axes.len());
+            for (&place, axis) in axes.iter().zip(dimensions.axes()) {
+                let number: f64 =
+                    fields[place].parse().map_err(|_| format!("{axis} {:?} is not a number", shown(&fields[place])))?;
+                coordinates.push(number + 0.0);
+            }
+            row.position = Position::of(&coordinates);
+            let misfit = row.position.and_then(|position| position.misfit());
+            return Ok(
+                misfit.map(|(axis, number)| format!("{axis} {number} is not {}", StateKind::Continuous.expected()))
+            );
         }
         let number: f64 = fields[value]
             .parse()

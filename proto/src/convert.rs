@@ -14,6 +14,7 @@ pub mod query;
 pub mod scans;
 pub mod site;
 pub mod time;
+pub mod vectors;
 
 /// A field of a request that cannot be what it is.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

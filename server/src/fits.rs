@@ -13,11 +13,13 @@ use tidemap_store::MapId;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 
 mod fitted;
+mod positions;
 
 #[cfg(test)]
 mod tests;
 
 pub use fitted::Fitted;
+pub use positions::PositionModel;
 
 /// Which model, of what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -26,43 +28,47 @@ pub struct FitKey {
     pub map: MapId,
     /// It knows what the updates up to this one have folded in.
     pub generation: u64,
-    /// The state.
+    /// The state; of positions the first axis.
     pub state: StateId,
     /// The kind, with its parameters.
     pub kind: ModelKind,
 }
 
 /// A model, once it has been fitted.
-type Slot = Arc<OnceCell<Arc<Fitted>>>;
+type Slot<T> = Arc<OnceCell<Arc<T>>>;
 
-/// The fitted models of all maps.
+/// The fitted models of all maps: those of states, or those of positions.
 #[derive(Debug)]
-pub struct Fits {
+pub struct Fits<T = Fitted> {
     max: usize,
     // A lock, because asking for a model changes when it was last used; held to look it up, never to fit.
-    kept: Mutex<Kept>,
+    kept: Mutex<Kept<T>>,
     held: Arc<Semaphore>,
 }
 
-#[derive(Debug, Default)]
-struct Kept {
-    slots: HashMap<FitKey, (Slot, u64)>,
+#[derive(Debug)]
+struct Kept<T> {
+    slots: HashMap<FitKey, (Slot<T>, u64)>,
     /// The same keys by when they were last used, oldest first.
     by_use: BTreeMap<u64, FitKey>,
     uses: u64,
 }
 
-impl Fits {
+impl<T> Fits<T> {
     /// Keeps at most so many models, at least one; those that are being fitted come on top.
     #[must_use]
     pub fn new(max: usize) -> Self {
         let max = max.clamp(1, Semaphore::MAX_PERMITS);
-        Self { max, kept: Mutex::default(), held: Arc::new(Semaphore::new(max)) }
+        Self {
+            max,
+            kept: Mutex::new(Kept { slots: HashMap::new(), by_use: BTreeMap::new(), uses: 0 }),
+            held: Arc::new(Semaphore::new(max)),
+        }
     }
 
     /// The model, if it is kept.
     #[must_use]
-    pub fn get(&self, key: &FitKey) -> Option<Arc<Fitted>> {
+    pub fn get(&self, key: &FitKey) -> Option<Arc<T>> {
         self.with_kept(|kept| kept.used(key)?.get().cloned())
     }
 
@@ -70,11 +76,7 @@ impl Fits {
     ///
     /// # Errors
     /// What `fit` ends with. Others who wait for the model then fit it themselves.
-    pub async fn get_or_fit<E>(
-        &self,
-        key: FitKey,
-        fit: impl Future<Output = Result<Fitted, E>>,
-    ) -> Result<Arc<Fitted>, E> {
+    pub async fn get_or_fit<E>(&self, key: FitKey, fit: impl Future<Output = Result<T, E>>) -> Result<Arc<T>, E> {
         let slot = self.with_kept(|kept| kept.slot(key, self.max));
         let fitted = slot.get_or_try_init(|| async { fit.await.map(Arc::new) }).await.cloned();
         if fitted.is_err() {
@@ -102,14 +104,14 @@ impl Fits {
         self.max
     }
 
-    fn with_kept<T>(&self, work: impl FnOnce(&mut Kept) -> T) -> T {
+    fn with_kept<R>(&self, work: impl FnOnce(&mut Kept<T>) -> R) -> R {
         work(&mut self.kept.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
-impl Kept {
+impl<T> Kept<T> {
     /// A slot that there is, which is now the last used.
-    fn used(&mut self, key: &FitKey) -> Option<Slot> {
+    fn used(&mut self, key: &FitKey) -> Option<Slot<T>> {
         let (slot, last_use) = self.slots.get_mut(key)?;
         self.uses += 1;
         self.by_use.remove(last_use);
@@ -119,7 +121,7 @@ impl Kept {
     }
 
     /// The slot of a key, which is now the last used; others go where there is no room for it.
-    fn slot(&mut self, key: FitKey, max: usize) -> Slot {
+    fn slot(&mut self, key: FitKey, max: usize) -> Slot<T> {
         if let Some(slot) = self.used(&key) {
             return slot;
         }
@@ -144,8 +146,8 @@ impl Kept {
     }
 
     /// Gives up a slot that has no model.
-    fn forget(&mut self, key: &FitKey, slot: &Slot) {
-        let is_empty = |(kept, _): &(Slot, u64)| Arc::ptr_eq(kept, slot) && !kept.initialized();
+    fn forget(&mut self, key: &FitKey, slot: &Slot<T>) {
+        let is_empty = |(kept, _): &(Slot<T>, u64)| Arc::ptr_eq(kept, slot) && !kept.initialized();
         if self.slots.get(key).is_some_and(is_empty)
             && let Some((_, last_use)) = self.slots.remove(key)
         {

@@ -18,6 +18,7 @@ use super::{
 use crate::{
     output::{Cell, Sheet},
     progress::{Bar, notice},
+    rows::RowsError,
 };
 
 #[derive(Debug, Args)]
@@ -87,7 +88,10 @@ fn missing(unavailable: &Unavailable) -> String {
 
 pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::shown(&args.file);
-    let Feed { mut rows, total_bytes } = feed::open(&args.file)?;
+    let Feed { mut rows, total_bytes, has_positions } = feed::open(&args.file)?;
+    if has_positions {
+        return Err(anyhow::Error::new(RowsError::Positions).context(feed::shown(&args.file)));
+    }
     let options = EvaluateOptions { map: args.map, models: selected(&args.models), max_order: args.max_order };
     let mut kinds = Kinds::new(session.client.clone(), options.map.clone(), None);
     let mut evaluator = session.client.evaluate(options);

@@ -27,7 +27,7 @@ use self::{
     kinds::Kinds,
     transfer::{Ended, Transfer},
 };
-use super::{Session, job, producer_id, times};
+use super::{Misused, Session, job, producer_id, times};
 use crate::{
     output::{Cell, Sheet},
     progress::{Bar, notice},
@@ -37,7 +37,7 @@ use crate::{
 pub struct ObserveArgs {
     /// Name of the map
     map: String,
-    /// File with the columns time,state,value; - is stdin
+    /// File with the columns time,state,value, or time,state,x,y and perhaps z of positions in metres; - is stdin
     file: PathBuf,
     /// Who observes [default: a name for this user and machine, made once and kept]
     #[arg(long, value_name = "ID")]
@@ -46,7 +46,8 @@ pub struct ObserveArgs {
     #[arg(long, value_name = "LABEL")]
     label: Option<String>,
     /// What the values of the file's states mean: probability, continuous or count; new states become that, and rows of
-    /// states of another kind are refused [default: what each state is; new ones are probabilities]
+    /// states of another kind are refused; with columns x and y it is vector [default: what each state is; new ones are
+    /// probabilities]
     #[arg(long, value_name = "KIND")]
     kind: Option<StateKind>,
     /// Runs the nightly update whenever the data passes the map's local midnight
@@ -68,7 +69,11 @@ pub(super) const INTERRUPTED: u8 = 130;
 
 pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::shown(&args.file);
-    let Feed { rows, total_bytes } = feed::open(&args.file)?;
+    let Feed { rows, total_bytes, has_positions } = feed::open(&args.file)?;
+    if let Some(kind) = args.kind.filter(|kind| (*kind == StateKind::Vector) != has_positions) {
+        let columns = if has_positions { "positions, columns x and y" } else { "single values, column value" };
+        return Err(Misused(format!("--kind {} does not go with {shown}, which has {columns}", kind.name())).into());
+    }
     let options = options(&args)?;
     let (producer, label) = (options.producer.clone(), options.label.clone());
     let bar = Bar::bytes(total_bytes);

@@ -2,10 +2,11 @@
 //!
 //! Invariant: rows come by state as named, then by time as asked; each is written as soon as it is known.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{borrow::Cow, path::PathBuf, process::ExitCode};
 
 use clap::{ArgGroup, Args};
 use tidemap::queries::{ModelSelector, ORDER_MAX, PredictionRun};
+use tidemap_model::Dimensions;
 
 use super::{Misused, Session, times};
 use crate::output::{Cell, Sheet};
@@ -15,7 +16,7 @@ use crate::output::{Cell, Sheet};
 pub struct PredictArgs {
     /// Name of the map
     map: String,
-    /// Names of the states; a cell of the grid is cell/X/Y/Z
+    /// Names of the states; a vector stands for its axes, NAME/x and so on; a cell of the grid is cell/X/Y/Z
     #[arg(required = true, value_name = "STATE")]
     states: Vec<String>,
     /// Times
@@ -72,7 +73,11 @@ pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
     let mut sheet = Sheet::stdout(session.format, &COLUMNS);
     while let Some(run) = predictions.next().await? {
         let (states, times) = (predictions.states(), predictions.times());
-        for cells in rows(&run, &states[run.state], &times[run.first_time..]) {
+        let name = match run.axis.and_then(|axis| Dimensions::Three.axes().get(axis)) {
+            Some(axis) => Cow::Owned(format!("{}/{axis}", states[run.state])),
+            None => Cow::Borrowed(states[run.state].as_str()),
+        };
+        for cells in rows(&run, &name, &times[run.first_time..]) {
             sheet.row(cells)?;
         }
     }

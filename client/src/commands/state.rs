@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use clap::Subcommand;
 use tidemap::maps::{State, StateKind};
 
-use super::Session;
+use super::{Misused, Session};
 use crate::output::{Cell, Sheet};
 
 #[derive(Debug, Subcommand)]
@@ -23,13 +23,17 @@ pub enum StateCommand {
         map: String,
         /// Name of the state
         state: String,
-        /// What its values mean: probability (0 to 1), continuous (any number) or count (0, 1, 2, …)
+        /// What its values mean: probability (0 to 1), continuous (any number), count (0, 1, 2, …) or vector
+        /// (a position)
         #[arg(long, value_name = "KIND", default_value = "probability")]
         kind: StateKind,
+        /// How many coordinates a vector has, 2 or 3
+        #[arg(long, value_name = "N", required_if_eq("kind", "vector"), value_parser = clap::value_parser!(u32).range(2..=3))]
+        dimensions: Option<u32>,
     },
 }
 
-const COLUMNS: [&str; 5] = ["state", "kind", "observations", "order", "last_time"];
+const COLUMNS: [&str; 6] = ["state", "kind", "observations", "order", "last_time", "dimensions"];
 
 fn cells(state: State) -> Vec<Cell> {
     vec![
@@ -38,14 +42,21 @@ fn cells(state: State) -> Vec<Cell> {
         state.observations.into(),
         state.order.into(),
         Cell::time(state.last_nanos),
+        Cell::maybe(Some(u64::from(state.dimensions)).filter(|&dimensions| dimensions > 0)),
     ]
 }
 
 pub async fn run(session: &Session, command: StateCommand) -> anyhow::Result<ExitCode> {
     let map = match command {
         StateCommand::List { map } => map,
-        StateCommand::Add { map, state, kind } => {
-            let added = session.client.add_state(&map, &state, kind).await?;
+        StateCommand::Add { map, state, kind, dimensions } => {
+            let added = match (kind, dimensions) {
+                (StateKind::Vector, Some(dimensions)) => session.client.add_vector(&map, &state, dimensions).await?,
+                (_, Some(_)) => {
+                    return Err(Misused(format!("--dimensions goes with --kind vector, not {}", kind.name())).into());
+                }
+                (_, None) => session.client.add_state(&map, &state, kind).await?,
+            };
             let mut sheet = Sheet::stdout(session.format, &COLUMNS);
             sheet.row(cells(added))?;
             sheet.finish()?;

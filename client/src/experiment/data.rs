@@ -244,7 +244,7 @@ impl Reader<'_> {
     ) -> Result<(), DataError> {
         let file = |why| DataError::Rows { path: path.to_owned(), why };
         let wrong = |line, wrong| DataError::Row { path: path.to_owned(), line, wrong };
-        let mut rows = Rows::new(self.open(path)?).map_err(file)?;
+        let mut rows = Rows::new(self.open(path)?).and_then(Rows::values_only).map_err(file)?;
         while let Some(item) = rows.next().map_err(file)? {
             let row = match item {
                 Item::Row(row) => row,

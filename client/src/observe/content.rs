@@ -21,6 +21,15 @@ impl ContentCrc {
         self.0 = crc32c::crc32c_append(crc32c::crc32c_append(self.0, state.as_bytes()), &tail);
     }
 
+    /// Adds the next observation, of a vector.
+    pub fn add_position(&mut self, state: &str, time_nanos: i64, coordinates: &[f64]) {
+        self.0 = crc32c::crc32c_append(self.0, state.as_bytes());
+        self.0 = crc32c::crc32c_append(self.0, &time_nanos.to_le_bytes());
+        for coordinate in coordinates {
+            self.0 = crc32c::crc32c_append(self.0, &coordinate.to_bits().to_le_bytes());
+        }
+    }
+
     /// Adds the next scan.
     pub fn add_scan(&mut self, time_nanos: i64, digest: u64) {
         let mut both = [0; 16];
@@ -47,6 +56,7 @@ mod tests {
         crc.add("door", 1, 0.5);
         crc.add("", 0, 1.0);
         crc.add_scan(7, 8);
+        crc.add_position("anna", 2, &[0.25, 4.0]);
         let bytes = [
             b"door".as_slice(),
             &1_i64.to_le_bytes(),
@@ -55,6 +65,10 @@ mod tests {
             &1.0_f64.to_le_bytes(),
             &7_i64.to_le_bytes(),
             &8_u64.to_le_bytes(),
+            b"anna",
+            &2_i64.to_le_bytes(),
+            &0.25_f64.to_le_bytes(),
+            &4.0_f64.to_le_bytes(),
         ];
         assert_eq!(crc.value(), crc32c::crc32c(&bytes.concat()));
     }

@@ -86,8 +86,10 @@ impl Outgoing {
         }
         window.sent(entries.len());
         let mut columns = pack(&entries, window.names(), &mut self.names);
-        if let Some(kind) = self.kind {
-            columns.new_kinds = vec![kind.to_wire().into(); columns.new_states.len()];
+        // Of vectors it is said already.
+        if let Some(kind) = self.kind.filter(|kind| *kind != StateKind::Vector) {
+            columns.new_kinds.resize(columns.new_states.len(), 0);
+            columns.new_kinds.iter_mut().filter(|said| **said == 0).for_each(|said| *said = kind.to_wire().into());
         }
         Some(Message::Batch(ObservationBatch { first_sequence, observations: Some(columns) }))
     }

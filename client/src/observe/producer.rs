@@ -10,6 +10,7 @@ use std::{
     time::Duration,
 };
 
+use tidemap_model::Position;
 use tokio::{
     sync::{Notify, watch},
     task::JoinHandle,
@@ -195,6 +196,30 @@ impl Producer {
     /// # Errors
     /// [`ProducerError`]; the observation has then not been taken.
     pub async fn send(&mut self, state: &str, time_nanos: i64, value: f64) -> Result<u64, ProducerError> {
+        self.take(state, time_nanos, |window| window.push(state, time_nanos, value)).await
+    }
+
+    /// As [`Producer::send`], of a state that is a vector: its coordinates in metres, x and y, or x, y and z. A state that is
+    /// new becomes a vector of so many; [`ProducerOptions::kind`] does not matter.
+    ///
+    /// # Errors
+    /// [`ProducerError`]; the observation has then not been taken.
+    pub async fn send_position(
+        &mut self,
+        state: &str,
+        time_nanos: i64,
+        coordinates: &[f64],
+    ) -> Result<u64, ProducerError> {
+        let position = Position::of(coordinates).ok_or(ProducerError::Coordinates(coordinates.len()))?;
+        self.take(state, time_nanos, |window| window.push_position(state, time_nanos, position)).await
+    }
+
+    async fn take(
+        &mut self,
+        state: &str,
+        time_nanos: i64,
+        push: impl FnOnce(&mut Window) -> Option<u64>,
+    ) -> Result<u64, ProducerError> {
         if time_nanos < 0 {
             return Err(ProducerError::TimeBefore1970(time_nanos));
         }
@@ -202,7 +227,7 @@ impl Producer {
             return Err(ProducerError::NameTooLong(state.len()));
         }
         self.room().await?;
-        let sequence = self.shared.state().window.as_mut().and_then(|window| window.push(state, time_nanos, value));
+        let sequence = self.shared.state().window.as_mut().and_then(push);
         // There is room: only this handle pushes.
         let sequence = sequence.ok_or(ProducerError::Closed)?;
         self.shared.more.notify_one();

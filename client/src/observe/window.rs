@@ -10,6 +10,7 @@ mod scans;
 use std::collections::{HashMap, VecDeque};
 
 pub use scans::KeptScan;
+use tidemap_model::{Dimensions, Position};
 
 use super::{
     ProducerError,
@@ -54,7 +55,8 @@ pub struct Window {
     /// Checksum over everything before `first_kept`.
     crc: ContentCrc,
     names: Vec<Box<str>>,
-    indices: HashMap<Box<str>, u32>,
+    /// Of the names of single values, and of vectors by their number of coordinates: a name that means both is two.
+    indices: [HashMap<Box<str>, u32>; 3],
     /// What the last scan pushed has shown.
     tiles: TileTable,
     /// What the last scan acknowledged has shown.
@@ -75,7 +77,7 @@ impl Window {
             next_unsent: durable + 1,
             crc: ContentCrc::from_value(content_crc),
             names: Vec::new(),
-            indices: HashMap::new(),
+            indices: Default::default(),
             tiles: TileTable::default(),
             base: Shown::default(),
         }
@@ -98,8 +100,17 @@ impl Window {
         if !self.has_room() {
             return None;
         }
-        let state = self.index(state);
-        Some(self.take(Item::Observation(Entry { state, time_nanos, value })))
+        let state = self.index(state, None);
+        Some(self.take(Item::Observation(Entry { state, time_nanos, value, position: None })))
+    }
+
+    /// Takes an observation of a vector in and gives it the next number; `None` where the window is full.
+    pub fn push_position(&mut self, state: &str, time_nanos: i64, position: Position) -> Option<u64> {
+        if !self.has_room() {
+            return None;
+        }
+        let state = self.index(state, Some(position.dimensions()));
+        Some(self.take(Item::Observation(Entry { state, time_nanos, value: 0.0, position: Some(position) })))
     }
 
     fn take(&mut self, item: Item) -> u64 {
@@ -108,14 +119,19 @@ impl Window {
         self.last()
     }
 
-    fn index(&mut self, name: &str) -> u32 {
-        if let Some(&index) = self.indices.get(name) {
+    fn index(&mut self, name: &str, dimensions: Option<Dimensions>) -> u32 {
+        let indices = match dimensions {
+            None => &mut self.indices[0],
+            Some(Dimensions::Two) => &mut self.indices[1],
+            Some(Dimensions::Three) => &mut self.indices[2],
+        };
+        if let Some(&index) = indices.get(name) {
             return index;
         }
         // A map holds at most u32::MAX states, and a name takes at least a byte here.
         let index = u32::try_from(self.names.len()).unwrap_or(u32::MAX);
         self.names.push(name.into());
-        self.indices.insert(name.into(), index);
+        indices.insert(name.into(), index);
         index
     }
 
@@ -192,7 +208,10 @@ impl Window {
             match item {
                 Item::Observation(entry) => {
                     let name = self.names.get(entry.state as usize).map_or("", |name| name);
-                    self.crc.add(name, entry.time_nanos, entry.value);
+                    match &entry.position {
+                        None => self.crc.add(name, entry.time_nanos, entry.value),
+                        Some(position) => self.crc.add_position(name, entry.time_nanos, position.coordinates()),
+                    }
                 }
                 Item::Scan(scan) => {
                     self.crc.add_scan(scan.time_nanos(), scan.digest());

@@ -120,7 +120,7 @@ impl Evaluator {
                 index
             }
         };
-        self.entries.push(Entry { state: index, time_nanos: time_nanos.max(0), value });
+        self.entries.push(Entry { state: index, time_nanos: time_nanos.max(0), value, position: None });
         self.entries.len() < LIMITS.observations || self.send().await
     }
 

@@ -24,6 +24,8 @@ const NAME_BYTES_EXTRA: usize = 3;
 pub struct PredictionRun {
     /// Which of the states asked for.
     pub state: usize,
+    /// Which axis of it, where it is a vector: 0 for x.
+    pub axis: Option<usize>,
     /// Which of the times asked for is the first.
     pub first_time: usize,
     /// Probability that the state is 1, or the value to expect of a state that is no probability, one per time.
@@ -53,8 +55,8 @@ pub struct Predictions {
     interval_level: f64,
     pieces: std::vec::IntoIter<Piece>,
     current: Option<(Piece, Streaming<v1::PredictStatesResponse>)>,
-    /// What comes next, if the daemon keeps the order: state and time within the current piece.
-    next: (usize, usize),
+    /// What comes next, if the daemon keeps the order.
+    next: Next,
 }
 
 /// What one request asks for.
@@ -80,7 +82,7 @@ impl Client {
             interval_level: 0.0,
             pieces,
             current: None,
-            next: (0, 0),
+            next: Next::default(),
         }
     }
 }
@@ -97,7 +99,7 @@ impl Predictions {
                 if let Some(reply) = reply {
                     return checked(reply, piece, &mut self.next).map(Some);
                 }
-                if self.next != (piece.states.len(), 0) {
+                if !self.next.is_after(piece.states.len()) {
                     return Err(Error::Protocol("predictions are missing"));
                 }
                 self.current = None;
@@ -112,7 +114,7 @@ impl Predictions {
             };
             let answer = self.client.query_service().predict_states(request).await;
             let replies = answer.map_err(|status| self.client.error(&status))?.into_inner();
-            self.next = (0, 0);
+            self.next = Next::default();
             self.current = Some((piece, replies));
         }
     }
@@ -136,17 +138,59 @@ impl Predictions {
     }
 }
 
-fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut (usize, usize)) -> Result<PredictionRun, Error> {
+/// Which prediction of a piece comes next.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Next {
+    state: usize,
+    /// Of a vector, how many of its axes are complete: after the second it is for the daemon to say whether there is a third.
+    axes: usize,
+    time: usize,
+}
+
+impl Next {
+    /// Whether all of so many states have come.
+    fn is_after(self, states: usize) -> bool {
+        self.time == 0
+            && (self == Self { state: states, axes: 0, time: 0 } || (self.state + 1 == states && self.axes == 2))
+    }
+
+    /// Whether this may come now: `axis` is 0 of a state that is no vector.
+    fn may_be(self, state: usize, axis: usize, time: usize) -> bool {
+        let is_next = match axis {
+            0 => (state, self.axes) == (self.state, 0),
+            _ => (state, axis) == (self.state, self.axes + 1),
+        };
+        // A vector of two coordinates is complete, and what comes is of the next state.
+        let is_beyond = self.axes == 2 && self.time == 0 && state == self.state + 1 && axis <= 1;
+        time == self.time && axis <= 3 && (is_next || is_beyond)
+    }
+
+    /// What comes after the last time of this.
+    fn after(state: usize, axis: usize) -> Self {
+        if axis == 0 || axis == 3 {
+            Self { state: state + 1, axes: 0, time: 0 }
+        } else {
+            Self { state, axes: axis, time: 0 }
+        }
+    }
+}
+
+fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut Next) -> Result<PredictionRun, Error> {
     let (state, time, count) = (reply.state_index as usize, reply.first_time_index as usize, reply.probabilities.len());
-    let in_order = (state, time) == *next && state < piece.states.len();
+    let axis = reply.axis as usize;
+    let in_order = next.may_be(state, axis, time) && state < piece.states.len();
     let fits = count > 0 && time + count <= piece.times.len();
     let fits_too = |column: &Vec<f64>| column.is_empty() || column.len() == count;
     if !in_order || !fits || ![&reply.lower, &reply.upper, &reply.entropies_bits].into_iter().all(fits_too) {
         return Err(Error::Protocol("predictions are not those that were asked for"));
     }
-    *next = if time + count == piece.times.len() { (state + 1, 0) } else { (state, time + count) };
+    *next = match time + count {
+        all if all == piece.times.len() => Next::after(state, axis),
+        time => Next { state, axes: axis.saturating_sub(1), time },
+    };
     Ok(PredictionRun {
         state: piece.states.start + state,
+        axis: axis.checked_sub(1),
         first_time: piece.times.start + time,
         probabilities: reply.probabilities,
         lower: reply.lower,
@@ -218,14 +262,43 @@ mod tests {
             entropies_bits: vec![1.0; count],
             ..Default::default()
         };
-        let mut next = (0, 0);
+        let mut next = Next::default();
         assert_eq!(checked(reply(0, 0, 2), &piece, &mut next).map(|run| run.state), Ok(10));
         assert!(checked(reply(1, 0, 3), &piece, &mut next.clone()).is_err(), "a time is left out");
         assert!(checked(reply(0, 2, 2), &piece, &mut next.clone()).is_err(), "more than was asked for");
         assert!(checked(reply(0, 2, 0), &piece, &mut next.clone()).is_err(), "nothing at all");
         assert_eq!(checked(reply(0, 2, 1), &piece, &mut next).map(|run| run.first_time), Ok(2));
         assert_eq!(checked(reply(1, 0, 3), &piece, &mut next).map(|run| run.state), Ok(11));
-        assert_eq!(next, (2, 0));
+        assert!(next.is_after(2));
         assert!(checked(reply(2, 0, 3), &piece, &mut next).is_err(), "no such state");
+    }
+
+    #[test]
+    fn a_vector_is_answered_axis_by_axis() {
+        let piece = Piece { states: 10..13, times: 0..3 };
+        let reply = |state_index, axis, first_time_index, count| v1::PredictStatesResponse {
+            state_index,
+            axis,
+            first_time_index,
+            probabilities: vec![1.5; count],
+            ..Default::default()
+        };
+        let mut next = Next::default();
+        let mut take = |state, axis, time, count| {
+            checked(reply(state, axis, time, count), &piece, &mut next).map(|run| (run.state, run.axis, run.first_time))
+        };
+        assert!(take(0, 2, 0, 3).is_err(), "x is left out");
+        assert_eq!(take(0, 1, 0, 2), Ok((10, Some(0), 0)));
+        assert!(take(0, 2, 0, 3).is_err() && take(0, 1, 0, 3).is_err(), "a time of x is left out");
+        assert_eq!(take(0, 1, 2, 1), Ok((10, Some(0), 2)));
+        assert!(take(1, 0, 0, 3).is_err() && take(0, 3, 0, 3).is_err(), "y is left out");
+        assert_eq!(take(0, 2, 0, 3), Ok((10, Some(1), 0)));
+        assert!(take(2, 0, 0, 3).is_err() && take(1, 2, 0, 3).is_err(), "a state or x is left out");
+        assert_eq!(take(1, 0, 0, 3), Ok((11, None, 0)));
+        for axis in 1..=3 {
+            assert_eq!(take(2, axis, 0, 3), Ok((12, Some(axis as usize - 1), 0)));
+        }
+        assert!(next.is_after(3));
+        assert!(Next { state: 2, axes: 2, time: 0 }.is_after(3) && !Next { state: 2, axes: 1, time: 0 }.is_after(3));
     }
 }

@@ -176,3 +176,39 @@ fn a_file_that_grows_while_it_is_read_is_not_read_past_its_end() -> Result<(), R
     }
     Ok(())
 }
+
+#[test]
+fn positions_have_two_coordinates_or_three_in_any_order() -> Result<(), RowsError> {
+    let positions = |text: &str| -> Result<Vec<(Option<Vec<f64>>, Option<String>)>, RowsError> {
+        let items = read(text.as_bytes())?;
+        let row = |item: &Item| match item {
+            Item::Row(row) => (row.position.map(|position| position.coordinates().to_vec()), row.wrong.clone()),
+            other => panic!("{other:?}"),
+        };
+        Ok(items.iter().map(row).collect())
+    };
+    assert_eq!(positions("time,state,x,y\n1,anna,-0,2.5\n")?, [(Some(vec![0.0, 2.5]), None)]);
+    assert_eq!(positions("z,state,y,time,X\n3,anna,2,7,1\n")?, [(Some(vec![1.0, 2.0, 3.0]), None)]);
+    // With a value the other columns are not used, as ever.
+    assert_eq!(positions("time,state,value,x,y\n1,door,1,2,3\n")?, [(None, None)]);
+    for (row, reason) in [
+        ("1,anna,,2", "x \"\" is not a number"),
+        ("1,anna,1,there", "y \"there\" is not a number"),
+        ("soon,anna,1,2", "time"),
+        ("1,anna,1", "\"1,anna,1\" has 3 fields"),
+    ] {
+        let found = positions(&format!("time,state,x,y\n{row}\n"))?;
+        let [(Some(coordinates), Some(wrong))] = found.as_slice() else { panic!("{found:?}") };
+        assert!(coordinates.len() == 2 && coordinates.iter().all(|number| number.is_nan()), "{coordinates:?}");
+        assert!(wrong.starts_with(reason), "{wrong}");
+    }
+    let far = positions("time,state,x,y\n1,anna,2,1e13\n")?;
+    assert_eq!(far[0].1.as_deref(), Some("y 10000000000000 is not a number from -1e12 to 1e12"));
+    let message = |text: &str| positions(text).err().map(|error| error.to_string()).unwrap_or_default();
+    assert!(
+        message("time,state,x\n").starts_with("column \"y\" is missing: the header must name time, state, x and y")
+    );
+    assert!(message("time,state,x,y,x\n").starts_with("column \"x\" appears twice"));
+    assert!(matches!(Rows::new(b"time,state,x,y\n".as_slice())?.values_only(), Err(RowsError::Positions)));
+    Ok(())
+}

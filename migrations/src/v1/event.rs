@@ -85,7 +85,9 @@ pub struct NewState {
     /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Its kind: 0 probability; from format 2 on 1 continuous, 2 count. Values of these are from -1e12 to 1e12.
+    /// Its kind: 0 probability; from format 2 on 1 continuous, 2 count, 3 a vector of 2
+    /// coordinates, 4 one of 3. Values of these are from -1e12 to 1e12. A vector is as many states of kind 1 as it has
+    /// coordinates, called NAME/x, NAME/y and NAME/z, with this number and those after it.
     #[prost(uint32, tag = "3")]
     pub kind: u32,
 }

@@ -3,10 +3,7 @@
 //! Invariant: decoding checks the form of the columns (lengths, exactly one kind of values), not the observations: an
 //! observation that is wrong is refused by itself, later, and does not take its neighbours with it.
 
-use tidemap_map::event::StateKind;
-
 use super::InvalidField;
-use super::map::kind_from_wire;
 use crate::v1::ObservationColumns;
 
 /// Observations with their columns unpacked; all three have the same length.
@@ -68,21 +65,6 @@ pub fn decode(columns: ObservationColumns) -> Result<DecodedColumns, InvalidFiel
     Ok(DecodedColumns { times_nanos, state_indices, values })
 }
 
-/// What a message says of the kinds of its new names, one each; `None`: nothing.
-///
-/// # Errors
-/// An unknown kind, or not as many as names.
-pub fn new_kinds(columns: &ObservationColumns) -> Result<Vec<Option<StateKind>>, InvalidField> {
-    const FIELD: &str = "observations.new_kinds";
-    match (columns.new_kinds.len(), columns.new_states.len()) {
-        (0, names) => Ok(vec![None; names]),
-        (kinds, names) if kinds == names => columns.new_kinds.iter().map(|&kind| kind_from_wire(FIELD, kind)).collect(),
-        (kinds, names) => {
-            Err(InvalidField::new(FIELD, format!("{kinds} entries for {names} new_states: one each, or none")))
-        }
-    }
-}
-
 fn length(column: &str, len: usize, count: usize) -> InvalidField {
     InvalidField::new(
         format!("observations.{column}"),
@@ -131,6 +113,8 @@ pub fn encode(
         state_indices: if one_state { Vec::new() } else { state_indices.to_vec() },
         new_states,
         new_kinds: Vec::new(),
+        new_dimensions: Vec::new(),
+        coordinates: Vec::new(),
         bits: bits.into(),
         values: if binary { Vec::new() } else { values.to_vec() },
     }

@@ -123,17 +123,31 @@ pub fn update_to_wire(generation: u64, cut_nanos: Option<i64>) -> v1::UpdateSumm
     v1::UpdateSummary { generation, cut: cut_nanos.map(timestamp) }
 }
 
-/// A state for the wire; `None` where the view has no such state.
+/// A state for the wire, a vector in place of its first axis; `None` where the view has no such state, and of the other
+/// axes.
 #[must_use]
 pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
     let info = view.info(id)?;
     let live = view.live(id);
+    let (name, kind, order, dimensions) = match info.name.as_axis() {
+        None => {
+            let order = u32::try_from(view.model(id).order()).unwrap_or(u32::MAX);
+            (info.name.as_str(), kind_to_wire(info.kind), order, 0)
+        }
+        Some((vector, 0)) => {
+            let dimensions = view.form(vector).map_or(0, |(_, form)| u32::try_from(form.states()).unwrap_or(u32::MAX));
+            (vector, v1::StateKind::Vector, 0, dimensions)
+        }
+        // Told of with its first axis.
+        Some(_) => return None,
+    };
     Some(v1::State {
-        name: info.name.as_str().to_owned(),
-        kind: kind_to_wire(info.kind).into(),
+        name: name.to_owned(),
+        kind: kind.into(),
         observations: live.observations,
-        order: u32::try_from(view.model(id).order()).unwrap_or(u32::MAX),
+        order,
         last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
+        dimensions,
     })
 }
 
@@ -144,20 +158,6 @@ pub fn kind_to_wire(kind: StateKind) -> v1::StateKind {
         StateKind::Probability => v1::StateKind::Probability,
         StateKind::Continuous => v1::StateKind::Continuous,
         StateKind::Count => v1::StateKind::Count,
-    }
-}
-
-/// A kind of state from the wire; `None` where it says nothing.
-///
-/// # Errors
-/// A kind that is not known.
-pub fn kind_from_wire(field: &str, kind: i32) -> Result<Option<StateKind>, InvalidField> {
-    match v1::StateKind::try_from(kind) {
-        Ok(v1::StateKind::Unspecified) => Ok(None),
-        Ok(v1::StateKind::Probability) => Ok(Some(StateKind::Probability)),
-        Ok(v1::StateKind::Continuous) => Ok(Some(StateKind::Continuous)),
-        Ok(v1::StateKind::Count) => Ok(Some(StateKind::Count)),
-        Err(_) => Err(InvalidField::new(field, format!("{kind} is not known"))),
     }
 }
 

@@ -10,7 +10,7 @@ use std::{
 };
 
 use crate::{
-    event::{StateId, StateKind},
+    event::{Dimensions, Form, StateId, StateKind},
     name::StateName,
 };
 
@@ -57,6 +57,17 @@ impl Directory {
 
     pub fn find(&self, name: &str) -> Option<StateId> {
         self.shards[self.shard(name)].get(name).copied()
+    }
+
+    /// What observations of a name are, with the index of the state, or of the first axis.
+    pub fn form(&self, name: &str) -> Option<(StateId, Form)> {
+        if let Some(id) = self.find(name) {
+            return Some((id, Form::Scalar(self.info(id)?.kind)));
+        }
+        let first = self.find(&format!("{name}/x"))?;
+        let beyond = self.info(StateId(first.0.saturating_add(2)));
+        let has_z = beyond.and_then(|info| info.name.as_axis()) == Some((name, 2));
+        Some((first, Form::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
     }
 
     pub fn info(&self, id: StateId) -> Option<&StateInfo> {

@@ -4,7 +4,7 @@
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
 
 use tidemap_model::Sample;
-pub use tidemap_model::StateKind;
+pub use tidemap_model::{Dimensions, Position, StateKind};
 
 use crate::{
     MAX_AHEAD_NANOS,
@@ -76,7 +76,8 @@ pub struct Observations {
     pub received_nanos: i64,
     /// States that appear for the first time; the ids continue those of the map.
     pub new_states: Vec<NewState>,
-    /// Per accepted observation: the state.
+    /// Per accepted observation: the state. A position is an observation of each of its axes, one after the other, with
+    /// one sequence number.
     pub states: Vec<StateId>,
     /// Per accepted observation: time in nanoseconds UTC, at least 0.
     pub times_nanos: Vec<i64>,
@@ -123,15 +124,79 @@ impl From<ProducerKey> for NewProducer {
     }
 }
 
-/// A state that appears for the first time.
+/// A state, or a vector of states, that appears for the first time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewState {
-    /// Its index.
+    /// Its index; of a vector, that of its first axis: the others follow.
     pub id: StateId,
     /// Its name.
     pub name: StateName,
-    /// Its kind.
-    pub kind: StateKind,
+    /// What it is.
+    pub form: Form,
+}
+
+impl NewState {
+    /// The states that a map gets by it: the state itself, or one of continuous values for each axis of the vector.
+    pub fn states(&self) -> impl Iterator<Item = (StateId, StateName, StateKind)> + use<'_> {
+        let (count, kind) = (self.form.states(), self.form.kind());
+        (0..count).map(move |axis| {
+            let id = StateId(self.id.0.saturating_add(u32::try_from(axis).unwrap_or(u32::MAX)));
+            let name = if self.form == Form::Scalar(kind) { self.name.clone() } else { self.name.axis(axis) };
+            (id, name, kind)
+        })
+    }
+}
+
+/// What observations of a name are: values of a kind, or positions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Form {
+    /// Values.
+    Scalar(StateKind),
+    /// Positions. For the map, each axis is a state of continuous values ([`StateName::axis`]).
+    Vector(Dimensions),
+}
+
+impl Form {
+    /// As people write it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Form::Scalar(kind) => kind.name(),
+            Form::Vector(Dimensions::Two) => "vector of 2 coordinates",
+            Form::Vector(Dimensions::Three) => "vector of 3 coordinates",
+        }
+    }
+
+    /// How many states of the map it makes.
+    #[must_use]
+    pub fn states(self) -> usize {
+        match self {
+            Form::Scalar(_) => 1,
+            Form::Vector(dimensions) => dimensions.count(),
+        }
+    }
+
+    /// What the values of these states mean.
+    #[must_use]
+    pub fn kind(self) -> StateKind {
+        match self {
+            Form::Scalar(kind) => kind,
+            Form::Vector(_) => StateKind::Continuous,
+        }
+    }
+}
+
+impl From<StateKind> for Form {
+    fn from(kind: StateKind) -> Self {
+        Self::Scalar(kind)
+    }
+}
+
+impl Default for Form {
+    /// What a name is of which nothing is said: a probability.
+    fn default() -> Self {
+        StateKind::default().into()
+    }
 }
 
 /// What started an update.
@@ -168,7 +233,7 @@ pub enum Event {
     Scans(Scans),
     /// An update starts.
     UpdateStart(UpdateStart),
-    /// A state was added of which nothing was observed yet.
+    /// A state, or a vector, was added of which nothing was observed yet.
     AddState(NewState),
     /// What is known of the place was changed.
     EditSite(SiteEdit),

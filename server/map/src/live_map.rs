@@ -10,7 +10,7 @@ use tidemap_model::StateModel;
 
 use crate::{
     directory::{Directory, StateInfo},
-    event::{Event, ProducerId, StateId, StateKind, UpdateStart},
+    event::{Event, Form, ProducerId, StateId, StateKind, UpdateStart},
     grid::{live::LiveGrid, view::GridView},
     name::ProducerKey,
     pending::Pending,
@@ -154,6 +154,12 @@ impl LiveMap {
     #[must_use]
     pub fn find(&self, name: &str) -> Option<StateId> {
         self.directory.find(name)
+    }
+
+    /// What observations of a name are, with the index of the state of this name, or of the first axis of the vector.
+    #[must_use]
+    pub fn form(&self, name: &str) -> Option<(StateId, Form)> {
+        self.directory.form(name)
     }
 
     /// The producer of this key, if it ever sent anything.

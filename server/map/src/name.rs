@@ -4,6 +4,7 @@
 
 use std::{fmt, sync::Arc};
 
+use tidemap_model::Dimensions;
 use unicode_normalization::is_nfc;
 
 use crate::grid::index::{CellIndex, TILE_EDGE, TILE_LIMIT};
@@ -47,6 +48,9 @@ pub enum InvalidName {
     /// Holds a slash, which is kept for `edge/A/B`, `node/N` and the like.
     #[error("name {0:?} holds '/', which is reserved for cells, edges, nodes and landmarks")]
     Slash(String),
+    /// A vector may not have it: its axes would be called like a cell, an edge, a node or a landmark.
+    #[error("name {0:?} is not for a vector: {0}/x is how cells, edges, nodes and landmarks are called")]
+    Reserved(String),
 }
 
 fn shown(name: &str) -> String {
@@ -111,7 +115,17 @@ impl fmt::Display for MapName {
     }
 }
 
-/// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`.
+/// First parts of the names of other things, which a vector may not have.
+const RESERVED: [&str; 4] = ["cell", "edge", "node", "landmark"];
+
+/// `NAME/x` as name and number of the axis.
+fn split_axis(name: &str) -> Option<(&str, usize)> {
+    let (vector, axis) = name.rsplit_once('/')?;
+    Some((vector, Dimensions::axis(axis)?))
+}
+
+/// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`; or that of an axis of a vector,
+/// such a name with `/x`, `/y` or `/z`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
 
@@ -126,6 +140,43 @@ impl StateName {
             return Err(InvalidName::Slash(shown(name)));
         }
         Ok(Self(name.into()))
+    }
+
+    /// Name of the state of one axis of a vector with this name, `NAME/x` for axis 0. A plain name has no `/`, so that
+    /// no producer can send observations of such a state but by positions.
+    #[must_use]
+    pub fn axis(&self, axis: usize) -> Self {
+        let axis = Dimensions::Three.axes().get(axis).copied().unwrap_or_default();
+        Self(format!("{}/{axis}", self.0).into())
+    }
+
+    /// Whether a vector may have the name.
+    ///
+    /// # Errors
+    /// [`InvalidName::Reserved`].
+    pub fn check_vector(&self) -> Result<(), InvalidName> {
+        if RESERVED.contains(&&*self.0) { Err(InvalidName::Reserved(shown(&self.0))) } else { Ok(()) }
+    }
+
+    /// As [`StateName::new`], or the name of an axis of a vector, as [`StateName::axis`] gives it.
+    ///
+    /// # Errors
+    /// [`InvalidName`], with what is wrong.
+    pub fn stored(name: &str) -> Result<Self, InvalidName> {
+        match split_axis(name) {
+            Some((vector, axis)) => {
+                let vector = Self::new(vector)?;
+                vector.check_vector()?;
+                Ok(vector.axis(axis))
+            }
+            None => Self::new(name),
+        }
+    }
+
+    /// Of the name of an axis, that of its vector and the axis's number, 0 for x.
+    #[must_use]
+    pub fn as_axis(&self) -> Option<(&str, usize)> {
+        split_axis(&self.0)
     }
 
     /// The name.
@@ -272,5 +323,20 @@ mod tests {
         assert!(matches!(StateName::new("a\u{202e}b"), Err(InvalidName::Unprintable { .. })));
         assert!(matches!(StateName::new("u\u{308}"), Err(InvalidName::NotNfc(_))));
         assert!(matches!(StateName::new("edge/a"), Err(InvalidName::Slash(_))));
+    }
+
+    #[test]
+    fn axes_of_vectors_have_names_that_nobody_can_send() {
+        let anna = StateName::new("anna").expect("valid");
+        let axis = anna.axis(1);
+        assert_eq!((axis.as_str(), axis.as_axis(), anna.as_axis()), ("anna/y", Some(("anna", 1)), None));
+        assert!(matches!(StateName::new("anna/y"), Err(InvalidName::Slash(_))));
+        assert_eq!(StateName::stored("anna/y"), Ok(axis));
+        assert_eq!(StateName::stored("anna"), Ok(anna));
+        for bad in ["anna/w", "anna/x/y", "/x", "anna/", "cell/x", "node/x", "a\nb/x"] {
+            assert!(StateName::stored(bad).is_err(), "{bad}");
+        }
+        let longest = StateName::new(&"ü".repeat(128)).expect("valid").axis(2);
+        assert_eq!(StateName::stored(longest.as_str()), Ok(longest));
     }
 }

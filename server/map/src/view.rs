@@ -10,7 +10,7 @@ use tidemap_model::{Persistence, StateModel};
 pub use crate::directory::StateInfo;
 use crate::{
     directory::Directory,
-    event::{StateId, StateKind},
+    event::{Form, StateId, StateKind},
     grid::view::GridView,
     site::Site,
     spec::MapSpec,
@@ -111,6 +111,12 @@ impl MapView {
     #[must_use]
     pub fn find(&self, name: &str) -> Option<StateId> {
         self.directory.find(name)
+    }
+
+    /// What observations of a name are, with the index of the state of this name, or of the first axis of the vector.
+    #[must_use]
+    pub fn form(&self, name: &str) -> Option<(StateId, Form)> {
+        self.directory.form(name)
     }
 
     /// Name and kind of a state.

@@ -144,7 +144,7 @@ async fn a_model_that_is_being_fitted_is_not_given_up_for_others() {
 
 #[test]
 fn requests_hold_no_more_than_may_be_kept() {
-    let fits = Fits::new(10);
+    let fits: Fits = Fits::new(10);
     let first = fits.hold(7).expect("room");
     assert_eq!((fits.held(), fits.hold(4).is_none(), fits.hold(usize::MAX).is_none()), (7, true, true));
     let second = fits.hold(3).expect("room");

@@ -5,14 +5,15 @@
 //! map's writer to say, which knows the state.
 
 use tidemap_map::{
-    event::{RefusalReason, StateKind},
+    event::{Dimensions, Form, Position, RefusalReason, StateKind},
     grid::spec::GridSpec,
     name::StateName,
 };
 use tidemap_proto::convert::{
     InvalidField,
-    columns::{DecodedColumns, decode, new_kinds},
+    columns::{DecodedColumns, decode},
     scans::{ScanError, ScanLimits},
+    vectors::{new_forms, positions},
 };
 use tidemap_proto::v1::ObservationBatch;
 
@@ -85,13 +86,28 @@ struct TableEntry {
     raw: String,
     refusal: Option<String>,
     /// What the stream said of it.
-    kind: Option<StateKind>,
+    form: Option<Form>,
 }
 
 impl TableEntry {
-    /// Whether the state may have the value, as far as is known here.
-    fn may_have(&self, value: f64) -> bool {
-        self.kind.unwrap_or(StateKind::Continuous).allows(value)
+    /// Whether the state may have the position, or the value where there is none, as far as is known here.
+    fn may_have(&self, value: f64, position: Option<Position>) -> bool {
+        match position {
+            Some(position) => position.misfit().is_none(),
+            None => self.expected_kind().allows(value),
+        }
+    }
+
+    /// What its values have to be, as far as is known here.
+    fn expected_kind(&self) -> StateKind {
+        self.form.map_or(StateKind::Continuous, Form::kind)
+    }
+
+    fn dimensions(&self) -> Option<Dimensions> {
+        match self.form {
+            Some(Form::Vector(dimensions)) => Some(dimensions),
+            _ => None,
+        }
     }
 }
 
@@ -102,6 +118,8 @@ pub struct Intake {
     table_bytes: usize,
     next_sequence: u64,
     content_crc: u32,
+    /// Whether any name of the table is a vector.
+    has_vectors: bool,
     limits: IntakeLimits,
     rows: Vec<u8>,
     scans: ScanIntake,
@@ -114,6 +132,7 @@ impl Intake {
         Self {
             table: Vec::new(),
             table_bytes: 0,
+            has_vectors: false,
             next_sequence: durable_sequence + 1,
             content_crc,
             limits,
@@ -141,17 +160,19 @@ impl Intake {
         }
         let mut columns =
             message.observations.ok_or_else(|| InvalidField::new("observations", "missing: send at least 1"))?;
-        let kinds = new_kinds(&columns)?;
+        let forms = new_forms(&columns)?;
         let names = std::mem::take(&mut columns.new_states);
         self.check_limits(columns.time_deltas.len(), &names)?;
+        let coordinates = std::mem::take(&mut columns.coordinates);
         let columns = decode(columns)?;
         let last = last_sequence(first, columns.values.len())?;
-        let new_names = self.extend_table(names, kinds);
+        let new_names = self.extend_table(names, forms);
+        let positions = self.positions(&columns, &coordinates)?;
         let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
         if last < self.next_sequence && new_names.is_empty() {
             return Ok(None);
         }
-        let mut batch = self.check(&columns, skip.min(columns.values.len()));
+        let mut batch = self.check(&columns, &positions, skip.min(columns.values.len()));
         batch.new_names = new_names;
         batch.last_sequence = last.max(self.next_sequence - 1);
         self.next_sequence = batch.last_sequence + 1;
@@ -185,21 +206,47 @@ impl Intake {
         Ok(())
     }
 
-    fn extend_table(&mut self, names: Vec<String>, kinds: Vec<Option<StateKind>>) -> Vec<Option<NewName>> {
+    fn extend_table(&mut self, names: Vec<String>, forms: Vec<Option<Form>>) -> Vec<Option<NewName>> {
         let mut checked = Vec::with_capacity(names.len());
-        for (raw, kind) in names.into_iter().zip(kinds) {
-            let (name, refusal) = match StateName::new(&raw) {
-                Ok(name) => (Some(NewName { name, kind }), None),
+        for (raw, form) in names.into_iter().zip(forms) {
+            let is_vector = matches!(form, Some(Form::Vector(_)));
+            self.has_vectors |= is_vector;
+            let name = StateName::new(&raw)
+                .and_then(|name| if is_vector { name.check_vector().map(|()| name) } else { Ok(name) });
+            let (name, refusal) = match name {
+                Ok(name) => (Some(NewName { name, form }), None),
                 Err(error) => (None, Some(format!("state {error}"))),
             };
             self.table_bytes += raw.len();
-            self.table.push(TableEntry { raw, refusal, kind });
+            self.table.push(TableEntry { raw, refusal, form });
             checked.push(name);
         }
         checked
     }
 
-    fn check(&mut self, columns: &DecodedColumns, skip: usize) -> Batch {
+    /// The positions of a message, by the stream's table.
+    fn positions(&self, columns: &DecodedColumns, coordinates: &[f64]) -> Result<Vec<(u32, Position)>, IntakeError> {
+        if !self.has_vectors && coordinates.is_empty() {
+            return Ok(Vec::new());
+        }
+        let dimensions = |index: u32| self.table.get(index as usize)?.dimensions();
+        let positions = positions(&columns.state_indices, coordinates, dimensions)?;
+        // One position always fits.
+        let max = self.limits.batch.max(Dimensions::Three.count());
+        let got = columns.values.len() - positions.len() + coordinates.len();
+        if got > max {
+            let what = "observations of one message, positions counted by their coordinates";
+            return Err(IntakeError::Limit {
+                what,
+                got: got as u64,
+                max: max as u64,
+                setting: "setting max_batch_observations",
+            });
+        }
+        Ok(positions)
+    }
+
+    fn check(&mut self, columns: &DecodedColumns, positions: &[(u32, Position)], skip: usize) -> Batch {
         let new = columns.values.len() - skip;
         let mut batch = Batch {
             first_sequence: self.next_sequence,
@@ -209,15 +256,22 @@ impl Intake {
             ..Batch::default()
         };
         self.rows.clear();
+        let mut positions = positions.iter().skip_while(|(place, _)| (*place as usize) < skip).peekable();
         for i in skip..columns.values.len() {
             let (index, time, value) = (columns.state_indices[i], columns.times_nanos[i], columns.values[i]);
+            let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| *position);
             let entry = self.table.get(index as usize);
             self.rows.extend_from_slice(entry.map_or(b"", |entry| entry.raw.as_bytes()));
             self.rows.extend_from_slice(&time.to_le_bytes());
-            self.rows.extend_from_slice(&value.to_le_bytes());
+            match &position {
+                None => self.rows.extend_from_slice(&value.to_le_bytes()),
+                Some(position) => {
+                    position.coordinates().iter().for_each(|number| self.rows.extend_from_slice(&number.to_le_bytes()));
+                }
+            }
             let refusal = match entry {
-                Some(entry) if entry.refusal.is_none() && time >= 0 && entry.may_have(value) => None,
-                _ => Some(refuse(entry, index, self.table.len(), time, value)),
+                Some(entry) if entry.refusal.is_none() && time >= 0 && entry.may_have(value, position) => None,
+                _ => Some(refuse(entry, index, self.table.len(), time, (value, position))),
             };
             let offset = i - skip;
             match refusal {
@@ -225,9 +279,13 @@ impl Intake {
                     if !batch.refused.is_empty() {
                         batch.kept.push(u32::try_from(offset).unwrap_or(u32::MAX));
                     }
+                    if let Some(position) = position {
+                        let place = u32::try_from(batch.values.len()).unwrap_or(u32::MAX);
+                        batch.positions.push((place, position));
+                    }
                     batch.table_indices.push(index);
                     batch.times_nanos.push(time);
-                    batch.values.push(value);
+                    batch.values.push(if position.is_some() { 0.0 } else { value });
                 }
                 Some((reason, detail)) => {
                     if batch.refused.is_empty() {
@@ -257,7 +315,13 @@ pub(super) fn refuse_value(value: f64, kind: StateKind) -> (RefusalReason, Strin
     (RefusalReason::Value, format!("value {value} is not {}", kind.expected()))
 }
 
-fn refuse(entry: Option<&TableEntry>, index: u32, table_len: usize, time: i64, value: f64) -> (RefusalReason, String) {
+fn refuse(
+    entry: Option<&TableEntry>,
+    index: u32,
+    table_len: usize,
+    time: i64,
+    (value, position): (f64, Option<Position>),
+) -> (RefusalReason, String) {
     match entry {
         None => {
             let text = format!("state index {index} is beyond the stream's table of {table_len} names");
@@ -265,6 +329,12 @@ fn refuse(entry: Option<&TableEntry>, index: u32, table_len: usize, time: i64, v
         }
         Some(TableEntry { refusal: Some(text), .. }) => (RefusalReason::StateName, text.clone()),
         Some(_) if time < 0 => (RefusalReason::Time, format!("time {time} ns is before 1970")),
-        Some(entry) => refuse_value(value, entry.kind.unwrap_or(StateKind::Continuous)),
+        Some(entry) => match position.and_then(|position| position.misfit()) {
+            Some((axis, coordinate)) => {
+                let expected = StateKind::Continuous.expected();
+                (RefusalReason::Value, format!("coordinate {axis} {coordinate} is not {expected}"))
+            }
+            None => refuse_value(value, entry.expected_kind()),
+        },
     }
 }

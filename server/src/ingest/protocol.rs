@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{RefusalReason, StateKind, UpdateCause},
+    event::{Form, Position, RefusalReason, UpdateCause},
     grid::{
         front::SentScan,
         index::TileIndex,
@@ -134,14 +134,14 @@ pub struct Refused {
 pub struct NewName {
     /// The name.
     pub name: StateName,
-    /// What its values are said to mean.
-    pub kind: Option<StateKind>,
+    /// What it is said to be.
+    pub form: Option<Form>,
 }
 
 impl From<StateName> for NewName {
     /// A name of which nothing is said.
     fn from(name: StateName) -> Self {
-        Self { name, kind: None }
+        Self { name, form: None }
     }
 }
 
@@ -162,8 +162,12 @@ pub struct Batch {
     pub table_indices: Vec<u32>,
     /// Per accepted observation: nanoseconds UTC.
     pub times_nanos: Vec<i64>,
-    /// Per accepted observation: a value that some kind of state may have, and the named kind where one was named.
+    /// Per accepted observation: a value that some kind of state may have, and the named kind where one was named; of a
+    /// position 0.
     pub values: Vec<f64>,
+    /// The positions, each with the place of its observation among the accepted ones, ascending; each is one that a vector
+    /// may have, and of as many coordinates as its name is said to have.
+    pub positions: Vec<(u32, Position)>,
     /// The others.
     pub refused: Vec<Refused>,
 }
@@ -263,8 +267,8 @@ pub enum Ending {
 pub struct AddState {
     /// Its name.
     pub name: StateName,
-    /// What its values mean.
-    pub kind: StateKind,
+    /// What it is to be.
+    pub form: Form,
     /// The answer, when it is durable and shown.
     pub reply: oneshot::Sender<Result<(), AddStateError>>,
 }
@@ -277,10 +281,10 @@ pub enum AddStateError {
     OtherKind {
         /// Its name.
         name: StateName,
-        /// The kind that it has.
-        found: StateKind,
-        /// The kind asked for.
-        asked: StateKind,
+        /// What it is.
+        found: Form,
+        /// What was asked for.
+        asked: Form,
     },
     /// No more states.
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]

@@ -7,7 +7,9 @@ use std::collections::{BTreeMap, HashMap};
 
 use tidemap_map::{
     MAX_AHEAD_NANOS,
-    event::{Event, NewProducer, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind},
+    event::{
+        Event, NewProducer, NewState, Observations, OffsetRun, Position, ProducerId, RefusalReason, StateId, StateKind,
+    },
     grid::{
         front::{Front, ScanSource},
         sensors::ProducerSensor,
@@ -192,12 +194,14 @@ impl Sessions {
         };
         let plausible = now.saturating_add(MAX_AHEAD_NANOS);
         let may_wait = map.ahead() < self.limits.ahead;
+        let mut positions = batch.positions.iter().peekable();
         let mut new_states = Vec::new();
         let count = batch.table_indices.len();
         let (mut states, mut times_nanos) = (Vec::with_capacity(count), Vec::with_capacity(count));
         let (mut values, mut offsets) = (Vec::with_capacity(count), Vec::<OffsetRun>::new());
         for i in 0..count {
             let time = batch.times_nanos[i];
+            let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| *position);
             if time > plausible && !may_wait {
                 let text = format!(
                     "time {time} ns is more than 5 minutes ahead of the server's clock, and {} observations wait for \
@@ -209,7 +213,7 @@ impl Sessions {
             }
             let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
             let mut room = Room { map, in_flight: &mut self.states_in_flight, max: self.limits.states };
-            let state = match slot.state_for(batch.values[i], &mut room, &mut new_states) {
+            let state = match slot.state_for(batch.values[i], position.is_some(), &mut room, &mut new_states) {
                 Ok(state) => state,
                 Err(Some((reason, text))) => {
                     refuse(i, reason, text);
@@ -218,13 +222,16 @@ impl Sessions {
                 Err(None) => continue,
             };
             let offset_secs = self.offsets.offset_secs(time);
-            match offsets.last_mut() {
-                Some(run) if run.offset_secs == offset_secs => run.count += 1,
-                _ => offsets.push(OffsetRun { count: 1, offset_secs }),
+            let numbers = position.as_ref().map_or(&batch.values[i..=i], Position::coordinates);
+            for (&number, state) in numbers.iter().zip(state.0..) {
+                match offsets.last_mut() {
+                    Some(run) if run.offset_secs == offset_secs => run.count += 1,
+                    _ => offsets.push(OffsetRun { count: 1, offset_secs }),
+                }
+                states.push(StateId(state));
+                times_nanos.push(time);
+                values.push(number);
             }
-            states.push(state);
-            times_nanos.push(time);
-            values.push(batch.values[i]);
         }
         refused.sort_by_key(|refused| refused.sequence);
         let (producer, new_producer) = session.producer(map, &mut self.producers_in_flight);
@@ -253,8 +260,8 @@ impl Sessions {
         // A time that is not plausible yet does not close the days before it.
         let (is_first, newest) = match event {
             Event::Observations(event) => {
-                for new in &event.new_states {
-                    self.states_in_flight.remove(&new.name);
+                for (_, name, _) in event.new_states.iter().flat_map(NewState::states) {
+                    self.states_in_flight.remove(&name);
                 }
                 let plausible = event.plausible_nanos();
                 let times = event.times_nanos.iter().copied();

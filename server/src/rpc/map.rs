@@ -3,15 +3,16 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::StateId,
+    event::{Form, StateId},
     name::StateName,
     site::{Location, SiteEdit},
 };
 use tidemap_proto::{
     convert::{
         InvalidField,
-        map::{kind_from_wire, map_to_wire, spec_from_request, state_to_wire},
+        map::{map_to_wire, spec_from_request, state_to_wire},
         site::{location_to_wire, point_from_wire},
+        vectors::form_from_wire,
     },
     v1::{self, map_service_server::MapService},
 };
@@ -94,16 +95,21 @@ impl MapService for Maps {
     }
 
     async fn add_state(&self, request: Request<v1::AddStateRequest>) -> Result<Response<v1::AddStateResponse>, Status> {
-        let v1::AddStateRequest { map, state, kind } = request.into_inner();
+        let v1::AddStateRequest { map, state, kind, dimensions } = request.into_inner();
         let handle = find_map(&self.catalog, &map)?;
-        let name = StateName::new(&state).map_err(|error| RpcError::from(InvalidField::new("state", error)))?;
-        let kind = kind_from_wire("kind", kind).map_err(RpcError::from)?.unwrap_or_default();
+        let invalid = |error| RpcError::from(InvalidField::new("state", error));
+        let name = StateName::new(&state).map_err(invalid)?;
+        let form = form_from_wire(("kind", kind), ("dimensions", dimensions)).map_err(RpcError::from)?;
+        let form = form.unwrap_or_default();
+        if let Form::Vector(_) = form {
+            name.check_vector().map_err(invalid)?;
+        }
         let (reply, answer) = oneshot::channel();
-        let add = AddState { name, kind, reply };
+        let add = AddState { name, form, reply };
         let answer = if handle.send(Command::AddState(add)) { answer.await.ok() } else { None };
         answer.unwrap_or(Err(AddStateError::Closing)).map_err(RpcError::from)?;
         let view = handle.view();
-        let state = view.find(&state).and_then(|id| state_to_wire(&view, id));
+        let state = view.form(&state).and_then(|(id, _)| state_to_wire(&view, id));
         Ok(Response::new(v1::AddStateResponse { state }))
     }
 

@@ -45,6 +45,8 @@ const BUSY_AFTER: Duration = Duration::from_secs(1);
 const REPLIES_AHEAD: usize = 16;
 /// Memory of a decoded observation, in bytes.
 const OBSERVATION_BYTES: usize = 24;
+/// Memory of a position beside that: its coordinates, and an observation of each axis.
+const POSITION_BYTES: usize = 112;
 /// Memory of a refused observation with its reason, in bytes, about.
 const REFUSED_BYTES: usize = 300;
 /// Memory of a name beside its text, in bytes, about.
@@ -170,7 +172,10 @@ fn sensor(wire: &v1::ProducerSensor) -> ProducerSensor {
 fn bytes_of(batch: &Batch) -> usize {
     let names =
         batch.new_names.iter().map(|name| NAME_BYTES + name.as_ref().map_or(0, |name| name.name.as_str().len()));
-    64 + OBSERVATION_BYTES * batch.values.len() + REFUSED_BYTES * batch.refused.len() + names.sum::<usize>()
+    64 + OBSERVATION_BYTES * batch.values.len()
+        + POSITION_BYTES * batch.positions.len()
+        + REFUSED_BYTES * batch.refused.len()
+        + names.sum::<usize>()
 }
 
 async fn open_and_serve(

@@ -5,7 +5,10 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{event::StateId, view::MapView};
+use tidemap_map::{
+    event::{Form, StateId},
+    view::MapView,
+};
 use tidemap_proto::v1::{self, query_service_server::QueryService};
 use tonic::{Request, Response, Status, Streaming};
 
@@ -16,6 +19,7 @@ mod anomalies;
 mod evaluate;
 pub(super) mod fitting;
 mod grid;
+mod positions;
 mod readings;
 mod reconstruct;
 pub(super) mod replies;
@@ -85,10 +89,18 @@ impl Queries {
     }
 }
 
-/// The state of this name, or an error that lists some that exist.
+/// The state of this name, or an error that lists some that exist, or the axes of a vector.
 pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError> {
-    view.find(name).ok_or_else(|| RpcError::UnknownState {
-        map: view.spec().name.as_str().to_owned(),
+    if let Some(id) = view.find(name) {
+        return Ok(id);
+    }
+    let map = || view.spec().name.as_str().to_owned();
+    if let Some((_, form @ Form::Vector(dimensions))) = view.form(name) {
+        let axes = dimensions.axes().iter().map(|axis| format!("{name}/{axis}")).collect();
+        return Err(RpcError::IsVector { map: map(), name: name.to_owned(), form, axes });
+    }
+    Err(RpcError::UnknownState {
+        map: map(),
         name: name.chars().take(80).collect(),
         known: view.infos().take(11).map(|info| info.name.as_str().to_owned()).collect(),
     })
@@ -101,6 +113,7 @@ pub(super) fn check_limit(what: &'static str, got: u64, max: u64, setting: &'sta
 #[tonic::async_trait]
 impl QueryService for Queries {
     type PredictStatesStream = Replies<v1::PredictStatesResponse>;
+    type PredictPositionsStream = Replies<v1::PredictPositionsResponse>;
     type PredictGridStream = Replies<v1::PredictGridResponse>;
     type ReconstructStream = Replies<v1::ReconstructResponse>;
     type FindAnomaliesStream = Replies<v1::FindAnomaliesResponse>;
@@ -132,6 +145,13 @@ impl QueryService for Queries {
         request: Request<v1::PredictGridRequest>,
     ) -> Result<Response<Self::PredictGridStream>, Status> {
         Ok(Response::new(grid::predict_grid(self, request.into_inner()).await?))
+    }
+
+    async fn predict_positions(
+        &self,
+        request: Request<v1::PredictPositionsRequest>,
+    ) -> Result<Response<Self::PredictPositionsStream>, Status> {
+        Ok(Response::new(positions::predict_positions(self, request.into_inner()).await?))
     }
 
     async fn reconstruct(

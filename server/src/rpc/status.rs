@@ -5,6 +5,7 @@
 use std::collections::HashMap;
 
 use tidemap_map::{
+    event::Form,
     grid::{sensors::InvalidSensor, tile::TileUnavailable},
     predict::ModelKind,
     site::InvalidEdit,
@@ -52,6 +53,18 @@ pub enum RpcError {
         name: String,
         /// Names that exist.
         known: Vec<String>,
+    },
+    /// The name is that of a vector, and the question is of one number.
+    #[error("state {name:?} of map {map:?} is a {}: ask of its axes, {}", .form.name(), .axes.join(", "))]
+    IsVector {
+        /// The map.
+        map: String,
+        /// The name asked for.
+        name: String,
+        /// What it is.
+        form: Form,
+        /// Names of its axes.
+        axes: Vec<String>,
     },
     /// The map has no grid.
     #[error("map {map:?} has no grid: create a map with one, with option --grid")]
@@ -210,6 +223,7 @@ impl RpcError {
             },
             Self::UnknownMap { .. } => (Code::NotFound, "UNKNOWN_MAP"),
             Self::UnknownState { .. } => (Code::NotFound, "UNKNOWN_STATE"),
+            Self::IsVector { .. } => (Code::InvalidArgument, "IS_VECTOR"),
             Self::NoGrid { .. } => (Code::FailedPrecondition, "NO_GRID"),
             Self::UnknownCell { .. } => (Code::NotFound, "UNKNOWN_CELL"),
             Self::Tile(_) => (Code::Internal, "STORAGE_FAILED"),
@@ -219,7 +233,7 @@ impl RpcError {
                     (Code::FailedPrecondition, "NO_HISTORY")
                 }
                 Unavailable::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
-                Unavailable::OtherKind { .. } | Unavailable::CannotFit(_) => {
+                Unavailable::OtherKind { .. } | Unavailable::CannotFit(_) | Unavailable::Unlearned => {
                     (Code::FailedPrecondition, "MODEL_UNAVAILABLE")
                 }
             },

@@ -80,5 +80,5 @@ fn observation(load: &Load, number: u64) -> Entry {
     let jitter = i64::try_from(bits % 120_000).unwrap_or(0) * MICRO_NANOS;
     let time_nanos = START_NANOS + i64::try_from(number).unwrap_or(0) * STEP_NANOS + jitter;
     let state = u32::try_from((bits >> 20) % load.states).unwrap_or(0);
-    Entry { state, time_nanos, value: if bits >> 63 == 1 { 1.0 } else { 0.0 } }
+    Entry { state, time_nanos, value: if bits >> 63 == 1 { 1.0 } else { 0.0 }, position: None }
 }

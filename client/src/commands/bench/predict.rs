@@ -112,5 +112,6 @@ fn observation(load: &Load, number: u64) -> Entry {
         state: u32::try_from(state).unwrap_or(0),
         time_nanos: START_NANOS + i64::try_from(hour).unwrap_or(0) * HOUR_NANOS + offset,
         value: if open == exception { 0.0 } else { 1.0 },
+        position: None,
     }
 }

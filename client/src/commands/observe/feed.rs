@@ -43,6 +43,8 @@ pub struct Feed {
     pub rows: mpsc::Receiver<Result<Chunk, RowsError>>,
     /// Its size, where it has one.
     pub total_bytes: Option<u64>,
+    /// Whether its rows are positions.
+    pub has_positions: bool,
 }
 
 /// The file as messages name it.
@@ -69,9 +71,10 @@ pub fn open(path: &Path) -> anyhow::Result<Feed> {
     if !rows.ignored().is_empty() {
         crate::progress::notice(&format!("{}: not used: column {}", shown(path), rows.ignored().join(", ")));
     }
+    let has_positions = rows.has_positions();
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     thread::Builder::new().name("rows".to_owned()).spawn(move || read(rows, &sender)).context("thread")?;
-    Ok(Feed { rows: receiver, total_bytes })
+    Ok(Feed { rows: receiver, total_bytes, has_positions })
 }
 
 /// Reads until the end, an error, or until nobody wants more.

@@ -1,7 +1,7 @@
 //! What the values of a file's states may be.
 //!
 //! Invariant: a row is called wrong only where no daemon would accept it; where that is not known, the daemon is left to
-//! say. Files of probabilities ask for nothing.
+//! say. Files of probabilities and of positions ask for nothing.
 
 use std::collections::HashMap;
 
@@ -30,7 +30,7 @@ impl Kinds {
 
     /// What is wrong with a row, if anything is.
     pub async fn wrong(&mut self, row: &Row) -> Option<String> {
-        if !row.is_read {
+        if !row.is_read || row.position.is_some() {
             return row.wrong.clone();
         }
         let kind = match self.said {

@@ -146,7 +146,10 @@ impl Transfer {
         if row.number <= self.sent_before {
             self.read = row.number;
             self.duplicate += 1;
-            self.crc.add(&row.state, row.time_nanos, row.value);
+            match &row.position {
+                None => self.crc.add(&row.state, row.time_nanos, row.value),
+                Some(position) => self.crc.add_position(&row.state, row.time_nanos, position.coordinates()),
+            }
             if row.number == self.sent_before && self.crc.value() != self.content_crc {
                 let sent_before = self.sent_before;
                 return Err(Ended::Differs(format!(
@@ -155,7 +158,11 @@ impl Transfer {
             }
             return Ok(());
         }
-        let sequence = self.producer.send(&row.state, row.time_nanos, row.value).await.map_err(Ended::Stopped)?;
+        let sent = match &row.position {
+            None => self.producer.send(&row.state, row.time_nanos, row.value).await,
+            Some(position) => self.producer.send_position(&row.state, row.time_nanos, position.coordinates()).await,
+        };
+        let sequence = sent.map_err(Ended::Stopped)?;
         debug_assert_eq!(sequence, row.number);
         self.read = row.number;
         if let Some(wrong) = self.kinds.wrong(row).await {

@@ -10,7 +10,7 @@ fn names(count: u32) -> Vec<Box<str>> {
 }
 
 fn entry(state: u32, time_nanos: i64, value: f64) -> Entry {
-    Entry { state, time_nanos, value }
+    Entry { state, time_nanos, value, position: None }
 }
 
 /// Reads columns by the words of `types.proto`, with no regard to how they were made.
@@ -110,5 +110,25 @@ proptest! {
             prop_assert!(columns.encoded_len() + 32 <= bytes);
             rest = &rest[count..];
         }
+    }
+}
+
+#[test]
+fn positions_travel_as_coordinates_of_names_that_say_so() {
+    let at = |state, coordinates: &[f64]| Entry { position: Position::of(coordinates), ..entry(state, 0, 0.0) };
+    let entries = [at(1, &[1.5, -2.0]), entry(0, 0, 1.0), at(2, &[0.0, 1.0, 2.0]), at(1, &[3.0, 4.0])];
+    let mut table = StreamTable::default();
+    let columns = pack(&entries, &names(3), &mut table);
+    assert_eq!(columns.new_states, ["state 1", "state 0", "state 2"]);
+    let vector: i32 = StateKind::Vector.into();
+    assert_eq!((columns.new_kinds, columns.new_dimensions), (vec![vector, 0, vector], vec![2, 0, 3]));
+    assert_eq!(columns.coordinates, [1.5, -2.0, 0.0, 1.0, 2.0, 3.0, 4.0]);
+    assert_eq!((columns.bits.as_ref(), columns.values.len()), (&[0b10][..], 0));
+    let again = pack(&entries, &names(3), &mut table);
+    assert!(again.new_kinds.is_empty() && again.new_dimensions.is_empty() && again.coordinates.len() == 7);
+    // Eight observations, coordinate by coordinate.
+    for (limit, count) in [(8, 4), (7, 3), (5, 2), (3, 2), (2, 1), (1, 1)] {
+        let limits = BatchLimits { observations: limit, bytes: 1 << 20 };
+        assert_eq!(fitting(entries.iter(), &names(3), &StreamTable::default(), limits), count, "{limit}");
     }
 }

@@ -47,7 +47,12 @@ fn a_first_observation_leaves_at_once_and_the_next_wait_for_company() {
     window.push("a", 5, 0.0);
     assert_eq!(
         taken(&mut window, 4, 0),
-        (2, (2..6).map(|time| ("a".to_owned(), Entry { state: 0, time_nanos: time, value: 0.0 })).collect())
+        (
+            2,
+            (2..6)
+                .map(|time| ("a".to_owned(), Entry { state: 0, time_nanos: time, value: 0.0, position: None }))
+                .collect()
+        )
     );
     window.push("a", 6, 0.0);
     assert_eq!(taken(&mut window, 4, 6).1.len(), 1, "somebody waits for it");

@@ -15,6 +15,7 @@ use crate::{
 
 mod kinds;
 mod refits;
+mod vectors;
 
 const HOUR: i64 = 3_600_000_000_000;
 const NOW: i64 = 1000 * HOUR;
@@ -42,7 +43,7 @@ fn event(map: &LiveMap, observations: &[(u32, i64, f64)]) -> Event {
         .map(|id| NewState {
             id: StateId(u32::try_from(id).expect("few")),
             name: StateName::new(&format!("s{id}")).expect("valid"),
-            kind: StateKind::Probability,
+            form: StateKind::Probability.into(),
         })
         .collect();
     let first_sequence = known.unwrap_or(0) + 1;

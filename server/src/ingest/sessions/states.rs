@@ -1,11 +1,12 @@
 //! Which states a map will have once all that is in flight is applied, and of what kind.
 //!
-//! Invariant: a state in flight has its number and its kind for good: whoever names it next gets the same.
+//! Invariant: a state in flight has its number and its kind for good: whoever names it next gets the same. A vector is in
+//! flight as all its axes.
 
 use std::collections::HashMap;
 
 use tidemap_map::{
-    event::{NewState, RefusalReason, StateId, StateKind},
+    event::{Dimensions, Form, NewState, RefusalReason, StateId, StateKind},
     live_map::LiveMap,
     name::StateName,
 };
@@ -24,10 +25,10 @@ type Refusal = (RefusalReason, String);
 /// A name of a stream's table.
 #[derive(Debug)]
 pub(super) enum Slot {
-    /// A state of the map, or of a batch in flight.
-    State(StateId, StateKind),
-    /// A state that is not of the kind that the stream said: its kind, and what was said.
-    OtherKind(StateName, StateKind, StateKind),
+    /// A state of the map, or of a batch in flight; of a vector its first axis.
+    State(StateId, Form),
+    /// A state that is not what the stream said: what it is, and what was said.
+    OtherForm(StateName, Form, Option<Form>),
     /// A name that no observation has used yet.
     Unused(NewName),
     /// A name that is not valid; intake refuses its observations.
@@ -42,10 +43,12 @@ pub(super) struct Room<'a> {
 }
 
 impl Slot {
-    /// The state of an observation with this value, which may be new. `Err(None)`: it is refused already.
+    /// The state of an observation with this value, or the first axis of one with a position; it may be new. `Err(None)`:
+    /// it is refused already.
     pub(super) fn state_for(
         &mut self,
         value: f64,
+        is_position: bool,
         room: &mut Room<'_>,
         new_states: &mut Vec<NewState>,
     ) -> Result<StateId, Option<Refusal>> {
@@ -53,9 +56,11 @@ impl Slot {
             *self = used(name, value, room, new_states)?;
         }
         match self {
-            Slot::State(state, kind) if kind.allows(value) => Ok(*state),
-            Slot::State(_, kind) => Err(Some(refuse_value(value, *kind))),
-            Slot::OtherKind(name, found, said) => Err(Some(other_kind(name, *found, *said))),
+            // Intake gives a position where a vector was said, and then only.
+            Slot::State(state, Form::Vector(_)) if is_position => Ok(*state),
+            Slot::State(state, Form::Scalar(kind)) if !is_position && kind.allows(value) => Ok(*state),
+            Slot::State(_, form) => Err(Some(refuse_value(value, form.kind()))),
+            Slot::OtherForm(name, found, said) => Err(Some(other_form(name, *found, *said))),
             Slot::Unused(_) | Slot::Invalid => Err(None),
         }
     }
@@ -63,32 +68,49 @@ impl Slot {
 
 /// What becomes of a name at its first observation.
 fn used(
-    NewName { name, kind: said }: &NewName,
+    NewName { name, form: said }: &NewName,
     value: f64,
     room: &mut Room<'_>,
     new_states: &mut Vec<NewState>,
 ) -> Result<Slot, Refusal> {
-    let next = room.map.states() + room.in_flight.len();
+    let form = said.unwrap_or_default();
     match known_state(room.map, room.in_flight, name) {
-        Some((state, kind)) if said.is_none_or(|said| said == kind) => Ok(Slot::State(state, kind)),
-        Some((_, found)) => Ok(Slot::OtherKind(name.clone(), found, said.unwrap_or_default())),
-        // A value that no such state may have does not make one.
-        None if !said.unwrap_or_default().allows(value) => Err(refuse_value(value, said.unwrap_or_default())),
-        None if next < room.max => {
-            let state = StateId(u32::try_from(next).unwrap_or(u32::MAX));
-            let (name, kind) = (name.clone(), said.unwrap_or_default());
-            room.in_flight.insert(name.clone(), (state, kind));
-            new_states.push(NewState { id: state, name, kind });
-            Ok(Slot::State(state, kind))
+        // Of a name of which nothing is said there are values.
+        Some((state, found)) if *said == Some(found) || (said.is_none() && is_scalar(found)) => {
+            Ok(Slot::State(state, found))
         }
-        None => {
-            let text = format!(
-                "the state would be new, and the map has {} states, as many as setting max_states_per_map allows: {:?}",
-                room.max,
-                name.as_str().chars().take(60).collect::<String>()
-            );
-            Err((RefusalReason::StateLimit, text))
+        Some((_, found)) => Ok(Slot::OtherForm(name.clone(), found, *said)),
+        // A value that no such state may have does not make one. Positions are those that a vector may have.
+        None if is_scalar(form) && !form.kind().allows(value) => Err(refuse_value(value, form.kind())),
+        None => match room.add(name, form) {
+            Some(new) => {
+                let state = new.id;
+                new_states.push(new);
+                Ok(Slot::State(state, form))
+            }
+            None => {
+                let text = format!(
+                    "the state would be new, and the map has {} states, as many as setting max_states_per_map allows: \
+                     {:?}",
+                    room.max,
+                    name.as_str().chars().take(60).collect::<String>()
+                );
+                Err((RefusalReason::StateLimit, text))
+            }
+        },
+    }
+}
+
+impl Room<'_> {
+    /// A state, or all axes of a vector, which are in flight from now on; `None` where there is no room for them.
+    fn add(&mut self, name: &StateName, form: Form) -> Option<NewState> {
+        let next = self.map.states() + self.in_flight.len();
+        if next.saturating_add(form.states()) > self.max {
+            return None;
         }
+        let new = NewState { id: StateId(u32::try_from(next).unwrap_or(u32::MAX)), name: name.clone(), form };
+        self.in_flight.extend(new.states().map(|(id, name, kind)| (name, (id, kind))));
+        Some(new)
     }
 }
 
@@ -97,41 +119,53 @@ impl Sessions {
     pub fn add_state(
         &mut self,
         name: &StateName,
-        kind: StateKind,
+        form: Form,
         map: &LiveMap,
     ) -> Result<Option<NewState>, AddStateError> {
-        let next = map.states() + self.states_in_flight.len();
         match known_state(map, &self.states_in_flight, name) {
-            Some((_, found)) if found == kind => Ok(None),
-            Some((_, found)) => Err(AddStateError::OtherKind { name: name.clone(), found, asked: kind }),
-            None if next < self.limits.states => {
-                let id = StateId(u32::try_from(next).unwrap_or(u32::MAX));
-                self.states_in_flight.insert(name.clone(), (id, kind));
-                Ok(Some(NewState { id, name: name.clone(), kind }))
+            Some((_, found)) if found == form => Ok(None),
+            Some((_, found)) => Err(AddStateError::OtherKind { name: name.clone(), found, asked: form }),
+            None => {
+                let mut room = Room { map, in_flight: &mut self.states_in_flight, max: self.limits.states };
+                let new = room.add(name, form);
+                new.map(Some).ok_or(AddStateError::TooMany { max: self.limits.states })
             }
-            None => Err(AddStateError::TooMany { max: self.limits.states }),
         }
     }
 
     /// A state that was added is applied to the map.
-    pub fn state_added(&mut self, name: &StateName) {
-        self.states_in_flight.remove(name);
+    pub fn state_added(&mut self, new: &NewState) {
+        for (_, name, _) in new.states() {
+            self.states_in_flight.remove(&name);
+        }
     }
 }
 
-/// A state of the map, or of an event in flight.
+/// A state of the map, or of an event in flight; of a vector its first axis.
 fn known_state(
     map: &LiveMap,
     in_flight: &HashMap<StateName, (StateId, StateKind)>,
     name: &StateName,
-) -> Option<(StateId, StateKind)> {
-    let of_map = map.find(name.as_str()).and_then(|id| Some((id, map.kind(id)?)));
-    of_map.or_else(|| in_flight.get(name).copied())
+) -> Option<(StateId, Form)> {
+    if let Some(known) = map.form(name.as_str()) {
+        return Some(known);
+    }
+    if let Some(&(state, kind)) = in_flight.get(name) {
+        return Some((state, kind.into()));
+    }
+    let &(first, _) = in_flight.get(&name.axis(0))?;
+    let has_z = in_flight.contains_key(&name.axis(2));
+    Some((first, Form::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
 }
 
-/// That a stream has said of a state that it is of another kind than it is.
-fn other_kind(name: &StateName, found: StateKind, said: StateKind) -> Refusal {
+fn is_scalar(form: Form) -> bool {
+    matches!(form, Form::Scalar(_))
+}
+
+/// That a stream has said of a state that it is something else than it is.
+fn other_form(name: &StateName, found: Form, said: Option<Form>) -> Refusal {
     let name = name.as_str().chars().take(60).collect::<String>();
-    let text = format!("state {name:?} exists and is a {}, not a {}", found.name(), said.name());
+    let said = said.map_or("single value", Form::name);
+    let text = format!("state {name:?} exists and is a {}, not a {said}", found.name());
     (RefusalReason::StateKind, text)
 }

@@ -39,7 +39,7 @@ fn observations(first: i64, count: usize) -> Observations {
         new_states: vec![NewState {
             id: StateId(0),
             name: StateName::new("s").expect("valid"),
-            kind: StateKind::Probability,
+            form: StateKind::Probability.into(),
         }],
         states: vec![StateId(0); count],
         times_nanos: (first..).take(count).collect(),

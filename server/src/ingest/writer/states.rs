@@ -32,13 +32,13 @@ impl Writer {
         } else if let Some(error) = &self.failing {
             Err(AddStateError::Storage(error.clone()))
         } else {
-            self.sessions.add_state(&add.name, add.kind, &self.map)
+            self.sessions.add_state(&add.name, add.form, &self.map)
         };
         match event {
             Ok(Some(new)) => {
                 self.launch(Flight::AddState { event: Event::AddState(new), reply: add.reply });
             }
-            Ok(None) if self.map.find(add.name.as_str()).is_some() => self.adds.added.push(add.reply),
+            Ok(None) if self.map.form(add.name.as_str()).is_some() => self.adds.added.push(add.reply),
             // On its way into the log, which may fail.
             Ok(None) => self.adds.waiting.push(add),
             // Who asked may have gone away.
@@ -48,7 +48,7 @@ impl Writer {
 
     pub(super) fn state_added(&mut self, event: &Event, reply: Added) {
         if let Event::AddState(new) = event {
-            self.sessions.state_added(&new.name);
+            self.sessions.state_added(new);
         }
         self.adds.added.push(reply);
     }

@@ -22,10 +22,12 @@ use super::{
 };
 use crate::{
     catalog::Catalog,
-    fits::{FitKey, Fits, Fitted},
+    fits::{FitKey, Fits, Fitted, PositionModel},
     ingest::handle::MapHandle,
     rpc::status::RpcError,
 };
+
+mod positions;
 
 /// Why a model cannot answer for a state.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -63,6 +65,9 @@ pub enum Unavailable {
         /// What the state is.
         found: StateKind,
     },
+    /// There is nothing to fit it to.
+    #[error("no update has folded in any observation of it yet: see tidemap update")]
+    Unlearned,
     /// The readings do not go with the model.
     #[error("{0}")]
     CannotFit(#[from] CannotFit),
@@ -73,6 +78,8 @@ pub enum Unavailable {
 pub(in crate::rpc) struct Fitting {
     catalog: Arc<Catalog>,
     fits: Fits,
+    /// As many models of positions.
+    positions: Fits<PositionModel>,
     /// Turns to gather readings and fit. They are others than those to predict.
     turns: Turns,
     /// The same for kinds whose fit may take seconds: none of the others waits for these.
@@ -116,7 +123,15 @@ impl Fitting {
         // Half of the processors stay free for everybody else.
         let slow_turns = Turns::new((processors() / 2).max(1));
         let (turns, comparing_turns) = (Turns::default(), Turns::default());
-        Self { catalog, fits: Fits::new(max_fitted), turns, slow_turns, comparing_turns, max_readings }
+        Self {
+            catalog,
+            fits: Fits::new(max_fitted),
+            positions: Fits::new(max_fitted),
+            turns,
+            slow_turns,
+            comparing_turns,
+            max_readings,
+        }
     }
 
     /// Several models of a state, each as [`Fitting::fitted`] gives it, from readings that are gathered once.

@@ -6,7 +6,7 @@
 use std::{ops::Range, sync::Arc};
 
 use tidemap_map::{
-    event::{StateId, StateKind},
+    event::{Form, StateId, StateKind},
     grid::{index::CellIndex, view::CellDescription},
     interval::cell_intervals,
     predict::ModelSelector,
@@ -41,6 +41,34 @@ use crate::{
 /// Times whose phasors are held at once: some 10 MB at 168 periodicities.
 const TIMES_PER_BLOCK: usize = 4096;
 
+/// Which of the names of a request: its index, and of a vector the axis, 1 for x.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    state_index: usize,
+    axis: u32,
+}
+
+/// The names of a request, each vector as its axes.
+fn by_axis(view: &MapView, names: Vec<String>) -> (Vec<Place>, Vec<String>) {
+    let mut places = Vec::with_capacity(names.len());
+    let mut all = Vec::with_capacity(names.len());
+    for (state_index, name) in names.into_iter().enumerate() {
+        match view.form(&name) {
+            Some((_, Form::Vector(dimensions))) => {
+                for (axis, letter) in (1..).zip(dimensions.axes()) {
+                    places.push(Place { state_index, axis });
+                    all.push(format!("{name}/{letter}"));
+                }
+            }
+            _ => {
+                places.push(Place { state_index, axis: 0 });
+                all.push(name);
+            }
+        }
+    }
+    (places, all)
+}
+
 /// What a name stands for.
 enum Named {
     State(StateId),
@@ -63,7 +91,7 @@ pub(in crate::rpc) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellD
 async fn find_all(
     view: &Arc<MapView>,
     turn: OwnedSemaphorePermit,
-    field: fn(usize) -> String,
+    field: impl Fn(usize) -> String + Send + 'static,
     names: Vec<String>,
 ) -> Result<(Vec<Named>, OwnedSemaphorePermit), RpcError> {
     let view = Arc::clone(view);
@@ -97,7 +125,8 @@ pub(super) async fn predict_states(
         let text = format!("{} ns is before 1970", request.times_nanos[index]);
         return Err(InvalidField::new(format!("times_nanos[{index}]"), text).into());
     }
-    let predictions = request.states.len() as u64 * request.times_nanos.len() as u64;
+    let (places, names) = by_axis(&view, request.states);
+    let predictions = names.len() as u64 * request.times_nanos.len() as u64;
     check_limit("predictions", predictions, queries.max_predictions, "setting max_predictions")?;
     let selector = selector_from_wire("model", request.model)?;
     let level = request.interval_level;
@@ -105,7 +134,8 @@ pub(super) async fn predict_states(
         let text = format!("{level} is not a probability: 0 (no intervals) or more, and below 1");
         return Err(InvalidField::new("interval_level", text).into());
     }
-    let field = |i| format!("states[{i}]");
+    let states: Vec<usize> = places.iter().map(|place| place.state_index).collect();
+    let field = move |i: usize| format!("states[{}]", states.get(i).copied().unwrap_or_default());
     if selector.kind.needs_readings() {
         let find = |(i, name): (usize, &String)| {
             if cell_of(&field(i), name)?.is_some() {
@@ -113,11 +143,13 @@ pub(super) async fn predict_states(
             }
             find_state(&view, name)
         };
-        let states = request.states.iter().enumerate().map(find).collect::<Result<_, RpcError>>()?;
+        let states = names.iter().enumerate().map(find).collect::<Result<Vec<_>, RpcError>>()?;
+        let states = places.into_iter().zip(states).collect();
         return Ok(predict_fitted(queries, handle, view, states, &request.times_nanos, (selector, level)));
     }
     let turn = queries.turns.take().await?;
-    let (named, turn) = find_all(&view, turn, field, request.states).await?;
+    let (named, turn) = find_all(&view, turn, field, names).await?;
+    let named: Vec<(Place, Named)> = places.into_iter().zip(named).collect();
     Ok(computed(turn, move |computed| {
         predict(&view, &named, &request.times_nanos, (selector, level), computed);
         Ok(())
@@ -130,14 +162,14 @@ fn predict_fitted(
     queries: &Queries,
     handle: Arc<MapHandle>,
     view: Arc<MapView>,
-    states: Vec<StateId>,
+    states: Vec<(Place, StateId)>,
     times_nanos: &[i64],
     (selector, level): (ModelSelector, f64),
 ) -> Replies<v1::PredictStatesResponse> {
     let (fitting, turns) = (Arc::clone(&queries.fitting), queries.turns.clone());
     let moments: Arc<[Moment]> = view.moments(times_nanos).into();
     streamed(move |computed| async move {
-        for (state_index, id) in states.into_iter().enumerate() {
+        for (place, id) in states {
             let learned = Learned::new(Arc::clone(&handle), Arc::clone(&view), id);
             let fitted = tokio::select! {
                 () = computed.unwanted() => return Ok(()),
@@ -147,7 +179,7 @@ fn predict_fitted(
             let (view, moments, computed) = (Arc::clone(&view), Arc::clone(&moments), computed.clone());
             let predict = move || {
                 let _turn = turn;
-                predict_one(&view, (state_index, id), &fitted, &moments, (selector, level), &computed)
+                predict_one(&view, (place, id), &fitted, &moments, (selector, level), &computed)
             };
             if !tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)? {
                 break;
@@ -160,7 +192,7 @@ fn predict_fitted(
 /// Predicts one state by a fitted model. `false`: nobody wants any more.
 fn predict_one(
     view: &MapView,
-    (state_index, id): (usize, StateId),
+    (place, id): (Place, StateId),
     fitted: &Fitted,
     moments: &[Moment],
     (selector, level): (ModelSelector, f64),
@@ -174,21 +206,21 @@ fn predict_one(
         let about =
             About { kind: view.kind(id), order: 0, observations: live.observations, persistence: live.persistence };
         let intervals = view.intervals(id, moments, &probabilities, Some(level).filter(|&level| level > 0.0));
-        computed.send(reply(state_index, block * TIMES_PER_BLOCK, probabilities, &intervals, about))
+        computed.send(reply(place, block * TIMES_PER_BLOCK, probabilities, &intervals, about))
     })
 }
 
 /// Computes the replies until all are taken or nobody takes them.
 fn predict(
     view: &MapView,
-    named: &[Named],
+    named: &[(Place, Named)],
     times_nanos: &[i64],
     (selector, level): (ModelSelector, f64),
     computed: &Computed<v1::PredictStatesResponse>,
 ) {
     let blocks = blocks(times_nanos.len());
     let shared = (blocks.len() == 1).then(|| view.prepare(times_nanos));
-    for (state_index, named) in named.iter().enumerate() {
+    for (place, named) in named {
         for block in &blocks {
             let own;
             let prepared = match &shared {
@@ -223,7 +255,7 @@ fn predict(
                     (about, cell_intervals(cell, &probabilities, level))
                 }
             };
-            if !computed.send(reply(state_index, block.start, probabilities, &intervals, about)) {
+            if !computed.send(reply(*place, block.start, probabilities, &intervals, about)) {
                 return;
             }
         }
@@ -245,14 +277,14 @@ struct About {
 
 /// Predictions of one state.
 fn reply(
-    state_index: usize,
+    place: Place,
     first_time_index: usize,
     probabilities: Vec<f64>,
     intervals: &[Interval],
     About { kind, order, observations, persistence }: About,
 ) -> v1::PredictStatesResponse {
     v1::PredictStatesResponse {
-        state_index: u32::try_from(state_index).unwrap_or(u32::MAX),
+        state_index: u32::try_from(place.state_index).unwrap_or(u32::MAX),
         first_time_index: u32::try_from(first_time_index).unwrap_or(u32::MAX),
         entropies_bits: match kind {
             StateKind::Probability => probabilities.iter().map(|&probability| entropy_bits(probability)).collect(),
@@ -264,6 +296,7 @@ fn reply(
         order: u32::try_from(order).unwrap_or(u32::MAX),
         observations,
         last_time: persistence.last().map(|(nanos, _)| timestamp(nanos)),
+        axis: place.axis,
     }
 }
 

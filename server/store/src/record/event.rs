@@ -5,8 +5,8 @@
 use prost::Message as _;
 use tidemap_map::{
     event::{
-        Event, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind,
-        UpdateCause, UpdateStart,
+        Dimensions, Event, Form, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId,
+        StateKind, UpdateCause, UpdateStart,
     },
     name::{ProducerKey, StateName},
 };
@@ -16,6 +16,10 @@ use tidemap_migrations::{
 };
 
 use super::{Invalid, columns, scans, sensors, site};
+
+/// Kinds of new states that are vectors; what a map makes of them are states of continuous values.
+const VECTOR_OF_TWO: u32 = 3;
+const VECTOR_OF_THREE: u32 = 4;
 
 /// Most observations in one event. Constant columns take no room, so the payload's length does not bound it.
 const COUNT_MAX: usize = 1 << 20;
@@ -204,15 +208,31 @@ pub(super) fn decode_new_producer(new: &v2_map::NewProducer) -> Result<NewProduc
 }
 
 fn encode_new_state(state: &NewState) -> v1::NewState {
-    v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind: encode_kind(state.kind) }
+    let kind = match state.form {
+        Form::Scalar(kind) => encode_kind(kind),
+        Form::Vector(Dimensions::Two) => VECTOR_OF_TWO,
+        Form::Vector(Dimensions::Three) => VECTOR_OF_THREE,
+    };
+    v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind }
 }
 
 fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
-    Ok(NewState { id: StateId(state.id), name: decode_state_name(&state.name)?, kind: decode_kind(state.kind)? })
+    const NAME: Invalid = "the name of a state is not valid";
+    let name = StateName::new(&state.name).map_err(|_| NAME)?;
+    let form = match state.kind {
+        VECTOR_OF_TWO => Form::Vector(Dimensions::Two),
+        VECTOR_OF_THREE => Form::Vector(Dimensions::Three),
+        kind => Form::Scalar(decode_kind(kind)?),
+    };
+    if let Form::Vector(_) = form {
+        name.check_vector().map_err(|_| NAME)?;
+    }
+    Ok(NewState { id: StateId(state.id), name, form })
 }
 
+/// The name of a state as the map knows it: axes of vectors included.
 pub(super) fn decode_state_name(name: &str) -> Result<StateName, Invalid> {
-    StateName::new(name).map_err(|_| "the name of a state is not valid")
+    StateName::stored(name).map_err(|_| "the name of a state is not valid")
 }
 
 pub(super) fn encode_kind(kind: StateKind) -> u32 {

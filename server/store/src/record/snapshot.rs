@@ -3,7 +3,7 @@
 //! A state's spectrum is kept apart, because it is by far the largest part: the index cuts it into chunks.
 //! Invariant: every number comes back to the last bit.
 
-use std::sync::Arc;
+use std::{collections::HashSet, sync::Arc};
 
 use tidemap_map::{
     site::Site,
@@ -40,7 +40,29 @@ pub(crate) fn check(snapshot: &MapSnapshot) -> Result<(), Invalid> {
     if u32::try_from(snapshot.producers.len()).is_err() || u32::try_from(snapshot.states.len()).is_err() {
         return Err("it has more states or producers than can be numbered");
     }
+    check_axes(&snapshot.states)?;
     check_positions(&encode(snapshot))
+}
+
+/// Refuses vectors of which an axis is missing, out of its place or not a number, or that are called like another state.
+fn check_axes(states: &[StateSnapshot]) -> Result<(), Invalid> {
+    let axis = |index: usize| states.get(index).and_then(|state| state.name.as_axis());
+    let mut vectors = HashSet::new();
+    for (index, state) in states.iter().enumerate() {
+        let Some((vector, number)) = state.name.as_axis() else { continue };
+        let is_whole = match number {
+            0 => axis(index + 1) == Some((vector, 1)),
+            _ => index > 0 && axis(index - 1) == Some((vector, number - 1)),
+        };
+        if !is_whole || state.kind != StateKind::Continuous {
+            return Err("an axis of a vector is missing, out of order or of another kind");
+        }
+        vectors.insert(vector);
+    }
+    if !vectors.is_empty() && states.iter().any(|state| vectors.contains(state.name.as_str())) {
+        return Err("a vector and a state have the same name");
+    }
+    Ok(())
 }
 
 /// Positions must let the replay begin where the log can.
@@ -63,6 +85,7 @@ pub(crate) fn decode(
     if message.has_site == site.is_empty() {
         return Err("the site is missing, or is there where none should be");
     }
+    check_axes(&states)?;
     Ok(MapSnapshot {
         position: message.position,
         replay_from: message.replay_from,

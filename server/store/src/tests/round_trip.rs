@@ -6,8 +6,8 @@ use proptest::{collection::vec, option, prelude::*};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
     event::{
-        Event, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind,
-        UpdateCause, UpdateStart,
+        Dimensions, Event, Form, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId,
+        StateKind, UpdateCause, UpdateStart,
     },
     grid::{sensors::ProducerSensor, spec::Retention},
     name::{MapName, ProducerKey, StateName},
@@ -18,7 +18,7 @@ use tidemap_map::{
 use tidemap_migrations::v2::log::FrameKind;
 use tidemap_model::{OrderCriterion, Periodicities, Persistence, Sample, StateModel, Zone};
 
-use super::example::{snapshot, state};
+use super::example::{snapshot, spec, state};
 use crate::record;
 
 fn values() -> impl Strategy<Value = Vec<f64>> {
@@ -76,7 +76,7 @@ fn observations() -> impl Strategy<Value = Event> {
                 .map(|(id, name)| NewState {
                     id: StateId(id),
                     name: StateName::new(&name).expect("valid"),
-                    kind: StateKind::ALL[id as usize % 3],
+                    form: form(id as usize),
                 })
                 .collect(),
             states: states.into_iter().map(StateId).collect(),
@@ -116,10 +116,19 @@ fn update_start() -> impl Strategy<Value = Event> {
         .prop_map(|(generation, cut_nanos, cause)| Event::UpdateStart(UpdateStart { generation, cut_nanos, cause }))
 }
 
+/// One of all that a new state may be.
+fn form(number: usize) -> Form {
+    match number % 5 {
+        3 => Form::Vector(Dimensions::Two),
+        4 => Form::Vector(Dimensions::Three),
+        kind => StateKind::ALL[kind].into(),
+    }
+}
+
 fn add_state() -> impl Strategy<Value = Event> {
-    (any::<u32>(), "[a-zü ]{1,20}", 0..3_usize).prop_map(|(id, name, kind)| {
+    (any::<u32>(), "[a-zü ]{5,20}", 0..5_usize).prop_map(|(id, name, kind)| {
         let name = StateName::new(&name).expect("valid");
-        Event::AddState(NewState { id: StateId(id), name, kind: StateKind::ALL[kind] })
+        Event::AddState(NewState { id: StateId(id), name, form: form(kind) })
     })
 }
 
@@ -253,4 +262,31 @@ fn a_snapshot_comes_back_from_its_parts() {
     assert!(record::snapshot::decode(&message, vec![], states(), site.clone()).is_err());
     assert!(record::snapshot::decode(&message, producers(), states()[1..].to_vec(), site).is_err());
     assert!(record::snapshot::decode(&message, producers(), states(), Site::default()).is_err());
+}
+
+#[test]
+fn a_snapshot_has_whole_vectors_or_is_not_believed() {
+    let whole = snapshot(&spec("vectors"), 3, 1);
+    let with = |states: Vec<StateSnapshot>| {
+        let mut changed = whole.clone();
+        changed.states = states;
+        let message = record::snapshot::encode(&changed);
+        let decoded = record::snapshot::decode(&message, changed.producers.clone(), changed.states.clone());
+        assert_eq!(decoded.is_ok(), record::snapshot::check(&changed).is_ok());
+        decoded.is_ok()
+    };
+    let axis = |name: &str, kind| StateSnapshot {
+        name: StateName::stored(name).expect("valid"),
+        kind,
+        ..whole.states[0].clone()
+    };
+    let axes = |names: &[&str]| with(names.iter().map(|name| axis(name, StateKind::Continuous)).collect());
+    for names in [&["a/x", "a/y"][..], &["b", "a/x", "a/y", "a/z", "c"], &["a/x", "a/y", "b/x", "b/y", "b/z"]] {
+        assert!(axes(names), "{names:?}");
+    }
+    for names in [&["a/x"][..], &["a/y"], &["a/x", "a/z"], &["a/x", "b", "a/y"], &["a/x", "b/y"], &["a/x", "a/y", "a"]]
+    {
+        assert!(!axes(names), "{names:?}");
+    }
+    assert!(!with(vec![axis("a/x", StateKind::Continuous), axis("a/y", StateKind::Count)]), "no count is a coordinate");
 }

@@ -1,6 +1,6 @@
 //! States that are added before anything is observed of them, and what a state's kind does to what is sent of it.
 
-use tidemap_map::event::StateKind;
+use tidemap_map::event::{Form, StateKind};
 
 use super::*;
 use crate::ingest::protocol::{AddState, AddStateError, NewName};
@@ -8,7 +8,7 @@ use crate::ingest::protocol::{AddState, AddStateError, NewName};
 async fn add(handle: &MapHandle, name: &str, kind: StateKind) -> Result<(), AddStateError> {
     let (reply, answer) = oneshot::channel();
     let name = StateName::new(name).expect("valid");
-    assert!(handle.send(Command::AddState(AddState { name, kind, reply })));
+    assert!(handle.send(Command::AddState(AddState { name, form: kind.into(), reply })));
     answer.await.expect("an answer")
 }
 
@@ -20,7 +20,7 @@ async fn send(
     values: &[f64],
 ) -> Vec<(u64, RefusalReason)> {
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
-    let name = NewName { name: StateName::new("s").expect("valid"), kind: said };
+    let name = NewName { name: StateName::new("s").expect("valid"), form: said.map(Form::from) };
     let first_sequence = robot.sent + 1;
     robot.sent += values.len() as u64;
     let batch = Batch {
@@ -56,7 +56,10 @@ async fn a_state_that_was_added_is_shown_and_survives_a_restart() {
         let view = handle.view();
         assert_eq!(view.find("speed").map(|id| view.kind(id)), Some(StateKind::Continuous));
         let again = add(&handle, "speed", StateKind::Count).await;
-        assert!(matches!(again, Err(AddStateError::OtherKind { found: StateKind::Continuous, .. })), "{again:?}");
+        assert!(
+            matches!(again, Err(AddStateError::OtherKind { found: Form::Scalar(StateKind::Continuous), .. })),
+            "{again:?}"
+        );
         for i in 1..10 {
             assert_eq!(add(&handle, &format!("s{i}"), StateKind::Count).await, Ok(()));
         }

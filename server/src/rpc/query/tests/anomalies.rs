@@ -236,7 +236,7 @@ async fn numbers_that_are_no_probabilities_have_no_anomalies() {
         first_sequence: 1,
         last_sequence: 2,
         content_crc: 1,
-        new_names: vec![Some(NewName { name: people, kind: Some(StateKind::Count) })],
+        new_names: vec![Some(NewName { name: people, form: Some(StateKind::Count.into()) })],
         table_indices: vec![0; 2],
         times_nanos: vec![LATER, LATER + 1],
         values: vec![7.0, 0.0],

@@ -1,0 +1,141 @@
+//! Vectors: what a message says of its names, and coordinates as positions.
+//!
+//! Invariant: decoding checks that coordinates are as many as their names ask for; whether an observation may have them is
+//! asked of each by itself, later.
+
+use tidemap_map::event::{Dimensions, Form, Position, StateKind};
+
+use super::InvalidField;
+use crate::v1;
+
+/// What a request says of a name, where its kind and number of coordinates are in these fields; `None`: nothing.
+///
+/// # Errors
+/// An unknown kind, a vector that has neither 2 nor 3 coordinates, or coordinates of what is no vector.
+pub fn form_from_wire(
+    (kind_field, kind): (&str, i32),
+    (dimensions_field, dimensions): (&str, u32),
+) -> Result<Option<Form>, InvalidField> {
+    let kind = match v1::StateKind::try_from(kind) {
+        Ok(v1::StateKind::Unspecified) => None,
+        Ok(v1::StateKind::Probability) => Some(StateKind::Probability),
+        Ok(v1::StateKind::Continuous) => Some(StateKind::Continuous),
+        Ok(v1::StateKind::Count) => Some(StateKind::Count),
+        Ok(v1::StateKind::Vector) => {
+            let count = usize::try_from(dimensions).ok().and_then(Dimensions::of);
+            let text = || format!("{dimensions} coordinates: a vector has 2 or 3");
+            return count
+                .map(|count| Some(Form::Vector(count)))
+                .ok_or_else(|| InvalidField::new(dimensions_field, text()));
+        }
+        Err(_) => return Err(InvalidField::new(kind_field, format!("{kind} is not known"))),
+    };
+    if dimensions != 0 {
+        let text = format!("{dimensions} coordinates of what is no vector: should be 0");
+        return Err(InvalidField::new(dimensions_field, text));
+    }
+    Ok(kind.map(Form::Scalar))
+}
+
+/// What a message says of its new names, one each; `None`: nothing.
+///
+/// # Errors
+/// As of [`form_from_wire`], or not as many as names.
+pub fn new_forms(columns: &v1::ObservationColumns) -> Result<Vec<Option<Form>>, InvalidField> {
+    const KINDS: &str = "observations.new_kinds";
+    const DIMENSIONS: &str = "observations.new_dimensions";
+    let names = columns.new_states.len();
+    for (field, entries) in [(KINDS, columns.new_kinds.len()), (DIMENSIONS, columns.new_dimensions.len())] {
+        if entries != 0 && entries != names {
+            let text = format!("{entries} entries for {names} new_states: one each, or none");
+            return Err(InvalidField::new(field, text));
+        }
+    }
+    let kind = |i: usize| columns.new_kinds.get(i).copied().unwrap_or_default();
+    let dimensions = |i: usize| columns.new_dimensions.get(i).copied().unwrap_or_default();
+    (0..names).map(|i| form_from_wire((KINDS, kind(i)), (DIMENSIONS, dimensions(i)))).collect()
+}
+
+/// The positions of a message, each with the place of its observation; `dimensions` are those of the name with an index of
+/// the stream's table, `None` of one that is no vector.
+///
+/// # Errors
+/// There are more or fewer coordinates than the observations ask for.
+pub fn positions(
+    state_indices: &[u32],
+    coordinates: &[f64],
+    dimensions: impl Fn(u32) -> Option<Dimensions>,
+) -> Result<Vec<(u32, Position)>, InvalidField> {
+    let vectors = || (0..).zip(state_indices).filter_map(|(i, &index)| Some((i, dimensions(index)?)));
+    let wanted: usize = vectors().map(|(_, dimensions)| dimensions.count()).sum();
+    if wanted != coordinates.len() {
+        let text = format!("{} entries: the observations of vectors in this message have {wanted}", coordinates.len());
+        return Err(InvalidField::new("observations.coordinates", text));
+    }
+    let mut rest = coordinates;
+    let position = |(i, dimensions): (u32, Dimensions)| {
+        let (own, others) = rest.split_at_checked(dimensions.count())?;
+        rest = others;
+        Some((i, Position::of(own)?))
+    };
+    Ok(vectors().map_while(position).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use prost::Message as _;
+
+    use super::*;
+    use crate::{convert::columns, v1::ObservationColumns};
+
+    fn message() -> ObservationColumns {
+        let names = ["door", "anna", "drone"].map(str::to_owned).to_vec();
+        ObservationColumns {
+            new_kinds: vec![0, v1::StateKind::Vector.into(), v1::StateKind::Vector.into()],
+            new_dimensions: vec![0, 2, 3],
+            coordinates: vec![1.5, -2.0, 0.25, 1e12, f64::NAN, 7.0, 8.0],
+            ..columns::encode(&[1, 2, 3, 4], &[1, 0, 2, 1], &[0.0, 1.0, 0.0, 0.0], names)
+        }
+    }
+
+    #[test]
+    fn positions_survive_the_wire() {
+        let bytes = message().encode_to_vec();
+        let read = ObservationColumns::decode(bytes.as_slice()).expect("a message");
+        let forms = new_forms(&read).expect("well formed");
+        assert_eq!(forms, [None, Some(Form::Vector(Dimensions::Two)), Some(Form::Vector(Dimensions::Three))]);
+        let coordinates = read.coordinates.clone();
+        let decoded = columns::decode(read).expect("well formed");
+        let dimensions = |index: u32| match forms.get(index as usize) {
+            Some(Some(Form::Vector(dimensions))) => Some(*dimensions),
+            _ => None,
+        };
+        let found = positions(&decoded.state_indices, &coordinates, dimensions).expect("as many as asked for");
+        let bits = |numbers: &[f64]| numbers.iter().map(|number| number.to_bits()).collect::<Vec<_>>();
+        let found: Vec<_> = found.iter().map(|(i, position)| (*i, bits(position.coordinates()))).collect();
+        assert_eq!(found, [(0, bits(&[1.5, -2.0])), (2, bits(&[0.25, 1e12, f64::NAN])), (3, bits(&[7.0, 8.0]))]);
+        for wrong in [&coordinates[1..], &[&coordinates[..], &[0.0]].concat(), &[]] {
+            let error = positions(&decoded.state_indices, wrong, dimensions).expect_err("not as many");
+            assert_eq!(error.field, "observations.coordinates");
+        }
+        assert_eq!(positions(&[0, 5], &[], dimensions), Ok(Vec::new()));
+    }
+
+    #[test]
+    fn what_names_cannot_be_is_said() {
+        let wrong = |change: fn(&mut ObservationColumns)| {
+            let mut message = message();
+            change(&mut message);
+            new_forms(&message).expect_err("malformed").field
+        };
+        assert_eq!(wrong(|m| m.new_dimensions.clear()), "observations.new_dimensions");
+        assert_eq!(wrong(|m| m.new_dimensions = vec![0, 1, 3]), "observations.new_dimensions");
+        assert_eq!(wrong(|m| m.new_dimensions = vec![0, 4, 3]), "observations.new_dimensions");
+        assert_eq!(wrong(|m| m.new_dimensions = vec![2, 2, 3]), "observations.new_dimensions");
+        assert_eq!(wrong(|m| m.new_dimensions = vec![2]), "observations.new_dimensions");
+        assert_eq!(wrong(|m| m.new_kinds = vec![0, 4]), "observations.new_kinds");
+        assert_eq!(wrong(|m| m.new_kinds = vec![0, 4, 99]), "observations.new_kinds");
+        let nothing = ObservationColumns { new_states: vec!["door".to_owned()], ..ObservationColumns::default() };
+        assert_eq!(new_forms(&nothing), Ok(vec![None]));
+    }
+}

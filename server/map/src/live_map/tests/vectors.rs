@@ -1,0 +1,64 @@
+//! Vectors: a state of continuous values for each axis, all of them or none.
+
+use super::*;
+use crate::event::{Dimensions, Form};
+
+fn vector(id: u32, name: &str, dimensions: Dimensions) -> Event {
+    let name = StateName::new(name).expect("valid");
+    Event::AddState(NewState { id: StateId(id), name, form: Form::Vector(dimensions) })
+}
+
+fn scalar(id: u32, name: &str) -> Event {
+    let name = StateName::new(name).expect("valid");
+    Event::AddState(NewState { id: StateId(id), name, form: Form::default() })
+}
+
+#[test]
+fn a_vector_is_there_with_all_its_axes() {
+    let mut map = LiveMap::new(spec());
+    apply(&mut map, &vector(0, "anna", Dimensions::Two));
+    apply(&mut map, &vector(2, "drone", Dimensions::Three));
+    apply(&mut map, &scalar(5, "door"));
+    let view = map.publish();
+    let names: Vec<&str> = view.infos().map(|info| info.name.as_str()).collect();
+    assert_eq!(names, ["anna/x", "anna/y", "drone/x", "drone/y", "drone/z", "door"]);
+    let forms = ["anna", "drone", "door", "anna/y", "nobody"].map(|name| view.form(name));
+    assert_eq!(
+        forms,
+        [
+            Some((StateId(0), Form::Vector(Dimensions::Two))),
+            Some((StateId(2), Form::Vector(Dimensions::Three))),
+            Some((StateId(5), Form::default())),
+            Some((StateId(1), Form::Scalar(StateKind::Continuous))),
+            None,
+        ]
+    );
+    // A name is one thing for ever, and numbers leave nothing out.
+    for wrong in [vector(6, "anna", Dimensions::Three), vector(6, "door", Dimensions::Two), scalar(6, "drone")] {
+        let error = map.apply(map.position() + 1, &wrong).expect_err("not new");
+        assert!(error.reason.contains("is not new"), "{error}");
+    }
+    assert!(map.apply(map.position() + 1, &vector(7, "new", Dimensions::Two)).is_err());
+    assert_eq!(map.states(), 6);
+}
+
+#[test]
+fn positions_are_learned_by_axis_and_restored() {
+    let mut map = LiveMap::new(spec());
+    apply(&mut map, &vector(0, "anna", Dimensions::Two));
+    let rows: Vec<(u32, i64, f64)> = (0..240)
+        .flat_map(|hour| {
+            let is_late = f64::from(u8::from(hour % 24 >= 12));
+            [(0, hour * HOUR, 8.0 * is_late - 4.0), (1, hour * HOUR, 100.0 - is_late)]
+        })
+        .collect();
+    let observed = event(&map, &rows);
+    apply(&mut map, &observed);
+    let snapshot = update(&mut map, None);
+    let told = |view: &MapView| [0, 1].map(|axis| predict(view, axis, (240 + 18) * HOUR));
+    let [x, y] = told(&map.publish());
+    assert!((x - 4.0).abs() < 1.5 && (y - 99.0).abs() < 0.3, "{x}, {y}");
+    let mut restored = LiveMap::restore(spec(), snapshot);
+    let view = restored.publish();
+    assert_eq!((view.form("anna"), told(&view)), (Some((StateId(0), Form::Vector(Dimensions::Two))), [x, y]));
+}

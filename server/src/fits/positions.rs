@@ -1,0 +1,86 @@
+//! Where something is at a time: the distribution over positions of a vector, by warped hypertime.
+//!
+//! Invariant: a model is fitted to at least one position, and all that it is asked for is finite.
+
+use tidemap_map::{event::Dimensions, predict::ModelKind, spec::MapSpec};
+use tidemap_model::{
+    Sample,
+    family::{
+        CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeMethod, HypertimeOptions, Moment,
+        Readings,
+    },
+};
+
+/// What random starts of a fit are drawn from: the same positions give the same model.
+const SEED: u64 = 0;
+
+/// A model that was fitted to the positions of a vector.
+#[derive(Clone, Debug)]
+pub struct PositionModel {
+    field: HypertimeField,
+    low_m: Vec<f64>,
+    high_m: Vec<f64>,
+    positions: u64,
+}
+
+impl PositionModel {
+    /// The options of a kind that such a model can be of; `None` of any other.
+    #[must_use]
+    pub fn options(kind: ModelKind) -> Option<HypertimeOptions> {
+        let (method, clusters) = match kind {
+            ModelKind::HypertimeEm { clusters } => (HypertimeMethod::Em, clusters),
+            ModelKind::HypertimeKm { clusters } => (HypertimeMethod::Km, clusters),
+            _ => return None,
+        };
+        Some(HypertimeOptions { method, clusters: clusters as usize, seed: SEED })
+    }
+
+    /// Fits a model to the readings of all axes of a vector of a map, each ascending by time.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where an option is outside its range, there is no reading, or the axes do not have readings of the
+    /// same times.
+    pub fn fit(options: &HypertimeOptions, axes: &[impl AsRef<[Sample]>], spec: &MapSpec) -> Result<Self, CannotFit> {
+        let Some(first) = axes.first().map(AsRef::as_ref) else { return Err(CannotFit::NoReadings) };
+        let times = |samples: &[Sample]| samples.iter().map(|sample| sample.utc_nanos).collect::<Vec<_>>();
+        let is_whole = Dimensions::of(axes.len()).is_some();
+        if !is_whole || axes.iter().any(|axis| times(axis.as_ref()) != times(first)) {
+            let (parameter, found) = ("axes", axes.len() as f64);
+            return Err(CannotFit::Parameter { parameter, found, expected: "2 or 3 with readings of the same times" });
+        }
+        let readings: Vec<FieldReading> = (0..first.len())
+            .map(|i| FieldReading {
+                moment: Moment { utc_nanos: first[i].utc_nanos, offset_secs: first[i].offset_secs },
+                location: Vec::new(),
+                value: axes.iter().map(|axis| axis.as_ref()[i].value).collect(),
+            })
+            .collect();
+        let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
+        let weights: Vec<f64> = Readings { samples: first, half_life_secs }.weights().collect();
+        let field = HypertimeField::fit_weighted(&readings, &weights, options)?;
+        let bound = |axis: &[Sample], start: f64, nearer: fn(f64, f64) -> f64| {
+            axis.iter().map(|sample| sample.value).fold(start, nearer)
+        };
+        let low_m = axes.iter().map(|axis| bound(axis.as_ref(), f64::INFINITY, f64::min)).collect();
+        let high_m = axes.iter().map(|axis| bound(axis.as_ref(), f64::NEG_INFINITY, f64::max)).collect();
+        Ok(Self { field, low_m, high_m, positions: first.len() as u64 })
+    }
+
+    /// Number of positions that it was fitted to.
+    #[must_use]
+    pub fn positions(&self) -> u64 {
+        self.positions
+    }
+
+    /// The least and the greatest coordinates of these, in metres by axis.
+    #[must_use]
+    pub fn bounds_m(&self) -> (&[f64], &[f64]) {
+        (&self.low_m, &self.high_m)
+    }
+
+    /// Where it is at a moment; `None` where that cannot be told.
+    #[must_use]
+    pub fn at(&self, at: Moment) -> Option<HypertimeDistribution> {
+        self.field.distribution(at, &[])
+    }
+}

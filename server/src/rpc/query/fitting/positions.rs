@@ -1,0 +1,58 @@
+//! Models of positions, fitted as those of states are.
+//!
+//! Invariant: all axes are gathered as one view knows them, so that each position is whole.
+
+use std::sync::Arc;
+
+use tidemap_map::predict::ModelKind;
+use tidemap_model::Sample;
+
+use super::{Fitting, Learned, Unavailable};
+use crate::{
+    fits::{FitKey, PositionModel},
+    rpc::status::RpcError,
+};
+
+impl Fitting {
+    /// The model of a vector, of which these are all axes: the one that is kept, or else one that is fitted now.
+    ///
+    /// # Errors
+    /// [`RpcError::Unavailable`] where there can be no such model; others where the readings cannot be read.
+    pub(in crate::rpc::query) async fn position_model(
+        self: &Arc<Self>,
+        axes: Vec<Arc<Learned>>,
+        kind: ModelKind,
+    ) -> Result<Arc<PositionModel>, RpcError> {
+        let first = axes.first().ok_or(RpcError::Stopping)?;
+        self.check(first, kind)?;
+        if first.folded() == 0 {
+            return Err(first.unavailable(kind, Unavailable::Unlearned));
+        }
+        let (map, generation, state) = (first.handle.id, first.view.generation(), first.id);
+        let key = FitKey { map, generation, state, kind };
+        if let Some(model) = self.positions.get(&key) {
+            return Ok(model);
+        }
+        let this = Arc::clone(self);
+        // A task of its own: where this request goes away, others may wait for the same model.
+        let task = tokio::spawn(async move { this.positions.get_or_fit(key, this.fit_positions(&axes, kind)).await });
+        task.await.map_err(|_| RpcError::Stopping)?
+    }
+
+    async fn fit_positions(&self, axes: &[Arc<Learned>], kind: ModelKind) -> Result<PositionModel, RpcError> {
+        let first = axes.first().ok_or(RpcError::Stopping)?;
+        let options = PositionModel::options(kind).ok_or(RpcError::Stopping)?;
+        let turn = self.slow_turns.take().await?;
+        let mut samples: Vec<Arc<[Sample]>> = Vec::with_capacity(axes.len());
+        for axis in axes {
+            samples.push(self.gather(axis, kind).await?);
+        }
+        let handle = Arc::clone(&first.handle);
+        let fit = move || {
+            let _turn = turn;
+            PositionModel::fit(&options, &samples, &handle.spec)
+        };
+        let fitted = tokio::task::spawn_blocking(fit).await.map_err(|_| RpcError::Stopping)?;
+        fitted.map_err(|error| first.unavailable(kind, error))
+    }
+}

@@ -1,0 +1,232 @@
+//! `PredictPositions`: where something will be, as probabilities of the cells of a region.
+//!
+//! Invariant: the cells of a time and what lies outside of them sum up to 1; how many cells there will be is checked
+//! before anything is fitted or computed, but for a region that follows from the observations.
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    event::{Dimensions, Form, StateId},
+    predict::ModelKind,
+    view::MapView,
+};
+use tidemap_model::{VALUE_MAX, family::Moment};
+use tidemap_proto::{
+    convert::{InvalidField, query::selector_from_wire, time::timestamp},
+    v1::{self, predict_positions_response::Message},
+};
+
+use super::{
+    Queries, check_limit, find_state,
+    fitting::Learned,
+    replies::{Computed, Replies, streamed},
+};
+use crate::{
+    fits::PositionModel,
+    rpc::{map::find_map, status::RpcError},
+};
+
+#[cfg(test)]
+mod tests;
+
+/// Cells of one reply.
+const CELLS_PER_REPLY: usize = 65_536;
+/// Cells along the longest side of a region, unless a resolution is asked for.
+const CELLS_FLAT: f64 = 64.0;
+const CELLS_DEEP: f64 = 24.0;
+/// What is told beyond the observations on each side, as a share of their longest side.
+const MARGIN: f64 = 0.1;
+/// Longest side of a region of observations that are all of one place, metres.
+const ONE_PLACE_M: f64 = 1.0;
+
+/// Cells that cover a region.
+#[derive(Clone, Debug, PartialEq)]
+struct Cells {
+    low_m: Vec<f64>,
+    edge_m: f64,
+    counts: Vec<usize>,
+}
+
+impl Cells {
+    /// Cells of a region, with the usual edge where none is asked for.
+    fn of(low_m: &[f64], high_m: &[f64], edge_m: Option<f64>) -> Self {
+        let sides: Vec<f64> = low_m.iter().zip(high_m).map(|(low, high)| high - low).collect();
+        let longest = sides.iter().copied().fold(0.0, f64::max);
+        let usual = if sides.len() > 2 { CELLS_DEEP } else { CELLS_FLAT };
+        let edge_m = edge_m.unwrap_or(longest / usual);
+        // A share of a cell is rounding.
+        let count = |side: f64| (side / edge_m - 1e-9).ceil().max(1.0) as usize;
+        Self { low_m: low_m.to_vec(), edge_m, counts: sides.into_iter().map(count).collect() }
+    }
+
+    /// Those of the region of observations, with a margin.
+    fn around(low_m: &[f64], high_m: &[f64], edge_m: Option<f64>) -> Self {
+        let longest = low_m.iter().zip(high_m).map(|(low, high)| high - low).fold(0.0, f64::max);
+        let greatest = low_m.iter().chain(high_m).fold(0.0_f64, |greatest, number| greatest.max(number.abs()));
+        // Never so little that it is lost beside the coordinates.
+        let longest = if longest > 1e-9 * greatest { longest } else { ONE_PLACE_M.max(1e-6 * greatest) };
+        let margin = (MARGIN * longest).max(edge_m.unwrap_or(0.0));
+        let low: Vec<f64> = low_m.iter().map(|low| low - margin).collect();
+        let high: Vec<f64> = high_m.iter().map(|high| high + margin).collect();
+        Self::of(&low, &high, edge_m)
+    }
+
+    fn number(&self) -> u64 {
+        self.counts.iter().fold(1, |all, &count| all.saturating_mul(count as u64))
+    }
+}
+
+pub(super) async fn predict_positions(
+    queries: &Queries,
+    request: v1::PredictPositionsRequest,
+) -> Result<Replies<v1::PredictPositionsResponse>, RpcError> {
+    let handle = find_map(&queries.catalog, &request.map)?;
+    let view = handle.view();
+    let (first, dimensions) = find_vector(&view, &request.state)?;
+    if request.times_nanos.is_empty() {
+        return Err(InvalidField::new("times_nanos", "name at least one time").into());
+    }
+    if let Some(index) = request.times_nanos.iter().position(|&nanos| nanos < 0) {
+        let text = format!("{} ns is before 1970", request.times_nanos[index]);
+        return Err(InvalidField::new(format!("times_nanos[{index}]"), text).into());
+    }
+    let kind = model_of(request.model)?;
+    let edge_m = edge_of(request.resolution_m)?;
+    let region = request.region.map(|region| region_of(region, dimensions)).transpose()?;
+    let (times, max) = (request.times_nanos.len() as u64, queries.max_predictions);
+    let check = move |cells: &Cells| {
+        let cells = cells.number().saturating_mul(times);
+        check_limit("cells of all times", cells, max, "setting max_predictions")
+    };
+    let cells = region.map(|(low, high)| Cells::of(&low, &high, edge_m));
+    cells.as_ref().map_or(Ok(()), check)?;
+    let axes = (first.0..).take(dimensions.count()).map(StateId);
+    let axes = axes.map(|id| Learned::new(Arc::clone(&handle), Arc::clone(&view), id)).collect();
+    let model = queries.fitting.position_model(axes, kind).await?;
+    let (low, high) = model.bounds_m();
+    let cells = cells.unwrap_or_else(|| Cells::around(low, high, edge_m));
+    check(&cells)?;
+    let top = if request.top == 0 { usize::MAX } else { request.top as usize };
+    let (moments, turns) = (view.moments(&request.times_nanos), queries.turns.clone());
+    Ok(streamed(move |computed| async move {
+        let turn = turns.take().await?;
+        let predict = move || {
+            let _turn = turn;
+            if computed.send(header(&view, first, &model, &cells)) {
+                tell(&model, &cells, &moments, top, &computed);
+            }
+        };
+        tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)
+    }))
+}
+
+/// The first axis of a vector, and how many there are.
+fn find_vector(view: &MapView, name: &str) -> Result<(StateId, Dimensions), RpcError> {
+    match view.form(name) {
+        Some((first, Form::Vector(dimensions))) => Ok((first, dimensions)),
+        Some((_, form @ Form::Scalar(_))) => {
+            let text = format!("{name:?} is a {} state, and only a vector has positions", form.name());
+            Err(InvalidField::new("state", text).into())
+        }
+        // The error of a name that there is not.
+        None => find_state(view, name).map(|first| (first, Dimensions::Two)),
+    }
+}
+
+fn model_of(wire: Option<v1::ModelSelector>) -> Result<ModelKind, RpcError> {
+    let mut wire = wire.unwrap_or_default();
+    if wire.kind() == v1::ModelKind::Unspecified {
+        wire.kind = v1::ModelKind::HypertimeEm.into();
+    }
+    let selector = selector_from_wire("model", Some(wire))?;
+    if PositionModel::options(selector.kind).is_none() {
+        let text = format!("positions have no model {}: use hypertime-em or hypertime-km", selector.kind);
+        return Err(InvalidField::new("model.kind", text).into());
+    }
+    if selector.persistence {
+        return Err(InvalidField::new("model.persistence", "models of positions have none").into());
+    }
+    Ok(selector.kind)
+}
+
+/// The edge of a cell that was asked for.
+fn edge_of(resolution_m: f64) -> Result<Option<f64>, RpcError> {
+    match resolution_m {
+        0.0 => Ok(None),
+        edge if edge > 0.0 && edge <= VALUE_MAX => Ok(Some(edge)),
+        other => {
+            let text =
+                format!("{other} m is no edge of a cell: use a number above 0 and up to 1e12, or 0 for the usual");
+            Err(InvalidField::new("resolution_m", text).into())
+        }
+    }
+}
+
+fn region_of(region: v1::PositionBox, dimensions: Dimensions) -> Result<(Vec<f64>, Vec<f64>), RpcError> {
+    let v1::PositionBox { low_m, high_m } = region;
+    for (field, corner) in [("region.low_m", &low_m), ("region.high_m", &high_m)] {
+        if corner.len() != dimensions.count() {
+            let text = format!("{} coordinates: the state has {}", corner.len(), dimensions.count());
+            return Err(InvalidField::new(field, text).into());
+        }
+        if let Some(wrong) = corner.iter().find(|number| number.abs() > VALUE_MAX || number.is_nan()) {
+            return Err(InvalidField::new(field, format!("{wrong} m is not a number from -1e12 to 1e12")).into());
+        }
+    }
+    if let Some((low, high)) = low_m.iter().zip(&high_m).find(|(low, high)| low >= high) {
+        let text = format!("{high} m is not above the lower corner's {low} m");
+        return Err(InvalidField::new("region.high_m", text).into());
+    }
+    Ok((low_m, high_m))
+}
+
+fn header(view: &MapView, first: StateId, model: &PositionModel, cells: &Cells) -> v1::PredictPositionsResponse {
+    let live = view.live(first);
+    let header = v1::PositionsHeader {
+        low_m: cells.low_m.clone(),
+        resolution_m: cells.edge_m,
+        counts: cells.counts.iter().map(|&count| u32::try_from(count).unwrap_or(u32::MAX)).collect(),
+        observations: live.observations,
+        fitted_observations: model.positions(),
+        last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
+        generation: view.generation(),
+    };
+    v1::PredictPositionsResponse { message: Some(Message::Header(header)) }
+}
+
+/// Computes and sends the cells of each time, until nobody wants any more.
+fn tell(
+    model: &PositionModel,
+    cells: &Cells,
+    moments: &[Moment],
+    top: usize,
+    computed: &Computed<v1::PredictPositionsResponse>,
+) {
+    for (time_index, &moment) in (0..).zip(moments) {
+        let Some(at) = model.at(moment) else { return };
+        let Some(probabilities) = at.cells(&cells.low_m, cells.edge_m, &cells.counts) else { return };
+        let inside: f64 = probabilities.iter().sum();
+        let mut found: Vec<(u32, f64)> =
+            (0..).zip(probabilities).filter(|(_, probability)| *probability > 0.0).collect();
+        found.sort_by(|(place, one), (other_place, other)| other.total_cmp(one).then(place.cmp(other_place)));
+        found.truncate(top);
+        let mut expected_m = at.mean();
+        let mut outside = (1.0 - inside).clamp(0.0, 1.0);
+        // At least one piece, also where all lies outside.
+        let mut rest = found.as_slice();
+        loop {
+            let (piece, others) = rest.split_at(rest.len().min(CELLS_PER_REPLY));
+            rest = others;
+            let (indices, probabilities) = piece.iter().copied().unzip();
+            let expected_m = std::mem::take(&mut expected_m);
+            let outside = std::mem::take(&mut outside);
+            let cells = v1::PositionCells { time_index, expected_m, outside, indices, probabilities };
+            if !computed.send(v1::PredictPositionsResponse { message: Some(Message::Cells(cells)) }) {
+                return;
+            }
+            if rest.is_empty() {
+                break;
+            }
+        }
+    }
+}
