@@ -8,3 +8,4 @@ mod kinds;
 mod main_job;
 mod model_test;
 mod tidy;
+mod vectors;

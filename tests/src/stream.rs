@@ -196,6 +196,8 @@ pub fn columns(names: &[&str], rows: &[(u32, i64, f64)]) -> ObservationColumns {
         new_states: names.iter().map(|&name| name.to_owned()).collect(),
         bits: Vec::new().into(),
         new_kinds: Vec::new(),
+        new_dimensions: Vec::new(),
+        coordinates: Vec::new(),
         values: rows.iter().map(|row| row.2).collect(),
     }
 }

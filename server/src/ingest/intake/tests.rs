@@ -211,3 +211,50 @@ fn without_a_grid_no_tiles_are_handed_over() {
     let parcel = intake.next_scans().expect("fine").expect("a refusal");
     assert_eq!((parcel.new_tiles.len(), parcel.refused[0].reason), (0, RefusalReason::NoGrid));
 }
+
+#[test]
+fn positions_are_taken_whole_or_refused_whole() {
+    let vector = i32::from(v1::StateKind::Vector);
+    let sent = |first, coordinates: &[f64]| {
+        let mut sent = message(first, &["anna", "cell", "door"], &[0, 1, 2, 0], &[1, 2, 3, 4], &[0.0, 0.0, 1.0, 0.0]);
+        let columns = sent.observations.as_mut().expect("there are some");
+        (columns.new_kinds, columns.new_dimensions) = (vec![vector, vector, 0], vec![2, 3, 0]);
+        columns.coordinates = coordinates.to_vec();
+        sent
+    };
+    let coordinates = [1.5, -2.0, 7.0, 8.0, 9.0, 0.25, f64::NAN];
+    let intake = || Intake::new(0, 0, limits(8, 3), None);
+    let mut first = intake();
+    let batch = first.take(sent(1, &coordinates)).expect("fine").expect("new");
+    assert_eq!((batch.table_indices.as_slice(), batch.kept.as_slice()), (&[0, 2][..], &[0, 2][..]));
+    assert_eq!(batch.positions, [(0, Position::of(&[1.5, -2.0]).expect("two"))]);
+    let refused: Vec<_> = batch.refused.iter().map(|refused| (refused.sequence, refused.reason)).collect();
+    assert_eq!(refused, [(2, RefusalReason::StateName), (4, RefusalReason::Value)]);
+    assert!(batch.refused[1].detail.contains("coordinate y NaN"), "{:?}", batch.refused[1]);
+    let mut bytes = Vec::new();
+    for (name, time, numbers) in [
+        ("anna", 1_i64, &coordinates[..2]),
+        ("cell", 2, &coordinates[2..5]),
+        ("door", 3, &[1.0]),
+        ("anna", 4, &coordinates[5..]),
+    ] {
+        bytes.extend_from_slice(name.as_bytes());
+        bytes.extend_from_slice(&time.to_le_bytes());
+        numbers.iter().for_each(|number| bytes.extend_from_slice(&number.to_le_bytes()));
+    }
+    assert_eq!(batch.content_crc, crc32c::crc32c(&bytes));
+
+    // What was taken before is skipped with its coordinates, and the names are known.
+    let mut again = message(4, &[], &[0, 0], &[4, 5], &[0.0; 2]);
+    again.observations.as_mut().expect("there are some").coordinates = vec![0.25, f64::NAN, 3.0, 4.0];
+    let batch = first.take(again).expect("fine").expect("new");
+    assert_eq!(batch.positions, [(0, Position::of(&[3.0, 4.0]).expect("two"))]);
+    // Coordinates that are too few, too many, or of names that are no vectors, are nobody's.
+    for wrong in [&coordinates[1..], &coordinates[..6], &[coordinates.as_slice(), &[0.0]].concat(), &[]] {
+        let error = intake().take(sent(1, wrong)).expect_err("malformed");
+        assert!(matches!(&error, IntakeError::Invalid(field) if field.field == "observations.coordinates"), "{error}");
+    }
+    // Seven coordinates and a value are eight observations.
+    let error = Intake::new(0, 0, limits(7, 3), None).take(sent(1, &coordinates)).expect_err("too many");
+    assert!(matches!(error, IntakeError::Limit { got: 8, max: 7, .. }), "{error}");
+}

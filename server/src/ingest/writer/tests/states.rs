@@ -1,6 +1,6 @@
 //! States that are added before anything is observed of them, and what a state's kind does to what is sent of it.
 
-use tidemap_map::event::{Form, StateKind};
+use tidemap_map::event::{Dimensions, Form, Position, StateId, StateKind};
 
 use super::*;
 use crate::ingest::protocol::{AddState, AddStateError, NewName};
@@ -104,4 +104,54 @@ async fn a_value_that_no_such_state_may_have_makes_none() {
     assert_eq!(send(&handle, &mut robot, None, &[0.5]).await, []);
     let view = handle.view();
     assert_eq!((view.len(), view.kind(view.find("s").expect("it is new"))), (1, StateKind::Probability));
+}
+
+#[tokio::test]
+async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench(dir.path(), NOON);
+    let handle = create(&bench).await;
+    let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+    let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
+    let vector = |name: &str, dimensions| {
+        Some(NewName { name: StateName::new(name).expect("valid"), form: Some(Form::Vector(dimensions)) })
+    };
+    let position = |coordinates: &[f64]| Position::of(coordinates).expect("2 or 3");
+    // The last one finds no room for three states: ten there may be.
+    let mut names = vec![vector("anna", Dimensions::Two), Some(StateName::new("door").expect("valid").into())];
+    names.extend(["a", "b", "c"].map(|name| vector(name, Dimensions::Three)));
+    let batch = Batch {
+        first_sequence: 1,
+        last_sequence: 7,
+        new_names: names,
+        table_indices: vec![0, 1, 0, 2, 3, 4, 1],
+        times_nanos: (0..7).map(|i| NOON - 10 + i).collect(),
+        values: vec![0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.5],
+        positions: vec![
+            (0, position(&[1.0, 2.0])),
+            (2, position(&[3.0, 4.0])),
+            (3, position(&[5.0, 6.0, 7.0])),
+            (4, position(&[8.0; 3])),
+            (5, position(&[9.0; 3])),
+        ],
+        ..Batch::default()
+    };
+    let before = handle.view().position();
+    let permits = [permit(), permit()];
+    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, permits }));
+    let refused = match robot.events.recv().await {
+        Some(SessionEvent::Ack { durable_sequence: 7, refused }) => refused,
+        other => panic!("{other:?}"),
+    };
+    let refused: Vec<_> = refused.iter().map(|refused| (refused.sequence, refused.reason)).collect();
+    assert_eq!(refused, [(6, RefusalReason::StateLimit)]);
+    let view = handle.view();
+    assert_eq!(view.position(), before + 1, "one record: after a torn tail there is all of it, or nothing");
+    let latest = |name: &str| view.find(name).and_then(|id| view.live(id).persistence.last());
+    let names = ["anna/x", "anna/y", "door", "a/x", "a/y", "a/z", "b/z"];
+    let values = names.map(|name| latest(name).map(|(_, value)| value));
+    assert_eq!(values, [3.0, 4.0, 0.5, 5.0, 6.0, 7.0, 8.0].map(Some));
+    assert_eq!(latest("anna/x").map(|(nanos, _)| nanos), latest("anna/y").map(|(nanos, _)| nanos));
+    assert_eq!((view.len(), view.find("c/x")), (9, None));
+    assert_eq!(view.form("a"), Some((StateId(3), Form::Vector(Dimensions::Three))));
 }
