@@ -42,9 +42,10 @@ impl PositionModel {
     /// same times.
     pub fn fit(options: &HypertimeOptions, axes: &[impl AsRef<[Sample]>], spec: &MapSpec) -> Result<Self, CannotFit> {
         let Some(first) = axes.first().map(AsRef::as_ref) else { return Err(CannotFit::NoReadings) };
-        let times = |samples: &[Sample]| samples.iter().map(|sample| sample.utc_nanos).collect::<Vec<_>>();
+        let times = || first.iter().map(|sample| sample.utc_nanos);
         let is_whole = Dimensions::of(axes.len()).is_some();
-        if !is_whole || axes.iter().any(|axis| times(axis.as_ref()) != times(first)) {
+        let is_one = |axis: &[Sample]| axis.iter().map(|sample| sample.utc_nanos).eq(times());
+        if !is_whole || !axes.iter().all(|axis| is_one(axis.as_ref())) {
             let (parameter, found) = ("axes", axes.len() as f64);
             return Err(CannotFit::Parameter { parameter, found, expected: "2 or 3 with readings of the same times" });
         }

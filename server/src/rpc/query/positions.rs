@@ -29,6 +29,8 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
+/// Most cells of one time: 24 MB.
+const CELLS_MAX: u64 = 1_000_000;
 /// Cells of one reply.
 const CELLS_PER_REPLY: usize = 65_536;
 /// Cells along the longest side of a region, unless a resolution is asked for.
@@ -64,7 +66,7 @@ impl Cells {
         let longest = low_m.iter().zip(high_m).map(|(low, high)| high - low).fold(0.0, f64::max);
         let greatest = low_m.iter().chain(high_m).fold(0.0_f64, |greatest, number| greatest.max(number.abs()));
         // Never so little that it is lost beside the coordinates.
-        let longest = if longest > 1e-9 * greatest { longest } else { ONE_PLACE_M.max(1e-6 * greatest) };
+        let longest = if longest > (1e-9 * greatest).max(1e-9) { longest } else { ONE_PLACE_M.max(1e-6 * greatest) };
         let margin = (MARGIN * longest).max(edge_m.unwrap_or(0.0));
         let low: Vec<f64> = low_m.iter().map(|low| low - margin).collect();
         let high: Vec<f64> = high_m.iter().map(|high| high + margin).collect();
@@ -95,8 +97,9 @@ pub(super) async fn predict_positions(
     let region = request.region.map(|region| region_of(region, dimensions)).transpose()?;
     let (times, max) = (request.times_nanos.len() as u64, queries.max_predictions);
     let check = move |cells: &Cells| {
-        let cells = cells.number().saturating_mul(times);
-        check_limit("cells of all times", cells, max, "setting max_predictions")
+        let of_all = cells.number().saturating_mul(times);
+        check_limit("cells of all times", of_all, max, "setting max_predictions")?;
+        check_limit("cells of one time", cells.number(), CELLS_MAX, "one request")
     };
     let cells = region.map(|(low, high)| Cells::of(&low, &high, edge_m));
     cells.as_ref().map_or(Ok(()), check)?;
