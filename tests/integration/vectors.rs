@@ -94,11 +94,11 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
     let (morning, afternoon) = (day + 10 * 3600, day + 15 * 3600);
     let at = format!("{morning},{afternoon}");
     let ask = |daemon: &Daemon, more: &[&str]| {
-        let args = ["position", "office", "anna", "--at", &at, "--resolution", "0.25", "--top", "0"];
+        let args = ["position", "office", "anna", "--at", &at, "--resolution", "0.25"];
         tidemap(daemon, args.iter().chain(more).copied())
     };
     for model in ["hypertime-em:3", "hypertime-em:2", "hypertime-km:3"] {
-        let table = ask(&daemon, &["--model", model]).table();
+        let table = ask(&daemon, &["--top", "0", "--model", model]).table();
         for (time, here, there) in [(morning, KITCHEN, DESK), (afternoon, DESK, KITCHEN)] {
             let (here, there) = (near(&table, time, here), near(&table, time, there));
             println!("{model}: {here:.3} where it is, {there:.3} where not");
@@ -106,7 +106,7 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
         }
     }
     // Cells and what lies outside are all there is; of a region where it never is, nothing.
-    let all = ask(&daemon, &[]);
+    let all = ask(&daemon, &["--top", "0"]);
     let of_time = |time: i64| {
         let table = all.table();
         let rows = table.numbers("time").into_iter().zip(table.numbers("probability"));
@@ -144,12 +144,12 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
             table.numbers("time").into_iter().zip(table.numbers("value")).collect::<Vec<_>>()
         })
     };
-    let before = (kept(&daemon), ask(&daemon, &[]).stdout);
+    let before = (kept(&daemon), ask(&daemon, &["--top", "0"]).stdout);
     let axis = |axis: usize| rows.iter().map(|(time, place)| (*time as f64, place[axis])).collect::<Vec<_>>();
     assert_eq!(before.0, [axis(0), axis(1)]);
     daemon.kill();
     let daemon = launch.start();
-    assert_eq!((kept(&daemon), ask(&daemon, &[]).stdout), before);
+    assert_eq!((kept(&daemon), ask(&daemon, &["--top", "0"]).stdout), before);
     let again = observe(&daemon, "walk", &csv(&rows), &["--kind", "vector"]).table();
     assert_eq!((again.number("duplicate"), again.number("accepted")), (count as f64, 0.0));
     // A file that goes on is continued, and one that differs is refused.
