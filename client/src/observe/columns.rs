@@ -84,7 +84,7 @@ pub fn fitting<'a>(
     let mut observations = 0;
     for entry in entries.take(limits.observations.max(1)) {
         let coordinates = entry.coordinates().len();
-        bytes += ENTRY_BYTES_MAX + coordinates * size_of::<f64>();
+        bytes += ENTRY_BYTES_MAX + size_of_val(entry.coordinates());
         observations += coordinates.max(1);
         // A state that is new and appears twice in the message is counted twice: an upper bound is enough.
         if !table.knows(entry.state) {

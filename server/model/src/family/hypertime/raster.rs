@@ -27,7 +27,7 @@ impl HypertimeDistribution {
         if low.len() != coordinates || counts.len() != coordinates || counts.contains(&0) {
             return None;
         }
-        if !low.iter().all(|edge| edge.is_finite()) || !(width > 0.0 && width.is_finite()) {
+        if !(low.iter().all(|edge| edge.is_finite()) && width > 0.0 && width.is_finite()) {
             return None;
         }
         let all = counts.iter().try_fold(1_usize, |all, &count| all.checked_mul(count))?;
