@@ -177,9 +177,12 @@ fn a_file_that_grows_while_it_is_read_is_not_read_past_its_end() -> Result<(), R
     Ok(())
 }
 
+/// The coordinates of a row, and what is wrong with it.
+type Read = (Option<Vec<f64>>, Option<String>);
+
 #[test]
 fn positions_have_two_coordinates_or_three_in_any_order() -> Result<(), RowsError> {
-    let positions = |text: &str| -> Result<Vec<(Option<Vec<f64>>, Option<String>)>, RowsError> {
+    let positions = |text: &str| -> Result<Vec<Read>, RowsError> {
         let items = read(text.as_bytes())?;
         let row = |item: &Item| match item {
             Item::Row(row) => (row.position.map(|position| position.coordinates().to_vec()), row.wrong.clone()),
