@@ -13,6 +13,7 @@ mod latest;
 mod mean;
 mod pergam;
 mod poisson;
+mod presence;
 mod support;
 mod uniform;
 
@@ -32,6 +33,7 @@ pub use latest::{Latest, LatestParts};
 pub use mean::{Mean, MeanParts};
 pub use pergam::{Pergam, PergamGaussian, PergamOptions, PergamParts};
 pub use poisson::{COUNT_BIN_NANOS, PoissonSpectral, PoissonSpectralParts};
+pub use presence::{Presence, PresenceOptions};
 pub use support::{
     DependenceSums, OrderGains, OrderGainsParts, effective_observations, effective_observations_of_values,
     supported_order, supported_order_of_values,

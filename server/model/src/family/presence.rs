@@ -1,0 +1,231 @@
+//! Presence: in which one of several places somebody, or something, is now.
+//!
+//! Models of single states know nothing of each other. Where exactly one of them is on at a time, as with one person in the
+//! rooms of a flat, a look into one room tells of the others too: who is in the kitchen is not in the bedroom, and who is
+//! not in the kitchen is likelier to be in the bedroom. This model is a hidden Markov chain over the places, in steps of a
+//! slot of the day, whose rates of change depend on the time of the day. It is learned from looks into one place at a time
+//! by expectation-maximisation (L. Baum et al., "A maximization technique occurring in the statistical analysis of
+//! probabilistic functions of Markov chains", 1970).
+//! Invariant: the probabilities of all places are in `[0,1]` and sum to 1 (to 1e-9); what is kept is bounded.
+
+use std::collections::VecDeque;
+
+use super::CannotFit;
+
+mod learning;
+
+#[cfg(test)]
+mod tests;
+
+/// Slots of history that are kept at most; older ones are forgotten. A year of slots of ten minutes, and a half.
+const HISTORY_MAX: usize = 80_000;
+
+/// How a [`Presence`] is made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PresenceOptions {
+    /// Number of places, 2 to [`PresenceOptions::MAX_PLACES`].
+    pub places: usize,
+    /// Slots of a day, 1 to [`PresenceOptions::MAX_SLOTS`].
+    pub slots_per_day: usize,
+    /// Standard deviation of the circular Gaussian over the time of day with which changes seen at one time of day speak for
+    /// others, in slots, 0 to a quarter of the slots of a day.
+    pub smoothing_slots: f64,
+    /// How many slots in a place the changes of all times of day count as at each time of day, above 0 to 1e6; and
+    /// the prior of those in turn.
+    pub prior_slots: f64,
+    /// Steps of expectation-maximisation each time that it learns, 1 to 100; each goes on from what was learned before.
+    pub steps: usize,
+}
+
+impl PresenceOptions {
+    /// The most places.
+    pub const MAX_PLACES: usize = 64;
+    /// The most slots of a day: minutes.
+    pub const MAX_SLOTS: usize = 1440;
+
+    /// For so many places and slots: habits are smoothed over an hour, and shrunk with a weight of five slots.
+    pub fn new(places: usize, slots_per_day: usize) -> PresenceOptions {
+        PresenceOptions {
+            places,
+            slots_per_day,
+            smoothing_slots: slots_per_day as f64 / 24.0,
+            prior_slots: 5.0,
+            steps: 3,
+        }
+    }
+
+    fn check(&self) -> Result<(), CannotFit> {
+        let wrong = |parameter, found, expected| Err(CannotFit::Parameter { parameter, found, expected });
+        if !(2..=Self::MAX_PLACES).contains(&self.places) {
+            return wrong("places", self.places as f64, "2 to 64");
+        }
+        if !(1..=Self::MAX_SLOTS).contains(&self.slots_per_day) {
+            return wrong("slots of a day", self.slots_per_day as f64, "1 to 1440");
+        }
+        if !(0.0..=self.slots_per_day as f64 / 4.0).contains(&self.smoothing_slots) {
+            return wrong("smoothing width in slots", self.smoothing_slots, "0 to a quarter of the slots of a day");
+        }
+        if !(f64::MIN_POSITIVE..=1e6).contains(&self.prior_slots) {
+            return wrong("prior slots", self.prior_slots, "a number above 0, at most 1e6");
+        }
+        if !(1..=100).contains(&self.steps) {
+            return wrong("steps", self.steps as f64, "1 to 100");
+        }
+        Ok(())
+    }
+}
+
+/// One look into one place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Look {
+    place: usize,
+    there: bool,
+}
+
+/// A slot that has passed, or is passing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Slot {
+    of_day: usize,
+    look: Option<Look>,
+}
+
+/// Where somebody is, by looks into one place at a time; see the module's head.
+///
+/// Time goes on slot by slot: [`Presence::advance`], then at most one [`Presence::look`]. [`Presence::learn`] takes what
+/// was seen so far into the rates of change; between two calls they stay as they are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Presence {
+    options: PresenceOptions,
+    /// By slot of the day: the probability, for each place of the slot before, of each place.
+    transitions: Vec<f64>,
+    history: VecDeque<Slot>,
+    /// Where it is in the first slot that is kept, before that slot's look.
+    initial: Vec<f64>,
+    /// Where it is in the present slot.
+    belief: Vec<f64>,
+}
+
+impl Presence {
+    /// Of which nothing is known: every place is as likely, and to stay is as likely as to leave.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where an option is outside its range.
+    pub fn new(options: PresenceOptions) -> Result<Presence, CannotFit> {
+        options.check()?;
+        let places = options.places;
+        let anywhere = 1.0 / places as f64;
+        let mut transitions = vec![0.5 * anywhere; options.slots_per_day * places * places];
+        for (at, transition) in transitions.iter_mut().enumerate() {
+            if at / places % places == at % places {
+                *transition += 0.5;
+            }
+        }
+        let anywhere = vec![anywhere; places];
+        let (initial, belief) = (anywhere.clone(), anywhere);
+        Ok(Presence { options, transitions, history: VecDeque::new(), initial, belief })
+    }
+
+    /// Goes on to the next slot, which is that one of its day; a number beyond the day counts on from its start. A day may
+    /// have slots that come twice or are left out, as where the clocks change.
+    pub fn advance(&mut self, slot_of_day: usize) {
+        let of_day = slot_of_day % self.options.slots_per_day;
+        if !self.history.is_empty() {
+            self.belief = self.stepped(&self.belief, of_day);
+        }
+        self.history.push_back(Slot { of_day, look: None });
+        if self.history.len() > HISTORY_MAX {
+            self.forget_first();
+        }
+    }
+
+    /// Takes in a look into one place in the present slot; a second look in one slot is taken in, but only the last is
+    /// learned from. A look at a place that there is not, or before the first slot, changes nothing.
+    pub fn look(&mut self, place: usize, there: bool) {
+        if place >= self.options.places {
+            return;
+        }
+        if let Some(slot) = self.history.back_mut() {
+            let look = Look { place, there };
+            slot.look = Some(look);
+            condition(&mut self.belief, look);
+        }
+    }
+
+    /// How likely each place is in the present slot, by all looks so far.
+    pub fn probabilities(&self) -> &[f64] {
+        &self.belief
+    }
+
+    /// How likely each place is in each of the slots that follow, for their numbers in their days, without further looks.
+    pub fn forecast(&self, slots_of_day: impl IntoIterator<Item = usize>) -> Vec<Vec<f64>> {
+        let mut belief = self.belief.clone();
+        let on = |slot: usize| {
+            belief = self.stepped(&belief, slot % self.options.slots_per_day);
+            belief.clone()
+        };
+        slots_of_day.into_iter().map(on).collect()
+    }
+
+    /// Learns the rates of change from all looks that are kept, and tells by them anew where it is now. Takes time
+    /// proportional to the slots kept, times the square of the number of places.
+    pub fn learn(&mut self) {
+        for _ in 0..self.options.steps {
+            learning::improve(self);
+        }
+        if let Some(belief) = learning::filtered(self).pop() {
+            self.belief = belief;
+        }
+    }
+
+    /// The rates into the slot of a day: row by row of the place before.
+    fn transitions_into(&self, slot_of_day: usize) -> &[f64] {
+        let size = self.options.places * self.options.places;
+        &self.transitions[slot_of_day * size..(slot_of_day + 1) * size]
+    }
+
+    fn stepped(&self, belief: &[f64], slot_of_day: usize) -> Vec<f64> {
+        let mut next = vec![0.0; belief.len()];
+        for (&before, row) in belief.iter().zip(self.transitions_into(slot_of_day).chunks(belief.len())) {
+            for (next, &rate) in next.iter_mut().zip(row) {
+                *next += before * rate;
+            }
+        }
+        normalise(&mut next);
+        next
+    }
+
+    /// What the oldest slot says stays, as where it is in the next.
+    fn forget_first(&mut self) {
+        if let Some(slot) = self.history.pop_front() {
+            if let Some(look) = slot.look {
+                condition(&mut self.initial, look);
+            }
+            if let Some(second) = self.history.front() {
+                self.initial = self.stepped(&self.initial, second.of_day);
+            }
+        }
+    }
+}
+
+/// The probabilities given a look. One that contradicts them leaves what it says alone.
+fn condition(belief: &mut [f64], look: Look) {
+    for (place, p) in belief.iter_mut().enumerate() {
+        if (place == look.place) != look.there {
+            *p = 0.0;
+        }
+    }
+    let total: f64 = belief.iter().sum();
+    if total < f64::MIN_POSITIVE {
+        for (place, p) in belief.iter_mut().enumerate() {
+            *p = if (place == look.place) == look.there { 1.0 } else { 0.0 };
+        }
+    }
+    normalise(belief);
+}
+
+fn normalise(values: &mut [f64]) {
+    let total: f64 = values.iter().sum();
+    if total > 0.0 {
+        values.iter_mut().for_each(|value| *value /= total);
+    }
+}
