@@ -10,6 +10,7 @@ use tidemap_model::family::CannotFit;
 
 mod candidate;
 mod data;
+pub mod explore;
 mod paired;
 mod picture;
 mod protocol;

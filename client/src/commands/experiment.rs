@@ -15,7 +15,7 @@ use clap::{Args, Subcommand};
 
 use super::Misused;
 use crate::{
-    experiment::{self, ProtocolError},
+    experiment::{self, ProtocolError, explore},
     output::Format,
     progress::{Bar, notice},
 };
@@ -33,6 +33,8 @@ pub struct ExperimentArgs {
 enum ExperimentKind {
     /// Compares temporal models by a protocol; the same as a protocol's file alone
     Compare(CompareArgs),
+    /// Replays a recorded world: strategies choose where to look, models learn from what is seen
+    Explore(CompareArgs),
 }
 
 #[derive(Debug, Args)]
@@ -49,16 +51,17 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     match path.extension().and_then(|ending| ending.to_str()) {
         Some("yaml" | "yml") => Ok(path),
-        _ => {
-            Err("it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare"
-                .to_owned())
-        }
+        _ => Err(
+            "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore"
+                .to_owned(),
+        ),
     }
 }
 
 pub fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCode> {
     match (args.kind, args.compare) {
         (Some(ExperimentKind::Compare(args)), _) | (None, Some(args)) => compare(&args, format),
+        (Some(ExperimentKind::Explore(args)), _) => explore(&args, format),
         (None, None) => Err(Misused("name a protocol, a file that ends in .yaml or .yml".to_owned()).into()),
     }
 }
@@ -79,6 +82,23 @@ fn compare(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
     if outcome.models.iter().any(undecided) {
         notice("the test sets have too few days for a test: intervals and p-values are left out");
     }
+    if io::stderr().is_terminal() {
+        notice(&format!("results are in {}", out.display()));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn explore(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let shown = args.protocol.display();
+    let protocol = explore::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
+    let out = args.out.as_ref().unwrap_or(&protocol.out);
+    fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
+    let bar = Bar::count("runs");
+    let outcome = explore::run(&protocol, &|done, total| bar.set_of(done, total));
+    bar.clear();
+    let outcome = outcome.with_context(|| shown.to_string())?;
+    explore::write(&protocol, &outcome, out)?;
+    explore::summary(&protocol, &outcome, format, io::stdout().lock())?;
     if io::stderr().is_terminal() {
         notice(&format!("results are in {}", out.display()));
     }

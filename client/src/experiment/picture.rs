@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 use super::{Compared, Outcome, Protocol};
 
-const WIDTH: f64 = 860.0;
+pub(super) const WIDTH: f64 = 860.0;
 const LABELS: f64 = 300.0;
 /// Room for the figure right of a bar.
 const FIGURES: f64 = 90.0;
@@ -76,7 +76,7 @@ pub fn draw(protocol: &Protocol, outcome: &Outcome) -> String {
 }
 
 /// A distance of ticks of which five or so make `most`: 1, 2 or 5 times a power of ten.
-fn tick(most: f64) -> f64 {
+pub(super) fn tick(most: f64) -> f64 {
     if !(most.is_finite() && most > 0.0) {
         return 1.0;
     }
@@ -86,7 +86,7 @@ fn tick(most: f64) -> f64 {
 }
 
 /// Four significant digits.
-fn number(number: f64) -> String {
+pub(super) fn number(number: f64) -> String {
     let rounded: f64 = format!("{number:.3e}").parse().unwrap_or(number);
     rounded.to_string()
 }
@@ -101,10 +101,10 @@ fn shortened(label: &str) -> String {
     shown
 }
 
-struct Svg(String);
+pub(super) struct Svg(String);
 
 impl Svg {
-    fn new(height: f64) -> Self {
+    pub(super) fn new(height: f64) -> Self {
         Self(format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{height}\" \
              viewBox=\"0 0 {WIDTH} {height}\" font-family=\"sans-serif\" font-size=\"13\" fill=\"#111111\">\n\
@@ -112,7 +112,7 @@ impl Svg {
         ))
     }
 
-    fn line(&mut self, [x1, y1, x2, y2]: [f64; 4], style: &str) {
+    pub(super) fn line(&mut self, [x1, y1, x2, y2]: [f64; 4], style: &str) {
         // Writing to a string cannot fail.
         let _ = writeln!(self.0, "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" {style}/>");
     }
@@ -124,7 +124,7 @@ impl Svg {
         );
     }
 
-    fn text(&mut self, x: f64, y: f64, anchor: &str, weight: &str, text: &str) {
+    pub(super) fn text(&mut self, x: f64, y: f64, anchor: &str, weight: &str, text: &str) {
         let escaped: String = text.chars().map(escaped).collect();
         let _ = writeln!(
             self.0,
@@ -132,7 +132,7 @@ impl Svg {
         );
     }
 
-    fn finish(mut self) -> String {
+    pub(super) fn finish(mut self) -> String {
         self.0.push_str("</svg>\n");
         self.0
     }

@@ -13,7 +13,7 @@ use tidemap_model::Zone;
 
 mod contender;
 mod error;
-mod written;
+pub(super) mod written;
 
 #[cfg(test)]
 mod tests;

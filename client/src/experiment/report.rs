@@ -62,7 +62,7 @@ pub fn write(protocol: &Protocol, outcome: &Outcome, folder: &Path) -> anyhow::R
     file(folder, "comparison.svg", |writer| writer.write_all(picture::draw(protocol, outcome).as_bytes()))
 }
 
-fn file(
+pub(super) fn file(
     folder: &Path,
     name: &str,
     write: impl FnOnce(&mut BufWriter<fs::File>) -> io::Result<()>,

@@ -57,21 +57,21 @@ pub enum ProtocolError {
 
 impl ProtocolError {
     /// From the parser, which says the line itself.
-    pub(super) fn yaml(error: &serde_saphyr::Error) -> Self {
+    pub(in crate::experiment) fn yaml(error: &serde_saphyr::Error) -> Self {
         let message = error.without_snippet().to_string();
         Self::Yaml(message.trim_start_matches("error: ").lines().collect::<Vec<_>>().join(" "))
     }
 
-    pub(super) fn missing(key: &'static str, right: &str) -> Self {
+    pub(in crate::experiment) fn missing(key: &'static str, right: &str) -> Self {
         Self::Missing { key, right: right.to_owned() }
     }
 
-    pub(super) fn value(key: &str, word: &Word, right: &str) -> Self {
+    pub(in crate::experiment) fn value(key: &str, word: &Word, right: &str) -> Self {
         let found: String = word.text.chars().take(80).collect();
         Self::Value { line: word.line, key: key.to_owned(), found, right: right.to_owned() }
     }
 
-    pub(super) fn model(line: u64, model: &Word, wrong: impl Into<String>) -> Self {
+    pub(in crate::experiment) fn model(line: u64, model: &Word, wrong: impl Into<String>) -> Self {
         Self::Model { line, model: model.text.clone(), wrong: wrong.into() }
     }
 

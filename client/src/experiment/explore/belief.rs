@@ -1,0 +1,209 @@
+//! What is known of the places, by a model that learns from visits.
+//!
+//! Invariant: a probability for a slot rests on what was seen before it is asked for, and on the model of the last midnight.
+
+use tidemap_model::{
+    Sample,
+    family::{CannotFit, Chain, Moment, Presence, PresenceOptions, Readings, TemporalModel},
+};
+
+mod learner;
+
+pub use learner::Kind;
+use learner::Learner;
+
+/// A model that can be compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Model {
+    /// Every place by itself, by a model of one state.
+    Each {
+        /// Which.
+        kind: Kind,
+        /// How it is drawn towards what was seen last.
+        blend: Blend,
+    },
+    /// All places together, of which exactly one holds the person.
+    Presence,
+}
+
+/// How the model of one state is drawn towards what was seen last, by the age of that.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blend {
+    /// Not at all.
+    None,
+    /// As maps do it: by the mean time between changes (T-RO 2017, eq. 12 and 13), which takes a state that was seen alike
+    /// twice for one that did not change in between.
+    Persistence,
+    /// By the rates of the short-term memory's chain, which allow for changes that were not seen: RAS 2017, eq. 6 with the
+    /// model's p(t) for the chain's constant.
+    Memory,
+}
+
+impl Model {
+    /// All that can be named, in the order of the documentation.
+    pub fn all() -> impl Iterator<Item = Model> {
+        let plain = Kind::ALL.into_iter().map(|kind| Model::Each { kind, blend: Blend::None });
+        let blended = [Blend::Persistence, Blend::Memory].into_iter().flat_map(|blend| {
+            let kinds = Kind::ALL.into_iter().filter(|&kind| kind != Kind::Persistence);
+            kinds.map(move |kind| Model::Each { kind, blend })
+        });
+        plain.chain(blended).chain([Model::Presence])
+    }
+
+    /// As people write it.
+    pub fn name(self) -> String {
+        match self {
+            Model::Each { kind, blend: Blend::None } => kind.name().to_owned(),
+            Model::Each { kind, blend: Blend::Persistence } => format!("{}+persistence", kind.name()),
+            Model::Each { kind, blend: Blend::Memory } => format!("{}+memory", kind.name()),
+            Model::Presence => "presence".to_owned(),
+        }
+    }
+}
+
+/// Slots in time.
+#[derive(Clone, Copy, Debug)]
+pub struct Slots {
+    /// Of a day.
+    pub per_day: usize,
+    /// Length of each.
+    pub nanos: i64,
+}
+
+impl Slots {
+    /// The middle of a slot, counted from the beginning of the world. The world begins at 1970-01-01T00:00, a Thursday.
+    pub fn middle(self, slot: usize) -> Moment {
+        Moment { utc_nanos: slot as i64 * self.nanos + self.nanos / 2, offset_secs: 0 }
+    }
+}
+
+/// What is known of all places.
+pub struct Belief {
+    slots: Slots,
+    /// The slot that is now; none before the first.
+    now: Option<usize>,
+    places: Vec<Place>,
+    presence: Option<Presence>,
+    blend: Blend,
+    remembers: bool,
+}
+
+/// What is known of one place.
+struct Place {
+    learner: Learner,
+    readings: Vec<Sample>,
+    persistence: tidemap_model::Persistence,
+    /// The short-term memory of RAS 2017, section 4.2, where it is asked for.
+    chain: Option<Chain>,
+    /// What the model says of each slot of the day that is.
+    today: Vec<f64>,
+}
+
+impl Belief {
+    /// Of which nothing is known; `remembers`: with a short-term memory beside the model.
+    pub fn new(model: Model, places: usize, slots: Slots, remembers: bool) -> Result<Belief, CannotFit> {
+        let (kind, blend) = match model {
+            Model::Each { kind, blend } => (kind, blend),
+            Model::Presence => (Kind::Mean, Blend::None),
+        };
+        let presence = match model {
+            Model::Presence => Some(Presence::new(PresenceOptions::new(places, slots.per_day))?),
+            Model::Each { .. } => None,
+        };
+        let place = || Place {
+            learner: Learner::new(kind),
+            readings: Vec::new(),
+            persistence: tidemap_model::Persistence::default(),
+            chain: None,
+            today: vec![0.5; slots.per_day],
+        };
+        let remembers = remembers || kind == Kind::Persistence || blend == Blend::Memory;
+        let places = (0..places).map(|_| place()).collect();
+        Ok(Belief { slots, now: None, places, presence, blend, remembers })
+    }
+
+    /// Makes the models anew for the day that begins with that slot.
+    pub fn midnight(&mut self, slot: usize) -> Result<(), CannotFit> {
+        if let Some(presence) = &mut self.presence {
+            presence.learn();
+        }
+        for place in &mut self.places {
+            if self.presence.is_none() {
+                place.learner.learn(&place.readings)?;
+                for (of_day, p) in place.today.iter_mut().enumerate() {
+                    *p = place.learner.probability(self.slots.middle(slot + of_day));
+                }
+            }
+            if self.remembers && !place.readings.is_empty() {
+                place.chain = Some(Chain::fit(Readings::new(&place.readings))?);
+            }
+        }
+        Ok(())
+    }
+
+    /// A slot begins: slots come one after the other.
+    pub fn enter(&mut self, slot: usize) {
+        self.now = Some(slot);
+        if let Some(presence) = &mut self.presence {
+            presence.advance(slot % self.slots.per_day);
+        }
+    }
+
+    /// The probabilities of all places at the middle of the slot that is.
+    pub fn now(&self) -> Vec<f64> {
+        let Some(slot) = self.now else { return vec![0.5; self.places.len()] };
+        match &self.presence {
+            Some(presence) => presence.probabilities().to_vec(),
+            None => self.places.iter().map(|place| self.each(place, slot)).collect(),
+        }
+    }
+
+    /// The probabilities of all places at the middle of each slot of the day that begins with that slot, before it is
+    /// entered.
+    pub fn ahead(&self, slot: usize) -> Vec<Vec<f64>> {
+        match &self.presence {
+            Some(presence) => presence.forecast(0..self.slots.per_day),
+            None => (slot..slot + self.slots.per_day)
+                .map(|slot| self.places.iter().map(|place| self.each(place, slot)).collect())
+                .collect(),
+        }
+    }
+
+    fn each(&self, place: &Place, slot: usize) -> f64 {
+        let at = self.slots.middle(slot);
+        let p = match (&place.chain, place.learner.kind()) {
+            (Some(chain), Kind::Persistence) => chain.predict(at),
+            _ => place.today.get(slot % self.slots.per_day).copied().unwrap_or(0.5),
+        };
+        match (self.blend, &place.chain, place.readings.last()) {
+            (Blend::Persistence, ..) => place.persistence.blend(p, at.utc_nanos),
+            (Blend::Memory, Some(chain), Some(last)) => {
+                let age_secs = at.utc_nanos.abs_diff(last.utc_nanos) as f64 / 1e9;
+                let kept = (-age_secs / chain.memory_secs()).exp();
+                last.value * kept + p * (1.0 - kept)
+            }
+            _ => p,
+        }
+    }
+
+    /// What the short-term memory expects of all places at the middle of the slot that is; 0.5 where it has none.
+    pub fn expected(&self) -> Vec<f64> {
+        let at = self.slots.middle(self.now.unwrap_or(0));
+        self.places.iter().map(|place| place.chain.as_ref().map_or(0.5, |chain| chain.predict(at))).collect()
+    }
+
+    /// What a visit showed at the middle of the slot that is.
+    pub fn observe(&mut self, place: usize, there: bool) {
+        let (Some(slot), Some(known)) = (self.now, self.places.get_mut(place)) else { return };
+        let at = self.slots.middle(slot);
+        let value = f64::from(u8::from(there));
+        known.readings.push(Sample { utc_nanos: at.utc_nanos, offset_secs: at.offset_secs, value });
+        known.persistence.observe(at.utc_nanos, value);
+        if let Some(chain) = &mut known.chain {
+            chain.observe(at.utc_nanos, value);
+        }
+        if let Some(presence) = &mut self.presence {
+            presence.look(place, there);
+        }
+    }
+}

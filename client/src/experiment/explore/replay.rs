@@ -1,0 +1,170 @@
+//! One run: a strategy with a model and a seed, from the first day to the last.
+//!
+//! Invariant: no strategy makes more visits a day than it is allowed; all that need whole numbers make exactly as many.
+
+use tidemap_plan::{
+    location::{expected_errors, information_bits, surprise_bits},
+    strategy::{self, Allowance, Budget, Gains, Strategy, StrategyError},
+};
+
+use super::{
+    Problem,
+    belief::{Belief, Model, Slots},
+    world::World,
+};
+
+/// Gains that differ by less are equal but for rounding.
+const NEAR_TIE: f64 = 1e-9;
+
+/// A way to choose where to look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Plan {
+    /// All places in turn.
+    RoundRobin,
+    /// Any place at any time.
+    Random,
+    /// The day's highest entropies.
+    Greedy,
+    /// By chance, in proportion to entropy.
+    MonteCarlo,
+    /// The same, changed where the short-term memory contradicts the model.
+    NoveltyDriven,
+    /// At each slot the highest entropy of then.
+    Online,
+    /// At each slot the place whose guess is likeliest to be wrong then; of equal ones the likeliest place.
+    OnlineError,
+}
+
+impl Plan {
+    /// All of them.
+    pub const ALL: [Plan; 7] = [
+        Plan::RoundRobin,
+        Plan::Random,
+        Plan::Greedy,
+        Plan::MonteCarlo,
+        Plan::NoveltyDriven,
+        Plan::Online,
+        Plan::OnlineError,
+    ];
+
+    /// As people write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Plan::RoundRobin => "round-robin",
+            Plan::Random => "random",
+            Plan::Greedy => "greedy",
+            Plan::MonteCarlo => "monte-carlo",
+            Plan::NoveltyDriven => "novelty-driven",
+            Plan::Online => "online",
+            Plan::OnlineError => "online-error",
+        }
+    }
+
+    /// How a day is scheduled ahead; none where it is not.
+    fn ahead(self, visited: u64) -> Option<Strategy> {
+        match self {
+            Plan::RoundRobin => Some(Strategy::RoundRobin { visited }),
+            Plan::Random => Some(Strategy::Random),
+            Plan::Greedy => Some(Strategy::Greedy),
+            Plan::MonteCarlo | Plan::NoveltyDriven => Some(Strategy::MonteCarlo),
+            Plan::Online | Plan::OnlineError => None,
+        }
+    }
+}
+
+/// What came of one run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Run {
+    /// Share of states that were wrong, 0 to 1, by day (RAS 2017, eq. 2).
+    pub errors: Vec<f64>,
+    /// Visits made.
+    pub visits: u64,
+}
+
+/// Explores a world once.
+pub fn replay(world: &World, exploration: f64, plan: Plan, model: Model, seed: u64) -> Result<Run, Problem> {
+    let cannot_fit = |refused| Problem::Fit { model: model.name(), refused };
+    let cannot_plan = |refused: StrategyError| Problem::Plan { strategy: plan.name(), refused };
+    let (places, per_day) = (world.places.len(), world.slots());
+    let slots = Slots { per_day, nanos: world.slot_minutes as i64 * 60_000_000_000 };
+    let mut belief = Belief::new(model, places, slots, plan == Plan::NoveltyDriven).map_err(cannot_fit)?;
+    let allowed = Budget::Ratio(exploration).visits(per_day).map_err(cannot_plan)?;
+    let mut allowance = Allowance::new(per_day, allowed).map_err(cannot_plan)?;
+    let mut run = Run { errors: Vec::with_capacity(world.days()), visits: 0 };
+    for day in 0..world.days() {
+        let first = day * per_day;
+        belief.midnight(first).map_err(cannot_fit)?;
+        let schedule = match plan.ahead(run.visits) {
+            Some(strategy) => {
+                let ahead = belief.ahead(first);
+                let entropy = |slot: usize, place: usize| information_bits([ahead[slot][place]]);
+                let gains = Gains::of(per_day, places, entropy).map_err(cannot_plan)?;
+                let budget = Budget::Visits(allowed);
+                strategy::schedule(strategy, &gains, budget, mixed(seed, first)).map_err(cannot_plan)?
+            }
+            None => vec![None; per_day],
+        };
+        let mut wrong = 0_u64;
+        for (slot, planned) in (first..).zip(schedule) {
+            belief.enter(slot);
+            let p = belief.now();
+            let visit = visit(plan, planned, &p, &belief, &mut allowance, mixed(seed, slot));
+            wrong += errors(world.slot(slot), &p, visit);
+            if let Some(place) = visit {
+                run.visits += 1;
+                belief.observe(place, world.seen(slot) == place);
+            }
+        }
+        run.errors.push(wrong as f64 / (per_day * world.slot_minutes * places) as f64);
+    }
+    Ok(run)
+}
+
+/// Where to look in the slot that is, given what was planned for it.
+fn visit(
+    plan: Plan,
+    planned: Option<usize>,
+    p: &[f64],
+    belief: &Belief,
+    allowance: &mut Allowance,
+    seed: u64,
+) -> Option<usize> {
+    match plan {
+        Plan::RoundRobin | Plan::Random | Plan::Greedy | Plan::MonteCarlo => planned,
+        Plan::NoveltyDriven => {
+            let expected = belief.expected();
+            let worth = |(&expected, &p): (&f64, &f64)| (surprise_bits([(expected, p)]), information_bits([p]));
+            planned.map(|planned| strategy::novel(expected.iter().zip(p).map(worth)).unwrap_or(planned))
+        }
+        Plan::Online | Plan::OnlineError => {
+            // Of two that are as unsure, such as 0.7 and 0.3 of the only two places in question, a look at the likelier
+            // tells more minutes of the slot: wherever somebody goes, it is from there.
+            let errors = |p: f64| expected_errors([p]) + NEAR_TIE * p;
+            let gain = |&p: &f64| if plan == Plan::Online { information_bits([p]) } else { errors(p) };
+            let gains: Vec<f64> = p.iter().map(gain).collect();
+            let (place, gain) = strategy::best(&gains, seed)?;
+            allowance.grant(gain).then_some(place)
+        }
+    }
+}
+
+/// States that were wrong over the minutes of a slot (RAS 2017, eq. 1 and 2). A state of which nothing is known, p = 0.5,
+/// counts as off: one person is in one of ten rooms.
+fn errors(minutes: &[u8], p: &[f64], visit: Option<usize>) -> u64 {
+    let mut wrong = 0;
+    for &there in minutes {
+        for (place, &p) in p.iter().enumerate() {
+            let is_wrong = (p > 0.5) != (usize::from(there) == place);
+            wrong += u64::from(is_wrong && visit != Some(place));
+        }
+    }
+    wrong
+}
+
+/// A seed of its own for each slot (the finaliser of splitmix64; G. Steele et al., OOPSLA 2014).
+fn mixed(seed: u64, slot: usize) -> u64 {
+    let mut mixed = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(slot as u64).wrapping_add(1);
+    mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    mixed ^ (mixed >> 31)
+}
