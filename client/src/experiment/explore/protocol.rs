@@ -82,7 +82,7 @@ pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, Protocol
     let slot_minutes = written.slot.map_or(Ok(SLOT_MINUTES), |word| {
         let minutes = parse_duration(&word.text).ok().and_then(|nanos| {
             let minutes = usize::try_from(nanos / MINUTE_NANOS).ok().filter(|_| nanos % MINUTE_NANOS == 0)?;
-            (minutes > 0 && DAY_MINUTES % minutes == 0).then_some(minutes)
+            (minutes > 0 && DAY_MINUTES.is_multiple_of(minutes)).then_some(minutes)
         });
         minutes.ok_or_else(|| ProtocolError::value("slot", &word, "whole minutes that divide the day, such as 10m"))
     })?;
@@ -95,9 +95,9 @@ pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, Protocol
         seeds.ok_or_else(|| ProtocolError::value("seeds", &word, "a number of runs from 1 to 1000"))
     })?;
     let plan = |word: &Word| Plan::ALL.into_iter().find(|plan| plan.name() == word.text);
-    let plans = named("strategies", written.strategies, plan, Plan::ALL.map(|plan| plan.name().to_owned()).to_vec())?;
+    let plans = named("strategies", written.strategies, plan, &Plan::ALL.map(|plan| plan.name().to_owned()))?;
     let model = |word: &Word| Model::all().find(|model| model.name() == word.text);
-    let models = named("models", written.models, model, Model::all().map(Model::name).collect())?;
+    let models = named("models", written.models, model, &Model::all().map(Model::name).collect::<Vec<_>>())?;
     let path = |word: Option<Word>, key, right| match word {
         Some(word) if word.text.is_empty() => Err(ProtocolError::value(key, &word, right)),
         Some(word) => Ok(folder.join(word.text)),
@@ -109,7 +109,7 @@ pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, Protocol
         slot_minutes,
         exploration,
         seeds,
-        weeks: written.weeks.map(weeks).transpose()?,
+        weeks: written.weeks.as_ref().map(weeks).transpose()?,
         plans,
         models,
         out: path(written.out, "out", "the folder that results are written to")?,
@@ -121,7 +121,7 @@ fn named<T: Copy + PartialEq>(
     key: &'static str,
     words: Option<Words>,
     find: impl Fn(&Word) -> Option<T>,
-    names: Vec<String>,
+    names: &[String],
 ) -> Result<Vec<T>, ProtocolError> {
     let right = format!("one of: {}", names.join(", "));
     let words = words.map_or_else(Vec::new, |words| words.words);
@@ -139,7 +139,7 @@ fn named<T: Copy + PartialEq>(
     Ok(found)
 }
 
-fn weeks(written: Words) -> Result<(usize, usize), ProtocolError> {
+fn weeks(written: &Words) -> Result<(usize, usize), ProtocolError> {
     const RIGHT: &str = "the first and the last week to score apart, such as [3, 8]";
     let number = |word: &Word| word.text.parse().ok().filter(|week| (1..=10_000_usize).contains(week));
     match &written.words[..] {

@@ -1,4 +1,5 @@
 //! Worlds explored: simulated ones with known answers, and the recorded flat.
+#![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};
 
