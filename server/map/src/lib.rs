@@ -17,6 +17,7 @@ pub mod refit;
 pub mod site;
 pub mod snapshot;
 pub mod spec;
+pub mod topology;
 pub mod update;
 pub mod view;
 

@@ -1,0 +1,398 @@
+//! The topological map: places that a robot knows by name, and the ways between them.
+//!
+//! Invariant: every edge joins two different nodes that exist; names of nodes are unique; of the edges from one node to
+//! another each has another action; lengths and times are finite and in range. Ids are never reused, so that what was
+//! learned under one survives a rename or a changed length and is never taken for another's.
+
+mod parts;
+mod roads;
+
+use std::collections::BTreeMap;
+
+pub use parts::TopologyParts;
+pub use roads::{Arrival, ROADS_PAIRS_MAX, Roads, RoadsError, ShortestTimes};
+
+use crate::name::StateName;
+
+/// Most nodes of a map.
+pub const NODES_MAX: usize = 100_000;
+/// Most edges of a map; a link is two.
+pub const EDGES_MAX: usize = 1_000_000;
+/// Longest edge, in metres, and greatest coordinate of a pose.
+pub const LENGTH_MAX_M: f64 = 1e7;
+/// Longest nominal time of an edge or a visit, in seconds: about 30 years.
+pub const NOMINAL_MAX_SECS: f64 = 1e9;
+
+/// A node, for as long as its map exists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct NodeId(pub u32);
+
+/// An edge, for as long as its map exists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct EdgeId(pub u32);
+
+/// Where a node lies in the frame of its map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Metres along the first axis.
+    pub x_m: f64,
+    /// Metres along the second axis.
+    pub y_m: f64,
+    /// Heading about the vertical, radians, counterclockwise from the first axis.
+    pub yaw_rad: f64,
+}
+
+/// A place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Node {
+    /// Its number.
+    pub id: NodeId,
+    /// Its name, unique in the map.
+    pub name: StateName,
+    /// Where it lies, if that is known.
+    pub pose: Option<Pose>,
+    /// How long a visit takes once the robot is there, in seconds, 0 to [`NOMINAL_MAX_SECS`]; `None` if that is not said.
+    pub dwell_secs: Option<f64>,
+}
+
+/// How far or how long an edge is, by its map's maker; at least one of the two is given.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// Metres, above 0, to [`LENGTH_MAX_M`].
+    pub length_m: Option<f64>,
+    /// Seconds that it nominally takes, above 0, to [`NOMINAL_MAX_SECS`].
+    pub nominal_secs: Option<f64>,
+}
+
+impl Extent {
+    /// A nominal time alone.
+    #[must_use]
+    pub fn secs(nominal_secs: f64) -> Extent {
+        Extent { length_m: None, nominal_secs: Some(nominal_secs) }
+    }
+
+    /// A length alone.
+    #[must_use]
+    pub fn metres(length_m: f64) -> Extent {
+        Extent { length_m: Some(length_m), nominal_secs: None }
+    }
+
+    /// The nominal time, or else the time that the length takes at a speed in metres per second.
+    #[must_use]
+    pub fn secs_at(&self, speed_m_per_sec: f64) -> f64 {
+        self.nominal_secs.unwrap_or_else(|| self.length_m.unwrap_or(f64::INFINITY) / speed_m_per_sec)
+    }
+
+    fn check(&self, what: impl Fn() -> String) -> Result<(), TopologyError> {
+        let bad = |value: Option<f64>, most: f64| value.filter(|value| !(*value > 0.0 && *value <= most));
+        if let Some(found) = bad(self.length_m, LENGTH_MAX_M) {
+            return Err(TopologyError::Length { edge: what(), found });
+        }
+        if let Some(found) = bad(self.nominal_secs, NOMINAL_MAX_SECS) {
+            return Err(TopologyError::Duration { edge: what(), found });
+        }
+        if self.length_m.is_none() && self.nominal_secs.is_none() {
+            return Err(TopologyError::NoExtent { edge: what() });
+        }
+        Ok(())
+    }
+}
+
+/// A way from one node to another, in that direction only.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Edge {
+    /// Its number.
+    pub id: EdgeId,
+    /// Where it begins.
+    pub from: NodeId,
+    /// Where it ends.
+    pub to: NodeId,
+    /// By which of the robot's actions it is travelled; `None` is the usual one.
+    pub action: Option<StateName>,
+    /// Length and nominal time.
+    pub extent: Extent,
+}
+
+/// Why a topological map cannot be as was asked.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TopologyError {
+    /// No node has this name.
+    #[error("there is no node {0:?}")]
+    UnknownNode(String),
+    /// No node has this number.
+    #[error("there is no node of number {0}")]
+    UnknownNodeId(u32),
+    /// No edge has this number.
+    #[error("there is no edge of number {0}")]
+    UnknownEdgeId(u32),
+    /// Two nodes would have the same name.
+    #[error("node {0:?} exists already: names of nodes are unique")]
+    DuplicateNode(String),
+    /// Two edges would be the same.
+    #[error("edge {0} exists already: edges between the same nodes need different actions")]
+    DuplicateEdge(String),
+    /// Two nodes or two edges would have the same number, or one that is not given out yet.
+    #[error("{what} number {found} is used twice or not below the next one, {next}")]
+    Number {
+        /// "node" or "edge".
+        what: &'static str,
+        /// The number.
+        found: u32,
+        /// The next number that is given out.
+        next: u32,
+    },
+    /// An edge would end where it begins.
+    #[error("the edge from {0:?} leads to itself: an edge joins two different nodes")]
+    ToItself(String),
+    /// An edge's time is no time.
+    #[error("edge {edge} takes {found} s: its time is above 0 s and at most {NOMINAL_MAX_SECS} s")]
+    Duration {
+        /// Names of both ends.
+        edge: String,
+        /// What was given, in seconds.
+        found: f64,
+    },
+    /// An edge's length is no length.
+    #[error("edge {edge} is {found} m long: its length is above 0 m and at most {LENGTH_MAX_M} m")]
+    Length {
+        /// Names of both ends.
+        edge: String,
+        /// What was given, in metres.
+        found: f64,
+    },
+    /// An edge has neither length nor time.
+    #[error("edge {edge} has neither a length nor a time: give one of them")]
+    NoExtent {
+        /// Names of both ends.
+        edge: String,
+    },
+    /// A visit's time is no time.
+    #[error("a visit of node {node:?} takes {found} s: its time is 0 s to {NOMINAL_MAX_SECS} s")]
+    Dwell {
+        /// The node's name.
+        node: String,
+        /// What was given, in seconds.
+        found: f64,
+    },
+    /// A pose is no pose.
+    #[error("the pose of node {node:?} has the number {found}: coordinates are -{LENGTH_MAX_M} to {LENGTH_MAX_M} m")]
+    Pose {
+        /// The node's name.
+        node: String,
+        /// What was given.
+        found: f64,
+    },
+    /// The map would have too many nodes.
+    #[error("a map has at most {NODES_MAX} nodes")]
+    TooManyNodes,
+    /// The map would have too many edges.
+    #[error("a map has at most {EDGES_MAX} edges, and a link is two of them")]
+    TooManyEdges,
+    /// All numbers were given out.
+    #[error("this map has given out all numbers for its nodes or edges")]
+    NumbersUsedUp,
+}
+
+/// Nodes and edges of a map.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Topology {
+    next_node: u32,
+    next_edge: u32,
+    nodes: BTreeMap<NodeId, Node>,
+    edges: BTreeMap<EdgeId, Edge>,
+    by_name: BTreeMap<StateName, NodeId>,
+    /// All edges at each node, whichever end.
+    at_node: BTreeMap<NodeId, Vec<EdgeId>>,
+}
+
+impl Topology {
+    /// A map without nodes.
+    #[must_use]
+    pub fn new() -> Topology {
+        Topology::default()
+    }
+
+    /// Adds a node.
+    ///
+    /// # Errors
+    /// [`TopologyError`] where the name is taken, a number is out of range, or the map is full.
+    pub fn add_node(
+        &mut self,
+        name: StateName,
+        pose: Option<Pose>,
+        dwell_secs: Option<f64>,
+    ) -> Result<NodeId, TopologyError> {
+        let id = NodeId(self.next_node);
+        let next = self.next_node.checked_add(1).ok_or(TopologyError::NumbersUsedUp)?;
+        self.insert_node(Node { id, name, pose, dwell_secs })?;
+        self.next_node = next;
+        Ok(id)
+    }
+
+    fn insert_node(&mut self, node: Node) -> Result<(), TopologyError> {
+        if self.nodes.len() >= NODES_MAX {
+            return Err(TopologyError::TooManyNodes);
+        }
+        if self.by_name.contains_key(&node.name) {
+            return Err(TopologyError::DuplicateNode(node.name.to_string()));
+        }
+        check_visit(&node.name, node.pose, node.dwell_secs)?;
+        self.by_name.insert(node.name.clone(), node.id);
+        self.at_node.insert(node.id, Vec::new());
+        self.nodes.insert(node.id, node);
+        Ok(())
+    }
+
+    /// Gives a node another name; its number stays.
+    ///
+    /// # Errors
+    /// [`TopologyError::UnknownNodeId`], [`TopologyError::DuplicateNode`].
+    pub fn rename_node(&mut self, id: NodeId, name: StateName) -> Result<(), TopologyError> {
+        let node = self.nodes.get_mut(&id).ok_or(TopologyError::UnknownNodeId(id.0))?;
+        match self.by_name.get(&name) {
+            Some(&other) if other != id => return Err(TopologyError::DuplicateNode(name.to_string())),
+            _ => {}
+        }
+        self.by_name.remove(&node.name);
+        node.name = name.clone();
+        self.by_name.insert(name, id);
+        Ok(())
+    }
+
+    /// Says where a node lies and how long a visit takes.
+    ///
+    /// # Errors
+    /// [`TopologyError`] where the node is unknown or a number is out of range.
+    pub fn set_node(&mut self, id: NodeId, pose: Option<Pose>, dwell_secs: Option<f64>) -> Result<(), TopologyError> {
+        let node = self.nodes.get_mut(&id).ok_or(TopologyError::UnknownNodeId(id.0))?;
+        check_visit(&node.name, pose, dwell_secs)?;
+        (node.pose, node.dwell_secs) = (pose, dwell_secs);
+        Ok(())
+    }
+
+    /// Removes a node with all edges at it, and returns these.
+    ///
+    /// # Errors
+    /// [`TopologyError::UnknownNodeId`].
+    pub fn remove_node(&mut self, id: NodeId) -> Result<Vec<Edge>, TopologyError> {
+        let node = self.nodes.remove(&id).ok_or(TopologyError::UnknownNodeId(id.0))?;
+        self.by_name.remove(&node.name);
+        let edges = self.at_node.remove(&id).unwrap_or_default();
+        Ok(edges.into_iter().filter_map(|edge| self.remove_edge(edge).ok()).collect())
+    }
+
+    /// Adds an edge in one direction.
+    ///
+    /// # Errors
+    /// [`TopologyError`] where an end is unknown, both are the same, the edge exists, a number is out of range, or the map
+    /// is full.
+    pub fn add_edge(
+        &mut self,
+        from: NodeId,
+        to: NodeId,
+        action: Option<StateName>,
+        extent: Extent,
+    ) -> Result<EdgeId, TopologyError> {
+        let id = EdgeId(self.next_edge);
+        let next = self.next_edge.checked_add(1).ok_or(TopologyError::NumbersUsedUp)?;
+        self.insert_edge(Edge { id, from, to, action, extent })?;
+        self.next_edge = next;
+        Ok(id)
+    }
+
+    /// Adds edges in both directions, of the same length or time. Both or none are added.
+    ///
+    /// # Errors
+    /// As [`Topology::add_edge`].
+    pub fn link(&mut self, a: NodeId, b: NodeId, extent: Extent) -> Result<(EdgeId, EdgeId), TopologyError> {
+        let there = self.add_edge(a, b, None, extent)?;
+        match self.add_edge(b, a, None, extent) {
+            Ok(back) => Ok((there, back)),
+            Err(error) => {
+                self.remove_edge(there)?;
+                Err(error)
+            }
+        }
+    }
+
+    fn insert_edge(&mut self, edge: Edge) -> Result<(), TopologyError> {
+        let from = &self.node(edge.from)?.name;
+        let to = &self.node(edge.to)?.name;
+        let shown = || match &edge.action {
+            Some(action) => format!("{from}/{to}/{action}"),
+            None => format!("{from}/{to}"),
+        };
+        if edge.from == edge.to {
+            return Err(TopologyError::ToItself(from.to_string()));
+        }
+        edge.extent.check(shown)?;
+        if self.edges.len() >= EDGES_MAX {
+            return Err(TopologyError::TooManyEdges);
+        }
+        if self.edge_between(edge.from, edge.to, edge.action.as_ref()).is_some() {
+            return Err(TopologyError::DuplicateEdge(shown()));
+        }
+        for end in [edge.from, edge.to] {
+            self.at_node.entry(end).or_default().push(edge.id);
+        }
+        self.edges.insert(edge.id, edge);
+        Ok(())
+    }
+
+    /// Changes an edge's length or time; its number, and what was learned of it, stays.
+    ///
+    /// # Errors
+    /// [`TopologyError`] where the edge is unknown or a number is out of range.
+    pub fn set_extent(&mut self, id: EdgeId, extent: Extent) -> Result<(), TopologyError> {
+        let edge = self.edge(id)?;
+        extent.check(|| self.edge_name(edge))?;
+        if let Some(edge) = self.edges.get_mut(&id) {
+            edge.extent = extent;
+        }
+        Ok(())
+    }
+
+    /// Gives an edge another action; its number stays.
+    ///
+    /// # Errors
+    /// [`TopologyError::UnknownEdgeId`], [`TopologyError::DuplicateEdge`].
+    pub fn rename_edge(&mut self, id: EdgeId, action: Option<StateName>) -> Result<(), TopologyError> {
+        let edge = self.edge(id)?;
+        match self.edge_between(edge.from, edge.to, action.as_ref()) {
+            Some(other) if other.id != id => return Err(TopologyError::DuplicateEdge(self.edge_name(other))),
+            _ => {}
+        }
+        if let Some(edge) = self.edges.get_mut(&id) {
+            edge.action = action;
+        }
+        Ok(())
+    }
+
+    /// Removes an edge, in its direction only, and returns it.
+    ///
+    /// # Errors
+    /// [`TopologyError::UnknownEdgeId`].
+    pub fn remove_edge(&mut self, id: EdgeId) -> Result<Edge, TopologyError> {
+        let edge = self.edges.remove(&id).ok_or(TopologyError::UnknownEdgeId(id.0))?;
+        for end in [edge.from, edge.to] {
+            if let Some(edges) = self.at_node.get_mut(&end) {
+                edges.retain(|&other| other != id);
+            }
+        }
+        Ok(edge)
+    }
+}
+
+fn check_visit(name: &StateName, pose: Option<Pose>, dwell_secs: Option<f64>) -> Result<(), TopologyError> {
+    if let Some(found) = dwell_secs.filter(|secs| !(0.0..=NOMINAL_MAX_SECS).contains(secs)) {
+        return Err(TopologyError::Dwell { node: name.to_string(), found });
+    }
+    let numbers = pose.map_or([0.0; 3], |pose| [pose.x_m, pose.y_m, pose.yaw_rad]);
+    match numbers.into_iter().find(|number| !(-LENGTH_MAX_M..=LENGTH_MAX_M).contains(number)) {
+        Some(found) => Err(TopologyError::Pose { node: name.to_string(), found }),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests;
