@@ -1,0 +1,124 @@
+//! How long the best order of a search takes to find, and how good a heuristic one is after a second.
+//!
+//! `cargo bench -p tidemap-plan --bench search`: the whole question, shortest times included, of random maps; of each map the
+//! fastest of some repetitions, of the maps the median and the slowest. `-- large` instead: maps of 200 nodes, one second
+//! against the best known costs in `search/best.txt`; `-- long SECONDS` makes those anew, ten runs each, and prints them.
+#![allow(clippy::unwrap_used)]
+
+#[path = "search/maps.rs"]
+mod maps;
+
+use std::time::{Duration, Instant};
+
+use maps::{Map, Shape};
+use tidemap_plan::search::{Effort, Goal, Options, Plan, search};
+
+/// Maps of 200 nodes: shape and seed.
+const LARGE: [(Shape, u64); 6] = [
+    (Shape::Complete, 1),
+    (Shape::Complete, 2),
+    (Shape::Streets, 3),
+    (Shape::Streets, 4),
+    (Shape::Tree, 5),
+    (Shape::Random, 6),
+];
+
+fn goals(map: &Map) -> Vec<Goal> {
+    map.goals.iter().map(|&(node, probability)| Goal { node, probability }).collect()
+}
+
+/// The fastest of some repetitions, at most for so long.
+fn fastest(mut run: impl FnMut() -> Plan, repetitions: usize) -> (Duration, Plan) {
+    let mut best: Option<(Duration, Plan)> = None;
+    let begun = Instant::now();
+    for _ in 0..repetitions {
+        let start = Instant::now();
+        let plan = run();
+        let took = start.elapsed();
+        if best.as_ref().is_none_or(|(least, _)| took < *least) {
+            best = Some((took, plan));
+        }
+        if begun.elapsed() > Duration::from_secs(2) {
+            break;
+        }
+    }
+    best.expect("at least one repetition")
+}
+
+fn exact() {
+    println!("{:10} {:>5} {:>12} {:>12} {:>9} {:>10} proven", "shape", "nodes", "median", "slowest", "states", "most");
+    for (count, maps, repetitions) in [(11, 41, 200), (20, 41, 5), (25, 21, 3), (30, 11, 1)] {
+        for shape in [Shape::Tree, Shape::Streets, Shape::Complete] {
+            let mut times = Vec::new();
+            let mut states = Vec::new();
+            let mut proven = 0;
+            for seed in 0..maps {
+                let map = Map::random(shape, count, false, 1_000 * count as u64 + seed);
+                let (roads, goals) = (map.roads(), goals(&map));
+                let options = Options::default();
+                let plan = || search(&roads, map.start(), &goals, &options, || false).unwrap();
+                let (took, plan) = fastest(plan, repetitions);
+                times.push(took);
+                states.push(plan.states);
+                proven += usize::from(plan.optimal);
+            }
+            times.sort();
+            states.sort();
+            println!(
+                "{:10} {count:5} {:>12} {:>12} {:9} {:10} {proven} of {maps}",
+                format!("{shape:?}"),
+                format!("{:.3?}", times[times.len() / 2]),
+                format!("{:.3?}", times[times.len() - 1]),
+                states[states.len() / 2],
+                states[states.len() - 1],
+            );
+        }
+    }
+}
+
+fn heuristic(map: &Map, seed: u64, budget: Duration) -> Plan {
+    let options = Options { effort: Effort::Heuristic, seed, rounds_max: usize::MAX, ..Options::default() };
+    let start = Instant::now();
+    search(&map.roads(), map.start(), &goals(map), &options, || start.elapsed() >= budget).unwrap()
+}
+
+/// Lines `shape seed expected_secs`.
+fn best_known(shape: Shape, seed: u64) -> Option<f64> {
+    let wanted = format!("{shape:?} {seed} ");
+    include_str!("search/best.txt").lines().find_map(|line| line.strip_prefix(&wanted)?.trim().parse().ok())
+}
+
+fn large() {
+    for (shape, seed) in LARGE {
+        let map = Map::random(shape, 200, false, seed);
+        let mut found: Vec<f64> =
+            (0..5).map(|run| heuristic(&map, 100 + run, Duration::from_secs(1)).expected_secs).collect();
+        found.sort_by(f64::total_cmp);
+        let best = best_known(shape, seed).unwrap_or(f64::NAN);
+        let over = |secs: f64| 100.0 * (secs / best - 1.0);
+        println!(
+            "{shape:?} {seed}: best known {best:.4}; after 1 s, of 5 seeds: best {:+.2} %, median {:+.2} %, worst {:+.2} %",
+            over(found[0]),
+            over(found[2]),
+            over(found[4])
+        );
+    }
+}
+
+fn long(secs: u64, runs: u64) {
+    for (shape, seed) in LARGE {
+        let map = Map::random(shape, 200, false, seed);
+        let found = (0..runs).map(|run| heuristic(&map, run, Duration::from_secs(secs)).expected_secs);
+        println!("{shape:?} {seed} {}", found.fold(best_known(shape, seed).unwrap_or(f64::INFINITY), f64::min));
+    }
+}
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    let number = |at: usize, or: u64| arguments.get(at).and_then(|number| number.parse().ok()).unwrap_or(or);
+    match arguments.first().map(String::as_str) {
+        Some("large") => large(),
+        Some("long") => long(number(1, 600), number(2, 10)),
+        _ => exact(),
+    }
+}

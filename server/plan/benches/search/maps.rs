@@ -1,0 +1,117 @@
+//! Maps to search, made of a seed, for benchmarks and tests.
+#![allow(clippy::unwrap_used)]
+
+use rand::{Rng, SeedableRng, rngs::SmallRng};
+use tidemap_map::{
+    name::StateName,
+    topology::{Extent, NodeId, Roads, Topology},
+};
+
+/// Kinds of maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// Each node hangs on an earlier one.
+    Tree,
+    /// A grid of streets of which a third is closed, as far as it stays connected.
+    Streets,
+    /// Ways between all nodes, as long as they lie apart in a square.
+    Complete,
+    /// A tree with some more ways, which are not the same both ways.
+    Random,
+}
+
+pub const SHAPES: [Shape; 4] = [Shape::Tree, Shape::Streets, Shape::Complete, Shape::Random];
+
+/// A map and what is looked for in it, from node 0.
+#[derive(Clone, Debug)]
+pub struct Map {
+    pub topology: Topology,
+    /// Nodes with probabilities.
+    pub goals: Vec<(NodeId, f64)>,
+}
+
+impl Map {
+    /// Where the search begins.
+    pub fn start(&self) -> NodeId {
+        NodeId(0)
+    }
+
+    /// The map with its nominal times.
+    pub fn roads(&self) -> Roads {
+        Roads::new(&self.topology, |edge| Some(edge.extent.secs_at(1.0))).unwrap()
+    }
+
+    /// A map of so many nodes. Whole times and weights have many ties.
+    pub fn random(shape: Shape, count: usize, whole: bool, seed: u64) -> Map {
+        let mut random = SmallRng::seed_from_u64(seed);
+        let mut topology = Topology::new();
+        let nodes: Vec<NodeId> = (0..count)
+            .map(|node| topology.add_node(StateName::new(&format!("n{node}")).unwrap(), None, None).unwrap())
+            .collect();
+        let places: Vec<(f64, f64)> =
+            (0..count).map(|_| (random.random_range(0.0..100.0), random.random_range(0.0..100.0))).collect();
+        let rounded = |secs: f64| if whole { secs.ceil().max(1.0) } else { secs.max(1e-3) };
+        let mut link = |a: usize, b: usize, secs: f64| topology.link(nodes[a], nodes[b], Extent::secs(rounded(secs)));
+        match shape {
+            Shape::Tree => {
+                for node in 1..count {
+                    let secs = random.random_range(1.0..10.0);
+                    link(random.random_range(0..node), node, secs).unwrap();
+                }
+            }
+            Shape::Streets => {
+                let width = (count as f64).sqrt().ceil() as usize;
+                for node in 1..count {
+                    let (left, up) = (node % width > 0, node >= width);
+                    let both = left && up && random.random_range(0..3) > 0;
+                    let secs = random.random_range(5.0..15.0);
+                    if left && (both || !up || random.random()) {
+                        link(node - 1, node, secs).unwrap();
+                        if both {
+                            link(node - width, node, secs + 1.0).unwrap();
+                        }
+                    } else {
+                        link(node - width, node, secs).unwrap();
+                    }
+                }
+            }
+            Shape::Complete => {
+                for a in 0..count {
+                    for b in a + 1..count {
+                        let secs = (places[a].0 - places[b].0).hypot(places[a].1 - places[b].1);
+                        link(a, b, secs).unwrap();
+                    }
+                }
+            }
+            Shape::Random => {
+                for node in 1..count {
+                    link(random.random_range(0..node), node, random.random_range(1.0..20.0)).unwrap();
+                }
+                for _ in 0..count {
+                    let (from, to) = (random.random_range(0..count), random.random_range(0..count));
+                    let extent = Extent::secs(rounded(random.random_range(1.0..20.0)));
+                    // A way that is there already, or leads to itself, is left out.
+                    let _ = topology.add_edge(nodes[from], nodes[to], None, extent);
+                }
+            }
+        }
+        let mut probability = || match whole {
+            true => f64::from(random.random_range(0..5_u8)) / 10.0,
+            false if random.random_range(0..8) == 0 => 0.0,
+            false => random.random(),
+        };
+        let goals = nodes.iter().map(|&node| (node, probability())).collect();
+        Map { topology, goals }
+    }
+
+    /// The same with looks that take time at about half of the nodes.
+    pub fn with_looks(mut self, seed: u64) -> Map {
+        let mut random = SmallRng::seed_from_u64(seed);
+        for &(node, _) in &self.goals {
+            if random.random() {
+                self.topology.set_node(node, None, Some(f64::from(random.random_range(1..20_u8)))).unwrap();
+            }
+        }
+        self
+    }
+}

@@ -1,0 +1,179 @@
+//! A search during which the probabilities change: each counts as it will be when the robot arrives.
+//!
+//! A heuristic. The cost of a state would depend on when it is reached, so what an exact search leaves out is not safe to
+//! leave out here. The order is planned by the probabilities at the start, planned again by those at the arrivals of the last
+//! plan, and the best of these is improved by moving, exchanging and reversing, each weighed by the whole walk.
+//! Invariant: with probabilities that do not change, the order is that of [`super::search`] or one as good.
+
+use tidemap_map::topology::{NodeId, Roads};
+
+use super::{EXACT_GOALS_MAX, Effort, Goal, Options, Ordered, Plan, Problem, Question, SearchError, order};
+
+/// Most goals of a search during which probabilities change: each change of the order costs as many predictions.
+pub const CHANGING_GOALS_MAX: usize = 200;
+/// How often the order is planned by the arrivals of the last plan.
+const REPLANS: usize = 4;
+
+/// Plans a search with probabilities predicted for the time of arrival: `probability(node, arrival_secs)`, in `[0,1]`.
+///
+/// What is minimised is the expected time to find if somebody at a goal at the time of arrival is found then, and somebody who
+/// is missed at the end of the walk: sum of p(t)·t plus what is lacking, against the sum of probabilities at the start, times
+/// the last arrival, over that sum. The plan is never called optimal, and has no lower bound but 0. Of the options, the rounds
+/// bound the walks that are weighed.
+///
+/// # Errors
+/// [`SearchError`], for predictions, too.
+pub fn search_changing(
+    roads: &Roads,
+    start: NodeId,
+    nodes: &[NodeId],
+    probability: impl Fn(NodeId, f64) -> f64,
+    options: &Options,
+    mut until: impl FnMut() -> bool,
+) -> Result<Plan, SearchError> {
+    if nodes.len() > CHANGING_GOALS_MAX {
+        return Err(SearchError::TooMany { found: nodes.len(), most: CHANGING_GOALS_MAX });
+    }
+    let at_start: Vec<Goal> = nodes.iter().map(|&node| Goal { node, probability: probability(node, 0.0) }).collect();
+    let mut question = Question::new(roads, start, &at_start, options)?;
+    let exact = options.effort != Effort::Heuristic && question.goals.len() <= EXACT_GOALS_MAX;
+
+    let mut best: Option<(f64, Ordered)> = None;
+    let goals: Vec<(usize, f64)> = question.goals.clone();
+    let mut problem = Problem::new(roads, question.start, &goals);
+    problem.fill_missing();
+    let weigh = |ordered: &Ordered| Weighed::of(roads, &problem, &goals, ordered, &probability);
+    let mut replanned = Question { goals: question.goals.clone(), unreachable: Vec::new(), start: question.start };
+    for _ in 0..=REPLANS {
+        let mut ordered = order(roads, &replanned, options, exact, &mut until);
+        // What is passed on the way is looked at then.
+        let plan = Plan::of(roads, &replanned, &ordered, options.floor);
+        ordered.nodes = plan.steps.iter().filter_map(|step| roads.index_of(step.node)).collect();
+        let weighed = weigh(&ordered)?;
+        if best.as_ref().is_some_and(|(cost, _)| weighed.cost >= *cost) {
+            break;
+        }
+        for (node, probability) in &mut replanned.goals {
+            if let Some(at) = ordered.nodes.iter().position(|other| other == node) {
+                *probability = weighed.probabilities[at];
+            }
+        }
+        best = Some((weighed.cost, ordered));
+        if until() {
+            break;
+        }
+    }
+    let Some((cost, mut ordered)) = best else { return Err(SearchError::NoGoals) };
+    improve(&mut ordered, cost, options.rounds_max, |ordered| Ok(weigh(ordered)?.cost), until)?;
+
+    let weighed = weigh(&ordered)?;
+    for (node, probability) in &mut question.goals {
+        if let Some(at) = ordered.nodes.iter().position(|other| other == node) {
+            *probability = weighed.probabilities[at];
+        }
+    }
+    ordered.complete = false;
+    ordered.lower_bound_secs = 0.0;
+    let mut plan = Plan::of(roads, &question, &ordered, options.floor);
+    options.stop.apply(&mut plan);
+    Ok(plan)
+}
+
+/// A walk, weighed by the probabilities at its arrivals.
+struct Weighed {
+    cost: f64,
+    probabilities: Vec<f64>,
+}
+
+impl Weighed {
+    fn of(
+        roads: &Roads,
+        problem: &Problem,
+        goals: &[(usize, f64)],
+        ordered: &Ordered,
+        probability: impl Fn(NodeId, f64) -> f64,
+    ) -> Result<Weighed, SearchError> {
+        let (mut at, mut now_secs, mut found, mut found_secs) = (problem.count, 0.0, 0.0, 0.0);
+        let mut probabilities = Vec::with_capacity(goals.len());
+        for &node in &ordered.nodes {
+            // Goals ascend by node.
+            let Ok(goal) = goals.binary_search_by_key(&node, |&(node, _)| node) else { continue };
+            now_secs += problem.secs(at, goal);
+            let node = roads.node(node);
+            let here = probability(node, now_secs);
+            if !(0.0..=1.0).contains(&here) {
+                return Err(SearchError::Probability { node: node.0, found: here });
+            }
+            found += here;
+            found_secs += here * now_secs;
+            probabilities.push(here);
+            at = goal;
+        }
+        let expected: f64 = goals.iter().map(|&(_, probability)| probability).sum();
+        let sum = expected.max(found).max(f64::MIN_POSITIVE);
+        let cost = (found_secs + (sum - found) * now_secs) / sum;
+        Ok(Weighed { cost, probabilities })
+    }
+}
+
+/// Moves, exchanges and reverses while that lowers the cost, for so many walks at most.
+fn improve(
+    ordered: &mut Ordered,
+    mut cost: f64,
+    walks: usize,
+    weigh: impl Fn(&Ordered) -> Result<f64, SearchError>,
+    mut until: impl FnMut() -> bool,
+) -> Result<(), SearchError> {
+    let count = ordered.nodes.len();
+    let mut left = walks;
+    loop {
+        let before = cost;
+        for from in 0..count {
+            for to in from + 1..count {
+                for change in [Change::Reverse, Change::Later, Change::Earlier, Change::Swap] {
+                    if left == 0 || until() {
+                        return Ok(());
+                    }
+                    left -= 1;
+                    change.apply(&mut ordered.nodes[from..=to]);
+                    let changed = weigh(ordered)?;
+                    if changed < cost * (1.0 - 1e-12) {
+                        cost = changed;
+                    } else {
+                        change.undo(&mut ordered.nodes[from..=to]);
+                    }
+                }
+            }
+        }
+        if cost >= before {
+            return Ok(());
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+enum Change {
+    Reverse,
+    Later,
+    Earlier,
+    Swap,
+}
+
+impl Change {
+    fn apply(self, nodes: &mut [usize]) {
+        match self {
+            Change::Reverse => nodes.reverse(),
+            Change::Later => nodes.rotate_left(1),
+            Change::Earlier => nodes.rotate_right(1),
+            Change::Swap => nodes.swap(0, nodes.len() - 1),
+        }
+    }
+
+    fn undo(self, nodes: &mut [usize]) {
+        match self {
+            Change::Later => Change::Earlier.apply(nodes),
+            Change::Earlier => Change::Later.apply(nodes),
+            Change::Reverse | Change::Swap => self.apply(nodes),
+        }
+    }
+}

@@ -1,0 +1,321 @@
+//! The best order, proven: dynamic programming over sets, with bounds.
+//!
+//! A walk is charged the time of each of its ways times the weight still unvisited. So of two walks that have visited the same
+//! goals and end at the same one, only the cheaper matters, and of the pairs of set and goal only those whose cost and bound of
+//! the rest stay below the cost of a known walk. Only goals are gone to next that have no unvisited one on the way. Sets are
+//! taken by size, so that, whenever it is stopped, the least cost with bound of the last size is a lower bound of the search.
+
+use super::{
+    machine::Machine,
+    paths::Paths,
+    problem::{Goals, Passing, Problem},
+};
+
+/// Share of the cost by which a walk must be better to be looked for.
+const SAME: f64 = 1e-11;
+/// Searches of at most so many goals are kept in plain tables.
+pub(super) const TABLE_GOALS_MAX: usize = 11;
+/// States after which the bound by paths is worth its time, and again.
+const STATES: [usize; 2] = [4_000, 60_000];
+/// Rounds of its rewards, its units meanwhile and at last.
+const PATHS: [(usize, u32, u32); 2] = [(25, 192, 768), (80, 512, 6_144)];
+
+/// What was found.
+#[derive(Clone, Debug)]
+pub(super) struct Proven {
+    /// An order that is better than the one known before.
+    pub order: Option<Vec<usize>>,
+    /// No order costs less.
+    pub lower_bound: f64,
+    /// Whether all was searched.
+    pub complete: bool,
+    /// States that were looked at.
+    pub states: usize,
+}
+
+/// Searches for an order that costs less than a known one. `machine` is sorted: its order is that of the goals.
+pub(super) fn prove(
+    problem: &Problem,
+    passing: &Passing,
+    machine: &Machine,
+    known: f64,
+    states_max: usize,
+    mut until: impl FnMut() -> bool,
+) -> Proven {
+    if problem.count <= TABLE_GOALS_MAX {
+        return table(problem, passing, machine, known);
+    }
+    let mut lower_bound = machine.root;
+    let mut states = 0;
+    let mut paths: Option<Paths> = None;
+    for stage in 0..=STATES.len() {
+        let most = STATES.get(stage).copied().unwrap_or(usize::MAX).min(states_max.saturating_sub(states));
+        let mut proven = Layers { problem, passing, machine, paths: paths.as_ref(), known }.search(most, &mut until);
+        lower_bound = lower_bound.max(proven.lower_bound);
+        states += proven.states;
+        (proven.lower_bound, proven.states) = (lower_bound.min(known), states);
+        if proven.complete || stage == STATES.len() || states >= states_max || until() {
+            return proven;
+        }
+        let (rounds, units, last_units) = PATHS[stage];
+        let next = paths.get_or_insert_with(|| Paths::new(problem, passing, units));
+        next.set_units(problem, passing, units);
+        next.improve(rounds, known, &mut until);
+        next.set_units(problem, passing, last_units);
+        next.improve(2, known, &mut until);
+        lower_bound = lower_bound.max(next.root);
+    }
+    Proven { order: None, lower_bound: lower_bound.min(known), complete: false, states }
+}
+
+/// Bounds, by the machine, of the rest of a walk after each goal of a set; yields them with the goal.
+struct AfterEach<'a> {
+    problem: &'a Problem,
+    machine: &'a Machine,
+    weight: f64,
+    /// Bound of the set's goals by the machine, and its duration up to each.
+    cost: f64,
+    left: Goals,
+    secs: f64,
+    weight_behind: f64,
+}
+
+impl<'a> AfterEach<'a> {
+    fn new(problem: &'a Problem, machine: &'a Machine, goals: Goals) -> AfterEach<'a> {
+        let (mut weight, mut cost, mut secs, mut rest) = (0.0, 0.0, 0.0, goals);
+        while rest != 0 {
+            let goal = rest.trailing_zeros() as usize;
+            weight += problem.weight[goal];
+            cost += problem.weight[goal] * (secs + machine.arriving[goal]);
+            secs += machine.arriving[goal] + machine.leaving[goal];
+            rest &= rest - 1;
+        }
+        AfterEach { problem, machine, weight, cost, left: goals, secs: 0.0, weight_behind: weight }
+    }
+}
+
+impl Iterator for AfterEach<'_> {
+    type Item = (usize, f64);
+
+    #[inline]
+    fn next(&mut self) -> Option<(usize, f64)> {
+        if self.left == 0 {
+            return None;
+        }
+        let goal = self.left.trailing_zeros() as usize;
+        self.left &= self.left - 1;
+        let weight = self.problem.weight[goal];
+        let (arriving, leaving) = (self.machine.arriving[goal], self.machine.leaving[goal]);
+        self.weight_behind -= weight;
+        let others = self.cost - weight * (self.secs + arriving) - (arriving + leaving) * self.weight_behind;
+        self.secs += arriving + leaving;
+        Some((goal, others + leaving * (self.weight - weight)))
+    }
+}
+
+/// For few goals: a table of all sets.
+fn table(problem: &Problem, passing: &Passing, machine: &Machine, known: f64) -> Proven {
+    let count = problem.count;
+    let sets = 1_usize << count;
+    let limit = known * (1.0 - SAME);
+    let mut costs = vec![f64::INFINITY; sets * count];
+    // Goals at which a walk with these visited may stand, and whence it came.
+    let mut ends = vec![0_u16; sets];
+    let mut before = vec![0_u8; sets * count];
+    let mut bounds = [0.0; TABLE_GOALS_MAX];
+    let mut states = 0;
+    for set in 0..sets - 1 {
+        if set > 0 && ends[set] == 0 {
+            continue;
+        }
+        let left = ((sets - 1) & !set) as Goals;
+        let after = AfterEach::new(problem, machine, left);
+        let weight = after.weight;
+        after.for_each(|(goal, bound)| bounds[goal] = bound);
+        let mut here = if set == 0 { 1 << count } else { u32::from(ends[set]) };
+        while here != 0 {
+            let at = here.trailing_zeros() as usize;
+            here &= here - 1;
+            states += 1;
+            let cost = if at == count { 0.0 } else { costs[set * count + at] };
+            let row = problem.row(at);
+            let mut rest = left;
+            while rest != 0 {
+                let to = rest.trailing_zeros() as usize;
+                rest &= rest - 1;
+                let then = cost + row[to] * weight;
+                if then + bounds[to] < limit && passing.between(at, to) & left == 0 {
+                    let (with, place) = (set | 1 << to, (set | 1 << to) * count + to);
+                    if then < costs[place] {
+                        costs[place] = then;
+                        before[place] = at as u8;
+                        ends[with] |= 1 << to;
+                    }
+                }
+            }
+        }
+    }
+    let last = &costs[(sets - 1) * count..];
+    let best = (0..count).min_by(|&a, &b| last[a].total_cmp(&last[b]));
+    let Some(mut at) = best.filter(|&at| last[at] < limit) else {
+        return Proven { order: None, lower_bound: known, complete: true, states };
+    };
+    let lower_bound = last[at];
+    let (mut set, mut order) = (sets - 1, Vec::with_capacity(count));
+    while at != count {
+        order.push(at);
+        let previous = usize::from(before[set * count + at]);
+        set &= !(1 << at);
+        at = previous;
+    }
+    order.reverse();
+    Proven { order: Some(order), lower_bound, complete: true, states }
+}
+
+/// A set of visited goals, where the walk stands, and what it costs.
+#[derive(Clone, Copy, Debug)]
+struct State {
+    visited: Goals,
+    at: u32,
+    cost: f64,
+    /// With the bound of the rest.
+    bound: f64,
+}
+
+/// For more goals: only the states that may lead to a better walk, by size of the set.
+struct Layers<'a> {
+    problem: &'a Problem,
+    passing: &'a Passing,
+    machine: &'a Machine,
+    paths: Option<&'a Paths>,
+    known: f64,
+}
+
+impl Layers<'_> {
+    fn search(&self, states_max: usize, mut until: impl FnMut() -> bool) -> Proven {
+        let count = self.problem.count;
+        let all: Goals = (1 << count) - 1;
+        let mut layers = vec![vec![State { visited: 0, at: count as u32, cost: 0.0, bound: 0.0 }]];
+        let mut index = Index::default();
+        let mut states = 1;
+        for _ in 0..count {
+            let mut next = Vec::new();
+            index.clear();
+            let here = &layers[layers.len() - 1];
+            for (number, &state) in here.iter().enumerate() {
+                if states + next.len() > states_max || number % 256 == 255 && until() {
+                    let lower_bound = here.iter().map(|state| state.bound).fold(self.known, f64::min);
+                    return Proven { order: None, lower_bound, complete: false, states: states + next.len() };
+                }
+                self.go_on(state, all, &mut index, &mut next);
+            }
+            states += next.len();
+            layers.push(next);
+        }
+        let last = layers.last().and_then(|last| last.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)));
+        let lower_bound = last.map_or(self.known, |last| last.cost);
+        let order = last.map(|&last| self.trace(&layers, last));
+        Proven { order, lower_bound, complete: true, states }
+    }
+
+    fn go_on(&self, state: State, all: Goals, index: &mut Index, next: &mut Vec<State>) {
+        let left = all & !state.visited;
+        let limit = self.known * (1.0 - SAME);
+        let sums = self.paths.map(|paths| (paths, paths.sums(left)));
+        let after = AfterEach::new(self.problem, self.machine, left);
+        let weight = after.weight;
+        let row = self.problem.row(state.at as usize);
+        for (to, machine_bound) in after {
+            let cost = state.cost + row[to] * weight;
+            if cost + machine_bound >= limit || self.passing.between(state.at as usize, to) & left != 0 {
+                continue;
+            }
+            let behind = sums.map_or(machine_bound, |(paths, sums)| machine_bound.max(paths.behind(left, sums, to)));
+            let bound = cost + behind;
+            if bound >= limit {
+                continue;
+            }
+            let reached = State { visited: state.visited | 1 << to, at: to as u32, cost, bound };
+            match index.find_or_insert(next, reached) {
+                Some(other) if cost < other.cost => *other = reached,
+                _ => {}
+            }
+        }
+    }
+
+    fn trace(&self, layers: &[Vec<State>], last: State) -> Vec<usize> {
+        let mut order = vec![last.at as usize];
+        let mut state = last;
+        for layer in layers[1..layers.len() - 1].iter().rev() {
+            let visited = state.visited & !(1 << state.at);
+            let came = |from: &&State| {
+                from.visited == visited
+                    && self.passing.between(from.at as usize, state.at as usize) & !visited & !(1 << state.at) == 0
+            };
+            let weight: f64 = (0..self.problem.count)
+                .filter(|goal| visited & (1 << goal) == 0)
+                .map(|goal| self.problem.weight[goal])
+                .sum();
+            let cost = |from: &State| from.cost + self.problem.secs(from.at as usize, state.at as usize) * weight;
+            let from = layer.iter().filter(came).min_by(|a, b| cost(a).total_cmp(&cost(b)));
+            if let Some(&from) = from {
+                order.push(from.at as usize);
+                state = from;
+            }
+        }
+        order.reverse();
+        order
+    }
+}
+
+/// Where in a layer each state lies: a table with open addresses.
+#[derive(Debug, Default)]
+struct Index {
+    /// One more than the number of the state; 0 is free. The length is a power of two.
+    slots: Vec<u32>,
+}
+
+impl Index {
+    fn clear(&mut self) {
+        self.slots.clear();
+        self.slots.resize(1 << 10, 0);
+    }
+
+    fn slot(&self, state: &State) -> usize {
+        let key = state.visited.wrapping_mul(64).wrapping_add(u64::from(state.at));
+        (key.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 20) as usize & (self.slots.len() - 1)
+    }
+
+    /// The state of the same set and goal, or else adds this one.
+    fn find_or_insert<'s>(&mut self, states: &'s mut Vec<State>, state: State) -> Option<&'s mut State> {
+        if (states.len() + 1) * 2 > self.slots.len() {
+            self.grow(states);
+        }
+        let mut slot = self.slot(&state);
+        loop {
+            let number = self.slots[slot] as usize;
+            if number == 0 {
+                states.push(state);
+                self.slots[slot] = states.len() as u32;
+                return None;
+            }
+            if states[number - 1].visited == state.visited && states[number - 1].at == state.at {
+                return Some(&mut states[number - 1]);
+            }
+            slot = (slot + 1) & (self.slots.len() - 1);
+        }
+    }
+
+    fn grow(&mut self, states: &[State]) {
+        let length = self.slots.len() * 4;
+        self.slots.clear();
+        self.slots.resize(length, 0);
+        for (number, state) in states.iter().enumerate() {
+            let mut slot = self.slot(state);
+            while self.slots[slot] != 0 {
+                slot = (slot + 1) & (length - 1);
+            }
+            self.slots[slot] = number as u32 + 1;
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! The plan of a search: what is looked at when, and the walk that leads there.
+//!
+//! Invariant: arrivals ascend along the walk, and every step is on it.
+
+use tidemap_map::topology::{NodeId, Roads, ShortestTimes};
+
+use super::{Goal, Ordered, Question, stop::Stopped};
+
+/// A look.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// Where.
+    pub node: NodeId,
+    /// When the robot is there, seconds after it leaves the start.
+    pub arrival_secs: f64,
+    /// How likely who is looked for is there, as given.
+    pub probability: f64,
+}
+
+/// A node on the way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Passage {
+    /// Which.
+    pub node: NodeId,
+    /// When the robot is there, seconds after it leaves the start.
+    pub arrival_secs: f64,
+}
+
+/// A planned search.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// Looks in their order; rooms that are passed on the way to others included.
+    pub steps: Vec<Step>,
+    /// All nodes on the way, the start first; one comes again when it is passed again.
+    pub walk: Vec<Passage>,
+    /// Time to find to expect, in seconds, given that who is looked for is at one of the steps (Waldo eq. 2, divided by the sum
+    /// of what the steps count).
+    pub expected_secs: f64,
+    /// No walk to all goals has a lower expected time, before any stop.
+    pub lower_bound_secs: f64,
+    /// Whether the order is proven to be the best, before any stop.
+    pub optimal: bool,
+    /// Goals to which no way leads from the start, or none any more once the others are visited.
+    pub unreachable: Vec<Goal>,
+    /// Probability that the walk leaves: that of all goals that are no step, over that of all goals; 0 to 1.
+    pub remains: f64,
+    /// Why the walk ends before all goals are visited, if it does.
+    pub stopped: Option<Stopped>,
+    /// States that the exact search looked at; 0 of a heuristic one.
+    pub states: usize,
+    /// The least that a goal counted.
+    pub(super) floor: f64,
+}
+
+impl Plan {
+    /// Walks the order along shortest ways.
+    pub(super) fn of(roads: &Roads, question: &Question, ordered: &Ordered, floor: f64) -> Plan {
+        let mut probability_at = vec![None; roads.len()];
+        for &(node, probability) in &question.goals {
+            probability_at[node] = Some(probability);
+        }
+        let mut walk = vec![Passage { node: roads.node(question.start), arrival_secs: 0.0 }];
+        let mut steps = Vec::with_capacity(ordered.nodes.len());
+        let mut unreachable = question.unreachable.clone();
+        let (mut at, mut now_secs) = (question.start, 0.0);
+        let mut shortest = ShortestTimes::default();
+        for &goal in &ordered.nodes {
+            // Passed already.
+            let Some(probability) = probability_at[goal] else { continue };
+            shortest.between(roads, at, goal);
+            if shortest.secs()[goal].is_infinite() {
+                unreachable.push(Goal { node: roads.node(goal), probability });
+                continue;
+            }
+            for stop in shortest.way_to(goal) {
+                let arrival_secs = now_secs + stop.secs;
+                walk.push(Passage { node: roads.node(stop.node), arrival_secs });
+                let passable = stop.node != goal && roads.dwell_secs(stop.node) == 0.0;
+                if let Some(probability) = probability_at[stop.node].filter(|_| passable) {
+                    steps.push(Step { node: roads.node(stop.node), arrival_secs, probability });
+                    probability_at[stop.node] = None;
+                }
+            }
+            now_secs += shortest.secs()[goal];
+            steps.push(Step { node: roads.node(goal), arrival_secs: now_secs, probability });
+            probability_at[goal] = None;
+            now_secs += roads.dwell_secs(goal);
+            at = goal;
+        }
+        let mut plan = Plan {
+            steps,
+            walk,
+            expected_secs: 0.0,
+            lower_bound_secs: 0.0,
+            optimal: ordered.complete,
+            unreachable,
+            remains: 0.0,
+            stopped: None,
+            states: ordered.states,
+            floor,
+        };
+        plan.summarise(0.0);
+        plan.lower_bound_secs = ordered.lower_bound_secs.min(plan.expected_secs);
+        plan
+    }
+
+    /// Recomputes what the steps amount to; `left` is the probability of goals that were steps before.
+    pub(super) fn summarise(&mut self, left: f64) {
+        let counts = |step: &Step| step.probability.max(self.floor);
+        let sum: f64 = self.steps.iter().map(counts).sum();
+        let cost: f64 = self.steps.iter().map(|step| counts(step) * step.arrival_secs).sum();
+        self.expected_secs = if sum > 0.0 { cost / sum } else { 0.0 };
+        let seen: f64 = self.steps.iter().map(|step| step.probability).sum();
+        let unseen = left + self.unreachable.iter().map(|goal| goal.probability).sum::<f64>();
+        // Where no goal is likely at all, nothing remains to be found.
+        self.remains = if unseen > 0.0 { unseen / (seen + unseen) } else { 0.0 };
+    }
+}

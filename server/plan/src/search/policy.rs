@@ -1,0 +1,57 @@
+//! Probabilities of several at once: somebody of several persons, all of several objects.
+//!
+//! Persons and objects count as independent. Invariant: probabilities in, probabilities out.
+
+/// A moment at which objects are likely enough to be there all together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joint {
+    /// Which of the moments, counted from 0.
+    pub index: usize,
+    /// Probability that all are there.
+    pub probability: f64,
+}
+
+/// Why there is no answer.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PolicyError {
+    /// A probability is none.
+    #[error("a probability is {0}: expected 0 to 1")]
+    Probability(f64),
+    /// A threshold is none.
+    #[error("the threshold is {0}: expected 0 to 1")]
+    Threshold(f64),
+}
+
+/// The probability that at least one of several persons is at a place, from that of each, in `[0,1]`; 0 of nobody.
+#[must_use]
+pub fn anyone(probabilities: impl IntoIterator<Item = f64>) -> f64 {
+    1.0 - probabilities.into_iter().map(|probability| 1.0 - probability.clamp(0.0, 1.0)).product::<f64>()
+}
+
+/// The first moment at which all objects of a set are there with a probability above the threshold (Waldo, section VII.B,
+/// where it is 0.5). Each item of the series holds the probabilities of the objects at one moment; of no objects all are
+/// there. `None` if no moment passes it.
+///
+/// # Errors
+/// [`PolicyError`] for what is not in `[0,1]`, up to the moment that passes.
+pub fn next_above<P: IntoIterator<Item = f64>>(
+    series: impl IntoIterator<Item = P>,
+    threshold: f64,
+) -> Result<Option<Joint>, PolicyError> {
+    if !(0.0..=1.0).contains(&threshold) {
+        return Err(PolicyError::Threshold(threshold));
+    }
+    for (index, probabilities) in series.into_iter().enumerate() {
+        let mut joint = 1.0;
+        for probability in probabilities {
+            if !(0.0..=1.0).contains(&probability) {
+                return Err(PolicyError::Probability(probability));
+            }
+            joint *= probability;
+        }
+        if joint > threshold {
+            return Ok(Some(Joint { index, probability: joint }));
+        }
+    }
+    Ok(None)
+}

@@ -1,0 +1,12 @@
+//! Searches against naive oracles, and what is refused.
+
+#[path = "../../../benches/search/maps.rs"]
+mod maps;
+mod optimal;
+
+use self::maps::Map;
+use super::*;
+
+fn goals(map: &Map) -> Vec<Goal> {
+    map.goals.iter().map(|&(node, probability)| Goal { node, probability }).collect()
+}
