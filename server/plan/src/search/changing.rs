@@ -16,10 +16,11 @@ const REPLANS: usize = 4;
 
 /// Plans a search with probabilities predicted for the time of arrival: `probability(node, arrival_secs)`, in `[0,1]`.
 ///
-/// What is minimised is the expected time to find if somebody at a goal at the time of arrival is found then, and somebody who
-/// is missed at the end of the walk: sum of p(t)·t plus what is lacking, against the sum of probabilities at the start, times
-/// the last arrival, over that sum. The plan is never called optimal, and has no lower bound but 0. Of the options, the rounds
-/// bound the walks that are weighed.
+/// What is minimised is the time to expect until the search ends: the share of who is expected at the start (the sum of the
+/// probabilities then) that is not found yet shrinks at each arrival by the probability at that moment, never below 0, and
+/// the times between arrivals count by it. With probabilities that do not change that is eq. 2. The plan is never called
+/// optimal, and has no lower bound but 0; its expected time is eq. 2 with the probabilities at the arrivals. Of the options,
+/// the rounds bound the walks that are weighed.
 ///
 /// # Errors
 /// [`SearchError`], for predictions, too.
@@ -42,7 +43,7 @@ pub fn search_changing(
     let goals: Vec<(usize, f64)> = question.goals.clone();
     let mut problem = Problem::new(roads, question.start, &goals);
     problem.fill_missing();
-    let weigh = |ordered: &Ordered| Weighed::of(roads, &problem, &goals, ordered, &probability);
+    let weigh = |ordered: &Ordered| Weighed::of(roads, &problem, &goals, ordered, options.floor, &probability);
     let mut replanned = Question { goals: question.goals.clone(), unreachable: Vec::new(), start: question.start };
     for _ in 0..=REPLANS {
         let mut ordered = order(roads, &replanned, options, exact, &mut until);
@@ -91,27 +92,26 @@ impl Weighed {
         problem: &Problem,
         goals: &[(usize, f64)],
         ordered: &Ordered,
+        floor: f64,
         probability: impl Fn(NodeId, f64) -> f64,
     ) -> Result<Weighed, SearchError> {
-        let (mut at, mut now_secs, mut found, mut found_secs) = (problem.count, 0.0, 0.0, 0.0);
+        let expected: f64 = goals.iter().map(|&(_, probability)| probability.max(floor)).sum();
+        let (mut at, mut now_secs, mut missing, mut cost) = (problem.count, 0.0, 1.0_f64, 0.0);
         let mut probabilities = Vec::with_capacity(goals.len());
         for &node in &ordered.nodes {
             // Goals ascend by node.
             let Ok(goal) = goals.binary_search_by_key(&node, |&(node, _)| node) else { continue };
             now_secs += problem.secs(at, goal);
+            cost += missing * problem.secs(at, goal);
             let node = roads.node(node);
             let here = probability(node, now_secs);
             if !(0.0..=1.0).contains(&here) {
                 return Err(SearchError::Probability { node: node.0, found: here });
             }
-            found += here;
-            found_secs += here * now_secs;
+            missing = (missing - here.max(floor) / expected).max(0.0);
             probabilities.push(here);
             at = goal;
         }
-        let expected: f64 = goals.iter().map(|&(_, probability)| probability).sum();
-        let sum = expected.max(found).max(f64::MIN_POSITIVE);
-        let cost = (found_secs + (sum - found) * now_secs) / sum;
         Ok(Weighed { cost, probabilities })
     }
 }

@@ -1,8 +1,10 @@
 //! Searches against naive oracles, and what is refused.
 
-#[path = "../../../benches/search/maps.rs"]
+mod bounds;
+#[path = "../../benches/search/maps.rs"]
 mod maps;
 mod optimal;
+mod plans;
 
 use self::maps::Map;
 use super::*;

@@ -1,7 +1,7 @@
 //! The best order against dynamic programming over all sets, which knows no bounds.
 
 use super::{
-    maps::{Map, SHAPES},
+    maps::{Map, SHAPES, Shape},
     *,
 };
 
@@ -61,4 +61,17 @@ fn no_order_is_better_on_maps_of_fifteen_nodes() {
         let map = Map::random(shape, 15, seed / 4 % 2 == 0, 10_000 + seed);
         check(&map, &Options::default(), &format!("{shape:?} of 15, seed {seed}"));
     }
+}
+
+#[test]
+fn no_order_is_better_where_the_bound_by_paths_is_needed() {
+    let mut needed = 0;
+    for seed in 0..6 {
+        let map =
+            Map::random([Shape::Complete, Shape::Random][seed as usize % 2], 18, seed / 2 % 2 == 0, 20_000 + seed);
+        check(&map, &Options::default(), &format!("seed {seed}"));
+        let plan = search(&map.roads(), map.start(), &goals(&map), &Options::default(), || false).unwrap();
+        needed += usize::from(plan.states > 4_000);
+    }
+    assert!(needed > 0, "the first bound was enough for all");
 }
