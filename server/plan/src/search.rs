@@ -26,7 +26,7 @@ pub use stop::{Stop, StopError, Stopped};
 
 use tidemap_map::topology::{NodeId, Roads, ShortestTimes};
 
-use self::{exact::prove, iterate::iterate, machine::Machine, problem::Passing, problem::Problem};
+use self::{exact::Sorted, iterate::iterate, machine::Machine, problem::Passing, problem::Problem};
 
 /// Most goals of which the best order is searched for.
 pub const EXACT_GOALS_MAX: usize = 40;
@@ -236,9 +236,9 @@ fn order(
     let mut problem = Problem::new(roads, start, &goals);
     let has_traps = problem.fill_missing();
 
-    let (count, rounds) = (problem.count, if exact { exact_rounds(problem.count) } else { options.rounds_max });
+    let (count, rounds) = (problem.count, if exact { first_rounds(problem.count) } else { options.rounds_max });
     let mut found = iterate(&problem, rounds, options.seed, &mut until);
-    let known = problem.expected_secs(&found);
+    let mut known = problem.expected_secs(&found);
     let (mut lower_bound_secs, mut complete, mut states) = (known, count < 2, 0);
     if exact && count >= 2 {
         let mut passing = Passing::new(&problem);
@@ -248,7 +248,18 @@ fn order(
         let machine = Machine::new(&problem, Some(&passing));
         let sorted = problem.reordered(&machine.order);
         let passing = passing.reordered(&machine.order);
-        let proven = prove(&sorted, &passing, &machine.sorted(), known, options.states_max, &mut until);
+        let sorted_machine = machine.sorted();
+        let sorted = Sorted { problem: &sorted, passing: &passing, machine: &sorted_machine };
+        let mut proven = sorted.prove_quickly(known, options.states_max, &mut until);
+        if !proven.complete {
+            // The better the known walk, the less is looked at.
+            let better = iterate(&problem, EXACT_ROUNDS * count, options.seed, &mut until);
+            let cost = problem.expected_secs(&better);
+            if cost < known {
+                (found, known) = (better, cost);
+            }
+            proven = sorted.prove(known, &proven, options.states_max, &mut until);
+        }
         if let Some(better) = proven.order {
             found = better.into_iter().map(|goal| machine.order[goal]).collect();
         }
@@ -264,9 +275,12 @@ fn order(
     Ordered { nodes, lower_bound_secs, complete, states }
 }
 
-/// Disturbances before an exact search: the better its known walk, the less it has to look at.
-fn exact_rounds(count: usize) -> usize {
-    if count <= exact::TABLE_GOALS_MAX { 0 } else { 12 * count }
+/// Disturbances, for each goal, before an exact search that takes longer.
+const EXACT_ROUNDS: usize = 4;
+
+/// Disturbances before an exact search of which it is not known whether it takes long.
+fn first_rounds(count: usize) -> usize {
+    if count <= exact::TABLE_GOALS_MAX { 0 } else { count }
 }
 
 #[cfg(test)]

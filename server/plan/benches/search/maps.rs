@@ -20,8 +20,6 @@ pub enum Shape {
     Random,
 }
 
-pub const SHAPES: [Shape; 4] = [Shape::Tree, Shape::Streets, Shape::Complete, Shape::Random];
-
 /// A map and what is looked for in it, from node 0.
 #[derive(Clone, Debug)]
 pub struct Map {
@@ -102,16 +100,5 @@ impl Map {
         };
         let goals = nodes.iter().map(|&node| (node, probability())).collect();
         Map { topology, goals }
-    }
-
-    /// The same with looks that take time at about half of the nodes.
-    pub fn with_looks(mut self, seed: u64) -> Map {
-        let mut random = SmallRng::seed_from_u64(seed);
-        for &(node, _) in &self.goals {
-            if random.random() {
-                self.topology.set_node(node, None, Some(f64::from(random.random_range(1..20_u8)))).unwrap();
-            }
-        }
-        self
     }
 }

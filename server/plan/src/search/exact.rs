@@ -15,10 +15,11 @@ use super::{
 const SAME: f64 = 1e-11;
 /// Searches of at most so many goals are kept in plain tables.
 pub(super) const TABLE_GOALS_MAX: usize = 11;
-/// States after which the bound by paths is worth its time, and again.
-const STATES: [usize; 2] = [4_000, 60_000];
-/// Rounds of its rewards, its units meanwhile and at last.
-const PATHS: [(usize, u32, u32); 2] = [(25, 192, 768), (80, 512, 6_144)];
+/// States that the bound by the machine alone is tried for.
+const FIRST_STATES: usize = 4_000;
+/// Then the bound by paths: rounds of its rewards, units meanwhile and at last, and states that it is tried for.
+const PATHS: [(usize, u32, u32, usize); 3] =
+    [(16, 128, 512, 20_000), (50, 384, 3_072, 200_000), (80, 512, 6_144, usize::MAX)];
 
 /// What was found.
 #[derive(Clone, Debug)]
@@ -33,39 +34,49 @@ pub(super) struct Proven {
     pub states: usize,
 }
 
-/// Searches for an order that costs less than a known one. `machine` is sorted: its order is that of the goals.
-pub(super) fn prove(
-    problem: &Problem,
-    passing: &Passing,
-    machine: &Machine,
-    known: f64,
-    states_max: usize,
-    mut until: impl FnMut() -> bool,
-) -> Proven {
-    if problem.count <= TABLE_GOALS_MAX {
-        return table(problem, passing, machine, known);
-    }
-    let mut lower_bound = machine.root;
-    let mut states = 0;
-    let mut paths: Option<Paths> = None;
-    for stage in 0..=STATES.len() {
-        let most = STATES.get(stage).copied().unwrap_or(usize::MAX).min(states_max.saturating_sub(states));
-        let mut proven = Layers { problem, passing, machine, paths: paths.as_ref(), known }.search(most, &mut until);
-        lower_bound = lower_bound.max(proven.lower_bound);
-        states += proven.states;
-        (proven.lower_bound, proven.states) = (lower_bound.min(known), states);
-        if proven.complete || stage == STATES.len() || states >= states_max || until() {
-            return proven;
+/// A search whose goals are in the order of its machine.
+#[derive(Clone, Copy)]
+pub(super) struct Sorted<'a> {
+    pub problem: &'a Problem,
+    pub passing: &'a Passing,
+    pub machine: &'a Machine,
+}
+
+impl Sorted<'_> {
+    /// Searches for an order that costs less than a known one, as long as that takes little.
+    pub fn prove_quickly(self, known: f64, states_max: usize, until: impl FnMut() -> bool) -> Proven {
+        if self.problem.count <= TABLE_GOALS_MAX {
+            return table(self, known);
         }
-        let (rounds, units, last_units) = PATHS[stage];
-        let next = paths.get_or_insert_with(|| Paths::new(problem, passing, units));
-        next.set_units(problem, passing, units);
-        next.improve(rounds, known, &mut until);
-        next.set_units(problem, passing, last_units);
-        next.improve(2, known, &mut until);
-        lower_bound = lower_bound.max(next.root);
+        let mut proven = Layers { search: self, paths: None, known }.search(states_max.min(FIRST_STATES), until);
+        proven.lower_bound = proven.lower_bound.max(self.machine.root).min(known);
+        proven
     }
-    Proven { order: None, lower_bound: lower_bound.min(known), complete: false, states }
+
+    /// Searches for an order that costs less than a known one, with dearer bounds. `states_max` counts on from `before`.
+    pub fn prove(self, known: f64, before: &Proven, states_max: usize, mut until: impl FnMut() -> bool) -> Proven {
+        let (mut lower_bound, mut states) = (before.lower_bound, before.states);
+        let mut paths = Paths::new(self.problem, self.passing, PATHS[0].1);
+        for (rounds, units, last_units, most) in PATHS {
+            if states >= states_max || until() {
+                break;
+            }
+            paths.set_units(self.problem, self.passing, units);
+            paths.improve(rounds, known, &mut until);
+            paths.set_units(self.problem, self.passing, last_units);
+            paths.improve(1, known, &mut until);
+            lower_bound = lower_bound.max(paths.root);
+            let layers = Layers { search: self, paths: Some(&paths), known };
+            let mut proven = layers.search(most.min(states_max - states), &mut until);
+            states += proven.states;
+            lower_bound = lower_bound.max(proven.lower_bound).min(known);
+            if proven.complete {
+                proven.states = states;
+                return proven;
+            }
+        }
+        Proven { order: None, lower_bound: lower_bound.min(known), complete: false, states }
+    }
 }
 
 /// Bounds, by the machine, of the rest of a walk after each goal of a set; yields them with the goal.
@@ -114,7 +125,7 @@ impl Iterator for AfterEach<'_> {
 }
 
 /// For few goals: a table of all sets.
-fn table(problem: &Problem, passing: &Passing, machine: &Machine, known: f64) -> Proven {
+fn table(Sorted { problem, passing, machine }: Sorted<'_>, known: f64) -> Proven {
     let count = problem.count;
     let sets = 1_usize << count;
     let limit = known * (1.0 - SAME);
@@ -184,16 +195,14 @@ struct State {
 
 /// For more goals: only the states that may lead to a better walk, by size of the set.
 struct Layers<'a> {
-    problem: &'a Problem,
-    passing: &'a Passing,
-    machine: &'a Machine,
+    search: Sorted<'a>,
     paths: Option<&'a Paths>,
     known: f64,
 }
 
 impl Layers<'_> {
     fn search(&self, states_max: usize, mut until: impl FnMut() -> bool) -> Proven {
-        let count = self.problem.count;
+        let count = self.search.problem.count;
         let all: Goals = (1 << count) - 1;
         let mut layers = vec![vec![State { visited: 0, at: count as u32, cost: 0.0, bound: 0.0 }]];
         let mut index = Index::default();
@@ -222,12 +231,12 @@ impl Layers<'_> {
         let left = all & !state.visited;
         let limit = self.known * (1.0 - SAME);
         let sums = self.paths.map(|paths| (paths, paths.sums(left)));
-        let after = AfterEach::new(self.problem, self.machine, left);
+        let after = AfterEach::new(self.search.problem, self.search.machine, left);
         let weight = after.weight;
-        let row = self.problem.row(state.at as usize);
+        let row = self.search.problem.row(state.at as usize);
         for (to, machine_bound) in after {
             let cost = state.cost + row[to] * weight;
-            if cost + machine_bound >= limit || self.passing.between(state.at as usize, to) & left != 0 {
+            if cost + machine_bound >= limit || self.search.passing.between(state.at as usize, to) & left != 0 {
                 continue;
             }
             let behind = sums.map_or(machine_bound, |(paths, sums)| machine_bound.max(paths.behind(left, sums, to)));
@@ -250,13 +259,15 @@ impl Layers<'_> {
             let visited = state.visited & !(1 << state.at);
             let came = |from: &&State| {
                 from.visited == visited
-                    && self.passing.between(from.at as usize, state.at as usize) & !visited & !(1 << state.at) == 0
+                    && self.search.passing.between(from.at as usize, state.at as usize) & !visited & !(1 << state.at)
+                        == 0
             };
-            let weight: f64 = (0..self.problem.count)
+            let weight: f64 = (0..self.search.problem.count)
                 .filter(|goal| visited & (1 << goal) == 0)
-                .map(|goal| self.problem.weight[goal])
+                .map(|goal| self.search.problem.weight[goal])
                 .sum();
-            let cost = |from: &State| from.cost + self.problem.secs(from.at as usize, state.at as usize) * weight;
+            let cost =
+                |from: &State| from.cost + self.search.problem.secs(from.at as usize, state.at as usize) * weight;
             let from = layer.iter().filter(came).min_by(|a, b| cost(a).total_cmp(&cost(b)));
             if let Some(&from) = from {
                 order.push(from.at as usize);

@@ -240,7 +240,7 @@ impl<'a> Walk<'a> {
                         let passed = Stretch::forwards(from, to - 1);
                         self.weigh(&mut best, from, last, &[Stretch::forwards(to, last), passed]);
                     }
-                    if length > 1 && to + 1 >= from + length + 1 {
+                    if length > 1 && to + 1 > from + length {
                         let first = to + 1 - length;
                         let passed = Stretch::forwards(from, first - 1);
                         self.weigh(&mut best, from, to, &[Stretch::backwards(first, to), passed]);

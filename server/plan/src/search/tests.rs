@@ -6,9 +6,24 @@ mod maps;
 mod optimal;
 mod plans;
 
-use self::maps::Map;
+use rand::{Rng, SeedableRng, rngs::SmallRng};
+
+use self::maps::{Map, Shape};
 use super::*;
+
+const SHAPES: [Shape; 4] = [Shape::Tree, Shape::Streets, Shape::Complete, Shape::Random];
 
 fn goals(map: &Map) -> Vec<Goal> {
     map.goals.iter().map(|&(node, probability)| Goal { node, probability }).collect()
+}
+
+/// The same map with looks that take time at about half of its nodes.
+fn with_looks(mut map: Map, seed: u64) -> Map {
+    let mut random = SmallRng::seed_from_u64(seed);
+    for &(node, _) in &map.goals {
+        if random.random() {
+            map.topology.set_node(node, None, Some(f64::from(random.random_range(1..20_u8)))).unwrap();
+        }
+    }
+    map
 }

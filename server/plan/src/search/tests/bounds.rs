@@ -1,9 +1,6 @@
 //! Lower bounds against the true cost of every state.
 
-use super::{
-    maps::{Map, SHAPES},
-    *,
-};
+use super::*;
 use crate::search::{machine::Machine, paths::Paths, problem::Goals};
 
 /// What it costs to visit a set of goals from one of them that is reached already, by sets and goals; the first set is empty.
@@ -47,7 +44,7 @@ fn no_bound_is_above_the_true_cost_of_any_state() {
         let (shape, whole) = (SHAPES[seed as usize % 4], seed / 4 % 2 == 0);
         let mut map = Map::random(shape, 7, whole, 500 + seed);
         if seed % 3 == 0 {
-            map = map.with_looks(seed);
+            map = with_looks(map, seed);
         }
         let roads = map.roads();
         let goals: Vec<(usize, f64)> = map

@@ -1,9 +1,6 @@
 //! The best order against dynamic programming over all sets, which knows no bounds.
 
-use super::{
-    maps::{Map, SHAPES, Shape},
-    *,
-};
+use super::*;
 
 /// The least expected time, by all sets of visited nodes and places to stand: nothing is left out.
 fn oracle(map: &Map, floor: f64) -> f64 {
@@ -48,7 +45,7 @@ fn no_order_is_better_on_a_thousand_maps() {
         let (shape, whole) = (SHAPES[seed as usize % 4], seed / 4 % 2 == 0);
         let mut map = Map::random(shape, count, whole, seed);
         if seed % 5 == 0 {
-            map = map.with_looks(seed);
+            map = with_looks(map, seed);
         }
         check(&map, &Options::default(), &format!("{shape:?} of {count}, seed {seed}"));
     }

@@ -5,10 +5,7 @@ use tidemap_map::{
     topology::{Extent, Topology},
 };
 
-use super::{
-    maps::{Map, Shape},
-    *,
-};
+use super::*;
 
 /// A hall with three rooms: `near` at 5 s, `far` at 20 s, and `closet` behind `far`.
 fn flat() -> (Topology, [NodeId; 4]) {
