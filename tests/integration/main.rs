@@ -3,6 +3,7 @@
 mod bad_input;
 mod daemon;
 mod durability;
+mod exploration;
 mod grid;
 mod kinds;
 mod main_job;
