@@ -115,7 +115,7 @@ impl Evaluator {
                         None => self.view.predict_into(*id, &prepared, *row, &mut predicted),
                         Some(Answering::Fitted(fitted)) => {
                             let moments = prepared.moments();
-                            fitted.predict_into(&self.view, *id, moments, row.persistence, &mut predicted);
+                            fitted.predict_into(&self.view, *id, moments, *row, &mut predicted);
                         }
                         Some(Answering::Nothing(_)) => continue,
                     }

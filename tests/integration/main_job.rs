@@ -7,6 +7,7 @@ mod figures;
 mod models;
 mod nightly;
 mod predictions;
+mod uniform;
 
 use std::path::{Path, PathBuf};
 

@@ -31,8 +31,8 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
     max_order: Option<u32>,
     /// Models, each optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS],
-    /// histogram:week[:BINS], histogram:weekend[:BINS], spectral, pergam[:GAUSSIANS], hypertime-em[:CLUSTERS],
-    /// hypertime-km[:CLUSTERS], poisson, calibrated; or all, for each kind without it
+    /// histogram:week[:BINS], histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]],
+    /// hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson, calibrated; or all, for each kind without it
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', default_value = "spectral")]
     models: Vec<Choice>,
 }

@@ -38,8 +38,8 @@ pub struct PredictArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
     order: Option<u32>,
     /// Model, optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS], histogram:week[:BINS],
-    /// histogram:weekend[:BINS], spectral, pergam[:GAUSSIANS], hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson,
-    /// calibrated; cells have auto, mean, latest and spectral
+    /// histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]], hypertime-em[:CLUSTERS],
+    /// hypertime-km[:CLUSTERS], poisson, calibrated; cells have auto, mean, latest and spectral
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Probability with which the interval from lower to upper holds the mean over the hour around the time, 0 (no
@@ -54,7 +54,7 @@ const COLUMNS: [&str; 9] =
 pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
     if args.order.is_some() && !args.model.kind.has_order() {
         return Err(Misused(format!(
-            "--order does not go with --model {}: only auto and spectral have one",
+            "--order does not go with --model {}: only auto, spectral and uniform have one",
             args.model
         ))
         .into());

@@ -13,7 +13,7 @@ use tidemap_model::{
     family::{
         COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, Chain, HISTOGRAM_PRIOR_READINGS, Histogram,
         HistogramCycle, HistogramSettings, Hypertime, HypertimeMethod, HypertimeOptions, Latest, Mean, Moment, Pergam,
-        PergamOptions, PoissonSpectral, Readings, TemporalModel,
+        PergamOptions, PoissonSpectral, Readings, TemporalModel, UniformSpectral,
     },
 };
 
@@ -43,6 +43,7 @@ enum Settings {
     Persistence,
     Histogram(HistogramSettings),
     Spectral { order: usize, periodicities: Periodicities },
+    Uniform { order: usize },
     Pergam(PergamOptions),
     Hypertime(HypertimeOptions),
     Poisson { periodicities: Periodicities, bin_nanos: i64 },
@@ -76,6 +77,7 @@ pub fn parameter_names(kind: ModelKind) -> &'static [&'static str] {
         ModelKind::Auto | ModelKind::Mean | ModelKind::Latest | ModelKind::Persistence | ModelKind::Calibrated => &[],
         ModelKind::Histogram => &["bins", "cycle", "smoothing_bins", "prior_readings"],
         ModelKind::Spectral => &["order", "period_base", "period_count"],
+        ModelKind::Uniform => &["order"],
         ModelKind::Pergam => &["gaussians", "period", "seed"],
         ModelKind::HypertimeEm | ModelKind::HypertimeKm => &["clusters", "seed"],
         ModelKind::Poisson => &["bin", "period_base", "period_count"],
@@ -113,6 +115,11 @@ impl Given<'_> {
 
     fn seed(&self) -> Result<u64, WrongParameter> {
         self.get("seed", 0, "a whole number from 0", |text| text.parse().ok())
+    }
+
+    fn order(&self) -> Result<usize, WrongParameter> {
+        let order = |text: &str| text.parse().ok().filter(|&order: &usize| order <= MAX_ORDER);
+        self.get("order", MAX_ORDER, "a whole number from 0 to 15", order)
     }
 
     fn periodicities(&self) -> Result<Periodicities, WrongParameter> {
@@ -157,14 +164,8 @@ impl Candidate {
                     prior_readings: given.number("prior_readings", HISTOGRAM_PRIOR_READINGS, "a number from 0")?,
                 })
             }
-            ModelKind::Spectral => {
-                let right = "a whole number from 0 to 15";
-                let order = |text: &str| text.parse().ok().filter(|&order: &usize| order <= MAX_ORDER);
-                Settings::Spectral {
-                    order: given.get("order", MAX_ORDER, right, order)?,
-                    periodicities: given.periodicities()?,
-                }
-            }
+            ModelKind::Spectral => Settings::Spectral { order: given.order()?, periodicities: given.periodicities()? },
+            ModelKind::Uniform => Settings::Uniform { order: given.order()? },
             ModelKind::Pergam => {
                 let usual = PergamOptions::default();
                 Settings::Pergam(PergamOptions {
@@ -190,10 +191,16 @@ impl Candidate {
         };
         let shown: Vec<String> = parameters.iter().map(|(name, text)| format!("{name}={text}")).collect();
         let candidate = Self { shown: shown.join(" "), settings };
+        if matches!(candidate.settings, Settings::Uniform { .. }) {
+            // One reading has no interval.
+            return Ok(candidate);
+        }
         // The models know their ranges; one reading is enough to be told.
         let reading = [Sample { utc_nanos: 0, offset_secs: 0, value: 0.5 }];
         match candidate.fit(&reading, ValueKind::Probability) {
-            Err(refused @ CannotFit::Parameter { .. }) => Err(WrongParameter::Together(refused.to_string())),
+            Err(refused @ (CannotFit::Parameter { .. } | CannotFit::Irregular { .. })) => {
+                Err(WrongParameter::Together(refused.to_string()))
+            }
             Ok(_) | Err(CannotFit::NoReadings) => Ok(candidate),
         }
     }
@@ -218,6 +225,7 @@ impl Candidate {
                 check_probabilities(samples)?;
                 Box::new(Spectral::fit(samples, *order, periodicities)?)
             }
+            Settings::Uniform { order } => Box::new(UniformSpectral::fit(readings, *order)?),
             Settings::Pergam(options) => {
                 check_probabilities(samples)?;
                 Box::new(Pergam::fit(readings, options)?)

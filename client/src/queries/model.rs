@@ -6,8 +6,16 @@ use std::{fmt, str::FromStr};
 
 use tidemap_proto::v1;
 
+use crate::{
+    time::{InvalidDuration, format_duration, parse_duration},
+    wire,
+};
+
 /// Greatest order of the spectral model.
 pub const ORDER_MAX: u32 = 15;
+
+const MINUTE_NANOS: i64 = 60_000_000_000;
+const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
 
 /// A kind of model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -25,7 +33,9 @@ pub enum ModelKind {
     Histogram,
     /// FreMEn: the mean and the strongest spectral components.
     Spectral,
-    /// A periodic mixture of Gaussians over the day.
+    /// FreMEn of regular observations of 0 and 1, with the outliers that it misses.
+    Uniform,
+    /// A periodic mixture of Gaussians, over the day or another period.
     Pergam,
     /// Warped hypertime, by expectation maximisation.
     HypertimeEm,
@@ -39,13 +49,14 @@ pub enum ModelKind {
 
 impl ModelKind {
     /// All of them.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Auto,
         Self::Mean,
         Self::Latest,
         Self::Persistence,
         Self::Histogram,
         Self::Spectral,
+        Self::Uniform,
         Self::Pergam,
         Self::HypertimeEm,
         Self::HypertimeKm,
@@ -63,6 +74,7 @@ impl ModelKind {
             Self::Persistence => "persistence",
             Self::Histogram => "histogram",
             Self::Spectral => "spectral",
+            Self::Uniform => "uniform",
             Self::Pergam => "pergam",
             Self::HypertimeEm => "hypertime-em",
             Self::HypertimeKm => "hypertime-km",
@@ -74,7 +86,7 @@ impl ModelKind {
     /// Whether an order can be given with it.
     #[must_use]
     pub fn has_order(self) -> bool {
-        matches!(self, Self::Auto | Self::Spectral)
+        matches!(self, Self::Auto | Self::Spectral | Self::Uniform)
     }
 
     /// Whether cells of a grid have it too.
@@ -127,6 +139,8 @@ pub struct ModelSelector {
     pub parameter: Option<u32>,
     /// What repeats in a histogram.
     pub cycle: Cycle,
+    /// The period of a periodic mixture, in nanoseconds; absent for a day.
+    pub period_nanos: Option<i64>,
 }
 
 /// Why a text does not name a model.
@@ -134,8 +148,8 @@ pub struct ModelSelector {
 pub enum InvalidModel {
     /// No such kind.
     #[error(
-        "{0:?} is not a model: use auto, mean, latest, persistence, histogram, spectral, pergam, hypertime-em, \
-         hypertime-km, poisson or calibrated, each optionally with +persistence"
+        "{0:?} is not a model: use auto, mean, latest, persistence, histogram, spectral, uniform, pergam, \
+         hypertime-em, hypertime-km, poisson or calibrated, each optionally with +persistence"
     )]
     Unknown(String),
     /// A parameter where there is none.
@@ -156,6 +170,20 @@ pub enum InvalidModel {
         /// What it counts.
         what: &'static str,
     },
+    /// A period of a model that has none.
+    #[error("{0:?}: only pergam takes a period, as in pergam:3:7d")]
+    NoPeriod(String),
+    /// A period that is no duration.
+    #[error("{text:?}: the period of pergam comes after the Gaussians, as in pergam:3:7d: {reason}")]
+    NotAPeriod {
+        /// What was given.
+        text: String,
+        /// What is wrong with it.
+        reason: InvalidDuration,
+    },
+    /// A period that is too short or too long.
+    #[error("{0:?}: the period of pergam has to be from 1m to 366d")]
+    PeriodRange(String),
     /// A suffix that is not `+persistence`.
     #[error("{0:?}: the only suffix is +persistence")]
     Suffix(String),
@@ -185,6 +213,7 @@ impl FromStr for ModelSelector {
         let number = |part: &str| part.parse().ok().filter(|&number: &u32| number > 0);
         let wrong = || InvalidModel::NotANumber(text.to_owned());
         let parameter = parts.next().map(|part| number(part).ok_or_else(wrong)).transpose()?;
+        let period_nanos = parts.next().map(|part| period(text, kind, part)).transpose()?.flatten();
         if parts.next().is_some() {
             return Err(wrong());
         }
@@ -193,7 +222,21 @@ impl FromStr for ModelSelector {
         if parameter.is_some_and(|parameter| parameter > max) {
             return Err(InvalidModel::TooFine { text: text.to_owned(), kind, max, what });
         }
-        Ok(Self { kind, order: None, persistence, parameter, cycle })
+        Ok(Self { kind, order: None, persistence, parameter, cycle, period_nanos })
+    }
+}
+
+/// The period in nanoseconds that a part says; `None` for a day, which need not be said.
+fn period(text: &str, kind: ModelKind, part: &str) -> Result<Option<i64>, InvalidModel> {
+    let found = parse_duration(part);
+    match (kind, found) {
+        (ModelKind::Pergam, Ok(nanos)) if (MINUTE_NANOS..=366 * DAY_NANOS).contains(&nanos) => {
+            Ok(Some(nanos).filter(|&nanos| nanos != DAY_NANOS))
+        }
+        (ModelKind::Pergam, Ok(_)) => Err(InvalidModel::PeriodRange(text.to_owned())),
+        (ModelKind::Pergam, Err(reason)) => Err(InvalidModel::NotAPeriod { text: text.to_owned(), reason }),
+        (_, Ok(_)) => Err(InvalidModel::NoPeriod(text.to_owned())),
+        (_, Err(_)) => Err(InvalidModel::NotANumber(text.to_owned())),
     }
 }
 
@@ -217,6 +260,9 @@ impl fmt::Display for ModelSelector {
         if let Some(parameter) = self.parameter {
             write!(f, ":{parameter}")?;
         }
+        if let Some(period_nanos) = self.period_nanos {
+            write!(f, ":{}", format_duration(period_nanos))?;
+        }
         if self.persistence { f.write_str("+persistence") } else { Ok(()) }
     }
 }
@@ -235,6 +281,7 @@ impl ModelSelector {
             ModelKind::HypertimeKm => v1::ModelKind::HypertimeKm,
             ModelKind::Poisson => v1::ModelKind::Poisson,
             ModelKind::Calibrated => v1::ModelKind::Calibrated,
+            ModelKind::Uniform => v1::ModelKind::Uniform,
         };
         let cycle = match (self.kind, self.cycle) {
             (ModelKind::Histogram, Cycle::Day) => v1::HistogramCycle::Day,
@@ -248,6 +295,7 @@ impl ModelSelector {
             persistence: self.persistence,
             parameter: self.parameter,
             cycle: cycle.into(),
+            period: self.period_nanos.map(wire::duration),
         }
     }
 
@@ -263,6 +311,7 @@ impl ModelSelector {
             v1::ModelKind::HypertimeKm => ModelKind::HypertimeKm,
             v1::ModelKind::Poisson => ModelKind::Poisson,
             v1::ModelKind::Calibrated => ModelKind::Calibrated,
+            v1::ModelKind::Uniform => ModelKind::Uniform,
             v1::ModelKind::Auto | v1::ModelKind::Unspecified => ModelKind::Auto,
         };
         let cycle = match model.cycle() {
@@ -270,7 +319,14 @@ impl ModelSelector {
             v1::HistogramCycle::WeekdayWeekend => Cycle::Weekend,
             v1::HistogramCycle::Day | v1::HistogramCycle::Unspecified => Cycle::Day,
         };
-        Self { kind, order: model.order, persistence: model.persistence, parameter: model.parameter, cycle }
+        Self {
+            kind,
+            order: model.order,
+            persistence: model.persistence,
+            parameter: model.parameter,
+            cycle,
+            period_nanos: wire::span(model.period),
+        }
     }
 }
 
@@ -292,6 +348,12 @@ mod tests {
             "histogram:week",
             "spectral+persistence",
             "pergam:3",
+            "pergam:3:7d",
+            "pergam:2:36h+persistence",
+            "pergam:20:90s",
+            "pergam:1:60.5s",
+            "uniform",
+            "uniform+persistence",
             "hypertime-em:5",
             "hypertime-km",
             "poisson",
@@ -312,6 +374,21 @@ mod tests {
         for text in ["histogram:", "histogram:0", "histogram:month:3", "pergam:week:3", "histogram:24:7", "pergam:-1"] {
             assert_eq!(parsed(text), Err(InvalidModel::NotANumber(text.to_owned())));
         }
+        assert_eq!(parsed("uniform:2"), Err(InvalidModel::Parameter("uniform".to_owned())));
+        for text in ["histogram:24:7d", "histogram:week:24:7d", "hypertime-em:3:7d"] {
+            assert_eq!(parsed(text), Err(InvalidModel::NoPeriod(text.to_owned())));
+        }
+        for text in ["pergam:3:59s", "pergam:3:367d"] {
+            assert_eq!(parsed(text), Err(InvalidModel::PeriodRange(text.to_owned())));
+        }
+        for text in ["pergam:3:7", "pergam:3:", "pergam:3:often", "pergam:3:-7d", "pergam:3:0d"] {
+            let error = parsed(text).expect_err(text).to_string();
+            assert!(error.contains("pergam:3:7d") && error.contains("duration"), "{error}");
+        }
+        assert_eq!(parsed("pergam:3:7d:7d"), Err(InvalidModel::NotANumber("pergam:3:7d:7d".to_owned())));
+        assert_eq!(parsed("pergam:3:24h"), parsed("pergam:3"));
+        assert_eq!(parsed("pergam:3:1m").map(|model| model.period_nanos), Ok(Some(MINUTE_NANOS)));
+        assert_eq!(parsed("pergam:3:366d").map(|model| model.period_nanos), Ok(Some(366 * DAY_NANOS)));
         assert_eq!(parsed("mean+x"), Err(InvalidModel::Suffix("mean+x".to_owned())));
         for (text, words) in [
             ("histogram:1441", "at most 1440 bins a day"),

@@ -2,12 +2,16 @@
 
 use tidemap_map::{
     event::StateId,
-    predict::{ModelKind, ModelSelector},
+    predict::{ModelKind, ModelSelector, PERGAM_PERIOD_NANOS, PERGAM_PERIODS},
     view::MapView,
 };
 use tidemap_model::{Component, HISTOGRAMS, MAX_ORDER, ModelChoice, SpectralModel, StateModel, family::HistogramCycle};
 
-use super::{InvalidField, map::kind_to_wire, time::timestamp};
+use super::{
+    InvalidField,
+    map::kind_to_wire,
+    time::{duration, nanos_from_duration, timestamp},
+};
 use crate::v1;
 
 /// Most Gaussians of a periodic mixture.
@@ -43,11 +47,15 @@ pub fn selector_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Resul
             let max = u32::try_from(cycle.max_bins()).unwrap_or(u32::MAX);
             ModelKind::Histogram { cycle, bins: parameter(default, max, "bins")? }
         }
-        Ok(v1::ModelKind::Pergam) => ModelKind::Pergam { gaussians: parameter(3, GAUSSIANS_MAX, "Gaussians")? },
+        Ok(v1::ModelKind::Pergam) => ModelKind::Pergam {
+            gaussians: parameter(3, GAUSSIANS_MAX, "Gaussians")?,
+            period_nanos: period_from_wire(field, wire.period)?,
+        },
         Ok(v1::ModelKind::HypertimeEm) => ModelKind::HypertimeEm { clusters: parameter(3, CLUSTERS_MAX, "clusters")? },
         Ok(v1::ModelKind::HypertimeKm) => ModelKind::HypertimeKm { clusters: parameter(3, CLUSTERS_MAX, "clusters")? },
         Ok(v1::ModelKind::Poisson) => ModelKind::Poisson,
         Ok(v1::ModelKind::Calibrated) => ModelKind::Calibrated,
+        Ok(v1::ModelKind::Uniform) => ModelKind::Uniform,
         Err(_) => return Err(wrong("kind", format!("{} is not known", wire.kind))),
     };
     if let (Some(found), None) = (wire.parameter, parameter_of(kind)) {
@@ -56,10 +64,14 @@ pub fn selector_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Resul
     if wire.cycle != 0 && !matches!(kind, ModelKind::Histogram { .. }) {
         return Err(wrong("cycle", "only a histogram has one".to_owned()));
     }
+    if let (Some(period), false) = (wire.period, matches!(kind, ModelKind::Pergam { .. })) {
+        return Err(wrong("period", format!("{} s was given, but only pergam has one", period.seconds)));
+    }
     let order = match wire.order {
         None => None,
         Some(order) if !kind.has_order() => {
-            let text = format!("order {order} was given, but this model has none: use it with auto or spectral");
+            let text =
+                format!("order {order} was given, but this model has none: use it with auto, spectral or uniform");
             return Err(wrong("order", text));
         }
         Some(order) => Some(order_from_wire(&format!("{field}.order"), order)?),
@@ -79,11 +91,22 @@ pub fn check_for_cells(field: &str, selector: ModelSelector) -> Result<(), Inval
     Err(InvalidField::new(format!("{field}.kind"), text))
 }
 
+/// The period of a periodic mixture.
+fn period_from_wire(field: &str, period: Option<prost_types::Duration>) -> Result<i64, InvalidField> {
+    let field = format!("{field}.period");
+    let Some(period) = period else { return Ok(PERGAM_PERIOD_NANOS) };
+    let nanos = nanos_from_duration(&field, period)?;
+    if PERGAM_PERIODS.contains(&nanos) {
+        return Ok(nanos);
+    }
+    Err(InvalidField::new(field, format!("{} s: 1 minute to 366 days are possible", nanos as f64 / 1e9)))
+}
+
 /// The parameter of a kind that has one.
 fn parameter_of(kind: ModelKind) -> Option<u32> {
     match kind {
         ModelKind::Histogram { bins: parameter, .. }
-        | ModelKind::Pergam { gaussians: parameter }
+        | ModelKind::Pergam { gaussians: parameter, .. }
         | ModelKind::HypertimeEm { clusters: parameter }
         | ModelKind::HypertimeKm { clusters: parameter } => Some(parameter),
         _ => None,
@@ -116,6 +139,7 @@ pub fn selector_to_wire(selector: ModelSelector) -> v1::ModelSelector {
         ModelKind::HypertimeKm { .. } => v1::ModelKind::HypertimeKm,
         ModelKind::Poisson => v1::ModelKind::Poisson,
         ModelKind::Calibrated => v1::ModelKind::Calibrated,
+        ModelKind::Uniform => v1::ModelKind::Uniform,
     };
     let cycle = match selector.kind {
         ModelKind::Histogram { cycle: HistogramCycle::Day, .. } => v1::HistogramCycle::Day,
@@ -123,12 +147,17 @@ pub fn selector_to_wire(selector: ModelSelector) -> v1::ModelSelector {
         ModelKind::Histogram { cycle: HistogramCycle::WeekdayWeekend, .. } => v1::HistogramCycle::WeekdayWeekend,
         _ => v1::HistogramCycle::Unspecified,
     };
+    let period = match selector.kind {
+        ModelKind::Pergam { period_nanos, .. } if period_nanos != PERGAM_PERIOD_NANOS => Some(duration(period_nanos)),
+        _ => None,
+    };
     v1::ModelSelector {
         kind: kind.into(),
         order: selector.order.map(|order| u32::try_from(order).unwrap_or(u32::MAX)),
         persistence: selector.persistence,
         parameter: parameter_of(selector.kind),
         cycle: cycle.into(),
+        period,
     }
 }
 

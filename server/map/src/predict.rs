@@ -3,7 +3,7 @@
 //! Invariant: what leaves here lies in the bounds of its state's kind, a probability in [0, 1]. The phasors of a set of times are computed once and shared
 //! by all states.
 
-use std::fmt;
+use std::{fmt, ops::RangeInclusive};
 
 use tidemap_model::{
     InstantPhasors, MAX_ORDER, ModelChoice, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
@@ -12,6 +12,14 @@ use tidemap_model::{
 };
 
 use crate::{event::StateId, grid::view::CellDescription, view::MapView};
+
+const MINUTE_NANOS: i64 = 60_000_000_000;
+const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
+
+/// The periods that a periodic mixture of Gaussians may have, in nanoseconds: 1 minute to 366 days.
+pub const PERGAM_PERIODS: RangeInclusive<i64> = MINUTE_NANOS..=366 * DAY_NANOS;
+/// The period of one where none is said: a day, in nanoseconds.
+pub const PERGAM_PERIOD_NANOS: i64 = DAY_NANOS;
 
 /// Which model answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -38,6 +46,8 @@ pub enum ModelKind {
     Pergam {
         /// How many.
         gaussians: u32,
+        /// The period, in nanoseconds of local civil time, within [`PERGAM_PERIODS`].
+        period_nanos: i64,
     },
     /// Warped hypertime, by expectation maximisation (RA-L 2019, section III).
     HypertimeEm {
@@ -53,13 +63,16 @@ pub enum ModelKind {
     Poisson,
     /// Regression on the rhythms of day and week.
     Calibrated,
+    /// The strongest components of the Fourier transform of regular readings, and the outliers that they miss (T-RO 2017,
+    /// section III.B).
+    Uniform,
 }
 
 impl ModelKind {
     /// Whether it has an order.
     #[must_use]
     pub fn has_order(self) -> bool {
-        matches!(self, ModelKind::Auto | ModelKind::Spectral)
+        matches!(self, ModelKind::Auto | ModelKind::Spectral | ModelKind::Uniform)
     }
 
     /// Whether it has to be fitted to the readings of a state before it can answer.
@@ -87,11 +100,29 @@ impl fmt::Display for ModelKind {
             Self::Histogram { cycle: HistogramCycle::Day, bins } => write!(f, "histogram:{bins}"),
             Self::Histogram { cycle: HistogramCycle::Week, bins } => write!(f, "histogram:week:{bins}"),
             Self::Histogram { cycle: HistogramCycle::WeekdayWeekend, bins } => write!(f, "histogram:weekend:{bins}"),
-            Self::Pergam { gaussians } => write!(f, "pergam:{gaussians}"),
+            Self::Pergam { gaussians, period_nanos: PERGAM_PERIOD_NANOS } => write!(f, "pergam:{gaussians}"),
+            Self::Pergam { gaussians, period_nanos } => write!(f, "pergam:{gaussians}:{}", Period(*period_nanos)),
             Self::HypertimeEm { clusters } => write!(f, "hypertime-em:{clusters}"),
             Self::HypertimeKm { clusters } => write!(f, "hypertime-km:{clusters}"),
             Self::Poisson => f.write_str("poisson"),
             Self::Calibrated => f.write_str("calibrated"),
+            Self::Uniform => f.write_str("uniform"),
+        }
+    }
+}
+
+/// A period in nanoseconds, in the greatest unit that divides it: 7d, 36h, 90s; as the command line writes durations.
+struct Period(i64);
+
+impl fmt::Display for Period {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let units = [("d", DAY_NANOS), ("h", 60 * MINUTE_NANOS), ("m", MINUTE_NANOS), ("s", 1_000_000_000)];
+        match units.into_iter().find(|(_, nanos)| self.0 % nanos == 0) {
+            Some((unit, nanos)) => write!(f, "{}{unit}", self.0 / nanos),
+            None => {
+                let text = format!("{}.{:09}", self.0 / 1_000_000_000, self.0 % 1_000_000_000);
+                write!(f, "{}s", text.trim_end_matches('0'))
+            }
         }
     }
 }

@@ -117,4 +117,17 @@ pub enum CannotFit {
         /// What would be right.
         expected: &'static str,
     },
+    /// The readings are not regular, and the model needs them to be.
+    #[error(
+        "it needs regular observations, none missing, each within 1 % of its time: these are {interval_secs} s apart, but \
+         the one at {at_secs} (Unix seconds) comes {after_secs} s after the one before; spectral needs no regular ones"
+    )]
+    Irregular {
+        /// The median of the time between readings, in seconds.
+        interval_secs: f64,
+        /// When the first reading was made that is not at its time, in seconds since 1970.
+        at_secs: f64,
+        /// How long after the one before, in seconds.
+        after_secs: f64,
+    },
 }

@@ -6,15 +6,16 @@ use std::collections::HashSet;
 
 use tidemap_map::{
     event::{StateId, StateKind},
-    predict::ModelKind,
+    predict::{ModelKind, ModelSelector},
     spec::MapSpec,
     view::MapView,
 };
 use tidemap_model::{
-    Periodicities, Sample,
+    MAX_ORDER, Periodicities, Sample,
     family::{
         COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, Chain, Histogram, HistogramSettings, Hypertime,
         HypertimeMethod, HypertimeOptions, Moment, Pergam, PergamOptions, PoissonSpectral, Readings, TemporalModel,
+        UniformSpectral,
     },
 };
 
@@ -38,6 +39,8 @@ pub enum Fitted {
     Poisson(Box<Counts>),
     /// Rhythms of day and week.
     Calibrated(Calibrated),
+    /// The spectrum of regular readings and its outliers: of the highest order, which answers for every lower one.
+    Uniform(Box<UniformSpectral>),
 }
 
 impl Fitted {
@@ -66,8 +69,8 @@ impl Fitted {
             ModelKind::Histogram { cycle, bins } => {
                 Histogram::fit(readings, &HistogramSettings::new(cycle, bins as usize)).map(Self::Histogram)
             }
-            ModelKind::Pergam { gaussians } => {
-                let options = PergamOptions { gaussians: gaussians as usize, seed: SEED, ..PergamOptions::default() };
+            ModelKind::Pergam { gaussians, period_nanos } => {
+                let options = PergamOptions { gaussians: gaussians as usize, period_nanos, seed: SEED };
                 Pergam::fit(readings, &options).map(Self::Pergam)
             }
             ModelKind::HypertimeEm { clusters } => hypertime(HypertimeMethod::Em, clusters),
@@ -76,19 +79,45 @@ impl Fitted {
                 Counts::fit(readings, &spec.periodicities).map(|model| Self::Poisson(Box::new(model)))
             }
             ModelKind::Calibrated => Calibrated::fit(readings, CalibratedOptions::default()).map(Self::Calibrated),
+            ModelKind::Uniform => UniformSpectral::fit(readings, MAX_ORDER).map(|model| Self::Uniform(Box::new(model))),
         }
     }
 
     /// Probability that the state is 1, or the value to expect, at each of the moments, written to `out`, which is as long as these.
+    /// A model that recalls what it does not explain ([`Fitted::Uniform`]) answers 0 or 1 there, as it was observed.
     pub fn predict_into(
         &self,
         view: &MapView,
         id: StateId,
         moments: &[Moment],
-        with_persistence: bool,
+        selector: ModelSelector,
         out: &mut [f64],
     ) {
-        let latest;
+        self.answer(view, id, moments, selector, true, out);
+    }
+
+    /// The same by what the model explains alone, for observations to be judged by it.
+    pub fn expect_into(
+        &self,
+        view: &MapView,
+        id: StateId,
+        moments: &[Moment],
+        selector: ModelSelector,
+        out: &mut [f64],
+    ) {
+        self.answer(view, id, moments, selector, false, out);
+    }
+
+    fn answer(
+        &self,
+        view: &MapView,
+        id: StateId,
+        moments: &[Moment],
+        selector: ModelSelector,
+        with_recall: bool,
+        out: &mut [f64],
+    ) {
+        let (latest, uniform);
         let model: &dyn TemporalModel = match self {
             Self::Unlearned => &Constant(view.model(id).spectral().mean()),
             Self::Chain(chain) => {
@@ -101,8 +130,12 @@ impl Fitted {
             Self::Hypertime(model) => &**model,
             Self::Poisson(model) => &**model,
             Self::Calibrated(model) => model,
+            Self::Uniform(model) => {
+                uniform = Uniform { model, order: selector.order_for(view.model(id)), with_recall };
+                &uniform
+            }
         };
-        view.predict_fitted_into(id, moments, model, with_persistence, out);
+        view.predict_fitted_into(id, moments, model, selector.persistence, out);
     }
 }
 
@@ -132,6 +165,20 @@ impl Counts {
 impl TemporalModel for Counts {
     fn predict(&self, at: Moment) -> f64 {
         self.bins.predict(at) / self.readings_per_bin
+    }
+}
+
+/// A uniform model at one order, with its outliers or without.
+struct Uniform<'a> {
+    model: &'a UniformSpectral,
+    order: usize,
+    with_recall: bool,
+}
+
+impl TemporalModel for Uniform<'_> {
+    fn predict(&self, at: Moment) -> f64 {
+        let recalled = if self.with_recall { self.model.outlier_at(self.order, at) } else { None };
+        recalled.map_or_else(|| self.model.predict_at_order(self.order, at), |state| f64::from(u8::from(state)))
     }
 }
 

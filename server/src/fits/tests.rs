@@ -5,6 +5,7 @@ use std::{
     sync::atomic::{AtomicU32, Ordering},
 };
 
+use tidemap_map::predict::PERGAM_PERIOD_NANOS;
 use tidemap_model::{
     Sample,
     family::{Chain, Readings},
@@ -14,7 +15,7 @@ use tokio::sync::Notify;
 use super::*;
 
 fn key(state: u32) -> FitKey {
-    let kind = ModelKind::Pergam { gaussians: 3 };
+    let kind = ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS };
     FitKey { map: MapId(1), generation: 1, state: StateId(state), kind }
 }
 
@@ -92,7 +93,9 @@ async fn whatever_differs_is_another_model() {
     let others = [
         FitKey { map: MapId(2), ..key(1) },
         FitKey { generation: 2, ..key(1) },
-        FitKey { kind: ModelKind::Pergam { gaussians: 4 }, ..key(1) },
+        FitKey { kind: ModelKind::Pergam { gaussians: 4, period_nanos: PERGAM_PERIOD_NANOS }, ..key(1) },
+        FitKey { kind: ModelKind::Pergam { gaussians: 3, period_nanos: 7 * PERGAM_PERIOD_NANOS }, ..key(1) },
+        FitKey { kind: ModelKind::Uniform, ..key(1) },
         FitKey { kind: ModelKind::HypertimeEm { clusters: 3 }, ..key(1) },
         key(2),
     ];

@@ -128,6 +128,10 @@ async fn questions_that_make_no_sense_name_their_field() {
     let of_kind = |kind: ModelKind| ModelSelector { kind: kind.into(), ..ModelSelector::default() };
     let fine = |kind, parameter| selected(ModelSelector { parameter: Some(parameter), ..of_kind(kind) });
     let of_cycle = |kind, cycle| selected(ModelSelector { cycle, ..of_kind(kind) });
+    let of_period = |kind, seconds| {
+        let period = Some(prost_types::Duration { seconds, nanos: 0 });
+        selected(ModelSelector { period, ..of_kind(kind) })
+    };
     let with_level = |interval_level| PredictStatesRequest { interval_level, ..predict(&["door"], &[0]) };
     for (request, code, words) in [
         (predict(&[], &[0]), Code::InvalidArgument, ["states", "one"]),
@@ -149,6 +153,10 @@ async fn questions_that_make_no_sense_name_their_field() {
         (fine(ModelKind::HypertimeKm, u32::MAX), Code::InvalidArgument, ["model.parameter", "4294967295"]),
         (fine(ModelKind::Spectral, 3), Code::InvalidArgument, ["model.parameter", "3"]),
         (of_cycle(ModelKind::Pergam, 2), Code::InvalidArgument, ["model.cycle", "histogram"]),
+        (of_period(ModelKind::Histogram, 604_800), Code::InvalidArgument, ["model.period", "pergam"]),
+        (of_period(ModelKind::Pergam, 59), Code::InvalidArgument, ["model.period", "1 minute to 366 days"]),
+        (of_period(ModelKind::Pergam, i64::MAX), Code::InvalidArgument, ["model.period", "292 years"]),
+        (of_period(ModelKind::Pergam, -604_800), Code::InvalidArgument, ["model.period", "-604800"]),
         (of_cycle(ModelKind::Histogram, 9), Code::InvalidArgument, ["model.cycle", "9"]),
         (
             PredictStatesRequest { states: vec!["cell/0/0/0".to_owned()], ..fine(ModelKind::Pergam, 3) },

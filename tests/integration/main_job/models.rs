@@ -140,7 +140,7 @@ fn models_that_cannot_be_are_refused() {
     ask(&["--model", "pergam:1000"]).fails(2, &["pergam:1000", "20"]);
     ask(&["--model", "hypertime-em:1000000"]).fails(2, &["hypertime-em:1000000", "50"]);
     ask(&["--model", "histogram:week:10081"]).fails(2, &["10080"]);
-    ask(&["--model", "pergam", "--order", "3"]).fails(2, &["--order", "pergam", "auto and spectral"]);
+    ask(&["--model", "pergam", "--order", "3"]).fails(2, &["--order", "pergam", "auto, spectral and uniform"]);
     let words = ["cells", "pergam", "auto, mean, latest or spectral"];
     ask(&["cell/0/0/0", "--model", "pergam"]).fails(2, &words);
     let path = ["grid", "predict", "door", "--at", "1460000000", "--out", "/nowhere/map.csv", "--model", "pergam"];

@@ -102,8 +102,8 @@ fn an_unknown_key_is_named_with_its_line_and_the_keys_there_are() {
 fn an_unknown_model_is_named_with_the_models_there_are() {
     assert_eq!(
         refused_with("  - mean", "  - fremen"),
-        "line 8: model is \"fremen\": it has to be one of: mean, latest, persistence, histogram, spectral, pergam, \
-         hypertime-em, hypertime-km, poisson, calibrated"
+        "line 8: model is \"fremen\": it has to be one of: mean, latest, persistence, histogram, spectral, uniform, \
+         pergam, hypertime-em, hypertime-km, poisson, calibrated"
     );
     assert!(refused_with("  - mean", "  - auto").starts_with("line 8: model is \"auto\""));
 }

@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::predict::PERGAM_PERIOD_NANOS;
 
 fn confidence(c: f64) -> Confidence {
     Confidence::new(c).expect("valid")
@@ -55,7 +56,11 @@ fn models_that_answer_from_the_newest_value_judge_nothing() {
         assert_eq!(of(kind).can_judge(), Err(CannotJudge::Newest(kind)));
         assert_eq!(of(kind).can_watch(), Err(CannotJudge::Newest(kind)));
     }
-    for kind in [ModelKind::Calibrated, ModelKind::Pergam { gaussians: 3 }] {
+    for kind in [
+        ModelKind::Calibrated,
+        ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS },
+        ModelKind::Uniform,
+    ] {
         assert_eq!((of(kind).can_judge(), of(kind).can_watch()), (Ok(()), Err(CannotJudge::NeedsFit(kind))));
     }
 }

@@ -12,12 +12,13 @@ use super::{CannotFit, Moment, Readings, TemporalModel};
 use crate::{Component, InvalidParts, MAX_ORDER, Sample};
 
 mod gaps;
+mod regular;
+
+use regular::{off_time, regular};
 
 #[cfg(test)]
 mod tests;
 
-/// A reading may lie this share of the interval off its regular time.
-const JITTER: f64 = 0.01;
 /// A probability this little below 0.5 counts as 0.5: where components meet there exactly, as those of a square wave do,
 /// machines that round the last digit differently must agree.
 const TIE: f64 = 1e-9;
@@ -66,8 +67,8 @@ impl UniformSpectral {
     /// readings all count alike.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are fewer than two readings, a value is neither 0 nor 1, a reading lies more than 1 % of
-    /// the interval off its regular time, or the order is above [`MAX_ORDER`].
+    /// [`CannotFit`] where there are fewer than two readings, a value is neither 0 nor 1, or the order is above
+    /// [`MAX_ORDER`]; [`CannotFit::Irregular`] where a reading lies more than 1 % of the interval off its regular time.
     pub fn fit(readings: Readings<'_>, order: usize) -> Result<UniformSpectral, CannotFit> {
         check_values(readings, 0.0..=1.0, "0 or 1")?;
         let samples = readings.samples;
@@ -205,18 +206,43 @@ impl UniformSpectral {
         self.parts.steps
     }
 
+    /// p(t) by the mean and the `order` strongest components alone; all of them where there are fewer.
+    pub fn predict_at_order(&self, order: usize, at: Moment) -> f64 {
+        let parts = &self.parts;
+        let first = Moment { utc_nanos: parts.first_nanos, offset_secs: parts.offset_secs };
+        let span_nanos = i128::from(parts.interval_nanos) * i128::from(parts.fitted_steps);
+        let elapsed_nanos = i128::from(at.civil_nanos()) - i128::from(first.civil_nanos());
+        let elapsed_nanos = elapsed_nanos.rem_euclid(span_nanos);
+        self.probability(order, |k| (elapsed_nanos * i128::from(k) % span_nanos) as f64 / span_nanos as f64)
+    }
+
+    /// What was observed, where that is an outlier of the model of this order: the reading nearest to the moment, half an
+    /// interval away at most, is on the other side of 0.5 than what the spectrum gives for it. `None` elsewhere, and beyond
+    /// the readings held.
+    pub fn outlier_at(&self, order: usize, at: Moment) -> Option<bool> {
+        let interval_nanos = i128::from(self.parts.interval_nanos);
+        let elapsed_nanos = i128::from(at.utc_nanos) - i128::from(self.parts.first_nanos);
+        let step = (2 * elapsed_nanos + interval_nanos).div_euclid(2 * interval_nanos);
+        let step = u32::try_from(step).ok()?;
+        self.state(step).filter(|&state| self.estimate_at_order(order, step) != state)
+    }
+
     /// s'(t): the state at a step by the spectrum alone (T-RO eq. 9 with c = 0.5).
     fn estimate(&self, step: u32) -> bool {
+        self.estimate_at_order(MAX_ORDER, step)
+    }
+
+    fn estimate_at_order(&self, order: usize, step: u32) -> bool {
         let fitted = u64::from(self.parts.fitted_steps);
         // k·step modulo the span in integers, so that a step far on has the phase that it had when it was encoded.
         let turns = |k: u32| (u64::from(k) * u64::from(step) % fitted) as f64 / fitted as f64;
-        self.probability(turns) >= 0.5 - TIE
+        self.probability(order, turns) >= 0.5 - TIE
     }
 
-    /// p by the phase of each component, in turns.
-    fn probability(&self, turns: impl Fn(u32) -> f64) -> f64 {
+    /// p by the phase of each of the first `order` components, in turns.
+    fn probability(&self, order: usize, turns: impl Fn(u32) -> f64) -> f64 {
         let mut p = self.parts.mean;
-        for component in &self.parts.components {
+        for component in self.parts.components.iter().take(order) {
             let (sin, cos) = (std::f64::consts::TAU * turns(component.periodicity)).sin_cos();
             let term = component.gamma_re * cos - component.gamma_im * sin;
             // At half the sampling rate a component is its own mirror image and enters once.
@@ -256,12 +282,7 @@ impl UniformSpectral {
 impl TemporalModel for UniformSpectral {
     /// p(t) by the spectrum alone, continued periodically before and after what was fitted (T-RO eq. 10).
     fn predict(&self, at: Moment) -> f64 {
-        let parts = &self.parts;
-        let first = Moment { utc_nanos: parts.first_nanos, offset_secs: parts.offset_secs };
-        let span_nanos = i128::from(parts.interval_nanos) * i128::from(parts.fitted_steps);
-        let elapsed_nanos = i128::from(at.civil_nanos()) - i128::from(first.civil_nanos());
-        let elapsed_nanos = elapsed_nanos.rem_euclid(span_nanos);
-        self.probability(|k| (elapsed_nanos * i128::from(k) % span_nanos) as f64 / span_nanos as f64)
+        self.predict_at_order(MAX_ORDER, at)
     }
 }
 
@@ -277,39 +298,6 @@ fn binary(sample: &Sample) -> Result<bool, CannotFit> {
     } else {
         Err(CannotFit::Parameter { parameter, found, expected })
     }
-}
-
-/// The first sample and the interval, where samples are regular.
-fn regular(samples: &[Sample]) -> Result<(Sample, i64), CannotFit> {
-    let found = samples.len();
-    let (&[first, .., last], 2..=MAX_STEPS) = (samples, found as u64) else {
-        return Err(CannotFit::Parameter {
-            parameter: "number of readings",
-            found: found as f64,
-            expected: "2 to 4e9",
-        });
-    };
-    let span_nanos = i128::from(last.utc_nanos) - i128::from(first.utc_nanos);
-    let gaps = found as i128 - 1;
-    // Rounded: a wrong nanosecond of a million would add up.
-    let interval_nanos = i64::try_from((2 * span_nanos + gaps).div_euclid(2 * gaps)).unwrap_or(i64::MAX);
-    let off = (0..).zip(samples).find(|&(step, sample)| off_time(sample, first.utc_nanos, interval_nanos, step));
-    match off {
-        None if interval_nanos > 0 => Ok((first, interval_nanos)),
-        _ => Err(CannotFit::Parameter {
-            parameter: "time of a reading in seconds after the first",
-            found: off
-                .map_or(0.0, |(_, sample)| (i128::from(sample.utc_nanos) - i128::from(first.utc_nanos)) as f64 / 1e9),
-            expected: "regular intervals, none missing, each reading within 1 % of its time",
-        }),
-    }
-}
-
-/// Whether a sample is not at the time of its step.
-fn off_time(sample: &Sample, first_nanos: i64, interval_nanos: i64, step: u32) -> bool {
-    let regular_nanos = i128::from(first_nanos) + i128::from(interval_nanos) * i128::from(step);
-    let off_nanos = (i128::from(sample.utc_nanos) - regular_nanos).unsigned_abs();
-    off_nanos as f64 > JITTER * interval_nanos as f64
 }
 
 /// Mean and strongest components of the transform, of equal ones the slower first.

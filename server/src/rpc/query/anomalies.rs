@@ -69,7 +69,7 @@ impl Judge {
         let mut expected = vec![0.0; times.len()];
         match self {
             Self::State(id) => view.predict_into(*id, &view.prepare(&times), selector, &mut expected),
-            Self::Fitted(id, fitted) => fitted.predict_into(view, *id, &view.moments(&times), false, &mut expected),
+            Self::Fitted(id, fitted) => fitted.expect_into(view, *id, &view.moments(&times), selector, &mut expected),
             Self::Cell(cell) => view.predict_cell_into(cell, &view.prepare(&times), selector, &mut expected),
         }
         expected

@@ -203,7 +203,9 @@ impl Fitting {
         let found = learned.view.kind(learned.id);
         let expected = match kind {
             ModelKind::Poisson if found != StateKind::Count => Some("counts"),
-            ModelKind::Persistence | ModelKind::Pergam { .. } if found != StateKind::Probability => {
+            ModelKind::Persistence | ModelKind::Pergam { .. } | ModelKind::Uniform
+                if found != StateKind::Probability =>
+            {
                 Some("probabilities")
             }
             _ => None,

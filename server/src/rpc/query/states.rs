@@ -202,9 +202,13 @@ fn predict_one(
     let mut blocks = moments.chunks(TIMES_PER_BLOCK).enumerate();
     blocks.all(|(block, moments)| {
         let mut probabilities = vec![0.0; moments.len()];
-        fitted.predict_into(view, id, moments, selector.persistence, &mut probabilities);
-        let about =
-            About { kind: view.kind(id), order: 0, observations: live.observations, persistence: live.persistence };
+        fitted.predict_into(view, id, moments, selector, &mut probabilities);
+        let about = About {
+            kind: view.kind(id),
+            order: selector.order_for(view.model(id)),
+            observations: live.observations,
+            persistence: live.persistence,
+        };
         let intervals = view.intervals(id, moments, &probabilities, Some(level).filter(|&level| level > 0.0));
         computed.send(reply(place, block * TIMES_PER_BLOCK, probabilities, &intervals, about))
     })

@@ -86,11 +86,62 @@ fn components_pay_where_the_state_has_a_rhythm() {
 }
 
 #[test]
+fn what_is_irregular_is_told_by_the_usual_interval_and_the_first_that_departs_from_it() {
+    let samples = regular_samples(&office(), MINUTE_NANOS);
+    let told = |samples: &[Sample]| UniformSpectral::fit(Readings::new(samples), 2).unwrap_err();
+    let first_secs = WEEK_NANOS as f64 / 1e9;
+    let mut missing = samples.clone();
+    missing.drain(40..70);
+    let expected =
+        CannotFit::Irregular { interval_secs: 60.0, at_secs: first_secs + 70.0 * 60.0, after_secs: 31.0 * 60.0 };
+    assert_eq!(told(&missing), expected);
+    let message = told(&missing).to_string();
+    assert!(message.contains("60 s apart") && message.contains("1860 s after") && message.contains("spectral"));
+    let twice = [samples[0], samples[0], samples[0]];
+    assert_eq!(told(&twice), CannotFit::Irregular { interval_secs: 0.0, at_secs: first_secs, after_secs: 0.0 });
+    // Each a little slower than the one before: none jumps, and yet they are not at their times.
+    let mut drifting = samples[..1000].to_vec();
+    for (i, sample) in (0..).zip(&mut drifting) {
+        sample.utc_nanos += i * i * 100_000;
+    }
+    let CannotFit::Irregular { interval_secs, after_secs, .. } = told(&drifting) else { panic!("irregular") };
+    assert!((interval_secs - 60.1).abs() < 0.01 && (after_secs - interval_secs).abs() < 0.6);
+}
+
+#[test]
+fn one_model_answers_and_recalls_at_every_lower_order() {
+    let states = office();
+    let samples = regular_samples(&states, 10 * MINUTE_NANOS);
+    let highest = fitted(&samples, MAX_ORDER);
+    for order in [0, 1, 4, MAX_ORDER] {
+        let model = fitted(&samples, order);
+        let mut outliers = 0;
+        for (step, sample) in (0..).zip(&samples) {
+            let p = highest.predict_at_order(order, sample.moment());
+            assert!((p - model.predict(sample.moment())).abs() < 1e-12);
+            let changes = model.outliers().iter().filter(|&&change| change <= step).count();
+            let expected = (changes % 2 == 1).then_some(states[step as usize]);
+            assert_eq!(highest.outlier_at(order, sample.moment()), expected, "order {order}, step {step}");
+            // The reading nearest to a moment counts.
+            let near = Moment { utc_nanos: sample.utc_nanos + 4 * MINUTE_NANOS, ..sample.moment() };
+            assert_eq!(highest.outlier_at(order, near), expected);
+            outliers += usize::from(expected.is_some());
+        }
+        assert!(outliers > 10, "{outliers}");
+        let beyond =
+            |steps: i64| Moment { utc_nanos: samples[0].utc_nanos + steps * 10 * MINUTE_NANOS, offset_secs: 3600 };
+        assert_eq!(highest.outlier_at(order, beyond(-1)), None);
+        assert_eq!(highest.outlier_at(order, beyond(states.len() as i64)), None);
+    }
+}
+
+#[test]
 fn irregular_samples_are_refused() {
     let states = office();
     let samples = regular_samples(&states, MINUTE_NANOS);
     let refused = |samples: &[Sample]| {
-        matches!(UniformSpectral::fit(Readings::new(samples), 2), Err(CannotFit::Parameter { .. }))
+        let found = UniformSpectral::fit(Readings::new(samples), 2);
+        matches!(found, Err(CannotFit::Parameter { .. } | CannotFit::Irregular { .. }))
     };
     assert!(!refused(&samples));
     let mut missing = samples.clone();
