@@ -90,7 +90,8 @@ pub struct CreateArgs {
     /// How long the exact readings of the grid are kept for recall: none, forever or a duration [default: none]
     #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention, requires = "grid")]
     grid_retention: Option<Retention>,
-    /// Age at which an observation of a named state counts half, so that an old routine is unlearned [default: never]
+    /// Age at which an observation of a named state counts half, so that an old routine is unlearned; cells of a grid forget
+    /// nothing [default: never]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     half_life: Option<i64>,
     /// What a named state answers of which nothing was learned, 0 to 1 [default: 0.5]
@@ -144,6 +145,9 @@ pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitC
         MapCommand::Create(args) => {
             let wanted = new_map(*args);
             let has_grid = wanted.grid.is_some();
+            if has_grid && wanted.half_life_nanos.is_some() {
+                notice("the half-life is of named states: cells of the grid forget nothing");
+            }
             vec![with_grid(client.create_map(wanted).await?, has_grid)?]
         }
         MapCommand::List => client.maps().await?,
