@@ -22,7 +22,8 @@ pub struct AnomaliesArgs {
     /// Name of the state, or cell/X/Y/Z; with --watch names of states, or none for all
     #[arg(value_name = "STATE")]
     states: Vec<String>,
-    /// How sure the model has to be of the contrary, above 0.5 and at most 1
+    /// How sure the model has to be of the contrary, above 0.5 and at most 1; of a state that is no probability, that a single
+    /// value lies within an interval
     #[arg(long, value_name = "C", default_value_t = Judgement::default().confidence, value_parser = confidence)]
     confidence: f64,
     /// First time

@@ -14,13 +14,15 @@ use crate::{connection::Client, error::Error};
 pub struct Anomaly {
     /// When, nanoseconds UTC.
     pub time_nanos: i64,
-    /// What was observed, in [0, 1].
+    /// What was observed, in the state's unit; in [0, 1] of a probability.
     pub value: f64,
-    /// Probability that the model gave the value 1, in [0, 1].
+    /// Probability that the model gave the value 1, in [0, 1]. Of a state that is no probability: that of a value at least as
+    /// far from what the model expected, to either side.
     pub probability: f64,
 }
 
-/// What counts as an anomaly, by the T-RO paper of 2017, section V: that the model says the contrary with this confidence.
+/// What counts as an anomaly, by the T-RO paper of 2017, section V: that the model says the contrary with this confidence. Of a state that is no probability: that the value lies outside
+/// of the interval that holds a single one with this confidence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judgement {
     /// Above 0.5, at most 1.

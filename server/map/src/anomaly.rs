@@ -1,4 +1,4 @@
-//! Observations that a model did not expect (T-RO 2017, section V).
+//! Observations that a model did not expect (T-RO 2017, section V; of states that are no probabilities see `values`).
 //!
 //! Invariant: what counts as an anomaly is said here and nowhere else. A probability of one half is never sure enough to
 //! make one, so a state of which nothing was learned has none.
@@ -59,9 +59,10 @@ pub fn is_anomalous(value: f64, probability: f64, confidence: Confidence) -> boo
 pub struct Anomaly {
     /// When, nanoseconds UTC.
     pub utc_nanos: i64,
-    /// What was observed, in [0, 1].
+    /// What was observed, in the bounds of the state's kind.
     pub value: f64,
-    /// The probability that the model had given the value 1, in [0, 1].
+    /// Of a probability: that of the value 1 which the model had given, in [0, 1]. Of a state of another kind: that of a value
+    /// at least as far from what was expected, to either side, in [0, 1].
     pub probability: f64,
 }
 
@@ -121,6 +122,10 @@ impl MapView {
         MapView { live: Vec::new(), grid: None, ..self.clone() }
     }
 }
+
+mod values;
+
+pub use values::ValueJudge;
 
 #[cfg(test)]
 mod tests;

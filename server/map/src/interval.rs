@@ -25,7 +25,7 @@ pub struct Spreads {
 }
 
 impl Spreads {
-    fn of(table: &HourTable) -> Spreads {
+    pub(crate) fn of(table: &HourTable) -> Spreads {
         let hour = |(weekend, hour)| table.spread(hour, weekend).map_or_else(HourMoments::default, HourMoments::from);
         let hours: Vec<HourMoments> =
             [false, true].into_iter().flat_map(|weekend| (0..24).map(move |h| (weekend, h))).map(hour).collect();
@@ -43,6 +43,11 @@ impl Spreads {
     #[must_use]
     pub fn value_interval(&self, kind: StateKind, p: f64, at: Moment, readings: f64, level: f64) -> Interval {
         value_interval(kind, p, self.hour(at), readings, level)
+    }
+
+    /// The variance between days of the hour of the day of a moment, at least 0; 0 where fewer than two days were seen.
+    pub(crate) fn variance_between_days(&self, at: Moment) -> f64 {
+        self.hour(at).variance()
     }
 
     /// What was recorded of the hour of the day of a moment.

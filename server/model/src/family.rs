@@ -28,7 +28,7 @@ pub use hypertime::{
     FieldReading, Hypertime, HypertimeAxis, HypertimeCluster, HypertimeDistribution, HypertimeField,
     HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeOptions, HypertimeParts,
 };
-pub use interval::{HourMoments, Interval, credible_interval, value_interval};
+pub use interval::{HourMoments, Interval, credible_interval, value_interval, value_tail};
 pub use latest::{Latest, LatestParts};
 pub use mean::{Mean, MeanParts};
 pub use pergam::{Pergam, PergamGaussian, PergamOptions, PergamParts};

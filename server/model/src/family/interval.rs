@@ -10,9 +10,11 @@
 use super::HourSpread;
 
 mod beta;
+mod single;
 mod values;
 
 use beta::Beta;
+pub use single::value_tail;
 pub use values::value_interval;
 
 #[cfg(test)]
@@ -59,6 +61,17 @@ impl HourMoments {
             sum: self.sum + other.sum,
             sum_of_squares: self.sum_of_squares + other.sum_of_squares,
         }
+    }
+
+    /// Variance between the hour's means on these days, at least 0, finite; 0 where fewer than two were seen. Of values of any
+    /// kind.
+    #[must_use]
+    pub fn variance(self) -> f64 {
+        if self.days.is_nan() || self.days <= 1.0 {
+            return 0.0;
+        }
+        let variance = (self.sum_of_squares - self.sum * (self.sum / self.days)) / (self.days - 1.0);
+        if variance.is_finite() { variance.max(0.0) } else { 0.0 }
     }
 
     /// The same with numbers that cannot have come from hourly means in `[0,1]` brought back to what can.

@@ -5,8 +5,8 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    anomaly::{Anomaly, anomalies},
-    event::{StateId, StateKind},
+    anomaly::{Anomaly, Confidence, anomalies},
+    event::StateId,
     grid::view::CellDescription,
     history::Reading,
     predict::ModelSelector,
@@ -14,7 +14,6 @@ use tidemap_map::{
 };
 use tidemap_proto::{
     convert::{
-        InvalidField,
         anomaly::{confidence_from_wire, judge_from_wire},
         query::check_for_cells,
     },
@@ -35,23 +34,6 @@ use crate::{
 
 /// Observations that are judged at once, and of one reply: their phasors take some 10 MB at 168 periodicities.
 const READINGS_PER_REPLY: usize = 4096;
-
-/// That anomalies of this state make sense.
-///
-/// # Errors
-/// Its values are no probabilities: there is no contrary of a number.
-pub(super) fn check_kind(field: &str, view: &MapView, id: StateId) -> Result<(), RpcError> {
-    let kind = view.kind(id);
-    if kind == StateKind::Probability {
-        return Ok(());
-    }
-    let name = view.info(id).map_or("", |info| info.name.as_str());
-    let text = format!(
-        "{name:?} is a {} state, and only of probabilities there is a contrary to be surprised by",
-        kind.name()
-    );
-    Err(InvalidField::new(field, text).into())
-}
 
 /// Who says what was to be expected.
 enum Judge {
@@ -74,6 +56,23 @@ impl Judge {
         }
         expected
     }
+
+    /// Those of the readings that were not expected.
+    fn unexpected(
+        &self,
+        view: &MapView,
+        readings: &[Reading],
+        selector: ModelSelector,
+        confidence: Confidence,
+    ) -> Vec<Anomaly> {
+        let expected = self.expected(view, readings, selector);
+        match self {
+            Self::State(id) | Self::Fitted(id, _) => {
+                view.judged(*id, selector, readings, &expected, confidence).into_iter().flatten().collect()
+            }
+            Self::Cell(_) => anomalies(readings, &expected, confidence).collect(),
+        }
+    }
 }
 
 pub(super) async fn find_anomalies(
@@ -89,8 +88,6 @@ pub(super) async fn find_anomalies(
     let cell = cell_of("state", &name)?;
     if cell.is_some() {
         check_for_cells("model", selector)?;
-    } else {
-        check_kind("state", &view, find_state(&view, &name)?)?;
     }
     // Before the turns to look up are taken: a fit has turns of its own, and may last.
     let fitted = if selector.kind.needs_readings() {
@@ -107,9 +104,8 @@ pub(super) async fn find_anomalies(
             (None, None) => Judge::State(find_state(&view, &name)?),
         };
         for readings in gather()?.chunks(READINGS_PER_REPLY) {
-            let expected = judge.expected(&view, readings, selector);
             let mut reply = v1::FindAnomaliesResponse::default();
-            for Anomaly { utc_nanos, value, probability } in anomalies(readings, &expected, confidence) {
+            for Anomaly { utc_nanos, value, probability } in judge.unexpected(&view, readings, selector, confidence) {
                 reply.times_nanos.push(utc_nanos);
                 reply.values.push(value);
                 reply.probabilities.push(probability);

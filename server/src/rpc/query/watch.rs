@@ -6,8 +6,8 @@
 use std::{collections::HashSet, sync::Arc, time::Duration};
 
 use tidemap_map::{
-    anomaly::{Anomaly, Confidence, anomalies},
-    event::{StateId, StateKind},
+    anomaly::{Anomaly, Confidence},
+    event::StateId,
     grid::index::CellIndex,
     history::Reading,
     predict::ModelSelector,
@@ -25,9 +25,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
 use super::{
-    Queries, STATES_MAX,
-    anomalies::check_kind,
-    check_limit, find_state,
+    Queries, STATES_MAX, check_limit, find_state,
     replies::{Replies, processors},
 };
 use crate::{
@@ -101,18 +99,14 @@ pub(super) async fn watch_anomalies(
     Ok(ReceiverStream::new(stream))
 }
 
-/// The states that are watched; `None`: all probabilities, those that are yet to come included.
+/// The states that are watched; `None`: all, those that are yet to come included.
 fn watched(view: &MapView, names: &[String]) -> Result<Option<HashSet<StateId>>, RpcError> {
     let find = |(i, name): (usize, &String)| match CellIndex::from_name(name) {
         Some(_) => {
             let text = format!("{name} is a cell, and cells are not watched: look back at it with FindAnomalies");
             Err(InvalidField::new(format!("states[{i}]"), text).into())
         }
-        None => {
-            let id = find_state(view, name)?;
-            check_kind(&format!("states[{i}]"), view, id)?;
-            Ok(id)
-        }
+        None => find_state(view, name),
     };
     let states = names.iter().enumerate().map(find).collect::<Result<HashSet<_>, RpcError>>()?;
     Ok((!states.is_empty()).then_some(states))
@@ -180,12 +174,7 @@ impl Watch {
 
     /// The observations of the states that are watched.
     fn observed(&self, applied: &Applied) -> Vec<Observed> {
-        // The newest view: states that are new came with what was applied.
-        let view = self.handle.view();
-        let is_watched = |&state: &StateId| match &self.watched {
-            Some(watched) => watched.contains(&state),
-            None => view.kind(state) == StateKind::Probability,
-        };
+        let is_watched = |state: &StateId| self.watched.as_ref().is_none_or(|watched| watched.contains(state));
         let readings = applied.times_nanos.iter().copied().zip(applied.values.iter().copied());
         applied.states.iter().copied().zip(readings).filter(|(state, _)| is_watched(state)).collect()
     }
@@ -238,10 +227,8 @@ fn unexpected(
         let times: Vec<i64> = readings.iter().map(|(nanos, _)| *nanos).collect();
         let mut expected = vec![0.0; times.len()];
         models.predict_into(state, &models.prepare(&times), selector, &mut expected);
-        for (&place, (reading, expected)) in places.iter().zip(readings.iter().zip(&expected)) {
-            let judged = anomalies(std::slice::from_ref(reading), std::slice::from_ref(expected), confidence);
-            found.extend(judged.map(|anomaly| (place, state, anomaly)));
-        }
+        let judged = models.judged(state, selector, &readings, &expected, confidence);
+        found.extend(places.iter().zip(judged).filter_map(|(&place, anomaly)| Some((place, state, anomaly?))));
     }
     found.sort_by_key(|(place, ..)| *place);
     found.into_iter().map(|(_, state, anomaly)| (state, anomaly)).collect()

@@ -1,0 +1,126 @@
+//! Which values of states that are no probabilities a model did not expect.
+//!
+//! A single value counts as an anomaly where it lies outside of the two-sided interval of the confidence asked for, of the
+//! distribution of single values about the prediction ([`value_tail`]). How much these vary is what the model's own errors
+//! have been: those at predicting days before they were learned. Invariant: of a state of which little was learned nothing
+//! is an anomaly.
+
+use tidemap_model::{
+    HISTOGRAMS, ModelChoice, StateKind, StateModel,
+    family::{Moment, value_tail},
+};
+
+use super::{Anomaly, Confidence};
+use crate::{
+    event::StateId,
+    history::Reading,
+    interval::Spreads,
+    predict::{ModelKind, ModelSelector},
+    view::MapView,
+};
+
+#[cfg(test)]
+mod tests;
+
+/// Fewer observations than these say too little of how much single ones vary.
+const LEAST_OBSERVATIONS: u64 = 30;
+
+/// How much single values of a state vary about what a model expects.
+#[derive(Clone, Debug)]
+pub struct ValueJudge {
+    kind: StateKind,
+    spreads: Spreads,
+    /// The variance of single values about the prediction; of counts at a usual rate.
+    variance: f64,
+    /// Of counts: variance over rate, at least 1.
+    dispersion: f64,
+    /// Of counts: a rate that is lower than this counts as this, one in all observations.
+    least_rate: f64,
+}
+
+impl ValueJudge {
+    /// Who judges by that model; `None` where fewer than 30 observations were folded in, and of probabilities.
+    ///
+    /// The variance is that of the values, times what the model's error at predicting days that it had not learned has been of
+    /// that of the mean: the sums, fading by 7 % a day, by which updates choose orders and models. Of a model that they do not
+    /// score it is that of the model in force, and before the first scored day that of the values.
+    #[must_use]
+    pub fn new(model: &StateModel, selector: ModelSelector) -> Option<Self> {
+        let (kind, folded) = (model.kind(), model.accumulator());
+        if kind == StateKind::Probability || folded.observations() < LEAST_OBSERVATIONS {
+            return None;
+        }
+        let spreads = Spreads::of(model.alternatives()?.hours());
+        let variance = folded.variance() * share_of_mean(model, selector);
+        let rate = folded.mean().max(0.0);
+        let dispersion = if rate > 0.0 { (variance / rate).max(1.0) } else { 1.0 };
+        let least_rate = 1.0 / folded.observations() as f64;
+        Some(Self { kind, spreads, variance, dispersion, least_rate })
+    }
+
+    /// The probability of a value at least as far from what was expected of its moment, to either side.
+    ///
+    /// The variance is not less than that between days of the hour, as prediction intervals take it: the hours of some
+    /// states differ in how much they vary. That of counts goes with the rate.
+    #[must_use]
+    pub fn tail(&self, value: f64, expected: f64, at: Moment) -> f64 {
+        let between_days = self.spreads.variance_between_days(at);
+        if self.kind == StateKind::Count {
+            let rate = expected.max(self.least_rate);
+            return value_tail(self.kind, rate, (self.dispersion * rate).max(between_days), value);
+        }
+        value_tail(self.kind, expected, self.variance.max(between_days), value)
+    }
+}
+
+/// The error of a model over that of the mean, at predicting days before they were learned; that of the model in force where
+/// updates do not score this one, and 1 before the first scored day.
+fn share_of_mean(model: &StateModel, selector: ModelSelector) -> f64 {
+    let Some(known) = model.alternatives() else { return 1.0 };
+    let scored = |wanted| known.error_sums().find(|(choice, _)| *choice == wanted).map(|(_, sum)| sum);
+    let order = |order: usize| model.errors().sums().get(order).copied();
+    let own = match selector.kind {
+        ModelKind::Mean => order(0),
+        ModelKind::Spectral => order(selector.order_for(model)),
+        ModelKind::Auto => selector.order.and_then(order),
+        ModelKind::Calibrated => scored(ModelChoice::Calibrated),
+        ModelKind::Histogram { cycle, bins } => {
+            let number = HISTOGRAMS.iter().position(|&(known, count)| known == cycle && count == bins as usize);
+            number.and_then(|number| u8::try_from(number).ok()).map(ModelChoice::Histogram).and_then(scored)
+        }
+        _ => None,
+    };
+    match (own.or_else(|| scored(model.choice())), order(0)) {
+        (Some(own), Some(of_mean)) if of_mean > 0.0 => own / of_mean,
+        _ => 1.0,
+    }
+}
+
+impl MapView {
+    /// Which of these readings of a state a model did not expect which expects these values of them, in their order: one
+    /// entry a reading. Of a probability as [`super::is_anomalous`] says, of other kinds as [`ValueJudge`] does.
+    #[must_use]
+    pub fn judged(
+        &self,
+        id: StateId,
+        selector: ModelSelector,
+        readings: &[Reading],
+        expected: &[f64],
+        confidence: Confidence,
+    ) -> Vec<Option<Anomaly>> {
+        let pairs = readings.iter().zip(expected);
+        if self.kind(id) == StateKind::Probability {
+            let judged = pairs.map(|(reading, expected)| {
+                super::anomalies(std::slice::from_ref(reading), std::slice::from_ref(expected), confidence).next()
+            });
+            return judged.collect();
+        }
+        let Some(judge) = ValueJudge::new(self.model(id), selector) else { return vec![None; readings.len()] };
+        let times: Vec<i64> = readings.iter().map(|(nanos, _)| *nanos).collect();
+        let judged = pairs.zip(self.moments(&times)).map(|((&(utc_nanos, value), &expected), at)| {
+            let probability = judge.tail(value, expected, at);
+            (probability <= 1.0 - confidence.get()).then_some(Anomaly { utc_nanos, value, probability })
+        });
+        judged.collect()
+    }
+}

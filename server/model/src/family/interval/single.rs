@@ -1,0 +1,93 @@
+//! How far out a single value lies that is no probability, as a tail probability.
+//!
+//! Continuous values are taken to be normal about the prediction. Counts are taken to be negative binomial, a Poisson
+//! distribution whose rate differs from time to time, with the variance φ·λ, φ ≥ 1, λ the prediction (the form called NB1:
+//! A. C. Cameron and P. K. Trivedi, "Econometric models based on count data", Journal of Applied Econometrics 1986). As φ
+//! goes to 1 it becomes Poisson. Invariant: a tail is a probability, whatever is asked.
+
+use crate::{StateKind, VALUE_MAX};
+
+#[cfg(test)]
+mod tests;
+
+/// The variance of counts is at least this times their mean: so near to Poisson one formula serves for both.
+const LEAST_DISPERSION: f64 = 1.000_01;
+/// Where more are expected, or single counts vary more, counts are taken to be normal: sums would be long.
+const MOST_SUMMED: f64 = 600.0;
+const MOST_DISPERSION: f64 = 1e4;
+/// Values are told apart from their prediction to this share of it: sums of squares know no better.
+const LEAST_DEVIATION: f64 = 1e-6;
+
+/// The probability of a value at least as far out as `value`, to either side: twice the probability of one at least as
+/// large, or at least as small, whichever is less; at most 1.
+///
+/// `expected` is the prediction, `variance` that of single values about it, at least 0. The value lies outside of the
+/// two-sided interval of confidence C where this is less than 1 - C. What is not finite counts as 0 as a prediction and
+/// variance, and is as far out as can be as a value.
+pub fn value_tail(kind: StateKind, expected: f64, variance: f64, value: f64) -> f64 {
+    if !value.is_finite() {
+        return 0.0;
+    }
+    let number = |found: f64| if found.is_finite() { found } else { 0.0 };
+    let expected = number(expected).clamp(-VALUE_MAX, VALUE_MAX);
+    let variance = number(variance).max(0.0);
+    let one_sided = if kind == StateKind::Count {
+        let mean = expected.max(0.0);
+        counts_tail(mean, (variance / mean.max(f64::MIN_POSITIVE)).max(LEAST_DISPERSION), value)
+    } else {
+        let deviation = variance.sqrt().max(LEAST_DEVIATION * expected.abs()).max(f64::MIN_POSITIVE);
+        normal_tail((value - expected).abs() / deviation)
+    };
+    (2.0 * one_sided).clamp(0.0, 1.0)
+}
+
+/// The probability that a standard normal variable is at least z ≥ 0 (M. Abramowitz and I. A. Stegun, "Handbook of
+/// Mathematical Functions", 1964, 26.2.17).
+fn normal_tail(z: f64) -> f64 {
+    let t = 1.0 / (1.0 + 0.231_641_9 * z);
+    let polynomial = [1.330_274_429, -1.821_255_978, 1.781_477_937, -0.356_563_782, 0.319_381_530];
+    let sum = polynomial.into_iter().fold(0.0, |sum, coefficient| (sum + coefficient) * t);
+    let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
+    if density > 0.0 { density * sum } else { 0.0 }
+}
+
+/// The lesser of the probabilities of a count of at most and of at least `value`, of that mean and variance φ·mean.
+fn counts_tail(mean: f64, dispersion: f64, value: f64) -> f64 {
+    if value < 0.0 {
+        return 0.0;
+    }
+    if mean <= 0.0 {
+        return if value > 0.0 { 0.0 } else { 1.0 };
+    }
+    if mean > MOST_SUMMED || dispersion > MOST_DISPERSION {
+        // Whole numbers: half a one belongs to the value itself.
+        let distance = ((value - mean).abs() - 0.5).max(0.0);
+        return normal_tail(distance / (dispersion * mean).sqrt());
+    }
+    let size = mean / (dispersion - 1.0);
+    let ratio = 1.0 - 1.0 / dispersion;
+    // P(k + 1) / P(k).
+    let growth = |k: f64| (k + size) / (k + 1.0) * ratio;
+    // P(0) is at least e^-600.
+    let (mut at, mut mass, mut below) = (0.0, (-size * (dispersion - 1.0).ln_1p()).exp(), 0.0);
+    while at + 1.0 <= value && !(at > mean && mass < 1e-300) {
+        below += mass;
+        mass *= growth(at);
+        at += 1.0;
+    }
+    if at + 1.0 <= value {
+        return 0.0;
+    }
+    let at_most = below + mass;
+    if value < mean {
+        return at_most.min((1.0 - below).max(0.0));
+    }
+    let mut at_least = mass;
+    // Beyond both the mean and the size's pull the masses fall by no less than this.
+    while mass > 1e-9 * at_least && mass > 0.0 {
+        mass *= growth(at);
+        at += 1.0;
+        at_least += mass;
+    }
+    at_least.min(at_most)
+}
