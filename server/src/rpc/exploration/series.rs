@@ -78,7 +78,7 @@ pub(super) async fn series(
         let predict = move || {
             let _turn = turn;
             let mut row = vec![0.0; moments.len()];
-            fitted.predict_into(&view, id, &moments, selector.persistence, &mut row);
+            fitted.predict_into(&view, id, &moments, selector, &mut row);
             row
         };
         rows.push(tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)?);
