@@ -20,6 +20,7 @@ mod uniform;
 pub use alarm::{ChangeAlarm, ChangeAlarmParts, DayErrors};
 pub use calibrated::{Calibrated, CalibratedOptions, CalibratedParts};
 pub use chain::{Chain, ChainParts};
+pub(crate) use histogram::hour_runs;
 pub use histogram::{
     HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle, HistogramParts, HistogramSettings, HourSpread, HourTable,
     HourTableParts,

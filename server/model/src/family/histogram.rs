@@ -8,9 +8,11 @@ use super::mean::{RunningMean, check_values};
 use super::{CannotFit, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
 
+mod answer;
 mod cycle;
 mod hours;
 
+pub(crate) use answer::hour_runs;
 pub use cycle::HistogramCycle;
 pub use hours::{HourSpread, HourTable, HourTableParts};
 
@@ -103,16 +105,7 @@ impl Histogram {
             width if width > 0.0 => smoothed(bins, settings.bins, width),
             _ => bins.to_vec(),
         };
-        let shrunk = |&(weight, value): &(f64, f64)| {
-            if weight <= 0.0 {
-                return mean;
-            }
-            let total = weight + settings.prior_readings;
-            let between = value * (weight / total) + mean * (settings.prior_readings / total);
-            // Rounding must not lead out of what was read.
-            between.clamp(value.min(mean), value.max(mean))
-        };
-        let values = smoothed.iter().map(shrunk).collect();
+        let values = smoothed.iter().map(|&bin| shrunk(bin, mean, settings.prior_readings)).collect();
         let weights = bins.iter().map(|&(weight, _)| weight).collect();
         Histogram { parts: HistogramParts { cycle: settings.cycle, values, weights } }
     }
@@ -165,6 +158,17 @@ impl TemporalModel for Histogram {
     fn predict(&self, at: Moment) -> f64 {
         self.parts.values[self.bin(at)]
     }
+}
+
+/// The answer of a bin with this weight and mean value, drawn towards the mean of all.
+fn shrunk((weight, value): (f64, f64), mean: f64, prior_readings: f64) -> f64 {
+    if weight <= 0.0 {
+        return mean;
+    }
+    let total = weight + prior_readings;
+    let between = value * (weight / total) + mean * (prior_readings / total);
+    // Rounding must not lead out of what was read.
+    between.clamp(value.min(mean), value.max(mean))
 }
 
 /// Each bin's weight and mean over its surroundings, within runs of `run` bins that close into a circle: the

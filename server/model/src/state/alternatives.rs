@@ -17,6 +17,7 @@ use crate::{
     order::{KEPT_PER_DAY, OrderCriterion},
 };
 
+mod hourly;
 mod parts;
 #[cfg(test)]
 mod tests;
@@ -26,9 +27,6 @@ pub use parts::{AlternativesParts, CalibratedFitParts};
 /// The histograms that are tried: cycle, and bins of the cycle.
 pub const HISTOGRAMS: [(HistogramCycle, usize); 3] =
     [(HistogramCycle::Day, 24), (HistogramCycle::WeekdayWeekend, 24), (HistogramCycle::Week, 168)];
-
-/// The histograms' bins are of whole hours.
-const HOUR_NANOS: i64 = 3_600_000_000_000;
 
 /// Another model than the one in force is chosen only where its error is lower than that one's by this factor: what was
 /// chosen by a hair today would be dropped by a hair tomorrow.
@@ -119,17 +117,6 @@ impl DayError {
         let mut error = DayError::default();
         for sample in samples {
             error.add(model.predict(sample.moment()), criterion, sample.value);
-        }
-        error
-    }
-
-    /// The same of a model that answers alike within each civil hour, which is asked once for each run of samples of one.
-    fn of_hourly(model: &impl TemporalModel, criterion: OrderCriterion, samples: &[Sample]) -> DayError {
-        let mut error = DayError::default();
-        let hour = |sample: &Sample| sample.civil_nanos().div_euclid(HOUR_NANOS);
-        for run in samples.chunk_by(|one, next| hour(one) == hour(next)) {
-            let predicted = run.first().map_or(0.0, |sample| model.predict(sample.moment()));
-            run.iter().for_each(|sample| error.add(predicted, criterion, sample.value));
         }
         error
     }
@@ -226,11 +213,7 @@ impl Alternatives {
         (spectral_day, spectral_sum): (f64, f64),
         (spectral_squared, unit): (f64, f64),
     ) -> f64 {
-        let mut of_day = [DayError::default(); HISTOGRAMS.len()];
-        for (number, error) in (0..).zip(&mut of_day) {
-            let Some(histogram) = self.histogram(number) else { return spectral_squared };
-            *error = DayError::of_hourly(&histogram, criterion, newer);
-        }
+        let Some(of_day) = self.score_histograms(criterion, newer) else { return spectral_squared };
         let calibrated = self.calibrated.as_ref().map(|fit| DayError::of(&*fit.model, criterion, newer));
         let in_force = match self.parts.choice {
             ModelChoice::Spectral => None,

@@ -97,12 +97,12 @@ impl SlotSums {
     pub(super) fn of(days: impl Iterator<Item = Day>, newest: i32, options: CalibratedOptions) -> SlotSums {
         let empty = || vec![WeekSums::default(); SLOTS_PER_DAY];
         let mut sums = SlotSums { fine: empty(), broad: empty() };
-        let (fine, broad) = (kernel(options.smoothing_secs), kernel(options.broad_smoothing_secs));
+        let (fine, broad) = (Kernel::new(options.smoothing_secs), Kernel::new(options.broad_smoothing_secs));
         for day in days {
             let age_days = f64::from(newest.abs_diff(day.date.0));
             let weight = day.weight / (1.0 + age_days / options.memory_days);
-            smooth(&day.means, &fine, |slot, seen, value| sums.fine[slot][day.of_week].add(weight, seen, value));
-            smooth(&day.means, &broad, |slot, seen, value| sums.broad[slot][day.of_week].add(weight, seen, value));
+            fine.smooth(&day.means, |slot, seen, value| sums.fine[slot][day.of_week].add(weight, seen, value));
+            broad.smooth(&day.means, |slot, seen, value| sums.broad[slot][day.of_week].add(weight, seen, value));
         }
         sums
     }
@@ -148,29 +148,48 @@ fn slot_of(sample: &Sample) -> usize {
     secs as usize * SLOTS_PER_DAY / 86_400
 }
 
-/// Half a Gaussian over slots, from its middle to three standard deviations.
-fn kernel(deviation_secs: f64) -> Vec<f64> {
-    let deviation = deviation_secs / SECS_PER_SLOT;
-    let reach = ((3.0 * deviation).ceil() as usize).min(SLOTS_PER_DAY - 1);
-    (0..=reach).map(|slots| if slots == 0 { 1.0 } else { (-0.5 * (slots as f64 / deviation).powi(2)).exp() }).collect()
+/// A Gaussian over slots, cut off at three standard deviations and at the ends of the day.
+struct Kernel {
+    /// From one end to the other, its middle in the middle.
+    weights: Vec<f64>,
+    /// For each slot the weights that lie within the day, added up.
+    within: [f64; SLOTS_PER_DAY],
 }
 
-/// Hands on each slot's local mean and how much of its neighbourhood within the day was seen, in `(0,1]`.
-fn smooth(means: &[Option<f64>; SLOTS_PER_DAY], kernel: &[f64], mut each: impl FnMut(usize, f64, f64)) {
-    for slot in 0..SLOTS_PER_DAY {
-        let first = slot.saturating_sub(kernel.len() - 1);
-        let last = (slot + kernel.len() - 1).min(SLOTS_PER_DAY - 1);
-        let (mut all, mut seen, mut value) = (0.0, 0.0, 0.0);
-        for (other, mean) in means.iter().enumerate().take(last + 1).skip(first) {
-            let weight = kernel[other.abs_diff(slot)];
-            all += weight;
-            if let Some(mean) = mean {
-                seen += weight;
-                value += weight * mean;
+impl Kernel {
+    fn new(deviation_secs: f64) -> Kernel {
+        let deviation = deviation_secs / SECS_PER_SLOT;
+        let reach = ((3.0 * deviation).ceil() as usize).min(SLOTS_PER_DAY - 1);
+        let weight = |slots: usize| if slots == 0 { 1.0 } else { (-0.5 * (slots as f64 / deviation).powi(2)).exp() };
+        let weights: Vec<f64> = (0..=2 * reach).map(|place| weight(place.abs_diff(reach))).collect();
+        let mut kernel = Kernel { weights, within: [0.0; SLOTS_PER_DAY] };
+        kernel.within = kernel.over(&[1.0; SLOTS_PER_DAY]);
+        kernel
+    }
+
+    /// For each slot the weighted sum of the numbers around it. One weight after the other over all slots, so that slots
+    /// lie side by side in vectors.
+    fn over(&self, numbers: &[f64; SLOTS_PER_DAY]) -> [f64; SLOTS_PER_DAY] {
+        let reach = self.weights.len() / 2;
+        let mut padded = [0.0; 3 * SLOTS_PER_DAY];
+        padded[reach..reach + SLOTS_PER_DAY].copy_from_slice(numbers);
+        let mut sums = [0.0; SLOTS_PER_DAY];
+        for (&weight, around) in self.weights.iter().zip(padded.windows(SLOTS_PER_DAY)) {
+            for (sum, number) in sums.iter_mut().zip(around) {
+                *sum += weight * number;
             }
         }
-        if seen > 0.0 {
-            each(slot, seen / all, value / seen);
+        sums
+    }
+
+    /// Hands on each slot's local mean and how much of its neighbourhood within the day was seen, in `(0,1]`.
+    fn smooth(&self, means: &[Option<f64>; SLOTS_PER_DAY], mut each: impl FnMut(usize, f64, f64)) {
+        let seen = self.over(&means.map(|mean| f64::from(u8::from(mean.is_some()))));
+        let value = self.over(&means.map(|mean| mean.unwrap_or(0.0)));
+        for (slot, ((seen, value), within)) in seen.into_iter().zip(value).zip(self.within).enumerate() {
+            if seen > 0.0 {
+                each(slot, seen / within, value / seen);
+            }
         }
     }
 }

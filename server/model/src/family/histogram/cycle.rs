@@ -4,7 +4,7 @@
 
 use crate::civil::NANOS_PER_SEC;
 
-const HOUR_NANOS: i64 = 3600 * NANOS_PER_SEC;
+pub(super) const HOUR_NANOS: i64 = 3600 * NANOS_PER_SEC;
 const DAY_NANOS: i64 = 24 * HOUR_NANOS;
 const WEEK_NANOS: i64 = 7 * DAY_NANOS;
 /// 1970-01-01 was a Thursday; weeks begin on Monday.

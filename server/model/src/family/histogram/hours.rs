@@ -4,9 +4,8 @@
 //! Invariant: sums commute, so the table depends neither on order nor on batching beyond 1e-9, as long as no local hour
 //! is split over two batches.
 
-use std::collections::BTreeMap;
-
-use super::cycle::{DAY_HOURS, WEEK_HOURS, civil_hour, hour_of_week_of, is_weekend};
+use super::answer::hour_runs;
+use super::cycle::{DAY_HOURS, WEEK_HOURS, hour_of_week_of, is_weekend};
 use super::{HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle, HistogramSettings};
 use crate::{InvalidParts, Sample};
 
@@ -53,18 +52,22 @@ impl HourTable {
     /// A local hour of one date that is split over two batches enters the cells of the week all the same, but counts as
     /// two days in [`HourTable::spread`]. The hour that comes twice when clocks are set back is one hour.
     pub fn add(&mut self, samples: &[Sample]) {
-        // Per civil hour the readings' number and sum; looked up once for each run of readings of the same hour.
-        let mut hours: BTreeMap<i64, (f64, f64)> = BTreeMap::new();
-        for run in samples.chunk_by(|one, next| civil_hour(one.civil_nanos()) == civil_hour(next.civil_nanos())) {
-            let values = run.iter().map(|sample| sample.value).filter(|value| value.is_finite());
-            let (number, of_run) = values.fold((0.0, 0.0), |(number, sum), value| (number + 1.0, bounded(sum + value)));
-            if let (Some(first), true) = (run.first(), number > 0.0) {
-                let (count, sum) = hours.entry(civil_hour(first.civil_nanos())).or_default();
-                *count += number;
-                *sum = bounded(*sum + of_run);
+        // Per run the hour and the readings' number and sum.
+        let mut runs: Vec<(i64, f64, f64)> = Vec::with_capacity(DAY_HOURS + 1);
+        runs.extend(hour_runs(samples).map(|run| {
+            let values = run.samples.iter().map(|sample| sample.value).filter(|value| value.is_finite());
+            let (number, sum) = values.fold((0.0, 0.0), |(number, sum), value| (number + 1.0, bounded(sum + value)));
+            (run.civil_hour, number, sum)
+        }));
+        // Most often they are in order already, and each hour is one run.
+        runs.sort_by_key(|&(hour, ..)| hour);
+        for of_hour in runs.chunk_by(|one, next| one.0 == next.0) {
+            let hour = of_hour[0].0;
+            let add = |(count, sum): (f64, f64), run: &(i64, f64, f64)| (count + run.1, bounded(sum + run.2));
+            let (count, sum) = of_hour.iter().fold((0.0, 0.0), add);
+            if count <= 0.0 {
+                continue;
             }
-        }
-        for (hour, (count, sum)) in hours {
             let hour_of_week = hour_of_week_of(hour);
             add_to(&mut self.parts.cells[hour_of_week], [count, sum]);
             let mean = sum / count;
@@ -120,7 +123,6 @@ impl HourTable {
         if all[0] <= 0.0 {
             return None;
         }
-        let mean = |[weight, sum]: [f64; 2]| if weight > 0.0 { bounded(sum / weight) } else { 0.0 };
         let means: Vec<(f64, f64)> = sums.iter().map(|&bin| (bin[0], mean(bin))).collect();
         let settings =
             HistogramSettings { prior_readings: HISTOGRAM_PRIOR_READINGS, ..HistogramSettings::new(cycle, bins) };
@@ -150,6 +152,11 @@ impl HourTable {
         let mean = bounded(sum / days);
         let variance = if days > 1.0 { (squares - sum * mean).max(0.0) / (days - 1.0) } else { 0.0 };
         Some(HourSpread { days, mean, standard_deviation: bounded(variance.sqrt()) })
+    }
+
+    /// The cells of the week.
+    pub(super) fn cells(&self) -> &[[f64; 2]] {
+        &self.parts.cells
     }
 
     /// What to store.
@@ -187,7 +194,12 @@ fn day_cell(hour_of_day: usize, weekend: bool) -> usize {
     usize::from(weekend) * DAY_HOURS + hour_of_day
 }
 
-fn add_to<const N: usize>(cell: &mut [f64; N], other: [f64; N]) {
+/// The mean value of a cell; 0 where nothing was read.
+pub(super) fn mean([weight, sum]: [f64; 2]) -> f64 {
+    if weight > 0.0 { bounded(sum / weight) } else { 0.0 }
+}
+
+pub(super) fn add_to<const N: usize>(cell: &mut [f64; N], other: [f64; N]) {
     for (sum, other) in cell.iter_mut().zip(other) {
         *sum = bounded(*sum + other);
     }

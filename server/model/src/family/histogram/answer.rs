@@ -1,0 +1,73 @@
+//! What a histogram answers in one hour, read off the table of hours without making the histogram; and a day's readings
+//! by the hour.
+//!
+//! Invariant: an answer is bit for bit that of the histogram that [`HourTable::histogram`] makes.
+
+use super::cycle::{DAY_HOURS, HOUR_NANOS, civil_hour, hour_of_week_of, is_weekend};
+use super::hours::{add_to, mean};
+use super::{HISTOGRAM_PRIOR_READINGS, HistogramCycle, HourTable, shrunk};
+use crate::Sample;
+
+/// Days of a week.
+const WEEK_DAYS: usize = 7;
+/// Monday to Friday.
+const WEEKDAYS: usize = 5;
+
+/// Readings of the same local civil hour that follow each other.
+pub(crate) struct HourRun<'a> {
+    /// The hour's number, from 1970-01-01T00:00 local.
+    pub(crate) civil_hour: i64,
+    /// At least one.
+    pub(crate) samples: &'a [Sample],
+}
+
+impl HourRun<'_> {
+    /// The hour of the week, 0..168 from Monday, midnight.
+    pub(crate) fn hour_of_week(&self) -> usize {
+        hour_of_week_of(self.civil_hour)
+    }
+}
+
+/// Readings as runs of the same hour, as they come.
+pub(crate) fn hour_runs(samples: &[Sample]) -> impl Iterator<Item = HourRun<'_>> {
+    let mut rest = samples;
+    std::iter::from_fn(move || {
+        let civil_nanos = rest.first()?.civil_nanos();
+        // A division a run, and none a reading.
+        let into = civil_nanos.rem_euclid(HOUR_NANOS);
+        let hour = civil_nanos.saturating_sub(into)..=civil_nanos.saturating_add(HOUR_NANOS - 1 - into);
+        let length = rest.iter().position(|sample| !hour.contains(&sample.civil_nanos()));
+        let (samples, later) = rest.split_at(length.unwrap_or(rest.len()));
+        rest = later;
+        Some(HourRun { civil_hour: civil_hour(civil_nanos), samples })
+    })
+}
+
+impl HourTable {
+    /// The mean of all readings; `None` where nothing was read.
+    pub(crate) fn mean(&self) -> Option<f64> {
+        let mut all = [0.0; 2];
+        self.cells().iter().for_each(|&cell| add_to(&mut all, cell));
+        (all[0] > 0.0).then(|| mean(all))
+    }
+
+    /// What [`HourTable::histogram`] predicts in an hour of the week, 0..168, of which `mean_of_all` is [`HourTable::mean`].
+    /// `bins` must be such that there is a histogram.
+    pub(crate) fn answer(&self, (cycle, bins): (HistogramCycle, usize), hour_of_week: usize, mean_of_all: f64) -> f64 {
+        let per_bin = cycle.hours() / bins.max(1);
+        let days = match cycle {
+            HistogramCycle::Week => 0..1,
+            HistogramCycle::Day => 0..WEEK_DAYS,
+            HistogramCycle::WeekdayWeekend if is_weekend(hour_of_week) => WEEKDAYS..WEEK_DAYS,
+            HistogramCycle::WeekdayWeekend => 0..WEEKDAYS,
+        };
+        let hour = hour_of_week % cycle.hours();
+        let first = hour - hour % per_bin.max(1);
+        let mut bin = [0.0; 2];
+        for day in days {
+            let from = day * DAY_HOURS + first;
+            self.cells().iter().skip(from).take(per_bin).for_each(|&cell| add_to(&mut bin, cell));
+        }
+        shrunk((bin[0], mean(bin)), mean_of_all, HISTOGRAM_PRIOR_READINGS)
+    }
+}

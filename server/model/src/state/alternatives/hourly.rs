@@ -1,0 +1,32 @@
+//! The errors of all histograms on a day, in one pass over it.
+//!
+//! Invariant: the errors are those of the histograms that [`Alternatives::histogram`] makes, though none is made: an hour
+//! costs one answer of each, however many readings it has.
+
+use super::{Alternatives, DayError, HISTOGRAMS};
+use crate::{Sample, family::hour_runs, order::OrderCriterion};
+
+#[cfg(test)]
+mod tests;
+
+impl Alternatives {
+    /// The error of each of [`HISTOGRAMS`] on a day's samples; `None` where nothing was read before.
+    pub(super) fn score_histograms(
+        &self,
+        criterion: OrderCriterion,
+        samples: &[Sample],
+    ) -> Option<[DayError; HISTOGRAMS.len()]> {
+        let mean = self.hours.mean()?;
+        let mut errors = [DayError::default(); HISTOGRAMS.len()];
+        for run in hour_runs(samples) {
+            let hour_of_week = run.hour_of_week();
+            let predicted = HISTOGRAMS.map(|histogram| self.hours.answer(histogram, hour_of_week, mean));
+            for sample in run.samples {
+                for (error, predicted) in errors.iter_mut().zip(predicted) {
+                    error.add(predicted, criterion, sample.value);
+                }
+            }
+        }
+        Some(errors)
+    }
+}

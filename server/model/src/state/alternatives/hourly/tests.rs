@@ -1,0 +1,50 @@
+//! The errors in one pass against those of histograms that are made and asked for each reading.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::family::TemporalModel as _;
+
+const SEC: i64 = 1_000_000_000;
+
+fn any_samples(length: std::ops::Range<usize>, span_secs: i64) -> impl Strategy<Value = Vec<Sample>> {
+    let value = prop_oneof![0.0..=1.0, Just(0.0), Just(1.0), Just(0.5), -1e9..1e9, Just(1e150), Just(f64::MAX)];
+    // Summer time now and then: hours come twice, or are left out.
+    let offset_secs = prop_oneof![Just(0), Just(0), Just(3_600), Just(-12_600)];
+    let sample = (-span_secs..span_secs, offset_secs, value);
+    proptest::collection::vec(sample, length).prop_map(|mut samples| {
+        samples.sort_by_key(|sample| sample.0);
+        let sample = |(secs, offset_secs, value)| Sample { utc_nanos: secs * SEC, offset_secs, value };
+        samples.into_iter().map(sample).collect()
+    })
+}
+
+proptest! {
+    #[test]
+    fn one_pass_finds_what_histograms_have(
+        read in any_samples(0..300, 3_000_000),
+        faded in prop_oneof![Just(1.0), 0.0..1.0, Just(1e-12)],
+        scored in any_samples(0..100, 200_000),
+        zero_one in any::<bool>(),
+    ) {
+        let criterion = if zero_one { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError };
+        let mut known = Alternatives::default();
+        known.hours.add(&read);
+        known.hours.scale(faded);
+        let found = known.score_histograms(criterion, &scored);
+        let made: Option<Vec<_>> = (0..).take(HISTOGRAMS.len()).map(|number| known.histogram(number)).collect();
+        prop_assert_eq!(found.is_some(), made.is_some());
+        let made = made.unwrap_or_default();
+        for (found, histogram) in found.iter().flatten().zip(&made) {
+            let naive = scored.iter().fold((0.0, 0.0), |(squared, by_criterion), sample| {
+                let predicted = histogram.predict(sample.moment());
+                let difference = (predicted - sample.value).powi(2);
+                let wrong = f64::from(u8::from((predicted >= 0.5) != (sample.value >= 0.5)));
+                (squared + difference, by_criterion + if zero_one { wrong } else { difference })
+            });
+            let is_near = |one: f64, other: f64| one == other || (one - other).abs() <= 1e-9 * other.abs();
+            prop_assert!(is_near(found.squared, naive.0), "{} and {}", found.squared, naive.0);
+            prop_assert!(is_near(found.by_criterion, naive.1), "{} and {}", found.by_criterion, naive.1);
+        }
+    }
+}
