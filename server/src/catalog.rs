@@ -7,7 +7,8 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use arc_swap::ArcSwap;
 use tidemap_map::{
-    grid::tile::TileUnavailable, live_map::LiveMap, name::MapName, snapshot::MapSnapshot, spec::MapSpec,
+    event::Event, grid::tile::TileUnavailable, live_map::LiveMap, name::MapName, snapshot::MapSnapshot, spec::MapSpec,
+    update::UpdateWork,
 };
 use tidemap_store::{MapId, OpenError, StoreError};
 use tracing::{info, warn};
@@ -241,7 +242,8 @@ async fn ended<T>(task: tokio::task::JoinHandle<Result<T, CatalogError>>) -> Res
     }
 }
 
-/// Brings a map back from its newest snapshot and the log after it, and starts its writer.
+/// Brings a map back from its newest snapshot and the log after it, and starts its writer. The last update that the log
+/// has begun may be one that was cut off: the writer runs it again while the map is served from the generation before.
 fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle>, CatalogError> {
     let opened = context.store.open_map(id, &spec)?;
     for report in &opened.reports {
@@ -256,41 +258,63 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
         None => (LiveMap::new(Arc::clone(&spec)), 0),
     };
     let mut replayed = 0u64;
-    let mut unsaved: Option<MapSnapshot> = None;
-    let mut save_above = HISTORY_BYTES;
+    let mut repeated = Repeated { context, id, spec: &spec, unsaved: None, save_above: HISTORY_BYTES };
+    // The last update that the log has begun. Only what follows tells whether it ended; until then it may be long.
+    let mut begun: Option<UpdateWork> = None;
     for entry in opened.replay {
         let (position, event) = entry?;
         replayed += 1;
-        let result = if position <= known {
-            map.recover_pending(position, &event).map(|()| None)
+        if position <= known {
+            map.recover_pending(position, &event)
         } else {
-            map.apply(position, &event)
-        };
-        let work =
-            result.map_err(|error| CatalogError::Inconsistent { map: spec.name.clone(), reason: error.to_string() })?;
-        if let Some(work) = work {
-            let done = std::sync::atomic::AtomicU64::new(0);
-            let kept = unsaved.as_ref().map_or(Vec::new(), |snapshot| snapshot.history.clone());
-            let result = context.run_update(id, &spec.name, work, kept, &done);
-            let result = result.map_err(|source| CatalogError::Tile { map: spec.name.clone(), source })?;
-            let mut snapshot = map.finish_update(result);
-            // Of the snapshots before only their history is not in this one.
-            let mut history = unsaved.take().map_or(Vec::new(), |older| older.history);
-            history.append(&mut snapshot.history);
-            snapshot.history = history;
-            let bytes = snapshot.history.iter().map(|piece| piece.bytes()).sum::<usize>();
-            unsaved = if bytes > save_above { save_or_keep(context, id, snapshot) } else { Some(snapshot) };
-            if bytes > save_above {
-                // One that was not saved is tried again when there is as much history again.
-                save_above = HISTORY_BYTES + if unsaved.is_some() { bytes } else { 0 };
+            // It ended before the next one began.
+            if matches!(event, Event::UpdateStart(_))
+                && let Some(work) = begun.take()
+            {
+                repeated.run(&mut map, work)?;
             }
+            map.apply(position, &event).map(|work| begun = work.or(begun.take()))
         }
+        .map_err(|error| CatalogError::Inconsistent { map: spec.name.clone(), reason: error.to_string() })?;
     }
+    let unsaved = repeated.unsaved;
     info!(
         map = %spec.name, source = ?opened.source, replayed, states = map.states(), pending = map.pending(),
         "map opened"
     );
-    Ok(start(context.clone(), id, map, opened.log, unsaved)?)
+    Ok(start(context.clone(), id, map, opened.log, unsaved, begun)?)
+}
+
+/// Updates that are run again at the start because others followed them, and what they have left to be saved.
+struct Repeated<'a> {
+    context: &'a Context,
+    id: MapId,
+    spec: &'a MapSpec,
+    unsaved: Option<MapSnapshot>,
+    save_above: usize,
+}
+
+impl Repeated<'_> {
+    fn run(&mut self, map: &mut LiveMap, work: UpdateWork) -> Result<(), CatalogError> {
+        let done = std::sync::atomic::AtomicU64::new(0);
+        let kept = self.unsaved.as_ref().map_or(Vec::new(), |snapshot| snapshot.history.clone());
+        let result = self.context.run_update(self.id, &self.spec.name, work, kept, &done);
+        let result = result.map_err(|source| CatalogError::Tile { map: self.spec.name.clone(), source })?;
+        let mut snapshot = map.finish_update(result);
+        // Of the snapshots before only their history is not in this one.
+        let mut history = self.unsaved.take().map_or(Vec::new(), |older| older.history);
+        history.append(&mut snapshot.history);
+        snapshot.history = history;
+        let bytes = snapshot.history.iter().map(|piece| piece.bytes()).sum::<usize>();
+        if bytes <= self.save_above {
+            self.unsaved = Some(snapshot);
+            return Ok(());
+        }
+        self.unsaved = save_or_keep(self.context, self.id, snapshot);
+        // One that was not saved is tried again when there is as much history again.
+        self.save_above = HISTORY_BYTES + if self.unsaved.is_some() { bytes } else { 0 };
+        Ok(())
+    }
 }
 
 /// Saves a snapshot; gives it back where that fails, because the log has everything that it holds.

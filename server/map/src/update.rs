@@ -13,7 +13,7 @@ use tidemap_model::{Sample, StateModel, UpdateOutcome};
 
 use crate::{
     directory::Directory,
-    event::{StateId, UpdateStart},
+    event::{StateId, UpdateCause, UpdateStart},
     grid::{
         live::GridBasis,
         progress::{self, Notes, UpdateIdentity, UpdateJournal},
@@ -112,7 +112,8 @@ impl UpdateWork {
     }
 
     /// The same with what earlier updates have folded in, so that calibrated models are fitted again where they are due.
-    /// Without it they stay as they are. The same update is to be given the same readings whenever it is run.
+    /// Without it they stay as they are, and so they do in an update for [`UpdateCause::PendingLimit`]. The same update is to
+    /// be given the same readings whenever it is run.
     #[must_use]
     pub fn with_readings(self, readings: Arc<dyn StateReadings>) -> UpdateWork {
         UpdateWork { readings: Some(readings), ..self }
@@ -180,7 +181,9 @@ impl UpdateWork {
                 outcomes.push(StateOutcome { name: info.name.clone(), outcome });
             }
         }
-        let refits = self.readings.map_or_else(Refits::default, |readings| {
+        // An update that makes room is to be quick: what is due waits for the next of another cause.
+        let readings = self.readings.filter(|_| self.basis.start.cause != UpdateCause::PendingLimit);
+        let refits = readings.map_or_else(Refits::default, |readings| {
             refit(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
         });
         let history = history.bounded();

@@ -16,6 +16,7 @@ use tidemap_map::{
     history::HistoryPiece,
     live_map::{LiveMap, PendingLimits},
     snapshot::MapSnapshot,
+    update::UpdateWork,
     view::MapView,
 };
 use tidemap_store::{AppendError, MapId, MapLog, Store};
@@ -24,7 +25,7 @@ use tracing::warn;
 
 use super::{
     handle::MapHandle,
-    protocol::{Command, Ending, Hello, HelloError, Opened, Recall, Refused, SavedGrid, SessionEvent, SessionId},
+    protocol::{Command, Ending, Hello, HelloError, Opened, Recall, SavedGrid, SessionEvent, SessionId},
     sessions::{Limits, Sessions},
     updates::{Updates, Wanted},
     watching::Watchers,
@@ -82,6 +83,7 @@ pub struct Context {
 }
 
 /// Starts the writer of a map that was restored. `unsaved`: what an update that was run for that has left to be saved.
+/// `begun`: an update that the log has begun, and that may have been cut off.
 ///
 /// # Errors
 /// The thread cannot be started.
@@ -91,8 +93,10 @@ pub fn start(
     map: LiveMap,
     log: MapLog,
     unsaved: Option<MapSnapshot>,
+    begun: Option<UpdateWork>,
 ) -> std::io::Result<Arc<MapHandle>> {
-    let (writer, inbox, handle) = build(context, id, map, log, unsaved);
+    let (mut writer, inbox, handle) = build(context, id, map, log, unsaved);
+    begun.into_iter().for_each(|work| writer.repeat_update(work));
     std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
         let fatal = writer.context.fatal.clone();
         if catch_unwind(AssertUnwindSafe(|| writer.run(&inbox))).is_err() {
@@ -169,14 +173,8 @@ fn build(
     (writer, inbox, handle)
 }
 
-use flights::Flight;
+use flights::{Flight, PendingAck};
 use queue::Deferred;
-
-#[derive(Default)]
-struct PendingAck {
-    durable_sequence: u64,
-    refused: Vec<Refused>,
-}
 
 /// A job and what it published, generation and cut, or why it failed.
 type EndedJob = (Arc<Job>, Result<(u64, i64), String>);

@@ -28,6 +28,13 @@ pub(super) enum Flight {
     EditSite { event: Event, reply: Edited },
 }
 
+/// What a stream is to be told once it is public.
+#[derive(Default)]
+pub(super) struct PendingAck {
+    pub(super) durable_sequence: u64,
+    pub(super) refused: Vec<Refused>,
+}
+
 impl Flight {
     /// Memory of what was made of scans, in bytes; all else is bounded by the permits.
     fn bytes(&self) -> usize {

@@ -105,6 +105,14 @@ impl Writer {
         self.launch(Flight::UpdateStart { event, job });
     }
 
+    /// Runs an update again that the log had begun when the daemon ended. Its job is a new one: jobs are not kept.
+    pub(super) fn repeat_update(&mut self, work: UpdateWork) {
+        let now = self.context.clock.now_nanos();
+        let job = self.context.jobs.create(self.map.spec().name.clone(), work.start().cause, now);
+        info!(map = %self.map.spec().name, generation = work.start().generation, "an update is repeated");
+        self.run_update(work, &job);
+    }
+
     pub(super) fn run_update(&mut self, work: UpdateWork, job: &Arc<Job>) {
         // Beside the update there is no room for what it replaces.
         self.drop_unsaved();
@@ -122,7 +130,9 @@ impl Writer {
             let run = move || context.run_update(id, &map, work, unsaved, &progress.states_done);
             let result = match catch_unwind(AssertUnwindSafe(run)) {
                 Ok(Ok(result)) => Ok(Box::new(result)),
-                Ok(Err(unavailable)) => Err(format!("the update could not read what it learns from: {unavailable}")),
+                Ok(Err(unavailable)) => Err(format!(
+                    "an update could not read what it learns from: {unavailable}. Restore the folder of this map from a backup"
+                )),
                 Err(_) => Err("the update panicked; this is a defect of tidemap".to_owned()),
             };
             // Without a writer there is nobody to take the result; the log gives it back at the next start.

@@ -21,6 +21,7 @@ use crate::{catalog::Catalog, ingest::protocol::Batch, jobs::Phase};
 
 mod queue;
 mod refits;
+mod repeated;
 mod saving;
 mod scans;
 mod states;
@@ -127,6 +128,17 @@ impl Robot {
         let expected = SessionEvent::Ack { durable_sequence: self.sent, refused: Vec::new() };
         assert_eq!(self.events.recv().await, Some(expected));
     }
+}
+
+/// Waits until an update has been published.
+async fn generation(handle: &MapHandle, generation: u64) {
+    for _ in 0..6_000 {
+        if handle.view().generation() == generation {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    panic!("generation {} is not {generation}", handle.view().generation());
 }
 
 /// Waits until as many updates have ended, and says what started them, oldest first.
