@@ -6,7 +6,7 @@ use std::{fmt::Write as _, fs, path::Path};
 use tidemap_tests::{
     cli::{self, Outcome, Table},
     daemon::{Daemon, Launch},
-    recordings,
+    oracle, recordings,
 };
 
 const DAY_SECS: i64 = 86_400;
@@ -21,6 +21,12 @@ fn tidemap<'a>(daemon: &Daemon, args: impl IntoIterator<Item = &'a str>) -> Outc
 fn observe(daemon: &Daemon, label: &str, rows: &str, more: &[&str]) -> Outcome {
     let args = ["observe", "office", "-", "--producer", "robot", "--label", label];
     cli::tidemap_reading(daemon, args.iter().chain(more).copied(), &format!("time,state,value\n{rows}"))
+}
+
+/// What was learned last may be learned again after a start.
+fn settled(daemon: &Daemon) {
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    runtime.block_on(async { oracle::settled(&daemon.client()).await });
 }
 
 fn evaluate(daemon: &Daemon, rows: &str, models: &str) -> Outcome {
@@ -120,6 +126,7 @@ fn speeds_of_a_robot_are_learned_and_told_as_well_as_by_the_reference() {
     let before = answers(&daemon, "path", at);
     daemon.kill();
     let daemon = launch.start();
+    settled(&daemon);
     assert_eq!(answers(&daemon, "path", at), before);
     assert_eq!(kinds(&daemon), [("path".to_owned(), "continuous".to_owned())]);
 }
@@ -177,6 +184,7 @@ fn counts_are_learned_as_counts() {
     let before = answers(&daemon, "people", &at);
     daemon.kill();
     let daemon = launch.start();
+    settled(&daemon);
     assert_eq!(answers(&daemon, "people", &at), before);
     assert_eq!(kinds(&daemon), [("people".to_owned(), "count".to_owned())]);
     let again = observe(&daemon, "learn", &learn, &[]).table();

@@ -3,7 +3,7 @@
 //! Invariant: computed from the feed and the daemon's own sequence numbers alone. A daemon may hold more than it
 //! acknowledged, whole and in order, never less, and nothing twice.
 
-use std::{collections::BTreeMap, fmt};
+use std::{collections::BTreeMap, fmt, time::Duration};
 
 use tidemap::{
     Client,
@@ -245,6 +245,17 @@ impl Oracle {
         let model = ModelSelector { kind: ModelKind::Latest, ..ModelSelector::default() };
         let mut predictions = client.predict(&self.map, vec![state.to_owned()], vec![i64::MAX / 2], model);
         predictions.next().await.expect("the state is there").expect("a prediction").probabilities[0]
+    }
+}
+
+/// Waits until no update waits or runs: one that was cut off is repeated beside what a daemon serves after its start.
+///
+/// # Panics
+/// If the daemon does not answer.
+pub async fn settled(client: &Client) {
+    let is_out = |state: JobState| matches!(state, JobState::Waiting | JobState::Running);
+    while client.jobs().await.expect("the daemon answers").iter().any(|job| is_out(job.state)) {
+        tokio::time::sleep(Duration::from_millis(5)).await;
     }
 }
 

@@ -15,7 +15,7 @@ use tidemap_tests::{
     disk,
     feed::Feed,
     herd::{Herd, Manner},
-    oracle::{Oracle, producer_name, run_update},
+    oracle::{Oracle, producer_name, run_update, settled},
     rounds,
 };
 
@@ -75,6 +75,7 @@ async fn durability_a_flipped_bit_is_harmless_or_reported() {
     let sound = work.path().join("sound");
     disk::copy_folder(&data, &sound);
     let daemon = Launch::on(&sound).start();
+    settled(&daemon.client()).await;
     let expected = answers::all(&daemon, &producers).await;
     daemon.stop_in_order();
     assert!(expected.len() > 30, "there is something to compare: {expected:?}");
@@ -103,6 +104,7 @@ async fn durability_a_flipped_bit_is_harmless_or_reported() {
         let what = format!("bit {bit} of {}", file.display());
         let served = match Launch::on(&copy).try_start() {
             Ok(daemon) => {
+                settled(&daemon.client()).await;
                 let found = answers::all(&daemon, &producers).await;
                 let log = daemon.stop_in_order();
                 assert!(!log.contains("panicked"), "{what}: {log}");

@@ -19,7 +19,7 @@ use tidemap_tests::{
     daemon::{Daemon, Launch, lasting_port},
     disk,
     film::Film,
-    oracle::run_update,
+    oracle::{run_update, settled},
     rounds,
 };
 
@@ -160,6 +160,7 @@ async fn durability_grid_survives_kills_while_scans_stream_and_updates_run() {
         // Every now and then the producer is a new one, too, and goes on where the daemon says; else it does so by itself.
         let kept = (kill % 3 == 1).then_some(producer);
         daemon = launch.start();
+        settled(&daemon.client()).await;
         let now = generation(&daemon).await;
         assert!(now >= seen && now >= last_generation, "generation {now} after {seen}");
         last_generation = now;
@@ -280,7 +281,16 @@ async fn durability_grid_update_that_was_killed_goes_on_from_what_it_had_done() 
     let noted = resumed(&exit.stderr).expect("a number");
     assert!((1..=tiles).contains(&noted), "{exit}");
 
+    // It is served from before the update until that has ended, whether it still runs by now or not.
     let daemon = launch(data.path()).start();
+    let early = predicted(&daemon, film.time(1), model(ModelKind::Latest, None)).await;
+    assert_eq!(early.tiles.len(), expected.grids[0].tiles.len());
+    let mut camera = opened(&daemon).await;
+    assert_eq!(camera.progress().durable_sequence, film.scans() as u64);
+    camera.close().await.expect("nothing was sent");
+    let jobs = daemon.client().jobs().await.expect("jobs");
+    assert_eq!(jobs.iter().map(|job| job.cause).collect::<Vec<_>>(), [JobCause::Request], "the one that is repeated");
+    settled(&daemon.client()).await;
     compare(&answers(&daemon, &film).await, &expected);
     assert_eq!(generation(&daemon).await, 1);
     // What it has learned is saved by then, and what it had noted is gone.

@@ -13,7 +13,7 @@ use tidemap::{
 };
 use tidemap_tests::{
     daemon::{Daemon, Launch},
-    oracle::run_update,
+    oracle::{run_update, settled},
     rounds,
     stream::{RawStream, columns, hello},
 };
@@ -172,6 +172,7 @@ impl World {
             }
         }
         self.daemon = Some(self.launch.start());
+        settled(&self.daemon().client()).await;
         let (_, welcome) = RawStream::open(&self.daemon().grpc, hello(producer, name)).await.expect("a Welcome");
         assert!(welcome.durable_sequence >= acknowledged, "LOST: {acknowledged}, {welcome:?}");
         let map = self.maps.get_mut(name).expect("the map was drawn");
@@ -216,6 +217,7 @@ impl World {
     async fn kill(&mut self) {
         self.daemon.take().expect("the daemon runs").kill();
         self.daemon = Some(self.launch.start());
+        settled(&self.daemon().client()).await;
         self.verify_all("after a kill").await;
         self.count("kills");
     }
