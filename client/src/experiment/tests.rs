@@ -255,6 +255,55 @@ fn names_do_not_break_the_picture() {
     assert!(!picture.contains("NaN") && !picture.contains("inf"));
 }
 
+/// The value of an attribute of an element.
+fn attribute<'a>(element: &'a str, name: &str) -> Option<&'a str> {
+    element.split_once(&format!(" {name}=\""))?.1.split('"').next()
+}
+
+/// Left, right, top and bottom of an element, if it has such.
+fn extent(element: &str) -> Option<[f64; 4]> {
+    let of = |name: &str| attribute(element, name)?.parse::<f64>().ok();
+    if element.starts_with("<line") {
+        let [x1, y1, x2, y2] = [of("x1")?, of("y1")?, of("x2")?, of("y2")?];
+        return Some([x1.min(x2), x1.max(x2), y1.min(y2), y1.max(y2)]);
+    }
+    let text = element.strip_suffix("</text>")?.rsplit('>').next()?;
+    let height = of("font-size").unwrap_or(13.0);
+    // As wide as in DejaVu Sans, which is wide.
+    let (x, y, width) = (of("x")?, of("y")?, 0.6 * height * text.chars().count() as f64);
+    let left = match attribute(element, "text-anchor") {
+        Some("end") => x - width,
+        Some("middle") => x - width / 2.0,
+        _ => x,
+    };
+    Some([left, left + width, y - 0.75 * height, y + 0.2 * height])
+}
+
+#[test]
+fn nothing_in_the_picture_overlaps_a_text() {
+    let folder = folder();
+    let long = "a model with a name that is longer than what anyone would like to read";
+    let text = PROTOCOL
+        .replace("REFIT", "never")
+        .replace("- mean", &format!("- mean: {{name: '{long}'}}"))
+        .replace("baseline: mean", &format!("name: '{}'", [long; 3].join(" ")));
+    let protocol = protocol(folder.path(), &text);
+    let picture = picture::draw(&protocol, &run(&protocol, &|_, _| ()).unwrap());
+    let elements: Vec<(&str, [f64; 4])> =
+        picture.lines().filter_map(|element| Some((element, extent(element)?))).collect();
+    let (svg, _) = picture.split_once('>').unwrap();
+    let size = ["width", "height"].map(|name| attribute(svg, name).unwrap().parse::<f64>().unwrap());
+    assert!(elements.len() > 20, "{picture}");
+    for (index, (element, [left, right, top, bottom])) in elements.iter().enumerate() {
+        assert!(*left >= 0.0 && *right <= size[0] && *top >= 0.0 && *bottom <= size[1], "{element}");
+        for (other, [other_left, other_right, other_top, other_bottom]) in &elements[index + 1..] {
+            let is_apart = right < other_left || other_right < left || bottom < other_top || other_bottom < top;
+            let are_lines = element.starts_with("<line") && other.starts_with("<line");
+            assert!(is_apart || are_lines, "{element}\n{other}");
+        }
+    }
+}
+
 /// The recordings of Krajník et al., RA-L 2019, where they are at hand.
 fn recordings(name: &str) -> Option<PathBuf> {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")).join(name);

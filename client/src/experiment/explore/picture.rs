@@ -34,22 +34,22 @@ pub fn draw(protocol: &Protocol, outcome: &Outcome) -> String {
     let rows = protocol.plans.len().div_ceil(COLUMNS);
     let legend_top = TOP + rows as f64 * (HEIGHT + GAP + 16.0);
     let mut svg = Svg::new(legend_top + LEGEND_ROW * protocol.models.len().div_ceil(COLUMNS) as f64 + 24.0);
-    svg.text(16.0, 26.0, "start", "bold", &protocol.name);
-    svg.text(16.0, 46.0, "start", "normal", "wrong states, percent of all, by week");
+    svg.text([16.0, 26.0], &protocol.name, "text-anchor=\"start\" font-weight=\"bold\"");
+    svg.text([16.0, 46.0], "wrong states, percent of all, by week", "text-anchor=\"start\"");
     for (index, plan) in protocol.plans.iter().enumerate() {
         let left = LEFT + (index % COLUMNS) as f64 * (width + GAP);
         let top = TOP + (index / COLUMNS) as f64 * (HEIGHT + GAP + 16.0);
         let x = |week: usize| left + (week as f64 + 0.5) / weeks as f64 * width;
         let y = |percent: f64| top + HEIGHT * (1.0 - percent / (tick * ticks));
-        svg.text(left, top - 8.0, "start", "bold", plan.name());
+        svg.text([left, top - 8.0], plan.name(), "text-anchor=\"start\" font-weight=\"bold\"");
         for at in 0..=ticks as u32 {
             let percent = f64::from(at) * tick;
             svg.line([left, y(percent), left + width, y(percent)], "stroke=\"#e4e4e4\"");
-            svg.text(left - 6.0, y(percent) + 4.0, "end", "normal", &number(percent));
+            svg.text([left - 6.0, y(percent) + 4.0], &number(percent), "text-anchor=\"end\"");
         }
         let step = weeks.div_ceil(12);
         for week in (0..weeks).step_by(step) {
-            svg.text(x(week), top + HEIGHT + 18.0, "middle", "normal", &(week + 1).to_string());
+            svg.text([x(week), top + HEIGHT + 18.0], &(week + 1).to_string(), "text-anchor=\"middle\"");
         }
         for (model, kind) in protocol.models.iter().enumerate() {
             let pair = outcome.pairs.iter().find(|pair| pair.plan == *plan && pair.model == *kind);
@@ -63,7 +63,7 @@ pub fn draw(protocol: &Protocol, outcome: &Outcome) -> String {
         let left = LEFT + (model % COLUMNS) as f64 * (width + GAP);
         let middle = legend_top + LEGEND_ROW * (model / COLUMNS) as f64;
         svg.line([left, middle, left + 30.0, middle], &style(model));
-        svg.text(left + 38.0, middle + 4.0, "start", "normal", &kind.name());
+        svg.text([left + 38.0, middle + 4.0], &kind.name(), "text-anchor=\"start\"");
     }
     svg.finish()
 }
