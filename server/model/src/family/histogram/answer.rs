@@ -46,8 +46,7 @@ pub(crate) fn hour_runs(samples: &[Sample]) -> impl Iterator<Item = HourRun<'_>>
 impl HourTable {
     /// The mean of all readings; `None` where nothing was read.
     pub(crate) fn mean(&self) -> Option<f64> {
-        let mut all = [0.0; 2];
-        self.cells().iter().for_each(|&cell| add_to(&mut all, cell));
+        let all = total(self.cells().iter().copied());
         (all[0] > 0.0).then(|| mean(all))
     }
 
@@ -63,11 +62,20 @@ impl HourTable {
         };
         let hour = hour_of_week % cycle.hours();
         let first = hour - hour % per_bin.max(1);
-        let mut bin = [0.0; 2];
-        for day in days {
-            let from = day * DAY_HOURS + first;
-            self.cells().iter().skip(from).take(per_bin).for_each(|&cell| add_to(&mut bin, cell));
-        }
+        let hours = days.flat_map(|day| (0..per_bin).map(move |hour| day * DAY_HOURS + first + hour));
+        let bin = total(hours.map(|hour| self.cells()[hour]));
         shrunk((bin[0], mean(bin)), mean_of_all, HISTOGRAM_PRIOR_READINGS)
     }
+}
+
+/// The sum of cells, bounded as that of [`HourTable::histogram`].
+fn total(cells: impl Iterator<Item = [f64; 2]> + Clone) -> [f64; 2] {
+    // Bounds change nothing where nothing overflows, and what has overflowed never becomes finite again.
+    let plain = cells.clone().fold([0.0; 2], |[weight, sum], cell| [weight + cell[0], sum + cell[1]]);
+    if plain.iter().all(|sum| sum.is_finite()) {
+        return plain;
+    }
+    let mut bounded = [0.0; 2];
+    cells.for_each(|cell| add_to(&mut bounded, cell));
+    bounded
 }
