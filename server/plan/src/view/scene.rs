@@ -131,15 +131,16 @@ impl Scene {
 /// Looks into scenes from one viewpoint after the other; has the memory that one look needs.
 #[derive(Clone, Debug)]
 pub struct Looker {
+    /// Of each cell of the fan the number of the look that saw it last, twice, and one more if it is opaque.
     marks: Vec<u8>,
-    mark: u8,
+    look: u8,
 }
 
 impl Looker {
     /// For the rays of a fan.
     #[must_use]
     pub fn new(fan: &Fan) -> Looker {
-        Looker { marks: vec![0; fan.cells], mark: 0 }
+        Looker { marks: vec![0; fan.cells()], look: 0 }
     }
 
     /// What is seen from the centre of a cell of the region, whether or not that is occupied; nothing from outside, and
@@ -165,27 +166,29 @@ impl Looker {
     /// Tells the place of each cell that is seen, once.
     pub(crate) fn each(&mut self, scene: &Scene, fan: &Fan, from: CellIndex, mut seen: impl FnMut(usize)) {
         let Some(start) = scene.lattice.place(from).filter(|_| fan.fits(&scene.lattice)) else { return };
-        if self.marks.len() < fan.cells {
-            self.marks.resize(fan.cells, 0);
+        if self.marks.len() < fan.cells() {
+            self.marks.resize(fan.cells(), 0);
         }
-        self.mark = self.mark.wrapping_add(1);
-        if self.mark == 0 {
+        self.look += 1;
+        if self.look == 128 {
             self.marks.fill(0);
-            self.mark = 1;
+            self.look = 1;
         }
-        let (mark, marks) = (self.mark, &mut self.marks[..fan.cells]);
+        let (look, marks) = (self.look, &mut self.marks[..fan.cells()]);
         let mut at = 0;
-        while let Some(node) = fan.nodes.get(at) {
-            let place = start.wrapping_add_signed(node.offset as isize);
-            let flags = scene.flags[place];
-            let known = &mut marks[node.local as usize];
-            if *known != mark {
-                *known = mark;
+        while let Some(&cell) = fan.nodes.get(at) {
+            let cell = cell as usize;
+            let mut mark = marks[cell];
+            if mark >> 1 != look {
+                let place = start.wrapping_add_signed(fan.offsets[cell] as isize);
+                let flags = scene.flags[place];
+                mark = look << 1 | flags & OPAQUE;
+                marks[cell] = mark;
                 if flags & OUTSIDE == 0 {
                     seen(place);
                 }
             }
-            at = if flags & OPAQUE == 0 { at + 1 } else { node.skip as usize };
+            at = if mark & OPAQUE == 0 { at + 1 } else { fan.skips[at] as usize };
         }
     }
 }

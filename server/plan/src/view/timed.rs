@@ -20,6 +20,10 @@ use crate::predicted::{Lattice, PredictedTimes};
 const VARIES: u8 = 4;
 /// Of these, one that is occupied at some times but not at all.
 const FLIPS: u8 = 8;
+/// A cell that is seen at all times.
+const WHOLE: u8 = 16;
+/// A cell that is seen at some times.
+const PARTLY: u8 = 32;
 /// Times of one pass.
 const CHUNK: usize = u128::BITS as usize;
 
@@ -109,9 +113,10 @@ struct Partly {
 /// Looks into scenes of many times from one viewpoint after the other; has the memory that one look needs.
 #[derive(Clone, Debug)]
 pub struct TimedLooker {
-    /// Of each cell the number of the look that saw it last, twice, and one more where it saw it at all times.
-    marks: Vec<u8>,
-    mark: u8,
+    /// Of each cell of the fan the number of the look that saw it last, times 256, and its flags; [`WHOLE`] where it is
+    /// seen at all times.
+    marks: Vec<u16>,
+    look: u16,
     /// Place in `partly` of a cell seen at some times.
     slots: Vec<u32>,
     partly: Vec<Partly>,
@@ -123,8 +128,8 @@ impl TimedLooker {
     /// For the rays of a fan.
     #[must_use]
     pub fn new(fan: &Fan) -> TimedLooker {
-        let (marks, slots) = (vec![0; fan.cells], vec![0; fan.cells]);
-        TimedLooker { marks, mark: 0, slots, partly: Vec::new(), branches: Vec::new() }
+        let (marks, slots) = (vec![0; fan.cells()], vec![0; fan.cells()]);
+        TimedLooker { marks, look: 0, slots, partly: Vec::new(), branches: Vec::new() }
     }
 
     /// Information in bits that looking from the centre of a cell of the region is expected to give at each of the times;
@@ -158,7 +163,7 @@ impl TimedLooker {
     /// One pass, from a place that is free at these times of a chunk.
     fn pass(&mut self, scene: &TimedScene, fan: &Fan, start: usize, (chunk, free): (usize, u128), bits: &mut [f64]) {
         self.begin(fan);
-        let (some, whole) = (2 * self.mark, 2 * self.mark + 1);
+        let look = self.look << 8;
         let row = |place: usize| {
             let from = scene.numbers[place] as usize * scene.times + chunk * CHUNK;
             &scene.rows[from..from + bits.len()]
@@ -166,47 +171,50 @@ impl TimedLooker {
         let mut fixed = 0.0;
         let mut varying = vec![0.0; bits.len()];
         let (mut at, mut end, mut times) = (0, usize::MAX, free);
-        while let Some(node) = fan.nodes.get(at) {
+        while let Some(&cell) = fan.nodes.get(at) {
             while at == end {
                 (end, times) = self.branches.pop().unwrap_or((usize::MAX, free));
             }
-            let place = start.wrapping_add_signed(node.offset as isize);
-            let flags = scene.flags[place];
-            let local = node.local as usize;
-            let mark = self.marks[local];
-            if mark != whole && flags & OUTSIDE == 0 {
+            let cell = cell as usize;
+            let place = || start.wrapping_add_signed(fan.offsets[cell] as isize);
+            let mark = self.marks[cell];
+            let mut flags = if mark & 0xff00 == look { mark as u8 } else { scene.flags[place()] };
+            if flags & (WHOLE | OUTSIDE) == 0 {
                 if times == free {
-                    if mark == some {
-                        self.partly[self.slots[local] as usize].times = 0;
+                    if flags & PARTLY != 0 {
+                        self.partly[self.slots[cell] as usize].times = 0;
                     }
-                    self.marks[local] = whole;
+                    flags |= WHOLE;
                     if flags & VARIES == 0 {
-                        fixed += scene.bits[place];
+                        fixed += scene.bits[place()];
                     } else {
-                        varying.iter_mut().zip(row(place)).for_each(|(sum, bits)| *sum += bits);
+                        varying.iter_mut().zip(row(place())).for_each(|(sum, bits)| *sum += bits);
                     }
-                } else if mark == some {
-                    self.partly[self.slots[local] as usize].times |= times;
+                } else if flags & PARTLY != 0 {
+                    self.partly[self.slots[cell] as usize].times |= times;
                 } else {
-                    self.marks[local] = some;
-                    self.slots[local] = self.partly.len() as u32;
-                    self.partly.push(Partly { place, times });
+                    flags |= PARTLY;
+                    self.slots[cell] = self.partly.len() as u32;
+                    self.partly.push(Partly { place: place(), times });
                 }
+                self.marks[cell] = look | u16::from(flags);
             }
-            let skip = node.skip as usize;
             let open = match flags & (FLIPS | OPAQUE) {
                 0 => times,
-                FLIPS => times & !scene.occupied(place, chunk),
+                FLIPS => times & !scene.occupied(place(), chunk),
                 _ => 0,
             };
+            if open == times {
+                at += 1;
+                continue;
+            }
+            let skip = fan.skips[at] as usize;
             if open == 0 {
                 at = skip;
             } else {
                 at += 1;
-                if open != times {
-                    self.branches.push((end, times));
-                    (end, times) = (skip, open);
-                }
+                self.branches.push((end, times));
+                (end, times) = (skip, open);
             }
         }
         self.branches.clear();
@@ -224,14 +232,14 @@ impl TimedLooker {
     }
 
     fn begin(&mut self, fan: &Fan) {
-        if self.marks.len() < fan.cells {
-            self.marks.resize(fan.cells, 0);
-            self.slots.resize(fan.cells, 0);
+        if self.marks.len() < fan.cells() {
+            self.marks.resize(fan.cells(), 0);
+            self.slots.resize(fan.cells(), 0);
         }
-        self.mark += 1;
-        if self.mark == 128 {
+        self.look += 1;
+        if self.look == 256 {
             self.marks.fill(0);
-            self.mark = 1;
+            self.look = 1;
         }
         self.partly.clear();
         self.branches.clear();

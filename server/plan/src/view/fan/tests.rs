@@ -3,9 +3,7 @@
 use super::*;
 
 fn way(direction: [f64; 3], range: f64) -> Vec<u8> {
-    let mut paths = Paths::default();
-    paths.add(direction, range, [100; 3]);
-    paths.steps
+    path(direction, range, [100; 3])
 }
 
 #[test]
