@@ -3,7 +3,11 @@
 //! `cargo bench -p tidemap-plan --bench views`. The sensor sees 4 m far, 360° x 90°, in cells of 0.1 m. "hall" is a look
 //! where nothing is in the way of any ray.
 
-use std::{hint::black_box, ops::ControlFlow, sync::Arc};
+use std::{
+    hint::black_box,
+    ops::ControlFlow,
+    sync::{Arc, LazyLock},
+};
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use tidemap_map::{
@@ -15,7 +19,7 @@ use tidemap_map::{
 };
 use tidemap_plan::{
     predicted::{Lattice, PredictedTimes},
-    tour::{TourQuestion, plan_tour},
+    tour::{TourQuestion, plan_tour, plan_tour_with},
     view::{Fan, LookLimits, Looker, Scene, SceneOptions, Sensor, TimedScene, Viewpoint, look_many},
 };
 
@@ -38,6 +42,11 @@ fn lattice(size: [i32; 3]) -> Arc<Lattice> {
     Arc::new(Lattice::new(&spec, region, 1 << 24).expect("small"))
 }
 
+static DAY: LazyLock<PredictedTimes> = LazyLock::new(|| {
+    let office = Office::new();
+    PredictedTimes::from_fn(lattice(SIZE), TIMES, |cell, time| office.probability(cell, time)).expect("times")
+});
+
 fn looks(c: &mut Criterion) {
     let mut group = c.benchmark_group("look");
     let sensor = Sensor::default();
@@ -49,13 +58,12 @@ fn looks(c: &mut Criterion) {
     let mut looker = Looker::new(&fan);
     group.bench_function("hall", |b| b.iter(|| looker.look(&scene, &fan, CellIndex { x: 50, y: 50, z: 50 })));
     let office = Office::new();
-    let day = PredictedTimes::from_fn(lattice(SIZE), TIMES, |cell, time| office.probability(cell, time));
-    let day = day.expect("times");
+    let day = &*DAY;
     let scene = Scene::new(&day.at(48).expect("a time"), &SceneOptions::default()).expect("valid");
     let fan = Fan::new(&sensor, scene.lattice(), 0.0).expect("valid");
     println!("office: {} rays, {} nodes, {} cells", fan.rays(), fan.len(), fan.cells());
     let mut looker = Looker::new(&fan);
-    let viewpoints = office.viewpoints(500, &day, &sensor);
+    let viewpoints = office.viewpoints(500, day, &sensor);
     let cells: Vec<CellIndex> = viewpoints.iter().filter_map(|at| scene.stand(&sensor, at).ok()).collect();
     group.bench_function("office_500", |b| {
         b.iter(|| cells.iter().map(|&at| looker.look(&scene, &fan, at).information_bits).sum::<f64>());
@@ -67,12 +75,11 @@ fn day(c: &mut Criterion) {
     let mut group = c.benchmark_group("day");
     group.sample_size(10);
     let (office, sensor) = (Office::new(), Sensor::default());
-    let day = PredictedTimes::from_fn(lattice(SIZE), TIMES, |cell, time| office.probability(cell, time));
-    let day = day.expect("times");
-    let viewpoints = office.viewpoints(500, &day, &sensor);
+    let day = &*DAY;
+    let viewpoints = office.viewpoints(500, day, &sensor);
     println!("{} cells, {} vary, {} viewpoints, {TIMES} times", day.lattice().held(), day.varying(), viewpoints.len());
-    group.bench_function("scene_96", |b| b.iter(|| TimedScene::new(&day, &SceneOptions::default())));
-    let scene = TimedScene::new(&day, &SceneOptions::default()).expect("valid");
+    group.bench_function("scene_96", |b| b.iter(|| TimedScene::new(day, &SceneOptions::default())));
+    let scene = TimedScene::new(day, &SceneOptions::default()).expect("valid");
     let run = |viewpoints: &[Viewpoint]| {
         let mut sum = 0.0;
         let told = look_many(&scene, &sensor, viewpoints, LookLimits::default(), |_, told| {
@@ -103,12 +110,10 @@ fn day(c: &mut Criterion) {
 fn tours(c: &mut Criterion) {
     let mut group = c.benchmark_group("tour");
     group.sample_size(20);
-    let office = Office::new();
-    let day = PredictedTimes::from_fn(lattice(SIZE), TIMES, |cell, time| office.probability(cell, time));
-    let grid = day.expect("times").at(48).expect("a time");
+    let grid = DAY.at(48).expect("a time");
     let reachability = Reachability::default();
-    for (name, goals, spacing_m) in [("6_goals", 6, 0.58), ("12_goals", 12, 0.58), ("6_goals_of_many", 6, 0.2)] {
-        let question = TourQuestion { start_m: [1.0, 5.0], goals, spacing_m, ..TourQuestion::default() };
+    for (name, goals, spacing_m) in [("6_goals", 6, 0.5), ("12_goals", 12, 0.5), ("6_goals_of_many", 6, 0.2)] {
+        let question = TourQuestion { start_m: [10.0, 6.4], goals, spacing_m, ..TourQuestion::default() };
         let told = plan_tour(&grid, &reachability, &question).expect("valid");
         println!(
             "{name}: {} goals of {} candidates, {} looks, {:.0} bits, {:.0} m",
@@ -119,6 +124,9 @@ fn tours(c: &mut Criterion) {
             told.length_m
         );
         group.bench_function(name, |b| b.iter(|| plan_tour(&grid, &reachability, &question)));
+        let fan = Fan::new(&question.sensor, grid.lattice(), 0.0).expect("valid");
+        let with_rays = format!("{name}_rays_at_hand");
+        group.bench_function(with_rays, |b| b.iter(|| plan_tour_with(&fan, &grid, &reachability, &question)));
     }
     group.finish();
 }

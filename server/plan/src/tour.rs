@@ -147,6 +147,9 @@ pub enum TourError {
     /// The sensor is none.
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),
+    /// The rays are those of another sensor, another yaw, or a region of another size.
+    #[error("the rays were made for another sensor, another yaw or a region of another size: make them anew")]
+    OtherFan,
     /// Nobody could be told where the robot can drive.
     #[error(transparent)]
     Travel(#[from] InvalidTravel),
@@ -314,6 +317,24 @@ pub fn plan_tour(
     question: &TourQuestion,
 ) -> Result<Tour, TourError> {
     question.check(grid)?;
+    let fan = Fan::new(&question.sensor, grid.lattice(), question.yaw_rad)?;
+    plan_tour_with(&fan, grid, reachability, question)
+}
+
+/// [`plan_tour`] with rays that are at hand: for many tours on regions of one size they need to be made only once.
+///
+/// # Errors
+/// [`TourError`], before the work begins; [`TourError::OtherFan`] for rays that do not belong to the question.
+pub fn plan_tour_with(
+    fan: &Fan,
+    grid: &PredictedGrid,
+    reachability: &Reachability,
+    question: &TourQuestion,
+) -> Result<Tour, TourError> {
+    question.check(grid)?;
+    if !fan.is_of(&question.sensor, grid.lattice(), question.yaw_rad) {
+        return Err(TourError::OtherFan);
+    }
     let travel = TravelGrid::new(grid, &question.travel)?;
     let scene = Scene::new(grid, &question.scene)?;
     let [x_m, y_m] = question.start_m;
@@ -326,8 +347,7 @@ pub fn plan_tour(
     if candidates.is_empty() {
         return Ok(Tour::none(NoTour::NothingReachable, 0, 0));
     }
-    let fan = Fan::new(&question.sensor, scene.lattice(), question.yaw_rad)?;
-    let mut choice = Choice::new(&scene, &fan, &candidates, question.suppression);
+    let mut choice = Choice::new(&scene, fan, &candidates, question.suppression);
     let chosen = choice.choose(question.goals);
     let looks = choice.looks();
     if chosen.is_empty() {

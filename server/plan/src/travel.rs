@@ -24,7 +24,7 @@ const RADIUS_CELLS_MAX: f64 = 200.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TravelOptions {
     /// Lower end of the heights at which something is in the robot's way, metres in the map's frame. Without effect in a
-    /// flat grid. Default 0.05.
+    /// flat grid. Default 0.2, so that no cell of the floor is in the way; lower things are found out by not arriving.
     pub z_min_m: f64,
     /// Upper end of these heights, metres, above the lower end. Default 1.8.
     pub z_max_m: f64,
@@ -38,7 +38,7 @@ pub struct TravelOptions {
 
 impl Default for TravelOptions {
     fn default() -> TravelOptions {
-        TravelOptions { z_min_m: 0.05, z_max_m: 1.8, radius_m: 0.3, threshold: 0.5, unknown_is_passable: false }
+        TravelOptions { z_min_m: 0.2, z_max_m: 1.8, radius_m: 0.3, threshold: 0.5, unknown_is_passable: false }
     }
 }
 

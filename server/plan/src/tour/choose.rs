@@ -19,8 +19,8 @@ use crate::{
     view::{Fan, Looker, Scene},
 };
 
-/// Candidates that are looked from at once.
-const BATCH: usize = 16;
+/// Candidates that are looked from at once: a few, since the first may show that no other need be.
+const BATCH: usize = 4;
 
 /// A place to look from.
 #[derive(Clone, Copy, Debug, PartialEq)]

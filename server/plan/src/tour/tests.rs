@@ -234,6 +234,19 @@ fn a_million_candidates_are_refused() {
     assert!(matches!(error, TourError::TooManyCandidates { candidates: 1_002_001.0, max: 100_000, .. }), "{error}");
 }
 
+#[test]
+fn rays_at_hand_give_the_same_tour() {
+    let grid = two_corners();
+    let ask = question(&grid, 30, 5);
+    let fan = Fan::new(&ask.sensor, grid.lattice(), 0.0).unwrap();
+    let plan = |ask: &TourQuestion, grid: &PredictedGrid| plan_tour_with(&fan, grid, &Reachability::default(), ask);
+    assert_eq!(plan(&ask, &grid), Ok(tour(&grid, &ask)));
+    assert_eq!(plan(&TourQuestion { yaw_rad: 1.0, ..ask }, &grid), Ok(tour(&grid, &ask)));
+    let other = TourQuestion { sensor: Sensor { range_m: 0.9, ..ask.sensor }, ..ask };
+    assert_eq!(plan(&other, &grid), Err(TourError::OtherFan));
+    assert_eq!(plan(&ask, &room(61, 30, |_, _| 0.5)), Err(TourError::OtherFan));
+}
+
 fn ways(numbers: &[f64], count: usize, returns: bool) -> Ways {
     // Distances of points in a plane with detours, so that nearest first is often wrong.
     let point = |goal: usize| (numbers[2 * goal], numbers[2 * goal + 1]);

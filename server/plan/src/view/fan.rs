@@ -28,8 +28,12 @@ pub struct Fan {
     pub(super) offsets: Vec<i32>,
     /// How many cells the rays reach from the viewpoint along x, y, z.
     reach: [usize; 3],
+    size: [usize; 3],
     strides: [usize; 3],
     rays: usize,
+    sensor: Sensor,
+    resolution_m: f64,
+    yaw_rad: f64,
 }
 
 /// Directions of the rays of a sensor, of length 1, seen by yaw: rows from the lowest up, each from right to left. Rows of
@@ -76,11 +80,11 @@ impl Fan {
         let rays = directions(sensor, lattice, yaw_rad);
         let mut paths: Vec<Vec<u8>> = rays.into_par_iter().map(|ray| path(ray, range, lattice.size())).collect();
         paths.par_sort_unstable();
-        Ok(Fan::merge(&paths, lattice))
+        Ok(Fan::merge(&paths, lattice, (*sensor, yaw_rad)))
     }
 
     /// The tree of all ways, which are in ascending order.
-    fn merge(paths: &[Vec<u8>], lattice: &Lattice) -> Fan {
+    fn merge(paths: &[Vec<u8>], lattice: &Lattice, (sensor, yaw_rad): (Sensor, f64)) -> Fan {
         let mut numbers = Numbers::new(paths, lattice.strides());
         let mut nodes = vec![numbers.of([0; 3])];
         let mut skips = vec![0];
@@ -106,7 +110,8 @@ impl Fan {
         }
         let Numbers { offsets, reach, strides, .. } = numbers;
         let reach = reach.map(|reach| reach as usize);
-        Fan { nodes, skips, offsets, reach, strides, rays: paths.len() }
+        let (size, resolution_m, rays) = (lattice.size(), lattice.resolution_m(), paths.len());
+        Fan { nodes, skips, offsets, reach, size, strides, rays, sensor, resolution_m, yaw_rad }
     }
 
     /// Nodes of the tree: what a look goes through where nothing is in its way.
@@ -141,7 +146,18 @@ impl Fan {
 
     /// Whether it was made for a lattice of this shape.
     pub(super) fn fits(&self, lattice: &Lattice) -> bool {
-        self.strides == lattice.strides()
+        self.size == lattice.size() && self.strides == lattice.strides()
+    }
+
+    /// Whether these are the rays of a sensor that looks towards a yaw in radians, on a lattice: one fan serves all
+    /// regions of the same size and resolution. The sensor's height makes no difference.
+    #[must_use]
+    pub fn is_of(&self, sensor: &Sensor, lattice: &Lattice, yaw_rad: f64) -> bool {
+        let at_one_height = Sensor { height_m: self.sensor.height_m, ..*sensor };
+        self.fits(lattice)
+            && self.resolution_m == lattice.resolution_m()
+            && self.sensor == at_one_height
+            && (self.sensor.is_all_around() || self.yaw_rad == yaw_rad)
     }
 }
 
