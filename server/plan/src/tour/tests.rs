@@ -3,13 +3,13 @@
 use std::{collections::HashSet, sync::Arc};
 
 use proptest::prelude::*;
-use tidemap_map::grid::index::CellBox;
+use tidemap_map::grid::index::{CellBox, CellIndex};
 
 use super::*;
 use crate::{
     predicted::{Lattice, tests::spec},
-    travel::tests::drawn,
-    view::Looker,
+    travel::{TravelOptions, tests::drawn},
+    view::{Looker, SceneOptions, Sensor},
 };
 
 /// A room of cells of 10 cm with walls around it; `p` says how probably each is occupied.

@@ -1,0 +1,219 @@
+//! What is asked of a tour, and which places come into question.
+//!
+//! Invariant: what [`TourQuestion::check`] accepts can be answered.
+
+use tidemap_map::{grid::index::CellIndex, reachability::Reachability};
+
+use super::choose::Candidate;
+use crate::{
+    predicted::PredictedGrid,
+    travel::{Column, Distances, InvalidTravel, TravelGrid, TravelOptions},
+    view::{InvalidSensor, InvalidThreshold, Scene, SceneOptions, Sensor},
+};
+
+/// The most goals of a tour.
+pub const GOALS_MAX: usize = 100;
+
+/// How a chosen goal lowers the value of other candidates.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Suppression {
+    /// By what they share: cells that a chosen goal sees teach nothing more. Exact.
+    #[default]
+    Shared,
+    /// By how near they are: times d / radius within that radius, for each chosen goal (RA-L, section III.E, "decreased
+    /// proportionally to their proximity").
+    Distance {
+        /// Metres, above 0; the sensor's range is a fair choice.
+        radius_m: f64,
+    },
+}
+
+/// Where a tour ends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TourEnd {
+    /// Where it started, as at a charger.
+    #[default]
+    Start,
+    /// At its last goal.
+    LastGoal,
+}
+
+/// What is asked of a tour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TourQuestion {
+    /// Where the robot starts, x and y in the map's frame, metres.
+    pub start_m: [f64; 2],
+    /// How far from there the nearest place may be where the robot's middle can be, metres, at least 0: chargers stand at
+    /// walls. Default 0.5.
+    pub start_tolerance_m: f64,
+    /// How many goals, 1 to [`GOALS_MAX`]. Default 6 (RA-L, section III.E).
+    pub goals: usize,
+    /// Distance of neighbouring candidates along x and y, metres, at least one cell. Default 1.
+    pub spacing_m: f64,
+    /// The most points of the candidates' grid, free ones or not. Default 100,000.
+    pub max_candidates: usize,
+    /// How the robot looks from each goal.
+    pub sensor: Sensor,
+    /// Where the middle of its view points, radians; without effect on a sensor that looks all around.
+    pub yaw_rad: f64,
+    /// How predictions are looked into.
+    pub scene: SceneOptions,
+    /// Where the robot can drive.
+    pub travel: TravelOptions,
+    /// How a chosen goal lowers the value of other candidates.
+    pub suppression: Suppression,
+    /// Where the tour ends.
+    pub end: TourEnd,
+    /// How fast the robot drives, metres a second, above 0. Default 0.5.
+    pub speed_m_secs: f64,
+    /// How long it looks at each goal, seconds, at least 0. Default 60.
+    pub observation_secs: f64,
+    /// How long the tour may take, seconds, at least 0; goals that do not fit are left out. `None`: as long as it takes.
+    pub budget_secs: Option<f64>,
+}
+
+impl Default for TourQuestion {
+    fn default() -> TourQuestion {
+        TourQuestion {
+            start_m: [0.0; 2],
+            start_tolerance_m: 0.5,
+            goals: 6,
+            spacing_m: 1.0,
+            max_candidates: 100_000,
+            sensor: Sensor::default(),
+            yaw_rad: 0.0,
+            scene: SceneOptions::default(),
+            travel: TravelOptions::default(),
+            suppression: Suppression::default(),
+            end: TourEnd::default(),
+            speed_m_secs: 0.5,
+            observation_secs: 60.0,
+            budget_secs: None,
+        }
+    }
+}
+
+/// Why a question about a tour is refused.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum TourError {
+    /// A number makes no sense.
+    #[error("{what} {value}: it must be {right}")]
+    Number {
+        /// What it is.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// What would be right.
+        right: &'static str,
+    },
+    /// The start lies outside the region that is predicted.
+    #[error("start ({x_m}, {y_m}) m lies outside the region of interest, or the sensor at {z_m} m does")]
+    Outside {
+        /// In the map's frame, metres.
+        x_m: f64,
+        /// In the map's frame, metres.
+        y_m: f64,
+        /// Height of the sensor in the map's frame, metres.
+        z_m: f64,
+    },
+    /// The grid of candidates is too fine for its region.
+    #[error(
+        "candidates {spacing_m} m apart are {candidates:.0}, and may be {max}: set them farther apart or ask for a smaller region"
+    )]
+    TooManyCandidates {
+        /// Their distance.
+        spacing_m: f64,
+        /// How many there are.
+        candidates: f64,
+        /// How many there may be.
+        max: usize,
+    },
+    /// The sensor is none.
+    #[error(transparent)]
+    Sensor(#[from] InvalidSensor),
+    /// The rays are those of another sensor, another yaw, or a region of another size.
+    #[error("the rays were made for another sensor, another yaw or a region of another size: make them anew")]
+    OtherFan,
+    /// Nobody could be told where the robot can drive.
+    #[error(transparent)]
+    Travel(#[from] InvalidTravel),
+    /// The threshold is none.
+    #[error(transparent)]
+    Threshold(#[from] InvalidThreshold),
+}
+
+impl TourQuestion {
+    pub(super) fn check(&self, grid: &PredictedGrid) -> Result<(), TourError> {
+        let lattice = grid.lattice();
+        let number = |what, value, is_right, right| {
+            if is_right { Ok(()) } else { Err(TourError::Number { what, value, right }) }
+        };
+        let is_length = |metres: f64| metres >= 0.0 && metres.is_finite();
+        let right = "a finite number, at least 0";
+        number("start tolerance in metres", self.start_tolerance_m, is_length(self.start_tolerance_m), right)?;
+        let goals = self.goals as f64;
+        number("goals", goals, (1..=GOALS_MAX).contains(&self.goals), "between 1 and 100")?;
+        let is_wide = self.spacing_m.is_finite() && self.spacing_m >= lattice.resolution_m();
+        number("spacing in metres", self.spacing_m, is_wide, "finite, and at least the length of a cell")?;
+        number("yaw in radians", self.yaw_rad, self.yaw_rad.is_finite(), "finite")?;
+        let speed = self.speed_m_secs;
+        number("speed in metres a second", speed, speed.is_finite() && speed >= 1e-6, "finite, and at least 0.000001")?;
+        number("seconds at each goal", self.observation_secs, is_length(self.observation_secs), right)?;
+        if let Some(budget) = self.budget_secs {
+            number("seconds for the tour", budget, is_length(budget), right)?;
+        }
+        if let Suppression::Distance { radius_m } = self.suppression {
+            let is_right = radius_m.is_finite() && radius_m > 0.0;
+            number("radius of suppression in metres", radius_m, is_right, "finite and above 0")?;
+        }
+        self.sensor.check(lattice)?;
+        let ([x_m, y_m], z_m) = (self.start_m, self.sensor.height_m);
+        if lattice.cell_at([x_m, y_m, z_m]).is_none() {
+            return Err(TourError::Outside { x_m, y_m, z_m });
+        }
+        let [columns, rows] = self.points(grid);
+        let candidates = columns * rows;
+        if candidates > self.max_candidates as f64 {
+            let (spacing_m, max) = (self.spacing_m, self.max_candidates);
+            return Err(TourError::TooManyCandidates { spacing_m, candidates, max });
+        }
+        Ok(())
+    }
+
+    /// Points of the candidates' grid along x and y: half of what is left over on each side, at least one.
+    fn points(&self, grid: &PredictedGrid) -> [f64; 2] {
+        let lattice = grid.lattice();
+        let [width, depth, _] = lattice.size();
+        [width, depth].map(|cells| (cells as f64 * lattice.resolution_m() / self.spacing_m + 1e-9).floor().max(1.0))
+    }
+
+    /// The candidates to which the robot can drive, by y, then x.
+    pub(super) fn candidates(
+        &self,
+        scene: &Scene,
+        travel: &TravelGrid,
+        from_start: &Distances,
+        grid: &PredictedGrid,
+        reachability: &Reachability,
+    ) -> Vec<Candidate> {
+        let lattice = scene.lattice();
+        let [columns, rows] = self.points(grid);
+        let spacing = self.spacing_m / lattice.resolution_m();
+        let along = |number: usize, points: f64, size: usize| {
+            let at = (size as f64 - points * spacing) / 2.0 + (number as f64 + 0.5) * spacing;
+            (at.max(0.0) as usize).min(size - 1)
+        };
+        let [width, depth] = travel.size();
+        let height = |[x_m, y_m]: [f64; 2]| lattice.cell_at([x_m, y_m, self.sensor.height_m]);
+        let at = |column: usize, row: usize| {
+            let column = Column { x: along(column, columns, width), y: along(row, rows, depth) };
+            from_start.to(column)?;
+            let at_m = travel.centre_m(column);
+            let cell: CellIndex = height(at_m).filter(|&cell| !scene.is_occupied(cell))?;
+            let reachability = reachability.rate(at_m[0], at_m[1]).rate;
+            (reachability > 0.0).then_some(Candidate { column, cell, at_m, reachability })
+        };
+        let columns = columns as usize;
+        (0..rows as usize).flat_map(|row| (0..columns).filter_map(move |column| at(column, row))).collect()
+    }
+}
