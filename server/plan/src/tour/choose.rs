@@ -22,6 +22,10 @@ use crate::{
 /// Candidates that are looked from at once: a few, since the first may show that no other need be.
 const BATCH: usize = 4;
 
+/// Places of cells that are remembered of candidates that were looked from, all together; beyond, they are looked from
+/// again.
+const KEPT_MAX: usize = 1 << 24;
+
 /// A place to look from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Candidate {
@@ -38,7 +42,7 @@ pub(super) struct Chosen {
     pub candidate: usize,
     /// What it was expected to teach when it was chosen, suppression included, bits.
     pub bits: f64,
-    /// Places of the cells that it sees.
+    /// Places of the cells that it sees, those left out that teach nothing.
     pub seen: Vec<u32>,
 }
 
@@ -78,6 +82,9 @@ pub(super) struct Choice<'a> {
     bits: Vec<f64>,
     /// By how much it is suppressed for its distance.
     factors: Vec<f64>,
+    /// The same as [`Chosen::seen`] of candidates that were looked from.
+    seen: Vec<Option<Vec<u32>>>,
+    kept: usize,
     entries: BinaryHeap<Entry>,
     lookers: Mutex<Vec<Looker>>,
     looks: usize,
@@ -99,6 +106,8 @@ impl<'a> Choice<'a> {
             covered: vec![false; scene.lattice().held()],
             bits,
             factors: vec![1.0; candidates.len()],
+            seen: vec![None; candidates.len()],
+            kept: 0,
             entries: BinaryHeap::new(),
             lookers: Mutex::default(),
             looks: 0,
@@ -119,11 +128,10 @@ impl<'a> Choice<'a> {
             self.settle();
             let Some(best) = self.entries.pop().filter(|best| best.value > 0.0) else { break };
             let candidate = best.candidate;
-            let mut seen = Vec::new();
-            self.looking(|looker| {
-                looker.each(self.scene, self.fan, self.candidates[candidate].cell, |place| seen.push(place as u32));
+            let seen = self.seen[candidate].take().unwrap_or_else(|| {
+                self.looks += 1;
+                self.see(candidate)
             });
-            self.looks += 1;
             chosen.push(Chosen { candidate, bits: self.bits[candidate] * self.factors[candidate], seen });
             if let Some(goal) = chosen.last() {
                 self.suppress(goal);
@@ -147,35 +155,47 @@ impl<'a> Choice<'a> {
             if batch.is_empty() {
                 return;
             }
-            let new: Vec<(usize, f64)> =
-                batch.into_par_iter().map(|candidate| (candidate, self.new_bits(candidate))).collect();
-            self.looks += new.len();
-            for (candidate, bits) in new {
+            let look = |candidate: usize| match &self.seen[candidate] {
+                Some(seen) => (candidate, self.new_bits(seen), None),
+                None => {
+                    let seen = self.see(candidate);
+                    (candidate, self.new_bits(&seen), Some(seen))
+                }
+            };
+            let new: Vec<(usize, f64, Option<Vec<u32>>)> = batch.into_par_iter().map(look).collect();
+            for (candidate, bits, seen) in new {
                 self.bits[candidate] = bits;
                 self.entries.push(self.entry(candidate, true));
+                let Some(seen) = seen else { continue };
+                self.looks += 1;
+                if self.kept + seen.len() <= KEPT_MAX {
+                    self.kept += seen.len();
+                    self.seen[candidate] = Some(seen);
+                }
             }
         }
     }
 
-    /// What a candidate teaches that no chosen goal does.
-    fn new_bits(&self, candidate: usize) -> f64 {
-        let mut bits = 0.0;
-        self.looking(|looker| {
-            looker.each(self.scene, self.fan, self.candidates[candidate].cell, |place| {
-                if !self.covered[place] {
-                    bits += self.scene.bits_at(place);
-                }
-            });
-        });
-        bits
+    /// What cells teach that no chosen goal sees.
+    fn new_bits(&self, seen: &[u32]) -> f64 {
+        let new = seen.iter().map(|&place| place as usize).filter(|&place| !self.covered[place]);
+        new.fold(0.0, |bits, place| bits + self.scene.bits_at(place))
     }
 
-    fn looking(&self, look: impl FnOnce(&mut Looker)) {
+    /// Looks from a candidate.
+    fn see(&self, candidate: usize) -> Vec<u32> {
         let lookers = || self.lookers.lock().unwrap_or_else(PoisonError::into_inner);
         let known = lookers().pop();
         let mut looker = known.unwrap_or_else(|| Looker::new(self.fan));
-        look(&mut looker);
+        let mut seen = Vec::new();
+        looker.each(self.scene, self.fan, self.candidates[candidate].cell, |place| {
+            if self.scene.bits_at(place) > 0.0 {
+                seen.push(place as u32);
+            }
+        });
         lookers().push(looker);
+        seen.shrink_to_fit();
+        seen
     }
 
     /// Lowers the values of the candidates around a goal.
