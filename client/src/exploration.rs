@@ -179,6 +179,10 @@ pub struct DayQuery {
     pub exploration_weight: Option<f64>,
     /// States that a task profits from, one per location.
     pub task_states: Vec<String>,
+    /// Places to look from into the grid, instead of locations; they are called `X,Y`.
+    pub viewpoints: Vec<Viewpoint>,
+    /// What the robot looks with from there.
+    pub sensor: Sensor,
 }
 
 /// A slot of a plan.
@@ -201,6 +205,11 @@ impl Sensor {
             height_m: self.height_m,
         }
     }
+}
+
+fn viewpoint_to_wire(at: &Viewpoint) -> v1::Viewpoint {
+    let Viewpoint { x_m, y_m, z_m, yaw_rad } = *at;
+    v1::Viewpoint { x_m, y_m, z_m, yaw_rad }
 }
 
 impl Client {
@@ -253,11 +262,10 @@ impl Client {
         sensor: Sensor,
         model: ModelSelector,
     ) -> Result<Vec<Look>, Error> {
-        let to_wire = |at: &Viewpoint| v1::Viewpoint { x_m: at.x_m, y_m: at.y_m, z_m: at.z_m, yaw_rad: at.yaw_rad };
         let times = times_nanos.len();
         let request = v1::EvaluateViewsRequest {
             map: map.to_owned(),
-            viewpoints: viewpoints.iter().map(to_wire).collect(),
+            viewpoints: viewpoints.iter().map(viewpoint_to_wire).collect(),
             times_nanos,
             sensor: Some(sensor.to_wire()),
             model: Some(model.to_wire()),
@@ -342,6 +350,8 @@ impl Client {
             certainty: None,
             exploration_weight: query.exploration_weight,
             task_states: query.task_states,
+            sensor: (!query.viewpoints.is_empty()).then(|| query.sensor.to_wire()),
+            viewpoints: query.viewpoints.iter().map(viewpoint_to_wire).collect(),
             budget: match query.budget {
                 Budget::Usual => None,
                 Budget::Slots(slots) => Some(Wire::Explore(slots)),

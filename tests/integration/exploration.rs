@@ -153,6 +153,19 @@ async fn views_regions_and_mistakes_are_answered() {
     let cell = info(&["--state", "cell/62/62/0", "cell/2/2/0"]).table();
     assert!(cell.numbers("information_bits")[0] > 0.1 && cell.numbers("entropy_bits")[1] == 0.0, "{cell:?}");
 
+    let day = |more: &[&str]| {
+        let args = ["day", MAP, "--date", "2016-01-11", "--slot", "1h"];
+        tidemap(&daemon, args.into_iter().chain(more.iter().copied()))
+    };
+    let plan = day(&["--views", "1", "--explore", "3", "--strategy", "greedy"]).table();
+    for place in plan.column("location").into_iter().filter(|place| !place.is_empty()) {
+        let at: Vec<f64> = place.split(',').map(|along| along.parse().expect("a number")).collect();
+        assert!(sees_seat([at[0], at[1]]), "{place}");
+    }
+    assert_eq!(plan.column("location").iter().filter(|place| !place.is_empty()).count(), 3);
+    day(&["--views", "0.01"]).fails(2, &["0.01", "640000"]);
+    day(&["--views", "0"]).fails(2, &["\"0\" is not a distance"]);
+
     info(&["--view", "4.05,1,0"]).fails(1, &["4.05", "occupied"]);
     info(&["--view", "90,1,0"]).fails(1, &["90", "outside"]);
     info(&["--view", "1,1,0,0"]).fails(2, &["1,1,0,0"]);

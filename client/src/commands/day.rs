@@ -4,9 +4,11 @@
 
 use std::process::ExitCode;
 
+use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use tidemap::{
-    exploration::{Budget, DayQuery, DaySlot, Strategy},
+    exploration::{Budget, DayQuery, DaySlot, Sensor, Strategy, Viewpoint},
+    maps::Map,
     queries::ModelSelector,
 };
 
@@ -41,6 +43,9 @@ pub struct DayArgs {
     /// Model: those of predict, each optionally with +persistence
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
+    /// Looks into the grid instead, from places so many metres apart all over it; a location is then X,Y
+    #[arg(long, value_name = "M", value_parser = spacing, conflicts_with = "locations")]
+    views: Option<f64>,
     /// Between exploring (1) and doing what a task profits from (0)
     #[arg(long, value_name = "W", requires = "task_states")]
     exploration_weight: Option<f64>,
@@ -61,6 +66,38 @@ enum StrategyArg {
     Random,
 }
 
+/// Most places to look from; more are refused before anything is asked.
+const VIEWS_MAX: f64 = 100_000.0;
+
+fn spacing(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|metres: &f64| *metres > 0.0 && metres.is_finite());
+    number.ok_or_else(|| format!("{text:?} is not a distance: write metres above 0, as 1.5"))
+}
+
+/// Places all over a map's grid, so far apart.
+async fn viewpoints(session: &Session, map: &str, apart_m: f64) -> anyhow::Result<Vec<Viewpoint>> {
+    let Map { grid, grid_summary, .. } = session.client.map(map).await?;
+    let grid = grid.with_context(|| format!("map {map:?} has no grid to look into"))?;
+    let bounds = grid_summary.and_then(|summary| summary.bounds);
+    let bounds = bounds.with_context(|| format!("nothing was observed of the grid of map {map:?} yet"))?;
+    let cells = |axis: usize| f64::from(bounds.max[axis] - bounds.min[axis]);
+    let count = |axis: usize| (cells(axis) * grid.resolution_m / apart_m).floor().max(1.0);
+    if count(0) * count(1) > VIEWS_MAX {
+        let text = format!("--views {apart_m}: that are {:.0} places, more than {VIEWS_MAX}", count(0) * count(1));
+        return Err(Misused(text).into());
+    }
+    let along = |axis: usize, number: u32| {
+        let spare = cells(axis) * grid.resolution_m - count(axis) * apart_m;
+        let low = grid.origin_m[axis] + f64::from(bounds.min[axis]) * grid.resolution_m;
+        low + spare / 2.0 + (f64::from(number) + 0.5) * apart_m
+    };
+    let rounded = |metres: f64| (metres * 1e3).round() / 1e3;
+    let at =
+        |x: u32, y: u32| Viewpoint { x_m: rounded(along(0, x)), y_m: rounded(along(1, y)), ..Viewpoint::default() };
+    let (columns, rows) = (count(0) as u32, count(1) as u32);
+    Ok((0..rows).flat_map(|y| (0..columns).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect())
+}
+
 const COLUMNS: [&str; 4] = ["slot", "start", "location", "information_bits"];
 
 pub async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
@@ -69,6 +106,10 @@ pub async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
         (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Budget::Ratio(ratio),
         (None, Some(ratio)) => return Err(Misused(format!("--ratio {ratio}: it is above 0 and at most 1")).into()),
         (None, None) => Budget::Usual,
+    };
+    let viewpoints = match args.views {
+        Some(apart_m) => viewpoints(session, &args.map, apart_m).await?,
+        None => Vec::new(),
     };
     let query = DayQuery {
         map: args.map,
@@ -86,6 +127,8 @@ pub async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
         model: args.model,
         exploration_weight: args.exploration_weight,
         task_states: args.task_states,
+        viewpoints,
+        sensor: Sensor::default(),
     };
     let slots = session.client.plan_day(query).await?;
     let mut sheet = Sheet::stdout(session.format, &COLUMNS);

@@ -2,19 +2,28 @@
 //!
 //! Invariant: what a slot promises is predicted for its middle; a plan has a row per slot of the local day.
 
-use tidemap_map::event::{StateId, StateKind};
+use std::{ops::ControlFlow, sync::Arc};
+
+use tidemap_map::{
+    event::{StateId, StateKind},
+    predict::ModelSelector,
+    view::MapView,
+};
 use tidemap_plan::{
     day::{DaySlots, plan_day as plan},
     information::Certainty,
+    predicted::{PredictOptions, PredictedTimes},
     strategy::Gains,
+    view::{SceneOptions, Sensor, TimedScene, Viewpoint, look_many},
 };
 use tidemap_proto::{
     convert::{
         InvalidField,
         exploration::{
-            budget_from_wire, certainty_from_wire, date_from_wire, day_to_wire, slot_from_wire, strategy_from_wire,
+            budget_from_wire, certainty_from_wire, date_from_wire, day_to_wire, scene_from_wire, sensor_from_wire,
+            slot_from_wire, strategy_from_wire, viewpoint_from_wire,
         },
-        query::selector_from_wire,
+        query::{check_for_cells, selector_from_wire},
     },
     v1,
 };
@@ -34,10 +43,7 @@ use crate::rpc::{
 const LOCATIONS_MAX: usize = 10_000;
 
 /// The locations to choose from, by name, with their states.
-fn locations(
-    view: &tidemap_map::view::MapView,
-    asked: Vec<String>,
-) -> Result<(Vec<String>, Vec<Vec<StateId>>), RpcError> {
+fn locations(view: &MapView, asked: Vec<String>) -> Result<(Vec<String>, Vec<Vec<StateId>>), RpcError> {
     let names = if asked.is_empty() {
         view.site().locations().keys().map(|name| name.as_str().to_owned()).collect()
     } else {
@@ -75,11 +81,27 @@ pub(super) async fn plan_day(
     if !(0.0..=1.0).contains(&weight) {
         return Err(InvalidField::new("exploration_weight", format!("{weight} is not between 0 and 1")).into());
     }
-    let (names, by_location) = locations(&view, request.locations)?;
+    let middles: Vec<i64> = (0..slots.count()).map(|slot| slots.middle_nanos(slot)).collect();
     let tasks = request.task_states.iter().map(|name| find_state(&view, name)).collect::<Result<Vec<_>, _>>()?;
     for (i, &id) in tasks.iter().enumerate() {
         check_kind(&view, id, &format!("task_states[{i}]"))?;
     }
+    let (names, information) = if request.viewpoints.is_empty() {
+        let (names, by_location) = locations(&view, request.locations)?;
+        let counts: Vec<usize> = by_location.iter().map(Vec::len).collect();
+        let asked: Vec<StateId> = by_location.into_iter().flatten().collect();
+        let rows = series(explorations, &handle, &view, (asked, middles.clone()), selector).await?;
+        (names, gains(&rows, &counts, slots.count(), certainty).map_err(PlanError::from)?)
+    } else {
+        if !request.locations.is_empty() {
+            return Err(InvalidField::new("locations", "ask for locations or for viewpoints, not for both").into());
+        }
+        let viewpoints: Vec<Viewpoint> = request.viewpoints.iter().map(viewpoint_from_wire).collect();
+        let names = viewpoints.iter().map(|at| format!("{},{}", at.x_m, at.y_m)).collect();
+        let scene = scene_from_wire(request.certainty, None)?;
+        let looks = Looks { viewpoints, sensor: sensor_from_wire(request.sensor), scene, selector };
+        (names, view_gains(explorations, &view, middles.clone(), looks).await?)
+    };
     if weight < 1.0 && tasks.len() != names.len() {
         let text = format!("{} states for {} locations: name one per location", tasks.len(), names.len());
         return Err(InvalidField::new("task_states", text).into());
@@ -88,13 +110,8 @@ pub(super) async fn plan_day(
         let text = "they count only with an exploration_weight below 1";
         return Err(InvalidField::new("task_states", text).into());
     }
-    let middles: Vec<i64> = (0..slots.count()).map(|slot| slots.middle_nanos(slot)).collect();
-    let counts: Vec<usize> = by_location.iter().map(Vec::len).collect();
-    let asked: Vec<StateId> = by_location.into_iter().flatten().chain(tasks.iter().copied()).collect();
-    let rows = series(explorations, &handle, &view, (asked, middles), selector).await?;
-    let (of_tasks, of_locations) = (&rows[rows.len() - tasks.len()..], &rows[..rows.len() - tasks.len()]);
-    let information = gains(of_locations, &counts, slots.count(), certainty).map_err(PlanError::from)?;
     let weighed = if weight < 1.0 {
+        let of_tasks = series(explorations, &handle, &view, (tasks, middles), selector).await?;
         let task = Gains::of(slots.count(), names.len(), |slot, place| of_tasks[place][slot]);
         let weighed = task.and_then(|task| information.weighed(&task, weight));
         Some(weighed.map_err(|error| PlanError::Day(error.into()))?)
@@ -108,6 +125,46 @@ pub(super) async fn plan_day(
         row.information_bits = row.location.map_or(0.0, |place| information.at(row.slot, place));
     }
     Ok(day_to_wire(&rows, &names))
+}
+
+/// From where, with what and by which model the grid is looked into.
+struct Looks {
+    viewpoints: Vec<Viewpoint>,
+    sensor: Sensor,
+    scene: SceneOptions,
+    selector: ModelSelector,
+}
+
+/// What each viewpoint is expected to teach in each slot, times how probably it is reached.
+async fn view_gains(
+    explorations: &Explorations,
+    view: &Arc<MapView>,
+    middles: Vec<i64>,
+    looks: Looks,
+) -> Result<Gains, RpcError> {
+    check_for_cells("model", looks.selector)?;
+    let cells = looks.viewpoints.len() as u64 * middles.len() as u64;
+    check_limit("viewpoints x slots", cells, explorations.limits.predictions, "setting max_predictions")?;
+    let options = PredictOptions { selector: looks.selector, ..explorations.predict_options() };
+    let limits = explorations.look_limits();
+    let (turn, view) = (explorations.turns.take().await?, Arc::clone(view));
+    let work = move || {
+        let _turn = turn;
+        let grid = PredictedTimes::new(&view, &middles, &options)?;
+        let scene = TimedScene::new(&grid, &looks.scene)?;
+        let reachability = view.site().reachability();
+        let mut rows: Vec<Vec<f64>> = Vec::with_capacity(looks.viewpoints.len());
+        look_many(&scene, &looks.sensor, &looks.viewpoints, limits, |number, told| {
+            let at = looks.viewpoints.get(number).copied().unwrap_or_default();
+            let rate = reachability.rate(at.x_m, at.y_m).rate;
+            let bits = told.unwrap_or_else(|_| vec![None; middles.len()]);
+            rows.push(bits.into_iter().map(|bits| rate * bits.unwrap_or(0.0)).collect());
+            ControlFlow::Continue(())
+        })?;
+        let gains = Gains::of(middles.len(), rows.len(), |slot, place| rows[place][slot]);
+        gains.map_err(|error| PlanError::Day(error.into()))
+    };
+    Ok(tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)??)
 }
 
 /// What each location is expected to teach in each slot. `rows` has the states of the locations one after the other.
