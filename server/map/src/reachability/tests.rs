@@ -12,7 +12,7 @@ fn rate(map: &Reachability, x_m: f64, y_m: f64) -> (f64, u8) {
 #[test]
 fn an_unknown_place_has_the_prior_and_is_tried() {
     assert_eq!(rate(&Reachability::default(), 3.0, -7.0), (0.5, 0));
-    assert_eq!(rate(&Reachability::new(1.0, 5).unwrap(), 3.0, -7.0), (1.0, 0));
+    assert_eq!(rate(&Reachability::new(1.0, 5).expect("valid"), 3.0, -7.0), (1.0, 0));
     for wrong in [0.0, -0.5, 1.5, f64::NAN] {
         assert!(matches!(Reachability::new(wrong, 5), Err(ReachabilityError::Prior(_))));
     }
@@ -21,8 +21,8 @@ fn an_unknown_place_has_the_prior_and_is_tried() {
 #[test]
 fn places_of_one_cell_of_50_cm_share_their_attempts() {
     let mut map = Reachability::default();
-    map.report(0.1, -0.1, true, 5).unwrap();
-    map.report(0.49, -0.49, false, 6).unwrap();
+    map.report(0.1, -0.1, true, 5).expect("valid");
+    map.report(0.49, -0.49, false, 6).expect("valid");
     assert_eq!(rate(&map, 0.2, -0.4), (0.5, 2));
     assert_eq!(rate(&map, 0.5, -0.4), (0.5, 0));
     assert_eq!(rate(&map, 0.2, 0.0), (0.5, 0));
@@ -33,7 +33,7 @@ fn places_of_one_cell_of_50_cm_share_their_attempts() {
 fn what_is_no_place_is_refused() {
     let mut map = Reachability::default();
     for wrong in [f64::NAN, f64::INFINITY, -1e8] {
-        assert!(map.report(wrong, 0.0, true, 0).unwrap_err().to_string().contains(&wrong.to_string()));
+        assert!(map.report(wrong, 0.0, true, 0).expect_err("wrong").to_string().contains(&wrong.to_string()));
         assert!(map.report(0.0, wrong, true, 0).is_err());
         assert_eq!(rate(&map, wrong, 0.0), (0.0, 0));
     }
@@ -42,11 +42,11 @@ fn what_is_no_place_is_refused() {
 
 #[test]
 fn there_is_room_for_so_many_cells() {
-    let mut map = Reachability::new(0.5, 2).unwrap();
-    map.report(0.0, 0.0, true, 0).unwrap();
-    map.report(1.0, 0.0, true, 0).unwrap();
+    let mut map = Reachability::new(0.5, 2).expect("valid");
+    map.report(0.0, 0.0, true, 0).expect("valid");
+    map.report(1.0, 0.0, true, 0).expect("valid");
     assert_eq!(map.report(2.0, 0.0, true, 0), Err(ReachabilityError::TooManyCells { max: 2 }));
-    map.report(1.0, 0.0, false, 1).unwrap();
+    map.report(1.0, 0.0, false, 1).expect("valid");
     assert_eq!(rate(&map, 1.0, 0.0), (0.5, 2));
     let parts: Vec<_> = map.parts().collect();
     assert_eq!(Reachability::from_parts(0.5, 1, parts), Err(ReachabilityError::TooManyCells { max: 1 }));
@@ -71,14 +71,14 @@ proptest! {
     fn the_last_five_reported_count(reports in prop::collection::vec((any::<bool>(), any::<i64>()), 1..20)) {
         let mut map = Reachability::default();
         for &(reached, nanos) in &reports {
-            map.report(0.3, 0.3, reached, nanos).unwrap();
+            map.report(0.3, 0.3, reached, nanos).expect("valid");
         }
         let last: Vec<bool> = reports.iter().rev().take(5).map(|report| report.0).collect();
         let reached = last.iter().filter(|reached| **reached).count();
         prop_assert_eq!(rate(&map, 0.3, 0.3), (reached as f64 / last.len() as f64, last.len() as u8));
-        let (_, attempts) = map.parts().next().unwrap();
+        let (_, attempts) = map.parts().next().expect("valid");
         prop_assert_eq!(Some(attempts.last_nanos), reports.iter().map(|report| report.1).max());
-        let again = Reachability::from_parts(map.prior(), 10, map.parts()).unwrap();
+        let again = Reachability::from_parts(map.prior(), 10, map.parts()).expect("valid");
         prop_assert_eq!(again.parts().collect::<Vec<_>>(), map.parts().collect::<Vec<_>>());
     }
 }
