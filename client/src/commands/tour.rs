@@ -126,7 +126,7 @@ async fn draw(session: &Session, query: &TourQuery, tour: &Tour) -> anyhow::Resu
         map: query.map.clone(),
         time_nanos: query.time_nanos,
         model: query.model,
-        region: grid::predict::heights(&map, 0.05, query.robot_height_m.unwrap_or(1.8)),
+        region: grid::predict::heights(&map, 0.2, query.robot_height_m.unwrap_or(1.8)),
         is_projected: true,
         output: GridOutput::Probability,
     };
