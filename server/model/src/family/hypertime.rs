@@ -161,6 +161,14 @@ impl Hypertime {
         divisors.iter().map(|&divisor| week::WEEK_NANOS as f64 / f64::from(divisor) / 1e9).collect()
     }
 
+    /// How its clusters were found.
+    pub fn method(&self) -> HypertimeMethod {
+        match &self.shape {
+            Shape::Probability(odds) => odds.method(),
+            Shape::Continuous(field) => field.method(),
+        }
+    }
+
     /// What the model consists of; a model made of it again predicts the same.
     pub fn to_parts(&self) -> HypertimeParts {
         match &self.shape {

@@ -70,9 +70,9 @@ pub struct PergamParts {
 /// A probability over a period, as a sum of wrapped Gaussians (Waldo eq. 7).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pergam {
-    period_nanos: i64,
-    /// Weight as in [`PergamGaussian`]; mean and deviation in turns.
-    gaussians: Vec<Wrapped>,
+    parts: PergamParts,
+    /// The same Gaussians; mean and deviation in turns.
+    wrapped: Vec<Wrapped>,
 }
 
 impl Pergam {
@@ -90,11 +90,24 @@ impl Pergam {
         }
         let folded = Folded::new(readings, options.period_nanos);
         let level = folded.level();
-        let mut gaussians = fit_wrapped(folded.shares(), options.gaussians, options.seed);
-        for gaussian in &mut gaussians {
-            gaussian.weight *= level;
-        }
-        Ok(Pergam { period_nanos: options.period_nanos, gaussians })
+        let found = fit_wrapped(folded.shares(), options.gaussians, options.seed);
+        let gaussians = found.iter().map(|wrapped| PergamGaussian {
+            weight: wrapped.weight * level,
+            mean_secs: (wrapped.mean * period_secs).clamp(0.0, period_secs),
+            deviation_secs: wrapped.deviation * period_secs,
+        });
+        Ok(Pergam::of(PergamParts { period_nanos: options.period_nanos, gaussians: gaussians.collect() }))
+    }
+
+    /// What is stored is what decides, so that a model made of it again predicts the same to the last bit.
+    fn of(parts: PergamParts) -> Pergam {
+        let period_secs = parts.period_nanos as f64 / 1e9;
+        let wrapped = parts.gaussians.iter().map(|gaussian| Wrapped {
+            weight: gaussian.weight,
+            mean: gaussian.mean_secs / period_secs,
+            deviation: gaussian.deviation_secs / period_secs,
+        });
+        Pergam { wrapped: wrapped.collect(), parts }
     }
 
     /// The model that was stored.
@@ -105,43 +118,31 @@ impl Pergam {
         let period_secs = parts.period_nanos as f64 / 1e9;
         InvalidParts::check("period_secs", period_secs, 1.0..=MAX_PERIOD_NANOS as f64 / 1e9)?;
         InvalidParts::check("gaussians", parts.gaussians.len() as f64, 0.0..=PergamOptions::MAX_GAUSSIANS as f64)?;
-        let mut gaussians = Vec::with_capacity(parts.gaussians.len());
         for gaussian in &parts.gaussians {
             // Leave room for rounding.
             InvalidParts::check("weight", gaussian.weight, 0.0..=1.01)?;
             InvalidParts::check("mean_secs", gaussian.mean_secs, 0.0..=period_secs)?;
             InvalidParts::check("deviation_secs", gaussian.deviation_secs, period_secs * 1e-6..=period_secs * 1.01)?;
-            gaussians.push(Wrapped {
-                weight: gaussian.weight,
-                mean: gaussian.mean_secs / period_secs,
-                deviation: gaussian.deviation_secs / period_secs,
-            });
         }
-        Ok(Pergam { period_nanos: parts.period_nanos, gaussians })
+        Ok(Pergam::of(parts.clone()))
     }
 
-    /// What the model consists of. Predictions of a model made of it again agree to rounding.
+    /// What the model consists of; a model made of it again is the same to the last bit.
     pub fn to_parts(&self) -> PergamParts {
-        let period_secs = self.period_secs();
-        let gaussians = self.gaussians.iter().map(|wrapped| PergamGaussian {
-            weight: wrapped.weight,
-            mean_secs: (wrapped.mean * period_secs).clamp(0.0, period_secs),
-            deviation_secs: wrapped.deviation * period_secs,
-        });
-        PergamParts { period_nanos: self.period_nanos, gaussians: gaussians.collect() }
+        self.parts.clone()
     }
 
     /// The period τ, in seconds.
     pub fn period_secs(&self) -> f64 {
-        self.period_nanos as f64 / 1e9
+        self.parts.period_nanos as f64 / 1e9
     }
 }
 
 impl TemporalModel for Pergam {
     /// The probability at a moment (Waldo eq. 7), saturated to `[0,1]`.
     fn predict(&self, at: Moment) -> f64 {
-        let turn = folded::turn(at.civil_nanos(), self.period_nanos);
-        let sum: f64 = self.gaussians.iter().map(|gaussian| gaussian.weight * gaussian.density(turn)).sum();
+        let turn = folded::turn(at.civil_nanos(), self.parts.period_nanos);
+        let sum: f64 = self.wrapped.iter().map(|gaussian| gaussian.weight * gaussian.density(turn)).sum();
         sum.clamp(0.0, 1.0)
     }
 }

@@ -134,6 +134,10 @@ impl HypertimeField {
         Some(self.distribution(at, location)?.mean())
     }
 
+    pub(super) fn method(&self) -> HypertimeMethod {
+        self.method
+    }
+
     /// The periods of the model, as divisors of a week, in the order found.
     pub fn week_divisors(&self) -> &[u32] {
         &self.divisors

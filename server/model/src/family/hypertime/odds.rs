@@ -277,6 +277,10 @@ impl Odds {
         self.at_point(&point)
     }
 
+    pub(super) fn method(&self) -> HypertimeMethod {
+        self.method
+    }
+
     pub(super) fn divisors(&self) -> &[u32] {
         &self.divisors
     }
