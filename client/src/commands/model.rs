@@ -106,13 +106,19 @@ fn table(model: &ModelDescription) -> io::Result<()> {
 }
 
 /// One table for programs: what holds for the state is repeated with each component, and has a row of its own where
-/// there is none.
+/// there is none. The model in force and the recent errors of all that were tried come after the components' columns, so
+/// that neither rows nor columns are others than they were.
 fn csv(model: &ModelDescription) -> io::Result<()> {
     let summary = summary(model);
-    let columns: Vec<&str> = ["period_secs", "amplitude", "phase_rad", "used"].to_vec();
+    let columns = ["period_secs", "amplitude", "phase_rad", "used", "model", "recent_errors"];
     let columns: Vec<&'static str> = summary[..3].iter().map(|(name, _)| *name).chain(columns).collect();
     let mut sheet = Sheet::stdout(Format::Csv, &columns);
-    let row = |component: [Cell; 4]| summary[..3].iter().map(|(_, cell)| cell.clone()).chain(component).collect();
+    let errors = model.model_errors.iter().map(|(tried, error)| format!("{tried}={error}"));
+    let tried = [Cell::Text(model.chosen.to_string()), Cell::Text(errors.collect::<Vec<_>>().join(" "))];
+    let row = |component: [Cell; 4]| {
+        let state = summary[..3].iter().map(|(_, cell)| cell.clone());
+        state.chain(component).chain(tried.clone()).collect()
+    };
     if model.components.is_empty() {
         sheet.row(row([Cell::Empty, Cell::Empty, Cell::Empty, Cell::Empty]))?;
     }
