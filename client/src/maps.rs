@@ -2,9 +2,11 @@
 //!
 //! Invariant: what a new map leaves out, the daemon fills in; no default is repeated here.
 
+mod candidate;
 mod grid;
 mod site;
 
+pub use candidate::{Candidate, InvalidCandidate};
 pub use grid::{CellBox, Grid, GridSummary, Retention, SensorNoise};
 pub use site::Location;
 pub(crate) use site::{point_from_wire, point_to_wire};
@@ -63,6 +65,8 @@ pub struct NewMap {
     pub half_life_nanos: Option<i64>,
     /// What a named state answers of which nothing was learned; 0.5 where absent.
     pub prior: Option<f64>,
+    /// What the nightly update chooses among; the daemon's usual models where empty.
+    pub models: Vec<Candidate>,
 }
 
 /// Where an update left a map.
@@ -118,6 +122,8 @@ pub struct Map {
     pub charger_m: Option<[f64; 2]>,
     /// Number of locations.
     pub locations: u64,
+    /// What the nightly update chooses among; empty where the daemon does not say.
+    pub models: Vec<Candidate>,
 }
 
 /// What the value of a state means.
@@ -237,6 +243,7 @@ impl Client {
             grid: map.grid.as_ref().map(Grid::to_wire),
             half_life: map.half_life_nanos.map(duration),
             prior: map.prior,
+            models: map.models.into_iter().map(Candidate::to_wire).collect(),
         };
         let response = self.map_service().create_map(request).await.map_err(|status| self.error(&status))?;
         map_from_wire(response.into_inner().map)
@@ -365,6 +372,7 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         prior: map.prior,
         charger_m: map.charger.map(point_from_wire),
         locations: map.locations,
+        models: map.models.into_iter().filter_map(Candidate::from_wire).collect(),
     })
 }
 

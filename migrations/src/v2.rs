@@ -10,7 +10,8 @@
 //! | `maps/00000001/history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
 //!
 //! The records of states in checkpoints and in the index are [`map::State`]; in the index chunks from [`HOURS_CHUNK`] on
-//! are those of its `hours`, and from [`PROFILE_CHUNK`] on those of its calibrated model's `profile`.
+//! are those of its `hours`, from [`PROFILE_CHUNK`] on those of its calibrated model's `profile`, and from [`FITS_CHUNK`] on
+//! those of its `fits`.
 //!
 //! The containers (segments, frames, files, records, trailers) are those of format 1 and go on saying 1. A log of a map
 //! that was created under this format may begin at a later record than the first.
@@ -19,6 +20,7 @@
 
 pub mod event;
 pub mod file;
+pub mod fits;
 pub mod grid;
 pub mod history;
 pub mod index;
@@ -35,3 +37,6 @@ pub const HOURS_CHUNK: u16 = 0x8000;
 
 /// Chunks of a state in the index with this number and above are those of [`map::Calibrated::profile`].
 pub const PROFILE_CHUNK: u16 = 0xC000;
+
+/// Chunks of a state in the index with this number and above are those of [`map::Alternatives::fits`].
+pub const FITS_CHUNK: u16 = 0xE000;

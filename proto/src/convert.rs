@@ -7,6 +7,7 @@ use std::fmt::Display;
 pub mod anomaly;
 pub mod cells;
 pub mod columns;
+pub mod enabled;
 pub mod exploration;
 pub mod grid;
 pub mod map;

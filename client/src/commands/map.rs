@@ -8,7 +8,7 @@ use std::{process::ExitCode, str::FromStr};
 
 use clap::{Args, Subcommand, ValueEnum};
 use tidemap::{
-    maps::{Grid, Map, NewMap, OrderCriterion, Periodicities, Retention},
+    maps::{Candidate, Grid, InvalidCandidate, Map, NewMap, OrderCriterion, Periodicities, Retention},
     time::format_duration,
 };
 
@@ -97,6 +97,21 @@ pub struct CreateArgs {
     /// What a named state answers of which nothing was learned, 0 to 1 [default: 0.5]
     #[arg(long, value_name = "P")]
     prior: Option<f64>,
+    /// What the nightly update of a named state chooses among: spectral, histogram, calibrated, pergam, hypertime-em,
+    /// hypertime-km, or all; spectral always is among them [default: spectral,histogram,calibrated]
+    #[arg(long, value_name = "MODEL,…", value_parser = candidates, value_delimiter = ',')]
+    models: Option<Vec<Candidates>>,
+}
+
+/// One name of `--models`.
+#[derive(Clone, Debug)]
+struct Candidates(Vec<Candidate>);
+
+fn candidates(text: &str) -> Result<Candidates, InvalidCandidate> {
+    if text == "all" {
+        return Ok(Candidates(Candidate::ALL.to_vec()));
+    }
+    Ok(Candidates(vec![text.parse()?]))
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -124,7 +139,7 @@ const COLUMNS: [&str; 11] = [
     "scans",
 ];
 /// Of a map that is shown by itself.
-const MORE_COLUMNS: [&str; 11] = [
+const MORE_COLUMNS: [&str; 12] = [
     "retention",
     "grid",
     "grid_retention",
@@ -136,6 +151,7 @@ const MORE_COLUMNS: [&str; 11] = [
     "prior",
     "charger",
     "locations",
+    "models",
 ];
 
 pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
@@ -213,6 +229,7 @@ fn new_map(args: CreateArgs) -> NewMap {
         grid,
         half_life_nanos: args.half_life,
         prior: args.prior,
+        models: args.models.into_iter().flatten().flat_map(|Candidates(models)| models).collect(),
     }
 }
 
@@ -255,5 +272,6 @@ fn more_cells(map: &Map) -> Vec<Cell> {
         map.prior.into(),
         text(map.charger_m.map(|[x, y]| format!("{x},{y}"))),
         map.locations.into(),
+        Cell::Text(map.models.iter().map(|model| model.name()).collect::<Vec<_>>().join(" ")),
     ]
 }

@@ -43,6 +43,10 @@ pub struct MapSpec {
     /// What a state answers of which nothing is known; absent: 0.5.
     #[prost(fixed64, optional, tag = "12")]
     pub prior_bits: Option<u64>,
+    /// What the nightly update chooses among besides the spectral model, a bit for each: 1 histograms, 2 the calibrated
+    /// model, 4 the periodic mixture of Gaussians, 8 warped hypertime by expectation-maximisation, 16 by k-means. Absent: 3.
+    #[prost(uint32, optional, tag = "13")]
+    pub models: Option<u32>,
 }
 
 /// What a snapshot says about itself: as in format 1, and whether there is a site.
@@ -177,7 +181,7 @@ pub struct CellBox {
 }
 
 /// One state: that of format 1, and what is known apart from its spectrum. In the index it has neither `spectrum` nor
-/// `hours` nor `profile`; the chunks of those have keys of their own.
+/// `hours` nor `profile` nor `fits`; the chunks of those have keys of their own.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct State {
     /// Its number.
@@ -231,7 +235,8 @@ pub struct Alternatives {
     /// then of weekends: weight, sum and sum of squares of the means of single days. 480 doubles, little-endian.
     #[prost(bytes = "vec", tag = "1")]
     pub hours: Vec<u8>,
-    /// Faded sums of errors: of the spectral model, of the histograms of the day, of weekday and weekend, of the week.
+    /// Faded sums of errors: of the spectral model, of the histograms of the day, of weekday and weekend, of the week; of
+    /// the spectral model alone where histograms are not tried.
     #[prost(fixed64, repeated, tag = "2")]
     pub error_sums_bits: Vec<u64>,
     /// Last local day recorded in the errors, in days since 1970-01-01.
@@ -240,7 +245,8 @@ pub struct Alternatives {
     /// Last local day folded in.
     #[prost(sint32, optional, tag = "4")]
     pub folded_day: Option<i32>,
-    /// The model in force: 0 the spectral model, 128 the calibrated one, else the number of the histogram, from 1.
+    /// The model in force: 0 the spectral model, 128 the calibrated one, 129 the periodic mixture of Gaussians, 130 warped
+    /// hypertime by expectation-maximisation, 131 by k-means, else the number of the histogram, from 1.
     #[prost(uint32, tag = "5")]
     pub choice: u32,
     /// How much the observations of the accumulator count together; absent: their number.
@@ -267,6 +273,12 @@ pub struct Alternatives {
     /// The calibrated model; absent before its first fit.
     #[prost(message, optional, tag = "13")]
     pub calibrated: Option<Calibrated>,
+    /// The other models that were fitted to readings: a message [`super::fits::Fits`]; empty where there is none.
+    #[prost(bytes = "vec", tag = "14")]
+    pub fits: Vec<u8>,
+    /// The first local day of the present routine, in days since 1970-01-01; absent where the change alarm never rang.
+    #[prost(sint32, optional, tag = "15")]
+    pub since: Option<i32>,
 }
 
 /// The calibrated model of a state, as it was last fitted.

@@ -12,6 +12,7 @@ use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 
 use super::{
     InvalidField,
+    enabled::{enabled_from_wire, enabled_to_wire},
     grid::{grid_from_wire, grid_summary_to_wire, grid_to_wire, retention_from_wire, retention_to_wire},
     site::point_to_wire,
     time::{duration, nanos_from_duration, timestamp},
@@ -57,7 +58,8 @@ pub fn spec_from_request(request: v1::CreateMapRequest, created_nanos: i64) -> R
         prior if (0.0..=1.0).contains(&prior) => prior,
         other => return Err(InvalidField::new("prior", format!("{other} is not between 0 and 1"))),
     };
-    Ok(MapSpec { name, zone, periodicities, criterion, created_nanos, half_life_nanos, prior, retention, grid })
+    let models = enabled_from_wire("models", &request.models, retention)?;
+    Ok(MapSpec { name, zone, periodicities, criterion, created_nanos, half_life_nanos, prior, retention, models, grid })
 }
 
 fn periodicities_from_wire(wire: Option<v1::Periodicities>) -> Result<Periodicities, InvalidField> {
@@ -114,6 +116,7 @@ pub fn map_to_wire(view: &MapView) -> v1::Map {
         prior: spec.prior,
         charger: view.site().charger_m().map(point_to_wire),
         locations: view.site().locations().len() as u64,
+        models: enabled_to_wire(spec.models),
     }
 }
 

@@ -5,7 +5,9 @@ use tidemap_map::{
     predict::{ModelKind, ModelSelector, PERGAM_PERIOD_NANOS, PERGAM_PERIODS},
     view::MapView,
 };
-use tidemap_model::{Component, HISTOGRAMS, MAX_ORDER, ModelChoice, SpectralModel, StateModel, family::HistogramCycle};
+use tidemap_model::{
+    Component, FitKind, HISTOGRAMS, MAX_ORDER, ModelChoice, SpectralModel, StateModel, family::HistogramCycle,
+};
 
 use super::{
     InvalidField,
@@ -199,7 +201,11 @@ fn selector_of(choice: ModelChoice, model: &StateModel) -> ModelSelector {
                 bins: u32::try_from(bins).unwrap_or(u32::MAX),
             })
         }
-        ModelChoice::Calibrated => ModelKind::Calibrated,
+        // With the defaults of requests.
+        ModelChoice::Fitted(FitKind::Calibrated) => ModelKind::Calibrated,
+        ModelChoice::Fitted(FitKind::Pergam) => ModelKind::Pergam { gaussians: 3 },
+        ModelChoice::Fitted(FitKind::HypertimeEm) => ModelKind::HypertimeEm { clusters: 3 },
+        ModelChoice::Fitted(FitKind::HypertimeKm) => ModelKind::HypertimeKm { clusters: 3 },
     };
     ModelSelector { kind, ..ModelSelector::default() }
 }

@@ -17,7 +17,7 @@ use tidemap_map::{
     refit::{REFIT_NANOS, StateReadings, WantedReadings},
     spec::MapSpec,
 };
-use tidemap_model::{OrderCriterion, Periodicities, Sample, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
 
 const STATES: u32 = 10_000;
 const MINUTE: i64 = 60_000_000_000;
@@ -112,6 +112,7 @@ fn main() {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: None,
     };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");

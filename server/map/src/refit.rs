@@ -1,28 +1,46 @@
-//! Fitting calibrated models again at the end of an update, to the readings that updates have folded in.
+//! Fitting models again at the end of an update, to the readings that updates have folded in.
 //!
 //! Invariant: what is fitted depends on the readings, the models and the map's properties alone: an update that is repeated
 //! from the same history fits the same. Readings that cannot be had cost the fit, and nothing else of the update.
 
-use std::{fmt, sync::Arc};
+use std::{collections::BTreeMap, fmt, sync::Arc};
 
 use rayon::prelude::*;
 use tidemap_model::{
-    LocalDay, Sample, StateModel,
-    family::{Calibrated, CalibratedOptions, CannotFit, Readings},
+    FitKind, FittedModel, LocalDay, OffsetCache, Sample, StateModel,
+    family::{CannotFit, Readings},
 };
 
-use crate::{event::StateId, grid::spec::Retention, spec::MapSpec};
+use crate::{
+    event::{StateId, StateKind},
+    grid::spec::Retention,
+    spec::MapSpec,
+};
 
 #[cfg(test)]
 mod tests;
 
-/// Most models that an update fits, so that a night of very many states has an end. Those that have waited longest go
-/// first; the others wait for the next update that folds something of theirs in.
+/// Most models of a kind that an update fits, so that a night of very many states has an end: of each kind as many as take
+/// a few minutes. Those that have waited longest go first; the others wait for the next update that folds something of
+/// theirs in.
+#[must_use]
+pub const fn refits_max(kind: FitKind) -> usize {
+    match kind {
+        FitKind::Calibrated => REFITS_MAX,
+        FitKind::Pergam => 1_000,
+        FitKind::HypertimeEm | FitKind::HypertimeKm => 100,
+    }
+}
+
+/// Most calibrated models that an update fits, which cost least.
 pub const REFITS_MAX: usize = 2_000;
 
+const SEC_NANOS: i64 = 1_000_000_000;
+const DAY_NANOS: i64 = 86_400 * SEC_NANOS;
+
 /// A model is fitted to what is no older than this against the state's newest reading: twelve weeks. Older days would hardly
-/// count, by the memory of [`CalibratedOptions`].
-pub const REFIT_NANOS: i64 = 84 * 86_400 * 1_000_000_000;
+/// count in a calibrated model, and what is fitted takes no longer after a year than after these weeks.
+pub const REFIT_NANOS: i64 = 84 * DAY_NANOS;
 
 /// Most readings of a state that its model is fitted to, about: where it was read more often, it is fitted to fewer days.
 /// The readings of as many states are in memory at once as have so many together, and those of the next ones: 200 MB.
@@ -47,14 +65,14 @@ pub trait StateReadings: fmt::Debug + Send + Sync {
     fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String>;
 }
 
-/// What became of the calibrated models that were due.
+/// What became of the models that were due.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Refits {
     /// Models that were fitted.
     pub fitted: u64,
-    /// States that wait, because an update fits no more than [`REFITS_MAX`].
+    /// Models that wait, because an update fits no more than [`refits_max`] of their kind.
     pub waiting: u64,
-    /// States that keep the model that they have, because their readings could not be had.
+    /// States that keep the models that they have, because their readings could not be had.
     pub failed: u64,
     /// Why the first of those could not be had.
     pub failure: Option<String>,
@@ -63,22 +81,22 @@ pub struct Refits {
 /// What a round of fits may take.
 #[derive(Clone, Copy, Debug)]
 struct Limits {
-    /// Models.
-    refits: usize,
+    /// Models of a kind.
+    refits: fn(FitKind) -> usize,
     /// Readings of one state, and of those whose models are fitted at the same time.
     readings: u64,
 }
 
-const LIMITS: Limits = Limits { refits: REFITS_MAX, readings: REFIT_READINGS };
+const LIMITS: Limits = Limits { refits: refits_max, readings: REFIT_READINGS };
 
-/// A state whose model is due.
-#[derive(Clone, Copy)]
+/// A state of which models are due.
 struct Due<'a> {
     wanted: WantedReadings,
+    of: StateKind,
+    /// The models to fit.
+    kinds: Vec<FitKind>,
     /// What this update has folded in.
     own: &'a [Sample],
-    /// The day of the last fit; never fitted goes before all.
-    fitted: Option<LocalDay>,
     /// The last day folded in.
     day: LocalDay,
     /// Readings to expect, not fewer than one.
@@ -111,13 +129,24 @@ fn refit_within(
         Retention::Duration(nanos) => newest_nanos.saturating_sub(nanos),
         Retention::Forever => i64::MIN,
     };
+    let (mut kinds, mut waiting) = (BTreeMap::<StateId, Vec<FitKind>>::new(), 0);
+    for kind in spec.models.fits() {
+        let mut of_kind: Vec<(Option<LocalDay>, StateId)> =
+            own.iter().filter_map(|(id, _)| Some((fitted_on(models.get(id.0 as usize)?, kind)?, *id))).collect();
+        // Never fitted goes before all.
+        of_kind.sort_by_key(|(fitted, _)| *fitted);
+        waiting += of_kind.len().saturating_sub((limits.refits)(kind)) as u64;
+        of_kind.truncate((limits.refits)(kind));
+        of_kind.into_iter().for_each(|(_, id)| kinds.entry(id).or_default().push(kind));
+    }
+    let mut offsets = spec.zone.offset_cache();
     let mut due: Vec<Due<'_>> = own
         .iter()
-        .filter_map(|(id, own)| due(*id, models.get(id.0 as usize)?, own, kept_from, limits.readings))
+        .filter_map(|(id, own)| {
+            let (kinds, model) = (kinds.remove(id)?, models.get(id.0 as usize)?);
+            due(WantedReadings { state: *id, from_nanos: kept_from }, kinds, model, own, &mut offsets, limits.readings)
+        })
         .collect();
-    due.sort_by_key(|due| due.fitted);
-    let waiting = due.len().saturating_sub(limits.refits) as u64;
-    due.truncate(limits.refits);
     // As history has them.
     due.sort_by_key(|due| due.wanted.state);
     let mut batches = Batches { rest: &due, readings_max: limits.readings, source };
@@ -131,12 +160,15 @@ fn refit_within(
         (fitted, next) = rayon::join(fit, || batches.next());
         match fitted {
             Ok(fitted) => {
-                for (due, calibrated) in batch.iter().zip(fitted) {
+                for (due, fitted) in batch.iter().zip(fitted) {
+                    let Some(model) = models.get_mut(due.wanted.state.0 as usize) else { continue };
+                    let mut refitted = StateModel::clone(model);
                     // Where there are no readings after all, the state goes on with what it has.
-                    if let (Ok(calibrated), Some(model)) = (calibrated, models.get_mut(due.wanted.state.0 as usize)) {
-                        *model = Arc::new(StateModel::clone(model).refitted(calibrated, due.day));
+                    for fitted in fitted.into_iter().flatten() {
+                        refitted = refitted.refitted(fitted, due.day);
                         refits.fitted += 1;
                     }
+                    *model = Arc::new(refitted);
                 }
             }
             Err(reason) => {
@@ -173,26 +205,37 @@ impl<'a> Iterator for Batches<'a> {
     }
 }
 
-/// What is to be fitted of a state, if anything is.
+/// Since when a model of a state has waited: the day of its last fit, if any. `None` where it is not due.
+fn fitted_on(model: &StateModel, kind: FitKind) -> Option<Option<LocalDay>> {
+    let known = model.alternatives().filter(|_| model.is_fit_due(kind))?;
+    Some(known.fit(kind).map(|(_, day)| day))
+}
+
+/// What models of these kinds are to be fitted to. `wanted`: the readings that the map keeps.
 fn due<'a>(
-    state: StateId,
+    wanted: WantedReadings,
+    kinds: Vec<FitKind>,
     model: &StateModel,
     own: &'a [Sample],
-    kept_from: i64,
+    offsets: &mut OffsetCache,
     readings_max: u64,
 ) -> Option<Due<'a>> {
-    let known = model.alternatives().filter(|_| model.is_refit_due())?;
-    let (folded, day) = (model.accumulator(), known.folded_day()?);
-    let newest = folded.last_nanos()?;
+    let (known, folded) = (model.alternatives()?, model.accumulator());
+    let (newest, day) = (folded.last_nanos()?, known.folded_day()?);
     let span_nanos = newest.abs_diff(folded.first_nanos()?).max(1) as f64;
     let window_nanos = span_nanos.min(REFIT_NANOS as f64);
     // As if it had always been read as often.
     let expected = folded.observations() as f64 * (window_nanos / span_nanos);
     let share = (readings_max as f64 / expected.max(1.0)).min(1.0);
-    let from_nanos = newest.saturating_sub((window_nanos * share) as i64).max(kept_from);
-    let fitted = known.calibrated().map(|(_, day)| day);
+    let mut from_nanos = newest.saturating_sub((window_nanos * share) as i64).max(wanted.from_nanos);
+    if let Some(since) = known.fit_since() {
+        let civil_nanos = i64::from(since.0).saturating_mul(DAY_NANOS);
+        // Off by an hour where clocks were set between midnight UTC and local midnight: of weeks that is nothing.
+        from_nanos =
+            from_nanos.max(civil_nanos.saturating_sub(i64::from(offsets.offset_secs(civil_nanos)) * SEC_NANOS));
+    }
     let expected = ((expected * share) as u64).max(1);
-    Some(Due { wanted: WantedReadings { state, from_nanos }, own, fitted, day, expected })
+    Some(Due { wanted: WantedReadings { from_nanos, ..wanted }, of: model.kind(), kinds, own, day, expected })
 }
 
 /// How many of the states that are due are worked off together: at least one, if there are any.
@@ -205,11 +248,13 @@ fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
     fits.count().max(1).min(due.len())
 }
 
-fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Result<Calibrated, CannotFit> {
+/// The models that are due of a state, each for itself.
+fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<FittedModel, CannotFit>> {
     let mut samples = earlier;
     samples.extend(due.own.iter().filter(|sample| sample.utc_nanos >= due.wanted.from_nanos));
     // Stable: of equal times those of earlier updates come first.
     samples.sort_by_key(|sample| sample.utc_nanos);
     let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
-    Calibrated::fit(Readings { samples: &samples, half_life_secs }, CalibratedOptions::default())
+    let readings = Readings { samples: &samples, half_life_secs };
+    due.kinds.par_iter().map(|&kind| FittedModel::fit(kind, due.of, readings)).collect()
 }

@@ -1,6 +1,6 @@
 //! What a map is: the choices made when it is created, which never change afterwards.
 
-use tidemap_model::{OrderCriterion, Periodicities, UpdateRules, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, UpdateRules, Zone};
 
 use crate::{
     grid::spec::{GridSpec, Retention},
@@ -30,6 +30,8 @@ pub struct MapSpec {
     pub prior: f64,
     /// How long the exact observations of named states are kept for recall.
     pub retention: Retention,
+    /// Which models the nightly update of a named state chooses among.
+    pub models: EnabledModels,
     /// Its occupancy grid, if it has one.
     pub grid: Option<GridSpec>,
 }
@@ -39,6 +41,7 @@ impl MapSpec {
     #[must_use]
     pub fn update_rules(&self) -> UpdateRules {
         let days = |nanos: i64| nanos as f64 / (86_400.0 * 1e9);
-        UpdateRules { criterion: self.criterion, half_life_days: self.half_life_nanos.map(days) }
+        let half_life_days = self.half_life_nanos.map(days);
+        UpdateRules { criterion: self.criterion, half_life_days, models: self.models }
     }
 }

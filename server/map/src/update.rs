@@ -111,7 +111,7 @@ impl UpdateWork {
         self.grid.as_ref().is_some_and(|grid| grid.busy_tiles() > 0)
     }
 
-    /// The same with what earlier updates have folded in, so that calibrated models are fitted again where they are due.
+    /// The same with what earlier updates have folded in, so that models are fitted again where they are due.
     /// Without it they stay as they are, and so they do in an update for [`UpdateCause::PendingLimit`]. The same update is to
     /// be given the same readings whenever it is run.
     #[must_use]
@@ -198,7 +198,7 @@ impl UpdateResult {
         &self.outcomes
     }
 
-    /// What became of the calibrated models that were due.
+    /// What became of the models that were due.
     #[must_use]
     pub fn refits(&self) -> &Refits {
         &self.refits

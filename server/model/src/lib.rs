@@ -61,8 +61,8 @@ pub use position::{Dimensions, Position};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
 pub use state::{
-    Alternatives, AlternativesParts, CalibratedFitParts, Chosen, HISTOGRAMS, ModelChoice, StateModel, UpdateOutcome,
-    UpdateRules,
+    Alternatives, AlternativesParts, Chosen, EnabledModels, FitKind, FitParts, FittedModel, FittedModelParts,
+    HISTOGRAMS, ModelChoice, StateModel, UpdateOutcome, UpdateRules,
 };
 
 /// The highest model order: at most this many spectral components are kept and used.

@@ -51,6 +51,11 @@ impl OrderErrors {
         self.parts.last_day = Some(day.max(last_day));
     }
 
+    /// Makes what was recorded so far count less.
+    pub(crate) fn fade(&mut self, factor: f64) {
+        self.parts.sums.iter_mut().for_each(|sum| *sum *= factor);
+    }
+
     /// The order with the lowest error; the lowest of those within 0.1 % of it.
     pub fn best(&self) -> usize {
         let lowest = self.parts.sums.iter().copied().fold(f64::INFINITY, f64::min);

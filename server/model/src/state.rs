@@ -4,23 +4,24 @@
 //! model as it was before, then the day is folded in (T-RO section IV.B). So the score is of
 //! predictions, never of data the model has seen. Invariant: the result of an update does not depend
 //! on how it was batched, as long as no local day is split and batches come in order of time; data
-//! older than the last observation folded in is never scored. What is given between updates, the calibrated model
-//! ([`StateModel::refitted`]), has a say from the next day on.
+//! older than the last observation folded in is never scored. What is given between updates, models that were fitted
+//! to readings ([`StateModel::refitted`]), has a say from the next day on.
 
 use crate::SpectralModel;
 use crate::evaluate::score_samples;
-use crate::family::Calibrated;
 use crate::{
     Accumulator, InvalidParts, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Sample, StateKind,
 };
 
 mod alternatives;
+mod fits;
 #[cfg(test)]
 mod kind_tests;
 #[cfg(test)]
 mod tests;
 
-pub use alternatives::{Alternatives, AlternativesParts, CalibratedFitParts, Chosen, HISTOGRAMS, ModelChoice};
+pub use alternatives::{Alternatives, AlternativesParts, Chosen, FitParts, HISTOGRAMS, ModelChoice};
+pub use fits::{EnabledModels, FitKind, FittedModel, FittedModelParts};
 
 /// The long-term model of one state.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,11 +41,13 @@ pub struct UpdateRules {
     pub criterion: OrderCriterion,
     /// An observation of this many local days ago counts half, above 0; `None`: all count alike, however old.
     pub half_life_days: Option<f64>,
+    /// Which models there are to choose among.
+    pub models: EnabledModels,
 }
 
 impl From<OrderCriterion> for UpdateRules {
     fn from(criterion: OrderCriterion) -> UpdateRules {
-        UpdateRules { criterion, half_life_days: None }
+        UpdateRules { criterion, ..UpdateRules::default() }
     }
 }
 
@@ -121,19 +124,20 @@ impl StateModel {
         self.alternatives.as_ref()?.chosen()
     }
 
-    /// Whether the calibrated model is to be fitted again: when seven local days were observed, seven local days after
-    /// the last fit, and when the change alarm has rung since.
-    pub fn is_refit_due(&self) -> bool {
-        self.alternatives.as_ref().is_some_and(|alternatives| alternatives.is_refit_due())
+    /// Whether the model of that kind is to be fitted again: when seven local days were observed, seven local days after
+    /// its last fit, and when the change alarm has rung since. Never where such states have no such model.
+    pub fn is_fit_due(&self, kind: FitKind) -> bool {
+        kind.is_for(self.kind()) && self.alternatives.as_ref().is_some_and(|alternatives| alternatives.is_fit_due(kind))
     }
 
-    /// The same with a calibrated model that was fitted to the state's readings up to a local day, that day included. It is
-    /// scored on what is folded in from now on, and may come into force then. A state into which nothing was folded takes
-    /// none.
+    /// The same with a model that was fitted to the state's readings up to a local day, that day included, in place of the
+    /// last one of its kind. It is scored on what is folded in from now on, and may come into force then. A state into which
+    /// nothing was folded takes none, nor one of a kind that such states do not have.
     #[must_use]
-    pub fn refitted(mut self, calibrated: Calibrated, day: LocalDay) -> StateModel {
-        if let Some(alternatives) = &mut self.alternatives {
-            alternatives.refit(calibrated, day);
+    pub fn refitted(mut self, model: impl Into<FittedModel>, day: LocalDay) -> StateModel {
+        let (model, of) = (model.into(), self.kind());
+        if let Some(alternatives) = self.alternatives.as_mut().filter(|_| model.kind().is_for(of)) {
+            alternatives.refit(model, day);
         }
         self
     }
@@ -179,8 +183,8 @@ impl StateModel {
     }
 
     /// Takes in observations, day by local day: scores those newer than the last one folded in before
-    /// that day with every order, every histogram and the calibrated model, chooses, folds the day in and refits; the
-    /// calibrated model stays as it is.
+    /// that day with every order and every enabled model, chooses, folds the day in and refits; models that were fitted to
+    /// readings stay as they are.
     ///
     /// A local day that is split over two updates is scored in two parts, the second against the model
     /// that has seen the first. With a half-life, what is folded in on a day counts by its age in whole local days, late
@@ -206,8 +210,8 @@ impl StateModel {
             // Clocks set back over midnight return to a date that has already ended: no new day.
             let length = rest.iter().position(|sample| sample.local_day() > day).unwrap_or(rest.len());
             let (of_day, later) = rest.split_at(length);
-            self.score_day(periodicities, rules.criterion, day, of_day, &mut outcome);
-            self.fold_in(periodicities, rules.half_life_days, day, of_day);
+            self.score_day(periodicities, rules, day, of_day, &mut outcome);
+            self.fold_in(periodicities, rules, day, of_day);
             // Refitted each day: the next is scored by what was known before it.
             self.spectral = SpectralModel::fit(&self.accumulator, periodicities);
             if let Some(alternatives) = &mut self.alternatives {
@@ -221,15 +225,9 @@ impl StateModel {
     }
 
     /// Folds a day in, with each observation's say by its age in local days.
-    fn fold_in(
-        &mut self,
-        periodicities: &Periodicities,
-        half_life_days: Option<f64>,
-        day: LocalDay,
-        of_day: &[Sample],
-    ) {
-        let alternatives = self.alternatives.get_or_insert_default();
-        let Some(half_life_days) = half_life_days else {
+    fn fold_in(&mut self, periodicities: &Periodicities, rules: UpdateRules, day: LocalDay, of_day: &[Sample]) {
+        let alternatives = self.alternatives.get_or_insert_with(|| Box::new(Alternatives::new(rules.models)));
+        let Some(half_life_days) = rules.half_life_days else {
             self.accumulator.add(periodicities, of_day);
             alternatives.add(day, of_day);
             return;
@@ -254,7 +252,7 @@ impl StateModel {
     fn score_day(
         &mut self,
         periodicities: &Periodicities,
-        criterion: OrderCriterion,
+        rules: UpdateRules,
         day: LocalDay,
         of_day: &[Sample],
         outcome: &mut UpdateOutcome,
@@ -265,7 +263,7 @@ impl StateModel {
             return;
         }
         let sums = score_samples(self.kind(), &self.spectral, periodicities, newer);
-        let errors = match criterion {
+        let errors = match rules.criterion {
             OrderCriterion::SquaredError => &sums.squared,
             OrderCriterion::ZeroOne => &sums.wrong,
         };
@@ -277,7 +275,12 @@ impl StateModel {
                 let order = self.order.min(alternatives.supported_order());
                 let spectral = (errors[order], self.errors.sums()[order]);
                 let unit = if kind == StateKind::Probability { 1.0 } else { self.accumulator.variance() };
-                alternatives.score(day, criterion, newer, spectral, (squared, unit))
+                let was_ringing = alternatives.alarm().is_ringing();
+                let in_force = alternatives.score(day, rules, newer, spectral, (squared, unit));
+                if alternatives.alarm().is_ringing() && !was_ringing {
+                    self.errors.fade(alternatives.discount_errors());
+                }
+                in_force
             }
             None => squared,
         };

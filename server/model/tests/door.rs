@@ -6,8 +6,8 @@
 use std::path::{Path, PathBuf};
 
 use tidemap_model::{
-    Accumulator, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Sample, SpectralModel, StateModel,
-    Zone, evaluate,
+    Accumulator, FitKind, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Sample, SpectralModel,
+    StateModel, Zone, evaluate,
     family::{Calibrated, CalibratedOptions, Readings},
 };
 
@@ -124,7 +124,7 @@ fn next_day_in_force(samples: &[Sample], refits: bool) -> (f64, f64, StateModel)
         let order = state.order();
         let outcome = state.update(&week, OrderCriterion::SquaredError, day.to_vec());
         seen += day.len();
-        if refits && state.is_refit_due() {
+        if refits && state.is_fit_due(FitKind::Calibrated) {
             let fit = Calibrated::fit(Readings::new(&samples[..seen]), CalibratedOptions::default()).unwrap();
             state = state.refitted(fit, day[0].local_day());
         }

@@ -3,7 +3,7 @@
 use std::{path::Path, time::Duration};
 
 use tidemap_map::grid::spec::Retention;
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_store::{Store, StoreOptions};
 
 use super::*;
@@ -41,6 +41,7 @@ fn spec() -> MapSpec {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: None,
     }
 }

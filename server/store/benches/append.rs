@@ -15,7 +15,7 @@ use tidemap_map::{
     name::MapName,
     spec::MapSpec,
 };
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_store::{AppendError, MapLog, Store, StoreOptions};
 
 /// Observations in a batch.
@@ -78,6 +78,7 @@ fn benches(criterion: &mut Criterion) {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: None,
     };
     let map = store.create_map(&spec).expect("creates");

@@ -18,7 +18,7 @@ use tidemap_map::{
     snapshot::MapSnapshot,
     spec::MapSpec,
 };
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_store::{AppendError, MapId, MapLog, OpenedMap, Store, StoreOptions};
 
 const SCANS: u64 = 17_200;
@@ -39,6 +39,7 @@ fn spec() -> MapSpec {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
             is_flat: false,

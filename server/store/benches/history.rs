@@ -14,7 +14,7 @@ use tidemap_map::{
     snapshot::MapSnapshot,
     spec::MapSpec,
 };
-use tidemap_model::{OrderCriterion, Periodicities, Sample, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
 use tidemap_store::{MapId, Store, StoreOptions};
 
 const STATES: u32 = 1_000;
@@ -46,6 +46,7 @@ fn main() {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: None,
     };
     let folder = tempfile::tempdir().expect("temporary folder");

@@ -9,6 +9,7 @@ mod columns;
 pub(crate) mod day;
 pub(crate) mod doubles;
 pub(crate) mod event;
+mod fits;
 pub(crate) mod history;
 mod offsets;
 pub(crate) mod scans;

@@ -4,6 +4,7 @@ mod bit_flips;
 mod damage;
 pub(crate) mod example;
 mod golden;
+mod golden_fits;
 mod golden_grid;
 mod golden_states;
 mod grid;

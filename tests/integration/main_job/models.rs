@@ -129,6 +129,47 @@ fn a_model_that_is_not_there_is_left_out_and_said_so() {
 }
 
 #[test]
+fn a_map_chooses_among_the_models_that_it_was_created_with() {
+    let Some(door) = Door::new("Europe/London") else { return };
+    let models = |name: &str, more: &[&str]| {
+        let made = door.tidemap([&["map", "create", name][..], more].concat());
+        made.table();
+        door.tidemap(["map", "show", name]).table().column("models")[0].to_owned()
+    };
+    assert_eq!(models("usual", &[]), "spectral histogram calibrated");
+    assert_eq!(models("forgetful", &["--retention", "none"]), "spectral histogram");
+    assert_eq!(models("few", &["--models", "pergam"]), "spectral pergam");
+    let all = "spectral histogram calibrated pergam hypertime-em hypertime-km";
+    assert_eq!(models("rich", &["--models", "all"]), all);
+    let refused = |more: &[&str]| door.tidemap([&["map", "create", "other"][..], more].concat());
+    refused(&["--models", "spectral,fremen"]).fails(2, &["fremen", "hypertime-km", "all"]);
+    refused(&["--models", "all", "--retention", "none"]).fails(1, &["calibrated", "keeps none", "--retention"]);
+
+    // A week of ten minutes: models are fitted once, and scored by the next day.
+    observe(&door, "rich", &["a"]);
+    let row = |i: i64| format!("{},a,{}\n", 1_451_865_600 + 600 * i, u8::from(i % 6 < 3));
+    let later: String = (1000..1300).map(row).collect();
+    let sent = cli::tidemap_reading(
+        &door.daemon,
+        ["observe", "rich", "-", "--label", "2"],
+        &format!("time,state,value\n{later}"),
+    );
+    assert_eq!(sent.table().number("refused"), 0.0);
+    door.tidemap(["update", "rich"]).table();
+    let shown = door.tidemap(["--output", "csv", "model", "show", "rich", "a"]).stdout;
+    let mut lines = shown.lines();
+    assert_eq!(lines.next(), Some("mean,n,order,period_secs,amplitude,phase_rad,used,model,recent_errors"));
+    for line in lines {
+        let tried: Vec<&str> = line.rsplit(',').next().unwrap_or_default().split(' ').collect();
+        let names: Vec<&str> = tried.iter().filter_map(|tried| tried.split_once('=')).map(|(name, _)| name).collect();
+        let expected =
+            ["spectral", "histogram:24", "histogram:weekend:24", "histogram:week:168", "calibrated", "pergam:3"];
+        assert_eq!(names, [&expected[..], &["hypertime-em:3", "hypertime-km:3"]].concat(), "{line}");
+        assert!(names.contains(&line.rsplit(',').nth(1).unwrap_or_default()), "{line}");
+    }
+}
+
+#[test]
 fn models_that_cannot_be_are_refused() {
     let Some(door) = Door::new("Europe/London") else { return };
     observe(&door, "door", &["door"]);

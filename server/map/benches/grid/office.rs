@@ -18,7 +18,7 @@ use tidemap_map::{
     spec::MapSpec,
     update::UpdateWork,
 };
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 
 pub const DAY_NANOS: i64 = 86_400_000_000_000;
 pub const TILES: usize = 416;
@@ -40,6 +40,7 @@ pub fn spec(retention: Retention) -> Arc<MapSpec> {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::None,
+        models: EnabledModels::default(),
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
             is_flat: false,

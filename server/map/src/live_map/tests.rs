@@ -3,7 +3,7 @@
 use std::sync::atomic::AtomicU64;
 
 use proptest::prelude::*;
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 
 use super::*;
 use crate::{
@@ -30,6 +30,7 @@ fn spec() -> Arc<MapSpec> {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: None,
     })
 }

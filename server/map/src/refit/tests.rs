@@ -2,7 +2,10 @@
 
 use std::{collections::BTreeMap, sync::Mutex};
 
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{
+    EnabledModels, OrderCriterion, Periodicities, Zone,
+    family::{Calibrated, CalibratedOptions},
+};
 
 use super::*;
 use crate::name::MapName;
@@ -43,6 +46,7 @@ fn spec(retention: Retention) -> MapSpec {
         half_life_nanos: None,
         prior: 0.5,
         retention,
+        models: EnabledModels::default(),
         grid: None,
     }
 }
@@ -89,7 +93,8 @@ impl World {
     }
 
     fn fit_of(&self, state: usize) -> Option<(&Calibrated, i32)> {
-        let (model, day) = self.models[state].alternatives()?.calibrated()?;
+        let (model, day) = self.models[state].alternatives()?.fit(FitKind::Calibrated)?;
+        let FittedModel::Calibrated(model) = model else { panic!("another model") };
         Some((model, day.0))
     }
 
@@ -149,7 +154,7 @@ fn readings_that_cannot_be_had_cost_the_fits_of_their_batch_alone() {
     assert!(refits.failure.expect("a reason").contains("StateId(2) is damaged"));
     for state in [2, 3] {
         assert_eq!(world.models[state], before[state]);
-        assert!(world.models[state].is_refit_due());
+        assert!(world.models[state].is_fit_due(FitKind::Calibrated));
     }
     assert_eq!(world.fit_of(4).map(|(_, day)| day), Some(19));
     // What is repaired is fitted by the next update.
@@ -175,7 +180,7 @@ fn those_that_have_waited_longest_go_first() {
     let days =
         |world: &World| (0..6).map(|state| world.fit_of(state).map(|(_, day)| day)).collect::<Vec<Option<i32>>>();
     // Those that were never fitted, then the oldest fit; the fresh one is not due.
-    let limits = Limits { refits: 3, ..LIMITS };
+    let limits = Limits { refits: |_| 3, ..LIMITS };
     assert_eq!(world.refit(limits), Refits { fitted: 3, waiting: 2, ..Refits::default() });
     assert_eq!(days(&world), [Some(30), Some(39), Some(39), Some(25), Some(39), Some(39)]);
     assert_eq!(world.refit(limits), Refits { fitted: 2, ..Refits::default() });
@@ -206,4 +211,45 @@ fn a_state_that_was_read_too_often_is_fitted_to_fewer_days() {
         let observations = world.fit_of(state).expect("fitted").0.observations();
         assert!((200..=281).contains(&observations), "{observations}");
     }
+}
+
+#[test]
+fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_fitted() {
+    let mut world = World::new(MapSpec { models: EnabledModels::ALL, ..spec(Retention::Forever) }, 3, 20);
+    let limits = Limits { refits: |kind| if kind == FitKind::Calibrated { 9 } else { 1 }, ..LIMITS };
+    assert_eq!(world.refit(limits), Refits { fitted: 3 + 3, waiting: 3 * 2, ..Refits::default() });
+    assert_eq!(world.refit(limits), Refits { fitted: 3, waiting: 3, ..Refits::default() });
+    assert_eq!(world.refit(limits), Refits { fitted: 3, ..Refits::default() });
+    assert_eq!(world.refit(limits), Refits::default());
+    // The readings of a state are asked for once, whatever is fitted to them.
+    assert_eq!(world.asked(), [vec![0, 1, 2], vec![1], vec![2]]);
+    for (number, model) in world.models.iter().enumerate() {
+        for kind in FitKind::ALL {
+            let (found, day) = model.alternatives().expect("learned").fit(kind).expect("fitted");
+            assert_eq!((found.kind(), day), (kind, LocalDay(19)));
+            let all = samples(number as u32, 0..20);
+            let expected = FittedModel::fit(kind, StateKind::Probability, Readings::new(&all)).expect("fits");
+            assert_eq!(found, &expected);
+        }
+    }
+
+    let mut world = World::new(MapSpec { models: EnabledModels::SPECTRAL, ..spec(Retention::Forever) }, 2, 20);
+    assert_eq!((world.refit(LIMITS), world.asked().len()), (Refits::default(), 0));
+}
+
+#[test]
+fn a_new_routine_is_fitted_without_the_old_one() {
+    let mut world = World::new(spec(Retention::Forever), 1, 60);
+    let mut later = samples(0, 60..80);
+    later.iter_mut().for_each(|sample| sample.value = 1.0 - sample.value);
+    let mut model = StateModel::clone(&world.models[0]);
+    model.update(&world.spec.periodicities, world.spec.update_rules(), later.clone());
+    let since = model.alternatives().expect("learned").fit_since().expect("it rang").0;
+    assert!((58..66).contains(&since), "{since}");
+    world.models[0] = Arc::new(model);
+    world.own[0].1 = later.split_off(19 * 24);
+    let kept = world.kept.readings.get_mut(&StateId(0)).expect("known");
+    kept.extend(samples(0, 59..60).into_iter().chain(later));
+    assert_eq!(world.refit(LIMITS).fitted, 1);
+    assert_eq!(world.fit_of(0).map(|(model, _)| model.observations()), Some((80 - since as u64) * 24));
 }

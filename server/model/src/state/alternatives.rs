@@ -1,17 +1,18 @@
-//! What may predict a state better than its spectrum: histograms and the calibrated model, and the choice among all, by
-//! held-out error.
+//! What may predict a state better than its spectrum: histograms and models that are fitted to readings, and the choice
+//! among all, by held-out error.
 //!
 //! Each is scored on what a local day brought before the day is folded in, as the orders of the spectral model are, with
-//! the same fading (T-RO section IV.B). Histograms are made of what was folded in; the calibrated model is fitted outside,
-//! to the readings themselves, and given from time to time. Invariant: the errors of all are over the same observations,
-//! so that they can be compared, and no model is scored on what it was fitted to.
+//! the same fading (T-RO section IV.B). Histograms are made of what was folded in; the others are fitted outside, to the
+//! readings themselves, and given from time to time. Invariant: the errors of all are over the same observations, so that
+//! they can be compared, and no model is scored on what it was fitted to.
 
 use std::sync::Arc;
 
+use super::{EnabledModels, FitKind, FittedModel, UpdateRules};
 use crate::{
     Accumulator, LocalDay, Periodicities, Persistence, Sample, SpectralModel, StateKind,
     family::{
-        Calibrated, ChangeAlarm, DependenceSums, Histogram, HistogramCycle, HourTable, Moment, TemporalModel,
+        ChangeAlarm, DependenceSums, Histogram, HistogramCycle, HourTable, Moment, TemporalModel,
         effective_observations, effective_observations_of_values, supported_order, supported_order_of_values,
     },
     order::{KEPT_PER_DAY, OrderCriterion},
@@ -22,7 +23,7 @@ mod parts;
 #[cfg(test)]
 mod tests;
 
-pub use parts::{AlternativesParts, CalibratedFitParts};
+pub use parts::{AlternativesParts, FitParts};
 
 /// The histograms that are tried: cycle, and bins of the cycle.
 pub const HISTOGRAMS: [(HistogramCycle, usize); 3] =
@@ -35,7 +36,16 @@ const CLEARLY_LOWER: f64 = 0.95;
 /// An alarm rings for so many days; then what it rang for is history.
 const ALARM_DAYS: i32 = 28;
 
-/// The calibrated model is fitted first when so many local days were observed, and again so many local days later.
+/// The days that have rung the alarm belong to the new routine: at the least so many before the day on which it rang.
+const RINGING_DAYS: i32 = 3;
+
+/// What errors of the time before a change of routine keep: as if they were twenty days older.
+const KEPT_AT_CHANGE: f64 = 0.25;
+
+/// Errors are not told apart more finely than this share of the squared values.
+const ROUNDING: f64 = 1e-20;
+
+/// Models are fitted to readings first when so many local days were observed, and again so many local days later.
 const REFIT_DAYS: u32 = 7;
 
 /// The model that predicts a state best so far.
@@ -46,8 +56,8 @@ pub enum ModelChoice {
     Spectral,
     /// The histogram of that number in [`HISTOGRAMS`].
     Histogram(u8),
-    /// The calibrated model, as it was last fitted.
-    Calibrated,
+    /// A model that was fitted to readings, as it last was.
+    Fitted(FitKind),
 }
 
 /// The model in force, where it is not the spectral one.
@@ -55,15 +65,15 @@ pub enum ModelChoice {
 pub enum Chosen<'a> {
     /// A histogram of what was folded in.
     Histogram(Histogram),
-    /// The calibrated model.
-    Calibrated(&'a Calibrated),
+    /// A model that was fitted to readings.
+    Fitted(&'a FittedModel),
 }
 
 impl TemporalModel for Chosen<'_> {
     fn predict(&self, at: Moment) -> f64 {
         match self {
             Chosen::Histogram(model) => model.predict(at),
-            Chosen::Calibrated(model) => model.predict(at),
+            Chosen::Fitted(model) => model.predict(at),
         }
     }
 }
@@ -80,14 +90,17 @@ pub struct Alternatives {
     supported: u8,
     /// Local days folded in, those that came late not counted.
     days: u32,
-    calibrated: Option<Fit>,
+    /// The first local day of the present routine, as far as the alarm tells.
+    since: Option<LocalDay>,
+    /// By [`FitKind`].
+    fits: [Option<Fit>; FitKind::ALL.len()],
 }
 
-/// The calibrated model, as it was last fitted.
+/// A model that was fitted to readings, as it last was.
 #[derive(Clone, Debug, PartialEq)]
 struct Fit {
-    /// Shared: it is the largest part of a state, and most updates leave it as it is.
-    model: Arc<Calibrated>,
+    /// Shared: it is a large part of a state, and most updates leave it as it is.
+    model: Arc<FittedModel>,
     /// The last local day that it was fitted to.
     day: LocalDay,
     /// Faded sum of errors, of this fit and those before it; `None` before the first day that it was scored on.
@@ -98,8 +111,8 @@ struct Fit {
 struct Errors {
     /// Faded sum of errors of the spectral model with its best order.
     spectral: f64,
-    /// The same of each histogram.
-    histograms: [f64; HISTOGRAMS.len()],
+    /// The same of each histogram; `None` where they are not tried.
+    histograms: Option<[f64; HISTOGRAMS.len()]>,
     last_day: Option<LocalDay>,
     folded_day: Option<LocalDay>,
     choice: ModelChoice,
@@ -142,20 +155,25 @@ impl Alternatives {
         self.parts.choice
     }
 
-    /// Faded sums of errors of all that is tried: of the spectral model with its best order, of each of [`HISTOGRAMS`],
-    /// and of the calibrated model once it was scored.
-    pub fn error_sums(&self) -> impl Iterator<Item = (ModelChoice, f64)> {
-        // There are fewer than 256.
-        let histograms = (0..).map(ModelChoice::Histogram).zip(self.parts.histograms);
-        let calibrated = self.calibrated.as_ref().and_then(|fit| fit.error);
-        std::iter::once((ModelChoice::Spectral, self.parts.spectral))
-            .chain(histograms)
-            .chain(calibrated.map(|error| (ModelChoice::Calibrated, error)))
+    /// Nothing known yet, where these are tried.
+    pub(super) fn new(models: EnabledModels) -> Alternatives {
+        let parts = Errors { histograms: models.histograms.then(Default::default), ..Errors::default() };
+        Alternatives { parts, ..Alternatives::default() }
     }
 
-    /// The calibrated model and the last local day that it was fitted to; `None` before its first fit.
-    pub fn calibrated(&self) -> Option<(&Calibrated, LocalDay)> {
-        self.calibrated.as_ref().map(|fit| (&*fit.model, fit.day))
+    /// Faded sums of errors of all that is tried: of the spectral model with its best order, of each of [`HISTOGRAMS`],
+    /// and of each model that is fitted to readings once it was scored.
+    pub fn error_sums(&self) -> impl Iterator<Item = (ModelChoice, f64)> {
+        // There are fewer than 256.
+        let histograms = (0..).map(ModelChoice::Histogram).zip(self.parts.histograms.into_iter().flatten());
+        let fits = FitKind::ALL.into_iter().zip(&self.fits);
+        let fits = fits.filter_map(|(kind, fit)| Some((ModelChoice::Fitted(kind), fit.as_ref()?.error?)));
+        std::iter::once((ModelChoice::Spectral, self.parts.spectral)).chain(histograms).chain(fits)
+    }
+
+    /// The model of that kind and the last local day that it was fitted to; `None` before its first fit.
+    pub fn fit(&self, kind: FitKind) -> Option<(&FittedModel, LocalDay)> {
+        self.fits[kind.index()].as_ref().map(|fit| (&*fit.model, fit.day))
     }
 
     /// The model in force, where it is not the spectral one.
@@ -163,14 +181,14 @@ impl Alternatives {
         match self.parts.choice {
             ModelChoice::Spectral => None,
             ModelChoice::Histogram(number) => self.histogram(number).map(Chosen::Histogram),
-            ModelChoice::Calibrated => self.calibrated.as_ref().map(|fit| Chosen::Calibrated(&fit.model)),
+            ModelChoice::Fitted(kind) => self.fit(kind).map(|(model, _)| Chosen::Fitted(model)),
         }
     }
 
-    /// Whether the calibrated model is to be fitted again.
-    pub(super) fn is_refit_due(&self) -> bool {
+    /// Whether the model of that kind is to be fitted again.
+    pub(super) fn is_fit_due(&self, kind: FitKind) -> bool {
         let Some(folded) = self.parts.folded_day else { return false };
-        match &self.calibrated {
+        match &self.fits[kind.index()] {
             None => self.days >= REFIT_DAYS,
             Some(fit) => {
                 let age_days = i64::from(folded.0) - i64::from(fit.day.0);
@@ -179,10 +197,27 @@ impl Alternatives {
         }
     }
 
-    /// Takes a fresh fit, which is scored from the next day on; what earlier ones were scored stays.
-    pub(super) fn refit(&mut self, model: Calibrated, day: LocalDay) {
-        let error = self.calibrated.as_ref().and_then(|fit| fit.error);
-        self.calibrated = Some(Fit { model: Arc::new(model), day, error });
+    /// Takes a fresh fit, which is scored from the next day on; what earlier ones of its kind were scored stays.
+    pub(super) fn refit(&mut self, model: FittedModel, day: LocalDay) {
+        let fit = &mut self.fits[model.kind().index()];
+        let error = fit.as_ref().and_then(|fit| fit.error);
+        *fit = Some(Fit { model: Arc::new(model), day, error });
+    }
+
+    /// What is not to be tried has no errors, and is not in force.
+    fn restrict(&mut self, models: EnabledModels) {
+        self.parts.histograms = self.parts.histograms.filter(|_| models.histograms);
+        for (kind, fit) in FitKind::ALL.into_iter().zip(&mut self.fits) {
+            *fit = fit.take().filter(|_| models.has_fit(kind));
+        }
+        let is_gone = match self.parts.choice {
+            ModelChoice::Spectral => false,
+            ModelChoice::Histogram(_) => !models.histograms,
+            ModelChoice::Fitted(kind) => !models.has_fit(kind),
+        };
+        if is_gone {
+            self.parts.choice = ModelChoice::Spectral;
+        }
     }
 
     /// Whether recent errors depart from their history.
@@ -201,47 +236,60 @@ impl Alternatives {
         self.hours.histogram(cycle, bins)
     }
 
-    /// Scores the histograms and the calibrated model on a day's newer samples and chooses. `spectral_day`: the error by
-    /// the criterion of the order that is now best; `spectral_sum`: its faded sum, the day included; `spectral_squared`:
-    /// the squared error of the order that was in force, and the squared error of a day that the alarm takes for 1: the
-    /// variance of values that are no probabilities. Gives the squared error of the model that was in force.
+    /// Scores the enabled models on a day's newer samples and chooses. `spectral_day`: the error by the criterion of the
+    /// order that is now best; `spectral_sum`: its faded sum, the day included; `spectral_squared`: the squared error of the
+    /// order that was in force, and the squared error of a day that the alarm takes for 1: the variance of values that are
+    /// no probabilities. Gives the squared error of the model that was in force.
     pub(super) fn score(
         &mut self,
         day: LocalDay,
-        criterion: OrderCriterion,
+        rules: UpdateRules,
         newer: &[Sample],
         (spectral_day, spectral_sum): (f64, f64),
         (spectral_squared, unit): (f64, f64),
     ) -> f64 {
-        let Some(of_day) = self.score_histograms(criterion, newer) else { return spectral_squared };
-        let calibrated = self.calibrated.as_ref().map(|fit| DayError::of(&*fit.model, criterion, newer));
+        let criterion = rules.criterion;
+        self.restrict(rules.models);
+        let of_day = if rules.models.histograms {
+            let Some(of_day) = self.score_histograms(criterion, newer) else { return spectral_squared };
+            of_day
+        } else {
+            [DayError::default(); HISTOGRAMS.len()]
+        };
+        let of_fit = |fit: &Option<Fit>| fit.as_ref().map(|fit| DayError::of(&*fit.model, criterion, newer));
+        let fitted = self.fits.each_ref().map(of_fit);
         let in_force = match self.parts.choice {
             ModelChoice::Spectral => None,
             ModelChoice::Histogram(number) => of_day.get(usize::from(number)).copied(),
-            ModelChoice::Calibrated => calibrated,
+            ModelChoice::Fitted(kind) => fitted[kind.index()],
         };
         let squared_in_force = in_force.map_or(spectral_squared, |error| error.squared);
         self.watch(day, squared_in_force / newer.len().max(1) as f64 / unit, newer.len() as u64);
         let elapsed_days = self.parts.last_day.map(|last| (i64::from(day.0) - i64::from(last.0)).max(0));
         let kept = elapsed_days.map(|days| KEPT_PER_DAY.powf(days as f64));
-        // The spectral model may have been scored for long: the histograms begin with what it has …
+        // The spectral model may have been scored for long: the histograms begin with what it has, and fitted models with
+        // what the model in force has, which they then have to beat from the same start.
         let before_spectral = spectral_sum - spectral_day;
-        let before = self.parts.histograms.map(|sum| kept.map_or(before_spectral, |kept| sum * kept));
-        if let (Some(fit), Some(error)) = (&mut self.calibrated, calibrated) {
-            // … and the calibrated model with what the model in force has, which it then has to beat from the same start.
-            let begins = match self.parts.choice {
-                ModelChoice::Histogram(number) => before.get(usize::from(number)).copied(),
-                ModelChoice::Spectral | ModelChoice::Calibrated => None,
-            };
-            let before = fit.error.zip(kept).map(|(sum, kept)| sum * kept);
-            fit.error = Some(before.or(begins).unwrap_or(before_spectral) + error.by_criterion);
+        let faded = |sum: f64| kept.map(|kept| sum * kept);
+        let sum_in_force = match self.parts.choice {
+            ModelChoice::Spectral => None,
+            choice => self.error_sums().find(|(other, _)| *other == choice).map(|(_, sum)| sum),
+        };
+        let begins = sum_in_force.and_then(faded).unwrap_or(before_spectral);
+        if rules.models.histograms {
+            let sums = self.parts.histograms.map_or([None; HISTOGRAMS.len()], |sums| sums.map(faded));
+            let mut sums = sums.map(|sum| sum.unwrap_or(before_spectral));
+            sums.iter_mut().zip(of_day).for_each(|(sum, error)| *sum += error.by_criterion);
+            self.parts.histograms = Some(sums);
         }
-        for ((sum, before), error) in self.parts.histograms.iter_mut().zip(before).zip(of_day) {
-            *sum = before + error.by_criterion;
+        for (fit, error) in self.fits.iter_mut().zip(fitted) {
+            if let (Some(fit), Some(error)) = (fit, error) {
+                fit.error = Some(fit.error.and_then(faded).unwrap_or(begins) + error.by_criterion);
+            }
         }
         self.parts.spectral = spectral_sum;
         self.parts.last_day = Some(self.parts.last_day.map_or(day, |last| last.max(day)));
-        self.choose();
+        self.choose(newer.iter().map(|sample| ROUNDING * sample.value * sample.value).sum());
         squared_in_force
     }
 
@@ -249,17 +297,38 @@ impl Alternatives {
         if self.alarm.rang_on().is_some_and(|rang| day.0 - rang.0 >= ALARM_DAYS) {
             self.alarm.reset();
         }
-        self.alarm.observe(day, mse, observations);
+        let was_ringing = self.alarm.is_ringing();
+        if self.alarm.observe(day, mse, observations) && !was_ringing {
+            self.since = Some(LocalDay(day.0.saturating_sub(RINGING_DAYS)));
+        }
     }
 
-    fn choose(&mut self) {
+    /// Makes the errors recorded so far count less: they are of another routine, and must not hold back what predicts the
+    /// new one. Gives what they were multiplied with.
+    pub(super) fn discount_errors(&mut self) -> f64 {
+        self.parts.spectral *= KEPT_AT_CHANGE;
+        self.parts.histograms.iter_mut().flatten().for_each(|sum| *sum *= KEPT_AT_CHANGE);
+        let sums = self.fits.iter_mut().flatten().filter_map(|fit| fit.error.as_mut());
+        sums.for_each(|sum| *sum *= KEPT_AT_CHANGE);
+        KEPT_AT_CHANGE
+    }
+
+    /// The first local day whose readings are worth fitting to: since the change alarm last rang, once seven days have
+    /// passed. `None`: all are.
+    pub fn fit_since(&self) -> Option<LocalDay> {
+        let folded = i64::from(self.parts.folded_day?.0);
+        self.since.filter(|since| folded - i64::from(since.0) + 1 >= i64::from(REFIT_DAYS))
+    }
+
+    /// Errors that differ by `rounding` or less are the same.
+    fn choose(&mut self, rounding: f64) {
         let sum_of = |wanted: ModelChoice| {
             self.error_sums().find(|(choice, _)| *choice == wanted).map_or(f64::INFINITY, |(_, sum)| sum)
         };
         let mut best = self.parts.choice;
         for (choice, sum) in self.error_sums() {
             let bar = if best == self.parts.choice { CLEARLY_LOWER * sum_of(best) } else { sum_of(best) };
-            if sum < bar {
+            if sum < bar - rounding {
                 best = choice;
             }
         }

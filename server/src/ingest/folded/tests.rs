@@ -10,7 +10,7 @@ use tidemap_map::{
     snapshot::MapSnapshot,
     spec::MapSpec,
 };
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_store::{MapId, Store, StoreOptions};
 
 use super::*;
@@ -27,6 +27,7 @@ fn spec() -> MapSpec {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: None,
     }
 }

@@ -43,7 +43,7 @@ mod tests {
         name::{MapName, ProducerKey},
         spec::MapSpec,
     };
-    use tidemap_model::{OrderCriterion, Periodicities, Zone};
+    use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
     use tokio::sync::{mpsc, oneshot};
 
     use super::{super::Limits, *};
@@ -69,6 +69,7 @@ mod tests {
             half_life_nanos: None,
             prior: 0.5,
             retention: Retention::None,
+            models: EnabledModels::default(),
             grid: has_grid.then_some(grid),
         }))
     }

@@ -7,7 +7,7 @@ use tidemap_map::{
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
 };
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tokio::sync::broadcast::error::TryRecvError;
 
 use super::*;
@@ -22,6 +22,7 @@ fn map() -> LiveMap {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::None,
+        models: EnabledModels::default(),
         grid: None,
     }))
 }

@@ -10,7 +10,7 @@ use tidemap_map::{
     grid::spec::{GridSpec, Retention},
     name::{MapName, ProducerKey, StateName},
 };
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_store::StoreOptions;
 use tokio::sync::{Semaphore, mpsc as events};
 
@@ -88,6 +88,7 @@ fn spec_with(grid: Option<GridSpec>) -> MapSpec {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid,
     }
 }

@@ -12,7 +12,7 @@ use tidemap_map::{
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
 };
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_proto::{
     convert::scans::{ScanEncoder, ScanLimits, batch, split},
     v1::predict_grid_response::Message,
@@ -91,6 +91,7 @@ impl Bench {
             half_life_nanos: None,
             prior: 0.5,
             retention,
+            models: EnabledModels::default(),
             grid,
         };
         catalog.create(spec).await.expect("created");

@@ -7,7 +7,7 @@ use tidemap_map::spec::MapSpec;
 use tidemap_migrations::{
     v1::index::{MARKS, MODELS, STATES, decode_value, item_key, map_key},
     v2::{
-        HOURS_CHUNK, PROFILE_CHUNK,
+        FITS_CHUNK, HOURS_CHUNK, PROFILE_CHUNK,
         index::{Mark, SITE_ITEM},
         map as v2, site as v2_site,
     },
@@ -32,6 +32,9 @@ fn column<'state>(message: &'state mut v2::State, key: &[u8]) -> Result<&'state 
     let known = message.alternatives.as_mut().ok_or(STRAY)?;
     if chunk < PROFILE_CHUNK {
         return Ok(&mut known.hours);
+    }
+    if chunk >= FITS_CHUNK {
+        return Ok(&mut known.fits);
     }
     Ok(&mut known.calibrated.as_mut().ok_or(STRAY)?.profile)
 }

@@ -9,7 +9,7 @@ use tidemap_map::{
 };
 use tidemap_migrations::{
     v1::index::{CHUNK_LENGTH, MARKS, MODELS, STATES, chunk_key, encode_value, fingerprint, item_key},
-    v2::{HOURS_CHUNK, PROFILE_CHUNK, index::SITE_ITEM},
+    v2::{FITS_CHUNK, HOURS_CHUNK, PROFILE_CHUNK, index::SITE_ITEM},
 };
 
 use crate::record::{site as record_site, snapshot as record};
@@ -56,17 +56,18 @@ pub(super) fn sum(rows: &[Row]) -> Sum {
     sum
 }
 
-/// The records of a state: itself, and its spectrum, its hours and its calibrated profile in chunks.
+/// The records of a state: itself, and its spectrum, its hours, its calibrated profile and its other fits in chunks.
 pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<Row> {
     let mut message = record::encode_state(id, state);
     let spectrum = std::mem::take(&mut message.spectrum);
     let mut known = message.alternatives.as_mut();
     let hours = known.as_mut().map(|known| std::mem::take(&mut known.hours)).unwrap_or_default();
+    let fits = known.as_mut().map(|known| std::mem::take(&mut known.fits)).unwrap_or_default();
     let calibrated = known.and_then(|known| known.calibrated.as_mut());
     let profile = calibrated.map(|fit| std::mem::take(&mut fit.profile)).unwrap_or_default();
     let key = item_key(map, id).to_vec();
     let value = encode_value(STATES, &key, &message.encode_to_vec());
-    let chunks = [(0, &spectrum), (HOURS_CHUNK, &hours), (PROFILE_CHUNK, &profile)];
+    let chunks = [(0, &spectrum), (HOURS_CHUNK, &hours), (PROFILE_CHUNK, &profile), (FITS_CHUNK, &fits)];
     let chunks = chunks.into_iter().flat_map(|(first, bytes)| (first..).zip(bytes.chunks(CHUNK_LENGTH)));
     let chunks = chunks.map(|(chunk, bytes)| {
         let key = chunk_key(map, id, chunk).to_vec();

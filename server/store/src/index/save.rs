@@ -5,8 +5,8 @@
 use prost::Message as _;
 use tidemap_map::snapshot::MapSnapshot;
 use tidemap_migrations::{
-    v1::index::{MARKS, encode_value, map_key},
-    v2::index::Mark,
+    v1::index::{MARKS, chunk_key, encode_value, map_key},
+    v2::{HOURS_CHUNK, index::Mark},
 };
 
 use super::{
@@ -100,7 +100,7 @@ pub(super) fn save(
 ) -> Result<Written, Damage> {
     set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
     let site = rows::of_site(map, &snapshot.site);
-    // States and producers are only ever added, and a spectrum only ever appears; anything else begins afresh.
+    // States and producers are only ever added; anything else begins afresh.
     let before = before.filter(|before| {
         before.states.len() <= snapshot.states.len()
             && before.producers.len() <= snapshot.producers.len()
@@ -116,7 +116,10 @@ pub(super) fn save(
     let mut batches = Batches::default();
     for (id, state) in (0..).zip(&snapshot.states) {
         let rows = rows::of_state(map, id, state);
-        write_changed(trees, &mut batches, &mut before.states, id, rows)?;
+        let keys: Vec<Vec<u8>> = rows.iter().map(|row| row.key.clone()).collect();
+        if write_changed(trees, &mut batches, &mut before.states, id, rows)? {
+            remove_others(trees, &keys, map, id)?;
+        }
     }
     for (id, producer) in (0..).zip(&snapshot.producers) {
         let rows = rows::of_producer(map, id, producer);
@@ -142,24 +145,42 @@ pub(super) fn save(
     Ok(before)
 }
 
-/// Writes the rows of one item where their sum is another than before.
+/// Removes what the models of a state had more chunks for than these; a spectrum only ever appears.
+fn remove_others(trees: &Trees, keys: &[Vec<u8>], map: u32, state: u32) -> Result<(), Damage> {
+    let text = |error: sled::Error| error.to_string();
+    for key in trees.models.range(chunk_key(map, state, HOURS_CHUNK)..=chunk_key(map, state, u16::MAX)).keys() {
+        let key = key.map_err(text)?;
+        if !keys.iter().any(|kept| kept[..] == key[..]) {
+            trees.models.remove(key).map_err(text)?;
+        }
+    }
+    Ok(())
+}
+
+/// Writes the rows of one item where their sum is another than before. Gives whether it was there before, as another.
 fn write_changed(
     trees: &Trees,
     batches: &mut Batches,
     sums: &mut Vec<Sum>,
     id: u32,
     rows: Vec<Row>,
-) -> Result<(), Damage> {
+) -> Result<bool, Damage> {
     let sum = rows::sum(&rows);
-    match sums.get_mut(id as usize) {
-        Some(before) if *before == sum => return Ok(()),
-        Some(before) => *before = sum,
-        None => sums.push(sum),
-    }
+    let was_there = match sums.get_mut(id as usize) {
+        Some(before) if *before == sum => return Ok(false),
+        Some(before) => {
+            *before = sum;
+            true
+        }
+        None => {
+            sums.push(sum);
+            false
+        }
+    };
     for row in rows {
         batches.push(trees, row)?;
     }
-    Ok(())
+    Ok(was_there)
 }
 
 /// Removes everything of a map.

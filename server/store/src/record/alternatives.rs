@@ -4,11 +4,11 @@
 
 use tidemap_migrations::{v1::map as v1, v2::map as v2};
 use tidemap_model::{
-    Alternatives, AlternativesParts, CalibratedFitParts, LocalDay, PersistenceParts, StateKind,
+    Alternatives, AlternativesParts, FitParts, FittedModelParts, LocalDay, PersistenceParts, StateKind,
     family::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
 };
 
-use super::{Invalid, doubles};
+use super::{Invalid, doubles, fits};
 
 /// Hours of a week, with two numbers each.
 const WEEK: usize = 168 * 2;
@@ -45,22 +45,24 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Al
         last: parts.succession.last.map(|(nanos, value)| v1::LastObservation { nanos, value_bits: value.to_bits() }),
         supported: u32::from(parts.supported),
         days: parts.days,
-        calibrated: parts.calibrated.map(encode_calibrated),
+        calibrated: parts.fits.iter().find_map(encode_calibrated),
+        fits: fits::encode(&parts.fits),
+        since: parts.since.map(|day| day.0),
     }
 }
 
-fn encode_calibrated(fit: CalibratedFitParts) -> v2::Calibrated {
-    let CalibratedFitParts { model, day, error_sum } = fit;
+fn encode_calibrated(fit: &FitParts) -> Option<v2::Calibrated> {
+    let FittedModelParts::Calibrated(model) = &fit.model else { return None };
     let mut profile = Vec::with_capacity(SLOTS * 8);
     doubles::push(&mut profile, &model.profile);
-    v2::Calibrated {
-        day: day.0,
-        error_sum_bits: error_sum.map(f64::to_bits),
+    Some(v2::Calibrated {
+        day: fit.day.0,
+        error_sum_bits: fit.error_sum.map(f64::to_bits),
         observations: model.observations,
         lowest_bits: model.lowest.to_bits(),
         highest_bits: model.highest.to_bits(),
         profile,
-    }
+    })
 }
 
 pub(crate) fn decode(of: StateKind, message: &v2::Alternatives) -> Result<Alternatives, String> {
@@ -75,6 +77,7 @@ pub(crate) fn decode(of: StateKind, message: &v2::Alternatives) -> Result<Altern
     let history: Vec<f64> = alarm.history_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
     let ([weekdays, weekends], []) = history.as_chunks::<3>() else { return Err(ALARM.to_owned()) };
     let kind = |&[days, mean, variance]: &[f64; 3]| DayErrors { days, mean, variance };
+    let calibrated = message.calibrated.as_ref().map(decode_calibrated).transpose()?;
     let parts = AlternativesParts {
         hours: HourTableParts { cells: week.as_chunks::<2>().0.to_vec(), days: days.as_chunks::<3>().0.to_vec() },
         error_sums: message.error_sums_bits.iter().map(|&bits| f64::from_bits(bits)).collect(),
@@ -95,24 +98,25 @@ pub(crate) fn decode(of: StateKind, message: &v2::Alternatives) -> Result<Altern
         },
         supported: u8::try_from(message.supported).map_err(|_| "the supported order of a state is too high")?,
         days: message.days,
-        calibrated: message.calibrated.as_ref().map(decode_calibrated).transpose()?,
+        since: message.since.map(LocalDay),
+        fits: calibrated.into_iter().chain(fits::decode(&message.fits)?).collect(),
     };
     Alternatives::from_parts_of(of, parts).map_err(|error| error.to_string())
 }
 
-fn decode_calibrated(message: &v2::Calibrated) -> Result<CalibratedFitParts, Invalid> {
+fn decode_calibrated(message: &v2::Calibrated) -> Result<FitParts, Invalid> {
     if message.profile.len() != SLOTS * 8 {
         return Err("the calibrated profile of a state does not have its length");
     }
     let mut profile = Vec::with_capacity(SLOTS);
     doubles::take(&message.profile, &mut profile);
-    Ok(CalibratedFitParts {
-        model: CalibratedParts {
+    Ok(FitParts {
+        model: FittedModelParts::Calibrated(CalibratedParts {
             observations: message.observations,
             lowest: f64::from_bits(message.lowest_bits),
             highest: f64::from_bits(message.highest_bits),
             profile,
-        },
+        }),
         day: LocalDay(message.day),
         error_sum: message.error_sum_bits.map(f64::from_bits),
     })

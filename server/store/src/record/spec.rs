@@ -11,7 +11,7 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_migrations::v2::map as v2;
-use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
+use tidemap_model::{EnabledModels, FitKind, OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 
 /// The prior of a map that says none.
 const PRIOR: f64 = 0.5;
@@ -39,6 +39,7 @@ pub(crate) fn encode(spec: &MapSpec, history_complete: bool) -> v2::MapSpec {
         history_complete,
         half_life_nanos: spec.half_life_nanos.unwrap_or(0),
         prior_bits: Some(spec.prior.to_bits()).filter(|&bits| bits != PRIOR.to_bits()),
+        models: Some(spec.models).filter(|&models| models != EnabledModels::default()).map(encode_models),
     }
 }
 
@@ -65,8 +66,32 @@ pub(crate) fn decode(message: v2::MapSpec) -> Result<MapSpec, String> {
             other => return Err(format!("prior {other} is not between 0 and 1")),
         },
         retention: message.retention.map_or(Ok(Retention::Forever), decode_retention)?,
+        models: message.models.map_or(Ok(EnabledModels::default()), decode_models)?,
         grid: message.grid.map(decode_grid).transpose()?,
     })
+}
+
+const HISTOGRAMS: u32 = 1;
+
+fn bit(kind: FitKind) -> u32 {
+    match kind {
+        FitKind::Calibrated => 2,
+        FitKind::Pergam => 4,
+        FitKind::HypertimeEm => 8,
+        FitKind::HypertimeKm => 16,
+    }
+}
+
+fn encode_models(models: EnabledModels) -> u32 {
+    let histograms = if models.histograms { HISTOGRAMS } else { 0 };
+    models.fits().fold(histograms, |bits, kind| bits | bit(kind))
+}
+
+fn decode_models(bits: u32) -> Result<EnabledModels, String> {
+    let histograms = EnabledModels::SPECTRAL.with_histograms(bits & HISTOGRAMS != 0);
+    let fits = FitKind::ALL.into_iter().filter(|&kind| bits & bit(kind) != 0);
+    let models = fits.fold(histograms, EnabledModels::with_fit);
+    if encode_models(models) == bits { Ok(models) } else { Err(format!("models {bits} are not all known")) }
 }
 
 fn encode_retention(retention: Retention) -> v2::Retention {

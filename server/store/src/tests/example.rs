@@ -3,7 +3,7 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    sync::{Arc, mpsc},
+    sync::{Arc, LazyLock, mpsc},
 };
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
@@ -19,9 +19,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Sample,
-    SpectralModel, StateModel, UpdateRules, Zone,
-    family::{Calibrated, CalibratedOptions, Readings},
+    EnabledModels, FitKind, FittedModel, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities,
+    Persistence, PersistenceParts, Sample, SpectralModel, StateModel, UpdateRules, Zone, family::Readings,
 };
 
 use crate::{AppendError, MapId, MapLog, OpenError, OpenedMap, Source, Store, StoreOptions};
@@ -43,6 +42,7 @@ pub(crate) fn spec(name: &str) -> MapSpec {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: None,
     }
 }
@@ -137,6 +137,21 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
     }
 }
 
+/// Models of every kind, two of each. Fitted once, as that takes a while.
+static FITS: LazyLock<Vec<FittedModel>> = LazyLock::new(|| {
+    let fits = [2, 3].map(|every| {
+        let sample = |hour: i64| Sample {
+            utc_nanos: hour * HOUR_NANOS,
+            offset_secs: 3600,
+            value: f64::from(u8::from((8..17).contains(&(hour % 24)) && hour % every == 0)),
+        };
+        let samples: Vec<Sample> = (0..240).map(sample).collect();
+        let fit = |kind| FittedModel::fit(kind, StateKind::Probability, Readings::new(&samples)).expect("readings");
+        FitKind::ALL.map(fit)
+    });
+    fits.into_iter().flatten().collect()
+});
+
 pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateSnapshot {
     let mut model = StateModel::new(&spec.periodicities);
     let samples: Vec<Sample> = (0..random.random_range(0..100_i64))
@@ -147,12 +162,15 @@ pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateS
         })
         .collect();
     let half_life_days = random.random_bool(0.5).then_some(3.0);
-    let rules = UpdateRules { half_life_days, ..spec.update_rules() };
+    let models = EnabledModels::ALL.with_histograms(random.random_bool(0.8));
+    let rules = UpdateRules { half_life_days, models, ..spec.update_rules() };
     model.update(&spec.periodicities, rules, samples.clone());
-    if let Ok(calibrated) = Calibrated::fit(Readings::new(&samples), CalibratedOptions::default()) {
+    if !samples.is_empty() {
         let next: Vec<Sample> =
             samples.iter().map(|&sample| Sample { utc_nanos: sample.utc_nanos + 99 * HOUR_NANOS, ..sample }).collect();
-        model = model.refitted(calibrated, LocalDay(4));
+        for fitted in FITS.iter().filter(|_| random.random_bool(0.7)) {
+            model = model.refitted(fitted.clone(), LocalDay(4));
+        }
         // Some of them have been scored.
         model.update(&spec.periodicities, rules, if random.random_bool(0.5) { next } else { Vec::new() });
     }

@@ -18,8 +18,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Component, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities,
-    Persistence, PersistenceParts, SpectralModel, StateModel, Zone,
+    Accumulator, AccumulatorParts, Component, EnabledModels, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts,
+    Periodicities, Persistence, PersistenceParts, SpectralModel, StateModel, Zone,
 };
 
 use super::example::{append, content, copy, options};
@@ -46,6 +46,7 @@ fn spec() -> MapSpec {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: None,
     }
 }

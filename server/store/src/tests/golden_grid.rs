@@ -28,8 +28,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Component, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, PhasorSum, Sample,
-    SpectralModel, Zone,
+    Component, EnabledModels, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, PhasorSum,
+    Sample, SpectralModel, Zone,
 };
 
 use super::example::{append, content, copy, options};
@@ -58,6 +58,7 @@ fn spec() -> MapSpec {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
             is_flat: true,

@@ -15,16 +15,16 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, CalibratedFitParts, Component, LocalDay,
-    OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, SpectralModel,
-    StateModel, Zone,
+    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, EnabledModels, FitParts,
+    FittedModelParts, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
+    PersistenceParts, SpectralModel, StateModel, Zone,
     family::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
 };
 
 use super::example::{append, content, copy, options};
 use crate::{MapId, Source, Store, index::tests_only::rows_checksum};
 
-const FILES: [&str; 4] = [
+pub(super) const FILES: [&str; 4] = [
     "MANIFEST",
     "maps/00000001/MAP",
     "maps/00000001/checkpoints/00000000000000000001.tmc",
@@ -35,7 +35,7 @@ fn golden() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("src/tests/golden/format-2-states")
 }
 
-fn spec() -> MapSpec {
+pub(super) fn spec() -> MapSpec {
     MapSpec {
         name: MapName::new("office").expect("valid"),
         zone: Zone::named("Europe/Prague").expect("known"),
@@ -45,16 +45,17 @@ fn spec() -> MapSpec {
         half_life_nanos: Some(30 * 86_400_000_000_000),
         prior: 0.25,
         retention: Retention::Duration(90 * 86_400_000_000_000),
+        models: EnabledModels::default(),
         grid: None,
     }
 }
 
-fn update() -> Event {
+pub(super) fn update() -> Event {
     let cut_nanos = 1_700_000_050_000_000_000;
     Event::UpdateStart(UpdateStart { generation: 1, cut_nanos, cause: UpdateCause::Midnight })
 }
 
-fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
+pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
     let cells = (0..168).map(|hour| [f64::from(hour), f64::from(hour) / 4.0]).collect();
     let days = (0..48).map(|hour| [f64::from(hour) + 0.5, f64::from(hour) / 8.0, f64::from(hour) / 16.0]).collect();
     let kind = |days| DayErrors { days, mean: 0.25, variance: 0.0625 };
@@ -74,21 +75,26 @@ fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
         succession: PersistenceParts { pairs: 9, change_rate_sum: 0.375, last: Some((1_700_000_009_000_000_000, 1.0)) },
         supported: 3,
         days: 28,
-        calibrated: calibrated.map(|error_sum| CalibratedFitParts {
-            model: CalibratedParts {
+        since: None,
+        fits: Vec::from_iter(calibrated.map(|error_sum| FitParts {
+            model: FittedModelParts::Calibrated(CalibratedParts {
                 observations: 40_320,
                 lowest: 0.0,
                 highest: 1.0,
                 profile: (0..1008).map(|slot| f64::from(slot) / 1008.0).collect(),
-            },
+            }),
             day: LocalDay(19_670),
             error_sum,
-        }),
+        })),
     };
     Alternatives::from_parts(parts).expect("valid")
 }
 
-fn state(name: &str, alternatives: Alternatives) -> StateSnapshot {
+pub(super) fn state(name: &str, alternatives: Alternatives) -> StateSnapshot {
+    state_of(StateKind::Probability, name, alternatives)
+}
+
+pub(super) fn state_of(kind: StateKind, name: &str, alternatives: Alternatives) -> StateSnapshot {
     let spec = spec();
     let accumulator = AccumulatorParts {
         observations: 10,
@@ -104,21 +110,21 @@ fn state(name: &str, alternatives: Alternatives) -> StateSnapshot {
     sums[1] = 4.0;
     let errors = OrderErrorsParts { sums, last_day: Some(LocalDay(19_675)) };
     let model = StateModel::from_parts(
-        Accumulator::from_parts(&spec.periodicities, accumulator).expect("valid"),
-        SpectralModel::from_parts(0.5, 10, vec![component]).expect("valid"),
+        Accumulator::from_parts_of(kind, &spec.periodicities, accumulator).expect("valid"),
+        SpectralModel::from_parts_of(kind, 0.5, 10, vec![component]).expect("valid"),
         1,
         OrderErrors::from_parts(errors).expect("valid"),
     );
     StateSnapshot {
         name: StateName::new(name).expect("valid"),
-        kind: StateKind::Probability,
+        kind,
         observations: 10,
         persistence: Persistence::default(),
         model: Arc::new(model.expect("valid").with_alternatives(alternatives)),
     }
 }
 
-fn snapshot() -> MapSnapshot {
+pub(super) fn snapshot() -> MapSnapshot {
     MapSnapshot {
         position: 1,
         replay_from: 1,

@@ -16,7 +16,7 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_migrations::v2::log::FrameKind;
-use tidemap_model::{OrderCriterion, Periodicities, Persistence, Sample, StateModel, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Persistence, Sample, StateModel, Zone};
 
 use super::example::{snapshot, spec, state};
 use crate::record;
@@ -228,7 +228,13 @@ proptest! {
     }
 
     #[test]
-    fn specs_come_back(base in 86_400_000_000_000..=604_800_000_000_000_i64, count in 1..=100_u32, is_list: bool) {
+    fn specs_come_back(
+        base in 86_400_000_000_000..=604_800_000_000_000_i64,
+        count in 1..=100_u32,
+        is_list: bool,
+        histograms: bool,
+        fits in prop::collection::vec(prop::sample::select(&tidemap_model::FitKind::ALL[..]), 0..4),
+    ) {
         let periodicities = if is_list {
             Periodicities::list((1..=i64::from(count)).map(|k| base / k).collect())
         } else {
@@ -243,9 +249,23 @@ proptest! {
             half_life_nanos: None,
             prior: 0.5,
             retention: Retention::Forever,
+            models: fits.into_iter().fold(
+                EnabledModels::SPECTRAL.with_histograms(histograms),
+                EnabledModels::with_fit,
+            ),
             grid: None,
         };
         prop_assert_eq!(record::spec::decode(record::spec::encode(&spec, is_list)), Ok(spec));
+    }
+}
+
+#[test]
+fn a_model_that_is_not_known_is_refused() {
+    let message = record::spec::encode(&super::example::spec("office"), true);
+    assert_eq!(message.models, None, "what was there before models were named");
+    for models in [32, 3 | 64, u32::MAX] {
+        let message = tidemap_migrations::v2::map::MapSpec { models: Some(models), ..message.clone() };
+        assert_eq!(record::spec::decode(message), Err(format!("models {models} are not all known")));
     }
 }
 

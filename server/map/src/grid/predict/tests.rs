@@ -3,7 +3,7 @@
 use std::{collections::HashMap, sync::Arc};
 
 use proptest::prelude::*;
-use tidemap_model::{Component, OrderCriterion, OrderErrors, Periodicities, SpectralModel, Zone};
+use tidemap_model::{Component, EnabledModels, OrderCriterion, OrderErrors, Periodicities, SpectralModel, Zone};
 
 use super::*;
 use crate::{
@@ -82,6 +82,7 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::None,
+        models: EnabledModels::default(),
         grid: Some(grid.clone()),
     };
     let mut sensors = Sensors::new(sensor);

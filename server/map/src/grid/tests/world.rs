@@ -4,7 +4,7 @@
 
 use std::sync::{Arc, atomic::AtomicU64};
 
-use tidemap_model::{OrderCriterion, Periodicities, Sample, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
 
 use super::robot::{Robot, SENSORS, Seen, random};
 use super::{
@@ -68,6 +68,7 @@ pub fn spec(rng: &mut u64) -> MapSpec {
         half_life_nanos: None,
         prior: 0.5,
         retention: Retention::Forever,
+        models: EnabledModels::default(),
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
             is_flat: false,

@@ -1,6 +1,6 @@
-//! Calibrated models are fitted at updates, and the same ones when updates are run again from the log.
+//! Models are fitted at updates, and the same ones when updates are run again from the log.
 
-use tidemap_model::{ModelChoice, Sample};
+use tidemap_model::{EnabledModels, FitKind, ModelChoice, Sample};
 
 use super::*;
 use crate::{
@@ -52,6 +52,11 @@ fn office(day: i64) -> Vec<(u32, i64, f64)> {
     (0..144).map(|slot| (0, (day * 144 + slot) * HOUR / 6, value(slot))).collect()
 }
 
+/// The map with every model enabled.
+fn of_all() -> Arc<MapSpec> {
+    Arc::new(MapSpec { models: EnabledModels::ALL, ..MapSpec::clone(&spec()) })
+}
+
 fn run(map: &mut LiveMap, work: UpdateWork, known: &mut Pieces) -> (MapSnapshot, Refits) {
     let result = work.with_readings(Arc::new(known.clone())).run(&AtomicU64::new(0)).expect("in memory");
     let refits = result.refits().clone();
@@ -62,7 +67,7 @@ fn run(map: &mut LiveMap, work: UpdateWork, known: &mut Pieces) -> (MapSnapshot,
 
 #[test]
 fn updates_that_are_run_again_fit_the_same_models() {
-    let mut map = LiveMap::new(spec());
+    let mut map = LiveMap::new(of_all());
     let (mut log, mut snapshots, mut known, mut fitted) = (Vec::new(), Vec::new(), Pieces::default(), Vec::new());
     for number in 0..DAYS {
         let observed = event(&map, &day(number));
@@ -72,7 +77,7 @@ fn updates_that_are_run_again_fit_the_same_models() {
         let pieces_before = known.0.len();
         let (snapshot, refits) = run(&mut map, work, &mut known);
         if refits != Refits::default() {
-            assert_eq!(refits, Refits { fitted: 2, ..Refits::default() });
+            assert_eq!(refits, Refits { fitted: 8, ..Refits::default() });
             fitted.push(number);
         }
         log.extend([observed, start]);
@@ -80,10 +85,12 @@ fn updates_that_are_run_again_fit_the_same_models() {
     }
     assert_eq!(fitted, [6, 13, 20, 27, 34]);
     let expected = map.publish();
-    assert!(expected.model(StateId(0)).alternatives().is_some_and(|known| known.calibrated().is_some()));
-    for (snapshot, pieces_before) in snapshots {
+    for kind in FitKind::ALL {
+        assert!(expected.model(StateId(0)).alternatives().is_some_and(|known| known.fit(kind).is_some()), "{kind:?}");
+    }
+    for (snapshot, pieces_before) in snapshots.into_iter().step_by(4) {
         let (position, from) = (snapshot.position, snapshot.replay_from);
-        let mut restored = LiveMap::restore(spec(), snapshot);
+        let mut restored = LiveMap::restore(of_all(), snapshot);
         // History reaches as far as the snapshot; what follows comes from the updates that are run again.
         let mut again = Pieces(known.0[..=pieces_before].to_vec());
         for (at, event) in (1..).zip(&log).filter(|(at, _)| *at >= from) {
@@ -114,7 +121,7 @@ fn auto_answers_by_the_calibrated_model_where_it_is_in_force() {
     let view = map.publish();
     let model = view.model(StateId(0));
     let errors: Vec<_> = model.alternatives().expect("learned").error_sums().collect();
-    assert_eq!(model.choice(), ModelChoice::Calibrated, "{errors:?}");
+    assert_eq!(model.choice(), ModelChoice::Fitted(FitKind::Calibrated), "{errors:?}");
     let times: Vec<i64> = (0..7 * 24).map(|hour| (DAYS * 24 + hour) * HOUR + HOUR / 3).collect();
     let prepared = view.prepare(&times);
     let predicted = |selector: ModelSelector| {
@@ -122,7 +129,7 @@ fn auto_answers_by_the_calibrated_model_where_it_is_in_force() {
         view.predict_into(StateId(0), &prepared, selector, &mut out);
         out
     };
-    let (calibrated, _) = model.alternatives().and_then(|known| known.calibrated()).expect("fitted");
+    let (calibrated, _) = model.alternatives().and_then(|known| known.fit(FitKind::Calibrated)).expect("fitted");
     let mut expected = vec![0.0; times.len()];
     view.predict_fitted_into(StateId(0), &view.moments(&times), calibrated, false, &mut expected);
     let auto = ModelSelector::default();

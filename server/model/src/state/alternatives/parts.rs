@@ -4,27 +4,29 @@
 
 use std::sync::Arc;
 
-use super::{Alternatives, Errors, Fit, HISTOGRAMS, ModelChoice};
+use super::{Alternatives, Errors, Fit, FitKind, FittedModel, HISTOGRAMS, ModelChoice};
 use crate::{
-    InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
-    family::{Calibrated, CalibratedParts, ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts},
+    FittedModelParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
+    family::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts},
 };
 
-/// The number under which the calibrated model is stored as the one in force, clear of those of histograms.
-const CALIBRATED: u8 = 128;
+/// The number under which the first of [`FitKind::ALL`] is stored as the one in force, clear of those of histograms; the
+/// others follow.
+const FITTED: u8 = 128;
 
 /// What [`Alternatives`] consist of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AlternativesParts {
     /// What was read in each hour of the week.
     pub hours: HourTableParts,
-    /// Faded sums of errors: of the spectral model, then of each of [`HISTOGRAMS`].
+    /// Faded sums of errors: of the spectral model, then of each of [`HISTOGRAMS`] where they are tried.
     pub error_sums: Vec<f64>,
     /// The last local day that was scored.
     pub last_day: Option<LocalDay>,
     /// The last local day that was folded in.
     pub folded_day: Option<LocalDay>,
-    /// The model in force: 0 the spectral model, 128 the calibrated one, else the number of the histogram, from 1.
+    /// The model in force: 0 the spectral model, from 128 on that of [`FitKind::ALL`], else the number of the histogram,
+    /// from 1.
     pub choice: u8,
     /// The change alarm.
     pub alarm: ChangeAlarmParts,
@@ -34,15 +36,17 @@ pub struct AlternativesParts {
     pub supported: u8,
     /// Local days folded in, those that came late not counted.
     pub days: u32,
-    /// The calibrated model; `None` before its first fit.
-    pub calibrated: Option<CalibratedFitParts>,
+    /// The first local day of the present routine, where the change alarm has rung before.
+    pub since: Option<LocalDay>,
+    /// The models that were fitted to readings, at most one of a kind.
+    pub fits: Vec<FitParts>,
 }
 
-/// What is kept of a calibrated model of a state, for storage.
+/// What is kept of a model that was fitted to readings, for storage.
 #[derive(Clone, Debug, PartialEq)]
-pub struct CalibratedFitParts {
+pub struct FitParts {
     /// The model.
-    pub model: CalibratedParts,
+    pub model: FittedModelParts,
     /// The last local day that it was fitted to.
     pub day: LocalDay,
     /// Faded sum of errors, of this fit and those before it; `None` before the first day that it was scored on.
@@ -54,23 +58,20 @@ impl Alternatives {
     pub fn to_parts(&self) -> AlternativesParts {
         AlternativesParts {
             hours: self.hours.to_parts(),
-            error_sums: std::iter::once(self.parts.spectral).chain(self.parts.histograms).collect(),
+            error_sums: [self.parts.spectral].into_iter().chain(self.parts.histograms.into_iter().flatten()).collect(),
             last_day: self.parts.last_day,
             folded_day: self.parts.folded_day,
             choice: match self.parts.choice {
                 ModelChoice::Spectral => 0,
                 ModelChoice::Histogram(number) => number + 1,
-                ModelChoice::Calibrated => CALIBRATED,
+                ModelChoice::Fitted(kind) => FITTED + kind.index() as u8,
             },
             alarm: self.alarm.to_parts(),
             succession: self.succession.to_parts(),
             supported: self.supported,
             days: self.days,
-            calibrated: self.calibrated.as_ref().map(|fit| CalibratedFitParts {
-                model: fit.model.to_parts(),
-                day: fit.day,
-                error_sum: fit.error,
-            }),
+            since: self.since,
+            fits: self.fits.iter().flatten().map(Fit::to_parts).collect(),
         }
     }
 
@@ -87,40 +88,57 @@ impl Alternatives {
     /// # Errors
     /// As [`Alternatives::from_parts`].
     pub fn from_parts_of(kind: StateKind, parts: AlternativesParts) -> Result<Alternatives, InvalidParts> {
-        let &[spectral, day, kind_of_day, week] = parts.error_sums.as_slice() else {
-            return Err(InvalidParts::OutOfRange {
-                field: "number of error sums",
-                found: parts.error_sums.len() as f64,
-            });
+        let (spectral, histograms) = match *parts.error_sums.as_slice() {
+            [spectral] => (spectral, None),
+            [spectral, day, kind_of_day, week] => (spectral, Some([day, kind_of_day, week])),
+            _ => {
+                let found = parts.error_sums.len() as f64;
+                return Err(InvalidParts::OutOfRange { field: "number of error sums", found });
+            }
         };
-        let calibrated_sum = parts.calibrated.as_ref().and_then(|fit| fit.error_sum);
-        for &sum in parts.error_sums.iter().chain(&calibrated_sum) {
+        for &sum in parts.error_sums.iter().chain(parts.fits.iter().filter_map(|fit| fit.error_sum.as_ref())) {
             InvalidParts::check("error sum", sum, 0.0..=f64::MAX)?;
         }
+        let mut fits = [const { None }; FitKind::ALL.len()];
+        for fit in parts.fits {
+            let model = FittedModel::from_parts_of(kind, fit.model)?;
+            let place = &mut fits[model.kind().index()];
+            if place.is_some() {
+                return Err(InvalidParts::OutOfRange { field: "models of a kind", found: 2.0 });
+            }
+            *place = Some(Fit { model: Arc::new(model), day: fit.day, error: fit.error_sum });
+        }
+        let fitted = |number: u8| {
+            let kind = *FitKind::ALL.get(usize::from(number.checked_sub(FITTED)?))?;
+            fits[kind.index()].as_ref().map(|_| ModelChoice::Fitted(kind))
+        };
         let choice = match parts.choice {
-            0 => ModelChoice::Spectral,
-            number if usize::from(number) <= HISTOGRAMS.len() => ModelChoice::Histogram(number - 1),
-            CALIBRATED if parts.calibrated.is_some() => ModelChoice::Calibrated,
-            number => return Err(InvalidParts::OutOfRange { field: "chosen model", found: f64::from(number) }),
+            0 => Some(ModelChoice::Spectral),
+            number if usize::from(number) <= HISTOGRAMS.len() => histograms.map(|_| ModelChoice::Histogram(number - 1)),
+            number => fitted(number),
         };
-        let fit = |fit: CalibratedFitParts| {
-            let model = Arc::new(Calibrated::from_parts(fit.model)?);
-            Ok(Fit { model, day: fit.day, error: fit.error_sum })
-        };
+        let unknown = InvalidParts::OutOfRange { field: "chosen model", found: f64::from(parts.choice) };
         Ok(Alternatives {
             hours: HourTable::from_parts(parts.hours)?,
             parts: Errors {
                 spectral,
-                histograms: [day, kind_of_day, week],
+                histograms,
                 last_day: parts.last_day,
                 folded_day: parts.folded_day,
-                choice,
+                choice: choice.ok_or(unknown)?,
             },
             alarm: ChangeAlarm::from_parts(parts.alarm)?,
             succession: Persistence::from_parts_of(kind, parts.succession)?,
             supported: parts.supported,
             days: parts.days,
-            calibrated: parts.calibrated.map(fit).transpose()?,
+            since: parts.since,
+            fits,
         })
+    }
+}
+
+impl Fit {
+    fn to_parts(&self) -> FitParts {
+        FitParts { model: self.model.to_parts(), day: self.day, error_sum: self.error }
     }
 }

@@ -2,10 +2,11 @@
 
 use super::*;
 use crate::{
-    StateModel,
-    family::{CalibratedOptions, Readings},
+    FittedModelParts, StateModel,
+    family::{Calibrated, CalibratedOptions, Readings},
 };
 
+const CALIBRATED: ModelChoice = ModelChoice::Fitted(FitKind::Calibrated);
 const SLOT_NANOS: i64 = 600_000_000_000;
 const SLOTS: i64 = 144;
 
@@ -49,7 +50,7 @@ fn sum_of(state: &StateModel, wanted: ModelChoice) -> Option<f64> {
 }
 
 fn calibrated_error(state: &StateModel) -> Option<f64> {
-    sum_of(state, ModelChoice::Calibrated)
+    sum_of(state, CALIBRATED)
 }
 
 fn squared_error(model: &impl TemporalModel, samples: &[Sample]) -> f64 {
@@ -59,24 +60,24 @@ fn squared_error(model: &impl TemporalModel, samples: &[Sample]) -> f64 {
 #[test]
 fn a_fit_is_due_after_seven_observed_days_and_every_seven_days() {
     let mut state = StateModel::new(&Periodicities::default());
-    assert!(!state.is_refit_due());
+    assert!(!state.is_fit_due(FitKind::Calibrated));
     // Every other day: what counts is what was observed.
     for observed in 1..7 {
         learn(&mut state, samples(2 * observed..2 * observed + 1, office));
-        assert!(!state.is_refit_due(), "{observed} days");
+        assert!(!state.is_fit_due(FitKind::Calibrated), "{observed} days");
     }
     // What comes late counts no further day: it may be one of those.
     learn(&mut state, samples(1..2, office));
-    assert!(!state.is_refit_due());
+    assert!(!state.is_fit_due(FitKind::Calibrated));
     learn(&mut state, samples(14..15, office));
-    assert!(state.is_refit_due());
+    assert!(state.is_fit_due(FitKind::Calibrated));
     state = state.refitted(fit(&samples(0..15, office)), LocalDay(14));
-    assert!(!state.is_refit_due());
+    assert!(!state.is_fit_due(FitKind::Calibrated));
     // From here on what counts is the calendar.
     learn(&mut state, samples(20..21, office));
-    assert!(!state.is_refit_due(), "six days after");
+    assert!(!state.is_fit_due(FitKind::Calibrated), "six days after");
     learn(&mut state, samples(21..22, office));
-    assert!(state.is_refit_due(), "seven days after");
+    assert!(state.is_fit_due(FitKind::Calibrated), "seven days after");
 }
 
 #[test]
@@ -87,15 +88,15 @@ fn a_fit_is_due_when_the_alarm_has_rung_since() {
     for day in 42..56 {
         let rang = state.alternatives().unwrap().alarm().rang_on();
         if let Some(rang) = rang {
-            assert!(state.is_refit_due(), "it rang on {rang}, fitted on {fitted:?}");
+            assert!(state.is_fit_due(FitKind::Calibrated), "it rang on {rang}, fitted on {fitted:?}");
             assert_eq!(fitted, Some(i64::from(rang.0) - 1));
             let again = state.clone().refitted(fit(&samples(0..day, office)), LocalDay(day as i32 - 1));
-            assert!(!again.is_refit_due(), "what it rang for is fitted");
+            assert!(!again.is_fit_due(FitKind::Calibrated), "what it rang for is fitted");
             return;
         }
         state = state.refitted(fit(&samples(0..42, office)), LocalDay(day as i32 - 1));
         fitted = Some(day - 1);
-        assert!(!state.is_refit_due());
+        assert!(!state.is_fit_due(FitKind::Calibrated));
         learn(&mut state, samples(day..day + 1, |day, slot| 1.0 - office(day, slot)));
     }
     panic!("the alarm has not rung");
@@ -174,18 +175,18 @@ fn the_calibrated_model_is_chosen_where_it_predicts_best() {
         let today = samples(day..day + 1, office);
         let before = state.clone();
         let outcome = state.update(&Periodicities::default(), OrderCriterion::SquaredError, today.clone());
-        if let Some(Chosen::Calibrated(model)) = before.chosen() {
+        if let Some(Chosen::Fitted(model)) = before.chosen() {
             assert!((outcome.squared_error_in_force - squared_error(model, &today)).abs() < 1e-9);
             in_force[0] += outcome.squared_error_in_force;
             in_force[1] += outcome.squared_errors[before.order()];
         }
         seen.extend(today);
-        if state.is_refit_due() {
+        if state.is_fit_due(FitKind::Calibrated) {
             state = state.refitted(fit(&seen), LocalDay(day as i32));
         }
     }
     let errors: Vec<_> = state.alternatives().unwrap().error_sums().collect();
-    assert_eq!(state.choice(), ModelChoice::Calibrated, "{errors:?}");
+    assert_eq!(state.choice(), CALIBRATED, "{errors:?}");
     assert!(in_force[0] > 0.0 && in_force[0] < 0.9 * in_force[1], "{in_force:?}");
 }
 
@@ -207,10 +208,19 @@ fn parts_make_the_same_again_and_what_cannot_be_is_refused() {
         Alternatives::from_parts(parts).is_err()
     };
     assert!(!is_refused(|parts| parts.choice = 128));
-    assert!(is_refused(|parts| (parts.choice, parts.calibrated) = (128, None)));
+    assert!(is_refused(|parts| (parts.choice, parts.fits) = (128, Vec::new())));
+    assert!(is_refused(|parts| parts.choice = 129));
     assert!(is_refused(|parts| parts.choice = 4));
     assert!(is_refused(|parts| parts.choice = 127));
-    assert!(is_refused(|parts| parts.calibrated.as_mut().unwrap().error_sum = Some(f64::NAN)));
-    assert!(is_refused(|parts| parts.calibrated.as_mut().unwrap().error_sum = Some(-1.0)));
-    assert!(is_refused(|parts| _ = parts.calibrated.as_mut().unwrap().model.profile.pop()));
+    assert!(is_refused(|parts| parts.choice = 255));
+    assert!(is_refused(|parts| parts.error_sums.truncate(3)));
+    assert!(is_refused(|parts| (parts.choice, parts.error_sums) = (1, vec![1.0])));
+    assert!(!is_refused(|parts| (parts.choice, parts.error_sums) = (0, vec![1.0])));
+    assert!(is_refused(|parts| parts.fits.push(parts.fits[0].clone())));
+    assert!(is_refused(|parts| parts.fits[0].error_sum = Some(f64::NAN)));
+    assert!(is_refused(|parts| parts.fits[0].error_sum = Some(-1.0)));
+    assert!(is_refused(|parts| match &mut parts.fits[0].model {
+        FittedModelParts::Calibrated(model) => _ = model.profile.pop(),
+        _ => panic!("another model"),
+    }));
 }

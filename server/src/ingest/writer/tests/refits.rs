@@ -1,9 +1,9 @@
-//! Calibrated models: fitted at the nightly update, and the same when the update is run again.
+//! Models of every kind: fitted at the nightly update, and the same when the update is run again.
 
 use std::{fs, path::PathBuf};
 
 use tidemap_map::event::StateId;
-use tidemap_model::StateModel;
+use tidemap_model::{EnabledModels, FitKind, FittedModel, StateModel};
 
 use super::*;
 
@@ -30,7 +30,11 @@ pub(super) async fn learn(dir: &Path, retention: Retention) -> StateModel {
         let bench = bench(dir, NOON);
         let handle = match bench.catalog.get("office") {
             Ok(handle) => handle,
-            Err(_) => bench.catalog.create(MapSpec { retention, ..spec_with(None) }).await.expect("created"),
+            Err(_) => bench
+                .catalog
+                .create(MapSpec { retention, models: EnabledModels::ALL, ..spec_with(None) })
+                .await
+                .expect("created"),
         };
         let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
         for (updates, number) in (1..).zip(days) {
@@ -80,10 +84,15 @@ async fn updates_that_are_run_again_fit_the_same_models() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let expected = learn(dir.path(), Retention::Forever).await;
     let known = expected.alternatives().expect("learned");
-    let (calibrated, day) = known.calibrated().expect("fitted");
     // First after seven days, then every seven.
     let newest = known.folded_day().expect("folded").0;
-    assert_eq!((newest - day.0, calibrated.observations()), (3, 21 * 48));
+    for kind in FitKind::ALL {
+        let (model, day) = known.fit(kind).expect("fitted");
+        assert_eq!((model.kind(), newest - day.0), (kind, 3));
+        if let FittedModel::Calibrated(model) = model {
+            assert_eq!(model.observations(), 21 * 48);
+        }
+    }
 
     for (name, checkpoints, keeps_history) in
         [("saved", 2, true), ("saved at half-time", 1, true), ("from the log", 0, true), ("only the log", 0, false)]
@@ -112,10 +121,11 @@ async fn updates_that_are_run_again_fit_the_same_models() {
 }
 
 #[tokio::test]
-async fn a_map_that_keeps_nothing_has_no_calibrated_model() {
+async fn a_map_that_keeps_nothing_has_no_fitted_model() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let learned = learn(dir.path(), Retention::None).await;
-    assert!(learned.is_refit_due() && learned.alternatives().expect("learned").calibrated().is_none());
+    let known = learned.alternatives().expect("learned");
+    assert!(FitKind::ALL.iter().all(|&kind| learned.is_fit_due(kind) && known.fit(kind).is_none()));
 }
 
 #[tokio::test]
@@ -152,9 +162,10 @@ async fn damaged_history_costs_the_fit_and_not_the_update() {
     observe(&handle, &mut robot, DAYS + 6).await;
     update(&bench, &handle, 1).await;
     let after = model(&handle);
-    assert!(after.is_refit_due(), "tried again");
+    assert!(after.is_fit_due(FitKind::Calibrated), "tried again");
     assert_eq!(after.accumulator().observations(), before.accumulator().observations() + 48);
-    let fitted = |model: &StateModel| model.alternatives().and_then(|known| known.calibrated()).map(|(_, day)| day);
+    let fitted =
+        |model: &StateModel| model.alternatives().and_then(|known| known.fit(FitKind::Calibrated)).map(|(_, day)| day);
     assert!(fitted(&before).is_some() && fitted(&after) == fitted(&before));
     bench.catalog.stop().await;
 }

@@ -1,0 +1,85 @@
+//! Models of a state that were fitted to its readings, apart from the calibrated one.
+//!
+//! Invariant: a list of numbers is as long as the model says, which whoever reads it checks.
+
+/// The models of a state, each as it was last fitted; absent before its first fit.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Fits {
+    /// The periodic mixture of Gaussians.
+    #[prost(message, optional, tag = "1")]
+    pub pergam: Option<Pergam>,
+    /// Warped hypertime by expectation-maximisation.
+    #[prost(message, optional, tag = "2")]
+    pub hypertime_em: Option<Hypertime>,
+    /// Warped hypertime by k-means.
+    #[prost(message, optional, tag = "3")]
+    pub hypertime_km: Option<Hypertime>,
+}
+
+/// When a model was fitted, and how it has done.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Fit {
+    /// The last local day that it was fitted to, in days since 1970-01-01.
+    #[prost(sint32, tag = "1")]
+    pub day: i32,
+    /// Faded sum of errors; absent before the first day that it was scored on.
+    #[prost(fixed64, optional, tag = "2")]
+    pub error_sum_bits: Option<u64>,
+}
+
+/// A periodic mixture of Gaussians.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Pergam {
+    /// When it was fitted.
+    #[prost(message, optional, tag = "1")]
+    pub fit: Option<Fit>,
+    /// Its period.
+    #[prost(sint64, tag = "2")]
+    pub period_nanos: i64,
+    /// Of each Gaussian weight, mean and deviation, the latter two in seconds.
+    #[prost(fixed64, repeated, tag = "3")]
+    pub gaussians_bits: Vec<u64>,
+}
+
+/// A warped hypertime.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Hypertime {
+    /// When it was fitted.
+    #[prost(message, optional, tag = "1")]
+    pub fit: Option<Fit>,
+    /// Its periods, as divisors of a week.
+    #[prost(uint32, repeated, tag = "2")]
+    pub week_divisors: Vec<u32>,
+    /// Of a probability: mean, background, ln of the factors of ones and of zeros. Else empty.
+    #[prost(fixed64, repeated, tag = "3")]
+    pub odds_bits: Vec<u64>,
+    /// Of a value that is no probability: centre, scale, lowest and highest. Else empty.
+    #[prost(fixed64, repeated, tag = "4")]
+    pub axis_bits: Vec<u64>,
+    /// Clusters of readings that are 1, or of values that are no probabilities.
+    #[prost(message, repeated, tag = "5")]
+    pub clusters: Vec<Cluster>,
+    /// Clusters of readings that are 0.
+    #[prost(message, repeated, tag = "6")]
+    pub zeros: Vec<Cluster>,
+}
+
+/// A cluster in hypertime.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Cluster {
+    /// Its share of the readings.
+    #[prost(fixed64, tag = "1")]
+    pub weight_bits: u64,
+    /// Its centre.
+    #[prost(fixed64, repeated, tag = "2")]
+    pub centre_bits: Vec<u64>,
+    /// Rows of the lower triangular factor of its covariance.
+    #[prost(fixed64, repeated, tag = "3")]
+    pub factor_bits: Vec<u64>,
+    /// Direction on the circle of each period, in radians.
+    #[prost(fixed64, repeated, tag = "4")]
+    pub directions_bits: Vec<u64>,
+    /// Concentration around each of them.
+    #[prost(fixed64, repeated, tag = "5")]
+    pub concentrations_bits: Vec<u64>,
+}

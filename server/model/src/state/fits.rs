@@ -1,0 +1,217 @@
+//! Models that are fitted to the readings of a state outside its update: which kinds there are, and one of any kind.
+//!
+//! Invariant: a model is of one kind, and what it is put together from is what it was taken to pieces.
+
+use crate::{
+    InvalidParts, StateKind,
+    family::{
+        Calibrated, CalibratedOptions, CalibratedParts, CannotFit, Hypertime, HypertimeMethod, HypertimeOptions,
+        HypertimeParts, Moment, Pergam, PergamOptions, PergamParts, Readings, TemporalModel,
+    },
+};
+
+/// Gaussians of a periodic mixture.
+const GAUSSIANS: usize = 3;
+/// Clusters of a warped hypertime.
+const CLUSTERS: usize = 3;
+/// What random starts of a fit are drawn from: the same readings give the same model.
+const SEED: u64 = 0;
+
+/// A kind of model that is fitted to the readings themselves, with the one setting in which it is tried.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum FitKind {
+    /// [`Calibrated`], with its defaults.
+    Calibrated,
+    /// [`Pergam`], three Gaussians over the day. Of probabilities only.
+    Pergam,
+    /// [`Hypertime`] by expectation-maximisation, three clusters.
+    HypertimeEm,
+    /// [`Hypertime`] by k-means, up to three clusters.
+    HypertimeKm,
+}
+
+impl FitKind {
+    /// All of them.
+    pub const ALL: [FitKind; 4] = [FitKind::Calibrated, FitKind::Pergam, FitKind::HypertimeEm, FitKind::HypertimeKm];
+
+    /// Whether states of that kind have it.
+    pub fn is_for(self, of: StateKind) -> bool {
+        self != FitKind::Pergam || of == StateKind::Probability
+    }
+
+    /// Its place in [`FitKind::ALL`].
+    pub(super) fn index(self) -> usize {
+        self as usize
+    }
+}
+
+/// Which models the update of a state chooses among. The spectral model always is one of them; its order 0 is the mean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct EnabledModels {
+    /// Whether [`crate::HISTOGRAMS`] are tried.
+    pub histograms: bool,
+    fits: [bool; FitKind::ALL.len()],
+}
+
+impl Default for EnabledModels {
+    /// Histograms and the calibrated model: what costs little.
+    fn default() -> EnabledModels {
+        EnabledModels { histograms: true, ..EnabledModels::SPECTRAL }.with_fit(FitKind::Calibrated)
+    }
+}
+
+impl EnabledModels {
+    /// The spectral model alone.
+    pub const SPECTRAL: EnabledModels = EnabledModels { histograms: false, fits: [false; FitKind::ALL.len()] };
+
+    /// All there are.
+    pub const ALL: EnabledModels = EnabledModels { histograms: true, fits: [true; FitKind::ALL.len()] };
+
+    /// The same with or without histograms.
+    #[must_use]
+    pub fn with_histograms(self, histograms: bool) -> EnabledModels {
+        EnabledModels { histograms, ..self }
+    }
+
+    /// The same with models of that kind.
+    #[must_use]
+    pub fn with_fit(mut self, kind: FitKind) -> EnabledModels {
+        self.fits[kind.index()] = true;
+        self
+    }
+
+    /// The same without models that are fitted to readings.
+    #[must_use]
+    pub fn without_fits(self) -> EnabledModels {
+        EnabledModels { fits: [false; FitKind::ALL.len()], ..self }
+    }
+
+    /// Whether models of that kind are tried.
+    pub fn has_fit(self, kind: FitKind) -> bool {
+        self.fits[kind.index()]
+    }
+
+    /// The kinds that are fitted to readings.
+    pub fn fits(self) -> impl Iterator<Item = FitKind> {
+        FitKind::ALL.into_iter().filter(move |kind| self.has_fit(*kind))
+    }
+}
+
+/// A model that was fitted to the readings of a state.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FittedModel {
+    /// A profile of the week.
+    Calibrated(Calibrated),
+    /// A periodic mixture of Gaussians.
+    Pergam(Pergam),
+    /// Warped hypertime, by either method.
+    Hypertime(Hypertime),
+}
+
+/// What a [`FittedModel`] consists of, for storage.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FittedModelParts {
+    /// Of a profile of the week.
+    Calibrated(CalibratedParts),
+    /// Of a periodic mixture of Gaussians.
+    Pergam(PergamParts),
+    /// Of a warped hypertime.
+    Hypertime(HypertimeParts),
+}
+
+impl FittedModel {
+    /// Fits a model of this kind to readings of a state whose values are `of` that kind.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where there are no readings, or such a state does not have such a model.
+    pub fn fit(kind: FitKind, of: StateKind, readings: Readings<'_>) -> Result<FittedModel, CannotFit> {
+        let hypertime = |method| {
+            let options = HypertimeOptions { method, clusters: CLUSTERS, seed: SEED };
+            match of {
+                StateKind::Probability => Hypertime::fit(readings, &options),
+                StateKind::Continuous | StateKind::Count => Hypertime::fit_continuous(readings, &options),
+            }
+        };
+        match kind {
+            FitKind::Calibrated => Calibrated::fit(readings, CalibratedOptions::default()).map(Self::Calibrated),
+            FitKind::Pergam if !kind.is_for(of) => Err(CannotFit::NoReadings),
+            FitKind::Pergam => {
+                let options = PergamOptions { gaussians: GAUSSIANS, seed: SEED, ..PergamOptions::default() };
+                Pergam::fit(readings, &options).map(Self::Pergam)
+            }
+            FitKind::HypertimeEm => hypertime(HypertimeMethod::Em).map(Self::Hypertime),
+            FitKind::HypertimeKm => hypertime(HypertimeMethod::Km).map(Self::Hypertime),
+        }
+    }
+
+    /// Its kind.
+    pub fn kind(&self) -> FitKind {
+        match self {
+            Self::Calibrated(_) => FitKind::Calibrated,
+            Self::Pergam(_) => FitKind::Pergam,
+            Self::Hypertime(model) => match model.method() {
+                HypertimeMethod::Em => FitKind::HypertimeEm,
+                HypertimeMethod::Km => FitKind::HypertimeKm,
+            },
+        }
+    }
+
+    /// What it consists of.
+    pub fn to_parts(&self) -> FittedModelParts {
+        match self {
+            Self::Calibrated(model) => FittedModelParts::Calibrated(model.to_parts()),
+            Self::Pergam(model) => FittedModelParts::Pergam(model.to_parts()),
+            Self::Hypertime(model) => FittedModelParts::Hypertime(model.to_parts()),
+        }
+    }
+
+    /// The model of a state of that kind from what was stored.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where a number is outside its range, or such a state does not have such a model.
+    pub fn from_parts_of(of: StateKind, parts: FittedModelParts) -> Result<FittedModel, InvalidParts> {
+        let is_probability = of == StateKind::Probability;
+        let is_fitting = match &parts {
+            FittedModelParts::Calibrated(_) => true,
+            FittedModelParts::Pergam(_) => is_probability,
+            FittedModelParts::Hypertime(HypertimeParts::Probability(_)) => is_probability,
+            FittedModelParts::Hypertime(HypertimeParts::Continuous(_)) => !is_probability,
+        };
+        if !is_fitting {
+            return Err(InvalidParts::OutOfRange { field: "model of another kind of states", found: f64::NAN });
+        }
+        Ok(match parts {
+            FittedModelParts::Calibrated(parts) => Self::Calibrated(Calibrated::from_parts(parts)?),
+            FittedModelParts::Pergam(parts) => Self::Pergam(Pergam::from_parts(&parts)?),
+            FittedModelParts::Hypertime(parts) => Self::Hypertime(Hypertime::from_parts(&parts)?),
+        })
+    }
+}
+
+impl TemporalModel for FittedModel {
+    fn predict(&self, at: Moment) -> f64 {
+        match self {
+            Self::Calibrated(model) => model.predict(at),
+            Self::Pergam(model) => model.predict(at),
+            Self::Hypertime(model) => model.predict(at),
+        }
+    }
+}
+
+impl From<Calibrated> for FittedModel {
+    fn from(model: Calibrated) -> FittedModel {
+        Self::Calibrated(model)
+    }
+}
+
+impl From<Pergam> for FittedModel {
+    fn from(model: Pergam) -> FittedModel {
+        Self::Pergam(model)
+    }
+}
+
+impl From<Hypertime> for FittedModel {
+    fn from(model: Hypertime) -> FittedModel {
+        Self::Hypertime(model)
+    }
+}
