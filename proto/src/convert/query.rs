@@ -203,7 +203,7 @@ fn selector_of(choice: ModelChoice, model: &StateModel) -> ModelSelector {
         }
         // With the defaults of requests.
         ModelChoice::Fitted(FitKind::Calibrated) => ModelKind::Calibrated,
-        ModelChoice::Fitted(FitKind::Pergam) => ModelKind::Pergam { gaussians: 3 },
+        ModelChoice::Fitted(FitKind::Pergam) => ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS },
         ModelChoice::Fitted(FitKind::HypertimeEm) => ModelKind::HypertimeEm { clusters: 3 },
         ModelChoice::Fitted(FitKind::HypertimeKm) => ModelKind::HypertimeKm { clusters: 3 },
     };

@@ -6,7 +6,7 @@
 //! is an anomaly.
 
 use tidemap_model::{
-    HISTOGRAMS, ModelChoice, StateKind, StateModel,
+    FitKind, HISTOGRAMS, ModelChoice, StateKind, StateModel,
     family::{Moment, value_tail},
 };
 
@@ -83,7 +83,9 @@ fn share_of_mean(model: &StateModel, selector: ModelSelector) -> f64 {
         ModelKind::Mean => order(0),
         ModelKind::Spectral => order(selector.order_for(model)),
         ModelKind::Auto => selector.order.and_then(order),
-        ModelKind::Calibrated => scored(ModelChoice::Calibrated),
+        ModelKind::Calibrated => scored(ModelChoice::Fitted(FitKind::Calibrated)),
+        ModelKind::HypertimeEm { clusters: 3 } => scored(ModelChoice::Fitted(FitKind::HypertimeEm)),
+        ModelKind::HypertimeKm { clusters: 3 } => scored(ModelChoice::Fitted(FitKind::HypertimeKm)),
         ModelKind::Histogram { cycle, bins } => {
             let number = HISTOGRAMS.iter().position(|&(known, count)| known == cycle && count == bins as usize);
             number.and_then(|number| u8::try_from(number).ok()).map(ModelChoice::Histogram).and_then(scored)
