@@ -23,6 +23,7 @@ mod parts;
 #[cfg(test)]
 mod tests;
 
+use parts::Fit;
 pub use parts::{AlternativesParts, FitParts};
 
 /// The histograms that are tried: cycle, and bins of the cycle.
@@ -94,17 +95,6 @@ pub struct Alternatives {
     since: Option<LocalDay>,
     /// By [`FitKind`].
     fits: [Option<Fit>; FitKind::ALL.len()],
-}
-
-/// A model that was fitted to readings, as it last was.
-#[derive(Clone, Debug, PartialEq)]
-struct Fit {
-    /// Shared: it is a large part of a state, and most updates leave it as it is.
-    model: Arc<FittedModel>,
-    /// The last local day that it was fitted to.
-    day: LocalDay,
-    /// Faded sum of errors, of this fit and those before it; `None` before the first day that it was scored on.
-    error: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
