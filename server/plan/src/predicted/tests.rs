@@ -43,6 +43,7 @@ fn map_spec(grid: Option<GridSpec>) -> Arc<MapSpec> {
         created_nanos: 0,
         half_life_nanos: None,
         prior: 0.5,
+        models: tidemap_model::EnabledModels::default(),
         retention: Retention::None,
         grid,
     })

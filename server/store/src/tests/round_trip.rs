@@ -291,7 +291,8 @@ fn a_snapshot_has_whole_vectors_or_is_not_believed() {
         let mut changed = whole.clone();
         changed.states = states;
         let message = record::snapshot::encode(&changed);
-        let decoded = record::snapshot::decode(&message, changed.producers.clone(), changed.states.clone());
+        let (producers, states) = (changed.producers.clone(), changed.states.clone());
+        let decoded = record::snapshot::decode(&message, producers, states, Site::clone(&changed.site));
         assert_eq!(decoded.is_ok(), record::snapshot::check(&changed).is_ok());
         decoded.is_ok()
     };

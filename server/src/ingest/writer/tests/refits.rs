@@ -140,13 +140,15 @@ async fn an_update_that_makes_room_fits_nothing() {
     }
     let learned = model(&handle);
     assert_eq!(learned.accumulator().observations(), 9 * 48);
-    assert!(learned.is_refit_due() && learned.alternatives().expect("learned").calibrated().is_none());
+    let calibrated = FitKind::Calibrated;
+    assert!(learned.is_fit_due(calibrated) && learned.alternatives().expect("learned").fit(calibrated).is_none());
     // The next of another cause does.
     robot.observe(&handle, NOON - (DAYS - 9) * DAY).await;
     update(&bench, &handle, 10).await;
     let learned = model(&handle);
-    let (calibrated, _) = learned.alternatives().expect("learned").calibrated().expect("fitted");
-    assert_eq!((calibrated.observations(), learned.is_refit_due()), (9 * 48 + 1, false));
+    let (fitted, _) = learned.alternatives().expect("learned").fit(calibrated).expect("fitted");
+    assert!(matches!(fitted, FittedModel::Calibrated(model) if model.observations() == 9 * 48 + 1), "{fitted:?}");
+    assert!(!learned.is_fit_due(calibrated));
     bench.catalog.stop().await;
 }
 
