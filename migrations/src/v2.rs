@@ -27,6 +27,7 @@ pub mod index;
 pub mod log;
 pub mod map;
 pub mod site;
+pub mod topology;
 pub mod update;
 
 /// The number of this format.

@@ -73,13 +73,16 @@ pub struct Site {
     /// The places that robots tried to reach, ascending by x, then y.
     #[prost(message, repeated, tag = "3")]
     pub attempts: Vec<Attempts>,
+    /// The topological map; absent: none was ever told.
+    #[prost(message, optional, tag = "4")]
+    pub topology: Option<super::topology::Topology>,
 }
 
 /// One change, in the log.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct SiteEdit {
     /// What changes.
-    #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5")]
+    #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5, 6")]
     pub change: Option<Change>,
 }
 
@@ -101,4 +104,7 @@ pub enum Change {
     /// A robot reached a place, or did not.
     #[prost(message, tag = "5")]
     Visit(Visit),
+    /// The topological map is changed.
+    #[prost(message, tag = "6")]
+    Topology(super::topology::Edit),
 }

@@ -1,15 +1,16 @@
 //! What a map is told about the place besides observations: where the robot rests, which states are seen together,
-//! and which places robots have reached.
+//! which places robots have reached, and the topological map.
 //!
 //! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] passes is applied
 //! whole; any other changes nothing.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::Arc};
 
 use crate::{
     event::StateId,
     name::StateName,
     reachability::{Reachability, ReachabilityError},
+    topology::{Topology, TopologyEdit, TopologyError},
 };
 
 #[cfg(test)]
@@ -51,6 +52,8 @@ pub enum SiteEdit {
         /// When, nanoseconds UTC.
         utc_nanos: i64,
     },
+    /// The topological map is changed.
+    Topology(TopologyEdit),
 }
 
 /// Why an edit is refused.
@@ -84,6 +87,9 @@ pub enum InvalidEdit {
     /// A visit cannot be kept.
     #[error(transparent)]
     Visit(#[from] ReachabilityError),
+    /// The topological map cannot be so.
+    #[error(transparent)]
+    Topology(#[from] TopologyError),
 }
 
 /// What is known of the place besides observations.
@@ -92,6 +98,7 @@ pub struct Site {
     charger_m: Option<[f64; 2]>,
     locations: BTreeMap<StateName, Location>,
     reachability: Reachability,
+    topology: Arc<Topology>,
 }
 
 impl Site {
@@ -117,6 +124,18 @@ impl Site {
     #[must_use]
     pub fn with_reachability(self, reachability: Reachability) -> Site {
         Site { reachability, ..self }
+    }
+
+    /// The topological map; without nodes where none was ever told.
+    #[must_use]
+    pub fn topology(&self) -> &Arc<Topology> {
+        &self.topology
+    }
+
+    /// The same site with the topological map that was stored.
+    #[must_use]
+    pub fn with_topology(self, topology: Topology) -> Site {
+        Site { topology: Arc::new(topology), ..self }
     }
 
     /// Whether nothing was ever told.
@@ -153,6 +172,7 @@ impl Site {
             }
             SiteEdit::RemoveLocation(name) if self.locations.contains_key(name) => Ok(()),
             SiteEdit::Visit { at_m, .. } => Ok(self.reachability.check(at_m[0], at_m[1])?),
+            SiteEdit::Topology(edit) => Ok(self.topology.edited(edit).map(drop)?),
             SiteEdit::RemoveLocation(name) => Err(InvalidEdit::UnknownLocation(name.as_str().to_owned())),
         }
     }
@@ -162,6 +182,10 @@ impl Site {
     /// # Errors
     /// As [`Site::check`]; nothing is changed then.
     pub fn apply(&mut self, edit: &SiteEdit, states: usize) -> Result<(), InvalidEdit> {
+        if let SiteEdit::Topology(edit) = edit {
+            self.topology = Arc::new(self.topology.edited(edit)?);
+            return Ok(());
+        }
         self.check(edit, states)?;
         match edit {
             SiteEdit::Charger(at) => self.charger_m = *at,
@@ -174,6 +198,8 @@ impl Site {
             SiteEdit::Visit { at_m, reached, utc_nanos } => {
                 self.reachability.report(at_m[0], at_m[1], *reached, *utc_nanos)?;
             }
+            // Done above.
+            SiteEdit::Topology(_) => {}
         }
         Ok(())
     }

@@ -4,11 +4,15 @@
 //! another each has another action; lengths and times are finite and in range. Ids are never reused, so that what was
 //! learned under one survives a rename or a changed length and is never taken for another's.
 
+mod edit;
+mod error;
 mod parts;
 mod roads;
 
 use std::collections::BTreeMap;
 
+pub use edit::{EdgeEnds, NewEdge, NewNode, TopologyEdit};
+pub use error::TopologyError;
 pub use parts::TopologyParts;
 pub use roads::{Arrival, ROADS_PAIRS_MAX, Roads, RoadsError, ShortestTimes};
 
@@ -111,86 +115,6 @@ pub struct Edge {
     pub action: Option<StateName>,
     /// Length and nominal time.
     pub extent: Extent,
-}
-
-/// Why a topological map cannot be as was asked.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum TopologyError {
-    /// No node has this name.
-    #[error("there is no node {0:?}")]
-    UnknownNode(String),
-    /// No node has this number.
-    #[error("there is no node of number {0}")]
-    UnknownNodeId(u32),
-    /// No edge has this number.
-    #[error("there is no edge of number {0}")]
-    UnknownEdgeId(u32),
-    /// Two nodes would have the same name.
-    #[error("node {0:?} exists already: names of nodes are unique")]
-    DuplicateNode(String),
-    /// Two edges would be the same.
-    #[error("edge {0} exists already: edges between the same nodes need different actions")]
-    DuplicateEdge(String),
-    /// Two nodes or two edges would have the same number, or one that is not given out yet.
-    #[error("{what} number {found} is used twice or not below the next one, {next}")]
-    Number {
-        /// "node" or "edge".
-        what: &'static str,
-        /// The number.
-        found: u32,
-        /// The next number that is given out.
-        next: u32,
-    },
-    /// An edge would end where it begins.
-    #[error("the edge from {0:?} leads to itself: an edge joins two different nodes")]
-    ToItself(String),
-    /// An edge's time is no time.
-    #[error("edge {edge} takes {found} s: its time is above 0 s and at most {NOMINAL_MAX_SECS} s")]
-    Duration {
-        /// Names of both ends.
-        edge: String,
-        /// What was given, in seconds.
-        found: f64,
-    },
-    /// An edge's length is no length.
-    #[error("edge {edge} is {found} m long: its length is above 0 m and at most {LENGTH_MAX_M} m")]
-    Length {
-        /// Names of both ends.
-        edge: String,
-        /// What was given, in metres.
-        found: f64,
-    },
-    /// An edge has neither length nor time.
-    #[error("edge {edge} has neither a length nor a time: give one of them")]
-    NoExtent {
-        /// Names of both ends.
-        edge: String,
-    },
-    /// A visit's time is no time.
-    #[error("a visit of node {node:?} takes {found} s: its time is 0 s to {NOMINAL_MAX_SECS} s")]
-    Dwell {
-        /// The node's name.
-        node: String,
-        /// What was given, in seconds.
-        found: f64,
-    },
-    /// A pose is no pose.
-    #[error("the pose of node {node:?} has the number {found}: coordinates are -{LENGTH_MAX_M} to {LENGTH_MAX_M} m")]
-    Pose {
-        /// The node's name.
-        node: String,
-        /// What was given.
-        found: f64,
-    },
-    /// The map would have too many nodes.
-    #[error("a map has at most {NODES_MAX} nodes")]
-    TooManyNodes,
-    /// The map would have too many edges.
-    #[error("a map has at most {EDGES_MAX} edges, and a link is two of them")]
-    TooManyEdges,
-    /// All numbers were given out.
-    #[error("this map has given out all numbers for its nodes or edges")]
-    NumbersUsedUp,
 }
 
 /// Nodes and edges of a map.

@@ -21,6 +21,7 @@ pub(crate) mod spec;
 pub(crate) mod tile;
 pub(crate) mod tile_model;
 pub(crate) mod tile_set;
+mod topology;
 mod varint;
 
 /// Why a record cannot be written, or is not believed.

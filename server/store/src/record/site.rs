@@ -10,7 +10,7 @@ use tidemap_map::{
 };
 use tidemap_migrations::v2::site as v2;
 
-use super::{Invalid, event::decode_state_name};
+use super::{Invalid, event::decode_state_name, topology};
 
 fn encode_place(at: [f64; 2]) -> v2::Place {
     let [x_bits, y_bits] = at.map(f64::to_bits);
@@ -54,6 +54,7 @@ pub(crate) fn encode(site: &Site) -> Option<v2::Site> {
         charger: site.charger_m().map(encode_place),
         locations: site.locations().iter().map(|(name, location)| encode_location(name, location)).collect(),
         attempts: site.reachability().parts().map(encode_attempts).collect(),
+        topology: topology::encode(site.topology()),
     })
 }
 
@@ -70,7 +71,11 @@ pub(crate) fn decode(message: &v2::Site, states: usize) -> Result<Site, String> 
     }
     let attempts = message.attempts.iter().map(decode_attempts).collect::<Result<Vec<_>, Invalid>>()?;
     let reachability = Reachability::default().with_parts(attempts).map_err(|error| error.to_string())?;
-    Ok(site.with_reachability(reachability))
+    let site = site.with_reachability(reachability);
+    Ok(match &message.topology {
+        Some(message) => site.with_topology(topology::decode(message)?),
+        None => site,
+    })
 }
 
 pub(super) fn encode_edit(edit: &SiteEdit) -> v2::SiteEdit {
@@ -79,11 +84,10 @@ pub(super) fn encode_edit(edit: &SiteEdit) -> v2::SiteEdit {
         SiteEdit::Charger(None) => v2::Change::NoCharger(true),
         SiteEdit::SetLocation(name, location) => v2::Change::SetLocation(encode_location(name, location)),
         SiteEdit::RemoveLocation(name) => v2::Change::RemoveLocation(name.as_str().to_owned()),
-        SiteEdit::Visit { at_m, reached, utc_nanos } => v2::Change::Visit(v2::Visit {
-            place: Some(encode_place(*at_m)),
-            reached: *reached,
-            utc_nanos: *utc_nanos,
-        }),
+        SiteEdit::Visit { at_m, reached, utc_nanos } => {
+            v2::Change::Visit(v2::Visit { place: Some(encode_place(*at_m)), reached: *reached, utc_nanos: *utc_nanos })
+        }
+        SiteEdit::Topology(edit) => v2::Change::Topology(topology::encode_edit(edit)),
     };
     v2::SiteEdit { change: Some(change) }
 }
@@ -101,5 +105,6 @@ pub(super) fn decode_edit(message: &v2::SiteEdit) -> Result<SiteEdit, Invalid> {
             let place = place.as_ref().ok_or("a visit has no place")?;
             SiteEdit::Visit { at_m: decode_place(place), reached: *reached, utc_nanos: *utc_nanos }
         }
+        v2::Change::Topology(edit) => SiteEdit::Topology(topology::decode_edit(edit)?),
     })
 }

@@ -141,8 +141,11 @@ fn edit_site() -> impl Strategy<Value = Event> {
         place.prop_map(SiteEdit::Charger),
         (name.clone(), location).prop_map(|(name, location)| SiteEdit::SetLocation(name, location)),
         name.prop_map(SiteEdit::RemoveLocation),
-        ([-1e7..=1e7, -1e7..=1e7], any::<(bool, i64)>())
-            .prop_map(|(at_m, (reached, utc_nanos))| SiteEdit::Visit { at_m, reached, utc_nanos }),
+        ([-1e7..=1e7, -1e7..=1e7], any::<(bool, i64)>()).prop_map(|(at_m, (reached, utc_nanos))| SiteEdit::Visit {
+            at_m,
+            reached,
+            utc_nanos
+        }),
     ];
     edit.prop_map(Event::EditSite)
 }

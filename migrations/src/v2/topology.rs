@@ -1,0 +1,159 @@
+//! The topological map of a site, and its edits.
+//!
+//! Invariant: doubles are kept as their bits; what is absent was not told. Nodes have names in edits, numbers in the map.
+
+/// Where a node lies, as bits.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Pose {
+    /// Metres along x.
+    #[prost(fixed64, tag = "1")]
+    pub x_bits: u64,
+    /// Metres along y.
+    #[prost(fixed64, tag = "2")]
+    pub y_bits: u64,
+    /// Heading, radians.
+    #[prost(fixed64, tag = "3")]
+    pub yaw_bits: u64,
+}
+
+/// A node; in an edit without number.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Node {
+    /// Its number.
+    #[prost(uint32, tag = "1")]
+    pub id: u32,
+    /// Its name.
+    #[prost(string, tag = "2")]
+    pub name: String,
+    /// Where it lies.
+    #[prost(message, optional, tag = "3")]
+    pub pose: Option<Pose>,
+    /// How long a visit takes, seconds.
+    #[prost(fixed64, optional, tag = "4")]
+    pub dwell_bits: Option<u64>,
+}
+
+/// An edge between nodes by number.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Edge {
+    /// Its number.
+    #[prost(uint32, tag = "1")]
+    pub id: u32,
+    /// Number of the node where it begins.
+    #[prost(uint32, tag = "2")]
+    pub from: u32,
+    /// Number of the node where it ends.
+    #[prost(uint32, tag = "3")]
+    pub to: u32,
+    /// How it is travelled.
+    #[prost(string, optional, tag = "4")]
+    pub action: Option<String>,
+    /// Metres.
+    #[prost(fixed64, optional, tag = "5")]
+    pub length_bits: Option<u64>,
+    /// Seconds.
+    #[prost(fixed64, optional, tag = "6")]
+    pub nominal_bits: Option<u64>,
+}
+
+/// All of it.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Topology {
+    /// The number that the next node gets.
+    #[prost(uint32, tag = "1")]
+    pub next_node: u32,
+    /// The number that the next edge gets.
+    #[prost(uint32, tag = "2")]
+    pub next_edge: u32,
+    /// Nodes, ascending by number.
+    #[prost(message, repeated, tag = "3")]
+    pub nodes: Vec<Node>,
+    /// Edges, ascending by number.
+    #[prost(message, repeated, tag = "4")]
+    pub edges: Vec<Edge>,
+}
+
+/// An edge between nodes by name.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct NamedEdge {
+    /// Name of the node where it begins.
+    #[prost(string, tag = "1")]
+    pub from: String,
+    /// Name of the node where it ends.
+    #[prost(string, tag = "2")]
+    pub to: String,
+    /// How it is travelled.
+    #[prost(string, optional, tag = "3")]
+    pub action: Option<String>,
+    /// The edge back as well.
+    #[prost(bool, tag = "4")]
+    pub both_ways: bool,
+    /// Metres.
+    #[prost(fixed64, optional, tag = "5")]
+    pub length_bits: Option<u64>,
+    /// Seconds.
+    #[prost(fixed64, optional, tag = "6")]
+    pub nominal_bits: Option<u64>,
+}
+
+/// A whole map at once.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Load {
+    /// Nodes.
+    #[prost(message, repeated, tag = "1")]
+    pub nodes: Vec<Node>,
+    /// Edges.
+    #[prost(message, repeated, tag = "2")]
+    pub edges: Vec<NamedEdge>,
+    /// What is not named is removed.
+    #[prost(bool, tag = "3")]
+    pub replaces: bool,
+}
+
+/// Another name of a node.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Rename {
+    /// The name so far.
+    #[prost(string, tag = "1")]
+    pub from: String,
+    /// The new name.
+    #[prost(string, tag = "2")]
+    pub to: String,
+}
+
+/// One change.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Edit {
+    /// What changes.
+    #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5, 6, 7, 8")]
+    pub change: Option<Change>,
+}
+
+/// What changes.
+#[derive(Clone, PartialEq, prost::Oneof)]
+pub enum Change {
+    /// All of it, or much.
+    #[prost(message, tag = "1")]
+    Load(Load),
+    /// A node is added.
+    #[prost(message, tag = "2")]
+    AddNode(Node),
+    /// A node's pose and visit.
+    #[prost(message, tag = "3")]
+    SetNode(Node),
+    /// The node of this name is removed.
+    #[prost(string, tag = "4")]
+    RemoveNode(String),
+    /// A node has another name.
+    #[prost(message, tag = "5")]
+    RenameNode(Rename),
+    /// An edge is added.
+    #[prost(message, tag = "6")]
+    AddEdge(NamedEdge),
+    /// An edge's length and time.
+    #[prost(message, tag = "7")]
+    SetExtent(NamedEdge),
+    /// An edge is removed.
+    #[prost(message, tag = "8")]
+    RemoveEdge(NamedEdge),
+}
