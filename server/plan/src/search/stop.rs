@@ -12,6 +12,8 @@ pub struct Stop {
     /// What a second of search costs, in units of what finding is worth; 0 up. The walk ends where what is still to be gained,
     /// probability by probability, is worth less than the time to expect it to take.
     pub cost_per_sec: Option<f64>,
+    /// Seconds after the start by which the robot has to be at the last place; 0 up. The order is that of a search without end.
+    pub within_secs: Option<f64>,
 }
 
 /// Why a walk ends before all goals are visited.
@@ -21,6 +23,8 @@ pub enum Stopped {
     Unlikely,
     /// What remains is not worth the time.
     NotWorthIt,
+    /// The time is over.
+    OutOfTime,
 }
 
 /// A limit of the stop rule that is none.
@@ -32,6 +36,9 @@ pub enum StopError {
     /// Of what a second costs.
     #[error("a second of search costs {0}: expected 0 up")]
     Cost(f64),
+    /// Of how long it may take.
+    #[error("a search may take {0} s: expected 0 up")]
+    Within(f64),
 }
 
 impl Stop {
@@ -39,7 +46,10 @@ impl Stop {
         match (self.remains_below, self.cost_per_sec) {
             (Some(below), _) if !(0.0..=1.0).contains(&below) => Err(StopError::Remains(below)),
             (_, Some(cost)) if !(0.0..=f64::MAX).contains(&cost) => Err(StopError::Cost(cost)),
-            _ => Ok(()),
+            _ => match self.within_secs.filter(|secs| !(0.0..=f64::MAX).contains(secs)) {
+                Some(secs) => Err(StopError::Within(secs)),
+                None => Ok(()),
+            },
         }
     }
 
@@ -47,11 +57,18 @@ impl Stop {
     pub(super) fn apply(&self, plan: &mut Plan) {
         let unlikely = self.remains_below.map_or(plan.steps.len(), |below| steps_until_unlikely(plan, below));
         let worth = self.cost_per_sec.map_or(plan.steps.len(), |cost| steps_worth_it(plan, cost));
-        let kept = unlikely.min(worth);
+        let in_time = self
+            .within_secs
+            .map_or(plan.steps.len(), |within| plan.steps.partition_point(|step| step.arrival_secs <= within));
+        let kept = unlikely.min(worth).min(in_time);
         if kept >= plan.steps.len() {
             return;
         }
-        plan.stopped = Some(if worth < unlikely { Stopped::NotWorthIt } else { Stopped::Unlikely });
+        plan.stopped = Some(match kept {
+            kept if kept == unlikely => Stopped::Unlikely,
+            kept if kept == worth => Stopped::NotWorthIt,
+            _ => Stopped::OutOfTime,
+        });
         let left = plan.steps[kept..].iter().map(|step| step.probability).sum();
         plan.steps.truncate(kept);
         let end_secs = plan.steps.last().map_or(0.0, |step| step.arrival_secs);

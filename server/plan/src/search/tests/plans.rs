@@ -176,17 +176,17 @@ fn a_search_ends_where_little_remains_or_it_is_not_worth_it() {
     let (flat, [hall, near, far, closet]) = flat();
     let likely = [(hall, 0.5), (near, 0.3), (far, 0.15), (closet, 0.05)];
     let stopped = |stop: Stop| plan(&flat, &likely, &Options { stop, ..Options::default() }).unwrap();
-    let unlikely = stopped(Stop { remains_below: Some(0.25), cost_per_sec: None });
+    let unlikely = stopped(Stop { remains_below: Some(0.25), ..Stop::default() });
     assert_eq!(steps(&unlikely), [(0, 0.0), (1, 5.0)]);
     assert_eq!(unlikely.walk.len(), 2);
     assert!((unlikely.remains - 0.2).abs() < 1e-12);
     assert_eq!(unlikely.stopped, Some(Stopped::Unlikely));
     // To gain the last 0.2 takes 25 s and more; 0.3 at 5 s is worth it at a cost of 0.02 a second, 0.15 at 30 s is not.
-    let dear = stopped(Stop { remains_below: None, cost_per_sec: Some(0.05) });
+    let dear = stopped(Stop { cost_per_sec: Some(0.05), ..Stop::default() });
     assert_eq!((steps(&dear), dear.stopped), (vec![(0, 0.0), (1, 5.0)], Some(Stopped::NotWorthIt)));
-    let cheap = stopped(Stop { remains_below: None, cost_per_sec: Some(0.0) });
+    let cheap = stopped(Stop { cost_per_sec: Some(0.0), ..Stop::default() });
     assert_eq!((cheap.steps.len(), cheap.stopped), (4, None));
-    let nothing = stopped(Stop { remains_below: Some(1.0), cost_per_sec: Some(1e9) });
+    let nothing = stopped(Stop { remains_below: Some(1.0), cost_per_sec: Some(1e9), within_secs: None });
     assert!(nothing.steps.len() <= 1);
 }
 
