@@ -121,11 +121,17 @@ const RESERVED: [&str; 4] = ["cell", "edge", "node", "landmark"];
 /// `NAME/x` as name and number of the axis.
 fn split_axis(name: &str) -> Option<(&str, usize)> {
     let (vector, axis) = name.rsplit_once('/')?;
-    Some((vector, Dimensions::axis(axis)?))
+    // A vector has a plain name: what is called `node/N/x` is at a node.
+    Some((vector, Dimensions::axis(axis)?)).filter(|(vector, _)| !vector.contains('/'))
+}
+
+/// `node/N/KIND` as the node and the kind of what is there.
+fn split_object(name: &str) -> Option<(&str, &str)> {
+    name.strip_prefix("node/")?.split_once('/')
 }
 
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`; or that of an axis of a vector,
-/// such a name with `/x`, `/y` or `/z`.
+/// such a name with `/x`, `/y` or `/z`; or `node/N/KIND`, which tells whether something of a kind is at node N.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
 
@@ -142,6 +148,19 @@ impl StateName {
         Ok(Self(name.into()))
     }
 
+    /// As [`StateName::new`], or `node/N/KIND` with plain names for node and kind, 128 characters in all. Whether there is
+    /// such a node is not asked: it may be added later.
+    ///
+    /// # Errors
+    /// [`InvalidName`], with what is wrong.
+    pub fn observed(name: &str) -> Result<Self, InvalidName> {
+        let Some((node, kind)) = split_object(name) else { return Self::new(name) };
+        check(name)?;
+        Self::new(node)?;
+        Self::new(kind)?;
+        Ok(Self(name.into()))
+    }
+
     /// Name of the state of one axis of a vector with this name, `NAME/x` for axis 0. A plain name has no `/`, so that
     /// no producer can send observations of such a state but by positions.
     #[must_use]
@@ -155,10 +174,14 @@ impl StateName {
     /// # Errors
     /// [`InvalidName::Reserved`].
     pub fn check_vector(&self) -> Result<(), InvalidName> {
-        if RESERVED.contains(&&*self.0) { Err(InvalidName::Reserved(shown(&self.0))) } else { Ok(()) }
+        if RESERVED.contains(&&*self.0) || self.0.contains('/') {
+            Err(InvalidName::Reserved(shown(&self.0)))
+        } else {
+            Ok(())
+        }
     }
 
-    /// As [`StateName::new`], or the name of an axis of a vector, as [`StateName::axis`] gives it.
+    /// As [`StateName::observed`], or the name of an axis of a vector, as [`StateName::axis`] gives it.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
@@ -169,7 +192,7 @@ impl StateName {
                 vector.check_vector()?;
                 Ok(vector.axis(axis))
             }
-            None => Self::new(name),
+            None => Self::observed(name),
         }
     }
 
@@ -336,7 +359,22 @@ mod tests {
         for bad in ["anna/w", "anna/x/y", "/x", "anna/", "cell/x", "node/x", "a\nb/x"] {
             assert!(StateName::stored(bad).is_err(), "{bad}");
         }
+        assert!(StateName::observed("anna/y").is_err());
         let longest = StateName::new(&"ü".repeat(128)).expect("valid").axis(2);
         assert_eq!(StateName::stored(longest.as_str()), Ok(longest));
+    }
+
+    #[test]
+    fn what_is_at_a_node_has_a_name_of_its_own() {
+        for good in ["node/Kitchen/Anna", "node/a/x", "plain"] {
+            let name = StateName::observed(good).expect("valid");
+            assert_eq!((name.as_str(), name.as_axis()), (good, None));
+            assert_eq!(StateName::stored(good), Ok(name));
+        }
+        assert!(StateName::observed("node/a/x").expect("valid").check_vector().is_err());
+        let long = format!("node/{}/{}", "n".repeat(70), "k".repeat(70));
+        for bad in ["node/a", "node//k", "node/a/", "node/a/b/c", "edge/a/b", "node/a\n/b", &long] {
+            assert!(StateName::observed(bad).is_err(), "{bad}");
+        }
     }
 }

@@ -211,7 +211,7 @@ impl Intake {
         for (raw, form) in names.into_iter().zip(forms) {
             let is_vector = matches!(form, Some(Form::Vector(_)));
             self.has_vectors |= is_vector;
-            let name = StateName::new(&raw)
+            let name = StateName::observed(&raw)
                 .and_then(|name| if is_vector { name.check_vector().map(|()| name) } else { Ok(name) });
             let (name, refusal) = match name {
                 Ok(name) => (Some(NewName { name, form }), None),
