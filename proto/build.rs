@@ -5,7 +5,7 @@ use std::{env, error::Error, fs, path::PathBuf};
 
 use prost::Message as _;
 
-const FILES: [&str; 6] = ["types", "map", "observation", "query", "exploration", "maintenance"];
+const FILES: [&str; 7] = ["types", "map", "observation", "query", "exploration", "route", "maintenance"];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let paths: Vec<String> = FILES.iter().map(|file| format!("tidemap/v1/{file}.proto")).collect();

@@ -19,9 +19,11 @@ mod position;
 mod predict;
 mod producer_id;
 mod reconstruct;
+mod search;
 mod state;
 mod stats;
 mod times;
+mod topology;
 mod tour;
 mod update;
 mod visit;
@@ -119,6 +121,14 @@ enum Command {
     ///
     /// An empty location is a slot to rest, or for other tasks.
     Day(day::DayArgs),
+    /// Loads, shows and changes topological maps: nodes, and the ways between them
+    #[command(subcommand)]
+    Topology(topology::TopologyCommand),
+    /// Plans where to look first for somebody, over the topological map
+    ///
+    /// How likely it is to find somebody at a node is predicted from the state of the same name. Places that are passed on
+    /// the way to others are looked at too. expected_secs is the time to find to expect, the same in each row.
+    Search(search::SearchArgs),
     /// Lists and watches jobs
     #[command(subcommand)]
     Job(job::JobCommand),
@@ -179,6 +189,8 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Visit(args) => visit::run(&session, &args).await,
         Command::Tour(args) => tour::run(&session, args).await,
         Command::Day(args) => day::run(&session, args).await,
+        Command::Topology(command) => topology::run(&session, command).await,
+        Command::Search(args) => search::run(&session, args).await,
         Command::Job(command) => job::run(&session, &command).await,
         Command::Stats(args) => stats::run(&session, &args).await,
         Command::Bench(command) => bench::run(&session, &command).await,

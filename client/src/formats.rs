@@ -19,6 +19,7 @@ pub mod png;
 mod points;
 mod scalar;
 mod text;
+pub mod topology;
 pub mod tour_svg;
 
 pub use picture::{MapPicture, PictureCell, PictureError};

@@ -1,7 +1,7 @@
 //! The tidemap client: asks and feeds a map that knows *when* things change.
 //!
-//! [`Client`] reaches a daemon; its methods are in [`maps`], [`queries`], [`exploration`] and
-//! [`updates`]. [`observe::Producer`] sends
+//! [`Client`] reaches a daemon; its methods are in [`maps`], [`queries`], [`exploration`], [`routes`]
+//! and [`updates`]. [`observe::Producer`] sends
 //! observations and scans, each exactly once, whatever happens to connections; [`scan_file`] keeps scans in files.
 //!
 //! Invariant: times are i64 nanoseconds UTC and nothing here decides anything about maps or models; the daemon does.
@@ -13,6 +13,7 @@ pub mod exploration;
 pub mod maps;
 pub mod observe;
 pub mod queries;
+pub mod routes;
 pub mod scan_file;
 pub mod time;
 pub mod updates;

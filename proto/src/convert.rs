@@ -12,6 +12,7 @@ pub mod exploration;
 pub mod grid;
 pub mod map;
 pub mod query;
+pub mod route;
 pub mod scans;
 pub mod site;
 pub mod time;

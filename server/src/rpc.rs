@@ -7,8 +7,10 @@ pub mod maintenance;
 pub mod map;
 pub mod observation;
 pub mod query;
+pub mod route;
 pub mod serve;
 pub mod status;
 
 mod acks;
 mod page;
+mod series;

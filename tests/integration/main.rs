@@ -8,5 +8,6 @@ mod grid;
 mod kinds;
 mod main_job;
 mod model_test;
+mod search;
 mod tidy;
 mod vectors;

@@ -26,13 +26,13 @@ use super::{
         fitting::Fitting,
         replies::{Replies, Turns, processors},
     },
+    series::Means,
     status::RpcError,
 };
 use crate::catalog::Catalog;
 
 mod day;
 mod information;
-mod series;
 mod tour;
 mod views;
 
@@ -66,7 +66,9 @@ pub enum PlanError {
     #[error(transparent)]
     Threshold(#[from] InvalidThreshold),
     /// Nobody knows where the robot starts.
-    #[error("the map has no charger, and no start was given: give one, or set the charger with `tidemap map set --charger`")]
+    #[error(
+        "the map has no charger, and no start was given: give one, or set the charger with `tidemap map set --charger`"
+    )]
     NoStart,
 }
 
@@ -117,6 +119,11 @@ impl Explorations {
         PredictOptions { max_cells: self.limits.cells, ..PredictOptions::default() }
     }
 
+    /// What predicting takes.
+    fn means(&self) -> Means<'_> {
+        Means { fitting: &self.fitting, turns: &self.turns, predictions: self.limits.predictions }
+    }
+
     fn look_limits(&self) -> LookLimits {
         LookLimits { max_work: self.limits.view_work }
     }
@@ -154,10 +161,7 @@ impl ExplorationService for Explorations {
         Ok(Response::new(views::evaluate_views(self, request.into_inner()).await?))
     }
 
-    async fn plan_tour(
-        &self,
-        request: Request<v1::PlanTourRequest>,
-    ) -> Result<Response<v1::PlanTourResponse>, Status> {
+    async fn plan_tour(&self, request: Request<v1::PlanTourRequest>) -> Result<Response<v1::PlanTourResponse>, Status> {
         Ok(Response::new(tour::plan_tour(self, request.into_inner()).await?))
     }
 

@@ -98,7 +98,7 @@ impl MapService for Maps {
         let v1::AddStateRequest { map, state, kind, dimensions } = request.into_inner();
         let handle = find_map(&self.catalog, &map)?;
         let invalid = |error| RpcError::from(InvalidField::new("state", error));
-        let name = StateName::new(&state).map_err(invalid)?;
+        let name = StateName::observed(&state).map_err(invalid)?;
         let form = form_from_wire(("kind", kind), ("dimensions", dimensions)).map_err(RpcError::from)?;
         let form = form.unwrap_or_default();
         if let Form::Vector(_) = form {

@@ -10,8 +10,10 @@ use std::{
 
 use tidemap_proto::convert::scans::ScanLimits;
 use tidemap_proto::v1::{
-    DESCRIPTORS, exploration_service_server::ExplorationServiceServer, maintenance_service_server::MaintenanceServiceServer, map_service_server::MapServiceServer,
+    DESCRIPTORS, exploration_service_server::ExplorationServiceServer,
+    maintenance_service_server::MaintenanceServiceServer, map_service_server::MapServiceServer,
     observation_service_server::ObservationServiceServer, query_service_server::QueryServiceServer,
+    route_service_server::RouteServiceServer,
 };
 use tokio::{
     net::TcpListener,
@@ -25,11 +27,14 @@ use super::{
     map::Maps,
     observation::{Observations, StreamLimits},
     query::{Queries, QueryLimits},
+    route::Routes,
 };
 use crate::{catalog::Catalog, config::Settings, ingest::intake::IntakeLimits};
 
 /// Bytes of a request other than observations: 100,000 times and thousands of names fit.
 const REQUEST_BYTES: usize = 1 << 20;
+/// Bytes of a topological map, which is loaded whole; the log takes it as one record of 16 MiB at most.
+const TOPOLOGY_BYTES: usize = 12 << 20;
 /// Most requests of one connection at once.
 const STREAMS_PER_CONNECTION: u32 = 64;
 /// Bytes of a stream that are on their way and not read yet.
@@ -86,6 +91,7 @@ pub async fn serve(
         view_work: settings.max_view_work,
     };
     let explorations = Explorations::new(Arc::clone(&catalog), &queries, plans);
+    let routes = Routes::new(Arc::clone(&catalog), &queries, settings.max_predictions);
     let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
     let local = listener.local_addr()?.ip().is_loopback();
     let reflection = tonic_reflection::server::Builder::configure()
@@ -112,6 +118,7 @@ pub async fn serve(
                 .max_encoding_message_size(64 << 20),
         )
         .add_service(ExplorationServiceServer::new(explorations).max_decoding_message_size(REQUEST_BYTES))
+        .add_service(RouteServiceServer::new(routes).max_decoding_message_size(TOPOLOGY_BYTES))
         .add_service(MaintenanceServiceServer::new(Maintenance { catalog }).max_decoding_message_size(REQUEST_BYTES))
         .serve_with_incoming_shutdown(TcpIncoming::from(listener).with_nodelay(Some(true)), stop)
         .await?;

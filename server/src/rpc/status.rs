@@ -21,7 +21,11 @@ use crate::{
         intake::IntakeError,
         protocol::{AddStateError, EditSiteError, Ending, HelloError, is_fatal},
     },
-    rpc::{exploration::PlanError, query::Unavailable},
+    rpc::{
+        exploration::PlanError,
+        query::Unavailable,
+        route::{RouteError, refusal_of},
+    },
 };
 
 const DOMAIN: &str = "tidemap";
@@ -148,6 +152,9 @@ pub enum RpcError {
     /// There is no plan.
     #[error(transparent)]
     Plan(#[from] PlanError),
+    /// There is no walk.
+    #[error(transparent)]
+    Route(#[from] RouteError),
     /// A stream was not accepted.
     #[error(transparent)]
     Hello(#[from] HelloError),
@@ -260,11 +267,13 @@ impl RpcError {
                 EditSiteError::Invalid(InvalidEdit::TooManyLocations(_) | InvalidEdit::TooManyStates { .. }) => {
                     (Code::ResourceExhausted, "LIMIT")
                 }
+                EditSiteError::Invalid(InvalidEdit::Topology(error)) => refusal_of(error),
                 EditSiteError::Invalid(_) => (Code::InvalidArgument, "INVALID_FIELD"),
                 EditSiteError::Storage(error) => append_code(error),
                 EditSiteError::Closing => (Code::Unavailable, "STOPPING"),
             },
             Self::Plan(error) => error.code_and_reason(),
+            Self::Route(error) => error.code_and_reason(),
             Self::Hello(error) => match error {
                 HelloError::AlreadyStreaming(_) => (Code::AlreadyExists, "ALREADY_STREAMING"),
                 HelloError::Fenced { .. } => (Code::Aborted, "FENCED"),

@@ -19,10 +19,7 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{
-    Explorations, PlanError,
-    series::{check_kind, series},
-};
+use super::{Explorations, PlanError};
 use crate::{
     ingest::protocol::EditSiteError,
     rpc::{
@@ -32,6 +29,7 @@ use crate::{
             replies::{Replies, computed, streamed},
             states::{cell_of, find_cell},
         },
+        series::{check_kind, series},
         status::RpcError,
     },
 };
@@ -147,7 +145,7 @@ pub(super) async fn get_information(
                 Target::States(states) => {
                     tokio::select! {
                         () = computed.unwanted() => return Ok(()),
-                        rows = series(&asked, &handle, &view, (states, times_nanos.clone()), selector) => rows?,
+                        rows = series(asked.means(), &handle, &view, (states, times_nanos.clone()), selector) => rows?,
                     }
                 }
                 Target::Cell(cell) => {

@@ -11,17 +11,29 @@ use tidemap_map::{
 };
 use tidemap_proto::convert::InvalidField;
 
-use super::Explorations;
-use crate::{
-    ingest::handle::MapHandle,
-    rpc::{
-        query::{check_limit, fitting::Learned},
-        status::RpcError,
+use super::{
+    query::{
+        check_limit,
+        fitting::{Fitting, Learned},
+        replies::Turns,
     },
+    status::RpcError,
 };
+use crate::{fits::Fitted, ingest::handle::MapHandle};
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;
+
+/// What predicting for a plan takes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Means<'a> {
+    /// Fits models to readings.
+    pub fitting: &'a Arc<Fitting>,
+    /// Turns to compute.
+    pub turns: &'a Turns,
+    /// Most predictions of one request.
+    pub predictions: u64,
+}
 
 /// A state that has an entropy.
 ///
@@ -42,16 +54,16 @@ pub(super) fn check_kind(view: &MapView, id: StateId, field: &str) -> Result<(),
 /// # Errors
 /// There are more predictions than may be, or a model cannot be fitted.
 pub(super) async fn series(
-    explorations: &Explorations,
+    means: Means<'_>,
     handle: &Arc<MapHandle>,
     view: &Arc<MapView>,
     (states, times_nanos): (Vec<StateId>, Vec<i64>),
     selector: ModelSelector,
 ) -> Result<Vec<Vec<f64>>, RpcError> {
     let predictions = states.len() as u64 * times_nanos.len() as u64;
-    check_limit("predictions", predictions, explorations.limits.predictions, "setting max_predictions")?;
+    check_limit("predictions", predictions, means.predictions, "setting max_predictions")?;
     if !selector.kind.needs_readings() {
-        let turn = explorations.turns.take().await?;
+        let turn = means.turns.take().await?;
         let view = Arc::clone(view);
         let predict = move || {
             let _turn = turn;
@@ -72,8 +84,8 @@ pub(super) async fn series(
     let mut rows = Vec::with_capacity(states.len());
     for id in states {
         let learned = Learned::new(Arc::clone(handle), Arc::clone(view), id);
-        let fitted = explorations.fitting.fitted(&learned, selector.kind).await?;
-        let turn = explorations.turns.take().await?;
+        let fitted = means.fitting.fitted(&learned, selector.kind).await?;
+        let turn = means.turns.take().await?;
         let (view, moments) = (Arc::clone(view), Arc::clone(&moments));
         let predict = move || {
             let _turn = turn;
@@ -84,4 +96,49 @@ pub(super) async fn series(
         rows.push(tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)?);
     }
     Ok(rows)
+}
+
+/// Predicts states at any time, one after the other.
+#[derive(Debug)]
+pub(super) struct Predictor {
+    view: Arc<MapView>,
+    states: Vec<StateId>,
+    selector: ModelSelector,
+    /// Models that were fitted to readings, one per state; empty where none has to be.
+    fitted: Vec<Arc<Fitted>>,
+}
+
+impl Predictor {
+    /// # Errors
+    /// A model cannot be fitted.
+    pub(super) async fn new(
+        means: Means<'_>,
+        handle: &Arc<MapHandle>,
+        view: &Arc<MapView>,
+        states: Vec<StateId>,
+        selector: ModelSelector,
+    ) -> Result<Predictor, RpcError> {
+        let mut fitted = Vec::new();
+        if selector.kind.needs_readings() {
+            for &id in &states {
+                let learned = Learned::new(Arc::clone(handle), Arc::clone(view), id);
+                fitted.push(means.fitting.fitted(&learned, selector.kind).await?);
+            }
+        }
+        Ok(Predictor { view: Arc::clone(view), states, selector, fitted })
+    }
+
+    /// Probability that a state, by its index, is 1 at a time in nanoseconds UTC.
+    pub(super) fn at(&self, index: usize, time_nanos: i64) -> f64 {
+        let Some(&id) = self.states.get(index) else { return 0.0 };
+        let mut row = [0.0];
+        match self.fitted.get(index) {
+            Some(fitted) => {
+                let moments = self.view.moments(&[time_nanos]);
+                fitted.predict_into(&self.view, id, &moments, self.selector, &mut row);
+            }
+            None => self.view.predict_into(id, &self.view.prepare(&[time_nanos]), self.selector, &mut row),
+        }
+        row[0]
+    }
 }

@@ -1,0 +1,228 @@
+//! `tidemap topology`.
+//!
+//! Invariant: a file is loaded whole or not at all; what was changed is durable.
+
+use std::{
+    fs,
+    io::{self, Read as _},
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use anyhow::Context as _;
+use clap::{Args, Subcommand};
+use tidemap::routes::{Edge, EdgeEnds, Node, Topology, TopologyEdit, TopologySize};
+
+use super::{Misused, Session, point::Point};
+use crate::{
+    formats::topology::{read_lines, read_yaml},
+    output::{Cell, Sheet},
+};
+
+#[derive(Debug, Subcommand)]
+pub enum TopologyCommand {
+    /// Loads nodes and edges from a file, in place of those that are there; those of the same names keep their numbers
+    ///
+    /// A file that ends in .yaml or .yml is a ROS topological map. Any other has lines `node A`, `link A B SECONDS` (both
+    /// ways) and `edge A B SECONDS` (one way); - is stdin.
+    Load {
+        /// Name of the map
+        map: String,
+        /// The file
+        file: PathBuf,
+        /// Adds to the nodes and edges that are there
+        #[arg(long)]
+        add: bool,
+    },
+    /// Shows the nodes, or the edges
+    Show {
+        /// Name of the map
+        map: String,
+        /// Shows the edges, each direction as one
+        #[arg(long)]
+        edges: bool,
+    },
+    /// Changes one node or edge
+    #[command(subcommand)]
+    Edit(EditCommand),
+}
+
+#[derive(Debug, Subcommand)]
+pub enum EditCommand {
+    /// Adds a node
+    AddNode(NodeArgs),
+    /// Says where a node lies, and how long a look there takes
+    SetNode(NodeArgs),
+    /// Removes a node, and all edges at it
+    RemoveNode {
+        /// Name of the map
+        map: String,
+        /// Name of the node
+        node: String,
+    },
+    /// Renames a node; states are not renamed
+    RenameNode {
+        /// Name of the map
+        map: String,
+        /// Its name so far
+        from: String,
+        /// Its new name
+        to: String,
+    },
+    /// Adds an edge both ways
+    Link(LinkArgs),
+    /// Gives an edge, both ways, another time or length
+    SetLink(LinkArgs),
+    /// Removes an edge, both ways
+    Unlink(EndsArgs),
+}
+
+#[derive(Debug, Args)]
+pub struct NodeArgs {
+    /// Name of the map
+    map: String,
+    /// Name of the node
+    node: String,
+    /// Where it lies, metres
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+    position: Option<Point>,
+    /// Its heading, radians from the x axis
+    #[arg(long, value_name = "RAD", allow_hyphen_values = true, default_value_t = 0.0, requires = "position")]
+    yaw: f64,
+    /// How long a look there takes, seconds
+    #[arg(long, value_name = "SECONDS", allow_hyphen_values = true)]
+    dwell: Option<f64>,
+}
+
+#[derive(Debug, Args)]
+pub struct EndsArgs {
+    /// Name of the map
+    map: String,
+    /// Name of the node where it begins
+    from: String,
+    /// Name of the node where it ends
+    to: String,
+    /// How it is travelled [default: as usual]
+    #[arg(long, default_value = "", hide_default_value = true)]
+    action: String,
+    /// Not the way back
+    #[arg(long)]
+    one_way: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct LinkArgs {
+    #[command(flatten)]
+    ends: EndsArgs,
+    /// What it nominally takes
+    #[arg(allow_hyphen_values = true, required_unless_present = "length")]
+    seconds: Option<f64>,
+    /// Its length, metres
+    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    length: Option<f64>,
+}
+
+impl NodeArgs {
+    fn node(self) -> (String, Node) {
+        let pose = self.position.map(|Point([x, y])| [x, y, self.yaw]);
+        (self.map, Node { name: self.node, pose, dwell_secs: self.dwell, id: 0 })
+    }
+}
+
+impl EndsArgs {
+    fn ends(self) -> (String, EdgeEnds) {
+        let EndsArgs { map, from, to, action, one_way } = self;
+        (map, EdgeEnds { from, to, action, both_ways: !one_way })
+    }
+}
+
+impl LinkArgs {
+    fn edge(self) -> (String, Edge) {
+        let (map, ends) = self.ends.ends();
+        (map, Edge { ends, length_m: self.length, nominal_secs: self.seconds, id: 0 })
+    }
+}
+
+impl EditCommand {
+    fn edit(self) -> (String, TopologyEdit) {
+        fn of<T>((map, what): (String, T), edit: impl FnOnce(T) -> TopologyEdit) -> (String, TopologyEdit) {
+            (map, edit(what))
+        }
+        match self {
+            EditCommand::AddNode(args) => of(args.node(), TopologyEdit::AddNode),
+            EditCommand::SetNode(args) => of(args.node(), TopologyEdit::SetNode),
+            EditCommand::RemoveNode { map, node } => (map, TopologyEdit::RemoveNode(node)),
+            EditCommand::RenameNode { map, from, to } => (map, TopologyEdit::RenameNode { from, to }),
+            EditCommand::Link(args) => of(args.edge(), TopologyEdit::AddEdge),
+            EditCommand::SetLink(args) => of(args.edge(), TopologyEdit::SetEdge),
+            EditCommand::Unlink(args) => of(args.ends(), TopologyEdit::RemoveEdge),
+        }
+    }
+}
+
+/// Reads a file, by its ending.
+fn read(path: &Path) -> anyhow::Result<Topology> {
+    let mut text = String::new();
+    if path.as_os_str() == "-" {
+        io::stdin().lock().read_to_string(&mut text).context("stdin")?;
+    } else {
+        text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    }
+    let is_yaml =
+        path.extension().is_some_and(|ending| ["yaml", "yml"].iter().any(|yaml| ending.eq_ignore_ascii_case(yaml)));
+    let topology = if is_yaml { read_yaml(&text) } else { read_lines(&text) };
+    topology.with_context(|| path.display().to_string())
+}
+
+pub async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<ExitCode> {
+    let size = match command {
+        TopologyCommand::Load { map, file, add } => {
+            let topology = read(&file)?;
+            if topology.nodes.is_empty() && !add {
+                return Err(Misused(format!(
+                    "{}: it holds no nodes: write a line `node NAME` for each",
+                    file.display()
+                ))
+                .into());
+            }
+            session.client.load_topology(&map, &topology, add).await?
+        }
+        TopologyCommand::Show { map, edges } => {
+            let topology = session.client.topology(&map).await?;
+            if edges {
+                show_edges(session, topology)?;
+            } else {
+                show_nodes(session, topology)?;
+            }
+            return Ok(ExitCode::SUCCESS);
+        }
+        TopologyCommand::Edit(edit) => {
+            let (map, edit) = edit.edit();
+            session.client.edit_topology(&map, &edit).await?
+        }
+    };
+    let TopologySize { nodes, edges } = size;
+    let mut sheet = Sheet::stdout(session.format, &["nodes", "edges"]);
+    sheet.row(vec![nodes.into(), edges.into()])?;
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn show_nodes(session: &Session, topology: Topology) -> io::Result<()> {
+    let mut sheet = Sheet::stdout(session.format, &["node", "id", "x", "y", "yaw_rad", "dwell_secs"]);
+    for Node { name, pose, dwell_secs, id } in topology.nodes {
+        let [x, y, yaw] = pose.map_or([None; 3], |pose| pose.map(Some));
+        let [x, y, yaw, dwell] = [x, y, yaw, dwell_secs].map(Cell::maybe);
+        sheet.row(vec![Cell::Text(name), id.into(), x, y, yaw, dwell])?;
+    }
+    sheet.finish()
+}
+
+fn show_edges(session: &Session, topology: Topology) -> io::Result<()> {
+    let mut sheet = Sheet::stdout(session.format, &["from", "to", "action", "id", "duration_secs", "length_m"]);
+    for Edge { ends, length_m, nominal_secs, id } in topology.edges {
+        let [from, to, action] = [ends.from, ends.to, ends.action].map(Cell::Text);
+        sheet.row(vec![from, to, action, id.into(), Cell::maybe(nominal_secs), Cell::maybe(length_m)])?;
+    }
+    sheet.finish()
+}

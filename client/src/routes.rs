@@ -1,0 +1,336 @@
+//! Topological maps: nodes and edges by name, and where to look first for somebody.
+//!
+//! Invariant: what was loaded or edited is durable when the answer is there; a load is taken whole or not at all.
+
+use tidemap_proto::v1::{self, edit_topology_request::Edit, route_service_client::RouteServiceClient};
+
+use crate::{
+    connection::{Client, Connection},
+    error::Error,
+    queries::ModelSelector,
+    wire::duration,
+};
+
+/// Bytes of the largest topological map that is read: a million edges with names of usual length.
+const TOPOLOGY_BYTES: usize = 256 << 20;
+
+/// A place.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Node {
+    /// Its name.
+    pub name: String,
+    /// x, y in metres and heading in radians; `None`: not told.
+    pub pose: Option<[f64; 3]>,
+    /// How long a look there takes; `None`: none.
+    pub dwell_secs: Option<f64>,
+    /// Its number; of no meaning to the daemon.
+    pub id: u32,
+}
+
+/// Which way between two nodes.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct EdgeEnds {
+    /// Name of the node where it begins.
+    pub from: String,
+    /// Name of the node where it ends.
+    pub to: String,
+    /// How it is travelled; empty: as usual.
+    pub action: String,
+    /// The way back as well.
+    pub both_ways: bool,
+}
+
+/// A way from one node to another. At least one of length and time is given.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Edge {
+    /// Which.
+    pub ends: EdgeEnds,
+    /// Its length, metres.
+    pub length_m: Option<f64>,
+    /// What it nominally takes.
+    pub nominal_secs: Option<f64>,
+    /// Its number; of no meaning to the daemon.
+    pub id: u32,
+}
+
+/// Nodes and edges.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Topology {
+    /// The nodes.
+    pub nodes: Vec<Node>,
+    /// The edges.
+    pub edges: Vec<Edge>,
+}
+
+/// A change of one node or edge.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TopologyEdit {
+    /// Adds a node.
+    AddNode(Node),
+    /// Says where a node lies, and how long a look takes.
+    SetNode(Node),
+    /// Removes a node, and all edges at it.
+    RemoveNode(String),
+    /// Renames a node.
+    RenameNode {
+        /// The name so far.
+        from: String,
+        /// The new name.
+        to: String,
+    },
+    /// Adds an edge, or both ways.
+    AddEdge(Edge),
+    /// Gives an edge, or both ways as far as there are, another length and time.
+    SetEdge(Edge),
+    /// Removes an edge, or both ways as far as there are.
+    RemoveEdge(EdgeEnds),
+}
+
+/// How many nodes and edges there are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TopologySize {
+    /// Nodes.
+    pub nodes: u32,
+    /// Edges; each direction is one.
+    pub edges: u32,
+}
+
+/// How hard to look for the best order.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SearchEffort {
+    /// The best order of up to 40 places, a good one of more.
+    #[default]
+    Auto,
+    /// The best order; more places are refused.
+    Exact,
+    /// A good order.
+    Heuristic,
+}
+
+/// What is asked of a search. `None`: the daemon's default.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SearchQuery {
+    /// Name of the map.
+    pub map: String,
+    /// Name of the node where the robot is.
+    pub start: String,
+    /// When it starts, nanoseconds UTC.
+    pub time_nanos: i64,
+    /// Whom or what to look for: the states `node/N/OBJECT`; empty: the states called like the nodes.
+    pub object: String,
+    /// When the robot has to be at the last place, nanoseconds after its start.
+    pub budget_nanos: Option<i64>,
+    /// How hard to look for the best order.
+    pub effort: SearchEffort,
+    /// How long to look for it, nanoseconds.
+    pub plan_within_nanos: Option<i64>,
+    /// End once less than this share of the probability remains.
+    pub remains_below: Option<f64>,
+    /// What a second of search costs, in units of what finding is worth.
+    pub cost_per_sec: Option<f64>,
+    /// Each place counts as predicted for the robot's arrival there.
+    pub for_arrival: bool,
+    /// Which model predicts.
+    pub model: ModelSelector,
+    /// What a place counts at least.
+    pub floor: Option<f64>,
+    /// Metres a second, for edges with a length alone.
+    pub speed_m_per_s: Option<f64>,
+    /// Seed of what is random.
+    pub seed: u64,
+}
+
+/// A place to look at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SearchStep {
+    /// Name of the node.
+    pub node: String,
+    /// When, seconds from the start.
+    pub arrival_secs: f64,
+    /// How likely who is looked for is there.
+    pub probability: f64,
+}
+
+/// Why a walk ends before all places are visited.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SearchStop {
+    /// What remains is below the limit.
+    Unlikely,
+    /// What remains is not worth the time.
+    NotWorthIt,
+    /// The rest does not fit into the budget.
+    OutOfTime,
+}
+
+/// A planned search.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Search {
+    /// Where to look, in this order.
+    pub steps: Vec<SearchStep>,
+    /// All nodes on the way with when the robot is there, seconds; the start first.
+    pub walk: Vec<(String, f64)>,
+    /// Time to find to expect.
+    pub expected_secs: f64,
+    /// No walk to all places has a lower one.
+    pub lower_bound_secs: f64,
+    /// Whether the order is proven to be the best.
+    pub optimal: bool,
+    /// Probability of all places that are no step, over that of all.
+    pub remains: f64,
+    /// Why the walk ends early, if it does.
+    pub stop: Option<SearchStop>,
+    /// Nodes to which no way leads.
+    pub unreachable: Vec<String>,
+    /// Nodes of which nothing was ever observed, the first thousand.
+    pub unobserved: Vec<String>,
+    /// How many these are in all.
+    pub unobserved_nodes: u32,
+}
+
+impl Node {
+    fn to_wire(&self) -> v1::TopologyNode {
+        let pose = self.pose.map(|[x_m, y_m, yaw_rad]| v1::NodePose { x_m, y_m, yaw_rad });
+        v1::TopologyNode { name: self.name.clone(), pose, dwell_secs: self.dwell_secs, id: 0 }
+    }
+
+    fn from_wire(wire: v1::TopologyNode) -> Node {
+        let v1::TopologyNode { name, pose, dwell_secs, id } = wire;
+        Node { name, pose: pose.map(|pose| [pose.x_m, pose.y_m, pose.yaw_rad]), dwell_secs, id }
+    }
+}
+
+impl EdgeEnds {
+    fn to_wire(&self) -> v1::EdgeEnds {
+        let EdgeEnds { from, to, action, both_ways } = self.clone();
+        v1::EdgeEnds { from, to, action, both_ways }
+    }
+}
+
+impl Edge {
+    fn to_wire(&self) -> v1::TopologyEdge {
+        let Edge { ends, length_m, nominal_secs, .. } = self;
+        v1::TopologyEdge { ends: Some(ends.to_wire()), length_m: *length_m, nominal_secs: *nominal_secs, id: 0 }
+    }
+
+    fn from_wire(wire: v1::TopologyEdge) -> Result<Edge, Error> {
+        let v1::TopologyEdge { ends, length_m, nominal_secs, id } = wire;
+        let v1::EdgeEnds { from, to, action, both_ways } = ends.ok_or(Error::Protocol("an edge has no ends"))?;
+        Ok(Edge { ends: EdgeEnds { from, to, action, both_ways }, length_m, nominal_secs, id })
+    }
+}
+
+impl TopologyEdit {
+    fn to_wire(&self) -> Edit {
+        match self {
+            TopologyEdit::AddNode(node) => Edit::AddNode(node.to_wire()),
+            TopologyEdit::SetNode(node) => Edit::SetNode(node.to_wire()),
+            TopologyEdit::RemoveNode(name) => Edit::RemoveNode(name.clone()),
+            TopologyEdit::RenameNode { from, to } => {
+                Edit::RenameNode(v1::RenameNode { from: from.clone(), to: to.clone() })
+            }
+            TopologyEdit::AddEdge(edge) => Edit::AddEdge(edge.to_wire()),
+            TopologyEdit::SetEdge(edge) => Edit::SetEdge(edge.to_wire()),
+            TopologyEdit::RemoveEdge(ends) => Edit::RemoveEdge(ends.to_wire()),
+        }
+    }
+}
+
+impl Client {
+    fn route_service(&self) -> RouteServiceClient<Connection> {
+        RouteServiceClient::new(self.requests()).max_decoding_message_size(TOPOLOGY_BYTES)
+    }
+
+    /// Loads nodes and edges, all of them or none: in place of those that are there, or, with `adds`, in addition.
+    ///
+    /// # Errors
+    /// [`Error`]; the message names the node or edge that is wrong.
+    pub async fn load_topology(&self, map: &str, topology: &Topology, adds: bool) -> Result<TopologySize, Error> {
+        let request = v1::LoadTopologyRequest {
+            map: map.to_owned(),
+            nodes: topology.nodes.iter().map(Node::to_wire).collect(),
+            edges: topology.edges.iter().map(Edge::to_wire).collect(),
+            adds,
+        };
+        let answer = self.route_service().load_topology(request).await.map_err(|status| self.error(&status))?;
+        let v1::LoadTopologyResponse { nodes, edges } = answer.into_inner();
+        Ok(TopologySize { nodes, edges })
+    }
+
+    /// Changes one node or edge.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such node or edge.
+    pub async fn edit_topology(&self, map: &str, edit: &TopologyEdit) -> Result<TopologySize, Error> {
+        let request = v1::EditTopologyRequest { map: map.to_owned(), edit: Some(edit.to_wire()) };
+        let answer = self.route_service().edit_topology(request).await.map_err(|status| self.error(&status))?;
+        let v1::EditTopologyResponse { nodes, edges } = answer.into_inner();
+        Ok(TopologySize { nodes, edges })
+    }
+
+    /// All nodes and edges of a map.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    pub async fn topology(&self, map: &str) -> Result<Topology, Error> {
+        let request = v1::GetTopologyRequest { map: map.to_owned() };
+        let answer = self.route_service().get_topology(request).await.map_err(|status| self.error(&status))?;
+        let v1::GetTopologyResponse { nodes, edges } = answer.into_inner();
+        Ok(Topology {
+            nodes: nodes.into_iter().map(Node::from_wire).collect(),
+            edges: edges.into_iter().map(Edge::from_wire).collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// The walk that finds somebody soonest.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or node, `FAILED_PRECONDITION` where there is nobody to be
+    /// found or no way, `RESOURCE_EXHAUSTED` where there are too many nodes.
+    pub async fn plan_search(&self, query: SearchQuery) -> Result<Search, Error> {
+        let effort = match query.effort {
+            SearchEffort::Auto => v1::SearchEffort::Auto,
+            SearchEffort::Exact => v1::SearchEffort::Exact,
+            SearchEffort::Heuristic => v1::SearchEffort::Heuristic,
+        };
+        let request = v1::PlanSearchRequest {
+            map: query.map,
+            start: query.start,
+            time_nanos: query.time_nanos,
+            object: query.object,
+            budget: query.budget_nanos.map(duration),
+            effort: effort.into(),
+            plan_within: query.plan_within_nanos.map(duration),
+            remains_below: query.remains_below,
+            cost_per_sec: query.cost_per_sec,
+            for_arrival: query.for_arrival,
+            model: Some(query.model.to_wire()),
+            floor: query.floor,
+            speed_m_per_s: query.speed_m_per_s.unwrap_or_default(),
+            seed: query.seed,
+        };
+        let answer = self.route_service().plan_search(request).await.map_err(|status| self.error(&status))?;
+        let told = answer.into_inner();
+        let stop = match told.stop() {
+            v1::SearchStop::Unspecified => None,
+            v1::SearchStop::Unlikely => Some(SearchStop::Unlikely),
+            v1::SearchStop::NotWorthIt => Some(SearchStop::NotWorthIt),
+            v1::SearchStop::OutOfTime => Some(SearchStop::OutOfTime),
+        };
+        let step = |step: v1::SearchStep| {
+            let v1::SearchStep { node, arrival_secs, probability } = step;
+            SearchStep { node, arrival_secs, probability }
+        };
+        Ok(Search {
+            steps: told.steps.into_iter().map(step).collect(),
+            walk: told.walk.into_iter().map(|at| (at.node, at.arrival_secs)).collect(),
+            expected_secs: told.expected_secs,
+            lower_bound_secs: told.lower_bound_secs,
+            optimal: told.optimal,
+            remains: told.remains,
+            stop,
+            unreachable: told.unreachable,
+            unobserved: told.unobserved,
+            unobserved_nodes: told.unobserved_nodes,
+        })
+    }
+}

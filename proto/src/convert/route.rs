@@ -1,0 +1,218 @@
+//! Topological maps, their edits, and questions of searches.
+//!
+//! Invariant: names and numbers that are wrong are told with their field; what the map itself checks is left to it.
+
+use tidemap_map::{
+    name::StateName,
+    topology::{EdgeEnds, Extent, NewEdge, NewNode, Pose, Topology, TopologyEdit},
+};
+use tidemap_plan::search::{Effort, Options, Stop, Stopped};
+
+use super::{InvalidField, time::nanos_from_duration};
+use crate::v1;
+
+/// How long an order is looked for by default, nanoseconds.
+pub const PLAN_WITHIN_NANOS: i64 = 2_000_000_000;
+/// How long an order is looked for at most, nanoseconds.
+pub const PLAN_WITHIN_MAX_NANOS: i64 = 60_000_000_000;
+/// How fast a robot drives by default where an edge has a length alone, metres a second.
+pub const SPEED_M_PER_SEC: f64 = 0.5;
+
+fn name(field: &str, name: &str) -> Result<StateName, InvalidField> {
+    StateName::new(name).map_err(|error| InvalidField::new(field, error))
+}
+
+fn node_from_wire(field: &str, wire: &v1::TopologyNode) -> Result<NewNode, InvalidField> {
+    let v1::TopologyNode { name: text, pose, dwell_secs, .. } = wire;
+    let pose = pose.map(|v1::NodePose { x_m, y_m, yaw_rad }| Pose { x_m, y_m, yaw_rad });
+    Ok(NewNode { name: name(&format!("{field}.name"), text)?, pose, dwell_secs: *dwell_secs })
+}
+
+fn ends_from_wire(field: &str, wire: Option<&v1::EdgeEnds>) -> Result<EdgeEnds, InvalidField> {
+    let missing = || InvalidField::new(field, "say between which nodes");
+    let v1::EdgeEnds { from, to, action, both_ways } = wire.ok_or_else(missing)?;
+    let action = if action.is_empty() { None } else { Some(name(&format!("{field}.action"), action)?) };
+    Ok(EdgeEnds {
+        from: name(&format!("{field}.from"), from)?,
+        to: name(&format!("{field}.to"), to)?,
+        action,
+        both_ways: *both_ways,
+    })
+}
+
+fn edge_from_wire(field: &str, wire: &v1::TopologyEdge) -> Result<NewEdge, InvalidField> {
+    let v1::TopologyEdge { ends, length_m, nominal_secs, .. } = wire;
+    let extent = Extent { length_m: *length_m, nominal_secs: *nominal_secs };
+    Ok(NewEdge { ends: ends_from_wire(&format!("{field}.ends"), ends.as_ref())?, extent })
+}
+
+/// A whole map at once.
+///
+/// # Errors
+/// A name that is none.
+pub fn load_from_wire(request: &v1::LoadTopologyRequest) -> Result<TopologyEdit, InvalidField> {
+    let nodes = request.nodes.iter().enumerate().map(|(i, node)| node_from_wire(&format!("nodes[{i}]"), node));
+    let edges = request.edges.iter().enumerate().map(|(i, edge)| edge_from_wire(&format!("edges[{i}]"), edge));
+    Ok(TopologyEdit::Load {
+        nodes: nodes.collect::<Result<_, _>>()?,
+        edges: edges.collect::<Result<_, _>>()?,
+        replaces: !request.adds,
+    })
+}
+
+/// One change of a map.
+///
+/// # Errors
+/// There is none, or a name is none.
+pub fn edit_from_wire(edit: Option<&v1::edit_topology_request::Edit>) -> Result<TopologyEdit, InvalidField> {
+    use v1::edit_topology_request::Edit;
+    Ok(match edit.ok_or_else(|| InvalidField::new("edit", "say what is to change"))? {
+        Edit::AddNode(node) => TopologyEdit::AddNode(node_from_wire("add_node", node)?),
+        Edit::SetNode(node) => TopologyEdit::SetNode(node_from_wire("set_node", node)?),
+        Edit::RemoveNode(text) => TopologyEdit::RemoveNode(name("remove_node", text)?),
+        Edit::RenameNode(v1::RenameNode { from, to }) => {
+            TopologyEdit::RenameNode { from: name("rename_node.from", from)?, to: name("rename_node.to", to)? }
+        }
+        Edit::AddEdge(edge) => TopologyEdit::AddEdge(edge_from_wire("add_edge", edge)?),
+        Edit::SetEdge(edge) => TopologyEdit::SetExtent(edge_from_wire("set_edge", edge)?),
+        Edit::RemoveEdge(ends) => TopologyEdit::RemoveEdge(ends_from_wire("remove_edge", Some(ends))?),
+    })
+}
+
+/// All nodes and edges for the wire.
+#[must_use]
+pub fn topology_to_wire(topology: &Topology) -> v1::GetTopologyResponse {
+    let nodes = topology.nodes().map(|node| v1::TopologyNode {
+        name: node.name.as_str().to_owned(),
+        pose: node.pose.map(|Pose { x_m, y_m, yaw_rad }| v1::NodePose { x_m, y_m, yaw_rad }),
+        dwell_secs: node.dwell_secs,
+        id: node.id.0,
+    });
+    let name = |id| topology.node(id).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
+    let edges = topology.edges().map(|edge| v1::TopologyEdge {
+        ends: Some(v1::EdgeEnds {
+            from: name(edge.from),
+            to: name(edge.to),
+            action: edge.action.as_ref().map_or_else(String::new, |action| action.as_str().to_owned()),
+            both_ways: false,
+        }),
+        length_m: edge.extent.length_m,
+        nominal_secs: edge.extent.nominal_secs,
+        id: edge.id.0,
+    });
+    v1::GetTopologyResponse { nodes: nodes.collect(), edges: edges.collect() }
+}
+
+/// How a search is planned, as far as the planner needs to know.
+///
+/// # Errors
+/// The field that is wrong.
+pub fn search_from_wire(request: &v1::PlanSearchRequest) -> Result<Options, InvalidField> {
+    let default = Options::default();
+    let effort = match v1::SearchEffort::try_from(request.effort) {
+        Ok(v1::SearchEffort::Unspecified | v1::SearchEffort::Auto) => Effort::Auto,
+        Ok(v1::SearchEffort::Exact) => Effort::Exact,
+        Ok(v1::SearchEffort::Heuristic) => Effort::Heuristic,
+        Err(_) => return Err(InvalidField::new("effort", format!("{} is not known", request.effort))),
+    };
+    let within_nanos = request.budget.map(|span| nanos_from_duration("budget", span)).transpose()?;
+    if let Some(nanos) = within_nanos.filter(|&nanos| nanos < 0) {
+        return Err(InvalidField::new("budget", format!("{} s: expected 0 up", nanos as f64 / 1e9)));
+    }
+    let share = |field: &str, value: Option<f64>, is_right: fn(f64) -> bool, right: &str| match value {
+        Some(wrong) if !is_right(wrong) => Err(InvalidField::new(field, format!("{wrong}: expected {right}"))),
+        value => Ok(value),
+    };
+    let stop = Stop {
+        remains_below: share("remains_below", request.remains_below, |x| (0.0..=1.0).contains(&x), "0 to 1")?,
+        cost_per_sec: share("cost_per_sec", request.cost_per_sec, |x| (0.0..=f64::MAX).contains(&x), "0 up")?,
+        within_secs: within_nanos.map(|nanos| nanos as f64 / 1e9),
+    };
+    let floor = share("floor", request.floor, |x| x > 0.0 && x <= 1.0, "above 0, at most 1")?;
+    Ok(Options { effort, floor: floor.unwrap_or(default.floor), seed: request.seed, stop, ..default })
+}
+
+/// How long an order may be looked for, in nanoseconds.
+///
+/// # Errors
+/// More than [`PLAN_WITHIN_MAX_NANOS`], or less than nothing.
+pub fn plan_within_from_wire(span: Option<prost_types::Duration>) -> Result<u64, InvalidField> {
+    let nanos = span.map_or(Ok(PLAN_WITHIN_NANOS), |span| nanos_from_duration("plan_within", span))?;
+    let wrong = || InvalidField::new("plan_within", format!("{} s: expected 0 to 60 s", nanos as f64 / 1e9));
+    u64::try_from(nanos).ok().filter(|_| nanos <= PLAN_WITHIN_MAX_NANOS).ok_or_else(wrong)
+}
+
+/// How fast the robot drives, metres a second.
+///
+/// # Errors
+/// Not above 0, or no number.
+pub fn speed_from_wire(speed_m_per_s: f64) -> Result<f64, InvalidField> {
+    match speed_m_per_s {
+        0.0 => Ok(SPEED_M_PER_SEC),
+        speed if speed > 0.0 && speed.is_finite() => Ok(speed),
+        wrong => Err(InvalidField::new("speed_m_per_s", format!("{wrong} m/s: expected above 0"))),
+    }
+}
+
+/// Why a walk ends early, for the wire.
+#[must_use]
+pub fn stop_to_wire(stopped: Option<Stopped>) -> v1::SearchStop {
+    match stopped {
+        None => v1::SearchStop::Unspecified,
+        Some(Stopped::Unlikely) => v1::SearchStop::Unlikely,
+        Some(Stopped::NotWorthIt) => v1::SearchStop::NotWorthIt,
+        Some(Stopped::OutOfTime) => v1::SearchStop::OutOfTime,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_question_has_the_defaults() {
+        let request = v1::PlanSearchRequest::default();
+        assert_eq!(search_from_wire(&request), Ok(Options::default()));
+        assert_eq!(plan_within_from_wire(None), Ok(2_000_000_000));
+        assert_eq!(speed_from_wire(0.0), Ok(SPEED_M_PER_SEC));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let field = |request: v1::PlanSearchRequest| search_from_wire(&request).expect_err("wrong").field;
+        assert_eq!(field(v1::PlanSearchRequest { effort: 9, ..Default::default() }), "effort");
+        assert_eq!(field(v1::PlanSearchRequest { floor: Some(0.0), ..Default::default() }), "floor");
+        assert_eq!(
+            field(v1::PlanSearchRequest { remains_below: Some(f64::NAN), ..Default::default() }),
+            "remains_below"
+        );
+        assert_eq!(field(v1::PlanSearchRequest { cost_per_sec: Some(-1.0), ..Default::default() }), "cost_per_sec");
+        let negative = Some(prost_types::Duration { seconds: -1, nanos: 0 });
+        assert_eq!(field(v1::PlanSearchRequest { budget: negative, ..Default::default() }), "budget");
+        assert!(plan_within_from_wire(negative).is_err());
+        assert!(plan_within_from_wire(Some(prost_types::Duration { seconds: 61, nanos: 0 })).is_err());
+        for wrong in [-1.0, f64::NAN, f64::INFINITY] {
+            assert!(speed_from_wire(wrong).is_err(), "{wrong}");
+        }
+        let node = v1::TopologyNode { name: "a/b".to_owned(), ..Default::default() };
+        let load = v1::LoadTopologyRequest { nodes: vec![node], ..Default::default() };
+        assert_eq!(load_from_wire(&load).expect_err("wrong").field, "nodes[0].name");
+        assert_eq!(edit_from_wire(None).expect_err("wrong").field, "edit");
+    }
+
+    #[test]
+    fn a_loaded_map_comes_back() {
+        let text = |text: &str| text.to_owned();
+        let nodes =
+            ["a", "b"].map(|name| v1::TopologyNode { name: text(name), dwell_secs: Some(2.0), ..Default::default() });
+        let ends = v1::EdgeEnds { from: text("a"), to: text("b"), action: text("door"), both_ways: true };
+        let edge = v1::TopologyEdge { ends: Some(ends), length_m: Some(3.0), ..Default::default() };
+        let load = v1::LoadTopologyRequest { nodes: nodes.to_vec(), edges: vec![edge], ..Default::default() };
+        let topology = Topology::new().edited(&load_from_wire(&load).expect("right")).expect("right");
+        let wire = topology_to_wire(&topology);
+        assert_eq!(wire.nodes[1], v1::TopologyNode { id: 1, ..nodes[1].clone() });
+        let back = wire.edges[1].ends.clone().expect("ends");
+        assert_eq!((back.from.as_str(), back.to.as_str(), back.action.as_str()), ("b", "a", "door"));
+        assert_eq!((wire.edges[1].length_m, wire.edges[1].id), (Some(3.0), 1));
+    }
+}

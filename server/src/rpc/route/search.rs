@@ -1,0 +1,203 @@
+//! `PlanSearch`: where to look first for somebody.
+//!
+//! Invariant: a goal is a node whose state was observed; the probabilities, the nodes and the ways are of one view.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use tidemap_map::{
+    event::{StateId, StateKind},
+    topology::{NodeId, Roads, Topology},
+    view::MapView,
+};
+use tidemap_plan::search::{
+    CHANGING_GOALS_MAX, EXACT_GOALS_MAX, Effort, GOALS_MAX, Goal, Plan, SearchError, search, search_changing,
+};
+use tidemap_proto::{
+    convert::{
+        InvalidField,
+        exploration::time_from_wire,
+        query::selector_from_wire,
+        route::{plan_within_from_wire, search_from_wire, speed_from_wire, stop_to_wire},
+    },
+    v1,
+};
+
+use super::{RouteError, Routes};
+use crate::rpc::{
+    map::find_map,
+    series::{Predictor, series},
+    status::RpcError,
+};
+
+/// Nodes that a message names.
+const NODES_SHOWN: usize = 10;
+/// Nodes without observations that a reply names.
+const UNOBSERVED_SHOWN: usize = 1_000;
+
+/// Tells work that nobody waits for it any more, when dropped.
+struct Waiting(Arc<AtomicBool>);
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Name of the state that tells whether who is looked for is at a node.
+fn state_at(node: &str, object: &str) -> String {
+    if object.is_empty() { node.to_owned() } else { format!("node/{node}/{object}") }
+}
+
+/// A node, or an error that names some that there are.
+fn find_node(map: &str, topology: &Topology, name: &str) -> Result<NodeId, RouteError> {
+    if topology.nodes().len() == 0 {
+        return Err(RouteError::NoNodes(map.to_owned()));
+    }
+    topology.node_named(name).map(|node| node.id).map_err(|_| {
+        let known: Vec<&str> = topology.nodes().take(NODES_SHOWN).map(|node| node.name.as_str()).collect();
+        let more = if topology.nodes().len() > NODES_SHOWN { ", …" } else { "" };
+        RouteError::UnknownNode { name: name.chars().take(80).collect(), known: known.join(", ") + more }
+    })
+}
+
+/// Nodes to look at with the states that tell who is there, and those of which nothing was observed.
+#[derive(Default)]
+struct Places {
+    nodes: Vec<NodeId>,
+    states: Vec<StateId>,
+    unobserved: Vec<String>,
+    unobserved_nodes: u32,
+}
+
+impl Places {
+    fn of(view: &MapView, topology: &Topology, object: &str) -> Result<Places, RpcError> {
+        let mut places = Places::default();
+        for node in topology.nodes() {
+            let state = view.find(&state_at(node.name.as_str(), object));
+            match state.filter(|&id| view.live(id).observations > 0) {
+                Some(id) => {
+                    let kind = view.kind(id);
+                    if kind != StateKind::Probability {
+                        let name = state_at(node.name.as_str(), object);
+                        let text = format!("state {name:?} is a {}: a search needs probabilities", kind.name());
+                        return Err(InvalidField::new("object", text).into());
+                    }
+                    places.nodes.push(node.id);
+                    places.states.push(id);
+                }
+                None => {
+                    if places.unobserved.len() < UNOBSERVED_SHOWN {
+                        places.unobserved.push(node.name.as_str().to_owned());
+                    }
+                    places.unobserved_nodes += 1;
+                }
+            }
+        }
+        Ok(places)
+    }
+}
+
+/// What a search may ask for, before anything is predicted for it.
+fn check_count(found: usize, effort: Effort, for_arrival: bool) -> Result<(), SearchError> {
+    if effort == Effort::Exact && found > EXACT_GOALS_MAX {
+        return Err(SearchError::TooManyForExact { found });
+    }
+    let most = if for_arrival { CHANGING_GOALS_MAX } else { GOALS_MAX };
+    if found > most { Err(SearchError::TooMany { found, most }) } else { Ok(()) }
+}
+
+pub(super) async fn plan_search(
+    routes: &Routes,
+    request: v1::PlanSearchRequest,
+) -> Result<v1::PlanSearchResponse, RpcError> {
+    let handle = find_map(&routes.catalog, &request.map)?;
+    let view = handle.view();
+    let topology = Arc::clone(view.site().topology());
+    let start = find_node(&request.map, &topology, &request.start)?;
+    let time_nanos = time_from_wire("time_nanos", request.time_nanos)?;
+    let selector = selector_from_wire("model", request.model)?;
+    let options = search_from_wire(&request)?;
+    let within = Duration::from_nanos(plan_within_from_wire(request.plan_within)?);
+    let speed = speed_from_wire(request.speed_m_per_s)?;
+    if request.object.contains('/') {
+        return Err(InvalidField::new("object", format!("{:?} holds '/'", request.object)).into());
+    }
+    let places = Places::of(&view, &topology, &request.object)?;
+    if places.nodes.is_empty() {
+        let example =
+            topology.nodes().next().map_or_else(String::new, |node| state_at(node.name.as_str(), &request.object));
+        return Err(RouteError::NothingObserved { map: request.map, example }.into());
+    }
+    let Places { nodes, states, unobserved, unobserved_nodes } = places;
+    check_count(nodes.len(), options.effort, request.for_arrival).map_err(RouteError::from)?;
+
+    let asked = (states.clone(), vec![time_nanos]);
+    let rows = series(routes.means(), &handle, &view, asked, selector).await?;
+    let goals: Vec<Goal> =
+        nodes.iter().zip(&rows).map(|(&node, row)| Goal { node, probability: row[0].clamp(0.0, 1.0) }).collect();
+    if !request.for_arrival && goals.iter().all(|goal| goal.probability == 0.0) {
+        return Err(RouteError::Nobody(goals.len()).into());
+    }
+    let predictor = match request.for_arrival {
+        true => Some(Predictor::new(routes.means(), &handle, &view, states, selector).await?),
+        false => None,
+    };
+
+    let turn = routes.turns.take().await?;
+    let is_given_up = Arc::new(AtomicBool::new(false));
+    let _waiting = Waiting(Arc::clone(&is_given_up));
+    let walked = Arc::clone(&topology);
+    let work = move || {
+        let _turn = turn;
+        let deadline = Instant::now() + within;
+        let until = || is_given_up.load(Ordering::Relaxed) || Instant::now() >= deadline;
+        let roads = Roads::new(&walked, |edge| Some(edge.extent.secs_at(speed)))?;
+        let plan = match predictor {
+            None => search(&roads, start, &goals, &options, until),
+            Some(predictor) => {
+                let probability = |node: NodeId, arrival_secs: f64| {
+                    let later_nanos = (arrival_secs * 1e9) as i64;
+                    // Nodes ascend.
+                    let index = nodes.binary_search(&node).unwrap_or(usize::MAX);
+                    predictor.at(index, time_nanos.saturating_add(later_nanos)).clamp(0.0, 1.0)
+                };
+                search_changing(&roads, start, &nodes, probability, &options, until)
+            }
+        };
+        plan.map_err(|error| match (error, walked.node(start)) {
+            (SearchError::Unreachable { .. }, Ok(node)) => {
+                RouteError::Unreachable { start: node.name.to_string(), goals: goals.len() }
+            }
+            (error, _) => error.into(),
+        })
+    };
+    let plan = tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)??;
+    Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..to_wire(&plan, &topology) })
+}
+
+fn to_wire(plan: &Plan, topology: &Topology) -> v1::PlanSearchResponse {
+    let name = |id| topology.node(id).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
+    let steps = plan.steps.iter().map(|step| v1::SearchStep {
+        node: name(step.node),
+        arrival_secs: step.arrival_secs,
+        probability: step.probability,
+    });
+    let walk = plan.walk.iter().map(|at| v1::SearchPassage { node: name(at.node), arrival_secs: at.arrival_secs });
+    v1::PlanSearchResponse {
+        steps: steps.collect(),
+        walk: walk.collect(),
+        expected_secs: plan.expected_secs,
+        lower_bound_secs: plan.lower_bound_secs,
+        optimal: plan.optimal,
+        remains: plan.remains,
+        stop: stop_to_wire(plan.stopped).into(),
+        unreachable: plan.unreachable.iter().map(|goal| name(goal.node)).collect(),
+        ..Default::default()
+    }
+}
