@@ -14,6 +14,7 @@ use tidemap_map::{
     site::{Location, Site, SiteEdit},
     snapshot::StateSnapshot,
     spec::MapSpec,
+    topology::{EdgeEnds, Extent, NewEdge, NewNode, Pose, TopologyEdit},
 };
 use tidemap_migrations::v2::log::FrameKind;
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Persistence, Sample, StateModel, Zone};
@@ -132,12 +133,69 @@ fn add_state() -> impl Strategy<Value = Event> {
     })
 }
 
+fn topology_edit() -> impl Strategy<Value = TopologyEdit> {
+    let name = || "[a-zü ]{1,20}".prop_map(|name| StateName::new(&name).expect("valid"));
+    let pose = option::of([-1e7..=1e7, -1e7..=1e7, -4.0..=4.0]);
+    let node = (name(), pose, option::of(0.0..1e9)).prop_map(|(name, pose, dwell_secs)| {
+        let pose = pose.map(|[x_m, y_m, yaw_rad]| Pose { x_m, y_m, yaw_rad });
+        NewNode { name, pose, dwell_secs }
+    });
+    let ends = (name(), name(), option::of(name()), any::<bool>()).prop_map(|(from, to, action, both_ways)| EdgeEnds {
+        from,
+        to,
+        action,
+        both_ways,
+    });
+    let edge = (ends.clone(), option::of(0.1..1e7), option::of(0.1..1e9))
+        .prop_map(|(ends, length_m, nominal_secs)| NewEdge { ends, extent: Extent { length_m, nominal_secs } });
+    prop_oneof![
+        (vec(node.clone(), 0..5), vec(edge.clone(), 0..5), any::<bool>())
+            .prop_map(|(nodes, edges, replaces)| TopologyEdit::Load { nodes, edges, replaces }),
+        node.clone().prop_map(TopologyEdit::AddNode),
+        node.prop_map(TopologyEdit::SetNode),
+        name().prop_map(TopologyEdit::RemoveNode),
+        (name(), name()).prop_map(|(from, to)| TopologyEdit::RenameNode { from, to }),
+        edge.clone().prop_map(TopologyEdit::AddEdge),
+        edge.prop_map(TopologyEdit::SetExtent),
+        ends.prop_map(TopologyEdit::RemoveEdge),
+    ]
+}
+
+#[test]
+fn a_topological_map_comes_back_with_its_numbers() {
+    let name = |text: &str| StateName::new(text).expect("valid");
+    let mut site = Site::default();
+    let mut edit = |edit| site.apply(&SiteEdit::Topology(edit), 0).expect("valid");
+    let pose = Some(Pose { x_m: -1.5, y_m: 2.0, yaw_rad: 0.25 });
+    let node = |text: &str, pose| NewNode { name: name(text), pose, dwell_secs: pose.map(|_| 3.5) };
+    let link = |from: &str, to: &str, extent| NewEdge { ends: EdgeEnds::link(name(from), name(to)), extent };
+    edit(TopologyEdit::Load {
+        nodes: vec![node("a", None), node("b", pose), node("c", None)],
+        edges: vec![link("a", "b", Extent::secs(14.5)), link("b", "c", Extent::metres(3.0))],
+        replaces: true,
+    });
+    edit(TopologyEdit::RemoveNode(name("c")));
+    let message = record::site::encode(&site).expect("something was told");
+    let found = record::site::decode(&message, 0).expect("readable");
+    assert_eq!(found, site);
+    // What was removed has used its number up, even where nothing is left.
+    let mut edit = |edit| site.apply(&SiteEdit::Topology(edit), 0).expect("valid");
+    edit(TopologyEdit::Load { nodes: Vec::new(), edges: Vec::new(), replaces: true });
+    let message = record::site::encode(&site).expect("something was told");
+    assert_eq!(record::site::decode(&message, 0).expect("readable"), site);
+    let mut broken = message.clone();
+    let topology = broken.topology.as_mut().expect("a map");
+    topology.nodes = vec![tidemap_migrations::v2::topology::Node { id: 9, name: "x".to_owned(), ..Default::default() }];
+    assert!(record::site::decode(&broken, 0).is_err(), "a number that was never given out");
+}
+
 fn edit_site() -> impl Strategy<Value = Event> {
     let place = option::of([-1e7..=1e7, -1e7..=1e7]);
     let location = (vec(any::<u32>(), 0..20), place.clone())
         .prop_map(|(states, position_m)| Location { states: states.into_iter().map(StateId).collect(), position_m });
     let name = "[a-zü ]{1,20}".prop_map(|name| StateName::new(&name).expect("valid"));
     let edit = prop_oneof![
+        topology_edit().prop_map(SiteEdit::Topology),
         place.prop_map(SiteEdit::Charger),
         (name.clone(), location).prop_map(|(name, location)| SiteEdit::SetLocation(name, location)),
         name.prop_map(SiteEdit::RemoveLocation),
