@@ -125,6 +125,16 @@ impl Routes {
         Means { fitting: &self.fitting, turns: &self.turns, predictions: self.predictions }
     }
 
+    /// Does what may take long off the async threads, with a turn.
+    async fn off_threads<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, RpcError> {
+        let turn = self.turns.take().await?;
+        let work = move || {
+            let _turn = turn;
+            work()
+        };
+        tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)
+    }
+
     /// Changes a map's topological map. Numbers of nodes and edges that it has then.
     async fn edit(&self, map: &str, edit: TopologyEdit) -> Result<(u32, u32), RpcError> {
         let handle = find_map(&self.catalog, map)?;
@@ -143,8 +153,10 @@ impl RouteService for Routes {
         request: Request<v1::LoadTopologyRequest>,
     ) -> Result<Response<v1::LoadTopologyResponse>, Status> {
         let request = request.into_inner();
-        let edit = load_from_wire(&request).map_err(RpcError::from)?;
-        let (nodes, edges) = self.edit(&request.map, edit).await?;
+        let map = request.map.clone();
+        find_map(&self.catalog, &map)?;
+        let edit = self.off_threads(move || load_from_wire(&request)).await?.map_err(RpcError::from)?;
+        let (nodes, edges) = self.edit(&map, edit).await?;
         Ok(Response::new(v1::LoadTopologyResponse { nodes, edges }))
     }
 
@@ -163,7 +175,7 @@ impl RouteService for Routes {
         request: Request<v1::GetTopologyRequest>,
     ) -> Result<Response<v1::GetTopologyResponse>, Status> {
         let view = find_map(&self.catalog, &request.get_ref().map)?.view();
-        Ok(Response::new(topology_to_wire(view.site().topology())))
+        Ok(Response::new(self.off_threads(move || topology_to_wire(view.site().topology())).await?))
     }
 
     async fn plan_search(

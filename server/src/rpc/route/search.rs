@@ -128,7 +128,8 @@ pub(super) async fn plan_search(
     if request.object.contains('/') {
         return Err(InvalidField::new("object", format!("{:?} holds '/'", request.object)).into());
     }
-    let places = Places::of(&view, &topology, &request.object)?;
+    let (of, over, object) = (Arc::clone(&view), Arc::clone(&topology), request.object.clone());
+    let places = routes.off_threads(move || Places::of(&of, &over, &object)).await??;
     if places.nodes.is_empty() {
         let example =
             topology.nodes().next().map_or_else(String::new, |node| state_at(node.name.as_str(), &request.object));
@@ -149,12 +150,10 @@ pub(super) async fn plan_search(
         false => None,
     };
 
-    let turn = routes.turns.take().await?;
     let is_given_up = Arc::new(AtomicBool::new(false));
     let _waiting = Waiting(Arc::clone(&is_given_up));
     let walked = Arc::clone(&topology);
     let work = move || {
-        let _turn = turn;
         let deadline = Instant::now() + within;
         let until = || is_given_up.load(Ordering::Relaxed) || Instant::now() >= deadline;
         let roads = Roads::new(&walked, |edge| Some(edge.extent.secs_at(speed)))?;
@@ -177,7 +176,7 @@ pub(super) async fn plan_search(
             (error, _) => error.into(),
         })
     };
-    let plan = tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)??;
+    let plan = routes.off_threads(work).await??;
     Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..to_wire(&plan, &topology) })
 }
 

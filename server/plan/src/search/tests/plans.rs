@@ -188,6 +188,16 @@ fn a_search_ends_where_little_remains_or_it_is_not_worth_it() {
     assert_eq!((cheap.steps.len(), cheap.stopped), (4, None));
     let nothing = stopped(Stop { remains_below: Some(1.0), cost_per_sec: Some(1e9), within_secs: None });
     assert!(nothing.steps.len() <= 1);
+    let brief = stopped(Stop { within_secs: Some(5.0), ..Stop::default() });
+    assert_eq!((steps(&brief), brief.stopped), (vec![(0, 0.0), (1, 5.0)], Some(Stopped::OutOfTime)));
+    let unhurried = stopped(Stop { within_secs: Some(1e6), ..Stop::default() });
+    assert_eq!((unhurried.steps.len(), unhurried.stopped), (4, None));
+    let never = plan(
+        &flat,
+        &likely,
+        &Options { stop: Stop { within_secs: Some(-1.0), ..Stop::default() }, ..Options::default() },
+    );
+    assert_eq!(never, Err(SearchError::Stop(StopError::Within(-1.0))));
 }
 
 #[test]
