@@ -1,6 +1,6 @@
 //! A simulated office, for the demo, the benchmarks and the tests: doors and rooms, people with daily and weekly
 //! routines on local civil time, and robots that pass by irregularly. [`GridOffice`] is another one, as a stream of
-//! occupancy grids.
+//! occupancy grids, [`ExploredOffice`] a small floor to be explored.
 //!
 //! Invariant: pure. No I/O, no clock; the seed is an argument, and the truth at a time depends on the seed, the zone
 //! and that time only, so that it can be asked for in any order. Draws hold for one version of this crate.
@@ -16,6 +16,7 @@
 mod cleaner;
 mod day;
 mod draw;
+mod explored_office;
 mod grid_office;
 mod patrol;
 mod people;
@@ -27,6 +28,7 @@ use jiff::{
     tz::{TimeZone, TimeZoneDatabase},
 };
 
+pub use self::explored_office::ExploredOffice;
 pub use self::grid_office::{DayScans, GridOffice, GridOfficeError, GridOfficeOptions, GridScan, GridStream};
 use crate::{day::Day, patrol::ROBOTS, place::STATES};
 
