@@ -15,7 +15,10 @@ use clap::{Args, Subcommand};
 
 use super::Misused;
 use crate::{
-    experiment::{self, ProtocolError, explore},
+    experiment::{
+        self, ProtocolError,
+        explore::{self, Wanted, office},
+    },
     output::Format,
     progress::{Bar, notice},
 };
@@ -33,7 +36,7 @@ pub struct ExperimentArgs {
 enum ExperimentKind {
     /// Compares temporal models by a protocol; the same as a protocol's file alone
     Compare(CompareArgs),
-    /// Replays a recorded world: strategies choose where to look, models learn from what is seen
+    /// Explores a recorded world of places, or a simulated office: where to look, and what is learned from it
     Explore(CompareArgs),
 }
 
@@ -90,15 +93,31 @@ fn compare(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
 
 fn explore(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
     let shown = args.protocol.display();
-    let protocol = explore::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
-    let out = args.out.as_ref().unwrap_or(&protocol.out);
+    let wanted = explore::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
+    let own = match &wanted {
+        Wanted::Places(protocol) => &protocol.out,
+        Wanted::Office(protocol) => &protocol.out,
+    };
+    let out = args.out.as_ref().unwrap_or(own);
     fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
-    let bar = Bar::count("runs");
-    let outcome = explore::run(&protocol, &|done, total| bar.set_of(done, total));
-    bar.clear();
-    let outcome = outcome.with_context(|| shown.to_string())?;
-    explore::write(&protocol, &outcome, out)?;
-    explore::summary(&protocol, &outcome, format, io::stdout().lock())?;
+    match &wanted {
+        Wanted::Places(protocol) => {
+            let bar = Bar::count("runs");
+            let outcome = explore::run(protocol, &|done, total| bar.set_of(done, total));
+            bar.clear();
+            let outcome = outcome.with_context(|| shown.to_string())?;
+            explore::write(protocol, &outcome, out)?;
+            explore::summary(protocol, &outcome, format, io::stdout().lock())?;
+        }
+        Wanted::Office(protocol) => {
+            let bar = Bar::count("days");
+            let outcome = office::run(protocol, &|done, total| bar.set_of(done, total));
+            bar.clear();
+            let outcome = outcome.with_context(|| shown.to_string())?;
+            office::write(protocol, &outcome, out)?;
+            office::summary(protocol, &outcome, format, io::stdout().lock())?;
+        }
+    }
     if io::stderr().is_terminal() {
         notice(&format!("results are in {}", out.display()));
     }

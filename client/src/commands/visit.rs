@@ -6,11 +6,7 @@ use std::process::ExitCode;
 
 use clap::{ArgAction, Args};
 
-use super::{
-    Session,
-    point::Point,
-    times,
-};
+use super::{Session, point::Point, times};
 use crate::output::Sheet;
 
 #[derive(Debug, Args)]

@@ -15,6 +15,7 @@ use tidemap_model::family::CannotFit;
 use tidemap_plan::strategy::StrategyError;
 
 mod belief;
+pub mod office;
 mod picture;
 mod protocol;
 mod replay;
@@ -30,6 +31,15 @@ pub use report::{summary, write};
 use belief::Model;
 use replay::Plan;
 use world::{World, WorldError};
+
+/// What a file wants explored.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Wanted {
+    /// A recorded world of places.
+    Places(Protocol),
+    /// A simulated office.
+    Office(office::Protocol),
+}
 
 /// Days of a week.
 const WEEK_DAYS: usize = 7;

@@ -52,6 +52,13 @@ pub fn difference(model: &[DayErrors], baseline: &[DayErrors], significance: f64
     paired(&sets(model, baseline), significance, DRAWS)
 }
 
+/// How often a mean difference as large would be found, either way, if there were none, of differences that are each a sample
+/// of their own. `None` where there are too few.
+pub fn p_value(differences: &[f64]) -> Option<f64> {
+    let set: Vec<Day> = differences.iter().map(|&squared| Day { squared, readings: 1.0 }).collect();
+    paired(&[set], 0.05, DRAWS).test.map(|test| test.p_value)
+}
+
 /// Differences by test set.
 fn sets(model: &[DayErrors], baseline: &[DayErrors]) -> Vec<Vec<Day>> {
     let pairs: Vec<(&DayErrors, &DayErrors)> = model.iter().zip(baseline).collect();

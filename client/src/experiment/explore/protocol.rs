@@ -10,7 +10,13 @@ use std::{
 use serde::Deserialize;
 use tidemap::time::parse_duration;
 
-use super::{belief::Model, replay::Plan, world::DAY_MINUTES};
+use super::{
+    Wanted,
+    belief::Model,
+    office::{self, WrittenOffice},
+    replay::Plan,
+    world::DAY_MINUTES,
+};
 use crate::experiment::{
     ProtocolError,
     protocol::written::{Word, Words},
@@ -22,6 +28,8 @@ const FILE_BYTES_MAX: u64 = 1024 * 1024;
 const SEEDS_MAX: u64 = 1000;
 /// Slots when nothing is said (RAS 2017, section 7).
 const SLOT_MINUTES: usize = 10;
+const WORLD: &str = "the file of the world, with rows of FROM UNTIL PLACE in minutes";
+const OUT: &str = "the folder that results are written to";
 const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 
 /// What a protocol says.
@@ -53,6 +61,7 @@ pub struct Protocol {
 struct Written {
     name: Option<Word>,
     world: Option<Word>,
+    office: Option<WrittenOffice>,
     slot: Option<Word>,
     exploration: Option<Word>,
     seeds: Option<Word>,
@@ -66,7 +75,7 @@ struct Written {
 ///
 /// # Errors
 /// [`ProtocolError`], with line, key, what was found and what would be right.
-pub fn read(path: &Path) -> Result<Protocol, ProtocolError> {
+pub fn read(path: &Path) -> Result<Wanted, ProtocolError> {
     let length = fs::metadata(path)?.len();
     if length > FILE_BYTES_MAX {
         return Err(ProtocolError::TooLong { found: length, most: FILE_BYTES_MAX });
@@ -77,8 +86,37 @@ pub fn read(path: &Path) -> Result<Protocol, ProtocolError> {
 }
 
 /// Makes a protocol of a text; `name` is used where it says none.
-pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, ProtocolError> {
-    let written: Written = serde_saphyr::from_str(text).map_err(|error| ProtocolError::yaml(&error))?;
+pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Wanted, ProtocolError> {
+    let mut written: Written = serde_saphyr::from_str(text).map_err(|error| ProtocolError::yaml(&error))?;
+    match written.office.take() {
+        Some(office) => of_office(office, written, name, folder).map(Wanted::Office),
+        None => of_places(written, name, folder).map(Wanted::Places),
+    }
+}
+
+/// An office, of which strategies and models are not chosen.
+fn of_office(
+    office: WrittenOffice,
+    written: Written,
+    name: &str,
+    folder: &Path,
+) -> Result<office::Protocol, ProtocolError> {
+    const RIGHT: &str = "left out beside an office, which is a world of its own";
+    let one = [("world", written.world), ("slot", written.slot), ("exploration", written.exploration)];
+    let lists = [("weeks", written.weeks), ("strategies", written.strategies), ("models", written.models)];
+    let first = |words: Words| Word {
+        line: words.line,
+        text: words.words.into_iter().map(|word| word.text).collect::<Vec<_>>().join(", "),
+    };
+    let mut others = one.into_iter().chain(lists.map(|(key, words)| (key, words.map(first))));
+    if let Some((key, word)) = others.find_map(|(key, word)| Some((key, word?))) {
+        return Err(ProtocolError::value(key, &word, RIGHT));
+    }
+    let name = written.name.map_or_else(|| name.to_owned(), |word| word.text);
+    office.parse(name, seeds(written.seeds)?, path(written.out, "out", OUT, folder)?)
+}
+
+fn of_places(written: Written, name: &str, folder: &Path) -> Result<Protocol, ProtocolError> {
     let slot_minutes = written.slot.map_or(Ok(SLOT_MINUTES), |word| {
         let minutes = parse_duration(&word.text).ok().and_then(|nanos| {
             let minutes = usize::try_from(nanos / MINUTE_NANOS).ok().filter(|_| nanos % MINUTE_NANOS == 0)?;
@@ -90,30 +128,37 @@ pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, Protocol
         let ratio = word.text.parse().ok().filter(|ratio: &f64| (0.0..=1.0).contains(ratio));
         ratio.ok_or_else(|| ProtocolError::value("exploration", &word, "the share of slots to look in, from 0 to 1"))
     })?;
-    let seeds = written.seeds.map_or(Ok(5), |word| {
-        let seeds = word.text.parse().ok().filter(|seeds| (1..=SEEDS_MAX).contains(seeds));
-        seeds.ok_or_else(|| ProtocolError::value("seeds", &word, "a number of runs from 1 to 1000"))
-    })?;
     let plan = |word: &Word| Plan::ALL.into_iter().find(|plan| plan.name() == word.text);
     let plans = named("strategies", written.strategies, plan, &Plan::ALL.map(|plan| plan.name().to_owned()))?;
     let model = |word: &Word| Model::all().find(|model| model.name() == word.text);
     let models = named("models", written.models, model, &Model::all().map(Model::name).collect::<Vec<_>>())?;
-    let path = |word: Option<Word>, key, right| match word {
-        Some(word) if word.text.is_empty() => Err(ProtocolError::value(key, &word, right)),
-        Some(word) => Ok(folder.join(word.text)),
-        None => Err(ProtocolError::missing(key, right)),
-    };
     Ok(Protocol {
         name: written.name.map_or_else(|| name.to_owned(), |word| word.text),
-        world: path(written.world, "world", "the file of the world, with rows of FROM UNTIL PLACE in minutes")?,
+        world: path(written.world, "world", WORLD, folder)?,
         slot_minutes,
         exploration,
-        seeds,
+        seeds: seeds(written.seeds)?,
         weeks: written.weeks.as_ref().map(weeks).transpose()?,
         plans,
         models,
-        out: path(written.out, "out", "the folder that results are written to")?,
+        out: path(written.out, "out", OUT, folder)?,
     })
+}
+
+fn seeds(word: Option<Word>) -> Result<u64, ProtocolError> {
+    word.map_or(Ok(5), |word| {
+        let seeds = word.text.parse().ok().filter(|seeds| (1..=SEEDS_MAX).contains(seeds));
+        seeds.ok_or_else(|| ProtocolError::value("seeds", &word, "a number of runs from 1 to 1000"))
+    })
+}
+
+/// A path relative to a folder.
+fn path(word: Option<Word>, key: &'static str, right: &str, folder: &Path) -> Result<PathBuf, ProtocolError> {
+    match word {
+        Some(word) if word.text.is_empty() => Err(ProtocolError::value(key, &word, right)),
+        Some(word) => Ok(folder.join(word.text)),
+        None => Err(ProtocolError::missing(key, right)),
+    }
 }
 
 /// Each of what can be named, once.

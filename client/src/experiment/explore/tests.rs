@@ -21,7 +21,11 @@ out: results
 ";
 
 fn protocol(text: &str) -> Protocol {
-    parse(text, "stem", Path::new("lab")).unwrap_or_else(|error| panic!("{error}"))
+    match parse(text, "stem", Path::new("lab")) {
+        Ok(Wanted::Places(protocol)) => protocol,
+        Ok(wanted) => panic!("{wanted:?}"),
+        Err(error) => panic!("{error}"),
+    }
 }
 
 /// In bed until seven, in the kitchen until nine, out until six, then on the sofa until eleven; every day alike.

@@ -1,0 +1,107 @@
+//! One run: all explorers in one office, from the first day to the last.
+//!
+//! Invariant: of each slot, first everybody is judged, then whoever has a tour in it goes.
+
+use tidemap_model::LocalDay;
+use tidemap_plan::{
+    day::DaySlots,
+    predicted::PredictedGrid,
+    strategy::{self, Budget, Gains, Strategy},
+};
+use tidemap_sim::ExploredOffice;
+
+use super::{
+    Course, OfficeError, Protocol,
+    explorer::{Explorer, Kind},
+    space::{DAY_NANOS, START_NANOS, Space},
+};
+
+/// Hours between which an office is awake: tours in between are counted.
+const AWAKE_HOURS: std::ops::Range<i64> = 8..18;
+const HOUR_NANOS: i64 = 3_600_000_000_000;
+
+/// Explores an office once; `day_done` is told of each day.
+pub fn explore(
+    protocol: &Protocol,
+    office: &ExploredOffice,
+    seed: u64,
+    day_done: &impl Fn(),
+) -> Result<Vec<Course>, OfficeError> {
+    let space = Space::new(office, protocol.goals)?;
+    let mut explorers =
+        protocol.explorers.iter().map(|&kind| Explorer::new(kind, &space)).collect::<Result<Vec<_>, OfficeError>>()?;
+    let mut courses = vec![Course::default(); explorers.len()];
+    for day in 0..protocol.days {
+        let midnight_nanos = START_NANOS + day as i64 * DAY_NANOS;
+        let slots = DaySlots::of(&space.spec().zone, LocalDay::of_civil_nanos(midnight_nanos), protocol.slot_nanos)?;
+        let mut schedules = Vec::with_capacity(explorers.len());
+        for (explorer, course) in explorers.iter_mut().zip(&mut courses) {
+            if day > 0 {
+                explorer.midnight(midnight_nanos)?;
+            }
+            // The first day is the same for all: nobody has anything to predict by.
+            let kind = if day == 0 { Kind::Spatial } else { explorer.kind };
+            schedules.push((kind, schedule(protocol, &space, explorer, kind, &slots, seed * 1000 + day as u64)?));
+            for counts in [&mut course.changes, &mut course.discovered, &mut course.tours, &mut course.tours_by_day] {
+                counts.push(0);
+            }
+        }
+        for slot in 0..slots.count() {
+            let (start_nanos, middle_nanos) = (slots.start_nanos(slot), slots.middle_nanos(slot));
+            for (course, error) in courses.iter_mut().zip(judge(&space, &explorers, middle_nanos)?) {
+                course.errors.push(error);
+            }
+            for ((explorer, course), (kind, schedule)) in explorers.iter_mut().zip(&mut courses).zip(&schedules) {
+                if schedule.get(slot).copied().flatten().is_none() {
+                    continue;
+                }
+                let found = explorer.tour(&space, *kind, start_nanos, middle_nanos)?;
+                let is_awake = AWAKE_HOURS.contains(&((middle_nanos - midnight_nanos) / HOUR_NANOS));
+                course.changes[day] += found.changes;
+                course.discovered[day] += found.discovered;
+                course.tours[day] += u64::from(found.looks > 0);
+                course.tours_by_day[day] += u64::from(found.looks > 0 && is_awake);
+            }
+        }
+        day_done();
+    }
+    Ok(courses)
+}
+
+/// In which slots of a day an explorer goes.
+fn schedule(
+    protocol: &Protocol,
+    space: &Space,
+    explorer: &Explorer,
+    kind: Kind,
+    slots: &DaySlots,
+    seed: u64,
+) -> Result<Vec<Option<usize>>, OfficeError> {
+    let count = slots.count();
+    let budget = Budget::Visits(protocol.tours.min(count));
+    if kind == Kind::Spatial {
+        let even = Gains::of(count, 1, |_, _| 1.0)?;
+        return Ok(strategy::schedule(Strategy::RoundRobin { visited: 0 }, &even, budget, seed)?);
+    }
+    // E_G of each slot (RA-L, sections III.E and F).
+    let bits = (0..count)
+        .map(|slot| Ok(explorer.promise(space, slots.middle_nanos(slot))?.expected_bits))
+        .collect::<Result<Vec<f64>, OfficeError>>()?;
+    Ok(strategy::schedule(Strategy::MonteCarlo, &Gains::of(count, 1, |slot, _| bits[slot])?, budget, seed)?)
+}
+
+/// The share of cells that each explorer expects wrongly, among those that anybody has seen.
+fn judge(space: &Space, explorers: &[Explorer], utc_nanos: i64) -> Result<Vec<Option<f64>>, OfficeError> {
+    let truth = space.occupied(utc_nanos);
+    let seen: Vec<usize> =
+        (0..space.cells()).filter(|&cell| explorers.iter().any(|explorer| explorer.has_seen(cell))).collect();
+    let wrong = |grid: &PredictedGrid| {
+        let expects = |cell: usize| grid.probability(space.cell(cell)).is_some_and(|p| p > 0.5);
+        seen.iter().filter(|&&cell| expects(cell) != truth[cell]).count()
+    };
+    let of = |explorer: &Explorer| {
+        let grid = explorer.predict(utc_nanos)?;
+        Ok((!seen.is_empty()).then(|| wrong(&grid) as f64 / seen.len() as f64))
+    };
+    explorers.iter().map(of).collect()
+}

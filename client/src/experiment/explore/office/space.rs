@@ -1,0 +1,133 @@
+//! The office as a grid: where its cells are, and what is there at a time.
+//!
+//! Invariant: cells are numbered as [`ExploredOffice::occupied`] does.
+
+use std::{f64::consts::TAU, sync::Arc};
+
+use tidemap_map::{
+    grid::{
+        index::{CellBox, CellIndex},
+        spec::{GridSpec, Retention, SensorNoise},
+    },
+    name::MapName,
+    spec::MapSpec,
+};
+use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_plan::{
+    predicted::{CELLS_MAX, Lattice, PredictedGrid},
+    tour::TourQuestion,
+    view::{Fan, Scene, Sensor},
+};
+use tidemap_sim::ExploredOffice;
+
+use super::OfficeError;
+
+/// Nanoseconds of a day.
+pub const DAY_NANOS: i64 = 86_400_000_000_000;
+/// Midnight before the first day, which is a Monday: 2025-03-03 UTC.
+pub const START_NANOS: i64 = 20_150 * DAY_NANOS;
+/// Harmonics of a day (RA-L 2016, section III.B.1).
+const HARMONICS: u32 = 24;
+
+/// The office as a grid.
+pub struct Space<'a> {
+    office: &'a ExploredOffice,
+    lattice: Arc<Lattice>,
+    spec: Arc<MapSpec>,
+    /// What is asked of a tour.
+    pub question: TourQuestion,
+    /// The rays of the sensor.
+    pub fan: Fan,
+}
+
+/// What is where at a time.
+pub struct Truth {
+    cells: Vec<bool>,
+    /// The same as a certain prediction.
+    pub grid: PredictedGrid,
+    /// The same to be looked into.
+    pub scene: Scene,
+}
+
+impl Truth {
+    /// Whether a cell, by its number, is occupied.
+    pub fn is_occupied(&self, cell: usize) -> bool {
+        self.cells[cell]
+    }
+}
+
+impl<'a> Space<'a> {
+    /// An office as a grid, for tours of so many goals.
+    pub fn new(office: &'a ExploredOffice, goals: usize) -> Result<Self, OfficeError> {
+        let setting = |error: &dyn std::fmt::Display| OfficeError::Setting(error.to_string());
+        let [x, y, z] = office.size().map(|cells| cells as i32);
+        let extent = CellBox { min: CellIndex::default(), max: CellIndex { x, y, z } };
+        let grid = GridSpec {
+            frame_id: "map".to_owned(),
+            is_flat: false,
+            resolution_m: ExploredOffice::CELL_M,
+            origin_m: [0.0; 3],
+            extent: Some(extent),
+            sensor: SensorNoise::default(),
+            retention: Retention::None,
+        };
+        let lattice = Arc::new(Lattice::new(&grid, extent, CELLS_MAX)?);
+        let spec = Arc::new(MapSpec {
+            name: MapName::new("office").map_err(|error| setting(&error))?,
+            zone: Zone::named("UTC").map_err(|error| setting(&error))?,
+            periodicities: Periodicities::harmonics(DAY_NANOS, HARMONICS).map_err(|error| setting(&error))?,
+            criterion: OrderCriterion::SquaredError,
+            created_nanos: START_NANOS,
+            half_life_nanos: None,
+            prior: 0.5,
+            retention: Retention::None,
+            grid: Some(grid),
+        });
+        // 360° x 90° within 4 m; two minutes at each goal, the drive included (RA-L, sections III.E and H).
+        let sensor = Sensor { horizontal_fov_rad: TAU, ..Sensor::default() };
+        let question = TourQuestion { start_m: office.charger_m(), goals, sensor, ..TourQuestion::default() };
+        let fan = Fan::new(&question.sensor, &lattice, 0.0).map_err(|error| setting(&error))?;
+        Ok(Self { office, lattice, spec, question, fan })
+    }
+
+    /// What the maps of explorers are.
+    pub fn spec(&self) -> &Arc<MapSpec> {
+        &self.spec
+    }
+
+    /// Where the cells are.
+    pub fn lattice(&self) -> &Arc<Lattice> {
+        &self.lattice
+    }
+
+    /// How many cells there are.
+    pub fn cells(&self) -> usize {
+        self.office.size().iter().product()
+    }
+
+    /// The number of a cell of the office.
+    pub fn number(&self, cell: CellIndex) -> usize {
+        let [width, depth, _] = self.office.size();
+        (cell.z as usize * depth + cell.y as usize) * width + cell.x as usize
+    }
+
+    /// The cell of a number.
+    pub fn cell(&self, number: usize) -> CellIndex {
+        let [width, depth, _] = self.office.size();
+        CellIndex { x: (number % width) as i32, y: (number / width % depth) as i32, z: (number / width / depth) as i32 }
+    }
+
+    /// What is where at a time, nanoseconds UTC.
+    pub fn truth(&self, utc_nanos: i64) -> Result<Truth, OfficeError> {
+        let cells = self.occupied(utc_nanos);
+        let occupied = |cell| Some(f32::from(u8::from(cells[self.number(cell)])));
+        let grid = PredictedGrid::from_fn(Arc::clone(&self.lattice), occupied);
+        let scene = Scene::new(&grid, &self.question.scene).map_err(|error| OfficeError::Setting(error.to_string()))?;
+        Ok(Truth { cells, grid, scene })
+    }
+
+    /// Which cells are occupied at a time, nanoseconds UTC, by number.
+    pub fn occupied(&self, utc_nanos: i64) -> Vec<bool> {
+        self.office.occupied((utc_nanos - START_NANOS) / 1_000_000_000)
+    }
+}
