@@ -26,7 +26,7 @@ const DEPTH: usize = 2 * ROOM + CORRIDOR + 2;
 const HEIGHT: usize = 12;
 /// Height of doors in cells.
 const DOOR_HEIGHT: usize = 10;
-/// Doors that can be closed; other rooms have none.
+/// Doors: of kitchen and meeting room, open while anybody is in the office. Desks stand in the open.
 const DOORS: usize = 2;
 
 /// An office to be explored.
@@ -115,14 +115,12 @@ impl ExploredOffice {
     pub fn occupied(&self, secs: i64) -> Vec<bool> {
         let (day, second) = (secs.div_euclid(DAY_SECS), secs.rem_euclid(DAY_SECS));
         let mut cells = self.still.clone();
-        let mut is_open = [false; DOORS];
+        let mut is_open = false;
         for (index, person) in self.people.iter().enumerate() {
             let now = person.whereabouts(day, second);
             let desk = self.room(index);
             let is_in = now != Whereabouts::Away;
-            if let Some(open) = is_open.get_mut(index) {
-                *open = is_in;
-            }
+            is_open |= is_in;
             // The laptop lies and stands on the desk; the chair is pulled out all day, and put back in the evening.
             if is_in {
                 self.fill(&mut cells, desk.block(14..16, 22..23, 4..6));
@@ -139,8 +137,7 @@ impl ExploredOffice {
                 Whereabouts::Meeting => self.fill(&mut cells, self.meeting().block(place..place + 2, 18..20, 0..7)),
             }
         }
-        for (index, is_open) in is_open.into_iter().enumerate() {
-            let room = self.room(index);
+        for room in [self.kitchen(), self.meeting()] {
             let leaf =
                 if is_open { room.block(9..10, 1..6, 0..DOOR_HEIGHT) } else { room.block(4..9, 0..1, 0..DOOR_HEIGHT) };
             self.fill(&mut cells, leaf);

@@ -39,9 +39,11 @@ pub fn explore(
             if day > 0 {
                 explorer.midnight(midnight_nanos)?;
             }
-            // The first day is the same for all: nobody has anything to predict by.
-            let kind = if day == 0 { Kind::Spatial } else { explorer.kind };
-            schedules.push((kind, schedule(protocol, &space, explorer, kind, &slots, seed * 1000 + day as u64)?));
+            let kind = (day > 0).then_some(explorer.kind);
+            schedules.push((
+                kind.unwrap_or(Kind::Spatial),
+                schedule(protocol, &space, explorer, kind, &slots, seed * 1000 + day as u64)?,
+            ));
             for counts in [&mut course.changes, &mut course.discovered, &mut course.tours, &mut course.tours_by_day] {
                 counts.push(0);
             }
@@ -73,15 +75,18 @@ fn schedule(
     protocol: &Protocol,
     space: &Space,
     explorer: &Explorer,
-    kind: Kind,
+    kind: Option<Kind>,
     slots: &DaySlots,
     seed: u64,
 ) -> Result<Vec<Option<usize>>, OfficeError> {
     let count = slots.count();
     let budget = Budget::Visits(protocol.tours.min(count));
+    let even = || Gains::of(count, 1, |_, _| 1.0);
+    // The first day is the same for all: nobody has anything to predict by. Tours at even hours would show periods of
+    // 24 h / i and 24 h / (24 - i) alike.
+    let Some(kind) = kind else { return Ok(strategy::schedule(Strategy::Random, &even()?, budget, seed)?) };
     if kind == Kind::Spatial {
-        let even = Gains::of(count, 1, |_, _| 1.0)?;
-        return Ok(strategy::schedule(Strategy::RoundRobin { visited: 0 }, &even, budget, seed)?);
+        return Ok(strategy::schedule(Strategy::RoundRobin { visited: 0 }, &even()?, budget, seed)?);
     }
     // E_G of each slot (RA-L, sections III.E and F).
     let bits = (0..count)

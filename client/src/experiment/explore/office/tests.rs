@@ -9,7 +9,7 @@ use crate::experiment::explore::{Wanted, protocol::parse};
 const PROTOCOL: &str = "name: office
 office:
   days: 4
-  tours: 12
+  tours: 16
   goals: 4
   rooms: 2
   slot: 30m
@@ -27,7 +27,7 @@ fn protocol() -> Protocol {
 #[test]
 fn a_protocol_is_read_and_has_the_defaults_of_the_paper() {
     let read = protocol();
-    assert_eq!((read.days, read.tours, read.goals, read.rooms, read.seeds), (4, 12, 4, 2, 1));
+    assert_eq!((read.days, read.tours, read.goals, read.rooms, read.seeds), (4, 16, 4, 2, 1));
     assert_eq!((read.slots(), read.out, read.explorers.len()), (48, PathBuf::from("lab/results"), 3));
     let Ok(Wanted::Office(least)) = parse("office: {}\nout: o\n", "stem", Path::new("")) else { panic!() };
     assert_eq!((least.name.as_str(), least.days, least.tours, least.goals, least.rooms), ("stem", 5, 24, 6, 4));
@@ -38,7 +38,7 @@ fn a_protocol_is_read_and_has_the_defaults_of_the_paper() {
 fn what_a_protocol_says_wrongly_is_named() {
     for (from, to, message) in [
         ("days: 4", "days: 0", "line 3: days is \"0\": it has to be a whole number from 1 to 60"),
-        ("tours: 12", "tours: 49", "line 4: tours is \"49\": it has to be a whole number from 1 to 48"),
+        ("tours: 16", "tours: 49", "line 4: tours is \"49\": it has to be a whole number from 1 to 48"),
         ("goals: 4", "goals: 16", "line 5: goals is \"16\": it has to be a whole number from 1 to 15"),
         ("rooms: 2", "rooms: 1", "line 6: rooms is \"1\": it has to be a whole number from 2 to 20"),
         ("slot: 30m", "slot: 7m", "line 7: slot is \"7m\": it has to be at least 5m"),
@@ -64,7 +64,7 @@ fn from_the_third_day_on_the_spatio_temporal_model_errs_less() {
     }
     let of = |day: usize, kind: Kind| days.iter().find(|found| (found.day, found.kind) == (day, kind)).unwrap();
     for day in &days {
-        assert!((day.tours - 12.0).abs() < 1e-12, "{day:?}");
+        assert!((day.tours - 16.0).abs() < 1e-12, "{day:?}");
     }
     let (spatial, temporal) = (of(1, Kind::Spatial), of(1, Kind::Temporal));
     assert_eq!((spatial.changes, spatial.discovered), (temporal.changes, temporal.discovered), "the same first day");
