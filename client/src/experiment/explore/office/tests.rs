@@ -83,7 +83,6 @@ fn the_first_day_is_the_same_for_all_and_the_model_errs_less_every_day() {
 fn from_the_third_day_on_the_spatio_temporal_model_with_persistence_errs_less() {
     let text = "office: {}\nseeds: 1\nout: o\n";
     let Ok(Wanted::Office(protocol)) = parse(text, "stem", Path::new("")) else { panic!() };
-    let protocol = Protocol { explorers: vec![Kind::Spatial, Kind::TemporalPersistence], ..protocol };
     let days = run(&protocol, &|_, _| ()).unwrap().days(&protocol);
     for day in days.iter().filter(|day| day.day >= 3 && day.kind == Kind::TemporalPersistence) {
         assert!(day.better == 1 && day.difference < 0.0, "{day:?}");
