@@ -27,18 +27,18 @@ pub fn draw(protocol: &Protocol, outcome: &Outcome) -> String {
     let x = |slot: f64| LEFT + slot / slots.max(1) as f64 * width;
     let y = |percent: f64| TOP + HEIGHT * (1.0 - (percent / (tick * ticks)).min(1.0));
     let mut svg = Svg::new(TOP + HEIGHT + 76.0);
-    svg.text(16.0, 26.0, "start", "bold", &protocol.name);
-    svg.text(16.0, 46.0, "start", "normal", "cells expected wrongly, percent of those seen so far, by day");
+    svg.text([16.0, 26.0], &protocol.name, "text-anchor=\"start\" font-weight=\"bold\"");
+    svg.text([16.0, 46.0], "cells expected wrongly, percent of those seen so far, by day", "text-anchor=\"start\"");
     for at in 0..=ticks as u32 {
         let percent = f64::from(at) * tick;
         svg.line([LEFT, y(percent), LEFT + width, y(percent)], "stroke=\"#e4e4e4\"");
-        svg.text(LEFT - 6.0, y(percent) + 4.0, "end", "normal", &number(percent));
+        svg.text([LEFT - 6.0, y(percent) + 4.0], &number(percent), "text-anchor=\"end\"");
     }
     for day in 0..protocol.days {
         let at = x((day * per_day) as f64);
         svg.line([at, TOP, at, TOP + HEIGHT], "stroke=\"#c0c0c0\"");
         let middle = x((day * per_day) as f64 + per_day as f64 / 2.0);
-        svg.text(middle, TOP + HEIGHT + 20.0, "middle", "normal", &(day + 1).to_string());
+        svg.text([middle, TOP + HEIGHT + 20.0], &(day + 1).to_string(), "text-anchor=\"middle\"");
     }
     for (index, kind) in protocol.explorers.iter().enumerate() {
         let style = format!("stroke=\"{}\" stroke-width=\"1.4\" fill=\"none\"", COLOURS[index % COLOURS.len()]);
@@ -50,7 +50,7 @@ pub fn draw(protocol: &Protocol, outcome: &Outcome) -> String {
         let left = LEFT + index as f64 * width / 3.0;
         let middle = TOP + HEIGHT + 48.0;
         svg.line([left, middle, left + 30.0, middle], &style);
-        svg.text(left + 38.0, middle + 4.0, "start", "normal", kind.name());
+        svg.text([left + 38.0, middle + 4.0], kind.name(), "text-anchor=\"start\"");
     }
     svg.finish()
 }
