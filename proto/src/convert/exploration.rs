@@ -43,7 +43,9 @@ pub fn times_from_wire(field: &str, times_nanos: &[i64]) -> Result<(), InvalidFi
     if times_nanos.is_empty() {
         return Err(InvalidField::new(field, "name at least one time"));
     }
-    (0..).zip(times_nanos).try_for_each(|(i, &nanos): (usize, _)| time_from_wire(format!("{field}[{i}]"), nanos).map(drop))
+    (0..)
+        .zip(times_nanos)
+        .try_for_each(|(i, &nanos): (usize, _)| time_from_wire(format!("{field}[{i}]"), nanos).map(drop))
 }
 
 /// A sensor.

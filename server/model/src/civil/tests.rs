@@ -142,7 +142,9 @@ fn dates_are_read_as_they_are_shown() {
         assert_eq!(LocalDay::parse(&LocalDay(day).to_string()), Some(LocalDay(day)), "{day}");
     }
     assert_eq!(LocalDay::parse("2016-02-29"), Some(LocalDay(16_860)));
-    for wrong in ["", "2015-02-29", "2016-13-01", "20160229", "2016-2-29", "2016-02-29T00:00", " 2016-02-29", "tomorrow"] {
+    for wrong in
+        ["", "2015-02-29", "2016-13-01", "20160229", "2016-2-29", "2016-02-29T00:00", " 2016-02-29", "tomorrow"]
+    {
         assert_eq!(LocalDay::parse(wrong), None, "{wrong:?}");
     }
 }

@@ -50,8 +50,10 @@ pub(super) async fn evaluate_views(
         let grid = PredictedTimes::new(&view, &request.times_nanos, &options).map_err(PlanError::from)?;
         let scene = TimedScene::new(&grid, &scene_options).map_err(PlanError::from)?;
         let tell = |number: usize, told: Result<Vec<Option<f64>>, _>| {
-            let mut reply =
-                v1::EvaluateViewsResponse { viewpoint: u32::try_from(number).unwrap_or(u32::MAX), ..Default::default() };
+            let mut reply = v1::EvaluateViewsResponse {
+                viewpoint: u32::try_from(number).unwrap_or(u32::MAX),
+                ..Default::default()
+            };
             match told {
                 Ok(bits) => reply.information_bits = bits.into_iter().map(|bits| bits.unwrap_or(f64::NAN)).collect(),
                 Err(error) => reply.reason = ToString::to_string(&error),
