@@ -12,7 +12,7 @@ use tidemap_map::{
     name::MapName,
     spec::MapSpec,
 };
-use tidemap_model::{OrderCriterion, Periodicities, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_plan::{
     predicted::{CELLS_MAX, Lattice, PredictedGrid},
     tour::TourQuestion,
@@ -80,6 +80,7 @@ impl<'a> Space<'a> {
             created_nanos: START_NANOS,
             half_life_nanos: None,
             prior: 0.5,
+            models: EnabledModels::default(),
             retention: Retention::None,
             grid: Some(grid),
         });
