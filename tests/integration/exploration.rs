@@ -166,6 +166,8 @@ async fn views_regions_and_mistakes_are_answered() {
     day(&["--views", "0.01"]).fails(2, &["0.01", "640000"]);
     day(&["--views", "0"]).fails(2, &["\"0\" is not a distance"]);
 
+    let many = (nine..nine + 2_001).map(|at| at.to_string()).collect::<Vec<_>>().join(",");
+    tidemap(&daemon, ["info", MAP, "--at", &many, "--view", "6,5,0"]).fails(1, &["2001", "2000"]);
     info(&["--view", "4.05,1,0"]).fails(1, &["4.05", "occupied"]);
     info(&["--view", "90,1,0"]).fails(1, &["90", "outside"]);
     info(&["--view", "1,1,0,0"]).fails(2, &["1,1,0,0"]);

@@ -22,7 +22,7 @@ use tonic::{Code, Request, Response, Status};
 use super::{
     map::{edit_site, find_map},
     query::{
-        Queries,
+        Queries, check_limit,
         fitting::Fitting,
         replies::{Replies, Turns, processors},
     },
@@ -35,6 +35,10 @@ mod day;
 mod information;
 mod tour;
 mod views;
+
+/// Most times at which a grid is looked into in one request. The phasors of all are held at once, 33 KB a time where a map
+/// has as many periodicities as there may be.
+const GRID_TIMES_MAX: u64 = 2_000;
 
 /// Most of what plans may ask for.
 #[derive(Clone, Copy, Debug)]
@@ -122,6 +126,11 @@ impl Explorations {
     /// What predicting takes.
     fn means(&self) -> Means<'_> {
         Means { fitting: &self.fitting, turns: &self.turns, predictions: self.limits.predictions }
+    }
+
+    /// Refuses more times than a grid is predicted for at once.
+    fn check_grid_times(times_nanos: &[i64]) -> Result<(), RpcError> {
+        check_limit("times", times_nanos.len() as u64, GRID_TIMES_MAX, "one request about a grid")
     }
 
     fn look_limits(&self) -> LookLimits {

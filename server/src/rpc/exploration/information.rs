@@ -103,6 +103,7 @@ pub(super) async fn get_information(
         if !states.is_empty() || !locations.is_empty() {
             return Err(InvalidField::new("region", "ask for a region in a request of its own").into());
         }
+        Explorations::check_grid_times(&times_nanos)?;
         let options =
             PredictOptions { selector, region: Some(cell_box_from_wire(&region)), ..explorations.predict_options() };
         let most = explorations.limits.predictions;

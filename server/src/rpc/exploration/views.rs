@@ -40,6 +40,7 @@ pub(super) async fn evaluate_views(
     }
     let looks = request.viewpoints.len() as u64 * request.times_nanos.len() as u64;
     check_limit("viewpoints x times", looks, explorations.limits.predictions, "setting max_predictions")?;
+    Explorations::check_grid_times(&request.times_nanos)?;
     let scene_options = scene_from_wire(request.certainty, request.threshold)?;
     let sensor = sensor_from_wire(request.sensor);
     let viewpoints: Vec<Viewpoint> = request.viewpoints.iter().map(viewpoint_from_wire).collect();
