@@ -20,6 +20,7 @@ mod predict;
 mod producer_id;
 mod reconstruct;
 mod search;
+mod slot;
 mod state;
 mod stats;
 mod times;
@@ -129,6 +130,11 @@ enum Command {
     /// How likely it is to find somebody at a node is predicted from the state of the same name. Places that are passed on
     /// the way to others are looked at too. expected_secs is the time to find to expect, the same in each row.
     Search(search::SearchArgs),
+    /// Chooses where to look in the slot that begins now, for what is known now
+    ///
+    /// By default the most uncertain location, with what was seen last counted. With --planned the one that a plan of the day
+    /// has, unless something unexpected was seen elsewhere lately.
+    Slot(slot::SlotArgs),
     /// Lists and watches jobs
     #[command(subcommand)]
     Job(job::JobCommand),
@@ -191,6 +197,7 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Day(args) => day::run(&session, args).await,
         Command::Topology(command) => topology::run(&session, command).await,
         Command::Search(args) => search::run(&session, args).await,
+        Command::Slot(args) => slot::run(&session, args).await,
         Command::Job(command) => job::run(&session, &command).await,
         Command::Stats(args) => stats::run(&session, &args).await,
         Command::Bench(command) => bench::run(&session, &command).await,

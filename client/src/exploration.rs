@@ -185,6 +185,49 @@ pub struct DayQuery {
     pub sensor: Sensor,
 }
 
+/// How a location is chosen for a slot when it comes.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum SlotStrategy {
+    /// The most uncertain one.
+    #[default]
+    Online,
+    /// This planned one, unless another is worth a look because something unexpected was seen there lately.
+    Novelty {
+        /// The planned location.
+        planned: String,
+    },
+    /// In proportion to the information expected.
+    MonteCarlo,
+}
+
+/// What is asked of the slot that begins. `None`: the daemon's default.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SlotQuery {
+    /// Name of the map.
+    pub map: String,
+    /// The slot's middle, nanoseconds UTC.
+    pub time_nanos: i64,
+    /// How the location is chosen.
+    pub strategy: SlotStrategy,
+    /// Locations to choose from; empty: all.
+    pub locations: Vec<String>,
+    /// Which model predicts.
+    pub model: Option<ModelSelector>,
+    /// Seed of what is random.
+    pub seed: u64,
+}
+
+/// Where to look in a slot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SlotChoice {
+    /// The location.
+    pub location: String,
+    /// What is expected to be learned there.
+    pub information_bits: f64,
+    /// What would be learned if all is as was seen lately; of [`SlotStrategy::Novelty`] only.
+    pub surprise_bits: Option<f64>,
+}
+
 /// A slot of a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DaySlot {
@@ -365,6 +408,32 @@ impl Client {
             information_bits: slot.information_bits,
         };
         Ok(answer.into_inner().slots.into_iter().map(slot).collect())
+    }
+
+    /// Where to look in the slot that begins now.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or location.
+    pub async fn plan_slot(&self, query: SlotQuery) -> Result<SlotChoice, Error> {
+        let (strategy, planned) = match query.strategy {
+            SlotStrategy::Online => (v1::SlotStrategy::Online, String::new()),
+            SlotStrategy::Novelty { planned } => (v1::SlotStrategy::Novelty, planned),
+            SlotStrategy::MonteCarlo => (v1::SlotStrategy::MonteCarlo, String::new()),
+        };
+        let request = v1::PlanSlotRequest {
+            map: query.map,
+            time_nanos: query.time_nanos,
+            strategy: strategy.into(),
+            planned,
+            locations: query.locations,
+            model: query.model.map(ModelSelector::to_wire),
+            certainty: None,
+            seed: query.seed,
+        };
+        let answer = self.exploration_service().plan_slot(request).await.map_err(|status| self.error(&status))?;
+        let v1::PlanSlotResponse { location, information_bits, surprise_bits } = answer.into_inner();
+        let surprise_bits = (strategy == v1::SlotStrategy::Novelty).then_some(surprise_bits);
+        Ok(SlotChoice { location, information_bits, surprise_bits })
     }
 
     /// Reports whether a robot reached a place, at a time in nanoseconds UTC or now. Gives the share of the last attempts

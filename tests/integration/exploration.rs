@@ -252,6 +252,30 @@ fn a_day_is_explored_when_and_where_it_is_uncertain() {
         .collect();
     assert!(slots.iter().all(|slot| (36..68).contains(slot)), "{slots:?}");
 
+    // In the morning the desk is uncertain; the wall never is.
+    let slot = |more: &[&str]| {
+        let args = ["slot", "flat", "--at", "2016-01-25T09:07:30Z", "--model", "histogram:24"];
+        tidemap(&daemon, args.into_iter().chain(more.iter().copied()))
+    };
+    assert_eq!(slot(&[]).table().column("location"), ["office"]);
+    assert!(slot(&[]).table().numbers("information_bits")[0] > 0.1);
+    assert_eq!(slot(&["--monte-carlo", "--seed", "3"]).table(), slot(&["--monte-carlo", "--seed", "3"]).table());
+    assert_eq!(
+        slot(&["--planned", "corridor"]).table().column("location"),
+        ["corridor"],
+        "nothing unexpected was seen"
+    );
+    // Somebody at the desk at night: the model is sure of the contrary.
+    let night = "time,state,value\n1453690800,desk,1\n1453690860,desk,1\n";
+    cli::tidemap_reading(&daemon, ["observe", "flat", "-", "--producer", "robot", "--label", "night"], night).table();
+    tidemap(&daemon, ["update", "flat"]).table();
+    let args = ["slot", "flat", "--at", "1453690920", "--planned", "corridor", "--model", "histogram:24"];
+    let novel = tidemap(&daemon, args).table();
+    assert_eq!(novel.column("location"), ["office"], "{novel:?}");
+    assert!(novel.numbers("surprise_bits")[0] > 1.0, "{novel:?}");
+    slot(&["--planned", "attic"]).fails(1, &["\"attic\"", "planned"]);
+    slot(&["--planned", "corridor", "--monte-carlo"]).fails(2, &["--monte-carlo"]);
+
     day(&["--explore", "97"]).fails(1, &["97 visits", "96 slots"]);
     day(&["--slot", "10s"]).fails(1, &["10 s"]);
     day(&["--ratio", "1.5"]).fails(2, &["1.5"]);

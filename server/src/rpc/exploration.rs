@@ -33,6 +33,7 @@ use crate::catalog::Catalog;
 
 mod day;
 mod information;
+mod slot;
 mod tour;
 mod views;
 
@@ -176,6 +177,10 @@ impl ExplorationService for Explorations {
 
     async fn plan_day(&self, request: Request<v1::PlanDayRequest>) -> Result<Response<v1::PlanDayResponse>, Status> {
         Ok(Response::new(day::plan_day(self, request.into_inner()).await?))
+    }
+
+    async fn plan_slot(&self, request: Request<v1::PlanSlotRequest>) -> Result<Response<v1::PlanSlotResponse>, Status> {
+        Ok(Response::new(slot::plan_slot(self, request.into_inner()).await?))
     }
 
     async fn report_visit(

@@ -40,7 +40,7 @@ use crate::rpc::{
 const LOCATIONS_MAX: usize = 10_000;
 
 /// The locations to choose from, by name, with their states.
-fn locations(view: &MapView, asked: Vec<String>) -> Result<(Vec<String>, Vec<Vec<StateId>>), RpcError> {
+pub(super) fn locations(view: &MapView, asked: Vec<String>) -> Result<(Vec<String>, Vec<Vec<StateId>>), RpcError> {
     let names = if asked.is_empty() {
         view.site().locations().keys().map(|name| name.as_str().to_owned()).collect()
     } else {
