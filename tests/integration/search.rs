@@ -117,6 +117,43 @@ fn somebody_in_a_flat_is_looked_for_where_she_is_at_that_time() {
     assert_eq!(search(&daemon, "flat", "Center", monday + 3 * HOUR_SECS, &[]).table(), night);
 }
 
+#[test]
+fn a_node_that_is_renamed_keeps_what_was_learned() {
+    let (_data, launch, daemon) = started();
+    load(&daemon, "flat", FLAT, &[]).table();
+    let observe = |daemon: &Daemon, rows: &str, label: &str| {
+        let args = ["observe", "flat", "-", "--producer", "robot", "--label", label];
+        cli::tidemap_reading(daemon, args, rows).table();
+    };
+    let rows = seen(&[("node/hall", 0), ("kitchen", 1), ("node/kitchen/cup", 1), ("node/hall/cup", 0), ("pantry", 0)]);
+    observe(&daemon, &rows, "seen");
+    tidemap(&daemon, ["update", "flat"]).table();
+    let before = search(&daemon, "flat", "office", START_SECS, &["--object", "cup"]).table();
+    assert_eq!(before.column("node"), ["hall", "kitchen"]);
+    let rename =
+        |daemon: &Daemon, to: &str| tidemap(daemon, ["topology", "edit", "rename-node", "flat", "kitchen", to]);
+    rename(&daemon, "pantry").fails(1, &["\"kitchen\"", "a state of that name", "another name"]);
+    rename(&daemon, "scullery").table();
+    let is_renamed = |daemon: &Daemon| {
+        let after = search(daemon, "flat", "office", START_SECS, &["--object", "cup"]).table();
+        assert_eq!(after.column("node"), ["hall", "scullery"]);
+        assert_eq!(after.numbers("probability"), before.numbers("probability"));
+        let at = START_SECS.to_string();
+        let presence = |state: &str| tidemap(daemon, ["predict", "flat", state, "--at", &at]);
+        assert!(presence("scullery").table().numbers("probability")[0] > 0.9);
+        assert!(presence("node/scullery").table().numbers("probability")[0] > 0.9);
+        presence("kitchen").fails(1, &["\"kitchen\""]);
+    };
+    is_renamed(&daemon);
+    daemon.kill();
+    let daemon = launch.start();
+    is_renamed(&daemon);
+    // The recording is what it was, although its names are not the map's any more.
+    observe(&daemon, &rows, "seen");
+    observe(&daemon, &seen(&[("scullery", 1)]), "later");
+    is_renamed(&daemon);
+}
+
 const FLAT: &str = "node hall\nnode kitchen\nnode office\nlink hall kitchen 10\nlink hall office 30\n";
 
 /// Rows that say that somebody is at a node, or something of a kind, and nowhere else.

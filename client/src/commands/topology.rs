@@ -60,7 +60,7 @@ pub enum EditCommand {
         /// Name of the node
         node: String,
     },
-    /// Renames a node; states are not renamed
+    /// Renames a node; its states go with it
     RenameNode {
         /// Name of the map
         map: String,

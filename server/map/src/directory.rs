@@ -1,7 +1,7 @@
 //! Which states a map has: names to indices and back.
 //!
-//! Invariant: append-only, and cheap to share: a clone is a handful of pointers, and adding a name copies only the
-//! shard and the chunk that it lands in when a view still holds them.
+//! Invariant: an index is given once, and its state keeps it under another name. Cheap to share: a clone is a handful of
+//! pointers, and adding a name copies only the shard and the chunk that it lands in when a view still holds them.
 
 use std::{
     collections::HashMap,
@@ -11,7 +11,7 @@ use std::{
 
 use crate::{
     event::{Dimensions, Form, StateId, StateKind},
-    name::StateName,
+    name::{StateName, asked_for},
 };
 
 const SHARDS: usize = 256;
@@ -56,6 +56,7 @@ impl Directory {
     }
 
     pub fn find(&self, name: &str) -> Option<StateId> {
+        let name = asked_for(name);
         self.shards[self.shard(name)].get(name).copied()
     }
 
@@ -77,6 +78,20 @@ impl Directory {
 
     pub fn iter(&self) -> impl Iterator<Item = &StateInfo> {
         self.chunks.iter().flat_map(|chunk| chunk.iter())
+    }
+
+    /// Gives a state another name. Nothing is changed where there is no such state, or the name is taken.
+    pub fn rename(&mut self, id: StateId, name: StateName) {
+        let index = id.0 as usize;
+        if self.info(id).is_none() || self.form(name.as_str()).is_some() {
+            return;
+        }
+        let info = &mut Arc::make_mut(&mut Arc::make_mut(&mut self.chunks)[index / CHUNK])[index % CHUNK];
+        let old = std::mem::replace(&mut info.name, name.clone());
+        let (from, to) = (self.shard(old.as_str()), self.shard(name.as_str()));
+        let shards = Arc::make_mut(&mut self.shards);
+        Arc::make_mut(&mut shards[from]).remove(&old);
+        Arc::make_mut(&mut shards[to]).insert(name, id);
     }
 
     /// Appends a state; its index is the number of states before.

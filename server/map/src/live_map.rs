@@ -23,6 +23,7 @@ use crate::{
 };
 
 mod recall;
+pub mod rename;
 mod take_in;
 mod updates;
 
@@ -280,6 +281,7 @@ impl LiveMap {
             Event::EditSite(edit) => {
                 let states = self.directory.len();
                 Arc::make_mut(&mut self.site).apply(edit, states).map_err(|error| inconsistent(error.to_string()))?;
+                self.rename_states(edit);
                 None
             }
         };

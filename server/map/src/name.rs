@@ -130,6 +130,14 @@ fn split_object(name: &str) -> Option<(&str, &str)> {
     name.strip_prefix("node/")?.split_once('/')
 }
 
+/// The name of the state that a name asks for: of the default kind at a node, `node/N`, that is the plain state N.
+pub(crate) fn asked_for(name: &str) -> &str {
+    name.strip_prefix("node/").filter(|node| !node.contains('/')).unwrap_or(name)
+}
+
+/// First parts of the names of what is learned of an edge, which its two nodes follow.
+const OF_EDGES: [&str; 3] = ["edge", "speed", "pace"];
+
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`; or that of an axis of a vector,
 /// such a name with `/x`, `/y` or `/z`; or `node/N/KIND`, which tells whether something of a kind is at node N.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -148,13 +156,13 @@ impl StateName {
         Ok(Self(name.into()))
     }
 
-    /// As [`StateName::new`], or `node/N/KIND` with plain names for node and kind, 128 characters in all. Whether there is
+    /// As [`StateName::new`], where `node/N` is the plain name N; or `node/N/KIND` with plain names for node and kind, 128 characters in all. Whether there is
     /// such a node is not asked: it may be added later.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
     pub fn observed(name: &str) -> Result<Self, InvalidName> {
-        let Some((node, kind)) = split_object(name) else { return Self::new(name) };
+        let Some((node, kind)) = split_object(name) else { return Self::new(asked_for(name)) };
         check(name)?;
         Self::new(node)?;
         Self::new(kind)?;
@@ -194,6 +202,28 @@ impl StateName {
             }
             None => Self::observed(name),
         }
+    }
+
+    /// The name that the state has once node `from` is called `to`; `None` where it is not one of the node's: those are its
+    /// own name, `node/N/KIND`, and those of the edges at it.
+    ///
+    /// # Errors
+    /// [`InvalidName::TooLong`].
+    pub fn with_node_renamed(&self, from: &str, to: &StateName) -> Option<Result<Self, InvalidName>> {
+        let renamed = |part: &str| if part == from { to.0.to_string() } else { part.to_owned() };
+        let parts: Vec<&str> = self.0.split('/').collect();
+        let name = match parts[..] {
+            [plain] if plain == from => return Some(Ok(to.clone())),
+            ["node", node, kind] if node == from => format!("node/{to}/{kind}"),
+            [first, one, other, ref action @ ..] if OF_EDGES.contains(&first) && (one == from || other == from) => {
+                let ends = [first.to_owned(), renamed(one), renamed(other)];
+                let parts: Vec<String> = ends.into_iter().chain(action.iter().map(|&part| part.to_owned())).collect();
+                // Of an edge the parts are bounded, not the whole.
+                return Some(Ok(Self(parts.join("/").into())));
+            }
+            _ => return None,
+        };
+        Some(check(&name).map(|()| Self(name.into())))
     }
 
     /// Of the name of an axis, that of its vector and the axis's number, 0 for x.
@@ -365,6 +395,33 @@ mod tests {
     }
 
     #[test]
+    fn the_states_of_a_node_are_renamed_with_it() {
+        let to = StateName::new("Hall").expect("valid");
+        let renamed = |name: &str| {
+            let name = StateName(name.into());
+            name.with_node_renamed("Lobby", &to).map(|name| name.map(|name| name.to_string()))
+        };
+        for (old, new) in [
+            ("Lobby", "Hall"),
+            ("node/Lobby/Anna", "node/Hall/Anna"),
+            ("edge/Lobby/Lab", "edge/Hall/Lab"),
+            ("edge/Lab/Lobby", "edge/Lab/Hall"),
+            ("speed/Lab/Lobby/drive", "speed/Lab/Hall/drive"),
+            ("pace/Lobby/Lobby2", "pace/Hall/Lobby2"),
+        ] {
+            assert_eq!(renamed(old), Some(Ok(new.to_owned())), "{old}");
+        }
+        for other in ["Lab", "Lobby2", "Lobby/x", "node/Lab/Lobby", "edge/Lab/Yard/Lobby", "node/x"] {
+            assert_eq!(renamed(other), None, "{other}");
+        }
+        let kind = "k".repeat(119);
+        assert_eq!(renamed(&format!("node/Lobby/{}", &kind[..117])).map(|name| name.is_ok()), Some(true));
+        let longer = StateName::new("Entrance hall").expect("valid");
+        let refused = StateName(format!("node/Lobby/{}", &kind[..117]).into()).with_node_renamed("Lobby", &longer);
+        assert!(matches!(refused, Some(Err(InvalidName::TooLong { .. }))), "{refused:?}");
+    }
+
+    #[test]
     fn what_is_at_a_node_has_a_name_of_its_own() {
         for good in ["node/Kitchen/Anna", "node/a/x", "plain"] {
             let name = StateName::observed(good).expect("valid");
@@ -373,7 +430,8 @@ mod tests {
         }
         assert!(StateName::observed("node/a/x").expect("valid").check_vector().is_err());
         let long = format!("node/{}/{}", "n".repeat(70), "k".repeat(70));
-        for bad in ["node/a", "node//k", "node/a/", "node/a/b/c", "edge/a/b", "node/a\n/b", &long] {
+        assert_eq!(StateName::observed("node/a"), StateName::new("a"));
+        for bad in ["node/", "node//k", "node/a/", "node/a/b/c", "edge/a/b", "node/a\n/b", &long] {
             assert!(StateName::observed(bad).is_err(), "{bad}");
         }
     }

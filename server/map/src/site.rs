@@ -8,7 +8,7 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use crate::{
     event::StateId,
-    name::StateName,
+    name::{InvalidName, StateName},
     reachability::{Reachability, ReachabilityError},
     topology::{Topology, TopologyEdit, TopologyError},
 };
@@ -90,6 +90,20 @@ pub enum InvalidEdit {
     /// The topological map cannot be so.
     #[error(transparent)]
     Topology(#[from] TopologyError),
+    /// A state of a node that is renamed would have the name of another state.
+    #[error(
+        "state {state:?} goes with the node and would be called {name:?}, but there is a state of that name: choose another \
+         name"
+    )]
+    StateExists {
+        /// The state of the node.
+        state: String,
+        /// Its new name.
+        name: String,
+    },
+    /// A state of a node that is renamed cannot be called so.
+    #[error("a state goes with the node: {0}")]
+    StateName(#[from] InvalidName),
 }
 
 /// What is known of the place besides observations.

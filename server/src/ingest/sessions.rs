@@ -87,6 +87,8 @@ pub struct Sessions {
     sessions: BTreeMap<SessionId, Session>,
     open_by_key: HashMap<ProducerKey, SessionId>,
     states_in_flight: HashMap<StateName, (StateId, StateKind)>,
+    /// New names on their way, of states that have others still.
+    renames_in_flight: HashMap<StateName, (StateId, StateKind)>,
     producers_in_flight: usize,
     /// Highest incarnation handed out to keys of which nothing is durable yet.
     issued: HashMap<ProducerKey, u64>,
@@ -107,6 +109,7 @@ impl Sessions {
             sessions: BTreeMap::new(),
             open_by_key: HashMap::new(),
             states_in_flight: HashMap::new(),
+            renames_in_flight: HashMap::new(),
             producers_in_flight: 0,
             issued: HashMap::new(),
             broken: Vec::new(),
@@ -212,7 +215,12 @@ impl Sessions {
                 continue;
             }
             let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
-            let mut room = Room { map, in_flight: &mut self.states_in_flight, max: self.limits.states };
+            let mut room = Room {
+                map,
+                in_flight: &mut self.states_in_flight,
+                renames: &self.renames_in_flight,
+                max: self.limits.states,
+            };
             let state = match slot.state_for(batch.values[i], position.is_some(), &mut room, &mut new_states) {
                 Ok(state) => state,
                 Err(Some((reason, text))) => {
@@ -297,6 +305,7 @@ impl Sessions {
     /// All batches in flight have failed: what they would have added is gone.
     pub fn roll_back(&mut self) {
         self.states_in_flight.clear();
+        self.renames_in_flight.clear();
         self.producers_in_flight = 0;
         self.tiles_ahead = 0;
         self.front = None;

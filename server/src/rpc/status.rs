@@ -268,6 +268,7 @@ impl RpcError {
                     (Code::ResourceExhausted, "LIMIT")
                 }
                 EditSiteError::Invalid(InvalidEdit::Topology(error)) => refusal_of(error),
+                EditSiteError::Invalid(InvalidEdit::StateExists { .. }) => (Code::AlreadyExists, "STATE_EXISTS"),
                 EditSiteError::Invalid(_) => (Code::InvalidArgument, "INVALID_FIELD"),
                 EditSiteError::Storage(error) => append_code(error),
                 EditSiteError::Closing => (Code::Unavailable, "STOPPING"),

@@ -15,6 +15,7 @@ use crate::{
 
 mod kinds;
 mod refits;
+mod rename;
 mod vectors;
 
 const HOUR: i64 = 3_600_000_000_000;

@@ -7,8 +7,9 @@ use std::collections::HashMap;
 
 use tidemap_map::{
     event::{Dimensions, Form, NewState, RefusalReason, StateId, StateKind},
-    live_map::LiveMap,
+    live_map::{LiveMap, rename::renamed_states},
     name::StateName,
+    site::{InvalidEdit, SiteEdit},
 };
 
 use super::{
@@ -39,6 +40,7 @@ pub(super) enum Slot {
 pub(super) struct Room<'a> {
     pub(super) map: &'a LiveMap,
     pub(super) in_flight: &'a mut HashMap<StateName, (StateId, StateKind)>,
+    pub(super) renames: &'a HashMap<StateName, (StateId, StateKind)>,
     pub(super) max: usize,
 }
 
@@ -74,7 +76,7 @@ fn used(
     new_states: &mut Vec<NewState>,
 ) -> Result<Slot, Refusal> {
     let form = said.unwrap_or_default();
-    match known_state(room.map, room.in_flight, name) {
+    match known_state(room.map, room.in_flight, room.renames, name) {
         // Of a name of which nothing is said there are values.
         Some((state, found)) if *said == Some(found) || (said.is_none() && is_scalar(found)) => {
             Ok(Slot::State(state, found))
@@ -122,15 +124,48 @@ impl Sessions {
         form: Form,
         map: &LiveMap,
     ) -> Result<Option<NewState>, AddStateError> {
-        match known_state(map, &self.states_in_flight, name) {
+        match known_state(map, &self.states_in_flight, &self.renames_in_flight, name) {
             Some((_, found)) if found == form => Ok(None),
             Some((_, found)) => Err(AddStateError::OtherKind { name: name.clone(), found, asked: form }),
             None => {
-                let mut room = Room { map, in_flight: &mut self.states_in_flight, max: self.limits.states };
+                let mut room = Room {
+                    map,
+                    in_flight: &mut self.states_in_flight,
+                    renames: &self.renames_in_flight,
+                    max: self.limits.states,
+                };
                 let new = room.add(name, form);
                 new.map(Some).ok_or(AddStateError::TooMany { max: self.limits.states })
             }
         }
+    }
+
+    /// Keeps the names that an edit will give to states for these states, until [`Sessions::renamed`]; those in flight count.
+    ///
+    /// # Errors
+    /// A name that cannot be, or that another state has; then none is kept.
+    pub fn keep_names(&mut self, edit: &SiteEdit, map: &LiveMap) -> Result<(), InvalidEdit> {
+        let in_flight = self.states_in_flight.iter().map(|(name, known)| (*known, name));
+        let known = map.names().map(|(id, name)| ((id, map.kind(id).unwrap_or_default()), name));
+        let renamed: Vec<_> = renamed_states(edit, known.chain(in_flight));
+        let mut kept = HashMap::new();
+        for ((id, kind), name) in renamed {
+            let name = name?;
+            let of_another = map.form(name.as_str()).map(|(other, _)| other);
+            let of_another = of_another.or(self.states_in_flight.get(&name).map(|&(other, _)| other));
+            if of_another.is_some_and(|other| other != id) || kept.contains_key(&name) {
+                let state = map.names().find(|(other, _)| *other == id).map_or("", |(_, name)| name.as_str());
+                return Err(InvalidEdit::StateExists { state: state.to_owned(), name: name.to_string() });
+            }
+            kept.insert(name, (id, kind));
+        }
+        self.renames_in_flight = kept;
+        Ok(())
+    }
+
+    /// What was renamed has its new name, or keeps its old one.
+    pub fn renamed(&mut self) {
+        self.renames_in_flight.clear();
     }
 
     /// A state that was added is applied to the map.
@@ -145,12 +180,13 @@ impl Sessions {
 fn known_state(
     map: &LiveMap,
     in_flight: &HashMap<StateName, (StateId, StateKind)>,
+    renames: &HashMap<StateName, (StateId, StateKind)>,
     name: &StateName,
 ) -> Option<(StateId, Form)> {
     if let Some(known) = map.form(name.as_str()) {
         return Some(known);
     }
-    if let Some(&(state, kind)) = in_flight.get(name) {
+    if let Some(&(state, kind)) = in_flight.get(name).or_else(|| renames.get(name)) {
         return Some((state, kind.into()));
     }
     let &(first, _) = in_flight.get(&name.axis(0))?;

@@ -44,7 +44,8 @@ impl Writer {
             } else if let Some(error) = &self.failing {
                 Err(EditSiteError::Storage(error.clone()))
             } else {
-                self.map.site().check(&edit, self.map.states()).map_err(EditSiteError::Invalid)
+                let checked = self.map.site().check(&edit, self.map.states());
+                checked.and_then(|()| self.sessions.keep_names(&edit, &self.map)).map_err(EditSiteError::Invalid)
             };
             if let Err(error) = checked {
                 // Who asked may have gone away.
@@ -59,6 +60,7 @@ impl Writer {
     /// What was on its way is durable and applied, or has failed.
     pub(super) fn site_edited(&mut self, reply: Edited, result: Result<(), EditSiteError>) {
         self.edits.is_in_flight = false;
+        self.sessions.renamed();
         match result {
             Ok(()) => self.edits.done.push(reply),
             // Who asked may have gone away.

@@ -1,0 +1,40 @@
+//! The states of a node that is renamed: they go with it, so that what was learned is found under the new name.
+//!
+//! Invariant: a state whose new name is taken keeps its own; [`renamed_states`] tells beforehand which these would be.
+
+use super::LiveMap;
+use crate::{
+    event::StateId,
+    name::{InvalidName, StateName},
+    site::SiteEdit,
+    topology::TopologyEdit,
+};
+
+/// What becomes of a state's name.
+pub type Renamed = Result<StateName, InvalidName>;
+
+/// The states among these that an edit renames: the number of each, and its new name. No edit but the renaming of a node
+/// renames any.
+pub fn renamed_states<'a, Id>(
+    edit: &SiteEdit,
+    states: impl Iterator<Item = (Id, &'a StateName)>,
+) -> Vec<(Id, Renamed)> {
+    let SiteEdit::Topology(TopologyEdit::RenameNode { from, to }) = edit else { return Vec::new() };
+    let renamed = |(id, name): (Id, &StateName)| Some((id, name.with_node_renamed(from.as_str(), to)?));
+    states.filter_map(renamed).collect()
+}
+
+impl LiveMap {
+    /// All states, by their numbers.
+    pub fn names(&self) -> impl Iterator<Item = (StateId, &StateName)> {
+        (0..).map(StateId).zip(self.directory.iter().map(|info| &info.name))
+    }
+
+    pub(super) fn rename_states(&mut self, edit: &SiteEdit) {
+        for (id, name) in renamed_states(edit, self.names()) {
+            if let Ok(name) = name {
+                self.directory.rename(id, name);
+            }
+        }
+    }
+}
