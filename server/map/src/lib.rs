@@ -11,6 +11,7 @@ pub mod history;
 pub mod interval;
 pub mod live_map;
 pub mod name;
+pub mod outlook;
 pub mod predict;
 pub mod reachability;
 pub mod refit;

@@ -129,6 +129,11 @@ impl HourTable {
         Some(Histogram::of_bins(&settings, &means, mean(all)))
     }
 
+    /// Weight and sum of the readings of an hour of the local week from Monday, midnight; zeros beyond 167.
+    pub fn readings(&self, hour_of_week: usize) -> [f64; 2] {
+        self.parts.cells.get(hour_of_week).copied().unwrap_or_default()
+    }
+
     /// The weight of the readings of an hour of the local week, 0..168 from Monday, midnight; 0 for others.
     pub fn weight(&self, hour_of_week: usize) -> f64 {
         self.parts.cells.get(hour_of_week).map_or(0.0, |cell| cell[0])
