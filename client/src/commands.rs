@@ -17,6 +17,7 @@ mod observe;
 mod point;
 mod position;
 mod predict;
+mod presence;
 mod producer_id;
 mod reconstruct;
 mod search;
@@ -130,6 +131,15 @@ enum Command {
     /// How likely it is to find somebody at a node is predicted from the state of the same name. Places that are passed on
     /// the way to others are looked at too. expected_secs is the time to find to expect, the same in each row.
     Search(search::SearchArgs),
+    /// Shows how likely somebody, or something, is at each node of the topological map
+    ///
+    /// share is the probability over the sum of all nodes', for one that is known to be at one of them; anybody is how likely
+    /// anybody is anywhere.
+    Presence(presence::PresenceArgs),
+    /// Tells when states are next likely to be 1 all at once, such as several objects in their places
+    ///
+    /// No row where that is at no time.
+    Joint(presence::JointArgs),
     /// Chooses where to look in the slot that begins now, for what is known now
     ///
     /// By default the most uncertain location, with what was seen last counted. With --planned the one that a plan of the day
@@ -197,6 +207,8 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Day(args) => day::run(&session, args).await,
         Command::Topology(command) => topology::run(&session, command).await,
         Command::Search(args) => search::run(&session, args).await,
+        Command::Presence(args) => presence::run(&session, args).await,
+        Command::Joint(args) => presence::joint(&session, args).await,
         Command::Slot(args) => slot::run(&session, args).await,
         Command::Job(command) => job::run(&session, &command).await,
         Command::Stats(args) => stats::run(&session, &args).await,

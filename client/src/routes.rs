@@ -4,6 +4,10 @@
 
 use tidemap_proto::v1::{self, edit_topology_request::Edit, route_service_client::RouteServiceClient};
 
+mod presence;
+
+pub use presence::{Joint, JointQuery, Presence, PresenceAt, PresenceQuery};
+
 use crate::{
     connection::{Client, Connection},
     error::Error,

@@ -118,6 +118,58 @@ fn somebody_in_a_flat_is_looked_for_where_she_is_at_that_time() {
 }
 
 #[test]
+fn who_is_where_and_when_all_are_there_is_told() {
+    let (_data, _launch, daemon) = started();
+    load(&daemon, "flat", FLAT, &[]).table();
+    // A week: Anna sits in the office from 8 to 16 and in the kitchen else; the cup is in the kitchen from noon to midnight.
+    let mut rows = "time,state,value\n".to_owned();
+    for hour in 0..168 {
+        let (office, cup) = (u8::from((8..16).contains(&(hour % 24))), u8::from(hour % 24 >= 12));
+        let time = START_SECS + hour * HOUR_SECS;
+        for (state, value) in [
+            ("node/office/anna", office),
+            ("node/kitchen/anna", 1 - office),
+            ("node/kitchen/cup", cup),
+            ("node/office/cup", 0),
+        ] {
+            writeln!(rows, "{time},{state},{value}").expect("memory");
+        }
+    }
+    cli::tidemap_reading(&daemon, ["observe", "flat", "-", "--producer", "robot"], &rows).table();
+    tidemap(&daemon, ["update", "flat"]).table();
+    let presence = |at: i64, more: &[&str]| {
+        let at = at.to_string();
+        let args = ["presence", "flat", "--at", &at, "--model", "histogram"];
+        tidemap(&daemon, args.into_iter().chain(more.iter().copied()))
+    };
+    let monday = START_SECS + 7 * DAY_SECS;
+    let morning = presence(monday + 10 * HOUR_SECS + 1_800, &["--object", "anna"]).table();
+    assert_eq!(morning.column("node"), ["office", "kitchen"]);
+    let (likely, shares) = (morning.numbers("probability"), morning.numbers("share"));
+    assert!(likely[0] > 0.8 && likely[1] < 0.2, "{likely:?}");
+    assert!((shares[0] - likely[0] / (likely[0] + likely[1])).abs() < 1e-5, "{shares:?}");
+    let anybody = 1.0 - (1.0 - likely[0]) * (1.0 - likely[1]);
+    assert!((morning.numbers("anybody")[0] - anybody).abs() < 1e-5);
+    presence(monday, &["--object", "robot"]).fails(1, &["nothing was observed", "node/hall/robot"]);
+    presence(monday, &["--object", "a/b"]).fails(1, &["\"a/b\""]);
+
+    // Anna is in the kitchen with the cup from 16 to 24.
+    let joint = |more: &[&str]| {
+        let from = (monday + HOUR_SECS).to_string();
+        let args = ["joint", "flat", "node/kitchen/anna", "node/kitchen/cup", "--model", "histogram", "--from", &from];
+        tidemap(&daemon, args.into_iter().chain(more.iter().copied()))
+    };
+    let both = joint(&[]).table();
+    assert_eq!(both.number("time"), (monday + 16 * HOUR_SECS) as f64);
+    assert!(both.number("probability") > 0.5);
+    assert!(joint(&["--within", "3h"]).table().rows.is_empty());
+    joint(&["--threshold", "2"]).fails(1, &["threshold", "2"]);
+    joint(&["--within", "9999d", "--step", "1s"]).fails(1, &["step", "at most 1000000"]);
+    let unknown = ["joint", "flat", "node/kitchen/tea", "--from", "0"];
+    tidemap(&daemon, unknown).fails(1, &["node/kitchen/tea"]);
+}
+
+#[test]
 fn a_node_that_is_renamed_keeps_what_was_learned() {
     let (_data, launch, daemon) = started();
     load(&daemon, "flat", FLAT, &[]).table();

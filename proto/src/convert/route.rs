@@ -8,7 +8,7 @@ use tidemap_map::{
 };
 use tidemap_plan::search::{Effort, Options, Stop, Stopped};
 
-use super::{InvalidField, time::nanos_from_duration};
+use super::{InvalidField, exploration::time_from_wire, time::nanos_from_duration};
 use crate::v1;
 
 /// How long an order is looked for by default, nanoseconds.
@@ -152,6 +152,48 @@ pub fn speed_from_wire(speed_m_per_s: f64) -> Result<f64, InvalidField> {
         speed if speed > 0.0 && speed.is_finite() => Ok(speed),
         wrong => Err(InvalidField::new("speed_m_per_s", format!("{wrong} m/s: expected above 0"))),
     }
+}
+
+/// Most states of a question of when they are all 1.
+pub const JOINT_STATES_MAX: usize = 1_000;
+/// How far such a question looks ahead by default, nanoseconds.
+const JOINT_WITHIN_NANOS: i64 = 7 * 86_400_000_000_000;
+/// How far apart the times are by default that it looks at, nanoseconds.
+const JOINT_STEP_NANOS: i64 = 600_000_000_000;
+/// Most times that it looks at.
+const JOINT_TIMES_MAX: i64 = 1_000_000;
+
+/// What a product of probabilities has to exceed.
+///
+/// # Errors
+/// No probability.
+pub fn threshold_from_wire(threshold: Option<f64>) -> Result<f64, InvalidField> {
+    match threshold.unwrap_or(0.5) {
+        threshold if (0.0..=1.0).contains(&threshold) => Ok(threshold),
+        wrong => Err(InvalidField::new("threshold", format!("{wrong}: expected 0 to 1"))),
+    }
+}
+
+/// The times at which states may be all 1, nanoseconds UTC; at least one.
+///
+/// # Errors
+/// The field that is wrong.
+pub fn joint_times_from_wire(request: &v1::NextJointRequest) -> Result<Vec<i64>, InvalidField> {
+    let from = time_from_wire("from_nanos", request.from_nanos)?;
+    let span = |field: &'static str, span: Option<prost_types::Duration>, default: i64, least: i64| {
+        let nanos = span.map_or(Ok(default), |span| nanos_from_duration(field, span))?;
+        let text = format!("{} s: expected {} s or more", nanos as f64 / 1e9, least / 1_000_000_000);
+        if nanos >= least { Ok(nanos) } else { Err(InvalidField::new(field, text)) }
+    };
+    let within = span("within", request.within, JOINT_WITHIN_NANOS, 0)?;
+    let step = span("step", request.step, JOINT_STEP_NANOS, 1_000_000_000)?;
+    let steps = within / step;
+    if steps >= JOINT_TIMES_MAX {
+        let text = format!("{} times: at most {JOINT_TIMES_MAX} are looked at; take longer steps", steps + 1);
+        return Err(InvalidField::new("step", text));
+    }
+    let last = from.checked_add(within).ok_or_else(|| InvalidField::new("within", "the end is after the year 2262"))?;
+    Ok((0..=steps).map(|k| from + k * step).filter(|&time| time <= last).collect())
 }
 
 /// Why a walk ends early, for the wire.

@@ -28,6 +28,8 @@ use super::{
 };
 use crate::catalog::Catalog;
 
+mod places;
+mod presence;
 mod search;
 
 /// Why there is no walk.
@@ -183,5 +185,19 @@ impl RouteService for Routes {
         request: Request<v1::PlanSearchRequest>,
     ) -> Result<Response<v1::PlanSearchResponse>, Status> {
         Ok(Response::new(search::plan_search(self, request.into_inner()).await?))
+    }
+
+    async fn predict_presence(
+        &self,
+        request: Request<v1::PredictPresenceRequest>,
+    ) -> Result<Response<v1::PredictPresenceResponse>, Status> {
+        Ok(Response::new(presence::predict_presence(self, request.into_inner()).await?))
+    }
+
+    async fn next_joint(
+        &self,
+        request: Request<v1::NextJointRequest>,
+    ) -> Result<Response<v1::NextJointResponse>, Status> {
+        Ok(Response::new(presence::next_joint(self, request.into_inner()).await?))
     }
 }

@@ -35,7 +35,7 @@ pub(super) struct Means<'a> {
     pub predictions: u64,
 }
 
-/// A state that has an entropy.
+/// A state that is a probability, as entropies and plans need.
 ///
 /// # Errors
 /// Its values are no probabilities. `field` names what asked for it.
@@ -45,7 +45,7 @@ pub(super) fn check_kind(view: &MapView, id: StateId, field: &str) -> Result<(),
         return Ok(());
     }
     let name = view.info(id).map_or("", |info| info.name.as_str());
-    let text = format!("state {name:?} is a {}: only probabilities have an entropy", kind.name());
+    let text = format!("state {name:?} is a {}: only a probability is of use here", kind.name());
     Err(InvalidField::new(field, text).into())
 }
 

@@ -10,17 +10,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_map::{
-    event::{StateId, StateKind},
-    topology::{NodeId, Roads, Topology},
-    view::MapView,
-};
+use tidemap_map::topology::{NodeId, Roads, Topology};
 use tidemap_plan::search::{
     CHANGING_GOALS_MAX, EXACT_GOALS_MAX, Effort, GOALS_MAX, Goal, Plan, SearchError, search, search_changing,
 };
 use tidemap_proto::{
     convert::{
-        InvalidField,
         exploration::time_from_wire,
         query::selector_from_wire,
         route::{plan_within_from_wire, search_from_wire, speed_from_wire, stop_to_wire},
@@ -28,17 +23,15 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{RouteError, Routes};
+use super::{
+    RouteError, Routes,
+    places::{Places, find_node},
+};
 use crate::rpc::{
     map::find_map,
     series::{Predictor, series},
     status::RpcError,
 };
-
-/// Nodes that a message names.
-const NODES_SHOWN: usize = 10;
-/// Nodes without observations that a reply names.
-const UNOBSERVED_SHOWN: usize = 1_000;
 
 /// Tells work that nobody waits for it any more, when dropped.
 struct Waiting(Arc<AtomicBool>);
@@ -46,60 +39,6 @@ struct Waiting(Arc<AtomicBool>);
 impl Drop for Waiting {
     fn drop(&mut self) {
         self.0.store(true, Ordering::Relaxed);
-    }
-}
-
-/// Name of the state that tells whether who is looked for is at a node.
-fn state_at(node: &str, object: &str) -> String {
-    if object.is_empty() { node.to_owned() } else { format!("node/{node}/{object}") }
-}
-
-/// A node, or an error that names some that there are.
-fn find_node(map: &str, topology: &Topology, name: &str) -> Result<NodeId, RouteError> {
-    if topology.nodes().len() == 0 {
-        return Err(RouteError::NoNodes(map.to_owned()));
-    }
-    topology.node_named(name).map(|node| node.id).map_err(|_| {
-        let known: Vec<&str> = topology.nodes().take(NODES_SHOWN).map(|node| node.name.as_str()).collect();
-        let more = if topology.nodes().len() > NODES_SHOWN { ", …" } else { "" };
-        RouteError::UnknownNode { name: name.chars().take(80).collect(), known: known.join(", ") + more }
-    })
-}
-
-/// Nodes to look at with the states that tell who is there, and those of which nothing was observed.
-#[derive(Default)]
-struct Places {
-    nodes: Vec<NodeId>,
-    states: Vec<StateId>,
-    unobserved: Vec<String>,
-    unobserved_nodes: u32,
-}
-
-impl Places {
-    fn of(view: &MapView, topology: &Topology, object: &str) -> Result<Places, RpcError> {
-        let mut places = Places::default();
-        for node in topology.nodes() {
-            let state = view.find(&state_at(node.name.as_str(), object));
-            match state.filter(|&id| view.live(id).observations > 0) {
-                Some(id) => {
-                    let kind = view.kind(id);
-                    if kind != StateKind::Probability {
-                        let name = state_at(node.name.as_str(), object);
-                        let text = format!("state {name:?} is a {}: a search needs probabilities", kind.name());
-                        return Err(InvalidField::new("object", text).into());
-                    }
-                    places.nodes.push(node.id);
-                    places.states.push(id);
-                }
-                None => {
-                    if places.unobserved.len() < UNOBSERVED_SHOWN {
-                        places.unobserved.push(node.name.as_str().to_owned());
-                    }
-                    places.unobserved_nodes += 1;
-                }
-            }
-        }
-        Ok(places)
     }
 }
 
@@ -125,16 +64,7 @@ pub(super) async fn plan_search(
     let options = search_from_wire(&request)?;
     let within = Duration::from_nanos(plan_within_from_wire(request.plan_within)?);
     let speed = speed_from_wire(request.speed_m_per_s)?;
-    if request.object.contains('/') {
-        return Err(InvalidField::new("object", format!("{:?} holds '/'", request.object)).into());
-    }
-    let (of, over, object) = (Arc::clone(&view), Arc::clone(&topology), request.object.clone());
-    let places = routes.off_threads(move || Places::of(&of, &over, &object)).await??;
-    if places.nodes.is_empty() {
-        let example =
-            topology.nodes().next().map_or_else(String::new, |node| state_at(node.name.as_str(), &request.object));
-        return Err(RouteError::NothingObserved { map: request.map, example }.into());
-    }
+    let places = Places::asked(routes, &request.map, &view, &request.object).await?;
     let Places { nodes, states, unobserved, unobserved_nodes } = places;
     check_count(nodes.len(), options.effort, request.for_arrival).map_err(RouteError::from)?;
 

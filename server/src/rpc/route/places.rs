@@ -1,0 +1,102 @@
+//! Nodes and the states that tell who is at them.
+//!
+//! Invariant: a place is a node whose state was observed, and is a probability.
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    event::{StateId, StateKind},
+    topology::{NodeId, Topology},
+    view::MapView,
+};
+use tidemap_proto::convert::InvalidField;
+
+use super::{RouteError, Routes};
+use crate::rpc::status::RpcError;
+
+/// Nodes that a message names.
+const NODES_SHOWN: usize = 10;
+/// Nodes without observations that a reply names.
+const UNOBSERVED_SHOWN: usize = 1_000;
+
+/// Name of the state that tells whether who is looked for is at a node.
+pub(super) fn state_at(node: &str, object: &str) -> String {
+    if object.is_empty() { node.to_owned() } else { format!("node/{node}/{object}") }
+}
+
+/// A node, or an error that names some that there are.
+pub(super) fn find_node(map: &str, topology: &Topology, name: &str) -> Result<NodeId, RouteError> {
+    if topology.nodes().len() == 0 {
+        return Err(RouteError::NoNodes(map.to_owned()));
+    }
+    topology.node_named(name).map(|node| node.id).map_err(|_| {
+        let known: Vec<&str> = topology.nodes().take(NODES_SHOWN).map(|node| node.name.as_str()).collect();
+        let more = if topology.nodes().len() > NODES_SHOWN { ", …" } else { "" };
+        RouteError::UnknownNode { name: name.chars().take(80).collect(), known: known.join(", ") + more }
+    })
+}
+
+/// Nodes to look at with the states that tell who is there, and those of which nothing was observed.
+#[derive(Default)]
+pub(super) struct Places {
+    pub(super) nodes: Vec<NodeId>,
+    pub(super) states: Vec<StateId>,
+    pub(super) unobserved: Vec<String>,
+    pub(super) unobserved_nodes: u32,
+}
+
+impl Places {
+    fn of(view: &MapView, topology: &Topology, object: &str) -> Result<Places, RpcError> {
+        let mut places = Places::default();
+        for node in topology.nodes() {
+            let state = view.find(&state_at(node.name.as_str(), object));
+            match state.filter(|&id| view.live(id).observations > 0) {
+                Some(id) => {
+                    let kind = view.kind(id);
+                    if kind != StateKind::Probability {
+                        let name = state_at(node.name.as_str(), object);
+                        let text = format!("state {name:?} is a {}: who is where needs probabilities", kind.name());
+                        return Err(InvalidField::new("object", text).into());
+                    }
+                    places.nodes.push(node.id);
+                    places.states.push(id);
+                }
+                None => {
+                    if places.unobserved.len() < UNOBSERVED_SHOWN {
+                        places.unobserved.push(node.name.as_str().to_owned());
+                    }
+                    places.unobserved_nodes += 1;
+                }
+            }
+        }
+        Ok(places)
+    }
+}
+
+impl Places {
+    /// The places for who or what is called `object`; empty for the default kind.
+    ///
+    /// # Errors
+    /// There are none, or one's state is no probability, or there is no such kind.
+    pub(super) async fn asked(
+        routes: &Routes,
+        map: &str,
+        view: &Arc<MapView>,
+        object: &str,
+    ) -> Result<Places, RpcError> {
+        if object.contains('/') {
+            return Err(InvalidField::new("object", format!("{object:?} holds '/'")).into());
+        }
+        let topology = view.site().topology();
+        if topology.nodes().len() == 0 {
+            return Err(RouteError::NoNodes(map.to_owned()).into());
+        }
+        let (of, over, object) = (Arc::clone(view), Arc::clone(topology), object.to_owned());
+        let example = topology.nodes().next().map_or_else(String::new, |node| state_at(node.name.as_str(), &object));
+        let places = routes.off_threads(move || Places::of(&of, &over, &object)).await??;
+        if places.nodes.is_empty() {
+            return Err(RouteError::NothingObserved { map: map.to_owned(), example }.into());
+        }
+        Ok(places)
+    }
+}

@@ -1,0 +1,95 @@
+//! `PredictPresence` and `NextJoint`: who is where, and when several are likely all at once.
+//!
+//! Invariant: persons, objects and nodes count as independent; a share is of what is expected at all nodes together.
+
+use tidemap_plan::search::{anyone, next_above};
+use tidemap_proto::{
+    convert::{
+        InvalidField,
+        exploration::time_from_wire,
+        query::selector_from_wire,
+        route::{JOINT_STATES_MAX, joint_times_from_wire, threshold_from_wire},
+    },
+    v1,
+};
+
+use super::{Routes, places::Places};
+use crate::rpc::{
+    map::find_map,
+    query::find_state,
+    series::{check_kind, series},
+    status::RpcError,
+};
+
+/// Times whose probabilities are held at once.
+const TIMES_PER_BLOCK: usize = 1_024;
+
+pub(super) async fn predict_presence(
+    routes: &Routes,
+    request: v1::PredictPresenceRequest,
+) -> Result<v1::PredictPresenceResponse, RpcError> {
+    let handle = find_map(&routes.catalog, &request.map)?;
+    let view = handle.view();
+    let selector = selector_from_wire("model", request.model)?;
+    if request.times_nanos.is_empty() {
+        return Err(InvalidField::new("times_nanos", "name at least one time").into());
+    }
+    let times: Vec<i64> =
+        request.times_nanos.iter().map(|&time| time_from_wire("times_nanos", time)).collect::<Result<_, _>>()?;
+    let Places { nodes, states, unobserved, unobserved_nodes } =
+        Places::asked(routes, &request.map, &view, &request.object).await?;
+    let rows = series(routes.means(), &handle, &view, (states, times.clone()), selector).await?;
+    let at = |(index, &time_nanos): (usize, &i64)| {
+        let probabilities: Vec<f64> = rows.iter().map(|row| row[index].clamp(0.0, 1.0)).collect();
+        let sum: f64 = probabilities.iter().sum();
+        let shares = if sum > 0.0 { probabilities.iter().map(|p| p / sum).collect() } else { Vec::new() };
+        v1::PresenceAt { time_nanos, shares, anybody: anyone(probabilities.iter().copied()), probabilities }
+    };
+    let topology = view.site().topology();
+    let name = |&id| topology.node(id).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
+    Ok(v1::PredictPresenceResponse {
+        nodes: nodes.iter().map(name).collect(),
+        times: times.iter().enumerate().map(at).collect(),
+        unobserved,
+        unobserved_nodes,
+    })
+}
+
+pub(super) async fn next_joint(
+    routes: &Routes,
+    request: v1::NextJointRequest,
+) -> Result<v1::NextJointResponse, RpcError> {
+    let handle = find_map(&routes.catalog, &request.map)?;
+    let view = handle.view();
+    let selector = selector_from_wire("model", request.model)?;
+    let threshold = threshold_from_wire(request.threshold)?;
+    let times = joint_times_from_wire(&request)?;
+    if request.states.is_empty() || request.states.len() > JOINT_STATES_MAX {
+        let text = format!("{} states: expected 1 to {JOINT_STATES_MAX}", request.states.len());
+        return Err(InvalidField::new("states", text).into());
+    }
+    let mut states = Vec::with_capacity(request.states.len());
+    for name in &request.states {
+        let id = find_state(&view, name)?;
+        check_kind(&view, id, "states")?;
+        states.push(id);
+    }
+    let mut best = (times[0], -1.0);
+    // Later blocks need not be predicted where an earlier one passes the threshold.
+    for block in times.chunks(TIMES_PER_BLOCK) {
+        let rows = series(routes.means(), &handle, &view, (states.clone(), block.to_vec()), selector).await?;
+        let together = |index: usize| rows.iter().map(move |row| row[index].clamp(0.0, 1.0));
+        for (index, &time) in block.iter().enumerate() {
+            let joint: f64 = together(index).product();
+            if joint > best.1 {
+                best = (time, joint);
+            }
+        }
+        let passed = next_above((0..block.len()).map(together), threshold);
+        if let Some(joint) = passed.map_err(|error| InvalidField::new("threshold", error))? {
+            let time_nanos = Some(block[joint.index]);
+            return Ok(v1::NextJointResponse { time_nanos, probability: joint.probability, best_nanos: best.0 });
+        }
+    }
+    Ok(v1::NextJointResponse { time_nanos: None, probability: best.1, best_nanos: best.0 })
+}
