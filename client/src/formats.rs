@@ -20,6 +20,7 @@ mod points;
 mod scalar;
 mod text;
 pub mod topology;
+pub mod topology_svg;
 pub mod tour_svg;
 
 pub use picture::{MapPicture, PictureCell, PictureError};

@@ -26,8 +26,9 @@ pub fn colour(cell: PictureCell) -> [u8; 3] {
     }
 }
 
+/// The colour of a probability of something that changes; what is beyond 0 and 1 counts as the nearer end.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a mean of two bytes is a byte")]
-fn changing(value: f32) -> [u8; 3] {
+pub fn changing(value: f32) -> [u8; 3] {
     let [low, middle, high] = SCALE;
     let along = value.clamp(0.0, 1.0) * 2.0;
     let (from, to, part) = if along < 1.0 { (low, middle, along) } else { (middle, high, along - 1.0) };
