@@ -9,6 +9,7 @@ pub mod day;
 pub mod information;
 pub mod location;
 pub mod predicted;
+pub mod route;
 pub mod search;
 pub mod strategy;
 pub mod tour;

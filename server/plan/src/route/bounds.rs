@@ -1,0 +1,88 @@
+//! What is left to pay at least, from each node to the goal.
+//!
+//! Invariant: as sure as the least costs of the edges are: where these hold, no way to the goal within the span costs less.
+
+use std::{cmp::Reverse, collections::BinaryHeap};
+
+use super::{ForecastError, Forecasts, cost::Cost, network::Network, outlook::Outlook};
+
+/// How the least cost of an edge is found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Source {
+    /// It is known for certain.
+    Known,
+    /// From so many forecasts.
+    Sampled(u32),
+}
+
+/// Least costs over a span of time.
+pub(super) struct ToGo {
+    /// From each node to the goal; infinite where no way leads.
+    pub least: Vec<Cost>,
+    /// The first part of the cheapest edge into each node.
+    into: Vec<f64>,
+}
+
+impl ToGo {
+    /// Nothing is known.
+    pub fn nothing(network: &Network) -> ToGo {
+        ToGo { least: vec![Cost::ZERO; network.nodes.len()], into: vec![0.0; network.nodes.len()] }
+    }
+
+    /// Dijkstra's search, from the goal back. Lexicographic sums of least parts are lower bounds: a way whose first part is more
+    /// than their sum is worse whatever its second part, and otherwise every edge of it has its least first part.
+    ///
+    /// Beyond `limit` bounds stay at it: a way from there is of no use.
+    pub fn find<F: Forecasts>(
+        network: &Network,
+        outlook: &mut Outlook<F>,
+        goal: usize,
+        span: (f64, f64),
+        source: Source,
+        limit: Cost,
+    ) -> Result<ToGo, ForecastError> {
+        let count = network.nodes.len();
+        let mut least = vec![Cost::INFINITE; count];
+        let mut into = vec![f64::INFINITY; count];
+        let mut is_done = vec![false; count];
+        let mut open = BinaryHeap::new();
+        least[goal] = Cost::ZERO;
+        open.push(Reverse((Cost::ZERO, goal)));
+        while let Some(Reverse((cost, node))) = open.pop() {
+            if std::mem::replace(&mut is_done[node], true) {
+                continue;
+            }
+            if cost.is_beyond(limit) {
+                // All others cost at least as much, unless no way leads.
+                return Ok(ToGo {
+                    least: least.into_iter().map(|found| found.min(cost)).collect(),
+                    into: capped(into),
+                });
+            }
+            for edge in network.arriving(node) {
+                let own = match source {
+                    Source::Known => outlook.known_least(edge, span.0, span.1),
+                    Source::Sampled(samples) => outlook.sampled_least(edge, span.0, span.1, samples)?,
+                };
+                into[node] = into[node].min(own.first);
+                let (from, found) = (network.from(edge), cost.plus(own));
+                if !is_done[from] && found < least[from] {
+                    least[from] = found;
+                    open.push(Reverse((found, from)));
+                }
+            }
+        }
+        Ok(ToGo { least, into: capped(into) })
+    }
+
+    /// At least so much, in the first part, is paid by who leaves for a node and goes from there to the goal.
+    pub fn through(&self, node: usize) -> f64 {
+        self.into[node] + self.least[node].first
+    }
+}
+
+/// Nothing is known of edges into nodes that were not come to.
+fn capped(mut into: Vec<f64>) -> Vec<f64> {
+    into.iter_mut().filter(|secs| secs.is_infinite()).for_each(|secs| *secs = 0.0);
+    into
+}

@@ -1,0 +1,132 @@
+//! Why there is no route, and which questions are refused.
+//!
+//! Invariant: each message names the value that is wrong and what would be right.
+
+use super::{
+    ALTERNATIVES_MAX, Bounds, DEPARTURES_MAX, ForecastError, Objective, RouteOptions, SAMPLES_MAX, TIME_MAX_SECS, When,
+};
+
+/// Why there is no route.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RouteError {
+    /// The map has no such node.
+    #[error("there is no node of number {0}")]
+    UnknownNode(u32),
+    /// No way leads there.
+    #[error(
+        "no way leads from node number {from} to node number {to}; {closed} edges were closed when they were reached"
+    )]
+    Unreachable {
+        /// Where the route begins.
+        from: u32,
+        /// Where it would end.
+        to: u32,
+        /// Edges that had no forecast at a time at which they could have been entered.
+        closed: usize,
+    },
+    /// All ways take too long.
+    #[error("no way from node number {from} to node number {to} takes at most {horizon_secs} s; raise the horizon")]
+    BeyondHorizon {
+        /// Where the route begins.
+        from: u32,
+        /// Where it would end.
+        to: u32,
+        /// The longest that was allowed, in seconds.
+        horizon_secs: f64,
+    },
+    /// No departure is early enough.
+    #[error(
+        "no departure from {earliest_secs} s on is expected to arrive by {by_secs} s; allow an earlier one, or arrive later"
+    )]
+    TooLate {
+        /// The earliest departure, in seconds after the reference time.
+        earliest_secs: f64,
+        /// The latest arrival.
+        by_secs: f64,
+    },
+    /// The search ended before it had found a way.
+    #[error("the search was stopped after {labels} partial routes and had found no way; allow it more")]
+    CutOff {
+        /// Partial routes that were looked at.
+        labels: usize,
+    },
+    /// A number of the question is out of range.
+    #[error("{what} is {found}: expected {expected}")]
+    Range {
+        /// Which.
+        what: &'static str,
+        /// What was given.
+        found: f64,
+        /// What would be right.
+        expected: String,
+    },
+    /// More departures than are tried.
+    #[error("{found} departures: at most {DEPARTURES_MAX} are tried; take wider steps")]
+    TooManyDepartures {
+        /// How many there would be.
+        found: f64,
+    },
+    /// A forecast is out of range.
+    #[error(transparent)]
+    Forecast(#[from] ForecastError),
+}
+
+fn range(what: &'static str, found: f64, holds: bool, expected: impl FnOnce() -> String) -> Result<(), RouteError> {
+    if holds { Ok(()) } else { Err(RouteError::Range { what, found, expected: expected() }) }
+}
+
+fn secs(what: &'static str, found: f64) -> Result<(), RouteError> {
+    range(what, found, (0.0..=TIME_MAX_SECS).contains(&found), || format!("0 to {TIME_MAX_SECS} s"))
+}
+
+fn positive(what: &'static str, found: f64) -> Result<(), RouteError> {
+    range(what, found, found > 0.0 && found <= TIME_MAX_SECS, || format!("above 0, at most {TIME_MAX_SECS} s"))
+}
+
+fn time(what: &'static str, found: f64) -> Result<(), RouteError> {
+    range(what, found, found.abs() <= TIME_MAX_SECS, || format!("-{TIME_MAX_SECS} to {TIME_MAX_SECS} s"))
+}
+
+/// Refuses what has no answer.
+pub(super) fn check(when: When, options: &RouteOptions) -> Result<(), RouteError> {
+    match when {
+        When::DepartAt(at_secs) => time("the departure", at_secs)?,
+        When::DepartWithin { from_secs, to_secs, step_secs } => {
+            time("the first departure", from_secs)?;
+            time("the last departure", to_secs)?;
+            range("the last departure", to_secs, from_secs <= to_secs, || {
+                format!("{from_secs} s, the first, or later")
+            })?;
+            positive("the step between departures", step_secs)?;
+            let found = ((to_secs - from_secs) / step_secs).floor() + 1.0;
+            if found > DEPARTURES_MAX as f64 {
+                return Err(RouteError::TooManyDepartures { found });
+            }
+        }
+        When::ArriveBy { by_secs, earliest_secs } => {
+            time("the arrival", by_secs)?;
+            time("the earliest departure", earliest_secs)?;
+        }
+    }
+    if let Objective::Blend { weight } = options.objective {
+        range("the weight", weight, (0.0..=1.0).contains(&weight), || "0 to 1".to_owned())?;
+    }
+    secs("the recovery", options.recovery_secs)?;
+    secs("the cost of a failure", options.failure_cost_secs)?;
+    let alternatives = options.alternatives as f64;
+    range("the number of alternatives", alternatives, options.alternatives <= ALTERNATIVES_MAX, || {
+        format!("0 to {ALTERNATIVES_MAX}")
+    })?;
+    let confidence = options.confidence;
+    range("the confidence", confidence, (0.5..1.0).contains(&confidence), || "0.5 to 1, without 1".to_owned())?;
+    positive("the horizon", options.horizon_secs)?;
+    let resolution = options.resolution_secs;
+    range("the resolution", resolution, (0.0..=3_600.0).contains(&resolution), || "0 to 3600 s".to_owned())?;
+    if let Bounds::Sampled(samples) = options.bounds {
+        range("the number of samples", f64::from(samples), (1..=SAMPLES_MAX).contains(&samples), || {
+            format!("1 to {SAMPLES_MAX}")
+        })?;
+    }
+    range("the number of labels", options.labels_max as f64, options.labels_max >= 1, || "1 or more".to_owned())?;
+    positive("the step between departures", options.arrival_step_secs)
+}

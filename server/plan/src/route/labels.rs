@@ -1,0 +1,319 @@
+//! The best simple way from a node at a time: labels, one for each way to a node that may be part of it.
+//!
+//! Labels are extended in the order of what they cost at least in the end, until that is more than a known way's cost. One is
+//! dropped for another at the same node and time that costs no more, if whatever may follow it may follow the other: no node
+//! that the other has passed, and it has not, can still be come to at a cost within the known way's. Invariant: what is left out
+//! otherwise is told by [`Marks`].
+
+use std::{
+    cmp::Reverse,
+    collections::{BinaryHeap, HashMap},
+};
+
+use super::{Forecasts, RouteError, bounds::ToGo, cost::Cost, network::Network, outlook::Outlook};
+
+/// A way that was found, as indices of edges, with the cost of all of it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Found {
+    pub edges: Vec<usize>,
+    pub cost: Cost,
+}
+
+/// Where a search begins, and what it must not use.
+pub(super) struct Task<'a> {
+    /// What has been gone already.
+    pub before: &'a [usize],
+    /// The node at its end.
+    pub node: usize,
+    /// When that is reached, in seconds after the reference time.
+    pub at_secs: f64,
+    /// What that has cost.
+    pub cost: Cost,
+    /// By node: passed already.
+    pub is_passed: &'a [bool],
+    /// Edges that do not come next.
+    pub closed_first: &'a [usize],
+    pub goal: usize,
+    /// No arrival after this.
+    pub latest_secs: f64,
+}
+
+/// What has been left out without proof, and for what other reasons there may be no way.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Marks {
+    /// Labels of different times at one node counted as of one time.
+    pub joined: bool,
+    /// No labels were left.
+    pub cut_off: bool,
+    /// The search was told to stop.
+    pub stopped: bool,
+    /// A way would have taken too long.
+    pub too_long: bool,
+    /// The latest time at which a node was reached that a good way was looked for through.
+    pub latest_secs: f64,
+}
+
+/// A way to a node.
+#[derive(Clone, Copy, Debug)]
+struct Label {
+    node: u32,
+    /// The last edge; none of the first label.
+    edge: u32,
+    /// The label before; the first is its own.
+    parent: u32,
+    /// Another label at the same node and time.
+    next: u32,
+    at_secs: f64,
+    cost: Cost,
+    /// The least that coming back to a node before this one costs from here, in the first part.
+    back: f64,
+    is_dropped: bool,
+}
+
+const NONE: u32 = u32::MAX;
+
+/// Searches over one map with one set of bounds.
+pub(super) struct Labels<'a, 'b, F, U> {
+    pub network: &'a Network<'a>,
+    pub outlook: &'b mut Outlook<'a, F>,
+    pub to_go: &'b ToGo,
+    pub until: &'b mut U,
+    /// How many labels may still be made.
+    pub left: &'b mut usize,
+    pub marks: &'b mut Marks,
+    /// Labels that were made.
+    pub made: &'b mut usize,
+    labels: Vec<Label>,
+    /// By node: passed by the label at hand, where it holds this search's stamp.
+    stamps: Vec<u32>,
+    stamp: u32,
+}
+
+impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
+    pub fn new(
+        network: &'a Network<'a>,
+        outlook: &'b mut Outlook<'a, F>,
+        to_go: &'b ToGo,
+        until: &'b mut U,
+        (left, made): (&'b mut usize, &'b mut usize),
+        marks: &'b mut Marks,
+    ) -> Self {
+        let stamps = vec![0; network.nodes.len()];
+        Labels { network, outlook, to_go, until, left, marks, made, labels: Vec::new(), stamps, stamp: 0 }
+    }
+
+    /// A good way: of all ways to a node only the first that is come upon in the order of what they cost at least. `None` where
+    /// that finds none, or none of at most `limit`.
+    pub fn good(&mut self, task: &Task, limit: Cost) -> Result<Option<Found>, RouteError> {
+        self.begin(task);
+        let mut is_done = task.is_passed.to_vec();
+        let mut best = vec![Cost::INFINITE; self.network.nodes.len()];
+        let mut open = BinaryHeap::from([Reverse((task.cost, 0_u32))]);
+        while let Some(Reverse((_, at))) = open.pop() {
+            let label = self.labels[at as usize];
+            let node = label.node as usize;
+            if node == task.goal {
+                return Ok(Some(Found { edges: self.way(task, at), cost: label.cost }));
+            }
+            if std::mem::replace(&mut is_done[node], true) {
+                continue;
+            }
+            if at % 256 == 0 && (self.until)() {
+                self.marks.stopped = true;
+                return Ok(None);
+            }
+            for edge in self.network.leaving(node) {
+                let to = self.network.to(edge);
+                if is_done[to] || (at == 0 && task.closed_first.contains(&edge)) {
+                    continue;
+                }
+                let Some((least, found)) = self.extended(task, at, edge, limit)? else { continue };
+                if found.cost < best[to] {
+                    self.marks.latest_secs = self.marks.latest_secs.max(found.at_secs);
+                    best[to] = found.cost;
+                    open.push(Reverse((least, self.labels.len() as u32)));
+                    self.labels.push(found);
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// The best way that costs less than `limit` and than `known`; `known` where there is none.
+    pub fn best(&mut self, task: &Task, known: Option<Found>, limit: Cost) -> Result<Option<Found>, RouteError> {
+        self.begin(task);
+        let mut limit = known.as_ref().map_or(limit, |known| known.cost.min(limit));
+        let mut found = known;
+        let mut places: HashMap<(u32, u64), u32> = HashMap::new();
+        let mut open_edges = Vec::new();
+        let mut open = BinaryHeap::from([Reverse((task.cost, 0_u32))]);
+        while let Some(Reverse((least, at))) = open.pop() {
+            if least.is_beyond(limit) {
+                break;
+            }
+            let Label { node, is_dropped, .. } = self.labels[at as usize];
+            if is_dropped {
+                continue;
+            }
+            if at % 256 == 0 && (self.until)() {
+                self.marks.stopped = true;
+                break;
+            }
+            self.mark(at);
+            let network = self.network;
+            let is_open = |edge: &usize| {
+                let to = network.to(*edge);
+                let is_passed = task.is_passed[to] || self.stamps[to] == self.stamp;
+                !is_passed && !(at == 0 && task.closed_first.contains(edge))
+            };
+            open_edges.clear();
+            open_edges.extend(network.leaving(node as usize).filter(is_open));
+            for &edge in &open_edges {
+                let to = network.to(edge);
+                let Some((least, mut label)) = self.extended(task, at, edge, limit)? else { continue };
+                if to == task.goal {
+                    if label.cost < limit {
+                        limit = label.cost;
+                        let mut edges = self.way(task, at);
+                        edges.push(edge);
+                        found = Some(Found { edges, cost: label.cost });
+                    }
+                    continue;
+                }
+                let place = (to as u32, self.outlook.rounded(label.at_secs).to_bits());
+                let head = places.get(&place).copied().unwrap_or(NONE);
+                if self.is_dominated(head, &label, at, limit) {
+                    continue;
+                }
+                if *self.left == 0 {
+                    self.marks.cut_off = true;
+                    return Ok(found);
+                }
+                *self.left -= 1;
+                *self.made += 1;
+                label.next = head;
+                let index = self.labels.len() as u32;
+                places.insert(place, index);
+                self.labels.push(label);
+                open.push(Reverse((least, index)));
+            }
+        }
+        Ok(found)
+    }
+
+    fn begin(&mut self, task: &Task) {
+        self.labels.clear();
+        self.labels.push(Label {
+            node: task.node as u32,
+            edge: NONE,
+            parent: 0,
+            next: NONE,
+            at_secs: task.at_secs,
+            cost: task.cost,
+            back: f64::INFINITY,
+            is_dropped: false,
+        });
+    }
+
+    /// A label with an edge more, and what it costs at least in the end; `None` where it is of no use.
+    fn extended(
+        &mut self,
+        task: &Task,
+        at: u32,
+        edge: usize,
+        limit: Cost,
+    ) -> Result<Option<(Cost, Label)>, RouteError> {
+        let label = self.labels[at as usize];
+        let to = self.network.to(edge);
+        let to_go = self.to_go.least[to];
+        // Before the edge is forecast.
+        if to_go.first.is_infinite() || label.cost.plus(to_go).is_beyond(limit) {
+            return Ok(None);
+        }
+        let Some(traversal) = self.outlook.at(edge, label.at_secs)? else { return Ok(None) };
+        let at_secs = label.at_secs + traversal.duration_secs;
+        let cost = label.cost.plus(traversal.cost);
+        let least = cost.plus(to_go);
+        if least.is_beyond(limit) {
+            return Ok(None);
+        }
+        if at_secs > task.latest_secs {
+            self.marks.too_long = true;
+            return Ok(None);
+        }
+        let back = label.back.min(self.to_go.through(label.node as usize));
+        let (node, edge) = (to as u32, edge as u32);
+        let made = Label { node, edge, parent: at, next: NONE, at_secs, cost, back, is_dropped: false };
+        Ok(Some((least, made)))
+    }
+
+    /// Whether a label, which comes from that of index `parent`, is of no use beside those from `head` on; drops those that are
+    /// of none beside it.
+    fn is_dominated(&mut self, head: u32, label: &Label, parent: u32, limit: Cost) -> bool {
+        let mut other = head;
+        while other != NONE {
+            let Label { next, cost, at_secs, is_dropped, .. } = self.labels[other as usize];
+            if !is_dropped {
+                if cost <= label.cost {
+                    let before = self.labels[other as usize];
+                    if self.replaces((&before, before.parent), (label, parent), limit) {
+                        self.marks.joined |= at_secs != label.at_secs;
+                        return true;
+                    }
+                } else {
+                    let before = self.labels[other as usize];
+                    if self.replaces((label, parent), (&before, before.parent), limit) {
+                        self.marks.joined |= at_secs != label.at_secs;
+                        self.labels[other as usize].is_dropped = true;
+                    }
+                }
+            }
+            other = next;
+        }
+        false
+    }
+
+    /// Whether what may follow `worse` may follow `better` instead. Each comes with the index of its parent.
+    fn replaces(&mut self, better: (&Label, u32), worse: (&Label, u32), limit: Cost) -> bool {
+        let cost = worse.0.cost.first;
+        let is_within = |to_pay: f64| cost + to_pay <= limit.first * (1.0 + 1e-12);
+        if !is_within(better.0.back) {
+            return true;
+        }
+        self.mark(worse.1);
+        let mut at = better.1;
+        loop {
+            let Label { node, parent, .. } = self.labels[at as usize];
+            if self.stamps[node as usize] != self.stamp && is_within(self.to_go.through(node as usize)) {
+                return false;
+            }
+            if parent == at {
+                return true;
+            }
+            at = parent;
+        }
+    }
+
+    /// Stamps all nodes on the way of a label.
+    fn mark(&mut self, mut at: u32) {
+        self.stamp += 1;
+        loop {
+            let Label { node, parent, .. } = self.labels[at as usize];
+            self.stamps[node as usize] = self.stamp;
+            if parent == at {
+                return;
+            }
+            at = parent;
+        }
+    }
+
+    fn way(&self, task: &Task, mut at: u32) -> Vec<usize> {
+        let mut edges = Vec::new();
+        while at != 0 {
+            edges.push(self.labels[at as usize].edge as usize);
+            at = self.labels[at as usize].parent;
+        }
+        edges.reverse();
+        [task.before, &edges].concat()
+    }
+}

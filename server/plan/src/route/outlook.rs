@@ -1,0 +1,127 @@
+//! Forecasts, checked, charged and kept.
+//!
+//! Invariant: an edge at a time has one answer for the whole question, whoever asks and in whatever order: times are rounded
+//! before they are asked for, not answers reused for times nearby.
+
+use tidemap_map::topology::NOMINAL_MAX_SECS;
+
+use super::{
+    ForecastError, Forecasts,
+    cost::{Cost, Costing},
+    forecast::expected_secs,
+    network::Network,
+};
+
+/// Most forecasts that are kept, 64 bytes each; then all are forgotten.
+const KEPT_MAX: usize = 2_000_000;
+
+/// An edge, entered at a time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Traversal {
+    pub success: f64,
+    pub evidence: f64,
+    pub duration_secs: f64,
+    pub expected_secs: f64,
+    pub cost: Cost,
+}
+
+/// What is known of edges at times.
+pub(super) struct Outlook<'a, F> {
+    network: &'a Network<'a>,
+    forecasts: &'a mut F,
+    pub costing: Costing,
+    resolution_secs: f64,
+    /// Of each edge, ascending by time.
+    kept: Vec<Vec<(f64, Option<Traversal>)>>,
+    kept_count: usize,
+    is_closed: Vec<bool>,
+    /// How often a forecast was asked for.
+    pub asked: usize,
+}
+
+impl<'a, F: Forecasts> Outlook<'a, F> {
+    pub fn new(network: &'a Network<'a>, forecasts: &'a mut F, costing: Costing, resolution_secs: f64) -> Self {
+        let count = network.edges.len();
+        let (kept, is_closed) = (vec![Vec::new(); count], vec![false; count]);
+        Outlook { network, forecasts, costing, resolution_secs, kept, kept_count: 0, is_closed, asked: 0 }
+    }
+
+    /// Which times count as the same as this.
+    pub fn rounded(&self, at_secs: f64) -> f64 {
+        // Adding 0 makes -0 a 0.
+        if self.resolution_secs > 0.0 {
+            (at_secs / self.resolution_secs).round() * self.resolution_secs + 0.0
+        } else {
+            at_secs + 0.0
+        }
+    }
+
+    /// An edge entered at a time; `None` while it is closed.
+    pub fn at(&mut self, edge: usize, at_secs: f64) -> Result<Option<Traversal>, ForecastError> {
+        let at_secs = self.rounded(at_secs);
+        let place = match self.kept[edge].binary_search_by(|kept| kept.0.total_cmp(&at_secs)) {
+            Ok(place) => return Ok(self.kept[edge][place].1),
+            Err(place) => place,
+        };
+        self.asked += 1;
+        let found = self.forecasts.at(self.network.edges[edge], at_secs);
+        let traversal = match found {
+            None => {
+                self.is_closed[edge] = true;
+                None
+            }
+            Some(forecast) => {
+                forecast.check(|| self.network.edge_name(edge))?;
+                let (success, duration_secs) = (forecast.success, forecast.duration_secs);
+                Some(Traversal {
+                    success,
+                    evidence: forecast.evidence,
+                    duration_secs,
+                    expected_secs: expected_secs(success, duration_secs, self.costing.recovery_secs),
+                    cost: self.costing.cost(success, duration_secs),
+                })
+            }
+        };
+        if self.kept_count < KEPT_MAX {
+            self.kept[edge].insert(place, (at_secs, traversal));
+        } else {
+            self.kept.iter_mut().for_each(Vec::clear);
+            self.kept[edge].push((at_secs, traversal));
+            self.kept_count = 0;
+        }
+        self.kept_count += 1;
+        Ok(traversal)
+    }
+
+    /// What an edge costs at least at any time of a span, as far as that is known for certain.
+    pub fn known_least(&mut self, edge: usize, from_secs: f64, to_secs: f64) -> Cost {
+        let best = self.forecasts.best(self.network.edges[edge], from_secs, to_secs);
+        let success = best.map(|best| best.success).filter(|success| *success > 0.0 && *success < 1.0).unwrap_or(1.0);
+        let duration = best.map(|best| best.duration_secs).filter(|secs| (0.0..=NOMINAL_MAX_SECS).contains(secs));
+        self.costing.cost(success, duration.unwrap_or(0.0))
+    }
+
+    /// The least that an edge costs at so many times of a span, both ends among them where there are two; infinite where it is
+    /// closed at all of them.
+    pub fn sampled_least(
+        &mut self,
+        edge: usize,
+        from_secs: f64,
+        to_secs: f64,
+        samples: u32,
+    ) -> Result<Cost, ForecastError> {
+        let mut least = Cost::INFINITE;
+        let step_secs = (to_secs - from_secs) / f64::from(samples.max(2) - 1);
+        for sample in 0..samples {
+            if let Some(traversal) = self.at(edge, from_secs + step_secs * f64::from(sample))? {
+                least = least.least(traversal.cost);
+            }
+        }
+        Ok(least)
+    }
+
+    /// Edges that were closed at a time at which they were asked for.
+    pub fn closed(&self) -> usize {
+        self.is_closed.iter().filter(|closed| **closed).count()
+    }
+}

@@ -1,0 +1,152 @@
+//! What is answered and refused beside the best way.
+
+use super::{worlds::street, *};
+
+fn sure(_: &tidemap_map::topology::Edge, _: f64) -> Option<EdgeForecast> {
+    Some(EdgeForecast { success: 0.8, duration_secs: 10.0, evidence: 9.0 })
+}
+
+fn ask(when: When, options: &RouteOptions) -> Result<Routes, RouteError> {
+    plan_routes(&street(4), NodeId(0), NodeId(3), when, options, &mut sure, || false)
+}
+
+#[test]
+fn the_figures_of_a_street_follow_from_the_formulae() {
+    let options = RouteOptions { objective: Objective::Time, ..RouteOptions::default() };
+    let route = ask(When::DepartAt(100.0), &options).unwrap().routes.remove(0);
+    let starts: Vec<f64> = route.steps.iter().map(|step| step.start_secs).collect();
+    assert_eq!(starts, [100.0, 110.0, 120.0]);
+    assert_eq!(route.arrival_secs, 130.0);
+    // A quarter of a failure for each edge, each 70 s.
+    assert!((route.expected_secs - 3.0 * (10.0 + 0.25 * 70.0)).abs() < 1e-9);
+    assert_eq!(route.cost, route.expected_secs);
+    assert!((route.success - 0.512).abs() < 1e-12);
+    let (edge, whole) = (route.steps[0].success_interval, route.success_interval);
+    // Beta(7.2, 1.8).
+    assert!(edge.lower > 0.5 && edge.lower < 0.6 && edge.upper > 0.95 && edge.upper < 1.0, "{edge:?}");
+    assert!(whole.lower < edge.lower && whole.upper < edge.upper && whole.contains(0.512), "{whole:?}");
+    let success = ask(When::DepartAt(0.0), &RouteOptions::default()).unwrap().routes.remove(0);
+    assert!((success.cost + 0.512_f64.ln()).abs() < 1e-9);
+}
+
+#[test]
+fn who_is_there_needs_no_step() {
+    let there = |when| {
+        let options = RouteOptions::default();
+        plan_routes(&street(2), NodeId(1), NodeId(1), when, &options, &mut sure, || false).unwrap().routes.remove(0)
+    };
+    let route = there(When::ArriveBy { by_secs: 70.0, earliest_secs: 0.0 });
+    assert!(route.steps.is_empty() && route.success == 1.0 && route.cost == 0.0);
+    assert_eq!((route.departure_secs, route.arrival_secs), (70.0, 70.0));
+    assert_eq!(there(When::DepartAt(5.0)).departure_secs, 5.0);
+}
+
+#[test]
+fn later_is_better_where_a_door_opens() {
+    // The door from node 1 to 2 opens at 60 s: who leaves at once stands before it.
+    let door = &mut |edge: &tidemap_map::topology::Edge, at_secs: f64| {
+        let is_door = edge.from == NodeId(1) && edge.to == NodeId(2);
+        sure(edge, at_secs).filter(|_| !is_door || at_secs >= 60.0)
+    };
+    let options = RouteOptions::default();
+    let mut ask = |when| plan_routes(&street(4), NodeId(0), NodeId(3), when, &options, door, || false);
+    assert_eq!(ask(When::DepartAt(0.0)), Err(RouteError::Unreachable { from: 0, to: 3, closed: 1 }));
+    assert_eq!(ask(When::DepartAt(50.0)).unwrap().routes.len(), 1);
+    let within = ask(When::DepartWithin { from_secs: 0.0, to_secs: 300.0, step_secs: 10.0 }).unwrap();
+    assert_eq!(within.routes[0].departure_secs, 50.0);
+}
+
+#[test]
+fn an_arrival_is_met_as_late_as_can_be() {
+    let expected_secs = 3.0 * (10.0 + 0.25 * 70.0);
+    let when = When::ArriveBy { by_secs: 1_000.0, earliest_secs: 0.0 };
+    let route = ask(when, &RouteOptions::default()).unwrap().routes.remove(0);
+    assert!((route.departure_secs - (1_000.0 - expected_secs)).abs() < 0.2, "{}", route.departure_secs);
+    assert!(route.departure_secs + route.expected_secs <= 1_000.0 + 1e-9);
+    let none = When::ArriveBy { by_secs: 50.0, earliest_secs: 0.0 };
+    let error = RouteError::TooLate { earliest_secs: 0.0, by_secs: 50.0 };
+    assert_eq!(ask(none, &RouteOptions::default()), Err(error));
+}
+
+#[test]
+fn what_takes_too_long_is_told_from_what_cannot_be_reached() {
+    let options = RouteOptions { horizon_secs: 29.0, ..RouteOptions::default() };
+    let error = ask(When::DepartAt(0.0), &options).unwrap_err();
+    assert_eq!(error, RouteError::BeyondHorizon { from: 0, to: 3, horizon_secs: 29.0 });
+    let mut closed = |_: &tidemap_map::topology::Edge, _: f64| None;
+    let options = RouteOptions::default();
+    let when = When::DepartAt(0.0);
+    let error = plan_routes(&street(4), NodeId(0), NodeId(3), when, &options, &mut closed, || false).unwrap_err();
+    assert_eq!(error, RouteError::Unreachable { from: 0, to: 3, closed: 1 });
+    let unknown = plan_routes(&street(4), NodeId(0), NodeId(9), when, &options, &mut sure, || false);
+    assert_eq!(unknown, Err(RouteError::UnknownNode(9)));
+}
+
+#[test]
+fn a_search_that_ends_early_says_so() {
+    let options = RouteOptions { labels_max: 1, bounds: Bounds::Known, ..RouteOptions::default() };
+    let routes = ask(When::DepartAt(0.0), &options).unwrap();
+    assert_eq!((routes.certainty, routes.routes[0].steps.len()), (Certainty::CutOff, 3));
+    let when = When::DepartAt(0.0);
+    let stopped = plan_routes(&street(4), NodeId(0), NodeId(3), when, &options, &mut sure, || true);
+    assert_eq!(stopped, Err(RouteError::CutOff { labels: 0 }));
+}
+
+#[test]
+fn forecasts_out_of_range_name_their_edge() {
+    let ask = |success: f64, duration_secs: f64, evidence: f64| {
+        let mut bad = |_: &tidemap_map::topology::Edge, _: f64| Some(EdgeForecast { success, duration_secs, evidence });
+        let options = RouteOptions { horizon_secs: TIME_MAX_SECS, ..RouteOptions::default() };
+        let when = When::DepartAt(0.0);
+        let found = plan_routes(&street(2), NodeId(0), NodeId(1), when, &options, &mut bad, || false);
+        found.err().map(|error| error.to_string())
+    };
+    assert_eq!(ask(1.0, 1.0, 1.0), None);
+    assert_eq!(ask(SUCCESS_MIN, NOMINAL_MAX_SECS, 1e-12), None);
+    for success in [0.0, -0.1, 1.1, f64::NAN, f64::INFINITY] {
+        let error = ask(success, 1.0, 1.0).unwrap();
+        assert!(error.contains("n0/n1") && error.contains("succeeds"), "{error}");
+    }
+    for duration_secs in [0.0, -1.0, 1e10, f64::NAN, f64::INFINITY] {
+        assert!(ask(0.5, duration_secs, 1.0).unwrap().contains("would take"));
+    }
+    for evidence in [0.0, -1.0, f64::NAN] {
+        assert!(ask(0.5, 1.0, evidence).unwrap().contains("observations"));
+    }
+}
+
+#[test]
+fn options_out_of_range_are_refused() {
+    let base = RouteOptions::default();
+    let nan = f64::NAN;
+    let bad = [
+        RouteOptions { recovery_secs: -1.0, ..base },
+        RouteOptions { recovery_secs: nan, ..base },
+        RouteOptions { failure_cost_secs: f64::INFINITY, ..base },
+        RouteOptions { objective: Objective::Blend { weight: 1.1 }, ..base },
+        RouteOptions { objective: Objective::Blend { weight: nan }, ..base },
+        RouteOptions { alternatives: 11, ..base },
+        RouteOptions { confidence: 1.0, ..base },
+        RouteOptions { confidence: 0.4, ..base },
+        RouteOptions { horizon_secs: 0.0, ..base },
+        RouteOptions { resolution_secs: -1.0, ..base },
+        RouteOptions { bounds: Bounds::Sampled(0), ..base },
+        RouteOptions { labels_max: 0, ..base },
+        RouteOptions { arrival_step_secs: 0.0, ..base },
+    ];
+    for options in bad {
+        let found = ask(When::DepartAt(0.0), &options);
+        assert!(matches!(found, Err(RouteError::Range { .. })), "{options:?}: {found:?}");
+    }
+    for when in [
+        When::DepartAt(nan),
+        When::DepartAt(1e10),
+        When::DepartWithin { from_secs: 10.0, to_secs: 0.0, step_secs: 1.0 },
+        When::DepartWithin { from_secs: 0.0, to_secs: 10.0, step_secs: 0.0 },
+        When::ArriveBy { by_secs: nan, earliest_secs: 0.0 },
+    ] {
+        assert!(matches!(ask(when, &base), Err(RouteError::Range { .. })), "{when:?}");
+    }
+    let many = When::DepartWithin { from_secs: 0.0, to_secs: 1_000.0, step_secs: 1.0 };
+    assert_eq!(ask(many, &base), Err(RouteError::TooManyDepartures { found: 1_001.0 }));
+}
