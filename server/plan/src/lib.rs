@@ -8,6 +8,7 @@
 pub mod day;
 pub mod information;
 pub mod location;
+pub mod policy;
 pub mod predicted;
 pub mod route;
 pub mod search;

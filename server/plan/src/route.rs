@@ -31,6 +31,7 @@ mod network;
 mod outlook;
 
 pub use error::RouteError;
+pub(crate) use forecast::expected_secs;
 pub use forecast::{EdgeBest, EdgeForecast, ForecastError, Forecasts, SUCCESS_MIN};
 pub(crate) use network::Network;
 use tidemap_map::topology::{EdgeId, NOMINAL_MAX_SECS, NodeId, Topology};

@@ -1,0 +1,116 @@
+//! The values of one slot, which depend on each other and on those of later slots.
+//!
+//! Each choice of a node is worth what is known of it, from later slots, and a share of the value of one other node in the same
+//! slot. Time passes with each edge, so the share is less than 1: the equations are those of a discounted problem, with one
+//! solution. An order of nodes as in Dijkstra's search does not solve them, since a later slot may be better than this one, and
+//! a node then better than the one it leads to. So policy iteration (R. A. Howard, "Dynamic Programming and Markov Processes",
+//! 1960): with one choice for each node, each node depends on one other, and the values follow along chains and around cycles
+//! in closed form; then each node takes its best choice. Invariant: the values of a policy are exact up to rounding, and of
+//! policies each is better than the one before, so that it ends.
+
+use super::solve::Choice;
+
+/// What is better by less than this share is not better: sums of the same in another order differ by as much.
+const ROUNDING: f64 = 1e-14;
+/// Improvements take less than ten as a rule.
+const ROUNDS_MAX: usize = 10_000;
+
+/// Choices of all nodes of a slot.
+pub(super) struct Choices {
+    /// Node by node.
+    pub all: Vec<Choice>,
+    /// Where those of each node begin; one more than nodes.
+    pub first: Vec<u32>,
+}
+
+impl Choices {
+    pub fn of(&self, node: usize) -> std::ops::Range<usize> {
+        self.first[node] as usize..self.first[node + 1] as usize
+    }
+
+    /// What a choice is worth in the part that is sought, 0 or 1.
+    pub fn worth(&self, choice: usize, part: usize, values: &[f64]) -> f64 {
+        let Choice { known, leak, to, .. } = self.all[choice];
+        // A share of 0 of what is infinite is 0.
+        if leak >= 1.0 { known[part] } else { known[part] + (1.0 - leak) * values[to as usize] }
+    }
+}
+
+/// Which choice each node takes; none where there is none.
+pub(super) type Picked = Vec<Option<u32>>;
+
+/// Finds the least values in a part and the choices that lead to them, from good first values; of nodes without a choice the value
+/// stays. `is_allowed` leaves choices out.
+pub(super) fn settle(choices: &Choices, part: usize, values: &mut [f64], is_allowed: impl Fn(usize) -> bool) -> Picked {
+    let best = |node: usize, values: &[f64]| {
+        let mut best: Option<(f64, u32)> = None;
+        for choice in choices.of(node).filter(|&choice| is_allowed(choice)) {
+            let worth = choices.worth(choice, part, values);
+            if best.is_none_or(|(least, _)| worth < least) {
+                best = Some((worth, choice as u32));
+            }
+        }
+        best
+    };
+    let mut picked: Picked = (0..values.len()).map(|node| best(node, values).map(|(_, choice)| choice)).collect();
+    for _ in 0..ROUNDS_MAX {
+        evaluate(choices, part, &picked, values);
+        let mut is_better = false;
+        for node in 0..values.len() {
+            let Some((worth, choice)) = best(node, values) else { continue };
+            if picked[node] != Some(choice) && worth < values[node] - ROUNDING * values[node].abs() {
+                picked[node] = Some(choice);
+                is_better = true;
+            }
+        }
+        if !is_better {
+            break;
+        }
+    }
+    picked
+}
+
+/// The values of nodes that each take one choice; of nodes without one the value stays.
+pub(super) fn evaluate(choices: &Choices, part: usize, picked: &Picked, values: &mut [f64]) {
+    #[derive(Clone, Copy, PartialEq)]
+    enum Mark {
+        New,
+        OnChain,
+        Done,
+    }
+    let mut marks: Vec<Mark> =
+        picked.iter().map(|choice| if choice.is_some() { Mark::New } else { Mark::Done }).collect();
+    let mut chain: Vec<(usize, Choice)> = Vec::new();
+    for start in 0..values.len() {
+        let mut node = start;
+        chain.clear();
+        while let (Mark::New, Some(choice)) = (marks[node], picked[node]) {
+            let choice = choices.all[choice as usize];
+            marks[node] = Mark::OnChain;
+            chain.push((node, choice));
+            if choice.leak >= 1.0 {
+                break;
+            }
+            node = choice.to as usize;
+        }
+        let is_cycle = chain.last().is_some_and(|last| last.1.leak < 1.0) && marks[node] == Mark::OnChain;
+        if is_cycle {
+            let from = chain.iter().position(|&(other, _)| other == node).unwrap_or(0);
+            // x = known + share · x around the cycle.
+            let (mut known, mut log_share) = (0.0, 0.0_f64);
+            for (_, choice) in &chain[from..] {
+                known += log_share.exp() * choice.known[part];
+                log_share += (-choice.leak).ln_1p();
+            }
+            values[node] = known / -log_share.exp_m1();
+            marks[node] = Mark::Done;
+        }
+        for &(node, choice) in chain.iter().rev() {
+            if marks[node] == Mark::OnChain {
+                let share = if choice.leak >= 1.0 { 0.0 } else { (1.0 - choice.leak) * values[choice.to as usize] };
+                values[node] = choice.known[part] + share;
+                marks[node] = Mark::Done;
+            }
+        }
+    }
+}
