@@ -65,7 +65,8 @@ impl Directory {
         if let Some(id) = self.find(name) {
             return Some((id, Form::Scalar(self.info(id)?.kind)));
         }
-        let first = self.find(&format!("{name}/x"))?;
+        // A vector has a plain name: `edge/A/B/x` is an edge with the action x.
+        let first = self.find(&format!("{name}/x")).filter(|_| !name.contains('/'))?;
         let beyond = self.info(StateId(first.0.saturating_add(2)));
         let has_z = beyond.and_then(|info| info.name.as_axis()) == Some((name, 2));
         Some((first, Form::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))

@@ -11,6 +11,7 @@ use crate::{
     grid::{scan::Scans, sensors::ProducerSensor},
     name::{ProducerKey, StateName},
     site::SiteEdit,
+    traversal::EdgeFailure,
 };
 
 /// Index of a state within its map: dense from 0, in order of first appearance, never reused.
@@ -46,6 +47,8 @@ pub enum RefusalReason {
     TileLimit,
     /// The scan is in another frame than the map.
     Frame,
+    /// The map has no such edge.
+    Edge,
 }
 
 /// Consecutive observations that share a UTC offset.
@@ -77,7 +80,7 @@ pub struct Observations {
     /// States that appear for the first time; the ids continue those of the map.
     pub new_states: Vec<NewState>,
     /// Per accepted observation: the state. A position is an observation of each of its axes, one after the other, with
-    /// one sequence number.
+    /// one sequence number; so is a traversal of the one or two states of its edge.
     pub states: Vec<StateId>,
     /// Per accepted observation: time in nanoseconds UTC, at least 0.
     pub times_nanos: Vec<i64>,
@@ -87,6 +90,8 @@ pub struct Observations {
     pub offsets: Vec<OffsetRun>,
     /// Refused observations: sequence number and reason, ascending.
     pub refused: Vec<(u64, RefusalReason)>,
+    /// Traversals that failed, each with an observation of its edge's state among those above.
+    pub failures: Vec<EdgeFailure>,
 }
 
 impl Observations {

@@ -19,6 +19,7 @@ pub mod site;
 pub mod snapshot;
 pub mod spec;
 pub mod topology;
+pub mod traversal;
 pub mod update;
 pub mod view;
 

@@ -9,6 +9,10 @@ use unicode_normalization::is_nfc;
 
 use crate::grid::index::{CellIndex, TILE_EDGE, TILE_LIMIT};
 
+mod edge;
+
+pub use edge::{EDGE_STATE_CHARS_MAX, EdgeName, EdgeState};
+
 /// Most characters of a state's or producer's name.
 pub const NAME_CHARS_MAX: usize = 128;
 /// Most characters of a map's name.
@@ -58,7 +62,7 @@ fn shown(name: &str) -> String {
 }
 
 /// Characters that do not print, or that change how others print (bidirectional controls, zero-width marks).
-fn unprintable(character: char) -> bool {
+pub(crate) fn unprintable(character: char) -> bool {
     character.is_control()
         || matches!(u32::from(character),
             0xAD | 0x600..=0x605 | 0x61C | 0x6DD | 0x70F | 0x180E | 0x200B..=0x200F | 0x2028..=0x202E
@@ -139,7 +143,8 @@ pub(crate) fn asked_for(name: &str) -> &str {
 const OF_EDGES: [&str; 3] = ["edge", "speed", "pace"];
 
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`; or that of an axis of a vector,
-/// such a name with `/x`, `/y` or `/z`; or `node/N/KIND`, which tells whether something of a kind is at node N.
+/// such a name with `/x`, `/y` or `/z`; or `node/N/KIND`, which tells whether something of a kind is at node N; or that of
+/// a state of an edge, [`EdgeName::state`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
 
@@ -189,11 +194,15 @@ impl StateName {
         }
     }
 
-    /// As [`StateName::observed`], or the name of an axis of a vector, as [`StateName::axis`] gives it.
+    /// As [`StateName::observed`], or the name of an axis of a vector, as [`StateName::axis`] gives it, or of a state of an
+    /// edge, as [`EdgeName::state`] does.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
     pub fn stored(name: &str) -> Result<Self, InvalidName> {
+        if let Some((what, edge)) = edge::split_edge(name) {
+            return Ok(EdgeName::parse(edge)?.state(what));
+        }
         match split_axis(name) {
             Some((vector, axis)) => {
                 let vector = Self::new(vector)?;

@@ -1,5 +1,5 @@
 //! What a map is told about the place besides observations: where the robot rests, which states are seen together,
-//! which places robots have reached, and the topological map.
+//! which places robots have reached, the topological map, and which traversals of its edges failed.
 //!
 //! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] passes is applied
 //! whole; any other changes nothing.
@@ -11,6 +11,7 @@ use crate::{
     name::{InvalidName, StateName},
     reachability::{Reachability, ReachabilityError},
     topology::{Topology, TopologyEdit, TopologyError},
+    traversal::{EdgeFailure, Failures},
 };
 
 #[cfg(test)]
@@ -113,6 +114,7 @@ pub struct Site {
     locations: BTreeMap<StateName, Location>,
     reachability: Reachability,
     topology: Arc<Topology>,
+    failures: Failures,
 }
 
 impl Site {
@@ -150,6 +152,23 @@ impl Site {
     #[must_use]
     pub fn with_topology(self, topology: Topology) -> Site {
         Site { topology: Arc::new(topology), ..self }
+    }
+
+    /// The newest traversals that failed.
+    #[must_use]
+    pub fn failures(&self) -> &Failures {
+        &self.failures
+    }
+
+    /// The same site with the failed traversals that were stored.
+    #[must_use]
+    pub fn with_failures(self, failures: Failures) -> Site {
+        Site { failures, ..self }
+    }
+
+    /// Adds traversals that failed. Unlike edits, these come with the observations of which they are a part.
+    pub fn add_failures(&mut self, failures: &[EdgeFailure]) {
+        failures.iter().for_each(|failure| self.failures.add(failure.clone()));
     }
 
     /// Whether nothing was ever told.
@@ -198,6 +217,9 @@ impl Site {
     pub fn apply(&mut self, edit: &SiteEdit, states: usize) -> Result<(), InvalidEdit> {
         if let SiteEdit::Topology(edit) = edit {
             self.topology = Arc::new(self.topology.edited(edit)?);
+            if let TopologyEdit::RenameNode { from, to } = edit {
+                self.failures.rename_node(from, to);
+            }
             return Ok(());
         }
         self.check(edit, states)?;

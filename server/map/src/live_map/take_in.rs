@@ -3,6 +3,8 @@
 //! Invariant: an event that does not follow from those before is refused; one that does moves its producer's mark on,
 //! whatever else it holds.
 
+use std::sync::Arc;
+
 use super::LiveMap;
 use crate::{
     directory::StateInfo,
@@ -145,6 +147,9 @@ impl LiveMap {
             self.pending.received(event.received_nanos);
         }
         self.observations += event.states.len() as u64;
+        if !event.failures.is_empty() {
+            Arc::make_mut(&mut self.site).add_failures(&event.failures);
+        }
         Ok(())
     }
 }

@@ -3,7 +3,7 @@
 //! Invariant: a map made of the parts of another is equal to it; parts that break a rule of the map are refused.
 
 use super::{Edge, EdgeId, Node, NodeId, Topology, TopologyError};
-use crate::name::StateName;
+use crate::name::{EdgeName, StateName};
 
 /// All that a topological map consists of.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -51,6 +51,25 @@ impl Topology {
         let count = |node: NodeId| self.at_node.get(&node).map_or(0, Vec::len);
         let end = if count(from) <= count(to) { from } else { to };
         self.at(end).find(|edge| edge.from == from && edge.to == to && edge.action.as_ref() == action)
+    }
+
+    /// The edge of a name.
+    ///
+    /// # Errors
+    /// [`TopologyError::UnknownNode`], [`TopologyError::UnknownEdge`].
+    pub fn edge_named(&self, name: &EdgeName) -> Result<&Edge, TopologyError> {
+        let (from, to) = (self.node_named(name.from.as_str())?.id, self.node_named(name.to.as_str())?.id);
+        let unknown = || TopologyError::UnknownEdge(name.to_string().chars().take(100).collect());
+        self.edge_between(from, to, name.action.as_ref()).ok_or_else(unknown)
+    }
+
+    /// An edge by the names of its nodes.
+    ///
+    /// # Errors
+    /// [`TopologyError::UnknownNodeId`] where the edge is of another map.
+    pub fn edge_in_words(&self, edge: &Edge) -> Result<EdgeName, TopologyError> {
+        let (from, to) = (self.node(edge.from)?.name.clone(), self.node(edge.to)?.name.clone());
+        Ok(EdgeName { from, to, action: edge.action.clone() })
     }
 
     /// An edge's name: `A/B`, or `A/B/ACTION`.

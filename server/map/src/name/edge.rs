@@ -1,0 +1,140 @@
+//! Names of edges, and of the states that traversals of them are learned in.
+//!
+//! Invariant: each part of such a name is a plain name, without `/`, so that a state's name tells its edge: there is one
+//! name for each state of each edge, and nothing else is called so.
+
+use std::fmt;
+
+use tidemap_model::StateKind;
+
+use super::{InvalidName, NAME_CHARS_MAX, StateName, shown};
+
+/// Most characters of the name of an edge's state: `speed/A/B/ACTION`, with three plain names.
+pub const EDGE_STATE_CHARS_MAX: usize = 3 * NAME_CHARS_MAX + "speed///".len();
+
+/// What is learned of an edge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum EdgeState {
+    /// Whether a traversal succeeds: 1 or 0, at its start. A probability.
+    Success,
+    /// How fast a traversal that succeeded was, metres a second, of an edge that has a length. Continuous.
+    Speed,
+    /// Nominal time over the time that a traversal took which succeeded: 1 is as nominal, 0.5 twice as long. Of an edge
+    /// that has a nominal time alone. Continuous.
+    Pace,
+}
+
+impl EdgeState {
+    const ALL: [EdgeState; 3] = [EdgeState::Success, EdgeState::Speed, EdgeState::Pace];
+
+    /// First part of the states' names: `edge`, `speed` or `pace`.
+    #[must_use]
+    pub fn prefix(self) -> &'static str {
+        match self {
+            EdgeState::Success => "edge",
+            EdgeState::Speed => "speed",
+            EdgeState::Pace => "pace",
+        }
+    }
+
+    /// What the states' values are.
+    #[must_use]
+    pub fn kind(self) -> StateKind {
+        match self {
+            EdgeState::Success => StateKind::Probability,
+            EdgeState::Speed | EdgeState::Pace => StateKind::Continuous,
+        }
+    }
+}
+
+/// Which edge, by the names of its nodes; whether there is one is not asked.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct EdgeName {
+    /// The node where it begins.
+    pub from: StateName,
+    /// The node where it ends.
+    pub to: StateName,
+    /// By which action it is travelled; `None` is the usual one.
+    pub action: Option<StateName>,
+}
+
+impl EdgeName {
+    /// Checks the names of the nodes and of the action; an empty action is the usual one.
+    ///
+    /// # Errors
+    /// [`InvalidName`], with what is wrong.
+    pub fn new(from: &str, to: &str, action: &str) -> Result<Self, InvalidName> {
+        let action = if action.is_empty() { None } else { Some(StateName::new(action)?) };
+        Ok(Self { from: StateName::new(from)?, to: StateName::new(to)?, action })
+    }
+
+    /// Checks a whole name, `A/B` or `A/B/ACTION`.
+    ///
+    /// # Errors
+    /// [`InvalidName`]; [`InvalidName::Slash`] where there are fewer or more parts.
+    pub fn parse(name: &str) -> Result<Self, InvalidName> {
+        let mut parts = name.split('/');
+        match (parts.next(), parts.next(), parts.next(), parts.next()) {
+            (Some(from), Some(to), None, None) => Self::new(from, to, ""),
+            (Some(from), Some(to), Some(action), None) if !action.is_empty() => Self::new(from, to, action),
+            _ => Err(InvalidName::Slash(shown(name))),
+        }
+    }
+
+    /// Name of one of its states: `edge/A/B`, `speed/A/B` or `pace/A/B`, with `/ACTION` where the action is not the usual
+    /// one.
+    #[must_use]
+    pub fn state(&self, what: EdgeState) -> StateName {
+        StateName(format!("{}/{self}", what.prefix()).into())
+    }
+}
+
+impl fmt::Display for EdgeName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.from, self.to)?;
+        self.action.as_ref().map_or(Ok(()), |action| write!(f, "/{action}"))
+    }
+}
+
+impl StateName {
+    /// The state of whether traversals of an edge succeed, `edge/A/B[/ACTION]`.
+    #[must_use]
+    pub fn edge(edge: &EdgeName) -> Self {
+        edge.state(EdgeState::Success)
+    }
+
+    /// The state of how fast an edge is travelled, `speed/A/B[/ACTION]`.
+    #[must_use]
+    pub fn speed(edge: &EdgeName) -> Self {
+        edge.state(EdgeState::Speed)
+    }
+
+    /// The state of how fast an edge is travelled, next to its nominal time, `pace/A/B[/ACTION]`.
+    #[must_use]
+    pub fn pace(edge: &EdgeName) -> Self {
+        edge.state(EdgeState::Pace)
+    }
+
+    /// Of the name of an edge's state, which and the edge.
+    #[must_use]
+    pub fn as_edge(&self) -> Option<(EdgeState, EdgeName)> {
+        let (what, edge) = split_edge(&self.0)?;
+        EdgeName::parse(edge).ok().map(|edge| (what, edge))
+    }
+
+    /// Most characters that a state of this name may have: those of edges have longer names than others.
+    #[must_use]
+    pub fn chars_max(name: &str) -> usize {
+        if split_edge(name).is_some() { EDGE_STATE_CHARS_MAX } else { NAME_CHARS_MAX }
+    }
+}
+
+/// A name that begins as that of an edge's state: which, and what follows. An axis of a vector, such as `speed/x`, does not.
+pub(super) fn split_edge(name: &str) -> Option<(EdgeState, &str)> {
+    let (prefix, edge) = name.split_once('/')?;
+    let what = EdgeState::ALL.into_iter().find(|what| what.prefix() == prefix)?;
+    edge.contains('/').then_some((what, edge))
+}
+
+#[cfg(test)]
+mod tests;

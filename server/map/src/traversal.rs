@@ -1,0 +1,224 @@
+//! Traversals of the edges of a topological map: what robots report of them, the states that they are learned in, and the
+//! newest that failed.
+//!
+//! Invariant: a state never changes its unit. A speed is in metres a second and a pace is relative to the nominal time,
+//! each by the edge's extent when the report was taken in; so an edge that is given another length keeps what was learned.
+
+use std::{collections::VecDeque, sync::Arc};
+
+use tidemap_model::StateKind;
+
+use crate::{
+    name::{EdgeName, EdgeState, StateName, unprintable},
+    topology::{Edge, Extent, Topology, TopologyError},
+};
+
+/// Longest traversal that is taken, nanoseconds: a day. States are learned by the time of day, which means nothing for
+/// what lasts longer, and a wrong unit or a clock that was set would be learned as an edge at a standstill.
+pub const TRAVERSAL_MAX_NANOS: i64 = 86_400_000_000_000;
+/// Most characters that are kept of the reason of a failure.
+pub const REASON_CHARS_MAX: usize = 200;
+/// Most failed traversals of a map that are kept.
+pub const FAILURES_MAX: usize = 1_000;
+
+/// A robot travelled an edge, or tried to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Traversal {
+    /// Which edge.
+    pub edge: EdgeName,
+    /// When it set out, nanoseconds UTC.
+    pub start_nanos: i64,
+    /// When it arrived, or gave up, nanoseconds UTC.
+    pub end_nanos: i64,
+    /// Whether it arrived.
+    pub success: bool,
+    /// Why it did not, for people to read; may be empty.
+    pub reason: String,
+}
+
+/// Why a traversal cannot be taken.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TraversalError {
+    /// It is too old.
+    #[error("start {0} ns is before 1970")]
+    Before1970(i64),
+    /// It ends before it starts.
+    #[error("end {end_nanos} ns is before start {start_nanos} ns: a traversal ends after it starts")]
+    Backwards {
+        /// Its start.
+        start_nanos: i64,
+        /// Its end.
+        end_nanos: i64,
+    },
+    /// It succeeded in no time.
+    #[error("start and end are both {0} ns: a traversal that succeeds takes time")]
+    NoTime(i64),
+    /// It lasts too long.
+    #[error("it lasts {secs} s, more than a day: a traversal is of one edge, times are in nanoseconds")]
+    TooLong {
+        /// How long, seconds.
+        secs: f64,
+    },
+    /// It is too fast.
+    #[error("it takes {secs} s, so that its {} would be {value}, which is not {}", .what.prefix(), StateKind::Continuous.expected())]
+    TooFast {
+        /// How long, seconds.
+        secs: f64,
+        /// Speed or pace.
+        what: EdgeState,
+        /// Metres a second, or nominal times.
+        value: f64,
+    },
+}
+
+impl Traversal {
+    /// Checks its times.
+    ///
+    /// # Errors
+    /// [`TraversalError`], but [`TraversalError::TooFast`].
+    pub fn check(&self) -> Result<(), TraversalError> {
+        let Self { start_nanos, end_nanos, success, .. } = *self;
+        if start_nanos < 0 {
+            return Err(TraversalError::Before1970(start_nanos));
+        }
+        if end_nanos < start_nanos {
+            return Err(TraversalError::Backwards { start_nanos, end_nanos });
+        }
+        if success && end_nanos == start_nanos {
+            return Err(TraversalError::NoTime(start_nanos));
+        }
+        if end_nanos - start_nanos > TRAVERSAL_MAX_NANOS {
+            return Err(TraversalError::TooLong { secs: self.duration_secs() });
+        }
+        Ok(())
+    }
+
+    /// How long it lasted, seconds.
+    #[must_use]
+    pub fn duration_secs(&self) -> f64 {
+        self.end_nanos.saturating_sub(self.start_nanos) as f64 / 1e9
+    }
+
+    /// What it says of the states of its edge, which has this extent: a value for each of one or two states, all at its
+    /// start.
+    ///
+    /// # Errors
+    /// [`TraversalError`]; it says nothing then.
+    pub fn samples(&self, extent: Extent) -> Result<Vec<(EdgeState, f64)>, TraversalError> {
+        self.check()?;
+        let mut samples = vec![(EdgeState::Success, f64::from(u8::from(self.success)))];
+        if self.success {
+            let (what, size) = travel(extent);
+            let secs = self.duration_secs();
+            let value = size / secs;
+            if !what.kind().allows(value) {
+                return Err(TraversalError::TooFast { secs, what, value });
+            }
+            samples.push((what, value));
+        }
+        Ok(samples)
+    }
+
+    /// What is kept of it if it failed.
+    #[must_use]
+    pub fn failure(&self) -> Option<EdgeFailure> {
+        let Self { edge, start_nanos, end_nanos, success, reason } = self;
+        let reason = if *success { None } else { Some(kept_reason(reason)) }?;
+        Some(EdgeFailure { edge: edge.clone(), start_nanos: *start_nanos, end_nanos: *end_nanos, reason })
+    }
+}
+
+/// The state that is learned of how an edge with this extent is travelled, and what is divided by the duration: metres, or
+/// nominal seconds.
+fn travel(extent: Extent) -> (EdgeState, f64) {
+    match (extent.length_m, extent.nominal_secs) {
+        (Some(length_m), _) => (EdgeState::Speed, length_m),
+        // An edge has one of the two.
+        (None, nominal_secs) => (EdgeState::Pace, nominal_secs.unwrap_or(0.0)),
+    }
+}
+
+/// Name of the state that tells how likely a traversal of an edge succeeds.
+///
+/// # Errors
+/// [`TopologyError::UnknownNodeId`] where the edge is of another map.
+pub fn success_state(topology: &Topology, edge: &Edge) -> Result<StateName, TopologyError> {
+    topology.edge_in_words(edge).map(|name| name.state(EdgeState::Success))
+}
+
+/// Name of the state that tells how fast an edge is travelled, with what its values are: speeds of an edge that has a
+/// length, paces of one that has a nominal time alone.
+///
+/// # Errors
+/// [`TopologyError::UnknownNodeId`] where the edge is of another map.
+pub fn travel_state(topology: &Topology, edge: &Edge) -> Result<(EdgeState, StateName), TopologyError> {
+    let (what, _) = travel(edge.extent);
+    topology.edge_in_words(edge).map(|name| (what, name.state(what)))
+}
+
+/// A reason as it is kept: characters that do not print become blanks, and what is beyond 200 characters is left out.
+#[must_use]
+pub fn kept_reason(reason: &str) -> String {
+    let printable = |character| if unprintable(character) { ' ' } else { character };
+    reason.trim().chars().take(REASON_CHARS_MAX).map(printable).collect()
+}
+
+/// A traversal that failed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EdgeFailure {
+    /// Which edge.
+    pub edge: EdgeName,
+    /// When the robot set out, nanoseconds UTC.
+    pub start_nanos: i64,
+    /// When it gave up, nanoseconds UTC.
+    pub end_nanos: i64,
+    /// Why, as [`kept_reason`] gives it.
+    pub reason: String,
+}
+
+/// The failed traversals of a map that started last: at most [`FAILURES_MAX`].
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Failures {
+    /// Ascending by start; of equal starts in the order in which they came.
+    oldest_first: Arc<VecDeque<Arc<EdgeFailure>>>,
+}
+
+impl Failures {
+    /// Adds one, and drops the oldest where there are too many. One that is older than all of as many as are kept is not
+    /// kept.
+    pub fn add(&mut self, failure: EdgeFailure) {
+        let kept = Arc::make_mut(&mut self.oldest_first);
+        let place = kept.partition_point(|known| known.start_nanos <= failure.start_nanos);
+        kept.insert(place, Arc::new(failure));
+        if kept.len() > FAILURES_MAX {
+            kept.pop_front();
+        }
+    }
+
+    /// All of them, the newest first.
+    pub fn newest_first(&self) -> impl ExactSizeIterator<Item = &EdgeFailure> {
+        self.oldest_first.iter().rev().map(|failure| &**failure)
+    }
+
+    /// All of them, to be stored: added again in this order, they are the same.
+    pub fn oldest_first(&self) -> impl ExactSizeIterator<Item = &EdgeFailure> {
+        self.oldest_first.iter().map(|failure| &**failure)
+    }
+
+    /// A node has another name.
+    pub fn rename_node(&mut self, from: &StateName, to: &StateName) {
+        let is_named = |failure: &EdgeFailure| [&failure.edge.from, &failure.edge.to].contains(&from);
+        if !self.oldest_first().any(is_named) {
+            return;
+        }
+        for failure in Arc::make_mut(&mut self.oldest_first).iter_mut().filter(|failure| is_named(failure)) {
+            let edge = &mut Arc::make_mut(failure).edge;
+            for end in [&mut edge.from, &mut edge.to].into_iter().filter(|end| **end == *from) {
+                *end = to.clone();
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
