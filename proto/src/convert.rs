@@ -16,6 +16,7 @@ pub mod route;
 pub mod scans;
 pub mod site;
 pub mod time;
+pub mod traversals;
 pub mod vectors;
 
 /// A field of a request that cannot be what it is.

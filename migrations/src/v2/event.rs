@@ -7,7 +7,8 @@
 //! Invariant: the lengths of the columns follow from `count` and from the columns of counts, so that a column that was
 //! cut or lengthened is noticed.
 
-/// Observations of one producer that became durable together: as in format 1, and the sensor of a new producer.
+/// Observations of one producer that became durable together: as in format 1, and the sensor of a new producer and
+/// traversals that failed.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Observations {
     /// Number of the producer.
@@ -64,9 +65,13 @@ pub struct Observations {
     /// Sequence numbers of refused observations, each as the difference from the one before.
     #[prost(uint64, repeated, tag = "18")]
     pub refused_sequences: Vec<u64>,
-    /// Why each was refused: 1 value, 2 time, 3 state name, 4 state index, 5 state limit, 6 state kind.
+    /// Why each was refused: 1 value, 2 time, 3 state name, 4 state index, 5 state limit, 6 state kind, 12 edge; in a map
+    /// without a grid those of scans, too.
     #[prost(uint32, repeated, tag = "19")]
     pub refused_reasons: Vec<u32>,
+    /// Traversals that failed; that they did is also an observation of each.
+    #[prost(message, repeated, tag = "20")]
+    pub failures: Vec<super::site::EdgeFailure>,
 }
 
 /// Scans of one producer that became durable together.

@@ -61,6 +61,29 @@ pub struct Visit {
     pub utc_nanos: i64,
 }
 
+/// A traversal of an edge that failed.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct EdgeFailure {
+    /// Name of the node where the edge begins.
+    #[prost(string, tag = "1")]
+    pub from: String,
+    /// Name of the node where it ends.
+    #[prost(string, tag = "2")]
+    pub to: String,
+    /// Its action; empty: the usual one.
+    #[prost(string, tag = "3")]
+    pub action: String,
+    /// When the robot set out.
+    #[prost(sint64, tag = "4")]
+    pub start_nanos: i64,
+    /// When it gave up.
+    #[prost(sint64, tag = "5")]
+    pub end_nanos: i64,
+    /// Why, at most 200 characters.
+    #[prost(string, tag = "6")]
+    pub reason: String,
+}
+
 /// All of it, in a checkpoint and, in chunks, in the index.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Site {
@@ -76,6 +99,9 @@ pub struct Site {
     /// The topological map; absent: none was ever told.
     #[prost(message, optional, tag = "4")]
     pub topology: Option<super::topology::Topology>,
+    /// The newest traversals that failed, ascending by start.
+    #[prost(message, repeated, tag = "5")]
+    pub failures: Vec<EdgeFailure>,
 }
 
 /// One change, in the log.

@@ -179,5 +179,6 @@ pub fn refusal_to_wire(reason: RefusalReason) -> v1::RefusalReason {
         RefusalReason::Empty => v1::RefusalReason::Empty,
         RefusalReason::TileLimit => v1::RefusalReason::TileLimit,
         RefusalReason::Frame => v1::RefusalReason::Frame,
+        RefusalReason::Edge => v1::RefusalReason::Edge,
     }
 }

@@ -156,11 +156,14 @@ pub fn travel_state(topology: &Topology, edge: &Edge) -> Result<(EdgeState, Stat
     topology.edge_in_words(edge).map(|name| (what, name.state(what)))
 }
 
-/// A reason as it is kept: characters that do not print become blanks, and what is beyond 200 characters is left out.
+/// A reason as it is kept: characters that do not print become blanks, blanks at its ends and what is beyond 200
+/// characters are left out. A reason that was kept is kept as it is.
 #[must_use]
 pub fn kept_reason(reason: &str) -> String {
-    let printable = |character| if unprintable(character) { ' ' } else { character };
-    reason.trim().chars().take(REASON_CHARS_MAX).map(printable).collect()
+    let is_blank = |character: char| character.is_whitespace() || unprintable(character);
+    let printable = |character| if is_blank(character) { ' ' } else { character };
+    let kept: String = reason.trim_start_matches(is_blank).chars().take(REASON_CHARS_MAX).map(printable).collect();
+    kept.trim_end().to_owned()
 }
 
 /// A traversal that failed.

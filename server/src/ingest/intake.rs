@@ -1,4 +1,4 @@
-//! Checks the observations and scans of one stream, in the stream's own task, before its map's writer sees them.
+//! Checks the observations, scans and traversals of one stream, in the stream's own task, before its map's writer sees them.
 //!
 //! Invariant: sequence numbers go up by one; what was taken before is skipped, a gap ends the stream. An observation
 //! that is wrong is refused by itself and uses up its number. Of a name without a kind, what its values may be is for the
@@ -23,6 +23,7 @@ mod cast_table;
 mod scans;
 #[cfg(test)]
 mod tests;
+mod traversals;
 
 use scans::ScanIntake;
 
@@ -154,10 +155,7 @@ impl Intake {
     pub fn take(&mut self, message: ObservationBatch) -> Result<Option<Batch>, IntakeError> {
         let first = message.first_sequence;
         self.check_sequence(first)?;
-        if let Some(open) = self.scans.open_sequence() {
-            let text = format!("scan {open} goes on, and its next part comes before observations");
-            return Err(InvalidField::new("batch", text).into());
-        }
+        self.check_no_open_scan("batch", "observations")?;
         let mut columns =
             message.observations.ok_or_else(|| InvalidField::new("observations", "missing: send at least 1"))?;
         let forms = new_forms(&columns)?;
@@ -188,6 +186,17 @@ impl Intake {
             return Err(IntakeError::OutOfSequence { got: first, expected: self.next_sequence });
         }
         Ok(())
+    }
+
+    /// A scan that is spread over messages has no others in between.
+    fn check_no_open_scan(&self, field: &str, what: &str) -> Result<(), InvalidField> {
+        match self.scans.open_sequence() {
+            Some(open) => {
+                let text = format!("scan {open} goes on, and its next part comes before {what}");
+                Err(InvalidField::new(field, text))
+            }
+            None => Ok(()),
+        }
     }
 
     /// Checks sizes before anything is unpacked or kept.

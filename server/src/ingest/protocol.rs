@@ -18,6 +18,7 @@ use tidemap_map::{
     name::{ProducerKey, StateName},
     site::{InvalidEdit, SiteEdit},
     snapshot::MapSnapshot,
+    traversal::Traversal,
     update::UpdateResult,
 };
 use tidemap_store::AppendError;
@@ -229,6 +230,21 @@ pub struct ScanParcel {
     pub bytes: usize,
 }
 
+/// Checked traversals of one message.
+#[derive(Debug, Default)]
+pub struct TraversalParcel {
+    /// First sequence number that is new.
+    pub first_sequence: u64,
+    /// Last sequence number; not less than the first.
+    pub last_sequence: u64,
+    /// Running CRC up to it.
+    pub content_crc: u32,
+    /// Those that may be taken, with their sequence numbers. Whether there are such edges is for the map's writer to say.
+    pub traversals: Vec<(u64, Traversal)>,
+    /// The others.
+    pub refused: Vec<Refused>,
+}
+
 /// Room in the buffers of a stream and of all streams, given back when it is dropped.
 pub type Permits = [OwnedSemaphorePermit; 2];
 
@@ -372,6 +388,15 @@ pub enum Command {
         /// The scans.
         parcel: ScanParcel,
         /// Room in the buffers, given back when all of them are applied.
+        permits: Permits,
+    },
+    /// Take traversals in.
+    Traversals {
+        /// The stream.
+        session: SessionId,
+        /// The traversals.
+        parcel: TraversalParcel,
+        /// Room in the buffers, given back when they are applied.
         permits: Permits,
     },
     /// A stream ended.

@@ -25,6 +25,7 @@ use super::protocol::{Batch, Ending, Hello, HelloError, Opened, Refused, Session
 mod scans;
 mod sensors;
 mod states;
+mod traversals;
 
 pub use scans::ScanEvent;
 use states::{Room, Slot};
@@ -206,12 +207,7 @@ impl Sessions {
             let time = batch.times_nanos[i];
             let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| *position);
             if time > plausible && !may_wait {
-                let text = format!(
-                    "time {time} ns is more than 5 minutes ahead of the server's clock, and {} observations wait for \
-                     their time already, as many as may",
-                    self.limits.ahead
-                );
-                refuse(i, RefusalReason::Time, text);
+                refuse(i, RefusalReason::Time, too_far_ahead(time, self.limits.ahead));
                 continue;
             }
             let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
@@ -258,6 +254,7 @@ impl Sessions {
             values,
             offsets,
             refused: refused.iter().map(|refused| (refused.sequence, refused.reason)).collect(),
+            failures: Vec::new(),
         };
         Some((event, refused))
     }
@@ -370,4 +367,12 @@ impl Sessions {
     pub fn data_times(&self) -> impl Iterator<Item = (&ProducerKey, i64)> {
         self.sessions.values().filter_map(|session| session.data_time.map(|reached| (&session.key, reached)))
     }
+}
+
+/// That an observation has to wait for its time, and may not, because as many wait as may.
+fn too_far_ahead(time_nanos: i64, most: u64) -> String {
+    format!(
+        "time {time_nanos} ns is more than 5 minutes ahead of the server's clock, and {most} observations wait for their \
+         time already, as many as may"
+    )
 }

@@ -259,6 +259,9 @@ impl Writer {
             Command::Hello(hello) => self.hello(hello),
             Command::Batch { session, batch, permits } => self.defer(Deferred::Batch(session, batch, permits)),
             Command::Scans { session, parcel, permits } => self.defer(Deferred::Scans(session, parcel, permits)),
+            Command::Traversals { session, parcel, permits } => {
+                self.defer(Deferred::Traversals(session, parcel, permits));
+            }
             Command::Leave { session, clean } => self.defer(Deferred::Leave(session, clean)),
             Command::Update { until_nanos, cause, job } => self.updates.push(Wanted { until_nanos, cause, job }),
             Command::Committed(result) => self.committed(result),

@@ -12,7 +12,12 @@ use std::{
     time::Duration,
 };
 
-use tidemap_map::{MAX_AHEAD_NANOS, grid::sensors::ProducerSensor, name::ProducerKey};
+use tidemap_map::{
+    MAX_AHEAD_NANOS,
+    grid::sensors::ProducerSensor,
+    name::ProducerKey,
+    traversal::{EdgeFailure, Traversal},
+};
 use tidemap_proto::{
     convert::{InvalidField, time::duration},
     v1::{
@@ -31,7 +36,9 @@ use crate::{
     ingest::{
         handle::MapHandle,
         intake::{Intake, IntakeError, IntakeLimits},
-        protocol::{Batch, Command, Ending, Hello, Opened, Permits, ScanParcel, SessionEvent, is_fatal},
+        protocol::{
+            Batch, Command, Ending, Hello, Opened, Permits, ScanParcel, SessionEvent, TraversalParcel, is_fatal,
+        },
     },
 };
 
@@ -178,6 +185,16 @@ fn bytes_of(batch: &Batch) -> usize {
         + names.sum::<usize>()
 }
 
+/// Memory that traversals take until they are durable, about: as they are, as observations with the names of their states,
+/// and as failures.
+fn bytes_of_traversals(parcel: &TraversalParcel) -> usize {
+    let texts = |traversal: &Traversal| 3 * traversal.edge.to_string().len() + 2 * traversal.reason.len();
+    let each = |(_, traversal): &(u64, Traversal)| {
+        size_of::<Traversal>() + 2 * (OBSERVATION_BYTES + NAME_BYTES) + texts(traversal) + size_of::<EdgeFailure>()
+    };
+    64 + parcel.traversals.iter().map(each).sum::<usize>() + REFUSED_BYTES * parcel.refused.len()
+}
+
 async fn open_and_serve(
     catalog: Arc<Catalog>,
     limits: StreamLimits,
@@ -290,8 +307,11 @@ impl Stream<'_> {
                 request = requests.message(), if !wait => match request {
                     Ok(Some(v1::ObserveRequest { message: Some(Up::Batch(batch)) })) => self.take(batch).await?,
                     Ok(Some(v1::ObserveRequest { message: Some(Up::Scans(scans)) })) => self.take_scans(scans).await?,
+                    Ok(Some(v1::ObserveRequest { message: Some(Up::Traversals(traversals)) })) => {
+                        self.take_traversals(&traversals).await?;
+                    }
                     Ok(Some(_)) => {
-                        let text = "after the Hello a message must be a batch, of observations or of scans";
+                        let text = "after the Hello a message must be a batch, of observations, scans or traversals";
                         return Err(InvalidField::new("message", text).into());
                     }
                     // The producer has sent all: what is in flight is acknowledged before the stream ends.
@@ -328,6 +348,13 @@ impl Stream<'_> {
         }
         // The writer does not answer for tiles, nor for what was taken before; a scan that goes on waits for its end.
         if is_any_new { Ok(()) } else { self.say_durable().await }
+    }
+
+    async fn take_traversals(&mut self, message: &v1::TraversalBatch) -> Result<(), RpcError> {
+        let Some(parcel) = self.intake()?.take_traversals(message)? else { return self.say_durable().await };
+        let permits = self.permits(bytes_of_traversals(&parcel)).await?;
+        self.handed_over = parcel.last_sequence;
+        self.hand_over(Command::Traversals { session: self.opened.session, parcel, permits })
     }
 
     /// Takes room for what the stream's scans refer to, for as long as the stream lives. Waiting for it could go on for

@@ -11,7 +11,10 @@ use tidemap_map::{
 };
 use tidemap_plan::search::SearchError;
 use tidemap_proto::{
-    convert::route::{edit_from_wire, load_from_wire, topology_to_wire},
+    convert::{
+        route::{edit_from_wire, load_from_wire, topology_to_wire},
+        traversals::{failure_to_wire, is_of},
+    },
     v1::{self, route_service_server::RouteService},
 };
 use tonic::{Code, Request, Response, Status};
@@ -178,6 +181,19 @@ impl RouteService for Routes {
     ) -> Result<Response<v1::GetTopologyResponse>, Status> {
         let view = find_map(&self.catalog, &request.get_ref().map)?.view();
         Ok(Response::new(self.off_threads(move || topology_to_wire(view.site().topology())).await?))
+    }
+
+    async fn list_failures(
+        &self,
+        request: Request<v1::ListFailuresRequest>,
+    ) -> Result<Response<v1::ListFailuresResponse>, Status> {
+        let v1::ListFailuresRequest { map, limit, edge } = request.into_inner();
+        let view = find_map(&self.catalog, &map)?.view();
+        let most = if limit == 0 { usize::MAX } else { usize::try_from(limit).unwrap_or(usize::MAX) };
+        let asked = view.site().failures().newest_first();
+        let asked = asked.filter(|failure| edge.as_ref().is_none_or(|edge| is_of(failure, edge)));
+        let failures = asked.take(most).map(failure_to_wire).collect();
+        Ok(Response::new(v1::ListFailuresResponse { failures }))
     }
 
     async fn plan_search(

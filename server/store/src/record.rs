@@ -22,6 +22,7 @@ pub(crate) mod tile;
 pub(crate) mod tile_model;
 pub(crate) mod tile_set;
 mod topology;
+mod traversal;
 mod varint;
 
 /// Why a record cannot be written, or is not believed.

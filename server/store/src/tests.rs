@@ -17,4 +17,5 @@ mod round_trip;
 mod scans;
 mod segments;
 mod torn_tail;
+mod traversals;
 pub(crate) mod update_file;

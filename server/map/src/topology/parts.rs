@@ -59,7 +59,7 @@ impl Topology {
     /// [`TopologyError::UnknownNode`], [`TopologyError::UnknownEdge`].
     pub fn edge_named(&self, name: &EdgeName) -> Result<&Edge, TopologyError> {
         let (from, to) = (self.node_named(name.from.as_str())?.id, self.node_named(name.to.as_str())?.id);
-        let unknown = || TopologyError::UnknownEdge(name.to_string().chars().take(100).collect());
+        let unknown = || TopologyError::UnknownEdge(name.to_string().chars().take(60).collect());
         self.edge_between(from, to, name.action.as_ref()).ok_or_else(unknown)
     }
 

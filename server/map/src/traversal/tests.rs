@@ -92,7 +92,7 @@ fn the_states_of_an_edge_follow_its_names_and_its_extent() {
 
 #[test]
 fn reasons_are_kept_short_and_printable() {
-    assert_eq!(kept_reason(" door\nclosed\u{202e} "), "door closed ");
+    assert_eq!(kept_reason(" \u{202e} door\nclosed\u{202e} "), "door closed");
     assert_eq!(kept_reason(&"ä".repeat(500)), "ä".repeat(200));
     assert_eq!(kept_reason(""), "");
 }
@@ -115,6 +115,13 @@ fn failures_follow_a_node_to_its_new_name() {
 }
 
 proptest! {
+    #[test]
+    fn a_kept_reason_is_kept_as_it_is(reason in "\\PC{0,230}|[ a\\n\u{202e}]{0,230}") {
+        let kept = kept_reason(&reason);
+        prop_assert!(kept.chars().count() <= REASON_CHARS_MAX && !kept.chars().any(unprintable));
+        prop_assert_eq!(kept_reason(&kept), kept);
+    }
+
     #[test]
     fn the_newest_failures_are_kept(starts in prop::collection::vec(0_i64..2_000, 0..1_500)) {
         let mut failures = Failures::default();

@@ -133,6 +133,7 @@ impl Sessions {
                     values: Vec::new(),
                     offsets: Vec::new(),
                     refused: reasons,
+                    failures: Vec::new(),
                 })
             };
             events.push(ScanEvent { event, refused: of_portion, tiles_ahead: portion.tiles_ahead });

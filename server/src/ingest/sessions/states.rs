@@ -21,7 +21,7 @@ use super::{
 };
 
 /// Why an observation is refused, to act on and to read.
-type Refusal = (RefusalReason, String);
+pub(super) type Refusal = (RefusalReason, String);
 
 /// A name of a stream's table.
 #[derive(Debug)]
@@ -90,20 +90,55 @@ fn used(
                 new_states.push(new);
                 Ok(Slot::State(state, form))
             }
-            None => {
-                let text = format!(
-                    "the state would be new, and the map has {} states, as many as setting max_states_per_map allows: \
-                     {:?}",
-                    room.max,
-                    name.as_str().chars().take(60).collect::<String>()
-                );
-                Err((RefusalReason::StateLimit, text))
-            }
+            None => Err(room.is_full(name)),
         },
     }
 }
 
 impl Room<'_> {
+    /// The states of these names and kinds; those that there are not yet are new. All of them, or none.
+    pub(super) fn states_for(
+        &mut self,
+        wanted: &[(StateName, StateKind)],
+        new_states: &mut Vec<NewState>,
+    ) -> Result<Vec<StateId>, Refusal> {
+        let mut known = Vec::with_capacity(wanted.len());
+        for (name, kind) in wanted {
+            known.push(match known_state(self.map, self.in_flight, name) {
+                Some((_, found)) if found != Form::Scalar(*kind) => {
+                    return Err(other_form(name, found, Some(Form::Scalar(*kind))));
+                }
+                found => found.map(|(state, _)| state),
+            });
+        }
+        let new = known.iter().filter(|known| known.is_none()).count();
+        let most = self.max.saturating_sub(self.map.states() + self.in_flight.len());
+        let mut states = Vec::with_capacity(wanted.len());
+        for (known, (name, kind)) in known.into_iter().zip(wanted) {
+            states.push(match known {
+                Some(state) => state,
+                None => {
+                    let added = if new <= most { self.add(name, Form::Scalar(*kind)) } else { None };
+                    let added = added.ok_or_else(|| self.is_full(name))?;
+                    let state = added.id;
+                    new_states.push(added);
+                    state
+                }
+            });
+        }
+        Ok(states)
+    }
+
+    /// That there is no room for a state.
+    fn is_full(&self, name: &StateName) -> Refusal {
+        let name = name.as_str().chars().take(60).collect::<String>();
+        let text = format!(
+            "the state would be new, and the map has {} states, as many as setting max_states_per_map allows: {name:?}",
+            self.max
+        );
+        (RefusalReason::StateLimit, text)
+    }
+
     /// A state, or all axes of a vector, which are in flight from now on; `None` where there is no room for them.
     fn add(&mut self, name: &StateName, form: Form) -> Option<NewState> {
         let next = self.map.states() + self.in_flight.len();
@@ -188,6 +223,10 @@ fn known_state(
     }
     if let Some(&(state, kind)) = in_flight.get(name).or_else(|| renames.get(name)) {
         return Some((state, kind.into()));
+    }
+    // A vector has a plain name: `edge/A/B/x` is an edge with the action x.
+    if name.as_str().contains('/') {
+        return None;
     }
     let &(first, _) = in_flight.get(&name.axis(0))?;
     let has_z = in_flight.contains_key(&name.axis(2));

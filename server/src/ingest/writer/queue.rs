@@ -9,7 +9,7 @@ use tidemap_map::event::Event;
 
 use super::{
     super::{
-        protocol::{Batch, Ending, Hello, Permits, ScanParcel, SessionId},
+        protocol::{Batch, Ending, Hello, Permits, ScanParcel, SessionId, TraversalParcel},
         sessions::ScanEvent,
     },
     Flight, Writer,
@@ -26,6 +26,8 @@ pub(super) enum Deferred {
     Batch(SessionId, Batch, Permits),
     /// Scans.
     Scans(SessionId, ScanParcel, Permits),
+    /// Traversals.
+    Traversals(SessionId, TraversalParcel, Permits),
     /// That it ended, and whether on purpose.
     Leave(SessionId, bool),
 }
@@ -47,7 +49,10 @@ impl Writer {
 
     fn defers_of(&self, session: SessionId) -> bool {
         self.deferred.iter().any(|deferred| match deferred {
-            Deferred::Batch(of, ..) | Deferred::Scans(of, ..) | Deferred::Leave(of, _) => *of == session,
+            Deferred::Batch(of, ..)
+            | Deferred::Scans(of, ..)
+            | Deferred::Traversals(of, ..)
+            | Deferred::Leave(of, _) => *of == session,
         })
     }
 
@@ -66,6 +71,10 @@ impl Writer {
             if !is_end && !is_idle && !self.has_room() {
                 return;
             }
+            // What a traversal says depends on the topology, which may be changing.
+            if matches!(self.deferred.front(), Some(Deferred::Traversals(..))) && self.edits.is_in_flight() {
+                return;
+            }
             let Some(deferred) = self.deferred.pop_front() else { return };
             is_idle = is_idle && is_end;
             self.take_one(deferred);
@@ -82,6 +91,7 @@ impl Writer {
         match deferred {
             Deferred::Batch(session, batch, permits) => self.batch(session, batch, permits),
             Deferred::Scans(session, parcel, permits) => self.scans(session, parcel, permits),
+            Deferred::Traversals(session, parcel, permits) => self.traversals(session, parcel, permits),
             Deferred::Leave(session, clean) => self.leave(session, clean),
         }
     }
@@ -101,6 +111,17 @@ impl Writer {
         }
         let now = self.context.clock.now_nanos();
         let Some((observations, refused)) = self.sessions.event(session, batch, &self.map, now) else { return };
+        let event = Event::Observations(observations);
+        self.launch(Flight::Taken { session, event, refused, tiles_ahead: 0, _permits: Arc::new(permits) });
+    }
+
+    fn traversals(&mut self, session: SessionId, parcel: TraversalParcel, permits: Permits) {
+        if !self.takes(session) {
+            return;
+        }
+        let now = self.context.clock.now_nanos();
+        let taken = self.sessions.traversal_event(session, parcel, &self.map, now);
+        let Some((observations, refused)) = taken else { return };
         let event = Event::Observations(observations);
         self.launch(Flight::Taken { session, event, refused, tiles_ahead: 0, _permits: Arc::new(permits) });
     }

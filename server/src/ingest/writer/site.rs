@@ -25,6 +25,13 @@ pub(super) struct Edits {
     done: Vec<Edited>,
 }
 
+impl Edits {
+    /// Whether a change is on its way into the log.
+    pub(super) fn is_in_flight(&self) -> bool {
+        self.is_in_flight
+    }
+}
+
 impl Writer {
     pub(super) fn edit_site(&mut self, edit: EditSite) {
         self.edits.waiting.push_back(edit);

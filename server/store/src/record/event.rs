@@ -15,7 +15,7 @@ use tidemap_migrations::{
     v2::{self, log::FrameKind, map as v2_map},
 };
 
-use super::{Invalid, columns, scans, sensors, site};
+use super::{Invalid, columns, scans, sensors, site, traversal};
 
 /// Kinds of new states that are vectors; what a map makes of them are states of continuous values.
 const VECTOR_OF_TWO: u32 = 3;
@@ -128,6 +128,7 @@ fn encode_observations(event: &Observations) -> Result<v2::event::Observations, 
         offset_secs: event.offsets.iter().map(|run| run.offset_secs).collect(),
         refused_sequences,
         refused_reasons,
+        failures: event.failures.iter().map(traversal::encode_failure).collect(),
     })
 }
 
@@ -160,6 +161,7 @@ fn decode_observations(message: &v2::event::Observations) -> Result<Observations
         values: columns::decode_values(message.value_encoding, &message.values, count)?,
         offsets: runs.map(|(&count, &offset_secs)| OffsetRun { count, offset_secs }).collect(),
         refused: decode_refused(&message.refused_sequences, &message.refused_reasons)?,
+        failures: message.failures.iter().map(traversal::decode_failure).collect::<Result<_, _>>()?,
     })
 }
 
@@ -218,12 +220,16 @@ fn encode_new_state(state: &NewState) -> v1::NewState {
 
 fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
     const NAME: Invalid = "the name of a state is not valid";
-    let name = StateName::new(&state.name).map_err(|_| NAME)?;
+    let name = StateName::stored(&state.name).map_err(|_| NAME)?;
     let form = match state.kind {
         VECTOR_OF_TWO => Form::Vector(Dimensions::Two),
         VECTOR_OF_THREE => Form::Vector(Dimensions::Three),
         kind => Form::Scalar(decode_kind(kind)?),
     };
+    // The axes of a vector come with it, and with it alone.
+    if name.as_axis().is_some() {
+        return Err(NAME);
+    }
     if let Form::Vector(_) = form {
         name.check_vector().map_err(|_| NAME)?;
     }
@@ -265,6 +271,7 @@ fn encode_reason(reason: RefusalReason) -> u32 {
         RefusalReason::Empty => 9,
         RefusalReason::TileLimit => 10,
         RefusalReason::Frame => 11,
+        RefusalReason::Edge => 12,
     }
 }
 
@@ -281,6 +288,7 @@ fn decode_reason(reason: u32) -> Result<RefusalReason, Invalid> {
         9 => Ok(RefusalReason::Empty),
         10 => Ok(RefusalReason::TileLimit),
         11 => Ok(RefusalReason::Frame),
+        12 => Ok(RefusalReason::Edge),
         _ => Err("the reason of a refusal is not known"),
     }
 }

@@ -7,10 +7,11 @@ use tidemap_map::{
     name::StateName,
     reachability::{Attempts, Reachability, ReachabilityCell},
     site::{Location, Site, SiteEdit},
+    traversal::Failures,
 };
 use tidemap_migrations::v2::site as v2;
 
-use super::{Invalid, event::decode_state_name, topology};
+use super::{Invalid, event::decode_state_name, topology, traversal};
 
 fn encode_place(at: [f64; 2]) -> v2::Place {
     let [x_bits, y_bits] = at.map(f64::to_bits);
@@ -55,6 +56,7 @@ pub(crate) fn encode(site: &Site) -> Option<v2::Site> {
         locations: site.locations().iter().map(|(name, location)| encode_location(name, location)).collect(),
         attempts: site.reachability().parts().map(encode_attempts).collect(),
         topology: topology::encode(site.topology()),
+        failures: site.failures().oldest_first().map(traversal::encode_failure).collect(),
     })
 }
 
@@ -71,7 +73,11 @@ pub(crate) fn decode(message: &v2::Site, states: usize) -> Result<Site, String> 
     }
     let attempts = message.attempts.iter().map(decode_attempts).collect::<Result<Vec<_>, Invalid>>()?;
     let reachability = Reachability::default().with_parts(attempts).map_err(|error| error.to_string())?;
-    let site = site.with_reachability(reachability);
+    let mut failures = Failures::default();
+    for failure in &message.failures {
+        failures.add(traversal::decode_failure(failure)?);
+    }
+    let site = site.with_reachability(reachability).with_failures(failures);
     Ok(match &message.topology {
         Some(message) => site.with_topology(topology::decode(message)?),
         None => site,

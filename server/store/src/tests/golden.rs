@@ -70,6 +70,7 @@ fn events() -> Vec<Event> {
         values: vec![0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
         offsets: vec![OffsetRun { count: 4, offset_secs: 3600 }, OffsetRun { count: 6, offset_secs: 7200 }],
         refused: vec![(3, RefusalReason::Value), (12, RefusalReason::StateKind)],
+        failures: Vec::new(),
     };
     let second = Observations {
         new_producer: None,

@@ -10,11 +10,12 @@ use tidemap_map::{
         StateKind, UpdateCause, UpdateStart,
     },
     grid::{sensors::ProducerSensor, spec::Retention},
-    name::{MapName, ProducerKey, StateName},
+    name::{EdgeName, MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
     snapshot::StateSnapshot,
     spec::MapSpec,
     topology::{EdgeEnds, Extent, NewEdge, NewNode, Pose, TopologyEdit},
+    traversal::{EdgeFailure, kept_reason},
 };
 use tidemap_migrations::v2::log::FrameKind;
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Persistence, Sample, StateModel, Zone};
@@ -54,56 +55,61 @@ fn observations() -> impl Strategy<Value = Event> {
         (states, times(count), Just(values), 0..=count as u32, any::<(i32, i32)>())
     });
     let key = option::of(("[a-zü]{1,9}", "[a-zü]{0,9}", option::of((0.5..=1.0, 0.0..0.5))));
-    let refused = vec((0..1000_u64, 0..6_u8), 0..20);
+    let refused = vec((0..1000_u64, 0..7_u8), 0..20);
     let numbers = any::<(u32, u64, u64, u32, u32, i64)>();
-    (columns, key, refused, numbers, vec("[a-zü ]{1,20}", 0..5)).prop_map(|(columns, key, refused, numbers, names)| {
-        let (states, times_nanos, values, split, offsets) = columns;
-        let (producer, incarnation, first_sequence, length, content_crc, received_nanos) = numbers;
-        let rest = values.len() as u32 - split;
-        let mut sequence = 0;
-        Event::Observations(Observations {
-            producer: ProducerId(producer),
-            new_producer: key.map(|(producer, label, sensor)| NewProducer {
-                key: ProducerKey::new(&producer, &label).expect("valid"),
-                sensor: sensor.map(|(hit, false_alarm)| ProducerSensor { hit, false_alarm }),
-            }),
-            incarnation,
-            first_sequence,
-            last_sequence: first_sequence.saturating_add(u64::from(length)),
-            content_crc,
-            received_nanos,
-            new_states: (0..)
-                .zip(names)
-                .map(|(id, name)| NewState {
-                    id: StateId(id),
-                    name: StateName::new(&name).expect("valid"),
-                    form: form(id as usize),
-                })
-                .collect(),
-            states: states.into_iter().map(StateId).collect(),
-            times_nanos,
-            values,
-            offsets: vec![
-                OffsetRun { count: split, offset_secs: offsets.0 },
-                OffsetRun { count: rest, offset_secs: offsets.1 },
-            ],
-            refused: refused
-                .into_iter()
-                .map(|(step, reason)| {
-                    sequence += step;
-                    let reason = match reason {
-                        0 => RefusalReason::Value,
-                        1 => RefusalReason::Time,
-                        2 => RefusalReason::StateName,
-                        3 => RefusalReason::StateIndex,
-                        4 => RefusalReason::StateLimit,
-                        _ => RefusalReason::StateKind,
-                    };
-                    (sequence, reason)
-                })
-                .collect(),
-        })
-    })
+    (columns, key, refused, numbers, vec("[a-zü ]{1,20}", 0..5), failures()).prop_map(
+        |(columns, key, refused, numbers, names, failures)| {
+            let (states, times_nanos, values, split, offsets) = columns;
+            let (producer, incarnation, first_sequence, length, content_crc, received_nanos) = numbers;
+            let rest = values.len() as u32 - split;
+            let mut sequence = 0;
+            Event::Observations(Observations {
+                producer: ProducerId(producer),
+                new_producer: key.map(|(producer, label, sensor)| NewProducer {
+                    key: ProducerKey::new(&producer, &label).expect("valid"),
+                    sensor: sensor.map(|(hit, false_alarm)| ProducerSensor { hit, false_alarm }),
+                }),
+                incarnation,
+                first_sequence,
+                last_sequence: first_sequence.saturating_add(u64::from(length)),
+                content_crc,
+                received_nanos,
+                new_states: (0..)
+                    .zip(names)
+                    .map(|(id, name)| NewState {
+                        id: StateId(id),
+                        name: StateName::new(&name).expect("valid"),
+                        form: form(id as usize),
+                    })
+                    .chain(states_of_places())
+                    .collect(),
+                states: states.into_iter().map(StateId).collect(),
+                times_nanos,
+                values,
+                offsets: vec![
+                    OffsetRun { count: split, offset_secs: offsets.0 },
+                    OffsetRun { count: rest, offset_secs: offsets.1 },
+                ],
+                refused: refused
+                    .into_iter()
+                    .map(|(step, reason)| {
+                        sequence += step;
+                        let reason = match reason {
+                            0 => RefusalReason::Value,
+                            1 => RefusalReason::Time,
+                            2 => RefusalReason::StateName,
+                            3 => RefusalReason::StateIndex,
+                            4 => RefusalReason::StateLimit,
+                            6 => RefusalReason::Edge,
+                            _ => RefusalReason::StateKind,
+                        };
+                        (sequence, reason)
+                    })
+                    .collect(),
+                failures,
+            })
+        },
+    )
 }
 
 fn update_start() -> impl Strategy<Value = Event> {
@@ -115,6 +121,29 @@ fn update_start() -> impl Strategy<Value = Event> {
     ];
     (any::<u64>(), any::<i64>(), cause)
         .prop_map(|(generation, cut_nanos, cause)| Event::UpdateStart(UpdateStart { generation, cut_nanos, cause }))
+}
+
+/// States whose names have slashes.
+fn states_of_places() -> impl Iterator<Item = NewState> {
+    let states = [("node/Hall/Anna", StateKind::Count), ("edge/Hall/Lab", StateKind::Probability)];
+    let states =
+        states.into_iter().chain([("speed/Hall/x", StateKind::Continuous), ("pace/a/b/c", StateKind::Continuous)]);
+    states.zip(100..).map(|((name, kind), id)| {
+        let name = StateName::stored(name).expect("valid");
+        NewState { id: StateId(id), name, form: kind.into() }
+    })
+}
+
+fn failures() -> impl Strategy<Value = Vec<EdgeFailure>> {
+    vec(("[a-zü]{1,9}", "[a-zü]{1,9}", "[a-z]{0,3}", any::<(i64, i64)>(), "[a-zü ]{0,250}"), 0..4).prop_map(
+        |failures| {
+            let failure = |(from, to, action, times, reason): (String, String, String, (i64, i64), String)| {
+                let edge = EdgeName::new(&from, &to, &action).expect("valid");
+                EdgeFailure { edge, start_nanos: times.0, end_nanos: times.1, reason: kept_reason(&reason) }
+            };
+            failures.into_iter().map(failure).collect()
+        },
+    )
 }
 
 /// One of all that a new state may be.

@@ -1,0 +1,164 @@
+//! Traversals of edges, and those that failed.
+//!
+//! Invariant: a traversal that is wrong is refused by itself, with a reason to act on and one to read.
+
+use tidemap_map::{
+    event::RefusalReason,
+    name::{EdgeName, EdgeState},
+    traversal::{EdgeFailure, Traversal, TraversalError, kept_reason},
+};
+
+use crate::v1;
+
+/// What to do about an edge that is unknown.
+const WAY_OUT: &str = "`tidemap topology show --edges` lists those there are, `tidemap topology load` loads others";
+
+/// A checked traversal. Whether there is such an edge is not asked.
+///
+/// # Errors
+/// Why it is refused, to act on and to read.
+pub fn traversal_from_wire(wire: &v1::Traversal) -> Result<Traversal, (RefusalReason, String)> {
+    let v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason } = wire;
+    let edge = EdgeName::new(from, to, action).map_err(|error| unknown_edge(&error))?;
+    let (start_nanos, end_nanos, success) = (*start_nanos, *end_nanos, *success);
+    let traversal = Traversal { edge, start_nanos, end_nanos, success, reason: kept_reason(reason) };
+    traversal.check().map_err(|error| refusal_of(&error))?;
+    Ok(traversal)
+}
+
+/// A traversal for the wire.
+#[must_use]
+pub fn traversal_to_wire(traversal: &Traversal) -> v1::Traversal {
+    let Traversal { edge: EdgeName { from, to, action }, start_nanos, end_nanos, success, reason } = traversal;
+    v1::Traversal {
+        from: from.as_str().to_owned(),
+        to: to.as_str().to_owned(),
+        action: action.as_ref().map_or_else(String::new, |action| action.as_str().to_owned()),
+        start_nanos: *start_nanos,
+        end_nanos: *end_nanos,
+        success: *success,
+        reason: reason.clone(),
+    }
+}
+
+/// That the map has no such edge.
+#[must_use]
+pub fn unknown_edge(error: &dyn std::error::Error) -> (RefusalReason, String) {
+    (RefusalReason::Edge, format!("{error}; {WAY_OUT}"))
+}
+
+/// What a traversal is refused for.
+#[must_use]
+pub fn refusal_of(error: &TraversalError) -> (RefusalReason, String) {
+    let reason = match error {
+        TraversalError::TooFast { .. } => RefusalReason::Value,
+        TraversalError::Before1970(_)
+        | TraversalError::Backwards { .. }
+        | TraversalError::NoTime(_)
+        | TraversalError::TooLong { .. } => RefusalReason::Time,
+    };
+    (reason, error.to_string())
+}
+
+/// Appends the bytes of a traversal over which `Welcome.content_crc` goes.
+pub fn append_content(traversal: &v1::Traversal, bytes: &mut Vec<u8>) {
+    let v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason } = traversal;
+    for (place, part) in [EdgeState::Success.prefix(), from, to, action].into_iter().enumerate() {
+        if place == 3 && part.is_empty() {
+            continue;
+        }
+        if place > 0 {
+            bytes.push(b'/');
+        }
+        bytes.extend_from_slice(part.as_bytes());
+    }
+    bytes.extend_from_slice(&start_nanos.to_le_bytes());
+    bytes.extend_from_slice(&end_nanos.to_le_bytes());
+    bytes.push(u8::from(*success));
+    bytes.extend_from_slice(reason.as_bytes());
+}
+
+/// A failed traversal for the wire.
+#[must_use]
+pub fn failure_to_wire(failure: &EdgeFailure) -> v1::EdgeFailure {
+    let EdgeFailure { edge: EdgeName { from, to, action }, start_nanos, end_nanos, reason } = failure;
+    let edge = v1::EdgeEnds {
+        from: from.as_str().to_owned(),
+        to: to.as_str().to_owned(),
+        action: action.as_ref().map_or_else(String::new, |action| action.as_str().to_owned()),
+        both_ways: false,
+    };
+    v1::EdgeFailure { edge: Some(edge), start_nanos: *start_nanos, end_nanos: *end_nanos, reason: reason.clone() }
+}
+
+/// Whether a failed traversal is of the edge that is asked for, or of the way back where both are.
+#[must_use]
+pub fn is_of(failure: &EdgeFailure, asked: &v1::EdgeEnds) -> bool {
+    let EdgeName { from, to, action } = &failure.edge;
+    let ends = (from.as_str(), to.as_str());
+    let is_there = ends == (&asked.from, &asked.to) || (asked.both_ways && ends == (&asked.to, &asked.from));
+    is_there && action.as_ref().map_or("", |action| action.as_str()) == asked.action
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wire() -> v1::Traversal {
+        let text = |text: &str| text.to_owned();
+        v1::Traversal {
+            from: text("Hall"),
+            to: text("Lab"),
+            action: text("door"),
+            start_nanos: 5,
+            end_nanos: 9,
+            success: false,
+            reason: text("stuck"),
+        }
+    }
+
+    #[test]
+    fn a_traversal_comes_back() {
+        let usual = v1::Traversal { action: String::new(), success: true, ..wire() };
+        for wire in [wire(), usual] {
+            assert_eq!(traversal_to_wire(&traversal_from_wire(&wire).expect("right")), wire);
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_has_a_reason() {
+        for (wrong, reason, words) in [
+            (v1::Traversal { from: "a/b".to_owned(), ..wire() }, RefusalReason::Edge, "\"a/b\""),
+            (v1::Traversal { to: String::new(), ..wire() }, RefusalReason::Edge, "tidemap topology"),
+            (v1::Traversal { start_nanos: -1, ..wire() }, RefusalReason::Time, "before 1970"),
+            (v1::Traversal { end_nanos: 4, ..wire() }, RefusalReason::Time, "before start"),
+            (v1::Traversal { end_nanos: i64::MAX, ..wire() }, RefusalReason::Time, "a day"),
+        ] {
+            let (found, text) = traversal_from_wire(&wrong).expect_err("wrong");
+            assert_eq!(found, reason, "{text}");
+            assert!(text.contains(words), "{text}");
+        }
+    }
+
+    #[test]
+    fn the_content_is_the_documented_bytes() {
+        let mut bytes = Vec::new();
+        append_content(&wire(), &mut bytes);
+        append_content(&v1::Traversal { action: String::new(), success: true, ..wire() }, &mut bytes);
+        let times = [5_i64.to_le_bytes(), 9_i64.to_le_bytes()].concat();
+        let expected: [&[u8]; 8] =
+            [b"edge/Hall/Lab/door", &times, &[0], b"stuck", b"edge/Hall/Lab", &times, &[1], b"stuck"];
+        assert_eq!(bytes, expected.concat());
+    }
+
+    #[test]
+    fn failures_are_asked_for_by_edge() {
+        let failure = traversal_from_wire(&wire()).expect("right").failure().expect("it failed");
+        let there = failure_to_wire(&failure).edge.expect("an edge");
+        assert!(is_of(&failure, &there));
+        let back = v1::EdgeEnds { from: there.to.clone(), to: there.from.clone(), ..there.clone() };
+        assert!(!is_of(&failure, &back));
+        assert!(is_of(&failure, &v1::EdgeEnds { both_ways: true, ..back }));
+        assert!(!is_of(&failure, &v1::EdgeEnds { action: String::new(), ..there }));
+    }
+}

@@ -1,0 +1,62 @@
+//! The traversals of one stream.
+//!
+//! Invariant: as for observations; whether the map has an edge is for its writer to say, which knows the topology.
+
+use tidemap_proto::{
+    convert::{
+        InvalidField,
+        traversals::{append_content, traversal_from_wire},
+    },
+    v1::TraversalBatch,
+};
+
+use super::{
+    super::protocol::{Refused, TraversalParcel},
+    Intake, IntakeError, last_sequence, shortened,
+};
+
+/// Observations that a traversal counts as: that it succeeded, and how fast it was.
+const OBSERVATIONS_EACH: usize = 2;
+
+impl Intake {
+    /// Checks a message of traversals. `None`: nothing of it is new.
+    ///
+    /// # Errors
+    /// What ends the stream; nothing of the message was taken.
+    pub fn take_traversals(&mut self, message: &TraversalBatch) -> Result<Option<TraversalParcel>, IntakeError> {
+        let TraversalBatch { first_sequence: first, traversals } = message;
+        self.check_sequence(*first)?;
+        self.check_no_open_scan("traversals", "traversals")?;
+        if traversals.is_empty() {
+            return Err(InvalidField::new("traversals.traversals", "missing: send at least 1").into());
+        }
+        // One always fits.
+        let (got, max) = (traversals.len().saturating_mul(OBSERVATIONS_EACH), self.limits.batch.max(OBSERVATIONS_EACH));
+        if got > max {
+            let what = "observations of one message, traversals counted as two each";
+            let (got, max) = (got as u64, max as u64);
+            return Err(IntakeError::Limit { what, got, max, setting: "setting max_batch_observations" });
+        }
+        let last = last_sequence(*first, traversals.len())?;
+        if last < self.next_sequence {
+            return Ok(None);
+        }
+        let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
+        let mut parcel =
+            TraversalParcel { first_sequence: self.next_sequence, last_sequence: last, ..TraversalParcel::default() };
+        self.rows.clear();
+        for (sequence, wire) in (self.next_sequence..).zip(&traversals[skip..]) {
+            append_content(wire, &mut self.rows);
+            match traversal_from_wire(wire) {
+                Ok(traversal) => parcel.traversals.push((sequence, traversal)),
+                Err((reason, detail)) => {
+                    parcel.refused.push(Refused { sequence, reason, detail: shortened(&detail) });
+                }
+            }
+        }
+        self.content_crc = crc32c::crc32c_append(self.content_crc, &self.rows);
+        self.next_sequence = last + 1;
+        parcel.content_crc = self.content_crc;
+        Ok(Some(parcel))
+    }
+}
