@@ -27,6 +27,7 @@ mod stats;
 mod times;
 mod topology;
 mod tour;
+mod traverse;
 mod update;
 mod visit;
 
@@ -126,6 +127,14 @@ enum Command {
     /// Loads, shows and changes topological maps: nodes, and the ways between them
     #[command(subcommand)]
     Topology(topology::TopologyCommand),
+    /// Reports traversals of edges of the topological map, from a file, each exactly once, or a single one
+    ///
+    /// The file has a header and the columns from, to, start, end and success, in any order, and perhaps action and reason;
+    /// success is true or false. The map learns how likely an edge is passed, as state edge/FROM/TO, and how fast, as
+    /// speed/FROM/TO in metres a second or, of an edge without a length, pace/FROM/TO next to its nominal time; /ACTION
+    /// follows where there is one. The same producer and label again continue where they were, as for observe. The exit
+    /// status is 0 only where nothing was refused.
+    Traverse(traverse::TraverseArgs),
     /// Plans where to look first for somebody, over the topological map
     ///
     /// How likely it is to find somebody at a node is predicted from the state of the same name. Places that are passed on
@@ -206,6 +215,7 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Tour(args) => tour::run(&session, args).await,
         Command::Day(args) => day::run(&session, args).await,
         Command::Topology(command) => topology::run(&session, command).await,
+        Command::Traverse(args) => traverse::run(&session, &args).await,
         Command::Search(args) => search::run(&session, args).await,
         Command::Presence(args) => presence::run(&session, args).await,
         Command::Joint(args) => presence::joint(&session, args).await,

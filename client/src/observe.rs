@@ -1,4 +1,4 @@
-//! Sending observations and scans, each exactly once.
+//! Sending observations, scans and traversals, each exactly once.
 //!
 //! [`Producer`] is what callers use. Behind it: [`window`] decides what is sent, kept and given up, without any I/O;
 //! [`columns`] packs observations; [`tiles`] and [`scan_stream`] pack scans; [`retry`] decides when to try again; `link`
@@ -17,15 +17,18 @@ pub mod retry;
 pub mod scan;
 pub mod scan_stream;
 pub mod tiles;
+mod traversal;
 pub mod window;
 
 pub use producer::{Phase, Producer, ProducerOptions, Progress};
 pub use replay::Replay;
+pub use traversal::Traversal;
 
 use crate::error::Error;
 
-/// Most bytes of a state's name: 128 characters of 4 bytes.
-pub const STATE_NAME_BYTES_MAX: usize = 512;
+/// Most bytes of a state's name that is sent: the longest of an edge, with 4 bytes a character. Others have at most 128
+/// characters; the daemon refuses longer ones.
+pub const STATE_NAME_BYTES_MAX: usize = 4 * tidemap_map::name::EDGE_STATE_CHARS_MAX;
 
 /// Why an observation was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -52,6 +55,8 @@ pub enum RefusalReason {
     TileLimit,
     /// The scan is in another frame than the map.
     Frame,
+    /// The map has no such edge.
+    Edge,
     /// A reason that this version does not know.
     Other,
 }

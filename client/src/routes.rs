@@ -2,6 +2,8 @@
 //!
 //! Invariant: what was loaded or edited is durable when the answer is there; a load is taken whole or not at all.
 
+use std::fmt;
+
 use tidemap_proto::v1::{self, edit_topology_request::Edit, route_service_client::RouteServiceClient};
 
 mod presence;
@@ -88,6 +90,19 @@ pub enum TopologyEdit {
     SetEdge(Edge),
     /// Removes an edge, or both ways as far as there are.
     RemoveEdge(EdgeEnds),
+}
+
+/// A traversal that failed.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct EdgeFailure {
+    /// Which edge.
+    pub edge: EdgeEnds,
+    /// When the robot set out, nanoseconds UTC.
+    pub start_nanos: i64,
+    /// When it gave up, nanoseconds UTC.
+    pub end_nanos: i64,
+    /// Why; may be empty.
+    pub reason: String,
 }
 
 /// How many nodes and edges there are.
@@ -208,6 +223,19 @@ impl EdgeEnds {
         let EdgeEnds { from, to, action, both_ways } = self.clone();
         v1::EdgeEnds { from, to, action, both_ways }
     }
+
+    fn from_wire(wire: v1::EdgeEnds) -> EdgeEnds {
+        let v1::EdgeEnds { from, to, action, both_ways } = wire;
+        EdgeEnds { from, to, action, both_ways }
+    }
+}
+
+impl fmt::Display for EdgeEnds {
+    /// `A/B`, or `A/B/ACTION`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.from, self.to)?;
+        if self.action.is_empty() { Ok(()) } else { write!(f, "/{}", self.action) }
+    }
 }
 
 impl Edge {
@@ -218,8 +246,8 @@ impl Edge {
 
     fn from_wire(wire: v1::TopologyEdge) -> Result<Edge, Error> {
         let v1::TopologyEdge { ends, length_m, nominal_secs, id } = wire;
-        let v1::EdgeEnds { from, to, action, both_ways } = ends.ok_or(Error::Protocol("an edge has no ends"))?;
-        Ok(Edge { ends: EdgeEnds { from, to, action, both_ways }, length_m, nominal_secs, id })
+        let ends = EdgeEnds::from_wire(ends.ok_or(Error::Protocol("an edge has no ends"))?);
+        Ok(Edge { ends, length_m, nominal_secs, id })
     }
 }
 
@@ -283,6 +311,21 @@ impl Client {
             nodes: nodes.into_iter().map(Node::from_wire).collect(),
             edges: edges.into_iter().map(Edge::from_wire).collect::<Result<_, _>>()?,
         })
+    }
+
+    /// The traversals that failed, the newest first, of one edge or of all; `limit`: at most so many, 0 all that are kept.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    pub async fn failures(&self, map: &str, limit: u32, edge: Option<&EdgeEnds>) -> Result<Vec<EdgeFailure>, Error> {
+        let request = v1::ListFailuresRequest { map: map.to_owned(), limit, edge: edge.map(EdgeEnds::to_wire) };
+        let answer = self.route_service().list_failures(request).await.map_err(|status| self.error(&status))?;
+        let failure = |wire: v1::EdgeFailure| {
+            let v1::EdgeFailure { edge, start_nanos, end_nanos, reason } = wire;
+            let edge = EdgeEnds::from_wire(edge.ok_or(Error::Protocol("a failure has no edge"))?);
+            Ok(EdgeFailure { edge, start_nanos, end_nanos, reason })
+        };
+        answer.into_inner().failures.into_iter().map(failure).collect()
     }
 
     /// The walk that finds somebody soonest.

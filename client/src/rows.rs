@@ -1,22 +1,22 @@
 //! Files of observations: `time,state,value`, one row a line, with a header; or `time,state,x,y` and perhaps `z`, where
-//! they are positions.
+//! they are positions. Files of [`traversals`] are read alike.
 //!
 //! Invariant: the n-th row of a file has the number n, whether it can be read or not, and the same row always gives the
 //! same observation; only so can an interrupted transfer go on where it was. No more than one line is in memory. Once the
 //! file has ended it is not read again, whatever is appended meanwhile.
 
 mod fields;
+pub mod traversals;
 
 use std::io::{self, BufRead};
 
 use fields::split;
 use tidemap::time::parse_time;
+use tidemap_map::name::StateName;
 use tidemap_model::{Dimensions, Position, StateKind};
 
 /// Longest line. Three fields need far less; a file without line ends must not fill the memory.
 const LINE_BYTES_MAX: usize = 64 * 1024;
-/// Most characters of a state's name; a longer one cannot even be sent to be refused.
-const STATE_CHARS_MAX: usize = 128;
 
 /// Why a file cannot be read at all.
 #[derive(Debug, thiserror::Error)]
@@ -25,8 +25,8 @@ pub enum RowsError {
     #[error(transparent)]
     Io(#[from] io::Error),
     /// Nothing there.
-    #[error("it is empty: the first line must be the header time,state,value")]
-    Empty,
+    #[error("it is empty: the first line must be the header {0}")]
+    Empty(&'static str),
     /// A column is missing.
     #[error("column {column:?} is missing: the header must name {}, but is {header:?}", needed(.column))]
     MissingColumn {
@@ -52,10 +52,65 @@ pub enum RowsError {
 
 /// What a header has to name beside this column.
 fn needed(column: &str) -> &'static str {
-    if matches!(column, "x" | "y") { "time, state, x and y" } else { "time, state and value" }
+    match column {
+        "x" | "y" => "time, state, x and y",
+        "from" | "to" | "start" | "end" | "success" => "from, to, start, end and success",
+        _ => "time, state and value",
+    }
 }
 
-/// A row of the file.
+/// Where a row stands in its file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct At {
+    /// Its number, from 1; the header and blank lines do not count.
+    pub number: u64,
+    /// Its line, from 1.
+    pub line: u64,
+    /// Whether the line has an end. The last one of a file may lack it.
+    pub has_end: bool,
+}
+
+/// A header.
+pub struct Header<'a> {
+    text: &'a str,
+    /// Names of the columns, in small letters.
+    names: Vec<String>,
+}
+
+impl Header<'_> {
+    /// The place of a column that has to be there, once.
+    fn column(&self, column: &'static str) -> Result<usize, RowsError> {
+        let mut places = self.names.iter().enumerate().filter(|(_, name)| *name == column).map(|(place, _)| place);
+        match (places.next(), places.next()) {
+            (Some(place), None) => Ok(place),
+            (None, _) => Err(RowsError::MissingColumn { column, header: shown(self.text) }),
+            (Some(_), Some(_)) => Err(RowsError::DoubleColumn { column, header: shown(self.text) }),
+        }
+    }
+
+    fn has(&self, column: &str) -> bool {
+        self.names.iter().any(|name| name == column)
+    }
+}
+
+/// What the rows of a file are.
+pub trait Layout: Sized {
+    /// The usual header.
+    const HEADER: &'static str;
+    /// A row.
+    type Row: std::fmt::Debug;
+
+    /// From the header, with the places of the columns that are used.
+    fn new(header: &Header<'_>) -> Result<(Self, Vec<usize>), RowsError>;
+
+    /// The row of a line, and whether all of it could be read.
+    fn row(&self, line: &[u8], at: At) -> (Self::Row, bool);
+
+    /// Where a row stands.
+    fn at(row: &Self::Row) -> At;
+}
+
+/// A row of observations.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// Its number, from 1; the header and blank lines do not count.
@@ -82,9 +137,9 @@ pub struct Row {
 
 /// What comes next in a file.
 #[derive(Clone, Debug)]
-pub enum Item {
+pub enum Item<T = Row> {
     /// A row.
-    Row(Row),
+    Row(T),
     /// A last line without an end that makes no row, or that may be the beginning of another one: somebody is still
     /// writing it, or was interrupted.
     Torn {
@@ -95,9 +150,9 @@ pub enum Item {
     },
 }
 
-/// Where the columns are.
+/// Where the columns of observations are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Columns {
+pub struct Columns {
     time: usize,
     state: usize,
     value: usize,
@@ -107,11 +162,11 @@ struct Columns {
     count: usize,
 }
 
-/// Reads a file of observations row by row.
+/// Reads a file row by row.
 #[derive(Debug)]
-pub struct Rows<R> {
+pub struct Rows<R, L = Columns> {
     reader: R,
-    columns: Columns,
+    layout: L,
     ignored: Vec<String>,
     line: u64,
     number: u64,
@@ -130,56 +185,37 @@ enum LineEnd {
 }
 
 impl<R: BufRead> Rows<R> {
-    /// Reads the header.
+    /// Reads the header of a file of observations.
     pub fn new(reader: R) -> Result<Self, RowsError> {
-        let columns = Columns { time: 0, state: 0, value: 0, axes: [0; 3], dimensions: None, count: 0 };
-        let mut rows = Self {
-            reader,
-            columns,
-            ignored: Vec::new(),
-            line: 0,
-            number: 0,
-            bytes: 0,
-            buffer: Vec::new(),
-            ended: false,
-            lines_must_end: false,
-        };
-        rows.read_line()?.ok_or(RowsError::Empty)?;
-        let text = String::from_utf8_lossy(&rows.buffer);
-        let header = text.strip_prefix('\u{feff}').unwrap_or(&text);
-        let names: Vec<String> = split(header).unwrap_or_default().iter().map(|name| name.to_lowercase()).collect();
-        let column = |column: &'static str| {
-            let mut places = names.iter().enumerate().filter(|(_, name)| *name == column).map(|(place, _)| place);
-            match (places.next(), places.next()) {
-                (Some(place), None) => Ok(place),
-                (None, _) => Err(RowsError::MissingColumn { column, header: shown(header) }),
-                (Some(_), Some(_)) => Err(RowsError::DoubleColumn { column, header: shown(header) }),
-            }
-        };
-        let (time, state) = (column("time")?, column("state")?);
-        let has = |name: &str| names.iter().any(|column| column == name);
-        let dimensions = (!has("value") && (has("x") || has("y"))).then_some(if has("z") {
-            Dimensions::Three
-        } else {
-            Dimensions::Two
-        });
-        let (mut value, mut axes) = (0, [0; 3]);
-        let mut used = vec![time, state];
-        match dimensions {
-            None => {
-                value = column("value")?;
-                used.push(value);
-            }
-            Some(dimensions) => {
-                for (place, axis) in axes.iter_mut().zip(dimensions.axes()) {
-                    *place = column(axis)?;
-                    used.push(*place);
-                }
-            }
-        }
-        rows.columns = Columns { time, state, value, axes, dimensions, count: names.len() };
-        rows.ignored = (0..).zip(&names).filter(|(i, _)| !used.contains(i)).map(|(_, name)| name.clone()).collect();
-        Ok(rows)
+        Self::open(reader)
+    }
+
+    /// Refuses a file of positions.
+    pub fn values_only(self) -> Result<Self, RowsError> {
+        if self.layout.has_positions() { Err(RowsError::Positions) } else { Ok(self) }
+    }
+}
+
+impl<R: BufRead, L: Layout> Rows<R, L> {
+    /// Reads the header.
+    pub fn open(mut reader: R) -> Result<Self, RowsError> {
+        let mut buffer = Vec::new();
+        let (end, bytes) = read_line(&mut reader, &mut buffer)?;
+        end.ok_or(RowsError::Empty(L::HEADER))?;
+        let text = String::from_utf8_lossy(&buffer);
+        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        let names = split(text).unwrap_or_default().iter().map(|name| name.to_lowercase()).collect();
+        let header = Header { text, names };
+        let (layout, used) = L::new(&header)?;
+        let ignored = (0..).zip(&header.names).filter(|(place, _)| !used.contains(place));
+        let ignored = ignored.map(|(_, name)| name.clone()).collect();
+        let ended = end == Some(LineEnd::EndOfFile);
+        Ok(Self { reader, layout, ignored, line: 1, number: 0, bytes, buffer, ended, lines_must_end: false })
+    }
+
+    /// What its rows are.
+    pub fn layout(&self) -> &L {
+        &self.layout
     }
 
     /// Makes every last line without an end a torn one, even where it makes a row: for a source whose writer may be cut
@@ -187,16 +223,6 @@ impl<R: BufRead> Rows<R> {
     pub fn lines_must_end(mut self) -> Self {
         self.lines_must_end = true;
         self
-    }
-
-    /// Refuses a file of positions.
-    pub fn values_only(self) -> Result<Self, RowsError> {
-        if self.has_positions() { Err(RowsError::Positions) } else { Ok(self) }
-    }
-
-    /// Whether it is a file of positions.
-    pub fn has_positions(&self) -> bool {
-        self.columns.dimensions.is_some()
     }
 
     /// Columns of the header that are not used.
@@ -218,102 +244,149 @@ impl<R: BufRead> Rows<R> {
     }
 
     /// The next row; `None` at the end.
-    pub fn next(&mut self) -> Result<Option<Item>, RowsError> {
+    pub fn next(&mut self) -> Result<Option<Item<L::Row>>, RowsError> {
         loop {
             if self.ended {
                 return Ok(None);
             }
-            let Some(end) = self.read_line()? else { return Ok(None) };
+            let (end, bytes) = read_line(&mut self.reader, &mut self.buffer)?;
+            self.bytes += bytes;
+            self.ended = end != Some(LineEnd::Newline);
+            let Some(end) = end else { return Ok(None) };
+            self.line += 1;
             if self.buffer.iter().all(|byte| byte.is_ascii_whitespace()) {
                 continue;
             }
-            let (mut row, readable) = self.row(self.number + 1);
-            row.has_end = end == LineEnd::Newline;
-            if !row.has_end && (self.lines_must_end || !readable) {
+            let at = At { number: self.number + 1, line: self.line, has_end: end == LineEnd::Newline };
+            let (row, readable) = self.layout.row(&self.buffer, at);
+            if !at.has_end && (self.lines_must_end || !readable) {
                 return Ok(Some(Item::Torn { line: self.line, text: shown(&String::from_utf8_lossy(&self.buffer)) }));
             }
             self.number += 1;
             return Ok(Some(Item::Row(row)));
         }
     }
+}
 
-    /// Reads a line into the buffer, without its end. Of a line that is too long, only the beginning is kept.
-    fn read_line(&mut self) -> io::Result<Option<LineEnd>> {
-        self.buffer.clear();
-        let mut started = false;
-        let end = loop {
-            let available = match self.reader.fill_buf() {
-                Ok(available) => available,
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-                Err(error) => return Err(error),
-            };
-            if available.is_empty() {
-                self.ended = true;
-                break LineEnd::EndOfFile;
-            }
-            started = true;
-            let newline = available.iter().position(|&byte| byte == b'\n');
-            let piece = &available[..newline.unwrap_or(available.len())];
-            let room = (LINE_BYTES_MAX + 1).saturating_sub(self.buffer.len());
-            self.buffer.extend_from_slice(&piece[..piece.len().min(room)]);
-            let consumed = piece.len() + usize::from(newline.is_some());
-            self.reader.consume(consumed);
-            self.bytes += consumed as u64;
-            if newline.is_some() {
-                break LineEnd::Newline;
-            }
+/// Reads a line into the buffer, without its end, and gives the bytes read; `None` at the end. Of a line that is too long,
+/// only the beginning is kept.
+fn read_line(reader: &mut impl BufRead, buffer: &mut Vec<u8>) -> io::Result<(Option<LineEnd>, u64)> {
+    buffer.clear();
+    let mut bytes = 0;
+    let end = loop {
+        let available = match reader.fill_buf() {
+            Ok(available) => available,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(error) => return Err(error),
         };
-        if !started {
-            return Ok(None);
+        if available.is_empty() {
+            break LineEnd::EndOfFile;
         }
-        self.line += 1;
-        if self.buffer.last() == Some(&b'\r') {
-            self.buffer.pop();
+        let newline = available.iter().position(|&byte| byte == b'\n');
+        let piece = &available[..newline.unwrap_or(available.len())];
+        let room = (LINE_BYTES_MAX + 1).saturating_sub(buffer.len());
+        buffer.extend_from_slice(&piece[..piece.len().min(room)]);
+        let consumed = piece.len() + usize::from(newline.is_some());
+        reader.consume(consumed);
+        bytes += consumed as u64;
+        if newline.is_some() {
+            break LineEnd::Newline;
         }
-        Ok(Some(end))
+    };
+    if bytes == 0 {
+        return Ok((None, 0));
+    }
+    if buffer.last() == Some(&b'\r') {
+        buffer.pop();
+    }
+    Ok((Some(end), bytes))
+}
+
+/// The fields of a line, which are as many as those of the header.
+fn fields(line: &[u8], count: usize) -> Result<Vec<std::borrow::Cow<'_, str>>, String> {
+    if line.len() > LINE_BYTES_MAX {
+        return Err(format!("the line is longer than {LINE_BYTES_MAX} bytes"));
+    }
+    let text = str::from_utf8(line).map_err(|_| format!("{:?} is not UTF-8", shown(&String::from_utf8_lossy(line))))?;
+    let fields = split(text).map_err(|wrong| format!("{:?}: {wrong}", shown(text)))?;
+    if fields.len() != count {
+        return Err(format!("{:?} has {} fields, the header has {count}", shown(text), fields.len()));
+    }
+    Ok(fields)
+}
+
+impl Layout for Columns {
+    const HEADER: &'static str = "time,state,value";
+    type Row = Row;
+
+    fn new(header: &Header<'_>) -> Result<(Self, Vec<usize>), RowsError> {
+        let (time, state) = (header.column("time")?, header.column("state")?);
+        let dimensions = (!header.has("value") && (header.has("x") || header.has("y"))).then_some(if header.has("z") {
+            Dimensions::Three
+        } else {
+            Dimensions::Two
+        });
+        let (mut value, mut axes) = (0, [0; 3]);
+        let mut used = vec![time, state];
+        match dimensions {
+            None => {
+                value = header.column("value")?;
+                used.push(value);
+            }
+            Some(dimensions) => {
+                for (place, axis) in axes.iter_mut().zip(dimensions.axes()) {
+                    *place = header.column(axis)?;
+                    used.push(*place);
+                }
+            }
+        }
+        Ok((Self { time, state, value, axes, dimensions, count: header.names.len() }, used))
     }
 
-    /// The row in the buffer, and whether all of it could be read.
-    fn row(&self, number: u64) -> (Row, bool) {
+    fn row(&self, line: &[u8], At { number, line: line_number, has_end }: At) -> (Row, bool) {
         let mut row = Row {
             number,
-            line: self.line,
+            line: line_number,
             state: String::new(),
             time_nanos: 0,
             value: f64::NAN,
-            position: self.columns.dimensions.and_then(|dimensions| Position::of(&[f64::NAN; 3][..dimensions.count()])),
+            position: self.dimensions.and_then(|dimensions| Position::of(&[f64::NAN; 3][..dimensions.count()])),
             wrong: None,
             is_read: false,
-            has_end: true,
+            has_end,
         };
-        let filled = self.fill(&mut row);
+        let filled = self.fill(line, &mut row);
         let readable = filled.is_ok();
         row.is_read = readable;
         row.wrong = filled.unwrap_or_else(Some);
         (row, readable)
     }
 
+    fn at(row: &Row) -> At {
+        At { number: row.number, line: row.line, has_end: row.has_end }
+    }
+}
+
+impl Columns {
+    /// Whether the rows are positions.
+    pub fn has_positions(&self) -> bool {
+        self.dimensions.is_some()
+    }
+
     /// Fills in what can be read; the value last, so that it stays NaN where anything else is wrong. Gives what is wrong
     /// with a row that can be read but that no daemon accepts.
-    fn fill(&self, row: &mut Row) -> Result<Option<String>, String> {
-        if self.buffer.len() > LINE_BYTES_MAX {
-            return Err(format!("the line is longer than {LINE_BYTES_MAX} bytes"));
-        }
-        let text = str::from_utf8(&self.buffer)
-            .map_err(|_| format!("{:?} is not UTF-8", shown(&String::from_utf8_lossy(&self.buffer))))?;
-        let fields = split(text).map_err(|wrong| format!("{:?}: {wrong}", shown(text)))?;
-        let Columns { time, state, value, axes, dimensions, count } = self.columns;
-        if fields.len() != count {
-            return Err(format!("{:?} has {} fields, the header has {count}", shown(text), fields.len()));
-        }
-        let chars = fields[state].chars().count();
-        if chars <= STATE_CHARS_MAX {
+    fn fill(&self, line: &[u8], row: &mut Row) -> Result<Option<String>, String> {
+        let Columns { time, state, value, axes, dimensions, count } = *self;
+        let fields = fields(line, count)?;
+        let (chars, chars_max) = (fields[state].chars().count(), StateName::chars_max(&fields[state]));
+        // A longer one cannot even be sent to be refused.
+        if chars <= chars_max {
             row.state = fields[state].to_string();
         }
         row.time_nanos = parse_time(&fields[time]).map_err(|wrong| format!("time {wrong}"))?;
-        if chars > STATE_CHARS_MAX {
+        if chars > chars_max {
             let name = shown(&fields[state]);
-            return Err(format!("state {name:?} has {chars} characters: at most {STATE_CHARS_MAX} are allowed"));
+            return Err(format!("state {name:?} has {chars} characters: at most {chars_max} are allowed"));
         }
         if let Some(dimensions) = dimensions {
             let mut coordinates = Vec::with_capacity(axes.len());

@@ -18,7 +18,7 @@ use super::{
 use crate::{
     output::{Cell, Sheet},
     progress::{Bar, notice},
-    rows::RowsError,
+    rows::{Columns, RowsError},
 };
 
 #[derive(Debug, Args)]
@@ -88,8 +88,8 @@ fn missing(unavailable: &Unavailable) -> String {
 
 pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::shown(&args.file);
-    let Feed { mut rows, total_bytes, has_positions } = feed::open(&args.file)?;
-    if has_positions {
+    let Feed { mut rows, total_bytes, layout } = feed::open::<Columns>(&args.file)?;
+    if layout.has_positions() {
         return Err(anyhow::Error::new(RowsError::Positions).context(feed::shown(&args.file)));
     }
     let options = EvaluateOptions { map: args.map, models: selected(&args.models), max_order: args.max_order };

@@ -25,12 +25,13 @@ use tokio::{sync::watch, task::JoinHandle};
 use self::{
     feed::{Feed, Told},
     kinds::Kinds,
-    transfer::{Ended, Transfer},
+    transfer::{Ended, Sendable, Transfer},
 };
 use super::{Misused, Session, job, producer_id, times};
 use crate::{
     output::{Cell, Sheet},
     progress::{Bar, notice},
+    rows::{Columns, Layout},
 };
 
 #[derive(Debug, Args)]
@@ -69,18 +70,29 @@ pub(super) const INTERRUPTED: u8 = 130;
 
 pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::shown(&args.file);
-    let Feed { rows, total_bytes, has_positions } = feed::open(&args.file)?;
+    let feed = feed::open::<Columns>(&args.file)?;
+    let has_positions = feed.layout.has_positions();
     if let Some(kind) = args.kind.filter(|kind| (*kind == StateKind::Vector) != has_positions) {
         let columns = if has_positions { "positions, columns x and y" } else { "single values, column value" };
         return Err(Misused(format!("--kind {} does not go with {shown}, which has {columns}", kind.name())).into());
     }
-    let options = options(&args)?;
+    send(session, options(&args)?, feed, &shown).await
+}
+
+/// Sends the rows of a file, tells what became of them, and waits for nightly updates where they were announced.
+pub(super) async fn send<L: Layout<Row: Sendable>>(
+    session: &Session,
+    options: ProducerOptions,
+    Feed { rows, total_bytes, .. }: Feed<L>,
+    shown: &str,
+) -> anyhow::Result<ExitCode> {
     let (producer, label) = (options.producer.clone(), options.label.clone());
+    let (map, kind, is_nightly) = (options.map.clone(), options.kind, options.nightly);
     let bar = Bar::bytes(total_bytes);
     let mut transfer = {
         let (producer, notices) = opened(session, options, &bar).await?;
         let told = Told::new(bar.clone(), "is refused");
-        let kinds = Kinds::new(session.client.clone(), args.map.clone(), args.kind);
+        let kinds = Kinds::new(session.client.clone(), map.clone(), kind);
         Transfer::new(producer, notices, rows, (told, kinds), bar.clone())
     };
     if transfer.sent_before() > 0 {
@@ -89,8 +101,8 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
     }
     let sent = async {
         match transfer.run().await {
-            Ended::Whole if args.nightly => {
-                nights(session, &args.map, &bar).await.map_or_else(Ended::Nights, |()| Ended::Whole)
+            Ended::Whole if is_nightly => {
+                nights(session, &map, &bar).await.map_or_else(Ended::Nights, |()| Ended::Whole)
             }
             ended => ended,
         }
@@ -118,7 +130,7 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
         Ended::Whole if transfer.told.all_well() => Ok(ExitCode::SUCCESS),
         Ended::Whole => Ok(ExitCode::FAILURE),
         Ended::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
-        Ended::Unreadable(error) => Err(error.context(shown)),
+        Ended::Unreadable(error) => Err(error.context(shown.to_owned())),
         Ended::Nights(error) => Err(error.context("everything was sent, but the nightly updates failed")),
         Ended::Stopped(error) => {
             let durable = counts.accepted + counts.duplicate + counts.refused;
@@ -137,25 +149,25 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
     }
 }
 
-fn options(args: &ObserveArgs) -> anyhow::Result<ProducerOptions> {
-    let producer = match &args.producer {
-        Some(producer) => producer.clone(),
-        None => producer_id::usual()?,
-    };
-    let label = args.label.clone().unwrap_or_else(|| base_name(&args.file));
-    if args.producer.is_none() {
-        notice(&format!("observing as producer {producer}, label {label}"));
+/// Who sends, from the options of a command; says so where that was not said.
+pub(super) fn usual_options(producer: Option<&str>, label: &str, map: &str) -> anyhow::Result<ProducerOptions> {
+    if let Some(producer) = producer {
+        return Ok(ProducerOptions::new(producer, label, map));
     }
-    let patience = Duration::from_nanos(args.patience.unsigned_abs());
-    Ok(ProducerOptions {
-        nightly: args.nightly,
-        kind: args.kind,
-        patience,
-        ..ProducerOptions::new(&producer, &label, &args.map)
-    })
+    let producer = producer_id::usual()?;
+    notice(&format!("observing as producer {producer}, label {label}"));
+    Ok(ProducerOptions::new(&producer, label, map))
 }
 
-fn base_name(file: &Path) -> String {
+fn options(args: &ObserveArgs) -> anyhow::Result<ProducerOptions> {
+    let label = args.label.clone().unwrap_or_else(|| base_name(&args.file));
+    let patience = Duration::from_nanos(args.patience.unsigned_abs());
+    let usual = usual_options(args.producer.as_deref(), &label, &args.map)?;
+    Ok(ProducerOptions { nightly: args.nightly, kind: args.kind, patience, ..usual })
+}
+
+/// The usual label of a file.
+pub(super) fn base_name(file: &Path) -> String {
     match file.file_name() {
         Some(name) if name != "-" => name.to_string_lossy().into_owned(),
         _ => "stdin".to_owned(),

@@ -11,7 +11,8 @@ use std::{
 
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
-use tidemap::routes::{Edge, EdgeEnds, Node, Topology, TopologyEdit, TopologySize};
+use tidemap::routes::{Edge, EdgeEnds, EdgeFailure, Node, Topology, TopologyEdit, TopologySize};
+use tidemap_map::name::EdgeName;
 
 use super::{Misused, Session, point::Point};
 use crate::{
@@ -41,6 +42,17 @@ pub enum TopologyCommand {
         /// Shows the edges, each direction as one
         #[arg(long)]
         edges: bool,
+    },
+    /// Lists the traversals that failed, the newest first; the map keeps 1,000
+    Failures {
+        /// Name of the map
+        map: String,
+        /// How many at most [default: all that are kept]
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+        limit: Option<u32>,
+        /// Those of one edge alone
+        #[arg(long, value_name = "FROM/TO[/ACTION]", value_parser = edge_of)]
+        edge: Option<EdgeEnds>,
     },
     /// Changes one node or edge
     #[command(subcommand)]
@@ -160,6 +172,14 @@ impl EditCommand {
     }
 }
 
+/// An edge by its name.
+fn edge_of(text: &str) -> Result<EdgeEnds, String> {
+    let edge = EdgeName::parse(text).map_err(|_| format!("{text:?} is no edge: write FROM/TO or FROM/TO/ACTION"))?;
+    let action = edge.action.map_or_else(String::new, |action| action.as_str().to_owned());
+    let (from, to) = (edge.from.as_str().to_owned(), edge.to.as_str().to_owned());
+    Ok(EdgeEnds { from, to, action, both_ways: false })
+}
+
 /// Reads a file, by its ending.
 fn read(path: &Path) -> anyhow::Result<Topology> {
     let mut text = String::new();
@@ -196,6 +216,11 @@ pub async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<
             }
             return Ok(ExitCode::SUCCESS);
         }
+        TopologyCommand::Failures { map, limit, edge } => {
+            let failures = session.client.failures(&map, limit.unwrap_or_default(), edge.as_ref()).await?;
+            show_failures(session, failures)?;
+            return Ok(ExitCode::SUCCESS);
+        }
         TopologyCommand::Edit(edit) => {
             let (map, edit) = edit.edit();
             session.client.edit_topology(&map, &edit).await?
@@ -223,6 +248,15 @@ fn show_edges(session: &Session, topology: Topology) -> io::Result<()> {
     for Edge { ends, length_m, nominal_secs, id } in topology.edges {
         let [from, to, action] = [ends.from, ends.to, ends.action].map(Cell::Text);
         sheet.row(vec![from, to, action, id.into(), Cell::maybe(nominal_secs), Cell::maybe(length_m)])?;
+    }
+    sheet.finish()
+}
+
+fn show_failures(session: &Session, failures: Vec<EdgeFailure>) -> io::Result<()> {
+    let mut sheet = Sheet::stdout(session.format, &["edge", "start", "end", "reason"]);
+    for EdgeFailure { edge, start_nanos, end_nanos, reason } in failures {
+        let [start, end] = [start_nanos, end_nanos].map(|nanos| Cell::time(Some(nanos)));
+        sheet.row(vec![Cell::Text(edge.to_string()), start, end, Cell::Text(reason)])?;
     }
     sheet.finish()
 }

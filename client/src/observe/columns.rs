@@ -36,6 +36,14 @@ pub struct BatchLimits {
     pub bytes: usize,
 }
 
+impl BatchLimits {
+    /// Most traversals; each counts as two observations, and one always fits.
+    #[must_use]
+    pub fn traversals(self) -> usize {
+        (self.observations / 2).max(1)
+    }
+}
+
 /// Most bytes that an observation takes: a delta of 10, an index of 5, a value of 8.
 const ENTRY_BYTES_MAX: usize = 23;
 /// Bytes that a name takes beside itself, its kind and number of coordinates included, at most.

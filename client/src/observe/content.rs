@@ -2,7 +2,11 @@
 //!
 //! Invariant: follows the definition at `Welcome.content_crc` in `observation.proto`, bit for bit.
 
-/// CRC-32C over observations and scans in order.
+use tidemap_proto::{convert::traversals::append_content, v1};
+
+use super::Traversal;
+
+/// CRC-32C over observations, scans and traversals in order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ContentCrc(u32);
 
@@ -38,6 +42,17 @@ impl ContentCrc {
         self.0 = crc32c::crc32c_append(self.0, &both);
     }
 
+    /// Adds the next traversal, as it is sent.
+    pub fn add_traversal(&mut self, traversal: &Traversal) {
+        self.add_wire_traversal(&traversal.to_wire());
+    }
+
+    pub(super) fn add_wire_traversal(&mut self, traversal: &v1::Traversal) {
+        let mut bytes = Vec::new();
+        append_content(traversal, &mut bytes);
+        self.0 = crc32c::crc32c_append(self.0, &bytes);
+    }
+
     /// The checksum so far; 0 where nothing was added.
     #[must_use]
     pub fn value(self) -> u32 {
@@ -57,6 +72,15 @@ mod tests {
         crc.add("", 0, 1.0);
         crc.add_scan(7, 8);
         crc.add_position("anna", 2, &[0.25, 4.0]);
+        let stuck = Traversal {
+            from: "Hall".to_owned(),
+            to: "Lab".to_owned(),
+            start_nanos: 3,
+            end_nanos: -1,
+            reason: "stuck\n".to_owned(),
+            ..Traversal::default()
+        };
+        crc.add_traversal(&stuck);
         let bytes = [
             b"door".as_slice(),
             &1_i64.to_le_bytes(),
@@ -69,6 +93,11 @@ mod tests {
             &2_i64.to_le_bytes(),
             &0.25_f64.to_le_bytes(),
             &4.0_f64.to_le_bytes(),
+            b"edge/Hall/Lab",
+            &3_i64.to_le_bytes(),
+            &(-1_i64).to_le_bytes(),
+            &[0],
+            b"stuck",
         ];
         assert_eq!(crc.value(), crc32c::crc32c(&bytes.concat()));
     }

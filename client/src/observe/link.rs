@@ -300,6 +300,7 @@ fn refusal(refusal: tidemap_proto::v1::Refusal) -> Refusal {
         Wire::Empty => RefusalReason::Empty,
         Wire::TileLimit => RefusalReason::TileLimit,
         Wire::Frame => RefusalReason::Frame,
+        Wire::Edge => RefusalReason::Edge,
         Wire::Unspecified => RefusalReason::Other,
     };
     Refusal { sequence: refusal.sequence, reason, detail: refusal.detail }

@@ -5,12 +5,15 @@
 
 use std::collections::VecDeque;
 
-use tidemap_proto::v1::{ObservationBatch, ObserveRequest, ScanBatch, Welcome, observe_request::Message};
+use tidemap_proto::v1::{
+    ObservationBatch, ObserveRequest, ScanBatch, Traversal, TraversalBatch, Welcome, observe_request::Message,
+};
 
 use super::{
     columns::{BatchLimits, Entry, StreamTable, fitting, pack},
     producer::State,
     scan_stream::{ScanLimits, ScanStream},
+    traversal::wire_bytes,
     window::Window,
 };
 use crate::maps::StateKind;
@@ -61,6 +64,7 @@ impl Outgoing {
             || state.window.as_ref().is_some_and(|window| {
                 window.to_send(observations.observations, state.urgent).next().is_some()
                     || window.scans_to_send(scans.scans, scans.bytes, state.urgent).next().is_some()
+                    || window.traversals_to_send(observations.traversals(), state.urgent).next().is_some()
             })
     }
 
@@ -70,7 +74,10 @@ impl Outgoing {
         let window = state.window.as_mut()?;
         let message = match self.parts.pop_front() {
             Some(part) => Message::Scans(part),
-            None => self.observations(window, urgent).or_else(|| self.scans(window, urgent))?,
+            None => self
+                .observations(window, urgent)
+                .or_else(|| self.traversals(window, urgent))
+                .or_else(|| self.scans(window, urgent))?,
         };
         Some(ObserveRequest { message: Some(message) })
     }
@@ -92,6 +99,25 @@ impl Outgoing {
             columns.new_kinds.iter_mut().filter(|said| **said == 0).for_each(|said| *said = kind.to_wire().into());
         }
         Some(Message::Batch(ObservationBatch { first_sequence, observations: Some(columns) }))
+    }
+
+    fn traversals(&self, window: &mut Window, urgent: u64) -> Option<Message> {
+        let limits = self.limits.observations;
+        let first_sequence = window.next_unsent();
+        let mut bytes = 0;
+        let mut traversals: Vec<Traversal> = Vec::new();
+        for traversal in window.traversals_to_send(limits.traversals(), urgent) {
+            bytes += wire_bytes(traversal);
+            if !traversals.is_empty() && bytes > limits.bytes {
+                break;
+            }
+            traversals.push(traversal.clone());
+        }
+        if traversals.is_empty() {
+            return None;
+        }
+        window.sent(traversals.len());
+        Some(Message::Traversals(TraversalBatch { first_sequence, traversals }))
     }
 
     fn scans(&mut self, window: &mut Window, urgent: u64) -> Option<Message> {
@@ -117,7 +143,7 @@ mod tests {
     };
 
     #[test]
-    fn observations_and_scans_leave_in_the_order_of_their_numbers() -> Result<(), Box<dyn std::error::Error>> {
+    fn all_leave_in_the_order_of_their_numbers() -> Result<(), Box<dyn std::error::Error>> {
         let welcome =
             Welcome { max_batch_observations: 3, max_batch_scans: 2, max_message_bytes: 5000, ..Welcome::default() };
         let tile = |x| SeenTile { tile: [x, 0, 0], masks: TileMasks { observed: [1; 8], occupied: [0; 8] } };
@@ -130,7 +156,11 @@ mod tests {
         }
         window.push_scan(8, Scan::Cloud(PointCloud { xyz_m: vec![0.5; 3000], ..PointCloud::default() }))?;
         window.push("door", 9, 0.0);
-        let mut state = State { window: Some(window), urgent: 10, closing: false, refusals: Vec::new() };
+        for _ in 0..2 {
+            window.push_traversal(Traversal::default());
+        }
+        window.push("door", 9, 0.0);
+        let mut state = State { window: Some(window), urgent: 13, closing: false, refusals: Vec::new() };
         let mut outgoing = Outgoing::new(Limits::of(&welcome), None);
         let mut sent = Vec::new();
         while outgoing.is_ready(&state) {
@@ -140,6 +170,7 @@ mod tests {
                     (batch.first_sequence, batch.observations.map_or(0, |columns| columns.time_deltas.len()), false)
                 }
                 Message::Scans(batch) => (batch.first_sequence, batch.scans.len(), batch.continues),
+                Message::Traversals(batch) => (batch.first_sequence, batch.traversals.len(), false),
                 Message::Hello(_) => return Err("a second Hello".into()),
             });
         }
@@ -147,7 +178,7 @@ mod tests {
         assert!(parts >= 3, "{sent:?}");
         assert_eq!(sent[..4], [(1, 3, false), (4, 2, false), (6, 2, false), (8, 1, false)]);
         assert!(sent[4..4 + parts - 1].iter().all(|part| *part == (9, 1, true)), "{sent:?}");
-        assert_eq!(sent[3 + parts..], [(9, 1, false), (10, 1, false)]);
+        assert_eq!(sent[3 + parts..], [(9, 1, false), (10, 1, false), (11, 1, false), (12, 1, false), (13, 1, false)]);
         assert!(outgoing.next(&mut state).is_none());
         Ok(())
     }

@@ -226,6 +226,11 @@ impl Producer {
         if state.len() > STATE_NAME_BYTES_MAX {
             return Err(ProducerError::NameTooLong(state.len()));
         }
+        self.push(push).await
+    }
+
+    /// Waits for room, and puts something into the window.
+    pub(super) async fn push(&mut self, push: impl FnOnce(&mut Window) -> Option<u64>) -> Result<u64, ProducerError> {
         self.room().await?;
         let sequence = self.shared.state().window.as_mut().and_then(push);
         // There is room: only this handle pushes.

@@ -1,6 +1,6 @@
 //! What a producer keeps until it is durable.
 //!
-//! Invariant: pure. Sequence numbers are gapless, of observations and scans together; each is kept from its push until it
+//! Invariant: pure. Sequence numbers are gapless, of observations, scans and traversals together; each is kept from its push until it
 //! is acknowledged; after a reconnection sending starts right after what the daemon has, so that nothing is left out, and
 //! what is sent twice carries the same number twice. What scans showed is known for the last one acknowledged, so that
 //! the differences of those after it can be told anew.
@@ -11,12 +11,14 @@ use std::collections::{HashMap, VecDeque};
 
 pub use scans::KeptScan;
 use tidemap_model::{Dimensions, Position};
+use tidemap_proto::v1;
 
 use super::{
     ProducerError,
     columns::Entry,
     content::ContentCrc,
     tiles::{Shown, TileTable},
+    traversal::wire_bytes,
 };
 
 /// Most bytes of scans and observations kept, unless told otherwise.
@@ -27,6 +29,7 @@ pub const WINDOW_BYTES: usize = 64 << 20;
 enum Item {
     Observation(Entry),
     Scan(Box<KeptScan>),
+    Traversal(Box<v1::Traversal>),
 }
 
 impl Item {
@@ -35,6 +38,7 @@ impl Item {
             + match self {
                 Self::Observation(_) => 0,
                 Self::Scan(scan) => scan.bytes(),
+                Self::Traversal(traversal) => size_of::<v1::Traversal>() + wire_bytes(traversal),
             }
     }
 }
@@ -113,6 +117,11 @@ impl Window {
         Some(self.take(Item::Observation(Entry { state, time_nanos, value: 0.0, position: Some(position) })))
     }
 
+    /// Takes a traversal in and gives it the next number; `None` where the window is full.
+    pub fn push_traversal(&mut self, traversal: v1::Traversal) -> Option<u64> {
+        self.has_room().then(|| self.take(Item::Traversal(Box::new(traversal))))
+    }
+
     fn take(&mut self, item: Item) -> u64 {
         self.bytes += item.bytes();
         self.entries.push_back(item);
@@ -165,14 +174,23 @@ impl Window {
         &self.names
     }
 
-    /// The observations to send next, at most `most`; empty where it is better to wait for more, or a scan comes next.
+    /// The observations to send next, at most `most`; empty where it is better to wait for more, or something else comes
+    /// next.
     ///
     /// A batch leaves when it is full, when nothing is under way, or when somebody waits for one of its observations
     /// (`urgent`: up to that number). So a slow producer's observations leave at once, and a fast one's together.
     pub fn to_send(&self, most: usize, urgent: u64) -> impl Iterator<Item = &Entry> {
         self.unsent(most, usize::MAX, urgent).map_while(|item| match item {
             Item::Observation(entry) => Some(entry),
-            Item::Scan(_) => None,
+            Item::Scan(_) | Item::Traversal(_) => None,
+        })
+    }
+
+    /// The traversals to send next, at most `most`; empty where it is better to wait for more, or something else comes next.
+    pub fn traversals_to_send(&self, most: usize, urgent: u64) -> impl Iterator<Item = &v1::Traversal> {
+        self.unsent(most, usize::MAX, urgent).map_while(|item| match item {
+            Item::Traversal(traversal) => Some(&**traversal),
+            Item::Observation(_) | Item::Scan(_) => None,
         })
     }
 
@@ -213,6 +231,7 @@ impl Window {
                         Some(position) => self.crc.add_position(name, entry.time_nanos, position.coordinates()),
                     }
                 }
+                Item::Traversal(traversal) => self.crc.add_wire_traversal(&traversal),
                 Item::Scan(scan) => {
                     self.crc.add_scan(scan.time_nanos(), scan.digest());
                     scan.shown_in(&mut self.base);

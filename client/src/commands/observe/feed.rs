@@ -14,7 +14,7 @@ use tokio::sync::mpsc;
 
 use crate::{
     progress::Bar,
-    rows::{Item, Row, Rows, RowsError},
+    rows::{Columns, Item, Layout, Row, Rows, RowsError},
 };
 
 const BUFFER_BYTES: usize = 256 * 1024;
@@ -24,10 +24,10 @@ const CHUNKS_AHEAD: usize = 4;
 const TOLD_MAX: u64 = 20;
 
 /// Rows that were read together.
-#[derive(Debug, Default)]
-pub struct Chunk {
+#[derive(Debug)]
+pub struct Chunk<T = Row> {
     /// The rows.
-    pub rows: Vec<Row>,
+    pub rows: Vec<T>,
     /// Line and text of a last line that was cut off.
     pub torn: Option<(u64, String)>,
     /// A last line that makes a row, but has no end.
@@ -36,16 +36,25 @@ pub struct Chunk {
     pub bytes: u64,
 }
 
+impl<T> Default for Chunk<T> {
+    fn default() -> Self {
+        Self { rows: Vec::new(), torn: None, unended: None, bytes: 0 }
+    }
+}
+
 /// A file that is being read.
 #[derive(Debug)]
-pub struct Feed {
+pub struct Feed<L: Layout = Columns> {
     /// Its rows; an error is the last entry.
-    pub rows: mpsc::Receiver<Result<Chunk, RowsError>>,
+    pub rows: Chunks<L::Row>,
     /// Its size, where it has one.
     pub total_bytes: Option<u64>,
-    /// Whether its rows are positions.
-    pub has_positions: bool,
+    /// What its rows are.
+    pub layout: L,
 }
+
+/// Where the rows of a file come from.
+pub type Chunks<T> = mpsc::Receiver<Result<Chunk<T>, RowsError>>;
 
 /// The file as messages name it.
 pub fn shown(path: &Path) -> String {
@@ -53,7 +62,10 @@ pub fn shown(path: &Path) -> String {
 }
 
 /// Opens a file, or stdin where it is `-`, and reads its header.
-pub fn open(path: &Path) -> anyhow::Result<Feed> {
+pub fn open<L>(path: &Path) -> anyhow::Result<Feed<L>>
+where
+    L: Layout<Row: Send> + Copy + Send + 'static,
+{
     let stdin = path.as_os_str() == "-";
     let (source, total_bytes): (Box<dyn Read + Send>, _) = if stdin {
         (Box::new(io::stdin()), None)
@@ -62,7 +74,7 @@ pub fn open(path: &Path) -> anyhow::Result<Feed> {
         let total_bytes = file.metadata().ok().filter(|metadata| metadata.is_file()).map(|metadata| metadata.len());
         (Box::new(file), total_bytes)
     };
-    let mut rows = Rows::new(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
+    let mut rows = Rows::<_, L>::open(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
     if stdin {
         // Whoever writes to a pipe may be killed in the middle of a line. A file that lacks its last line end was more
         // likely saved that way.
@@ -71,21 +83,22 @@ pub fn open(path: &Path) -> anyhow::Result<Feed> {
     if !rows.ignored().is_empty() {
         crate::progress::notice(&format!("{}: not used: column {}", shown(path), rows.ignored().join(", ")));
     }
-    let has_positions = rows.has_positions();
+    let layout = *rows.layout();
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     thread::Builder::new().name("rows".to_owned()).spawn(move || read(rows, &sender)).context("thread")?;
-    Ok(Feed { rows: receiver, total_bytes, has_positions })
+    Ok(Feed { rows: receiver, total_bytes, layout })
 }
 
 /// Reads until the end, an error, or until nobody wants more.
-fn read<R: Read>(mut rows: Rows<BufReader<R>>, sender: &mpsc::Sender<Result<Chunk, RowsError>>) {
+fn read<R: Read, L: Layout>(mut rows: Rows<BufReader<R>, L>, sender: &mpsc::Sender<Result<Chunk<L::Row>, RowsError>>) {
     let mut chunk = Chunk::default();
     loop {
         let item = rows.next();
         chunk.bytes = rows.bytes();
         let last = match item {
             Ok(Some(Item::Row(row))) => {
-                chunk.unended = (!row.has_end).then_some(row.line);
+                let at = L::at(&row);
+                chunk.unended = (!at.has_end).then_some(at.line);
                 chunk.rows.push(row);
                 false
             }
@@ -148,7 +161,7 @@ impl Told {
     }
 
     /// What is to be said of a chunk's last line.
-    pub fn last_line(&mut self, chunk: &Chunk) {
+    pub fn last_line<T>(&mut self, chunk: &Chunk<T>) {
         if let Some((line, text)) = &chunk.torn {
             self.torn = true;
             let why = "the input ends in it, without a line end";

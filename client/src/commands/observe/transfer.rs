@@ -3,22 +3,73 @@
 //! Invariant: nothing is sent before all rows that the daemon has were compared. Each row counts as exactly one of
 //! accepted, duplicate and refused once it is durable.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use tidemap::observe::{Phase, Producer, ProducerError, Progress, content::ContentCrc};
-use tokio::{
-    sync::{mpsc, watch},
-    task::JoinHandle,
-};
+use tokio::{sync::watch, task::JoinHandle};
 
 use super::{
-    feed::{Chunk, Told},
+    feed::{Chunk, Chunks, Told},
     kinds::Kinds,
 };
 use crate::{
     progress::Bar,
-    rows::{Row, RowsError},
+    rows::{At, Columns, Layout as _, Row, traversals::TraversalRow},
 };
+
+/// A row of a file that is sent.
+pub trait Sendable {
+    /// Where it stands.
+    fn at(&self) -> At;
+    /// Adds it to the checksum.
+    fn add_to(&self, crc: &mut ContentCrc);
+    /// Sends it.
+    fn send(&self, producer: &mut Producer) -> impl Future<Output = Result<u64, ProducerError>>;
+    /// What is wrong with it, as far as can be said here.
+    fn wrong(&self, kinds: &mut Kinds) -> impl Future<Output = Option<String>>;
+}
+
+impl Sendable for Row {
+    fn at(&self) -> At {
+        Columns::at(self)
+    }
+
+    fn add_to(&self, crc: &mut ContentCrc) {
+        match &self.position {
+            None => crc.add(&self.state, self.time_nanos, self.value),
+            Some(position) => crc.add_position(&self.state, self.time_nanos, position.coordinates()),
+        }
+    }
+
+    async fn send(&self, producer: &mut Producer) -> Result<u64, ProducerError> {
+        match &self.position {
+            None => producer.send(&self.state, self.time_nanos, self.value).await,
+            Some(position) => producer.send_position(&self.state, self.time_nanos, position.coordinates()).await,
+        }
+    }
+
+    async fn wrong(&self, kinds: &mut Kinds) -> Option<String> {
+        kinds.wrong(self).await
+    }
+}
+
+impl Sendable for TraversalRow {
+    fn at(&self) -> At {
+        self.at
+    }
+
+    fn add_to(&self, crc: &mut ContentCrc) {
+        crc.add_traversal(&self.traversal);
+    }
+
+    async fn send(&self, producer: &mut Producer) -> Result<u64, ProducerError> {
+        producer.send_traversal(&self.traversal).await
+    }
+
+    async fn wrong(&self, _: &mut Kinds) -> Option<String> {
+        self.wrong.clone()
+    }
+}
 
 /// How a transfer of rows or scans ended.
 pub enum Ended {
@@ -45,11 +96,11 @@ pub(super) struct Counts {
     pub(super) refused: u64,
 }
 
-pub(super) struct Transfer {
+pub(super) struct Transfer<T> {
     producer: Producer,
     changes: watch::Receiver<Progress>,
     notices: JoinHandle<()>,
-    rows: mpsc::Receiver<Result<Chunk, RowsError>>,
+    rows: Chunks<T>,
     pub(super) told: Told,
     kinds: Kinds,
     bar: Bar,
@@ -62,15 +113,17 @@ pub(super) struct Transfer {
     refused: u64,
     /// Rows that were found wrong here, until the daemon has confirmed their numbers.
     wrong: BTreeSet<u64>,
+    /// How far the line of a row is ahead of its number, from the row on where that changed: blank lines do not count.
+    lines: BTreeMap<u64, u64>,
     /// Refusals without a place for them that were counted already.
     dropped: u64,
 }
 
-impl Transfer {
+impl<T: Sendable> Transfer<T> {
     pub(super) fn new(
         producer: Producer,
         notices: JoinHandle<()>,
-        rows: mpsc::Receiver<Result<Chunk, RowsError>>,
+        rows: Chunks<T>,
         (told, kinds): (Told, Kinds),
         bar: Bar,
     ) -> Self {
@@ -90,6 +143,7 @@ impl Transfer {
             duplicate: 0,
             refused: 0,
             wrong: BTreeSet::new(),
+            lines: BTreeMap::new(),
             dropped: progress.dropped_refusals,
         }
     }
@@ -126,7 +180,7 @@ impl Transfer {
     }
 
     /// Waits for rows, and meanwhile for what the daemon has to say: nothing may come on stdin for hours.
-    async fn chunk(&mut self) -> Result<Option<Chunk>, Ended> {
+    async fn chunk(&mut self) -> Result<Option<Chunk<T>>, Ended> {
         loop {
             tokio::select! {
                 chunk = self.rows.recv() => return chunk.transpose().map_err(|error| Ended::Unreadable(error.into())),
@@ -142,15 +196,13 @@ impl Transfer {
         }
     }
 
-    async fn row(&mut self, row: &Row) -> Result<(), Ended> {
-        if row.number <= self.sent_before {
-            self.read = row.number;
+    async fn row(&mut self, row: &T) -> Result<(), Ended> {
+        let At { number, line, .. } = row.at();
+        if number <= self.sent_before {
+            self.read = number;
             self.duplicate += 1;
-            match &row.position {
-                None => self.crc.add(&row.state, row.time_nanos, row.value),
-                Some(position) => self.crc.add_position(&row.state, row.time_nanos, position.coordinates()),
-            }
-            if row.number == self.sent_before && self.crc.value() != self.content_crc {
+            row.add_to(&mut self.crc);
+            if number == self.sent_before && self.crc.value() != self.content_crc {
                 let sent_before = self.sent_before;
                 return Err(Ended::Differs(format!(
                     "its first {sent_before} rows are not the {sent_before} sent before"
@@ -158,19 +210,29 @@ impl Transfer {
             }
             return Ok(());
         }
-        let sent = match &row.position {
-            None => self.producer.send(&row.state, row.time_nanos, row.value).await,
-            Some(position) => self.producer.send_position(&row.state, row.time_nanos, position.coordinates()).await,
-        };
-        let sequence = sent.map_err(Ended::Stopped)?;
-        debug_assert_eq!(sequence, row.number);
-        self.read = row.number;
-        if let Some(wrong) = self.kinds.wrong(row).await {
+        let sequence = row.send(&mut self.producer).await.map_err(Ended::Stopped)?;
+        debug_assert_eq!(sequence, number);
+        self.read = number;
+        self.follow_line(number, line);
+        if let Some(wrong) = row.wrong(&mut self.kinds).await {
             self.refused += 1;
-            self.wrong.insert(row.number);
-            self.told.refused(row.number, Some(row.line), &wrong);
+            self.wrong.insert(number);
+            self.told.refused(number, Some(line), &wrong);
         }
         Ok(())
+    }
+
+    /// Notes where a row stands, unless that follows from the row before.
+    fn follow_line(&mut self, number: u64, line: u64) {
+        let ahead = line.saturating_sub(number);
+        if self.lines.last_key_value().is_none_or(|(_, known)| *known != ahead) {
+            self.lines.insert(number, ahead);
+        }
+    }
+
+    /// The line of a row that was sent.
+    fn line(&self, number: u64) -> Option<u64> {
+        self.lines.range(..=number).next_back().map(|(_, ahead)| number + ahead)
     }
 
     /// Waits until everything sent is durable.
@@ -187,7 +249,8 @@ impl Transfer {
         for refusal in self.producer.take_refusals() {
             if !self.wrong.remove(&refusal.sequence) {
                 self.refused += 1;
-                self.told.refused(refusal.sequence, None, &refusal.detail);
+                let line = self.line(refusal.sequence);
+                self.told.refused(refusal.sequence, line, &refusal.detail);
             }
         }
         let later = self.wrong.split_off(&(progress.durable_sequence + 1));
@@ -197,6 +260,9 @@ impl Transfer {
         self.dropped = progress.dropped_refusals;
         self.refused += dropped;
         self.told.refused_untold(dropped);
+        // Of what is durable no refusals come any more.
+        let known = self.lines.range(..=progress.durable_sequence).next_back().map(|(number, _)| *number);
+        self.lines = self.lines.split_off(&known.unwrap_or(0));
     }
 
     pub(super) fn counts(&mut self) -> Counts {
@@ -217,7 +283,7 @@ impl Transfer {
     }
 }
 
-impl Drop for Transfer {
+impl<T> Drop for Transfer<T> {
     fn drop(&mut self) {
         self.notices.abort();
     }

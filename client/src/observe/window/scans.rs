@@ -128,7 +128,7 @@ impl Window {
     pub fn scans_to_send(&self, most: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &KeptScan> {
         self.unsent(most, bytes, urgent).map_while(|item| match item {
             Item::Scan(scan) => Some(&**scan),
-            Item::Observation(_) => None,
+            Item::Observation(_) | Item::Traversal(_) => None,
         })
     }
 }
