@@ -60,3 +60,6 @@ impl Intake {
         Ok(Some(parcel))
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -25,6 +25,7 @@ mod repeated;
 mod saving;
 mod scans;
 mod states;
+mod traversals;
 
 const HOUR: i64 = 3_600_000_000_000;
 /// 2016-07-01T12:00 in London, which is then an hour ahead of UTC.

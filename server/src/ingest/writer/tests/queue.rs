@@ -27,7 +27,7 @@ pub(super) fn bare(dir: &Path, now: i64, grid: Option<GridSpec>) -> Bare {
 
 impl Bare {
     /// Does what has come in, but for what the log answers.
-    fn take_in(&mut self) {
+    pub(super) fn take_in(&mut self) {
         for command in self.inbox.try_iter().collect::<Vec<_>>() {
             match command {
                 Command::Committed(_) => self.kept.push(command),
