@@ -10,4 +10,5 @@ mod main_job;
 mod model_test;
 mod search;
 mod tidy;
+mod traversals;
 mod vectors;

@@ -226,9 +226,9 @@ fn what_is_no_position_is_refused_whole() {
         "row 4 (line 5) is refused: x 10000000000000 is not",
         "row 5 (line 6) is refused: x \"there\" is not a number",
         "row 6 (line 7) is refused",
-        "row 7 is refused: state \"door\" exists and is a probability, not a vector of 2 coordinates",
-        "row 8 is refused: state name \"cell\" is not for a vector",
-        "row 9 is refused: state name \"anna/x\" holds '/'",
+        "row 7 (line 8) is refused: state \"door\" exists and is a probability, not a vector of 2 coordinates",
+        "row 8 (line 9) is refused: state name \"cell\" is not for a vector",
+        "row 9 (line 10) is refused: state name \"anna/x\" holds '/'",
     ] {
         assert!(sent.stderr.contains(words), "{words:?} is not in:\n{}", sent.stderr);
     }
