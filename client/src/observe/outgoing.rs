@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 
+use tidemap_proto::convert::traversals::BATCH_TEXT_BYTES_MAX;
 use tidemap_proto::v1::{
     ObservationBatch, ObserveRequest, ScanBatch, Traversal, TraversalBatch, Welcome, observe_request::Message,
 };
@@ -108,7 +109,7 @@ impl Outgoing {
         let mut traversals: Vec<Traversal> = Vec::new();
         for traversal in window.traversals_to_send(limits.traversals(), urgent) {
             bytes += wire_bytes(traversal);
-            if !traversals.is_empty() && bytes > limits.bytes {
+            if !traversals.is_empty() && bytes > limits.bytes.min(BATCH_TEXT_BYTES_MAX) {
                 break;
             }
             traversals.push(traversal.clone());

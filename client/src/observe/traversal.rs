@@ -3,7 +3,10 @@
 //! Invariant: what is sent, kept and summed up in the checksum is the same message.
 
 use tidemap_map::traversal::kept_reason;
-use tidemap_proto::{convert::traversals::traversal_from_wire, v1};
+use tidemap_proto::{
+    convert::traversals::{text_bytes, traversal_from_wire},
+    v1,
+};
 
 use super::{Producer, ProducerError, STATE_NAME_BYTES_MAX};
 
@@ -45,8 +48,7 @@ impl Traversal {
 
 /// Bytes that a traversal takes on the wire, at most.
 pub(super) fn wire_bytes(traversal: &v1::Traversal) -> usize {
-    let v1::Traversal { from, to, action, reason, .. } = traversal;
-    TRAVERSAL_BYTES_EXTRA + [from, to, action, reason].map(String::len).iter().sum::<usize>()
+    TRAVERSAL_BYTES_EXTRA + text_bytes(traversal)
 }
 
 impl Producer {

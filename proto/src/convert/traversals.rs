@@ -10,8 +10,19 @@ use tidemap_map::{
 
 use crate::v1;
 
+/// Most bytes of all texts of one message of traversals: a record of the log has a bounded length, and holds a text up to
+/// three times, in the names of two states and in a failure.
+pub const BATCH_TEXT_BYTES_MAX: usize = 4 << 20;
+
 /// What to do about an edge that is unknown.
 const WAY_OUT: &str = "`tidemap topology show --edges` lists those there are, `tidemap topology load` loads others";
+
+/// Bytes of a traversal's texts.
+#[must_use]
+pub fn text_bytes(traversal: &v1::Traversal) -> usize {
+    let v1::Traversal { from, to, action, reason, .. } = traversal;
+    [from, to, action, reason].map(String::len).iter().sum()
+}
 
 /// A checked traversal. Whether there is such an edge is not asked.
 ///

@@ -5,7 +5,7 @@
 use tidemap_proto::{
     convert::{
         InvalidField,
-        traversals::{append_content, traversal_from_wire},
+        traversals::{BATCH_TEXT_BYTES_MAX, append_content, text_bytes, traversal_from_wire},
     },
     v1::TraversalBatch,
 };
@@ -36,6 +36,11 @@ impl Intake {
             let what = "observations of one message, traversals counted as two each";
             let (got, max) = (got as u64, max as u64);
             return Err(IntakeError::Limit { what, got, max, setting: "setting max_batch_observations" });
+        }
+        let (got, max) = (traversals.iter().map(text_bytes).sum::<usize>(), BATCH_TEXT_BYTES_MAX);
+        if got > max {
+            let what = "bytes of the names and reasons of one message of traversals";
+            return Err(IntakeError::Limit { what, got: got as u64, max: max as u64, setting: "the protocol" });
         }
         let last = last_sequence(*first, traversals.len())?;
         if last < self.next_sequence {

@@ -19,7 +19,7 @@ fn failed_traversals_come_back_in_their_order() {
     assert_eq!(record::site::decode(&message, 0).expect("readable"), site);
     for spoil in
         [(|failure| failure.from = "a/b".to_owned()) as fn(&mut tidemap_migrations::v2::site::EdgeFailure), |failure| {
-            failure.reason = "x".repeat(201)
+            failure.reason = "x".repeat(201);
         }]
     {
         let mut broken = message.clone();

@@ -70,4 +70,7 @@ fn what_is_no_message_of_traversals_ends_the_stream() {
     let error = intake(0).take_traversals(&message(1, &many)).expect_err("too many").to_string();
     assert!(error.contains("10 is more than the 9"), "{error}");
     assert!(intake(0).take_traversals(&message(1, &many[..4])).is_ok());
+    let wordy = Traversal { reason: "x".repeat(BATCH_TEXT_BYTES_MAX), ..trip("Hall", 1, 2, false) };
+    let error = intake(0).take_traversals(&message(1, &[wordy])).expect_err("too long").to_string();
+    assert!(error.contains("names and reasons"), "{error}");
 }
