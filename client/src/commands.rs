@@ -20,12 +20,14 @@ mod predict;
 mod presence;
 mod producer_id;
 mod reconstruct;
+mod route;
 mod search;
 mod slot;
 mod state;
 mod stats;
 mod times;
 mod topology;
+mod topology_picture;
 mod tour;
 mod traverse;
 mod update;
@@ -140,6 +142,17 @@ enum Command {
     /// How likely it is to find somebody at a node is predicted from the state of the same name. Places that are passed on
     /// the way to others are looked at too. expected_secs is the time to find to expect, the same in each row.
     Search(search::SearchArgs),
+    /// Plans the way from one node of the topological map to another, for a time
+    ///
+    /// Each edge is predicted for when the robot reaches it. probability is how likely it is passed, from lower to upper with
+    /// probability --interval; reports is how often it was reported. expected_secs is of the whole route, failed attempts and
+    /// recovery included.
+    Route(route::RouteArgs),
+    /// Tells what to do at each node in each slot of time so as to reach a node, also after failures
+    ///
+    /// action is take, wait, nothing (which is done here helps any more) or arrived; probability is to be there before the
+    /// last slot ends.
+    Policy(route::PolicyArgs),
     /// Shows how likely somebody, or something, is at each node of the topological map
     ///
     /// share is the probability over the sum of all nodes', for one that is known to be at one of them; anybody is how likely
@@ -217,6 +230,8 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Topology(command) => topology::run(&session, command).await,
         Command::Traverse(args) => traverse::run(&session, &args).await,
         Command::Search(args) => search::run(&session, args).await,
+        Command::Route(args) => route::run(&session, args).await,
+        Command::Policy(args) => route::policy(&session, args).await,
         Command::Presence(args) => presence::run(&session, args).await,
         Command::Joint(args) => presence::joint(&session, args).await,
         Command::Slot(args) => slot::run(&session, args).await,

@@ -6,8 +6,13 @@ use std::fmt;
 
 use tidemap_proto::v1::{self, edit_topology_request::Edit, route_service_client::RouteServiceClient};
 
+mod path;
 mod presence;
 
+pub use path::{
+    Policy, PolicyAction, PolicyEntry, PolicyQuery, PredictedEdge, Route, RouteCertainty, RouteObjective, RouteQuery,
+    RouteStep, RouteTime,
+};
 pub use presence::{Joint, JointQuery, Presence, PresenceAt, PresenceQuery};
 
 use crate::{

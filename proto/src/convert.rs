@@ -11,6 +11,7 @@ pub mod enabled;
 pub mod exploration;
 pub mod grid;
 pub mod map;
+pub mod path;
 pub mod query;
 pub mod route;
 pub mod scans;

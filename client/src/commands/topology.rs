@@ -11,10 +11,16 @@ use std::{
 
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
+use tidemap::queries::ModelSelector;
 use tidemap::routes::{Edge, EdgeEnds, EdgeFailure, Node, Topology, TopologyEdit, TopologySize};
 use tidemap_map::name::EdgeName;
 
-use super::{Misused, Session, point::Point};
+use super::{
+    Misused, Session,
+    point::Point,
+    times,
+    topology_picture::{self, Overlay},
+};
 use crate::{
     formats::topology::{read_lines, read_yaml},
     output::{Cell, Sheet},
@@ -54,9 +60,34 @@ pub enum TopologyCommand {
         #[arg(long, value_name = "FROM/TO[/ACTION]", value_parser = edge_of)]
         edge: Option<EdgeEnds>,
     },
+    /// Shows how likely each edge is passed at a time, and how long it takes
+    ///
+    /// reports is how often an edge was reported; where that is 0, the row is what edges of the map usually are.
+    Predict(PredictArgs),
     /// Changes one node or edge
     #[command(subcommand)]
     Edit(EditCommand),
+}
+
+#[derive(Debug, Args)]
+pub struct PredictArgs {
+    /// Name of the map
+    map: String,
+    /// The time
+    #[arg(long, value_name = "TIME", value_parser = times::time)]
+    at: i64,
+    /// Model, as in `predict`
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+    /// How fast the robot drives where nothing is known, metres a second [default: 0.5]
+    #[arg(long, value_name = "M/S", allow_hyphen_values = true)]
+    speed: Option<f64>,
+    /// Draws the map as SVG, with who is likely where
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+    /// Who or what is drawn at nodes, by the states node/NODE/KIND [default: the states called like the nodes]
+    #[arg(long, value_name = "KIND", default_value = "", hide_default_value = true)]
+    object: String,
 }
 
 #[derive(Debug, Subcommand)]
@@ -216,6 +247,7 @@ pub async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<
             }
             return Ok(ExitCode::SUCCESS);
         }
+        TopologyCommand::Predict(args) => return predict(session, args).await,
         TopologyCommand::Failures { map, limit, edge } => {
             let failures = session.client.failures(&map, limit.unwrap_or_default(), edge.as_ref()).await?;
             show_failures(session, failures)?;
@@ -230,6 +262,33 @@ pub async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<
     let mut sheet = Sheet::stdout(session.format, &["nodes", "edges"]);
     sheet.row(vec![nodes.into(), edges.into()])?;
     sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+async fn predict(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
+    let PredictArgs { map, at, model, speed, picture, object } = args;
+    if let Some(path) = &picture {
+        topology_picture::check_ending(path)?;
+    }
+    let columns = ["from", "to", "action", "probability", "lower", "upper", "duration_secs", "reports"];
+    let mut sheet = Sheet::stdout(session.format, &columns);
+    for edge in session.client.predict_edges(&map, at, model, speed).await? {
+        sheet.row(vec![
+            edge.edge.from.as_str().into(),
+            edge.edge.to.as_str().into(),
+            edge.edge.action.as_str().into(),
+            edge.success.into(),
+            edge.success_interval[0].into(),
+            edge.success_interval[1].into(),
+            edge.duration_secs.into(),
+            edge.reports.into(),
+        ])?;
+    }
+    sheet.finish()?;
+    if let Some(path) = &picture {
+        let drawn = topology_picture::draw(session, &map, at, model, speed, &object, Overlay::default()).await?;
+        fs::write(path, drawn).with_context(|| path.display().to_string())?;
+    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -139,9 +139,6 @@ pub(crate) fn asked_for(name: &str) -> &str {
     name.strip_prefix("node/").filter(|node| !node.contains('/')).unwrap_or(name)
 }
 
-/// First parts of the names of what is learned of an edge, which its two nodes follow.
-const OF_EDGES: [&str; 3] = ["edge", "speed", "pace"];
-
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`; or that of an axis of a vector,
 /// such a name with `/x`, `/y` or `/z`; or `node/N/KIND`, which tells whether something of a kind is at node N; or that of
 /// a state of an edge, [`EdgeName::state`].
@@ -219,19 +216,16 @@ impl StateName {
     /// # Errors
     /// [`InvalidName::TooLong`].
     pub fn with_node_renamed(&self, from: &str, to: &StateName) -> Option<Result<Self, InvalidName>> {
-        let renamed = |part: &str| if part == from { to.0.to_string() } else { part.to_owned() };
-        let parts: Vec<&str> = self.0.split('/').collect();
-        let name = match parts[..] {
-            [plain] if plain == from => return Some(Ok(to.clone())),
-            ["node", node, kind] if node == from => format!("node/{to}/{kind}"),
-            [first, one, other, ref action @ ..] if OF_EDGES.contains(&first) && (one == from || other == from) => {
-                let ends = [first.to_owned(), renamed(one), renamed(other)];
-                let parts: Vec<String> = ends.into_iter().chain(action.iter().map(|&part| part.to_owned())).collect();
-                // Of an edge the parts are bounded, not the whole.
-                return Some(Ok(Self(parts.join("/").into())));
-            }
-            _ => return None,
-        };
+        if let Some((what, mut edge)) = self.as_edge() {
+            let ends = [&mut edge.from, &mut edge.to].into_iter().filter(|end| end.as_str() == from);
+            let renamed = ends.map(|end| *end = to.clone()).count();
+            return (renamed > 0).then(|| Ok(edge.state(what)));
+        }
+        if self.as_str() == from {
+            return Some(Ok(to.clone()));
+        }
+        let (_, kind) = split_object(&self.0).filter(|(node, _)| *node == from)?;
+        let name = format!("node/{to}/{kind}");
         Some(check(&name).map(|()| Self(name.into())))
     }
 

@@ -142,7 +142,7 @@ impl EdgeRecord {
             (None, secs) => (secs.unwrap_or(1.0), usual.pace),
         };
         let speed = speed(before).clamp(before / SPEED_RATIO_MAX, before * SPEED_RATIO_MAX);
-        (extent / speed).clamp(1e-9, NOMINAL_MAX_SECS * SPEED_RATIO_MAX)
+        (extent / speed).clamp(1e-9, NOMINAL_MAX_SECS)
     }
 }
 

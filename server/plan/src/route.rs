@@ -243,6 +243,13 @@ pub fn plan_routes(
     Planner::new(&network, forecasts, until, start, goal, options).plan(when)
 }
 
+/// Where the success of an edge lies with a probability `confidence`, 0 to 1, with equal tails: quantiles of
+/// Beta(success · evidence, (1 - success) · evidence).
+#[must_use]
+pub fn success_interval(success: f64, evidence: f64, confidence: f64) -> Interval {
+    beta::Chance::new(success, evidence).interval(confidence)
+}
+
 impl Routes {
     fn standing(departure_secs: f64) -> Routes {
         let route = Route {

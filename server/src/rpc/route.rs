@@ -9,9 +9,10 @@ use tidemap_map::{
     site::SiteEdit,
     topology::{RoadsError, TopologyEdit, TopologyError},
 };
-use tidemap_plan::search::SearchError;
+use tidemap_plan::{policy::PolicyError, route::RouteError as CannotRoute, search::SearchError};
 use tidemap_proto::{
     convert::{
+        path::POLICY_CELLS_MAX,
         route::{edit_from_wire, load_from_wire, topology_to_wire},
         traversals::{failure_to_wire, is_of},
     },
@@ -31,7 +32,9 @@ use super::{
 };
 use crate::catalog::Catalog;
 
+mod edges;
 mod places;
+mod plan;
 mod presence;
 mod search;
 
@@ -70,6 +73,59 @@ pub enum RouteError {
         /// How many places there are.
         goals: usize,
     },
+    /// No way leads there.
+    #[error("no way leads from node {from:?} to node {to:?}")]
+    NoWay {
+        /// Where the route begins.
+        from: String,
+        /// Where it would end.
+        to: String,
+    },
+    /// All ways take too long.
+    #[error("no way from node {from:?} to node {to:?} takes at most {horizon_secs} s: raise the horizon")]
+    TooLong {
+        /// Where the route begins.
+        from: String,
+        /// Where it would end.
+        to: String,
+        /// The longest that was allowed.
+        horizon_secs: f64,
+    },
+    /// No departure is early enough.
+    #[error(
+        "no departure from node {from:?} is expected to arrive at node {to:?} by {by_nanos} ns: arrive later, or raise the \
+         horizon"
+    )]
+    TooLate {
+        /// Where the route begins.
+        from: String,
+        /// Where it would end.
+        to: String,
+        /// The latest arrival, nanoseconds UTC.
+        by_nanos: i64,
+    },
+    /// A route that is none.
+    #[error(transparent)]
+    Plan(CannotRoute),
+    /// A policy that is none.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// A policy would be too large for an answer.
+    #[error("{nodes} nodes in {slots} slots: at most {POLICY_CELLS_MAX} of both together; take fewer, wider slots")]
+    PolicyTooLarge {
+        /// Nodes of the map.
+        nodes: usize,
+        /// Slots.
+        slots: usize,
+    },
+    /// Too many edges for an answer.
+    #[error("the map has {found} edges: at most {most} are told of at once")]
+    TooManyEdges {
+        /// How many there are.
+        found: usize,
+        /// How many may be.
+        most: usize,
+    },
     /// The edges have no times.
     #[error(transparent)]
     Roads(#[from] RoadsError),
@@ -88,9 +144,19 @@ impl RouteError {
             Self::Unreachable { .. } | Self::Search(SearchError::Unreachable { .. }) => {
                 (Code::FailedPrecondition, "UNREACHABLE")
             }
-            Self::Search(SearchError::TooManyForExact { .. } | SearchError::TooMany { .. })
+            Self::NoWay { .. } | Self::TooLong { .. } | Self::TooLate { .. } => {
+                (Code::FailedPrecondition, "UNREACHABLE")
+            }
+            Self::Plan(CannotRoute::CutOff { .. }) => (Code::DeadlineExceeded, "CUT_OFF"),
+            Self::Plan(CannotRoute::TooManyDepartures { .. })
+            | Self::Policy(PolicyError::TooManyStates { .. })
+            | Self::PolicyTooLarge { .. }
+            | Self::TooManyEdges { .. }
+            | Self::Search(SearchError::TooManyForExact { .. } | SearchError::TooMany { .. })
             | Self::Roads(RoadsError::TooManyPairs { .. }) => (Code::ResourceExhausted, "LIMIT"),
-            Self::Search(_) | Self::Roads(_) => (Code::InvalidArgument, "INVALID_FIELD"),
+            Self::Search(_) | Self::Roads(_) | Self::Plan(_) | Self::Policy(_) => {
+                (Code::InvalidArgument, "INVALID_FIELD")
+            }
         }
     }
 }
@@ -215,5 +281,26 @@ impl RouteService for Routes {
         request: Request<v1::NextJointRequest>,
     ) -> Result<Response<v1::NextJointResponse>, Status> {
         Ok(Response::new(presence::next_joint(self, request.into_inner()).await?))
+    }
+
+    async fn plan_route(
+        &self,
+        request: Request<v1::PlanRouteRequest>,
+    ) -> Result<Response<v1::PlanRouteResponse>, Status> {
+        Ok(Response::new(plan::plan_route(self, request.into_inner()).await?))
+    }
+
+    async fn get_policy(
+        &self,
+        request: Request<v1::GetPolicyRequest>,
+    ) -> Result<Response<v1::GetPolicyResponse>, Status> {
+        Ok(Response::new(plan::get_policy(self, request.into_inner()).await?))
+    }
+
+    async fn predict_edges(
+        &self,
+        request: Request<v1::PredictEdgesRequest>,
+    ) -> Result<Response<v1::PredictEdgesResponse>, Status> {
+        Ok(Response::new(plan::predict_edges(self, request.into_inner()).await?))
     }
 }

@@ -6,9 +6,10 @@ use std::sync::Arc;
 
 use tidemap_map::{
     event::{StateId, StateKind},
-    predict::ModelSelector,
+    predict::{ModelSelector, PreparedTimes},
     view::MapView,
 };
+use tidemap_model::family::Moment;
 use tidemap_proto::convert::InvalidField;
 
 use super::{
@@ -130,15 +131,25 @@ impl Predictor {
 
     /// Probability that a state, by its index, is 1 at a time in nanoseconds UTC.
     pub(super) fn at(&self, index: usize, time_nanos: i64) -> f64 {
-        let Some(&id) = self.states.get(index) else { return 0.0 };
-        let mut row = [0.0];
-        match self.fitted.get(index) {
-            Some(fitted) => {
-                let moments = self.view.moments(&[time_nanos]);
-                fitted.predict_into(&self.view, id, &moments, self.selector, &mut row);
-            }
-            None => self.view.predict_into(id, &self.view.prepare(&[time_nanos]), self.selector, &mut row),
+        if self.fitted.is_empty() {
+            return self.at_prepared(index, &self.view.prepare(&[time_nanos]));
         }
-        row[0]
+        self.at_moments(index, &self.view.moments(&[time_nanos]), None)
+    }
+
+    /// The same at the first of times that are ready.
+    pub(super) fn at_prepared(&self, index: usize, times: &PreparedTimes) -> f64 {
+        self.at_moments(index, times.moments(), Some(times))
+    }
+
+    fn at_moments(&self, index: usize, moments: &[Moment], times: Option<&PreparedTimes>) -> f64 {
+        let Some(&id) = self.states.get(index) else { return 0.0 };
+        let mut row = vec![0.0; moments.len()];
+        match (self.fitted.get(index), times) {
+            (Some(fitted), _) => fitted.predict_into(&self.view, id, moments, self.selector, &mut row),
+            (None, Some(times)) => self.view.predict_into(id, times, self.selector, &mut row),
+            (None, None) => {}
+        }
+        row.first().copied().unwrap_or_default()
     }
 }

@@ -104,7 +104,7 @@ impl Room<'_> {
     ) -> Result<Vec<StateId>, Refusal> {
         let mut known = Vec::with_capacity(wanted.len());
         for (name, kind) in wanted {
-            known.push(match known_state(self.map, self.in_flight, name) {
+            known.push(match known_state(self.map, self.in_flight, self.renames, name) {
                 Some((_, found)) if found != Form::Scalar(*kind) => {
                     return Err(other_form(name, found, Some(Form::Scalar(*kind))));
                 }

@@ -49,7 +49,12 @@ impl Sessions {
             let result = if time > plausible && !may_wait {
                 Err((RefusalReason::Time, too_far_ahead(time, self.limits.ahead)))
             } else {
-                let room = Room { map, in_flight: &mut self.states_in_flight, max: self.limits.states };
+                let room = Room {
+                    map,
+                    in_flight: &mut self.states_in_flight,
+                    renames: &self.renames_in_flight,
+                    max: self.limits.states,
+                };
                 taken.take(&traversal, room, self.offsets.offset_secs(time))
             };
             if let Err((reason, detail)) = result {

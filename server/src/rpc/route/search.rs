@@ -34,7 +34,7 @@ use crate::rpc::{
 };
 
 /// Tells work that nobody waits for it any more, when dropped.
-struct Waiting(Arc<AtomicBool>);
+pub(super) struct Waiting(pub(super) Arc<AtomicBool>);
 
 impl Drop for Waiting {
     fn drop(&mut self) {
