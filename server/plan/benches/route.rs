@@ -4,6 +4,7 @@
 //! each question, of the questions the median and the slowest, and how sure the answers are. A forecast takes two cosines for
 //! the success and two for the duration, as spectral models of order 2 do.
 #![allow(clippy::unwrap_used)]
+#![allow(dead_code, reason = "the maps are shared with other benchmarks, which use more of them")]
 
 #[path = "search/maps.rs"]
 mod maps;
@@ -12,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use maps::{Map, Shape};
 use tidemap_map::topology::{Edge, NodeId, Topology};
+use tidemap_plan::policy::{PolicyObjective, PolicyOptions, solve_policy};
 use tidemap_plan::route::{
     Bounds, EdgeBest, EdgeForecast, Forecasts, Objective, RouteOptions, Routes, When, plan_routes,
 };
@@ -122,6 +124,22 @@ fn routes(topology: &Topology, nodes: usize) {
     }
 }
 
+fn policies() {
+    println!("\n{:32} {:>6} {:>10}", "policies", "nodes", "fastest");
+    for (nodes, slots) in [(100, 96), (1_000, 96)] {
+        let map = Map::random(Shape::Streets, nodes, false, 7);
+        for objective in [PolicyObjective::Reach, PolicyObjective::Time] {
+            let slot_secs = 86_400.0 / slots as f64;
+            let options = PolicyOptions { objective, slot_secs, slots, ..PolicyOptions::default() };
+            let mut rhythms = Rhythms { knows_bounds: false };
+            let target = NodeId(nodes as u32 - 1);
+            let solve = || solve_policy(&map.topology, target, &options, &mut rhythms, || false).unwrap();
+            let (took, _) = fastest(solve, 5);
+            println!("{:32} {nodes:6} {:>10}", format!("{objective:?}, {slots} slots"), format!("{took:.2?}"));
+        }
+    }
+}
+
 fn main() {
     println!(
         "{:32} {:>6} {:>10} {:>10} {:>8} {:>9} certainty",
@@ -131,4 +149,5 @@ fn main() {
         let map = Map::random(Shape::Streets, nodes, false, 7);
         routes(&map.topology, nodes);
     }
+    policies();
 }

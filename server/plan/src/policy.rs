@@ -26,11 +26,11 @@ pub const POLICY_STATES_MAX: usize = 2_000_000;
 /// What a policy is best at.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PolicyObjective {
-    /// The greatest probability to be at the target by the end of the last slot; of equal ones, within 1e-12, the least expected
-    /// time until then.
+    /// The greatest probability to be at the target by the end of the last slot; of equal ones the least expected time until then,
+    /// and of these the fewest attempts, where what differs by 1e-12 is equal.
     #[default]
     Reach,
-    /// The least expected time to the target. Forecasts of the last slot stay for ever.
+    /// The least expected time to the target. Forecasts of the last slot stay for ever; of equal ones the fewest attempts.
     Time,
 }
 

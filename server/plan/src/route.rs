@@ -98,8 +98,8 @@ pub enum Bounds {
     /// What [`Forecasts::best`] says, and otherwise nothing: a success of 1 in no time. Nothing better is left out, but a map of
     /// more than about 15 nodes without bounds uses up any number of labels.
     Known,
-    /// The best of so many forecasts, 1 to [`SAMPLES_MAX`], spread evenly over twice the time that a good route takes. A route
-    /// is overlooked only if an edge of it is better between them; that none is cannot be proven.
+    /// The best of about so many forecasts, 1 to [`SAMPLES_MAX`], spread evenly over twice the time that a good route takes. A
+    /// route is overlooked only if an edge of it is better, or open, between them and at none; that none is cannot be proven.
     Sampled(u32),
 }
 
@@ -123,8 +123,9 @@ pub struct RouteOptions {
     pub resolution_secs: f64,
     /// What may be left out.
     pub bounds: Bounds,
-    /// Most partial routes of one search, 1 or more; 200,000 by default, 64 bytes each. A route of an answer takes one
-    /// search, an alternative one for each of its steps.
+    /// Most partial routes of the search of one departure, 1 or more; 200,000 by default, 64 bytes each; as many again for all
+    /// alternatives. Where they do not suffice with sampled bounds, as many are spent on a coarser search, in which ways count as
+    /// arriving together within 16 times the resolution; the answer is [`Certainty::CutOff`] all the same.
     pub labels_max: usize,
     /// In which steps departures are tried for [`When::ArriveBy`], in seconds, above 0; 60 by default. Where that would be more
     /// than [`DEPARTURES_MAX`], the steps are wider.

@@ -28,11 +28,25 @@ impl Choices {
         self.first[node] as usize..self.first[node + 1] as usize
     }
 
-    /// What a choice is worth in the part that is sought, 0 or 1.
+    /// What a choice is worth in a part.
     pub fn worth(&self, choice: usize, part: usize, values: &[f64]) -> f64 {
         let Choice { known, leak, to, .. } = self.all[choice];
         // A share of 0 of what is infinite is 0.
         if leak >= 1.0 { known[part] } else { known[part] + (1.0 - leak) * values[to as usize] }
+    }
+
+    /// Leaves out the choices of each node that are worse than its value by more than `tie` of it.
+    pub fn narrow(&self, part: usize, values: &[f64], tie: impl Fn(f64) -> f64, is_best: &mut [bool]) {
+        for (node, &value) in values.iter().enumerate() {
+            for choice in self.of(node) {
+                is_best[choice] &= self.worth(choice, part, values) <= value + tie(value);
+            }
+        }
+    }
+
+    /// The first choice of each node.
+    pub fn firsts(&self) -> Picked {
+        (0..self.first.len() - 1).map(|node| self.of(node).next().map(|choice| choice as u32)).collect()
     }
 }
 
@@ -41,10 +55,10 @@ pub(super) type Picked = Vec<Option<u32>>;
 
 /// Finds the least values in a part and the choices that lead to them, from good first values; of nodes without a choice the value
 /// stays. `is_allowed` leaves choices out.
-pub(super) fn settle(choices: &Choices, part: usize, values: &mut [f64], is_allowed: impl Fn(usize) -> bool) -> Picked {
+pub(super) fn settle(choices: &Choices, part: usize, values: &mut [f64], is_allowed: &[bool]) -> Picked {
     let best = |node: usize, values: &[f64]| {
         let mut best: Option<(f64, u32)> = None;
-        for choice in choices.of(node).filter(|&choice| is_allowed(choice)) {
+        for choice in choices.of(node).filter(|&choice| is_allowed[choice]) {
             let worth = choices.worth(choice, part, values);
             if best.is_none_or(|(least, _)| worth < least) {
                 best = Some((worth, choice as u32));

@@ -21,8 +21,8 @@ const WAIT: u32 = u32::MAX;
 /// Something to do at a node in a slot.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Choice {
-    /// What is known of its worth: time, and probability to miss the target less 1, so that less is better of both.
-    pub known: [f64; 2],
+    /// What is known of its worth, by part; less is better.
+    pub known: [f64; 3],
     /// How much of its worth is not the value of `to` in this slot, above 0, at most 1.
     pub leak: f64,
     pub to: u32,
@@ -30,8 +30,12 @@ pub(super) struct Choice {
     edge: u32,
 }
 
+/// Seconds.
 const TIME: usize = 0;
+/// The probability to reach the target, less than 0.
 const REACH: usize = 1;
+/// How many edges are tried: of equal actions those that do less, so that a robot waits and does not go to and fro.
+const ATTEMPTS: usize = 2;
 
 /// A policy in the making.
 pub(super) struct Solver<'a> {
@@ -40,16 +44,15 @@ pub(super) struct Solver<'a> {
     options: &'a PolicyOptions,
     /// Slot by slot, node by node.
     pub entries: Vec<PolicyEntry>,
+    /// Expected attempts, alike.
+    attempts: Vec<f64>,
 }
 
 impl<'a> Solver<'a> {
     pub fn new(network: &'a Network<'a>, target: usize, options: &'a PolicyOptions) -> Solver<'a> {
         let nothing = PolicyEntry { action: PolicyAction::Nothing, expected_secs: f64::INFINITY, reach: 0.0 };
-        Solver { network, target, options, entries: vec![nothing; network.nodes.len() * options.slots] }
-    }
-
-    fn entry(&self, node: usize, slot: usize) -> &PolicyEntry {
-        &self.entries[slot * self.network.nodes.len() + node]
+        let states = network.nodes.len() * options.slots;
+        Solver { network, target, options, entries: vec![nothing; states], attempts: vec![0.0; states] }
     }
 
     /// Solves a slot, those after it being solved.
@@ -63,80 +66,68 @@ impl<'a> Solver<'a> {
             }
             open.push(forecast);
         }
-        let count = self.network.nodes.len();
-        // The last slot's values stand in for this one's.
-        let later = (slot + 1).min(self.options.slots - 1);
-        let mut secs: Vec<f64> = (0..count).map(|node| self.secs(node, slot + 1)).collect();
-        let mut reach: Vec<f64> = (0..count).map(|node| -self.entry(node, later).reach).collect();
-        (secs[self.target], reach[self.target]) = (0.0, -1.0);
-        let (choices, picked) = match self.options.objective {
-            PolicyObjective::Time if slot + 1 == self.options.slots => {
-                let picked = self.for_ever(&open, &mut secs);
-                let choices = self.choices(slot, &open, |edge, from| picked[from] == Some(edge));
-                let picked: Picked =
-                    (0..count).map(|node| choices.of(node).next().map(|choice| choice as u32)).collect();
-                evaluate(&choices, REACH, &picked, &mut reach);
-                (choices, picked)
+        // The next slot's values are good first ones.
+        let next: Vec<[f64; 3]> = (0..self.network.nodes.len()).map(|node| self.value(node, slot + 1)).collect();
+        let mut values = [TIME, REACH, ATTEMPTS].map(|part| next.iter().map(|value| value[part]).collect::<Vec<f64>>());
+        values[REACH][self.target] = -1.0;
+        let (choices, picked) = if self.is_last_for_ever(slot) {
+            let picked = self.for_ever(&open, &mut values);
+            let choices = self.choices(slot, &open, |edge, from| picked[from] == Some(edge));
+            let picked = choices.firsts();
+            evaluate(&choices, REACH, &picked, &mut values[REACH]);
+            (choices, picked)
+        } else {
+            let choices = self.choices(slot, &open, |_, _| true);
+            let mut is_best = vec![true; choices.all.len()];
+            if self.options.objective == PolicyObjective::Reach {
+                settle(&choices, REACH, &mut values[REACH], &is_best);
+                choices.narrow(REACH, &values[REACH], |_| TIE, &mut is_best);
             }
-            PolicyObjective::Time => {
-                let choices = self.choices(slot, &open, |_, _| true);
-                let picked = settle(&choices, TIME, &mut secs, |_| true);
-                evaluate(&choices, REACH, &picked, &mut reach);
-                (choices, picked)
+            settle(&choices, TIME, &mut values[TIME], &is_best);
+            choices.narrow(TIME, &values[TIME], |secs| TIE * (1.0 + secs.abs()), &mut is_best);
+            let picked = settle(&choices, ATTEMPTS, &mut values[ATTEMPTS], &is_best);
+            if self.options.objective == PolicyObjective::Time {
+                evaluate(&choices, REACH, &picked, &mut values[REACH]);
             }
-            PolicyObjective::Reach => {
-                let choices = self.choices(slot, &open, |_, _| true);
-                settle(&choices, REACH, &mut reach, |_| true);
-                let mut is_best = vec![false; choices.all.len()];
-                for node in 0..count {
-                    for choice in choices.of(node) {
-                        is_best[choice] = choices.worth(choice, REACH, &reach) <= reach[node] + TIE;
-                    }
-                }
-                let picked = settle(&choices, TIME, &mut secs, |choice| is_best[choice]);
-                (choices, picked)
-            }
+            (choices, picked)
         };
-        self.keep(slot, &choices, &picked, &secs, &reach);
+        self.keep(slot, &choices, &picked, &values);
         Ok(())
     }
 
-    fn keep(&mut self, slot: usize, choices: &Choices, picked: &Picked, secs: &[f64], reach: &[f64]) {
+    fn keep(&mut self, slot: usize, choices: &Choices, picked: &Picked, values: &[Vec<f64>; 3]) {
         let count = self.network.nodes.len();
         for node in 0..count {
-            let entry = &mut self.entries[slot * count + node];
             let action = match picked[node].map(|choice| choices.all[choice as usize].edge) {
                 _ if node == self.target => PolicyAction::Arrived,
                 None => PolicyAction::Nothing,
                 Some(WAIT) => PolicyAction::Wait,
                 Some(edge) => PolicyAction::Take(self.network.edges[edge as usize].id),
             };
-            let found =
-                PolicyEntry { action, expected_secs: secs[node].max(0.0), reach: (0.0 - reach[node]).clamp(0.0, 1.0) };
-            *entry = match self.options.objective {
-                PolicyObjective::Time if found.expected_secs.is_infinite() => {
-                    PolicyEntry { action: PolicyAction::Nothing, reach: 0.0, ..found }
-                }
-                PolicyObjective::Reach if found.reach == 0.0 => PolicyEntry { action: PolicyAction::Nothing, ..found },
-                _ => found,
+            let (secs, reach) = (values[TIME][node].max(0.0), (0.0 - values[REACH][node]).clamp(0.0, 1.0));
+            let (action, reach) = match self.options.objective {
+                PolicyObjective::Time if secs.is_infinite() => (PolicyAction::Nothing, 0.0),
+                PolicyObjective::Reach if reach == 0.0 => (PolicyAction::Nothing, 0.0),
+                _ => (action, reach),
             };
+            self.entries[slot * count + node] = PolicyEntry { action, expected_secs: secs, reach };
+            self.attempts[slot * count + node] = values[ATTEMPTS][node];
         }
     }
 
-    /// Expected seconds from a node at the beginning of a slot.
-    fn secs(&self, node: usize, slot: usize) -> f64 {
-        let last = self.options.slots - 1;
+    /// What is known of a node at the beginning of a slot, by part; behind the last slot what stays for ever, or what is left
+    /// when all is over.
+    fn value(&self, node: usize, slot: usize) -> [f64; 3] {
+        let (count, last) = (self.network.nodes.len(), self.options.slots - 1);
+        let at = slot.min(last) * count + node;
+        let PolicyEntry { expected_secs, reach, .. } = self.entries[at];
+        let is_over = slot > last;
         match self.options.objective {
-            _ if node == self.target => 0.0,
-            PolicyObjective::Reach if slot > last => 0.0,
-            _ => self.entry(node, slot.min(last)).expected_secs,
+            _ if node == self.target => [0.0, if is_over { 0.0 } else { -reach }, 0.0],
+            PolicyObjective::Reach if is_over => [0.0; 3],
+            PolicyObjective::Time if is_over => [expected_secs, 0.0, self.attempts[at]],
+            _ => [expected_secs, -reach, self.attempts[at]],
         }
-    }
-
-    /// The same, and the probability to reach the target, which at the end of the last slot is 0, less than 0.
-    fn value(&self, node: usize, slot: usize) -> [f64; 2] {
-        let reach = if slot < self.options.slots { self.entry(node, slot).reach } else { 0.0 };
-        [self.secs(node, slot), -reach]
     }
 
     /// What there is to do at each node; edges that `is_taken` by index and start, and what has a finite worth.
@@ -153,9 +144,9 @@ impl<'a> Solver<'a> {
                         choices.all.push(choice);
                     }
                 }
-                let [secs, reach] = self.value(node, slot + 1);
-                if secs.is_finite() && !self.is_last_for_ever(slot) {
-                    let known = [secs + self.options.slot_secs, reach];
+                let mut known = self.value(node, slot + 1);
+                if known[TIME].is_finite() && !self.is_last_for_ever(slot) {
+                    known[TIME] += self.options.slot_secs;
                     choices.all.push(Choice { known, leak: 1.0, to: node as u32, edge: WAIT });
                 }
             }
@@ -176,7 +167,7 @@ impl<'a> Solver<'a> {
         let failed_secs = duration_secs + recovery_secs;
         let left_secs = (slots - slot) as f64 * slot_secs;
         let spent = |secs: f64| if objective == PolicyObjective::Reach { secs.min(left_secs) } else { secs };
-        let mut known = [success * spent(duration_secs), 0.0];
+        let mut known = [success * spent(duration_secs), 0.0, 1.0];
         let mut share = 0.0;
         let there = Landing::after(duration_secs / slot_secs);
         if to == self.target {
@@ -201,7 +192,7 @@ impl<'a> Solver<'a> {
     }
 
     /// Adds the worth of landing at a node in later slots with a probability; returns how much of it lands in this one.
-    fn land(&self, landing: Landing, slot: usize, node: usize, probability: f64, known: &mut [f64; 2]) -> f64 {
+    fn land(&self, landing: Landing, slot: usize, node: usize, probability: f64, known: &mut [f64; 3]) -> f64 {
         let mut own = 0.0;
         for (slots, share) in [(landing.slots, 1.0 - landing.beyond), (landing.slots.saturating_add(1), landing.beyond)]
         {
@@ -222,8 +213,9 @@ impl<'a> Solver<'a> {
 
     /// Least expected times where the forecasts of the last slot stay for ever, and the edges that lead to them: to fail and try
     /// again costs as on a route, so this is Dijkstra's search from the target.
-    fn for_ever(&self, open: &[Option<EdgeForecast>], secs: &mut [f64]) -> Vec<Option<u32>> {
+    fn for_ever(&self, open: &[Option<EdgeForecast>], values: &mut [Vec<f64>; 3]) -> Vec<Option<u32>> {
         let count = self.network.nodes.len();
+        let [secs, _, attempts] = values;
         secs.fill(f64::INFINITY);
         let mut picked = vec![None; count];
         let mut is_done = vec![false; count];
@@ -242,6 +234,7 @@ impl<'a> Solver<'a> {
                 if !is_done[from] && found < secs[from] {
                     secs[from] = found;
                     picked[from] = Some(edge as u32);
+                    attempts[from] = attempts[node] + 1.0 / forecast.success;
                     queue.push(Reverse((found.to_bits(), from)));
                 }
             }

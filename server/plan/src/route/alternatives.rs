@@ -53,6 +53,7 @@ pub(super) fn next_best<F: Forecasts, U: FnMut() -> bool>(
                     closed_first: &closed_first,
                     goal,
                     latest_secs,
+                    join_secs: 0.0,
                 };
                 // Worse than so many others it will never be taken.
                 let wanted = count + 1 - found.len();

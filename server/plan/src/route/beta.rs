@@ -73,11 +73,7 @@ fn quantile(alpha: f64, beta: f64, q: f64) -> f64 {
         } else {
             1.0 - front * fraction(beta, alpha, log_y.exp()) / beta
         };
-        if below < q {
-            low = u
-        } else {
-            high = u
-        }
+        (low, high) = if below < q { (u, high) } else { (low, u) };
         // The density of u is `front`.
         let newton = u - (below - q) / front;
         let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };

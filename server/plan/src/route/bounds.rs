@@ -16,6 +16,7 @@ pub(super) enum Source {
 }
 
 /// Least costs over a span of time.
+#[derive(Clone, Debug)]
 pub(super) struct ToGo {
     /// From each node to the goal; infinite where no way leads.
     pub least: Vec<Cost>,

@@ -36,6 +36,8 @@ pub(super) struct Task<'a> {
     pub goal: usize,
     /// No arrival after this.
     pub latest_secs: f64,
+    /// Ways that arrive within so many seconds count as arriving together, and within the resolution.
+    pub join_secs: f64,
 }
 
 /// What has been left out without proof, and for what other reasons there may be no way.
@@ -164,7 +166,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
             let is_open = |edge: &usize| {
                 let to = network.to(*edge);
                 let is_passed = task.is_passed[to] || self.stamps[to] == self.stamp;
-                !is_passed && !(at == 0 && task.closed_first.contains(edge))
+                !(is_passed || at == 0 && task.closed_first.contains(edge))
             };
             open_edges.clear();
             open_edges.extend(network.leaving(node as usize).filter(is_open));
@@ -180,7 +182,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
                     }
                     continue;
                 }
-                let place = (to as u32, self.outlook.rounded(label.at_secs).to_bits());
+                let place = (to as u32, self.outlook.joined(label.at_secs, task.join_secs).to_bits());
                 let head = places.get(&place).copied().unwrap_or(NONE);
                 if self.is_dominated(head, &label, at, limit) {
                     continue;

@@ -56,6 +56,15 @@ impl<'a, F: Forecasts> Outlook<'a, F> {
         }
     }
 
+    /// Which arrivals count as the same as this.
+    pub fn joined(&self, at_secs: f64, join_secs: f64) -> f64 {
+        if join_secs > self.resolution_secs {
+            (at_secs / join_secs).round() * join_secs + 0.0
+        } else {
+            self.rounded(at_secs)
+        }
+    }
+
     /// An edge entered at a time; `None` while it is closed.
     pub fn at(&mut self, edge: usize, at_secs: f64) -> Result<Option<Traversal>, ForecastError> {
         let at_secs = self.rounded(at_secs);
@@ -101,8 +110,8 @@ impl<'a, F: Forecasts> Outlook<'a, F> {
         self.costing.cost(success, duration.unwrap_or(0.0))
     }
 
-    /// The least that an edge costs at so many times of a span, both ends among them where there are two; infinite where it is
-    /// closed at all of them.
+    /// The least that an edge costs at about so many times from before a span to its end or after; infinite where it is closed at
+    /// all of them. The times are whole multiples of a power of two, so that spans nearby share them.
     pub fn sampled_least(
         &mut self,
         edge: usize,
@@ -111,10 +120,13 @@ impl<'a, F: Forecasts> Outlook<'a, F> {
         samples: u32,
     ) -> Result<Cost, ForecastError> {
         let mut least = Cost::INFINITE;
-        let step_secs = (to_secs - from_secs) / f64::from(samples.max(2) - 1);
-        for sample in 0..samples {
-            if let Some(traversal) = self.at(edge, from_secs + step_secs * f64::from(sample))? {
-                least = least.least(traversal.cost);
+        let span_secs = to_secs - from_secs;
+        let step_secs = if span_secs > 0.0 { (span_secs / f64::from(samples)).log2().ceil().exp2() } else { 1.0 };
+        let first = (from_secs / step_secs).floor();
+        let count = ((to_secs / step_secs).ceil() - first) as u32;
+        for sample in 0..=count.min(samples + 1) {
+            if let Some(found) = self.at(edge, (first + f64::from(sample)) * step_secs)? {
+                least = least.least(self.costing.cost(found.success, found.duration_secs));
             }
         }
         Ok(least)

@@ -49,6 +49,12 @@ fn a_robot_waits_for_a_door_and_has_no_way_once_it_is_shut_for_ever() {
     let table = solve(PolicyObjective::Reach, door);
     let at = |node, slot| table.entry(NodeId(node), slot).unwrap();
     assert_eq!(at(2, 5).action, PolicyAction::Wait);
+    // Not to and fro before the door, though that would lose no time.
+    let edge = |node: u32, slot| match at(node, slot).action {
+        PolicyAction::Take(edge) => Some(edge.0 % 2),
+        _ => None,
+    };
+    assert!((0..10).all(|slot| edge(0, slot) != Some(1) && edge(1, slot) != Some(1) && edge(2, slot).is_none()));
     assert!((at(2, 5).expected_secs - (5.0 * 900.0 + 10.0)).abs() < 1e-9, "{:?}", at(2, 5));
     assert!(matches!(at(2, 10).action, PolicyAction::Take(_)));
     assert_eq!((at(2, 30).action, at(2, 30).reach), (PolicyAction::Nothing, 0.0));

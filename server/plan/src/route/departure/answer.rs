@@ -1,0 +1,115 @@
+//! What is told of the ways that were found.
+//!
+//! Invariant: figures are those of the forecasts that the search has used.
+
+use tidemap_map::topology::Edge;
+
+use super::{AUTO_LABELS, AUTO_SAMPLES, Departure, Planner};
+use crate::route::{
+    Bounds, Certainty, Forecasts, Route, RouteError, RouteStep, Routes,
+    alternatives::next_best,
+    beta::Chance,
+    bounds::ToGo,
+    cost::Cost,
+    labels::{Found, Marks},
+};
+
+impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
+    /// The steps of a way, and when it ends.
+    pub(super) fn walk(&mut self, departure_secs: f64, edges: &[usize]) -> Result<(Vec<Walked<'a>>, f64), RouteError> {
+        let mut at_secs = departure_secs;
+        let mut steps = Vec::with_capacity(edges.len());
+        for &edge in edges {
+            // It was open to the search.
+            let Some(traversal) = self.outlook.at(edge, at_secs)? else { continue };
+            steps.push(Walked {
+                edge: self.network.edges[edge],
+                start_secs: at_secs,
+                duration_secs: traversal.duration_secs,
+                expected_secs: traversal.expected_secs,
+                success: traversal.success,
+                chance: Chance::new(traversal.success, traversal.evidence),
+            });
+            at_secs += traversal.duration_secs;
+        }
+        Ok((steps, at_secs))
+    }
+
+    fn route(&mut self, departure_secs: f64, found: &Found) -> Result<Route, RouteError> {
+        let (walked, arrival_secs) = self.walk(departure_secs, &found.edges)?;
+        let confidence = self.options.confidence;
+        let chance = walked.iter().fold(Chance::CERTAIN, |all, step| all.and(step.chance));
+        Ok(Route {
+            departure_secs,
+            arrival_secs,
+            expected_secs: walked.iter().map(|step| step.expected_secs).sum(),
+            success: walked.iter().map(|step| step.success).product(),
+            success_interval: chance.interval(confidence),
+            cost: self.outlook.costing.shown(found.cost),
+            steps: walked.into_iter().map(|step| step.shown(confidence)).collect(),
+        })
+    }
+
+    /// The best way of a departure with the next best ones. Where [`Bounds::Auto`] has few labels it samples after all.
+    fn alternatives(&mut self, departure: Departure) -> Result<Vec<Found>, RouteError> {
+        let Departure { secs, found, to_go } = departure;
+        let to_go = to_go.or(self.known.take()).unwrap_or_else(|| ToGo::nothing(self.network));
+        let (ends, span) = ((self.start, self.goal), (secs, secs + self.options.horizon_secs));
+        let (count, labels_max) = (self.options.alternatives, self.options.labels_max);
+        let is_try = self.bounds == Bounds::Auto && !self.marks.cut_off;
+        let most = if is_try { AUTO_LABELS.min(labels_max) } else { labels_max };
+        let marks = self.marks;
+        let again = found.clone();
+        let all = self.search(secs, &to_go, most, |search, _| next_best(search, found, ends, span, count))?;
+        if !is_try || !self.marks.cut_off {
+            return Ok(all);
+        }
+        self.marks = marks;
+        self.bounds = Bounds::Sampled(AUTO_SAMPLES);
+        let sampled = self.depart_sampled(secs, Cost::INFINITE, AUTO_SAMPLES)?;
+        let to_go = sampled.and_then(|sampled| sampled.to_go).unwrap_or(to_go);
+        self.search(secs, &to_go, labels_max, |search, _| next_best(search, again, ends, span, count))
+    }
+
+    pub(super) fn answer(&mut self, departure: Departure) -> Result<Routes, RouteError> {
+        let (secs, count) = (departure.secs, self.options.alternatives);
+        let mut all = vec![departure.found.clone()];
+        if count > 0 {
+            all = self.alternatives(departure)?;
+        }
+        let routes = all.iter().map(|found| self.route(secs, found)).collect::<Result<_, _>>()?;
+        let Marks { joined, cut_off, stopped, .. } = self.marks;
+        let certainty = [
+            (cut_off || stopped, Certainty::CutOff),
+            (self.is_sampled, Certainty::Sampled),
+            (joined, Certainty::WithinResolution),
+            (true, Certainty::Proven),
+        ];
+        let certainty = certainty.into_iter().find(|found| found.0).map_or(Certainty::Proven, |found| found.1);
+        Ok(Routes { routes, certainty, labels: self.labels, forecasts: self.outlook.asked })
+    }
+}
+
+/// An edge on a way, as it was forecast.
+pub(super) struct Walked<'a> {
+    edge: &'a Edge,
+    start_secs: f64,
+    duration_secs: f64,
+    pub expected_secs: f64,
+    success: f64,
+    chance: Chance,
+}
+
+impl Walked<'_> {
+    fn shown(&self, confidence: f64) -> RouteStep {
+        RouteStep {
+            edge: self.edge.id,
+            from: self.edge.from,
+            to: self.edge.to,
+            start_secs: self.start_secs,
+            duration_secs: self.duration_secs,
+            success: self.success,
+            success_interval: self.chance.interval(confidence),
+        }
+    }
+}
