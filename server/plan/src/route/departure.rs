@@ -37,6 +37,8 @@ pub(super) struct Planner<'a, F, U> {
     guide: Option<(ToGo, f64)>,
     marks: Marks,
     is_sampled: bool,
+    /// A departure had a way, and was too late.
+    is_late: bool,
     labels: usize,
 }
 
@@ -72,6 +74,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
             guide: None,
             marks,
             is_sampled: false,
+            is_late: false,
             labels: 0,
         }
     }
@@ -91,24 +94,12 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         let horizon_secs = self.options.horizon_secs;
         match when {
             _ if self.marks.cut_off || self.marks.stopped => RouteError::CutOff { labels: self.labels },
-            When::ArriveBy { by_secs, earliest_secs } if self.known_way() => {
+            When::ArriveBy { by_secs, earliest_secs } if self.is_late => {
                 RouteError::TooLate { earliest_secs: earliest_secs.max(by_secs - horizon_secs), by_secs }
             }
             _ if self.marks.too_long => RouteError::BeyondHorizon { from, to, horizon_secs },
             _ => RouteError::Unreachable { from, to, closed: self.outlook.closed() },
         }
-    }
-
-    /// Whether edges lead from the start to the goal at all.
-    fn known_way(&self) -> bool {
-        let mut is_seen = vec![false; self.network.nodes.len()];
-        let mut open = vec![self.start];
-        while let Some(node) = open.pop() {
-            if !std::mem::replace(&mut is_seen[node], true) {
-                open.extend(self.network.leaving(node).map(|edge| self.network.to(edge)));
-            }
-        }
-        is_seen[self.goal]
     }
 
     /// The best way at a departure that costs less than `limit`; known bounds are taken over `departures`, first and last.

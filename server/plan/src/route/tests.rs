@@ -2,6 +2,7 @@
 
 mod oracle;
 mod questions;
+mod streets;
 mod worlds;
 
 use super::*;

@@ -16,6 +16,7 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
     pub(super) fn arriving(&mut self, by_secs: f64, earliest_secs: f64) -> Result<Option<Departure>, RouteError> {
         let first_secs = earliest_secs.max(by_secs - self.options.horizon_secs);
         if first_secs > by_secs {
+            self.is_late = true;
             return Ok(None);
         }
         let step_secs = self.options.arrival_step_secs.max((by_secs - first_secs) / (DEPARTURES_MAX - 1) as f64);
@@ -54,6 +55,7 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
     /// At least so long, on average, takes every way that ends at the last of some times; as sure as the bounds are.
     fn least_secs(&mut self, (first_secs, by_secs): (f64, f64)) -> Result<f64, RouteError> {
         let known = self.depart(by_secs, (first_secs, by_secs), Cost::INFINITE)?;
+        self.is_late |= known.is_some();
         let (source, span) = match (self.bounds, known) {
             (Bounds::Sampled(samples), Some(departure)) => {
                 let (steps, _) = self.walk(by_secs, &departure.found.edges)?;
@@ -80,6 +82,7 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
         let Some(departure) = self.depart(secs, departures, Cost::INFINITE)? else { return Ok(None) };
         let (steps, _) = self.walk(secs, &departure.found.edges)?;
         let spare_secs = by_secs - secs - steps.iter().map(|step| step.expected_secs).sum::<f64>();
+        self.is_late |= spare_secs < 0.0;
         Ok((spare_secs >= 0.0).then_some((departure, spare_secs)))
     }
 }

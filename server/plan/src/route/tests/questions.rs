@@ -78,6 +78,9 @@ fn what_takes_too_long_is_told_from_what_cannot_be_reached() {
     let when = When::DepartAt(0.0);
     let error = plan_routes(&street(4), NodeId(0), NodeId(3), when, &options, &mut closed, || false).unwrap_err();
     assert_eq!(error, RouteError::Unreachable { from: 0, to: 3, closed: 1 });
+    let when_by = When::ArriveBy { by_secs: 1_000.0, earliest_secs: 0.0 };
+    let error = plan_routes(&street(4), NodeId(0), NodeId(3), when_by, &options, &mut closed, || false).unwrap_err();
+    assert_eq!(error, RouteError::Unreachable { from: 0, to: 3, closed: 1 });
     let unknown = plan_routes(&street(4), NodeId(0), NodeId(9), when, &options, &mut sure, || false);
     assert_eq!(unknown, Err(RouteError::UnknownNode(9)));
 }

@@ -1,0 +1,86 @@
+//! Maps too large to enumerate: ways that are found in one manner against those of another, and against a plain search.
+
+#[path = "../../../benches/search/maps.rs"]
+#[allow(dead_code, reason = "other tests use more of it")]
+mod maps;
+
+use tidemap_map::topology::{Edge, Roads, ShortestTimes};
+
+use self::maps::{Map, Shape};
+use super::*;
+
+/// A rhythm of two hours, other for each edge: large beside what routes take.
+struct Rhythm {
+    knows_bounds: bool,
+}
+
+impl Forecasts for Rhythm {
+    fn at(&mut self, edge: &Edge, at_secs: f64) -> Option<EdgeForecast> {
+        let swing = (std::f64::consts::TAU * at_secs / 7_200.0 + f64::from(edge.id.0)).sin();
+        let duration_secs = edge.extent.secs_at(1.0) * (1.0 + 0.1 * swing);
+        Some(EdgeForecast { success: 0.9 + 0.08 * swing, duration_secs, evidence: 10.0 })
+    }
+
+    fn best(&mut self, edge: &Edge, _: f64, _: f64) -> Option<EdgeBest> {
+        let duration_secs = 0.9 * edge.extent.secs_at(1.0);
+        self.knows_bounds.then_some(EdgeBest { success: 0.98, duration_secs })
+    }
+}
+
+#[test]
+fn samples_find_what_bounds_prove() {
+    for seed in 0..6 {
+        let map = Map::random(Shape::Streets, 100, false, seed);
+        for objective in [Objective::Time, Objective::Blend { weight: 0.3 }, Objective::Success] {
+            let options = RouteOptions { objective, alternatives: 2, labels_max: 1_000_000, ..RouteOptions::default() };
+            let ask = |bounds, knows_bounds| {
+                let options = RouteOptions { bounds, ..options };
+                let (when, at) = (When::DepartAt(1_000.0 * seed as f64), &mut Rhythm { knows_bounds });
+                plan_routes(&map.topology, NodeId(0), NodeId(99), when, &options, at, || false).unwrap()
+            };
+            let (proven, sampled) = (ask(Bounds::Known, true), ask(Bounds::Sampled(4), false));
+            assert_eq!(proven.certainty, Certainty::WithinResolution, "seed {seed}, {objective:?}");
+            assert_eq!(sampled.certainty, Certainty::Sampled, "seed {seed}, {objective:?}");
+            for (a, b) in proven.routes.iter().zip(&sampled.routes) {
+                // Within a second a success changes by 7e-5.
+                assert!((a.cost - b.cost).abs() < 1e-3 * a.cost, "seed {seed}, {objective:?}: {} {}", a.cost, b.cost);
+            }
+            assert!(proven.routes.windows(2).all(|pair| pair[0].cost <= pair[1].cost + 1e-9), "seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn what_does_not_change_with_time_has_the_shortest_way() {
+    for seed in 0..4 {
+        let map = Map::random(Shape::Random, 400, false, seed);
+        let mut still = |edge: &Edge, _: f64| {
+            Some(EdgeForecast { success: 0.5, duration_secs: edge.extent.secs_at(1.0), evidence: 10.0 })
+        };
+        // With successes of a half and no recovery, expected times are twice the durations.
+        let options = RouteOptions { objective: Objective::Time, recovery_secs: 0.0, ..RouteOptions::default() };
+        let roads = Roads::new(&map.topology, |edge| Some(edge.extent.secs_at(1.0))).unwrap();
+        let mut shortest = ShortestTimes::default();
+        shortest.from(&roads, 0);
+        for to in [1, 57, 200, 399] {
+            let when = When::DepartAt(0.0);
+            let routes =
+                plan_routes(&map.topology, NodeId(0), NodeId(to), when, &options, &mut still, || false).unwrap();
+            assert!((routes.routes[0].cost - 2.0 * shortest.secs()[to as usize]).abs() < 1e-6, "seed {seed}, to {to}");
+        }
+    }
+}
+
+#[test]
+fn with_few_labels_a_way_is_found_and_said_to_be_cut_off() {
+    let map = Map::random(Shape::Streets, 400, false, 3);
+    let options = |labels_max| RouteOptions { labels_max, bounds: Bounds::Sampled(4), ..RouteOptions::default() };
+    let ask = |labels_max| {
+        let (when, at) = (When::DepartAt(0.0), &mut Rhythm { knows_bounds: false });
+        plan_routes(&map.topology, NodeId(0), NodeId(399), when, &options(labels_max), at, || false).unwrap()
+    };
+    let (all, few) = (ask(1_000_000), ask(20));
+    assert_eq!((all.certainty, few.certainty), (Certainty::Sampled, Certainty::CutOff));
+    let (best, found) = (all.routes[0].cost, few.routes[0].cost);
+    assert!(best <= found + 1e-9 && found < 1.5 * best, "{best} {found}");
+}
