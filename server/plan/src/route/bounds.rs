@@ -20,14 +20,14 @@ pub(super) enum Source {
 pub(super) struct ToGo {
     /// From each node to the goal; infinite where no way leads.
     pub least: Vec<Cost>,
-    /// The first part of the cheapest edge into each node.
-    into: Vec<f64>,
+    /// The least of both parts of the edges into each node.
+    into: Vec<Cost>,
 }
 
 impl ToGo {
     /// Nothing is known.
     pub fn nothing(network: &Network) -> ToGo {
-        ToGo { least: vec![Cost::ZERO; network.nodes.len()], into: vec![0.0; network.nodes.len()] }
+        ToGo { least: vec![Cost::ZERO; network.nodes.len()], into: vec![Cost::ZERO; network.nodes.len()] }
     }
 
     /// Dijkstra's search, from the goal back. Lexicographic sums of least parts are lower bounds: a way whose first part is more
@@ -44,7 +44,7 @@ impl ToGo {
     ) -> Result<ToGo, ForecastError> {
         let count = network.nodes.len();
         let mut least = vec![Cost::INFINITE; count];
-        let mut into = vec![f64::INFINITY; count];
+        let mut into = vec![Cost::INFINITE; count];
         let mut is_done = vec![false; count];
         let mut open = BinaryHeap::new();
         least[goal] = Cost::ZERO;
@@ -65,7 +65,7 @@ impl ToGo {
                     Source::Known => outlook.known_least(edge, span.0, span.1),
                     Source::Sampled(samples) => outlook.sampled_least(edge, span.0, span.1, samples)?,
                 };
-                into[node] = into[node].min(own.first);
+                into[node] = into[node].least(own);
                 let (from, found) = (network.from(edge), cost.plus(own));
                 if !is_done[from] && found < least[from] {
                     least[from] = found;
@@ -76,14 +76,14 @@ impl ToGo {
         Ok(ToGo { least, into: capped(into) })
     }
 
-    /// At least so much, in the first part, is paid by who leaves for a node and goes from there to the goal.
-    pub fn through(&self, node: usize) -> f64 {
-        self.into[node] + self.least[node].first
+    /// At least so much is paid by who leaves for a node and goes from there to the goal.
+    pub fn through(&self, node: usize) -> Cost {
+        self.into[node].plus(self.least[node])
     }
 }
 
 /// Nothing is known of edges into nodes that were not come to.
-fn capped(mut into: Vec<f64>) -> Vec<f64> {
-    into.iter_mut().filter(|secs| secs.is_infinite()).for_each(|secs| *secs = 0.0);
+fn capped(mut into: Vec<Cost>) -> Vec<Cost> {
+    into.iter_mut().filter(|cost| cost.first.is_infinite()).for_each(|cost| *cost = Cost::ZERO);
     into
 }

@@ -67,8 +67,8 @@ struct Label {
     next: u32,
     at_secs: f64,
     cost: Cost,
-    /// The least that coming back to a node before this one costs from here, in the first part.
-    back: f64,
+    /// The least that coming back to a node before this one, and going from there to the goal, costs from here.
+    back: Cost,
     is_dropped: bool,
 }
 
@@ -212,7 +212,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
             next: NONE,
             at_secs: task.at_secs,
             cost: task.cost,
-            back: f64::INFINITY,
+            back: Cost::INFINITE,
             is_dropped: false,
         });
     }
@@ -243,7 +243,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
             self.marks.too_long = true;
             return Ok(None);
         }
-        let back = label.back.min(self.to_go.through(label.node as usize));
+        let back = label.back.least(self.to_go.through(label.node as usize));
         let (node, edge) = (to as u32, edge as u32);
         let made = Label { node, edge, parent: at, next: NONE, at_secs, cost, back, is_dropped: false };
         Ok(Some((least, made)))
@@ -277,8 +277,8 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
 
     /// Whether what may follow `worse` may follow `better` instead. Each comes with the index of its parent.
     fn replaces(&mut self, better: (&Label, u32), worse: (&Label, u32), limit: Cost) -> bool {
-        let cost = worse.0.cost.first;
-        let is_within = |to_pay: f64| cost + to_pay <= limit.first * (1.0 + 1e-12);
+        let cost = worse.0.cost;
+        let is_within = |to_pay: Cost| !cost.plus(to_pay).is_beyond(limit);
         if !is_within(better.0.back) {
             return true;
         }

@@ -153,3 +153,34 @@ fn options_out_of_range_are_refused() {
     let many = When::DepartWithin { from_secs: 0.0, to_secs: 1_000.0, step_secs: 1.0 };
     assert_eq!(ask(many, &base), Err(RouteError::TooManyDepartures { found: 1_001.0 }));
 }
+
+#[test]
+fn a_dearer_way_is_kept_where_the_cheaper_one_has_passed_what_follows() {
+    // From 0 to node 2 over 1, or straight in the same time and less surely; from 1 to the goal, 3, well from 25 s on only.
+    let mut topology = Topology::new();
+    let nodes: Vec<NodeId> = (0..4)
+        .map(|node| {
+            topology.add_node(tidemap_map::name::StateName::new(&format!("n{node}")).unwrap(), None, None).unwrap()
+        })
+        .collect();
+    for (from, to) in [(0, 1), (1, 2), (0, 2), (2, 1), (1, 3), (2, 3)] {
+        topology.add_edge(nodes[from], nodes[to], None, tidemap_map::topology::Extent::secs(10.0)).unwrap();
+    }
+    let mut at = |edge: &tidemap_map::topology::Edge, at_secs: f64| {
+        let (success, duration_secs) = match (edge.from.0, edge.to.0) {
+            (0, 2) => (0.8, 20.0),
+            (1, 3) if at_secs < 25.0 => (0.01, 10.0),
+            (1, 3) => (1.0, 10.0),
+            (2, 3) => (0.05, 10.0),
+            _ => (0.9, 10.0),
+        };
+        Some(EdgeForecast { success, duration_secs, evidence: 5.0 })
+    };
+    for bounds in [Bounds::Known, Bounds::Sampled(9), Bounds::Auto] {
+        let options = RouteOptions { bounds, ..RouteOptions::default() };
+        let when = When::DepartAt(0.0);
+        let routes = plan_routes(&topology, nodes[0], nodes[3], when, &options, &mut at, || false).unwrap();
+        let way: Vec<u32> = routes.routes[0].steps.iter().map(|step| step.to.0).collect();
+        assert_eq!(way, [2, 1, 3], "{bounds:?}");
+    }
+}

@@ -84,3 +84,20 @@ fn with_few_labels_a_way_is_found_and_said_to_be_cut_off() {
     let (best, found) = (all.routes[0].cost, few.routes[0].cost);
     assert!(best <= found + 1e-9 && found < 1.5 * best, "{best} {found}");
 }
+
+#[test]
+fn where_nothing_fails_the_fastest_way_wins() {
+    let map = Map::random(Shape::Streets, 2_500, false, 5);
+    let mut sure = |edge: &Edge, _: f64| {
+        Some(EdgeForecast { success: 1.0, duration_secs: edge.extent.secs_at(1.0), evidence: 10.0 })
+    };
+    let roads = Roads::new(&map.topology, |edge| Some(edge.extent.secs_at(1.0))).unwrap();
+    let mut shortest = ShortestTimes::default();
+    shortest.from(&roads, 0);
+    let (options, when) = (RouteOptions::default(), When::DepartAt(0.0));
+    let routes = plan_routes(&map.topology, NodeId(0), NodeId(2_499), when, &options, &mut sure, || false).unwrap();
+    assert_eq!(routes.certainty, Certainty::Sampled);
+    let route = &routes.routes[0];
+    assert_eq!((route.success, route.cost), (1.0, 0.0));
+    assert!((route.expected_secs - shortest.secs()[2_499]).abs() < 1e-6, "{}", route.expected_secs);
+}
