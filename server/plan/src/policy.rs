@@ -7,7 +7,7 @@
 //!
 //! Values are those at the beginnings of slots. A time between two beginnings counts as one of them, each as likely as the time is
 //! close to it: values are straight between beginnings, and times are right on average. Several edges may be gone within one slot:
-//! its values then depend on each other, and are solved for together, exactly, by policy iteration ([`settle`]).
+//! its values then depend on each other, and are solved for together, exactly, by policy iteration (`policy/settle.rs`).
 //!
 //! A [`route`](crate::route) is a plan for when all goes well; this one has an answer after a failure, too, and may wait for a
 //! door. Invariant: the values are those of the best actions, to the last digits; no number is NaN.

@@ -123,9 +123,10 @@ pub struct RouteOptions {
     pub resolution_secs: f64,
     /// What may be left out.
     pub bounds: Bounds,
-    /// Most partial routes of the search of one departure, 1 or more; 200,000 by default, 64 bytes each; as many again for all
-    /// alternatives. Where they do not suffice with sampled bounds, as many are spent on a coarser search, in which ways count as
-    /// arriving together within 16 times the resolution; the answer is [`Certainty::CutOff`] all the same.
+    /// Most partial routes of one search, 1 or more; 200,000 by default, 64 bytes each. With sampled bounds a quarter of them is tried
+    /// first; then edges are sampled again, nearer to the time at which a good route comes to them; and if that does not do, ways
+    /// count as arriving together within 16 times the resolution, and the answer is [`Certainty::CutOff`]. All alternatives together
+    /// are one search.
     pub labels_max: usize,
     /// In which steps departures are tried for [`When::ArriveBy`], in seconds, above 0; 60 by default. Where that would be more
     /// than [`DEPARTURES_MAX`], the steps are wider.

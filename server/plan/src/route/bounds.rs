@@ -6,6 +6,9 @@ use std::{cmp::Reverse, collections::BinaryHeap};
 
 use super::{ForecastError, Forecasts, cost::Cost, network::Network, outlook::Outlook};
 
+/// How far from the expected time an edge is sampled to either side, as a share of what a good way takes.
+const REACH: f64 = 0.25;
+
 /// How the least cost of an edge is found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Source {
@@ -13,6 +16,12 @@ pub(super) enum Source {
     Known,
     /// From so many forecasts.
     Sampled(u32),
+    /// From so many forecasts about the time at which an edge is come to on a good way.
+    About {
+        samples: u32,
+        /// What that way costs; it takes the whole span.
+        cost: Cost,
+    },
 }
 
 /// Least costs over a span of time.
@@ -64,6 +73,10 @@ impl ToGo {
                 let own = match source {
                     Source::Known => outlook.known_least(edge, span.0, span.1),
                     Source::Sampled(samples) => outlook.sampled_least(edge, span.0, span.1, samples)?,
+                    Source::About { samples, cost: good } => {
+                        let (from_secs, to_secs) = about(span, share(cost, good));
+                        outlook.sampled_least(edge, from_secs, to_secs, samples)?
+                    }
                 };
                 into[node] = into[node].least(own);
                 let (from, found) = (network.from(edge), cost.plus(own));
@@ -80,6 +93,19 @@ impl ToGo {
     pub fn through(&self, node: usize) -> Cost {
         self.into[node].plus(self.least[node])
     }
+}
+
+/// Which share of a cost another is, in `[0,1]`.
+fn share(part: Cost, all: Cost) -> f64 {
+    let (part, all) = if all.first > 0.0 { (part.first, all.first) } else { (part.then, all.then) };
+    if all > 0.0 { (part / all).clamp(0.0, 1.0) } else { 0.0 }
+}
+
+/// The times of a span about that at which a share of it is left.
+fn about((from_secs, to_secs): (f64, f64), left: f64) -> (f64, f64) {
+    let middle_secs = to_secs - left * (to_secs - from_secs);
+    let reach_secs = REACH * (to_secs - from_secs);
+    ((middle_secs - reach_secs).max(from_secs), middle_secs + reach_secs)
 }
 
 /// Nothing is known of edges into nodes that were not come to.

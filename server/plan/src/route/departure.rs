@@ -160,12 +160,21 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         // Alternatives cost more than the best.
         let bounds_limit = if self.options.alternatives > 0 { Cost::INFINITE } else { worst };
         let (source, span) = (Source::Sampled(samples), (secs, secs + span_secs));
-        let to_go = ToGo::find(self.network, &mut self.outlook, self.goal, span, source, bounds_limit)?;
+        let mut to_go = ToGo::find(self.network, &mut self.outlook, self.goal, span, source, bounds_limit)?;
         self.is_sampled = true;
         self.guide = Some((to_go.clone(), span_secs));
         let (labels_max, cut_off) = (self.options.labels_max, self.marks.cut_off);
         self.marks.cut_off = false;
-        let mut found = self.search(secs, &to_go, labels_max, |search, task| search.best(task, good, limit))?;
+        let few = labels_max.div_ceil(4);
+        let mut found = self.search(secs, &to_go, few, |search, task| search.best(task, good, limit))?;
+        if self.marks.cut_off {
+            self.marks.cut_off = false;
+            if let Some(Found { edges, cost }) = &found {
+                let (source, span) = (Source::About { samples, cost: *cost }, (secs, self.walk(secs, edges)?.1));
+                to_go = ToGo::find(self.network, &mut self.outlook, self.goal, span, source, bounds_limit)?;
+            }
+            found = self.search(secs, &to_go, labels_max, |search, task| search.best(task, found, limit))?;
+        }
         if self.marks.cut_off {
             let join_secs = COARSE * self.options.resolution_secs.max(1.0);
             found = self.search(secs, &to_go, labels_max, |search, task| {

@@ -1,13 +1,28 @@
 //! Maps too large to enumerate: ways that are found in one manner against those of another, and against a plain search.
 
-#[path = "../../../benches/search/maps.rs"]
-#[allow(dead_code, reason = "other tests use more of it")]
-mod maps;
+use rand::{Rng, SeedableRng, rngs::SmallRng};
+use tidemap_map::{
+    name::StateName,
+    topology::{Edge, Extent, Roads, ShortestTimes},
+};
 
-use tidemap_map::topology::{Edge, Roads, ShortestTimes};
-
-use self::maps::{Map, Shape};
 use super::*;
+
+/// Streets of so many nodes each way: all those that run east, the first that runs north, and half of the others piecewise.
+fn city(width: u32, seed: u64) -> Topology {
+    let mut random = SmallRng::seed_from_u64(seed);
+    let mut topology = Topology::new();
+    for node in 0..width * width {
+        let id = topology.add_node(StateName::new(&format!("n{node}")).unwrap(), None, None).unwrap();
+        if node % width > 0 {
+            topology.link(NodeId(node - 1), id, Extent::secs(random.random_range(5.0..15.0))).unwrap();
+        }
+        if node >= width && (node % width == 0 || random.random()) {
+            topology.link(NodeId(node - width), id, Extent::secs(random.random_range(5.0..15.0))).unwrap();
+        }
+    }
+    topology
+}
 
 /// A rhythm of two hours, other for each edge: large beside what routes take.
 struct Rhythm {
@@ -30,13 +45,13 @@ impl Forecasts for Rhythm {
 #[test]
 fn samples_find_what_bounds_prove() {
     for seed in 0..6 {
-        let map = Map::random(Shape::Streets, 100, false, seed);
+        let map = city(10, seed);
         for objective in [Objective::Time, Objective::Blend { weight: 0.3 }, Objective::Success] {
             let options = RouteOptions { objective, alternatives: 2, labels_max: 1_000_000, ..RouteOptions::default() };
             let ask = |bounds, knows_bounds| {
                 let options = RouteOptions { bounds, ..options };
                 let (when, at) = (When::DepartAt(1_000.0 * seed as f64), &mut Rhythm { knows_bounds });
-                plan_routes(&map.topology, NodeId(0), NodeId(99), when, &options, at, || false).unwrap()
+                plan_routes(&map, NodeId(0), NodeId(99), when, &options, at, || false).unwrap()
             };
             let (proven, sampled) = (ask(Bounds::Known, true), ask(Bounds::Sampled(4), false));
             assert_eq!(proven.certainty, Certainty::WithinResolution, "seed {seed}, {objective:?}");
@@ -53,19 +68,18 @@ fn samples_find_what_bounds_prove() {
 #[test]
 fn what_does_not_change_with_time_has_the_shortest_way() {
     for seed in 0..4 {
-        let map = Map::random(Shape::Random, 400, false, seed);
+        let map = city(20, seed);
         let mut still = |edge: &Edge, _: f64| {
             Some(EdgeForecast { success: 0.5, duration_secs: edge.extent.secs_at(1.0), evidence: 10.0 })
         };
         // With successes of a half and no recovery, expected times are twice the durations.
         let options = RouteOptions { objective: Objective::Time, recovery_secs: 0.0, ..RouteOptions::default() };
-        let roads = Roads::new(&map.topology, |edge| Some(edge.extent.secs_at(1.0))).unwrap();
+        let roads = Roads::new(&map, |edge| Some(edge.extent.secs_at(1.0))).unwrap();
         let mut shortest = ShortestTimes::default();
         shortest.from(&roads, 0);
         for to in [1, 57, 200, 399] {
             let when = When::DepartAt(0.0);
-            let routes =
-                plan_routes(&map.topology, NodeId(0), NodeId(to), when, &options, &mut still, || false).unwrap();
+            let routes = plan_routes(&map, NodeId(0), NodeId(to), when, &options, &mut still, || false).unwrap();
             assert!((routes.routes[0].cost - 2.0 * shortest.secs()[to as usize]).abs() < 1e-6, "seed {seed}, to {to}");
         }
     }
@@ -73,11 +87,11 @@ fn what_does_not_change_with_time_has_the_shortest_way() {
 
 #[test]
 fn with_few_labels_a_way_is_found_and_said_to_be_cut_off() {
-    let map = Map::random(Shape::Streets, 400, false, 3);
+    let map = city(20, 3);
     let options = |labels_max| RouteOptions { labels_max, bounds: Bounds::Sampled(4), ..RouteOptions::default() };
     let ask = |labels_max| {
         let (when, at) = (When::DepartAt(0.0), &mut Rhythm { knows_bounds: false });
-        plan_routes(&map.topology, NodeId(0), NodeId(399), when, &options(labels_max), at, || false).unwrap()
+        plan_routes(&map, NodeId(0), NodeId(399), when, &options(labels_max), at, || false).unwrap()
     };
     let (all, few) = (ask(1_000_000), ask(20));
     assert_eq!((all.certainty, few.certainty), (Certainty::Sampled, Certainty::CutOff));
@@ -87,15 +101,15 @@ fn with_few_labels_a_way_is_found_and_said_to_be_cut_off() {
 
 #[test]
 fn where_nothing_fails_the_fastest_way_wins() {
-    let map = Map::random(Shape::Streets, 2_500, false, 5);
+    let map = city(50, 5);
     let mut sure = |edge: &Edge, _: f64| {
         Some(EdgeForecast { success: 1.0, duration_secs: edge.extent.secs_at(1.0), evidence: 10.0 })
     };
-    let roads = Roads::new(&map.topology, |edge| Some(edge.extent.secs_at(1.0))).unwrap();
+    let roads = Roads::new(&map, |edge| Some(edge.extent.secs_at(1.0))).unwrap();
     let mut shortest = ShortestTimes::default();
     shortest.from(&roads, 0);
     let (options, when) = (RouteOptions::default(), When::DepartAt(0.0));
-    let routes = plan_routes(&map.topology, NodeId(0), NodeId(2_499), when, &options, &mut sure, || false).unwrap();
+    let routes = plan_routes(&map, NodeId(0), NodeId(2_499), when, &options, &mut sure, || false).unwrap();
     assert_eq!(routes.certainty, Certainty::Sampled);
     let route = &routes.routes[0];
     assert_eq!((route.success, route.cost), (1.0, 0.0));
