@@ -8,6 +8,7 @@ mod grid;
 mod kinds;
 mod main_job;
 mod model_test;
+mod routes;
 mod search;
 mod tidy;
 mod traversals;

@@ -199,7 +199,8 @@ pub async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode>
         RouteCertainty::CutOff => "the time was up: there may be better routes",
     });
     if let (Some(path), Some(best)) = (&args.picture, routes.first()) {
-        let way = best.steps.iter().map(|step| step.edge.clone()).collect();
+        let way = best.steps.iter().map(|step| step.edge.clone());
+        let way = way.map(|EdgeEnds { from, to, action, .. }| (from, to, Some(action))).collect();
         let overlay = Overlay { way, numbered: Vec::new() };
         let picture =
             topology_picture::draw(session, &args.map, best.departure_nanos, args.model, args.speed, "", overlay)

@@ -2,15 +2,19 @@
 //!
 //! Invariant: rows come in the order of looking; what is not looked at, and why, goes to stderr.
 
-use std::process::ExitCode;
+use std::{fs, path::PathBuf, process::ExitCode};
 
+use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use tidemap::{
     queries::ModelSelector,
     routes::{Search, SearchEffort, SearchQuery, SearchStep, SearchStop},
 };
 
-use super::{Session, times};
+use super::{
+    Session, times,
+    topology_picture::{self, Overlay},
+};
 use crate::{
     output::{Cell, Sheet},
     progress::notice,
@@ -59,6 +63,9 @@ pub struct SearchArgs {
     /// Seed of what is random
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
+    /// Draws the map with the walk, as SVG
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -74,11 +81,14 @@ enum EffortArg {
 const COLUMNS: [&str; 5] = ["step", "node", "arrival_secs", "probability", "expected_secs"];
 
 pub async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode> {
+    if let Some(path) = &args.picture {
+        topology_picture::check_ending(path)?;
+    }
     let query = SearchQuery {
-        map: args.map,
+        map: args.map.clone(),
         start: args.start,
         time_nanos: args.at,
-        object: args.object,
+        object: args.object.clone(),
         budget_nanos: args.budget,
         effort: match args.effort {
             EffortArg::Auto => SearchEffort::Auto,
@@ -107,6 +117,13 @@ pub async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode
     }
     sheet.finish()?;
     summary(&search).iter().for_each(|line| notice(line));
+    if let Some(path) = &args.picture {
+        let way = search.walk.windows(2).map(|pair| (pair[0].0.clone(), pair[1].0.clone(), None)).collect();
+        let overlay = Overlay { way, numbered: search.steps.iter().map(|step| step.node.clone()).collect() };
+        let drawn =
+            topology_picture::draw(session, &args.map, args.at, args.model, args.speed, &args.object, overlay).await?;
+        fs::write(path, drawn).with_context(|| path.display().to_string())?;
+    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -17,8 +17,8 @@ use crate::formats::topology_svg::{self, DrawnEdge, DrawnNode, TopologyPicture};
 /// What is drawn over the map.
 #[derive(Clone, Debug, Default)]
 pub struct Overlay {
-    /// Edges of a way.
-    pub way: Vec<EdgeEnds>,
+    /// Edges of a way: from, to, and by which action where that is known.
+    pub way: Vec<(String, String, Option<String>)>,
     /// Nodes in their order.
     pub numbered: Vec<String>,
 }
@@ -62,7 +62,10 @@ pub async fn draw(
         step: step(&node.name),
     });
     let is_on_way = |edge: &EdgeEnds| {
-        overlay.way.iter().any(|way| (&way.from, &way.to, &way.action) == (&edge.from, &edge.to, &edge.action))
+        let is_it = |(from, to, action): &(String, String, Option<String>)| {
+            *from == edge.from && *to == edge.to && action.as_ref().is_none_or(|action| *action == edge.action)
+        };
+        overlay.way.iter().any(is_it)
     };
     let drawn = edges.iter().filter_map(|edge| {
         Some(DrawnEdge {

@@ -41,7 +41,8 @@ pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, 
         Asked::DepartNanos(nanos) => (time_from_wire("depart_nanos", *nanos)?, When::DepartAt(0.0)),
         Asked::ArriveByNanos(nanos) => {
             let nanos = time_from_wire("arrive_by_nanos", *nanos)?;
-            (nanos, When::ArriveBy { by_secs: 0.0, earliest_secs: -horizon_secs })
+            // There is no time before 1970.
+            (nanos, When::ArriveBy { by_secs: 0.0, earliest_secs: -horizon_secs.min(nanos as f64 / 1e9) })
         }
         Asked::DepartWithin(window) => {
             let from = time_from_wire("depart_within.from_nanos", window.from_nanos)?;
@@ -171,8 +172,9 @@ mod tests {
         let question = route_from_wire(&asked(Asked::DepartNanos(7 * MINUTE))).expect("right");
         let options = RouteOptions::default();
         assert_eq!(question, RouteQuestion { reference_nanos: 7 * MINUTE, when: When::DepartAt(0.0), options });
-        let by = route_from_wire(&asked(Asked::ArriveByNanos(7 * MINUTE))).expect("right");
-        assert_eq!(by.when, When::ArriveBy { by_secs: 0.0, earliest_secs: -86_400.0 });
+        let by = |minutes| route_from_wire(&asked(Asked::ArriveByNanos(minutes * MINUTE))).expect("right").when;
+        assert_eq!(by(7_000), When::ArriveBy { by_secs: 0.0, earliest_secs: -86_400.0 });
+        assert_eq!(by(7), When::ArriveBy { by_secs: 0.0, earliest_secs: -420.0 }, "not before 1970");
         let window = v1::DepartureWindow { from_nanos: MINUTE, to_nanos: 3 * MINUTE, step: None };
         let within = route_from_wire(&asked(Asked::DepartWithin(window))).expect("right");
         let steps = When::DepartWithin { from_secs: 0.0, to_secs: 120.0, step_secs: 60.0 };

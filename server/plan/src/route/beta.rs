@@ -39,8 +39,8 @@ impl Chance {
         Chance { log_mean: self.log_mean + other.log_mean, log_spread: self.log_spread + other.log_spread }
     }
 
-    /// The interval with equal tails that holds `confidence` of the Beta distribution with these two moments. A chance of 1 is
-    /// certain.
+    /// The interval with equal tails that holds `confidence` of the Beta distribution with these two moments, and the mean. A
+    /// chance of 1 is certain.
     pub fn interval(self, confidence: f64) -> Interval {
         let mean = self.log_mean.exp();
         if mean >= 1.0 {
@@ -55,7 +55,8 @@ impl Chance {
         let (alpha, beta) = (mean * evidence, -self.log_mean.exp_m1() * evidence);
         let tail = 0.5 * (1.0 - confidence);
         let (lower, upper) = (quantile(alpha, beta, tail), quantile(alpha, beta, 1.0 - tail));
-        Interval { lower, upper: upper.max(lower) }
+        // Nearly all of a chance close to 0 or 1 may lie on one side of its mean.
+        Interval { lower: lower.min(mean), upper: upper.max(mean) }
     }
 }
 
