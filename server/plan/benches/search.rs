@@ -1,8 +1,9 @@
 //! How long the best order of a search takes to find, and how good a heuristic one is after a second.
 //!
 //! `cargo bench -p tidemap-plan --bench search`: the whole question, shortest times included, of random maps; of each map the
-//! fastest of some repetitions, of the maps the median and the slowest, and the mean processor time of all runs. `-- large` instead: maps of 200 nodes, one second of
-//! processor time against the best known costs in `search/best.txt`; `-- long SECONDS` makes those anew, runs of so many seconds of processor time, ten of each, and prints them.
+//! fastest of some repetitions, of the maps the median and the slowest, and the mean processor time of all runs.
+//! `-- large [SECONDS]` instead: maps of 200 nodes, so many seconds of processor time (1), five seeds, against the best known
+//! costs in `search/best.txt`. `-- long SECONDS RUNS [SEED OF THE MAP]` makes those anew: a line per run, as it ends.
 #![allow(clippy::unwrap_used)]
 
 #[path = "search/maps.rs"]
@@ -107,16 +108,16 @@ fn best_known(shape: Shape, seed: u64) -> Option<f64> {
     include_str!("search/best.txt").lines().find_map(|line| line.strip_prefix(&wanted)?.trim().parse().ok())
 }
 
-fn large() {
+fn large(secs: u64) {
     for (shape, seed) in LARGE {
         let map = Map::random(shape, 200, false, seed);
         let mut found: Vec<f64> =
-            (0..5).map(|run| heuristic(&map, 100 + run, Duration::from_secs(1)).expected_secs).collect();
+            (0..5).map(|run| heuristic(&map, 100 + run, Duration::from_secs(secs)).expected_secs).collect();
         found.sort_by(f64::total_cmp);
         let best = best_known(shape, seed).unwrap_or(f64::NAN);
         let over = |secs: f64| 100.0 * (secs / best - 1.0);
         println!(
-            "{shape:?} {seed}: best known {best:.4}; after 1 s, of 5 seeds: best {:+.2} %, median {:+.2} %, worst {:+.2} %",
+            "{shape:?} {seed}: best known {best:.4}; after {secs} s, of 5 seeds: best {:+.2} %, median {:+.2} %, worst {:+.2} %",
             over(found[0]),
             over(found[2]),
             over(found[4])
@@ -124,11 +125,13 @@ fn large() {
     }
 }
 
-fn long(secs: u64, runs: u64) {
-    for (shape, seed) in LARGE {
+fn long(secs: u64, runs: u64, only: u64) {
+    for (shape, seed) in LARGE.into_iter().filter(|&(_, seed)| only == 0 || seed == only) {
         let map = Map::random(shape, 200, false, seed);
-        let found = (0..runs).map(|run| heuristic(&map, run, Duration::from_secs(secs)).expected_secs);
-        println!("{shape:?} {seed} {}", found.fold(best_known(shape, seed).unwrap_or(f64::INFINITY), f64::min));
+        for run in 0..runs {
+            let found = heuristic(&map, run, Duration::from_secs(secs)).expected_secs;
+            println!("{shape:?} {seed} {found} in {secs} s with seed {run}");
+        }
     }
 }
 
@@ -136,8 +139,8 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
     let number = |at: usize, or: u64| arguments.get(at).and_then(|number| number.parse().ok()).unwrap_or(or);
     match arguments.first().map(String::as_str) {
-        Some("large") => large(),
-        Some("long") => long(number(1, 600), number(2, 10)),
+        Some("large") => large(number(1, 1)),
+        Some("long") => long(number(1, 600), number(2, 10), number(3, 0)),
         _ => exact(),
     }
 }

@@ -1,7 +1,9 @@
 //! Iterated local search: a good walk fast, with no promise.
 //!
-//! A greedy walk is improved, disturbed by exchanging two short stretches, and improved again where it was disturbed; what is
-//! hardly worse than the best is gone on from, now and then the best itself. The same seed gives the same walk.
+//! A greedy walk is improved, disturbed by exchanging two short stretches, and improved again where it was disturbed. Whether a
+//! worse walk is gone on from is decided as in simulated annealing, in cycles: each begins hot at the best walk, cools, and is
+//! twice as long as the one before, so that a search of any length has cooled and has left what it was stuck in. The same seed
+//! gives the same walk.
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
@@ -12,24 +14,27 @@ use super::{
 
 /// Longest stretch that a disturbance exchanges.
 const DISTURBED_MAX: usize = 30;
-/// Neighbours that are looked at; all of small searches.
-const NEAR: usize = 40;
-/// Rounds without a better walk after which the search goes on from its best.
-const PATIENCE: u32 = 400;
-/// A walk that is by this share worse than the best may be gone on from.
-const TOLERANCE: f64 = 0.003;
+/// Neighbours that are looked at, in turn by cycle: few are four times as fast, many get on where few are stuck.
+const NEAR: [usize; 2] = [15, 40];
+/// Rounds of the first cycle.
+const CYCLE: usize = 2_000;
+/// By which share a walk that is gone on from may be worse than the one before it, on average: as a cycle begins and ends.
+const HOT: f64 = 3e-3;
+const COLD: f64 = 1e-4;
 
 /// An order of the goals that is good, after so many disturbances or when asked to stop.
 pub(super) fn iterate(problem: &Problem, rounds: usize, seed: u64, mut until: impl FnMut() -> bool) -> Vec<usize> {
-    let near = Near::new(problem, NEAR);
+    let near = Near::new(problem, NEAR[1]);
     let mut best = Walk::new(problem, &near, &greedy(problem));
     best.improve(&mut until);
     if problem.count < 3 {
         return best.order().to_vec();
     }
     let mut random = SmallRng::seed_from_u64(seed);
-    let mut walk = best.clone();
-    let (mut accepted, mut patience) = (best.clone(), 0);
+    let (mut walk, mut accepted) = (best.clone(), best.clone());
+    // A short search is a cycle of its own.
+    let (mut cycle, mut done, mut cycles) = (CYCLE.min(rounds), 0, 0);
+    walk.look_at(NEAR[0]);
     for _ in 0..rounds {
         if until() {
             break;
@@ -38,16 +43,17 @@ pub(super) fn iterate(problem: &Problem, rounds: usize, seed: u64, mut until: im
         walk.improve(&mut until);
         if walk.cost() < best.cost() * (1.0 - 1e-12) {
             best.copy_from(&walk);
-            accepted.copy_from(&walk);
-            patience = 0;
-            continue;
         }
-        patience += 1;
-        if patience > PATIENCE {
-            patience = 0;
-            accepted.copy_from(&best);
-        } else if walk.cost() < accepted.cost().max(best.cost() * (1.0 + TOLERANCE * random.random::<f64>().powi(2))) {
+        let heat = HOT * (COLD / HOT).powf(done as f64 / cycle as f64);
+        let worse = -heat * random.random::<f64>().max(f64::MIN_POSITIVE).ln();
+        if walk.cost() <= accepted.cost() * (1.0 + worse) {
             accepted.copy_from(&walk);
+        }
+        done += 1;
+        if done == cycle {
+            (cycle, done, cycles) = (cycle.saturating_mul(2), 0, cycles + 1);
+            accepted.copy_from(&best);
+            walk.look_at(NEAR[cycles % NEAR.len()]);
         }
         walk.copy_from(&accepted);
     }

@@ -71,6 +71,8 @@ struct Sums {
 pub(super) struct Walk<'a> {
     problem: &'a Problem,
     near: &'a Near,
+    /// How many of the nearest goals are looked at.
+    reach: usize,
     goals: Vec<usize>,
     position: Vec<usize>,
     sums: Vec<Sums>,
@@ -85,6 +87,7 @@ impl<'a> Walk<'a> {
         let mut walk = Walk {
             problem,
             near,
+            reach: usize::MAX,
             goals: std::iter::once(problem.count).chain(order.iter().copied()).collect(),
             position: vec![0; problem.count + 1],
             sums: vec![Sums::default(); problem.count + 1],
@@ -97,6 +100,11 @@ impl<'a> Walk<'a> {
             walk.reopen(position);
         }
         walk
+    }
+
+    /// From now on at most so many of the nearest goals are looked at.
+    pub fn look_at(&mut self, reach: usize) {
+        self.reach = reach;
     }
 
     /// The goals in order.
@@ -221,7 +229,7 @@ impl<'a> Walk<'a> {
         let mut best =
             Change { cost: self.cost() * (1.0 - LEAST_GAIN), from: 0, to: 0, stretches: [Stretch::NONE; 3], used: 0 };
         let near = self.near;
-        for &goal in near.of(self.goals[at]) {
+        for &goal in near.of(self.goals[at]).iter().take(self.reach) {
             let to = self.position[goal as usize];
             if to == from || to == 0 {
                 continue;
