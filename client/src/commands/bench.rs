@@ -9,6 +9,7 @@ mod load;
 mod machine;
 mod observe;
 mod predict;
+mod search;
 
 use std::process::{self, ExitCode};
 
@@ -29,6 +30,8 @@ pub enum BenchCommand {
     Latency(latency::LatencyArgs),
     /// How many predictions are answered per second
     Predict(predict::PredictArgs),
+    /// How long the planning of a search takes, from request to answer
+    Search(search::SearchArgs),
     /// How fast months of scans of a whole office are learned, with an update every night
     Grid(grid::GridArgs),
 }
@@ -76,6 +79,7 @@ async fn measure(client: &Client, map: &str, command: &BenchCommand) -> anyhow::
         BenchCommand::Observe(args) => observe::run(client, map, args).await?,
         BenchCommand::Latency(args) => latency::run(client, map, args).await?,
         BenchCommand::Predict(args) => predict::run(client, map, args).await?,
+        BenchCommand::Search(args) => search::run(client, map, args).await?,
         BenchCommand::Grid(args) => grid::run(client, map, args).await?,
     };
     figures.extend(machine::disk(client).await?);
