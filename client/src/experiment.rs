@@ -16,6 +16,7 @@ mod picture;
 mod protocol;
 mod report;
 mod score;
+pub mod search;
 mod tuning;
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ use crate::{
     experiment::{
         self, ProtocolError,
         explore::{self, Wanted, office},
+        search,
     },
     output::Format,
     progress::{Bar, notice},
@@ -38,6 +39,8 @@ enum ExperimentKind {
     Compare(CompareArgs),
     /// Explores a recorded world of places, or a simulated office: where to look, and what is learned from it
     Explore(CompareArgs),
+    /// Searches a recorded world for a person at every minute: how long it takes, by each model
+    Search(CompareArgs),
 }
 
 #[derive(Debug, Args)]
@@ -55,7 +58,7 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
     match path.extension().and_then(|ending| ending.to_str()) {
         Some("yaml" | "yml") => Ok(path),
         _ => Err(
-            "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore"
+            "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore, search"
                 .to_owned(),
         ),
     }
@@ -65,6 +68,7 @@ pub fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCode> {
     match (args.kind, args.compare) {
         (Some(ExperimentKind::Compare(args)), _) | (None, Some(args)) => compare(&args, format),
         (Some(ExperimentKind::Explore(args)), _) => explore(&args, format),
+        (Some(ExperimentKind::Search(args)), _) => search(&args, format),
         (None, None) => Err(Misused("name a protocol, a file that ends in .yaml or .yml".to_owned()).into()),
     }
 }
@@ -118,6 +122,23 @@ fn explore(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
             office::summary(protocol, &outcome, format, io::stdout().lock())?;
         }
     }
+    if io::stderr().is_terminal() {
+        notice(&format!("results are in {}", out.display()));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn search(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let shown = args.protocol.display();
+    let protocol = search::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
+    let out = args.out.as_ref().unwrap_or(&protocol.out);
+    fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
+    let bar = Bar::count("rounds");
+    let outcome = search::run(&protocol, &|done, total| bar.set_of(done, total));
+    bar.clear();
+    let outcome = outcome.with_context(|| shown.to_string())?;
+    search::write(&protocol, &outcome, out)?;
+    search::summary(&outcome, format, io::stdout().lock())?;
     if io::stderr().is_terminal() {
         notice(&format!("results are in {}", out.display()));
     }

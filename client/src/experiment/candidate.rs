@@ -29,6 +29,9 @@ pub enum ValueKind {
     Count,
 }
 
+/// A model that was fitted.
+pub type Fitted = Box<dyn TemporalModel + Send + Sync>;
+
 /// A kind of model with its parameters.
 #[derive(Clone, Debug)]
 pub struct Candidate {
@@ -214,7 +217,7 @@ impl Candidate {
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings or a value does not suit the model.
-    pub fn fit(&self, samples: &[Sample], kind: ValueKind) -> Result<Box<dyn TemporalModel>, CannotFit> {
+    pub fn fit(&self, samples: &[Sample], kind: ValueKind) -> Result<Fitted, CannotFit> {
         let readings = Readings::new(samples);
         Ok(match &self.settings {
             Settings::Mean => Box::new(Mean::fit(readings)?),

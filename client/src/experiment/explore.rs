@@ -30,7 +30,7 @@ pub use report::{summary, write};
 
 use belief::Model;
 use replay::Plan;
-use world::{World, WorldError};
+pub use world::{DAY_MINUTES, World, WorldError};
 
 /// What a file wants explored.
 #[derive(Clone, Debug, PartialEq)]

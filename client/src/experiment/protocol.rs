@@ -11,7 +11,7 @@ use std::{
 use tidemap::time::parse_duration;
 use tidemap_model::Zone;
 
-mod contender;
+pub(super) mod contender;
 mod error;
 pub(super) mod written;
 
@@ -25,7 +25,7 @@ use super::candidate::ValueKind;
 use written::{Word, Words, Written, WrittenTuning};
 
 /// Longest protocol; a long one has a hundred lines.
-const FILE_BYTES_MAX: u64 = 1024 * 1024;
+pub(super) const FILE_BYTES_MAX: u64 = 1024 * 1024;
 /// Most folds; each is a fit of every candidate.
 const FOLDS_MAX: usize = 1000;
 
@@ -259,7 +259,7 @@ fn labelled(paths: Vec<(Word, PathBuf)>) -> Vec<TestFile> {
     tests
 }
 
-fn tuning(written: WrittenTuning) -> Result<Tuning, ProtocolError> {
+pub(super) fn tuning(written: WrittenTuning) -> Result<Tuning, ProtocolError> {
     let WrittenTuning { folds: written_folds, fold: written_fold } = written;
     let folds = written_folds.text.parse().ok().filter(|folds| (1..=FOLDS_MAX).contains(folds));
     let folds = folds.ok_or_else(|| {

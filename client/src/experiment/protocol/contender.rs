@@ -26,7 +26,11 @@ pub struct Contender {
 }
 
 /// Reads the models.
-pub(super) fn read(models: &[WrittenModel], values: ValueKind, tunes: bool) -> Result<Vec<Contender>, ProtocolError> {
+pub(in crate::experiment) fn read(
+    models: &[WrittenModel],
+    values: ValueKind,
+    tunes: bool,
+) -> Result<Vec<Contender>, ProtocolError> {
     let mut contenders: Vec<Contender> = Vec::with_capacity(models.len());
     for model in models {
         let contender = contender(model, values, tunes)?;
