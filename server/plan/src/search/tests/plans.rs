@@ -172,6 +172,38 @@ fn a_large_map_is_searched_well_and_the_same_for_a_seed() {
 }
 
 #[test]
+fn a_longer_search_is_never_worse_and_leaves_what_a_shorter_one_is_stuck_in() {
+    let map = Map::random(Shape::Random, 100, false, 8);
+    let (roads, goals) = (map.roads(), goals(&map));
+    let found = |rounds_max, seed| {
+        let options = Options { rounds_max, seed, ..Options::default() };
+        search(&roads, map.start(), &goals, &options, || false).unwrap().expected_secs
+    };
+    let better = (0..2).filter(|&seed| {
+        let (short, long) = (found(2_000, seed), found(6_000, seed));
+        assert!(long <= short, "seed {seed}: {long} {short}");
+        long < short * 0.999
+    });
+    assert!(better.count() >= 1);
+}
+
+#[test]
+fn a_good_order_of_few_places_is_the_best() {
+    for (shape, seed) in [(Shape::Tree, 1), (Shape::Streets, 2), (Shape::Complete, 3), (Shape::Random, 4)] {
+        let map = Map::random(shape, 22, false, seed);
+        let (roads, goals) = (map.roads(), goals(&map));
+        let found = |effort| {
+            let options = Options { effort, ..Options::default() };
+            search(&roads, map.start(), &goals, &options, || false).unwrap()
+        };
+        let (best, good) = (found(Effort::Exact), found(Effort::Heuristic));
+        assert!(best.optimal && !good.optimal);
+        let over = good.expected_secs / best.expected_secs - 1.0;
+        assert!(over.abs() < 1e-9, "{shape:?}: {over}");
+    }
+}
+
+#[test]
 fn a_search_ends_where_little_remains_or_it_is_not_worth_it() {
     let (flat, [hall, near, far, closet]) = flat();
     let likely = [(hall, 0.5), (near, 0.3), (far, 0.15), (closet, 0.05)];
