@@ -15,8 +15,12 @@ use crate::{
     view::MapView,
 };
 
+mod edges;
+
 #[cfg(test)]
 mod tests;
+
+pub use edges::Edges;
 
 /// No edge is less likely to be passed.
 pub const LEAST_SUCCESS: f64 = 0.001;

@@ -6,10 +6,10 @@
 use std::{collections::HashMap, sync::Arc};
 
 use tidemap_map::{
-    outlook::{EdgeRecord, EdgeStates, LEAST_SUCCESS, Outlook, UsualEdge},
-    predict::ModelSelector,
-    topology::{Edge, EdgeId, Topology},
-    traversal::{success_state, travel_state},
+    event::StateId,
+    outlook::{self, Outlook},
+    predict::{ModelSelector, PreparedTimes},
+    topology::{Edge, EdgeId},
     view::MapView,
 };
 use tidemap_plan::route::{EdgeForecast, Forecasts};
@@ -20,22 +20,12 @@ use crate::{
     rpc::{series::Predictor, status::RpcError},
 };
 
-/// An edge of which something was reported.
-struct Known {
-    record: EdgeRecord,
-    /// Place of its success among the states of the predictor.
-    success: Option<usize>,
-    states: EdgeStates,
-}
-
 /// The edges of a map, ready to be asked for any time.
 pub(super) struct Edges {
-    view: Arc<MapView>,
-    usual: UsualEdge,
-    known: HashMap<EdgeId, Known>,
+    edges: outlook::Edges,
+    /// Place of each edge's success among the states of the predictor.
+    places: HashMap<StateId, usize>,
     predictor: Predictor,
-    /// Whether the last report counts, for as long as it does.
-    persistence: bool,
 }
 
 impl Edges {
@@ -49,71 +39,25 @@ impl Edges {
         speed_m_per_sec: f64,
     ) -> Result<Edges, RpcError> {
         let of = Arc::clone(view);
-        let (usual, known) = routes.off_threads(move || known_edges(&of, speed_m_per_sec)).await?;
-        let mut known: HashMap<EdgeId, Known> = known.into_iter().collect();
-        let mut states = Vec::with_capacity(known.len());
-        for known in known.values_mut() {
-            known.success = known.states.success.map(|id| {
-                states.push(id);
-                states.len() - 1
-            });
-        }
+        let edges = routes.off_threads(move || outlook::Edges::new(of, speed_m_per_sec, selector.persistence)).await?;
+        let states: Vec<StateId> = edges.success_states().collect();
+        let places = states.iter().enumerate().map(|(place, &id)| (id, place)).collect();
         let alone = ModelSelector { persistence: false, ..selector };
         let predictor = Predictor::new(routes.means(), handle, view, states, alone).await?;
-        Ok(Edges { view: Arc::clone(view), usual, known, predictor, persistence: selector.persistence })
+        Ok(Edges { edges, places, predictor })
     }
 
     /// What is to be expected of an edge at a time in nanoseconds UTC.
     pub(super) fn outlook(&self, edge: &Edge, time_nanos: i64) -> Outlook {
-        let times = self.view.prepare(&[time_nanos]);
-        let Some(&at) = times.moments().first() else { return self.unknown(edge, time_nanos) };
-        let Some(known) = self.known.get(&edge.id) else { return self.unknown(edge, time_nanos) };
-        let success = known.success.map_or(f64::NAN, |index| self.predictor.at_prepared(index, &times));
-        let mut travel = [f64::NAN];
-        if let Some(id) = known.states.travel {
-            self.view.predict_into(id, &times, ModelSelector::default(), &mut travel);
-        }
-        let mut outlook = known.record.outlook(&self.usual, success, travel[0], at);
-        if let Some(id) = known.states.success.filter(|_| self.persistence) {
-            let blended = self.view.live(id).persistence.blend(outlook.success, time_nanos);
-            outlook.success = blended.clamp(LEAST_SUCCESS, 1.0 - 1e-9);
-        }
-        outlook
-    }
-
-    fn unknown(&self, edge: &Edge, time_nanos: i64) -> Outlook {
-        let record = EdgeRecord::of(&self.view, edge.extent, EdgeStates::default());
-        let at = self.view.moments(&[time_nanos]);
-        record.outlook(&self.usual, f64::NAN, f64::NAN, at[0])
+        let success = |id: StateId, times: &PreparedTimes| {
+            self.places.get(&id).map_or(f64::NAN, |&place| self.predictor.at_prepared(place, times))
+        };
+        self.edges.outlook_by(edge, time_nanos, success)
     }
 
     /// How often an edge was reported.
     pub(super) fn reports(&self, edge: EdgeId) -> u64 {
-        let success = self.known.get(&edge).and_then(|known| known.states.success);
-        success.map_or(0, |id| self.view.live(id).observations)
-    }
-}
-
-/// What the edges of the map have in common, and what is known of each of which anything was reported.
-fn known_edges(view: &MapView, speed_m_per_sec: f64) -> (UsualEdge, Vec<(EdgeId, Known)>) {
-    let topology = view.site().topology();
-    let states = |edge: &Edge| states_of(view, topology, edge);
-    let reported: Vec<(&Edge, EdgeStates)> = topology
-        .edges()
-        .map(|edge| (edge, states(edge)))
-        .filter(|(_, states)| *states != EdgeStates::default())
-        .collect();
-    let usual = UsualEdge::of(view, reported.iter().map(|(edge, states)| (edge.extent, *states)), speed_m_per_sec);
-    let known = reported.into_iter().map(|(edge, states)| {
-        (edge.id, Known { record: EdgeRecord::of(view, edge.extent, states), success: None, states })
-    });
-    (usual, known.collect())
-}
-
-fn states_of(view: &MapView, topology: &Topology, edge: &Edge) -> EdgeStates {
-    EdgeStates {
-        success: success_state(topology, edge).ok().and_then(|name| view.find(name.as_str())),
-        travel: travel_state(topology, edge).ok().and_then(|(_, name)| view.find(name.as_str())),
+        self.edges.reports(edge)
     }
 }
 

@@ -1,0 +1,105 @@
+//! All edges of a map, ready to be asked what is to be expected of them at any time.
+//!
+//! Invariant: all of it is of one view. Speeds are predicted by the model that the last update chose; success by that one,
+//! too, or by another that the caller asks.
+
+use std::{collections::HashMap, sync::Arc};
+
+use super::{EdgeRecord, EdgeStates, LEAST_SUCCESS, Outlook, UsualEdge};
+use crate::{
+    event::StateId,
+    predict::{ModelSelector, PreparedTimes},
+    topology::{Edge, EdgeId, Topology},
+    traversal::{success_state, travel_state},
+    view::MapView,
+};
+
+/// An edge of which something was reported.
+#[derive(Debug)]
+struct Known {
+    record: EdgeRecord,
+    states: EdgeStates,
+}
+
+/// The edges of a map.
+#[derive(Debug)]
+pub struct Edges {
+    view: Arc<MapView>,
+    usual: UsualEdge,
+    known: HashMap<EdgeId, Known>,
+    persistence: bool,
+}
+
+impl Edges {
+    /// The edges of a view. `speed_m_per_sec`: the speed as long as none was reported, above 0. `persistence`: whether the
+    /// last report of an edge counts, for as long as it does (T-RO 2017, eq. 12 and 13).
+    #[must_use]
+    pub fn new(view: Arc<MapView>, speed_m_per_sec: f64, persistence: bool) -> Edges {
+        let topology = view.site().topology();
+        let reported: Vec<(&Edge, EdgeStates)> = topology
+            .edges()
+            .map(|edge| (edge, states_of(&view, topology, edge)))
+            .filter(|(_, states)| *states != EdgeStates::default())
+            .collect();
+        let usual = UsualEdge::of(&view, reported.iter().map(|(edge, states)| (edge.extent, *states)), speed_m_per_sec);
+        let known = |(edge, states): (&Edge, EdgeStates)| {
+            (edge.id, Known { record: EdgeRecord::of(&view, edge.extent, states), states })
+        };
+        let known = reported.into_iter().map(known).collect();
+        Edges { view, usual, known, persistence }
+    }
+
+    /// The states that tell of the success of edges, in no order.
+    pub fn success_states(&self) -> impl Iterator<Item = StateId> {
+        self.known.values().filter_map(|known| known.states.success)
+    }
+
+    /// What is to be expected of an edge at a time in nanoseconds UTC.
+    #[must_use]
+    pub fn outlook(&self, edge: &Edge, time_nanos: i64) -> Outlook {
+        let by_chosen = |id: StateId, times: &PreparedTimes| self.predict(id, times);
+        self.outlook_by(edge, time_nanos, by_chosen)
+    }
+
+    /// The same, where `success` says how likely the state of an edge's success is 1 at the only time of those given.
+    pub fn outlook_by(
+        &self,
+        edge: &Edge,
+        time_nanos: i64,
+        success: impl FnOnce(StateId, &PreparedTimes) -> f64,
+    ) -> Outlook {
+        let Some(Known { record, states }) = self.known.get(&edge.id) else {
+            let record = EdgeRecord::of(&self.view, edge.extent, EdgeStates::default());
+            return record.outlook(&self.usual, f64::NAN, f64::NAN, self.view.moments(&[time_nanos])[0]);
+        };
+        let times = self.view.prepare(&[time_nanos]);
+        let success = states.success.map_or(f64::NAN, |id| success(id, &times));
+        let travel = states.travel.map_or(f64::NAN, |id| self.predict(id, &times));
+        let mut outlook = record.outlook(&self.usual, success, travel, times.moments()[0]);
+        if let Some(id) = states.success.filter(|_| self.persistence) {
+            let blended = self.view.live(id).persistence.blend(outlook.success, time_nanos);
+            outlook.success = blended.clamp(LEAST_SUCCESS, 1.0 - 1e-9);
+        }
+        outlook
+    }
+
+    fn predict(&self, id: StateId, times: &PreparedTimes) -> f64 {
+        let mut predicted = [f64::NAN];
+        self.view.predict_into(id, times, ModelSelector::default(), &mut predicted);
+        predicted[0]
+    }
+
+    /// How often an edge was reported.
+    #[must_use]
+    pub fn reports(&self, edge: EdgeId) -> u64 {
+        let success = self.known.get(&edge).and_then(|known| known.states.success);
+        success.map_or(0, |id| self.view.live(id).observations)
+    }
+}
+
+fn states_of(view: &MapView, topology: &Topology, edge: &Edge) -> EdgeStates {
+    EdgeStates {
+        success: success_state(topology, edge).ok().and_then(|name| view.find(name.as_str())),
+        travel: travel_state(topology, edge).ok().and_then(|(_, name)| view.find(name.as_str())),
+    }
+}
