@@ -15,6 +15,7 @@ mod paired;
 mod picture;
 mod protocol;
 mod report;
+pub mod routes;
 mod score;
 pub mod search;
 mod tuning;

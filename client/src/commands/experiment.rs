@@ -18,7 +18,7 @@ use crate::{
     experiment::{
         self, ProtocolError,
         explore::{self, Wanted, office},
-        search,
+        routes, search,
     },
     output::Format,
     progress::{Bar, notice},
@@ -41,6 +41,24 @@ enum ExperimentKind {
     Explore(CompareArgs),
     /// Searches a recorded world for a person at every minute: how long it takes, by each model
     Search(CompareArgs),
+    /// Sends robots around a simulated building: how often those fail that follow routes, week by week
+    Routes(RoutesArgs),
+}
+
+#[derive(Debug, Args)]
+struct RoutesArgs {
+    /// Buildings, with another luck each
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=1_000))]
+    seeds: u64,
+    /// Weeks that robots drive in each
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(2..=520))]
+    weeks: u64,
+    /// Tasks of each robot a day
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u64).range(1..=500))]
+    tasks: u64,
+    /// Folder of the results
+    #[arg(long, value_name = "DIR", default_value = "routes-results")]
+    out: PathBuf,
 }
 
 #[derive(Debug, Args)]
@@ -58,7 +76,8 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
     match path.extension().and_then(|ending| ending.to_str()) {
         Some("yaml" | "yml") => Ok(path),
         _ => Err(
-            "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore, search"
+            "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore, \
+             search, routes"
                 .to_owned(),
         ),
     }
@@ -69,6 +88,7 @@ pub fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCode> {
         (Some(ExperimentKind::Compare(args)), _) | (None, Some(args)) => compare(&args, format),
         (Some(ExperimentKind::Explore(args)), _) => explore(&args, format),
         (Some(ExperimentKind::Search(args)), _) => search(&args, format),
+        (Some(ExperimentKind::Routes(args)), _) => routes(&args, format),
         (None, None) => Err(Misused("name a protocol, a file that ends in .yaml or .yml".to_owned()).into()),
     }
 }
@@ -150,4 +170,20 @@ fn refused(path: &Path, error: &ProtocolError) -> anyhow::Error {
     let misuse = error.is_misuse();
     let message = format!("{}: {error}", path.display());
     if misuse { Misused(message).into() } else { anyhow::anyhow!(message) }
+}
+
+fn routes(args: &RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let RoutesArgs { seeds, weeks, tasks, out } = args;
+    let protocol = routes::Protocol { seeds: *seeds, weeks: *weeks as usize, tasks: *tasks as usize };
+    fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
+    let bar = Bar::count("runs");
+    let outcome = routes::run(&protocol, &|done, total| bar.set_of(done, total));
+    bar.clear();
+    let outcome = outcome?;
+    routes::write(&outcome, out)?;
+    routes::summary(&outcome, format, io::stdout().lock())?;
+    if io::stderr().is_terminal() {
+        notice(&format!("results are in {}", out.display()));
+    }
+    Ok(ExitCode::SUCCESS)
 }

@@ -1,0 +1,158 @@
+//! The map of a robot that learns: what it reports goes in as a daemon would take it in, and updates run at midnight.
+//!
+//! Invariant: what it expects of edges rests on the reports of days that have ended, and, where it is asked to, on the last
+//! report of each edge.
+
+use std::sync::{Arc, atomic::AtomicU64};
+
+use tidemap_map::{
+    event::{Event, NewState, Observations, OffsetRun, ProducerId, StateId, UpdateCause},
+    grid::spec::Retention,
+    history::HistoryPiece,
+    live_map::LiveMap,
+    name::{MapName, ProducerKey},
+    outlook::Edges,
+    refit::{StateReadings, WantedReadings},
+    site::SiteEdit,
+    spec::MapSpec,
+    topology::Topology,
+    traversal::Traversal,
+};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
+
+use super::{
+    RoutesError, START_NANOS,
+    building::{self, SPEED_M_PER_SEC},
+};
+
+/// A map that is told of traversals.
+#[derive(Debug)]
+pub struct Learner {
+    map: LiveMap,
+    sequence: u64,
+    known: Pieces,
+    persistence: bool,
+    edges: Edges,
+}
+
+/// What updates have folded in, as history files would have it.
+#[derive(Clone, Debug, Default)]
+struct Pieces(Vec<Arc<HistoryPiece>>);
+
+impl StateReadings for Pieces {
+    fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
+        let of = |wanted: &WantedReadings| {
+            let of_state = |piece: &Arc<HistoryPiece>| {
+                piece
+                    .states
+                    .iter()
+                    .find(|(id, _)| *id == wanted.state)
+                    .map_or_else(Vec::new, |(_, found)| found.clone())
+            };
+            let mut found: Vec<Sample> = self.0.iter().flat_map(of_state).collect();
+            found.retain(|sample| sample.utc_nanos >= wanted.from_nanos);
+            found.sort_by_key(|sample| sample.utc_nanos);
+            found
+        };
+        Ok(wanted.iter().map(of).collect())
+    }
+}
+
+impl Learner {
+    /// One that knows the building and nothing else; all properties of its map are those that a map has by default.
+    pub fn new(persistence: bool) -> Result<Self, RoutesError> {
+        let setting = |error: &dyn std::fmt::Display| RoutesError::Setting(error.to_string());
+        let spec = MapSpec {
+            name: MapName::new("building").map_err(|error| setting(&error))?,
+            zone: Zone::utc(),
+            periodicities: Periodicities::default(),
+            criterion: OrderCriterion::SquaredError,
+            created_nanos: START_NANOS,
+            half_life_nanos: None,
+            prior: 0.5,
+            retention: Retention::Forever,
+            models: EnabledModels::default(),
+            grid: None,
+        };
+        let mut map = LiveMap::new(Arc::new(spec));
+        let load = building::load().map_err(|error| setting(&error))?;
+        map.apply(1, &Event::EditSite(SiteEdit::Topology(load)))?;
+        let edges = Edges::new(Arc::new(map.publish()), SPEED_M_PER_SEC, persistence);
+        Ok(Self { map, sequence: 0, known: Pieces::default(), persistence, edges })
+    }
+
+    /// The building as its map has it.
+    pub fn topology(&self) -> &Topology {
+        self.map.site().topology()
+    }
+
+    /// What it expects.
+    pub fn edges(&self) -> &Edges {
+        &self.edges
+    }
+
+    /// Takes in what was driven, at least one traversal, at the time at which the last of them ended.
+    pub fn report(&mut self, driven: &[Traversal]) -> Result<(), RoutesError> {
+        let Some(last) = driven.last() else { return Ok(()) };
+        let key = ProducerKey::new("robot", "").map_err(|error| RoutesError::Setting(error.to_string()))?;
+        let first_sequence = self.sequence + 1;
+        self.sequence += driven.len() as u64;
+        let mut event = Observations {
+            producer: ProducerId(0),
+            new_producer: (first_sequence == 1).then(|| key.into()),
+            incarnation: 1,
+            first_sequence,
+            last_sequence: self.sequence,
+            content_crc: 0,
+            received_nanos: last.end_nanos,
+            new_states: Vec::new(),
+            states: Vec::new(),
+            times_nanos: Vec::new(),
+            values: Vec::new(),
+            offsets: Vec::new(),
+            refused: Vec::new(),
+            failures: driven.iter().filter_map(Traversal::failure).collect(),
+        };
+        for traversal in driven {
+            let setting = |error: &dyn std::fmt::Display| RoutesError::Setting(error.to_string());
+            let edge = self.topology().edge_named(&traversal.edge).map_err(|error| setting(&error))?;
+            for (what, value) in traversal.samples(edge.extent).map_err(|error| setting(&error))? {
+                let name = traversal.edge.state(what);
+                let fresh = || event.new_states.iter().find(|new| new.name == name).map(|new| new.id);
+                let id = match self.map.find(name.as_str()).or_else(fresh) {
+                    Some(id) => id,
+                    None => {
+                        let id = StateId((self.map.states() + event.new_states.len()) as u32);
+                        event.new_states.push(NewState { id, name, form: what.kind().into() });
+                        id
+                    }
+                };
+                event.states.push(id);
+                event.times_nanos.push(traversal.start_nanos);
+                event.values.push(value);
+            }
+        }
+        event.offsets.push(OffsetRun { count: event.states.len() as u32, offset_secs: 0 });
+        self.map.apply(self.map.position() + 1, &Event::Observations(event))?;
+        if self.persistence {
+            self.look();
+        }
+        Ok(())
+    }
+
+    /// Folds in all that was driven before midnight.
+    pub fn midnight(&mut self, nanos: i64) -> Result<(), RoutesError> {
+        let start = self.map.plan_update(Some(nanos), nanos, UpdateCause::Midnight);
+        let work = self.map.apply(self.map.position() + 1, &Event::UpdateStart(start))?;
+        if let Some(work) = work {
+            let learned = work.with_readings(Arc::new(self.known.clone())).run(&AtomicU64::new(0))?;
+            self.known.0.extend(self.map.finish_update(learned).history);
+        }
+        self.look();
+        Ok(())
+    }
+
+    fn look(&mut self) {
+        self.edges = Edges::new(Arc::new(self.map.publish()), SPEED_M_PER_SEC, self.persistence);
+    }
+}

@@ -1,0 +1,212 @@
+//! A robot that is sent from place to place, day and night, for weeks.
+//!
+//! Invariant: all robots with one seed have the same tasks and meet the same world. They differ in how they choose a way,
+//! and in nothing else: an edge that has failed is not tried again in the same task, unless no other way is left.
+
+use rand::Rng as _;
+use tidemap_map::{
+    outlook::Outlook,
+    topology::{Edge, EdgeId, NodeId, Roads, ShortestTimes},
+    traversal::Traversal,
+};
+use tidemap_plan::route::{EdgeForecast, RouteError, RouteOptions, SUCCESS_MIN, When, plan_routes};
+
+use super::{
+    DAY_SECS, Protocol, RoutesError, START_NANOS, WEEK_DAYS,
+    building::{Building, draw},
+    learner::Learner,
+};
+
+/// Least chance that an edge is passed by what is true, so that a way through a shut door is still a way.
+const TRUE_SUCCESS_MIN: f64 = 1e-6;
+/// As how many reports the truth counts; only intervals depend on it.
+const TRUE_EVIDENCE: f64 = 1e6;
+
+/// How a robot chooses its way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// The shortest way, whatever happened there.
+    Shortest,
+    /// The route that tidemap plans on what it learned until last midnight.
+    Tidemap,
+    /// The same, with the last report of each edge, for as long as that counts.
+    TidemapPersistence,
+    /// The route that tidemap plans on the true probabilities: nobody can do better but by luck.
+    Oracle,
+}
+
+impl Kind {
+    /// All of them, the one that the others are compared with first.
+    pub const ALL: [Kind; 4] = [Kind::Shortest, Kind::Tidemap, Kind::TidemapPersistence, Kind::Oracle];
+
+    /// As people write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Kind::Shortest => "shortest",
+            Kind::Tidemap => "tidemap",
+            Kind::TidemapPersistence => "tidemap+persistence",
+            Kind::Oracle => "oracle",
+        }
+    }
+}
+
+/// What a robot did in a week.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Week {
+    /// Tasks that began in it.
+    pub tasks: u64,
+    /// Traversals that failed in these.
+    pub failures: u64,
+    /// How long these took, seconds.
+    pub secs: f64,
+}
+
+/// A robot on its way.
+struct Robot<'a> {
+    kind: Kind,
+    building: &'a Building,
+    learner: Learner,
+    at: NodeId,
+    /// Seconds since midnight before the first Monday.
+    now_secs: f64,
+}
+
+/// Sends a robot of a kind around for some weeks.
+pub fn run(kind: Kind, seed: u64, protocol: &Protocol) -> Result<Vec<Week>, RoutesError> {
+    let learner = Learner::new(kind == Kind::TidemapPersistence)?;
+    let building = Building::new(seed, learner.topology().clone());
+    let nodes: Vec<NodeId> = building.topology().nodes().map(|node| node.id).collect();
+    let start = building.topology().node_named("dock").map_err(|error| RoutesError::Setting(error.to_string()))?.id;
+    let mut robot = Robot { kind, building: &building, learner, at: start, now_secs: 0.0 };
+    let mut weeks = vec![Week::default(); protocol.weeks];
+    for day in 0..protocol.weeks * WEEK_DAYS {
+        if day > 0 && kind.learns() {
+            robot.learner.midnight(nanos(day as f64 * DAY_SECS))?;
+        }
+        let mut random = draw(seed, [u64::MAX, 0, day as u64]);
+        let mut times: Vec<f64> = (0..protocol.tasks).map(|_| random.random_range(0.0..DAY_SECS)).collect();
+        times.sort_by(f64::total_cmp);
+        for time in times {
+            // A robot ends each task where all others do, so that the next one is the same for all.
+            let others: Vec<NodeId> = nodes.iter().copied().filter(|&node| node != robot.at).collect();
+            let goal = others[random.random_range(0..others.len())];
+            robot.now_secs = robot.now_secs.max(day as f64 * DAY_SECS + time);
+            let since = robot.now_secs;
+            let failures = robot.go(goal)?;
+            let week = &mut weeks[day / WEEK_DAYS];
+            week.tasks += 1;
+            week.failures += failures;
+            week.secs += robot.now_secs - since;
+        }
+    }
+    Ok(weeks)
+}
+
+impl Kind {
+    fn learns(self) -> bool {
+        matches!(self, Kind::Tidemap | Kind::TidemapPersistence)
+    }
+}
+
+impl Robot<'_> {
+    /// Drives to a node, and tells how many traversals failed on the way.
+    fn go(&mut self, goal: NodeId) -> Result<u64, RoutesError> {
+        let topology = self.building.topology();
+        let mut shunned: Vec<EdgeId> = Vec::new();
+        let mut failures = 0;
+        let setting = |error: &dyn std::fmt::Display| RoutesError::Setting(error.to_string());
+        while self.at != goal {
+            let route = match self.route(goal, &shunned)? {
+                Some(route) => route,
+                None => {
+                    shunned.clear();
+                    self.route(goal, &shunned)?.ok_or_else(|| RoutesError::Setting("no way to a node".to_owned()))?
+                }
+            };
+            let mut driven = Vec::with_capacity(route.len());
+            for id in route {
+                let edge = topology.edge(id).map_err(|error| setting(&error))?;
+                let attempt = self.building.attempt(edge, self.now_secs);
+                let start_nanos = nanos(self.now_secs);
+                self.now_secs += attempt.secs;
+                driven.push(Traversal {
+                    edge: topology.edge_in_words(edge).map_err(|error| setting(&error))?,
+                    start_nanos,
+                    end_nanos: nanos(self.now_secs),
+                    success: attempt.reason.is_none(),
+                    reason: attempt.reason.unwrap_or_default().to_owned(),
+                });
+                if attempt.reason.is_some() {
+                    shunned.push(id);
+                    failures += 1;
+                    break;
+                }
+                self.at = edge.to;
+            }
+            if self.kind.learns() {
+                self.learner.report(&driven)?;
+            }
+        }
+        Ok(failures)
+    }
+
+    /// The edges to a node, without those that are shunned; none where there is no other way.
+    fn route(&self, goal: NodeId, shunned: &[EdgeId]) -> Result<Option<Vec<EdgeId>>, RoutesError> {
+        let is_open = |edge: &Edge| !shunned.contains(&edge.id);
+        let now_secs = self.now_secs;
+        match self.kind {
+            Kind::Shortest => self.shortest(goal, is_open),
+            Kind::Tidemap | Kind::TidemapPersistence => {
+                let edges = self.learner.edges();
+                self.planned(goal, |edge, at_secs| {
+                    let Outlook { success, evidence, duration_secs } = edges.outlook(edge, nanos(now_secs + at_secs));
+                    is_open(edge).then_some(EdgeForecast { success, duration_secs, evidence })
+                })
+            }
+            Kind::Oracle => self.planned(goal, |edge, at_secs| {
+                let (success, duration_secs) = self.building.truth(edge, now_secs + at_secs);
+                let success = success.max(TRUE_SUCCESS_MIN.max(SUCCESS_MIN));
+                is_open(edge).then_some(EdgeForecast { success, duration_secs, evidence: TRUE_EVIDENCE })
+            }),
+        }
+    }
+
+    /// The best route as `PlanRoute` gives it where nothing else is asked: the likeliest to succeed.
+    fn planned(
+        &self,
+        goal: NodeId,
+        mut forecast: impl FnMut(&Edge, f64) -> Option<EdgeForecast>,
+    ) -> Result<Option<Vec<EdgeId>>, RoutesError> {
+        let options = RouteOptions::default();
+        let never = || false;
+        let topology = self.building.topology();
+        match plan_routes(topology, self.at, goal, When::DepartAt(0.0), &options, &mut forecast, never) {
+            Ok(planned) => Ok(planned.routes.first().map(|route| route.steps.iter().map(|step| step.edge).collect())),
+            Err(RouteError::Unreachable { .. }) => Ok(None),
+            Err(other) => Err(other.into()),
+        }
+    }
+
+    fn shortest(&self, goal: NodeId, is_open: impl Fn(&Edge) -> bool) -> Result<Option<Vec<EdgeId>>, RoutesError> {
+        let topology = self.building.topology();
+        let length = |edge: &Edge| edge.extent.length_m.filter(|_| is_open(edge));
+        let setting = |error: &dyn std::fmt::Display| RoutesError::Setting(error.to_string());
+        let roads = Roads::new(topology, length).map_err(|error| setting(&error))?;
+        let (Some(from), Some(to)) = (roads.index_of(self.at), roads.index_of(goal)) else { return Ok(None) };
+        let mut shortest = ShortestTimes::default();
+        shortest.between(&roads, from, to);
+        if !shortest.secs()[to].is_finite() {
+            return Ok(None);
+        }
+        let nodes: Vec<NodeId> = std::iter::once(self.at)
+            .chain(shortest.way_to(to).into_iter().map(|arrival| roads.node(arrival.node)))
+            .collect();
+        let edge = |ends: &[NodeId]| topology.edge_between(ends[0], ends[1], None).map(|edge| edge.id);
+        Ok(nodes.windows(2).filter(|ends| ends[0] != ends[1]).map(edge).collect())
+    }
+}
+
+/// Nanoseconds UTC of a time in seconds since the first midnight.
+fn nanos(secs: f64) -> i64 {
+    START_NANOS + (secs * 1e9).round() as i64
+}
