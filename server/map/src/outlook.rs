@@ -3,7 +3,7 @@
 //! An edge is learned from few reports, most of them from hours at which robots used it. Three things are put together, the
 //! nearer evidence outweighing the farther as it grows: what the edges of the map have in common, what the edge's own
 //! temporal model predicts, and what was reported at about that hour of the week. Each counts as a few reports for the
-//! next, so that a probability is the mean of a Beta distribution, and is never 0: an edge that counts as impassable would
+//! next, the model as more where the hours of the edge do not seem to differ (`outlook/steadiness.rs`), so that a probability is the mean of a Beta distribution, and is never 0: an edge that counts as impassable would
 //! never be tried again, as happened to robots (STRANDS, IEEE RAM 2017, "Adaptive Topological Navigation").
 //! Invariant: a success lies in `[LEAST_SUCCESS, 1)`, evidence is above 0, a duration is above 0 and finite.
 
@@ -16,6 +16,7 @@ use crate::{
 };
 
 mod edges;
+mod steadiness;
 
 #[cfg(test)]
 mod tests;
@@ -26,7 +27,7 @@ pub use edges::Edges;
 pub const LEAST_SUCCESS: f64 = 0.001;
 /// Chance that an edge is passed in a map of which nothing was reported, and as how many reports that counts.
 const SUCCESS_BEFORE: (f64, f64) = (0.9, 10.0);
-/// As how many reports the map counts for an edge, and the edge's model for an hour of the week.
+/// As how many reports the map counts for an edge, and the edge's model at least for an hour of the week.
 const BORROWED: f64 = 2.0;
 /// What a report counts at an hour of the day so many hours away.
 const NEAR_HOURS: [f64; 3] = [1.0, 0.2, 0.05];
@@ -111,15 +112,23 @@ pub struct EdgeRecord {
     travelled: f64,
     /// By hour of the week, the weight of reports at about that hour and how many of them passed; none without any.
     by_hour: Option<Box<[[f64; 2]; WEEK_HOURS]>>,
+    /// As how many reports the edge as a whole counts for an hour.
+    steadiness: f64,
 }
 
 impl EdgeRecord {
     /// What the map knows of an edge of this extent, by its states.
     #[must_use]
-    pub fn of(view: &MapView, extent: Extent, states: EdgeStates) -> EdgeRecord {
+    pub fn of(view: &MapView, extent: Extent, states: EdgeStates, usual: &UsualEdge) -> EdgeRecord {
         let weight = |id: Option<StateId>| id.map_or(0.0, |id| view.model(id).accumulator().weight());
-        let hours = states.success.and_then(|id| view.model(id).alternatives()).map(|known| near_hours(known.hours()));
-        EdgeRecord { extent, tried: weight(states.success), travelled: weight(states.travel), by_hour: hours }
+        let table = states.success.and_then(|id| view.model(id).alternatives()).map(|known| known.hours());
+        EdgeRecord {
+            extent,
+            tried: weight(states.success),
+            travelled: weight(states.travel),
+            by_hour: table.map(near_hours),
+            steadiness: table.map_or(BORROWED, |table| steadiness::steadiness(table, usual.success)),
+        }
     }
 
     /// What is to be expected at a moment. `success` and `travel`: what the models of the edge's states predict for it; of no
@@ -129,7 +138,7 @@ impl EdgeRecord {
         let blend = |weight: f64, value: f64, before: f64| (weight * value + BORROWED * before) / (weight + BORROWED);
         let model = blend(self.tried, finite_or(success, usual.success).clamp(0.0, 1.0), usual.success);
         let [tried, passed] = self.by_hour.as_ref().map_or([0.0, 0.0], |hours| hours[hour_of_week(at)]);
-        let weight = self.tried.min(BORROWED) + BORROWED;
+        let weight = self.tried.min(self.steadiness) + BORROWED;
         let success = (weight * model + passed) / (weight + tried);
         Outlook {
             success: success.clamp(LEAST_SUCCESS, 1.0 - 1e-9),

@@ -10,7 +10,7 @@ const RIGHT: f64 = 16.0;
 const TOP: f64 = 48.0;
 const HEIGHT: f64 = 280.0;
 /// Told apart by people who see few colours too (M. Okabe and K. Ito, "Color universal design", 2008).
-const COLOURS: [&str; 4] = ["#000000", "#0072b2", "#d55e00", "#009e73"];
+const COLOURS: [&str; 5] = ["#000000", "#0072b2", "#56b4e9", "#d55e00", "#009e73"];
 
 /// Draws the weeks.
 pub fn draw(outcome: &Outcome) -> String {

@@ -9,7 +9,7 @@ use tidemap_map::{
     topology::{Edge, EdgeId, NodeId, Roads, ShortestTimes},
     traversal::Traversal,
 };
-use tidemap_plan::route::{EdgeForecast, RouteError, RouteOptions, SUCCESS_MIN, When, plan_routes};
+use tidemap_plan::route::{EdgeForecast, Objective, RouteError, RouteOptions, SUCCESS_MIN, When, plan_routes};
 
 use super::{
     DAY_SECS, Protocol, RoutesError, START_NANOS, WEEK_DAYS,
@@ -31,13 +31,16 @@ pub enum Kind {
     Tidemap,
     /// The same, with the last report of each edge, for as long as that counts.
     TidemapPersistence,
+    /// The route of the least expected time, failures included, on what was learned until last midnight.
+    TidemapTime,
     /// The route that tidemap plans on the true probabilities: nobody can do better but by luck.
     Oracle,
 }
 
 impl Kind {
     /// All of them, the one that the others are compared with first.
-    pub const ALL: [Kind; 4] = [Kind::Shortest, Kind::Tidemap, Kind::TidemapPersistence, Kind::Oracle];
+    pub const ALL: [Kind; 5] =
+        [Kind::Shortest, Kind::Tidemap, Kind::TidemapPersistence, Kind::TidemapTime, Kind::Oracle];
 
     /// As people write it.
     pub fn name(self) -> &'static str {
@@ -45,6 +48,7 @@ impl Kind {
             Kind::Shortest => "shortest",
             Kind::Tidemap => "tidemap",
             Kind::TidemapPersistence => "tidemap+persistence",
+            Kind::TidemapTime => "tidemap-time",
             Kind::Oracle => "oracle",
         }
     }
@@ -104,7 +108,7 @@ pub fn run(kind: Kind, seed: u64, protocol: &Protocol) -> Result<Vec<Week>, Rout
 
 impl Kind {
     fn learns(self) -> bool {
-        matches!(self, Kind::Tidemap | Kind::TidemapPersistence)
+        matches!(self, Kind::Tidemap | Kind::TidemapPersistence | Kind::TidemapTime)
     }
 }
 
@@ -156,7 +160,7 @@ impl Robot<'_> {
         let now_secs = self.now_secs;
         match self.kind {
             Kind::Shortest => self.shortest(goal, is_open),
-            Kind::Tidemap | Kind::TidemapPersistence => {
+            Kind::Tidemap | Kind::TidemapPersistence | Kind::TidemapTime => {
                 let edges = self.learner.edges();
                 self.planned(goal, |edge, at_secs| {
                     let Outlook { success, evidence, duration_secs } = edges.outlook(edge, nanos(now_secs + at_secs));
@@ -171,13 +175,16 @@ impl Robot<'_> {
         }
     }
 
-    /// The best route as `PlanRoute` gives it where nothing else is asked: the likeliest to succeed.
+    /// The best route as `PlanRoute` gives it where nothing else is asked, the likeliest to succeed, or the soonest one.
     fn planned(
         &self,
         goal: NodeId,
         mut forecast: impl FnMut(&Edge, f64) -> Option<EdgeForecast>,
     ) -> Result<Option<Vec<EdgeId>>, RoutesError> {
-        let options = RouteOptions::default();
+        let mut options = RouteOptions::default();
+        if self.kind == Kind::TidemapTime {
+            options.objective = Objective::Time;
+        }
         let never = || false;
         let topology = self.building.topology();
         match plan_routes(topology, self.at, goal, When::DepartAt(0.0), &options, &mut forecast, never) {

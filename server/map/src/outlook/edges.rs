@@ -43,7 +43,7 @@ impl Edges {
             .collect();
         let usual = UsualEdge::of(&view, reported.iter().map(|(edge, states)| (edge.extent, *states)), speed_m_per_sec);
         let known = |(edge, states): (&Edge, EdgeStates)| {
-            (edge.id, Known { record: EdgeRecord::of(&view, edge.extent, states), states })
+            (edge.id, Known { record: EdgeRecord::of(&view, edge.extent, states, &usual), states })
         };
         let known = reported.into_iter().map(known).collect();
         Edges { view, usual, known, persistence }
@@ -69,7 +69,7 @@ impl Edges {
         success: impl FnOnce(StateId, &PreparedTimes) -> f64,
     ) -> Outlook {
         let Some(Known { record, states }) = self.known.get(&edge.id) else {
-            let record = EdgeRecord::of(&self.view, edge.extent, EdgeStates::default());
+            let record = EdgeRecord::of(&self.view, edge.extent, EdgeStates::default(), &self.usual);
             return record.outlook(&self.usual, f64::NAN, f64::NAN, self.view.moments(&[time_nanos])[0]);
         };
         let times = self.view.prepare(&[time_nanos]);

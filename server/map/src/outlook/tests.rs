@@ -1,12 +1,21 @@
 //! What edges are expected to be, from little evidence and from much.
 
-use std::sync::Arc;
+use std::sync::{Arc, atomic::AtomicU64};
 
 use proptest::prelude::*;
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
 
 use super::*;
-use crate::{grid::spec::Retention, live_map::LiveMap, name::MapName, spec::MapSpec};
+use crate::{
+    event::{Event, NewState, Observations, OffsetRun, ProducerId, UpdateCause},
+    grid::spec::Retention,
+    live_map::LiveMap,
+    name::{EdgeName, MapName, ProducerKey, StateName},
+    site::SiteEdit,
+    spec::MapSpec,
+    topology::{EdgeEnds, NewEdge, NewNode, TopologyEdit},
+    traversal::Traversal,
+};
 
 const HOUR: i64 = 3_600_000_000_000;
 const USUAL: UsualEdge = UsualEdge { success: 0.8, speed_m_per_sec: 0.5, pace: 1.0 };
@@ -21,7 +30,8 @@ fn record(extent: Extent, reports: &[(i64, f64)]) -> EdgeRecord {
     let mut table = HourTable::default();
     table.add(&samples);
     let by_hour = (!reports.is_empty()).then(|| near_hours(&table));
-    EdgeRecord { extent, tried: reports.len() as f64, travelled: 0.0, by_hour }
+    let steadiness = steadiness::steadiness(&table, USUAL.success);
+    EdgeRecord { extent, tried: reports.len() as f64, travelled: 0.0, by_hour, steadiness }
 }
 
 #[test]
@@ -55,6 +65,16 @@ fn a_door_that_is_shut_at_night_is_known_to_be_although_its_model_forgot() {
 }
 
 #[test]
+fn an_edge_that_fails_at_any_time_is_not_shunned_at_the_hours_at_which_it_did() {
+    // Eight weeks, each hour; one in fifty fails, in no order.
+    let is_mishap = |hour: i64| (hour * 7_919 + hour / 24 * 31) % 50 == 0;
+    let reports: Vec<(i64, f64)> = (0..56 * 24).map(|hour| (hour, f64::from(u8::from(!is_mishap(hour))))).collect();
+    let edge = record(Extent::secs(9.0), &reports);
+    let least = (0..168).map(|hour| edge.outlook(&USUAL, 0.98, 1.0, at(56 * 24 + hour)).success).fold(1.0, f64::min);
+    assert!(least > 0.95, "{least}");
+}
+
+#[test]
 fn a_changed_length_keeps_the_speed() {
     let driven = |length_m| EdgeRecord { travelled: 100.0, ..record(Extent::metres(length_m), &[]) };
     let secs = |length_m| driven(length_m).outlook(&USUAL, 1.0, 1.25, at(9)).duration_secs;
@@ -84,7 +104,7 @@ fn a_map_without_reports_has_a_prior() {
     let usual = UsualEdge::of(&view, edges, 0.7);
     assert!((usual.success - 0.9).abs() < 1e-12 && (usual.speed_m_per_sec - 0.7).abs() < 1e-12, "{usual:?}");
     assert!((usual.pace - 1.0).abs() < 1e-12);
-    let edge = EdgeRecord::of(&view, Extent::metres(3.0), EdgeStates::default());
+    let edge = EdgeRecord::of(&view, Extent::metres(3.0), EdgeStates::default(), &usual);
     assert!((edge.outlook(&usual, 0.5, 0.5, at(0)).success - 0.9).abs() < 1e-12);
 }
 
@@ -104,4 +124,100 @@ proptest! {
         prop_assert!(outlook.evidence > 0.0 && outlook.evidence.is_finite(), "{outlook:?}");
         prop_assert!(outlook.duration_secs > 0.0 && outlook.duration_secs.is_finite(), "{outlook:?}");
     }
+}
+
+/// A map of one link, A and B 12 m apart, whose way there was reported so.
+fn driven(reports: &[(i64, bool)]) -> LiveMap {
+    let spec = MapSpec {
+        name: MapName::new("office").expect("valid"),
+        zone: Zone::utc(),
+        periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),
+        criterion: OrderCriterion::SquaredError,
+        created_nanos: 0,
+        half_life_nanos: None,
+        prior: 0.5,
+        retention: Retention::Forever,
+        models: EnabledModels::default(),
+        grid: None,
+    };
+    let mut map = LiveMap::new(Arc::new(spec));
+    let name = |name| StateName::new(name).expect("valid");
+    let node = |text| NewNode { name: name(text), pose: None, dwell_secs: None };
+    let link = NewEdge { ends: EdgeEnds::link(name("a"), name("b")), extent: Extent::metres(12.0) };
+    let load = TopologyEdit::Load { nodes: vec![node("a"), node("b")], edges: vec![link], replaces: true };
+    map.apply(1, &Event::EditSite(SiteEdit::Topology(load))).expect("a topology");
+    let edge = EdgeName::new("a", "b", "").expect("valid");
+    for (sequence, &(hour, success)) in (1..).zip(reports) {
+        let (start, end) = (hour * HOUR, hour * HOUR + HOUR / 180);
+        let driven =
+            Traversal { edge: edge.clone(), start_nanos: start, end_nanos: end, success, reason: String::new() };
+        let mut event = Observations {
+            producer: ProducerId(0),
+            new_producer: (sequence == 1).then(|| ProducerKey::new("robot", "").expect("valid").into()),
+            incarnation: 1,
+            first_sequence: sequence,
+            last_sequence: sequence,
+            content_crc: 0,
+            received_nanos: end,
+            new_states: Vec::new(),
+            states: Vec::new(),
+            times_nanos: Vec::new(),
+            values: Vec::new(),
+            offsets: Vec::new(),
+            refused: Vec::new(),
+            failures: driven.failure().into_iter().collect(),
+        };
+        for (what, value) in driven.samples(Extent::metres(12.0)).expect("sensible") {
+            let name = edge.state(what);
+            let id = map.find(name.as_str()).unwrap_or_else(|| {
+                let id = StateId(u32::try_from(map.states() + event.new_states.len()).expect("few"));
+                event.new_states.push(NewState { id, name, form: what.kind().into() });
+                id
+            });
+            event.states.push(id);
+            event.times_nanos.push(start);
+            event.values.push(value);
+        }
+        event.offsets.push(OffsetRun { count: u32::try_from(event.states.len()).expect("few"), offset_secs: 0 });
+        map.apply(map.position() + 1, &Event::Observations(event)).expect("consistent");
+    }
+    map
+}
+
+fn learned(mut map: LiveMap, cut_nanos: i64) -> Arc<MapView> {
+    let start = map.plan_update(Some(cut_nanos), cut_nanos, UpdateCause::Midnight);
+    let work = map.apply(map.position() + 1, &Event::UpdateStart(start)).expect("consistent").expect("an update");
+    map.finish_update(work.run(&AtomicU64::new(0)).expect("in memory"));
+    Arc::new(map.publish())
+}
+
+#[test]
+fn edges_are_expected_to_be_as_they_were_reported() {
+    // Two weeks: passed each hour from 7 to 19, and failed at 20 and 21.
+    let reports: Vec<(i64, bool)> =
+        (0..14).flat_map(|day| (7..22).map(move |hour| (24 * day + hour, hour < 20))).collect();
+    let view = learned(driven(&reports), 14 * 24 * HOUR);
+    let topology = view.site().topology();
+    let edge = |from, to| {
+        let id = |name: &str| topology.node_named(name).expect("a node").id;
+        topology.edge_between(id(from), id(to), None).expect("an edge")
+    };
+    let (there, back) = (edge("a", "b"), edge("b", "a"));
+    let [edges, recent] = [false, true].map(|persistence| Edges::new(Arc::clone(&view), 1.0, persistence));
+    let at = |hour: i64| (14 * 24 + hour) * HOUR;
+    assert!(edges.outlook(there, at(12)).success > 0.95, "{:?}", edges.outlook(there, at(12)));
+    assert!(edges.outlook(there, at(20)).success < 0.2, "{:?}", edges.outlook(there, at(20)));
+    // 12 m in 20 s, next to the 1 m/s that is assumed.
+    assert!((edges.outlook(there, at(12)).duration_secs - 20.0).abs() < 0.5);
+    assert_eq!((edges.reports(there.id), edges.reports(back.id)), (14 * 15, 0));
+    let unknown = edges.outlook(back, at(12));
+    assert!(unknown.evidence <= BORROWED && (unknown.duration_secs - 20.0).abs() < 0.5, "{unknown:?}");
+    // The last report was a failure at 21:00 of the day before; a minute later it is nearly all that counts.
+    let soon = at(-3) + HOUR / 60;
+    assert!(recent.outlook(there, soon).success < edges.outlook(there, soon).success, "{soon}");
+    let told = edges.outlook_by(there, at(20), |id, times| {
+        assert_eq!((Some(id), times.moments().len()), (edges.success_states().next(), 1));
+        1.0
+    });
+    assert!(told.success > edges.outlook(there, at(20)).success, "the caller's model counts: {told:?}");
 }
