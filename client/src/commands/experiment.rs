@@ -187,10 +187,3 @@ fn routes(args: &RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
     }
     Ok(ExitCode::SUCCESS)
 }
-
-/// What a protocol says wrongly is wrong usage, as if it stood on the command line.
-fn refused(path: &Path, error: &ProtocolError) -> anyhow::Error {
-    let misuse = error.is_misuse();
-    let message = format!("{}: {error}", path.display());
-    if misuse { Misused(message).into() } else { anyhow::anyhow!(message) }
-}
