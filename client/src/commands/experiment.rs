@@ -50,6 +50,9 @@ struct RoutesArgs {
     /// Buildings, with another luck each
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=1_000))]
     seeds: u64,
+    /// The first seed of their luck
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    first_seed: u64,
     /// Weeks that robots drive in each
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(2..=520))]
     weeks: u64,
@@ -173,8 +176,9 @@ fn refused(path: &Path, error: &ProtocolError) -> anyhow::Error {
 }
 
 fn routes(args: &RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
-    let RoutesArgs { seeds, weeks, tasks, out } = args;
-    let protocol = routes::Protocol { seeds: *seeds, weeks: *weeks as usize, tasks: *tasks as usize };
+    let RoutesArgs { seeds, first_seed, weeks, tasks, out } = args;
+    let protocol =
+        routes::Protocol { seeds: *seeds, first_seed: *first_seed, weeks: *weeks as usize, tasks: *tasks as usize };
     fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
     let bar = Bar::count("runs");
     let outcome = routes::run(&protocol, &|done, total| bar.set_of(done, total));

@@ -43,6 +43,8 @@ const START_NANOS: i64 = 20_094 * 86_400_000_000_000;
 pub struct Protocol {
     /// Buildings with another luck each, 1 or more.
     pub seeds: u64,
+    /// The first seed; the others follow.
+    pub first_seed: u64,
     /// Weeks of each, 2 or more.
     pub weeks: usize,
     /// Tasks of a day.
@@ -182,8 +184,11 @@ impl Outcome {
 /// Sends all robots around; `progress` is told how many runs are done, of how many.
 pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Outcome, RoutesError> {
     // The quick ones last, so that no thread is left with a long one at the end.
-    let jobs: Vec<(Kind, u64)> =
-        Kind::ALL.into_iter().rev().flat_map(|kind| (0..protocol.seeds).map(move |seed| (kind, seed))).collect();
+    let jobs: Vec<(Kind, u64)> = Kind::ALL
+        .into_iter()
+        .rev()
+        .flat_map(|kind| (0..protocol.seeds).map(move |seed| (kind, protocol.first_seed.wrapping_add(seed))))
+        .collect();
     let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
     let runs = jobs
         .into_par_iter()

@@ -56,7 +56,7 @@ fn what_is_true_is_how_often_it_happens() {
 
 #[test]
 fn robots_that_learn_fail_less_often_than_those_that_take_the_shortest_way() {
-    let outcome = run(&Protocol { seeds: 2, weeks: 3, tasks: 24 }, &|_, _| {}).expect("robots");
+    let outcome = run(&Protocol { seeds: 2, first_seed: 0, weeks: 3, tasks: 24 }, &|_, _| {}).expect("robots");
     let late = |kind: Kind| outcome.courses.iter().find(|course| course.kind == kind).map(|c| outcome.of_shortest(c));
     let [tidemap, oracle] = [Kind::Tidemap, Kind::Oracle].map(|kind| late(kind).expect("a robot"));
     assert!(tidemap < 0.6, "{tidemap} of the failures on shortest ways");
