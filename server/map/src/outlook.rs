@@ -174,8 +174,9 @@ fn near_hours(table: &HourTable) -> Box<[[f64; 2]; WEEK_HOURS]> {
     // Around each hour first, within the week that goes on at its end; then over the days.
     for hour in 0..WEEK_HOURS {
         for (away, weight) in NEAR_HOURS.into_iter().enumerate() {
-            let others = if away == 0 { vec![hour] } else { vec![hour + away, hour + WEEK_HOURS - away] };
-            for other in others {
+            // Before and after; the hour itself once.
+            let others = [hour + away, hour + WEEK_HOURS - away];
+            for other in others.into_iter().take(if away == 0 { 1 } else { 2 }) {
                 let [count, sum] = table.readings(other % WEEK_HOURS);
                 near[hour][0] += weight * count;
                 near[hour][1] += weight * sum;

@@ -3,7 +3,10 @@
 //! Invariant: all of it is of one view. Speeds are predicted by the model that the last update chose; success by that one,
 //! too, or by another that the caller asks.
 
-use std::{collections::HashMap, sync::Arc};
+use std::{
+    collections::HashMap,
+    sync::{Arc, OnceLock},
+};
 
 use super::{EdgeRecord, EdgeStates, LEAST_SUCCESS, Outlook, UsualEdge};
 use crate::{
@@ -17,7 +20,8 @@ use crate::{
 /// An edge of which something was reported.
 #[derive(Debug)]
 struct Known {
-    record: EdgeRecord,
+    /// Made when the edge is first asked: a route looks at few of the edges of a large map.
+    record: OnceLock<EdgeRecord>,
     states: EdgeStates,
 }
 
@@ -42,9 +46,7 @@ impl Edges {
             .filter(|(_, states)| *states != EdgeStates::default())
             .collect();
         let usual = UsualEdge::of(&view, reported.iter().map(|(edge, states)| (edge.extent, *states)), speed_m_per_sec);
-        let known = |(edge, states): (&Edge, EdgeStates)| {
-            (edge.id, Known { record: EdgeRecord::of(&view, edge.extent, states, &usual), states })
-        };
+        let known = |(edge, states): (&Edge, EdgeStates)| (edge.id, Known { record: OnceLock::new(), states });
         let known = reported.into_iter().map(known).collect();
         Edges { view, usual, known, persistence }
     }
@@ -72,6 +74,7 @@ impl Edges {
             let record = EdgeRecord::of(&self.view, edge.extent, EdgeStates::default(), &self.usual);
             return record.outlook(&self.usual, f64::NAN, f64::NAN, self.view.moments(&[time_nanos])[0]);
         };
+        let record = record.get_or_init(|| EdgeRecord::of(&self.view, edge.extent, *states, &self.usual));
         let times = self.view.prepare(&[time_nanos]);
         let success = states.success.map_or(f64::NAN, |id| success(id, &times));
         let travel = states.travel.map_or(f64::NAN, |id| self.predict(id, &times));
