@@ -162,6 +162,8 @@ pub struct SearchQuery {
     pub speed_m_per_s: Option<f64>,
     /// Seed of what is random.
     pub seed: u64,
+    /// Edges take as long as is predicted from their reports.
+    pub as_travelled: bool,
 }
 
 /// A place to look at.
@@ -359,6 +361,7 @@ impl Client {
             floor: query.floor,
             speed_m_per_s: query.speed_m_per_s.unwrap_or_default(),
             seed: query.seed,
+            as_travelled: query.as_travelled,
         };
         let answer = self.route_service().plan_search(request).await.map_err(|status| self.error(&status))?;
         let told = answer.into_inner();

@@ -142,6 +142,34 @@ fn a_policy_waits_for_the_door_where_there_is_no_way_around_it() {
 }
 
 #[test]
+fn a_search_may_take_edges_as_they_were_travelled() {
+    let (_data, _launch, daemon) = learned();
+    // Robots take a minute from the hall to the yard, which the map says are 10 s.
+    let mut rows = "from,to,start,end,success\n".to_owned();
+    let mut seen = "time,state,value\n".to_owned();
+    for hour in 0..21 * 24 {
+        let time = START_SECS + hour * HOUR_SECS;
+        writeln!(rows, "hall,yard,{},{},true", time + 100, time + 160).expect("memory");
+        writeln!(seen, "{time},yard,0.8\n{time},lab,1").expect("memory");
+    }
+    let label = ["--producer", "robot", "--label", "yard"];
+    cli::tidemap_reading(&daemon, [&["traverse", "b", "-"], &label[..]].concat(), &rows).table();
+    cli::tidemap_reading(&daemon, ["observe", "b", "-", "--producer", "watcher"], &seen).table();
+    tidemap(&daemon, ["update", "b"]).table();
+    let search = |more: &[&str]| {
+        let now = at(12);
+        let args = ["search", "b", "--start", "hall", "--at", &now];
+        tidemap(&daemon, args.into_iter().chain(more.iter().copied())).table()
+    };
+    assert_eq!((search(&[]).column("node")[0], search(&[]).numbers("arrival_secs")[0]), ("yard", 10.0));
+    let travelled = search(&["--as-travelled"]);
+    assert!(
+        (travelled.numbers("arrival_secs")[0] - 30.0).abs() < 1.0 && travelled.column("node")[0] == "lab",
+        "{travelled:?}"
+    );
+}
+
+#[test]
 fn questions_of_routes_that_have_no_answer_are_refused() {
     let (_data, _launch, daemon) = learned();
     let now = at(12);

@@ -63,6 +63,9 @@ pub struct SearchArgs {
     /// Seed of what is random
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
+    /// Edges take as long as their reports say, as in `topology predict`, rather than what the map's maker told
+    #[arg(long)]
+    as_travelled: bool,
     /// Draws the map with the walk, as SVG
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
@@ -103,6 +106,7 @@ pub async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode
         floor: args.floor,
         speed_m_per_s: args.speed,
         seed: args.seed,
+        as_travelled: args.as_travelled,
     };
     let search = session.client.plan_search(query).await?;
     let mut sheet = Sheet::stdout(session.format, &COLUMNS);

@@ -10,7 +10,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_map::topology::{NodeId, Roads, Topology};
+use tidemap_map::{
+    predict::ModelSelector,
+    topology::{NodeId, Roads, Topology},
+};
 use tidemap_plan::search::{
     CHANGING_GOALS_MAX, EXACT_GOALS_MAX, Effort, GOALS_MAX, Goal, Plan, SearchError, search, search_changing,
 };
@@ -25,6 +28,7 @@ use tidemap_proto::{
 
 use super::{
     RouteError, Routes,
+    edges::Edges,
     places::{Places, find_node},
 };
 use crate::rpc::{
@@ -80,13 +84,21 @@ pub(super) async fn plan_search(
         false => None,
     };
 
+    let travelled = match request.as_travelled {
+        true => Some(Edges::new(routes, &handle, &view, ModelSelector::default(), speed).await?),
+        false => None,
+    };
+
     let is_given_up = Arc::new(AtomicBool::new(false));
     let _waiting = Waiting(Arc::clone(&is_given_up));
     let walked = Arc::clone(&topology);
     let work = move || {
         let deadline = Instant::now() + within;
         let until = || is_given_up.load(Ordering::Relaxed) || Instant::now() >= deadline;
-        let roads = Roads::new(&walked, |edge| Some(edge.extent.secs_at(speed)))?;
+        let roads = Roads::new(&walked, |edge| match &travelled {
+            Some(travelled) => Some(travelled.outlook(edge, time_nanos).duration_secs),
+            None => Some(edge.extent.secs_at(speed)),
+        })?;
         let plan = match predictor {
             None => search(&roads, start, &goals, &options, until),
             Some(predictor) => {
