@@ -71,9 +71,7 @@ impl Places {
         }
         Ok(places)
     }
-}
 
-impl Places {
     /// The places for who or what is called `object`; empty for the default kind.
     ///
     /// # Errors

@@ -16,7 +16,7 @@ use tidemap_proto::{
 use super::{Routes, places::Places};
 use crate::rpc::{
     map::find_map,
-    query::find_state,
+    query::{check_limit, find_state},
     series::{check_kind, series},
     status::RpcError,
 };
@@ -68,6 +68,8 @@ pub(super) async fn next_joint(
         let text = format!("{} states: expected 1 to {JOINT_STATES_MAX}", request.states.len());
         return Err(InvalidField::new("states", text).into());
     }
+    let predictions = times.len() as u64 * request.states.len() as u64;
+    check_limit("predictions", predictions, routes.predictions, "setting max_predictions")?;
     let mut states = Vec::with_capacity(request.states.len());
     for name in &request.states {
         let id = find_state(&view, name)?;
