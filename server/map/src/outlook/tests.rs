@@ -85,9 +85,9 @@ fn a_changed_length_keeps_the_speed() {
     assert!((record(both, &[]).outlook(&USUAL, 1.0, 9.0, at(9)).duration_secs - 40.0).abs() < 1e-9);
 }
 
-#[test]
-fn a_map_without_reports_has_a_prior() {
-    let spec = MapSpec {
+/// A map of which nothing is known.
+fn empty() -> LiveMap {
+    LiveMap::new(Arc::new(MapSpec {
         name: MapName::new("office").expect("valid"),
         zone: Zone::utc(),
         periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),
@@ -98,8 +98,12 @@ fn a_map_without_reports_has_a_prior() {
         retention: Retention::Forever,
         models: EnabledModels::default(),
         grid: None,
-    };
-    let view = LiveMap::new(Arc::new(spec)).publish();
+    }))
+}
+
+#[test]
+fn a_map_without_reports_has_a_prior() {
+    let view = empty().publish();
     let edges = [(Extent::metres(3.0), EdgeStates::default())];
     let usual = UsualEdge::of(&view, edges, 0.7);
     assert!((usual.success - 0.9).abs() < 1e-12 && (usual.speed_m_per_sec - 0.7).abs() < 1e-12, "{usual:?}");
@@ -128,19 +132,7 @@ proptest! {
 
 /// A map of one link, A and B 12 m apart, whose way there was reported so.
 fn driven(reports: &[(i64, bool)]) -> LiveMap {
-    let spec = MapSpec {
-        name: MapName::new("office").expect("valid"),
-        zone: Zone::utc(),
-        periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
-        grid: None,
-    };
-    let mut map = LiveMap::new(Arc::new(spec));
+    let mut map = empty();
     let name = |name| StateName::new(name).expect("valid");
     let node = |text| NewNode { name: name(text), pose: None, dwell_secs: None };
     let link = NewEdge { ends: EdgeEnds::link(name("a"), name("b")), extent: Extent::metres(12.0) };
