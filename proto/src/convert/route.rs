@@ -8,7 +8,7 @@ use tidemap_map::{
 };
 use tidemap_plan::search::{Effort, Options, Stop, Stopped};
 
-use super::{InvalidField, exploration::time_from_wire, time::nanos_from_duration};
+use super::{InvalidField, exploration::time_from_wire, path::edge_to_wire, time::nanos_from_duration};
 use crate::v1;
 
 /// How long an order is looked for by default, nanoseconds.
@@ -88,14 +88,8 @@ pub fn topology_to_wire(topology: &Topology) -> v1::GetTopologyResponse {
         dwell_secs: node.dwell_secs,
         id: node.id.0,
     });
-    let name = |id| topology.node(id).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
     let edges = topology.edges().map(|edge| v1::TopologyEdge {
-        ends: Some(v1::EdgeEnds {
-            from: name(edge.from),
-            to: name(edge.to),
-            action: edge.action.as_ref().map_or_else(String::new, |action| action.as_str().to_owned()),
-            both_ways: false,
-        }),
+        ends: Some(edge_to_wire(topology, edge)),
         length_m: edge.extent.length_m,
         nominal_secs: edge.extent.nominal_secs,
         id: edge.id.0,

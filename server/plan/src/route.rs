@@ -178,7 +178,7 @@ pub struct RouteStep {
     pub duration_secs: f64,
     /// How likely an attempt succeeds, above 0, at most 1.
     pub success: f64,
-    /// Where that lies with [`RouteOptions::confidence`], with equal tails.
+    /// Where that lies with [`RouteOptions::confidence`], as [`success_interval`] says.
     pub success_interval: Interval,
 }
 
@@ -246,7 +246,7 @@ pub fn plan_routes(
 }
 
 /// Where the success of an edge lies with a probability `confidence`, 0 to 1, with equal tails: quantiles of
-/// Beta(success · evidence, (1 - success) · evidence).
+/// Beta(success · evidence, (1 - success) · evidence), widened to hold the success itself.
 #[must_use]
 pub fn success_interval(success: f64, evidence: f64, confidence: f64) -> Interval {
     beta::Chance::new(success, evidence).interval(confidence)
