@@ -6,7 +6,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use tidemap_model::family::CannotFit;
+use tidemap_model::models::CannotFit;
 
 mod candidate;
 mod data;

@@ -1,6 +1,6 @@
 //! A model with all its parameters, ready to be fitted to readings.
 //!
-//! This is where the experiment meets the family of models: the names are those of the command line, the parameters those
+//! This is where the experiment meets the temporal models: the names are those of the command line, the parameters those
 //! that a protocol may write. Invariant: a candidate that was made can be fitted to any readings whose values suit it; a
 //! parameter outside its range is refused before data is read.
 
@@ -10,9 +10,9 @@ use tidemap::{
 };
 use tidemap_model::{
     Accumulator, MAX_ORDER, Periodicities, Sample, SpectralModel,
-    family::{
-        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, Chain, HISTOGRAM_PRIOR_READINGS, Histogram,
-        HistogramCycle, HistogramSettings, Hypertime, HypertimeMethod, HypertimeOptions, Latest, Mean, Moment, Pergam,
+    models::{
+        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle,
+        HistogramSettings, Hypertime, HypertimeMethod, HypertimeOptions, Latest, MarkovChain, Mean, Moment, Pergam,
         PergamOptions, PoissonSpectral, Readings, TemporalModel, UniformSpectral,
     },
 };
@@ -222,7 +222,7 @@ impl Candidate {
         Ok(match &self.settings {
             Settings::Mean => Box::new(Mean::fit(readings)?),
             Settings::Latest => Box::new(Latest::fit(readings)?),
-            Settings::Persistence => Box::new(Chain::fit(readings)?),
+            Settings::Persistence => Box::new(MarkovChain::fit(readings)?),
             Settings::Histogram(settings) => Box::new(Histogram::fit(readings, settings)?),
             Settings::Spectral { order, periodicities } => {
                 check_probabilities(samples)?;

@@ -11,7 +11,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
-use tidemap_model::family::CannotFit;
+use tidemap_model::models::CannotFit;
 use tidemap_plan::strategy::StrategyError;
 
 mod belief;

@@ -82,7 +82,7 @@ fn predict(
     candidate: &Candidate,
     refit: Refit,
     kind: ValueKind,
-) -> Result<Vec<Vec<f64>>, tidemap_model::family::CannotFit> {
+) -> Result<Vec<Vec<f64>>, tidemap_model::models::CannotFit> {
     let mut known: Vec<Sample> = data.train[state].clone();
     let mut model = candidate.fit(&known, kind)?;
     let mut predictions = Vec::with_capacity(data.tests.len());

@@ -13,7 +13,7 @@ use std::{
 };
 
 use rayon::prelude::*;
-use tidemap_model::family::CannotFit;
+use tidemap_model::models::CannotFit;
 use tidemap_plan::search::SearchError;
 
 mod flat;

@@ -6,7 +6,7 @@ use tidemap_map::{
     view::MapView,
 };
 use tidemap_model::{
-    Component, FitKind, HISTOGRAMS, MAX_ORDER, ModelChoice, SpectralModel, StateModel, family::HistogramCycle,
+    Component, FitKind, HISTOGRAMS, MAX_ORDER, ModelChoice, SpectralModel, StateModel, models::HistogramCycle,
 };
 
 use super::{

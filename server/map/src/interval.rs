@@ -5,7 +5,7 @@
 
 use tidemap_model::{
     StateKind,
-    family::{HourMoments, HourTable, Interval, Moment, credible_interval, value_interval},
+    models::{HourMoments, HourTable, Interval, Moment, credible_interval, value_interval},
 };
 
 use crate::{event::StateId, grid::view::CellDescription, view::MapView};

@@ -7,7 +7,7 @@
 //! never be tried again, as happened to robots (STRANDS, IEEE RAM 2017, "Adaptive Topological Navigation").
 //! Invariant: a success lies in `[LEAST_SUCCESS, 1)`, evidence is above 0, a duration is above 0 and finite.
 
-use tidemap_model::family::{HourTable, Moment};
+use tidemap_model::models::{HourTable, Moment};
 
 use crate::{
     event::StateId,

@@ -8,7 +8,7 @@ use std::{fmt, ops::RangeInclusive};
 use tidemap_model::{
     InstantPhasors, MAX_ORDER, ModelChoice, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
     StateModel,
-    family::{HistogramCycle, Moment, TemporalModel},
+    models::{HistogramCycle, Moment, TemporalModel},
 };
 
 use crate::{event::StateId, grid::view::CellDescription, view::MapView};

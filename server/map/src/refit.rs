@@ -8,7 +8,7 @@ use std::{collections::BTreeMap, fmt, sync::Arc};
 use rayon::prelude::*;
 use tidemap_model::{
     FitKind, FittedModel, LocalDay, OffsetCache, Sample, StateModel,
-    family::{CannotFit, Readings},
+    models::{CannotFit, Readings},
 };
 
 use crate::{

@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use tidemap_model::family::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
+use tidemap_model::models::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
 use tidemap_model::{Accumulator, LocalDay, MAX_ORDER, Periodicities, Sample, SpectralModel, Zone};
 
 /// A way to predict: what it expects of each moment, given the readings so far.

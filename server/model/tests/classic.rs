@@ -1,12 +1,12 @@
-//! The classic models of the family on recordings: the office door and the robot's speed of RA-L 2019. The expected
+//! The classic models on recordings: the office door and the robot's speed of RA-L 2019. The expected
 //! figures come from an independent implementation. Skipped where the recordings are not at hand.
 
 #![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};
 
-use tidemap_model::family::{
-    Chain, ChangeAlarm, DependenceSums, Histogram, HistogramCycle, HistogramSettings, HourTable, Latest, Mean,
+use tidemap_model::models::{
+    ChangeAlarm, DependenceSums, Histogram, HistogramCycle, HistogramSettings, HourTable, Latest, MarkovChain, Mean,
     OrderGains, Readings, TemporalModel, UniformSpectral, effective_observations, supported_order,
 };
 use tidemap_model::{
@@ -84,7 +84,7 @@ fn the_door_is_predicted_as_well_as_by_the_reference() {
         println!("{cycle:?} {bins}: {:.5}", weekly_mse(&histogram, &weeks));
     }
     println!("latest: {:.5}", weekly_mse(&Latest::fit(readings).unwrap(), &weeks));
-    let chain = Chain::fit(readings).unwrap();
+    let chain = MarkovChain::fit(readings).unwrap();
     println!("chain: {:.5}, {:?}, π {:.4}", weekly_mse(&chain, &weeks), chain.to_parts(), chain.stationary());
     // Half a day ahead and more a chain knows what the mean knows.
     check("chain", weekly_mse(&chain, &weeks), 0.0856, 0.001);
@@ -93,7 +93,7 @@ fn the_door_is_predicted_as_well_as_by_the_reference() {
 #[test]
 fn the_chain_predicts_the_next_minutes_of_the_door() {
     let Some(Door { train, weeks }) = door() else { return };
-    let fitted = Chain::fit(Readings::new(&train)).unwrap();
+    let fitted = MarkovChain::fit(Readings::new(&train)).unwrap();
     for minutes in [1, 5] {
         let (mut chain, mut errors, mut latest_errors) = (fitted, Evaluation::default(), Evaluation::default());
         for week in &weeks {

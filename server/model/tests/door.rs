@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use tidemap_model::{
     Accumulator, FitKind, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Sample, SpectralModel,
     StateModel, Zone, evaluate,
-    family::{Calibrated, CalibratedOptions, Readings},
+    models::{Calibrated, CalibratedOptions, Readings},
 };
 
 const TOLERANCE: f64 = 0.0002;

@@ -1,11 +1,11 @@
-//! The mixture members of the family on the recordings of RA-L 2019: an office door and a robot's speed. The bounds are
+//! The mixture models on the recordings of RA-L 2019: an office door and a robot's speed. The bounds are
 //! loose; the figures are printed. Skipped where the recordings are not at hand.
 
 #![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};
 
-use tidemap_model::family::{
+use tidemap_model::models::{
     Hypertime, HypertimeMethod, HypertimeOptions, Pergam, PergamOptions, Readings, TemporalModel,
 };
 use tidemap_model::{Sample, Zone};
@@ -63,7 +63,7 @@ fn error(model: &dyn TemporalModel, samples: &[Sample]) -> f64 {
 struct Constant(f64);
 
 impl TemporalModel for Constant {
-    fn predict(&self, _: tidemap_model::family::Moment) -> f64 {
+    fn predict(&self, _: tidemap_model::models::Moment) -> f64 {
         self.0
     }
 }

@@ -6,7 +6,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use tidemap_model::family::{Readings, TemporalModel};
+use tidemap_model::models::{Readings, TemporalModel};
 use tidemap_model::{
     EnabledModels, FitKind, FittedModel, HISTOGRAMS, LocalDay, MAX_ORDER, ModelChoice, Periodicities, Sample,
     StateKind, StateModel, UpdateRules,

@@ -35,7 +35,7 @@ pub(crate) use forecast::expected_secs;
 pub use forecast::{EdgeBest, EdgeForecast, ForecastError, Forecasts, SUCCESS_MIN};
 pub(crate) use network::Network;
 use tidemap_map::topology::{EdgeId, NOMINAL_MAX_SECS, NodeId, Topology};
-use tidemap_model::family::Interval;
+use tidemap_model::models::Interval;
 
 use self::{departure::Planner, error::check};
 

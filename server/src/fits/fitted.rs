@@ -12,10 +12,10 @@ use tidemap_map::{
 };
 use tidemap_model::{
     MAX_ORDER, Periodicities, Sample,
-    family::{
-        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, Chain, Histogram, HistogramSettings, Hypertime,
-        HypertimeMethod, HypertimeOptions, Moment, Pergam, PergamOptions, PoissonSpectral, Readings, TemporalModel,
-        UniformSpectral,
+    models::{
+        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, Histogram, HistogramSettings, Hypertime,
+        HypertimeMethod, HypertimeOptions, MarkovChain, Moment, Pergam, PergamOptions, PoissonSpectral, Readings,
+        TemporalModel, UniformSpectral,
     },
 };
 
@@ -28,7 +28,7 @@ pub enum Fitted {
     /// There are no readings: what is answered of a state of which nothing was learned.
     Unlearned,
     /// Persistence alone.
-    Chain(Chain),
+    MarkovChain(MarkovChain),
     /// The mean of each interval of a cycle.
     Histogram(Histogram),
     /// Periodic mixture of Gaussians.
@@ -65,7 +65,7 @@ impl Fitted {
         };
         match kind {
             ModelKind::Auto | ModelKind::Mean | ModelKind::Latest | ModelKind::Spectral => Ok(Self::Unlearned),
-            ModelKind::Persistence => Chain::fit(readings).map(Self::Chain),
+            ModelKind::Persistence => MarkovChain::fit(readings).map(Self::MarkovChain),
             ModelKind::Histogram { cycle, bins } => {
                 Histogram::fit(readings, &HistogramSettings::new(cycle, bins as usize)).map(Self::Histogram)
             }
@@ -120,7 +120,7 @@ impl Fitted {
         let (latest, uniform);
         let model: &dyn TemporalModel = match self {
             Self::Unlearned => &Constant(view.model(id).spectral().mean()),
-            Self::Chain(chain) => {
+            Self::MarkovChain(chain) => {
                 // It starts from the newest value, which changes as soon as that is acknowledged; its rates do not.
                 latest = from_newest(*chain, view, id);
                 &latest
@@ -139,7 +139,7 @@ impl Fitted {
     }
 }
 
-fn from_newest(mut chain: Chain, view: &MapView, id: StateId) -> Chain {
+fn from_newest(mut chain: MarkovChain, view: &MapView, id: StateId) -> MarkovChain {
     if let Some((nanos, value)) = view.live(id).persistence.last() {
         chain.observe(nanos, value);
     }

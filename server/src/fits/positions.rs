@@ -5,7 +5,7 @@
 use tidemap_map::{event::Dimensions, predict::ModelKind, spec::MapSpec};
 use tidemap_model::{
     Sample,
-    family::{
+    models::{
         CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeMethod, HypertimeOptions, Moment,
         Readings,
     },

@@ -8,7 +8,7 @@ use std::{
 use tidemap_map::predict::PERGAM_PERIOD_NANOS;
 use tidemap_model::{
     Sample,
-    family::{Chain, Readings},
+    models::{MarkovChain, Readings},
 };
 use tokio::sync::Notify;
 
@@ -22,11 +22,11 @@ fn key(state: u32) -> FitKey {
 /// A model that is told from others by its newest value.
 fn model(value: f64) -> Fitted {
     let samples = [Sample { utc_nanos: 5, offset_secs: 0, value }];
-    Fitted::Chain(Chain::fit(Readings::new(&samples)).expect("a reading"))
+    Fitted::MarkovChain(MarkovChain::fit(Readings::new(&samples)).expect("a reading"))
 }
 
 fn value(fitted: &Fitted) -> f64 {
-    let Fitted::Chain(chain) = fitted else { panic!("{fitted:?}") };
+    let Fitted::MarkovChain(chain) = fitted else { panic!("{fitted:?}") };
     chain.to_parts().last_value
 }
 

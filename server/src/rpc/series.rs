@@ -9,7 +9,7 @@ use tidemap_map::{
     predict::{ModelSelector, PreparedTimes},
     view::MapView,
 };
-use tidemap_model::family::Moment;
+use tidemap_model::models::Moment;
 use tidemap_proto::convert::InvalidField;
 
 use super::{

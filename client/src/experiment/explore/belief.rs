@@ -4,7 +4,7 @@
 
 use tidemap_model::{
     Sample,
-    family::{CannotFit, Chain, Moment, Presence, PresenceOptions, Readings, TemporalModel},
+    models::{CannotFit, MarkovChain, Moment, Presence, PresenceOptions, Readings, TemporalModel},
 };
 
 mod learner;
@@ -94,7 +94,7 @@ struct Place {
     readings: Vec<Sample>,
     persistence: tidemap_model::Persistence,
     /// The short-term memory of RAS 2017, section 4.2, where it is asked for.
-    chain: Option<Chain>,
+    chain: Option<MarkovChain>,
     /// What the model says of each slot of the day that is.
     today: Vec<f64>,
 }
@@ -135,7 +135,7 @@ impl Belief {
                 }
             }
             if self.remembers && !place.readings.is_empty() {
-                place.chain = Some(Chain::fit(Readings::new(&place.readings))?);
+                place.chain = Some(MarkovChain::fit(Readings::new(&place.readings))?);
             }
         }
         Ok(())

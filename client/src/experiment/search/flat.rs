@@ -10,7 +10,7 @@ use tidemap_map::{
     name::StateName,
     topology::{Extent, NodeId, Roads, ShortestTimes, Topology},
 };
-use tidemap_model::{Sample, family::Moment};
+use tidemap_model::{Sample, models::Moment};
 
 use super::{Problem, Protocol};
 use crate::{

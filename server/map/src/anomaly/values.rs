@@ -7,7 +7,7 @@
 
 use tidemap_model::{
     FitKind, HISTOGRAMS, ModelChoice, StateKind, StateModel,
-    family::{Moment, value_tail},
+    models::{Moment, value_tail},
 };
 
 use super::{Anomaly, Confidence};

@@ -7,7 +7,7 @@
 //! "Large-Scale Inference", 2010, chapter 1). Invariant: one of [`STRENGTHS`], the least where reports do not tell.
 
 use libm::lgamma;
-use tidemap_model::family::HourTable;
+use tidemap_model::models::HourTable;
 
 use super::{BORROWED, DAY_HOURS, WEEK_HOURS};
 

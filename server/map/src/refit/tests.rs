@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, sync::Mutex};
 
 use tidemap_model::{
     EnabledModels, OrderCriterion, Periodicities, Zone,
-    family::{Calibrated, CalibratedOptions},
+    models::{Calibrated, CalibratedOptions},
 };
 
 use super::*;

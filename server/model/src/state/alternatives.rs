@@ -11,7 +11,7 @@ use std::sync::Arc;
 use super::{EnabledModels, FitKind, FittedModel, UpdateRules};
 use crate::{
     Accumulator, LocalDay, Periodicities, Persistence, Sample, SpectralModel, StateKind,
-    family::{
+    models::{
         ChangeAlarm, DependenceSums, Histogram, HistogramCycle, HourTable, Moment, TemporalModel,
         effective_observations, effective_observations_of_values, supported_order, supported_order_of_values,
     },

@@ -4,7 +4,7 @@
 
 use crate::{
     InvalidParts, StateKind,
-    family::{
+    models::{
         Calibrated, CalibratedOptions, CalibratedParts, CannotFit, Hypertime, HypertimeMethod, HypertimeOptions,
         HypertimeParts, Moment, Pergam, PergamOptions, PergamParts, Readings, TemporalModel,
     },

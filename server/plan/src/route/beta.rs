@@ -5,7 +5,7 @@
 //! what is known to hold the answer. Invariant: 0 ≤ lower ≤ upper ≤ 1, whatever is asked.
 
 use libm::lgamma;
-use tidemap_model::family::Interval;
+use tidemap_model::models::Interval;
 
 #[cfg(test)]
 mod tests;

@@ -13,7 +13,7 @@ use tidemap_map::{
     predict::ModelKind,
     view::MapView,
 };
-use tidemap_model::{Sample, family::CannotFit};
+use tidemap_model::{Sample, models::CannotFit};
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 
 use super::{

@@ -10,7 +10,7 @@ use tidemap_map::{
     predict::ModelKind,
     view::MapView,
 };
-use tidemap_model::{VALUE_MAX, family::Moment};
+use tidemap_model::{VALUE_MAX, models::Moment};
 use tidemap_proto::{
     convert::{InvalidField, query::selector_from_wire, time::timestamp},
     v1::{self, predict_positions_response::Message},

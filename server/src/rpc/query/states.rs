@@ -14,7 +14,7 @@ use tidemap_map::{
 };
 use tidemap_model::{
     Persistence, entropy_bits,
-    family::{Interval, Moment},
+    models::{Interval, Moment},
 };
 use tidemap_proto::{
     convert::{

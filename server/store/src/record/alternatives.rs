@@ -5,7 +5,7 @@
 use tidemap_migrations::{v1::map as v1, v2::map as v2};
 use tidemap_model::{
     Alternatives, AlternativesParts, FitParts, FittedModelParts, LocalDay, PersistenceParts, StateKind,
-    family::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
+    models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
 };
 
 use super::{Invalid, doubles, fits};

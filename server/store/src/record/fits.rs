@@ -6,7 +6,7 @@ use prost::Message as _;
 use tidemap_migrations::v2::fits as v2;
 use tidemap_model::{
     FitParts, FittedModelParts, LocalDay,
-    family::{
+    models::{
         HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeParts,
         PergamGaussian, PergamParts,
     },

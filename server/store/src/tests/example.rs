@@ -20,7 +20,7 @@ use tidemap_map::{
 };
 use tidemap_model::{
     EnabledModels, FitKind, FittedModel, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities,
-    Persistence, PersistenceParts, Sample, SpectralModel, StateModel, UpdateRules, Zone, family::Readings,
+    Persistence, PersistenceParts, Sample, SpectralModel, StateModel, UpdateRules, Zone, models::Readings,
 };
 
 use crate::{AppendError, MapId, MapLog, OpenError, OpenedMap, Source, Store, StoreOptions};

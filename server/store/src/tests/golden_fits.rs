@@ -9,7 +9,7 @@ use std::{
 use tidemap_map::{event::StateKind, snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_model::{
     Alternatives, EnabledModels, FitParts, FittedModelParts, LocalDay,
-    family::{
+    models::{
         HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeParts,
         PergamGaussian, PergamParts,
     },

@@ -18,7 +18,7 @@ use tidemap_model::{
     Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, EnabledModels, FitParts,
     FittedModelParts, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
     PersistenceParts, SpectralModel, StateModel, Zone,
-    family::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
+    models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
 };
 
 use super::example::{append, content, copy, options};

@@ -4,7 +4,7 @@
 
 use tidemap_model::{
     OrderCriterion, Periodicities, Sample, StateModel,
-    family::{
+    models::{
         Calibrated, CalibratedOptions, CannotFit, Histogram, HistogramCycle, HistogramSettings, Mean, Moment, Pergam,
         PergamOptions, Readings, TemporalModel,
     },

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::predict::{ModelKind, ModelSelector};
-use tidemap_model::family::Moment;
+use tidemap_model::models::Moment;
 
 fn new_state(id: u32, kind: StateKind) -> Event {
     let name = StateName::new(&format!("s{id}")).expect("valid");

@@ -4,7 +4,7 @@
 //! costs one answer of each, however many readings it has.
 
 use super::{Alternatives, DayError, HISTOGRAMS};
-use crate::{Sample, family::hour_runs, order::OrderCriterion};
+use crate::{Sample, models::hour_runs, order::OrderCriterion};
 
 #[cfg(test)]
 mod tests;

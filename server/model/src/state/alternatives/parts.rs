@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::{Alternatives, Errors, FitKind, FittedModel, HISTOGRAMS, ModelChoice};
 use crate::{
     FittedModelParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
-    family::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts},
+    models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts},
 };
 
 /// The number under which the first of [`FitKind::ALL`] is stored as the one in force, clear of those of histograms; the

@@ -3,7 +3,7 @@
 use super::*;
 use crate::{
     FittedModelParts, StateModel,
-    family::{Calibrated, CalibratedOptions, Readings},
+    models::{Calibrated, CalibratedOptions, Readings},
 };
 
 const CALIBRATED: ModelChoice = ModelChoice::Fitted(FitKind::Calibrated);

@@ -75,7 +75,7 @@ async fn anomalies_are_the_readings_that_predictions_of_their_times_contradict()
     robot.observe(&bench, &readings[5500..]).await;
     let all = (NOON, NOON + 6000 * 20 * MINUTE);
     let part = (NOON + 777 * 20 * MINUTE, NOON + 5800 * 20 * MINUTE);
-    let histogram = ModelKind::Histogram { cycle: tidemap_model::family::HistogramCycle::Day, bins: 24 };
+    let histogram = ModelKind::Histogram { cycle: tidemap_model::models::HistogramCycle::Day, bins: 24 };
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Spectral, histogram, ModelKind::Calibrated] {
         for (state, range) in [("door", all), ("door", part), ("cell/2/0/0", all)] {
             if state != "door" && kind.needs_readings() {

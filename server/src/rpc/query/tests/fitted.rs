@@ -3,7 +3,7 @@
 use tidemap_map::predict::ModelKind;
 use tidemap_model::{
     Sample,
-    family::{Calibrated, CalibratedOptions, Histogram, HistogramCycle, HistogramSettings, Readings, TemporalModel},
+    models::{Calibrated, CalibratedOptions, Histogram, HistogramCycle, HistogramSettings, Readings, TemporalModel},
 };
 use tidemap_proto::convert::query::selector_to_wire;
 

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::family::TemporalModel as _;
+use crate::models::TemporalModel as _;
 
 const SEC: i64 = 1_000_000_000;
 

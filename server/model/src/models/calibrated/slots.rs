@@ -5,7 +5,7 @@
 
 use super::{CalibratedOptions, day_of_week};
 use crate::civil::NANOS_PER_SEC;
-use crate::family::Readings;
+use crate::models::Readings;
 use crate::{LocalDay, Sample};
 
 /// Slots of ten minutes in a day.

@@ -18,8 +18,8 @@ fn at(secs: i64) -> Moment {
     Moment { utc_nanos: secs.saturating_mul(1_000_000_000), offset_secs: 0 }
 }
 
-fn fitted(samples: &[Sample]) -> Chain {
-    Chain::fit(Readings::new(samples)).unwrap()
+fn fitted(samples: &[Sample]) -> MarkovChain {
+    MarkovChain::fit(Readings::new(samples)).unwrap()
 }
 
 /// A state with these mean times at 0 and at 1, read at gaps drawn evenly from a range.
@@ -125,17 +125,17 @@ fn an_unsure_but_steady_state_does_not_seem_to_change() {
 
 #[test]
 fn nonsense_is_refused() {
-    assert_eq!(Chain::fit(Readings::new(&[])), Err(CannotFit::NoReadings));
+    assert_eq!(MarkovChain::fit(Readings::new(&[])), Err(CannotFit::NoReadings));
     for value in [f64::NAN, -0.1, 1.1] {
-        assert!(matches!(Chain::fit(Readings::new(&[sample(0.0, value)])), Err(CannotFit::Parameter { .. })));
+        assert!(matches!(MarkovChain::fit(Readings::new(&[sample(0.0, value)])), Err(CannotFit::Parameter { .. })));
     }
-    let good = ChainParts { rise_per_sec: 1e-4, fall_per_sec: 1e-4, last_nanos: 0, last_value: 1.0 };
-    assert!(Chain::from_parts(good).is_ok());
+    let good = MarkovChainParts { rise_per_sec: 1e-4, fall_per_sec: 1e-4, last_nanos: 0, last_value: 1.0 };
+    assert!(MarkovChain::from_parts(good).is_ok());
     for rate in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(Chain::from_parts(ChainParts { rise_per_sec: rate, ..good }).is_err());
-        assert!(Chain::from_parts(ChainParts { fall_per_sec: rate, ..good }).is_err());
+        assert!(MarkovChain::from_parts(MarkovChainParts { rise_per_sec: rate, ..good }).is_err());
+        assert!(MarkovChain::from_parts(MarkovChainParts { fall_per_sec: rate, ..good }).is_err());
     }
-    assert!(Chain::from_parts(ChainParts { last_value: 1.5, ..good }).is_err());
+    assert!(MarkovChain::from_parts(MarkovChainParts { last_value: 1.5, ..good }).is_err());
 }
 
 proptest! {
@@ -156,7 +156,7 @@ proptest! {
             // Gaps are rounded, so the maximum is not met to the last digit.
             prop_assert!(other <= found + 1e-3, "{rise} {fall}: {other} > {found}");
         }
-        prop_assert_eq!(Chain::from_parts(parts).unwrap().to_parts(), parts);
+        prop_assert_eq!(MarkovChain::from_parts(parts).unwrap().to_parts(), parts);
     }
 
     #[test]
@@ -168,7 +168,7 @@ proptest! {
         let mut samples: Vec<Sample> =
             readings.iter().map(|&(utc_nanos, value)| Sample { utc_nanos, offset_secs: 0, value }).collect();
         samples.sort_by_key(|sample| sample.utc_nanos);
-        let chain = Chain::fit(Readings { samples: &samples, half_life_secs: half_life }).unwrap();
+        let chain = MarkovChain::fit(Readings { samples: &samples, half_life_secs: half_life }).unwrap();
         let p = chain.predict(Moment { utc_nanos: when, offset_secs: 0 });
         prop_assert!((0.0..=1.0).contains(&p), "{}", p);
     }

@@ -1,15 +1,15 @@
-//! The family of temporal models: several answers to "when", behind one small interface.
+//! The temporal models of one state, behind one small interface.
 //!
 //! Each model is fitted to the readings of one state and answers what to expect at a moment. Which of them predicts best is
 //! for held-out error to say. Invariant: whatever the readings, a prediction is finite.
 
 mod alarm;
 mod calibrated;
-mod chain;
 mod histogram;
 mod hypertime;
 mod interval;
 mod latest;
+mod markov_chain;
 mod mean;
 mod pergam;
 mod poisson;
@@ -19,7 +19,6 @@ mod uniform;
 
 pub use alarm::{ChangeAlarm, ChangeAlarmParts, DayErrors};
 pub use calibrated::{Calibrated, CalibratedOptions, CalibratedParts};
-pub use chain::{Chain, ChainParts};
 pub(crate) use histogram::hour_runs;
 pub use histogram::{
     HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle, HistogramParts, HistogramSettings, HourSpread, HourTable,
@@ -31,6 +30,7 @@ pub use hypertime::{
 };
 pub use interval::{HourMoments, Interval, credible_interval, value_interval, value_tail};
 pub use latest::{Latest, LatestParts};
+pub use markov_chain::{MarkovChain, MarkovChainParts};
 pub use mean::{Mean, MeanParts};
 pub use pergam::{Pergam, PergamGaussian, PergamOptions, PergamParts};
 pub use poisson::{COUNT_BIN_NANOS, PoissonSpectral, PoissonSpectralParts};
@@ -66,7 +66,7 @@ impl Sample {
     }
 }
 
-/// What all models of the family answer.
+/// The interface of all temporal models.
 pub trait TemporalModel {
     /// The value to expect at a moment: of a state that is a probability or binary a probability, in `[0,1]`.
     fn predict(&self, at: Moment) -> f64;

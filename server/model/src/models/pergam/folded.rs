@@ -3,7 +3,7 @@
 //! Invariant: each of the means lies in `[0,1]`, whatever was observed.
 
 use crate::civil::NANOS_PER_SEC;
-use crate::family::Readings;
+use crate::models::Readings;
 
 /// Phases that a period is divided into: minutes, for a day.
 pub(super) const PHASES: usize = 1_440;

@@ -5,7 +5,7 @@ use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 
 use super::*;
-use crate::family::HourTable;
+use crate::models::HourTable;
 use crate::{Accumulator, Component, MAX_ORDER, OrderCriterion, Persistence, Sample, StateModel};
 
 const MINUTE_NANOS: i64 = 60_000_000_000;

@@ -12,7 +12,7 @@ use super::mixture::Mixture;
 use super::week::{check_divisors, project, turn};
 use super::{HypertimeCluster, HypertimeMethod, HypertimeOptions};
 use crate::InvalidParts;
-use crate::family::{CannotFit, Moment};
+use crate::models::{CannotFit, Moment};
 
 #[cfg(test)]
 mod tests;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::super::*;
-use crate::family::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
+use crate::models::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
 use crate::{Sample, Zone};
 
 const HOUR_NANOS: i64 = 3_600_000_000_000;

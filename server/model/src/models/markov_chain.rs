@@ -20,13 +20,13 @@ const RATE_RANGE: std::ops::RangeInclusive<f64> = 1e-12..=1e10;
 ///
 /// p(t) = π + (s - π)·e^(-(α+β)(t-T)), with π = α/(α+β) and the newest reading s at T.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Chain {
-    parts: ChainParts,
+pub struct MarkovChain {
+    parts: MarkovChainParts,
 }
 
-/// What a [`Chain`] consists of, for storage.
+/// What a [`MarkovChain`] consists of, for storage.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ChainParts {
+pub struct MarkovChainParts {
     /// α: changes from 0 to 1 per second of being 0; above 0.
     pub rise_per_sec: f64,
     /// β: changes from 1 to 0 per second of being 1; above 0.
@@ -37,7 +37,7 @@ pub struct ChainParts {
     pub last_value: f64,
 }
 
-impl Chain {
+impl MarkovChain {
     /// The rates that make the readings most likely, whatever the gaps between them.
     ///
     /// Of two successive readings s and s' in `[0,1]` with a gap Δ, max(0, s'-s) counts as a rise, max(0, s-s') as a
@@ -50,7 +50,7 @@ impl Chain {
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings or a value is outside `[0,1]`.
-    pub fn fit(readings: Readings<'_>) -> Result<Chain, CannotFit> {
+    pub fn fit(readings: Readings<'_>) -> Result<MarkovChain, CannotFit> {
         check_values(readings, 0.0..=1.0, "0 to 1")?;
         let Some(last) = readings.samples.last() else { return Err(CannotFit::NoReadings) };
         let mut transitions = Transitions::default();
@@ -60,8 +60,8 @@ impl Chain {
         }
         let (sum, share) = transitions.most_likely();
         let rate = |rate: f64| rate.clamp(*RATE_RANGE.start(), *RATE_RANGE.end());
-        Ok(Chain {
-            parts: ChainParts {
+        Ok(MarkovChain {
+            parts: MarkovChainParts {
                 rise_per_sec: rate(sum * share),
                 fall_per_sec: rate(sum * (1.0 - share)),
                 last_nanos: last.utc_nanos,
@@ -89,7 +89,7 @@ impl Chain {
     }
 
     /// What to store.
-    pub fn to_parts(&self) -> ChainParts {
+    pub fn to_parts(&self) -> MarkovChainParts {
         self.parts
     }
 
@@ -97,15 +97,15 @@ impl Chain {
     ///
     /// # Errors
     /// [`InvalidParts`] where a rate is not positive and finite or the value is outside `[0,1]`.
-    pub fn from_parts(parts: ChainParts) -> Result<Chain, InvalidParts> {
+    pub fn from_parts(parts: MarkovChainParts) -> Result<MarkovChain, InvalidParts> {
         InvalidParts::check("rise rate", parts.rise_per_sec, RATE_RANGE)?;
         InvalidParts::check("fall rate", parts.fall_per_sec, RATE_RANGE)?;
         InvalidParts::check("last value", parts.last_value, 0.0..=1.0)?;
-        Ok(Chain { parts })
+        Ok(MarkovChain { parts })
     }
 }
 
-impl TemporalModel for Chain {
+impl TemporalModel for MarkovChain {
     /// Forwards from the newest reading; before it the stationary probability.
     fn predict(&self, at: Moment) -> f64 {
         let stationary = self.stationary();
