@@ -9,7 +9,7 @@ use tidemap::{
     time::{format_duration, parse_duration},
 };
 use tidemap_model::{
-    Accumulator, MAX_ORDER, Periodicities, Sample, SpectralModel,
+    Accumulator, ORDER_MAX, Periodicities, Sample, SpectralModel,
     models::{
         COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle,
         HistogramSettings, Hypertime, HypertimeMethod, HypertimeOptions, Latest, MarkovChain, Mean, Moment, Pergam,
@@ -121,8 +121,8 @@ impl Given<'_> {
     }
 
     fn order(&self) -> Result<usize, WrongParameter> {
-        let order = |text: &str| text.parse().ok().filter(|&order: &usize| order <= MAX_ORDER);
-        self.get("order", MAX_ORDER, "a whole number from 0 to 15", order)
+        let order = |text: &str| text.parse().ok().filter(|&order: &usize| order <= ORDER_MAX);
+        self.get("order", ORDER_MAX, "a whole number from 0 to 15", order)
     }
 
     fn periodicities(&self) -> Result<Periodicities, WrongParameter> {

@@ -12,7 +12,7 @@ use tidemap_map::{
     },
     view::MapView,
 };
-use tidemap_model::MAX_ORDER;
+use tidemap_model::ORDER_MAX;
 
 use super::{
     InvalidField,
@@ -134,7 +134,7 @@ pub fn cell_description_to_wire(
         order: u32::try_from(description.order).unwrap_or(u32::MAX),
         components: components_to_wire(view, &description.spectral),
         // Where a cell has never changed, every order was right.
-        order_errors: description.errors.unwrap_or([0.0; MAX_ORDER + 1]).to_vec(),
+        order_errors: description.errors.unwrap_or([0.0; ORDER_MAX + 1]).to_vec(),
         persistence_tau_secs: description.persistence.tau_secs(),
         last_value: last.map(|(_, value)| value),
         last_time: last.map(|(nanos, _)| timestamp(nanos)),

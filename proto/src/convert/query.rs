@@ -6,7 +6,7 @@ use tidemap_map::{
     view::MapView,
 };
 use tidemap_model::{
-    Component, FitKind, HISTOGRAMS, MAX_ORDER, ModelChoice, SpectralModel, StateModel, models::HistogramCycle,
+    Component, FitKind, HISTOGRAMS, ModelChoice, ORDER_MAX, SpectralModel, StateModel, models::HistogramCycle,
 };
 
 use super::{
@@ -122,8 +122,8 @@ fn parameter_of(kind: ModelKind) -> Option<u32> {
 pub fn order_from_wire(field: &str, order: u32) -> Result<usize, InvalidField> {
     usize::try_from(order)
         .ok()
-        .filter(|order| *order <= MAX_ORDER)
-        .ok_or_else(|| InvalidField::new(field, format!("order {order} is too high: 0 to {MAX_ORDER} are possible")))
+        .filter(|order| *order <= ORDER_MAX)
+        .ok_or_else(|| InvalidField::new(field, format!("order {order} is too high: 0 to {ORDER_MAX} are possible")))
 }
 
 /// A model for the wire.

@@ -6,7 +6,7 @@
 use std::{fmt, ops::RangeInclusive};
 
 use tidemap_model::{
-    InstantPhasors, MAX_ORDER, ModelChoice, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
+    InstantPhasors, ModelChoice, ORDER_MAX, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
     StateModel,
     models::{HistogramCycle, Moment, TemporalModel},
 };
@@ -132,7 +132,7 @@ impl fmt::Display for Period {
 pub struct ModelSelector {
     /// Which model.
     pub kind: ModelKind,
-    /// Number of spectral components, at most [`MAX_ORDER`]; by default the order that the last update chose. Without
+    /// Number of spectral components, at most [`ORDER_MAX`]; by default the order that the last update chose. Without
     /// effect on kinds that have none.
     pub order: Option<usize>,
     /// Blends the last value in (T-RO eq. 12 and 13).
@@ -150,7 +150,7 @@ impl ModelSelector {
     /// The order asked for, or else the one that the last update chose.
     #[must_use]
     pub(crate) fn order_or(&self, chosen: usize) -> usize {
-        self.order.unwrap_or(chosen).min(MAX_ORDER)
+        self.order.unwrap_or(chosen).min(ORDER_MAX)
     }
 
     /// Order of the spectral model that answers for this cell; 0 for a constant one.

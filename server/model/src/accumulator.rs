@@ -16,7 +16,7 @@ mod tests;
 /// Observations that are folded in at a time; their phasors and values stay in cache.
 const CHUNK: usize = 1024;
 /// All observations together never count less than this.
-const LEAST_WEIGHT: f64 = 1e-9;
+const WEIGHT_MIN: f64 = 1e-9;
 
 /// Sums over the observations of one state.
 #[derive(Clone, Debug, PartialEq)]
@@ -138,7 +138,7 @@ impl Accumulator {
     pub(crate) fn fade(&mut self, factor: f64) {
         let parts = &mut self.parts;
         // Never so little that nothing is left to divide by.
-        let factor = factor.clamp(0.0, 1.0).max(LEAST_WEIGHT / parts.weight.max(LEAST_WEIGHT));
+        let factor = factor.clamp(0.0, 1.0).max(WEIGHT_MIN / parts.weight.max(WEIGHT_MIN));
         parts.weight *= factor;
         parts.sum *= factor;
         parts.sum_squares *= factor;

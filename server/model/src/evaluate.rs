@@ -2,7 +2,7 @@
 //!
 //! Invariant: evaluating changes nothing; every observation counts once.
 
-use crate::{MAX_ORDER, Periodicities, PhasorTable, Sample, ScoreSums, SpectralModel, StateKind};
+use crate::{ORDER_MAX, Periodicities, PhasorTable, Sample, ScoreSums, SpectralModel, StateKind};
 
 #[cfg(test)]
 mod tests;
@@ -44,7 +44,7 @@ impl Evaluation {
 }
 
 /// The errors of a model of a probability on samples, one [`Evaluation`] per order 0..=`max_order`; orders above
-/// [`MAX_ORDER`] are left out.
+/// [`ORDER_MAX`] are left out.
 pub fn evaluate(
     model: &SpectralModel,
     periodicities: &Periodicities,
@@ -57,7 +57,7 @@ pub fn evaluate(
         squared_error: sums.squared[order],
         wrong: sums.wrong[order] as u64,
     };
-    (0..=max_order.min(MAX_ORDER)).map(of_order).collect()
+    (0..=max_order.min(ORDER_MAX)).map(of_order).collect()
 }
 
 /// The errors of every order, summed over the samples; of a state that is no probability, nothing is counted as wrong.

@@ -66,7 +66,7 @@ pub use state::{
 };
 
 /// The highest model order: at most this many spectral components are kept and used.
-pub const MAX_ORDER: usize = 15;
+pub const ORDER_MAX: usize = 15;
 
 /// Why stored parts were refused: they cannot have come from this crate's `to_parts`.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -95,8 +95,8 @@ pub enum InvalidParts {
         /// UTC, nanoseconds since 1970.
         last_nanos: i64,
     },
-    /// More components or a higher order than [`MAX_ORDER`].
-    #[error("order {found} is above {MAX_ORDER}")]
+    /// More components or a higher order than [`ORDER_MAX`].
+    #[error("order {found} is above {ORDER_MAX}")]
     OrderTooHigh {
         /// The order or number of components found.
         found: usize,

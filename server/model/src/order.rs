@@ -3,7 +3,7 @@
 //! T-RO section IV.B, with memory: a day's errors fade by 7 % a day, so that neither one odd day nor
 //! the distant past decides. Invariant: the error sums are finite and not negative.
 
-use crate::{InvalidParts, LocalDay, MAX_ORDER};
+use crate::{InvalidParts, LocalDay, ORDER_MAX};
 
 #[cfg(test)]
 mod tests;
@@ -23,7 +23,7 @@ pub enum OrderCriterion {
     ZeroOne,
 }
 
-/// Faded sums of prediction errors, one per order 0..=[`MAX_ORDER`].
+/// Faded sums of prediction errors, one per order 0..=[`ORDER_MAX`].
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct OrderErrors {
     parts: OrderErrorsParts,
@@ -33,7 +33,7 @@ pub struct OrderErrors {
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct OrderErrorsParts {
     /// Faded sum of errors per order, as of `last_day`.
-    pub sums: [f64; MAX_ORDER + 1],
+    pub sums: [f64; ORDER_MAX + 1],
     /// The last local day that was recorded.
     pub last_day: Option<LocalDay>,
 }
@@ -41,7 +41,7 @@ pub struct OrderErrorsParts {
 impl OrderErrors {
     /// Takes in the summed errors of a day's observations per order, after older errors have faded by
     /// 0.93 for each local day since. A day no later than the last adds without fading.
-    pub fn record(&mut self, day: LocalDay, errors: &[f64; MAX_ORDER + 1]) {
+    pub fn record(&mut self, day: LocalDay, errors: &[f64; ORDER_MAX + 1]) {
         let last_day = self.parts.last_day.unwrap_or(day);
         let elapsed_days = (i64::from(day.0) - i64::from(last_day.0)).max(0);
         let kept = KEPT_PER_DAY.powf(elapsed_days as f64);
@@ -63,7 +63,7 @@ impl OrderErrors {
     }
 
     /// Faded sum of errors per order.
-    pub fn sums(&self) -> &[f64; MAX_ORDER + 1] {
+    pub fn sums(&self) -> &[f64; ORDER_MAX + 1] {
         &self.parts.sums
     }
 

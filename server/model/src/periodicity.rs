@@ -11,10 +11,10 @@ use crate::civil::NANOS_PER_SEC;
 #[cfg(test)]
 mod tests;
 
-const MAX_COUNT: usize = 2048;
-const MIN_PERIOD_NANOS: i64 = NANOS_PER_SEC;
+const COUNT_MAX: usize = 2048;
+const PERIOD_MIN_NANOS: i64 = NANOS_PER_SEC;
 /// A hundred years of 365.25 days.
-const MAX_PERIOD_NANOS: i64 = 36_525 * 86_400 * NANOS_PER_SEC;
+const PERIOD_MAX_NANOS: i64 = 36_525 * 86_400 * NANOS_PER_SEC;
 const WEEK_NANOS: i64 = 7 * 86_400 * NANOS_PER_SEC;
 const WEEK_HARMONICS: u32 = 168;
 
@@ -39,14 +39,14 @@ pub enum PeriodicityDefinition {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidPeriodicities {
     /// Too few or too many.
-    #[error("{found} periodicities, expected 1 to {MAX_COUNT}")]
+    #[error("{found} periodicities, expected 1 to {COUNT_MAX}")]
     Count {
         /// How many were given.
         found: usize,
     },
     /// A period, or for harmonics the shortest one, is too short or too long.
     #[error("periodicity {index} has a period of {} s, expected 1 s to {} s (100 years)",
-        *period_nanos as f64 / 1e9, MAX_PERIOD_NANOS / NANOS_PER_SEC)]
+        *period_nanos as f64 / 1e9, PERIOD_MAX_NANOS / NANOS_PER_SEC)]
     Period {
         /// Index of the periodicity, from 0.
         index: usize,
@@ -193,11 +193,11 @@ impl Default for Periodicities {
 }
 
 fn check_count(found: usize) -> Result<usize, InvalidPeriodicities> {
-    if (1..=MAX_COUNT).contains(&found) { Ok(found) } else { Err(InvalidPeriodicities::Count { found }) }
+    if (1..=COUNT_MAX).contains(&found) { Ok(found) } else { Err(InvalidPeriodicities::Count { found }) }
 }
 
 fn check_period(index: usize, period_nanos: i64) -> Result<(), InvalidPeriodicities> {
-    if (MIN_PERIOD_NANOS..=MAX_PERIOD_NANOS).contains(&period_nanos) {
+    if (PERIOD_MIN_NANOS..=PERIOD_MAX_NANOS).contains(&period_nanos) {
         Ok(())
     } else {
         Err(InvalidPeriodicities::Period { index, period_nanos })

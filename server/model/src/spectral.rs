@@ -2,11 +2,11 @@
 //!
 //! p(t) = ς(μ + Σ 2|γ_k| cos(ω_k t + arg γ_k)), ς saturating to `[0,1]`, γ_k = (A_k - μB_k)/n. T-RO eq.
 //! 10 and 11 differ in normalisation: this is the one whose prediction of a sine is that sine.
-//! Invariant: components are finite, strongest first, at most [`MAX_ORDER`] of them.
+//! Invariant: components are finite, strongest first, at most [`ORDER_MAX`] of them.
 
 use pulp::Arch;
 
-use crate::{Accumulator, InvalidParts, MAX_ORDER, Periodicities, PhasorTable, StateKind};
+use crate::{Accumulator, InvalidParts, ORDER_MAX, Periodicities, PhasorTable, StateKind};
 
 mod cell;
 mod instant;
@@ -62,7 +62,7 @@ impl Default for SpectralModel {
 }
 
 impl SpectralModel {
-    /// The model of what was accumulated: its mean and the [`MAX_ORDER`] strongest components, of
+    /// The model of what was accumulated: its mean and the [`ORDER_MAX`] strongest components, of
     /// equal ones the lower index first. A periodicity is eligible where the observed span (last less
     /// first, UTC) holds 0.99 of its period; components of 0 are left out.
     pub fn fit(accumulator: &Accumulator, periodicities: &Periodicities) -> SpectralModel {
@@ -101,7 +101,7 @@ impl SpectralModel {
         components: Vec<Component>,
     ) -> Result<SpectralModel, InvalidParts> {
         InvalidParts::check("mean", mean, kind.bounds())?;
-        if components.len() > MAX_ORDER {
+        if components.len() > ORDER_MAX {
             return Err(InvalidParts::OrderTooHigh { found: components.len() });
         }
         for component in &components {
@@ -124,7 +124,7 @@ impl SpectralModel {
         self.observations
     }
 
-    /// The components, strongest first, at most [`MAX_ORDER`].
+    /// The components, strongest first, at most [`ORDER_MAX`].
     pub fn components(&self) -> &[Component] {
         &self.components
     }
@@ -157,7 +157,7 @@ impl SpectralModel {
     /// `out`; where `out` is shorter, for the first times only. Fast where the table holds the
     /// components' periodicities, correct in any case.
     pub fn predict_into(&self, order: usize, phasors: &PhasorTable, out: &mut [f64]) {
-        let mut terms = [Term::default(); MAX_ORDER];
+        let mut terms = [Term::default(); ORDER_MAX];
         match self.terms(order, phasors, &mut terms) {
             Some(terms) => Arch::new().dispatch(Predict { mean: self.mean, terms, times: phasors.len(), out }),
             None => {
@@ -173,7 +173,7 @@ impl SpectralModel {
         &self,
         order: usize,
         phasors: &'a PhasorTable,
-        terms: &'b mut [Term<'a>; MAX_ORDER],
+        terms: &'b mut [Term<'a>; ORDER_MAX],
     ) -> Option<&'b [Term<'a>]> {
         let leading = self.leading(order);
         for (term, component) in terms.iter_mut().zip(leading) {

@@ -10,7 +10,7 @@
 use crate::SpectralModel;
 use crate::evaluate::score_samples;
 use crate::{
-    Accumulator, InvalidParts, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Sample, StateKind,
+    Accumulator, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Sample, StateKind,
 };
 
 mod alternatives;
@@ -62,8 +62,8 @@ pub struct UpdateOutcome {
     pub observations: u64,
     /// Of these, observations that were predicted first and scored.
     pub scored: u64,
-    /// Sum of squared errors over the scored observations, per order 0..=[`MAX_ORDER`].
-    pub squared_errors: [f64; MAX_ORDER + 1],
+    /// Sum of squared errors over the scored observations, per order 0..=[`ORDER_MAX`].
+    pub squared_errors: [f64; ORDER_MAX + 1],
     /// Sum of squared errors over the scored observations, each predicted with the model in force on its day.
     pub squared_error_in_force: f64,
 }
@@ -90,14 +90,14 @@ impl StateModel {
     /// A state from what was stored.
     ///
     /// # Errors
-    /// [`InvalidParts`] where the order is above [`MAX_ORDER`].
+    /// [`InvalidParts`] where the order is above [`ORDER_MAX`].
     pub fn from_parts(
         accumulator: Accumulator,
         spectral: SpectralModel,
         order: usize,
         errors: OrderErrors,
     ) -> Result<StateModel, InvalidParts> {
-        if order > MAX_ORDER {
+        if order > ORDER_MAX {
             return Err(InvalidParts::OrderTooHigh { found: order });
         }
         Ok(StateModel { accumulator, spectral, order, errors, alternatives: None })
@@ -165,10 +165,10 @@ impl StateModel {
         &self.spectral
     }
 
-    /// The order to predict with, 0..=[`MAX_ORDER`]: the one that has predicted best, or fewer where noise would show
+    /// The order to predict with, 0..=[`ORDER_MAX`]: the one that has predicted best, or fewer where noise would show
     /// components as strong.
     pub fn order(&self) -> usize {
-        let supported = self.alternatives.as_ref().map_or(MAX_ORDER, |known| known.supported_order());
+        let supported = self.alternatives.as_ref().map_or(ORDER_MAX, |known| known.supported_order());
         self.order.min(supported)
     }
 

@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use tidemap_model::models::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
-use tidemap_model::{Accumulator, LocalDay, MAX_ORDER, Periodicities, Sample, SpectralModel, Zone};
+use tidemap_model::{Accumulator, LocalDay, ORDER_MAX, Periodicities, Sample, SpectralModel, Zone};
 
 /// A way to predict: what it expects of each moment, given the readings so far.
 type Method<'a> = &'a dyn Fn(&[Sample]) -> Box<dyn Fn(Moment) -> f64>;
@@ -81,7 +81,7 @@ fn fremen(samples: &[Sample]) -> Box<dyn Fn(Moment) -> f64> {
     let mut accumulator = Accumulator::new(&periodicities);
     accumulator.add(&periodicities, samples);
     let model = SpectralModel::fit(&accumulator, &periodicities);
-    Box::new(move |at| model.predict(&periodicities, MAX_ORDER, at.civil_nanos()))
+    Box::new(move |at| model.predict(&periodicities, ORDER_MAX, at.civil_nanos()))
 }
 
 /// Errors by rolling origin: from the third week on, learn from all weeks so far, predict the next, and those after.

@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use tidemap_model::{
-    Accumulator, FitKind, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Sample, SpectralModel,
+    Accumulator, FitKind, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Sample, SpectralModel,
     StateModel, Zone, evaluate,
     models::{Calibrated, CalibratedOptions, Readings},
 };
@@ -46,7 +46,7 @@ fn fitted(samples: &[Sample]) -> SpectralModel {
 
 #[track_caller]
 fn check_mse(model: &SpectralModel, samples: &[Sample], orders: &[usize], expected: &[f64]) {
-    let found = evaluate(model, &Periodicities::default(), samples, MAX_ORDER);
+    let found = evaluate(model, &Periodicities::default(), samples, ORDER_MAX);
     for (&order, &expected) in orders.iter().zip(expected) {
         let mse = found[order].mse();
         assert!((mse - expected).abs() <= TOLERANCE, "order {order}: {mse:.5}, expected {expected:.5}");
@@ -168,7 +168,7 @@ fn the_chosen_order_predicts_the_next_day() {
             .last_day()
             .zip(state.errors().last_day())
             .map_or(0.0, |(before, now)| 0.93_f64.powi(now.0 - before.0));
-        let mut day_errors = [0.0; MAX_ORDER + 1];
+        let mut day_errors = [0.0; ORDER_MAX + 1];
         for (order, error) in day_errors.iter_mut().enumerate() {
             *error = state.errors().sums()[order] - earlier.sums()[order] * faded;
         }

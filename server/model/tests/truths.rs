@@ -8,7 +8,7 @@
 
 use tidemap_model::models::{Readings, TemporalModel};
 use tidemap_model::{
-    EnabledModels, FitKind, FittedModel, HISTOGRAMS, LocalDay, MAX_ORDER, ModelChoice, Periodicities, Sample,
+    EnabledModels, FitKind, FittedModel, HISTOGRAMS, LocalDay, ModelChoice, ORDER_MAX, Periodicities, Sample,
     StateKind, StateModel, UpdateRules,
 };
 
@@ -97,7 +97,7 @@ fn run(kind: StateKind, days: i64, value: impl Fn(i64, i64) -> f64) -> Run {
     run
 }
 
-fn report(before: &StateModel, orders: &[f64; MAX_ORDER + 1], in_force: f64, today: &[Sample]) -> Day {
+fn report(before: &StateModel, orders: &[f64; ORDER_MAX + 1], in_force: f64, today: &[Sample]) -> Day {
     let count = today.len() as f64;
     let mut candidates =
         vec![(Candidate::Mean, orders[0] / count), (Candidate::Spectral, orders[before.order()] / count)];

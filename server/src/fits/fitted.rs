@@ -11,7 +11,7 @@ use tidemap_map::{
     view::MapView,
 };
 use tidemap_model::{
-    MAX_ORDER, Periodicities, Sample,
+    ORDER_MAX, Periodicities, Sample,
     models::{
         COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, Histogram, HistogramSettings, Hypertime,
         HypertimeMethod, HypertimeOptions, MarkovChain, Moment, Pergam, PergamOptions, PoissonSpectral, Readings,
@@ -79,7 +79,7 @@ impl Fitted {
                 Counts::fit(readings, &spec.periodicities).map(|model| Self::Poisson(Box::new(model)))
             }
             ModelKind::Calibrated => Calibrated::fit(readings, CalibratedOptions::default()).map(Self::Calibrated),
-            ModelKind::Uniform => UniformSpectral::fit(readings, MAX_ORDER).map(|model| Self::Uniform(Box::new(model))),
+            ModelKind::Uniform => UniformSpectral::fit(readings, ORDER_MAX).map(|model| Self::Uniform(Box::new(model))),
         }
     }
 

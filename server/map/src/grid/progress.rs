@@ -17,7 +17,7 @@ use std::{
     },
 };
 
-use tidemap_model::{LocalDay, MAX_ORDER, PhasorSum};
+use tidemap_model::{LocalDay, ORDER_MAX, PhasorSum};
 
 use super::{
     day::GridDay,
@@ -56,7 +56,7 @@ pub struct TileOutcome {
     /// Observations of cells with a spectrum that were predicted first and scored.
     pub scored: u64,
     /// Sum of squared errors over them, per order 0..=15.
-    pub squared_errors: [f64; MAX_ORDER + 1],
+    pub squared_errors: [f64; ORDER_MAX + 1],
     /// Sum of squared errors, each predicted with the order in force for its cell on its day.
     pub squared_error_in_force: f64,
     /// The same with the order that was chosen for its cell on that day.

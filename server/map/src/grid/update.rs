@@ -15,7 +15,7 @@ use std::{
 };
 
 use rayon::prelude::*;
-use tidemap_model::{LocalDay, MAX_ORDER, OrderCriterion, Periodicities};
+use tidemap_model::{LocalDay, ORDER_MAX, OrderCriterion, Periodicities};
 
 use super::{
     day::GridDay,
@@ -85,15 +85,15 @@ pub struct GridOutcome {
     /// Observations of cells with a spectrum that were predicted first and scored.
     pub scored: u64,
     /// Sum of squared errors over them, per order 0..=15.
-    pub squared_errors: [f64; MAX_ORDER + 1],
+    pub squared_errors: [f64; ORDER_MAX + 1],
     /// Sum of squared errors, each predicted with the order in force for its cell on its day.
     pub squared_error_in_force: f64,
     /// The same with the order that was chosen for its cell on that day.
     pub squared_error_chosen: f64,
     /// How many cells of these tiles had each order before; those without a spectrum are not counted.
-    pub cells_by_order_before: [u64; MAX_ORDER + 1],
+    pub cells_by_order_before: [u64; ORDER_MAX + 1],
     /// How many cells have each order now.
-    pub cells_by_order: [u64; MAX_ORDER + 1],
+    pub cells_by_order: [u64; ORDER_MAX + 1],
 }
 
 impl GridOutcome {
@@ -274,10 +274,10 @@ impl Tiles<'_> {
 }
 
 /// How many cells have each order.
-type CellsByOrder = [u64; MAX_ORDER + 1];
+type CellsByOrder = [u64; ORDER_MAX + 1];
 
 fn count_orders(model: &TileModel, cells_by_order: &mut CellsByOrder) {
     for cell in &model.cells {
-        cells_by_order[usize::from(cell.order).min(MAX_ORDER)] += 1;
+        cells_by_order[usize::from(cell.order).min(ORDER_MAX)] += 1;
     }
 }

@@ -55,7 +55,7 @@ pub struct CellDescription {
     /// Components in force.
     pub order: usize,
     /// Decayed error sums of the orders; `None` where it has not changed.
-    pub errors: Option<[f64; tidemap_model::MAX_ORDER + 1]>,
+    pub errors: Option<[f64; tidemap_model::ORDER_MAX + 1]>,
     /// Last value and persistence.
     pub persistence: Persistence,
     /// Observations folded in.

@@ -9,7 +9,7 @@ use crate::Component;
 fn nothing_to_evaluate_has_no_error() {
     let week = Periodicities::default();
     let evaluations = evaluate(&SpectralModel::default(), &week, &[], 99);
-    assert_eq!(evaluations, vec![Evaluation::default(); MAX_ORDER + 1]);
+    assert_eq!(evaluations, vec![Evaluation::default(); ORDER_MAX + 1]);
     assert!(evaluations[0].mse().abs() < 1e-15 && evaluations[0].error_rate().abs() < 1e-15);
 }
 
@@ -28,7 +28,7 @@ proptest! {
 
     #[test]
     fn every_order_is_scored_as_if_alone(
-        gammas in proptest::collection::vec((0_u32..168, -0.3..0.3, -0.3..0.3), 0..=MAX_ORDER),
+        gammas in proptest::collection::vec((0_u32..168, -0.3..0.3, -0.3..0.3), 0..=ORDER_MAX),
         observed in proptest::collection::vec((0..i64::MAX, 0.0..=1.0), 0..60),
         repeats in prop_oneof![Just(1_usize), Just(40)],
     ) {
@@ -40,8 +40,8 @@ proptest! {
         let model = SpectralModel::from_parts(0.45, 3, components).unwrap();
         let samples: Vec<Sample> =
             observed.iter().map(|&(utc_nanos, value)| Sample { utc_nanos, offset_secs: -3600, value }).collect();
-        let evaluations = evaluate(&model, &week, &samples.repeat(repeats), MAX_ORDER);
-        prop_assert_eq!(evaluations.len(), MAX_ORDER + 1);
+        let evaluations = evaluate(&model, &week, &samples.repeat(repeats), ORDER_MAX);
+        prop_assert_eq!(evaluations.len(), ORDER_MAX + 1);
         for (order, found) in evaluations.iter().enumerate() {
             let (mut squared, mut wrong) = (0.0, 0);
             for sample in &samples {

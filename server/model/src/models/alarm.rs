@@ -12,17 +12,17 @@ mod tests;
 /// How many days the history reaches back: older days fade with this time constant.
 const MEMORY_DAYS: f64 = 60.0;
 /// Days before the alarm can ring: a standard deviation of fewer is too unsure.
-const LEAST_DAYS: f64 = 14.0;
+const DAYS_MIN: f64 = 14.0;
 /// Days of a kind (weekday, weekend) before one of that kind can add to the sum.
-const LEAST_DAYS_OF_KIND: f64 = 4.0;
+const DAYS_OF_KIND_MIN: f64 = 4.0;
 /// A day adds its standard score less this to the sum …
 const SLACK: f64 = 0.75;
 /// … but no score above this: one odd day, however odd, is not a change of routine.
-const MOST_SCORE: f64 = 3.5;
+const SCORE_MAX: f64 = 3.5;
 /// The sum at which the alarm rings: at the least four odd days.
 const THRESHOLD: f64 = 8.5;
 /// Root mean squared errors are not told apart more finely than this.
-const LEAST_DEVIATION: f64 = 0.02;
+const DEVIATION_MIN: f64 = 0.02;
 /// While the standard deviation rests on n days it may be too low; it is widened by 1 + this/n.
 const WIDENING_DAYS: f64 = 3.0;
 
@@ -86,8 +86,8 @@ impl ChangeAlarm {
         let deviation = deviation(&parts.kinds);
         let history = &mut parts.kinds[kind];
         let mut score = 0.0;
-        if all_days >= LEAST_DAYS && history.days >= LEAST_DAYS_OF_KIND {
-            score = ((error - history.mean) / deviation).min(MOST_SCORE);
+        if all_days >= DAYS_MIN && history.days >= DAYS_OF_KIND_MIN {
+            score = ((error - history.mean) / deviation).min(SCORE_MAX);
             // Weighted as a whole: the error of a day of few observations varies more in the same proportion, and so the
             // sum climbs to the threshold by chance as rarely as on full days.
             parts.sum = (parts.sum + weight * (score - SLACK)).max(0.0);
@@ -96,7 +96,7 @@ impl ChangeAlarm {
             parts.rang = Some(day);
         }
         // What is far above the history enters it as the most that still scores.
-        let error = if score >= MOST_SCORE { history.mean + MOST_SCORE * deviation } else { error };
+        let error = if score >= SCORE_MAX { history.mean + SCORE_MAX * deviation } else { error };
         history.add(error, weight);
     }
 
@@ -152,7 +152,7 @@ impl DayErrors {
 /// The standard deviation that a day's error is measured by: of the kind that varies more.
 fn deviation(kinds: &[DayErrors; 2]) -> f64 {
     let widened = |kind: &DayErrors| kind.variance.sqrt() * (1.0 + WIDENING_DAYS / kind.days.max(1.0));
-    kinds.iter().filter(|kind| kind.days >= LEAST_DAYS_OF_KIND).map(widened).fold(LEAST_DEVIATION, f64::max)
+    kinds.iter().filter(|kind| kind.days >= DAYS_OF_KIND_MIN).map(widened).fold(DEVIATION_MIN, f64::max)
 }
 
 fn is_weekend(day: LocalDay) -> bool {

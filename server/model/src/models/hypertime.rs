@@ -51,7 +51,7 @@ pub struct HypertimeOptions {
     /// How the clusters are found.
     pub method: HypertimeMethod,
     /// How many clusters (HyT-EM; of a probability, for each of the two values), or at most how many (HyT-KM); from 1
-    /// to [`HypertimeOptions::MAX_CLUSTERS`]. Fewer where there are fewer distinct readings.
+    /// to [`HypertimeOptions::CLUSTERS_MAX`]. Fewer where there are fewer distinct readings.
     pub clusters: usize,
     /// What the starts of the clustering and the readings left out are drawn from.
     pub seed: u64,
@@ -59,10 +59,10 @@ pub struct HypertimeOptions {
 
 impl HypertimeOptions {
     /// The most clusters that may be asked for.
-    pub const MAX_CLUSTERS: usize = 50;
+    pub const CLUSTERS_MAX: usize = 50;
 
     fn check(&self) -> Result<(), CannotFit> {
-        if (1..=HypertimeOptions::MAX_CLUSTERS).contains(&self.clusters) {
+        if (1..=HypertimeOptions::CLUSTERS_MAX).contains(&self.clusters) {
             Ok(())
         } else {
             let (parameter, found) = ("clusters", self.clusters as f64);

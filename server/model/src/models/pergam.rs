@@ -4,7 +4,7 @@
 //! into one period (eq. 6) and a mixture of Gaussians is fitted to what they make of it (eq. 7). The Gaussians are
 //! wrapped here, so that 23:59 is next to 0:01. It can show several short events, but one period alone, which must be
 //! known.
-//! Invariant: at most [`PergamOptions::MAX_GAUSSIANS`], widths positive; a prediction lies in `[0,1]`.
+//! Invariant: at most [`PergamOptions::GAUSSIANS_MAX`], widths positive; a prediction lies in `[0,1]`.
 
 use super::{CannotFit, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
@@ -21,12 +21,12 @@ mod tests;
 
 const DAY_NANOS: i64 = 86_400 * NANOS_PER_SEC;
 /// A hundred years of 365.25 days.
-const MAX_PERIOD_NANOS: i64 = 36_525 * DAY_NANOS;
+const PERIOD_MAX_NANOS: i64 = 36_525 * DAY_NANOS;
 
 /// How a periodic Gaussian mixture is fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PergamOptions {
-    /// How many Gaussians, from 1 to [`PergamOptions::MAX_GAUSSIANS`]; fewer where the readings have fewer distinct
+    /// How many Gaussians, from 1 to [`PergamOptions::GAUSSIANS_MAX`]; fewer where the readings have fewer distinct
     /// phases.
     pub gaussians: usize,
     /// The period, in nanoseconds of local civil time, from 1 s to 100 years.
@@ -37,7 +37,7 @@ pub struct PergamOptions {
 
 impl PergamOptions {
     /// The most Gaussians that may be asked for.
-    pub const MAX_GAUSSIANS: usize = 20;
+    pub const GAUSSIANS_MAX: usize = 20;
 }
 
 impl Default for PergamOptions {
@@ -82,9 +82,9 @@ impl Pergam {
     /// # Errors
     /// [`CannotFit`] where there are no readings or an option is outside its range.
     pub fn fit(readings: Readings<'_>, options: &PergamOptions) -> Result<Pergam, CannotFit> {
-        check_range("gaussians", options.gaussians as f64, 1.0, PergamOptions::MAX_GAUSSIANS as f64, "1 to 20")?;
+        check_range("gaussians", options.gaussians as f64, 1.0, PergamOptions::GAUSSIANS_MAX as f64, "1 to 20")?;
         let period_secs = options.period_nanos as f64 / 1e9;
-        check_range("period_secs", period_secs, 1.0, MAX_PERIOD_NANOS as f64 / 1e9, "1 s to 100 years")?;
+        check_range("period_secs", period_secs, 1.0, PERIOD_MAX_NANOS as f64 / 1e9, "1 s to 100 years")?;
         if readings.samples.is_empty() {
             return Err(CannotFit::NoReadings);
         }
@@ -116,8 +116,8 @@ impl Pergam {
     /// [`InvalidParts`] where there are too many Gaussians or a number is outside its range.
     pub fn from_parts(parts: &PergamParts) -> Result<Pergam, InvalidParts> {
         let period_secs = parts.period_nanos as f64 / 1e9;
-        InvalidParts::check("period_secs", period_secs, 1.0..=MAX_PERIOD_NANOS as f64 / 1e9)?;
-        InvalidParts::check("gaussians", parts.gaussians.len() as f64, 0.0..=PergamOptions::MAX_GAUSSIANS as f64)?;
+        InvalidParts::check("period_secs", period_secs, 1.0..=PERIOD_MAX_NANOS as f64 / 1e9)?;
+        InvalidParts::check("gaussians", parts.gaussians.len() as f64, 0.0..=PergamOptions::GAUSSIANS_MAX as f64)?;
         for gaussian in &parts.gaussians {
             // Leave room for rounding.
             InvalidParts::check("weight", gaussian.weight, 0.0..=1.01)?;

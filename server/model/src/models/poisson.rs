@@ -6,7 +6,7 @@
 
 use super::mean::check_values;
 use super::{CannotFit, Moment, Readings, TemporalModel};
-use crate::{Component, InvalidParts, LocalDay, MAX_ORDER, Periodicities};
+use crate::{Component, InvalidParts, LocalDay, ORDER_MAX, Periodicities};
 
 mod spectrum;
 use spectrum::Spectrum;
@@ -24,12 +24,12 @@ const PRIOR_EVENTS: f64 = 0.5;
 /// … in one bin.
 const PRIOR_BINS: f64 = 1.0;
 /// A bin is taken to count no more than this.
-const MAX_COUNT: f64 = 1e12;
+const COUNT_MAX: f64 = 1e12;
 /// A lower order wins where the log-likelihood lacks no more than this of the highest: ln 20. Among the strongest of many
 /// candidates, noise alone gains a nat or two on held-out days quite often.
 const NEAR_TIE_NATS: f64 = 3.0;
 /// With fewer days there is nothing to hold out.
-const LEAST_DAYS: usize = 4;
+const DAYS_MIN: usize = 4;
 
 /// Events per bin as a mean and periodic components.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,7 +47,7 @@ pub struct PoissonSpectralParts {
     pub mean: f64,
     /// The rate is never below this count of a bin; above 0.
     pub floor: f64,
-    /// The components in use, strongest first, at most [`MAX_ORDER`], in counts of a bin.
+    /// The components in use, strongest first, at most [`ORDER_MAX`], in counts of a bin.
     pub components: Vec<Component>,
 }
 
@@ -57,7 +57,7 @@ impl PoissonSpectral {
     ///
     /// The mean is that of the Gamma posterior, (½ + Σ counts)/(1 + bins), so that a count that was always 0 has a small
     /// positive rate. The rate is never below what one time of the day has where it never counted anything, ½/(1 + days),
-    /// nor is that above the mean. The order, 0..=[`MAX_ORDER`], is the one with the highest Poisson log-likelihood on
+    /// nor is that above the mean. The order, 0..=[`ORDER_MAX`], is the one with the highest Poisson log-likelihood on
     /// the last quarter of the days, when fitted to those before, or the lowest of those that are not 20 times less
     /// likely; with fewer than four days it is 0.
     ///
@@ -72,7 +72,7 @@ impl PoissonSpectral {
             let (parameter, found) = ("bin in seconds", bin_nanos as f64 / 1e9);
             return Err(CannotFit::Parameter { parameter, found, expected: "1 s to 400 days" });
         }
-        check_values(readings, 0.0..=MAX_COUNT, "a count, 0 to 1e12")?;
+        check_values(readings, 0.0..=COUNT_MAX, "a count, 0 to 1e12")?;
         let bins = binned(readings, bin_nanos);
         let order = best_order(&bins, periodicities, bin_nanos);
         Ok(PoissonSpectral::of_bins(&bins, periodicities, bin_nanos, order))
@@ -110,7 +110,7 @@ impl PoissonSpectral {
         self.predict(at) / (self.parts.bin_nanos as f64 / 1e9)
     }
 
-    /// Number of components in use, 0..=[`MAX_ORDER`].
+    /// Number of components in use, 0..=[`ORDER_MAX`].
     pub fn order(&self) -> usize {
         self.parts.components.len()
     }
@@ -137,7 +137,7 @@ impl PoissonSpectral {
         InvalidParts::check("bin", parts.bin_nanos as f64, shortest..=longest)?;
         InvalidParts::check("mean count", parts.mean, f64::MIN_POSITIVE..=f64::MAX)?;
         InvalidParts::check("least count", parts.floor, f64::MIN_POSITIVE..=parts.mean)?;
-        if parts.components.len() > MAX_ORDER {
+        if parts.components.len() > ORDER_MAX {
             return Err(InvalidParts::OrderTooHigh { found: parts.components.len() });
         }
         for component in &parts.components {
@@ -158,7 +158,7 @@ impl PoissonSpectral {
 impl TemporalModel for PoissonSpectral {
     /// The count to expect in a bin around a moment; above 0.
     fn predict(&self, at: Moment) -> f64 {
-        self.count(MAX_ORDER, at.civil_nanos())
+        self.count(ORDER_MAX, at.civil_nanos())
     }
 }
 
@@ -179,7 +179,7 @@ fn binned(readings: Readings<'_>, bin_nanos: i64) -> Vec<Bin> {
         let index = sample.civil_nanos().div_euclid(bin_nanos);
         let centre_nanos = index.saturating_mul(bin_nanos).saturating_add(bin_nanos / 2);
         let bin = bins.entry(index).or_insert(Bin { centre_nanos, count: 0.0, weight });
-        bin.count = (bin.count + sample.value).min(MAX_COUNT);
+        bin.count = (bin.count + sample.value).min(COUNT_MAX);
         bin.weight = weight;
     }
     bins.into_values().collect()
@@ -194,12 +194,12 @@ fn day_runs(bins: &[Bin]) -> impl Iterator<Item = &[Bin]> {
 /// The order that predicts the last quarter of the days best from those before; the lowest of the near ones.
 fn best_order(bins: &[Bin], periodicities: &Periodicities, bin_nanos: i64) -> usize {
     let days: Vec<&[Bin]> = day_runs(bins).collect();
-    if days.len() < LEAST_DAYS {
+    if days.len() < DAYS_MIN {
         return 0;
     }
     let held_out = days[days.len() - days.len() / 4..].iter().map(|day| day.len()).sum::<usize>();
     let (learnt, held_out) = bins.split_at(bins.len() - held_out);
-    let model = PoissonSpectral::of_bins(learnt, periodicities, bin_nanos, MAX_ORDER);
+    let model = PoissonSpectral::of_bins(learnt, periodicities, bin_nanos, ORDER_MAX);
     let log_likelihood = |order: usize| -> f64 {
         let of_bin = |bin: &Bin| {
             let expected = model.count(order, bin.centre_nanos);

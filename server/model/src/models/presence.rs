@@ -23,9 +23,9 @@ const HISTORY_MAX: usize = 80_000;
 /// How a [`Presence`] is made.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PresenceOptions {
-    /// Number of places, 2 to [`PresenceOptions::MAX_PLACES`].
+    /// Number of places, 2 to [`PresenceOptions::PLACES_MAX`].
     pub places: usize,
-    /// Slots of a day, 1 to [`PresenceOptions::MAX_SLOTS`].
+    /// Slots of a day, 1 to [`PresenceOptions::SLOTS_MAX`].
     pub slots_per_day: usize,
     /// Standard deviation of the circular Gaussian over the time of day with which changes seen at one time of day speak for
     /// others, in slots, 0 to a quarter of the slots of a day.
@@ -39,9 +39,9 @@ pub struct PresenceOptions {
 
 impl PresenceOptions {
     /// The most places.
-    pub const MAX_PLACES: usize = 64;
+    pub const PLACES_MAX: usize = 64;
     /// The most slots of a day: minutes.
-    pub const MAX_SLOTS: usize = 1440;
+    pub const SLOTS_MAX: usize = 1440;
 
     /// For so many places and slots: habits are smoothed over an hour, and shrunk with a weight of five slots.
     pub fn new(places: usize, slots_per_day: usize) -> PresenceOptions {
@@ -56,10 +56,10 @@ impl PresenceOptions {
 
     fn check(&self) -> Result<(), CannotFit> {
         let wrong = |parameter, found, expected| Err(CannotFit::Parameter { parameter, found, expected });
-        if !(2..=Self::MAX_PLACES).contains(&self.places) {
+        if !(2..=Self::PLACES_MAX).contains(&self.places) {
             return wrong("places", self.places as f64, "2 to 64");
         }
-        if !(1..=Self::MAX_SLOTS).contains(&self.slots_per_day) {
+        if !(1..=Self::SLOTS_MAX).contains(&self.slots_per_day) {
             return wrong("slots of a day", self.slots_per_day as f64, "1 to 1440");
         }
         if !(0.0..=self.slots_per_day as f64 / 4.0).contains(&self.smoothing_slots) {

@@ -77,7 +77,7 @@ pub fn effective_observations_of_values(sums: &DependenceSums, variance: f64) ->
     effective(sums, |change| std::f64::consts::FRAC_PI_4 * change * change / variance)
 }
 
-/// How many of a model's strongest components are supported, 0..=[`MAX_ORDER`](crate::MAX_ORDER).
+/// How many of a model's strongest components are supported, 0..=[`ORDER_MAX`](crate::ORDER_MAX).
 ///
 /// Of n independent readings with variance v, |γ|²n/v is exponentially distributed with mean 1, so that noise shows a
 /// peak of z or more among K candidates with probability 1 - (1 - e^-z)^K (J. D. Scargle, "Studies in Astronomical Time

@@ -9,7 +9,7 @@ use realfft::num_complex::Complex;
 
 use super::mean::check_values;
 use super::{CannotFit, Moment, Readings, TemporalModel};
-use crate::{Component, InvalidParts, MAX_ORDER, Sample};
+use crate::{Component, InvalidParts, ORDER_MAX, Sample};
 
 mod gaps;
 mod regular;
@@ -23,9 +23,9 @@ mod tests;
 /// machines that round the last digit differently must agree.
 const TIE: f64 = 1e-9;
 /// Components weaker than this are what rounding leaves of 0.
-const LEAST_GAMMA: f64 = 1e-12;
+const GAMMA_MIN: f64 = 1e-12;
 /// More readings than this are refused: steps are stored in 32 bits.
-const MAX_STEPS: u64 = u32::MAX as u64;
+const STEPS_MAX: u64 = u32::MAX as u64;
 
 /// A regularly sampled binary state (T-RO, section III.B).
 ///
@@ -53,7 +53,7 @@ pub struct UniformSpectralParts {
     pub steps: u32,
     /// Mean of the readings that the spectrum was made of, in `[0,1]`.
     pub mean: f64,
-    /// The components P, strongest first, at most [`MAX_ORDER`]: index k from 1 to half of `fitted_steps`, phase 0 at the
+    /// The components P, strongest first, at most [`ORDER_MAX`]: index k from 1 to half of `fitted_steps`, phase 0 at the
     /// first reading.
     pub components: Vec<Component>,
     /// The outlier set O, Δ-encoded: from step 0 on, the number of steps to where the estimate p ≥ 0.5 starts to differ from
@@ -68,7 +68,7 @@ impl UniformSpectral {
     ///
     /// # Errors
     /// [`CannotFit`] where there are fewer than two readings, a value is neither 0 nor 1, or the order is above
-    /// [`MAX_ORDER`]; [`CannotFit::Irregular`] where a reading lies more than 1 % of the interval off its regular time.
+    /// [`ORDER_MAX`]; [`CannotFit::Irregular`] where a reading lies more than 1 % of the interval off its regular time.
     pub fn fit(readings: Readings<'_>, order: usize) -> Result<UniformSpectral, CannotFit> {
         check_values(readings, 0.0..=1.0, "0 or 1")?;
         let samples = readings.samples;
@@ -90,13 +90,13 @@ impl UniformSpectral {
     /// The model of all states held, with another order: the update of T-RO III.B.3. Nothing is lost by it.
     ///
     /// # Errors
-    /// [`CannotFit`] where the order is above [`MAX_ORDER`].
+    /// [`CannotFit`] where the order is above [`ORDER_MAX`].
     pub fn with_order(&self, order: usize) -> Result<UniformSpectral, CannotFit> {
         UniformSpectral::of_states(&self.parts, &self.reconstruct(), order)
     }
 
     fn of_states(header: &UniformSpectralParts, states: &[bool], order: usize) -> Result<UniformSpectral, CannotFit> {
-        if order > MAX_ORDER {
+        if order > ORDER_MAX {
             return Err(CannotFit::Parameter { parameter: "order", found: order as f64, expected: "0 to 15" });
         }
         let steps = states.len() as u32;
@@ -124,7 +124,7 @@ impl UniformSpectral {
     pub fn append(&mut self, sample: &Sample) -> Result<(), CannotFit> {
         let state = binary(sample)?;
         let parts = &self.parts;
-        if u64::from(parts.steps) >= MAX_STEPS || off_time(sample, parts.first_nanos, parts.interval_nanos, parts.steps)
+        if u64::from(parts.steps) >= STEPS_MAX || off_time(sample, parts.first_nanos, parts.interval_nanos, parts.steps)
         {
             return Err(CannotFit::Parameter {
                 parameter: "time of a reading in seconds after the first",
@@ -229,7 +229,7 @@ impl UniformSpectral {
 
     /// s'(t): the state at a step by the spectrum alone (T-RO eq. 9 with c = 0.5).
     fn estimate(&self, step: u32) -> bool {
-        self.estimate_at_order(MAX_ORDER, step)
+        self.estimate_at_order(ORDER_MAX, step)
     }
 
     fn estimate_at_order(&self, order: usize, step: u32) -> bool {
@@ -265,7 +265,7 @@ impl UniformSpectral {
         InvalidParts::check("interval", parts.interval_nanos as f64, 1.0..=i64::MAX as f64)?;
         InvalidParts::check("fitted steps", f64::from(parts.fitted_steps), 2.0..=f64::from(parts.steps))?;
         InvalidParts::check("mean", parts.mean, 0.0..=1.0)?;
-        if parts.components.len() > MAX_ORDER {
+        if parts.components.len() > ORDER_MAX {
             return Err(InvalidParts::OrderTooHigh { found: parts.components.len() });
         }
         for component in &parts.components {
@@ -282,7 +282,7 @@ impl UniformSpectral {
 impl TemporalModel for UniformSpectral {
     /// p(t) by the spectrum alone, continued periodically before and after what was fitted (T-RO eq. 10).
     fn predict(&self, at: Moment) -> f64 {
-        self.predict_at_order(MAX_ORDER, at)
+        self.predict_at_order(ORDER_MAX, at)
     }
 }
 
@@ -316,7 +316,7 @@ fn strongest(states: &[bool], order: usize) -> Result<(f64, Vec<Component>), Can
         gamma_im: sum.im * per_reading,
     };
     let mut components: Vec<Component> = spectrum.iter().enumerate().skip(1).map(component).collect();
-    components.retain(|component| component.amplitude() > 2.0 * LEAST_GAMMA);
+    components.retain(|component| component.amplitude() > 2.0 * GAMMA_MIN);
     // Stable, so that equal ones stay in the order of their index.
     components.sort_by(|a, b| b.amplitude().total_cmp(&a.amplitude()));
     components.truncate(order);

@@ -2,8 +2,8 @@
 
 use super::*;
 
-fn errors(of: &[(usize, f64)]) -> [f64; MAX_ORDER + 1] {
-    let mut errors = [1000.0; MAX_ORDER + 1];
+fn errors(of: &[(usize, f64)]) -> [f64; ORDER_MAX + 1] {
+    let mut errors = [1000.0; ORDER_MAX + 1];
     for &(order, error) in of {
         errors[order] = error;
     }
@@ -31,10 +31,10 @@ fn the_lowest_error_wins_and_near_ties_go_to_the_lower_order() {
 #[test]
 fn errors_fade_with_the_days_that_pass() {
     let mut order_errors = OrderErrors::default();
-    order_errors.record(LocalDay(100), &[2.0; MAX_ORDER + 1]);
-    order_errors.record(LocalDay(101), &[1.0; MAX_ORDER + 1]);
+    order_errors.record(LocalDay(100), &[2.0; ORDER_MAX + 1]);
+    order_errors.record(LocalDay(101), &[1.0; ORDER_MAX + 1]);
     assert!((order_errors.sums()[5] - (2.0 * 0.93 + 1.0)).abs() < 1e-12);
-    order_errors.record(LocalDay(111), &[0.5; MAX_ORDER + 1]);
+    order_errors.record(LocalDay(111), &[0.5; ORDER_MAX + 1]);
     let expected = (2.0 * 0.93 + 1.0) * 0.93_f64.powi(10) + 0.5;
     assert!((order_errors.sums()[5] - expected).abs() < 1e-12);
     assert_eq!(order_errors.last_day(), Some(LocalDay(111)));
@@ -44,7 +44,7 @@ fn errors_fade_with_the_days_that_pass() {
 fn the_same_and_an_earlier_day_add_without_fading() {
     let mut order_errors = OrderErrors::default();
     for day in [100, 100, 98] {
-        order_errors.record(LocalDay(day), &[1.0; MAX_ORDER + 1]);
+        order_errors.record(LocalDay(day), &[1.0; ORDER_MAX + 1]);
     }
     assert!((order_errors.sums()[0] - 3.0).abs() < 1e-12);
     assert_eq!(order_errors.last_day(), Some(LocalDay(100)));
@@ -64,10 +64,10 @@ fn yesterday_outweighs_a_month_ago() {
 #[test]
 fn extreme_days_keep_the_sums_finite() {
     let mut order_errors = OrderErrors::default();
-    order_errors.record(LocalDay(i32::MIN), &[1.0; MAX_ORDER + 1]);
-    order_errors.record(LocalDay(i32::MAX), &[1.0; MAX_ORDER + 1]);
+    order_errors.record(LocalDay(i32::MIN), &[1.0; ORDER_MAX + 1]);
+    order_errors.record(LocalDay(i32::MAX), &[1.0; ORDER_MAX + 1]);
     assert!((order_errors.sums()[15] - 1.0).abs() < 1e-12);
     assert_eq!(OrderErrors::from_parts(order_errors.to_parts()), Ok(order_errors));
-    let damaged = OrderErrorsParts { sums: [f64::NAN; MAX_ORDER + 1], last_day: None };
+    let damaged = OrderErrorsParts { sums: [f64::NAN; ORDER_MAX + 1], last_day: None };
     assert!(OrderErrors::from_parts(damaged).is_err());
 }

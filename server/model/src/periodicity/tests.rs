@@ -34,9 +34,9 @@ fn counts_and_periods_outside_their_ranges_are_refused_by_name() {
 
 #[test]
 fn the_ends_of_the_ranges_are_accepted() {
-    assert!(Periodicities::list(vec![NANOS_PER_SEC, MAX_PERIOD_NANOS]).is_ok());
+    assert!(Periodicities::list(vec![NANOS_PER_SEC, PERIOD_MAX_NANOS]).is_ok());
     assert!(Periodicities::harmonics(2048 * NANOS_PER_SEC, 2048).is_ok());
-    assert!(Periodicities::harmonics(MAX_PERIOD_NANOS, 1).is_ok());
+    assert!(Periodicities::harmonics(PERIOD_MAX_NANOS, 1).is_ok());
 }
 
 #[test]
@@ -55,7 +55,7 @@ proptest::proptest! {
     #[test]
     fn phases_are_exact_for_every_time_and_period(
         civil in proptest::num::i64::ANY,
-        period in NANOS_PER_SEC..=MAX_PERIOD_NANOS,
+        period in NANOS_PER_SEC..=PERIOD_MAX_NANOS,
     ) {
         let turns = Cycle::new(period).turns(civil);
         let exact = i128::from(civil).rem_euclid(i128::from(period)) as f64 / period as f64;

@@ -10,26 +10,26 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::SpectralModel;
 use super::sweep::Term;
-use crate::{MAX_ORDER, PhasorTable};
+use crate::{ORDER_MAX, PhasorTable};
 
 #[cfg(test)]
 mod tests;
 
 /// The most lanes that a vector has on any instruction set.
-const MAX_LANES: usize = 8;
-const ONES: [f64; MAX_LANES] = [1.0; MAX_LANES];
+const LANES_MAX: usize = 8;
+const ONES: [f64; LANES_MAX] = [1.0; LANES_MAX];
 
-/// Errors of each order 0..=[`MAX_ORDER`], summed over observations.
+/// Errors of each order 0..=[`ORDER_MAX`], summed over observations.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct ScoreSums {
     /// Sum of squared differences of prediction and value.
-    pub squared: [f64; MAX_ORDER + 1],
+    pub squared: [f64; ORDER_MAX + 1],
     /// Number of predictions on the other side of 0.5 than the value; 0.5 itself counts as 1 (T-RO eq. 15).
-    pub wrong: [f64; MAX_ORDER + 1],
+    pub wrong: [f64; ORDER_MAX + 1],
 }
 
 impl SpectralModel {
-    /// Adds the errors of every order 0..=[`MAX_ORDER`] at predicting `values`, each in `[0,1]`, at the
+    /// Adds the errors of every order 0..=[`ORDER_MAX`] at predicting `values`, each in `[0,1]`, at the
     /// times of the table. Times of weight 0 are left out, others count once; without weights, all
     /// count. Where `values` or `weights` are shorter than the table, for the first times only. `wrong`
     /// is counted only if asked for. Fast where the table holds the model's periodicities, correct in
@@ -44,16 +44,16 @@ impl SpectralModel {
     ) {
         let times = phasors.len().min(values.len()).min(weights.map_or(usize::MAX, <[f64]>::len));
         let (values, weights) = (&values[..times], weights.map(|weights| &weights[..times]));
-        let mut terms = [Term::default(); MAX_ORDER];
-        match self.terms(MAX_ORDER, phasors, &mut terms) {
+        let mut terms = [Term::default(); ORDER_MAX];
+        match self.terms(ORDER_MAX, phasors, &mut terms) {
             Some(terms) => {
                 Arch::new().dispatch(Score { mean: self.mean, terms, values, weights, with_wrong, sums });
             }
             None => {
                 let own: Vec<u32> = self.components.iter().map(|component| component.periodicity).collect();
                 let phasors = PhasorTable::only(phasors.periodicities(), &phasors.civil_nanos()[..times], &own);
-                let mut terms = [Term::default(); MAX_ORDER];
-                let terms = self.terms(MAX_ORDER, &phasors, &mut terms).unwrap_or(&[]);
+                let mut terms = [Term::default(); ORDER_MAX];
+                let terms = self.terms(ORDER_MAX, &phasors, &mut terms).unwrap_or(&[]);
                 Arch::new().dispatch(Score { mean: self.mean, terms, values, weights, with_wrong, sums });
             }
         }
@@ -89,7 +89,7 @@ impl WithSimd for Score<'_, '_> {
 impl Score<'_, '_> {
     #[inline(always)]
     fn run<S: Simd, const SIDE_BY_SIDE: usize, const WRONG: bool>(self, simd: S) {
-        let used = self.terms.len().min(MAX_ORDER);
+        let used = self.terms.len().min(ORDER_MAX);
         let terms = &self.terms[..used];
         let mut lanes = Lanes::<S>::new(simd);
         let times = self.values.len();
@@ -108,11 +108,11 @@ impl Score<'_, '_> {
             // The last vector is padded with times that are left out.
             let padded_values = padded(&self.values[at..]);
             let padded_weights = padded(self.weights.map_or(&ONES[..times - at], |weights| &weights[at..]));
-            let mut rows = [([0.0; MAX_LANES], [0.0; MAX_LANES]); MAX_ORDER];
+            let mut rows = [([0.0; LANES_MAX], [0.0; LANES_MAX]); ORDER_MAX];
             for (row, term) in rows.iter_mut().zip(terms) {
                 *row = (padded(&term.cos[at..times]), padded(&term.sin[at..times]));
             }
-            let mut padded_terms = [Term::default(); MAX_ORDER];
+            let mut padded_terms = [Term::default(); ORDER_MAX];
             for ((padded, term), (cos, sin)) in padded_terms.iter_mut().zip(terms).zip(&rows) {
                 *padded = Term { cos, sin, ..*term };
             }
@@ -123,10 +123,10 @@ impl Score<'_, '_> {
     }
 }
 
-/// At most [`MAX_LANES`] numbers, and zeros behind them.
+/// At most [`LANES_MAX`] numbers, and zeros behind them.
 #[inline(always)]
-fn padded(numbers: &[f64]) -> [f64; MAX_LANES] {
-    let mut padded = [0.0; MAX_LANES];
+fn padded(numbers: &[f64]) -> [f64; LANES_MAX] {
+    let mut padded = [0.0; LANES_MAX];
     for (padded, number) in padded.iter_mut().zip(numbers) {
         *padded = *number;
     }
@@ -147,8 +147,8 @@ struct Observed<S: Simd, const N: usize> {
 
 /// Sums of each order, still in lanes.
 struct Lanes<S: Simd> {
-    squared: [S::f64s; MAX_ORDER + 1],
-    wrong: [S::f64s; MAX_ORDER + 1],
+    squared: [S::f64s; ORDER_MAX + 1],
+    wrong: [S::f64s; ORDER_MAX + 1],
     /// Values of at least 0.5: wrong predictions of each order if all were below 0.5.
     positive: S::f64s,
 }
@@ -157,7 +157,7 @@ impl<S: Simd> Lanes<S> {
     #[inline(always)]
     fn new(simd: S) -> Lanes<S> {
         let zero = simd.splat_f64s(0.0);
-        Lanes { squared: [zero; MAX_ORDER + 1], wrong: [zero; MAX_ORDER + 1], positive: zero }
+        Lanes { squared: [zero; ORDER_MAX + 1], wrong: [zero; ORDER_MAX + 1], positive: zero }
     }
 
     /// Adds the errors at `N` vectors of times: the first of `values` and `weights`, and those of the
@@ -196,7 +196,7 @@ impl<S: Simd> Lanes<S> {
             }
         }
         self.add_order::<N, WRONG>(simd, 0, &error, &observed);
-        for (order, term) in (1..=MAX_ORDER).zip(terms) {
+        for (order, term) in (1..=ORDER_MAX).zip(terms) {
             let Some(cos) = S::as_simd_f64s(&term.cos[at..]).0.first_chunk::<N>() else { return };
             let Some(sin) = S::as_simd_f64s(&term.sin[at..]).0.first_chunk::<N>() else { return };
             let (cos_weight, sin_weight) = (simd.splat_f64s(term.cos_weight), simd.splat_f64s(term.sin_weight));
@@ -237,7 +237,7 @@ impl<S: Simd> Lanes<S> {
     #[inline(always)]
     fn add_to<const WRONG: bool>(&self, simd: S, used: usize, sums: &mut ScoreSums) {
         let (mut squared, mut wrong) = (0.0, 0.0);
-        for order in 0..=MAX_ORDER {
+        for order in 0..=ORDER_MAX {
             if order <= used {
                 squared = simd.reduce_sum_f64s(self.squared[order]);
                 if WRONG {

@@ -4,33 +4,33 @@
 //! comes first.
 
 use super::Component;
-use crate::MAX_ORDER;
+use crate::ORDER_MAX;
 
-/// The at most [`MAX_ORDER`] strongest of the components offered so far.
+/// The at most [`ORDER_MAX`] strongest of the components offered so far.
 pub(super) struct Strongest {
     /// Descending; 0 where there is no component yet, so that only more than 0 is kept.
-    powers: [f64; MAX_ORDER],
-    components: [Component; MAX_ORDER],
+    powers: [f64; ORDER_MAX],
+    components: [Component; ORDER_MAX],
     count: usize,
 }
 
 impl Strongest {
     pub(super) fn new() -> Strongest {
         let none = Component { periodicity: 0, gamma_re: 0.0, gamma_im: 0.0 };
-        Strongest { powers: [0.0; MAX_ORDER], components: [none; MAX_ORDER], count: 0 }
+        Strongest { powers: [0.0; ORDER_MAX], components: [none; ORDER_MAX], count: 0 }
     }
 
     /// A component is kept only if its power |γ|² is above this.
     #[inline(always)]
     pub(super) fn to_beat(&self) -> f64 {
-        self.powers[MAX_ORDER - 1]
+        self.powers[ORDER_MAX - 1]
     }
 
     /// Keeps a component if it is strong enough. To be offered in ascending order of periodicity.
     #[inline]
     pub(super) fn offer(&mut self, power: f64, component: Component) {
         if power > self.to_beat() {
-            let mut place = self.count.min(MAX_ORDER - 1);
+            let mut place = self.count.min(ORDER_MAX - 1);
             while place > 0 && self.powers[place - 1] < power {
                 self.powers[place] = self.powers[place - 1];
                 self.components[place] = self.components[place - 1];
@@ -38,7 +38,7 @@ impl Strongest {
             }
             self.powers[place] = power;
             self.components[place] = component;
-            self.count = (self.count + 1).min(MAX_ORDER);
+            self.count = (self.count + 1).min(ORDER_MAX);
         }
     }
 

@@ -76,7 +76,7 @@ fn the_strongest_come_first_and_equal_ones_by_index() {
     let impulse =
         |hour: i64| Sample { utc_nanos: hour * HOUR_NANOS, offset_secs: 0, value: f64::from(u8::from(hour == 0)) };
     let model = fitted(&week, &(0..24 * 7).map(impulse).collect::<Vec<_>>());
-    assert_eq!(model.components().len(), MAX_ORDER);
+    assert_eq!(model.components().len(), ORDER_MAX);
     let amplitudes: Vec<f64> = model.components().iter().map(Component::amplitude).collect();
     assert!(amplitudes.is_sorted_by(|a, b| a >= b || (a - b).abs() < 1e-12));
     // Exact ties: a list, with a state that changes at the only time where both cosines are 1.
@@ -93,7 +93,7 @@ fn damaged_parts_are_refused() {
     assert!(SpectralModel::from_parts(f64::NAN, 1, vec![]).is_err());
     assert!(SpectralModel::from_parts(1.5, 1, vec![]).is_err());
     assert!(SpectralModel::from_parts(0.5, 1, vec![Component { gamma_im: f64::INFINITY, ..component }]).is_err());
-    let too_many = SpectralModel::from_parts(0.5, 1, vec![component; MAX_ORDER + 1]);
+    let too_many = SpectralModel::from_parts(0.5, 1, vec![component; ORDER_MAX + 1]);
     assert_eq!(too_many, Err(InvalidParts::OrderTooHigh { found: 16 }));
 }
 
@@ -103,7 +103,7 @@ fn any_model() -> impl Strategy<Value = SpectralModel> {
         gamma_re,
         gamma_im,
     });
-    (0.0..=1.0, proptest::collection::vec(component, 0..=MAX_ORDER))
+    (0.0..=1.0, proptest::collection::vec(component, 0..=ORDER_MAX))
         .prop_map(|(mean, components)| SpectralModel::from_parts(mean, 9, components).unwrap())
 }
 
@@ -157,13 +157,13 @@ fn every_instruction_set_gives_the_same_predictions() {
     let samples = daily_sine(9);
     let times: Vec<i64> = samples.iter().take(211).map(Sample::civil_nanos).collect();
     let (model, table) = (fitted(&week, &samples), PhasorTable::new(&week, &times));
-    let mut terms = [Term::default(); MAX_ORDER];
-    let terms = model.terms(MAX_ORDER, &table, &mut terms).unwrap();
+    let mut terms = [Term::default(); ORDER_MAX];
+    let terms = model.terms(ORDER_MAX, &table, &mut terms).unwrap();
     for arch in crate::phasor::every_arch() {
         let mut out = vec![0.0; times.len()];
         arch.dispatch(Predict { mean: model.mean(), terms, times: times.len(), out: &mut out });
         for (&found, &civil) in out.iter().zip(&times) {
-            assert!((found - model.predict(&week, MAX_ORDER, civil)).abs() < 1e-10);
+            assert!((found - model.predict(&week, ORDER_MAX, civil)).abs() < 1e-10);
         }
     }
 }

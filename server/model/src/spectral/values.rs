@@ -3,7 +3,7 @@
 //! Probabilities go to the kernels that saturate to `[0,1]`. Invariant: an answer lies in the bounds of the kind.
 
 use super::{SpectralModel, sweep::Term};
-use crate::{MAX_ORDER, Periodicities, PhasorTable, StateKind};
+use crate::{ORDER_MAX, Periodicities, PhasorTable, StateKind};
 
 impl SpectralModel {
     /// [`SpectralModel::predict`] of a state of that kind.
@@ -16,7 +16,7 @@ impl SpectralModel {
         if kind == StateKind::Probability {
             return self.predict_into(order, phasors, out);
         }
-        let mut terms = [Term::default(); MAX_ORDER];
+        let mut terms = [Term::default(); ORDER_MAX];
         match self.terms(order, phasors, &mut terms) {
             Some(terms) => {
                 let times = phasors.len().min(out.len());
@@ -37,17 +37,17 @@ impl SpectralModel {
         }
     }
 
-    /// Adds the squared errors of every order 0..=[`MAX_ORDER`] at predicting values of a state of that kind at the times
+    /// Adds the squared errors of every order 0..=[`ORDER_MAX`] at predicting values of a state of that kind at the times
     /// of the table, which holds the components' periodicities.
     pub(crate) fn score_values(
         &self,
         kind: StateKind,
         phasors: &PhasorTable,
         values: &[f64],
-        squared: &mut [f64; MAX_ORDER + 1],
+        squared: &mut [f64; ORDER_MAX + 1],
     ) {
-        let mut terms = [Term::default(); MAX_ORDER];
-        let terms = self.terms(MAX_ORDER, phasors, &mut terms).unwrap_or(&[]);
+        let mut terms = [Term::default(); ORDER_MAX];
+        let terms = self.terms(ORDER_MAX, phasors, &mut terms).unwrap_or(&[]);
         for (time, &value) in values.iter().enumerate().take(phasors.len()) {
             let mut sum = self.mean;
             for (order, squared) in squared.iter_mut().enumerate() {

@@ -145,7 +145,7 @@ proptest! {
         }
         // The fast way of scoring is the plain one.
         let score = score_samples(StateKind::Continuous, model.spectral(), &periodicities, &scaled[..200]);
-        for order in [0, 1, 7, MAX_ORDER] {
+        for order in [0, 1, 7, ORDER_MAX] {
             let error = |sample: &Sample| {
                 let p = model.spectral().predict_value(model.kind(), &periodicities, order, sample.civil_nanos());
                 (p - sample.value).powi(2)

@@ -44,7 +44,7 @@ fn a_day_is_scored_by_the_model_before_it() {
     let outcome = state.update(&week(), OrderCriterion::SquaredError, day.clone());
     assert_eq!((outcome.observations, outcome.scored), (144, 144));
     assert_eq!((outcome.order_before, outcome.order), (before.order(), state.order()));
-    for (order, evaluation) in evaluate(before.spectral(), &week(), &day, MAX_ORDER).iter().enumerate() {
+    for (order, evaluation) in evaluate(before.spectral(), &week(), &day, ORDER_MAX).iter().enumerate() {
         assert!((outcome.squared_errors[order] - evaluation.squared_error).abs() < 1e-9);
         let expected = before.errors().sums()[order] * 0.93 + evaluation.squared_error;
         assert!((state.errors().sums()[order] - expected).abs() < 1e-9);
@@ -59,7 +59,7 @@ fn zero_one_counts_wrong_predictions() {
     state.update(&week(), OrderCriterion::ZeroOne, door(0, 14));
     let (before, day) = (state.clone(), door(14, 1));
     state.update(&week(), OrderCriterion::ZeroOne, day.clone());
-    for (order, evaluation) in evaluate(before.spectral(), &week(), &day, MAX_ORDER).iter().enumerate() {
+    for (order, evaluation) in evaluate(before.spectral(), &week(), &day, ORDER_MAX).iter().enumerate() {
         let expected = before.errors().sums()[order] * 0.93 + evaluation.wrong as f64;
         assert!((state.errors().sums()[order] - expected).abs() < 1e-9);
     }

@@ -10,7 +10,7 @@ use super::problem::Problem;
 /// Longest stretch that is moved elsewhere.
 const MOVED_MAX: usize = 3;
 /// Share of the cost by which a change must lower it: less is rounding.
-const LEAST_GAIN: f64 = 1e-11;
+const GAIN_MIN: f64 = 1e-11;
 
 /// For each goal, and for the start, the goals that are reached from it soonest.
 #[derive(Clone, Debug)]
@@ -227,7 +227,7 @@ impl<'a> Walk<'a> {
             return false;
         }
         let mut best =
-            Change { cost: self.cost() * (1.0 - LEAST_GAIN), from: 0, to: 0, stretches: [Stretch::NONE; 3], used: 0 };
+            Change { cost: self.cost() * (1.0 - GAIN_MIN), from: 0, to: 0, stretches: [Stretch::NONE; 3], used: 0 };
         let near = self.near;
         for &goal in near.of(self.goals[at]).iter().take(self.reach) {
             let to = self.position[goal as usize];

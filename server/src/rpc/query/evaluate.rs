@@ -44,7 +44,7 @@ pub(super) async fn evaluate_states(
     let handle = find_map(&queries.catalog, &header.map)?;
     let view = handle.view();
     let max_order = header.max_order.map(|order| order_from_wire("header.max_order", order)).transpose();
-    let max_order = max_order.map_err(RpcError::from)?.unwrap_or(tidemap_model::MAX_ORDER);
+    let max_order = max_order.map_err(RpcError::from)?.unwrap_or(tidemap_model::ORDER_MAX);
     let mut models = Vec::with_capacity(header.models.len());
     for (i, model) in header.models.into_iter().enumerate() {
         let model = selector_from_wire(&format!("header.models[{i}]"), Some(model)).map_err(RpcError::from)?;

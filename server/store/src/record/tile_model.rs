@@ -15,7 +15,7 @@ use tidemap_map::grid::{
 };
 use tidemap_migrations::v2::grid as v2;
 use tidemap_model::{
-    Component, InvalidParts, LocalDay, MAX_ORDER, OrderErrors, OrderErrorsParts, Periodicities, PhasorSum,
+    Component, InvalidParts, LocalDay, ORDER_MAX, OrderErrors, OrderErrorsParts, Periodicities, PhasorSum,
     SpectralModel,
 };
 
@@ -121,13 +121,13 @@ fn decode_cell(message: &v2::Cell, periodicities: &Periodicities) -> Result<Cell
     if !rest.is_empty() || components.iter().any(|part| part.periodicity as usize >= periodicities.len()) {
         return Err("the components of a cell are not valid".to_owned());
     }
-    let mut sums = Vec::with_capacity(MAX_ORDER + 1);
+    let mut sums = Vec::with_capacity(ORDER_MAX + 1);
     doubles::take(&message.error_sums, &mut sums);
     let errors = OrderErrorsParts {
         sums: sums.try_into().map_err(|_| "the sums of errors are not 16")?,
         last_day: message.errors_last_day.map(LocalDay),
     };
-    let order = u8::try_from(message.order).ok().filter(|&order| usize::from(order) <= MAX_ORDER);
+    let order = u8::try_from(message.order).ok().filter(|&order| usize::from(order) <= ORDER_MAX);
     Ok(CellModel {
         cell: place(message.cell)?,
         occupied: message.occupied,

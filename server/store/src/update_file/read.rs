@@ -13,7 +13,7 @@ use tidemap_migrations::v2::{
     file::{RecordKind, UPDATE_MAGIC},
     update as v2,
 };
-use tidemap_model::{LocalDay, MAX_ORDER, Periodicities, PhasorSum};
+use tidemap_model::{LocalDay, ORDER_MAX, Periodicities, PhasorSum};
 
 use crate::{
     MapId,
@@ -105,15 +105,15 @@ fn decode(source: &CheckpointTiles, place: TileId, done: &v2::DoneTile) -> Resul
     }
     let mut numbers = Vec::new();
     doubles::take(&done.squared_errors, &mut numbers);
-    let errors: [f64; MAX_ORDER + 3] = numbers.try_into().map_err(|_| "the sums of errors are not 18")?;
-    let mut squared_errors = [0.0; MAX_ORDER + 1];
-    squared_errors.copy_from_slice(&errors[..=MAX_ORDER]);
+    let errors: [f64; ORDER_MAX + 3] = numbers.try_into().map_err(|_| "the sums of errors are not 18")?;
+    let mut squared_errors = [0.0; ORDER_MAX + 1];
+    squared_errors.copy_from_slice(&errors[..=ORDER_MAX]);
     let outcome = TileOutcome {
         observations: done.observations,
         scored: done.scored,
         squared_errors,
-        squared_error_in_force: errors[MAX_ORDER + 1],
-        squared_error_chosen: errors[MAX_ORDER + 2],
+        squared_error_in_force: errors[ORDER_MAX + 1],
+        squared_error_chosen: errors[ORDER_MAX + 2],
     };
     Ok(DoneTile { tile: TileId(done.tile), through: LocalDay(done.through), model, sums, outcome })
 }

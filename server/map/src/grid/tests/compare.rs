@@ -2,7 +2,7 @@
 //!
 //! Invariant: a comparison changes nothing but the oracle's choice among equals.
 
-use tidemap_model::{InstantPhasors, MAX_ORDER};
+use tidemap_model::{InstantPhasors, ORDER_MAX};
 
 use super::{
     oracle::{gammas, near},
@@ -21,7 +21,7 @@ use crate::{
 fn selectors() -> Vec<ModelSelector> {
     let mut selectors = Vec::new();
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
-        for order in [None, Some(0), Some(2), Some(MAX_ORDER)] {
+        for order in [None, Some(0), Some(2), Some(ORDER_MAX)] {
             selectors.extend([false, true].map(|persistence| ModelSelector { kind, order, persistence }));
         }
     }

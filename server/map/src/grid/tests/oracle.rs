@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use tidemap_model::{
-    AccumulatorParts, MAX_ORDER, OrderCriterion, OrderErrors, Periodicities, Persistence, Sample, SpectralModel,
+    AccumulatorParts, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Persistence, Sample, SpectralModel,
     StateModel,
 };
 
@@ -144,7 +144,7 @@ impl CellOracle {
             near(component.gamma_re, re, 1e-9, at, "real part of γ");
             near(component.gamma_im, im, 1e-9, at, "imaginary part of γ");
         }
-        let weakest = if kept.len() < MAX_ORDER { 0.0 } else { kept.last().map_or(0.0, |c| c.amplitude() / 2.0) };
+        let weakest = if kept.len() < ORDER_MAX { 0.0 } else { kept.last().map_or(0.0, |c| c.amplitude() / 2.0) };
         for component in self.model.spectral().components() {
             let missing = kept.iter().all(|other| other.periodicity != component.periodicity);
             assert!(!missing || component.amplitude() / 2.0 <= weakest + 1e-9, "{at}: {component:?} is missing");
@@ -154,7 +154,7 @@ impl CellOracle {
         if self.tied {
             near(ours[0], theirs[0], 1e-9 * (1.0 + ours[0]), at, "error of order 0");
         } else {
-            for order in 0..=MAX_ORDER {
+            for order in 0..=ORDER_MAX {
                 let (a, b) = (ours[order], theirs[order]);
                 assert!((a - b).abs() < 1e-8 * (1.0 + a), "{at}: error of order {order} is {a}, or {b}");
             }

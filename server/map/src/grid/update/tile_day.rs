@@ -2,7 +2,7 @@
 //!
 //! Invariant: what is scored is predicted by the models as they were before the day; sums and models change at its end.
 
-use tidemap_model::{CellSums, LocalDay, MAX_ORDER, OrderCriterion, OrderErrors, PhasorSum, ScoreSums, SpectralModel};
+use tidemap_model::{CellSums, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, PhasorSum, ScoreSums, SpectralModel};
 
 use super::{
     super::{
@@ -223,7 +223,7 @@ impl TileDay {
             }
             if of_day.scored > 0 {
                 outcome.scored += of_day.scored;
-                let before = usize::from(cell.order).min(MAX_ORDER);
+                let before = usize::from(cell.order).min(ORDER_MAX);
                 outcome.squared_error_in_force += of_day.scores.squared[before];
                 for (total, error) in outcome.squared_errors.iter_mut().zip(&of_day.scores.squared) {
                     *total += error;
@@ -234,7 +234,7 @@ impl TileDay {
                 };
                 cell.errors.record(day, errors);
                 cell.order = u8::try_from(cell.errors.best()).unwrap_or(0);
-                outcome.squared_error_chosen += of_day.scores.squared[usize::from(cell.order).min(MAX_ORDER)];
+                outcome.squared_error_chosen += of_day.scores.squared[usize::from(cell.order).min(ORDER_MAX)];
             }
             cell.occupied += run_length(&of_day.toggles, self.scans);
             let mut units = cell.occupied as f64;

@@ -10,7 +10,7 @@ use super::{HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle, HistogramSettin
 use crate::{InvalidParts, Sample};
 
 /// Weights below this are forgotten: their sums have no precision left.
-const LEAST_WEIGHT: f64 = 1e-9;
+const WEIGHT_MIN: f64 = 1e-9;
 
 /// What was read in each hour of the local week, and how single days differed in each hour of the day.
 #[derive(Clone, Debug, PartialEq)]
@@ -212,7 +212,7 @@ pub(super) fn add_to<const N: usize>(cell: &mut [f64; N], other: [f64; N]) {
 
 fn scale_by<const N: usize>(cell: &mut [f64; N], factor: f64) {
     cell.iter_mut().for_each(|sum| *sum *= factor);
-    if cell[0] < LEAST_WEIGHT {
+    if cell[0] < WEIGHT_MIN {
         *cell = [0.0; N];
     }
 }

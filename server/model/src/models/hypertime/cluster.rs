@@ -7,16 +7,16 @@
 
 use nalgebra::{Cholesky, DMatrix};
 
-use super::concentration::{MAX_CONCENTRATION, log_normaliser};
+use super::concentration::{CONCENTRATION_MAX, log_normaliser};
 use crate::InvalidParts;
 
 #[cfg(test)]
 mod tests;
 
 /// Most coordinates of a Gaussian: locations, values and two for each of five periods.
-pub(super) const MAX_COORDINATES: usize = 26;
+pub(super) const COORDINATES_MAX: usize = 26;
 /// Least variance along a coordinate, whose deviation over all readings is about 1: a hundredth of it, squared.
-pub(super) const LEAST_VARIANCE: f64 = 1e-4;
+pub(super) const VARIANCE_MIN: f64 = 1e-4;
 /// Bound on stored numbers; coordinates are standardised.
 const BOUND: f64 = 1e9;
 /// Deviations from a centre are cut off here, so that their squares are finite.
@@ -99,7 +99,7 @@ impl Cluster {
             InvalidParts::check("cluster.factor", row(&parts.factor, index)[index], 1e-3..=BOUND)?;
         }
         for &kappa in &parts.concentrations {
-            InvalidParts::check("cluster.concentrations", kappa, 0.0..=MAX_CONCENTRATION * 1.01)?;
+            InvalidParts::check("cluster.concentrations", kappa, 0.0..=CONCENTRATION_MAX * 1.01)?;
         }
         Ok(Cluster::new(parts))
     }
@@ -134,7 +134,7 @@ impl Cluster {
     }
 
     /// Solves for the standardised coordinates into `solved`; ln density of the first `given`, and of all.
-    fn solve(&self, coordinates: &[f64], given: usize, solved: &mut [f64; MAX_COORDINATES]) -> (f64, f64) {
+    fn solve(&self, coordinates: &[f64], given: usize, solved: &mut [f64; COORDINATES_MAX]) -> (f64, f64) {
         let (mut sum, mut given_sum) = (0.0, 0.0);
         for (index, (coordinate, centre)) in coordinates.iter().zip(&self.parts.centre).enumerate() {
             let row = row(&self.parts.factor, index);
@@ -156,14 +156,14 @@ impl Cluster {
     /// ln(weight · density): of the circles and the first `given` coordinates, and of the circles and all coordinates.
     pub(super) fn log_densities(&self, coordinates: &[f64], circles: &[f64], given: usize) -> (f64, f64) {
         let circles = self.log_circles(circles);
-        let (given, all) = self.solve(coordinates, given, &mut [0.0; MAX_COORDINATES]);
+        let (given, all) = self.solve(coordinates, given, &mut [0.0; COORDINATES_MAX]);
         (circles + given, circles + all)
     }
 
     /// What it says of the coordinates after those given.
     pub(super) fn given(&self, coordinates: &[f64], circles: &[f64]) -> Given {
         let given = coordinates.len();
-        let mut solved = [0.0; MAX_COORDINATES];
+        let mut solved = [0.0; COORDINATES_MAX];
         let (log_given, _) = self.solve(coordinates, given, &mut solved);
         let mut conditional =
             Given { log_share: self.log_circles(circles) + log_given, mean: Vec::new(), factor: Vec::new() };
@@ -194,7 +194,7 @@ pub(super) fn factorised(covariance: &[f64], coordinates: usize) -> Vec<f64> {
                 return factor;
             }
         }
-        added = if added == 0.0 { LEAST_VARIANCE } else { added * 4.0 };
+        added = if added == 0.0 { VARIANCE_MIN } else { added * 4.0 };
     }
     // A covariance that is not finite: a unit sphere answers for it.
     (0..coordinates).flat_map(|i| (0..=i).map(move |j| if i == j { 1.0 } else { 0.0 })).collect()

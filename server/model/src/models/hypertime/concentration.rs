@@ -2,10 +2,10 @@
 //!
 //! Its log-density falls with the cosine distance, which RA-L 2019 section III.H asks for: κ(cos Δ - 1) plus a
 //! constant.
-//! Invariant: concentrations are between 0 and [`MAX_CONCENTRATION`], and everything here is finite.
+//! Invariant: concentrations are between 0 and [`CONCENTRATION_MAX`], and everything here is finite.
 
 /// A deviation of about 1.3°, five minutes of a day.
-pub(super) const MAX_CONCENTRATION: f64 = 2_000.0;
+pub(super) const CONCENTRATION_MAX: f64 = 2_000.0;
 
 /// e^-κ I_0(κ), by the polynomials of Abramowitz and Stegun 9.8.1 and 9.8.2, to 2e-7.
 fn scaled_bessel_0(kappa: f64) -> f64 {
@@ -66,13 +66,13 @@ pub(super) fn log_normaliser(kappa: f64) -> f64 {
 pub(super) fn concentration(resultant: f64) -> f64 {
     let resultant = resultant.clamp(0.0, 1.0 - 1e-9);
     let squared = resultant * resultant;
-    let mut kappa = (resultant * (2.0 - squared) / (1.0 - squared)).min(MAX_CONCENTRATION);
+    let mut kappa = (resultant * (2.0 - squared) / (1.0 - squared)).min(CONCENTRATION_MAX);
     for _ in 0..3 {
         let ratio = scaled_bessel_1(kappa) / scaled_bessel_0(kappa);
         // A'(κ) = 1 - A/κ - A², a half at 0.
         let slope = if kappa > 1e-3 { 1.0 - ratio / kappa - ratio * ratio } else { 0.5 };
         if slope > 1e-6 {
-            kappa = (kappa - (ratio - resultant) / slope).clamp(0.0, MAX_CONCENTRATION);
+            kappa = (kappa - (ratio - resultant) / slope).clamp(0.0, CONCENTRATION_MAX);
         }
     }
     kappa
@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn a_density_on_the_circle_integrates_to_one() {
-        for kappa in [0.0, 0.5, 3.7, 3.8, 40.0, MAX_CONCENTRATION] {
+        for kappa in [0.0, 0.5, 3.7, 3.8, 40.0, CONCENTRATION_MAX] {
             let steps = 100_000;
             let sum: f64 = (0..steps)
                 .map(|step| std::f64::consts::TAU * f64::from(step) / f64::from(steps))
@@ -102,6 +102,6 @@ mod tests {
             let found = scaled_bessel_1(kappa) / scaled_bessel_0(kappa);
             assert!((found - resultant).abs() < 1e-4, "{resultant}: κ = {kappa}, {found}");
         }
-        assert!(concentration(1.0) <= MAX_CONCENTRATION);
+        assert!(concentration(1.0) <= CONCENTRATION_MAX);
     }
 }

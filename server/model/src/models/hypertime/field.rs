@@ -4,7 +4,7 @@
 //! here, not on a raster of values). Invariant: an answer is finite, and a mean lies within what was observed.
 
 use super::axis::{HypertimeAxis, standardised};
-use super::cluster::MAX_COORDINATES;
+use super::cluster::COORDINATES_MAX;
 use super::conditional::HypertimeDistribution;
 use super::grow::{Extent, deal, grow, unit_weight};
 use super::joint::{Joint, Readable};
@@ -18,7 +18,7 @@ use crate::models::{CannotFit, Moment};
 mod tests;
 
 /// Most coordinates of location and value together.
-const MAX_DIMENSIONS: usize = MAX_COORDINATES - 10;
+const DIMENSIONS_MAX: usize = COORDINATES_MAX - 10;
 
 /// One reading of a value that has a place.
 #[derive(Clone, Debug, PartialEq)]
@@ -161,9 +161,9 @@ impl HypertimeField {
     pub fn from_parts(parts: &HypertimeFieldParts) -> Result<HypertimeField, InvalidParts> {
         check_divisors(&parts.week_divisors)?;
         let (locations, values) = (parts.location.len(), parts.value.len());
-        InvalidParts::check("value", values as f64, 1.0..=MAX_DIMENSIONS as f64)?;
-        InvalidParts::check("location", (locations + values) as f64, 1.0..=MAX_DIMENSIONS as f64)?;
-        InvalidParts::check("clusters", parts.clusters.len() as f64, 1.0..=HypertimeOptions::MAX_CLUSTERS as f64)?;
+        InvalidParts::check("value", values as f64, 1.0..=DIMENSIONS_MAX as f64)?;
+        InvalidParts::check("location", (locations + values) as f64, 1.0..=DIMENSIONS_MAX as f64)?;
+        InvalidParts::check("clusters", parts.clusters.len() as f64, 1.0..=HypertimeOptions::CLUSTERS_MAX as f64)?;
         parts.location.iter().chain(&parts.value).try_for_each(HypertimeAxis::check)?;
         let periods = parts.week_divisors.len();
         let (hypertime, circles) = match parts.method {
@@ -193,7 +193,7 @@ fn check_weights(weights: &[f64], readings: usize) -> Result<(), CannotFit> {
 
 fn check_dimensions(readings: &[FieldReading], locations: usize, values: usize) -> Result<(), CannotFit> {
     let refused = |parameter, found, expected| Err(CannotFit::Parameter { parameter, found, expected });
-    if values == 0 || locations.saturating_add(values) > MAX_DIMENSIONS {
+    if values == 0 || locations.saturating_add(values) > DIMENSIONS_MAX {
         let found = (locations as f64) + values as f64;
         return refused("coordinates", found, "one or more of the value, at most 16 with those of the location");
     }

@@ -10,12 +10,12 @@ use rand::SeedableRng;
 use rand::rngs::SmallRng;
 use rand::seq::SliceRandom;
 
-use super::week::{MAX_PERIODS, Residuals};
+use super::week::{PERIODS_MAX, Residuals};
 use super::{HypertimeMethod, HypertimeOptions};
 use crate::civil::NANOS_PER_SEC;
 
 /// Most blocks of readings that are left out in turn.
-const MAX_FOLDS: usize = 4;
+const FOLDS_MAX: usize = 4;
 const STARTS: u64 = 4;
 /// Starts where there are many clusters: most of them end in places that are needed whatever the start.
 const STARTS_OF_MANY: u64 = 2;
@@ -100,7 +100,7 @@ pub(super) fn grow<F: Fit>(fit: &F, extent: &Extent, options: &HypertimeOptions)
         return fit.attempt(&circles, 1, options.seed).model;
     }
     let mut best = clustered(fit, &circles, &mut clusters, options);
-    while circles.all.len() < MAX_PERIODS && circles.extend(&best.residuals, extent.span_nanos) {
+    while circles.all.len() < PERIODS_MAX && circles.extend(&best.residuals, extent.span_nanos) {
         let next = clustered(fit, &circles, &mut clusters, options);
         if next.error >= best.error * CIRCLE_WORTH {
             break;
@@ -156,10 +156,10 @@ pub(super) fn deal(civil_nanos: &[i64], seed: u64) -> (Vec<usize>, usize) {
         blocks
     };
     let (mut length, mut blocks) = (DAY_NANOS, blocks_of(DAY_NANOS));
-    if blocks.len() < MAX_FOLDS {
+    if blocks.len() < FOLDS_MAX {
         (length, blocks) = (HOUR_NANOS, blocks_of(HOUR_NANOS));
     }
-    let folds = blocks.len().min(MAX_FOLDS);
+    let folds = blocks.len().min(FOLDS_MAX);
     // Drawn, not in turn, so that no weekday is always in the same fold.
     let mut dealt: Vec<usize> = (0..blocks.len()).map(|index| index % folds.max(1)).collect();
     dealt.shuffle(&mut SmallRng::seed_from_u64(seed));

@@ -13,11 +13,11 @@ use super::mixture::{Mixture, Points};
 use super::week::{Residuals, project, slot, turn};
 
 /// Most readings fitted to.
-const MAX_READINGS: usize = 4_000;
+const READINGS_MAX: usize = 4_000;
 const FIRST_STEPS: usize = 40;
 const FOLD_STEPS: usize = 10;
 /// Bound on what one reading can add to a log-likelihood, so that one outlier does not choose between starts.
-const MAX_LOG: f64 = 20.0;
+const LOG_MAX: f64 = 20.0;
 
 /// A reading with standardised numbers.
 pub(super) struct Readable {
@@ -32,13 +32,13 @@ pub(super) struct Readable {
 impl Readable {
     /// Which of so many readings are kept: all, or one drawn from each of equal runs.
     pub(super) fn thinned(count: usize, seed: u64) -> Vec<usize> {
-        if count <= MAX_READINGS {
+        if count <= READINGS_MAX {
             return (0..count).collect();
         }
         let mut rng = SmallRng::seed_from_u64(seed);
-        let start = |run: usize| (run as u128 * count as u128 / MAX_READINGS as u128) as usize;
+        let start = |run: usize| (run as u128 * count as u128 / READINGS_MAX as u128) as usize;
         // Drawn, as a fixed stride would always meet the same minute of the hour.
-        (0..MAX_READINGS).map(|run| rng.random_range(start(run)..start(run + 1))).collect()
+        (0..READINGS_MAX).map(|run| rng.random_range(start(run)..start(run + 1))).collect()
     }
 }
 
@@ -96,7 +96,7 @@ impl Joint {
             }
             let (coordinates, circles) = numbers.split_at(points.coordinates);
             let (log_given, log_all) = fitted.log_densities(numbers, points.coordinates, given);
-            score.logs += weight * (log_all - log_given).clamp(-MAX_LOG, MAX_LOG);
+            score.logs += weight * (log_all - log_given).clamp(-LOG_MAX, LOG_MAX);
             score.total += weight;
             let shares = fitted.given(&coordinates[..given], circles);
             let mean = HypertimeDistribution::new(shares, self.value.clone()).mean();

@@ -6,13 +6,13 @@
 //! Invariant: no cluster has no weight, and densities are finite.
 
 use super::HypertimeOptions;
-use super::cluster::{Cluster, Given, HypertimeCluster, LEAST_VARIANCE, factorised};
+use super::cluster::{Cluster, Given, HypertimeCluster, VARIANCE_MIN, factorised};
 use super::concentration::concentration;
 use super::seeding::{first_clusters, spread};
 use crate::InvalidParts;
 
 /// Nats per reading below which a step is the last.
-const LEAST_GAIN: f64 = 1e-5;
+const GAIN_MIN: f64 = 1e-5;
 
 /// Weighted points, each of so many coordinates and then cosine and sine on so many circles.
 #[derive(Clone, Debug)]
@@ -75,7 +75,7 @@ impl Mixture {
         for _ in 0..max_steps {
             let before = likelihood;
             likelihood = self.step(points, &spread);
-            if self.clusters.len() == 1 || likelihood - before < LEAST_GAIN {
+            if self.clusters.len() == 1 || likelihood - before < GAIN_MIN {
                 break;
             }
         }
@@ -139,7 +139,7 @@ impl Mixture {
         coordinates: usize,
         circles: usize,
     ) -> Result<Mixture, InvalidParts> {
-        InvalidParts::check("clusters", parts.len() as f64, 0.0..=HypertimeOptions::MAX_CLUSTERS as f64)?;
+        InvalidParts::check("clusters", parts.len() as f64, 0.0..=HypertimeOptions::CLUSTERS_MAX as f64)?;
         let clusters = parts.iter().map(|cluster| Cluster::from_parts(cluster.clone(), coordinates, circles));
         Ok(Mixture { clusters: clusters.collect::<Result<_, _>>()? })
     }
@@ -239,7 +239,7 @@ impl Moments {
                 }
                 covariance[place] = entry / (self.weight + prior_readings);
                 if i == j {
-                    covariance[place] += LEAST_VARIANCE;
+                    covariance[place] += VARIANCE_MIN;
                 }
                 place += 1;
             }

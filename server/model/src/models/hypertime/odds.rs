@@ -13,9 +13,9 @@ use crate::InvalidParts;
 const FIRST_STEPS: usize = 60;
 const FOLD_STEPS: usize = 15;
 /// Probabilities are scored as if between this and 1 less this.
-const LEAST_PROBABILITY: f64 = 1e-4;
+const PROBABILITY_MIN: f64 = 1e-4;
 /// Bound on logarithms, so that two of them can be added and exponentiated.
-const MAX_LOG: f64 = 300.0;
+const LOG_MAX: f64 = 300.0;
 
 /// What a hypertime model of a probability consists of, to be stored.
 #[derive(Clone, Debug, PartialEq)]
@@ -153,8 +153,8 @@ impl Folds {
         }
         let (ones, zeros): (f64, f64) = (counts.ones.iter().sum(), counts.zeros.iter().sum());
         let logs: Vec<(f64, f64)> = (0..SLOTS).map(|slot| odds.log_densities(hypertime.point(slot))).collect();
-        odds.log_ones = (ones.ln() - log_mean(logs.iter().map(|log| log.0))).clamp(-MAX_LOG, MAX_LOG);
-        odds.log_zeros = (zeros.ln() - log_mean(logs.iter().map(|log| log.1))).clamp(-MAX_LOG, MAX_LOG);
+        odds.log_ones = (ones.ln() - log_mean(logs.iter().map(|log| log.0))).clamp(-LOG_MAX, LOG_MAX);
+        odds.log_zeros = (zeros.ln() - log_mean(logs.iter().map(|log| log.1))).clamp(-LOG_MAX, LOG_MAX);
         odds.log_ones += odds.factor(counts, &logs);
         odds
     }
@@ -176,7 +176,7 @@ impl Score {
             if ones + zeros > 0.0 {
                 let p = fitted.at_point(hypertime.point(slot));
                 self.squared += ones * (1.0 - p) * (1.0 - p) + zeros * p * p;
-                let scored = p.clamp(LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY);
+                let scored = p.clamp(PROBABILITY_MIN, 1.0 - PROBABILITY_MIN);
                 self.logs += ones * scored.ln() + zeros * (1.0 - scored).ln();
                 self.total += ones + zeros;
                 residuals.add(slot, 0, ones + zeros, p - ones / (ones + zeros));
@@ -257,8 +257,8 @@ impl Odds {
     }
 
     fn ratio(&self, log_one: f64, log_zero: f64) -> f64 {
-        let ones = (self.log_ones + log_one).min(2.0 * MAX_LOG).exp();
-        let zeros = (self.log_zeros + log_zero).min(2.0 * MAX_LOG).exp();
+        let ones = (self.log_ones + log_one).min(2.0 * LOG_MAX).exp();
+        let zeros = (self.log_zeros + log_zero).min(2.0 * LOG_MAX).exp();
         ((ones + self.background * self.mean) / (ones + zeros + self.background)).clamp(0.0, 1.0)
     }
 
@@ -302,8 +302,8 @@ impl Odds {
         check_divisors(&parts.week_divisors)?;
         InvalidParts::check("mean", parts.mean, 0.0..=1.0)?;
         InvalidParts::check("background", parts.background, 1e-300..=1e18)?;
-        InvalidParts::check("log_ones", parts.log_ones, -2.0 * MAX_LOG..=2.0 * MAX_LOG)?;
-        InvalidParts::check("log_zeros", parts.log_zeros, -2.0 * MAX_LOG..=2.0 * MAX_LOG)?;
+        InvalidParts::check("log_ones", parts.log_ones, -2.0 * LOG_MAX..=2.0 * LOG_MAX)?;
+        InvalidParts::check("log_zeros", parts.log_zeros, -2.0 * LOG_MAX..=2.0 * LOG_MAX)?;
         let (coordinates, circles) = shape(parts.method, parts.week_divisors.len());
         Ok(Odds {
             method: parts.method,

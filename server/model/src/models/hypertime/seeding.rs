@@ -7,7 +7,7 @@
 use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 
-use super::cluster::{Cluster, HypertimeCluster, LEAST_VARIANCE};
+use super::cluster::{Cluster, HypertimeCluster, VARIANCE_MIN};
 use super::mixture::Points;
 
 const ROUNDS: usize = 10;
@@ -39,7 +39,7 @@ pub(super) fn first_clusters(points: &Points, clusters: usize, seed: u64) -> Vec
     let of = |centre: Vec<f64>| {
         let (linear, circles) = centre.split_at(points.coordinates);
         let factor = (0..points.coordinates).flat_map(|i| {
-            let deviation = (variances[i] * shrunk + LEAST_VARIANCE).sqrt();
+            let deviation = (variances[i] * shrunk + VARIANCE_MIN).sqrt();
             (0..=i).map(move |j| if i == j { deviation } else { 0.0 })
         });
         let alone = centres.len() == 1;

@@ -21,11 +21,11 @@ pub(super) const SLOTS: usize = 2_016;
 pub(super) const CANDIDATES: u32 = 84;
 
 /// Most circles of a model.
-pub(super) const MAX_PERIODS: usize = 5;
+pub(super) const PERIODS_MAX: usize = 5;
 
 /// Checks divisors that were stored: as many as there may be, each a candidate, no two equal.
 pub(super) fn check_divisors(divisors: &[u32]) -> Result<(), InvalidParts> {
-    InvalidParts::check("week_divisors", divisors.len() as f64, 0.0..=MAX_PERIODS as f64)?;
+    InvalidParts::check("week_divisors", divisors.len() as f64, 0.0..=PERIODS_MAX as f64)?;
     for (index, &divisor) in divisors.iter().enumerate() {
         let repeated = divisors[..index].contains(&divisor);
         let found = if repeated { f64::NAN } else { f64::from(divisor) };

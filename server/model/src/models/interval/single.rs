@@ -11,12 +11,12 @@ use crate::{StateKind, VALUE_MAX};
 mod tests;
 
 /// The variance of counts is at least this times their mean: so near to Poisson one formula serves for both.
-const LEAST_DISPERSION: f64 = 1.000_01;
+const DISPERSION_MIN: f64 = 1.000_01;
 /// Where more are expected, or single counts vary more, counts are taken to be normal: sums would be long.
-const MOST_SUMMED: f64 = 600.0;
-const MOST_DISPERSION: f64 = 1e4;
+const SUMMED_MEAN_MAX: f64 = 600.0;
+const DISPERSION_MAX: f64 = 1e4;
 /// Values are told apart from their prediction to this share of it: sums of squares know no better.
-const LEAST_DEVIATION: f64 = 1e-6;
+const DEVIATION_MIN: f64 = 1e-6;
 
 /// The probability of a value at least as far out as `value`, to either side: twice the probability of one at least as
 /// large, or at least as small, whichever is less; at most 1.
@@ -33,9 +33,9 @@ pub fn value_tail(kind: StateKind, expected: f64, variance: f64, value: f64) -> 
     let variance = number(variance).max(0.0);
     let one_sided = if kind == StateKind::Count {
         let mean = expected.max(0.0);
-        counts_tail(mean, (variance / mean.max(f64::MIN_POSITIVE)).max(LEAST_DISPERSION), value)
+        counts_tail(mean, (variance / mean.max(f64::MIN_POSITIVE)).max(DISPERSION_MIN), value)
     } else {
-        let deviation = variance.sqrt().max(LEAST_DEVIATION * expected.abs()).max(f64::MIN_POSITIVE);
+        let deviation = variance.sqrt().max(DEVIATION_MIN * expected.abs()).max(f64::MIN_POSITIVE);
         normal_tail((value - expected).abs() / deviation)
     };
     (2.0 * one_sided).clamp(0.0, 1.0)
@@ -59,7 +59,7 @@ fn counts_tail(mean: f64, dispersion: f64, value: f64) -> f64 {
     if mean <= 0.0 {
         return if value > 0.0 { 0.0 } else { 1.0 };
     }
-    if mean > MOST_SUMMED || dispersion > MOST_DISPERSION {
+    if mean > SUMMED_MEAN_MAX || dispersion > DISPERSION_MAX {
         // Whole numbers: half a one belongs to the value itself.
         let distance = ((value - mean).abs() - 0.5).max(0.0);
         return normal_tail(distance / (dispersion * mean).sqrt());

@@ -8,11 +8,11 @@ use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 
 const STARTS: u64 = 3;
-const MAX_STEPS: usize = 100;
+const STEPS_MAX: usize = 100;
 /// Nats per unit of mass.
-const LEAST_GAIN: f64 = 1e-6;
+const GAIN_MIN: f64 = 1e-6;
 /// At one turn a wrapped Gaussian is flat to 6e-9.
-const MAX_DEVIATION: f64 = 1.0;
+const DEVIATION_MAX: f64 = 1.0;
 
 /// A Gaussian wrapped around the circle; in turns.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,7 +65,7 @@ pub(super) fn fit_wrapped(shares: &[f64], gaussians: usize, seed: u64) -> Vec<Wr
     }
     let (least, most) = shares.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), &share| (a.min(share), b.max(share)));
     if most - least <= most * 1e-12 {
-        return vec![Wrapped { weight: 1.0, mean: 0.5, deviation: MAX_DEVIATION }];
+        return vec![Wrapped { weight: 1.0, mean: 0.5, deviation: DEVIATION_MAX }];
     }
     let gaussians = gaussians.clamp(1, distinct);
     let starts = if gaussians == 1 { 1 } else { STARTS };
@@ -105,10 +105,10 @@ fn maximise(shares: &[f64], means: &[f64]) -> (f64, Vec<Wrapped>) {
     let mut mixture: Vec<Wrapped> =
         means.iter().map(|&mean| Wrapped { weight: 1.0 / count, mean, deviation: 0.25 / count.sqrt() }).collect();
     let mut likelihood = f64::NEG_INFINITY;
-    for _ in 0..MAX_STEPS {
+    for _ in 0..STEPS_MAX {
         let before = likelihood;
         likelihood = step(shares, &mut mixture);
-        if likelihood - before < LEAST_GAIN {
+        if likelihood - before < GAIN_MIN {
             break;
         }
     }
@@ -149,7 +149,7 @@ fn step(shares: &[f64], mixture: &mut Vec<Wrapped>) -> f64 {
             let shift = first / count;
             let variance = (second / count - shift * shift).max(0.0);
             gaussian.mean = (gaussian.mean + shift).rem_euclid(1.0);
-            gaussian.deviation = variance.sqrt().clamp(least_deviation, MAX_DEVIATION);
+            gaussian.deviation = variance.sqrt().clamp(least_deviation, DEVIATION_MAX);
         }
     }
     mixture.retain(|gaussian| gaussian.weight > 1e-9);

@@ -4,7 +4,7 @@
 //! of periods that the observed span holds.
 
 use super::Bin;
-use crate::{Component, MAX_ORDER, Periodicities, PhasorTable};
+use crate::{Component, ORDER_MAX, Periodicities, PhasorTable};
 
 /// Bins that share one table of phasors.
 const CHUNK: usize = 512;
@@ -39,11 +39,11 @@ impl Spectrum {
         Spectrum { gammas }
     }
 
-    /// The [`MAX_ORDER`] strongest, of equal ones the lower index first.
+    /// The [`ORDER_MAX`] strongest, of equal ones the lower index first.
     pub(super) fn strongest(mut self) -> Vec<Component> {
         self.gammas.retain(|gamma| gamma.amplitude() > 0.0);
         self.gammas.sort_by(|a, b| b.amplitude().total_cmp(&a.amplitude()));
-        self.gammas.truncate(MAX_ORDER);
+        self.gammas.truncate(ORDER_MAX);
         self.gammas
     }
 }

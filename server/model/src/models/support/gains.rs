@@ -3,14 +3,14 @@
 //! Days are blocks: within one, errors depend on each other. What is recorded are errors of predictions made before the day
 //! was learnt, so this is validation by data that the model has not seen. Invariant: sums are finite.
 
-use crate::{InvalidParts, MAX_ORDER};
+use crate::{InvalidParts, ORDER_MAX};
 
 /// A gain counts where its mean over days exceeds this many of its standard errors.
 const STANDARD_ERRORS: f64 = 2.0;
 /// With fewer days no standard error means anything.
-const LEAST_DAYS: u64 = 7;
+const DAYS_MIN: u64 = 7;
 /// Mean squared errors are taken to be no larger.
-const MOST_ERROR: f64 = 1e100;
+const ERROR_MAX: f64 = 1e100;
 
 /// Daily gains of each order over order 0.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
@@ -24,20 +24,20 @@ pub struct OrderGainsParts {
     /// Days recorded.
     pub days: u64,
     /// Per order the sum over days of the mean squared error of order 0 less that of the order.
-    pub sums: [f64; MAX_ORDER + 1],
+    pub sums: [f64; ORDER_MAX + 1],
     /// Per order the sum of the squares of these.
-    pub squares: [f64; MAX_ORDER + 1],
+    pub squares: [f64; ORDER_MAX + 1],
 }
 
 impl OrderGains {
     /// Takes in a day: the summed squared errors of each order over its `scored` observations, as
     /// [`UpdateOutcome`](crate::UpdateOutcome) has them. A day without any, or with an error that is not a number, changes
     /// nothing.
-    pub fn record(&mut self, squared_errors: &[f64; MAX_ORDER + 1], scored: u64) {
+    pub fn record(&mut self, squared_errors: &[f64; ORDER_MAX + 1], scored: u64) {
         if scored == 0 || squared_errors.iter().any(|error| error.is_nan()) {
             return;
         }
-        let mean = |sum: f64| (sum / scored as f64).clamp(0.0, MOST_ERROR);
+        let mean = |sum: f64| (sum / scored as f64).clamp(0.0, ERROR_MAX);
         for (order, &error) in squared_errors.iter().enumerate() {
             let gain = mean(squared_errors[0]) - mean(error);
             self.parts.sums[order] += gain;
@@ -49,7 +49,7 @@ impl OrderGains {
     /// The highest order that has predicted better than order 0, by two standard errors of the mean daily gain; 0 where
     /// none has, or before seven days.
     pub fn supported_order(&self) -> usize {
-        if self.parts.days < LEAST_DAYS {
+        if self.parts.days < DAYS_MIN {
             return 0;
         }
         let days = self.parts.days as f64;
@@ -59,7 +59,7 @@ impl OrderGains {
             let variance = ((squares - sum * mean) / (days - 1.0)).max(0.0);
             mean > STANDARD_ERRORS * (variance / days).sqrt()
         };
-        (1..=MAX_ORDER).rev().find(is_gain).unwrap_or(0)
+        (1..=ORDER_MAX).rev().find(is_gain).unwrap_or(0)
     }
 
     /// What to store.

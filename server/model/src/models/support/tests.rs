@@ -6,7 +6,7 @@ use rand::{Rng, SeedableRng};
 
 use super::*;
 use crate::models::HourTable;
-use crate::{Accumulator, Component, MAX_ORDER, OrderCriterion, Persistence, Sample, StateModel};
+use crate::{Accumulator, Component, ORDER_MAX, OrderCriterion, Persistence, Sample, StateModel};
 
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const SEEDS: u64 = 40;
@@ -164,17 +164,17 @@ fn gains_are_seen_day_by_day() {
 
 #[test]
 fn gains_need_days_and_sound_numbers() {
-    let mut errors = [0.1; MAX_ORDER + 1];
+    let mut errors = [0.1; ORDER_MAX + 1];
     errors[0] = 0.2;
     let mut gains = OrderGains::default();
     for _ in 0..6 {
         gains.record(&errors, 1);
     }
     gains.record(&errors, 0);
-    gains.record(&[f64::NAN; MAX_ORDER + 1], 1);
+    gains.record(&[f64::NAN; ORDER_MAX + 1], 1);
     assert_eq!((gains.supported_order(), gains.to_parts().days), (0, 6));
     gains.record(&errors, 1);
-    assert_eq!(gains.supported_order(), MAX_ORDER);
+    assert_eq!(gains.supported_order(), ORDER_MAX);
     let parts = gains.to_parts();
     let (mut sums, mut squares) = (parts.sums, parts.squares);
     (sums[3], squares[3]) = (f64::NAN, -1.0);
@@ -190,7 +190,7 @@ proptest! {
         span_secs in prop::num::f64::POSITIVE,
         mean in 0.0..=1.0_f64,
         observed_hours in prop::option::of(prop::num::f64::ANY),
-        gammas in prop::collection::vec(-0.3..0.3_f64, 0..=MAX_ORDER),
+        gammas in prop::collection::vec(-0.3..0.3_f64, 0..=ORDER_MAX),
     ) {
         let sums = DependenceSums { pairs, change_rate_sum, span_secs, mean, observed_hours };
         let effective = effective_observations(&sums);

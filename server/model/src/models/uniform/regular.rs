@@ -5,7 +5,7 @@
 //! not shift either, says how far apart the readings usually are, and which comes too late or too soon. Invariant: an
 //! interval that is found is above 0, and no reading is missing.
 
-use super::{CannotFit, MAX_STEPS, Sample};
+use super::{CannotFit, STEPS_MAX, Sample};
 
 /// A reading may lie this share of the interval off its regular time.
 const JITTER: f64 = 0.01;
@@ -13,7 +13,7 @@ const JITTER: f64 = 0.01;
 /// The first sample and the interval in nanoseconds, where samples are regular.
 pub(super) fn regular(samples: &[Sample]) -> Result<(Sample, i64), CannotFit> {
     let found = samples.len();
-    let (&[first, .., last], 2..=MAX_STEPS) = (samples, found as u64) else {
+    let (&[first, .., last], 2..=STEPS_MAX) = (samples, found as u64) else {
         return Err(CannotFit::Parameter {
             parameter: "number of readings",
             found: found as f64,

@@ -36,13 +36,13 @@ fn it_equals_the_incremental_model_where_the_periods_are_harmonics_of_the_span()
     let mut accumulator = Accumulator::new(&periodicities);
     accumulator.add(&periodicities, &samples);
     let incremental = SpectralModel::fit(&accumulator, &periodicities);
-    let model = fitted(&samples, MAX_ORDER);
+    let model = fitted(&samples, ORDER_MAX);
     assert!((model.mean() - incremental.mean()).abs() < 1e-9);
     for (found, expected) in model.components().iter().zip(incremental.components()) {
         assert_eq!(found.periodicity, expected.periodicity + 1);
         assert!((found.amplitude() - expected.amplitude()).abs() < 1e-9);
     }
-    for order in [0, 1, 3, MAX_ORDER] {
+    for order in [0, 1, 3, ORDER_MAX] {
         let model = model.with_order(order).unwrap();
         for sample in samples.iter().step_by(7) {
             let expected = incremental.predict(&periodicities, order, sample.civil_nanos());
@@ -112,8 +112,8 @@ fn what_is_irregular_is_told_by_the_usual_interval_and_the_first_that_departs_fr
 fn one_model_answers_and_recalls_at_every_lower_order() {
     let states = office();
     let samples = regular_samples(&states, 10 * MINUTE_NANOS);
-    let highest = fitted(&samples, MAX_ORDER);
-    for order in [0, 1, 4, MAX_ORDER] {
+    let highest = fitted(&samples, ORDER_MAX);
+    for order in [0, 1, 4, ORDER_MAX] {
         let model = fitted(&samples, order);
         let mut outliers = 0;
         for (step, sample) in (0..).zip(&samples) {
@@ -160,8 +160,8 @@ fn irregular_samples_are_refused() {
         unsure[3].value = value;
         assert!(refused(&unsure));
     }
-    assert!(UniformSpectral::fit(Readings::new(&samples), MAX_ORDER + 1).is_err());
-    assert!(fitted(&samples, 2).with_order(MAX_ORDER + 1).is_err());
+    assert!(UniformSpectral::fit(Readings::new(&samples), ORDER_MAX + 1).is_err());
+    assert!(fitted(&samples, 2).with_order(ORDER_MAX + 1).is_err());
     // What is appended has to be next.
     let mut model = fitted(&samples[..100], 2);
     let before = model.clone();
@@ -212,8 +212,8 @@ proptest! {
     fn every_state_comes_back_whatever_the_order(
         states in prop::collection::vec(any::<bool>(), 2..300),
         appended in prop::collection::vec(any::<bool>(), 0..100),
-        order in 0..=MAX_ORDER,
-        next_order in 0..=MAX_ORDER,
+        order in 0..=ORDER_MAX,
+        next_order in 0..=ORDER_MAX,
     ) {
         let all = [states.as_slice(), appended.as_slice()].concat();
         let samples = regular_samples(&all, MINUTE_NANOS);

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::{Accumulator, MAX_ORDER, PhasorTable, RunningSums, Sample};
+use crate::{Accumulator, ORDER_MAX, PhasorTable, RunningSums, Sample};
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 
@@ -68,7 +68,7 @@ proptest! {
         prop_assert!((found.mean() - expected.mean()).abs() < 1e-9);
         // Rounding may swap equally strong ones and leave traces of components that are zero.
         let strength = |model: &SpectralModel, rank: usize| model.components().get(rank).map_or(0.0, Component::amplitude);
-        for rank in 0..MAX_ORDER {
+        for rank in 0..ORDER_MAX {
             prop_assert!((strength(&found, rank) - strength(&expected, rank)).abs() < 1e-9, "rank {rank}");
         }
         let per_observation = 1.0 / accumulator.observations() as f64;

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::{Component, MAX_ORDER};
+use crate::{Component, ORDER_MAX};
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
@@ -11,7 +11,7 @@ proptest! {
     #[test]
     fn predictions_are_those_of_a_single_one(
         mean in 0.0..=1.0,
-        parts in proptest::collection::vec((0_u32..200, -0.3..0.3, -0.3..0.3), 0..=MAX_ORDER),
+        parts in proptest::collection::vec((0_u32..200, -0.3..0.3, -0.3..0.3), 0..=ORDER_MAX),
         order in 0_usize..20,
         civil_nanos in any::<i64>(),
     ) {

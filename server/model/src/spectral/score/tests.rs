@@ -12,7 +12,7 @@ fn oracle(model: &SpectralModel, table: &PhasorTable, values: &[f64], weights: O
         if weights.is_some_and(|weights| weights.get(i).is_none_or(|&weight| weight == 0.0)) {
             continue;
         }
-        for order in 0..=MAX_ORDER {
+        for order in 0..=ORDER_MAX {
             let forecast = model.predict(table.periodicities(), order, civil);
             sums.squared[order] += (forecast - value) * (forecast - value);
             sums.wrong[order] += f64::from(u8::from((forecast >= 0.5) != (value >= 0.5)));
@@ -23,7 +23,7 @@ fn oracle(model: &SpectralModel, table: &PhasorTable, values: &[f64], weights: O
 
 #[track_caller]
 fn check_same(found: &ScoreSums, expected: &ScoreSums) {
-    for order in 0..=MAX_ORDER {
+    for order in 0..=ORDER_MAX {
         let (found_squared, expected_squared) = (found.squared[order], expected.squared[order]);
         assert!((found_squared - expected_squared).abs() < 1e-9, "order {order}: {found_squared} {expected_squared}");
         assert!((found.wrong[order] - expected.wrong[order]).abs() < 0.5, "order {order}: {found:?} {expected:?}");
@@ -47,15 +47,15 @@ fn every_length_and_instruction_set_gives_the_errors_of_single_predictions() {
             let (model, table, values, weights) = example(components, times);
             for weights in [None, Some(&weights[..])] {
                 let expected = oracle(&model, &table, &values, weights);
-                let mut terms = [Term::default(); MAX_ORDER];
-                let terms = model.terms(MAX_ORDER, &table, &mut terms).unwrap();
+                let mut terms = [Term::default(); ORDER_MAX];
+                let terms = model.terms(ORDER_MAX, &table, &mut terms).unwrap();
                 for arch in crate::phasor::every_arch() {
                     for with_wrong in [false, true] {
                         let mut sums = ScoreSums::default();
                         let (mean, values) = (model.mean(), &values[..]);
                         arch.dispatch(Score { mean, terms, values, weights, with_wrong, sums: &mut sums });
                         if !with_wrong {
-                            assert_eq!(sums.wrong, [0.0; MAX_ORDER + 1]);
+                            assert_eq!(sums.wrong, [0.0; ORDER_MAX + 1]);
                             sums.wrong = expected.wrong;
                         }
                         check_same(&sums, &expected);
@@ -76,7 +76,7 @@ fn sums_are_added_to_and_short_slices_end_the_scoring() {
     let (first, second) =
         (oracle(&model, &table, &values[..40], None), oracle(&model, &table, &values, Some(&weights[..33])));
     let mut expected = first;
-    for order in 0..=MAX_ORDER {
+    for order in 0..=ORDER_MAX {
         expected.squared[order] += second.squared[order];
         expected.wrong[order] += second.wrong[order];
     }
@@ -88,7 +88,7 @@ fn a_prediction_of_exactly_one_half_counts_as_one() {
     let table = PhasorTable::new(&Periodicities::default(), &[1, 2, 3]);
     let mut sums = ScoreSums::default();
     SpectralModel::default().score_run_values(&table, &[0.0, 0.5, 1.0], None, &mut sums, true);
-    assert_eq!(sums.wrong, [1.0; MAX_ORDER + 1]);
+    assert_eq!(sums.wrong, [1.0; ORDER_MAX + 1]);
 }
 
 proptest! {
@@ -97,7 +97,7 @@ proptest! {
     #[test]
     fn errors_are_those_of_single_predictions(
         mean in 0.0..=1.0,
-        parts in proptest::collection::vec((0_u32..200, -0.3..0.3, -0.3..0.3), 0..=MAX_ORDER),
+        parts in proptest::collection::vec((0_u32..200, -0.3..0.3, -0.3..0.3), 0..=ORDER_MAX),
         observed in proptest::collection::vec((0..=i64::MAX, 0.0..=1.0, any::<bool>()), 0..150),
         weighted in any::<bool>(),
         chosen in proptest::collection::vec(0_u32..200, 0..4),
