@@ -138,7 +138,8 @@ pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
             (info.name.as_str(), kind_to_wire(info.kind), order, 0)
         }
         Some((vector, 0)) => {
-            let dimensions = view.form(vector).map_or(0, |(_, form)| u32::try_from(form.states()).unwrap_or(u32::MAX));
+            let dimensions =
+                view.shape(vector).map_or(0, |(_, shape)| u32::try_from(shape.states()).unwrap_or(u32::MAX));
             (vector, v1::StateKind::Vector, 0, dimensions)
         }
         // Told of with its first axis.

@@ -3,7 +3,7 @@
 //! Invariant: decoding checks that coordinates are as many as their names ask for; whether an observation may have them is
 //! asked of each by itself, later.
 
-use tidemap_map::event::{Dimensions, Form, Position, StateKind};
+use tidemap_map::event::{Dimensions, Position, StateKind, StateShape};
 
 use super::InvalidField;
 use crate::v1;
@@ -12,10 +12,10 @@ use crate::v1;
 ///
 /// # Errors
 /// An unknown kind, a vector that has neither 2 nor 3 coordinates, or coordinates of what is no vector.
-pub fn form_from_wire(
+pub fn shape_from_wire(
     (kind_field, kind): (&str, i32),
     (dimensions_field, dimensions): (&str, u32),
-) -> Result<Option<Form>, InvalidField> {
+) -> Result<Option<StateShape>, InvalidField> {
     let kind = match v1::StateKind::try_from(kind) {
         Ok(v1::StateKind::Unspecified) => None,
         Ok(v1::StateKind::Probability) => Some(StateKind::Probability),
@@ -25,7 +25,7 @@ pub fn form_from_wire(
             let count = usize::try_from(dimensions).ok().and_then(Dimensions::of);
             let text = || format!("{dimensions} coordinates: a vector has 2 or 3");
             return count
-                .map(|count| Some(Form::Vector(count)))
+                .map(|count| Some(StateShape::Vector(count)))
                 .ok_or_else(|| InvalidField::new(dimensions_field, text()));
         }
         Err(_) => return Err(InvalidField::new(kind_field, format!("{kind} is not known"))),
@@ -34,14 +34,14 @@ pub fn form_from_wire(
         let text = format!("{dimensions} coordinates of what is no vector: should be 0");
         return Err(InvalidField::new(dimensions_field, text));
     }
-    Ok(kind.map(Form::Scalar))
+    Ok(kind.map(StateShape::Scalar))
 }
 
 /// What a message says of its new names, one each; `None`: nothing.
 ///
 /// # Errors
-/// As of [`form_from_wire`], or not as many as names.
-pub fn new_forms(columns: &v1::ObservationColumns) -> Result<Vec<Option<Form>>, InvalidField> {
+/// As of [`shape_from_wire`], or not as many as names.
+pub fn new_shapes(columns: &v1::ObservationColumns) -> Result<Vec<Option<StateShape>>, InvalidField> {
     const KINDS: &str = "observations.new_kinds";
     const DIMENSIONS: &str = "observations.new_dimensions";
     let names = columns.new_states.len();
@@ -53,7 +53,7 @@ pub fn new_forms(columns: &v1::ObservationColumns) -> Result<Vec<Option<Form>>, 
     }
     let kind = |i: usize| columns.new_kinds.get(i).copied().unwrap_or_default();
     let dimensions = |i: usize| columns.new_dimensions.get(i).copied().unwrap_or_default();
-    (0..names).map(|i| form_from_wire((KINDS, kind(i)), (DIMENSIONS, dimensions(i)))).collect()
+    (0..names).map(|i| shape_from_wire((KINDS, kind(i)), (DIMENSIONS, dimensions(i)))).collect()
 }
 
 /// The positions of a message, each with the place of its observation; `dimensions` are those of the name with an index of
@@ -102,12 +102,15 @@ mod tests {
     fn positions_survive_the_wire() {
         let bytes = message().encode_to_vec();
         let read = ObservationColumns::decode(bytes.as_slice()).expect("a message");
-        let forms = new_forms(&read).expect("well formed");
-        assert_eq!(forms, [None, Some(Form::Vector(Dimensions::Two)), Some(Form::Vector(Dimensions::Three))]);
+        let shapes = new_shapes(&read).expect("well formed");
+        assert_eq!(
+            shapes,
+            [None, Some(StateShape::Vector(Dimensions::Two)), Some(StateShape::Vector(Dimensions::Three))]
+        );
         let coordinates = read.coordinates.clone();
         let decoded = columns::decode(read).expect("well formed");
-        let dimensions = |index: u32| match forms.get(index as usize) {
-            Some(Some(Form::Vector(dimensions))) => Some(*dimensions),
+        let dimensions = |index: u32| match shapes.get(index as usize) {
+            Some(Some(StateShape::Vector(dimensions))) => Some(*dimensions),
             _ => None,
         };
         let found = positions(&decoded.state_indices, &coordinates, dimensions).expect("as many as asked for");
@@ -126,7 +129,7 @@ mod tests {
         let wrong = |change: fn(&mut ObservationColumns)| {
             let mut message = message();
             change(&mut message);
-            new_forms(&message).expect_err("malformed").field
+            new_shapes(&message).expect_err("malformed").field
         };
         assert_eq!(wrong(|m| m.new_dimensions.clear()), "observations.new_dimensions");
         assert_eq!(wrong(|m| m.new_dimensions = vec![0, 1, 3]), "observations.new_dimensions");
@@ -136,6 +139,6 @@ mod tests {
         assert_eq!(wrong(|m| m.new_kinds = vec![0, 4]), "observations.new_kinds");
         assert_eq!(wrong(|m| m.new_kinds = vec![0, 4, 99]), "observations.new_kinds");
         let nothing = ObservationColumns { new_states: vec!["door".to_owned()], ..ObservationColumns::default() };
-        assert_eq!(new_forms(&nothing), Ok(vec![None]));
+        assert_eq!(new_shapes(&nothing), Ok(vec![None]));
     }
 }

@@ -64,7 +64,7 @@ fn observe(map: &mut LiveMap, day: i64, step: i64) {
         let new = NewState {
             id: StateId(state),
             name: StateName::new(&format!("state {state}")).expect("valid"),
-            form: StateKind::Probability.into(),
+            shape: StateKind::Probability.into(),
         };
         let event = Observations {
             producer: ProducerId(0),

@@ -10,7 +10,7 @@ use std::{
 };
 
 use crate::{
-    event::{Dimensions, Form, StateId, StateKind},
+    event::{Dimensions, StateId, StateKind, StateShape},
     name::{StateName, asked_for},
 };
 
@@ -61,15 +61,15 @@ impl Directory {
     }
 
     /// What observations of a name are, with the index of the state, or of the first axis.
-    pub fn form(&self, name: &str) -> Option<(StateId, Form)> {
+    pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         if let Some(id) = self.find(name) {
-            return Some((id, Form::Scalar(self.info(id)?.kind)));
+            return Some((id, StateShape::Scalar(self.info(id)?.kind)));
         }
         // A vector has a plain name: `edge/A/B/x` is an edge with the action x.
         let first = self.find(&format!("{name}/x")).filter(|_| !name.contains('/'))?;
         let beyond = self.info(StateId(first.0.saturating_add(2)));
         let has_z = beyond.and_then(|info| info.name.as_axis()) == Some((name, 2));
-        Some((first, Form::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
+        Some((first, StateShape::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
     }
 
     pub fn info(&self, id: StateId) -> Option<&StateInfo> {
@@ -84,7 +84,7 @@ impl Directory {
     /// Gives a state another name. Nothing is changed where there is no such state, or the name is taken.
     pub fn rename(&mut self, id: StateId, name: StateName) {
         let index = id.0 as usize;
-        if self.info(id).is_none() || self.form(name.as_str()).is_some() {
+        if self.info(id).is_none() || self.shape(name.as_str()).is_some() {
             return;
         }
         let info = &mut Arc::make_mut(&mut Arc::make_mut(&mut self.chunks)[index / CHUNK])[index % CHUNK];

@@ -137,16 +137,16 @@ pub struct NewState {
     /// Its name.
     pub name: StateName,
     /// What it is.
-    pub form: Form,
+    pub shape: StateShape,
 }
 
 impl NewState {
     /// The states that a map gets by it: the state itself, or one of continuous values for each axis of the vector.
     pub fn states(&self) -> impl Iterator<Item = (StateId, StateName, StateKind)> + use<'_> {
-        let (count, kind) = (self.form.states(), self.form.kind());
+        let (count, kind) = (self.shape.states(), self.shape.kind());
         (0..count).map(move |axis| {
             let id = StateId(self.id.0.saturating_add(u32::try_from(axis).unwrap_or(u32::MAX)));
-            let name = if self.form == Form::Scalar(kind) { self.name.clone() } else { self.name.axis(axis) };
+            let name = if self.shape == StateShape::Scalar(kind) { self.name.clone() } else { self.name.axis(axis) };
             (id, name, kind)
         })
     }
@@ -154,21 +154,21 @@ impl NewState {
 
 /// What observations of a name are: values of a kind, or positions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Form {
+pub enum StateShape {
     /// Values.
     Scalar(StateKind),
     /// Positions. For the map, each axis is a state of continuous values ([`StateName::axis`]).
     Vector(Dimensions),
 }
 
-impl Form {
+impl StateShape {
     /// As people write it.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
-            Form::Scalar(kind) => kind.name(),
-            Form::Vector(Dimensions::Two) => "vector of 2 coordinates",
-            Form::Vector(Dimensions::Three) => "vector of 3 coordinates",
+            StateShape::Scalar(kind) => kind.name(),
+            StateShape::Vector(Dimensions::Two) => "vector of 2 coordinates",
+            StateShape::Vector(Dimensions::Three) => "vector of 3 coordinates",
         }
     }
 
@@ -176,8 +176,8 @@ impl Form {
     #[must_use]
     pub fn states(self) -> usize {
         match self {
-            Form::Scalar(_) => 1,
-            Form::Vector(dimensions) => dimensions.count(),
+            StateShape::Scalar(_) => 1,
+            StateShape::Vector(dimensions) => dimensions.count(),
         }
     }
 
@@ -185,19 +185,19 @@ impl Form {
     #[must_use]
     pub fn kind(self) -> StateKind {
         match self {
-            Form::Scalar(kind) => kind,
-            Form::Vector(_) => StateKind::Continuous,
+            StateShape::Scalar(kind) => kind,
+            StateShape::Vector(_) => StateKind::Continuous,
         }
     }
 }
 
-impl From<StateKind> for Form {
+impl From<StateKind> for StateShape {
     fn from(kind: StateKind) -> Self {
         Self::Scalar(kind)
     }
 }
 
-impl Default for Form {
+impl Default for StateShape {
     /// What a name is of which nothing is said: a probability.
     fn default() -> Self {
         StateKind::default().into()

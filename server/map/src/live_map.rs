@@ -10,7 +10,7 @@ use tidemap_model::StateModel;
 
 use crate::{
     directory::{Directory, StateInfo},
-    event::{Event, Form, ProducerId, StateId, StateKind, UpdateStart},
+    event::{Event, ProducerId, StateId, StateKind, StateShape, UpdateStart},
     grid::{live::LiveGrid, view::GridView},
     name::ProducerKey,
     pending::Pending,
@@ -159,8 +159,8 @@ impl LiveMap {
 
     /// What observations of a name are, with the index of the state of this name, or of the first axis of the vector.
     #[must_use]
-    pub fn form(&self, name: &str) -> Option<(StateId, Form)> {
-        self.directory.form(name)
+    pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
+        self.directory.shape(name)
     }
 
     /// The producer of this key, if it ever sent anything.

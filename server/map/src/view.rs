@@ -10,7 +10,7 @@ use tidemap_model::{Persistence, StateModel};
 pub use crate::directory::StateInfo;
 use crate::{
     directory::Directory,
-    event::{Form, StateId, StateKind},
+    event::{StateId, StateKind, StateShape},
     grid::view::GridView,
     site::Site,
     spec::MapSpec,
@@ -115,8 +115,8 @@ impl MapView {
 
     /// What observations of a name are, with the index of the state of this name, or of the first axis of the vector.
     #[must_use]
-    pub fn form(&self, name: &str) -> Option<(StateId, Form)> {
-        self.directory.form(name)
+    pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
+        self.directory.shape(name)
     }
 
     /// Name and kind of a state.

@@ -5,7 +5,7 @@
 //! map's writer to say, which knows the state.
 
 use tidemap_map::{
-    event::{Dimensions, Form, Position, RefusalReason, StateKind},
+    event::{Dimensions, Position, RefusalReason, StateKind, StateShape},
     grid::spec::GridSpec,
     name::StateName,
 };
@@ -13,7 +13,7 @@ use tidemap_proto::convert::{
     InvalidField,
     columns::{DecodedColumns, decode},
     scans::{ScanError, ScanLimits},
-    vectors::{new_forms, positions},
+    vectors::{new_shapes, positions},
 };
 use tidemap_proto::v1::ObservationBatch;
 
@@ -87,7 +87,7 @@ struct TableEntry {
     raw: String,
     refusal: Option<String>,
     /// What the stream said of it.
-    form: Option<Form>,
+    shape: Option<StateShape>,
 }
 
 impl TableEntry {
@@ -101,12 +101,12 @@ impl TableEntry {
 
     /// What its values have to be, as far as is known here.
     fn expected_kind(&self) -> StateKind {
-        self.form.map_or(StateKind::Continuous, Form::kind)
+        self.shape.map_or(StateKind::Continuous, StateShape::kind)
     }
 
     fn dimensions(&self) -> Option<Dimensions> {
-        match self.form {
-            Some(Form::Vector(dimensions)) => Some(dimensions),
+        match self.shape {
+            Some(StateShape::Vector(dimensions)) => Some(dimensions),
             _ => None,
         }
     }
@@ -158,13 +158,13 @@ impl Intake {
         self.check_no_open_scan("batch", "observations")?;
         let mut columns =
             message.observations.ok_or_else(|| InvalidField::new("observations", "missing: send at least 1"))?;
-        let forms = new_forms(&columns)?;
+        let shapes = new_shapes(&columns)?;
         let names = std::mem::take(&mut columns.new_states);
         self.check_limits(columns.time_deltas.len(), &names)?;
         let coordinates = std::mem::take(&mut columns.coordinates);
         let columns = decode(columns)?;
         let last = last_sequence(first, columns.values.len())?;
-        let new_names = self.extend_table(names, forms);
+        let new_names = self.extend_table(names, shapes);
         let positions = self.positions(&columns, &coordinates)?;
         let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
         if last < self.next_sequence && new_names.is_empty() {
@@ -215,19 +215,19 @@ impl Intake {
         Ok(())
     }
 
-    fn extend_table(&mut self, names: Vec<String>, forms: Vec<Option<Form>>) -> Vec<Option<NewName>> {
+    fn extend_table(&mut self, names: Vec<String>, shapes: Vec<Option<StateShape>>) -> Vec<Option<NewName>> {
         let mut checked = Vec::with_capacity(names.len());
-        for (raw, form) in names.into_iter().zip(forms) {
-            let is_vector = matches!(form, Some(Form::Vector(_)));
+        for (raw, shape) in names.into_iter().zip(shapes) {
+            let is_vector = matches!(shape, Some(StateShape::Vector(_)));
             self.has_vectors |= is_vector;
             let name = StateName::observed(&raw)
                 .and_then(|name| if is_vector { name.check_vector().map(|()| name) } else { Ok(name) });
             let (name, refusal) = match name {
-                Ok(name) => (Some(NewName { name, form }), None),
+                Ok(name) => (Some(NewName { name, shape }), None),
                 Err(error) => (None, Some(format!("state {error}"))),
             };
             self.table_bytes += raw.len();
-            self.table.push(TableEntry { raw, refusal, form });
+            self.table.push(TableEntry { raw, refusal, shape });
             checked.push(name);
         }
         checked

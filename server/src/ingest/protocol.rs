@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{Form, Position, RefusalReason, UpdateCause},
+    event::{Position, RefusalReason, StateShape, UpdateCause},
     grid::{
         front::SentScan,
         index::TileIndex,
@@ -136,13 +136,13 @@ pub struct NewName {
     /// The name.
     pub name: StateName,
     /// What it is said to be.
-    pub form: Option<Form>,
+    pub shape: Option<StateShape>,
 }
 
 impl From<StateName> for NewName {
     /// A name of which nothing is said.
     fn from(name: StateName) -> Self {
-        Self { name, form: None }
+        Self { name, shape: None }
     }
 }
 
@@ -284,7 +284,7 @@ pub struct AddState {
     /// Its name.
     pub name: StateName,
     /// What it is to be.
-    pub form: Form,
+    pub shape: StateShape,
     /// The answer, when it is durable and shown.
     pub reply: oneshot::Sender<Result<(), AddStateError>>,
 }
@@ -298,9 +298,9 @@ pub enum AddStateError {
         /// Its name.
         name: StateName,
         /// What it is.
-        found: Form,
+        found: StateShape,
         /// What was asked for.
-        asked: Form,
+        asked: StateShape,
     },
     /// No more states.
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{Form, StateId},
+    event::{StateId, StateShape},
     name::StateName,
     site::{Location, SiteEdit},
 };
@@ -12,7 +12,7 @@ use tidemap_proto::{
         InvalidField,
         map::{map_to_wire, spec_from_request, state_to_wire},
         site::{location_to_wire, point_from_wire},
-        vectors::form_from_wire,
+        vectors::shape_from_wire,
     },
     v1::{self, map_service_server::MapService},
 };
@@ -99,17 +99,17 @@ impl MapService for Maps {
         let handle = find_map(&self.catalog, &map)?;
         let invalid = |error| RpcError::from(InvalidField::new("state", error));
         let name = StateName::observed(&state).map_err(invalid)?;
-        let form = form_from_wire(("kind", kind), ("dimensions", dimensions)).map_err(RpcError::from)?;
-        let form = form.unwrap_or_default();
-        if let Form::Vector(_) = form {
+        let shape = shape_from_wire(("kind", kind), ("dimensions", dimensions)).map_err(RpcError::from)?;
+        let shape = shape.unwrap_or_default();
+        if let StateShape::Vector(_) = shape {
             name.check_vector().map_err(invalid)?;
         }
         let (reply, answer) = oneshot::channel();
-        let add = AddState { name, form, reply };
+        let add = AddState { name, shape, reply };
         let answer = if handle.send(Command::AddState(add)) { answer.await.ok() } else { None };
         answer.unwrap_or(Err(AddStateError::Closing)).map_err(RpcError::from)?;
         let view = handle.view();
-        let state = view.form(&state).and_then(|(id, _)| state_to_wire(&view, id));
+        let state = view.shape(&state).and_then(|(id, _)| state_to_wire(&view, id));
         Ok(Response::new(v1::AddStateResponse { state }))
     }
 

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{Form, StateId},
+    event::{StateId, StateShape},
     view::MapView,
 };
 use tidemap_proto::v1::{self, query_service_server::QueryService};
@@ -95,9 +95,9 @@ pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError
         return Ok(id);
     }
     let map = || view.spec().name.as_str().to_owned();
-    if let Some((_, form @ Form::Vector(dimensions))) = view.form(name) {
+    if let Some((_, shape @ StateShape::Vector(dimensions))) = view.shape(name) {
         let axes = dimensions.axes().iter().map(|axis| format!("{name}/{axis}")).collect();
-        return Err(RpcError::IsVector { map: map(), name: name.to_owned(), form, axes });
+        return Err(RpcError::IsVector { map: map(), name: name.to_owned(), shape, axes });
     }
     Err(RpcError::UnknownState {
         map: map(),

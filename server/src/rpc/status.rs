@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 
 use tidemap_map::{
-    event::Form,
+    event::StateShape,
     grid::{sensors::InvalidSensor, tile::TileUnavailable},
     predict::ModelKind,
     site::InvalidEdit,
@@ -59,14 +59,14 @@ pub enum RpcError {
         known: Vec<String>,
     },
     /// The name is that of a vector, and the question is of one number.
-    #[error("state {name:?} of map {map:?} is a {}: ask of its axes, {}", .form.name(), .axes.join(", "))]
+    #[error("state {name:?} of map {map:?} is a {}: ask of its axes, {}", .shape.name(), .axes.join(", "))]
     IsVector {
         /// The map.
         map: String,
         /// The name asked for.
         name: String,
         /// What it is.
-        form: Form,
+        shape: StateShape,
         /// Names of its axes.
         axes: Vec<String>,
     },

@@ -71,7 +71,7 @@ impl LiveMap {
     }
 
     pub(super) fn add_new_state(&mut self, new: &NewState) -> Result<(), String> {
-        if new.id.0 as usize != self.directory.len() || self.directory.form(new.name.as_str()).is_some() {
+        if new.id.0 as usize != self.directory.len() || self.directory.shape(new.name.as_str()).is_some() {
             return Err(format!("state {:?} is not new", new.name.as_str()));
         }
         for (_, name, kind) in new.states() {

@@ -45,7 +45,7 @@ fn event(map: &LiveMap, observations: &[(u32, i64, f64)]) -> Event {
         .map(|id| NewState {
             id: StateId(u32::try_from(id).expect("few")),
             name: StateName::new(&format!("s{id}")).expect("valid"),
-            form: StateKind::Probability.into(),
+            shape: StateKind::Probability.into(),
         })
         .collect();
     let first_sequence = known.unwrap_or(0) + 1;

@@ -96,7 +96,7 @@ fn what_was_said_of_a_state_says_which_values_it_may_have() {
         let batch = intake().take(sent).expect("fine").expect("new");
         assert_eq!(batch.values, kept, "{kind:?}");
         assert!(batch.refused.iter().all(|refused| refused.reason == RefusalReason::Value), "{batch:?}");
-        let said = batch.new_names[0].as_ref().expect("a valid name").form;
+        let said = batch.new_names[0].as_ref().expect("a valid name").shape;
         assert_eq!(said.is_none(), kind == v1::StateKind::Unspecified);
     }
     let mut sent = message(1, &["a"], &[0], &[1], &[2.5]);

@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 
 use tidemap_map::{
-    event::{Dimensions, Form, NewState, RefusalReason, StateId, StateKind},
+    event::{Dimensions, NewState, RefusalReason, StateId, StateKind, StateShape},
     live_map::{LiveMap, rename::renamed_states},
     name::StateName,
     site::{InvalidEdit, SiteEdit},
@@ -27,9 +27,9 @@ pub(super) type Refusal = (RefusalReason, String);
 #[derive(Debug)]
 pub(super) enum Slot {
     /// A state of the map, or of a batch in flight; of a vector its first axis.
-    State(StateId, Form),
+    State(StateId, StateShape),
     /// A state that is not what the stream said: what it is, and what was said.
-    OtherForm(StateName, Form, Option<Form>),
+    OtherShape(StateName, StateShape, Option<StateShape>),
     /// A name that no observation has used yet.
     Unused(NewName),
     /// A name that is not valid; intake refuses its observations.
@@ -59,10 +59,10 @@ impl Slot {
         }
         match self {
             // Intake gives a position where a vector was said, and then only.
-            Slot::State(state, Form::Vector(_)) if is_position => Ok(*state),
-            Slot::State(state, Form::Scalar(kind)) if !is_position && kind.allows(value) => Ok(*state),
-            Slot::State(_, form) => Err(Some(refuse_value(value, form.kind()))),
-            Slot::OtherForm(name, found, said) => Err(Some(other_form(name, *found, *said))),
+            Slot::State(state, StateShape::Vector(_)) if is_position => Ok(*state),
+            Slot::State(state, StateShape::Scalar(kind)) if !is_position && kind.allows(value) => Ok(*state),
+            Slot::State(_, shape) => Err(Some(refuse_value(value, shape.kind()))),
+            Slot::OtherShape(name, found, said) => Err(Some(other_shape(name, *found, *said))),
             Slot::Unused(_) | Slot::Invalid => Err(None),
         }
     }
@@ -70,25 +70,25 @@ impl Slot {
 
 /// What becomes of a name at its first observation.
 fn used(
-    NewName { name, form: said }: &NewName,
+    NewName { name, shape: said }: &NewName,
     value: f64,
     room: &mut Room<'_>,
     new_states: &mut Vec<NewState>,
 ) -> Result<Slot, Refusal> {
-    let form = said.unwrap_or_default();
+    let shape = said.unwrap_or_default();
     match known_state(room.map, room.in_flight, room.renames, name) {
         // Of a name of which nothing is said there are values.
         Some((state, found)) if *said == Some(found) || (said.is_none() && is_scalar(found)) => {
             Ok(Slot::State(state, found))
         }
-        Some((_, found)) => Ok(Slot::OtherForm(name.clone(), found, *said)),
+        Some((_, found)) => Ok(Slot::OtherShape(name.clone(), found, *said)),
         // A value that no such state may have does not make one. Positions are those that a vector may have.
-        None if is_scalar(form) && !form.kind().allows(value) => Err(refuse_value(value, form.kind())),
-        None => match room.add(name, form) {
+        None if is_scalar(shape) && !shape.kind().allows(value) => Err(refuse_value(value, shape.kind())),
+        None => match room.add(name, shape) {
             Some(new) => {
                 let state = new.id;
                 new_states.push(new);
-                Ok(Slot::State(state, form))
+                Ok(Slot::State(state, shape))
             }
             None => Err(room.is_full(name)),
         },
@@ -105,8 +105,8 @@ impl Room<'_> {
         let mut known = Vec::with_capacity(wanted.len());
         for (name, kind) in wanted {
             known.push(match known_state(self.map, self.in_flight, self.renames, name) {
-                Some((_, found)) if found != Form::Scalar(*kind) => {
-                    return Err(other_form(name, found, Some(Form::Scalar(*kind))));
+                Some((_, found)) if found != StateShape::Scalar(*kind) => {
+                    return Err(other_shape(name, found, Some(StateShape::Scalar(*kind))));
                 }
                 found => found.map(|(state, _)| state),
             });
@@ -118,7 +118,7 @@ impl Room<'_> {
             states.push(match known {
                 Some(state) => state,
                 None => {
-                    let added = if new <= most { self.add(name, Form::Scalar(*kind)) } else { None };
+                    let added = if new <= most { self.add(name, StateShape::Scalar(*kind)) } else { None };
                     let added = added.ok_or_else(|| self.is_full(name))?;
                     let state = added.id;
                     new_states.push(added);
@@ -140,12 +140,12 @@ impl Room<'_> {
     }
 
     /// A state, or all axes of a vector, which are in flight from now on; `None` where there is no room for them.
-    fn add(&mut self, name: &StateName, form: Form) -> Option<NewState> {
+    fn add(&mut self, name: &StateName, shape: StateShape) -> Option<NewState> {
         let next = self.map.states() + self.in_flight.len();
-        if next.saturating_add(form.states()) > self.max {
+        if next.saturating_add(shape.states()) > self.max {
             return None;
         }
-        let new = NewState { id: StateId(u32::try_from(next).unwrap_or(u32::MAX)), name: name.clone(), form };
+        let new = NewState { id: StateId(u32::try_from(next).unwrap_or(u32::MAX)), name: name.clone(), shape };
         self.in_flight.extend(new.states().map(|(id, name, kind)| (name, (id, kind))));
         Some(new)
     }
@@ -156,12 +156,12 @@ impl Sessions {
     pub fn add_state(
         &mut self,
         name: &StateName,
-        form: Form,
+        shape: StateShape,
         map: &LiveMap,
     ) -> Result<Option<NewState>, AddStateError> {
         match known_state(map, &self.states_in_flight, &self.renames_in_flight, name) {
-            Some((_, found)) if found == form => Ok(None),
-            Some((_, found)) => Err(AddStateError::OtherKind { name: name.clone(), found, asked: form }),
+            Some((_, found)) if found == shape => Ok(None),
+            Some((_, found)) => Err(AddStateError::OtherKind { name: name.clone(), found, asked: shape }),
             None => {
                 let mut room = Room {
                     map,
@@ -169,7 +169,7 @@ impl Sessions {
                     renames: &self.renames_in_flight,
                     max: self.limits.states,
                 };
-                let new = room.add(name, form);
+                let new = room.add(name, shape);
                 new.map(Some).ok_or(AddStateError::TooMany { max: self.limits.states })
             }
         }
@@ -186,7 +186,7 @@ impl Sessions {
         let mut kept = HashMap::new();
         for ((id, kind), name) in renamed {
             let name = name?;
-            let of_another = map.form(name.as_str()).map(|(other, _)| other);
+            let of_another = map.shape(name.as_str()).map(|(other, _)| other);
             let of_another = of_another.or(self.states_in_flight.get(&name).map(|&(other, _)| other));
             if of_another.is_some_and(|other| other != id) || kept.contains_key(&name) {
                 let state = map.names().find(|(other, _)| *other == id).map_or("", |(_, name)| name.as_str());
@@ -217,8 +217,8 @@ fn known_state(
     in_flight: &HashMap<StateName, (StateId, StateKind)>,
     renames: &HashMap<StateName, (StateId, StateKind)>,
     name: &StateName,
-) -> Option<(StateId, Form)> {
-    if let Some(known) = map.form(name.as_str()) {
+) -> Option<(StateId, StateShape)> {
+    if let Some(known) = map.shape(name.as_str()) {
         return Some(known);
     }
     if let Some(&(state, kind)) = in_flight.get(name).or_else(|| renames.get(name)) {
@@ -230,17 +230,17 @@ fn known_state(
     }
     let &(first, _) = in_flight.get(&name.axis(0))?;
     let has_z = in_flight.contains_key(&name.axis(2));
-    Some((first, Form::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
+    Some((first, StateShape::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
 }
 
-fn is_scalar(form: Form) -> bool {
-    matches!(form, Form::Scalar(_))
+fn is_scalar(shape: StateShape) -> bool {
+    matches!(shape, StateShape::Scalar(_))
 }
 
 /// That a stream has said of a state that it is something else than it is.
-fn other_form(name: &StateName, found: Form, said: Option<Form>) -> Refusal {
+fn other_shape(name: &StateName, found: StateShape, said: Option<StateShape>) -> Refusal {
     let name = name.as_str().chars().take(60).collect::<String>();
-    let said = said.map_or("single value", Form::name);
+    let said = said.map_or("single value", StateShape::name);
     let text = format!("state {name:?} exists and is a {}, not a {said}", found.name());
     (RefusalReason::StateKind, text)
 }

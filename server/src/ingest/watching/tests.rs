@@ -40,7 +40,7 @@ fn observations(first: i64, count: usize) -> Observations {
         new_states: vec![NewState {
             id: StateId(0),
             name: StateName::new("s").expect("valid"),
-            form: StateKind::Probability.into(),
+            shape: StateKind::Probability.into(),
         }],
         states: vec![StateId(0); count],
         times_nanos: (first..).take(count).collect(),

@@ -32,13 +32,13 @@ impl Writer {
         } else if let Some(error) = &self.failing {
             Err(AddStateError::Storage(error.clone()))
         } else {
-            self.sessions.add_state(&add.name, add.form, &self.map)
+            self.sessions.add_state(&add.name, add.shape, &self.map)
         };
         match event {
             Ok(Some(new)) => {
                 self.launch(Flight::AddState { event: Event::AddState(new), reply: add.reply });
             }
-            Ok(None) if self.map.form(add.name.as_str()).is_some() => self.adds.added.push(add.reply),
+            Ok(None) if self.map.shape(add.name.as_str()).is_some() => self.adds.added.push(add.reply),
             // On its way into the log, which may fail.
             Ok(None) => self.adds.waiting.push(add),
             // Who asked may have gone away.

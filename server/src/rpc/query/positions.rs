@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{Dimensions, Form, StateId},
+    event::{Dimensions, StateId, StateShape},
     predict::ModelKind,
     view::MapView,
 };
@@ -125,10 +125,10 @@ pub(super) async fn predict_positions(
 
 /// The first axis of a vector, and how many there are.
 fn find_vector(view: &MapView, name: &str) -> Result<(StateId, Dimensions), RpcError> {
-    match view.form(name) {
-        Some((first, Form::Vector(dimensions))) => Ok((first, dimensions)),
-        Some((_, form @ Form::Scalar(_))) => {
-            let text = format!("{name:?} is a {} state, and only a vector has positions", form.name());
+    match view.shape(name) {
+        Some((first, StateShape::Vector(dimensions))) => Ok((first, dimensions)),
+        Some((_, shape @ StateShape::Scalar(_))) => {
+            let text = format!("{name:?} is a {} state, and only a vector has positions", shape.name());
             Err(InvalidField::new("state", text).into())
         }
         // The error of a name that there is not.

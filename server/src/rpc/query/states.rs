@@ -6,7 +6,7 @@
 use std::{ops::Range, sync::Arc};
 
 use tidemap_map::{
-    event::{Form, StateId, StateKind},
+    event::{StateId, StateKind, StateShape},
     grid::{index::CellIndex, view::CellDescription},
     interval::cell_intervals,
     predict::ModelSelector,
@@ -53,8 +53,8 @@ fn by_axis(view: &MapView, names: Vec<String>) -> (Vec<Place>, Vec<String>) {
     let mut places = Vec::with_capacity(names.len());
     let mut all = Vec::with_capacity(names.len());
     for (state_index, name) in names.into_iter().enumerate() {
-        match view.form(&name) {
-            Some((_, Form::Vector(dimensions))) => {
+        match view.shape(&name) {
+            Some((_, StateShape::Vector(dimensions))) => {
                 for (axis, letter) in (1..).zip(dimensions.axes()) {
                     places.push(Place { state_index, axis });
                     all.push(format!("{name}/{letter}"));

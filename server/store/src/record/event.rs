@@ -5,8 +5,8 @@
 use prost::Message as _;
 use tidemap_map::{
     event::{
-        Dimensions, Event, Form, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId,
-        StateKind, UpdateCause, UpdateStart,
+        Dimensions, Event, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId,
+        StateKind, StateShape, UpdateCause, UpdateStart,
     },
     name::{ProducerKey, StateName},
 };
@@ -210,10 +210,10 @@ pub(super) fn decode_new_producer(new: &v2_map::NewProducer) -> Result<NewProduc
 }
 
 fn encode_new_state(state: &NewState) -> v1::NewState {
-    let kind = match state.form {
-        Form::Scalar(kind) => encode_kind(kind),
-        Form::Vector(Dimensions::Two) => VECTOR_OF_TWO,
-        Form::Vector(Dimensions::Three) => VECTOR_OF_THREE,
+    let kind = match state.shape {
+        StateShape::Scalar(kind) => encode_kind(kind),
+        StateShape::Vector(Dimensions::Two) => VECTOR_OF_TWO,
+        StateShape::Vector(Dimensions::Three) => VECTOR_OF_THREE,
     };
     v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind }
 }
@@ -221,19 +221,19 @@ fn encode_new_state(state: &NewState) -> v1::NewState {
 fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
     const NAME: Invalid = "the name of a state is not valid";
     let name = StateName::stored(&state.name).map_err(|_| NAME)?;
-    let form = match state.kind {
-        VECTOR_OF_TWO => Form::Vector(Dimensions::Two),
-        VECTOR_OF_THREE => Form::Vector(Dimensions::Three),
-        kind => Form::Scalar(decode_kind(kind)?),
+    let shape = match state.kind {
+        VECTOR_OF_TWO => StateShape::Vector(Dimensions::Two),
+        VECTOR_OF_THREE => StateShape::Vector(Dimensions::Three),
+        kind => StateShape::Scalar(decode_kind(kind)?),
     };
     // The axes of a vector come with it, and with it alone.
     if name.as_axis().is_some() {
         return Err(NAME);
     }
-    if let Form::Vector(_) = form {
+    if let StateShape::Vector(_) = shape {
         name.check_vector().map_err(|_| NAME)?;
     }
-    Ok(NewState { id: StateId(state.id), name, form })
+    Ok(NewState { id: StateId(state.id), name, shape })
 }
 
 /// The name of a state as the map knows it: axes of vectors included.

@@ -71,7 +71,7 @@ pub(crate) fn event(position: u64) -> Event {
             .map(|id| NewState {
                 id: StateId(id),
                 name: StateName::new(&format!("state {id}")).expect("valid"),
-                form: StateKind::Probability.into(),
+                shape: StateKind::Probability.into(),
             })
             .collect(),
         states: (0..count).map(|_| StateId(random.random_range(0..3))).collect(),

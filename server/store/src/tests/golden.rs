@@ -63,7 +63,7 @@ fn events() -> Vec<Event> {
         new_states: vec![NewState {
             id: StateId(0),
             name: StateName::new("Küche").expect("valid"),
-            form: StateKind::Probability.into(),
+            shape: StateKind::Probability.into(),
         }],
         states: vec![StateId(0); 10],
         times_nanos: (0..10).map(|i| 1_700_000_000_000_000_000 + i * 1_000_000_000).collect(),
@@ -77,7 +77,7 @@ fn events() -> Vec<Event> {
         new_states: vec![NewState {
             id: StateId(1),
             name: StateName::new("door").expect("valid"),
-            form: StateKind::Probability.into(),
+            shape: StateKind::Probability.into(),
         }],
         first_sequence: 13,
         last_sequence: 15,

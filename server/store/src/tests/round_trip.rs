@@ -6,8 +6,8 @@ use proptest::{collection::vec, option, prelude::*};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
     event::{
-        Dimensions, Event, Form, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId,
-        StateKind, UpdateCause, UpdateStart,
+        Dimensions, Event, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId,
+        StateKind, StateShape, UpdateCause, UpdateStart,
     },
     grid::{sensors::ProducerSensor, spec::Retention},
     name::{EdgeName, MapName, ProducerKey, StateName},
@@ -79,7 +79,7 @@ fn observations() -> impl Strategy<Value = Event> {
                     .map(|(id, name)| NewState {
                         id: StateId(id),
                         name: StateName::new(&name).expect("valid"),
-                        form: form(id as usize),
+                        shape: shape(id as usize),
                     })
                     .chain(states_of_places())
                     .collect(),
@@ -130,7 +130,7 @@ fn states_of_places() -> impl Iterator<Item = NewState> {
         states.into_iter().chain([("speed/Hall/x", StateKind::Continuous), ("pace/a/b/c", StateKind::Continuous)]);
     states.zip(100..).map(|((name, kind), id)| {
         let name = StateName::stored(name).expect("valid");
-        NewState { id: StateId(id), name, form: kind.into() }
+        NewState { id: StateId(id), name, shape: kind.into() }
     })
 }
 
@@ -147,10 +147,10 @@ fn failures() -> impl Strategy<Value = Vec<EdgeFailure>> {
 }
 
 /// One of all that a new state may be.
-fn form(number: usize) -> Form {
+fn shape(number: usize) -> StateShape {
     match number % 5 {
-        3 => Form::Vector(Dimensions::Two),
-        4 => Form::Vector(Dimensions::Three),
+        3 => StateShape::Vector(Dimensions::Two),
+        4 => StateShape::Vector(Dimensions::Three),
         kind => StateKind::ALL[kind].into(),
     }
 }
@@ -158,7 +158,7 @@ fn form(number: usize) -> Form {
 fn add_state() -> impl Strategy<Value = Event> {
     (any::<u32>(), "[a-zü ]{5,20}", 0..5_usize).prop_map(|(id, name, kind)| {
         let name = StateName::new(&name).expect("valid");
-        Event::AddState(NewState { id: StateId(id), name, form: form(kind) })
+        Event::AddState(NewState { id: StateId(id), name, shape: shape(kind) })
     })
 }
 

@@ -6,7 +6,7 @@ use tidemap_model::models::Moment;
 
 fn new_state(id: u32, kind: StateKind) -> Event {
     let name = StateName::new(&format!("s{id}")).expect("valid");
-    Event::AddState(NewState { id: StateId(id), name, form: kind.into() })
+    Event::AddState(NewState { id: StateId(id), name, shape: kind.into() })
 }
 
 /// A map with one state of each kind: probability, continuous, count.

@@ -1,16 +1,16 @@
 //! Vectors: a state of continuous values for each axis, all of them or none.
 
 use super::*;
-use crate::event::{Dimensions, Form};
+use crate::event::{Dimensions, StateShape};
 
 fn vector(id: u32, name: &str, dimensions: Dimensions) -> Event {
     let name = StateName::new(name).expect("valid");
-    Event::AddState(NewState { id: StateId(id), name, form: Form::Vector(dimensions) })
+    Event::AddState(NewState { id: StateId(id), name, shape: StateShape::Vector(dimensions) })
 }
 
 fn scalar(id: u32, name: &str) -> Event {
     let name = StateName::new(name).expect("valid");
-    Event::AddState(NewState { id: StateId(id), name, form: Form::default() })
+    Event::AddState(NewState { id: StateId(id), name, shape: StateShape::default() })
 }
 
 #[test]
@@ -22,14 +22,14 @@ fn a_vector_is_there_with_all_its_axes() {
     let view = map.publish();
     let names: Vec<&str> = view.infos().map(|info| info.name.as_str()).collect();
     assert_eq!(names, ["anna/x", "anna/y", "drone/x", "drone/y", "drone/z", "door"]);
-    let forms = ["anna", "drone", "door", "anna/y", "nobody"].map(|name| view.form(name));
+    let shapes = ["anna", "drone", "door", "anna/y", "nobody"].map(|name| view.shape(name));
     assert_eq!(
-        forms,
+        shapes,
         [
-            Some((StateId(0), Form::Vector(Dimensions::Two))),
-            Some((StateId(2), Form::Vector(Dimensions::Three))),
-            Some((StateId(5), Form::default())),
-            Some((StateId(1), Form::Scalar(StateKind::Continuous))),
+            Some((StateId(0), StateShape::Vector(Dimensions::Two))),
+            Some((StateId(2), StateShape::Vector(Dimensions::Three))),
+            Some((StateId(5), StateShape::default())),
+            Some((StateId(1), StateShape::Scalar(StateKind::Continuous))),
             None,
         ]
     );
@@ -60,5 +60,5 @@ fn positions_are_learned_by_axis_and_restored() {
     assert!((x - 4.0).abs() < 1.5 && (y - 99.0).abs() < 0.3, "{x}, {y}");
     let mut restored = LiveMap::restore(spec(), snapshot);
     let view = restored.publish();
-    assert_eq!((view.form("anna"), told(&view)), (Some((StateId(0), Form::Vector(Dimensions::Two))), [x, y]));
+    assert_eq!((view.shape("anna"), told(&view)), (Some((StateId(0), StateShape::Vector(Dimensions::Two))), [x, y]));
 }

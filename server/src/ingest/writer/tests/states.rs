@@ -1,6 +1,6 @@
 //! States that are added before anything is observed of them, and what a state's kind does to what is sent of it.
 
-use tidemap_map::event::{Dimensions, Form, Position, StateId, StateKind};
+use tidemap_map::event::{Dimensions, Position, StateId, StateKind, StateShape};
 
 use super::*;
 use crate::ingest::protocol::{AddState, AddStateError, NewName};
@@ -8,7 +8,7 @@ use crate::ingest::protocol::{AddState, AddStateError, NewName};
 async fn add(handle: &MapHandle, name: &str, kind: StateKind) -> Result<(), AddStateError> {
     let (reply, answer) = oneshot::channel();
     let name = StateName::new(name).expect("valid");
-    assert!(handle.send(Command::AddState(AddState { name, form: kind.into(), reply })));
+    assert!(handle.send(Command::AddState(AddState { name, shape: kind.into(), reply })));
     answer.await.expect("an answer")
 }
 
@@ -20,7 +20,7 @@ async fn send(
     values: &[f64],
 ) -> Vec<(u64, RefusalReason)> {
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
-    let name = NewName { name: StateName::new("s").expect("valid"), form: said.map(Form::from) };
+    let name = NewName { name: StateName::new("s").expect("valid"), shape: said.map(StateShape::from) };
     let first_sequence = robot.sent + 1;
     robot.sent += values.len() as u64;
     let batch = Batch {
@@ -57,7 +57,7 @@ async fn a_state_that_was_added_is_shown_and_survives_a_restart() {
         assert_eq!(view.find("speed").map(|id| view.kind(id)), Some(StateKind::Continuous));
         let again = add(&handle, "speed", StateKind::Count).await;
         assert!(
-            matches!(again, Err(AddStateError::OtherKind { found: Form::Scalar(StateKind::Continuous), .. })),
+            matches!(again, Err(AddStateError::OtherKind { found: StateShape::Scalar(StateKind::Continuous), .. })),
             "{again:?}"
         );
         for i in 1..10 {
@@ -114,7 +114,7 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
     let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
     let vector = |name: &str, dimensions| {
-        Some(NewName { name: StateName::new(name).expect("valid"), form: Some(Form::Vector(dimensions)) })
+        Some(NewName { name: StateName::new(name).expect("valid"), shape: Some(StateShape::Vector(dimensions)) })
     };
     let position = |coordinates: &[f64]| Position::of(coordinates).expect("2 or 3");
     // The last one finds no room for three states: ten there may be.
@@ -153,5 +153,5 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
     assert_eq!(values, [3.0, 4.0, 0.5, 5.0, 6.0, 7.0, 8.0].map(Some));
     assert_eq!(latest("anna/x").map(|(nanos, _)| nanos), latest("anna/y").map(|(nanos, _)| nanos));
     assert_eq!((view.len(), view.find("c/x")), (9, None));
-    assert_eq!(view.form("a"), Some((StateId(3), Form::Vector(Dimensions::Three))));
+    assert_eq!(view.shape("a"), Some((StateId(3), StateShape::Vector(Dimensions::Three))));
 }
