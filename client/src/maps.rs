@@ -157,7 +157,7 @@ impl StateKind {
 
     /// Why a state of this kind cannot have the value; `None` where it can.
     #[must_use]
-    pub fn misfit(self, value: f64) -> Option<&'static str> {
+    pub fn invalid_reason(self, value: f64) -> Option<&'static str> {
         let rule = match self {
             Self::Probability => Rule::Probability,
             Self::Continuous => Rule::Continuous,

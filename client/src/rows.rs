@@ -396,10 +396,9 @@ impl Columns {
                 coordinates.push(number + 0.0);
             }
             row.position = Position::of(&coordinates);
-            let misfit = row.position.and_then(|position| position.misfit());
-            return Ok(
-                misfit.map(|(axis, number)| format!("{axis} {number} is not {}", StateKind::Continuous.expected()))
-            );
+            let invalid_coordinate = row.position.and_then(|position| position.invalid_coordinate());
+            return Ok(invalid_coordinate
+                .map(|(axis, number)| format!("{axis} {number} is not {}", StateKind::Continuous.expected())));
         }
         let number: f64 = fields[value]
             .parse()

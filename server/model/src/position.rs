@@ -1,7 +1,7 @@
 //! Positions: values that have two or three coordinates.
 //!
 //! Invariant: a position has as many coordinates as its dimensions say. Whether an observation may have it is asked with
-//! [`Position::misfit`], for what is wrong comes from outside.
+//! [`Position::invalid_coordinate`], for what is wrong comes from outside.
 
 use crate::StateKind;
 
@@ -74,7 +74,7 @@ impl Position {
 
     /// The first coordinate that no observation may have, with the name of its axis: one that is not finite, or of a
     /// magnitude above [`crate::VALUE_MAX`].
-    pub fn misfit(&self) -> Option<(&'static str, f64)> {
+    pub fn invalid_coordinate(&self) -> Option<(&'static str, f64)> {
         let mut axes = AXES.into_iter().zip(self.coordinates().iter().copied());
         axes.find(|(_, coordinate)| !StateKind::Continuous.allows(*coordinate))
     }
@@ -91,11 +91,17 @@ mod tests {
             assert_eq!(Dimensions::of(count), None);
         }
         let flat = Position::of(&[1.0, -2.5]).unwrap();
-        assert_eq!((flat.dimensions(), flat.coordinates(), flat.misfit()), (Dimensions::Two, &[1.0, -2.5][..], None));
+        assert_eq!(
+            (flat.dimensions(), flat.coordinates(), flat.invalid_coordinate()),
+            (Dimensions::Two, &[1.0, -2.5][..], None)
+        );
         assert_eq!(Dimensions::Three.axes(), ["x", "y", "z"]);
         assert_eq!((Dimensions::axis("z"), Dimensions::axis("w")), (Some(2), None));
-        assert_eq!(Position::of(&[0.0, 1.0, -1e12]).unwrap().misfit(), None);
-        assert_eq!(Position::of(&[0.0, 1.1e12, f64::NAN]).unwrap().misfit(), Some(("y", 1.1e12)));
-        assert_eq!(Position::of(&[f64::NEG_INFINITY, 0.0]).unwrap().misfit(), Some(("x", f64::NEG_INFINITY)));
+        assert_eq!(Position::of(&[0.0, 1.0, -1e12]).unwrap().invalid_coordinate(), None);
+        assert_eq!(Position::of(&[0.0, 1.1e12, f64::NAN]).unwrap().invalid_coordinate(), Some(("y", 1.1e12)));
+        assert_eq!(
+            Position::of(&[f64::NEG_INFINITY, 0.0]).unwrap().invalid_coordinate(),
+            Some(("x", f64::NEG_INFINITY))
+        );
     }
 }

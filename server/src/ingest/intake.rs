@@ -94,7 +94,7 @@ impl TableEntry {
     /// Whether the state may have the position, or the value where there is none, as far as is known here.
     fn may_have(&self, value: f64, position: Option<Position>) -> bool {
         match position {
-            Some(position) => position.misfit().is_none(),
+            Some(position) => position.invalid_coordinate().is_none(),
             None => self.expected_kind().allows(value),
         }
     }
@@ -338,7 +338,7 @@ fn refuse(
         }
         Some(TableEntry { refusal: Some(text), .. }) => (RefusalReason::StateName, text.clone()),
         Some(_) if time < 0 => (RefusalReason::Time, format!("time {time} ns is before 1970")),
-        Some(entry) => match position.and_then(|position| position.misfit()) {
+        Some(entry) => match position.and_then(|position| position.invalid_coordinate()) {
             Some((axis, coordinate)) => {
                 let expected = StateKind::Continuous.expected();
                 (RefusalReason::Value, format!("coordinate {axis} {coordinate} is not {expected}"))

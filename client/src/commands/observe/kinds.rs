@@ -38,10 +38,10 @@ impl Kinds {
             None if row.wrong.is_none() => return None,
             None => self.kind(&row.state).await?,
         };
-        match kind.misfit(row.value) {
+        match kind.invalid_reason(row.value) {
             // In the words of the file.
             Some(_) if kind == StateKind::Probability => row.wrong.clone(),
-            misfit => misfit.map(|expected| format!("value {} is not {expected}", row.value)),
+            invalid_reason => invalid_reason.map(|expected| format!("value {} is not {expected}", row.value)),
         }
     }
 
