@@ -6,7 +6,7 @@ use std::{env, error::Error, fs, path::PathBuf};
 use prost::Message as _;
 
 const FILES: [&str; 9] =
-    ["types", "map", "observation", "query", "exploration", "topology", "path", "route", "maintenance"];
+    ["types", "map", "observation", "query", "exploration", "topology", "route", "search", "maintenance"];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let paths: Vec<String> = FILES.iter().map(|file| format!("tidemap/v1/{file}.proto")).collect();

@@ -4,7 +4,10 @@
 
 use std::fmt;
 
-use tidemap_proto::v1::{self, edit_topology_request::Edit, route_service_client::RouteServiceClient};
+use tidemap_proto::v1::{
+    self, edit_topology_request::Edit, route_service_client::RouteServiceClient,
+    search_service_client::SearchServiceClient, topology_service_client::TopologyServiceClient,
+};
 
 mod path;
 mod presence;
@@ -24,6 +27,8 @@ use crate::{
 
 /// Bytes of the largest topological map that is read: a million edges with names of usual length.
 const TOPOLOGY_BYTES: usize = 256 << 20;
+/// Bytes of the largest reply with a plan: the policy of all nodes, or all edges of a map.
+const PLAN_BYTES: usize = 64 << 20;
 
 /// A place.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -275,8 +280,16 @@ impl TopologyEdit {
 }
 
 impl Client {
+    fn topology_service(&self) -> TopologyServiceClient<Connection> {
+        TopologyServiceClient::new(self.requests()).max_decoding_message_size(TOPOLOGY_BYTES)
+    }
+
     fn route_service(&self) -> RouteServiceClient<Connection> {
-        RouteServiceClient::new(self.requests()).max_decoding_message_size(TOPOLOGY_BYTES)
+        RouteServiceClient::new(self.requests()).max_decoding_message_size(PLAN_BYTES)
+    }
+
+    fn search_service(&self) -> SearchServiceClient<Connection> {
+        SearchServiceClient::new(self.requests()).max_decoding_message_size(PLAN_BYTES)
     }
 
     /// Loads nodes and edges, all of them or none: in place of those that are there, or, with `adds`, in addition.
@@ -290,7 +303,7 @@ impl Client {
             edges: topology.edges.iter().map(Edge::to_wire).collect(),
             adds,
         };
-        let answer = self.route_service().load_topology(request).await.map_err(|status| self.error(&status))?;
+        let answer = self.topology_service().load_topology(request).await.map_err(|status| self.error(&status))?;
         let v1::LoadTopologyResponse { nodes, edges } = answer.into_inner();
         Ok(TopologySize { nodes, edges })
     }
@@ -301,7 +314,7 @@ impl Client {
     /// [`Error`]; the code is `NOT_FOUND` where there is no such node or edge.
     pub async fn edit_topology(&self, map: &str, edit: &TopologyEdit) -> Result<TopologySize, Error> {
         let request = v1::EditTopologyRequest { map: map.to_owned(), edit: Some(edit.to_wire()) };
-        let answer = self.route_service().edit_topology(request).await.map_err(|status| self.error(&status))?;
+        let answer = self.topology_service().edit_topology(request).await.map_err(|status| self.error(&status))?;
         let v1::EditTopologyResponse { nodes, edges } = answer.into_inner();
         Ok(TopologySize { nodes, edges })
     }
@@ -312,7 +325,7 @@ impl Client {
     /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
     pub async fn topology(&self, map: &str) -> Result<Topology, Error> {
         let request = v1::GetTopologyRequest { map: map.to_owned() };
-        let answer = self.route_service().get_topology(request).await.map_err(|status| self.error(&status))?;
+        let answer = self.topology_service().get_topology(request).await.map_err(|status| self.error(&status))?;
         let v1::GetTopologyResponse { nodes, edges } = answer.into_inner();
         Ok(Topology {
             nodes: nodes.into_iter().map(Node::from_wire).collect(),
@@ -326,7 +339,7 @@ impl Client {
     /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
     pub async fn failures(&self, map: &str, limit: u32, edge: Option<&EdgeEnds>) -> Result<Vec<EdgeFailure>, Error> {
         let request = v1::ListFailuresRequest { map: map.to_owned(), limit, edge: edge.map(EdgeEnds::to_wire) };
-        let answer = self.route_service().list_failures(request).await.map_err(|status| self.error(&status))?;
+        let answer = self.topology_service().list_failures(request).await.map_err(|status| self.error(&status))?;
         let failure = |wire: v1::EdgeFailure| {
             let v1::EdgeFailure { edge, start_nanos, end_nanos, reason } = wire;
             let edge = EdgeEnds::from_wire(edge.ok_or(Error::Protocol("a failure has no edge"))?);
@@ -363,7 +376,7 @@ impl Client {
             seed: query.seed,
             as_travelled: query.as_travelled,
         };
-        let answer = self.route_service().plan_search(request).await.map_err(|status| self.error(&status))?;
+        let answer = self.search_service().plan_search(request).await.map_err(|status| self.error(&status))?;
         let told = answer.into_inner();
         let stop = match told.stop() {
             v1::SearchStop::Unspecified => None,

@@ -11,12 +11,13 @@ pub mod enabled;
 pub mod exploration;
 pub mod grid;
 pub mod map;
-pub mod path;
 pub mod query;
 pub mod route;
 pub mod scans;
+pub mod search;
 pub mod site;
 pub mod time;
+pub mod topology;
 pub mod traversals;
 pub mod vectors;
 

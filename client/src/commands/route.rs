@@ -238,7 +238,7 @@ pub async fn policy(session: &Session, args: PolicyArgs) -> anyhow::Result<ExitC
         model: args.model,
         speed_m_per_s: args.speed,
     };
-    let policy = session.client.get_policy(query).await?;
+    let policy = session.client.plan_policy(query).await?;
     let mut sheet = Sheet::stdout(session.format, &POLICY_COLUMNS);
     for (node, entries) in &policy.nodes {
         for (slot, entry) in (0_i64..).zip(entries) {

@@ -7,9 +7,6 @@ use tidemap_proto::v1::{self, plan_route_request};
 use super::EdgeEnds;
 use crate::{connection::Client, error::Error, queries::ModelSelector, wire::duration};
 
-/// Bytes of the largest policy, or of all edges of a map.
-const PATH_BYTES: usize = 64 << 20;
-
 /// What a route or a policy is best at.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum RouteObjective {
@@ -317,9 +314,9 @@ impl Client {
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` where there is no such map or node, `RESOURCE_EXHAUSTED` where there are too many
     /// slots.
-    pub async fn get_policy(&self, query: PolicyQuery) -> Result<Policy, Error> {
+    pub async fn plan_policy(&self, query: PolicyQuery) -> Result<Policy, Error> {
         let (objective, _) = query.objective.to_wire();
-        let request = v1::GetPolicyRequest {
+        let request = v1::PlanPolicyRequest {
             map: query.map,
             to: query.to,
             time_nanos: query.time_nanos,
@@ -330,8 +327,7 @@ impl Client {
             model: Some(query.model.to_wire()),
             speed_m_per_s: query.speed_m_per_s.unwrap_or_default(),
         };
-        let mut service = self.route_service().max_decoding_message_size(PATH_BYTES);
-        let told = service.get_policy(request).await.map_err(|status| self.error(&status))?.into_inner();
+        let told = self.route_service().plan_policy(request).await.map_err(|status| self.error(&status))?.into_inner();
         let slot = told.slot.unwrap_or_default();
         Ok(Policy {
             time_nanos: told.time_nanos,
@@ -358,8 +354,8 @@ impl Client {
             speed_m_per_s: speed_m_per_s.unwrap_or_default(),
             confidence: None,
         };
-        let mut service = self.route_service().max_decoding_message_size(PATH_BYTES);
-        let told = service.predict_edges(request).await.map_err(|status| self.error(&status))?.into_inner();
+        let told =
+            self.route_service().predict_edges(request).await.map_err(|status| self.error(&status))?.into_inner();
         let edge = |edge: v1::PredictedEdge| PredictedEdge {
             edge: ends(edge.edge),
             success: edge.success,

@@ -84,7 +84,7 @@ impl Client {
     pub async fn predict_presence(&self, query: PresenceQuery) -> Result<Presence, Error> {
         let PresenceQuery { map, object, times_nanos, model } = query;
         let request = v1::PredictPresenceRequest { map, object, times_nanos, model: Some(model.to_wire()) };
-        let answer = self.route_service().predict_presence(request).await.map_err(|status| self.error(&status))?;
+        let answer = self.search_service().predict_presence(request).await.map_err(|status| self.error(&status))?;
         let told = answer.into_inner();
         let at = |at: v1::PresenceAt| {
             let v1::PresenceAt { time_nanos, probabilities, shares, anybody } = at;
@@ -112,7 +112,7 @@ impl Client {
             threshold: query.threshold,
             model: Some(query.model.to_wire()),
         };
-        let answer = self.route_service().next_joint(request).await.map_err(|status| self.error(&status))?;
+        let answer = self.search_service().next_joint(request).await.map_err(|status| self.error(&status))?;
         let v1::NextJointResponse { time_nanos, probability, best_nanos } = answer.into_inner();
         Ok(Joint { time_nanos, probability, best_nanos })
     }

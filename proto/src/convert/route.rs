@@ -1,203 +1,145 @@
-//! Topological maps, their edits, and questions of searches.
+//! Questions of routes and policies, and what is told of edges.
 //!
-//! Invariant: names and numbers that are wrong are told with their field; what the map itself checks is left to it.
+//! Invariant: times become seconds after the question's reference time; what is wrong is told with its field, and what the
+//! planner itself checks is left to it.
 
-use tidemap_map::{
-    name::StateName,
-    topology::{EdgeEnds, Extent, NewEdge, NewNode, Pose, Topology, TopologyEdit},
+use tidemap_plan::{
+    policy::{PolicyObjective, PolicyOptions},
+    route::{Certainty, DEPARTURES_MAX, Objective, RouteOptions, When},
 };
-use tidemap_plan::search::{Effort, Options, Stop, Stopped};
 
-use super::{InvalidField, exploration::time_from_wire, path::edge_to_wire, time::nanos_from_duration};
+use super::{InvalidField, exploration::time_from_wire, time::nanos_from_duration};
 use crate::v1;
 
-/// How long an order is looked for by default, nanoseconds.
-pub const PLAN_WITHIN_NANOS: i64 = 2_000_000_000;
-/// How long an order is looked for at most, nanoseconds.
-pub const PLAN_WITHIN_MAX_NANOS: i64 = 60_000_000_000;
-/// How fast a robot drives by default where an edge has a length alone, metres a second.
-pub const SPEED_M_PER_SEC: f64 = 0.5;
+/// Most nodes times slots of a policy that is told.
+pub const POLICY_CELLS_MAX: usize = 200_000;
+/// How far apart departures are by default, seconds.
+const DEPARTURE_STEP_SECS: f64 = 60.0;
 
-fn name(field: &str, name: &str) -> Result<StateName, InvalidField> {
-    StateName::new(name).map_err(|error| InvalidField::new(field, error))
+/// A question of a route.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RouteQuestion {
+    /// What the seconds of `when` count from, nanoseconds UTC.
+    pub reference_nanos: i64,
+    /// When.
+    pub when: When,
+    /// How to search.
+    pub options: RouteOptions,
 }
 
-fn node_from_wire(field: &str, wire: &v1::TopologyNode) -> Result<NewNode, InvalidField> {
-    let v1::TopologyNode { name: text, pose, dwell_secs, .. } = wire;
-    let pose = pose.map(|v1::NodePose { x_m, y_m, yaw_rad }| Pose { x_m, y_m, yaw_rad });
-    Ok(NewNode { name: name(&format!("{field}.name"), text)?, pose, dwell_secs: *dwell_secs })
-}
-
-fn ends_from_wire(field: &str, wire: Option<&v1::EdgeEnds>) -> Result<EdgeEnds, InvalidField> {
-    let missing = || InvalidField::new(field, "say between which nodes");
-    let v1::EdgeEnds { from, to, action, both_ways } = wire.ok_or_else(missing)?;
-    let action = if action.is_empty() { None } else { Some(name(&format!("{field}.action"), action)?) };
-    Ok(EdgeEnds {
-        from: name(&format!("{field}.from"), from)?,
-        to: name(&format!("{field}.to"), to)?,
-        action,
-        both_ways: *both_ways,
-    })
-}
-
-fn edge_from_wire(field: &str, wire: &v1::TopologyEdge) -> Result<NewEdge, InvalidField> {
-    let v1::TopologyEdge { ends, length_m, nominal_secs, .. } = wire;
-    let extent = Extent { length_m: *length_m, nominal_secs: *nominal_secs };
-    Ok(NewEdge { ends: ends_from_wire(&format!("{field}.ends"), ends.as_ref())?, extent })
-}
-
-/// A whole map at once.
+/// What is asked of a route.
 ///
 /// # Errors
-/// A name that is none.
-pub fn load_from_wire(request: &v1::LoadTopologyRequest) -> Result<TopologyEdit, InvalidField> {
-    let nodes = request.nodes.iter().enumerate().map(|(i, node)| node_from_wire(&format!("nodes[{i}]"), node));
-    let edges = request.edges.iter().enumerate().map(|(i, edge)| edge_from_wire(&format!("edges[{i}]"), edge));
-    Ok(TopologyEdit::Load {
-        nodes: nodes.collect::<Result<_, _>>()?,
-        edges: edges.collect::<Result<_, _>>()?,
-        replaces: !request.adds,
-    })
-}
-
-/// One change of a map.
-///
-/// # Errors
-/// There is none, or a name is none.
-pub fn edit_from_wire(edit: Option<&v1::edit_topology_request::Edit>) -> Result<TopologyEdit, InvalidField> {
-    use v1::edit_topology_request::Edit;
-    Ok(match edit.ok_or_else(|| InvalidField::new("edit", "say what is to change"))? {
-        Edit::AddNode(node) => TopologyEdit::AddNode(node_from_wire("add_node", node)?),
-        Edit::SetNode(node) => TopologyEdit::SetNode(node_from_wire("set_node", node)?),
-        Edit::RemoveNode(text) => TopologyEdit::RemoveNode(name("remove_node", text)?),
-        Edit::RenameNode(v1::RenameNode { from, to }) => {
-            TopologyEdit::RenameNode { from: name("rename_node.from", from)?, to: name("rename_node.to", to)? }
+/// The field that is wrong.
+pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, InvalidField> {
+    use v1::plan_route_request::When as Asked;
+    let default = RouteOptions::default();
+    let horizon_secs = positive_secs("horizon", request.horizon, default.horizon_secs)?;
+    let missing = || InvalidField::new("when", "say when: depart_nanos, arrive_by_nanos or depart_within");
+    let (reference_nanos, when) = match request.when.as_ref().ok_or_else(missing)? {
+        Asked::DepartNanos(nanos) => (time_from_wire("depart_nanos", *nanos)?, When::DepartAt(0.0)),
+        Asked::ArriveByNanos(nanos) => {
+            let nanos = time_from_wire("arrive_by_nanos", *nanos)?;
+            // There is no time before 1970.
+            (nanos, When::ArriveBy { by_secs: 0.0, earliest_secs: -horizon_secs.min(nanos as f64 / 1e9) })
         }
-        Edit::AddEdge(edge) => TopologyEdit::AddEdge(edge_from_wire("add_edge", edge)?),
-        Edit::SetEdge(edge) => TopologyEdit::SetExtent(edge_from_wire("set_edge", edge)?),
-        Edit::RemoveEdge(ends) => TopologyEdit::RemoveEdge(ends_from_wire("remove_edge", Some(ends))?),
+        Asked::DepartWithin(window) => {
+            let from = time_from_wire("depart_within.from_nanos", window.from_nanos)?;
+            let to = time_from_wire("depart_within.to_nanos", window.to_nanos)?;
+            if to < from {
+                return Err(InvalidField::new("depart_within", "to_nanos is before from_nanos"));
+            }
+            let to_secs = (to - from) as f64 / 1e9;
+            let usual = (to_secs / (DEPARTURES_MAX - 1) as f64).max(DEPARTURE_STEP_SECS);
+            let step_secs = positive_secs("depart_within.step", window.step, usual)?;
+            (from, When::DepartWithin { from_secs: 0.0, to_secs, step_secs })
+        }
+    };
+    let objective = match objective_from_wire(request.objective)? {
+        v1::RouteObjective::Unspecified | v1::RouteObjective::Success => Objective::Success,
+        v1::RouteObjective::Time => Objective::Time,
+        v1::RouteObjective::Blend => Objective::Blend { weight: within("doubt", request.doubt, 0.0, 1.0)? },
+    };
+    let options = RouteOptions {
+        objective,
+        recovery_secs: secs("recovery_secs", request.recovery_secs, default.recovery_secs)?,
+        failure_cost_secs: secs("failure_cost_secs", request.failure_cost_secs, default.failure_cost_secs)?,
+        alternatives: usize::try_from(request.alternatives).unwrap_or(usize::MAX),
+        confidence: request.confidence.unwrap_or(default.confidence),
+        horizon_secs,
+        ..default
+    };
+    Ok(RouteQuestion { reference_nanos, when, options })
+}
+
+/// What is asked of a policy.
+///
+/// # Errors
+/// The field that is wrong.
+pub fn policy_from_wire(request: &v1::PlanPolicyRequest) -> Result<PolicyOptions, InvalidField> {
+    let default = PolicyOptions::default();
+    let objective = match objective_from_wire(request.objective)? {
+        v1::RouteObjective::Unspecified | v1::RouteObjective::Success => PolicyObjective::Reach,
+        v1::RouteObjective::Time => PolicyObjective::Time,
+        v1::RouteObjective::Blend => {
+            return Err(InvalidField::new("objective", "a policy has no blend: ask for success or time"));
+        }
+    };
+    let slot_secs = positive_secs("slot", request.slot, default.slot_secs)?;
+    if slot_secs < 1.0 {
+        return Err(InvalidField::new("slot", format!("{slot_secs} s: expected 1 s or more")));
+    }
+    let horizon_secs = positive_secs("horizon", request.horizon, default.slot_secs * default.slots as f64)?;
+    Ok(PolicyOptions {
+        objective,
+        slot_secs,
+        slots: (horizon_secs / slot_secs).ceil() as usize,
+        recovery_secs: secs("recovery_secs", request.recovery_secs, default.recovery_secs)?,
     })
 }
 
-/// All nodes and edges for the wire.
+/// How likely an interval is to hold what it is of.
+///
+/// # Errors
+/// Not 0.5 to 1, or 1.
+pub fn confidence_from_wire(confidence: Option<f64>) -> Result<f64, InvalidField> {
+    match confidence.unwrap_or(RouteOptions::default().confidence) {
+        confidence if (0.5..1.0).contains(&confidence) => Ok(confidence),
+        wrong => Err(InvalidField::new("confidence", format!("{wrong}: expected 0.5 to 1, without 1"))),
+    }
+}
+
+/// How sure an answer is, for the wire.
 #[must_use]
-pub fn topology_to_wire(topology: &Topology) -> v1::GetTopologyResponse {
-    let nodes = topology.nodes().map(|node| v1::TopologyNode {
-        name: node.name.as_str().to_owned(),
-        pose: node.pose.map(|Pose { x_m, y_m, yaw_rad }| v1::NodePose { x_m, y_m, yaw_rad }),
-        dwell_secs: node.dwell_secs,
-        id: node.id.0,
-    });
-    let edges = topology.edges().map(|edge| v1::TopologyEdge {
-        ends: Some(edge_to_wire(topology, edge)),
-        length_m: edge.extent.length_m,
-        nominal_secs: edge.extent.nominal_secs,
-        id: edge.id.0,
-    });
-    v1::GetTopologyResponse { nodes: nodes.collect(), edges: edges.collect() }
-}
-
-/// How a search is planned, as far as the planner needs to know.
-///
-/// # Errors
-/// The field that is wrong.
-pub fn search_from_wire(request: &v1::PlanSearchRequest) -> Result<Options, InvalidField> {
-    let default = Options::default();
-    let effort = match v1::SearchEffort::try_from(request.effort) {
-        Ok(v1::SearchEffort::Unspecified | v1::SearchEffort::Auto) => Effort::Auto,
-        Ok(v1::SearchEffort::Exact) => Effort::Exact,
-        Ok(v1::SearchEffort::Heuristic) => Effort::Heuristic,
-        Err(_) => return Err(InvalidField::new("effort", format!("{} is not known", request.effort))),
-    };
-    let within_nanos = request.budget.map(|span| nanos_from_duration("budget", span)).transpose()?;
-    if let Some(nanos) = within_nanos.filter(|&nanos| nanos < 0) {
-        return Err(InvalidField::new("budget", format!("{} s: expected 0 up", nanos as f64 / 1e9)));
-    }
-    let share = |field: &str, value: Option<f64>, is_right: fn(f64) -> bool, right: &str| match value {
-        Some(wrong) if !is_right(wrong) => Err(InvalidField::new(field, format!("{wrong}: expected {right}"))),
-        value => Ok(value),
-    };
-    let stop = Stop {
-        remains_below: share("remains_below", request.remains_below, |x| (0.0..=1.0).contains(&x), "0 to 1")?,
-        cost_per_sec: share("cost_per_sec", request.cost_per_sec, |x| (0.0..=f64::MAX).contains(&x), "0 up")?,
-        within_secs: within_nanos.map(|nanos| nanos as f64 / 1e9),
-    };
-    let floor = share("floor", request.floor, |x| x > 0.0 && x <= 1.0, "above 0, at most 1")?;
-    Ok(Options { effort, floor: floor.unwrap_or(default.floor), seed: request.seed, stop, ..default })
-}
-
-/// How long an order may be looked for, in nanoseconds.
-///
-/// # Errors
-/// More than [`PLAN_WITHIN_MAX_NANOS`], or less than nothing.
-pub fn plan_within_from_wire(span: Option<prost_types::Duration>) -> Result<u64, InvalidField> {
-    let nanos = span.map_or(Ok(PLAN_WITHIN_NANOS), |span| nanos_from_duration("plan_within", span))?;
-    let wrong = || InvalidField::new("plan_within", format!("{} s: expected 0 to 60 s", nanos as f64 / 1e9));
-    u64::try_from(nanos).ok().filter(|_| nanos <= PLAN_WITHIN_MAX_NANOS).ok_or_else(wrong)
-}
-
-/// How fast the robot drives, metres a second.
-///
-/// # Errors
-/// Not above 0, or no number.
-pub fn speed_from_wire(speed_m_per_s: f64) -> Result<f64, InvalidField> {
-    match speed_m_per_s {
-        0.0 => Ok(SPEED_M_PER_SEC),
-        speed if speed > 0.0 && speed.is_finite() => Ok(speed),
-        wrong => Err(InvalidField::new("speed_m_per_s", format!("{wrong} m/s: expected above 0"))),
+pub fn certainty_to_wire(certainty: Certainty) -> v1::RouteCertainty {
+    match certainty {
+        Certainty::Proven => v1::RouteCertainty::Proven,
+        Certainty::WithinResolution => v1::RouteCertainty::WithinResolution,
+        Certainty::Sampled => v1::RouteCertainty::Sampled,
+        Certainty::CutOff => v1::RouteCertainty::CutOff,
     }
 }
 
-/// Most states of a question of when they are all 1.
-pub const JOINT_STATES_MAX: usize = 1_000;
-/// How far such a question looks ahead by default, nanoseconds.
-const JOINT_WITHIN_NANOS: i64 = 7 * 86_400_000_000_000;
-/// How far apart the times are by default that it looks at, nanoseconds.
-const JOINT_STEP_NANOS: i64 = 600_000_000_000;
-/// Most times that it looks at.
-const JOINT_TIMES_MAX: i64 = 1_000_000;
-
-/// What a product of probabilities has to exceed.
-///
-/// # Errors
-/// No probability.
-pub fn threshold_from_wire(threshold: Option<f64>) -> Result<f64, InvalidField> {
-    match threshold.unwrap_or(0.5) {
-        threshold if (0.0..=1.0).contains(&threshold) => Ok(threshold),
-        wrong => Err(InvalidField::new("threshold", format!("{wrong}: expected 0 to 1"))),
-    }
+fn objective_from_wire(objective: i32) -> Result<v1::RouteObjective, InvalidField> {
+    v1::RouteObjective::try_from(objective)
+        .map_err(|_| InvalidField::new("objective", format!("{objective} is not known")))
 }
 
-/// The times at which states may be all 1, nanoseconds UTC; at least one.
-///
-/// # Errors
-/// The field that is wrong.
-pub fn joint_times_from_wire(request: &v1::NextJointRequest) -> Result<Vec<i64>, InvalidField> {
-    let from = time_from_wire("from_nanos", request.from_nanos)?;
-    let span = |field: &'static str, span: Option<prost_types::Duration>, default: i64, least: i64| {
-        let nanos = span.map_or(Ok(default), |span| nanos_from_duration(field, span))?;
-        let text = format!("{} s: expected {} s or more", nanos as f64 / 1e9, least / 1_000_000_000);
-        if nanos >= least { Ok(nanos) } else { Err(InvalidField::new(field, text)) }
-    };
-    let within = span("within", request.within, JOINT_WITHIN_NANOS, 0)?;
-    let step = span("step", request.step, JOINT_STEP_NANOS, 1_000_000_000)?;
-    let steps = within / step;
-    if steps >= JOINT_TIMES_MAX {
-        let text = format!("{} times: at most {JOINT_TIMES_MAX} are looked at; take longer steps", steps + 1);
-        return Err(InvalidField::new("step", text));
-    }
-    let last = from.checked_add(within).ok_or_else(|| InvalidField::new("within", "the end is after the year 2262"))?;
-    Ok((0..=steps).map(|k| from + k * step).filter(|&time| time <= last).collect())
+fn within(field: &'static str, value: f64, least: f64, most: f64) -> Result<f64, InvalidField> {
+    let wrong = || InvalidField::new(field, format!("{value}: expected {least} to {most}"));
+    if (least..=most).contains(&value) { Ok(value) } else { Err(wrong()) }
 }
 
-/// Why a walk ends early, for the wire.
-#[must_use]
-pub fn stop_to_wire(stopped: Option<Stopped>) -> v1::SearchStop {
-    match stopped {
-        None => v1::SearchStop::Unspecified,
-        Some(Stopped::Unlikely) => v1::SearchStop::Unlikely,
-        Some(Stopped::NotWorthIt) => v1::SearchStop::NotWorthIt,
-        Some(Stopped::OutOfTime) => v1::SearchStop::OutOfTime,
+fn secs(field: &'static str, value: Option<f64>, default: f64) -> Result<f64, InvalidField> {
+    within(field, value.unwrap_or(default), 0.0, 1e9)
+}
+
+fn positive_secs(field: &'static str, span: Option<prost_types::Duration>, default: f64) -> Result<f64, InvalidField> {
+    let secs = span.map_or(Ok(default), |span| nanos_from_duration(field, span).map(|nanos| nanos as f64 / 1e9))?;
+    if secs > 0.0 && secs <= 1e9 {
+        Ok(secs)
+    } else {
+        Err(InvalidField::new(field, format!("{secs} s: expected above 0 s, at most 1e9 s")))
     }
 }
 
@@ -205,50 +147,45 @@ pub fn stop_to_wire(stopped: Option<Stopped>) -> v1::SearchStop {
 mod tests {
     use super::*;
 
+    const MINUTE: i64 = 60_000_000_000;
+
+    fn asked(when: v1::plan_route_request::When) -> v1::PlanRouteRequest {
+        v1::PlanRouteRequest { when: Some(when), ..Default::default() }
+    }
+
     #[test]
-    fn an_empty_question_has_the_defaults() {
-        let request = v1::PlanSearchRequest::default();
-        assert_eq!(search_from_wire(&request), Ok(Options::default()));
-        assert_eq!(plan_within_from_wire(None), Ok(2_000_000_000));
-        assert_eq!(speed_from_wire(0.0), Ok(SPEED_M_PER_SEC));
+    fn a_plain_question_has_the_defaults() {
+        use v1::plan_route_request::When as Asked;
+        let question = route_from_wire(&asked(Asked::DepartNanos(7 * MINUTE))).expect("right");
+        let options = RouteOptions::default();
+        assert_eq!(question, RouteQuestion { reference_nanos: 7 * MINUTE, when: When::DepartAt(0.0), options });
+        let by = |minutes| route_from_wire(&asked(Asked::ArriveByNanos(minutes * MINUTE))).expect("right").when;
+        assert_eq!(by(7_000), When::ArriveBy { by_secs: 0.0, earliest_secs: -86_400.0 });
+        assert_eq!(by(7), When::ArriveBy { by_secs: 0.0, earliest_secs: -420.0 }, "not before 1970");
+        let window = v1::DepartureWindow { from_nanos: MINUTE, to_nanos: 3 * MINUTE, step: None };
+        let within = route_from_wire(&asked(Asked::DepartWithin(window))).expect("right");
+        let steps = When::DepartWithin { from_secs: 0.0, to_secs: 120.0, step_secs: 60.0 };
+        assert_eq!((within.reference_nanos, within.when), (MINUTE, steps));
+        assert_eq!(policy_from_wire(&v1::PlanPolicyRequest::default()), Ok(PolicyOptions::default()));
     }
 
     #[test]
     fn what_is_wrong_is_named() {
-        let field = |request: v1::PlanSearchRequest| search_from_wire(&request).expect_err("wrong").field;
-        assert_eq!(field(v1::PlanSearchRequest { effort: 9, ..Default::default() }), "effort");
-        assert_eq!(field(v1::PlanSearchRequest { floor: Some(0.0), ..Default::default() }), "floor");
-        assert_eq!(
-            field(v1::PlanSearchRequest { remains_below: Some(f64::NAN), ..Default::default() }),
-            "remains_below"
-        );
-        assert_eq!(field(v1::PlanSearchRequest { cost_per_sec: Some(-1.0), ..Default::default() }), "cost_per_sec");
-        let negative = Some(prost_types::Duration { seconds: -1, nanos: 0 });
-        assert_eq!(field(v1::PlanSearchRequest { budget: negative, ..Default::default() }), "budget");
-        assert!(plan_within_from_wire(negative).is_err());
-        assert!(plan_within_from_wire(Some(prost_types::Duration { seconds: 61, nanos: 0 })).is_err());
-        for wrong in [-1.0, f64::NAN, f64::INFINITY] {
-            assert!(speed_from_wire(wrong).is_err(), "{wrong}");
-        }
-        let node = v1::TopologyNode { name: "a/b".to_owned(), ..Default::default() };
-        let load = v1::LoadTopologyRequest { nodes: vec![node], ..Default::default() };
-        assert_eq!(load_from_wire(&load).expect_err("wrong").field, "nodes[0].name");
-        assert_eq!(edit_from_wire(None).expect_err("wrong").field, "edit");
-    }
-
-    #[test]
-    fn a_loaded_map_comes_back() {
-        let text = |text: &str| text.to_owned();
-        let nodes =
-            ["a", "b"].map(|name| v1::TopologyNode { name: text(name), dwell_secs: Some(2.0), ..Default::default() });
-        let ends = v1::EdgeEnds { from: text("a"), to: text("b"), action: text("door"), both_ways: true };
-        let edge = v1::TopologyEdge { ends: Some(ends), length_m: Some(3.0), ..Default::default() };
-        let load = v1::LoadTopologyRequest { nodes: nodes.to_vec(), edges: vec![edge], ..Default::default() };
-        let topology = Topology::new().edited(&load_from_wire(&load).expect("right")).expect("right");
-        let wire = topology_to_wire(&topology);
-        assert_eq!(wire.nodes[1], v1::TopologyNode { id: 1, ..nodes[1].clone() });
-        let back = wire.edges[1].ends.clone().expect("ends");
-        assert_eq!((back.from.as_str(), back.to.as_str(), back.action.as_str()), ("b", "a", "door"));
-        assert_eq!((wire.edges[1].length_m, wire.edges[1].id), (Some(3.0), 1));
+        use v1::plan_route_request::When as Asked;
+        let field = |request: v1::PlanRouteRequest| route_from_wire(&request).expect_err("wrong").field;
+        assert_eq!(field(v1::PlanRouteRequest::default()), "when");
+        let at = || asked(Asked::DepartNanos(0));
+        assert_eq!(field(asked(Asked::DepartNanos(-1))), "depart_nanos");
+        assert_eq!(field(v1::PlanRouteRequest { objective: 9, ..at() }), "objective");
+        assert_eq!(field(v1::PlanRouteRequest { objective: 3, doubt: f64::NAN, ..at() }), "doubt");
+        assert_eq!(field(v1::PlanRouteRequest { recovery_secs: Some(-1.0), ..at() }), "recovery_secs");
+        let none = Some(prost_types::Duration { seconds: 0, nanos: 0 });
+        assert_eq!(field(v1::PlanRouteRequest { horizon: none, ..at() }), "horizon");
+        let window = v1::DepartureWindow { from_nanos: MINUTE, to_nanos: 0, step: None };
+        assert_eq!(field(asked(Asked::DepartWithin(window))), "depart_within");
+        let field = |request: v1::PlanPolicyRequest| policy_from_wire(&request).expect_err("wrong").field;
+        assert_eq!(field(v1::PlanPolicyRequest { objective: 3, ..Default::default() }), "objective");
+        assert_eq!(field(v1::PlanPolicyRequest { slot: none, ..Default::default() }), "slot");
+        assert!(confidence_from_wire(Some(1.0)).is_err() && confidence_from_wire(Some(f64::NAN)).is_err());
     }
 }

@@ -1,4 +1,4 @@
-//! `RouteService`: the topological map, and plans over it.
+//! `TopologyService`, `RouteService` and `SearchService`: the topological map, and plans over it.
 //!
 //! Invariant: a change is durable and shown when it is answered. A plan is made from one view, off the async threads, with
 //! turns of its own, and ends at its deadline or when nobody waits for it any more.
@@ -12,11 +12,14 @@ use tidemap_map::{
 use tidemap_plan::{policy::PolicyError, route::RouteError as CannotRoute, search::SearchError};
 use tidemap_proto::{
     convert::{
-        path::POLICY_CELLS_MAX,
-        route::{edit_from_wire, load_from_wire, topology_to_wire},
+        route::POLICY_CELLS_MAX,
+        topology::{edit_from_wire, load_from_wire, topology_to_wire},
         traversals::{failure_to_wire, is_of},
     },
-    v1::{self, route_service_server::RouteService},
+    v1::{
+        self, route_service_server::RouteService, search_service_server::SearchService,
+        topology_service_server::TopologyService,
+    },
 };
 use tonic::{Code, Request, Response, Status};
 
@@ -218,7 +221,7 @@ impl Routes {
 }
 
 #[tonic::async_trait]
-impl RouteService for Routes {
+impl TopologyService for Routes {
     async fn load_topology(
         &self,
         request: Request<v1::LoadTopologyRequest>,
@@ -261,7 +264,10 @@ impl RouteService for Routes {
         let failures = asked.take(most).map(failure_to_wire).collect();
         Ok(Response::new(v1::ListFailuresResponse { failures }))
     }
+}
 
+#[tonic::async_trait]
+impl SearchService for Routes {
     async fn plan_search(
         &self,
         request: Request<v1::PlanSearchRequest>,
@@ -282,7 +288,10 @@ impl RouteService for Routes {
     ) -> Result<Response<v1::NextJointResponse>, Status> {
         Ok(Response::new(presence::next_joint(self, request.into_inner()).await?))
     }
+}
 
+#[tonic::async_trait]
+impl RouteService for Routes {
     async fn plan_route(
         &self,
         request: Request<v1::PlanRouteRequest>,
@@ -290,11 +299,11 @@ impl RouteService for Routes {
         Ok(Response::new(plan::plan_route(self, request.into_inner()).await?))
     }
 
-    async fn get_policy(
+    async fn plan_policy(
         &self,
-        request: Request<v1::GetPolicyRequest>,
-    ) -> Result<Response<v1::GetPolicyResponse>, Status> {
-        Ok(Response::new(plan::get_policy(self, request.into_inner()).await?))
+        request: Request<v1::PlanPolicyRequest>,
+    ) -> Result<Response<v1::PlanPolicyResponse>, Status> {
+        Ok(Response::new(plan::plan_policy(self, request.into_inner()).await?))
     }
 
     async fn predict_edges(

@@ -13,7 +13,8 @@ use tidemap_proto::v1::{
     DESCRIPTORS, exploration_service_server::ExplorationServiceServer,
     maintenance_service_server::MaintenanceServiceServer, map_service_server::MapServiceServer,
     observation_service_server::ObservationServiceServer, query_service_server::QueryServiceServer,
-    route_service_server::RouteServiceServer,
+    route_service_server::RouteServiceServer, search_service_server::SearchServiceServer,
+    topology_service_server::TopologyServiceServer,
 };
 use tokio::{
     net::TcpListener,
@@ -91,7 +92,7 @@ pub async fn serve(
         view_work: settings.max_view_work,
     };
     let explorations = Explorations::new(Arc::clone(&catalog), &queries, plans);
-    let routes = Routes::new(Arc::clone(&catalog), &queries, settings.max_predictions);
+    let routes = Arc::new(Routes::new(Arc::clone(&catalog), &queries, settings.max_predictions));
     let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
     let local = listener.local_addr()?.ip().is_loopback();
     let reflection = tonic_reflection::server::Builder::configure()
@@ -118,7 +119,9 @@ pub async fn serve(
                 .max_encoding_message_size(64 << 20),
         )
         .add_service(ExplorationServiceServer::new(explorations).max_decoding_message_size(REQUEST_BYTES))
-        .add_service(RouteServiceServer::new(routes).max_decoding_message_size(TOPOLOGY_BYTES))
+        .add_service(TopologyServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(TOPOLOGY_BYTES))
+        .add_service(RouteServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(REQUEST_BYTES))
+        .add_service(SearchServiceServer::from_arc(routes).max_decoding_message_size(REQUEST_BYTES))
         .add_service(MaintenanceServiceServer::new(Maintenance { catalog }).max_decoding_message_size(REQUEST_BYTES))
         .serve_with_incoming_shutdown(TcpIncoming::from(listener).with_nodelay(Some(true)), stop)
         .await?;

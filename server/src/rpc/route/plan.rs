@@ -1,4 +1,4 @@
-//! `PlanRoute`, `GetPolicy` and `PredictEdges`: the ways of a map at a time.
+//! `PlanRoute`, `PlanPolicy` and `PredictEdges`: the ways of a map at a time.
 //!
 //! Invariant: each edge is predicted for when the robot reaches it, and everything of an answer is of one view.
 
@@ -21,12 +21,11 @@ use tidemap_plan::{
 use tidemap_proto::{
     convert::{
         exploration::time_from_wire,
-        path::{
-            POLICY_CELLS_MAX, certainty_to_wire, confidence_from_wire, edge_to_wire, policy_from_wire, route_from_wire,
-        },
         query::selector_from_wire,
-        route::{plan_within_from_wire, speed_from_wire},
+        route::{POLICY_CELLS_MAX, certainty_to_wire, confidence_from_wire, policy_from_wire, route_from_wire},
+        search::{plan_within_from_wire, speed_from_wire},
         time::duration,
+        topology::edge_to_wire,
     },
     v1,
 };
@@ -119,10 +118,10 @@ fn ends(topology: &Topology, edge: EdgeId) -> Option<v1::EdgeEnds> {
     topology.edge(edge).ok().map(|edge| edge_to_wire(topology, edge))
 }
 
-pub(super) async fn get_policy(
+pub(super) async fn plan_policy(
     routes: &Routes,
-    request: v1::GetPolicyRequest,
-) -> Result<v1::GetPolicyResponse, RpcError> {
+    request: v1::PlanPolicyRequest,
+) -> Result<v1::PlanPolicyResponse, RpcError> {
     let handle = find_map(&routes.catalog, &request.map)?;
     let view = handle.view();
     let topology = Arc::clone(view.site().topology());
@@ -147,7 +146,7 @@ pub(super) async fn get_policy(
     Ok(routes.off_threads(work).await??)
 }
 
-fn policy_to_wire(table: &PolicyTable, time_nanos: i64, topology: &Topology) -> v1::GetPolicyResponse {
+fn policy_to_wire(table: &PolicyTable, time_nanos: i64, topology: &Topology) -> v1::PlanPolicyResponse {
     let node = |&node: &NodeId| {
         let name = topology.node(node).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
         let mut told = v1::NodePolicy { node: name, ..v1::NodePolicy::default() };
@@ -175,7 +174,7 @@ fn policy_to_wire(table: &PolicyTable, time_nanos: i64, topology: &Topology) -> 
         told
     };
     let slot_nanos = (table.slot_secs() * 1e9).round() as i64;
-    v1::GetPolicyResponse {
+    v1::PlanPolicyResponse {
         time_nanos,
         slot: Some(duration(slot_nanos)),
         slots: u32::try_from(table.slots()).unwrap_or(u32::MAX),

@@ -8,7 +8,7 @@ use tidemap_proto::{
         InvalidField,
         exploration::time_from_wire,
         query::selector_from_wire,
-        route::{JOINT_STATES_MAX, joint_times_from_wire, threshold_from_wire},
+        search::{JOINT_STATES_MAX, joint_times_from_wire, threshold_from_wire},
     },
     v1,
 };

@@ -21,7 +21,7 @@ use tidemap_proto::{
     convert::{
         exploration::time_from_wire,
         query::selector_from_wire,
-        route::{plan_within_from_wire, search_from_wire, speed_from_wire, stop_to_wire},
+        search::{plan_within_from_wire, search_from_wire, speed_from_wire, stop_to_wire},
     },
     v1,
 };

@@ -1,0 +1,151 @@
+//! Searches: what a request asks for, and plans for replies.
+//!
+//! Invariant: an error names the field; what the planner itself checks is left to it.
+
+use tidemap_plan::search::{Effort, Options, Stop, Stopped};
+
+use super::{InvalidField, exploration::time_from_wire, time::nanos_from_duration};
+use crate::v1;
+
+/// How long an order is looked for by default, nanoseconds.
+pub const PLAN_WITHIN_NANOS: i64 = 2_000_000_000;
+/// How long an order is looked for at most, nanoseconds.
+pub const PLAN_WITHIN_MAX_NANOS: i64 = 60_000_000_000;
+/// How fast a robot drives by default where an edge has a length alone, metres a second.
+pub const SPEED_M_PER_SEC: f64 = 0.5;
+
+/// How a search is planned, as far as the planner needs to know.
+///
+/// # Errors
+/// The field that is wrong.
+pub fn search_from_wire(request: &v1::PlanSearchRequest) -> Result<Options, InvalidField> {
+    let default = Options::default();
+    let effort = match v1::SearchEffort::try_from(request.effort) {
+        Ok(v1::SearchEffort::Unspecified | v1::SearchEffort::Auto) => Effort::Auto,
+        Ok(v1::SearchEffort::Exact) => Effort::Exact,
+        Ok(v1::SearchEffort::Heuristic) => Effort::Heuristic,
+        Err(_) => return Err(InvalidField::new("effort", format!("{} is not known", request.effort))),
+    };
+    let within_nanos = request.budget.map(|span| nanos_from_duration("budget", span)).transpose()?;
+    if let Some(nanos) = within_nanos.filter(|&nanos| nanos < 0) {
+        return Err(InvalidField::new("budget", format!("{} s: expected 0 up", nanos as f64 / 1e9)));
+    }
+    let share = |field: &str, value: Option<f64>, is_right: fn(f64) -> bool, right: &str| match value {
+        Some(wrong) if !is_right(wrong) => Err(InvalidField::new(field, format!("{wrong}: expected {right}"))),
+        value => Ok(value),
+    };
+    let stop = Stop {
+        remains_below: share("remains_below", request.remains_below, |x| (0.0..=1.0).contains(&x), "0 to 1")?,
+        cost_per_sec: share("cost_per_sec", request.cost_per_sec, |x| (0.0..=f64::MAX).contains(&x), "0 up")?,
+        within_secs: within_nanos.map(|nanos| nanos as f64 / 1e9),
+    };
+    let floor = share("floor", request.floor, |x| x > 0.0 && x <= 1.0, "above 0, at most 1")?;
+    Ok(Options { effort, floor: floor.unwrap_or(default.floor), seed: request.seed, stop, ..default })
+}
+
+/// How long an order may be looked for, in nanoseconds.
+///
+/// # Errors
+/// More than [`PLAN_WITHIN_MAX_NANOS`], or less than nothing.
+pub fn plan_within_from_wire(span: Option<prost_types::Duration>) -> Result<u64, InvalidField> {
+    let nanos = span.map_or(Ok(PLAN_WITHIN_NANOS), |span| nanos_from_duration("plan_within", span))?;
+    let wrong = || InvalidField::new("plan_within", format!("{} s: expected 0 to 60 s", nanos as f64 / 1e9));
+    u64::try_from(nanos).ok().filter(|_| nanos <= PLAN_WITHIN_MAX_NANOS).ok_or_else(wrong)
+}
+
+/// How fast the robot drives, metres a second.
+///
+/// # Errors
+/// Not above 0, or no number.
+pub fn speed_from_wire(speed_m_per_s: f64) -> Result<f64, InvalidField> {
+    match speed_m_per_s {
+        0.0 => Ok(SPEED_M_PER_SEC),
+        speed if speed > 0.0 && speed.is_finite() => Ok(speed),
+        wrong => Err(InvalidField::new("speed_m_per_s", format!("{wrong} m/s: expected above 0"))),
+    }
+}
+
+/// Most states of a question of when they are all 1.
+pub const JOINT_STATES_MAX: usize = 1_000;
+/// How far such a question looks ahead by default, nanoseconds.
+const JOINT_WITHIN_NANOS: i64 = 7 * 86_400_000_000_000;
+/// How far apart the times are by default that it looks at, nanoseconds.
+const JOINT_STEP_NANOS: i64 = 600_000_000_000;
+/// Most times that it looks at.
+const JOINT_TIMES_MAX: i64 = 1_000_000;
+
+/// What a product of probabilities has to exceed.
+///
+/// # Errors
+/// No probability.
+pub fn threshold_from_wire(threshold: Option<f64>) -> Result<f64, InvalidField> {
+    match threshold.unwrap_or(0.5) {
+        threshold if (0.0..=1.0).contains(&threshold) => Ok(threshold),
+        wrong => Err(InvalidField::new("threshold", format!("{wrong}: expected 0 to 1"))),
+    }
+}
+
+/// The times at which states may be all 1, nanoseconds UTC; at least one.
+///
+/// # Errors
+/// The field that is wrong.
+pub fn joint_times_from_wire(request: &v1::NextJointRequest) -> Result<Vec<i64>, InvalidField> {
+    let from = time_from_wire("from_nanos", request.from_nanos)?;
+    let span = |field: &'static str, span: Option<prost_types::Duration>, default: i64, least: i64| {
+        let nanos = span.map_or(Ok(default), |span| nanos_from_duration(field, span))?;
+        let text = format!("{} s: expected {} s or more", nanos as f64 / 1e9, least / 1_000_000_000);
+        if nanos >= least { Ok(nanos) } else { Err(InvalidField::new(field, text)) }
+    };
+    let within = span("within", request.within, JOINT_WITHIN_NANOS, 0)?;
+    let step = span("step", request.step, JOINT_STEP_NANOS, 1_000_000_000)?;
+    let steps = within / step;
+    if steps >= JOINT_TIMES_MAX {
+        let text = format!("{} times: at most {JOINT_TIMES_MAX} are looked at; take longer steps", steps + 1);
+        return Err(InvalidField::new("step", text));
+    }
+    let last = from.checked_add(within).ok_or_else(|| InvalidField::new("within", "the end is after the year 2262"))?;
+    Ok((0..=steps).map(|k| from + k * step).filter(|&time| time <= last).collect())
+}
+
+/// Why a walk ends early, for the wire.
+#[must_use]
+pub fn stop_to_wire(stopped: Option<Stopped>) -> v1::SearchStop {
+    match stopped {
+        None => v1::SearchStop::Unspecified,
+        Some(Stopped::Unlikely) => v1::SearchStop::Unlikely,
+        Some(Stopped::NotWorthIt) => v1::SearchStop::NotWorthIt,
+        Some(Stopped::OutOfTime) => v1::SearchStop::OutOfTime,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_question_has_the_defaults() {
+        let request = v1::PlanSearchRequest::default();
+        assert_eq!(search_from_wire(&request), Ok(Options::default()));
+        assert_eq!(plan_within_from_wire(None), Ok(2_000_000_000));
+        assert_eq!(speed_from_wire(0.0), Ok(SPEED_M_PER_SEC));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let field = |request: v1::PlanSearchRequest| search_from_wire(&request).expect_err("wrong").field;
+        assert_eq!(field(v1::PlanSearchRequest { effort: 9, ..Default::default() }), "effort");
+        assert_eq!(field(v1::PlanSearchRequest { floor: Some(0.0), ..Default::default() }), "floor");
+        assert_eq!(
+            field(v1::PlanSearchRequest { remains_below: Some(f64::NAN), ..Default::default() }),
+            "remains_below"
+        );
+        assert_eq!(field(v1::PlanSearchRequest { cost_per_sec: Some(-1.0), ..Default::default() }), "cost_per_sec");
+        let negative = Some(prost_types::Duration { seconds: -1, nanos: 0 });
+        assert_eq!(field(v1::PlanSearchRequest { budget: negative, ..Default::default() }), "budget");
+        assert!(plan_within_from_wire(negative).is_err());
+        assert!(plan_within_from_wire(Some(prost_types::Duration { seconds: 61, nanos: 0 })).is_err());
+        for wrong in [-1.0, f64::NAN, f64::INFINITY] {
+            assert!(speed_from_wire(wrong).is_err(), "{wrong}");
+        }
+    }
+}
