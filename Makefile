@@ -12,8 +12,9 @@ SETUP := deploy/setup.sh
 ENV := . target/setup.env
 BUILT = $${CARGO_TARGET_DIR:-target}/release
 PREFIX ?= /usr/local
-# A daemon with a planted fault, in a place of its own: the durability tests have to catch it.
-FAULT := --features fault-ack-before-sync --target-dir target/planted-fault
+# What the tests need, as one build: the libraries, every program (with the daemon that has a planted fault) and every
+# test. The runner then finds all of it built.
+TESTED := --workspace --locked --bins --tests
 
 ## help: the targets of this file
 help:
@@ -31,12 +32,11 @@ demo: build
 ## test: all tests
 test:
 	@$(SETUP) test
-	@$(ENV); cargo build --workspace --bins --locked
-	@$(ENV); cargo build --locked -p tidemapd $(FAULT)
+	@$(ENV); cargo build $(TESTED)
 	@$(ENV); if [ "$$NEXTEST" = yes ]; then \
-		cargo nextest run --workspace --locked; \
+		cargo nextest run $(TESTED); \
 	else \
-		cargo test --workspace --lib --bins --tests --locked; \
+		cargo test $(TESTED); \
 	fi
 	@$(ENV); cargo test --workspace --doc --locked
 
@@ -64,12 +64,11 @@ durability: export TIDEMAP_CALL_KILLS ?= 300
 durability: export TIDEMAP_FULL_ROUNDS ?= 100
 durability:
 	@$(SETUP) test
-	@$(ENV); cargo build --release --workspace --bins --locked
-	@$(ENV); cargo build --release --locked -p tidemapd $(FAULT)
+	@$(ENV); cargo build --release $(TESTED)
 	@$(ENV); if [ "$$NEXTEST" = yes ]; then \
-		cargo nextest run --release --locked --workspace --profile durability -E 'test(durability)'; \
+		cargo nextest run --release $(TESTED) --profile durability -E 'test(durability)'; \
 	else \
-		cargo test --release --locked --workspace --tests durability -- --nocapture --test-threads 1; \
+		cargo test --release $(TESTED) durability -- --nocapture --test-threads 1; \
 	fi
 
 ## install: both programs, into PREFIX/bin (default /usr/local)

@@ -6,7 +6,7 @@
 use std::{io::Write as _, sync::Arc, time::Duration};
 
 use tidemap_map::live_map::PendingLimits;
-use tidemap_store::{OpenError, Store, StoreOptions};
+use tidemap_store::{OpenError, Store, StoreOptions, disk::Disk};
 use tokio::{
     net::TcpListener,
     signal::unix::{SignalKind, signal},
@@ -80,7 +80,7 @@ impl From<CatalogError> for DaemonError {
     }
 }
 
-fn open_store(settings: &Settings) -> Result<Store, DaemonError> {
+fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Store, DaemonError> {
     let options = StoreOptions {
         segment_bytes: settings.segment_bytes,
         index_cache_bytes: settings.index_cache_bytes,
@@ -88,7 +88,7 @@ fn open_store(settings: &Settings) -> Result<Store, DaemonError> {
         tile_cache_bytes: settings.tile_cache_bytes,
         new_store_id: random_id()?,
     };
-    Store::open(&settings.data_dir, options).map_err(|error| match error {
+    Store::open_on(disk, &settings.data_dir, options).map_err(|error| match error {
         OpenError::Locked { .. } => DaemonError::Locked(error.to_string()),
         _ => DaemonError::Data(error.to_string()),
     })
@@ -101,16 +101,17 @@ fn random_id() -> anyhow::Result<String> {
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Runs the daemon until it is told to stop.
+/// Runs the daemon on a disk until it is told to stop.
 ///
 /// # Errors
 /// See [`DaemonError`].
-pub async fn run(settings: Settings) -> Result<(), DaemonError> {
+pub async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), DaemonError> {
     let metrics = telemetry::start_metrics()?;
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(anyhow::Error::from)?;
     let for_store = settings.clone();
-    let store = tokio::task::spawn_blocking(move || open_store(&for_store)).await.map_err(anyhow::Error::from)??;
+    let store =
+        tokio::task::spawn_blocking(move || open_store(&for_store, disk)).await.map_err(anyhow::Error::from)??;
     for report in store.reports() {
         warn!("{report}");
     }

@@ -1,57 +1,9 @@
-//! `tidemapd`, the map service that learns when things change.
-//!
-//! Invariant: every way out has its exit status: 0 stopped as asked, 2 wrong usage, 65 the data cannot be used, 69 a
-//! port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70 anything else.
+//! The program `tidemapd`: the daemon on the disk of this machine.
 
-mod catalog;
-mod clock;
-mod config;
-mod daemon;
-mod evaluation;
-mod fits;
-mod http;
-mod ingest;
-mod jobs;
-mod rpc;
-mod statistics;
-mod telemetry;
+use std::{process::ExitCode, sync::Arc};
 
-use std::process::ExitCode;
-
-use clap::Parser as _;
-
-use crate::config::{Flags, Settings};
+use tidemap_store::disk::RealDisk;
 
 fn main() -> ExitCode {
-    let flags = Flags::parse();
-    let settings = match Settings::load(&flags).and_then(|settings| {
-        telemetry::start_logs(settings.log_format, &settings.log_level)?;
-        Ok(settings)
-    }) {
-        Ok(settings) => settings,
-        Err(error) => {
-            eprintln!("tidemapd: {error:#}");
-            return ExitCode::from(78);
-        }
-    };
-    if settings.allow_insecure_remote {
-        tracing::warn!("remote connections are neither encrypted nor authenticated: anybody can read and delete maps");
-    }
-    let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
-        Ok(runtime) => runtime,
-        Err(error) => {
-            eprintln!("tidemapd: cannot start: {error}");
-            return ExitCode::from(70);
-        }
-    };
-    let result = runtime.block_on(daemon::run(settings));
-    // An update that still runs is not waited for: the log repeats it at the next start.
-    runtime.shutdown_background();
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("tidemapd: {error}");
-            ExitCode::from(error.exit_status())
-        }
-    }
+    tidemapd::run(Arc::new(RealDisk))
 }

@@ -5,7 +5,6 @@
 use std::{
     env,
     path::{Path, PathBuf},
-    process::Command,
 };
 
 /// The folder of this profile's programs, for example `target/debug`.
@@ -35,34 +34,14 @@ fn built(name: &str) -> PathBuf {
     let path = profile_folder().join(name);
     assert!(
         path.is_file(),
-        "{} is missing: run `make test`, or `cargo build --workspace --bins` first",
+        "{} is missing: run `make test`, or `cargo build --workspace --bins --tests` first",
         path.display()
     );
     path
 }
 
-/// The daemon with the planted fault "acknowledge before fdatasync", built now unless it is there, into a folder of its
-/// own, so that it never lies where the real one is looked for.
-///
-/// # Panics
-/// If it cannot be built.
+/// The daemon with the planted fault "acknowledge before fdatasync": a program of its own, never installed.
 #[must_use]
 pub fn tidemapd_with_planted_fault() -> PathBuf {
-    let profile = profile_folder();
-    let target = profile.parent().expect("a profile's folder lies in the target folder").join("planted-fault");
-    let name = profile.file_name().and_then(|name| name.to_str()).expect("the folder has the profile's name");
-    // cargo calls the profile `dev` and its folder `debug`; all other folders are called as their profiles.
-    let profile_name = if name == "debug" { "dev" } else { name };
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let mut command = Command::new(cargo);
-    command.current_dir(env!("CARGO_MANIFEST_DIR"));
-    command.args(["build", "--locked", "--package", "tidemapd", "--features", "fault-ack-before-sync", "--profile"]);
-    command.arg(profile_name).arg("--target-dir").arg(&target);
-    let output = command.output().expect("cargo can be started");
-    assert!(
-        output.status.success(),
-        "the daemon with the planted fault cannot be built:\n{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    target.join(name).join("tidemapd")
+    built("tidemapd-planted-fault")
 }

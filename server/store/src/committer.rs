@@ -154,8 +154,6 @@ impl Committer {
             group.events.push(job.event);
             group.dones.push(job.done);
         }
-        #[cfg(feature = "fault-ack-before-sync")]
-        acknowledge_too_early(&mut groups);
         // All writes before the first fdatasync, so that the kernel can begin with the others meanwhile.
         let written: Vec<Group> = groups.into_values().filter_map(|group| self.write(group)).collect();
         for group in written {
@@ -223,18 +221,4 @@ impl Committer {
             done(Err(error.clone()));
         }
     }
-}
-
-/// The planted fault: a machine that stops within these 50 ms has acknowledged what it does not have.
-#[cfg(feature = "fault-ack-before-sync")]
-fn acknowledge_too_early(groups: &mut BTreeMap<u32, Group>) {
-    for group in groups.values_mut() {
-        let writer = group.log.writer.lock().unwrap_or_else(PoisonError::into_inner);
-        let next = writer.as_ref().map_or(1, |writer| writer.end() + 1);
-        drop(writer);
-        for (position, done) in (next..).zip(&mut group.dones) {
-            mem::replace(done, Box::new(|_| ()))(Ok(position));
-        }
-    }
-    std::thread::sleep(std::time::Duration::from_millis(50));
 }

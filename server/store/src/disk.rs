@@ -11,7 +11,7 @@ use std::{
 };
 
 /// A disk.
-pub(crate) trait Disk: Send + Sync {
+pub trait Disk: Send + Sync {
     /// Creates a file, or empties one that is there, for appending.
     fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
     /// Opens a file for appending.
@@ -37,7 +37,7 @@ pub(crate) trait Disk: Send + Sync {
 }
 
 /// A file open for appending.
-pub(crate) trait DiskFile: Send {
+pub trait DiskFile: Send {
     /// Writes at the end. After an error, any part of it may have been written.
     fn append(&mut self, bytes: &[u8]) -> io::Result<()>;
     /// Cuts the file.
@@ -47,7 +47,7 @@ pub(crate) trait DiskFile: Send {
 }
 
 /// A file open for reading anywhere in it.
-pub(crate) trait DiskReader: Send + Sync {
+pub trait DiskReader: Send + Sync {
     /// Reads all of `bytes` at an offset.
     fn read_exact_at(&self, bytes: &mut [u8], offset: u64) -> io::Result<()>;
 }
@@ -61,7 +61,7 @@ pub(crate) fn read_all(disk: &dyn Disk, file: &Path) -> io::Result<Vec<u8>> {
 }
 
 /// The disk of this machine.
-pub(crate) struct RealDisk;
+pub struct RealDisk;
 
 impl Disk for RealDisk {
     fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {

@@ -8,7 +8,7 @@
 
 mod checkpoint;
 mod committer;
-mod disk;
+pub mod disk;
 mod error;
 mod history;
 mod index;

@@ -1,6 +1,8 @@
 //! A daemon that acknowledges before it syncs, which the kills and the power cuts must catch. If they do not, they
 //! prove nothing about the real one either.
 
+use std::{fs, path::Path};
+
 use tempfile::tempdir;
 use tidemap_tests::{binaries, daemon::Launch, disk::Unavailable, oracle::Violation, rounds};
 
@@ -35,5 +37,21 @@ async fn durability_power_cuts_catch_a_daemon_that_acknowledges_too_early() {
     match power_cuts(|data| Launch::on(data).program(program.clone()), ROUNDS_MAX, seed).await {
         Ok(result) => caught(result),
         Err(Unavailable(reason)) => println!("SKIPPED: {reason}"),
+    }
+}
+
+/// The fault's warning, which is in every program that can have the fault.
+const WARNING: &[u8] = b"this daemon loses acknowledged observations";
+
+fn has_warning(program: &Path) -> bool {
+    let bytes = fs::read(program).expect("the program can be read");
+    bytes.windows(WARNING.len()).any(|window| window == WARNING)
+}
+
+#[test]
+fn the_fault_is_in_no_program_but_its_own() {
+    assert!(has_warning(&binaries::tidemapd_with_planted_fault()), "this test cannot fail: the warning has changed");
+    for program in [binaries::tidemapd(), binaries::tidemap()] {
+        assert!(!has_warning(&program), "{} has the planted fault", program.display());
     }
 }

@@ -46,6 +46,14 @@ impl Store {
     /// # Errors
     /// [`OpenError`]. A directory that is in use, of a newer format or without its manifest has not been changed.
     pub fn open(directory: &Path, options: StoreOptions) -> Result<Store, OpenError> {
+        Store::open_on(Arc::new(RealDisk), directory, options)
+    }
+
+    /// Like [`Self::open`], with the maps on another disk. The manifest, the lock and the index stay on the real one.
+    ///
+    /// # Errors
+    /// See [`Self::open`].
+    pub fn open_on(disk: Arc<dyn Disk>, directory: &Path, options: StoreOptions) -> Result<Store, OpenError> {
         let found = manifest::read(directory, FORMAT)?;
         if found.is_none() {
             if is_present(&directory.join("maps")) || is_present(&directory.join("index")) {
@@ -82,7 +90,6 @@ impl Store {
             reports.push(Report::IndexUnavailable { reason: "it cannot be created".to_owned() });
         }
         let committer = Arc::new(Committer::default());
-        let disk = Arc::new(RealDisk);
         let directory = directory.to_owned();
         let store_id = manifest.store_id;
         let parts = Parts { disk, directory, options, store_id, index, committer, reports, lock: Some(lock) };

@@ -1,0 +1,62 @@
+//! `tidemapd`, the map service that learns when things change. A library with one door, [`run`], so that a test can
+//! start the same daemon on another disk; the program is `main.rs`.
+//!
+//! Invariant: every way out has its exit status: 0 stopped as asked, 2 wrong usage, 65 the data cannot be used, 69 a
+//! port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70 anything else.
+
+mod catalog;
+mod clock;
+mod config;
+mod daemon;
+mod evaluation;
+mod fits;
+mod http;
+mod ingest;
+mod jobs;
+mod rpc;
+mod statistics;
+mod telemetry;
+
+use std::{process::ExitCode, sync::Arc};
+
+use clap::Parser as _;
+use tidemap_store::disk::Disk;
+
+use crate::config::{Flags, Settings};
+
+/// The whole daemon: reads the command line and the settings, runs until it is told to stop, and returns the exit
+/// status. Everything that must survive a power cut goes through `disk`.
+#[must_use]
+pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
+    let flags = Flags::parse();
+    let settings = match Settings::load(&flags).and_then(|settings| {
+        telemetry::start_logs(settings.log_format, &settings.log_level)?;
+        Ok(settings)
+    }) {
+        Ok(settings) => settings,
+        Err(error) => {
+            eprintln!("tidemapd: {error:#}");
+            return ExitCode::from(78);
+        }
+    };
+    if settings.allow_insecure_remote {
+        tracing::warn!("remote connections are neither encrypted nor authenticated: anybody can read and delete maps");
+    }
+    let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
+        Ok(runtime) => runtime,
+        Err(error) => {
+            eprintln!("tidemapd: cannot start: {error}");
+            return ExitCode::from(70);
+        }
+    };
+    let result = runtime.block_on(daemon::run(settings, disk));
+    // An update that still runs is not waited for: the log repeats it at the next start.
+    runtime.shutdown_background();
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("tidemapd: {error}");
+            ExitCode::from(error.exit_status())
+        }
+    }
+}
