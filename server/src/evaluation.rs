@@ -8,8 +8,8 @@ use std::{
 };
 
 use tidemap_map::{
-    event::StateId,
-    predict::{ModelKind, ModelSelector},
+    ids::StateId,
+    selector::{ModelKind, ModelSelector},
     view::MapView,
 };
 use tidemap_model::{Evaluation, Sample};

@@ -8,7 +8,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use tidemap_map::{event::StateId, predict::ModelKind};
+use tidemap_map::{ids::StateId, selector::ModelKind};
 use tidemap_store::MapId;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 

@@ -2,7 +2,7 @@
 
 use tidemap_map::{
     anomaly::{CannotJudge, Confidence},
-    predict::ModelSelector,
+    selector::ModelSelector,
 };
 
 use super::{InvalidField, query::selector_from_wire};

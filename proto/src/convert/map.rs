@@ -2,8 +2,9 @@
 
 use prost_types::Duration;
 use tidemap_map::{
-    event::{RefusalReason, StateId, StateKind},
+    event::StateKind,
     grid::spec::Retention,
+    ids::{RefusalReason, StateId},
     name::MapName,
     spec::{HALF_LIFE_MIN_NANOS, MapSpec},
     view::MapView,

@@ -1,8 +1,8 @@
 //! Models as questions name them, and what was learned of a state.
 
 use tidemap_map::{
-    event::StateId,
-    predict::{ModelKind, ModelSelector, PERGAM_PERIOD_NANOS, PERGAM_PERIODS},
+    ids::StateId,
+    selector::{ModelKind, ModelSelector, PERGAM_PERIOD_NANOS, PERGAM_PERIODS},
     view::MapView,
 };
 use tidemap_model::{

@@ -7,8 +7,8 @@
 //! picture stays as it was before it. The slots that it names are then in doubt, and only masks end that.
 
 use tidemap_map::{
-    event::RefusalReason,
     grid::{front::SentScan, raycast::Readings},
+    ids::RefusalReason,
 };
 
 use super::InvalidField;

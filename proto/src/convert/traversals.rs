@@ -3,7 +3,7 @@
 //! Invariant: a traversal that is wrong is refused by itself, with a reason to act on and one to read.
 
 use tidemap_map::{
-    event::RefusalReason,
+    ids::RefusalReason,
     name::{EdgeName, EdgeState},
     traversal::{EdgeFailure, Traversal, TraversalError, kept_reason},
 };

@@ -10,7 +10,7 @@ use tidemap_map::{
     event::{Event, UpdateCause},
     grid::{front::Front, index::TileId, spec::Retention},
     live_map::LiveMap,
-    predict::{ModelKind, ModelSelector},
+    selector::{ModelKind, ModelSelector},
     snapshot::MapSnapshot,
     spec::MapSpec,
     update::UpdateWork,

@@ -10,8 +10,9 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{Event, NewState, Observations, OffsetRun, ProducerId, StateId, StateKind, UpdateCause},
+    event::{Event, NewState, Observations, OffsetRun, StateKind, UpdateCause},
     grid::spec::Retention,
+    ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
     refit::{REFIT_NANOS, StateReadings, WantedReadings},

@@ -5,7 +5,7 @@
 
 use crate::{
     history::Reading,
-    predict::{ModelKind, ModelSelector},
+    selector::{ModelKind, ModelSelector},
     view::MapView,
 };
 

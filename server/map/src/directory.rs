@@ -10,7 +10,8 @@ use std::{
 };
 
 use crate::{
-    event::{Dimensions, StateId, StateKind, StateShape},
+    event::{Dimensions, StateKind, StateShape},
+    ids::StateId,
     name::{StateName, asked_for},
 };
 

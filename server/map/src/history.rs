@@ -8,8 +8,8 @@
 use tidemap_model::Sample;
 
 use crate::{
-    event::StateId,
     grid::{day::GridDay, index::TileId},
+    ids::StateId,
 };
 
 mod bits;

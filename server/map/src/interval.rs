@@ -8,7 +8,7 @@ use tidemap_model::{
     models::{HourMoments, HourTable, Interval, Moment, credible_interval, value_interval},
 };
 
-use crate::{event::StateId, grid::view::CellDescription, view::MapView};
+use crate::{grid::view::CellDescription, ids::StateId, view::MapView};
 
 const HOUR_SECS: f64 = 3600.0;
 const HOUR_NANOS: i64 = 3_600_000_000_000;

@@ -10,8 +10,9 @@ use tidemap_model::StateModel;
 
 use crate::{
     directory::{Directory, StateInfo},
-    event::{Event, ProducerId, StateId, StateKind, StateShape, UpdateStart},
+    event::{Event, StateKind, StateShape, UpdateStart},
     grid::{live::LiveGrid, view::GridView},
+    ids::{ProducerId, StateId},
     name::ProducerKey,
     pending::Pending,
     site::Site,

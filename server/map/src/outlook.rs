@@ -10,7 +10,7 @@
 use tidemap_model::models::{HourTable, Moment};
 
 use crate::{
-    event::StateId,
+    ids::StateId,
     topology::{Extent, NOMINAL_MAX_SECS},
     view::MapView,
 };

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use tidemap_model::Sample;
 
-use crate::event::StateId;
+use crate::ids::StateId;
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 

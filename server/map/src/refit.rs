@@ -11,11 +11,7 @@ use tidemap_model::{
     models::{CannotFit, Readings},
 };
 
-use crate::{
-    event::{StateId, StateKind},
-    grid::spec::Retention,
-    spec::MapSpec,
-};
+use crate::{event::StateKind, grid::spec::Retention, ids::StateId, spec::MapSpec};
 
 #[cfg(test)]
 mod tests;

@@ -7,7 +7,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use crate::{
-    event::StateId,
+    ids::StateId,
     name::{InvalidName, StateName},
     reachability::{Reachability, ReachabilityError},
     topology::{Topology, TopologyEdit, TopologyError},

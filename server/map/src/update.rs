@@ -13,7 +13,7 @@ use tidemap_model::{Sample, StateModel, UpdateOutcome};
 
 use crate::{
     directory::Directory,
-    event::{StateId, UpdateCause, UpdateStart},
+    event::{UpdateCause, UpdateStart},
     grid::{
         live::GridBasis,
         progress::{self, Notes, UpdateIdentity, UpdateJournal},
@@ -22,6 +22,7 @@ use crate::{
         update::{GridOutcome, GridResult, GridWork},
     },
     history::{HistoryDay, HistoryPiece},
+    ids::StateId,
     name::StateName,
     refit::{Refits, StateReadings, refit},
     site::Site,

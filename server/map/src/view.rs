@@ -10,8 +10,9 @@ use tidemap_model::{Persistence, StateModel};
 pub use crate::directory::StateInfo;
 use crate::{
     directory::Directory,
-    event::{StateId, StateKind, StateShape},
+    event::{StateKind, StateShape},
     grid::view::GridView,
+    ids::StateId,
     site::Site,
     spec::MapSpec,
     unlearned::Unlearned,

@@ -15,7 +15,7 @@ use tidemap_map::{
         spec::InvalidGrid,
         tile::TileUnavailable,
     },
-    predict::ModelSelector,
+    selector::ModelSelector,
     view::MapView,
 };
 

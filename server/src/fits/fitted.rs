@@ -5,8 +5,9 @@
 use std::collections::HashSet;
 
 use tidemap_map::{
-    event::{StateId, StateKind},
-    predict::{ModelKind, ModelSelector},
+    event::StateKind,
+    ids::StateId,
+    selector::{ModelKind, ModelSelector},
     spec::MapSpec,
     view::MapView,
 };

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a model is fitted to at least one position, and all that it is asked for is finite.
 
-use tidemap_map::{event::Dimensions, predict::ModelKind, spec::MapSpec};
+use tidemap_map::{event::Dimensions, selector::ModelKind, spec::MapSpec};
 use tidemap_model::{
     Sample,
     models::{

@@ -5,7 +5,7 @@ use std::{
     sync::atomic::{AtomicU32, Ordering},
 };
 
-use tidemap_map::predict::PERGAM_PERIOD_NANOS;
+use tidemap_map::selector::PERGAM_PERIOD_NANOS;
 use tidemap_model::{
     Sample,
     models::{MarkovChain, Readings},

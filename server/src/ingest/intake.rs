@@ -5,8 +5,9 @@
 //! map's writer to say, which knows the state.
 
 use tidemap_map::{
-    event::{Dimensions, Position, RefusalReason, StateKind, StateShape},
+    event::{Dimensions, Position, StateKind, StateShape},
     grid::spec::GridSpec,
+    ids::RefusalReason,
     name::StateName,
 };
 use tidemap_proto::convert::{

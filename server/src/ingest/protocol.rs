@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{Position, RefusalReason, StateShape, UpdateCause},
+    event::{Position, StateShape, UpdateCause},
     grid::{
         front::SentScan,
         index::TileIndex,
@@ -15,6 +15,7 @@ use tidemap_map::{
         tile::TileSource,
     },
     history::{HistoryPiece, Reading, Subject},
+    ids::RefusalReason,
     name::{ProducerKey, StateName},
     site::{InvalidEdit, SiteEdit},
     snapshot::MapSnapshot,

@@ -7,13 +7,12 @@ use std::collections::{BTreeMap, HashMap};
 
 use tidemap_map::{
     MAX_AHEAD_NANOS,
-    event::{
-        Event, NewProducer, NewState, Observations, OffsetRun, Position, ProducerId, RefusalReason, StateId, StateKind,
-    },
+    event::{Event, NewState, Observations, OffsetRun, Position, StateKind},
     grid::{
         front::{Front, ScanSource},
         sensors::ProducerSensor,
     },
+    ids::{NewProducer, ProducerId, RefusalReason, StateId},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
 };

@@ -6,10 +6,7 @@
 
 use std::sync::{Arc, Weak};
 
-use tidemap_map::{
-    event::{Observations, StateId},
-    view::MapView,
-};
+use tidemap_map::{event::Observations, ids::StateId, view::MapView};
 use tokio::sync::broadcast;
 
 use super::protocol::Ending;

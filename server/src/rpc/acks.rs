@@ -32,7 +32,7 @@ fn to_wire(refused: Refused) -> v1::Refusal {
 
 #[cfg(test)]
 mod tests {
-    use tidemap_map::event::RefusalReason;
+    use tidemap_map::ids::RefusalReason;
 
     use super::*;
 

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{StateId, StateShape},
+    event::StateShape,
+    ids::StateId,
     name::StateName,
     site::{Location, SiteEdit},
 };

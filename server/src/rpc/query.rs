@@ -5,10 +5,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{
-    event::{StateId, StateShape},
-    view::MapView,
-};
+use tidemap_map::{event::StateShape, ids::StateId, view::MapView};
 use tidemap_proto::v1::{self, query_service_server::QueryService};
 use tonic::{Request, Response, Status, Streaming};
 

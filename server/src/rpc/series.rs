@@ -4,11 +4,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{
-    event::{StateId, StateKind},
-    predict::{ModelSelector, PreparedTimes},
-    view::MapView,
-};
+use tidemap_map::{event::StateKind, ids::StateId, predict::PreparedTimes, selector::ModelSelector, view::MapView};
 use tidemap_model::models::Moment;
 use tidemap_proto::convert::InvalidField;
 

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use tidemap_map::{
     event::StateShape,
     grid::{sensors::InvalidSensor, tile::TileUnavailable},
-    predict::ModelKind,
+    selector::ModelKind,
     site::InvalidEdit,
 };
 use tidemap_proto::convert::InvalidField;

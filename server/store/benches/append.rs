@@ -10,8 +10,9 @@ use std::{
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use tidemap_map::{
-    event::{Event, Observations, OffsetRun, ProducerId, StateId},
+    event::{Event, Observations, OffsetRun},
     grid::spec::Retention,
+    ids::{ProducerId, StateId},
     name::MapName,
     spec::MapSpec,
 };

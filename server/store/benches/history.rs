@@ -5,9 +5,10 @@
 use std::{sync::Arc, time::Instant};
 
 use tidemap_map::{
-    event::{Event, StateId, UpdateCause},
+    event::{Event, UpdateCause},
     grid::spec::Retention,
     history::HistoryPiece,
+    ids::StateId,
     live_map::LiveMap,
     name::MapName,
     refit::{REFIT_READINGS, WantedReadings},

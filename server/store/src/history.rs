@@ -11,9 +11,9 @@ use std::{
 };
 
 use tidemap_map::{
-    event::StateId,
     grid::{index::TileId, spec::Retention},
     history::HistoryPiece,
+    ids::StateId,
     spec::MapSpec,
 };
 use tidemap_model::Sample;

@@ -6,9 +6,10 @@
 use std::sync::{Arc, atomic::AtomicU64};
 
 use tidemap_map::{
-    event::{Event, NewState, Observations, OffsetRun, ProducerId, StateId, UpdateCause},
+    event::{Event, NewState, Observations, OffsetRun, UpdateCause},
     grid::spec::Retention,
     history::HistoryPiece,
+    ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey},
     outlook::Edges,

@@ -7,8 +7,8 @@
 use std::vec::IntoIter;
 
 use tidemap_map::{
-    event::RefusalReason,
     grid::{index::TileIndex, spec::GridSpec},
+    ids::RefusalReason,
 };
 
 use super::{

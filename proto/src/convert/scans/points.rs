@@ -4,11 +4,11 @@
 //! and a finite reading at least.
 
 use tidemap_map::{
-    event::RefusalReason,
     grid::{
         raycast::{Pose, Rays, Readings},
         spec::GridSpec,
     },
+    ids::RefusalReason,
 };
 
 use super::ScanRefusal;

@@ -6,13 +6,14 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{Event, ProducerId},
+    event::Event,
     grid::{
         front::{Front, ScanSource, SentScan},
         index::TileIndex,
         scan::Scans,
         spec::{GridSpec, Retention, SensorNoise},
     },
+    ids::ProducerId,
     live_map::LiveMap,
     name::{MapName, ProducerKey},
     spec::MapSpec,

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::predict::PERGAM_PERIOD_NANOS;
+use crate::selector::PERGAM_PERIOD_NANOS;
 
 fn confidence(c: f64) -> Confidence {
     Confidence::new(c).expect("valid")

@@ -12,10 +12,10 @@ use tidemap_model::{
 
 use super::{Anomaly, Confidence};
 use crate::{
-    event::StateId,
     history::Reading,
+    ids::StateId,
     interval::Spreads,
-    predict::{ModelKind, ModelSelector},
+    selector::{ModelKind, ModelSelector},
     view::MapView,
 };
 

@@ -14,7 +14,7 @@ use super::{
     view::GridView,
 };
 use crate::{
-    predict::{ModelKind, ModelSelector},
+    selector::{ModelKind, ModelSelector},
     view::MapView,
 };
 

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use super::index::{TILE_CELLS, TileId, TileIndex};
-use crate::event::{NewProducer, ProducerId, RefusalReason};
+use crate::ids::{NewProducer, ProducerId, RefusalReason};
 
 /// A cell of a map: tile and place there as one number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

@@ -16,7 +16,7 @@ use super::{
     spec::GridSpec,
     tile::{TileModel, TileUnavailable},
 };
-use crate::predict::{ModelKind, ModelSelector};
+use crate::selector::{ModelKind, ModelSelector};
 
 /// An immutable picture of a grid.
 #[derive(Clone, Debug)]

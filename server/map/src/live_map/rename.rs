@@ -4,7 +4,7 @@
 
 use super::LiveMap;
 use crate::{
-    event::StateId,
+    ids::StateId,
     name::{InvalidName, StateName},
     site::SiteEdit,
     topology::TopologyEdit,

@@ -8,8 +8,9 @@ use std::sync::Arc;
 use super::LiveMap;
 use crate::{
     directory::StateInfo,
-    event::{NewProducer, NewState, Observations, ProducerId, StateKind},
+    event::{NewState, Observations, StateKind},
     grid::scan::Scans,
+    ids::{NewProducer, ProducerId},
     snapshot::ProducerMark,
     view::{LIVE_CHUNK, LiveState},
 };

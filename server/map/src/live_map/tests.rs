@@ -79,7 +79,7 @@ fn update(map: &mut LiveMap, until: Option<i64>) -> MapSnapshot {
 
 fn predict(view: &MapView, state: u32, time: i64) -> f64 {
     let mut out = [0.0];
-    view.predict_into(StateId(state), &view.prepare(&[time]), crate::predict::ModelSelector::default(), &mut out);
+    view.predict_into(StateId(state), &view.prepare(&[time]), crate::selector::ModelSelector::default(), &mut out);
     out[0]
 }
 

@@ -10,8 +10,9 @@ use std::{
 
 use super::{EdgeRecord, EdgeStates, LEAST_SUCCESS, Outlook, UsualEdge};
 use crate::{
-    event::StateId,
-    predict::{ModelSelector, PreparedTimes},
+    ids::StateId,
+    predict::PreparedTimes,
+    selector::ModelSelector,
     topology::{Edge, EdgeId, Topology},
     traversal::{success_state, travel_state},
     view::MapView,

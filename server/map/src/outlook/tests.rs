@@ -7,8 +7,9 @@ use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
 
 use super::*;
 use crate::{
-    event::{Event, NewState, Observations, OffsetRun, ProducerId, UpdateCause},
+    event::{Event, NewState, Observations, OffsetRun, UpdateCause},
     grid::spec::Retention,
+    ids::ProducerId,
     live_map::LiveMap,
     name::{EdgeName, MapName, ProducerKey, StateName},
     site::SiteEdit,

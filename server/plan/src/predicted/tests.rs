@@ -3,16 +3,17 @@
 use std::sync::{Arc, atomic::AtomicU64};
 
 use tidemap_map::{
-    event::{Event, ProducerId, UpdateCause},
+    event::{Event, UpdateCause},
     grid::{
         front::{Front, ScanSource, SentScan},
         index::{CellBox, CellIndex, TileIndex},
         scan::Scans,
         spec::{GridSpec, Retention, SensorNoise},
     },
+    ids::ProducerId,
     live_map::LiveMap,
     name::{MapName, ProducerKey},
-    predict::{ModelKind, ModelSelector},
+    selector::{ModelKind, ModelSelector},
     spec::MapSpec,
     view::MapView,
 };

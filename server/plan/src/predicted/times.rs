@@ -13,7 +13,7 @@ use tidemap_map::{
         index::{CellIndex, TILE_CELLS, TileId, TileIndex},
         view::GridView,
     },
-    predict::ModelKind,
+    selector::ModelKind,
     view::MapView,
 };
 use tidemap_model::InstantPhasors;

@@ -3,11 +3,7 @@
 use std::path::Path;
 
 use tidemap_map::{
-    event::{StateId, UpdateCause},
-    grid::spec::Retention,
-    live_map::LiveMap,
-    name::MapName,
-    snapshot::MapSnapshot,
+    event::UpdateCause, grid::spec::Retention, ids::StateId, live_map::LiveMap, name::MapName, snapshot::MapSnapshot,
     spec::MapSpec,
 };
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};

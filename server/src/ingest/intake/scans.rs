@@ -7,13 +7,13 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::RefusalReason,
     grid::{
         index::TileIndex,
         mask::TileMasks,
         raycast::{CastError, CastLimits, Readings, cast},
         spec::GridSpec,
     },
+    ids::RefusalReason,
 };
 use tidemap_proto::{
     convert::{

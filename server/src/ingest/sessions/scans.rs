@@ -5,12 +5,13 @@
 
 use tidemap_map::{
     MAX_AHEAD_NANOS,
-    event::{Event, Observations, RefusalReason},
+    event::{Event, Observations},
     grid::{
         front::{Front, FrontScan, ScanSource},
         index::TileIndex,
         scan::{LoggedScan, Scans},
     },
+    ids::RefusalReason,
     live_map::LiveMap,
 };
 

@@ -34,12 +34,13 @@ mod tests {
     use std::sync::Arc;
 
     use tidemap_map::{
-        event::{Event, NewProducer, ProducerId},
+        event::Event,
         grid::{
             scan::Scans,
             sensors::{InvalidSensor, SENSORS_MAX},
             spec::{GridSpec, Retention, SensorNoise},
         },
+        ids::{NewProducer, ProducerId},
         name::{MapName, ProducerKey},
         spec::MapSpec,
     };

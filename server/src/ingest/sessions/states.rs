@@ -6,7 +6,8 @@
 use std::collections::HashMap;
 
 use tidemap_map::{
-    event::{Dimensions, NewState, RefusalReason, StateId, StateKind, StateShape},
+    event::{Dimensions, NewState, StateKind, StateShape},
+    ids::{RefusalReason, StateId},
     live_map::{LiveMap, rename::renamed_states},
     name::StateName,
     site::{InvalidEdit, SiteEdit},

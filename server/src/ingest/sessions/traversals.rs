@@ -5,7 +5,8 @@
 
 use tidemap_map::{
     MAX_AHEAD_NANOS,
-    event::{NewState, Observations, OffsetRun, RefusalReason, StateId},
+    event::{NewState, Observations, OffsetRun},
+    ids::{RefusalReason, StateId},
     live_map::LiveMap,
     traversal::{EdgeFailure, Traversal},
 };

@@ -1,8 +1,9 @@
 //! What is told to whom, and what is kept of it.
 
 use tidemap_map::{
-    event::{NewState, OffsetRun, ProducerId, StateKind},
+    event::{NewState, OffsetRun, StateKind},
     grid::spec::Retention,
+    ids::ProducerId,
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,

@@ -6,8 +6,9 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{RefusalReason, UpdateCause},
+    event::UpdateCause,
     grid::spec::{GridSpec, Retention},
+    ids::RefusalReason,
     name::{MapName, ProducerKey, StateName},
 };
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};

@@ -4,11 +4,7 @@
 
 use std::{ops::ControlFlow, sync::Arc};
 
-use tidemap_map::{
-    event::{StateId, StateKind},
-    predict::ModelSelector,
-    view::MapView,
-};
+use tidemap_map::{event::StateKind, ids::StateId, selector::ModelSelector, view::MapView};
 use tidemap_plan::{
     day::{DaySlots, plan_day as plan},
     information::Certainty,

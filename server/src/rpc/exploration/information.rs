@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{event::StateId, grid::view::CellDescription, name::StateName, site::InvalidEdit, view::MapView};
+use tidemap_map::{grid::view::CellDescription, ids::StateId, name::StateName, site::InvalidEdit, view::MapView};
 use tidemap_plan::{
     information::{Certainty, entropy_of},
     predicted::{PredictOptions, PredictedTimes},

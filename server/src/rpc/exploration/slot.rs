@@ -3,8 +3,8 @@
 //! Invariant: the location is one of those asked about, and all that decides is of one view.
 
 use tidemap_map::{
-    event::StateId,
-    predict::{ModelKind, ModelSelector},
+    ids::StateId,
+    selector::{ModelKind, ModelSelector},
 };
 use tidemap_plan::{
     day::DayError,

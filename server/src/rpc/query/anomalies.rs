@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use tidemap_map::{
     anomaly::{Anomaly, Confidence, anomalies},
-    event::StateId,
     grid::view::CellDescription,
     history::Reading,
-    predict::ModelSelector,
+    ids::StateId,
+    selector::ModelSelector,
     view::MapView,
 };
 use tidemap_proto::{

@@ -8,8 +8,9 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{StateId, StateKind},
-    predict::{ModelKind, ModelSelector},
+    event::StateKind,
+    ids::StateId,
+    selector::{ModelKind, ModelSelector},
 };
 use tidemap_model::Sample;
 use tidemap_proto::{

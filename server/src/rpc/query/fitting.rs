@@ -7,11 +7,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{StateId, StateKind},
-    grid::spec::Retention,
-    history::Subject,
-    predict::ModelKind,
-    view::MapView,
+    event::StateKind, grid::spec::Retention, history::Subject, ids::StateId, selector::ModelKind, view::MapView,
 };
 use tidemap_model::{Sample, models::CannotFit};
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};

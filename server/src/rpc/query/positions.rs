@@ -6,8 +6,9 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{Dimensions, StateId, StateShape},
-    predict::ModelKind,
+    event::{Dimensions, StateShape},
+    ids::StateId,
+    selector::ModelKind,
     view::MapView,
 };
 use tidemap_model::{VALUE_MAX, models::Moment};

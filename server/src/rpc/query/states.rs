@@ -6,10 +6,11 @@
 use std::{ops::Range, sync::Arc};
 
 use tidemap_map::{
-    event::{StateId, StateKind, StateShape},
+    event::{StateKind, StateShape},
     grid::{index::CellIndex, view::CellDescription},
+    ids::StateId,
     interval::cell_intervals,
-    predict::ModelSelector,
+    selector::ModelSelector,
     view::MapView,
 };
 use tidemap_model::{

@@ -7,10 +7,10 @@ use std::{collections::HashSet, sync::Arc, time::Duration};
 
 use tidemap_map::{
     anomaly::{Anomaly, Confidence},
-    event::StateId,
     grid::index::CellIndex,
     history::Reading,
-    predict::ModelSelector,
+    ids::StateId,
+    selector::ModelSelector,
     view::MapView,
 };
 use tidemap_proto::{

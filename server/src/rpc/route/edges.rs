@@ -6,9 +6,10 @@
 use std::{collections::HashMap, sync::Arc};
 
 use tidemap_map::{
-    event::StateId,
+    ids::StateId,
     outlook::{self, Outlook},
-    predict::{ModelSelector, PreparedTimes},
+    predict::PreparedTimes,
+    selector::ModelSelector,
     topology::{Edge, EdgeId},
     view::MapView,
 };

@@ -5,7 +5,8 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{StateId, StateKind},
+    event::StateKind,
+    ids::StateId,
     topology::{NodeId, Topology},
     view::MapView,
 };

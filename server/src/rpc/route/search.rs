@@ -11,7 +11,7 @@ use std::{
 };
 
 use tidemap_map::{
-    predict::ModelSelector,
+    selector::ModelSelector,
     topology::{NodeId, Roads, Topology},
 };
 use tidemap_plan::search::{

@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_map::event::StateId;
+use tidemap_map::ids::StateId;
 use tidemap_migrations::{
     v1::file::{FILE_HEADER_LENGTH, FileHeader, RECORD_HEADER_LENGTH, TRAILER_LENGTH, Trailer},
     v2::{

@@ -4,10 +4,8 @@
 
 use prost::Message as _;
 use tidemap_map::{
-    event::{
-        Dimensions, Event, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId,
-        StateKind, StateShape, UpdateCause, UpdateStart,
-    },
+    event::{Dimensions, Event, NewState, Observations, OffsetRun, StateKind, StateShape, UpdateCause, UpdateStart},
+    ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::{ProducerKey, StateName},
 };
 use tidemap_migrations::{

@@ -3,8 +3,8 @@
 //! Invariant: `decode(encode(x)) == x` to the last bit, or `encode` refuses.
 
 use tidemap_map::{
-    event::StateId,
     history::{OutlierComponent, OutlierModel},
+    ids::StateId,
 };
 use tidemap_migrations::v2::history as v2;
 use tidemap_model::Sample;

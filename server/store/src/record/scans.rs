@@ -7,11 +7,11 @@
 use std::{borrow::Cow, sync::Arc};
 
 use tidemap_map::{
-    event::ProducerId,
     grid::{
         index::{TILE_CELLS, TileId, TileIndex},
         scan::{CellRef, LoggedScan, Scans},
     },
+    ids::ProducerId,
 };
 use tidemap_migrations::v2::event as v2;
 

@@ -3,7 +3,7 @@
 //! Invariant: what comes back is what went in, to the last bit.
 
 use tidemap_map::{
-    event::StateId,
+    ids::StateId,
     name::StateName,
     reachability::{Attempts, Reachability, ReachabilityCell},
     site::{Location, Site, SiteEdit},

@@ -7,10 +7,7 @@ use std::{
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Event, StateId},
-    grid::snapshot::GridSnapshot,
-    history::HistoryPiece,
-    snapshot::MapSnapshot,
+    event::Event, grid::snapshot::GridSnapshot, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot,
     spec::MapSpec,
 };
 

@@ -8,11 +8,9 @@ use std::{
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{
-        Event, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId, StateKind, UpdateCause,
-        UpdateStart,
-    },
+    event::{Event, NewState, Observations, OffsetRun, StateKind, UpdateCause, UpdateStart},
     grid::spec::Retention,
+    ids::{ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
     snapshot::{MapSnapshot, ProducerMark, StateSnapshot},

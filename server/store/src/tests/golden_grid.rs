@@ -8,7 +8,7 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{Event, ProducerId, RefusalReason, StateId, UpdateCause, UpdateStart},
+    event::{Event, UpdateCause, UpdateStart},
     grid::{
         day::{GridDay, ScanTime},
         index::{CellBox, CellIndex, TileId, TileIndex},
@@ -23,6 +23,7 @@ use tidemap_map::{
         tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
     },
     history::{HistoryDay, HistoryPiece, OutlierComponent, OutlierModel},
+    ids::{ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey},
     snapshot::{MapSnapshot, ProducerMark},
     spec::MapSpec,

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Event, NewProducer, ProducerId, RefusalReason, StateId},
+    event::Event,
     grid::{
         day::{GridDay, ScanTime},
         index::{TileId, TileIndex},
@@ -20,6 +20,7 @@ use tidemap_map::{
         tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
     },
     history::{HistoryDay, HistoryPiece, OutlierComponent, OutlierModel},
+    ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::ProducerKey,
     snapshot::MapSnapshot,
     spec::MapSpec,

@@ -10,12 +10,13 @@ use std::{
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Event, ProducerId, UpdateCause, UpdateStart},
+    event::{Event, UpdateCause, UpdateStart},
     grid::{
         index::{TileId, TileIndex},
         progress::{DoneTile, TileNote, UpdateJournal},
         scan::{CellRef, LoggedScan, Scans},
     },
+    ids::ProducerId,
     live_map::LiveMap,
     name::ProducerKey,
     snapshot::MapSnapshot,

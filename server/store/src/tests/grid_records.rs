@@ -158,11 +158,8 @@ fn counts_that_nothing_stands_behind_are_refused() {
     let models = v2::history::StateSamples { count: u32::MAX, times: vec![0], values: vec![0], ..Default::default() };
     assert!(history::decode_samples(&models).is_err());
     assert!(
-        history::encode_samples(
-            tidemap_map::event::StateId(0),
-            &[Sample { utc_nanos: -1, offset_secs: 0, value: 0.0 }]
-        )
-        .is_err()
+        history::encode_samples(tidemap_map::ids::StateId(0), &[Sample { utc_nanos: -1, offset_secs: 0, value: 0.0 }])
+            .is_err()
     );
 }
 

@@ -4,9 +4,9 @@ use std::{fs, path::Path, path::PathBuf, sync::Arc};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::StateId,
     grid::{day::GridDay, index::TileId, spec::Retention},
     history::{HistoryDay, HistoryPiece},
+    ids::StateId,
     refit::WantedReadings,
     snapshot::MapSnapshot,
     spec::MapSpec,

@@ -5,11 +5,9 @@ use std::sync::Arc;
 use proptest::{collection::vec, option, prelude::*};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{
-        Dimensions, Event, NewProducer, NewState, Observations, OffsetRun, ProducerId, RefusalReason, StateId,
-        StateKind, StateShape, UpdateCause, UpdateStart,
-    },
+    event::{Dimensions, Event, NewState, Observations, OffsetRun, StateKind, StateShape, UpdateCause, UpdateStart},
     grid::{sensors::ProducerSensor, spec::Retention},
+    ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::{EdgeName, MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
     snapshot::StateSnapshot,

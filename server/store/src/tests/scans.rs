@@ -6,11 +6,12 @@ use proptest::{collection::vec, prelude::*};
 use prost::Message as _;
 use rand::{SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Event, ProducerId},
+    event::Event,
     grid::{
         index::TileId,
         scan::{CellRef, LoggedScan, Scans},
     },
+    ids::ProducerId,
 };
 use tidemap_migrations::v2::{self, log::FrameKind};
 

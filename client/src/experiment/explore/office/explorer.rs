@@ -11,17 +11,18 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{Event, NewProducer, ProducerId, UpdateCause},
+    event::{Event, UpdateCause},
     grid::{
         front::{Front, ScanSource, SentScan},
         index::{CellIndex, TILE_CELLS, TileIndex},
         mask::{Mask, TileMasks},
         scan::Scans,
     },
+    ids::{NewProducer, ProducerId},
     live_map::LiveMap,
     name::ProducerKey,
-    predict::{ModelKind, ModelSelector},
     reachability::Reachability,
+    selector::{ModelKind, ModelSelector},
     view::MapView,
 };
 use tidemap_plan::{

@@ -3,7 +3,7 @@
 use tidemap_model::{OrderCriterion, Periodicities, Sample, SpectralModel};
 
 use super::*;
-use crate::predict::ModelKind;
+use crate::selector::ModelKind;
 
 const HOUR_NANOS: i64 = 3_600_000_000_000;
 

@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use super::*;
 use crate::{
-    event::{Event, NewProducer, ProducerId, UpdateCause},
+    event::{Event, UpdateCause},
     grid::{
         scan::{CellRef, LoggedScan, Scans},
         spec::SensorNoise,
         tests::world::spec,
     },
+    ids::{NewProducer, ProducerId},
     live_map::LiveMap,
     name::ProducerKey,
 };

@@ -9,13 +9,14 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::{
-    event::{Event, ProducerId, UpdateCause},
+    event::{Event, UpdateCause},
     grid::{
         index::TileIndex,
         scan::{CellRef, LoggedScan, Scans},
         tests::world::{HOUR, World, spec},
         update::GridOutcome,
     },
+    ids::ProducerId,
     live_map::LiveMap,
     name::ProducerKey,
     snapshot::MapSnapshot,

@@ -15,7 +15,7 @@ use crate::{
         tile::TileModel,
         view::GridView,
     },
-    predict::{ModelKind, ModelSelector},
+    selector::{ModelKind, ModelSelector},
 };
 
 fn selectors() -> Vec<ModelSelector> {

@@ -15,7 +15,7 @@ use crate::{
         tile::CellModel,
         view::CellDescription,
     },
-    predict::{ModelKind, ModelSelector},
+    selector::{ModelKind, ModelSelector},
 };
 
 /// A reading: what it counts as, and what it was.

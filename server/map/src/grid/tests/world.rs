@@ -12,7 +12,7 @@ use super::{
     scans::ScanOracle,
 };
 use crate::{
-    event::{Event, NewProducer, ProducerId, RefusalReason, UpdateCause},
+    event::{Event, UpdateCause},
     grid::{
         front::{Front, TooManyTiles},
         live::LiveGrid,
@@ -20,6 +20,7 @@ use crate::{
         sensors::ProducerSensor,
         spec::{GridSpec, Retention, SensorNoise},
     },
+    ids::{NewProducer, ProducerId, RefusalReason},
     live_map::LiveMap,
     name::MapName,
     snapshot::MapSnapshot,

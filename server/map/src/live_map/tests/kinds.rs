@@ -1,7 +1,7 @@
 //! States that are no probabilities: how they come to be, what they may hold and what is told of them.
 
 use super::*;
-use crate::predict::{ModelKind, ModelSelector};
+use crate::selector::{ModelKind, ModelSelector};
 use tidemap_model::models::Moment;
 
 fn new_state(id: u32, kind: StateKind) -> Event {

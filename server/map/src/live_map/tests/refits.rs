@@ -5,8 +5,8 @@ use tidemap_model::{EnabledModels, FitKind, ModelChoice, Sample};
 use super::*;
 use crate::{
     history::HistoryPiece,
-    predict::{ModelKind, ModelSelector},
     refit::{Refits, StateReadings, WantedReadings},
+    selector::{ModelKind, ModelSelector},
 };
 
 const DAYS: i64 = 40;

@@ -1,6 +1,6 @@
 //! Traversals as a stream sends them: what is taken, skipped, refused, and what ends the stream.
 
-use tidemap_map::event::RefusalReason;
+use tidemap_map::ids::RefusalReason;
 use tidemap_proto::{
     convert::{columns::encode, scans::ScanLimits},
     v1::{ObservationBatch, Traversal},

@@ -2,7 +2,7 @@
 
 use std::{fs, path::PathBuf};
 
-use tidemap_map::event::StateId;
+use tidemap_map::ids::StateId;
 use tidemap_model::{EnabledModels, FitKind, FittedModel, StateModel};
 
 use super::*;

@@ -1,6 +1,9 @@
 //! States that are added before anything is observed of them, and what a state's kind does to what is sent of it.
 
-use tidemap_map::event::{Dimensions, Position, StateId, StateKind, StateShape};
+use tidemap_map::{
+    event::{Dimensions, Position, StateKind, StateShape},
+    ids::StateId,
+};
 
 use super::*;
 use crate::ingest::protocol::{AddState, AddStateError, NewName};

@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::predict::ModelKind;
+use tidemap_map::selector::ModelKind;
 use tidemap_model::Sample;
 
 use super::{Fitting, Learned, Unavailable};

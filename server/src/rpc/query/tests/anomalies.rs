@@ -2,7 +2,7 @@
 
 use tidemap_map::{
     event::StateKind,
-    predict::{ModelKind, ModelSelector},
+    selector::{ModelKind, ModelSelector},
 };
 use tidemap_proto::convert::query::selector_to_wire;
 use tokio_stream::wrappers::ReceiverStream;

@@ -1,6 +1,6 @@
 //! Models that are fitted when they are asked for: to what, by whom, and where there are none.
 
-use tidemap_map::predict::ModelKind;
+use tidemap_map::selector::ModelKind;
 use tidemap_model::{
     Sample,
     models::{Calibrated, CalibratedOptions, Histogram, HistogramCycle, HistogramSettings, Readings, TemporalModel},
@@ -28,7 +28,7 @@ fn door(hours: std::ops::Range<i64>) -> Vec<(i64, f64)> {
 }
 
 fn wire(kind: ModelKind, persistence: bool) -> Option<v1::ModelSelector> {
-    Some(selector_to_wire(tidemap_map::predict::ModelSelector { kind, order: None, persistence }))
+    Some(selector_to_wire(tidemap_map::selector::ModelSelector { kind, order: None, persistence }))
 }
 
 impl Bench {

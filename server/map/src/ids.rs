@@ -1,0 +1,58 @@
+//! Identifiers within a map, and why an observation was refused.
+//!
+//! Invariant: ids are dense from 0, given in the order of the log, and never reused.
+
+use crate::{grid::sensors::ProducerSensor, name::ProducerKey};
+
+/// Index of a state within its map: dense from 0, in order of first appearance, never reused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct StateId(pub u32);
+
+/// Index of a producer key within its map: dense from 0, never reused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ProducerId(pub u32);
+
+/// Why an observation was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum RefusalReason {
+    /// Not a number, infinite, or not one of the state's kind.
+    Value,
+    /// Before 1970, or beyond what i64 nanoseconds hold.
+    Time,
+    /// The state's name is not valid.
+    StateName,
+    /// The index is not in the stream's table of names.
+    StateIndex,
+    /// The map or the stream may not have more states.
+    StateLimit,
+    /// The state is of another kind than the stream said.
+    StateKind,
+    /// The map has no grid.
+    NoGrid,
+    /// A scan is malformed: masks, points, pose or range.
+    Scan,
+    /// The scan sees nothing of the grid.
+    Empty,
+    /// The map may not have more tiles.
+    TileLimit,
+    /// The scan is in another frame than the map.
+    Frame,
+    /// The map has no such edge.
+    Edge,
+}
+
+/// A producer that appears for the first time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NewProducer {
+    /// Its key.
+    pub key: ProducerKey,
+    /// The sensor of all its scans; `None`: the map's own.
+    pub sensor: Option<ProducerSensor>,
+}
+
+impl From<ProducerKey> for NewProducer {
+    /// A producer that has the map's own sensor.
+    fn from(key: ProducerKey) -> NewProducer {
+        NewProducer { key, sensor: None }
+    }
+}

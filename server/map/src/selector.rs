@@ -1,0 +1,146 @@
+//! Which model answers a query.
+
+use std::{fmt, ops::RangeInclusive};
+
+use tidemap_model::{ModelChoice, ORDER_MAX, StateModel, models::HistogramCycle};
+
+const MINUTE_NANOS: i64 = 60_000_000_000;
+const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
+
+/// The periods that a periodic mixture of Gaussians may have, in nanoseconds: 1 minute to 366 days.
+pub const PERGAM_PERIODS: RangeInclusive<i64> = MINUTE_NANOS..=366 * DAY_NANOS;
+/// The period of one where none is said: a day, in nanoseconds.
+pub const PERGAM_PERIOD_NANOS: i64 = DAY_NANOS;
+
+/// Which model answers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum ModelKind {
+    /// The model and order that the last update chose.
+    #[default]
+    Auto,
+    /// The mean of the values folded in.
+    Mean,
+    /// The last acknowledged value; what an unlearned state answers before the first.
+    Latest,
+    /// The mean and the strongest spectral components (T-RO 2017, section III).
+    Spectral,
+    /// The Markov chain of two states, from the newest value on (RAS 2017, section 4.2).
+    Persistence,
+    /// The mean of each interval of a cycle (RA-L 2019, section IV).
+    Histogram {
+        /// What repeats.
+        cycle: HistogramCycle,
+        /// Intervals of the cycle; of weekday and weekend, of each.
+        bins: u32,
+    },
+    /// Periodic mixture of Gaussians (ICRA 2015, eq. 5 to 7).
+    Pergam {
+        /// How many.
+        gaussians: u32,
+        /// The period, in nanoseconds of local civil time, within [`PERGAM_PERIODS`].
+        period_nanos: i64,
+    },
+    /// Warped hypertime, by expectation maximisation (RA-L 2019, section III).
+    HypertimeEm {
+        /// How many.
+        clusters: u32,
+    },
+    /// Warped hypertime, by k-means (RA-L 2019, section III).
+    HypertimeKm {
+        /// How many.
+        clusters: u32,
+    },
+    /// A spectral model of the rate of counts.
+    Poisson,
+    /// Regression on the rhythms of day and week.
+    Calibrated,
+    /// The strongest components of the Fourier transform of regular readings, and the outliers that they miss (T-RO 2017,
+    /// section III.B).
+    Uniform,
+}
+
+impl ModelKind {
+    /// Whether it has an order.
+    #[must_use]
+    pub fn has_order(self) -> bool {
+        matches!(self, ModelKind::Auto | ModelKind::Spectral | ModelKind::Uniform)
+    }
+
+    /// Whether it has to be fitted to the readings of a state before it can answer.
+    #[must_use]
+    pub fn needs_readings(self) -> bool {
+        !self.is_for_cells()
+    }
+
+    /// Whether cells of a grid have it too.
+    #[must_use]
+    pub fn is_for_cells(self) -> bool {
+        matches!(self, ModelKind::Auto | ModelKind::Mean | ModelKind::Latest | ModelKind::Spectral)
+    }
+}
+
+impl fmt::Display for ModelKind {
+    /// As the command line names it, with its parameter.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Mean => f.write_str("mean"),
+            Self::Latest => f.write_str("latest"),
+            Self::Spectral => f.write_str("spectral"),
+            Self::Persistence => f.write_str("persistence"),
+            Self::Histogram { cycle: HistogramCycle::Day, bins } => write!(f, "histogram:{bins}"),
+            Self::Histogram { cycle: HistogramCycle::Week, bins } => write!(f, "histogram:week:{bins}"),
+            Self::Histogram { cycle: HistogramCycle::WeekdayWeekend, bins } => write!(f, "histogram:weekend:{bins}"),
+            Self::Pergam { gaussians, period_nanos: PERGAM_PERIOD_NANOS } => write!(f, "pergam:{gaussians}"),
+            Self::Pergam { gaussians, period_nanos } => write!(f, "pergam:{gaussians}:{}", Period(*period_nanos)),
+            Self::HypertimeEm { clusters } => write!(f, "hypertime-em:{clusters}"),
+            Self::HypertimeKm { clusters } => write!(f, "hypertime-km:{clusters}"),
+            Self::Poisson => f.write_str("poisson"),
+            Self::Calibrated => f.write_str("calibrated"),
+            Self::Uniform => f.write_str("uniform"),
+        }
+    }
+}
+
+/// A period in nanoseconds, in the greatest unit that divides it: 7d, 36h, 90s; as the command line writes durations.
+struct Period(i64);
+
+impl fmt::Display for Period {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let units = [("d", DAY_NANOS), ("h", 60 * MINUTE_NANOS), ("m", MINUTE_NANOS), ("s", 1_000_000_000)];
+        match units.into_iter().find(|(_, nanos)| self.0 % nanos == 0) {
+            Some((unit, nanos)) => write!(f, "{}{unit}", self.0 / nanos),
+            None => {
+                let text = format!("{}.{:09}", self.0 / 1_000_000_000, self.0 % 1_000_000_000);
+                write!(f, "{}s", text.trim_end_matches('0'))
+            }
+        }
+    }
+}
+
+/// A model as a question names it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct ModelSelector {
+    /// Which model.
+    pub kind: ModelKind,
+    /// Number of spectral components, at most [`ORDER_MAX`]; by default the order that the last update chose. Without
+    /// effect on kinds that have none.
+    pub order: Option<usize>,
+    /// Blends the last value in (T-RO eq. 12 and 13).
+    pub persistence: bool,
+}
+
+impl ModelSelector {
+    /// Order of the spectral model that answers for this state; 0 for a constant one, and where another model answers.
+    #[must_use]
+    pub fn order_for(&self, model: &StateModel) -> usize {
+        let is_other = self.kind == ModelKind::Auto && self.order.is_none() && model.choice() != ModelChoice::Spectral;
+        if self.kind.has_order() && !is_other { self.order_or(model.order()) } else { 0 }
+    }
+
+    /// The order asked for, or else the one that the last update chose.
+    #[must_use]
+    pub(crate) fn order_or(&self, chosen: usize) -> usize {
+        self.order.unwrap_or(chosen).min(ORDER_MAX)
+    }
+}
