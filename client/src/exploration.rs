@@ -9,7 +9,7 @@ use crate::{
     error::Error,
     maps::{point_from_wire, point_to_wire},
     queries::ModelSelector,
-    wire::duration,
+    wire::{duration, timestamp},
 };
 
 /// What observing a state, a location or a region would teach, per time.
@@ -339,7 +339,7 @@ impl Client {
     pub async fn plan_tour(&self, query: &TourQuery) -> Result<Tour, Error> {
         let request = v1::PlanTourRequest {
             map: query.map.clone(),
-            time_nanos: query.time_nanos,
+            time: Some(timestamp(query.time_nanos)),
             count: query.count,
             start: query.start_m.map(point_to_wire),
             is_open: query.is_open,
@@ -422,7 +422,7 @@ impl Client {
         };
         let request = v1::PlanSlotRequest {
             map: query.map,
-            time_nanos: query.time_nanos,
+            time: Some(timestamp(query.time_nanos)),
             strategy: strategy.into(),
             planned,
             locations: query.locations,
@@ -452,7 +452,7 @@ impl Client {
             map: map.to_owned(),
             at: Some(point_to_wire(at_m)),
             reached,
-            time_nanos: time_nanos.unwrap_or_default(),
+            time: time_nanos.map(timestamp),
         };
         let answer = self.exploration_service().report_visit(request).await.map_err(|status| self.error(&status))?;
         let v1::ReportVisitResponse { reachability, attempts } = answer.into_inner();

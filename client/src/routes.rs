@@ -22,7 +22,7 @@ use crate::{
     connection::{Client, Connection},
     error::Error,
     queries::ModelSelector,
-    wire::duration,
+    wire::{duration, timestamp},
 };
 
 /// Bytes of the largest topological map that is read: a million edges with names of usual length.
@@ -362,7 +362,7 @@ impl Client {
         let request = v1::PlanSearchRequest {
             map: query.map,
             start: query.start,
-            time_nanos: query.time_nanos,
+            start_time: Some(timestamp(query.time_nanos)),
             object: query.object,
             budget: query.budget_nanos.map(duration),
             effort: effort.into(),

@@ -7,7 +7,7 @@ use tidemap_proto::v1;
 use tonic::Streaming;
 
 use super::ModelSelector;
-use crate::{connection::Client, error::Error};
+use crate::{connection::Client, error::Error, wire::timestamp};
 
 /// An observation that was not expected.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,8 +80,8 @@ impl Client {
         let request = v1::FindAnomaliesRequest {
             map: map.to_owned(),
             state: state.to_owned(),
-            from_nanos,
-            to_nanos,
+            from_time: Some(timestamp(from_nanos)),
+            to_time: Some(timestamp(to_nanos)),
             confidence: Some(judgement.confidence),
             model: Some(judgement.model.to_wire()),
         };

@@ -15,6 +15,7 @@ use crate::{
     connection::Client,
     error::Error,
     maps::{CellBox, Grid},
+    wire::timestamp,
 };
 
 /// Cells along a tile's edge.
@@ -96,7 +97,7 @@ impl GridQuery {
         };
         v1::PredictGridRequest {
             map: self.map.clone(),
-            time_nanos: self.time_nanos,
+            time: Some(timestamp(self.time_nanos)),
             model: Some(self.model.to_wire()),
             region: self.region.map(CellBox::to_wire),
             project: self.is_projected,

@@ -5,7 +5,7 @@
 use tidemap_proto::v1;
 use tonic::Streaming;
 
-use crate::{connection::Client, error::Error};
+use crate::{connection::Client, error::Error, wire::timestamp};
 
 /// An answer under way.
 #[derive(Debug)]
@@ -29,7 +29,8 @@ impl Client {
         from_nanos: i64,
         to_nanos: i64,
     ) -> Result<Reconstruction, Error> {
-        let request = v1::ReconstructRequest { map: map.to_owned(), state: state.to_owned(), from_nanos, to_nanos };
+        let [from_time, to_time] = [from_nanos, to_nanos].map(|nanos| Some(timestamp(nanos)));
+        let request = v1::ReconstructRequest { map: map.to_owned(), state: state.to_owned(), from_time, to_time };
         let answer = self.query_service().reconstruct(request).await.map_err(|status| self.error(&status))?;
         Ok(Reconstruction { client: self.clone(), replies: answer.into_inner(), from_nanos, to_nanos })
     }

@@ -5,7 +5,12 @@
 use tidemap_proto::v1::{self, plan_route_request};
 
 use super::EdgeEnds;
-use crate::{connection::Client, error::Error, queries::ModelSelector, wire::duration};
+use crate::{
+    connection::Client,
+    error::Error,
+    queries::ModelSelector,
+    wire::{duration, instant, timestamp},
+};
 
 /// What a route or a policy is best at.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -275,11 +280,12 @@ impl Client {
     pub async fn plan_route(&self, query: RouteQuery) -> Result<(Vec<Route>, RouteCertainty), Error> {
         let (objective, doubt) = query.objective.to_wire();
         let when = match query.when {
-            RouteTime::Depart(nanos) => plan_route_request::When::DepartNanos(nanos),
-            RouteTime::ArriveBy(nanos) => plan_route_request::When::ArriveByNanos(nanos),
+            RouteTime::Depart(nanos) => plan_route_request::When::DepartTime(timestamp(nanos)),
+            RouteTime::ArriveBy(nanos) => plan_route_request::When::ArriveByTime(timestamp(nanos)),
             RouteTime::DepartWithin { from_nanos, to_nanos, step_nanos } => {
+                let [from_time, to_time] = [from_nanos, to_nanos].map(|nanos| Some(timestamp(nanos)));
                 let step = step_nanos.map(duration);
-                plan_route_request::When::DepartWithin(v1::DepartureWindow { from_nanos, to_nanos, step })
+                plan_route_request::When::DepartWithin(v1::DepartureWindow { from_time, to_time, step })
             }
         };
         let request = v1::PlanRouteRequest {
@@ -319,7 +325,7 @@ impl Client {
         let request = v1::PlanPolicyRequest {
             map: query.map,
             to: query.to,
-            time_nanos: query.time_nanos,
+            start_time: Some(timestamp(query.time_nanos)),
             horizon: query.horizon_nanos.map(duration),
             slot: query.slot_nanos.map(duration),
             objective: objective.into(),
@@ -330,7 +336,7 @@ impl Client {
         let told = self.route_service().plan_policy(request).await.map_err(|status| self.error(&status))?.into_inner();
         let slot = told.slot.unwrap_or_default();
         Ok(Policy {
-            time_nanos: told.time_nanos,
+            time_nanos: instant(told.start_time).unwrap_or(query.time_nanos),
             slot_nanos: slot.seconds.saturating_mul(1_000_000_000).saturating_add(slot.nanos.into()),
             nodes: told.nodes.into_iter().map(entries).collect(),
         })
@@ -349,7 +355,7 @@ impl Client {
     ) -> Result<Vec<PredictedEdge>, Error> {
         let request = v1::PredictEdgesRequest {
             map: map.to_owned(),
-            time_nanos,
+            time: Some(timestamp(time_nanos)),
             model: Some(model.to_wire()),
             speed_m_per_s: speed_m_per_s.unwrap_or_default(),
             confidence: None,

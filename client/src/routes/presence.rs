@@ -4,7 +4,12 @@
 
 use tidemap_proto::v1;
 
-use crate::{connection::Client, error::Error, queries::ModelSelector, wire::duration};
+use crate::{
+    connection::Client,
+    error::Error,
+    queries::ModelSelector,
+    wire::{duration, instant, timestamp},
+};
 
 /// What is asked of presence.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -106,14 +111,15 @@ impl Client {
         let request = v1::NextJointRequest {
             map: query.map,
             states: query.states,
-            from_nanos: query.from_nanos,
+            from_time: Some(timestamp(query.from_nanos)),
             within: query.within_nanos.map(duration),
             step: query.step_nanos.map(duration),
             threshold: query.threshold,
             model: Some(query.model.to_wire()),
         };
         let answer = self.search_service().next_joint(request).await.map_err(|status| self.error(&status))?;
-        let v1::NextJointResponse { time_nanos, probability, best_nanos } = answer.into_inner();
-        Ok(Joint { time_nanos, probability, best_nanos })
+        let v1::NextJointResponse { time, probability, best_time } = answer.into_inner();
+        let best_nanos = instant(best_time).ok_or(Error::Protocol("a joint has no best time"))?;
+        Ok(Joint { time_nanos: instant(time), probability, best_nanos })
     }
 }

@@ -18,7 +18,7 @@ use super::{
     InvalidField,
     grid::{cell_box_from_wire, cell_box_to_wire, grid_to_wire},
     query::{check_for_cells, components_to_wire, selector_from_wire},
-    time::timestamp,
+    time::{instant_from_wire, timestamp},
 };
 use crate::v1;
 
@@ -34,9 +34,7 @@ const TILE_OVERHEAD: u64 = 48;
 /// A time before 1970, an unknown output, a threshold that is not in (0, 1] or belongs to another output, a model that is
 /// none.
 pub fn question_from_wire(wire: &v1::PredictGridRequest) -> Result<GridQuestion, InvalidField> {
-    if wire.time_nanos < 0 {
-        return Err(InvalidField::new("time_nanos", format!("{} ns is before 1970", wire.time_nanos)));
-    }
+    let utc_nanos = instant_from_wire("time", wire.time)?;
     let output = match v1::GridOutput::try_from(wire.output) {
         Ok(v1::GridOutput::Unspecified | v1::GridOutput::Probability) => CellOutput::Probability,
         Ok(v1::GridOutput::Entropy) => CellOutput::Entropy,
@@ -62,7 +60,7 @@ pub fn question_from_wire(wire: &v1::PredictGridRequest) -> Result<GridQuestion,
     let selector = selector_from_wire("model", wire.model)?;
     check_for_cells("model", selector)?;
     Ok(GridQuestion {
-        utc_nanos: wire.time_nanos,
+        utc_nanos,
         selector,
         region: wire.region.as_ref().map(cell_box_from_wire),
         project: wire.project,
@@ -155,7 +153,11 @@ mod tests {
     use super::*;
 
     fn request() -> v1::PredictGridRequest {
-        v1::PredictGridRequest { map: "office".to_owned(), time_nanos: 5, ..v1::PredictGridRequest::default() }
+        v1::PredictGridRequest {
+            map: "office".to_owned(),
+            time: Some(timestamp(5)),
+            ..v1::PredictGridRequest::default()
+        }
     }
 
     fn threshold(output: v1::GridOutput, threshold: f64) -> Result<CellOutput, String> {
@@ -168,7 +170,7 @@ mod tests {
         let question = question_from_wire(&request()).expect("valid");
         assert_eq!(question, GridQuestion { utc_nanos: 5, ..GridQuestion::default() });
         let field = |wire| question_from_wire(&wire).expect_err("wrong").field;
-        assert_eq!(field(v1::PredictGridRequest { time_nanos: -1, ..request() }), "time_nanos");
+        assert_eq!(field(v1::PredictGridRequest { time: Some(timestamp(-1)), ..request() }), "time");
         assert_eq!(field(v1::PredictGridRequest { output: 99, ..request() }), "output");
         let model = v1::ModelSelector { order: Some(16), ..v1::ModelSelector::default() };
         assert_eq!(field(v1::PredictGridRequest { model: Some(model), ..request() }), "model.order");

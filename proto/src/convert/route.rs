@@ -8,7 +8,10 @@ use tidemap_plan::{
     route::{Certainty, DEPARTURES_MAX, Objective, RouteOptions, When},
 };
 
-use super::{InvalidField, exploration::time_from_wire, time::nanos_from_duration};
+use super::{
+    InvalidField,
+    time::{instant_from_wire, nanos_from_duration, nanos_from_timestamp},
+};
 use crate::v1;
 
 /// Most nodes times slots of a policy that is told.
@@ -35,19 +38,19 @@ pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, 
     use v1::plan_route_request::When as Asked;
     let default = RouteOptions::default();
     let horizon_secs = positive_secs("horizon", request.horizon, default.horizon_secs)?;
-    let missing = || InvalidField::new("when", "say when: depart_nanos, arrive_by_nanos or depart_within");
+    let missing = || InvalidField::new("when", "say when: depart_time, arrive_by_time or depart_within");
     let (reference_nanos, when) = match request.when.as_ref().ok_or_else(missing)? {
-        Asked::DepartNanos(nanos) => (time_from_wire("depart_nanos", *nanos)?, When::DepartAt(0.0)),
-        Asked::ArriveByNanos(nanos) => {
-            let nanos = time_from_wire("arrive_by_nanos", *nanos)?;
+        Asked::DepartTime(time) => (nanos_from_timestamp("depart_time", *time)?, When::DepartAt(0.0)),
+        Asked::ArriveByTime(time) => {
+            let nanos = nanos_from_timestamp("arrive_by_time", *time)?;
             // There is no time before 1970.
             (nanos, When::ArriveBy { by_secs: 0.0, earliest_secs: -horizon_secs.min(nanos as f64 / 1e9) })
         }
         Asked::DepartWithin(window) => {
-            let from = time_from_wire("depart_within.from_nanos", window.from_nanos)?;
-            let to = time_from_wire("depart_within.to_nanos", window.to_nanos)?;
+            let from = instant_from_wire("depart_within.from_time", window.from_time)?;
+            let to = instant_from_wire("depart_within.to_time", window.to_time)?;
             if to < from {
-                return Err(InvalidField::new("depart_within", "to_nanos is before from_nanos"));
+                return Err(InvalidField::new("depart_within", "to_time is before from_time"));
             }
             let to_secs = (to - from) as f64 / 1e9;
             let usual = (to_secs / (DEPARTURES_MAX - 1) as f64).max(DEPARTURE_STEP_SECS);
@@ -146,6 +149,7 @@ fn positive_secs(field: &'static str, span: Option<prost_types::Duration>, defau
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::convert::time::timestamp;
 
     const MINUTE: i64 = 60_000_000_000;
 
@@ -153,16 +157,22 @@ mod tests {
         v1::PlanRouteRequest { when: Some(when), ..Default::default() }
     }
 
+    fn window(from_nanos: i64, to_nanos: i64) -> v1::DepartureWindow {
+        let [from_time, to_time] = [from_nanos, to_nanos].map(|nanos| Some(timestamp(nanos)));
+        v1::DepartureWindow { from_time, to_time, step: None }
+    }
+
     #[test]
     fn a_plain_question_has_the_defaults() {
         use v1::plan_route_request::When as Asked;
-        let question = route_from_wire(&asked(Asked::DepartNanos(7 * MINUTE))).expect("right");
+        let question = route_from_wire(&asked(Asked::DepartTime(timestamp(7 * MINUTE)))).expect("right");
         let options = RouteOptions::default();
         assert_eq!(question, RouteQuestion { reference_nanos: 7 * MINUTE, when: When::DepartAt(0.0), options });
-        let by = |minutes| route_from_wire(&asked(Asked::ArriveByNanos(minutes * MINUTE))).expect("right").when;
+        let by =
+            |minutes| route_from_wire(&asked(Asked::ArriveByTime(timestamp(minutes * MINUTE)))).expect("right").when;
         assert_eq!(by(7_000), When::ArriveBy { by_secs: 0.0, earliest_secs: -86_400.0 });
         assert_eq!(by(7), When::ArriveBy { by_secs: 0.0, earliest_secs: -420.0 }, "not before 1970");
-        let window = v1::DepartureWindow { from_nanos: MINUTE, to_nanos: 3 * MINUTE, step: None };
+        let window = window(MINUTE, 3 * MINUTE);
         let within = route_from_wire(&asked(Asked::DepartWithin(window))).expect("right");
         let steps = When::DepartWithin { from_secs: 0.0, to_secs: 120.0, step_secs: 60.0 };
         assert_eq!((within.reference_nanos, within.when), (MINUTE, steps));
@@ -174,14 +184,14 @@ mod tests {
         use v1::plan_route_request::When as Asked;
         let field = |request: v1::PlanRouteRequest| route_from_wire(&request).expect_err("wrong").field;
         assert_eq!(field(v1::PlanRouteRequest::default()), "when");
-        let at = || asked(Asked::DepartNanos(0));
-        assert_eq!(field(asked(Asked::DepartNanos(-1))), "depart_nanos");
+        let at = || asked(Asked::DepartTime(timestamp(0)));
+        assert_eq!(field(asked(Asked::DepartTime(timestamp(-1)))), "depart_time");
         assert_eq!(field(v1::PlanRouteRequest { objective: 9, ..at() }), "objective");
         assert_eq!(field(v1::PlanRouteRequest { objective: 3, doubt: f64::NAN, ..at() }), "doubt");
         assert_eq!(field(v1::PlanRouteRequest { recovery_secs: Some(-1.0), ..at() }), "recovery_secs");
         let none = Some(prost_types::Duration { seconds: 0, nanos: 0 });
         assert_eq!(field(v1::PlanRouteRequest { horizon: none, ..at() }), "horizon");
-        let window = v1::DepartureWindow { from_nanos: MINUTE, to_nanos: 0, step: None };
+        let window = window(MINUTE, 0);
         assert_eq!(field(asked(Asked::DepartWithin(window))), "depart_within");
         let field = |request: v1::PlanPolicyRequest| policy_from_wire(&request).expect_err("wrong").field;
         assert_eq!(field(v1::PlanPolicyRequest { objective: 3, ..Default::default() }), "objective");

@@ -4,7 +4,10 @@
 
 use tidemap_plan::search::{Effort, Options, Stop, Stopped};
 
-use super::{InvalidField, exploration::time_from_wire, time::nanos_from_duration};
+use super::{
+    InvalidField,
+    time::{instant_from_wire, nanos_from_duration},
+};
 use crate::v1;
 
 /// How long an order is looked for by default, nanoseconds.
@@ -90,7 +93,7 @@ pub fn threshold_from_wire(threshold: Option<f64>) -> Result<f64, InvalidField> 
 /// # Errors
 /// The field that is wrong.
 pub fn joint_times_from_wire(request: &v1::NextJointRequest) -> Result<Vec<i64>, InvalidField> {
-    let from = time_from_wire("from_nanos", request.from_nanos)?;
+    let from = instant_from_wire("from_time", request.from_time)?;
     let span = |field: &'static str, span: Option<prost_types::Duration>, default: i64, least: i64| {
         let nanos = span.map_or(Ok(default), |span| nanos_from_duration(field, span))?;
         let text = format!("{} s: expected {} s or more", nanos as f64 / 1e9, least / 1_000_000_000);

@@ -1,5 +1,7 @@
 //! Timestamps and durations as i64 nanoseconds.
 
+use std::ops::Range;
+
 use prost_types::{Duration, Timestamp};
 
 use super::InvalidField;
@@ -27,6 +29,30 @@ pub fn nanos_from_timestamp(field: &str, timestamp: Timestamp) -> Result<i64, In
     i64::try_from(nanos).ok().filter(|nanos| *nanos >= 0).ok_or_else(|| {
         InvalidField::new(field, format!("{} s is outside 1970-01-01 to 2262-04-11 UTC", timestamp.seconds))
     })
+}
+
+/// A required instant from the wire in nanoseconds since 1970, between 1970 and 2262.
+///
+/// # Errors
+/// The field, where the instant is absent or lies outside.
+pub fn instant_from_wire(field: &str, timestamp: Option<Timestamp>) -> Result<i64, InvalidField> {
+    let missing = || InvalidField::new(field, "name a time, for example 2026-03-21T10:00:00Z");
+    nanos_from_timestamp(field, timestamp.ok_or_else(missing)?)
+}
+
+/// From `from_time` up to but not including `to_time`, both required.
+///
+/// # Errors
+/// The field that is absent or lies outside 1970 to 2262; `to_time` where the interval is empty.
+pub fn interval_from_wire(
+    from_time: Option<Timestamp>,
+    to_time: Option<Timestamp>,
+) -> Result<Range<i64>, InvalidField> {
+    let within = instant_from_wire("from_time", from_time)?..instant_from_wire("to_time", to_time)?;
+    if within.is_empty() {
+        return Err(InvalidField::new("to_time", "it has to be later than from_time"));
+    }
+    Ok(within)
 }
 
 /// A span from the wire in nanoseconds.

@@ -14,7 +14,7 @@ use tidemap_plan::{
     view::{InvalidThreshold, LookLimits, TooMuchWork},
 };
 use tidemap_proto::{
-    convert::{InvalidField, exploration::time_from_wire, site::point_from_wire},
+    convert::{InvalidField, site::point_from_wire, time::nanos_from_timestamp},
     v1::{self, exploration_service_server::ExplorationService},
 };
 use tonic::{Code, Request, Response, Status};
@@ -142,9 +142,9 @@ impl Explorations {
         let handle = find_map(&self.catalog, &request.map)?;
         let at = request.at.ok_or_else(|| InvalidField::new("at", "say where the robot wanted to"))?;
         let at_m = point_from_wire("at", at)?;
-        let utc_nanos = match time_from_wire("time_nanos", request.time_nanos)? {
-            0 => self.catalog.context().clock.now_nanos(),
-            nanos => nanos,
+        let utc_nanos = match request.time {
+            None => self.catalog.context().clock.now_nanos(),
+            Some(time) => nanos_from_timestamp("time", time)?,
         };
         edit_site(&handle, SiteEdit::Visit { at_m, reached: request.reached, utc_nanos }).await?;
         let rate = handle.view().site().reachability().rate(at_m[0], at_m[1]);

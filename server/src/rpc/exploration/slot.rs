@@ -12,11 +12,7 @@ use tidemap_plan::{
     strategy::{self, Gains, Strategy},
 };
 use tidemap_proto::{
-    convert::{
-        InvalidField,
-        exploration::{certainty_from_wire, time_from_wire},
-        query::selector_from_wire,
-    },
+    convert::{InvalidField, exploration::certainty_from_wire, query::selector_from_wire, time::instant_from_wire},
     v1,
 };
 
@@ -29,7 +25,7 @@ pub(super) async fn plan_slot(
 ) -> Result<v1::PlanSlotResponse, RpcError> {
     let handle = find_map(&explorations.catalog, &request.map)?;
     let view = handle.view();
-    let time_nanos = time_from_wire("time_nanos", request.time_nanos)?;
+    let time_nanos = instant_from_wire("time", request.time)?;
     let unknown = |_| InvalidField::new("strategy", format!("{} is not known", request.strategy));
     let wanted = v1::SlotStrategy::try_from(request.strategy).map_err(unknown)?;
     let is_novelty = wanted == v1::SlotStrategy::Novelty;

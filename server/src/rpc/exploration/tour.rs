@@ -8,9 +8,10 @@ use tidemap_plan::{
 };
 use tidemap_proto::{
     convert::{
-        exploration::{time_from_wire, tour_from_wire, tour_to_wire},
+        exploration::{tour_from_wire, tour_to_wire},
         query::{check_for_cells, selector_from_wire},
         site::point_from_wire,
+        time::instant_from_wire,
     },
     v1,
 };
@@ -23,7 +24,7 @@ pub(super) async fn plan_tour(
     request: v1::PlanTourRequest,
 ) -> Result<v1::PlanTourResponse, RpcError> {
     let view = find_map(&explorations.catalog, &request.map)?.view();
-    let time_nanos = time_from_wire("time_nanos", request.time_nanos)?;
+    let time_nanos = instant_from_wire("time", request.time)?;
     let selector = selector_from_wire("model", request.model)?;
     check_for_cells("model", selector)?;
     view.grid().ok_or(PlanError::from(tidemap_plan::predicted::PredictError::NoGrid))?;

@@ -16,6 +16,7 @@ use tidemap_proto::{
     convert::{
         anomaly::{confidence_from_wire, judge_from_wire},
         query::check_for_cells,
+        time::interval_from_wire,
     },
     v1,
 };
@@ -79,9 +80,9 @@ pub(super) async fn find_anomalies(
     queries: &Queries,
     request: v1::FindAnomaliesRequest,
 ) -> Result<Replies<v1::FindAnomaliesResponse>, RpcError> {
-    let v1::FindAnomaliesRequest { map, state: name, from_nanos, to_nanos, confidence, model } = request;
+    let v1::FindAnomaliesRequest { map, state: name, from_time, to_time, confidence, model } = request;
     let handle = find_map(&queries.catalog, &map)?;
-    let asked = Asked::new(name.clone(), from_nanos, to_nanos)?;
+    let asked = Asked { name: name.clone(), within_nanos: interval_from_wire(from_time, to_time)? };
     let confidence = confidence_from_wire("confidence", confidence)?;
     let selector = judge_from_wire("model", model)?;
     let view = handle.view();

@@ -3,7 +3,7 @@
 //! Invariant: each acknowledged observation of the interval is told once, whether an update has folded it in or not and
 //! whether that has been saved or not.
 
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 use tidemap_map::{
     grid::spec::Retention,
@@ -11,7 +11,7 @@ use tidemap_map::{
     spec::MapSpec,
     view::MapView,
 };
-use tidemap_proto::{convert::InvalidField, v1};
+use tidemap_proto::{convert::time::interval_from_wire, v1};
 use tidemap_store::History;
 use tokio::sync::OwnedSemaphorePermit;
 
@@ -33,9 +33,9 @@ pub(super) async fn reconstruct(
     queries: &Queries,
     request: v1::ReconstructRequest,
 ) -> Result<Replies<v1::ReconstructResponse>, RpcError> {
-    let v1::ReconstructRequest { map, state: name, from_nanos, to_nanos } = request;
+    let v1::ReconstructRequest { map, state: name, from_time, to_time } = request;
     let handle = find_map(&queries.catalog, &map)?;
-    let asked = Asked::new(name, from_nanos, to_nanos)?;
+    let asked = Asked { name, within_nanos: interval_from_wire(from_time, to_time)? };
     let view = handle.view();
     let (turns, gather) = past(queries, &handle, view, asked).await?;
     Ok(computed(turns, move |computed| {
@@ -52,23 +52,10 @@ pub(super) async fn reconstruct(
 /// What is asked of the past.
 #[derive(Clone, Debug)]
 pub(super) struct Asked {
-    name: String,
-    from_nanos: i64,
-    to_nanos: i64,
-}
-
-impl Asked {
-    /// What was observed of a state or cell, from one instant up to but not including another.
-    pub(super) fn new(name: String, from_nanos: i64, to_nanos: i64) -> Result<Self, RpcError> {
-        if from_nanos < 0 {
-            return Err(InvalidField::new("from_nanos", format!("{from_nanos} ns is before 1970")).into());
-        }
-        if to_nanos <= from_nanos {
-            let text = format!("{to_nanos} ns is not after from_nanos, {from_nanos} ns");
-            return Err(InvalidField::new("to_nanos", text).into());
-        }
-        Ok(Self { name, from_nanos, to_nanos })
-    }
+    /// Name of a state or cell.
+    pub(super) name: String,
+    /// From the first instant up to but not including the second.
+    pub(super) within_nanos: Range<i64>,
 }
 
 /// What gives the readings that were asked for, in a thread where it may wait, and the turns to hold meanwhile.
@@ -81,14 +68,15 @@ pub(super) async fn past(
     ((OwnedSemaphorePermit, OwnedSemaphorePermit), impl FnOnce() -> Result<Vec<Reading>, RpcError> + Send + use<>),
     RpcError,
 > {
-    let Asked { name, from_nanos, to_nanos } = asked;
+    let Asked { name, within_nanos } = asked;
+    let (from_nanos, to_nanos) = (within_nanos.start, within_nanos.end);
     let recall_turn = queries.recalls.take().await?;
     let subject = find_subject(&view, &name).await?;
     let spec = Arc::clone(&handle.spec);
     let retention = retention(&spec, subject)?;
     let max = queries.max_predictions;
     let enough = usize::try_from(max).unwrap_or(usize::MAX);
-    let wanted = Wanted { subject, within_nanos: from_nanos..to_nanos, enough };
+    let wanted = Wanted { subject, within_nanos, enough };
     let recalled = recall(handle, &wanted).await?;
     let turn = queries.turns.take().await?;
     let history = queries.catalog.context().store.history(handle.id)?.before(recalled.stored_before);

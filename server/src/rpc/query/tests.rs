@@ -14,7 +14,10 @@ use tidemap_map::{
 };
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_proto::{
-    convert::scans::{ScanEncoder, ScanLimits, batch, split},
+    convert::{
+        scans::{ScanEncoder, ScanLimits, batch, split},
+        time::timestamp,
+    },
     v1::predict_grid_response::Message,
 };
 use tidemap_store::{Store, StoreOptions};
@@ -173,8 +176,8 @@ impl Bench {
     }
 
     async fn past(&self, state: &str, from_nanos: i64, to_nanos: i64) -> Result<Vec<(i64, f64)>, Status> {
-        let request =
-            v1::ReconstructRequest { map: "office".to_owned(), state: state.to_owned(), from_nanos, to_nanos };
+        let [from_time, to_time] = [from_nanos, to_nanos].map(|nanos| Some(timestamp(nanos)));
+        let request = v1::ReconstructRequest { map: "office".to_owned(), state: state.to_owned(), from_time, to_time };
         let mut replies = self.queries.reconstruct(Request::new(request)).await?.into_inner();
         let mut found = Vec::new();
         while let Some(reply) = replies.next().await {

@@ -20,11 +20,10 @@ use tidemap_plan::{
 };
 use tidemap_proto::{
     convert::{
-        exploration::time_from_wire,
         query::selector_from_wire,
         route::{POLICY_CELLS_MAX, certainty_to_wire, confidence_from_wire, policy_from_wire, route_from_wire},
         search::{plan_within_from_wire, speed_from_wire},
-        time::duration,
+        time::{duration, instant_from_wire, timestamp},
         topology::edge_to_wire,
     },
     v1,
@@ -126,7 +125,7 @@ pub(super) async fn plan_policy(
     let view = handle.view();
     let topology = Arc::clone(view.site().topology());
     let to = find_node(&request.map, &topology, &request.to)?;
-    let time_nanos = time_from_wire("time_nanos", request.time_nanos)?;
+    let time_nanos = instant_from_wire("start_time", request.start_time)?;
     let options = policy_from_wire(&request)?;
     let selector = selector_from_wire("model", request.model)?;
     let speed = speed_from_wire(request.speed_m_per_s)?;
@@ -175,7 +174,7 @@ fn policy_to_wire(table: &PolicyTable, time_nanos: i64, topology: &Topology) -> 
     };
     let slot_nanos = (table.slot_secs() * 1e9).round() as i64;
     v1::PlanPolicyResponse {
-        time_nanos,
+        start_time: Some(timestamp(time_nanos)),
         slot: Some(duration(slot_nanos)),
         slots: u32::try_from(table.slots()).unwrap_or(u32::MAX),
         nodes: table.nodes().iter().map(node).collect(),
@@ -189,7 +188,7 @@ pub(super) async fn predict_edges(
     let handle = find_map(&routes.catalog, &request.map)?;
     let view = handle.view();
     let topology = Arc::clone(view.site().topology());
-    let time_nanos = time_from_wire("time_nanos", request.time_nanos)?;
+    let time_nanos = instant_from_wire("time", request.time)?;
     let selector = selector_from_wire("model", request.model)?;
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let confidence = confidence_from_wire(request.confidence)?;

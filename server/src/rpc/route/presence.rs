@@ -9,6 +9,7 @@ use tidemap_proto::{
         exploration::time_from_wire,
         query::selector_from_wire,
         search::{JOINT_STATES_MAX, joint_times_from_wire, threshold_from_wire},
+        time::timestamp,
     },
     v1,
 };
@@ -89,9 +90,9 @@ pub(super) async fn next_joint(
         }
         let passed = next_above((0..block.len()).map(together), threshold);
         if let Some(joint) = passed.map_err(|error| InvalidField::new("threshold", error))? {
-            let time_nanos = Some(block[joint.index]);
-            return Ok(v1::NextJointResponse { time_nanos, probability: joint.probability, best_nanos: best.0 });
+            let (time, best_time) = (Some(timestamp(block[joint.index])), Some(timestamp(best.0)));
+            return Ok(v1::NextJointResponse { time, probability: joint.probability, best_time });
         }
     }
-    Ok(v1::NextJointResponse { time_nanos: None, probability: best.1, best_nanos: best.0 })
+    Ok(v1::NextJointResponse { time: None, probability: best.1, best_time: Some(timestamp(best.0)) })
 }

@@ -19,9 +19,9 @@ use tidemap_plan::search::{
 };
 use tidemap_proto::{
     convert::{
-        exploration::time_from_wire,
         query::selector_from_wire,
         search::{plan_within_from_wire, search_from_wire, speed_from_wire, stop_to_wire},
+        time::instant_from_wire,
     },
     v1,
 };
@@ -63,7 +63,7 @@ pub(super) async fn plan_search(
     let view = handle.view();
     let topology = Arc::clone(view.site().topology());
     let start = find_node(&request.map, &topology, &request.start)?;
-    let time_nanos = time_from_wire("time_nanos", request.time_nanos)?;
+    let time_nanos = instant_from_wire("start_time", request.start_time)?;
     let selector = selector_from_wire("model", request.model)?;
     let options = search_from_wire(&request)?;
     let within = Duration::from_nanos(plan_within_from_wire(request.plan_within)?);

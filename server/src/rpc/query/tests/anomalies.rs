@@ -59,7 +59,8 @@ impl Bench {
 }
 
 fn about(state: &str, (from_nanos, to_nanos): (i64, i64)) -> v1::FindAnomaliesRequest {
-    v1::FindAnomaliesRequest { state: state.to_owned(), from_nanos, to_nanos, ..Default::default() }
+    let [from_time, to_time] = [from_nanos, to_nanos].map(|nanos| Some(timestamp(nanos)));
+    v1::FindAnomaliesRequest { state: state.to_owned(), from_time, to_time, ..Default::default() }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -121,8 +122,8 @@ async fn what_cannot_be_judged_is_refused() {
     ] {
         check_refused(bench.find(ask(model)).await, invalid, &words);
     }
-    check_refused(bench.find(about("door", (5, 5))).await, invalid, &["to_nanos"]);
-    check_refused(bench.find(about("door", (-1, 5))).await, invalid, &["from_nanos"]);
+    check_refused(bench.find(about("door", (5, 5))).await, invalid, &["to_time"]);
+    check_refused(bench.find(about("door", (-1, 5))).await, invalid, &["from_time"]);
     check_refused(bench.find(about("window", (0, 5))).await, Code::NotFound, &["window", "door"]);
     check_refused(bench.find(about("cell/9/9/9", (0, 5))).await, Code::NotFound, &["cell/9/9/9"]);
     let words = ["keeps no history of states", "--retention"];

@@ -10,7 +10,7 @@ fn box_of(min: [i32; 3], max: [i32; 3]) -> Option<v1::CellBox> {
 }
 
 fn at(time_nanos: i64) -> v1::PredictGridRequest {
-    v1::PredictGridRequest { time_nanos, ..v1::PredictGridRequest::default() }
+    v1::PredictGridRequest { time: Some(timestamp(time_nanos)), ..v1::PredictGridRequest::default() }
 }
 
 #[tokio::test]
@@ -126,7 +126,7 @@ async fn questions_that_cannot_be_answered_say_why() {
     assert_eq!(bench.grid(estimate).await.expect("costs nothing").0.cells, 512);
     bench.queries.max_predictions = 512;
     bench.grid(at(NOON)).await.expect("as many as may be");
-    check_refused(bench.grid(at(-1)).await, Code::InvalidArgument, &["time_nanos", "1970"]);
+    check_refused(bench.grid(at(-1)).await, Code::InvalidArgument, &["time", "1970"]);
     let threshold = v1::PredictGridRequest { output: v1::GridOutput::Threshold.into(), threshold: 1.5, ..at(NOON) };
     check_refused(bench.grid(threshold).await, Code::InvalidArgument, &["threshold", "1.5"]);
     let model = Some(v1::ModelSelector { order: Some(16), ..v1::ModelSelector::default() });

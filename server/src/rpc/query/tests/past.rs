@@ -74,8 +74,8 @@ async fn what_is_not_kept_is_said_to_be_not_kept() {
     check_refused(bench.past("cell/0/0/0", 0, 1).await, Code::FailedPrecondition, &words);
     check_refused(bench.past("window", 0, 1).await, Code::NotFound, &["window", "door"]);
     check_refused(bench.past("cell/7/0/0", 0, 1).await, Code::NotFound, &["cell/7/0/0"]);
-    check_refused(bench.past("door", -1, 1).await, Code::InvalidArgument, &["from_nanos"]);
-    check_refused(bench.past("door", 5, 5).await, Code::InvalidArgument, &["to_nanos"]);
+    check_refused(bench.past("door", -1, 1).await, Code::InvalidArgument, &["from_time"]);
+    check_refused(bench.past("door", 5, 5).await, Code::InvalidArgument, &["to_time"]);
 }
 
 #[tokio::test]
