@@ -5,24 +5,24 @@
 use jiff::civil::Date;
 
 use crate::{
-    draw::{Topic, around, draws},
+    draw::{DrawTopic, around, draws},
     people::closed,
-    place::{PLACES, Place},
+    place::{OfficePlace, PLACES},
 };
 
-/// When the cleaner enters each room, and leaves the last, in seconds of the day. Empty on days without a round.
-pub(crate) struct Round {
+/// When the cleaner enters each room and leaves the last one, in seconds of the day. Empty on days without a round.
+pub(crate) struct CleaningRound {
     enters_secs: Vec<i32>,
     leaves_secs: i32,
 }
 
-impl Round {
+impl CleaningRound {
     /// The round of a date.
     pub(crate) fn new(seed: u64, date: Date) -> Self {
         if closed(date) {
             return Self { enters_secs: Vec::new(), leaves_secs: 0 };
         }
-        let mut rng = draws(seed, Topic::Cleaner, 0, date);
+        let mut rng = draws(seed, DrawTopic::Cleaner, 0, date);
         let mut clock = around(&mut rng, 19 * 3600, 5 * 60);
         let enters_secs = PLACES
             .iter()
@@ -36,7 +36,7 @@ impl Round {
     }
 
     /// Where the cleaner is, if in the building.
-    pub(crate) fn place(&self, second: i32) -> Option<Place> {
+    pub(crate) fn place(&self, second: i32) -> Option<OfficePlace> {
         let room = self.enters_secs.partition_point(|&enters| enters <= second).checked_sub(1)?;
         (second < self.leaves_secs).then(|| PLACES[room])
     }

@@ -1,4 +1,4 @@
-//! One local day of the office: the value of every state at every second of it.
+//! One local day of the office: the value of every state at every second of the day.
 //!
 //! Invariant: depends on the seed and the date only.
 
@@ -6,50 +6,48 @@ use jiff::civil::Date;
 use rand::Rng;
 
 use crate::{
-    cleaner::Round,
-    draw::{Topic, draws},
-    people::{Presence, presences},
-    place::Place,
+    cleaner::CleaningRound,
+    draw::{DrawTopic, draws},
+    people::{Attendance, attendances},
+    place::{OfficePlace, RULES, StateRule},
 };
 
-/// The storage door may change every so many seconds.
+/// Time between two possible changes of the storage door.
 const STORAGE_HOLD_SECS: i32 = 30 * 60;
 
-/// A day with everybody's whereabouts.
-pub(crate) struct Day {
-    people: Vec<Presence>,
-    cleaner: Round,
-    /// Open or shut for each half hour, by the toss of a coin: nothing to learn but a mean.
+/// A day with the whereabouts of all people.
+pub(crate) struct OfficeDay {
+    people: Vec<Attendance>,
+    cleaner: CleaningRound,
+    /// Open or shut for each half hour, at random: only the mean can be learned.
     storage_door: Vec<bool>,
 }
 
-impl Day {
+impl OfficeDay {
     /// The day at `date`.
     pub(crate) fn new(seed: u64, date: Date) -> Self {
-        let mut coin = draws(seed, Topic::StorageDoor, 0, date);
+        let mut coin = draws(seed, DrawTopic::StorageDoor, 0, date);
         Self {
-            people: presences(seed, date),
-            cleaner: Round::new(seed, date),
+            people: attendances(seed, date),
+            cleaner: CleaningRound::new(seed, date),
             storage_door: (0..24 * 3600 / STORAGE_HOLD_SECS).map(|_| coin.random_bool(0.4)).collect(),
         }
     }
 
-    /// Value of a state at a second of the wall clock.
+    /// Value of the state with this index at a second of the wall clock.
     pub(crate) fn value(&self, state: usize, second: i32) -> f64 {
-        let on = match state {
-            0 => self.people.iter().any(|person| person.present(second)) || self.cleaner.place(second).is_some(),
-            1..=3 => self.anybody_in(Place::Office(state - 1), second),
-            4 => self.anybody_in(Place::Lab, second),
-            5 => self.anybody_in(Place::MeetingRoom, second),
-            6 => self.anybody_in(Place::Kitchen, second),
-            7 => self.storage_door[(second / STORAGE_HOLD_SECS).unsigned_abs() as usize],
-            8 => true,
-            _ => panic!("state {state} is not one of the {} there are", crate::place::STATES.len()),
+        let on = match RULES[state] {
+            StateRule::Building => {
+                self.people.iter().any(|person| person.present(second)) || self.cleaner.place(second).is_some()
+            }
+            StateRule::Room(place) => self.anybody_in(place, second),
+            StateRule::StorageDoor => self.storage_door[(second / STORAGE_HOLD_SECS).unsigned_abs() as usize],
+            StateRule::Always => true,
         };
         f64::from(u8::from(on))
     }
 
-    fn anybody_in(&self, place: Place, second: i32) -> bool {
+    fn anybody_in(&self, place: OfficePlace, second: i32) -> bool {
         self.cleaner.place(second) == Some(place)
             || self.people.iter().any(|person| person.place(second) == Some(place))
     }

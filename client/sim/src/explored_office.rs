@@ -1,11 +1,12 @@
-//! A small office to be explored: an occupancy grid with walls, rooms on both sides of a corridor, and things that move by
-//! the daily routines of people, like the simulated office of RA-L 2016, section IV.C (Santos et al., "Spatio-temporal
-//! exploration strategies"): people, chairs, laptops and doors, twenty of them in an office of four rooms a side.
+//! A small office for exploration experiments: an occupancy grid with walls, rooms on both sides of a corridor, and
+//! things that move with the daily routines of people, like the simulated office of RA-L 2016, section IV.C (Santos et
+//! al., "Spatio-temporal exploration strategies"): people, chairs, laptops and doors, twenty of them in an office of four
+//! rooms a side.
 //!
-//! All days are business days of 86,400 s, counted from day 0. Everybody has habits: when to come, to meet, to eat, to leave.
-//! Each day differs from the habit by minutes, everybody takes short breaks at any time, and is seldom absent.
+//! All days are working days of 86,400 s, counted from day 0. Every person has habitual times of arrival, meeting, lunch
+//! and departure. Each day differs from the habit by minutes; people take short breaks at any time and are seldom absent.
 //!
-//! Invariant: pure. What a cell is at a time depends on the seed, the number of rooms and that time only.
+//! Invariant: pure. The value of a cell at a time depends on the seed, the number of rooms and that time only.
 
 use self::routine::{Person, Whereabouts};
 
@@ -16,7 +17,7 @@ mod tests;
 
 /// Seconds of a day.
 const DAY_SECS: i64 = 86_400;
-/// Cells of a room along x and y with one of its walls.
+/// Cells of a room along x and y, including one of its walls.
 const ROOM: usize = 25;
 /// Cells of the corridor across.
 const CORRIDOR: usize = 9;
@@ -26,10 +27,10 @@ const DEPTH: usize = 2 * ROOM + CORRIDOR + 2;
 const HEIGHT: usize = 12;
 /// Height of doors in cells.
 const DOOR_HEIGHT: usize = 10;
-/// Doors: of kitchen and meeting room, open while anybody is in the office. Desks stand in the open.
+/// Doors: of kitchen and meeting room, open while anybody is in the office. Other rooms have no door.
 const DOORS: usize = 2;
 
-/// An office to be explored.
+/// A small office for exploration experiments.
 #[derive(Clone, Debug)]
 pub struct ExploredOffice {
     rooms_a_side: usize,
@@ -37,7 +38,7 @@ pub struct ExploredOffice {
     still: Vec<bool>,
 }
 
-/// A box of cells, from, and beyond the last.
+/// A box of cells; `until` is exclusive.
 #[derive(Clone, Copy, Debug)]
 struct Block {
     from: [usize; 3],
@@ -48,16 +49,16 @@ fn block(x: std::ops::Range<usize>, y: std::ops::Range<usize>, z: std::ops::Rang
     Block { from: [x.start, y.start, z.start], until: [x.end, y.end, z.end] }
 }
 
-/// A room: its corner at the corridor's side of the grid's y axis.
+/// A room, given by its left wall and its side of the corridor.
 #[derive(Clone, Copy, Debug)]
-struct Room {
-    /// Of the wall at its left.
+struct ExploredRoom {
+    /// Column of the left wall.
     x: usize,
-    /// South of the corridor, so that y runs towards it.
+    /// South of the corridor, so that y grows towards the corridor.
     is_south: bool,
 }
 
-impl Room {
+impl ExploredRoom {
     /// A box of the room: `x` from its left wall, `depth` from the wall with the door into the room, 0 being that wall.
     fn block(self, x: std::ops::Range<usize>, depth: std::ops::Range<usize>, z: std::ops::Range<usize>) -> Block {
         let (near, far) = (ROOM, ROOM + CORRIDOR + 1);
@@ -73,12 +74,12 @@ impl Room {
 impl ExploredOffice {
     /// Length of a cell's edge, metres.
     pub const CELL_M: f64 = 0.2;
-    /// The most rooms on one side of the corridor.
+    /// Maximum number of rooms on one side of the corridor.
     pub const ROOMS_MAX: usize = 20;
 
-    /// An office with so many rooms on each side of its corridor, 2 to [`Self::ROOMS_MAX`]; fewer and more count as the
-    /// nearest of these. Each room but two, the kitchen and the meeting room, is the workplace of one person. Another
-    /// `seed` gives people other habits, and other days.
+    /// An office with `rooms_a_side` rooms on each side of its corridor, clamped to 2 to [`Self::ROOMS_MAX`]. Each room
+    /// except kitchen and meeting room is the workplace of one person. A different `seed` gives different habits and
+    /// days.
     #[must_use]
     pub fn new(seed: u64, rooms_a_side: usize) -> Self {
         let rooms_a_side = rooms_a_side.clamp(2, Self::ROOMS_MAX);
@@ -103,13 +104,13 @@ impl ExploredOffice {
         [middle(self.size()[0]), middle(DEPTH)]
     }
 
-    /// How many things move: people, their chairs and laptops, and doors.
+    /// Number of things that move: people, their chairs and laptops, and doors.
     #[must_use]
     pub fn moving(&self) -> usize {
         3 * self.people.len() + DOORS
     }
 
-    /// Which cells are occupied at a time, seconds from the first midnight, at least 0: cell (x, y, z) at
+    /// The occupied cells at a time in seconds from the first midnight, at least 0: cell (x, y, z) has the index
     /// x + y · size\[0\] + z · size\[0\] · size\[1\].
     #[must_use]
     pub fn occupied(&self, secs: i64) -> Vec<bool> {
@@ -121,7 +122,7 @@ impl ExploredOffice {
             let desk = self.room(index);
             let is_in = now != Whereabouts::Away;
             is_open |= is_in;
-            // The laptop lies and stands on the desk; the chair is pulled out all day, and put back in the evening.
+            // The laptop is on the desk; the chair is pulled out all day and put back in the evening.
             if is_in {
                 self.fill(&mut cells, desk.block(14..16, 22..23, 4..6));
                 self.fill(&mut cells, desk.block(14..16, 21..22, 4..5));
@@ -145,16 +146,16 @@ impl ExploredOffice {
         cells
     }
 
-    /// Rooms from the left, south before north; the last two are meeting room and kitchen.
-    fn room(&self, index: usize) -> Room {
-        Room { x: index / 2 * ROOM, is_south: index.is_multiple_of(2) }
+    /// The rooms are ordered from the left, south before north; the last two are meeting room and kitchen.
+    fn room(&self, index: usize) -> ExploredRoom {
+        ExploredRoom { x: index / 2 * ROOM, is_south: index.is_multiple_of(2) }
     }
 
-    fn meeting(&self) -> Room {
+    fn meeting(&self) -> ExploredRoom {
         self.room(2 * self.rooms_a_side - 2)
     }
 
-    fn kitchen(&self) -> Room {
+    fn kitchen(&self) -> ExploredRoom {
         self.room(2 * self.rooms_a_side - 1)
     }
 

@@ -1,4 +1,4 @@
-//! The people who work in the office, and where each is in the course of a day.
+//! The people who work in the office, and where each is during a day.
 //!
 //! Invariant: times are seconds on the wall clock of the local day; routines never see UTC.
 
@@ -6,61 +6,61 @@ use jiff::civil::{Date, Weekday};
 use rand::Rng;
 
 use crate::{
-    draw::{Topic, around, draws},
-    place::Place,
+    draw::{DrawTopic, around, draws},
+    place::OfficePlace,
 };
 
 const MINUTE: i32 = 60;
 const HOUR: i32 = 60 * MINUTE;
 
 /// Habits of one person.
-struct Person {
+struct Worker {
     office: usize,
     arrives_secs: i32,
     leaves_secs: i32,
-    /// How much arrival and leaving vary.
+    /// Standard deviation of arrival and departure.
     spread_secs: i32,
     /// Afternoons spent in the lab.
     lab_days: &'static [Weekday],
 }
 
-const PEOPLE: [Person; 6] = [
-    Person {
+const PEOPLE: [Worker; 6] = [
+    Worker {
         office: 0,
         arrives_secs: 8 * HOUR,
         leaves_secs: 16 * HOUR + 30 * MINUTE,
         spread_secs: 10 * MINUTE,
         lab_days: &[],
     },
-    Person {
+    Worker {
         office: 0,
         arrives_secs: 9 * HOUR,
         leaves_secs: 17 * HOUR + 30 * MINUTE,
         spread_secs: 15 * MINUTE,
         lab_days: &[Weekday::Monday, Weekday::Wednesday],
     },
-    Person {
+    Worker {
         office: 1,
         arrives_secs: 9 * HOUR + 15 * MINUTE,
         leaves_secs: 17 * HOUR + 30 * MINUTE,
         spread_secs: 15 * MINUTE,
         lab_days: &[Weekday::Monday, Weekday::Wednesday, Weekday::Friday],
     },
-    Person {
+    Worker {
         office: 1,
         arrives_secs: 8 * HOUR + 45 * MINUTE,
         leaves_secs: 17 * HOUR,
         spread_secs: 10 * MINUTE,
         lab_days: &[Weekday::Wednesday],
     },
-    Person {
+    Worker {
         office: 2,
         arrives_secs: 10 * HOUR,
         leaves_secs: 18 * HOUR + 30 * MINUTE,
         spread_secs: 25 * MINUTE,
         lab_days: &[Weekday::Tuesday, Weekday::Thursday],
     },
-    Person {
+    Worker {
         office: 2,
         arrives_secs: 9 * HOUR + 30 * MINUTE,
         leaves_secs: 18 * HOUR,
@@ -69,18 +69,18 @@ const PEOPLE: [Person; 6] = [
     },
 ];
 
-/// From, to and where, in seconds of the day.
-type Stay = (i32, i32, Place);
+/// Start, end and place of a stay, in seconds of the day.
+type Stay = (i32, i32, OfficePlace);
 
-/// One person's working day: a time at work, and what interrupts work at the desk, the most binding first.
-pub(crate) struct Presence {
+/// One person's working day: the time at the desk, and its interruptions, the most binding first.
+pub(crate) struct Attendance {
     desk: Stay,
     elsewhere: Vec<Stay>,
 }
 
-impl Presence {
+impl Attendance {
     /// Where the person is, if in the building.
-    pub(crate) fn place(&self, second: i32) -> Option<Place> {
+    pub(crate) fn place(&self, second: i32) -> Option<OfficePlace> {
         let holds = |&&(from, to, _): &&Stay| (from..to).contains(&second);
         Some(&self.desk).filter(holds).map(|desk| self.elsewhere.iter().find(holds).unwrap_or(desk).2)
     }
@@ -97,8 +97,8 @@ pub(crate) fn closed(date: Date) -> bool {
         || matches!((date.month(), date.day()), (1, 1) | (12, 25 | 26))
 }
 
-/// Who is in on a date, and when and where.
-pub(crate) fn presences(seed: u64, date: Date) -> Vec<Presence> {
+/// The working days of all people who come in on a date.
+pub(crate) fn attendances(seed: u64, date: Date) -> Vec<Attendance> {
     if closed(date) {
         return Vec::new();
     }
@@ -107,21 +107,21 @@ pub(crate) fn presences(seed: u64, date: Date) -> Vec<Presence> {
         .iter()
         .enumerate()
         .filter(|&(index, _)| !on_leave(seed, index, date))
-        .map(|(index, person)| presence(person, seed, index, date, &meetings))
+        .map(|(index, person)| attendance(person, seed, index, date, &meetings))
         .collect()
 }
 
-/// A person is away for whole weeks, now and then.
+/// Whether a person is away: sometimes for a week, sometimes for a day.
 fn on_leave(seed: u64, index: usize, date: Date) -> bool {
     let monday = date.iso_week_date().first_of_week().map_or(date, |week| week.date());
-    draws(seed, Topic::Leave, index, monday).random_bool(0.04)
-        // Sick for a day.
-        || draws(seed, Topic::Leave, index + PEOPLE.len(), date).random_bool(0.03)
+    draws(seed, DrawTopic::Leave, index, monday).random_bool(0.04)
+        // Sick leave.
+        || draws(seed, DrawTopic::Leave, index + PEOPLE.len(), date).random_bool(0.03)
 }
 
 /// The meetings of a date, as (from, to).
 fn meetings(seed: u64, date: Date) -> Vec<(i32, i32)> {
-    let mut rng = draws(seed, Topic::Meeting, 0, date);
+    let mut rng = draws(seed, DrawTopic::Meeting, 0, date);
     let mut meetings = Vec::new();
     let weekly = match date.weekday() {
         Weekday::Tuesday => Some((10 * HOUR, 11 * HOUR + 30 * MINUTE)),
@@ -138,9 +138,9 @@ fn meetings(seed: u64, date: Date) -> Vec<(i32, i32)> {
     meetings
 }
 
-fn presence(person: &Person, seed: u64, index: usize, date: Date, meetings: &[(i32, i32)]) -> Presence {
-    let mut rng = draws(seed, Topic::Person, index, date);
-    // On Fridays everybody goes early.
+fn attendance(person: &Worker, seed: u64, index: usize, date: Date, meetings: &[(i32, i32)]) -> Attendance {
+    let mut rng = draws(seed, DrawTopic::Person, index, date);
+    // On Fridays everybody leaves early.
     let early = if date.weekday() == Weekday::Friday { 2 * HOUR } else { 0 };
     let arrives = around(&mut rng, person.arrives_secs, person.spread_secs);
     let leaves = around(&mut rng, person.leaves_secs - early, person.spread_secs);
@@ -148,20 +148,20 @@ fn presence(person: &Person, seed: u64, index: usize, date: Date, meetings: &[(i
     let mut elsewhere = Vec::new();
     for &(from, to) in meetings {
         if rng.random_bool(0.85) {
-            elsewhere.push((from, to, Place::MeetingRoom));
+            elsewhere.push((from, to, OfficePlace::MeetingRoom));
         }
     }
     let lunch = around(&mut rng, 12 * HOUR + 30 * MINUTE, 20 * MINUTE);
-    elsewhere.push((lunch, lunch + around(&mut rng, 40 * MINUTE, 5 * MINUTE), Place::Kitchen));
+    elsewhere.push((lunch, lunch + around(&mut rng, 40 * MINUTE, 5 * MINUTE), OfficePlace::Kitchen));
     for (coffee, chance) in [(10 * HOUR + 30 * MINUTE, 0.5), (15 * HOUR + 30 * MINUTE, 0.5)] {
         if rng.random_bool(chance) {
             let from = around(&mut rng, coffee, 20 * MINUTE);
-            elsewhere.push((from, from + around(&mut rng, 15 * MINUTE, 3 * MINUTE), Place::Kitchen));
+            elsewhere.push((from, from + around(&mut rng, 15 * MINUTE, 3 * MINUTE), OfficePlace::Kitchen));
         }
     }
     if person.lab_days.contains(&date.weekday()) {
         let from = around(&mut rng, 13 * HOUR + 30 * MINUTE, 10 * MINUTE);
-        elsewhere.push((from, from + around(&mut rng, 3 * HOUR, 15 * MINUTE), Place::Lab));
+        elsewhere.push((from, from + around(&mut rng, 3 * HOUR, 15 * MINUTE), OfficePlace::Lab));
     }
-    Presence { desk: (arrives, leaves, Place::Office(person.office)), elsewhere }
+    Attendance { desk: (arrives, leaves, OfficePlace::Office(person.office)), elsewhere }
 }

@@ -1,17 +1,29 @@
-//! The rooms of the office, and what a robot sees of each.
+//! The rooms of the simulated office, its states, and which states a robot sees from which room.
 //!
 //! Invariant: every state is seen from exactly one place.
 
-/// Where a person can be, and a robot can look.
+/// Where a person can be and where a robot stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Place {
+pub(crate) enum OfficePlace {
     /// Between the rooms, at the entrance.
     Corridor,
-    /// An office, from 0.
+    /// An office, counted from 0.
     Office(usize),
     Lab,
     MeetingRoom,
     Kitchen,
+}
+
+/// What makes the value of a state 1.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum StateRule {
+    /// Anybody is in the building.
+    Building,
+    /// Anybody is in this room.
+    Room(OfficePlace),
+    /// The storage door is open.
+    StorageDoor,
+    Always,
 }
 
 /// Names of the states; an index into this is a state.
@@ -27,19 +39,32 @@ pub(crate) const STATES: [&str; 9] = [
     "corridor-door",
 ];
 
-/// Every place, in the order of the corridor.
-pub(crate) const PLACES: [Place; 7] = [
-    Place::Corridor,
-    Place::Office(0),
-    Place::Office(1),
-    Place::Office(2),
-    Place::Lab,
-    Place::MeetingRoom,
-    Place::Kitchen,
+/// The rule of each state.
+pub(crate) const RULES: [StateRule; STATES.len()] = [
+    StateRule::Building,
+    StateRule::Room(OfficePlace::Office(0)),
+    StateRule::Room(OfficePlace::Office(1)),
+    StateRule::Room(OfficePlace::Office(2)),
+    StateRule::Room(OfficePlace::Lab),
+    StateRule::Room(OfficePlace::MeetingRoom),
+    StateRule::Room(OfficePlace::Kitchen),
+    StateRule::StorageDoor,
+    StateRule::Always,
 ];
 
-impl Place {
-    /// The states that are seen from here.
+/// Every place, in the order of the corridor.
+pub(crate) const PLACES: [OfficePlace; 7] = [
+    OfficePlace::Corridor,
+    OfficePlace::Office(0),
+    OfficePlace::Office(1),
+    OfficePlace::Office(2),
+    OfficePlace::Lab,
+    OfficePlace::MeetingRoom,
+    OfficePlace::Kitchen,
+];
+
+impl OfficePlace {
+    /// The states that a robot sees from here.
     pub(crate) fn states(self) -> &'static [usize] {
         match self {
             Self::Corridor => &[0, 8],

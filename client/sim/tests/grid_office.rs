@@ -1,7 +1,7 @@
-//! What others rely on in the grid office: a stream that can be rebuilt and had again, as busy as was asked for, with
-//! routines that can be learned.
+//! The contract of the grid office: a reproducible stream from which every scan can be rebuilt, with the requested
+//! number of changes and with routines that can be learned.
 //!
-//! Invariant: nothing here depends on how fast it runs.
+//! Invariant: no test depends on speed.
 
 use std::collections::BTreeSet;
 
@@ -20,7 +20,7 @@ fn office(options: &GridOfficeOptions) -> GridOffice {
     GridOffice::new(options).expect("options within their ranges")
 }
 
-/// What a consumer keeps.
+/// The tile masks that a consumer keeps.
 struct Rebuilt(Vec<[u64; 8]>);
 
 impl Rebuilt {
@@ -57,8 +57,8 @@ fn options_give_one_stream_everywhere() {
     let sum = checksum(&office(&options), 2);
     assert_eq!(sum, checksum(&office(&options), 2));
     assert_ne!(sum, checksum(&office(&GridOfficeOptions { seed: 2, ..options.clone() }), 2));
-    // Whoever changes the world changes this, and says that measurements on it cannot be compared with earlier ones.
-    assert_eq!(sum, 13_298_770_175_966_086_974, "the stream is another one than it was");
+    // A change of the world changes this number, and makes measurements incomparable with earlier ones.
+    assert_eq!(sum, 13_298_770_175_966_086_974, "the stream differs from that of earlier versions");
 }
 
 #[test]
@@ -76,7 +76,7 @@ fn what_is_rebuilt_from_the_stream_is_true() {
         let mut number = 0_usize;
         while let Some(scan) = stream.next() {
             rebuilt.take(scan);
-            // Other places in each scan: any one, and some that change.
+            // Different cells in each scan: one of any kind, and four that change.
             let slots = office.view_slots(scan.view);
             let slot = slots[number * 7 % slots.len()];
             let changing = &changing_of_view[scan.view as usize];
@@ -93,7 +93,7 @@ fn what_is_rebuilt_from_the_stream_is_true() {
 }
 
 #[test]
-fn a_day_can_be_had_without_those_before() {
+fn a_day_is_generated_without_the_days_before() {
     let options = GridOfficeOptions { first_day: date(2025, 10, 24), views: 3, dwell_scans: 50, ..coarse() };
     let office = office(&options);
     let mut stream = GridStream::new(&office, 4);
@@ -111,7 +111,7 @@ fn a_day_can_be_had_without_those_before() {
 }
 
 #[test]
-fn as_much_changes_as_was_asked_for() {
+fn the_number_of_changes_is_the_requested_one() {
     for (changes_per_day, seed) in [(40.0, 1), (12.0, 2)] {
         let options = GridOfficeOptions { changes_per_day, seed, ..Default::default() };
         let office = office(&options);
@@ -237,7 +237,7 @@ fn options_out_of_range_are_named() {
     let refused = |options: GridOfficeOptions| GridOffice::new(&options).expect_err("refused").to_string();
     assert!(refused(GridOfficeOptions { zone: "Europe/Lundon".to_owned(), ..coarse() }).contains("Europe/Lundon"));
     assert!(refused(GridOfficeOptions { cells: 0, ..coarse() }).contains("cells"));
-    assert!(refused(GridOfficeOptions { views: 140, ..coarse() }).contains("views has to be 1 to 139, and is 140"));
+    assert!(refused(GridOfficeOptions { views: 140, ..coarse() }).contains("views must be 1 to 139, and is 140"));
     assert!(refused(GridOfficeOptions { changing_cells: 71_000, ..coarse() }).contains("changing_cells"));
     assert!(refused(GridOfficeOptions { scans_per_day: 0, ..coarse() }).contains("scans_per_day"));
     assert!(refused(GridOfficeOptions { dwell_scans: 0, ..coarse() }).contains("dwell_scans"));

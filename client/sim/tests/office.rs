@@ -1,5 +1,4 @@
-//! What others rely on in the simulated office: it is reproducible, it lives by the wall clock, and its robots are
-//! irregular.
+//! The contract of the simulated office: it is reproducible, follows the wall clock, and its robots stop irregularly.
 
 use jiff::{Timestamp, civil::date};
 use tidemap_sim::Office;
@@ -20,7 +19,7 @@ fn nanos(text: &str) -> i64 {
     i64::try_from(time.as_nanosecond()).expect("a time that i64 holds")
 }
 
-/// Mean local hour at which the first of `office-1` is in, over the working days of a week, by the wall clock.
+/// Mean local hour at which the first person is in `office-1`, over the working days of a week.
 fn first_open_hour(office: &Office, monday: jiff::civil::Date) -> f64 {
     let zone = jiff::tz::TimeZoneDatabase::bundled().get("Europe/London").expect("a zone of the database");
     let door = state(office, "office-1-door");

@@ -1,22 +1,22 @@
-//! Where a person is in the course of a day.
+//! Where a person of the explored office is during a day.
 //!
-//! Invariant: a day of a person depends on the seed, the person and the day only.
+//! Invariant: a person's day depends on the seed, the person and the day only.
 
 use rand::{Rng as _, RngCore as _, SeedableRng as _, rngs::SmallRng};
 
 const MINUTE: i64 = 60;
 const HOUR: i64 = 3600;
-/// How often somebody is away all day.
+/// Probability that a person is away all day.
 const ABSENT: f64 = 0.03;
-/// Short breaks a day.
+/// Number of short breaks in a day.
 const BREAKS: usize = 2;
 
-/// Where somebody is.
+/// Where a person is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Whereabouts {
     /// Not in the office.
     Away,
-    /// In the office, where the grid does not show it.
+    /// In the office, but not visible in the grid.
     Elsewhere,
     Desk,
     Lunch,
@@ -31,17 +31,17 @@ pub(super) struct Person {
     leaves: i64,
     lunch: i64,
     lunch_length: i64,
-    /// Of every day, and of those alone who take part.
+    /// Every day at this time; none for people who do not take part.
     meeting: Option<i64>,
 }
 
-/// Seconds around a mean, seldom further off than twice the spread, never further than 3.5 times.
+/// Seconds around `mean` with standard deviation `spread`, at most 3.5 standard deviations away.
 fn around(random: &mut SmallRng, mean: i64, spread: i64) -> i64 {
     let bell: f64 = (0..4).map(|_| random.random_range(-1.0..1.0)).sum();
     mean + (spread as f64 * bell / 1.155) as i64
 }
 
-/// Draws of their own for each number of a chain.
+/// A generator for each pair of numbers.
 fn draws(seed: u64, numbers: [u64; 2]) -> SmallRng {
     let key = numbers.into_iter().fold(seed, |key, number| SmallRng::seed_from_u64(key ^ number).next_u64());
     SmallRng::seed_from_u64(key)
@@ -58,7 +58,7 @@ impl Person {
             leaves: between(&mut random, 16 * HOUR + 30 * MINUTE, 19 * HOUR),
             lunch: between(&mut random, 12 * HOUR, 13 * HOUR + 30 * MINUTE),
             lunch_length: between(&mut random, 35 * MINUTE, HOUR),
-            // Every other one on average; the same time for all.
+            // Half of the people on average; the same time for all.
             meeting: random.random_bool(0.5).then_some(10 * HOUR + 30 * MINUTE),
         }
     }

@@ -1,4 +1,4 @@
-//! The office has rooms that can be entered, and people who keep to their habits.
+//! The office has rooms with entrances, and people with regular habits.
 
 use super::*;
 
@@ -36,7 +36,7 @@ fn the_charger_is_free_and_every_room_has_a_way_in() {
         let [width, depth, _] = office.size();
         let [x, y] = office.charger_m().map(|metres| (metres / ExploredOffice::CELL_M) as usize);
         assert!((0..HEIGHT).all(|z| !cells[(z * depth + y) * width + x]));
-        // At the height of a metre all that is free is one space.
+        // At a height of one metre all free cells are connected.
         let free = |x: usize, y: usize| !cells[(5 * depth + y) * width + x];
         let mut reached = vec![false; width * depth];
         let mut next = vec![(x, y)];

@@ -1,11 +1,11 @@
-//! Randomness of the grid office, keyed by what it is about, so that it can be asked for in any order.
+//! Random numbers of the grid office, keyed by topic, thing and day, so that they can be drawn in any order.
 //!
-//! Invariant: equal keys give equal draws on every machine and with every version of every library: whole numbers,
-//! and no float but by addition and multiplication. Streams that a benchmark was run on can be had again.
+//! Invariant: equal keys give equal draws on every machine and with every version of every library: integers, and
+//! floats made by addition and multiplication only. The stream of an earlier benchmark can be generated again.
 
-/// What a draw is about.
+/// The subject of a draw.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Topic {
+pub(crate) enum DiceTopic {
     Habits = 1,
     Group,
     Leave,
@@ -34,7 +34,7 @@ fn mixed(value: u64) -> u64 {
 
 impl Dice {
     /// The draws for the `index`-th thing of a topic on the day with number `day`.
-    pub(crate) fn new(seed: u64, topic: Topic, index: u32, day: i32) -> Self {
+    pub(crate) fn new(seed: u64, topic: DiceTopic, index: u32, day: i32) -> Self {
         let what = u64::from(index) | (topic as u64) << 32;
         let key = mixed(mixed(seed.wrapping_add(0x9e37_79b9_7f4a_7c15)) ^ what);
         Self(mixed(key ^ u64::from(day.cast_unsigned())))
@@ -45,12 +45,12 @@ impl Dice {
         mixed(self.0)
     }
 
-    /// A whole number below `bound`, which is at least 1.
+    /// An integer below `bound`, which is at least 1.
     pub(crate) fn below(&mut self, bound: u32) -> u32 {
         (((self.next() >> 32) * u64::from(bound)) >> 32) as u32
     }
 
-    /// A whole number in `from..to`; `from` where that is empty.
+    /// An integer in `from..to`; `from` if the range is empty.
     pub(crate) fn between(&mut self, from: i32, to: i32) -> i32 {
         from + self.below((to - from).max(1).unsigned_abs()).cast_signed()
     }
@@ -65,9 +65,9 @@ impl Dice {
         (self.next() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// About `mean`, with standard deviation `spread`, never further from it than 3.5 times that.
+    /// A draw around `mean` with standard deviation `spread`, at most 3.5 standard deviations away.
     pub(crate) fn around(&mut self, mean: i32, spread: i32) -> i32 {
-        // The sum of four even draws is near enough to a bell, and bounded.
+        // The sum of four uniform draws is close to a normal distribution, and bounded.
         let bell: i64 = (0..4).map(|_| i64::from(self.between(-spread, spread + 1))).sum();
         mean + (bell * 866 / 1000) as i32
     }

@@ -1,10 +1,10 @@
-//! The floor plan: which tiles there are, in which order, and what is solid for ever.
+//! The floor plan: the tiles, their order, and the cells that are always solid.
 //!
-//! Rooms stand in bands, 4.8 m wide and 4.7 m deep, each band with a corridor of 1.6 m along its rooms; 2.4 m high.
-//! Every third room is a common one with a kitchen and a meeting table, the others are offices of six desks.
+//! Rooms are 4.8 m wide, 4.7 m deep and 2.4 m high. They stand in bands, each with a corridor of 1.6 m along its rooms.
+//! Every third room is a common room with a kitchen and a meeting table; the others are offices of six desks.
 //!
-//! Invariant: tiles are numbered along the way through the bands, to and fro, so that slots that are near each other
-//! are near each other in the building; the last band ends where the tiles do.
+//! Invariant: tiles are numbered along the bands, in alternating direction, so that neighbouring slots are neighbours
+//! in the building; the last band may be incomplete.
 
 /// Cells along each side of a tile.
 pub(crate) const TILE_SIDE: u32 = 8;
@@ -16,9 +16,9 @@ pub(crate) const HEIGHT: u32 = 24;
 pub(crate) const BAND_DEPTH: u32 = 64;
 /// Cells from one room to the next.
 pub(crate) const ROOM_WIDTH: u32 = 48;
-/// Where the wall between rooms and corridor is in a band.
+/// The row of the wall between rooms and corridor within a band.
 pub(crate) const CORRIDOR_WALL: u32 = 47;
-/// Where the door is in the wall of a room.
+/// The columns of the door within the wall of a room.
 pub(crate) const DOOR: std::ops::Range<u32> = 4..13;
 /// Cells of a door's height.
 pub(crate) const DOOR_TOP: u32 = 20;
@@ -28,15 +28,15 @@ pub(crate) const BAY: (u32, u32) = (15, 22);
 const TILE_LAYERS: u32 = HEIGHT / TILE_SIDE;
 const BAND_TILES: u32 = BAND_DEPTH / TILE_SIDE;
 
-/// A room by the cell of its corner.
+/// A room, given by the cell of its corner.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Room {
+pub(crate) struct FloorRoom {
     pub(crate) x: u32,
     pub(crate) y: u32,
     pub(crate) common: bool,
 }
 
-/// The building without what changes.
+/// The building without the things that change.
 #[derive(Clone, Debug)]
 pub(crate) struct Floor {
     tiles: u32,
@@ -76,7 +76,7 @@ impl Floor {
         [index(x) - middle(self.columns), index(y) - middle(self.bands * BAND_TILES), index(z)]
     }
 
-    /// `slot * 512 + cell` of a cell, if it is in a tile that there is.
+    /// `slot * 512 + cell` of a cell; none outside of all tiles.
     pub(crate) fn address(&self, x: u32, y: u32, z: u32) -> Option<u32> {
         if x >= self.columns * TILE_SIDE || y >= self.bands * BAND_DEPTH || z >= HEIGHT {
             return None;
@@ -89,11 +89,11 @@ impl Floor {
         (slot < self.tiles).then_some(slot * TILE_CELLS + cell)
     }
 
-    /// The rooms that have at least a corner, along the bands.
-    pub(crate) fn rooms(&self) -> Vec<Room> {
+    /// The rooms of which at least a corner lies in a tile, along the bands.
+    pub(crate) fn rooms(&self) -> Vec<FloorRoom> {
         let across = (self.columns * TILE_SIDE).div_ceil(ROOM_WIDTH);
         (0..self.bands * across)
-            .map(|index| Room {
+            .map(|index| FloorRoom {
                 x: index % across * ROOM_WIDTH,
                 y: index / across * BAND_DEPTH,
                 common: index % 3 == 2,
@@ -102,7 +102,7 @@ impl Floor {
             .collect()
     }
 
-    /// What is solid in a tile: word z, bit x + 8 * y.
+    /// The solid cells of a tile: word z, bit x + 8 * y.
     pub(crate) fn solid(&self, slot: u32) -> [u64; 8] {
         let (x, y, z) = self.corner(slot);
         let mut words = [0; 8];

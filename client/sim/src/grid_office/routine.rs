@@ -1,17 +1,18 @@
-//! What a thing does on a day: its pose at midnight, and when it takes which other.
+//! A thing's routine on one day: its pose at midnight, and each later change of pose.
 //!
 //! Invariant: depends on the seed, the thing and the date only. Every day begins in the pose in which the day before
 //! ended, and nothing happens in its last minute.
 
 use super::{
-    civil_day::CivilDay,
-    dice::{Dice, Topic},
+    dice::{Dice, DiceTopic},
     shapes::{HALF_OPEN, OPEN, POSTURES, SEATED, SECTIONS, SHUT, SPOTS},
-    staff::{Away, HOUR, MINUTE, PersonDay, Place, SECOND, cleaner, comes_in},
-    things::{Kind, Thing},
+    staff::{Away, AwayPlace, HOUR, MINUTE, PersonDay, SECOND, cleaner, comes_in},
+    thing_kind::ThingKind,
+    things::Thing,
 };
+use crate::civil_day::CivilDay;
 
-/// The last moment of a day at which something happens.
+/// The last moment of a day at which anything changes.
 pub(crate) const DAY_END: i32 = 24 * HOUR - MINUTE;
 
 /// A day of a thing.
@@ -21,59 +22,59 @@ pub(crate) struct Routine {
     pub(crate) start: u8,
     /// Time in milliseconds after midnight, and the pose from then on; by time.
     pub(crate) turns: Vec<(i32, u8)>,
-    /// When its cells may flicker, in milliseconds after midnight, and how much more than on other days.
+    /// When its cells may flicker, from and until in milliseconds after midnight, and the factor on the flicker rate.
     pub(crate) lively: Option<(i32, i32, f64)>,
 }
 
-/// Working hours, in which the cells of most things flicker; on 5 days of 7.
+/// Working hours, in which the cells of most things flicker. The factor 1.4 makes up for the 2 days of 7 without work.
 const WORKING: (i32, i32, f64) = (8 * HOUR, 18 * HOUR + 30 * MINUTE, 1.4);
 
-/// What a thing does on a day, given what all people do.
+/// The routine of a thing on a day, given the days of all people.
 pub(crate) fn routine(seed: u64, index: u32, thing: &Thing, day: CivilDay, staff: &[PersonDay]) -> Routine {
     let people: Vec<&PersonDay> = thing.people.iter().filter_map(|&person| staff.get(person as usize)).collect();
     let cleaned = cleaner(seed, day).map(|start| start + (index % 48).cast_signed() * 2 * MINUTE);
-    let mut dice = Dice::new(seed, Topic::ThingDay, index, day.number);
-    let mut habit = Dice::new(seed, Topic::ThingHabit, index, 0);
+    let mut dice = Dice::new(seed, DiceTopic::ThingDay, index, day.number);
+    let mut habit = Dice::new(seed, DiceTopic::ThingHabit, index, 0);
     let mut start = 0;
     let mut lively = day.open().then_some(WORKING);
     let mut turns = match thing.kind {
-        Kind::Workplace => {
+        ThingKind::Workplace => {
             let owner = thing.people[0];
             start = chair_at_midnight(seed, owner, day);
             lively = people[0].span.map(|(from, to)| (from, to, 1.6));
             workplace(seed, owner, day, people[0], cleaned, &mut dice)
         }
-        Kind::Belongings => people[0].span.map_or_else(Vec::new, |(from, to)| vec![(from, OPEN), (to, SHUT)]),
-        Kind::Door => door(&people, cleaned, habit.chance(65), &mut dice),
-        Kind::Curtain => curtain(&people, &mut dice),
-        Kind::Way => way(&people, cleaned, &mut dice),
-        Kind::Kitchen => gathering(&people, Place::Kitchen),
-        Kind::Meeting => gathering(&people, Place::Meeting),
-        Kind::Parcel => {
+        ThingKind::Belongings => people[0].span.map_or_else(Vec::new, |(from, to)| vec![(from, OPEN), (to, SHUT)]),
+        ThingKind::Door => door(&people, cleaned, habit.chance(65), &mut dice),
+        ThingKind::Curtain => curtain(&people, &mut dice),
+        ThingKind::Way => way(&people, cleaned, &mut dice),
+        ThingKind::Kitchen => gathering(&people, AwayPlace::Kitchen),
+        ThingKind::Meeting => gathering(&people, AwayPlace::Meeting),
+        ThingKind::Parcel => {
             let (before, after) = (parcel(seed, index, day.plus(-1)), parcel(seed, index, day));
             start = before;
             if before == after { Vec::new() } else { vec![(dice.between(9 * HOUR, 17 * HOUR), after)] }
         }
-        Kind::Edge => {
+        ThingKind::Edge => {
             lively = Some((MINUTE, DAY_END, 1.0));
             Vec::new()
         }
-        Kind::DaylightEdge => Vec::new(),
+        ThingKind::DaylightEdge => Vec::new(),
     };
     turns.retain(|&(time, _)| time < DAY_END);
     turns.sort_by_key(|&(time, _)| time);
     Routine { start, turns, lively }
 }
 
-/// How somebody leaves the chair on leaving the building.
+/// The pose in which a person leaves the chair when leaving the building.
 fn left_chair(seed: u64, person: u32, day: CivilDay) -> u8 {
-    let mut dice = Dice::new(seed, Topic::LeftChair, person, day.number);
+    let mut dice = Dice::new(seed, DiceTopic::LeftChair, person, day.number);
     if dice.chance(75) { 0 } else { 1 + dice.below(u32::from(SEATED) - 1) as u8 }
 }
 
-/// Where the chair stands when a day begins.
+/// The pose of the chair when a day begins.
 fn chair_at_midnight(seed: u64, person: u32, day: CivilDay) -> u8 {
-    // On Fridays that are open the cleaner is sure to have come.
+    // The cleaner comes on every working Friday, so the search ends within 60 days.
     for past in (1..=60).map(|days| day.plus(-days)) {
         if cleaner(seed, past).is_some() {
             return 0;
@@ -95,10 +96,10 @@ fn workplace(
 ) -> Vec<(i32, u8)> {
     let mut turns = Vec::new();
     if let Some((mut from, leaves)) = plan.span {
-        let leaving = Away { from: leaves, to: leaves, place: Place::Outside };
+        let leaving = Away { from: leaves, to: leaves, place: AwayPlace::Outside };
         for away in plan.away.iter().chain([&leaving]) {
             while from < away.from {
-                // Upright in half of the time.
+                // Upright half of the time.
                 let posture = if dice.chance(50) { 0 } else { dice.below(u32::from(POSTURES)) as u8 };
                 turns.push((from, SEATED + posture));
                 from += dice.between(8 * MINUTE, 40 * MINUTE);
@@ -113,13 +114,13 @@ fn workplace(
     turns
 }
 
-/// First arrival and last leaving.
+/// First arrival and last departure.
 fn occupied(people: &[&PersonDay]) -> Option<(i32, i32)> {
     let spans = people.iter().filter_map(|person| person.span);
     spans.reduce(|all, span| (all.0.min(span.0), all.1.max(span.1)))
 }
 
-/// A door stands open while somebody is in, but for calls; or it is shut but for those who go through.
+/// Some doors stand open while anybody is in, except during calls; the others are shut except when a person passes.
 fn door(people: &[&PersonDay], cleaned: Option<i32>, stands_open: bool, dice: &mut Dice) -> Vec<(i32, u8)> {
     let mut turns = Vec::new();
     if let Some((first, last)) = occupied(people) {
@@ -143,7 +144,8 @@ fn door(people: &[&PersonDay], cleaned: Option<i32>, stands_open: bool, dice: &m
     turns
 }
 
-/// A curtain is opened in the morning and drawn by the last to leave; the sun of some afternoons is kept out by half.
+/// A curtain is opened in the morning and drawn by the last person to leave. On some afternoons it is half drawn
+/// against the sun.
 fn curtain(people: &[&PersonDay], dice: &mut Dice) -> Vec<(i32, u8)> {
     let Some((first, last)) = occupied(people).filter(|_| dice.chance(85)) else { return Vec::new() };
     let mut turns = vec![(first + dice.between(MINUTE, 20 * MINUTE), OPEN), (last, SHUT)];
@@ -154,7 +156,7 @@ fn curtain(people: &[&PersonDay], dice: &mut Dice) -> Vec<(i32, u8)> {
     turns
 }
 
-/// People walk a way to and fro, one at a time.
+/// People walk along a way in both directions, one at a time.
 fn way(people: &[&PersonDay], cleaned: Option<i32>, dice: &mut Dice) -> Vec<(i32, u8)> {
     let mut starts: Vec<(i32, i32)> = people.iter().flat_map(|person| person.moves()).map(|time| (time, 7)).collect();
     starts.extend(cleaned.map(|time| (time, 60)));
@@ -176,8 +178,8 @@ fn way(people: &[&PersonDay], cleaned: Option<i32>, dice: &mut Dice) -> Vec<(i32
     turns
 }
 
-/// The number of people at a place where they come together.
-fn gathering(people: &[&PersonDay], place: Place) -> Vec<(i32, u8)> {
+/// The number of people at a place where they gather.
+fn gathering(people: &[&PersonDay], place: AwayPlace) -> Vec<(i32, u8)> {
     let stays = people.iter().flat_map(|person| &person.away).filter(|away| away.place == place);
     let mut steps: Vec<(i32, i8)> = stays.flat_map(|away| [(away.from, 1), (away.to, -1)]).collect();
     steps.sort_unstable();
@@ -189,13 +191,13 @@ fn gathering(people: &[&PersonDay], place: Place) -> Vec<(i32, u8)> {
     steps.into_iter().map(step).collect()
 }
 
-/// Whether a parcel stands there at the end of a day.
+/// 1 if a parcel stands there at the end of a day.
 fn parcel(seed: u64, index: u32, day: CivilDay) -> u8 {
-    // Its days come in spells of a few each.
-    let mut habit = Dice::new(seed, Topic::Parcel, index, 0);
+    // A parcel stays or is absent for spells of 3 to 9 days.
+    let mut habit = Dice::new(seed, DiceTopic::Parcel, index, 0);
     let (length, offset) = (habit.between(3, 10), habit.between(0, 10));
     let spell = (day.number + offset).div_euclid(length);
-    u8::from(Dice::new(seed, Topic::Parcel, index, spell).chance(15))
+    u8::from(Dice::new(seed, DiceTopic::Parcel, index, spell).chance(15))
 }
 
 #[cfg(test)]
@@ -205,21 +207,21 @@ mod tests {
     use super::*;
     use crate::grid_office::staff::person_day;
 
-    const KINDS: [Kind; 10] = [
-        Kind::Workplace,
-        Kind::Belongings,
-        Kind::Door,
-        Kind::Curtain,
-        Kind::Way,
-        Kind::Kitchen,
-        Kind::Meeting,
-        Kind::Parcel,
-        Kind::Edge,
-        Kind::DaylightEdge,
+    const KINDS: [ThingKind; 10] = [
+        ThingKind::Workplace,
+        ThingKind::Belongings,
+        ThingKind::Door,
+        ThingKind::Curtain,
+        ThingKind::Way,
+        ThingKind::Kitchen,
+        ThingKind::Meeting,
+        ThingKind::Parcel,
+        ThingKind::Edge,
+        ThingKind::DaylightEdge,
     ];
 
     #[test]
-    fn days_go_on_where_the_day_before_ended() {
+    fn days_continue_where_the_day_before_ended() {
         // Over New Year, with its holidays.
         let first = CivilDay::new(date(2025, 11, 20));
         for (index, kind) in (0..).zip(KINDS.iter().cycle().take(60)) {

@@ -1,23 +1,21 @@
-//! The people of the grid office: their habits, and where each is in the course of a day.
+//! The people of the grid office: their habits, and where each is during a day.
 //!
 //! Invariant: times are milliseconds on the wall clock of the day; a person's day depends on the seed, the person and
 //! the date only, begins after 05:00 and ends before 20:00.
 
-use super::{
-    civil_day::CivilDay,
-    dice::{Dice, Topic},
-};
+use super::dice::{Dice, DiceTopic};
+use crate::civil_day::CivilDay;
 
 pub(crate) const SECOND: i32 = 1000;
 pub(crate) const MINUTE: i32 = 60 * SECOND;
 pub(crate) const HOUR: i32 = 60 * MINUTE;
 
-/// People who meet every week.
+/// Number of people in a group that meets every week.
 const GROUP: u32 = 6;
 
-/// Where a person is when not at the desk.
+/// Where a person is when away from the desk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Place {
+pub(crate) enum AwayPlace {
     Kitchen,
     Meeting,
     Outside,
@@ -28,20 +26,20 @@ pub(crate) enum Place {
 pub(crate) struct Away {
     pub(crate) from: i32,
     pub(crate) to: i32,
-    pub(crate) place: Place,
+    pub(crate) place: AwayPlace,
 }
 
 /// A person's day.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PersonDay {
-    /// Arrival and leaving, if the person comes in.
+    /// Arrival and departure, if the person comes in.
     pub(crate) span: Option<(i32, i32)>,
-    /// Times away from the desk between them, in order, apart from each other.
+    /// Times away from the desk between arrival and departure, in order, never overlapping.
     pub(crate) away: Vec<Away>,
 }
 
 impl PersonDay {
-    /// When the person walks through the building.
+    /// The times at which the person walks through the building.
     pub(crate) fn moves(&self) -> impl Iterator<Item = i32> + '_ {
         let ends = self.span.into_iter().flat_map(|(from, to)| [from, to]);
         ends.chain(self.away.iter().flat_map(|away| [away.from, away.to]))
@@ -50,12 +48,12 @@ impl PersonDay {
 
 /// Whether a person comes in on a day.
 pub(crate) fn comes_in(seed: u64, person: u32, day: CivilDay) -> bool {
-    // Some work at home on the same day of every week.
-    let at_home = Dice::new(seed, Topic::Habits, person, 1).below(14);
+    // Some people work at home on the same day of every week.
+    let at_home = Dice::new(seed, DiceTopic::Habits, person, 1).below(14);
     day.open()
         && at_home != day.weekday()
-        && !Dice::new(seed, Topic::Leave, person, day.monday()).chance(4)
-        && !Dice::new(seed, Topic::Sick, person, day.number).chance(2)
+        && !Dice::new(seed, DiceTopic::Leave, person, day.monday()).chance(4)
+        && !Dice::new(seed, DiceTopic::Sick, person, day.number).chance(2)
 }
 
 /// A person's day.
@@ -63,7 +61,7 @@ pub(crate) fn person_day(seed: u64, person: u32, day: CivilDay) -> PersonDay {
     if !comes_in(seed, person, day) {
         return PersonDay::default();
     }
-    let mut habit = Dice::new(seed, Topic::Habits, person, 0);
+    let mut habit = Dice::new(seed, DiceTopic::Habits, person, 0);
     let arrives = habit.between(7 * HOUR + 45 * MINUTE, 9 * HOUR + 30 * MINUTE);
     let stays = habit.between(8 * HOUR, 9 * HOUR);
     let spread = habit.between(6 * MINUTE, 18 * MINUTE);
@@ -71,26 +69,30 @@ pub(crate) fn person_day(seed: u64, person: u32, day: CivilDay) -> PersonDay {
     let coffee = habit.between(10 * HOUR, 11 * HOUR);
     let coffee_percent = habit.below(90);
 
-    let mut dice = Dice::new(seed, Topic::PersonDay, person, day.number);
-    // On Fridays everybody goes early.
+    let mut dice = Dice::new(seed, DiceTopic::PersonDay, person, day.number);
+    // On Fridays everybody leaves early.
     let early = if day.weekday() == 4 { 90 * MINUTE } else { 0 };
     let from = dice.around(arrives, spread);
     let to = dice.around(arrives + stays - early, spread).min(19 * HOUR + 45 * MINUTE);
 
-    // What binds more comes first.
+    // More binding appointments come first.
     let mut wishes = meetings(seed, person, day, &mut dice);
     let lunch = dice.around(lunch, 8 * MINUTE);
-    let lunch_place = if dice.chance(75) { Place::Kitchen } else { Place::Outside };
+    let lunch_place = if dice.chance(75) { AwayPlace::Kitchen } else { AwayPlace::Outside };
     wishes.push(Away { from: lunch, to: lunch + dice.around(40 * MINUTE, 5 * MINUTE), place: lunch_place });
     for time in [coffee, coffee + 5 * HOUR] {
         if dice.chance(coffee_percent) {
             let time = dice.around(time, 12 * MINUTE);
-            wishes.push(Away { from: time, to: time + dice.around(10 * MINUTE, 2 * MINUTE), place: Place::Kitchen });
+            wishes.push(Away {
+                from: time,
+                to: time + dice.around(10 * MINUTE, 2 * MINUTE),
+                place: AwayPlace::Kitchen,
+            });
         }
     }
     for _ in 0..dice.below(3) {
         let time = dice.between(from, to);
-        wishes.push(Away { from: time, to: time + dice.between(3 * MINUTE, 12 * MINUTE), place: Place::Outside });
+        wishes.push(Away { from: time, to: time + dice.between(3 * MINUTE, 12 * MINUTE), place: AwayPlace::Outside });
     }
 
     let mut away: Vec<Away> = Vec::new();
@@ -104,20 +106,20 @@ pub(crate) fn person_day(seed: u64, person: u32, day: CivilDay) -> PersonDay {
     PersonDay { span: Some((from, to)), away }
 }
 
-/// The meeting of the person's group, every week at the same time, and others now and then.
+/// The weekly meeting of the person's group, always at the same time, and occasional other meetings.
 fn meetings(seed: u64, person: u32, day: CivilDay, dice: &mut Dice) -> Vec<Away> {
     let group = person / GROUP;
-    let mut habit = Dice::new(seed, Topic::Group, group, 0);
+    let mut habit = Dice::new(seed, DiceTopic::Group, group, 0);
     let weekday = habit.below(5);
     let weekly = habit.between(18, 32) * 30 * MINUTE;
     let mut found = Vec::new();
     let mut meet = |from: i32, to: i32, percent: u32| {
         if dice.chance(percent) {
             let (from, to) = (from + dice.between(-2 * MINUTE, 3 * MINUTE), to + dice.between(0, 4 * MINUTE));
-            found.push(Away { from, to, place: Place::Meeting });
+            found.push(Away { from, to, place: AwayPlace::Meeting });
         }
     };
-    let mut group_day = Dice::new(seed, Topic::MeetingDay, group, day.number);
+    let mut group_day = Dice::new(seed, DiceTopic::MeetingDay, group, day.number);
     let late = group_day.between(0, 20 * MINUTE);
     if day.weekday() == weekday {
         meet(weekly, weekly + 70 * MINUTE + late, 90);
@@ -129,9 +131,10 @@ fn meetings(seed: u64, person: u32, day: CivilDay, dice: &mut Dice) -> Vec<Away>
     found
 }
 
-/// When the cleaner starts, on the evenings when one comes: always on Fridays. The round takes less than two hours.
+/// When the cleaner starts; none on evenings without a cleaner. The cleaner always comes on working Fridays, and the
+/// round takes less than two hours.
 pub(crate) fn cleaner(seed: u64, day: CivilDay) -> Option<i32> {
-    let mut dice = Dice::new(seed, Topic::Cleaner, 0, day.number);
+    let mut dice = Dice::new(seed, DiceTopic::Cleaner, 0, day.number);
     let comes = match day.weekday() {
         0 | 2 => dice.chance(95),
         weekday => weekday == 4,

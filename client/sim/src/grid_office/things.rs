@@ -1,43 +1,19 @@
-//! The things that change, and which cells each of them fills in which pose.
+//! The things that change, and the cells that each of them fills in each pose.
 //!
-//! Invariant: a cell belongs to one thing at most, a thing's cells are never solid, and there are exactly as many
-//! changing cells as were asked for.
+//! Invariant: a cell belongs to at most one thing, a thing's cells are never solid, and the number of changing cells
+//! is exactly the number requested.
 
 use super::{
-    dice::{Dice, Topic},
-    floor::{BAY, CORRIDOR_WALL, DOOR, Floor, Room, TILE_CELLS},
+    dice::{Dice, DiceTopic},
+    floor::{BAY, CORRIDOR_WALL, DOOR, Floor, FloorRoom, TILE_CELLS},
     shapes::{DOOR_WIDTH, shape},
+    thing_kind::ThingKind,
 };
-
-/// What a thing is. What its poses are is in `shapes`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
-    /// Somebody at a desk, and the chair.
-    Workplace,
-    /// What somebody brings along and takes home.
-    Belongings,
-    /// A door leaf.
-    Door,
-    /// A curtain before the window of a room.
-    Curtain,
-    /// A way along the corridor.
-    Way,
-    /// Standing room at a counter; the pose is the number of people.
-    Kitchen,
-    /// Seats at a table; the pose is the number of people.
-    Meeting,
-    /// A box that stands there for days, or does not.
-    Parcel,
-    /// Edges that the sensor takes for something else now and then, round the clock.
-    Edge,
-    /// The same in the light of working days.
-    DaylightEdge,
-}
 
 /// Something that changes.
 #[derive(Clone, Debug)]
 pub(crate) struct Thing {
-    pub(crate) kind: Kind,
+    pub(crate) kind: ThingKind,
     /// The people whose routines it follows, at least one.
     pub(crate) people: Vec<u32>,
 }
@@ -53,7 +29,7 @@ pub(crate) struct ChangingCell {
     pub(crate) poses: u16,
 }
 
-/// All that changes.
+/// Everything that changes.
 #[derive(Clone, Debug)]
 pub(crate) struct Inventory {
     pub(crate) things: Vec<Thing>,
@@ -64,22 +40,22 @@ pub(crate) struct Inventory {
 }
 
 /// Share of the changing cells in percent, and about how many cells one thing has. The rest are edges.
-const CLASSES: [(Kind, u32, usize); 8] = [
-    (Kind::Workplace, 36, 600),
-    (Kind::Belongings, 3, 60),
-    (Kind::Door, 6, 360),
-    (Kind::Curtain, 4, 430),
-    (Kind::Way, 14, 900),
-    (Kind::Kitchen, 8, 1300),
-    (Kind::Meeting, 7, 1000),
-    (Kind::Parcel, 2, 64),
+const CLASSES: [(ThingKind, u32, usize); 8] = [
+    (ThingKind::Workplace, 36, 600),
+    (ThingKind::Belongings, 3, 60),
+    (ThingKind::Door, 6, 360),
+    (ThingKind::Curtain, 4, 430),
+    (ThingKind::Way, 14, 900),
+    (ThingKind::Kitchen, 8, 1300),
+    (ThingKind::Meeting, 7, 1000),
+    (ThingKind::Parcel, 2, 64),
 ];
 
 /// Of the edges, in percent.
 const DAYLIGHT_EDGES: u32 = 40;
 
 /// A room by its index, and which of several places in it.
-type Site = (usize, u32);
+type RoomSpot = (usize, u32);
 
 /// Where the bits of a cell are: slot, word, and the bit in it.
 pub(crate) fn locate(address: u32) -> (usize, usize, u64) {
@@ -94,7 +70,7 @@ struct Builder<'a> {
     things: Vec<Thing>,
     cells: Vec<ChangingCell>,
     /// The workplace of each person.
-    desks: Vec<Site>,
+    desks: Vec<RoomSpot>,
 }
 
 /// Places things until `wanted` cells change. `solid` is what is solid, by slot.
@@ -119,7 +95,7 @@ fn spread(count: usize, first: usize) -> impl Iterator<Item = usize> {
 }
 
 impl Builder<'_> {
-    fn place_class(&mut self, kind: Kind, rooms: &[Room], quota: usize, size: usize) {
+    fn place_class(&mut self, kind: ThingKind, rooms: &[FloorRoom], quota: usize, size: usize) {
         let sites = self.sites(kind, rooms);
         let full = self.cells.len() + quota;
         for index in spread(sites.len(), quota.div_ceil(size)) {
@@ -136,12 +112,12 @@ impl Builder<'_> {
                 continue;
             }
             let people = match kind {
-                Kind::Workplace => vec![self.desks.len() as u32],
+                ThingKind::Workplace => vec![self.desks.len() as u32],
                 // Their sites are the desks.
-                Kind::Belongings => vec![index as u32],
+                ThingKind::Belongings => vec![index as u32],
                 _ => self.people_of(kind, room),
             };
-            if kind == Kind::Workplace {
+            if kind == ThingKind::Workplace {
                 self.desks.push(site);
             }
             self.things.push(Thing { kind, people });
@@ -149,17 +125,17 @@ impl Builder<'_> {
     }
 
     /// Where a kind of thing can be.
-    fn sites(&self, kind: Kind, rooms: &[Room]) -> Vec<Site> {
+    fn sites(&self, kind: ThingKind, rooms: &[FloorRoom]) -> Vec<RoomSpot> {
         let places = match kind {
-            Kind::Belongings => return self.desks.clone(),
-            Kind::Workplace => 6,
-            Kind::Way => 2,
-            Kind::Parcel => 4,
+            ThingKind::Belongings => return self.desks.clone(),
+            ThingKind::Workplace => 6,
+            ThingKind::Way => 2,
+            ThingKind::Parcel => 4,
             _ => 1,
         };
-        let fits = |room: &Room| match kind {
-            Kind::Workplace => !room.common,
-            Kind::Kitchen | Kind::Meeting => room.common,
+        let fits = |room: &FloorRoom| match kind {
+            ThingKind::Workplace => !room.common,
+            ThingKind::Kitchen | ThingKind::Meeting => room.common,
             _ => true,
         };
         let fitting = (0..rooms.len()).filter(|&room| fits(&rooms[room]));
@@ -167,16 +143,16 @@ impl Builder<'_> {
     }
 
     /// The people that a thing in a room has to do with.
-    fn people_of(&self, kind: Kind, room: usize) -> Vec<u32> {
+    fn people_of(&self, kind: ThingKind, room: usize) -> Vec<u32> {
         let people = (self.desks.len() as u32).max(1);
         let first = self.things.len() as u32;
         let some = |count: u32| (0..count.min(people)).map(|nth| (first + nth) % people).collect();
         let own: Vec<u32> =
             (0..).zip(&self.desks).filter(|(_, desk)| desk.0 == room).map(|(person, _)| person).collect();
         match kind {
-            Kind::Door | Kind::Curtain if !own.is_empty() => own,
-            Kind::Kitchen | Kind::Meeting => some(12),
-            Kind::Way => some(2),
+            ThingKind::Door | ThingKind::Curtain if !own.is_empty() => own,
+            ThingKind::Kitchen | ThingKind::Meeting => some(12),
+            ThingKind::Way => some(2),
             _ => some(3),
         }
     }
@@ -193,9 +169,9 @@ impl Builder<'_> {
     /// Makes cells change beside steps from free to solid, in upright runs.
     fn place_edges(&mut self, seed: u64, wanted: usize) {
         let first = self.things.len() as u32;
-        let edges = [Kind::Edge, Kind::DaylightEdge].map(|kind| Thing { kind, people: vec![0] });
+        let edges = [ThingKind::Edge, ThingKind::DaylightEdge].map(|kind| Thing { kind, people: vec![0] });
         self.things.extend(edges);
-        let mut dice = Dice::new(seed, Topic::Edges, 0, 0);
+        let mut dice = Dice::new(seed, DiceTopic::Edges, 0, 0);
         for _ in 0..wanted * 100 {
             let (slot, bit) = (dice.below(self.floor.tiles()), dice.below(63));
             let thing = first + u32::from(dice.chance(DAYLIGHT_EDGES));
@@ -229,15 +205,15 @@ impl Builder<'_> {
 }
 
 /// Corner of a thing in a room, in cells.
-fn corner(kind: Kind, room: Room, place: u32) -> (u32, u32) {
+fn corner(kind: ThingKind, room: FloorRoom, place: u32) -> (u32, u32) {
     let (x, y) = match kind {
-        Kind::Workplace | Kind::Belongings => (1 + place % 3 * BAY.0, 1 + place / 3 * BAY.1),
-        Kind::Door => (DOOR.start, CORRIDOR_WALL - DOOR_WIDTH),
-        Kind::Curtain => (4, 1),
-        Kind::Way => (6, CORRIDOR_WALL + 5 + place * 6),
-        Kind::Kitchen => (3, 9),
-        Kind::Meeting => (15, 22),
-        Kind::Parcel | Kind::Edge | Kind::DaylightEdge => (22 + place * 6, CORRIDOR_WALL + 1),
+        ThingKind::Workplace | ThingKind::Belongings => (1 + place % 3 * BAY.0, 1 + place / 3 * BAY.1),
+        ThingKind::Door => (DOOR.start, CORRIDOR_WALL - DOOR_WIDTH),
+        ThingKind::Curtain => (4, 1),
+        ThingKind::Way => (6, CORRIDOR_WALL + 5 + place * 6),
+        ThingKind::Kitchen => (3, 9),
+        ThingKind::Meeting => (15, 22),
+        ThingKind::Parcel | ThingKind::Edge | ThingKind::DaylightEdge => (22 + place * 6, CORRIDOR_WALL + 1),
     };
     (room.x + x, room.y + y)
 }

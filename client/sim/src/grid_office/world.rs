@@ -1,29 +1,29 @@
 //! Everything that changes in the grid office, at every moment: the routines of things, and the flicker of cells.
 //!
-//! Invariant: what a cell does on a day depends on the seed, the cell and the date only; two changes of a cell are
-//! never closer than [`APART_MILLIS`], but where clocks change.
+//! Invariant: the changes of a cell on a day depend on the seed, the cell and the date only; two changes of a cell are
+//! at least [`APART_MILLIS`] apart, except where clocks change.
 
 use jiff::{civil::date, tz::TimeZone};
 
 use super::{
-    GridOfficeError,
-    civil_day::{CivilDay, ClockDay, clock_day, day_at},
-    dice::{Dice, Topic},
+    dice::{Dice, DiceTopic},
+    options::GridOfficeError,
     routine::{Routine, routine},
     staff::person_day,
     things::{ChangingCell, Inventory},
 };
+use crate::civil_day::{CivilDay, ClockDay, clock_day, day_at};
 
 /// The shortest time between two changes of a cell.
 const APART_MILLIS: i32 = 6_000;
 /// The longest time for which a cell flickers.
 const FLICKER_MILLIS: i32 = 14_000;
 
-/// Cells and days that the rate of flicker is measured on.
+/// Cells and days on which the flicker rate is calibrated.
 const SAMPLE_CELLS: usize = 400;
 const SAMPLE_DAYS: i32 = 28;
 
-/// The world.
+/// The things of the office and the flicker rate of their cells.
 #[derive(Clone, Debug)]
 pub(crate) struct World {
     seed: u64,
@@ -37,12 +37,12 @@ pub(crate) struct World {
 #[derive(Clone, Debug)]
 pub(crate) struct WorldDay {
     pub(crate) clock: ClockDay,
-    /// By thing.
+    /// Indexed like the things of the inventory.
     routines: Vec<Routine>,
 }
 
 impl World {
-    /// The world in which a cell changes `changes_per_day` times on the average day.
+    /// Calibrates the flicker so that a cell changes `changes_per_day` times on the average day.
     pub(crate) fn new(
         seed: u64,
         zone: TimeZone,
@@ -55,7 +55,7 @@ impl World {
         if changes_per_day < least {
             return Err(GridOfficeError::TooQuiet { asked: changes_per_day, least });
         }
-        // A flicker makes two changes, or fewer where it meets another one or a routine.
+        // A flicker makes two changes, or fewer where it overlaps another flicker or a routine.
         let mut rate = (changes_per_day - least) / 2.0;
         for _ in 0..3 {
             let made = world.mean_changes(&sample, rate) - least;
@@ -65,7 +65,7 @@ impl World {
         Ok(world)
     }
 
-    /// What all things do on a day.
+    /// The routines of all things on a day.
     pub(crate) fn day(&self, day: CivilDay) -> WorldDay {
         WorldDay { clock: clock_day(&self.zone, day), routines: self.routines(day) }
     }
@@ -107,8 +107,8 @@ impl World {
             }
         }
         if let Some((from, to, liveliness)) = routine.lively {
-            let weight = 0.4 + 1.2 * Dice::new(self.seed, Topic::CellWeight, cell.address, 0).unit();
-            let mut dice = Dice::new(self.seed, Topic::Flicker, cell.address, day.number);
+            let weight = 0.4 + 1.2 * Dice::new(self.seed, DiceTopic::CellWeight, cell.address, 0).unit();
+            let mut dice = Dice::new(self.seed, DiceTopic::Flicker, cell.address, day.number);
             let mean = flicker_rate * liveliness * weight * (0.5 + dice.unit());
             for _ in 0..(mean + dice.unit()) as u32 {
                 let time = dice.between(from, to - FLICKER_MILLIS);
@@ -120,7 +120,7 @@ impl World {
         start
     }
 
-    /// Cells spread over all that change.
+    /// A sample of cells spread evenly over all changing cells.
     fn sample(&self) -> Vec<ChangingCell> {
         let cells = &self.inventory.cells;
         cells.iter().step_by((cells.len() / SAMPLE_CELLS).max(1)).copied().collect()
@@ -150,7 +150,7 @@ impl World {
     }
 }
 
-/// Leaves out pairs of changes that are too close to each other: what is before and after them stays.
+/// Removes pairs of changes that are too close together; the value before and after such a pair is unchanged.
 fn keep_apart(changes: &mut Vec<i32>) {
     let mut kept = 0;
     for index in 0..changes.len() {

@@ -1,13 +1,13 @@
-//! When each scan is taken, and which view it shows.
+//! When each scan is taken, and the view that it shows.
 //!
-//! Invariant: scans are evenly spaced in UTC, whatever the wall clock does, and a day of scans lasts 86,400 s; every
-//! tile is in exactly one view.
+//! Invariant: scans are evenly spaced in UTC, independent of changes of the wall clock, and a day of scans lasts
+//! 86,400 s; every tile is in exactly one view.
 
 const DAY_NANOS: i64 = 86_400 * 1_000_000_000;
 
-/// A sensor that goes round its views, `dwell` scans at each.
+/// A sensor's schedule: it visits its views in turn, with `dwell` scans at each.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Sensor {
+pub(crate) struct ViewSchedule {
     /// Time of scan 0 in nanoseconds UTC.
     pub(crate) start_nanos: i64,
     /// 1 to 86,400.
@@ -19,7 +19,7 @@ pub(crate) struct Sensor {
     pub(crate) tiles: u32,
 }
 
-impl Sensor {
+impl ViewSchedule {
     /// Number of the first scan of a day.
     pub(crate) fn first_scan(&self, day: u32) -> u64 {
         u64::from(day) * u64::from(self.scans_per_day)
@@ -65,7 +65,7 @@ impl Sensor {
         }
     }
 
-    /// Where a scan is in the round of all views, from where to where the view is in it, and how long it is.
+    /// Position of a scan in the round of all views, start and end of the view in the round, and the round's length.
     fn phase(&self, view: u32, scan: u64) -> (u64, u64, u64, u64) {
         let (dwell, round) = (u64::from(self.dwell), u64::from(self.dwell) * u64::from(self.views));
         let from = u64::from(view) * dwell;
@@ -91,20 +91,20 @@ mod tests {
     #[test]
     fn scans_are_found_by_time_and_by_view() {
         for (scans_per_day, views, dwell, tiles) in [(17_200, 1, 1, 5), (1000, 7, 1, 100), (77, 3, 40, 4)] {
-            let sensor = Sensor { start_nanos: 1_740_960_000_000_000_000, scans_per_day, views, dwell, tiles };
-            let shown: Vec<u32> = (0..2500).map(|scan| sensor.view(scan)).collect();
+            let schedule = ViewSchedule { start_nanos: 1_740_960_000_000_000_000, scans_per_day, views, dwell, tiles };
+            let shown: Vec<u32> = (0..2500).map(|scan| schedule.view(scan)).collect();
             for scan in 0..2000 {
-                let time = sensor.utc_nanos(scan);
-                assert_eq!((sensor.scan_at(time), sensor.scan_at(time + 1)), (scan, scan + 1));
+                let time = schedule.utc_nanos(scan);
+                assert_eq!((schedule.scan_at(time), schedule.scan_at(time + 1)), (scan, scan + 1));
                 for view in 0..views {
                     let next = (scan..).find(|&scan| shown[scan as usize] == view);
-                    assert_eq!(Some(sensor.next_of(view, scan)), next, "view {view} from scan {scan}");
+                    assert_eq!(Some(schedule.next_of(view, scan)), next, "view {view} from scan {scan}");
                     let last = (0..scan).rev().find(|&scan| shown[scan as usize] == view);
-                    assert_eq!(sensor.last_of(view, scan), last, "view {view} before scan {scan}");
+                    assert_eq!(schedule.last_of(view, scan), last, "view {view} before scan {scan}");
                 }
             }
             for slot in 0..tiles {
-                assert!(sensor.slots(sensor.view_of(slot)).contains(&slot));
+                assert!(schedule.slots(schedule.view_of(slot)).contains(&slot));
             }
         }
     }

@@ -1,7 +1,7 @@
-//! Days on the wall clock of the office, and when their moments are in UTC.
+//! Days on the wall clock of an office, and the UTC times of their moments.
 //!
 //! Invariant: within a day, and from day to day, later on the wall clock is never earlier in UTC. Where clocks go
-//! forward, what would lie in the hour that is left out is at the change; where they go back, it is in the first pass.
+//! forward, times in the skipped hour are at the change; where they go back, times are in the first pass of the hour.
 
 use jiff::{
     SignedDuration, Timestamp, ToSpan,
@@ -33,7 +33,7 @@ impl CivilDay {
         EPOCH.saturating_add(self.number.days())
     }
 
-    /// The day so many days later, or earlier if negative.
+    /// The day `days` later, or earlier if negative.
     pub(crate) fn plus(self, days: i32) -> Self {
         Self { number: self.number + days }
     }
@@ -62,7 +62,7 @@ struct Piece {
     offset_nanos: i64,
 }
 
-/// A day with its place in UTC.
+/// A day with its UTC offsets.
 #[derive(Clone, Debug)]
 pub(crate) struct ClockDay {
     pub(crate) day: CivilDay,
@@ -72,7 +72,7 @@ pub(crate) struct ClockDay {
 }
 
 impl ClockDay {
-    /// When the wall clock shows so many milliseconds after midnight, in nanoseconds UTC.
+    /// The time at which the wall clock shows `millis` after midnight, in nanoseconds UTC.
     pub(crate) fn utc_nanos(&self, millis: i32) -> i64 {
         let shown = i64::from(self.day.number) * DAY_NANOS + i64::from(millis) * MILLISECOND_NANOS;
         for piece in &self.pieces {
@@ -91,11 +91,11 @@ pub(crate) fn midnight_nanos(zone: &TimeZone, day: CivilDay) -> i64 {
     start.clamp(i64::MIN.into(), i64::MAX.into()) as i64
 }
 
-/// The day that an instant falls into.
+/// The day that contains an instant.
 pub(crate) fn day_at(zone: &TimeZone, utc_nanos: i64) -> CivilDay {
     let shown = zone.to_datetime(Timestamp::UNIX_EPOCH + SignedDuration::from_nanos(utc_nanos));
     let mut day = CivilDay::new(shown.date());
-    // Clocks that are put back across midnight show yesterday again, and a day may be left out.
+    // Clocks that go back across midnight show yesterday again, and a zone can skip a whole day.
     for _ in 0..2 {
         if utc_nanos < midnight_nanos(zone, day) {
             day = day.plus(-1);
@@ -106,7 +106,7 @@ pub(crate) fn day_at(zone: &TimeZone, utc_nanos: i64) -> CivilDay {
     day
 }
 
-/// A day with its place in UTC.
+/// A day with its UTC offsets.
 pub(crate) fn clock_day(zone: &TimeZone, day: CivilDay) -> ClockDay {
     let (start, end) = (midnight_nanos(zone, day), midnight_nanos(zone, day.plus(1)));
     let first = Timestamp::UNIX_EPOCH + SignedDuration::from_nanos(start);
