@@ -1,13 +1,13 @@
 //! The daemon from outside, and the rules that hold the work tree together. One binary, so that it links once.
 
+mod acceptance;
 mod bad_input;
-mod daemon;
 mod durability;
 mod exploration;
 mod grid;
 mod kinds;
-mod main_job;
-mod model_test;
+mod lifecycle;
+mod random_operations;
 mod routes;
 mod search;
 mod tidy;
