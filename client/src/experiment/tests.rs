@@ -308,6 +308,7 @@ fn nothing_in_the_picture_overlaps_a_text() {
 fn recordings(name: &str) -> Option<PathBuf> {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")).join(name);
     if !folder.is_dir() {
+        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "no recordings at {}", folder.display());
         println!("SKIPPED: no recordings at {}", folder.display());
         return None;
     }

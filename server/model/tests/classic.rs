@@ -17,6 +17,7 @@ use tidemap_model::{
 fn recordings(name: &str) -> Option<PathBuf> {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
     if !folder.is_dir() {
+        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "no recordings at {}", folder.display());
         println!("SKIPPED: no recordings at {}", folder.display());
         return None;
     }
