@@ -1,19 +1,20 @@
-//! Format 2, frozen: what it adds to [format 1](crate::v1), whose layouts go on being used as they are.
+//! Format 2, frozen: what it adds to [format 1](crate::v1), whose layouts stay in use unchanged.
 //!
-//! | file in the data directory | layout |
+//! | file below the folder of a map, `maps/00000001` | layout |
 //! | --- | --- |
-//! | `maps/00000001/MAP` | as before, with one record [`map::MapSpec`] |
-//! | `maps/00000001/log/00000000000000000001.log` | as before, with frames of [`event::Scans`] and of [`site::SiteEdit`] too |
-//! | `maps/00000001/checkpoints/00000000000000000007.tmc` | as before, with a [`map::Snapshot`]; a [`site::Site`] follows where there is one, and for a map with a grid [`grid`] records |
-//! | `maps/00000001/checkpoints/update-00000000000000000008.tmu` | [`mod@file`] without a trailer, with [`update`] records |
-//! | `maps/00000001/history/00000000000000000007.states.tmh` | [`mod@file`] with [`history`] records |
-//! | `maps/00000001/history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
+//! | `MAP` | as before, with one record [`map::MapSpec`] |
+//! | `log/00000000000000000001.log` | as before, also with frames of [`event::Scans`] and [`site::SiteEdit`] |
+//! | `checkpoints/00000000000000000007.tmc` | as before, with a [`map::Snapshot`], an optional [`site::Site`] and, |
+//! | | for a map with a grid, [`grid`] records |
+//! | `checkpoints/update-00000000000000000008.tmu` | [`mod@file`] without a trailer, with [`update`] records |
+//! | `history/00000000000000000007.states.tmh` | [`mod@file`] with [`history`] records |
+//! | `history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
 //!
-//! The records of states in checkpoints and in the index are [`map::State`]; in the index chunks from [`HOURS_CHUNK`] on
-//! are those of its `hours`, from [`PROFILE_CHUNK`] on those of its calibrated model's `profile`, and from [`FITS_CHUNK`] on
-//! those of its `fits`.
+//! The records of states in checkpoints and in the index are [`map::State`]; in the index chunks from [`HOURS_CHUNK`]
+//! on are those of its `hours`, from [`PROFILE_CHUNK`] on those of its calibrated model's `profile`, and from
+//! [`FITS_CHUNK`] on those of its `fits`.
 //!
-//! The containers (segments, frames, files, records, trailers) are those of format 1 and go on saying 1. A log of a map
+//! The containers (segments, frames, files, records, trailers) are those of format 1 and still say 1. A log of a map
 //! that was created under this format may begin at a later record than the first.
 //!
 //! Invariant: nothing in this module changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it.

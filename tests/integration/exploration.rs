@@ -1,5 +1,5 @@
-//! Exploration from outside: what looking would teach, tours through a room that changes, a day's plan, places that robots
-//! did not reach; and what a kill leaves of all that.
+//! Exploration from outside: what looking would teach, tours through a room that changes, a day's plan, places that
+//! robots did not reach; and what a kill leaves of all that.
 //!
 //! Invariant: where a plan has to go follows from how the room was made, never from what a daemon said.
 

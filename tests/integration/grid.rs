@@ -78,8 +78,8 @@ async fn send(producer: &mut Producer, scans: impl IntoIterator<Item = (i64, Vec
     assert_eq!(producer.take_refusals(), []);
 }
 
-/// A part of what a film shows: every fifth scan, seven seconds later, with six of the tiles, some layers of them, and now
-/// and then something in the way where nothing ever is.
+/// A part of what a film shows: every fifth scan, seven seconds later, with six of the tiles, some layers of them, and
+/// now and then something in the way where nothing ever is.
 fn partial_view(film: &Film) -> impl Iterator<Item = (i64, Vec<SeenTile>)> {
     film.run().enumerate().skip(3).step_by(5).map(|(number, (time, occupied))| {
         let turn = number / 250;

@@ -1,5 +1,5 @@
-//! States that are no probabilities, from the command line: speeds of a real robot, counts, what is not one of either, and
-//! what a kill leaves of them.
+//! States that are no probabilities, from the command line: speeds of a real robot, counts, what is not one of either,
+//! and what a kill leaves of them.
 
 use std::{fmt::Write as _, fs, path::Path};
 

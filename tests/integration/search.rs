@@ -121,7 +121,8 @@ fn somebody_in_a_flat_is_looked_for_where_she_is_at_that_time() {
 fn who_is_where_and_when_all_are_there_is_told() {
     let (_data, _launch, daemon) = started();
     load(&daemon, "flat", FLAT, &[]).table();
-    // A week: Anna sits in the office from 8 to 16 and in the kitchen else; the cup is in the kitchen from noon to midnight.
+    // A week: Anna sits in the office from 8 to 16 and in the kitchen else; the cup is in the kitchen from noon to
+    // midnight.
     let mut rows = "time,state,value\n".to_owned();
     for hour in 0..168 {
         let (office, cup) = (u8::from((8..16).contains(&(hour % 24))), u8::from(hour % 24 >= 12));

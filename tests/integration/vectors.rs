@@ -1,5 +1,5 @@
-//! Vectors, from the command line: where a person will be, what a kill and a second transfer leave of it, and what is not
-//! a position.
+//! Vectors, from the command line: where a person will be, what a kill and a second transfer leave of it, and what is
+//! not a position.
 
 use std::{fmt::Write as _, path::Path};
 

@@ -65,8 +65,8 @@ pub struct Observations {
     /// Sequence numbers of refused observations, each as the difference from the one before.
     #[prost(uint64, repeated, tag = "18")]
     pub refused_sequences: Vec<u64>,
-    /// Why each was refused: 1 value, 2 time, 3 state name, 4 state index, 5 state limit, 6 state kind, 12 edge; in a map
-    /// without a grid those of scans, too.
+    /// Why each was refused: 1 value, 2 time, 3 state name, 4 state index, 5 state limit, 6 state kind, 12 edge; in a
+    /// map without a grid those of scans, too.
     #[prost(uint32, repeated, tag = "19")]
     pub refused_reasons: Vec<u32>,
     /// Traversals that failed; that they did is also an observation of each.
@@ -119,8 +119,8 @@ pub struct Scans {
     /// Offset of each run.
     #[prost(sint32, repeated, tag = "14")]
     pub offset_secs: Vec<i32>,
-    /// Where other tiles were seen than in the scan before: how many scans lie between this one and the last one that is
-    /// named here, and the set of tiles.
+    /// Where other tiles were seen than in the scan before: how many scans lie between this one and the last one that
+    /// is named here, and the set of tiles.
     #[prost(bytes = "vec", tag = "15")]
     pub seen: Vec<u8>,
     /// Column: how many observed bits each scan flips.
@@ -129,7 +129,8 @@ pub struct Scans {
     /// Column: how many occupied bits each scan flips.
     #[prost(bytes = "vec", tag = "17")]
     pub occupied_counts: Vec<u8>,
-    /// Cells whose observed bit is flipped, scan by scan: how many cells lie between each and the one before, as varints.
+    /// Cells whose observed bit is flipped, scan by scan: how many cells lie between each and the one before, as
+    /// varints.
     #[prost(bytes = "vec", tag = "18")]
     pub observed_flips: Vec<u8>,
     /// Cells whose occupied bit is flipped, likewise.

@@ -1,7 +1,8 @@
 //! Files of records: those of format 1, with more kinds of records, and long records cut into several.
 //!
-//! The payload of a [`RecordKind`] above [`RecordKind::State`], the table of a history file and its end excepted, is one
-//! piece of a long record: a byte, 1 where another piece follows and 0 in the last, and then up to [`PIECE_MAX`] bytes.
+//! The payload of a [`RecordKind`] above [`RecordKind::State`], the table of a history file and its end excepted, is
+//! one piece of a long record: a byte, 1 where another piece follows and 0 in the last, and then up to [`PIECE_MAX`]
+//! bytes.
 //!
 //! Invariant: a record of format 1 is the same to the byte.
 
@@ -37,11 +38,11 @@ pub enum RecordKind {
     Tile = 7,
     /// [`super::grid::TileModel`] of the tile before.
     TileModel = 8,
-    /// Sums of the tile before: number of groups u32, number of changed cells u32, per group the number of its shared sum
-    /// u32, per cell its sums as doubles; little-endian. The length u32 of a
-    /// [`super::grid::Sightings`] and the message may follow. Where the groups have readings of other sensors than the
-    /// map's own the highest bit of the number of changed cells is set, and behind the numbers of the shared sums come
-    /// those of two more per group u32: of phasors weighted by α and by β, both 2^32 - 1 where a group has none.
+    /// Sums of the tile before: number of groups u32, number of changed cells u32, per group the number of its shared
+    /// sum u32, per cell its sums as doubles; little-endian. The length u32 of a [`super::grid::Sightings`] and the
+    /// message may follow. Where the groups have readings of other sensors than the map's own the highest bit of the
+    /// number of changed cells is set, and behind the numbers of the shared sums come those of two more per group u32:
+    /// of phasors weighted by α and by β, both 2^32 - 1 where a group has none.
     TileSums = 9,
     /// [`super::grid::Day`].
     Day = 10,

@@ -119,7 +119,8 @@ pub struct Group {
     /// Time of the last.
     #[prost(sint64, tag = "4")]
     pub last_nanos: i64,
-    /// Sum of α over the observations. Present in all groups of a tile or in none: then all are of the map's own sensor.
+    /// Sum of α over the observations. Present in all groups of a tile or in none: then all are of the map's own
+    /// sensor.
     #[prost(fixed64, optional, tag = "5")]
     pub alpha_bits: Option<u64>,
     /// Sum of β over the observations; as `alpha_bits`.
@@ -159,8 +160,8 @@ pub struct Cell {
     pub occupied_weight_bits: Option<u64>,
 }
 
-/// When cells of a tile were observed that have no sums for it. Follows the sums of a tile, where there are any, in the same
-/// record.
+/// When cells of a tile were observed that have no sums for it. Follows the sums of a tile, where there are any, in the
+/// same record.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Sightings {
     /// Days, in the order in which they were folded in.
@@ -245,8 +246,8 @@ pub struct DayTile {
     /// What was seen of it; absent where only models are known.
     #[prost(message, optional, tag = "2")]
     pub scans: Option<DayTileScans>,
-    /// Small models of cells, ascending: place u16, mean as a float, number of components u8, per component the index of
-    /// the periodicity u16, real and imaginary part as floats. In history files only.
+    /// Small models of cells, ascending: place u16, mean as a float, number of components u8, per component the index
+    /// of the periodicity u16, real and imaginary part as floats. In history files only.
     #[prost(bytes = "vec", tag = "3")]
     pub models: Vec<u8>,
 }
@@ -261,8 +262,8 @@ pub struct DayTileScans {
     #[prost(bytes = "vec", tag = "2")]
     pub first_occupied: Vec<u8>,
     /// Flips by bit, each ascending by scan: how many bits lie between this one and the one before (bit = 2·place, plus
-    /// one for the occupied bit), number of flips less 1, and how many scans lie between each and the one before; all as
-    /// varints. Of one scan, flips of observed bits come before those of occupied bits, each by place.
+    /// one for the occupied bit), number of flips less 1, and how many scans lie between each and the one before; all
+    /// as varints. Of one scan, flips of observed bits come before those of occupied bits, each by place.
     #[prost(bytes = "vec", tag = "3")]
     pub flips: Vec<u8>,
     /// Where the flips of one scan are in another order: all of them in theirs, and `flips` is empty. Per flip the

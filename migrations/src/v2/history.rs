@@ -1,9 +1,9 @@
 //! Exact observations of one generation, for recall.
 //!
 //! A history file is a file of records: the observations, a table of where they are, and [`End`]. A file of states has
-//! [`StateSamples`], whose key in the table is the number of the state. A file of a grid has days as a checkpoint has them
-//! ([`super::grid::Day`], each followed by its [`super::grid::DayTile`]); the key of a day is its place in the file times
-//! 2^32, that of a tile 1 + its number more.
+//! [`StateSamples`], whose key in the table is the number of the state. A file of a grid has days as a checkpoint has
+//! them ([`super::grid::Day`], each followed by its [`super::grid::DayTile`]); the key of a day is its place in the
+//! file times 2^32, that of a tile 1 + its number more.
 //!
 //! Invariant: keys ascend, and the last 16 + [`END_LENGTH`] bytes before the trailer are the record [`End`], so that a
 //! part is found without reading the rest.

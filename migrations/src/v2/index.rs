@@ -2,8 +2,10 @@
 //!
 //! | tree | key | value |
 //! | --- | --- | --- |
-//! | `models` | map u32, [`SITE_ITEM`] u32, chunk u16 | up to [`crate::v1::index::CHUNK_LENGTH`] bytes of a [`super::site::Site`] |
+//! | `models` | map u32, [`SITE_ITEM`] u32, chunk u16 | up to [`CHUNK_LENGTH`] bytes of a [`super::site::Site`] |
 //! | `marks` | map u32 | [`Mark`] |
+//!
+//! [`CHUNK_LENGTH`]: crate::v1::index::CHUNK_LENGTH
 //!
 //! Invariant: a mark of format 1 is one of these without a site, to the byte.
 

@@ -1,5 +1,5 @@
-//! What a map is and its states: as in format 1, with a grid, with for how long exact observations are kept, and with what
-//! is known of a state apart from its spectrum.
+//! What a map is and its states: as in format 1, with a grid, with for how long exact observations are kept, and with
+//! what is known of a state apart from its spectrum.
 //!
 //! Invariant: a message of format 1 reads as one of these whose further fields are absent.
 
@@ -44,7 +44,8 @@ pub struct MapSpec {
     #[prost(fixed64, optional, tag = "12")]
     pub prior_bits: Option<u64>,
     /// What the nightly update chooses among besides the spectral model, a bit for each: 1 histograms, 2 the calibrated
-    /// model, 4 the periodic mixture of Gaussians, 8 warped hypertime by expectation-maximisation, 16 by k-means. Absent: 3.
+    /// model, 4 the periodic mixture of Gaussians, 8 warped hypertime by expectation-maximisation, 16 by k-means.
+    /// Absent: 3.
     #[prost(uint32, optional, tag = "13")]
     pub models: Option<u32>,
 }
@@ -231,12 +232,13 @@ pub struct State {
 /// What is known of a state apart from its spectrum.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Alternatives {
-    /// Per hour of the local week from Monday on: weight and sum of values. Then per hour of the day, first of weekdays,
-    /// then of weekends: weight, sum and sum of squares of the means of single days. 480 doubles, little-endian.
+    /// Per hour of the local week from Monday on: weight and sum of values. Then per hour of the day, first of
+    /// weekdays, then of weekends: weight, sum and sum of squares of the means of single days. 480 doubles,
+    /// little-endian.
     #[prost(bytes = "vec", tag = "1")]
     pub hours: Vec<u8>,
-    /// Faded sums of errors: of the spectral model, of the histograms of the day, of weekday and weekend, of the week; of
-    /// the spectral model alone where histograms are not tried.
+    /// Faded sums of errors: of the spectral model, of the histograms of the day, of weekday and weekend, of the week;
+    /// of the spectral model alone where histograms are not tried.
     #[prost(fixed64, repeated, tag = "2")]
     pub error_sums_bits: Vec<u64>,
     /// Last local day recorded in the errors, in days since 1970-01-01.
@@ -245,8 +247,8 @@ pub struct Alternatives {
     /// Last local day folded in.
     #[prost(sint32, optional, tag = "4")]
     pub folded_day: Option<i32>,
-    /// The model in force: 0 the spectral model, 128 the calibrated one, 129 the periodic mixture of Gaussians, 130 warped
-    /// hypertime by expectation-maximisation, 131 by k-means, else the number of the histogram, from 1.
+    /// The model in force: 0 the spectral model, 128 the calibrated one, 129 the periodic mixture of Gaussians, 130
+    /// warped hypertime by expectation-maximisation, 131 by k-means, else the number of the histogram, from 1.
     #[prost(uint32, tag = "5")]
     pub choice: u32,
     /// How much the observations of the accumulator count together; absent: their number.

@@ -1,6 +1,7 @@
 //! The topological map of a site, and its edits.
 //!
-//! Invariant: doubles are kept as their bits; what is absent was not told. Nodes have names in edits, numbers in the map.
+//! Invariant: doubles are kept as their bits; what is absent was not told. Nodes have names in edits, numbers in the
+//! map.
 
 /// Where a node lies, as bits.
 #[derive(Clone, Copy, PartialEq, prost::Message)]

@@ -1,9 +1,9 @@
 //! What an update of a grid has done so far, in a file of its own.
 //!
-//! A file is a header, whose position is the generation, an [`Update`], and then tiles, as long as the update runs. There
-//! is no trailer: a file ends where the process did. Of each tile come first the
-//! [shared sums](super::file::RecordKind::SharedSum) that are new with it, then, where it has them, its model and its sums,
-//! and last a [`DoneTile`]. Shared sums are numbered over the whole file. A later record of a tile takes the place of an
+//! A file is a header, whose position is the generation, an [`Update`], and then tiles, as long as the update runs.
+//! There is no trailer: a file ends where the process did. Of each tile come first the [shared
+//! sums](super::file::RecordKind::SharedSum) that are new with it, then, where it has them, its model and its sums, and
+//! last a [`DoneTile`]. Shared sums are numbered over the whole file. A later record of a tile takes the place of an
 //! earlier one.
 //!
 //! Invariant: what does not lead to a [`DoneTile`] whose checksum fits counts for nothing.

@@ -145,8 +145,8 @@ impl History {
         History { enough: observations, ..self }
     }
 
-    /// Whether the map's first update is in it already, unless it is older than what is kept. It is not for a map that was
-    /// created under format 1, of which updates before the migration left no files.
+    /// Whether the map's first update is in it already, unless it is older than what is kept. It is not for a map that
+    /// was created under format 1, of which updates before the migration left no files.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.is_complete
@@ -190,7 +190,8 @@ impl History {
     }
 
     /// The days that have scans at times from `from_nanos` up to but not including `to_nanos`, one after the other, by
-    /// generation and day. Each is given whole, with what was seen of `tiles` only, or of all where there are none given.
+    /// generation and day. Each is given whole, with what was seen of `tiles` only, or of all where there are none
+    /// given.
     #[must_use]
     pub fn grid_days(&self, from_nanos: i64, to_nanos: i64, tiles: Option<Vec<TileId>>) -> GridDays {
         GridDays::new(self.clone(), from_nanos, to_nanos, tiles)

@@ -2,9 +2,9 @@
 //!
 //! Way in: [`Store::open`], [`Store::open_map`], [`MapLog::append`], [`Store::save`], [`Store::history`].
 //!
-//! Invariant: the log is the authority for all that the kept checkpoints do not cover: any one of these, or the index, can
-//! be lost or damaged and the map is still the same. A damaged log is refused, never shortened. Layouts are frozen in `tidemap-migrations`; this crate knows
-//! nothing of the wire and reads no wall clock.
+//! Invariant: the log is the authority for all that the kept checkpoints do not cover: any one of these, or the index,
+//! can be lost or damaged and the map is still the same. A damaged log is refused, never shortened. Layouts are frozen
+//! in `tidemap-migrations`; this crate knows nothing of the wire and reads no wall clock.
 
 mod checkpoint;
 mod committer;

@@ -41,8 +41,8 @@ impl RecordWriter {
         Ok(writer)
     }
 
-    /// Goes on with a file of which `length` bytes have this checksum; what follows them is cut off. Such a file gets no
-    /// trailer.
+    /// Goes on with a file of which `length` bytes have this checksum; what follows them is cut off. Such a file gets
+    /// no trailer.
     pub(crate) fn go_on(disk: &dyn Disk, path: &Path, length: u64, total_crc: u32) -> io::Result<RecordWriter> {
         let mut file = disk.open(path)?;
         if disk.length(path)? != length {

@@ -283,8 +283,8 @@ impl Store {
         Ok(History { is_complete, ..self.inner.history(map) })
     }
 
-    /// Where an update of a map with a grid keeps what it has done, with what an earlier run of the same update has left.
-    /// There is one of an update at a time.
+    /// Where an update of a map with a grid keeps what it has done, with what an earlier run of the same update has
+    /// left. There is one of an update at a time.
     ///
     /// # Errors
     /// [`StoreError::UnknownMap`].

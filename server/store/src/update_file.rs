@@ -1,11 +1,11 @@
 //! What an update of a grid has done so far, in a file that grows while the update runs.
 //!
-//! Nothing depends on such a file but how long a repeated update takes. It is never synced: what a power cut takes away is
-//! done again. Where it cannot be written it is given up, and the space is free for the log.
+//! Nothing depends on such a file but how long a repeated update takes. It is never synced: what a power cut takes away
+//! is done again. Where it cannot be written it is given up, and the space is free for the log.
 //!
-//! Invariant: what is taken from a file was written by an earlier run of the same update, whole; every record is checked by
-//! its own checksum, and every tile's last record by that of all that is before it. A file is removed when a checkpoint
-//! holds what the update has learned.
+//! Invariant: what is taken from a file was written by an earlier run of the same update, whole; every record is
+//! checked by its own checksum, and every tile's last record by that of all that is before it. A file is removed when a
+//! checkpoint holds what the update has learned.
 
 use std::{
     io,
@@ -77,8 +77,8 @@ impl std::fmt::Debug for UpdateFile {
 }
 
 impl UpdateFile {
-    /// Takes up what an earlier run of this update has left in the folder of the map's checkpoints. A file of another update
-    /// by the same name is removed.
+    /// Takes up what an earlier run of this update has left in the folder of the map's checkpoints. A file of another
+    /// update by the same name is removed.
     pub(crate) fn open(
         disk: Arc<dyn Disk>,
         folder: &Path,

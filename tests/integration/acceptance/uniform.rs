@@ -1,4 +1,5 @@
-//! The uniform variant of the spectral model on two regular weeks of a real door, and what it says where readings are missing.
+//! The uniform variant of the spectral model on two regular weeks of a real door, and what it says where readings are
+//! missing.
 
 use std::fs;
 

@@ -20,8 +20,8 @@ const DISK_BYTES: u64 = 24 << 20;
 /// What is left to the daemon's log while the ballast lies there.
 const LEFT_BYTES: u64 = 768 << 10;
 
-/// Fills the disk but for so many bytes. The daemon may be saving meanwhile: where it has taken the room that was there a
-/// moment ago, what is left is looked at again.
+/// Fills the disk but for so many bytes. The daemon may be saving meanwhile: where it has taken the room that was there
+/// a moment ago, what is left is looked at again.
 fn fill(ballast: &Path, left_bytes: u64) {
     let file = fs::File::create(ballast).expect("room for a file");
     for _ in 0..20 {

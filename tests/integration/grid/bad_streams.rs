@@ -1,5 +1,5 @@
-//! Messages of scans that no stream can go on after: each ends its stream with what was wrong, nothing of it is kept, and
-//! the daemon and other streams go on.
+//! Messages of scans that no stream can go on after: each ends its stream with what was wrong, nothing of it is kept,
+//! and the daemon and other streams go on.
 
 use prost::Message as _;
 use tidemap::maps::Grid;

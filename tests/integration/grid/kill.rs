@@ -157,7 +157,8 @@ async fn durability_grid_survives_kills_while_scans_stream_and_updates_run() {
         let acknowledged = producer.progress().durable_sequence;
         let exit = daemon.kill();
         assert!(!exit.stderr.contains("panicked"), "{exit}");
-        // Every now and then the producer is a new one, too, and goes on where the daemon says; else it does so by itself.
+        // Every now and then the producer is a new one, too, and goes on where the daemon says; else it does so by
+        // itself.
         let kept = (kill % 3 == 1).then_some(producer);
         daemon = launch.start();
         settled(&daemon.client()).await;

@@ -1,5 +1,5 @@
-//! A map written as PGM and YAML, read by somebody else's reader, cell by cell: `pyrobosim` of the Python package index,
-//! installed beside the build by the first run, which takes about a minute.
+//! A map written as PGM and YAML, read by somebody else's reader, cell by cell: `pyrobosim` of the Python package
+//! index, installed beside the build by the first run, which takes about a minute.
 //!
 //! Invariant: without Python or the network the test says that it is skipped; nothing but the reader's own answers is
 //! compared.

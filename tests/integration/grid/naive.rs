@@ -1,7 +1,8 @@
 //! What is learned of one cell, the naive way: every reading and every phasor by itself, in f64, after T-RO 2017,
 //! equations 10 to 13, with local days scored before they are folded in.
 //!
-//! Invariant: nothing here is shared with the daemon but the formulas; readings are taken in the order of their arrival.
+//! Invariant: nothing here is shared with the daemon but the formulas; readings are taken in the order of their
+//! arrival.
 
 use std::{collections::BTreeMap, f64::consts::TAU};
 

@@ -54,8 +54,8 @@ fn near(found: f64, expected: f64, what: &str) {
     assert!((found - expected).abs() <= 1e-6, "{what} is {found}, and not {expected}");
 }
 
-/// Compares all that the daemon says of the cells with what follows from the readings before the cut; gives the number of
-/// cells whose components were compared.
+/// Compares all that the daemon says of the cells with what follows from the readings before the cut; gives the number
+/// of cells whose components were compared.
 async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> usize {
     let client = daemon.client();
     let (from, to) = (film.time(0), film.time(film.scans() - 1));

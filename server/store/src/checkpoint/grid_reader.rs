@@ -1,7 +1,7 @@
 //! Reading a grid out of a checkpoint, record by record.
 //!
-//! Tiles are kept in memory until a number of bytes is used up; of the others it is kept where they are. Invariant: every
-//! record has been read and found sound, whether it is kept or not.
+//! Tiles are kept in memory until a number of bytes is used up; of the others it is kept where they are. Invariant:
+//! every record has been read and found sound, whether it is kept or not.
 
 use std::sync::{Arc, Weak};
 

@@ -1,7 +1,7 @@
 //! Writing a grid into a checkpoint, tile by tile.
 //!
-//! A sum that several tiles share is written once, before the first of them, and they refer to it. Tiles that are not in
-//! memory are copied from where they are, one at a time. Invariant: what could not be read back is refused.
+//! A sum that several tiles share is written once, before the first of them, and they refer to it. Tiles that are not
+//! in memory are copied from where they are, one at a time. Invariant: what could not be read back is refused.
 
 use std::{
     collections::HashMap,

@@ -1,7 +1,8 @@
 //! Tiles that are not in memory, read one by one from the checkpoint that holds them.
 //!
-//! Invariant: the file stays open and never changes, so that a tile can be read as long as anybody refers to it, whatever
-//! becomes of the checkpoint's name. A sum that tiles share is shared by all that are in memory at the same time.
+//! Invariant: the file stays open and never changes, so that a tile can be read as long as anybody refers to it,
+//! whatever becomes of the checkpoint's name. A sum that tiles share is shared by all that are in memory at the same
+//! time.
 
 use std::{
     any::Any,

@@ -33,8 +33,8 @@ impl History {
 }
 
 impl StateFiles {
-    /// The observations of each of the states from an instant on, in the order of `wanted`, each ascending by time; of equal
-    /// times in order of arrival. A file that was deleted since is left out.
+    /// The observations of each of the states from an instant on, in the order of `wanted`, each ascending by time; of
+    /// equal times in order of arrival. A file that was deleted since is left out.
     ///
     /// # Errors
     /// [`HistoryError`] names the file that cannot be read.

@@ -1,7 +1,8 @@
 //! The exact scans of one local day as records, and back: the day itself, and each of its tiles.
 //!
 //! Flips are written cell by cell as differences of scan numbers (T-RO 2017, section III.B, calls this Δ-encoding): a
-//! cell flips rarely, so a difference takes a byte or two. Invariant: `decode(encode(day)) == day`, or `encode` refuses.
+//! cell flips rarely, so a difference takes a byte or two. Invariant: `decode(encode(day)) == day`, or `encode`
+//! refuses.
 
 use std::sync::Arc;
 
@@ -74,7 +75,8 @@ pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<v2::Day, Invalid> {
     })
 }
 
-/// The day without its tiles, all of which are below `tiles_end` and so below `limit`. `keep` says which tiles the runs of presence keep.
+/// The day without its tiles, all of which are below `tiles_end` and so below `limit`. `keep` says which tiles the runs
+/// of presence keep.
 pub(crate) fn decode(message: &v2::Day, limit: u32, keep: impl Fn(TileId) -> bool) -> Result<GridDay, Invalid> {
     let count = message.scans as usize;
     if count > SCANS_MAX {

@@ -1,8 +1,8 @@
 //! Scans as a payload of the log, and back.
 //!
 //! This runs for every scan and every flip, so each column is one pass. Invariant: `decode(encode(scans)) == scans`, or
-//! `encode` refuses; what a payload makes `decode` allocate follows its length, but for sets of tiles, whose sizes have a
-//! bound of their own.
+//! `encode` refuses; what a payload makes `decode` allocate follows its length, but for sets of tiles, whose sizes have
+//! a bound of their own.
 
 use std::{borrow::Cow, sync::Arc};
 

@@ -1,7 +1,7 @@
 //! Sensors of producers, and the numbers of the sensors of scans, and back.
 //!
-//! Invariant: where all are the map's own nothing is written. Numbers fit into a byte; whether a map has such a sensor is
-//! not known here.
+//! Invariant: where all are the map's own nothing is written. Numbers fit into a byte; whether a map has such a sensor
+//! is not known here.
 
 use tidemap_map::grid::sensors::{ProducerSensor, SensorId};
 use tidemap_migrations::v2::map as v2;

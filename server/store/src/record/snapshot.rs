@@ -44,7 +44,8 @@ pub(crate) fn check(snapshot: &MapSnapshot) -> Result<(), Invalid> {
     check_positions(&encode(snapshot))
 }
 
-/// Refuses vectors of which an axis is missing, out of its place or not a number, or that are called like another state.
+/// Refuses vectors of which an axis is missing, out of its place or not a number, or that are called like another
+/// state.
 fn check_axes(states: &[StateSnapshot]) -> Result<(), Invalid> {
     let axis = |index: usize| states.get(index).and_then(|state| state.name.as_axis());
     let mut vectors = HashSet::new();

@@ -1,7 +1,7 @@
 //! What is learned of a tile: its models and its sums, as records, and back.
 //!
-//! Sums are by far the largest part, so they are copied in bulk. Invariant: every number comes back to the last bit; what
-//! is read has passed the constructors of the model again.
+//! Sums are by far the largest part, so they are copied in bulk. Invariant: every number comes back to the last bit;
+//! what is read has passed the constructors of the model again.
 
 use std::sync::Arc;
 

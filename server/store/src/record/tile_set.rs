@@ -62,7 +62,8 @@ fn ranges(numbers: Vec<u32>) -> Vec<(u32, u32)> {
     ranges
 }
 
-/// Takes a set off the front; its tiles are below `limit`. `room` is how many tiles may be kept in all, and becomes less.
+/// Takes a set off the front; its tiles are below `limit`. `room` is how many tiles may be kept in all, and becomes
+/// less.
 pub(crate) fn take_set(
     bytes: &mut &[u8],
     before: &[TileId],

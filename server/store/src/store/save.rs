@@ -1,7 +1,7 @@
 //! Saving a map: its history, a checkpoint, the index; then whatever these make dispensable is deleted.
 //!
-//! Invariant: at every moment the kept checkpoints, the log behind the oldest of them and the history files give the map
-//! with all that its retention asks for. The newest segment of a log is never deleted.
+//! Invariant: at every moment the kept checkpoints, the log behind the oldest of them and the history files give the
+//! map with all that its retention asks for. The newest segment of a log is never deleted.
 
 use std::{
     path::Path,
@@ -67,8 +67,8 @@ impl Inner {
         }
     }
 
-    /// Deletes the segments that hold nothing that a kept checkpoint needs. As long as there are fewer checkpoints than are
-    /// kept, the log stays whole.
+    /// Deletes the segments that hold nothing that a kept checkpoint needs. As long as there are fewer checkpoints than
+    /// are kept, the log stays whole.
     fn delete_segments(&self, map: MapId, log: &Log) -> std::io::Result<()> {
         let Some(replay_from) = self.checkpoints(map).replay_from(self.options.checkpoints_kept.max(1))? else {
             return Ok(());

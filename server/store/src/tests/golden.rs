@@ -1,5 +1,5 @@
-//! Format 1 to the byte, as far as format 2 goes on using it. A difference here means that data directories in the field
-//! could not be read any more: do not change the files in `golden/`, make a new format.
+//! Format 1 to the byte, as far as format 2 goes on using it. A difference here means that data directories in the
+//! field could not be read any more: do not change the files in `golden/`, make a new format.
 
 use std::{
     fs,

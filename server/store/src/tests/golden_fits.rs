@@ -1,5 +1,6 @@
-//! Format 2 to the byte: a map with every model enabled, and states with models of every kind. A difference here means that
-//! data directories in the field could not be read any more: do not change the files in `golden/`, make a new format.
+//! Format 2 to the byte: a map with every model enabled, and states with models of every kind. A difference here means
+//! that data directories in the field could not be read any more: do not change the files in `golden/`, make a new
+//! format.
 
 use std::{
     fs,
