@@ -15,9 +15,9 @@ pub mod observe;
 pub mod queries;
 pub mod routes;
 pub mod scan_file;
-pub mod time;
 pub mod updates;
 mod wire;
 
 pub use connection::Client;
 pub use error::Error;
+pub use tidemap_map::time;

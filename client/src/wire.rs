@@ -4,7 +4,8 @@
 
 use prost_types::{Duration, Timestamp};
 
-use crate::time::NANOS_PER_SEC;
+/// Nanoseconds in a second.
+const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 pub(crate) fn timestamp(nanos: i64) -> Timestamp {
     let fraction = i32::try_from(nanos.rem_euclid(NANOS_PER_SEC)).unwrap_or(0);

@@ -6,7 +6,7 @@ mod streams;
 mod wire;
 
 use tempfile::TempDir;
-use tidemap::maps::NewMap;
+use tidemap_client::maps::NewMap;
 use tidemap_tests::daemon::{Daemon, Launch};
 
 /// A daemon with an empty map `office`. Its data lives as long as the folder.

@@ -13,7 +13,7 @@ mod system_calls;
 
 use std::{ffi::OsString, path::Path, process::Command};
 
-use tidemap::maps::NewMap;
+use tidemap_client::maps::NewMap;
 use tidemap_tests::{daemon::Daemon, oracle::Oracle};
 
 /// Producers that stream at the same time.

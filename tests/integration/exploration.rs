@@ -5,7 +5,7 @@
 
 use std::{fs, path::Path};
 
-use tidemap::{
+use tidemap_client::{
     maps::{Grid, NewMap},
     observe::{
         Producer, ProducerOptions,

@@ -15,7 +15,7 @@ mod oracle;
 mod rays;
 
 use tempfile::TempDir;
-use tidemap::{
+use tidemap_client::{
     maps::{Grid, GridSummary, NewMap, Retention},
     observe::{
         Producer, ProducerOptions,

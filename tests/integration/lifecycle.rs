@@ -6,7 +6,7 @@ mod settings;
 use std::{fs, net::TcpStream};
 
 use tempfile::tempdir;
-use tidemap::maps::NewMap;
+use tidemap_client::maps::NewMap;
 use tidemap_proto::v1::{GoodbyeReason, observe_response::Message};
 use tidemap_tests::{
     daemon::{Daemon, Launch},

@@ -4,7 +4,7 @@
 
 use std::fmt::Write as _;
 
-use tidemap::observe::{Producer, ProducerOptions, Traversal};
+use tidemap_client::observe::{Producer, ProducerOptions, Traversal};
 use tidemap_tests::{
     cli::{self, Outcome},
     daemon::{Daemon, Launch, lasting_port},

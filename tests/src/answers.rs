@@ -4,7 +4,7 @@
 
 use std::fmt::Write as _;
 
-use tidemap::{
+use tidemap_client::{
     Client,
     queries::{ModelKind, ModelSelector},
 };

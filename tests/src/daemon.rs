@@ -21,7 +21,7 @@ use std::{
 
 pub use rustix::process::Signal;
 use rustix::process::{Pid, kill_process};
-use tidemap::Client;
+use tidemap_client::Client;
 
 use crate::binaries;
 

@@ -3,7 +3,7 @@
 //! Invariant: a film is a function of its options. Scan n, from 0, is the one that its producer sends as number n + 1;
 //! every cell of every tile is observed in each.
 
-use tidemap::observe::tiles::{Mask, SeenTile, TileMasks};
+use tidemap_client::observe::tiles::{Mask, SeenTile, TileMasks};
 use tidemap_sim::{GridOffice, GridOfficeOptions, GridStream};
 
 /// Cells of a tile.

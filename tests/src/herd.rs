@@ -12,7 +12,7 @@ use std::{
 };
 
 use rand::{Rng as _, rngs::SmallRng};
-use tidemap::{
+use tidemap_client::{
     Client,
     observe::{Producer, ProducerError, ProducerOptions},
 };

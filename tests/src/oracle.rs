@@ -5,7 +5,7 @@
 
 use std::{collections::BTreeMap, fmt, time::Duration};
 
-use tidemap::{
+use tidemap_client::{
     Client,
     queries::{ModelKind, ModelSelector},
     updates::JobState,

@@ -146,7 +146,7 @@ impl Shared {
 ///
 /// ```no_run
 /// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
-/// use tidemap::{Client, observe::{Producer, ProducerOptions}};
+/// use tidemap_client::{Client, observe::{Producer, ProducerOptions}};
 /// let client = Client::new("127.0.0.1:7435")?;
 /// let mut producer = Producer::open(&client, ProducerOptions::new("robot-1", "", "office")).await?;
 /// producer.send("door", 1_458_518_400_000_000_000, 1.0).await?;

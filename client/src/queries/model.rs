@@ -4,12 +4,10 @@
 
 use std::{fmt, str::FromStr};
 
+use tidemap_map::time::{InvalidDuration, format_duration, parse_duration};
 use tidemap_proto::v1;
 
-use crate::{
-    time::{InvalidDuration, format_duration, parse_duration},
-    wire,
-};
+use crate::wire;
 
 /// Greatest order of the spectral model.
 pub const ORDER_MAX: u32 = 15;

@@ -20,6 +20,7 @@ pub mod selector;
 pub mod site;
 pub mod snapshot;
 pub mod spec;
+pub mod time;
 pub mod topology;
 pub mod traversal;
 pub mod update;

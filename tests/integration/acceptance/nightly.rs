@@ -1,6 +1,6 @@
 //! The nightly update in the time of the data: each day is predicted by what was learned of the days before it.
 
-use tidemap::{
+use tidemap_client::{
     Client,
     observe::{Producer, ProducerOptions},
     queries::{EvaluateOptions, ModelDescription, ModelSelector},

@@ -3,7 +3,7 @@
 use std::{fs, path::Path, time::Duration};
 
 use tempfile::tempdir;
-use tidemap::{maps::NewMap, observe::ProducerError};
+use tidemap_client::{maps::NewMap, observe::ProducerError};
 use tidemap_tests::{
     cli,
     daemon::{Daemon, Launch},

@@ -4,7 +4,7 @@ use std::{path::Path, time::Duration};
 
 use rand::{Rng as _, rngs::SmallRng};
 use tempfile::tempdir;
-use tidemap::{Client, observe::ProducerError};
+use tidemap_client::{Client, observe::ProducerError};
 use tidemap_tests::{
     daemon::{Daemon, Launch, lasting_port},
     feed::Feed,

@@ -38,7 +38,7 @@ struct Reached {
 /// Creates a map, observes, updates, observes, stops; as far as the daemon lives. Notes what it acknowledged.
 async fn run(daemon: Daemon, oracle: &mut Oracle) -> Reached {
     let client = daemon.client();
-    let map = tidemap::maps::NewMap { name: MAP.to_owned(), ..tidemap::maps::NewMap::default() };
+    let map = tidemap_client::maps::NewMap { name: MAP.to_owned(), ..tidemap_client::maps::NewMap::default() };
     let created = client.create_map(map).await.is_ok();
     if created {
         observe(&daemon, oracle).await;

@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use tidemap::{
+use tidemap_client::{
     maps::{Grid, Retention},
     queries::ModelKind,
 };
@@ -87,7 +87,7 @@ async fn grid_files_that_are_cut_off_or_do_not_fit_are_refused_and_harm_nothing(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn grids_that_cannot_be_are_not_created() {
-    use tidemap::maps::{CellBox, NewMap, SensorNoise};
+    use tidemap_client::maps::{CellBox, NewMap, SensorNoise};
     let (_data, daemon) = office(grid(Retention::None)).await;
     let extent = |min: [i32; 3], max: [i32; 3]| Some(CellBox { min, max });
     let noise = |hit: f64, false_alarm: f64, prior: f64| Some(SensorNoise { hit, false_alarm, prior });

@@ -1,7 +1,7 @@
 //! Scans that are wrong by themselves: each is refused with its reason and the value, uses up its number, and changes
 //! nothing of what the stream has shown.
 
-use tidemap::maps::{CellBox, Grid};
+use tidemap_client::maps::{CellBox, Grid};
 use tidemap_proto::v1::{
     ObservationBatch, PointCloud, Pose, RangeScan, RefusalReason, Scan, ScanBatch, TileScan, observe_request::Message,
     scan::Content,
@@ -12,7 +12,7 @@ use tidemap_tests::{
 };
 
 use super::{MAP, model, office, predicted, summary};
-use tidemap::queries::{CellPrediction, ModelKind};
+use tidemap_client::queries::{CellPrediction, ModelKind};
 
 const NOON_NANOS: i64 = 1_741_000_000_000_000_000;
 

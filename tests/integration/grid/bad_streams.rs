@@ -2,7 +2,7 @@
 //! and the daemon and other streams go on.
 
 use prost::Message as _;
-use tidemap::maps::Grid;
+use tidemap_client::maps::Grid;
 use tidemap_proto::v1::{
     GoodbyeReason, ObserveRequest, PointCloud, ScanBatch, TileScan, observe_request::Message, scan::Content,
 };
@@ -195,7 +195,7 @@ async fn grid_scan_whose_parts_come_one_by_one_counts_when_it_is_whole() {
     stream.say(Message::Scans(part(first))).await;
     stream.say(Message::Scans(piece(&[0.0, 1.0, 0.0]))).await;
     assert_eq!(stream.acknowledged(1).await.expect("taken"), []);
-    let latest = super::model(tidemap::queries::ModelKind::Latest, None);
+    let latest = super::model(tidemap_client::queries::ModelKind::Latest, None);
     let grid = super::predicted(&daemon, 1_741_000_000_000_000_000, latest).await;
     for (cell, value) in [([10, 0, 0], 1.0), ([0, 10, 0], 1.0), ([9, 0, 0], 0.0), ([0, 9, 0], 0.0)] {
         assert_eq!(grid.cell(cell).value(), Some(value), "{cell:?}");

@@ -3,7 +3,7 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use tidemap::{
+use tidemap_client::{
     Client, Error,
     maps::{NewMap, Retention},
     observe::{Producer, scan::Scan, tiles::SeenTile},

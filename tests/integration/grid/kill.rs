@@ -9,7 +9,7 @@ use std::{
 
 use rand::Rng as _;
 use tempfile::tempdir;
-use tidemap::{
+use tidemap_client::{
     maps::{GridSummary, Retention},
     observe::{Producer, ProducerOptions, scan::Scan, tiles::Mask},
     queries::{CellPrediction, ModelDescription, ModelKind, PredictedGrid},

@@ -10,11 +10,11 @@ use std::{
     process::Command,
 };
 
-use tidemap::{
+use tidemap_client::time::format_rfc3339;
+use tidemap_client::{
     maps::Retention,
     observe::tiles::{SeenTile, TileMasks},
     queries::{GridQuery, ModelKind},
-    time::format_rfc3339,
 };
 use tidemap_tests::{cli, film::Film, oracle::run_update};
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use tidemap::queries::{ModelKind, ModelSelector};
+use tidemap_client::queries::{ModelKind, ModelSelector};
 use tidemap_tests::{
     cli,
     daemon::{Daemon, Launch},
@@ -15,10 +15,10 @@ use super::{
     naive::{Naive, Phasors, Reading},
     office, partial_view, predicted, producer, send, summary,
 };
-use tidemap::{
+use tidemap_client::time::format_rfc3339;
+use tidemap_client::{
     maps::{Grid, Retention, SensorNoise},
     observe::{Producer, ProducerOptions, Sensor, tiles::SeenTile},
-    time::format_rfc3339,
 };
 
 /// Readings of each cell in the order of their arrival.

@@ -3,7 +3,7 @@
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
-use tidemap::{
+use tidemap_client::{
     Client, Error,
     maps::{CellBox, Grid},
     observe::{
@@ -142,7 +142,7 @@ fn question(map: &str) -> GridQuery {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn grid_questions_that_make_no_sense_are_refused_by_name() {
-    use tidemap::{maps::NewMap, queries::GridOutput};
+    use tidemap_client::{maps::NewMap, queries::GridOutput};
     let data = tempfile::tempdir().expect("a folder");
     let daemon = tidemap_tests::daemon::Launch::on(data.path()).setting("max_predictions", 700).start();
     let client = daemon.client();
@@ -188,7 +188,7 @@ async fn grid_questions_that_make_no_sense_are_refused_by_name() {
         }
     }
     // To a map without a grid nothing can be sent that is a scan.
-    let options = tidemap::observe::ProducerOptions::new("robot", "", "bare");
+    let options = tidemap_client::observe::ProducerOptions::new("robot", "", "bare");
     let mut astray = Producer::open(&client, options).await.expect("a Welcome");
     astray.send_scan(NOON_NANOS, cloud(&[1.0, 0.0, 0.0])).await.expect("taken");
     astray.flush().await.expect("refused by itself");

@@ -1,7 +1,7 @@
 //! What the two ports tell those who operate the daemon: health, reflection, metrics.
 
 use tempfile::tempdir;
-use tidemap::maps::NewMap;
+use tidemap_client::maps::NewMap;
 use tidemap_tests::{
     daemon::{Daemon, Launch},
     stream::{RawStream, columns, hello},

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use rand::{Rng as _, rngs::SmallRng, seq::IteratorRandom as _};
 use tempfile::TempDir;
-use tidemap::{
+use tidemap_client::{
     maps::NewMap,
     queries::{ModelKind, ModelSelector},
 };

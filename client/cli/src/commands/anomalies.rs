@@ -1,0 +1,103 @@
+//! `tidemap anomalies`.
+//!
+//! Invariant: each row is an observation and what the model said of its time. What is watched is written and flushed as
+//! soon as it is known, until somebody interrupts it.
+
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use clap::Args;
+use tidemap_client::queries::{Anomaly, AnomalyWatch, Judgement, ModelSelector};
+
+use super::{Misused, Session, observe::INTERRUPTED, times};
+use crate::progress::notice;
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct AnomaliesArgs {
+    /// Name of the map
+    map: String,
+    /// Name of the state, or cell/X/Y/Z; with --watch names of states, or none for all
+    #[arg(value_name = "STATE")]
+    states: Vec<String>,
+    /// How sure the model has to be of the contrary, above 0.5 and at most 1; of a state that is no probability, that a single
+    /// value lies within an interval
+    #[arg(long, value_name = "C", default_value_t = Judgement::default().confidence, value_parser = confidence)]
+    confidence: f64,
+    /// First time
+    #[arg(long, value_name = "TIME", value_parser = times::time, requires = "to")]
+    from: Option<i64>,
+    /// Time before which the observations end
+    #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
+    to: Option<i64>,
+    /// Model that judges: those of predict, but not latest and persistence; with --watch auto, mean or spectral
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+    /// Shows what is not expected as it comes, until interrupted
+    #[arg(long, conflicts_with_all = ["from", "to"])]
+    watch: bool,
+}
+
+fn confidence(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|&number: &f64| number > 0.5 && number <= 1.0);
+    number.ok_or_else(|| "a confidence is above 0.5 and at most 1, for example 0.99".to_owned())
+}
+
+pub async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitCode> {
+    let AnomaliesArgs { map, states, confidence, from, to, model, watch } = args;
+    let judgement = Judgement { confidence, model };
+    if watch {
+        let watch = session.client.watch_anomalies(&map, states, judgement).await?;
+        return watched(session, watch).await;
+    }
+    let (Some(from), Some(to)) = (from, to) else {
+        return Err(Misused("say when, with --from and --to, or --watch what is to come".to_owned()).into());
+    };
+    let [state] = states.as_slice() else {
+        return Err(Misused("name one state; several can only be watched, with --watch".to_owned()).into());
+    };
+    if from >= to {
+        return Err(Misused("--from must be before --to, which is not included".to_owned()).into());
+    }
+    let mut anomalies = session.client.anomalies(&map, state, from, to, judgement).await?;
+    let mut sheet = session.sheet(&["time", "value", "probability"]);
+    while let Some(found) = anomalies.next().await? {
+        for Anomaly { time_nanos, value, probability } in found {
+            sheet.row(vec![Cell::Secs(time_nanos), value.into(), probability.into()])?;
+        }
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+async fn watched(session: &Session, mut watch: AnomalyWatch) -> anyhow::Result<ExitCode> {
+    let mut sheet = session.sheet(&["time", "state", "value", "probability"]).live()?;
+    let mut interrupted = std::pin::pin!(tokio::signal::ctrl_c());
+    loop {
+        let seen = tokio::select! {
+            seen = watch.next() => seen,
+            signal = &mut interrupted => {
+                signal.context("signals")?;
+                sheet.finish()?;
+                return Ok(ExitCode::from(INTERRUPTED));
+            }
+        };
+        let seen = match seen {
+            Ok(Some(seen)) => seen,
+            Ok(None) => {
+                sheet.finish()?;
+                anyhow::bail!("the daemon ended the watch");
+            }
+            Err(error) => {
+                sheet.finish()?;
+                return Err(error.into());
+            }
+        };
+        if seen.missed > 0 {
+            notice(&format!("{} observations were missed: they came faster than they could be read", seen.missed));
+        }
+        for (state, Anomaly { time_nanos, value, probability }) in seen.anomalies {
+            sheet.row(vec![Cell::Secs(time_nanos), Cell::Text(state), value.into(), probability.into()])?;
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! `tidemap bench`: load and speed of a running daemon.
+//!
+//! Invariant: works through the same calls as everybody else, on a map of its own that is deleted afterwards, and puts
+//! the disk's own speed beside each figure, without which figures of two machines cannot be compared.
+
+mod grid;
+mod latency;
+mod load;
+mod machine;
+mod observe;
+mod predict;
+mod search;
+
+use std::process::{self, ExitCode};
+
+use clap::{Args, Subcommand};
+use tidemap_client::{Client, clock, maps::NewMap, updates::Job};
+
+use super::{Session, job, map::with_grid};
+use crate::progress::notice;
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Subcommand)]
+pub enum BenchCommand {
+    /// How many observations become durable per second, and how long an update of them takes
+    Observe(observe::ObserveArgs),
+    /// How long an observation takes to become durable, at a given rate
+    Latency(latency::LatencyArgs),
+    /// How many predictions are answered per second
+    Predict(predict::PredictArgs),
+    /// How long the planning of a search takes, from request to answer
+    Search(search::SearchArgs),
+    /// How fast months of scans of a whole office are learned, with an update every night
+    Grid(grid::GridArgs),
+}
+
+/// Which process to account for.
+#[derive(Clone, Copy, Debug, Args)]
+struct DaemonProcess {
+    /// The daemon's process, for its CPU time [default: the one tidemapd that runs here, if it is one]
+    #[arg(long, value_name = "PID")]
+    daemon_pid: Option<u32>,
+}
+
+/// A row of figures with their names.
+type Figures = Vec<(&'static str, Cell)>;
+
+pub async fn run(session: &Session, command: &BenchCommand) -> anyhow::Result<ExitCode> {
+    let client = &session.client;
+    let unique = format!("{}-{}", clock::now_nanos() / 1_000_000_000, process::id());
+    let (new_map, keep) = match command {
+        BenchCommand::Grid(args) => (args.new_map(format!("bench-grid-{unique}")), args.keeps()),
+        _ => (NewMap { name: format!("bench-{unique}"), ..NewMap::default() }, false),
+    };
+    let map = new_map.name.clone();
+    if let BenchCommand::Grid(args) = command {
+        args.check()?;
+    }
+    let has_grid = new_map.grid.is_some();
+    with_grid(client.create_map(new_map).await?, has_grid)?;
+    let measured = tokio::select! {
+        measured = measure(client, &map, command) => measured,
+        _ = tokio::signal::ctrl_c() => Err(anyhow::anyhow!("interrupted")),
+    };
+    let deleted = if keep { Ok(()) } else { client.delete_map(&map).await };
+    let figures = measured?;
+    deleted?;
+    let columns: Vec<&'static str> = figures.iter().map(|(name, _)| *name).collect();
+    let mut sheet = session.sheet(&columns);
+    sheet.row(figures.into_iter().map(|(_, cell)| cell).collect())?;
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+async fn measure(client: &Client, map: &str, command: &BenchCommand) -> anyhow::Result<Figures> {
+    let mut figures = match command {
+        BenchCommand::Observe(args) => observe::run(client, map, args).await?,
+        BenchCommand::Latency(args) => latency::run(client, map, args).await?,
+        BenchCommand::Predict(args) => predict::run(client, map, args).await?,
+        BenchCommand::Search(args) => search::run(client, map, args).await?,
+        BenchCommand::Grid(args) => grid::run(client, map, args).await?,
+    };
+    figures.extend(machine::disk(client).await?);
+    Ok(figures)
+}
+
+/// Runs an update to its end.
+async fn updated(client: &Client, map: &str) -> anyhow::Result<Job> {
+    notice("updating");
+    let started = client.run_update(map, None).await?;
+    let ended = job::watched(client, started.id).await?;
+    anyhow::ensure!(ended.error.is_empty(), job::failure(&ended));
+    Ok(ended)
+}

@@ -1,0 +1,151 @@
+//! A file of scans sent over one stream, its batches as they stand in the file.
+//!
+//! Invariant: no batch is decoded here; the daemon gets the same bytes as from any producer's first connection. A
+//! connection that breaks ends the measurement.
+
+use std::{fs::File, io::BufReader, path::Path, thread};
+
+use anyhow::{Context as _, bail};
+use prost::{
+    Message as _,
+    bytes::{BufMut as _, Bytes, BytesMut},
+};
+use tidemap_client::{Client, scan_file::ScanFile};
+use tidemap_proto::v1::{Hello, ObserveRequest, ObserveResponse, ScanBatch, observe_request, observe_response};
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{
+    Status, Streaming,
+    codec::{Codec, DecodeBuf, Decoder, EncodeBuf, Encoder},
+    codegen::http::uri::PathAndQuery,
+};
+
+use crate::progress::{Bar, notice};
+
+const BUFFER_BYTES: usize = 1 << 20;
+const BATCHES_AHEAD: usize = 4;
+/// Field `scans` of `ObserveRequest`, of type bytes.
+const SCANS_TAG: u8 = 3 << 3 | 2;
+
+/// What was sent.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Fed {
+    pub(super) scans: u64,
+    pub(super) refused: u64,
+    pub(super) bytes: u64,
+}
+
+/// Encoded requests out, replies in.
+#[derive(Clone, Copy, Debug, Default)]
+struct Raw;
+
+impl Codec for Raw {
+    type Encode = Bytes;
+    type Decode = ObserveResponse;
+    type Encoder = Self;
+    type Decoder = Self;
+
+    fn encoder(&mut self) -> Self {
+        Self
+    }
+
+    fn decoder(&mut self) -> Self {
+        Self
+    }
+}
+
+impl Encoder for Raw {
+    type Item = Bytes;
+    type Error = Status;
+
+    fn encode(&mut self, item: Bytes, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
+        buffer.put(item);
+        Ok(())
+    }
+}
+
+impl Decoder for Raw {
+    type Item = ObserveResponse;
+    type Error = Status;
+
+    fn decode(&mut self, buffer: &mut DecodeBuf<'_>) -> Result<Option<ObserveResponse>, Status> {
+        ObserveResponse::decode(buffer).map(Some).map_err(|error| Status::internal(error.to_string()))
+    }
+}
+
+/// Sends a file and waits until all of it is durable and the stream has ended.
+pub(super) async fn send(client: &Client, map: &str, path: &Path) -> anyhow::Result<Fed> {
+    let shown = path.display().to_string();
+    let open = File::open(path).with_context(|| shown.clone())?;
+    let total = open.metadata()?.len();
+    let file = ScanFile::new(BufReader::with_capacity(BUFFER_BYTES, open)).with_context(|| shown.clone())?;
+
+    let (requests, outgoing) = mpsc::channel(BATCHES_AHEAD);
+    let hello = Hello { producer: "bench".to_owned(), map: map.to_owned(), nightly: true, ..Hello::default() };
+    let hello = ObserveRequest { message: Some(observe_request::Message::Hello(hello)) };
+    requests.send(hello.encode_to_vec().into()).await?;
+    let place = client.stream_place();
+    let mut service = tonic::client::Grpc::new(place.connection());
+    service.ready().await.context("the connection")?;
+    let path = PathAndQuery::from_static("/tidemap.v1.ObservationService/Observe");
+    let request = tonic::Request::new(ReceiverStream::new(outgoing));
+    let mut replies: Streaming<ObserveResponse> = service.streaming(request, path, Raw).await?.into_inner();
+    match replies.message().await?.and_then(|reply| reply.message) {
+        Some(observe_response::Message::Welcome(_)) => {}
+        _ => bail!("no Welcome"),
+    }
+
+    let bar = Bar::bytes(Some(total));
+    let progress = bar.clone();
+    let (ended, last) = tokio::sync::oneshot::channel();
+    thread::Builder::new().name("scans".to_owned()).spawn(move || {
+        let _ = ended.send(read(file, &requests, &progress, total));
+    })?;
+    let (mut durable, mut refused) = (0, 0);
+    while let Some(reply) = replies.message().await? {
+        match reply.message {
+            Some(observe_response::Message::Ack(ack)) => {
+                durable = ack.durable_sequence;
+                refused += ack.refused.len() as u64;
+                if let Some(refusal) = ack.refused.first().filter(|_| refused == ack.refused.len() as u64) {
+                    bar.notice(&format!("scan {} is refused: {}", refusal.sequence, refusal.detail));
+                }
+            }
+            Some(observe_response::Message::Goodbye(goodbye)) => {
+                bail!("the daemon ended the stream: {:?} {}", goodbye.reason(), goodbye.detail);
+            }
+            _ => {}
+        }
+    }
+    bar.clear();
+    let scans = last.await?.with_context(|| shown)?;
+    anyhow::ensure!(durable == scans, "{durable} of {scans} scans are durable");
+    Ok(Fed { scans, refused, bytes: total })
+}
+
+/// Reads batches until the end; gives the number of scans.
+fn read(
+    mut file: ScanFile<BufReader<File>>,
+    requests: &mpsc::Sender<Bytes>,
+    bar: &Bar,
+    total: u64,
+) -> anyhow::Result<u64> {
+    let (mut last, mut tenth) = (Vec::new(), 0);
+    while let Some(batch) = file.next_raw()? {
+        let mut message = BytesMut::with_capacity(batch.bytes.len() + 8);
+        message.put_u8(SCANS_TAG);
+        prost::encode_length_delimiter(batch.bytes.len(), &mut message)?;
+        message.put_slice(&batch.bytes);
+        if requests.blocking_send(message.freeze()).is_err() {
+            bail!("the stream ended early");
+        }
+        last = batch.bytes;
+        bar.set(file.bytes());
+        if file.bytes() * 10 / total.max(1) > tenth {
+            tenth = file.bytes() * 10 / total.max(1);
+            notice(&format!("{tenth}0 % sent"));
+        }
+    }
+    let last = ScanBatch::decode(last.as_slice())?;
+    Ok((last.first_sequence + last.scans.len() as u64).saturating_sub(1))
+}

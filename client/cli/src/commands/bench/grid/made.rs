@@ -1,0 +1,118 @@
+//! A file of scans that was made before.
+//!
+//! Invariant: what it holds is read from the file itself; options are only compared with it.
+
+use std::{
+    fs::File,
+    io::BufReader,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Context as _;
+use tidemap_client::{observe::tiles::TileTable, scan_file::ScanFile};
+use tidemap_proto::v1::scan::Content;
+use tidemap_sim::GridStream;
+
+use super::{GridArgs, office};
+
+const BUFFER_BYTES: usize = 1 << 20;
+const DAY_NANOS: f64 = 86_400e9;
+
+/// How often in a day all cells are compared.
+const LOOKS_PER_DAY: u32 = 24;
+
+/// A file, and how far apart its scans are.
+#[derive(Debug)]
+pub(super) struct Made {
+    path: PathBuf,
+    scans_per_day: Option<f64>,
+}
+
+impl Made {
+    /// Reads the first two scans.
+    pub(super) fn look(path: &Path) -> anyhow::Result<Self> {
+        let shown = || path.display().to_string();
+        let mut file = open(path).with_context(shown)?;
+        let mut times = Vec::new();
+        while times.len() < 2 {
+            let Some(scans) = file.next_scans().with_context(shown)? else { break };
+            times.extend(scans.iter().map(|scan| scan.time_nanos));
+        }
+        let step_nanos = times.first().zip(times.get(1)).map(|(first, second)| (second - first) as f64);
+        let scans_per_day = step_nanos.filter(|step| *step > 0.0).map(|step| (DAY_NANOS / step).round());
+        Ok(Self { path: path.to_path_buf(), scans_per_day })
+    }
+
+    /// How many scans it has a day; none of fewer than two scans.
+    pub(super) fn scans_per_day(&self) -> Option<f64> {
+        self.scans_per_day
+    }
+
+    /// Whether its first day is that of the file that the options make.
+    pub(super) fn is_of(&self, args: &GridArgs) -> anyhow::Result<bool> {
+        let shown = || self.path.display().to_string();
+        let office = office::make(args)?;
+        let (mut stream, mut made) = (GridStream::new(&office, 1), office::WireScans::new(&office));
+        let (mut found, mut right) = (TileTable::default(), TileTable::default());
+        let mut file = open(&self.path).with_context(shown)?;
+        let look = u64::from((args.scans_per_day / LOOKS_PER_DAY).max(1));
+        while let Some(scans) = file.next_scans().with_context(shown)? {
+            for of_file in scans {
+                let Some(scan) = stream.next() else { return Ok(true) };
+                if scan.utc_nanos != of_file.time_nanos {
+                    return Ok(false);
+                }
+                let (new_tiles, wire) = made.wire(&scan);
+                show(&mut right, &new_tiles, wire.content.as_ref())?;
+                show(&mut found, &of_file.new_tiles, of_file.scan.content.as_ref()).with_context(shown)?;
+                let is_look = of_file.number % look == 1 % look;
+                if is_look && (found.tiles() != right.tiles() || found.shown().all() != right.shown().all()) {
+                    return Ok(false);
+                }
+            }
+        }
+        Ok(true)
+    }
+}
+
+fn open(path: &Path) -> anyhow::Result<ScanFile<BufReader<File>>> {
+    Ok(ScanFile::new(BufReader::with_capacity(BUFFER_BYTES, File::open(path)?))?)
+}
+
+fn show(table: &mut TileTable, new_tiles: &[i32], content: Option<&Content>) -> anyhow::Result<()> {
+    table.extend(new_tiles)?;
+    if let Some(Content::Tiles(tiles)) = content {
+        table.apply(tiles)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: GridArgs,
+    }
+
+    #[test]
+    fn a_file_is_of_the_options_that_it_was_made_with() -> anyhow::Result<()> {
+        let usual = "bench --cells 20000 --changing-cells 1400 --scans-per-day 96 --days 1";
+        let args =
+            |more: &str| Line::try_parse_from(usual.split(' ').chain(more.split_whitespace())).map(|line| line.args);
+        let folder = tempfile::tempdir()?;
+        let path = folder.path().join("made.tms");
+        office::write(&path, &args("")?)?;
+        let made = Made::look(&path)?;
+        assert_eq!(made.scans_per_day(), Some(96.0));
+        assert!(made.is_of(&args("")?)? && made.is_of(&args("--keep")?)?);
+        for other in ["--seed 2", "--views 2", "--changes-per-day 20"] {
+            assert!(!made.is_of(&args(other)?)?, "{other}");
+        }
+        Ok(())
+    }
+}

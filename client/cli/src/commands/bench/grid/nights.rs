@@ -1,0 +1,74 @@
+//! The updates of a map while it is fed.
+//!
+//! Invariant: each update counts once, by the daemon's own measure of how long it ran.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use tidemap_client::{Client, updates::JobState};
+use tokio::task::JoinHandle;
+
+/// The daemon forgets jobs that ended long ago; looks come far closer than that.
+const PAUSE: Duration = Duration::from_millis(500);
+
+/// Follows the updates of a map.
+#[derive(Debug)]
+pub(super) struct Nights {
+    map: String,
+    /// Seconds of each, by the job's number.
+    seen: tokio::sync::watch::Receiver<BTreeMap<u64, f64>>,
+    task: JoinHandle<()>,
+}
+
+/// How long updates ran.
+#[derive(Clone, Debug)]
+pub(super) struct NightSecs(Vec<f64>);
+
+impl Nights {
+    pub(super) fn watch(client: &Client, map: &str) -> Self {
+        let (sender, seen) = tokio::sync::watch::channel(BTreeMap::new());
+        let (client, watched) = (client.clone(), map.to_owned());
+        let task = tokio::spawn(async move {
+            loop {
+                tokio::time::sleep(PAUSE).await;
+                if let Ok(ended) = ended(&client, &watched).await {
+                    sender.send_modify(|seen| seen.extend(ended));
+                }
+            }
+        });
+        Self { map: map.to_owned(), seen, task }
+    }
+
+    /// Looks once more.
+    pub(super) async fn ended(self, client: &Client) -> anyhow::Result<NightSecs> {
+        self.task.abort();
+        let mut all = self.seen.borrow().clone();
+        all.extend(ended(client, &self.map).await?);
+        Ok(NightSecs(all.into_values().collect()))
+    }
+}
+
+impl Drop for Nights {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+async fn ended(client: &Client, map: &str) -> Result<Vec<(u64, f64)>, tidemap_client::Error> {
+    let jobs = client.jobs().await?;
+    let of_map = jobs.into_iter().filter(|job| job.map == map && job.state == JobState::Done);
+    Ok(of_map.map(|job| (job.id, job.elapsed_nanos as f64 / 1e9)).collect())
+}
+
+impl NightSecs {
+    pub(super) fn count(&self) -> u64 {
+        self.0.len() as u64
+    }
+
+    pub(super) fn mean_secs(&self) -> Option<f64> {
+        (!self.0.is_empty()).then(|| self.0.iter().sum::<f64>() / self.0.len() as f64)
+    }
+
+    pub(super) fn max_secs(&self) -> Option<f64> {
+        self.0.iter().copied().reduce(f64::max)
+    }
+}

@@ -1,0 +1,175 @@
+//! The simulated office as a file of scans.
+//!
+//! Invariant: the same options make the same file; a tile is told whole when it is seen for the first time, and by what
+//! has changed from then on.
+
+use std::{
+    fs::File,
+    io::BufWriter,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Context as _;
+use tidemap_client::{
+    observe::tiles::{MASK_BYTES, runs_of, runs_to_wire},
+    scan_file::{ScanFileHeader, ScanFileWriter},
+};
+use tidemap_proto::v1::{Scan, TileScan, scan::Content};
+use tidemap_sim::{GridOffice, GridOfficeError, GridOfficeOptions, GridScan, GridStream};
+
+use super::GridArgs;
+use crate::{commands::Misused, progress::Bar};
+
+/// Time zone of the office.
+pub(super) const ZONE: &str = "Europe/London";
+/// Edge of its cells.
+pub(super) const RESOLUTION_M: f64 = 0.1;
+
+/// The office of the options.
+pub(super) fn make(args: &GridArgs) -> anyhow::Result<GridOffice> {
+    let office = GridOffice::new(&GridOfficeOptions {
+        seed: args.seed,
+        zone: ZONE.to_owned(),
+        cells: args.cells,
+        scans_per_day: args.scans_per_day,
+        changing_cells: args.changing_cells,
+        changes_per_day: args.changes_per_day,
+        views: args.views,
+        dwell_scans: args.dwell_scans,
+        ..GridOfficeOptions::default()
+    });
+    office.map_err(|error| match error {
+        GridOfficeError::OutOfRange { option, allowed, given } => {
+            let option = option.replace('_', "-");
+            Misused(format!("--{option} {given}: it has to be {allowed} here")).into()
+        }
+        GridOfficeError::TooQuiet { asked, least } => {
+            let text = format!("--changes-per-day {asked}: the routines of this office alone make {least:.1}");
+            Misused(text).into()
+        }
+        GridOfficeError::Zone(_) => error.into(),
+    })
+}
+
+/// Writes the file; gives its length. A file that is not whole does not get its name.
+pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
+    let office = make(args)?;
+    let mut unfinished = path.as_os_str().to_owned();
+    unfinished.push(".part");
+    let unfinished = PathBuf::from(unfinished);
+    let shown = || unfinished.display().to_string();
+    let file = File::create(&unfinished).with_context(shown)?;
+    let header = ScanFileHeader { resolution_m: RESOLUTION_M, ..ScanFileHeader::default() };
+    let mut writer = ScanFileWriter::new(BufWriter::new(file), &header).with_context(shown)?;
+    let mut scans = WireScans::new(&office);
+    let mut stream = GridStream::new(&office, args.days);
+    let (bar, total) = (Bar::count("scans made"), u64::from(args.days) * u64::from(args.scans_per_day));
+    let mut made = 0_u64;
+    while let Some(scan) = stream.next() {
+        let (new_tiles, wire) = scans.wire(&scan);
+        writer.wire_scan(scan.utc_nanos, &new_tiles, wire).with_context(shown)?;
+        made += 1;
+        if made.is_multiple_of(1024) {
+            bar.set_of(made, total);
+        }
+    }
+    bar.clear();
+    let (_, bytes) = writer.finish().with_context(shown)?;
+    std::fs::rename(&unfinished, path).with_context(|| path.display().to_string())?;
+    Ok(bytes)
+}
+
+/// Turns scans of the office into those of the wire.
+pub(super) struct WireScans<'a> {
+    office: &'a GridOffice,
+    shown: Vec<bool>,
+    view: Option<u32>,
+}
+
+impl<'a> WireScans<'a> {
+    pub(super) fn new(office: &'a GridOffice) -> Self {
+        Self { office, shown: Vec::new(), view: None }
+    }
+
+    /// The scan, and the tiles that are new to the table.
+    pub(super) fn wire(&mut self, scan: &GridScan<'_>) -> (Vec<i32>, Scan) {
+        let mut tiles = TileScan::default();
+        let mut new_tiles = Vec::new();
+        if self.view.is_none() {
+            new_tiles = self.office.tiles().as_flattened().to_vec();
+        }
+        if self.view != Some(scan.view) {
+            let slots = self.office.view_slots(scan.view);
+            tiles.seen = runs_to_wire(&runs_of(slots.iter().copied()));
+            let view = scan.view as usize;
+            if self.shown.len() <= view {
+                self.shown.resize(view + 1, false);
+            }
+            if !std::mem::replace(&mut self.shown[view], true) {
+                // All observed; whole masks say what is occupied, which is less than one flip for each cell of it.
+                tiles.masked = slots.to_vec();
+                tiles.occupied = occupied_masks(slots, scan.occupied_flips);
+            }
+            self.view = Some(scan.view);
+        }
+        if !tiles.masked.is_empty() {
+            return (new_tiles, Scan { content: Some(Content::Tiles(tiles)) });
+        }
+        let mut before = 0;
+        let difference = |&cell: &u32| cell - std::mem::replace(&mut before, cell);
+        tiles.occupied_flips = scan.occupied_flips.iter().map(difference).collect();
+        (new_tiles, Scan { content: Some(Content::Tiles(tiles)) })
+    }
+}
+
+/// The masks of slots of which these cells are occupied, both ascending.
+fn occupied_masks(slots: &[u32], occupied: &[u32]) -> Vec<u8> {
+    let mut masks = vec![0; slots.len() * MASK_BYTES];
+    let mut cells = occupied.iter().peekable();
+    for (slot, mask) in slots.iter().zip(masks.chunks_exact_mut(MASK_BYTES)) {
+        while let Some(cell) = cells.next_if(|cell| **cell / 512 <= *slot) {
+            mask[*cell as usize % 512 / 8] |= 1 << (cell % 8);
+        }
+    }
+    masks
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_client::observe::tiles::TileTable;
+
+    use super::*;
+
+    #[test]
+    fn the_file_shows_the_office() -> anyhow::Result<()> {
+        let options = GridOfficeOptions {
+            cells: 20_000,
+            changing_cells: 1_000,
+            scans_per_day: 96,
+            views: 3,
+            dwell_scans: 2,
+            ..GridOfficeOptions::default()
+        };
+        let office = GridOffice::new(&options)?;
+        let (mut table, mut scans) = (TileTable::default(), WireScans::new(&office));
+        let mut stream = GridStream::new(&office, 1);
+        while let Some(scan) = stream.next() {
+            let (new_tiles, wire) = scans.wire(&scan);
+            table.extend(&new_tiles)?;
+            let Some(Content::Tiles(tiles)) = wire.content else { anyhow::bail!("tiles") };
+            table.apply(&tiles)?;
+            let seen: Vec<u32> = table.shown().seen().iter().flat_map(|run| run.slots()).collect();
+            assert_eq!(seen, office.view_slots(scan.view));
+            for &slot in seen.iter().step_by(5) {
+                let masks = table.shown().masks(slot);
+                assert_eq!(masks.observed, [u64::MAX; 8]);
+                for cell in (0..512).step_by(37) {
+                    let shown = masks.occupied[cell as usize / 64] >> (cell % 64) & 1 == 1;
+                    assert_eq!(shown, office.truth(slot, cell, scan.utc_nanos), "{slot} {cell}");
+                }
+            }
+        }
+        assert_eq!(table.tiles(), office.tiles());
+        Ok(())
+    }
+}

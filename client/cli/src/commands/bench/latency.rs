@@ -1,0 +1,117 @@
+//! `tidemap bench latency`.
+//!
+//! Invariant: observations are due at fixed times, whether earlier ones were acknowledged or not, and are timed from
+//! when they were due; a daemon that stalls cannot hide it by holding up its load.
+
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use hdrhistogram::Histogram;
+use tidemap_client::{
+    Client, clock,
+    observe::{Phase, Producer, ProducerOptions},
+};
+use tokio::task::JoinSet;
+
+use super::{DaemonProcess, Figures, machine::CpuTimes};
+use crate::progress::notice;
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct LatencyArgs {
+    /// Streams at a time
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    streams: u32,
+    /// Observations a second, of all streams together
+    #[arg(long, value_name = "N", default_value_t = 5_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    rate: u32,
+    /// How long
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    secs: u64,
+    #[command(flatten)]
+    process: DaemonProcess,
+}
+
+/// Longest latency that is told apart, in microseconds.
+const LATENCY_MAX_MICROS: u64 = 600_000_000;
+const DIGITS: u8 = 3;
+
+pub(super) async fn run(client: &Client, map: &str, args: &LatencyArgs) -> anyhow::Result<Figures> {
+    notice(&format!("{} observations a second on {} streams for {} s", args.rate, args.streams, args.secs));
+    let mut producers = Vec::new();
+    for stream in 0..args.streams {
+        producers.push(Producer::open(client, ProducerOptions::new(&format!("bench-{stream}"), "", map)).await?);
+    }
+    let period = Duration::from_secs_f64(f64::from(args.streams) / f64::from(args.rate));
+    let before = CpuTimes::now(args.process);
+    let began = Instant::now();
+    let end = began + Duration::from_secs(args.secs);
+    let mut running: JoinSet<_> = (0..)
+        .zip(producers)
+        .map(|(stream, producer)| {
+            // The streams take turns within a period.
+            let first = began + period.mul_f64(f64::from(stream) / f64::from(args.streams));
+            timed(producer, format!("door-{stream}"), first, end, period)
+        })
+        .collect();
+    let mut latencies = Histogram::<u64>::new_with_max(LATENCY_MAX_MICROS, DIGITS)?;
+    while let Some(stream) = running.join_next().await {
+        latencies.add(stream??)?;
+    }
+    let elapsed = began.elapsed();
+    let after = CpuTimes::now(args.process);
+    let millis = |micros: u64| Cell::from(micros as f64 / 1e3);
+    Ok(vec![
+        ("streams", args.streams.into()),
+        ("rate", args.rate.into()),
+        ("observations", latencies.len().into()),
+        ("observations_per_sec", (latencies.len() as f64 / elapsed.as_secs_f64()).round().into()),
+        ("p50_ms", millis(latencies.value_at_quantile(0.5))),
+        ("p99_ms", millis(latencies.value_at_quantile(0.99))),
+        ("max_ms", millis(latencies.max())),
+        ("feeder_cpu_secs", after.feeder_since(before)),
+        ("daemon_cpu_secs", after.daemon_since(before)),
+    ])
+}
+
+/// Sends an observation each period and times the acknowledgements, in microseconds.
+async fn timed(
+    mut producer: Producer,
+    state: String,
+    first: Instant,
+    end: Instant,
+    period: Duration,
+) -> anyhow::Result<Histogram<u64>> {
+    let mut latencies = Histogram::<u64>::new_with_max(LATENCY_MAX_MICROS, DIGITS)?;
+    let mut progress = producer.watch();
+    let mut under_way: VecDeque<(u64, Instant)> = VecDeque::new();
+    let mut due = first;
+    while due < end || !under_way.is_empty() {
+        tokio::select! {
+            () = tokio::time::sleep_until(due.into()), if due < end => {
+                let value = f64::from(u8::from(under_way.len().is_multiple_of(2)));
+                let sequence = producer.send(&state, clock::now_nanos(), value).await?;
+                under_way.push_back((sequence, due));
+                due += period;
+            }
+            changed = progress.changed() => {
+                changed?;
+                let durable = {
+                    let progress = progress.borrow_and_update();
+                    if let Phase::Ended(error) = &progress.phase {
+                        return Err(error.clone().into());
+                    }
+                    progress.durable_sequence
+                };
+                while let Some((_, due)) = under_way.pop_front_if(|(sequence, _)| *sequence <= durable) {
+                    let micros = u64::try_from(due.elapsed().as_micros()).unwrap_or(u64::MAX);
+                    latencies.record(micros.clamp(1, LATENCY_MAX_MICROS))?;
+                }
+            }
+        }
+    }
+    Ok(latencies)
+}

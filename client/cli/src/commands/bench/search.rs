@@ -1,0 +1,186 @@
+//! `tidemap bench search`.
+//!
+//! Invariant: the nodes were observed for weeks with a rhythm, and every request asks for another minute, so that no answer is
+//! one that was given before.
+
+use std::{
+    path::PathBuf,
+    time::{Duration, Instant},
+};
+
+use anyhow::Context as _;
+use clap::Args;
+use hdrhistogram::Histogram;
+use tidemap_client::{
+    Client,
+    observe::columns::Entry,
+    queries::ModelSelector,
+    routes::{Edge, EdgeEnds, Node, SearchQuery, Topology},
+};
+use tidemap_map::time::NANOS_PER_SEC;
+use tokio::task::JoinSet;
+
+use super::{
+    DaemonProcess, Figures,
+    load::{Load, scrambled},
+    machine::CpuTimes,
+    updated,
+};
+use crate::{commands::topology::from_file, progress::notice};
+use tidemap_formats::{table::Cell, topology::read_lines};
+
+#[derive(Debug, Args)]
+pub struct SearchArgs {
+    /// Nodes to look at, in a tree
+    #[arg(long, value_name = "N", default_value_t = 9, value_parser = clap::value_parser!(u64).range(2..=1_000))]
+    nodes: u64,
+    /// A topology of lines as `topology load` takes it, in place of the tree; its nodes get other names
+    #[arg(long, value_name = "FILE", conflicts_with = "nodes")]
+    topology: Option<PathBuf>,
+    /// Number of the node where the robot starts, from 0
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    start: usize,
+    /// Searches to ask for
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    requests: u32,
+    /// How many ask at a time, each one after another
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000))]
+    concurrent: u32,
+    /// Model, as in `predict`
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+    #[command(flatten)]
+    process: DaemonProcess,
+}
+
+/// Monday 2020-01-06T00:00:00Z.
+const START_NANOS: i64 = 1_578_268_800 * NANOS_PER_SEC;
+const MINUTE_NANOS: i64 = 60 * NANOS_PER_SEC;
+/// Every ten minutes for four weeks.
+const READINGS: u64 = 4 * 7 * 144;
+const READING_NANOS: i64 = 10 * MINUTE_NANOS;
+/// Longest answer that is told apart, in microseconds.
+const ANSWER_MAX_MICROS: u64 = 600_000_000;
+const DIGITS: u8 = 3;
+
+pub(super) async fn run(client: &Client, map: &str, args: &SearchArgs) -> anyhow::Result<Figures> {
+    let shape = match &args.topology {
+        Some(path) => {
+            let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            from_file(read_lines(&text).with_context(|| path.display().to_string())?)
+        }
+        None => tree(args.nodes),
+    };
+    let states = shape.nodes.len() as u64;
+    anyhow::ensure!(args.start < shape.nodes.len(), "--start is {}, of {states} nodes", args.start);
+    let load = Load {
+        map: map.to_owned(),
+        streams: 4,
+        states,
+        name_chars: 16,
+        observations: states * READINGS,
+        batch: 4096,
+        observation,
+    };
+    let topology = renamed(&shape, &load)?;
+    client.load_topology(map, &topology, false).await?;
+    notice(&format!("sending four weeks of {states} nodes to map {map}"));
+    load.send(client).await?;
+    updated(client, map).await?;
+
+    let future = START_NANOS + 5 * 7 * 24 * 60 * MINUTE_NANOS;
+    let query = |number: u32| SearchQuery {
+        map: map.to_owned(),
+        start: topology.nodes[args.start].name.clone(),
+        time_nanos: future + i64::from(number) * MINUTE_NANOS,
+        model: args.model,
+        ..SearchQuery::default()
+    };
+    notice("searching");
+    // What is made once is made.
+    for number in 0..100 {
+        client.plan_search(query(number)).await?;
+    }
+    let before = CpuTimes::now(args.process);
+    let began = Instant::now();
+    let mut running = JoinSet::new();
+    for first in 0..args.concurrent {
+        let queries: Vec<SearchQuery> = (first..args.requests).step_by(args.concurrent as usize).map(query).collect();
+        running.spawn(asked(client.clone(), queries));
+    }
+    let mut answers = Histogram::<u64>::new_with_max(ANSWER_MAX_MICROS, DIGITS)?;
+    while let Some(one) = running.join_next().await {
+        answers.add(one??)?;
+    }
+    let elapsed = began.elapsed();
+    let after = CpuTimes::now(args.process);
+    let millis = |micros: u64| Cell::from(micros as f64 / 1e3);
+    Ok(vec![
+        ("nodes", states.into()),
+        ("concurrent", args.concurrent.into()),
+        ("searches", answers.len().into()),
+        ("searches_per_sec", (answers.len() as f64 / elapsed.as_secs_f64()).round().into()),
+        ("p50_ms", millis(answers.value_at_quantile(0.5))),
+        ("p99_ms", millis(answers.value_at_quantile(0.99))),
+        ("max_ms", millis(answers.max())),
+        ("client_cpu_secs", after.feeder_since(before)),
+        ("daemon_cpu_secs", after.daemon_since(before)),
+    ])
+}
+
+/// Asks one after another, and times each answer in microseconds.
+async fn asked(client: Client, queries: Vec<SearchQuery>) -> anyhow::Result<Histogram<u64>> {
+    let mut answers = Histogram::<u64>::new_with_max(ANSWER_MAX_MICROS, DIGITS)?;
+    for query in queries {
+        let began = Instant::now();
+        let search = client.plan_search(query).await?;
+        let took: Duration = began.elapsed();
+        anyhow::ensure!(!search.steps.is_empty(), "a search came without steps");
+        let micros = u64::try_from(took.as_micros()).unwrap_or(u64::MAX);
+        answers.record(micros.clamp(1, ANSWER_MAX_MICROS))?;
+    }
+    Ok(answers)
+}
+
+/// A tree whose nodes have three branches each, 10 to 26 s long.
+fn tree(nodes: u64) -> Topology {
+    let node = |number: u64| Node { name: number.to_string(), ..Node::default() };
+    let edge = |number: u64| {
+        let (from, to) = (((number - 1) / 3).to_string(), number.to_string());
+        let ends = EdgeEnds { from, to, both_ways: true, ..EdgeEnds::default() };
+        Edge { ends, nominal_secs: Some(10.0 + (scrambled(number) % 17) as f64), ..Edge::default() }
+    };
+    Topology { nodes: (0..nodes).map(node).collect(), edges: (1..nodes).map(edge).collect() }
+}
+
+/// The same with nodes called as the states of a load are.
+fn renamed(shape: &Topology, load: &Load) -> anyhow::Result<Topology> {
+    let renamed = |name: &str| {
+        let found = (0..).zip(&shape.nodes).find(|(_, node)| node.name == name);
+        found.map(|(number, _)| load.name(number)).with_context(|| format!("there is no node {name:?}"))
+    };
+    let mut topology = shape.clone();
+    for node in &mut topology.nodes {
+        node.name = renamed(&node.name)?;
+    }
+    for Edge { ends, .. } in &mut topology.edges {
+        (ends.from, ends.to) = (renamed(&ends.from)?, renamed(&ends.to)?);
+    }
+    Ok(topology)
+}
+
+/// Somebody who keeps to a day, with exceptions: every node has 1 when she is there.
+fn observation(load: &Load, number: u64) -> Entry {
+    let (state, reading) = (number % load.states, number / load.states);
+    let (hour, day) = (reading % 144 / 6, reading / 144 % 7);
+    let usual = (hour / 2 + if day < 5 { 0 } else { 1 }) % load.states;
+    let unusual = scrambled(reading / 3) % load.states;
+    let place = if scrambled(reading).is_multiple_of(5) { unusual } else { usual };
+    let offset = i64::try_from(state).unwrap_or(0) * 1_000_000;
+    Entry {
+        state: u32::try_from(state).unwrap_or(0),
+        time_nanos: START_NANOS + i64::try_from(reading).unwrap_or(0) * READING_NANOS + offset,
+        value: f64::from(u8::from(place == state)),
+        position: None,
+    }
+}

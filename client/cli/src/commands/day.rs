@@ -1,0 +1,141 @@
+//! `tidemap day`.
+//!
+//! Invariant: a row per slot of the local day, in order; an empty location is a slot to rest.
+
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use clap::{Args, ValueEnum};
+use tidemap_client::{
+    exploration::{Budget, DayQuery, DaySlot, Sensor, Strategy, Viewpoint},
+    maps::Map,
+    queries::ModelSelector,
+};
+
+use super::{Misused, Session, times};
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct DayArgs {
+    /// Name of the map
+    map: String,
+    /// The local date, as 2016-03-21
+    #[arg(long, value_name = "YYYY-MM-DD")]
+    date: String,
+    /// Length of a slot
+    #[arg(long, value_name = "DURATION", value_parser = times::duration, default_value = "15m")]
+    slot: i64,
+    /// So many slots to explore [default: a quarter of them]
+    #[arg(long, value_name = "N", conflicts_with = "ratio")]
+    explore: Option<u32>,
+    /// Share of the slots to explore, above 0 and at most 1
+    #[arg(long, value_name = "E")]
+    ratio: Option<f64>,
+    /// How slots and locations are chosen
+    #[arg(long, value_name = "STRATEGY", default_value = "monte-carlo")]
+    strategy: StrategyArg,
+    /// Seed of what is random
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Locations to choose from [default: all; where the map has none, every state is one]
+    #[arg(long = "location", value_name = "LOCATION", num_args = 1..)]
+    locations: Vec<String>,
+    /// Model: those of predict, each optionally with +persistence
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+    /// Looks into the grid instead, from places so many metres apart all over it; a location is then X,Y
+    #[arg(long, value_name = "M", value_parser = spacing, conflicts_with = "locations")]
+    views: Option<f64>,
+    /// Between exploring (1) and doing what a task profits from (0)
+    #[arg(long, value_name = "W", requires = "task_states")]
+    exploration_weight: Option<f64>,
+    /// States that the task profits from, one per location and in their order
+    #[arg(long = "task-state", value_name = "STATE", num_args = 1.., requires = "exploration_weight")]
+    task_states: Vec<String>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum StrategyArg {
+    /// At random, in proportion to the information expected
+    MonteCarlo,
+    /// The slots and locations with the most information
+    Greedy,
+    /// All locations in turn
+    RoundRobin,
+    /// All locations alike, at random
+    Random,
+}
+
+/// Most places to look from; more are refused before anything is asked.
+const VIEWS_MAX: f64 = 100_000.0;
+
+fn spacing(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|metres: &f64| *metres > 0.0 && metres.is_finite());
+    number.ok_or_else(|| format!("{text:?} is not a distance: write metres above 0, as 1.5"))
+}
+
+/// Places all over a map's grid, so far apart.
+async fn viewpoints(session: &Session, map: &str, apart_m: f64) -> anyhow::Result<Vec<Viewpoint>> {
+    let Map { grid, grid_summary, .. } = session.client.map(map).await?;
+    let grid = grid.with_context(|| format!("map {map:?} has no grid to look into"))?;
+    let bounds = grid_summary.and_then(|summary| summary.bounds);
+    let bounds = bounds.with_context(|| format!("nothing was observed of the grid of map {map:?} yet"))?;
+    let cells = |axis: usize| f64::from(bounds.max[axis] - bounds.min[axis]);
+    let count = |axis: usize| (cells(axis) * grid.resolution_m / apart_m).floor().max(1.0);
+    if count(0) * count(1) > VIEWS_MAX {
+        let text = format!("--views {apart_m}: that are {:.0} places, more than {VIEWS_MAX}", count(0) * count(1));
+        return Err(Misused(text).into());
+    }
+    let along = |axis: usize, number: u32| {
+        let spare = cells(axis) * grid.resolution_m - count(axis) * apart_m;
+        let low = grid.origin_m[axis] + f64::from(bounds.min[axis]) * grid.resolution_m;
+        low + spare / 2.0 + (f64::from(number) + 0.5) * apart_m
+    };
+    let rounded = |metres: f64| (metres * 1e3).round() / 1e3;
+    let at =
+        |x: u32, y: u32| Viewpoint { x_m: rounded(along(0, x)), y_m: rounded(along(1, y)), ..Viewpoint::default() };
+    let (columns, rows) = (count(0) as u32, count(1) as u32);
+    Ok((0..rows).flat_map(|y| (0..columns).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect())
+}
+
+const COLUMNS: [&str; 4] = ["slot", "start", "location", "information_bits"];
+
+pub async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
+    let budget = match (args.explore, args.ratio) {
+        (Some(slots), _) => Budget::Slots(slots),
+        (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Budget::Ratio(ratio),
+        (None, Some(ratio)) => return Err(Misused(format!("--ratio {ratio}: it is above 0 and at most 1")).into()),
+        (None, None) => Budget::Usual,
+    };
+    let viewpoints = match args.views {
+        Some(apart_m) => viewpoints(session, &args.map, apart_m).await?,
+        None => Vec::new(),
+    };
+    let query = DayQuery {
+        map: args.map,
+        date: args.date,
+        slot_nanos: Some(args.slot),
+        budget,
+        strategy: match args.strategy {
+            StrategyArg::MonteCarlo => Strategy::MonteCarlo,
+            StrategyArg::Greedy => Strategy::Greedy,
+            StrategyArg::RoundRobin => Strategy::RoundRobin,
+            StrategyArg::Random => Strategy::Random,
+        },
+        seed: args.seed,
+        locations: args.locations,
+        model: args.model,
+        exploration_weight: args.exploration_weight,
+        task_states: args.task_states,
+        viewpoints,
+        sensor: Sensor::default(),
+    };
+    let slots = session.client.plan_day(query).await?;
+    let mut sheet = session.sheet(&COLUMNS);
+    for (slot, DaySlot { start_nanos, location, information_bits }) in (0_u64..).zip(slots) {
+        let location = location.map_or(Cell::Empty, Cell::Text);
+        sheet.row(vec![Cell::Count(slot), Cell::Secs(start_nanos), location, information_bits.into()])?;
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,173 @@
+//! `tidemap evaluate`.
+//!
+//! Invariant: rows that cannot be read are left out and said so; nothing of the file is learned.
+
+use std::{path::PathBuf, process::ExitCode, str::FromStr};
+
+use anyhow::Context as _;
+use clap::Args;
+use tidemap_client::queries::{
+    Comparison, EvaluateOptions, InvalidModel, ModelKind, ModelSelector, ORDER_MAX, Unavailable,
+};
+
+use super::{
+    Session,
+    observe::{
+        feed::{self, Feed, Told},
+        kinds::Kinds,
+    },
+};
+use crate::progress::{Bar, notice};
+use tidemap_formats::{
+    observation_file::{Columns, RowsError},
+    table::Cell,
+};
+
+#[derive(Debug, Args)]
+pub struct EvaluateArgs {
+    /// Name of the map
+    map: String,
+    /// File with the columns time,state,value; - is stdin
+    file: PathBuf,
+    /// Greatest order of the spectral model, 0 to 15 [default: 15]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
+    max_order: Option<u32>,
+    /// Models, each optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS],
+    /// histogram:week[:BINS], histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]],
+    /// hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson, calibrated; or all, for each kind without it
+    #[arg(long, value_name = "KIND,…", value_delimiter = ',', default_value = "spectral")]
+    models: Vec<Choice>,
+}
+
+/// A model, or all of them.
+#[derive(Clone, Debug)]
+enum Choice {
+    All,
+    One(ModelSelector),
+}
+
+impl FromStr for Choice {
+    type Err = InvalidModel;
+
+    fn from_str(text: &str) -> Result<Self, InvalidModel> {
+        if text == "all" { Ok(Self::All) } else { text.parse().map(Self::One) }
+    }
+}
+
+fn selected(choices: &[Choice]) -> Vec<ModelSelector> {
+    let mut models = Vec::new();
+    for choice in choices {
+        let chosen = match choice {
+            Choice::All => ModelKind::ALL.map(|kind| ModelSelector { kind, ..ModelSelector::default() }).to_vec(),
+            Choice::One(model) => vec![*model],
+        };
+        // Naming a model twice asks for it once.
+        models.extend(chosen.into_iter().filter(|model| !models.contains(model)).collect::<Vec<_>>());
+    }
+    models
+}
+
+/// Whether this model was asked for by its name, and not as one of all.
+fn is_named(choices: &[Choice], model: ModelSelector) -> bool {
+    choices.iter().any(|choice| match choice {
+        Choice::All => false,
+        // The daemon fills in what was left out.
+        Choice::One(named) => {
+            let parameter = named.parameter.or(model.parameter);
+            ModelSelector { parameter, order: model.order, ..*named } == model
+        }
+    })
+}
+
+/// What to say of a model that is missing.
+fn missing(unavailable: &Unavailable) -> String {
+    const SHOWN: usize = 5;
+    let Unavailable { model, reason, states } = unavailable;
+    let more = states.len().saturating_sub(SHOWN);
+    let and_more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{model} is left out of {}{and_more}: {reason}", states[..states.len() - more].join(", "))
+}
+
+pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
+    let shown = feed::shown(&args.file);
+    let Feed { mut rows, total_bytes, layout } = feed::open::<Columns>(&args.file)?;
+    if layout.has_positions() {
+        return Err(anyhow::Error::new(RowsError::Positions).context(feed::shown(&args.file)));
+    }
+    let options = EvaluateOptions { map: args.map, models: selected(&args.models), max_order: args.max_order };
+    let mut kinds = Kinds::new(session.client.clone(), options.map.clone(), None);
+    let mut evaluator = session.client.evaluate(options);
+    let bar = Bar::bytes(total_bytes);
+    let mut told = Told::new(bar.clone(), "is left out");
+    'file: while let Some(chunk) = rows.recv().await {
+        let chunk = chunk.with_context(|| shown.clone())?;
+        bar.set(chunk.bytes);
+        for row in &chunk.rows {
+            if let Some(wrong) = kinds.wrong(row).await {
+                told.refused(row.number, Some(row.line), &wrong);
+            } else if !evaluator.add(&row.state, row.time_nanos, row.value).await {
+                break 'file;
+            }
+        }
+        told.last_line(&chunk);
+    }
+    let Comparison { evaluations, unavailable } = evaluator.finish().await?;
+    bar.clear();
+    let mut sheet = session.sheet(&["state", "model", "order", "n", "mse", "error_rate"]);
+    for evaluation in evaluations {
+        sheet.row(vec![
+            Cell::Text(evaluation.state),
+            Cell::Text(evaluation.model.to_string()),
+            Cell::maybe(evaluation.model.order),
+            evaluation.observations.into(),
+            evaluation.mean_squared_error.into(),
+            Cell::maybe(evaluation.error_rate),
+        ])?;
+    }
+    sheet.finish()?;
+    unavailable.iter().for_each(|unavailable| notice(&missing(unavailable)));
+    let all_there = !unavailable.iter().any(|unavailable| is_named(&args.models, unavailable.model));
+    Ok(if told.all_well() && all_there { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn choices(texts: &[&str]) -> Vec<Choice> {
+        texts.iter().map(|text| text.parse().expect(text)).collect()
+    }
+
+    #[test]
+    fn all_stands_for_every_kind_and_a_name_twice_for_one() {
+        assert_eq!(selected(&choices(&["all"])).len(), ModelKind::ALL.len());
+        assert_eq!(selected(&choices(&["mean", "all", "mean"])).len(), ModelKind::ALL.len());
+        assert_eq!(selected(&choices(&["pergam:3", "pergam:4"])).len(), 2);
+    }
+
+    #[test]
+    fn what_was_named_is_told_from_what_is_one_of_all() {
+        let model: ModelSelector = "pergam:3".parse().expect("a model");
+        for (texts, named) in [
+            (["all"], false),
+            (["pergam"], true),
+            (["pergam:3"], true),
+            (["pergam:4"], false),
+            (["pergam+persistence"], false),
+            (["mean"], false),
+        ] {
+            assert_eq!(is_named(&choices(&texts), model), named, "{texts:?}");
+        }
+        let weekly = "histogram:week:168".parse().expect("a model");
+        assert!(is_named(&choices(&["histogram:week"]), weekly) && !is_named(&choices(&["histogram"]), weekly));
+    }
+
+    #[test]
+    fn a_missing_model_names_some_of_its_states() {
+        let states = |count: usize| (0..count).map(|i| format!("s{i}")).collect();
+        let model = "pergam:3".parse().expect("a model");
+        let unavailable = |count| Unavailable { model, reason: "it is so".to_owned(), states: states(count) };
+        assert_eq!(missing(&unavailable(1)), "pergam:3 is left out of s0: it is so");
+        assert_eq!(missing(&unavailable(7)), "pergam:3 is left out of s0, s1, s2, s3, s4 and 2 more: it is so");
+    }
+}

@@ -1,0 +1,230 @@
+//! Maps that others made, as masks of a grid's cells.
+//!
+//! Invariant: what a map does not know is not observed; where two of its parts meet in a cell, occupied wins. Memory is
+//! bounded by a number of tiles that is checked before they are made.
+
+use std::collections::HashMap;
+
+use tidemap_client::{
+    maps::{CellBox, Grid},
+    observe::tiles::{SeenTile, TileMasks},
+};
+
+use tidemap_formats::{nav2, octomap::OctoMap};
+
+/// Most tiles that one map may fill: 33 million cells.
+const TILES_MAX: u64 = 1 << 16;
+const EDGE: i32 = 8;
+/// By how much of a cell a map may be off without a word about it.
+const OFF_MAX: f64 = 0.01;
+
+/// What a map is on a grid.
+#[derive(Debug)]
+pub struct OnGrid {
+    /// Its tiles.
+    pub tiles: Vec<SeenTile>,
+    /// What is worth knowing about how it was fitted in.
+    pub notice: Option<String>,
+}
+
+/// How the cells of a map lie in those of a grid.
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    /// Cells of the grid along one of the map.
+    times: i64,
+    /// Cell of the grid where the map's cell (0, 0, 0) begins.
+    offset: [i64; 3],
+    off_cells: f64,
+}
+
+impl Fit {
+    fn new(resolution_m: f64, origin_m: [f64; 3], grid: &Grid) -> anyhow::Result<Self> {
+        let ratio = resolution_m / grid.resolution_m;
+        let times = ratio.round();
+        anyhow::ensure!(
+            times >= 1.0 && (ratio - times).abs() < 1e-6 * times,
+            "its cells are {resolution_m} m wide and those of the grid {} m: they have to be as wide, or a whole multiple",
+            grid.resolution_m
+        );
+        let exact: [f64; 3] = std::array::from_fn(|axis| (origin_m[axis] - grid.origin_m[axis]) / grid.resolution_m);
+        let off = exact.iter().map(|exact| (exact - exact.round()).abs()).fold(0.0, f64::max);
+        Ok(Self { times: times as i64, offset: exact.map(|exact| exact.round() as i64), off_cells: off })
+    }
+
+    /// The cells of the grid that some cells of the map cover.
+    fn cells(&self, min: [i64; 3], size: [i64; 3]) -> ([i64; 3], [i64; 3]) {
+        let from: [i64; 3] = std::array::from_fn(|axis| self.offset[axis] + min[axis] * self.times);
+        (from, std::array::from_fn(|axis| from[axis] + size[axis] * self.times))
+    }
+
+    fn notice(&self, also: Option<&str>) -> Option<String> {
+        let off = (self.off_cells > OFF_MAX)
+            .then(|| format!("its cells do not line up with the grid's: moved by {:.2} of a cell", self.off_cells));
+        let all: Vec<String> = off.into_iter().chain(also.map(str::to_owned)).collect();
+        (!all.is_empty()).then(|| all.join("; "))
+    }
+}
+
+/// Tiles that are being filled.
+#[derive(Debug)]
+struct Tiles {
+    tiles: HashMap<[i32; 3], TileMasks>,
+    /// The cells that there may be.
+    allowed: ([i64; 3], [i64; 3]),
+}
+
+impl Tiles {
+    fn new(grid: &Grid) -> Self {
+        let far = i64::from(i32::MAX / 4);
+        let (mut min, mut max) = ([-far; 3], [far; 3]);
+        if let Some(CellBox { min: lowest, max: beyond }) = grid.extent {
+            (min, max) = (lowest.map(i64::from), beyond.map(i64::from));
+        }
+        if grid.is_flat {
+            (min[2], max[2]) = (0, 1);
+        }
+        Self { tiles: HashMap::new(), allowed: (min, max) }
+    }
+
+    fn fill(&mut self, (from, to): ([i64; 3], [i64; 3]), occupied: bool) -> anyhow::Result<()> {
+        let min: [i64; 3] = std::array::from_fn(|axis| from[axis].max(self.allowed.0[axis]));
+        let max: [i64; 3] = std::array::from_fn(|axis| to[axis].min(self.allowed.1[axis]));
+        if (0..3).any(|axis| min[axis] >= max[axis]) {
+            return Ok(());
+        }
+        let edge = i64::from(EDGE);
+        let first = min.map(|cell| cell.div_euclid(edge));
+        let last = max.map(|cell| (cell - 1).div_euclid(edge));
+        let count: i128 = (0..3).map(|axis| i128::from(last[axis] - first[axis] + 1)).product();
+        anyhow::ensure!(
+            count <= i128::from(TILES_MAX) && self.tiles.len() as u64 <= TILES_MAX,
+            "it fills more than {TILES_MAX} tiles of 8x8x8 cells: cut it to the part that matters, or give the grid a size"
+        );
+        for z in first[2]..=last[2] {
+            for y in first[1]..=last[1] {
+                for x in first[0]..=last[0] {
+                    self.fill_tile([x, y, z], min, max, occupied);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn fill_tile(&mut self, tile: [i64; 3], min: [i64; 3], max: [i64; 3], occupied: bool) {
+        let edge = i64::from(EDGE);
+        let from: [u32; 3] = std::array::from_fn(|axis| (min[axis] - tile[axis] * edge).clamp(0, edge) as u32);
+        let to: [u32; 3] = std::array::from_fn(|axis| (max[axis] - tile[axis] * edge).clamp(0, edge) as u32);
+        // Within `allowed`, a tile's index is far below what i32 holds.
+        let masks = self.tiles.entry(tile.map(|index| index as i32)).or_default();
+        let row = row_bits(from[0], to[0]);
+        let layer = (from[1]..to[1]).fold(0_u64, |layer, y| layer | row << (8 * y));
+        for z in from[2]..to[2] {
+            masks.observed[z as usize] |= layer;
+            if occupied {
+                masks.occupied[z as usize] |= layer;
+            }
+        }
+    }
+
+    fn into_seen(self) -> Vec<SeenTile> {
+        let mut tiles: Vec<SeenTile> = self.tiles.into_iter().map(|(tile, masks)| SeenTile { tile, masks }).collect();
+        // Always the same order, so that the same map always makes the same scan.
+        tiles.sort_unstable_by_key(|seen| [seen.tile[2], seen.tile[1], seen.tile[0]]);
+        tiles
+    }
+}
+
+/// Bits from one up to another, of 8.
+fn row_bits(from: u32, to: u32) -> u64 {
+    ((1_u64 << to) - 1) & !((1_u64 << from) - 1)
+}
+
+/// The known cells of an OctoMap.
+pub fn of_octomap(map: &OctoMap, grid: &Grid) -> anyhow::Result<OnGrid> {
+    let fit = Fit::new(map.resolution_m, [0.0; 3], grid)?;
+    let mut tiles = Tiles::new(grid);
+    for leaf in &map.leaves {
+        let cells = fit.cells(leaf.min_cell.map(i64::from), [i64::from(leaf.size_cells); 3]);
+        tiles.fill(cells, leaf.occupied)?;
+    }
+    let also = grid.is_flat.then_some("the grid is flat: only the layer z = 0 is used");
+    Ok(OnGrid { tiles: tiles.into_seen(), notice: fit.notice(also) })
+}
+
+/// The known cells of a grid in the plane.
+pub fn of_plane(map: &nav2::Grid, grid: &Grid) -> anyhow::Result<OnGrid> {
+    let [x_m, y_m] = map.origin_m;
+    let fit = Fit::new(map.resolution_m, [x_m, y_m, grid.origin_m[2]], grid)?;
+    let mut tiles = Tiles::new(grid);
+    // A map in the plane is one layer of the grid, however wide its cells.
+    tiles.allowed.0[2] = tiles.allowed.0[2].max(0);
+    tiles.allowed.1[2] = tiles.allowed.1[2].min(1);
+    let width = i64::from(map.size_cells[0]).max(1);
+    for (index, cell) in (0_i64..).zip(&map.cells) {
+        if let Some(occupied) = cell.occupied() {
+            tiles.fill(fit.cells([index % width, index / width, 0], [1; 3]), occupied)?;
+        }
+    }
+    let also = (!grid.is_flat).then_some("the map is flat: its cells are those of the layer z = 0");
+    Ok(OnGrid { tiles: tiles.into_seen(), notice: fit.notice(also) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tidemap_formats::{nav2::GridCell, octomap::Leaf};
+
+    fn grid() -> Grid {
+        Grid { resolution_m: 0.1, origin_m: [-0.8, 0.0, 0.0], ..Grid::default() }
+    }
+
+    fn count(tiles: &[SeenTile]) -> (u32, u32) {
+        let ones = |mask: &[u64; 8]| mask.iter().map(|word| word.count_ones()).sum::<u32>();
+        tiles.iter().fold((0, 0), |(observed, occupied), seen| {
+            (observed + ones(&seen.masks.observed), occupied + ones(&seen.masks.occupied))
+        })
+    }
+
+    #[test]
+    fn leaves_fill_the_cells_that_they_cover() -> anyhow::Result<()> {
+        let leaf = |min_cell, size_cells, occupied| Leaf { min_cell, size_cells, occupied, log_odds: 1.0 };
+        let leaves = vec![leaf([-2, 0, 0], 2, true), leaf([0, 4, 0], 4, false), leaf([3, 0, -1], 1, true)];
+        let on = of_octomap(&OctoMap { resolution_m: 0.2, leaves }, &grid())?;
+        // Twice as wide: 8, 64 and 1 leaf cells are 8 cells each.
+        assert_eq!(count(&on.tiles), ((8 + 64 + 1) * 8, (8 + 1) * 8));
+        assert!(on.notice.is_none(), "{:?}", on.notice);
+        let first = on.tiles.iter().find(|seen| seen.tile == [0, 0, 0]).map(|seen| seen.masks.occupied);
+        // The leaf begins 4 cells left of the map's origin, which is cell 8 of the grid.
+        assert_eq!(first.map(|occupied| occupied[0]), Some(0xF0F0_F0F0));
+        let flat = of_octomap(
+            &OctoMap { resolution_m: 0.1, leaves: vec![leaf([0, 0, -4], 8, true)] },
+            &Grid { is_flat: true, ..grid() },
+        )?;
+        assert_eq!(count(&flat.tiles), (64, 64));
+        Ok(())
+    }
+
+    #[test]
+    fn a_plane_is_one_layer_and_leaves_out_what_it_does_not_know() -> anyhow::Result<()> {
+        let cells = vec![GridCell::Free, GridCell::Occupied, GridCell::Unknown, GridCell::Between { percent: 40 }];
+        let map = nav2::Grid { resolution_m: 0.2, origin_m: [-0.83, 0.0], size_cells: [2, 2], cells };
+        let on = of_plane(&map, &grid())?;
+        assert_eq!(count(&on.tiles), (8, 4));
+        assert!(on.notice.is_some_and(|notice| notice.contains("moved by 0.30") && notice.contains("z = 0")));
+        assert_eq!(on.tiles.iter().map(|seen| seen.tile).collect::<Vec<_>>(), [[0, 0, 0]]);
+        Ok(())
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused_with_the_reason() {
+        let leaf = Leaf { min_cell: [-16384; 3], size_cells: 16384, occupied: false, log_odds: -1.0 };
+        let map = |resolution_m| OctoMap { resolution_m, leaves: vec![leaf] };
+        let error = |map: &OctoMap, grid: &Grid| of_octomap(map, grid).err().map(|error| error.to_string());
+        assert!(error(&map(0.15), &grid()).is_some_and(|error| error.contains("0.15 m wide")));
+        assert!(error(&map(0.05), &grid()).is_some_and(|error| error.contains("0.05 m wide")));
+        assert!(error(&map(0.1), &grid()).is_some_and(|error| error.contains("more than 65536 tiles")));
+        let extent = Some(CellBox { min: [-20; 3], max: [0; 3] });
+        let cut = of_octomap(&map(0.1), &Grid { extent, ..grid() });
+        assert_eq!(cut.map(|on| count(&on.tiles)).ok(), Some((20 * 20 * 20, 0)), "the rest lies outside of the grid");
+    }
+}

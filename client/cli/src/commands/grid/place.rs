@@ -1,0 +1,126 @@
+//! Places on the command line: poses and boxes, in metres.
+//!
+//! Invariant: what comes out is finite, ordered, and a pose's quaternion has length 1; a mistake names the value.
+
+use std::str::FromStr;
+
+use tidemap_client::{
+    maps::{CellBox, Grid},
+    observe::scan::Pose,
+};
+
+/// How far the length of a quaternion may be from 1.
+const QUATERNION_TOLERANCE: f64 = 1e-3;
+
+/// A pose: `X,Y,Z,QX,QY,QZ,QW`, or `X,Y,Z` for a sensor that is not turned.
+pub fn pose(text: &str) -> Result<Pose, String> {
+    let right = "a pose is X,Y,Z,QX,QY,QZ,QW: metres and a unit quaternion; or X,Y,Z, not turned";
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
+    let numbers = numbers.ok().filter(|numbers| numbers.iter().all(|number| number.is_finite()));
+    match numbers.as_deref() {
+        Some(&[x, y, z]) => Ok(Pose { position_m: [x, y, z], ..Pose::default() }),
+        Some(&[x, y, z, qx, qy, qz, qw]) => {
+            let quaternion_xyzw = [qx, qy, qz, qw];
+            let length = quaternion_xyzw.iter().map(|part| part * part).sum::<f64>().sqrt();
+            if (length - 1.0).abs() > QUATERNION_TOLERANCE {
+                return Err(format!("the quaternion {qx},{qy},{qz},{qw} has length {length:.4}: it has to be 1"));
+            }
+            Ok(Pose { position_m: [x, y, z], quaternion_xyzw })
+        }
+        _ => Err(format!("{text:?}: {right}")),
+    }
+}
+
+/// A stretch along one axis, from one place up to another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    from_m: f64,
+    to_m: f64,
+}
+
+impl Stretch {
+    /// From one place up to another that is beyond it.
+    pub fn new(from_m: f64, to_m: f64) -> Self {
+        Self { from_m, to_m }
+    }
+}
+
+impl FromStr for Stretch {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let right = || format!("{text:?}: a stretch is MIN:MAX in metres, the first below the second, such as 0.5:1.8");
+        let (from, to) = text.split_once(':').ok_or_else(right)?;
+        match (from.trim().parse::<f64>(), to.trim().parse::<f64>()) {
+            (Ok(from_m), Ok(to_m)) if from_m < to_m && from_m.is_finite() && to_m.is_finite() => {
+                Ok(Self { from_m, to_m })
+            }
+            _ => Err(right()),
+        }
+    }
+}
+
+/// A rectangle of the plane: `X0:X1,Y0:Y1`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rectangle {
+    x: Stretch,
+    y: Stretch,
+}
+
+impl FromStr for Rectangle {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (x, y) = text
+            .split_once(',')
+            .ok_or_else(|| format!("{text:?}: a region is X0:X1,Y0:Y1 in metres, such as -5:5,0:8"))?;
+        Ok(Self { x: x.parse()?, y: y.parse()? })
+    }
+}
+
+/// The cells of a region: those that reach into it, of `all` where it says nothing of an axis.
+pub fn cells(grid: &Grid, all: &CellBox, rectangle: Option<Rectangle>, height: Option<Stretch>) -> CellBox {
+    let mut cells = *all;
+    let along = [rectangle.map(|rectangle| rectangle.x), rectangle.map(|rectangle| rectangle.y), height];
+    for (axis, stretch) in along.into_iter().enumerate() {
+        let Some(Stretch { from_m, to_m }) = stretch else { continue };
+        // A boundary on a cell's edge is the edge's, whatever the last digit says.
+        let index = |metres: f64| (metres - grid.origin_m[axis]) / grid.resolution_m;
+        let snapped = |index: f64| if (index - index.round()).abs() < 1e-6 { index.round() } else { index };
+        // What is beyond i32 saturates, and is then beyond any grid.
+        cells.min[axis] = snapped(index(from_m)).floor() as i32;
+        cells.max[axis] = snapped(index(to_m)).ceil() as i32;
+    }
+    cells
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_is_a_place_and_a_turn() {
+        assert_eq!(pose("1,-2.5,3"), Ok(Pose { position_m: [1.0, -2.5, 3.0], ..Pose::default() }));
+        assert_eq!(pose("0,0,0,0,0,1,0").map(|pose| pose.quaternion_xyzw), Ok([0.0, 0.0, 1.0, 0.0]));
+        assert!(pose("0,0,0,0,0,1,1").is_err_and(|error| error.contains("length 1.4142")));
+        for text in ["", "1,2", "1,2,3,4", "1,2,inf", "a,b,c"] {
+            assert!(pose(text).is_err_and(|error| error.contains("X,Y,Z")), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_region_in_metres_is_made_of_whole_cells() -> Result<(), String> {
+        let grid = Grid { resolution_m: 0.1, origin_m: [-1.0, 0.0, 0.0], ..Grid::default() };
+        let all = CellBox { min: [-8, -8, 0], max: [16, 16, 24] };
+        assert_eq!(cells(&grid, &all, None, None), all);
+        let region = cells(&grid, &all, Some("-1:-0.75,0.3:0.7".parse()?), None);
+        assert_eq!(region, CellBox { min: [0, 3, 0], max: [3, 7, 24] });
+        let region = cells(&grid, &all, None, Some("0.25:1.05".parse()?));
+        assert_eq!((region.min[2], region.max[2]), (2, 11));
+        for wrong in ["1:0", "1", "a:b", "0:inf"] {
+            assert!(wrong.parse::<Stretch>().is_err(), "{wrong}");
+        }
+        assert!("0:1".parse::<Rectangle>().is_err());
+        Ok(())
+    }
+}

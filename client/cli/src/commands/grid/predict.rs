@@ -1,0 +1,277 @@
+//! `tidemap grid predict`.
+//!
+//! Invariant: a file is written whole or not at all; unknown cells stay unknown.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use anyhow::Context as _;
+use clap::{Args, ValueEnum};
+use tidemap_client::{
+    maps::{CellBox, Map},
+    queries::{CellPrediction, GridOutput, GridQuery, ModelSelector, ORDER_MAX, PredictedGrid},
+};
+
+use super::place::{Rectangle, Stretch, cells};
+use crate::{
+    commands::{Misused, Session, predict::check_for_cells, times},
+    progress::notice,
+};
+use tidemap_formats::{CELLS_MAX, MapPicture, PictureCell, cells_csv, nav2, ply, png, table::Cell};
+
+#[derive(Debug, Args)]
+pub struct PredictArgs {
+    /// Name of the map
+    map: String,
+    /// When
+    #[arg(long, value_name = "TIME", value_parser = times::time)]
+    at: i64,
+    /// File to write: .pgm (with a .yaml beside it), .png, .csv or .ply
+    #[arg(long, value_name = "PATH")]
+    out: PathBuf,
+    /// Number of spectral components, 0 to 15 [default: what the last update chose]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
+    order: Option<u32>,
+    /// Model: auto, mean, latest or spectral, each optionally with +persistence
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+    /// Only cells between two heights, metres
+    #[arg(long, value_name = "MIN:MAX", allow_hyphen_values = true)]
+    z: Option<Stretch>,
+    /// Only cells of a rectangle, metres
+    #[arg(long, value_name = "X0:X1,Y0:Y1", allow_hyphen_values = true)]
+    region: Option<Rectangle>,
+    /// One layer, in which a column is its most probable cell; always so for .pgm and .png
+    #[arg(long)]
+    project: bool,
+    /// Entropy in bits instead of probability: how unsure the prediction is
+    #[arg(long, conflicts_with = "threshold")]
+    entropy: bool,
+    /// 1 where the probability is at least this, else 0
+    #[arg(long, value_name = "P", value_parser = threshold)]
+    threshold: Option<f64>,
+    /// How a .pgm file says probabilities [default: trinary, of entropy raw]
+    #[arg(long, value_name = "MODE")]
+    pgm_mode: Option<PgmMode>,
+}
+
+/// The modes of Nav2's map server.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum PgmMode {
+    /// Free up to 0.25, occupied from 0.65, else unknown
+    Trinary,
+    /// Probabilities in percent, and unknown
+    Raw,
+    /// Probabilities, where every cell is known
+    Scale,
+}
+
+fn threshold(text: &str) -> Result<f64, String> {
+    let right = || format!("{text:?} is not a threshold: use a probability above 0, at most 1");
+    text.parse::<f64>().ok().filter(|threshold| *threshold > 0.0 && *threshold <= 1.0).ok_or_else(right)
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Pgm,
+    Png,
+    Csv,
+    Ply,
+}
+
+fn kind(path: &Path) -> Result<Kind, Misused> {
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
+    match ending.as_deref() {
+        Some("pgm") => Ok(Kind::Pgm),
+        Some("png") => Ok(Kind::Png),
+        Some("csv") => Ok(Kind::Csv),
+        Some("ply") => Ok(Kind::Ply),
+        _ => Err(Misused(format!("--out {}: its ending has to be .pgm, .png, .csv or .ply", path.display()))),
+    }
+}
+
+pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
+    let kind = kind(&args.out)?;
+    if args.order.is_some() && !args.model.kind.has_order() {
+        let text = format!("--order does not go with --model {}: only auto and spectral have one", args.model);
+        return Err(Misused(text).into());
+    }
+    check_for_cells(args.model)?;
+    if args.entropy && kind == Kind::Csv {
+        return Err(
+            Misused("a .csv file has the entropy in a column of its own: leave out --entropy".to_owned()).into()
+        );
+    }
+    if args.pgm_mode.is_some() && kind != Kind::Pgm {
+        return Err(Misused("--pgm-mode goes with --out FILE.pgm only".to_owned()).into());
+    }
+    let query = GridQuery {
+        map: args.map.clone(),
+        time_nanos: args.at,
+        model: ModelSelector { order: args.order, ..args.model },
+        region: region(session, &args).await?,
+        is_projected: args.project || matches!(kind, Kind::Pgm | Kind::Png),
+        output: match args.threshold {
+            Some(threshold) => GridOutput::Threshold(threshold),
+            None if args.entropy => GridOutput::Entropy,
+            None => GridOutput::Probability,
+        },
+    };
+    let predicted = session.client.predict_grid(&query).await?;
+    let region = predicted.header().region;
+    anyhow::ensure!(region.cells() > 0, "map {:?} has no cells there yet: nothing was observed", args.map);
+    let cells = region.cells();
+    anyhow::ensure!(
+        cells <= u128::from(CELLS_MAX),
+        "that are {cells} cells and a file takes at most {CELLS_MAX}: ask for a part, with --region or --z"
+    );
+    let predicted = predicted.whole().await?;
+    let picture = picture(&predicted);
+    write(kind, &picture, &args)?;
+    let is_picture = matches!(kind, Kind::Pgm | Kind::Png);
+    if is_picture && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
+        notice("every column is occupied at some height: ask for heights with --z MIN:MAX");
+    }
+    let count = |wanted: fn(&PictureCell) -> bool| picture.cells.iter().filter(|cell| wanted(cell)).count() as u64;
+    let mut sheet = session.sheet(&["out", "cells", "known", "changing", "generation"]);
+    sheet.row(vec![
+        Cell::Text(args.out.display().to_string()),
+        (picture.cells.len() as u64).into(),
+        count(|cell| *cell != PictureCell::Unknown).into(),
+        count(|cell| matches!(cell, PictureCell::Changing { .. })).into(),
+        predicted.header.generation.into(),
+    ])?;
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The cells asked for; none where all are.
+async fn region(session: &Session, args: &PredictArgs) -> anyhow::Result<Option<CellBox>> {
+    if args.region.is_none() && args.z.is_none() {
+        return Ok(None);
+    }
+    let map = session.client.map(&args.map).await?;
+    let Some(grid) = map.grid else { return Ok(None) };
+    if grid.is_flat && args.z.is_some() {
+        return Err(Misused(format!("--z: the grid of map {:?} is flat, it has one layer", args.map)).into());
+    }
+    // Where nothing was observed yet the answer is empty, whatever the region.
+    let Some(bounds) = map.grid_summary.and_then(|summary| summary.bounds) else { return Ok(None) };
+    let region = cells(&grid, &bounds, args.region, args.z);
+    Ok(Some(if grid.is_flat {
+        CellBox { min: [region.min[0], region.min[1], 0], max: [region.max[0], region.max[1], 1] }
+    } else {
+        region
+    }))
+}
+
+/// The cells of a map between two heights, metres; none where all are wanted or there are none.
+pub fn heights(map: &Map, from_m: f64, to_m: f64) -> Option<CellBox> {
+    let grid = map.grid.as_ref().filter(|grid| !grid.is_flat)?;
+    let bounds = map.grid_summary.as_ref()?.bounds.as_ref()?;
+    Some(cells(grid, bounds, None, Some(Stretch::new(from_m, to_m))))
+}
+
+/// Whether there are known cells, and all of them are rather occupied than free.
+fn is_full(picture: &MapPicture) -> bool {
+    let mut values = picture.cells.iter().filter_map(|cell| cell.value()).peekable();
+    values.peek().is_some() && values.all(|probability| probability >= 0.5)
+}
+
+/// The region cell by cell, as files show it.
+pub fn picture(predicted: &PredictedGrid) -> MapPicture {
+    let CellBox { min, max } = predicted.header.region;
+    let grid = &predicted.header.grid;
+    let size_cells = predicted.header.region.size();
+    let [width, height, _] = size_cells.map(|size| size as usize);
+    let mut picture = vec![PictureCell::Unknown; size_cells.iter().map(|&size| size as usize).product()];
+    for tile in &predicted.tiles {
+        for (place, cell) in tile.cells.iter().enumerate() {
+            let at = [place % 8, place / 8 % 8, place / 64];
+            let index: [i32; 3] = std::array::from_fn(|axis| tile.place[axis] * 8 + at[axis] as i32);
+            if (0..3).any(|axis| index[axis] < min[axis] || index[axis] >= max[axis]) {
+                continue;
+            }
+            let [x, y, z] = std::array::from_fn(|axis| (index[axis] - min[axis]) as usize);
+            picture[x + width * (y + height * z)] = match *cell {
+                CellPrediction::Unknown => PictureCell::Unknown,
+                CellPrediction::Static(probability) => PictureCell::Static { probability },
+                CellPrediction::Changing(probability) => PictureCell::Changing { probability },
+            };
+        }
+    }
+    let corner = |axis: usize| grid.origin_m[axis] + f64::from(min[axis]) * grid.resolution_m;
+    MapPicture {
+        resolution_m: grid.resolution_m,
+        origin_m: std::array::from_fn(corner),
+        min_cell: min,
+        size_cells,
+        cells: picture,
+    }
+}
+
+fn write(kind: Kind, picture: &MapPicture, args: &PredictArgs) -> anyhow::Result<()> {
+    let out = &args.out;
+    let save = |path: &Path, bytes: &[u8]| fs::write(path, bytes).with_context(|| path.display().to_string());
+    match kind {
+        Kind::Png => save(out, &png::write(picture)?),
+        Kind::Csv => save(out, cells_csv::write(picture)?.as_bytes()),
+        Kind::Ply => save(out, &ply::write(picture)?),
+        Kind::Pgm => {
+            let mode = match (args.pgm_mode, args.entropy) {
+                (Some(PgmMode::Raw), _) | (None, true) => nav2::GridMode::Raw,
+                (Some(PgmMode::Scale), _) => nav2::GridMode::Scale,
+                (Some(PgmMode::Trinary), _) | (None, false) => nav2::GridMode::Trinary,
+            };
+            let name = out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+            let files = nav2::write(picture, &name, mode, nav2::Thresholds::default())?;
+            save(out, &files.image)?;
+            save(&out.with_extension("yaml"), files.yaml.as_bytes())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_client::{
+        maps::Grid,
+        queries::{GridHeader, PredictedTile},
+    };
+
+    use super::*;
+
+    #[test]
+    fn a_picture_is_the_region_and_no_more() {
+        let mut cells = Box::new([CellPrediction::Unknown; 512]);
+        cells[1 + 8 * 2 + 64 * 3] = CellPrediction::Static(0.25);
+        cells[3 + 8 * 2 + 64 * 3] = CellPrediction::Changing(0.5);
+        cells[7 + 8 * 7 + 64 * 7] = CellPrediction::Changing(1.0);
+        let tiles = vec![PredictedTile { place: [-1, 0, 1], cells }];
+        let grid = Grid { resolution_m: 0.5, origin_m: [10.0, 0.0, 0.0], ..Grid::default() };
+        let region = CellBox { min: [-7, 2, 10], max: [-3, 4, 12] };
+        let header = GridHeader { grid, region, tiles: 1, cells: 512, bytes: 0, generation: 3 };
+        let picture = picture(&PredictedGrid { header, tiles });
+        assert_eq!((picture.size_cells, picture.origin_m), ([4, 2, 2], [6.5, 1.0, 5.0]));
+        let indices: Vec<_> = picture.known_indices().map(|(index, _)| index).collect();
+        assert_eq!(indices, [[-7, 2, 11], [-5, 2, 11]]);
+        assert!(!is_full(&picture));
+        let known: Vec<_> = picture.known().collect();
+        assert_eq!(
+            known,
+            [
+                ([6.75, 1.25, 5.75], PictureCell::Static { probability: 0.25 }),
+                ([7.75, 1.25, 5.75], PictureCell::Changing { probability: 0.5 }),
+            ]
+        );
+    }
+
+    #[test]
+    fn an_ending_says_what_to_write() {
+        assert_eq!(kind(Path::new("a/map.PGM")).ok(), Some(Kind::Pgm));
+        assert!(kind(Path::new("map.tif")).is_err_and(|error| error.0.contains(".pgm, .png, .csv or .ply")));
+        assert!(threshold("0").is_err() && threshold("1.1").is_err() && threshold("1").is_ok());
+    }
+}

@@ -1,0 +1,229 @@
+//! The scans of files, read on a thread of their own.
+//!
+//! Invariant: scans come in the order of their numbers, 1, 2, 3, ...; little is read ahead. A file that is cut off gives
+//! its whole scans, then the error.
+
+mod plan;
+
+use std::{
+    fs::{self, File},
+    io::BufReader,
+    path::{Path, PathBuf},
+    thread,
+};
+
+use anyhow::Context as _;
+use tidemap_client::{
+    maps::Grid,
+    observe::scan::{PointCloud, Pose, Scan},
+    scan_file::{FileScan, ScanFile, ScanFileHeader},
+};
+use tidemap_proto::v1::scan::Content;
+use tokio::sync::mpsc;
+
+use self::plan::Kind;
+pub(super) use self::plan::{Given, Plan, plan};
+use super::cell_masks::{OnGrid, of_octomap, of_plane};
+use crate::progress::Bar;
+use tidemap_formats::{PointFile, nav2, octomap, pcd, ply};
+
+const BUFFER_BYTES: usize = 256 * 1024;
+const CHUNKS_AHEAD: usize = 2;
+
+/// A scan with its time.
+#[derive(Debug)]
+pub(super) enum FromFile {
+    /// As a file of scans has it.
+    Wire(FileScan),
+    /// Made of a file.
+    Given {
+        /// When.
+        time_nanos: i64,
+        /// What.
+        scan: Scan,
+    },
+}
+
+/// Scans that were read together, and how far the reading is.
+#[derive(Debug)]
+pub(super) struct Chunk {
+    pub(super) scans: Vec<FromFile>,
+    /// Bytes of the file of scans, or number of files.
+    pub(super) position: u64,
+}
+
+pub(super) type Chunks = mpsc::Receiver<anyhow::Result<Chunk>>;
+
+/// Opens files; gives their scans and a bar for them.
+pub(super) fn open(plan: Plan, grid: &Grid) -> anyhow::Result<(Chunks, Bar)> {
+    let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
+    let (each, given) = match plan {
+        Plan::Each(each, given) => (each, given),
+        Plan::Scans(file) => {
+            let (scans, total) = scan_file(&file).with_context(|| file.display().to_string())?;
+            fits(scans.header(), grid).with_context(|| file.display().to_string())?;
+            let (name, is_flat) = (file.display().to_string(), grid.is_flat);
+            spawn(move || send_scans(scans, &name, is_flat, &sender))?;
+            return Ok((receiver, Bar::bytes(total)));
+        }
+    };
+    let bar = Bar::count("files");
+    bar.set_of(0, each.len() as u64);
+    let (grid, notices) = (grid.clone(), bar.clone());
+    spawn(move || {
+        for ((file, kind, time_nanos), position) in each.into_iter().zip(1..) {
+            let scan = one_scan(&file, kind, &given, &grid, &notices).with_context(|| file.display().to_string());
+            let failed = scan.is_err();
+            let chunk = scan.map(|scan| Chunk { scans: vec![FromFile::Given { time_nanos, scan }], position });
+            if sender.blocking_send(chunk).is_err() || failed {
+                return;
+            }
+        }
+    })?;
+    Ok((receiver, bar))
+}
+
+fn spawn(work: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
+    thread::Builder::new().name("scans".to_owned()).spawn(work).context("thread")?;
+    Ok(())
+}
+
+fn scan_file(file: &Path) -> anyhow::Result<(ScanFile<BufReader<File>>, Option<u64>)> {
+    let open = File::open(file)?;
+    let total = open.metadata().ok().filter(|metadata| metadata.is_file()).map(|metadata| metadata.len());
+    Ok((ScanFile::new(BufReader::with_capacity(BUFFER_BYTES, open))?, total))
+}
+
+/// Whether the cells of a file of scans are those of the grid.
+fn fits(header: &ScanFileHeader, grid: &Grid) -> anyhow::Result<()> {
+    let ScanFileHeader { resolution_m, frame_id, origin_m } = header;
+    let resolution = grid.resolution_m;
+    anyhow::ensure!(
+        *resolution_m == 0.0 || (resolution_m - resolution).abs() < 1e-9 * resolution,
+        "its cells are {resolution_m} m wide and those of the grid {resolution} m"
+    );
+    anyhow::ensure!(
+        frame_id.is_empty() || *frame_id == grid.frame_id,
+        "its scans are in frame {frame_id:?} and the grid in {:?}",
+        grid.frame_id
+    );
+    let off = origin_m.iter().zip(grid.origin_m).any(|(origin, of_grid)| (origin - of_grid).abs() > 1e-6 * resolution);
+    anyhow::ensure!(!off, "its cells begin at {origin_m:?} m and those of the grid at {:?} m", grid.origin_m);
+    Ok(())
+}
+
+fn send_scans(
+    mut file: ScanFile<BufReader<File>>,
+    name: &str,
+    is_flat: bool,
+    sender: &mpsc::Sender<anyhow::Result<Chunk>>,
+) {
+    loop {
+        let chunk = match file.next_scans() {
+            Ok(None) => return,
+            Ok(Some(mut scans)) => {
+                if is_flat {
+                    scans.iter_mut().for_each(spell_out_layers);
+                }
+                let scans = scans.into_iter().map(FromFile::Wire).collect();
+                Ok(Chunk { scans, position: file.bytes() })
+            }
+            Err(error) => Err(anyhow::Error::new(error).context(name.to_owned())),
+        };
+        let failed = chunk.is_err();
+        if sender.blocking_send(chunk).is_err() || failed {
+            return;
+        }
+    }
+}
+
+/// "Every cell was observed" means one layer in a flat grid: says so in full.
+fn spell_out_layers(scan: &mut FileScan) {
+    if let Some(Content::Tiles(tiles)) = &mut scan.scan.content
+        && tiles.observed.is_empty()
+    {
+        let layer = [[u8::MAX; 8], [0; 8], [0; 8], [0; 8], [0; 8], [0; 8], [0; 8], [0; 8]];
+        tiles.observed = layer.as_flattened().repeat(tiles.masked.len());
+    }
+}
+
+/// The scan that a file makes.
+fn one_scan(file: &Path, kind: Kind, given: &Given, grid: &Grid, bar: &Bar) -> anyhow::Result<Scan> {
+    let tiles = |on: OnGrid| {
+        if let Some(notice) = on.notice {
+            bar.notice(&format!("{}: {notice}", file.display()));
+        }
+        Scan::Tiles(on.tiles)
+    };
+    let some_finite = |points: PointFile| {
+        if points.points.is_empty() && points.not_finite > 0 {
+            let text = format!("none of its points is finite: {} are left out", points.not_finite);
+            bar.notice(&format!("{}: {text}", file.display()));
+        }
+        points
+    };
+    match kind {
+        Kind::Pcd => cloud(some_finite(pcd::read(&fs::read(file)?)?), given),
+        Kind::Ply => cloud(some_finite(ply::read(&fs::read(file)?)?), given),
+        Kind::OctoMap => of_octomap(&octomap::read(&fs::read(file)?)?, grid).map(tiles),
+        Kind::Plane => of_plane(&plane(file)?, grid).map(tiles),
+        Kind::Scans => anyhow::bail!("a file of scans is not one scan"),
+    }
+}
+
+fn cloud(points: PointFile, given: &Given) -> anyhow::Result<Scan> {
+    let own = points.pose.map(|pose| Pose { position_m: pose.position_m, quaternion_xyzw: pose.quaternion_xyzw });
+    let pose = given.pose.or(own).context("the file does not say where the sensor was: say it with --pose")?;
+    Ok(Scan::Cloud(PointCloud {
+        pose,
+        frame_id: String::new(),
+        xyz_m: points.points.into_flattened(),
+        min_range_m: given.min_range_m.unwrap_or(0.0),
+        max_range_m: given.max_range_m.unwrap_or(0.0),
+    }))
+}
+
+/// A grid in the plane from its YAML file, or from its image with the YAML file of the same name beside it. An error
+/// names a file where it is not the given one.
+fn plane(file: &Path) -> anyhow::Result<nav2::Grid> {
+    let (settings, image_path) = plane_files(file)?;
+    let read = || Ok(nav2::read(&settings, &fs::read(&image_path)?)?);
+    of_file(read(), &image_path, file)
+}
+
+/// What is to be read of such a grid: its settings, and where its image is.
+fn plane_files(file: &Path) -> anyhow::Result<(nav2::GridSettings, PathBuf)> {
+    let is_image = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("pgm"));
+    let settings_path = if is_image { file.with_extension("yaml") } else { file.to_path_buf() };
+    let read = || Ok(nav2::read_settings(&fs::read(&settings_path)?)?);
+    let settings = of_file(read(), &settings_path, file)?;
+    let image_path = match (is_image, settings_path.parent()) {
+        (true, _) => file.to_path_buf(),
+        (false, Some(folder)) => folder.join(&settings.image),
+        (false, None) => PathBuf::from(&settings.image),
+    };
+    Ok((settings, image_path))
+}
+
+/// Names the file that was read, where it is another than the given one, which is named in any case.
+fn of_file<T>(read: anyhow::Result<T>, path: &Path, given: &Path) -> anyhow::Result<T> {
+    if path == given { read } else { read.with_context(|| path.display().to_string()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_scans_has_to_be_of_the_same_cells() {
+        let grid = Grid { resolution_m: 0.1, frame_id: "map".to_owned(), ..Grid::default() };
+        let header = ScanFileHeader { resolution_m: 0.1, frame_id: "map".to_owned(), origin_m: vec![0.0; 3] };
+        let said =
+            |header: ScanFileHeader| fits(&header, &grid).err().map(|error| error.to_string()).unwrap_or_default();
+        assert_eq!(said(header.clone()), "");
+        assert_eq!(said(ScanFileHeader::default()), "");
+        assert!(said(ScanFileHeader { resolution_m: 0.05, ..header.clone() }).contains("0.05 m wide"));
+        assert!(said(ScanFileHeader { frame_id: "odom".to_owned(), ..header.clone() }).contains("\"odom\""));
+        assert!(said(ScanFileHeader { origin_m: vec![0.0, 0.05, 0.0], ..header }).contains("0.05"));
+    }
+}

@@ -1,0 +1,80 @@
+//! `tidemap info`.
+//!
+//! Invariant: a row per target and time, by target and then by time.
+
+use std::process::ExitCode;
+
+use clap::Args;
+use tidemap_client::{
+    exploration::{Look, Sensor, Targets, Viewpoint},
+    queries::ModelSelector,
+};
+
+use super::{Misused, Session, point::ViewArg, times};
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct InfoArgs {
+    /// Name of the map
+    map: String,
+    /// When; several times with commas
+    #[arg(long, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',', required = true)]
+    at: Vec<i64>,
+    /// States that are probabilities, or cells cell/X/Y/Z
+    #[arg(long = "state", value_name = "STATE", num_args = 1..)]
+    states: Vec<String>,
+    /// Locations: the sum over their states
+    #[arg(long = "location", value_name = "LOCATION", num_args = 1..)]
+    locations: Vec<String>,
+    /// A look from a place, metres, with a range of 4 where none is given; may be repeated
+    #[arg(long = "view", value_name = "X,Y,Z[,RANGE]", allow_hyphen_values = true,
+          conflicts_with_all = ["states", "locations"])]
+    views: Vec<ViewArg>,
+    /// Model: those of predict, each optionally with +persistence
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+}
+
+const COLUMNS: [&str; 4] = ["target", "entropy_bits", "information_bits", "time"];
+
+pub async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<ExitCode> {
+    let InfoArgs { map, at, states, locations, views, model } = args;
+    if states.is_empty() && locations.is_empty() && views.is_empty() {
+        return Err(Misused("name what to look at, with --state, --location or --view".to_owned()).into());
+    }
+    let mut rows = Vec::new();
+    if views.is_empty() {
+        let targets = Targets { states, locations };
+        for told in session.client.information(&map, targets, at.clone(), model).await? {
+            let numbers = told.entropy_bits.into_iter().zip(told.information_bits);
+            rows.extend(at.iter().zip(numbers).map(|(&time, (entropy, information))| {
+                vec![Cell::Text(told.target.clone()), entropy.into(), information.into(), Cell::Secs(time)]
+            }));
+        }
+    }
+    // Views of one range share a question.
+    for group in views.chunk_by(|one, next| one.range_m == next.range_m) {
+        let viewpoints: Vec<Viewpoint> = group
+            .iter()
+            .map(|view| Viewpoint { x_m: view.at_m[0], y_m: view.at_m[1], z_m: Some(view.at_m[2]), yaw_rad: 0.0 })
+            .collect();
+        let sensor = Sensor { range_m: group.first().and_then(|view| view.range_m), ..Sensor::default() };
+        let looks = session.client.evaluate_views(&map, &viewpoints, at.clone(), sensor, model).await?;
+        for (view, look) in group.iter().zip(looks) {
+            let [x, y, z] = view.at_m;
+            let target = format!("{x},{y},{z}");
+            match look {
+                Look::Information(bits) => rows.extend(at.iter().zip(bits).map(|(&time, bits)| {
+                    vec![Cell::Text(target.clone()), Cell::Empty, Cell::maybe(bits), Cell::Secs(time)]
+                })),
+                Look::Nothing(reason) => anyhow::bail!(reason),
+            }
+        }
+    }
+    let mut sheet = session.sheet(&COLUMNS);
+    for row in rows {
+        sheet.row(row)?;
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,132 @@
+//! `tidemap job`.
+//!
+//! Invariant: a job that is watched goes on in the daemon, whether it is watched or not.
+
+use std::process::ExitCode;
+
+use clap::Subcommand;
+use tidemap_client::{
+    Client,
+    updates::{Job, JobState},
+};
+
+use super::Session;
+use crate::progress::{Bar, notice};
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Subcommand)]
+pub enum JobCommand {
+    /// Lists the jobs that run and those that ended lately, newest first
+    List,
+    /// Waits until a job has ended
+    Watch {
+        /// The job's number
+        id: u64,
+    },
+}
+
+const COLUMNS: [&str; 11] = [
+    "id",
+    "map",
+    "state",
+    "cause",
+    "states_done",
+    "states_total",
+    "observations",
+    "created",
+    "elapsed_secs",
+    "updated_until",
+    "error",
+];
+
+pub async fn run(session: &Session, command: &JobCommand) -> anyhow::Result<ExitCode> {
+    let jobs = match command {
+        JobCommand::List => session.client.jobs().await?,
+        JobCommand::Watch { id } => vec![watched(&session.client, *id).await?],
+    };
+    let failed = matches!(command, JobCommand::Watch { .. }) && jobs.iter().any(|job| job.state == JobState::Failed);
+    let mut sheet = session.sheet(&COLUMNS);
+    for job in jobs {
+        if failed {
+            notice(&format!("error: {}", failure(&job)));
+        }
+        sheet.row(cells(job))?;
+    }
+    sheet.finish()?;
+    Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+}
+
+/// Follows a job to its end.
+pub async fn watched(client: &Client, id: u64) -> anyhow::Result<Job> {
+    let mut watch = client.watch_job(id).await?;
+    let bar = Bar::count("states updated");
+    let mut last = None;
+    while let Some(job) = watch.next().await? {
+        bar.set_of(job.states_done, job.states_total);
+        let ended = job.has_ended();
+        last = Some(job);
+        if ended {
+            break;
+        }
+    }
+    bar.clear();
+    at_end(id, last)
+}
+
+/// What was last heard of a job, where that was its end: a daemon that stops ends its watches in the middle.
+fn at_end(id: u64, last: Option<Job>) -> anyhow::Result<Job> {
+    last.filter(Job::has_ended)
+        .ok_or_else(|| anyhow::anyhow!("the daemon ended the watch of job {id} before the job ended"))
+}
+
+/// What went wrong with a job.
+pub fn failure(job: &Job) -> String {
+    format!("job {} of map {:?} failed: {}", job.id, job.map, job.error)
+}
+
+fn cells(job: Job) -> Vec<Cell> {
+    vec![
+        job.id.into(),
+        Cell::Text(job.map),
+        job.state.name().into(),
+        job.cause.name().into(),
+        job.states_done.into(),
+        job.states_total.into(),
+        job.observations.into(),
+        Cell::time(job.created_nanos),
+        Cell::Secs(job.elapsed_nanos),
+        Cell::time(job.update.cut_nanos),
+        Cell::Text(job.error),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_client::{maps::UpdateSummary, updates::JobCause};
+
+    use super::*;
+
+    #[test]
+    fn a_watch_that_ends_before_its_job_is_no_success() {
+        let job = |state| Job {
+            id: 7,
+            map: "office".to_owned(),
+            state,
+            cause: JobCause::Request,
+            states_done: 0,
+            states_total: 1,
+            observations: 0,
+            created_nanos: None,
+            elapsed_nanos: 0,
+            error: String::new(),
+            update: UpdateSummary::default(),
+        };
+        for last in [None, Some(job(JobState::Waiting)), Some(job(JobState::Running))] {
+            let said = at_end(7, last).map_err(|error| error.to_string());
+            assert_eq!(said, Err("the daemon ended the watch of job 7 before the job ended".to_owned()));
+        }
+        for state in [JobState::Done, JobState::Failed] {
+            assert_eq!(at_end(7, Some(job(state))).ok(), Some(job(state)));
+        }
+    }
+}

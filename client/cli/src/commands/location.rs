@@ -1,0 +1,65 @@
+//! `tidemap location`.
+//!
+//! Invariant: what was set is durable; names come in order.
+
+use std::process::ExitCode;
+
+use clap::Subcommand;
+use tidemap_client::maps::Location;
+
+use super::{Session, point::Point};
+use crate::progress::notice;
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Subcommand)]
+pub enum LocationCommand {
+    /// Sets a location: states that are seen together; replaces the one of that name
+    Set {
+        /// Name of the map
+        map: String,
+        /// Name of the location
+        location: String,
+        /// Names of its states
+        #[arg(required = true, value_name = "STATE")]
+        states: Vec<String>,
+        /// Where the robot stands to see them, metres
+        #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+        position: Option<Point>,
+    },
+    /// Lists the locations of a map
+    List {
+        /// Name of the map
+        map: String,
+    },
+    /// Deletes a location; its states stay
+    Delete {
+        /// Name of the map
+        map: String,
+        /// Name of the location
+        location: String,
+    },
+}
+
+const COLUMNS: [&str; 4] = ["location", "x", "y", "states"];
+
+pub async fn run(session: &Session, command: LocationCommand) -> anyhow::Result<ExitCode> {
+    let locations = match command {
+        LocationCommand::Set { map, location, states, position } => {
+            let location = Location { name: location, states, position_m: position.map(|Point(at)| at) };
+            vec![session.client.set_location(&map, location).await?]
+        }
+        LocationCommand::List { map } => session.client.locations(&map).await?,
+        LocationCommand::Delete { map, location } => {
+            session.client.delete_location(&map, &location).await?;
+            notice(&format!("location {location:?} is deleted; its states stay"));
+            return Ok(ExitCode::SUCCESS);
+        }
+    };
+    let mut sheet = session.sheet(&COLUMNS);
+    for Location { name, states, position_m } in locations {
+        let [x, y] = position_m.map_or([None; 2], |at| at.map(Some));
+        sheet.row(vec![Cell::Text(name), Cell::maybe(x), Cell::maybe(y), Cell::Text(states.join(" "))])?;
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}

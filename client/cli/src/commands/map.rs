@@ -1,0 +1,273 @@
+//! `tidemap map`.
+//!
+//! Invariant: nothing is deleted without being asked for twice.
+
+pub mod grid_spec;
+
+use std::{process::ExitCode, str::FromStr};
+
+use clap::{Args, Subcommand, ValueEnum};
+use tidemap_client::maps::{Candidate, Grid, InvalidCandidate, Map, NewMap, OrderCriterion, Periodicities, Retention};
+use tidemap_map::time::format_duration;
+
+use self::grid_spec::{GridSpec, shown, shown_box, shown_retention};
+use super::{Misused, Session, point::Point, times};
+use crate::progress::notice;
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Subcommand)]
+pub enum MapCommand {
+    /// Creates an empty map and shows it
+    Create(Box<CreateArgs>),
+    /// Lists all maps
+    List,
+    /// Shows a map
+    Show {
+        /// Name of the map
+        name: String,
+    },
+    /// Sets where the robot rests
+    Set {
+        /// Name of the map
+        name: String,
+        /// Where the robot rests and charges, metres; none: nowhere in particular
+        #[arg(long, value_name = "X,Y|none", allow_hyphen_values = true)]
+        charger: Charger,
+    },
+    /// Deletes a map with all it holds, for good
+    Delete {
+        /// Name of the map
+        name: String,
+        /// Really
+        #[arg(long)]
+        yes: bool,
+    },
+}
+
+/// A charger, or none.
+#[derive(Clone, Copy, Debug)]
+pub struct Charger(Option<[f64; 2]>);
+
+impl FromStr for Charger {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "none" { Ok(Self(None)) } else { text.parse().map(|Point(at)| Self(Some(at))) }
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct CreateArgs {
+    /// Name of the map: a-z 0-9 _ -, at most 63
+    name: String,
+    /// Time zone by whose civil time people live there, for example Europe/London [default: UTC]
+    #[arg(long, value_name = "IANA")]
+    time_zone: Option<String>,
+    /// Longest period; candidates are this divided by 1, 2, 3, ... [default: 7d]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+    period_base: Option<i64>,
+    /// Number of candidate periods [default: 168]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=2048))]
+    period_count: Option<u32>,
+    /// Candidate periods as a list, for example 24h,12h,7d
+    #[arg(long, value_name = "DURATION,…", value_parser = times::duration, value_delimiter = ',',
+          conflicts_with_all = ["period_base", "period_count"])]
+    periods: Option<Vec<i64>>,
+    /// How the orders of the spectral model are compared
+    #[arg(long, value_name = "CRITERION", default_value = "squared-error")]
+    order_criterion: Criterion,
+    /// How long exact observations of named states are kept for recall: none, forever or a duration [default: forever]
+    #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention)]
+    retention: Option<Retention>,
+    /// An occupancy grid: resolution=M[,flat][,origin=X:Y:Z][,size=NXxNYxNZ or min=X:Y:Z,max=X:Y:Z][,frame=NAME]
+    /// [,hit=P][,false-alarm=P][,prior=P], metres for resolution and origin, cells for the others [default: none]
+    #[arg(long, value_name = "SPEC")]
+    grid: Option<GridSpec>,
+    /// How long the exact readings of the grid are kept for recall: none, forever or a duration [default: none]
+    #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention, requires = "grid")]
+    grid_retention: Option<Retention>,
+    /// Age at which an observation of a named state counts half, so that an old routine is unlearned; cells of a grid forget
+    /// nothing [default: never]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+    half_life: Option<i64>,
+    /// What a named state answers of which nothing was learned, 0 to 1 [default: 0.5]
+    #[arg(long, value_name = "P")]
+    prior: Option<f64>,
+    /// What the nightly update of a named state chooses among: spectral, histogram, calibrated, pergam, hypertime-em,
+    /// hypertime-km, or all; spectral always is among them [default: spectral,histogram,calibrated]
+    #[arg(long, value_name = "MODEL,…", value_parser = candidates, value_delimiter = ',')]
+    models: Option<Vec<Candidates>>,
+}
+
+/// One name of `--models`.
+#[derive(Clone, Debug)]
+struct Candidates(Vec<Candidate>);
+
+fn candidates(text: &str) -> Result<Candidates, InvalidCandidate> {
+    if text == "all" {
+        return Ok(Candidates(Candidate::ALL.to_vec()));
+    }
+    Ok(Candidates(vec![text.parse()?]))
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Criterion {
+    /// By the squared difference between value and prediction
+    SquaredError,
+    /// By the share of values on the other side of 0.5 than their prediction
+    ZeroOne,
+}
+
+const WEEK_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
+const USUAL_COUNT: u32 = 168;
+
+const COLUMNS: [&str; 11] = [
+    "name",
+    "states",
+    "observations",
+    "pending",
+    "time_zone",
+    "periods",
+    "order_criterion",
+    "created",
+    "updates",
+    "updated_until",
+    "scans",
+];
+/// Of a map that is shown by itself.
+const MORE_COLUMNS: [&str; 12] = [
+    "retention",
+    "grid",
+    "grid_retention",
+    "tiles",
+    "pending_scans",
+    "cell_observations",
+    "bounds",
+    "half_life",
+    "prior",
+    "charger",
+    "locations",
+    "models",
+];
+
+pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
+    let client = &session.client;
+    let all = matches!(command, MapCommand::List);
+    let maps = match command {
+        MapCommand::Create(args) => {
+            let wanted = new_map(*args);
+            let has_grid = wanted.grid.is_some();
+            if has_grid && wanted.half_life_nanos.is_some() {
+                notice("the half-life is of named states: cells of the grid forget nothing");
+            }
+            vec![with_grid(client.create_map(wanted).await?, has_grid)?]
+        }
+        MapCommand::List => client.maps().await?,
+        MapCommand::Show { name } => vec![client.map(&name).await?],
+        MapCommand::Set { name, charger: Charger(at_m) } => {
+            client.set_charger(&name, at_m).await?;
+            vec![client.map(&name).await?]
+        }
+        MapCommand::Delete { name, yes } => {
+            if !yes {
+                let Map { states, observations, .. } = client.map(&name).await?;
+                let lost = format!("{observations} observations of {states} states");
+                return Err(
+                    Misused(format!("this deletes map {name:?} with {lost} for good; add --yes to do it")).into()
+                );
+            }
+            client.delete_map(&name).await?;
+            notice(&format!("map {name:?} is deleted"));
+            return Ok(ExitCode::SUCCESS);
+        }
+    };
+    let columns = if all { COLUMNS.to_vec() } else { [&COLUMNS[..], &MORE_COLUMNS].concat() };
+    let mut sheet = session.sheet(&columns);
+    for map in maps {
+        let more = if all { Vec::new() } else { more_cells(&map) };
+        sheet.row([cells(map), more].concat())?;
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The map that was made, if it has the grid that it was to have: a daemon that does not know of grids passes over one.
+pub fn with_grid(made: Map, wanted: bool) -> anyhow::Result<Map> {
+    anyhow::ensure!(
+        made.grid.is_some() || !wanted,
+        "map {0:?} was created without its grid: the daemon is too old for grids. Delete the map, with tidemap map \
+         delete {0} --yes, and create it with a newer daemon",
+        made.name
+    );
+    Ok(made)
+}
+
+fn new_map(args: CreateArgs) -> NewMap {
+    let periodicities = match (args.periods, args.period_base, args.period_count) {
+        (Some(periods), ..) => Some(Periodicities::List(periods)),
+        (None, None, None) => None,
+        (None, base, count) => Some(Periodicities::Harmonics {
+            base_nanos: base.unwrap_or(WEEK_NANOS),
+            count: count.unwrap_or(USUAL_COUNT),
+        }),
+    };
+    let order_criterion = match args.order_criterion {
+        Criterion::SquaredError => OrderCriterion::SquaredError,
+        Criterion::ZeroOne => OrderCriterion::ZeroOne,
+    };
+    let grid = args.grid.map(|GridSpec(grid)| Grid { retention: args.grid_retention, ..grid });
+    NewMap {
+        name: args.name,
+        time_zone: args.time_zone,
+        periodicities,
+        order_criterion,
+        retention: args.retention,
+        grid,
+        half_life_nanos: args.half_life,
+        prior: args.prior,
+        models: args.models.into_iter().flatten().flat_map(|Candidates(models)| models).collect(),
+    }
+}
+
+fn cells(map: Map) -> Vec<Cell> {
+    let periods = match map.periodicities {
+        Periodicities::Harmonics { base_nanos, count } => format!("{}/1..{count}", format_duration(base_nanos)),
+        Periodicities::List(periods) => periods.into_iter().map(format_duration).collect::<Vec<_>>().join(" "),
+    };
+    let criterion = match map.order_criterion {
+        OrderCriterion::SquaredError => "squared-error",
+        OrderCriterion::ZeroOne => "zero-one",
+    };
+    vec![
+        Cell::Text(map.name),
+        map.states.into(),
+        map.observations.into(),
+        map.pending_observations.into(),
+        Cell::Text(map.time_zone),
+        Cell::Text(periods),
+        criterion.into(),
+        Cell::time(map.created_nanos),
+        map.last_update.generation.into(),
+        Cell::time(map.last_update.cut_nanos),
+        Cell::maybe(map.grid_summary.map(|summary| summary.scans)),
+    ]
+}
+
+fn more_cells(map: &Map) -> Vec<Cell> {
+    let text = |text: Option<String>| text.map_or(Cell::Empty, Cell::Text);
+    let (grid, summary) = (map.grid.as_ref(), map.grid_summary.as_ref());
+    vec![
+        text(map.retention.map(shown_retention)),
+        text(grid.map(shown)),
+        text(grid.and_then(|grid| grid.retention).map(shown_retention)),
+        Cell::maybe(summary.map(|summary| summary.tiles)),
+        Cell::maybe(summary.map(|summary| summary.pending_scans)),
+        Cell::maybe(summary.map(|summary| summary.cell_observations)),
+        text(summary.and_then(|summary| summary.bounds.as_ref()).map(shown_box)),
+        text(map.half_life_nanos.map(format_duration)),
+        map.prior.into(),
+        text(map.charger_m.map(|[x, y]| format!("{x},{y}"))),
+        map.locations.into(),
+        Cell::Text(map.models.iter().map(|model| model.name()).collect::<Vec<_>>().join(" ")),
+    ]
+}

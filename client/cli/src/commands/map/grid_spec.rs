@@ -1,0 +1,265 @@
+//! A grid on the command line: `resolution=0.1,origin=-5:-5:0,size=100x80x20,frame=map`.
+//!
+//! Invariant: what is not said is left to the daemon; a mistake names the part that is wrong and what would be right.
+
+use std::{fmt::Write as _, str::FromStr};
+
+use tidemap_client::maps::{CellBox, Grid, Retention, SensorNoise};
+use tidemap_map::time::{format_duration, parse_duration};
+
+/// A grid as the command line says it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GridSpec(pub Grid);
+
+/// A mistake in a grid.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidGridSpec {
+    /// No such part.
+    #[error(
+        "{0:?}: a grid has resolution=M, flat, origin=X:Y:Z, size=NXxNYxNZ or min=X:Y:Z and max=X:Y:Z, frame=NAME, \
+         hit=P, false-alarm=P and prior=P, with commas between"
+    )]
+    Unknown(String),
+    /// A part twice.
+    #[error("{0} is said twice")]
+    Twice(&'static str),
+    /// No resolution.
+    #[error("resolution is missing: say the edge of a cell in metres, such as resolution=0.1")]
+    NoResolution,
+    /// Not what it has to be.
+    #[error("{key}={value}: {right}")]
+    Value {
+        /// Which part.
+        key: &'static str,
+        /// Its value.
+        value: String,
+        /// What would be right.
+        right: &'static str,
+    },
+    /// Parts that do not go together.
+    #[error("{0}")]
+    Together(&'static str),
+}
+
+const RESOLUTION: &str = "has to be the edge of a cell in metres, above 0, such as 0.1";
+const METRES: &str = "has to be metres, as X:Y:Z such as -5:-5:0";
+const CELLS: &str = "has to be whole cells, as X:Y:Z such as -50:-50:0";
+const SIZE: &str = "has to be cells along each axis, as 100x80x20, or 100x80 of a flat grid";
+const PROBABILITY: &str = "has to be a number from 0 to 1";
+const KEYS: [&str; 10] = ["resolution", "flat", "origin", "size", "min", "max", "frame", "hit", "false-alarm", "prior"];
+
+impl FromStr for GridSpec {
+    type Err = InvalidGridSpec;
+
+    fn from_str(text: &str) -> Result<Self, InvalidGridSpec> {
+        let mut values: [Option<&str>; KEYS.len()] = [None; KEYS.len()];
+        for part in text.split(',') {
+            let (name, value) = part.split_once('=').unwrap_or((part, ""));
+            let at = KEYS.iter().position(|key| *key == name.trim());
+            let at = at.filter(|&at| part.contains('=') != (KEYS[at] == "flat"));
+            let at = at.ok_or_else(|| InvalidGridSpec::Unknown(part.to_owned()))?;
+            if values[at].replace(value.trim()).is_some() {
+                return Err(InvalidGridSpec::Twice(KEYS[at]));
+            }
+        }
+        let [resolution, flat, origin, size, min, max, frame, hit, false_alarm, prior] = values;
+        let resolution = resolution.ok_or(InvalidGridSpec::NoResolution)?;
+        let number = |key, text: &str, right| text.parse::<f64>().map_err(|_| wrong(key, text, right));
+        let resolution_m = number("resolution", resolution, RESOLUTION)?;
+        if !(resolution_m > 0.0 && resolution_m.is_finite()) {
+            return Err(wrong("resolution", resolution, RESOLUTION));
+        }
+        let is_flat = flat.is_some();
+        let origin_m = origin.map_or(Ok([0.0; 3]), |text| triple("origin", text, ':', 0.0, METRES))?;
+        let probability =
+            |key, text: Option<&str>, usual| text.map_or(Ok(usual), |text| number(key, text, PROBABILITY));
+        let sensor = (hit.is_some() || false_alarm.is_some() || prior.is_some()).then(|| {
+            Ok(SensorNoise {
+                hit: probability("hit", hit, 1.0)?,
+                false_alarm: probability("false-alarm", false_alarm, 0.0)?,
+                prior: probability("prior", prior, 0.5)?,
+            })
+        });
+        let sensor: Option<SensorNoise> = sensor.transpose()?;
+        if let Some(SensorNoise { hit, false_alarm, prior }) = sensor {
+            if !((0.0..1.0).contains(&false_alarm) && hit > false_alarm && hit <= 1.0) {
+                return Err(InvalidGridSpec::Together("hit has to be above false-alarm, both within 0 and 1"));
+            }
+            if !(prior > 0.0 && prior < 1.0) {
+                return Err(InvalidGridSpec::Together("prior has to be above 0 and below 1"));
+            }
+        }
+        Ok(Self(Grid {
+            frame_id: frame.unwrap_or_default().to_owned(),
+            is_flat,
+            resolution_m,
+            origin_m,
+            extent: extent(size, min, max, is_flat)?,
+            sensor,
+            retention: None,
+        }))
+    }
+}
+
+fn wrong(key: &'static str, value: &str, right: &'static str) -> InvalidGridSpec {
+    InvalidGridSpec::Value { key, value: value.to_owned(), right }
+}
+
+/// Two or three numbers; a third that is missing is `usual`.
+fn triple<T: FromStr + Copy>(
+    key: &'static str,
+    text: &str,
+    separator: char,
+    usual: T,
+    right: &'static str,
+) -> Result<[T; 3], InvalidGridSpec> {
+    let parts = text.split(separator).map(str::parse::<T>).collect::<Result<Vec<T>, _>>();
+    match parts.as_deref() {
+        Ok(&[x, y, z]) => Ok([x, y, z]),
+        Ok(&[x, y]) => Ok([x, y, usual]),
+        _ => Err(wrong(key, text, right)),
+    }
+}
+
+fn extent(
+    size: Option<&str>,
+    min: Option<&str>,
+    max: Option<&str>,
+    is_flat: bool,
+) -> Result<Option<CellBox>, InvalidGridSpec> {
+    if !is_flat && size.is_some_and(|size| size.split('x').count() == 2) {
+        return Err(wrong("size", size.unwrap_or_default(), SIZE));
+    }
+    let is_box = |cells: &CellBox| (0..3).all(|axis| cells.min[axis] < cells.max[axis]);
+    match (size, min, max) {
+        (None, None, None) => Ok(None),
+        (Some(size), None, None) => {
+            let cells = CellBox { min: [0; 3], max: triple("size", size, 'x', 1, SIZE)? };
+            if is_box(&cells) {
+                Ok(Some(cells))
+            } else {
+                Err(wrong("size", size, "has to be at least 1 along each axis"))
+            }
+        }
+        (None, Some(min), Some(max)) => {
+            let cells = CellBox { min: triple("min", min, ':', 0, CELLS)?, max: triple("max", max, ':', 1, CELLS)? };
+            let unordered = InvalidGridSpec::Together("max has to be above min along each axis: it is not included");
+            if is_box(&cells) { Ok(Some(cells)) } else { Err(unordered) }
+        }
+        (Some(_), ..) => Err(InvalidGridSpec::Together("say either size, or min and max: not both")),
+        _ => Err(InvalidGridSpec::Together("min and max go together: say both, in cells")),
+    }
+}
+
+/// A grid as the command line would say it.
+pub fn shown(grid: &Grid) -> String {
+    let triple = |[x, y, z]: [f64; 3]| format!("{x}:{y}:{z}");
+    let cells = |[x, y, z]: [i32; 3]| format!("{x}:{y}:{z}");
+    let mut text = format!("resolution={}", grid.resolution_m);
+    // Writing to a String cannot fail.
+    if grid.is_flat {
+        let _ = write!(text, ",flat");
+    }
+    if grid.origin_m != [0.0; 3] {
+        let _ = write!(text, ",origin={}", triple(grid.origin_m));
+    }
+    if let Some(CellBox { min, max }) = grid.extent {
+        let _ = write!(text, ",min={},max={}", cells(min), cells(max));
+    }
+    if !grid.frame_id.is_empty() {
+        let _ = write!(text, ",frame={}", grid.frame_id);
+    }
+    if let Some(SensorNoise { hit, false_alarm, prior }) =
+        grid.sensor.filter(|noise| noise.hit < 1.0 || noise.false_alarm > 0.0)
+    {
+        let _ = write!(text, ",hit={hit},false-alarm={false_alarm},prior={prior}");
+    }
+    text
+}
+
+/// A box of cells, as `X0:X1,Y0:Y1,Z0:Z1`, the ends not included.
+pub fn shown_box(cells: &CellBox) -> String {
+    let along = |axis: usize| format!("{}:{}", cells.min[axis], cells.max[axis]);
+    format!("{},{},{}", along(0), along(1), along(2))
+}
+
+/// A retention: `none`, `forever` or a duration.
+pub fn retention(text: &str) -> Result<Retention, String> {
+    match text {
+        "none" => Ok(Retention::None),
+        "forever" => Ok(Retention::Forever),
+        _ => parse_duration(text)
+            .map(Retention::Duration)
+            .map_err(|_| format!("{text:?} is not a retention: use none, forever or a duration such as 90d")),
+    }
+}
+
+/// As [`retention`] reads it.
+pub fn shown_retention(retention: Retention) -> String {
+    match retention {
+        Retention::None => "none".to_owned(),
+        Retention::Duration(nanos) => format_duration(nanos),
+        Retention::Forever => "forever".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parsed(text: &str) -> Result<Grid, String> {
+        text.parse::<GridSpec>().map(|spec| spec.0).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_grid_is_shown_as_it_was_said() -> Result<(), String> {
+        for text in [
+            "resolution=0.1",
+            "resolution=0.05,flat,origin=-1.5:2:0,min=-8:0:0,max=8:5:1,frame=odom",
+            "resolution=0.1,frame=map,hit=0.9,false-alarm=0.1,prior=0.5",
+        ] {
+            assert_eq!(shown(&parsed(text)?), text);
+        }
+        assert_eq!(parsed("resolution=1,size=3x4x5")?.extent, Some(CellBox { min: [0; 3], max: [3, 4, 5] }));
+        let flat = parsed("flat,resolution=1,min=-3:-4,max=3:4,origin=1:2")?;
+        assert_eq!(flat.extent, Some(CellBox { min: [-3, -4, 0], max: [3, 4, 1] }));
+        assert_eq!(flat.origin_m, [1.0, 2.0, 0.0]);
+        let noise = parsed("resolution=1,hit=0.9")?.sensor;
+        assert_eq!(noise, Some(SensorNoise { hit: 0.9, false_alarm: 0.0, prior: 0.5 }));
+        Ok(())
+    }
+
+    #[test]
+    fn a_mistake_names_the_part() {
+        for (text, words) in [
+            ("flat", "resolution is missing"),
+            ("resolution=wide", "resolution=wide"),
+            ("resolution=1,resolution=2", "resolution is said twice"),
+            ("resolution=1,colour=red", "\"colour=red\""),
+            ("resolution=1,flat=yes", "\"flat=yes\""),
+            ("resolution", "\"resolution\""),
+            ("resolution=1,origin=5", "origin=5: has to be metres"),
+            ("resolution=1,size=5x5", "size=5x5: has to be cells"),
+            ("resolution=1,size=5x5x5,min=0:0:0,max=1:1:1", "either size, or min and max"),
+            ("resolution=1,min=0:0:0", "min and max go together"),
+            ("resolution=1,hit=often", "hit=often"),
+            ("resolution=0", "resolution=0: has to be the edge of a cell in metres, above 0"),
+            ("resolution=nan", "resolution=nan"),
+            ("resolution=1,size=0x1x1", "size=0x1x1: has to be at least 1"),
+            ("resolution=1,min=0:0:0,max=1:0:1", "above min along each axis"),
+            ("resolution=1,hit=0.3,false-alarm=0.5", "hit has to be above false-alarm"),
+            ("resolution=1,prior=1", "prior has to be"),
+        ] {
+            let error = parsed(text).expect_err(text);
+            assert!(error.contains(words), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_retention_is_none_forever_or_a_duration() {
+        for text in ["none", "forever", "90d"] {
+            assert_eq!(retention(text).map(shown_retention), Ok(text.to_owned()));
+        }
+        assert!(retention("0d").is_err_and(|error| error.contains("\"0d\"")));
+    }
+}

@@ -1,0 +1,178 @@
+//! `tidemap model`.
+//!
+//! Invariant: what was learned is shown as the daemon has it; only the table adds words for people.
+
+use std::{
+    io::{self, Write as _},
+    process::ExitCode,
+};
+
+use clap::Subcommand;
+use tidemap_client::queries::{Component, ModelDescription, ModelSelector};
+
+use super::Session;
+use tidemap_formats::table::{Cell, Format, object};
+
+#[derive(Debug, Subcommand)]
+pub enum ModelCommand {
+    /// Shows what was learned of a state: its mean, and its rhythms with the strongest first
+    Show {
+        /// Name of the map
+        map: String,
+        /// Name of the state; a cell of the grid is cell/X/Y/Z
+        state: String,
+    },
+}
+
+pub async fn run(session: &Session, command: &ModelCommand) -> anyhow::Result<ExitCode> {
+    let ModelCommand::Show { map, state } = command;
+    let model = session.client.describe_model(map, state).await?;
+    match session.format {
+        Format::Table => table(&model)?,
+        Format::Json => json(&model)?,
+        Format::Csv => csv(&model)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn used(model: &ModelDescription, index: usize) -> bool {
+    index < model.order as usize
+}
+
+fn summary(model: &ModelDescription) -> [(&'static str, Cell); 10] {
+    [
+        ("mean", model.mean.into()),
+        ("n", model.folded_observations.into()),
+        ("order", model.order.into()),
+        ("observations", model.observations.into()),
+        ("first_time", Cell::time(model.first_nanos)),
+        ("last_time", Cell::time(model.last_nanos)),
+        ("last_value", Cell::maybe(model.last_value)),
+        ("persistence_tau_secs", model.persistence_tau_secs.into()),
+        ("model", Cell::Text(model.chosen.to_string())),
+        ("change_date", model.change_date.clone().map_or(Cell::Empty, Cell::Text)),
+    ]
+}
+
+fn component_cells(component: &Component, used: bool) -> [(&'static str, Cell); 4] {
+    [
+        ("period_secs", component.period_secs.into()),
+        ("amplitude", component.amplitude.into()),
+        ("phase_rad", component.phase_rad.into()),
+        ("used", Cell::Flag(used)),
+    ]
+}
+
+/// Two tables: the state, then its components.
+fn table(model: &ModelDescription) -> io::Result<()> {
+    let mut sheet = crate::output::stdout(Format::Table, &["state", "mean", "n", "order", "model"]);
+    let (state, chosen) = (Cell::Text(model.state.clone()), Cell::Text(model.chosen.to_string()));
+    sheet.row(vec![state, model.mean.into(), model.folded_observations.into(), model.order.into(), chosen])?;
+    sheet.finish()?;
+    if let Some(date) = &model.change_date {
+        writeln!(
+            io::stdout(),
+            "\nThe routine seems to have changed: since about {date} predictions are worse than before."
+        )?;
+    }
+    if !model.model_errors.is_empty() {
+        writeln!(io::stdout())?;
+        let mut sheet = crate::output::stdout(Format::Table, &["model", "order", "recent_error", "used"]);
+        for (tried, error) in &model.model_errors {
+            let used = (tried.kind, tried.cycle) == (model.chosen.kind, model.chosen.cycle);
+            sheet.row(vec![
+                Cell::Text(tried.to_string()),
+                Cell::maybe(tried.order),
+                (*error).into(),
+                Cell::Flag(used),
+            ])?;
+        }
+        sheet.finish()?;
+    }
+    if model.components.is_empty() {
+        return writeln!(
+            io::stdout(),
+            "\nNo rhythm was found: it takes changes observed over at least one period, and an update."
+        );
+    }
+    writeln!(io::stdout())?;
+    let mut sheet = crate::output::stdout(Format::Table, &["period", "period_secs", "amplitude", "phase_rad", "used"]);
+    for (index, component) in model.components.iter().enumerate() {
+        let mut cells = vec![Cell::Text(words(component.period_secs))];
+        cells.extend(component_cells(component, used(model, index)).map(|(_, cell)| cell));
+        sheet.row(cells)?;
+    }
+    sheet.finish()
+}
+
+/// One table for programs: what holds for the state is repeated with each component, and has a row of its own where
+/// there is none. The model in force and the recent errors of all that were tried come after the components' columns, so
+/// that neither rows nor columns are others than they were.
+fn csv(model: &ModelDescription) -> io::Result<()> {
+    let summary = summary(model);
+    let columns = ["period_secs", "amplitude", "phase_rad", "used", "model", "recent_errors"];
+    let columns: Vec<&'static str> = summary[..3].iter().map(|(name, _)| *name).chain(columns).collect();
+    let mut sheet = crate::output::stdout(Format::Csv, &columns);
+    let errors = model.model_errors.iter().map(|(tried, error)| format!("{tried}={error}"));
+    let tried = [Cell::Text(model.chosen.to_string()), Cell::Text(errors.collect::<Vec<_>>().join(" "))];
+    let row = |component: [Cell; 4]| {
+        let state = summary[..3].iter().map(|(_, cell)| cell.clone());
+        state.chain(component).chain(tried.clone()).collect()
+    };
+    if model.components.is_empty() {
+        sheet.row(row([Cell::Empty, Cell::Empty, Cell::Empty, Cell::Empty]))?;
+    }
+    for (index, component) in model.components.iter().enumerate() {
+        sheet.row(row(component_cells(component, used(model, index)).map(|(_, cell)| cell)))?;
+    }
+    sheet.finish()
+}
+
+fn json(model: &ModelDescription) -> io::Result<()> {
+    let component = |(index, component)| {
+        object(component_cells(component, used(model, index)).iter().map(|(name, cell)| (*name, cell.json())))
+    };
+    let components: Vec<String> = model.components.iter().enumerate().map(component).collect();
+    let summary = summary(model).map(|(name, cell)| (name, cell.json()));
+    let state = ("state", Cell::Text(model.state.clone()).json());
+    let components = ("components", format!("[{}]", components.join(",")));
+    let error = |(model, error): &(ModelSelector, f64)| {
+        let (name, order) = (Cell::Text(model.to_string()), Cell::maybe(model.order));
+        let error: Cell = (*error).into();
+        object([("model", name.json()), ("order", order.json()), ("recent_error", error.json())].into_iter())
+    };
+    let errors: Vec<String> = model.model_errors.iter().map(error).collect();
+    let errors = ("model_errors", format!("[{}]", errors.join(",")));
+    writeln!(io::stdout(), "{}", object([state].into_iter().chain(summary).chain([components, errors])))
+}
+
+/// A period as people say it: `7 d`, `24 h`, `45 min`.
+fn words(secs: f64) -> String {
+    let (value, unit) = match secs {
+        secs if secs > 36.0 * 3600.0 => (secs / 86_400.0, "d"),
+        secs if secs >= 3600.0 => (secs / 3600.0, "h"),
+        secs if secs >= 60.0 => (secs / 60.0, "min"),
+        secs => (secs, "s"),
+    };
+    let text = format!("{value:.2}");
+    format!("{} {unit}", text.trim_end_matches('0').trim_end_matches('.'))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn periods_are_said_as_people_say_them() {
+        for (secs, text) in [
+            (604_800.0, "7 d"),
+            (302_400.0, "3.5 d"),
+            (86_400.0, "24 h"),
+            (43_200.0, "12 h"),
+            (60_480.0, "16.8 h"),
+            (90.0, "1.5 min"),
+        ] {
+            assert_eq!(words(secs), text);
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! Reading a file, or stdin, on a thread of its own, and telling what is wrong with its rows.
+//!
+//! Invariant: few rows are read ahead, however large the file; a row that arrives on stdin is passed on at once.
+
+use std::{
+    fs::File,
+    io::{self, BufReader, Read},
+    path::Path,
+    thread,
+};
+
+use anyhow::Context as _;
+use tokio::sync::mpsc;
+
+use crate::progress::Bar;
+use tidemap_formats::observation_file::{Columns, Item, Layout, Row, Rows, RowsError};
+
+const BUFFER_BYTES: usize = 256 * 1024;
+const CHUNK_ROWS: usize = 1024;
+const CHUNKS_AHEAD: usize = 4;
+/// Refusals that are told one by one.
+const TOLD_MAX: u64 = 20;
+
+/// Rows that were read together.
+#[derive(Debug)]
+pub struct Chunk<T = Row> {
+    /// The rows.
+    pub rows: Vec<T>,
+    /// Line and text of a last line that was cut off.
+    pub torn: Option<(u64, String)>,
+    /// A last line that makes a row, but has no end.
+    pub unended: Option<u64>,
+    /// Bytes of the file read so far.
+    pub bytes: u64,
+}
+
+impl<T> Default for Chunk<T> {
+    fn default() -> Self {
+        Self { rows: Vec::new(), torn: None, unended: None, bytes: 0 }
+    }
+}
+
+/// A file that is being read.
+#[derive(Debug)]
+pub struct Feed<L: Layout = Columns> {
+    /// Its rows; an error is the last entry.
+    pub rows: Chunks<L::Row>,
+    /// Its size, where it has one.
+    pub total_bytes: Option<u64>,
+    /// What its rows are.
+    pub layout: L,
+}
+
+/// Where the rows of a file come from.
+pub type Chunks<T> = mpsc::Receiver<Result<Chunk<T>, RowsError>>;
+
+/// The file as messages name it.
+pub fn shown(path: &Path) -> String {
+    if path.as_os_str() == "-" { "stdin".to_owned() } else { path.display().to_string() }
+}
+
+/// Opens a file, or stdin where it is `-`, and reads its header.
+pub fn open<L>(path: &Path) -> anyhow::Result<Feed<L>>
+where
+    L: Layout<Row: Send> + Copy + Send + 'static,
+{
+    let stdin = path.as_os_str() == "-";
+    let (source, total_bytes): (Box<dyn Read + Send>, _) = if stdin {
+        (Box::new(io::stdin()), None)
+    } else {
+        let file = File::open(path).with_context(|| shown(path))?;
+        let total_bytes = file.metadata().ok().filter(|metadata| metadata.is_file()).map(|metadata| metadata.len());
+        (Box::new(file), total_bytes)
+    };
+    let mut rows = Rows::<_, L>::open(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
+    if stdin {
+        // Whoever writes to a pipe may be killed in the middle of a line. A file that lacks its last line end was more
+        // likely saved that way.
+        rows = rows.lines_must_end();
+    }
+    if !rows.ignored().is_empty() {
+        crate::progress::notice(&format!("{}: not used: column {}", shown(path), rows.ignored().join(", ")));
+    }
+    let layout = *rows.layout();
+    let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
+    thread::Builder::new().name("rows".to_owned()).spawn(move || read(rows, &sender)).context("thread")?;
+    Ok(Feed { rows: receiver, total_bytes, layout })
+}
+
+/// Reads until the end, an error, or until nobody wants more.
+fn read<R: Read, L: Layout>(mut rows: Rows<BufReader<R>, L>, sender: &mpsc::Sender<Result<Chunk<L::Row>, RowsError>>) {
+    let mut chunk = Chunk::default();
+    loop {
+        let item = rows.next();
+        chunk.bytes = rows.bytes();
+        let last = match item {
+            Ok(Some(Item::Row(row))) => {
+                let at = L::at(&row);
+                chunk.unended = (!at.has_end).then_some(at.line);
+                chunk.rows.push(row);
+                false
+            }
+            Ok(Some(Item::Torn { line, text })) => {
+                chunk.torn = Some((line, text));
+                false
+            }
+            Ok(None) => true,
+            Err(error) => {
+                let _ = sender.blocking_send(Ok(chunk));
+                let _ = sender.blocking_send(Err(error));
+                return;
+            }
+        };
+        if last || chunk.rows.len() >= CHUNK_ROWS || rows.may_wait() {
+            let gone = sender.blocking_send(Ok(std::mem::take(&mut chunk))).is_err();
+            if gone || last {
+                return;
+            }
+        }
+    }
+}
+
+/// Tells what is wrong with rows: the first ones one by one, of the others the number.
+#[derive(Debug)]
+pub struct Told {
+    bar: Bar,
+    noun: &'static str,
+    verb: &'static str,
+    wrong: u64,
+    /// Those of them that were told.
+    told: u64,
+    torn: bool,
+}
+
+impl Told {
+    /// Nothing so far. A wrong row "is refused", or whatever the verb is.
+    pub fn new(bar: Bar, verb: &'static str) -> Self {
+        Self::of(bar, "row", verb)
+    }
+
+    /// As [`Told::new`], of other things than rows.
+    pub fn of(bar: Bar, noun: &'static str, verb: &'static str) -> Self {
+        Self { bar, noun, verb, wrong: 0, told: 0, torn: false }
+    }
+
+    /// A row is wrong.
+    pub fn refused(&mut self, number: u64, line: Option<u64>, why: &str) {
+        self.wrong += 1;
+        if self.told < TOLD_MAX {
+            self.told += 1;
+            let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
+            self.bar.notice(&format!("{} {number}{line} {}: {why}", self.noun, self.verb));
+        }
+    }
+
+    /// Rows are wrong of which nothing more is known.
+    pub fn refused_untold(&mut self, rows: u64) {
+        self.wrong += rows;
+    }
+
+    /// What is to be said of a chunk's last line.
+    pub fn last_line<T>(&mut self, chunk: &Chunk<T>) {
+        if let Some((line, text)) = &chunk.torn {
+            self.torn = true;
+            let why = "the input ends in it, without a line end";
+            self.bar.notice(&format!("line {line} is incomplete and was left out: {text:?} ({why})"));
+        }
+        if let Some(line) = chunk.unended {
+            self.bar.notice(&format!("line {line} has no line end and was taken as it is"));
+        }
+    }
+
+    /// Whether nothing was wrong.
+    pub fn all_well(&self) -> bool {
+        self.wrong == 0 && !self.torn
+    }
+
+    /// Says how many there were beside those that were told.
+    pub fn conclude(&self) {
+        if self.wrong > self.told {
+            self.bar.notice(&format!("and {} more {}s like these", self.wrong - self.told, self.noun));
+        }
+    }
+}

@@ -1,0 +1,325 @@
+//! Sending a file's rows: those that the daemon has are compared, the others sent.
+//!
+//! Invariant: nothing is sent before all rows that the daemon has were compared. Each row counts as exactly one of
+//! accepted, duplicate and refused once it is durable.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use tidemap_client::observe::{Phase, Producer, ProducerError, Progress, Traversal, content::ContentCrc};
+use tokio::{sync::watch, task::JoinHandle};
+
+use super::{
+    feed::{Chunk, Chunks, Told},
+    kinds::Kinds,
+};
+use crate::progress::Bar;
+use tidemap_formats::observation_file::{At, Columns, Layout as _, Row, traversals::TraversalRow};
+
+/// A row of a file that is sent.
+pub trait Sendable {
+    /// Where it stands.
+    fn at(&self) -> At;
+    /// Adds it to the checksum.
+    fn add_to(&self, crc: &mut ContentCrc);
+    /// Sends it.
+    fn send(&self, producer: &mut Producer) -> impl Future<Output = Result<u64, ProducerError>>;
+    /// What is wrong with it, as far as can be said here.
+    fn wrong(&self, kinds: &mut Kinds) -> impl Future<Output = Option<String>>;
+}
+
+impl Sendable for Row {
+    fn at(&self) -> At {
+        Columns::at(self)
+    }
+
+    fn add_to(&self, crc: &mut ContentCrc) {
+        match &self.position {
+            None => crc.add(&self.state, self.time_nanos, self.value),
+            Some(position) => crc.add_position(&self.state, self.time_nanos, position.coordinates()),
+        }
+    }
+
+    async fn send(&self, producer: &mut Producer) -> Result<u64, ProducerError> {
+        match &self.position {
+            None => producer.send(&self.state, self.time_nanos, self.value).await,
+            Some(position) => producer.send_position(&self.state, self.time_nanos, position.coordinates()).await,
+        }
+    }
+
+    async fn wrong(&self, kinds: &mut Kinds) -> Option<String> {
+        kinds.wrong(self).await
+    }
+}
+
+impl Sendable for TraversalRow {
+    fn at(&self) -> At {
+        self.at
+    }
+
+    fn add_to(&self, crc: &mut ContentCrc) {
+        crc.add_traversal(&report(self));
+    }
+
+    async fn send(&self, producer: &mut Producer) -> Result<u64, ProducerError> {
+        producer.send_traversal(&report(self)).await
+    }
+
+    async fn wrong(&self, _: &mut Kinds) -> Option<String> {
+        self.wrong.clone().or_else(|| report(self).wrong())
+    }
+}
+
+fn report(row: &TraversalRow) -> Traversal {
+    let TraversalRow { from, to, action, start_nanos, end_nanos, success, reason, .. } = row.clone();
+    Traversal { from, to, action, start_nanos, end_nanos, success, reason }
+}
+
+/// How a transfer of rows or scans ended.
+pub enum Ended {
+    /// All was sent.
+    Whole,
+    /// By Ctrl-C.
+    Interrupted,
+    /// The content is not what was sent before; how it differs.
+    Differs(String),
+    /// A file cannot be read further.
+    Unreadable(anyhow::Error),
+    /// The producer ended.
+    Stopped(ProducerError),
+    /// All was sent, but the nightly updates failed.
+    Nights(anyhow::Error),
+}
+
+/// What became of the rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Counts {
+    pub(super) read: u64,
+    pub(super) accepted: u64,
+    pub(super) duplicate: u64,
+    pub(super) refused: u64,
+}
+
+pub(super) struct Transfer<T> {
+    producer: Producer,
+    changes: watch::Receiver<Progress>,
+    notices: JoinHandle<()>,
+    rows: Chunks<T>,
+    pub(super) told: Told,
+    kinds: Kinds,
+    bar: Bar,
+    /// What the daemon had at the start, with its checksum.
+    sent_before: u64,
+    content_crc: u32,
+    crc: ContentCrc,
+    read: u64,
+    duplicate: u64,
+    refused: u64,
+    /// Rows that were found wrong here, until the daemon has confirmed their numbers.
+    wrong: BTreeSet<u64>,
+    /// How far the line of a row is ahead of its number, from the row on where that changed: blank lines do not count.
+    lines: BTreeMap<u64, u64>,
+    /// Refusals without a place for them that were counted already.
+    dropped: u64,
+}
+
+impl<T: Sendable> Transfer<T> {
+    pub(super) fn new(
+        producer: Producer,
+        notices: JoinHandle<()>,
+        rows: Chunks<T>,
+        (told, kinds): (Told, Kinds),
+        bar: Bar,
+    ) -> Self {
+        let progress = producer.progress();
+        Self {
+            changes: producer.watch(),
+            producer,
+            notices,
+            rows,
+            told,
+            kinds,
+            bar,
+            sent_before: progress.resumed_at,
+            content_crc: progress.content_crc,
+            crc: ContentCrc::default(),
+            read: 0,
+            duplicate: 0,
+            refused: 0,
+            wrong: BTreeSet::new(),
+            lines: BTreeMap::new(),
+            dropped: progress.dropped_refusals,
+        }
+    }
+
+    pub(super) fn sent_before(&self) -> u64 {
+        self.sent_before
+    }
+
+    /// Sends everything and waits until it is durable.
+    pub(super) async fn run(&mut self) -> Ended {
+        loop {
+            let chunk = match self.chunk().await {
+                Ok(Some(chunk)) => chunk,
+                Ok(None) => break,
+                Err(ended) => return ended,
+            };
+            for row in &chunk.rows {
+                if let Err(ended) = self.row(row).await {
+                    self.collect();
+                    return ended;
+                }
+            }
+            self.told.last_line(&chunk);
+            self.bar.set(chunk.bytes);
+            self.collect();
+        }
+        if self.read < self.sent_before {
+            let (read, sent_before) = (self.read, self.sent_before);
+            return Ended::Differs(format!("it has only {read} rows, but {sent_before} were sent before"));
+        }
+        let closed = self.producer.close().await;
+        self.collect();
+        closed.map_or_else(Ended::Stopped, |_| Ended::Whole)
+    }
+
+    /// Waits for rows, and meanwhile for what the daemon has to say: nothing may come on stdin for hours.
+    async fn chunk(&mut self) -> Result<Option<Chunk<T>>, Ended> {
+        loop {
+            tokio::select! {
+                chunk = self.rows.recv() => return chunk.transpose().map_err(|error| Ended::Unreadable(error.into())),
+                // The producer holds the sender: this fails only when there is nothing left to wait for.
+                Ok(()) = self.changes.changed() => {
+                    let phase = self.changes.borrow_and_update().phase.clone();
+                    self.collect();
+                    if let Phase::Ended(error) = phase {
+                        return Err(Ended::Stopped(error));
+                    }
+                }
+            }
+        }
+    }
+
+    async fn row(&mut self, row: &T) -> Result<(), Ended> {
+        let At { number, line, .. } = row.at();
+        if number <= self.sent_before {
+            self.read = number;
+            self.duplicate += 1;
+            row.add_to(&mut self.crc);
+            if number == self.sent_before && self.crc.value() != self.content_crc {
+                let sent_before = self.sent_before;
+                return Err(Ended::Differs(format!(
+                    "its first {sent_before} rows are not the {sent_before} sent before"
+                )));
+            }
+            return Ok(());
+        }
+        let sequence = row.send(&mut self.producer).await.map_err(Ended::Stopped)?;
+        debug_assert_eq!(sequence, number);
+        self.read = number;
+        self.follow_line(number, line);
+        if let Some(wrong) = row.wrong(&mut self.kinds).await {
+            self.refused += 1;
+            self.wrong.insert(number);
+            self.told.refused(number, Some(line), &wrong);
+        }
+        Ok(())
+    }
+
+    /// Notes where a row stands, unless that follows from the row before.
+    fn follow_line(&mut self, number: u64, line: u64) {
+        let ahead = line.saturating_sub(number);
+        if self.lines.last_key_value().is_none_or(|(_, known)| *known != ahead) {
+            self.lines.insert(number, ahead);
+        }
+    }
+
+    /// The line of a row that was sent.
+    fn line(&self, number: u64) -> Option<u64> {
+        self.lines.range(..=number).next_back().map(|(_, ahead)| number + ahead)
+    }
+
+    /// Waits until everything sent is durable.
+    pub(super) async fn flush(&mut self) -> Result<(), ProducerError> {
+        let flushed = self.producer.flush().await;
+        self.collect();
+        flushed.map(|_| ())
+    }
+
+    /// Takes the refusals that have arrived. A row that was found wrong here was told already, with a better reason.
+    fn collect(&mut self) {
+        // Before the refusals: those of everything up to here have arrived then.
+        let progress = self.producer.progress();
+        for refusal in self.producer.take_refusals() {
+            if !self.wrong.remove(&refusal.sequence) {
+                self.refused += 1;
+                let line = self.line(refusal.sequence);
+                self.told.refused(refusal.sequence, line, &refusal.detail);
+            }
+        }
+        let later = self.wrong.split_off(&(progress.durable_sequence + 1));
+        let confirmed = std::mem::replace(&mut self.wrong, later);
+        // What is left of those confirmed was dropped, or lost with a connection: it must not count twice.
+        let dropped = progress.dropped_refusals.saturating_sub(self.dropped).saturating_sub(confirmed.len() as u64);
+        self.dropped = progress.dropped_refusals;
+        self.refused += dropped;
+        self.told.refused_untold(dropped);
+        // Of what is durable no refusals come any more.
+        let known = self.lines.range(..=progress.durable_sequence).next_back().map(|(number, _)| *number);
+        self.lines = self.lines.split_off(&known.unwrap_or(0));
+    }
+
+    pub(super) fn counts(&mut self) -> Counts {
+        // Once more: the last wait may have been cut short.
+        self.collect();
+        let progress = self.producer.progress();
+        if progress.unreported > 0 {
+            self.bar.notice(&format!(
+                "{} rows became durable while the connection broke: those among them that only the daemon knows to be \
+                 refused, such as for a state's name, count as accepted",
+                progress.unreported
+            ));
+        }
+        let durable = progress.durable_sequence.saturating_sub(self.sent_before);
+        // Rows that are wrong and not durable yet are not refused yet.
+        let refused = self.refused.saturating_sub(self.wrong.len() as u64);
+        Counts { read: self.read, accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
+    }
+}
+
+impl<T> Drop for Transfer<T> {
+    fn drop(&mut self) {
+        self.notices.abort();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_formats::observation_file::{Item, Rows, traversals::TraversalColumns};
+
+    use super::*;
+
+    #[test]
+    fn what_is_wrong_with_a_traversal_is_told_and_no_daemon_takes_it() -> anyhow::Result<()> {
+        let long = "n".repeat(129);
+        for (row, words) in [
+            ("Hall,Lab,10,12", "has 4 fields, the header has 5"),
+            ("Hall,Lab,soon,12,1", "start"),
+            ("Hall,Lab,10,,1", "end"),
+            ("Hall,Lab,10,12,yes", "success \"yes\" is neither true nor false"),
+            (&format!("{long},Lab,10,12,1"), "from \"nnn"),
+            ("Hall,Lab,12,10,0", "before start"),
+            ("Hall,Lab,10,10,1", "takes time"),
+            ("Hall,a/b,10,12,1", "\"a/b\""),
+            (",Lab,10,12,1", "empty"),
+            ("Hall,Lab,10,100000,1", "more than a day"),
+        ] {
+            let text = format!("from,to,start,end,success\n{row}\n");
+            let mut rows = Rows::<_, TraversalColumns>::open(text.as_bytes())?;
+            let Some(Item::Row(row)) = rows.next()? else { anyhow::bail!("no row in {text:?}") };
+            let wrong = row.wrong.clone().or_else(|| report(&row).wrong()).unwrap_or_default();
+            assert!(wrong.contains(words), "{wrong}");
+            assert!(report(&row).wrong().is_some());
+        }
+        Ok(())
+    }
+}

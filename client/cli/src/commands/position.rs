@@ -1,0 +1,112 @@
+//! `tidemap position`.
+//!
+//! Invariant: rows come by time as asked, of each time the most probable cell first; what is printed of a time beside its
+//! cells goes to stderr.
+
+use std::process::ExitCode;
+
+use clap::Args;
+use tidemap_client::queries::{ModelSelector, PositionForecast, PositionQuery, PositionsHeader};
+
+use super::{Misused, Session, times};
+use crate::progress::notice;
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct PositionArgs {
+    /// Name of the map
+    map: String,
+    /// Name of the vector
+    state: String,
+    /// Times
+    #[arg(long, required = true, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',')]
+    at: Vec<i64>,
+    /// Model: hypertime-em[:CLUSTERS] or hypertime-km[:CLUSTERS]
+    #[arg(long, value_name = "KIND", default_value = "hypertime-em:3")]
+    model: ModelSelector,
+    /// Edge of a cell in metres [default: a 64th of the region's longest side, of three coordinates a 24th]
+    #[arg(long, value_name = "M")]
+    resolution: Option<f64>,
+    /// What is told: lower and upper corner in metres [default: where it was observed, and a margin]
+    #[arg(long, value_name = "X,Y[,Z]:X,Y[,Z]", value_parser = region, allow_hyphen_values = true)]
+    region: Option<Region>,
+    /// Cells of each time, the most probable ones; 0 for all
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    top: u32,
+}
+
+#[derive(Clone, Debug)]
+struct Region {
+    low_m: Vec<f64>,
+    high_m: Vec<f64>,
+}
+
+fn region(text: &str) -> Result<Region, String> {
+    let corner = |text: &str| text.split(',').map(|number| number.trim().parse().ok()).collect::<Option<Vec<f64>>>();
+    let corners = text.split_once(':').and_then(|(low, high)| Some((corner(low)?, corner(high)?)));
+    match corners {
+        Some((low_m, high_m)) if low_m.len() == high_m.len() => Ok(Region { low_m, high_m }),
+        _ => Err(format!("{text:?} is no region: write two corners with as many coordinates, like 0,0:10,5")),
+    }
+}
+
+pub async fn run(session: &Session, args: PositionArgs) -> anyhow::Result<ExitCode> {
+    if args.resolution.is_some_and(|edge| edge.is_nan() || edge <= 0.0) {
+        return Err(Misused("--resolution must be above 0".to_owned()).into());
+    }
+    let query = PositionQuery {
+        times: args.at.clone(),
+        model: Some(args.model),
+        region_m: args.region.map(|region| (region.low_m, region.high_m)),
+        resolution_m: args.resolution,
+        top: Some(args.top),
+    };
+    let mut positions = session.client.positions(&args.map, &args.state, query).await?;
+    let header = positions.header().clone();
+    let axes = ["x", "y", "z"].into_iter().take(header.counts.len());
+    let columns: Vec<&str> = ["time"].into_iter().chain(axes).chain(["probability"]).collect();
+    let mut sheet = session.sheet(&columns);
+    let mut told = Vec::new();
+    while let Some(forecast) = positions.next().await? {
+        let time = args.at.get(forecast.time).copied().unwrap_or_default();
+        for (middle, probability) in &forecast.cells {
+            let mut cells = vec![Cell::Secs(time)];
+            cells.extend(middle.iter().map(|&coordinate| Cell::from(coordinate)));
+            cells.push((*probability).into());
+            sheet.row(cells)?;
+        }
+        told.push(summary(&header, &forecast, time));
+    }
+    sheet.finish()?;
+    told.iter().for_each(|line| notice(line));
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What there is to say of a time beside its cells.
+fn summary(header: &PositionsHeader, forecast: &PositionForecast, time: i64) -> String {
+    const NANOS_PER_SEC: i64 = 1_000_000_000;
+    let expected: Vec<String> = forecast.expected_m.iter().map(|coordinate| format!("{coordinate:.3}")).collect();
+    let age = header.last_nanos.map(|last| time.saturating_sub(last) / NANOS_PER_SEC);
+    format!(
+        "{}: expected at {} m, outside of the region with {:.4}; by {} positions, the last {} s before",
+        time / NANOS_PER_SEC,
+        expected.join(", "),
+        forecast.outside,
+        header.fitted_observations,
+        age.unwrap_or_default(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn regions_are_two_corners() {
+        let found = region("-1,2.5:10,5").expect("a region");
+        assert_eq!((found.low_m, found.high_m), (vec![-1.0, 2.5], vec![10.0, 5.0]));
+        for wrong in ["", "1,2", "1,2:3", "1,2:3,x", "1,2:3,4:5,6"] {
+            assert!(region(wrong).is_err(), "{wrong}");
+        }
+    }
+}

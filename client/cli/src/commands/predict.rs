@@ -1,0 +1,110 @@
+//! `tidemap predict`.
+//!
+//! Invariant: rows come by state as named, then by time as asked; each is written as soon as it is known.
+
+use std::{borrow::Cow, path::PathBuf, process::ExitCode};
+
+use clap::{ArgGroup, Args};
+use tidemap_client::queries::{ModelSelector, ORDER_MAX, PredictionRun};
+use tidemap_model::Dimensions;
+
+use super::{Misused, Session, times};
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+#[command(group = ArgGroup::new("when").required(true).args(["at", "times", "from"]))]
+pub struct PredictArgs {
+    /// Name of the map
+    map: String,
+    /// Names of the states; a vector stands for its axes, NAME/x and so on; a cell of the grid is cell/X/Y/Z
+    #[arg(required = true, value_name = "STATE")]
+    states: Vec<String>,
+    /// Times
+    #[arg(long, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',')]
+    at: Option<Vec<i64>>,
+    /// File of times, one a line or in a column `time`; - is stdin
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+    /// First time
+    #[arg(long, value_name = "TIME", value_parser = times::time, requires_all = ["to", "step"])]
+    from: Option<i64>,
+    /// Time before which the times end
+    #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
+    to: Option<i64>,
+    /// Distance of the times
+    #[arg(long, value_name = "DURATION", value_parser = times::duration, requires = "from")]
+    step: Option<i64>,
+    /// Number of spectral components, 0 to 15 [default: what the last update chose]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
+    order: Option<u32>,
+    /// Model, optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS], histogram:week[:BINS],
+    /// histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]], hypertime-em[:CLUSTERS],
+    /// hypertime-km[:CLUSTERS], poisson, calibrated; cells have auto, mean, latest and spectral
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+    /// Probability with which the interval from lower to upper holds the mean over the hour around the time, 0 (no
+    /// interval) or more and below 1
+    #[arg(long, value_name = "P", default_value_t = 0.9)]
+    interval: f64,
+}
+
+const COLUMNS: [&str; 9] =
+    ["time", "state", "probability", "lower", "upper", "entropy_bits", "order", "observations", "age_secs"];
+
+pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
+    if args.order.is_some() && !args.model.kind.has_order() {
+        return Err(Misused(format!(
+            "--order does not go with --model {}: only auto, spectral and uniform have one",
+            args.model
+        ))
+        .into());
+    }
+    if args.states.iter().any(|state| state.starts_with("cell/")) {
+        check_for_cells(args.model)?;
+    }
+    let model = ModelSelector { order: args.order, ..args.model };
+    let times = match (args.at, args.times, args.from, args.to, args.step) {
+        (Some(at), ..) => at,
+        (None, Some(path), ..) => times::from_file(&path)?,
+        (None, None, Some(from), Some(to), Some(step)) => times::steps(from, to, step)?,
+        _ => return Err(Misused("say when: --at, --times, or --from with --to and --step".to_owned()).into()),
+    };
+    let mut predictions = session.client.predict(&args.map, args.states, times, model).with_intervals(args.interval);
+    let mut sheet = session.sheet(&COLUMNS);
+    while let Some(run) = predictions.next().await? {
+        let (states, times) = (predictions.states(), predictions.times());
+        let name = match run.axis.and_then(|axis| Dimensions::Three.axes().get(axis)) {
+            Some(axis) => Cow::Owned(format!("{}/{axis}", states[run.state])),
+            None => Cow::Borrowed(states[run.state].as_str()),
+        };
+        for cells in rows(&run, &name, &times[run.first_time..]) {
+            sheet.row(cells)?;
+        }
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses a model that cells of a grid do not have.
+pub(super) fn check_for_cells(model: ModelSelector) -> Result<(), Misused> {
+    if model.kind.is_for_cells() {
+        return Ok(());
+    }
+    Err(Misused(format!("cells have no model {model}: use auto, mean, latest or spectral")))
+}
+
+fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl Iterator<Item = Vec<Cell>> + 'a {
+    times.iter().zip(&run.probabilities).enumerate().map(move |(i, (&time, &probability))| {
+        vec![
+            Cell::Secs(time),
+            state.into(),
+            probability.into(),
+            Cell::maybe(run.lower.get(i).copied()),
+            Cell::maybe(run.upper.get(i).copied()),
+            Cell::maybe(run.entropies_bits.get(i).copied()),
+            run.order.into(),
+            run.observations.into(),
+            Cell::time(run.last_nanos.map(|last| time.saturating_sub(last))),
+        ]
+    })
+}

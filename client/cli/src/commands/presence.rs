@@ -1,0 +1,99 @@
+//! `tidemap presence` and `tidemap joint`: who is where at a time, and when several states are likely 1 all at once.
+//!
+//! Invariant: rows come by time as asked, then by node, the likeliest first; nodes that were never observed go to stderr.
+
+use std::process::ExitCode;
+
+use clap::Args;
+use tidemap_client::{
+    queries::ModelSelector,
+    routes::{JointQuery, PresenceAt, PresenceQuery},
+};
+
+use super::{Session, times};
+use crate::progress::notice;
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct PresenceArgs {
+    /// Name of the map
+    map: String,
+    /// Times
+    #[arg(long, required = true, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',')]
+    at: Vec<i64>,
+    /// Who or what, by the states node/NODE/KIND [default: the states called like the nodes]
+    #[arg(long, value_name = "KIND", default_value = "", hide_default_value = true)]
+    object: String,
+    /// Model, as in `predict`
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+}
+
+#[derive(Debug, Args)]
+pub struct JointArgs {
+    /// Name of the map
+    map: String,
+    /// Names of the states, such as node/Kitchen/cup
+    #[arg(required = true, value_name = "STATE")]
+    states: Vec<String>,
+    /// The first time that counts
+    #[arg(long, value_name = "TIME", value_parser = times::time)]
+    from: i64,
+    /// How far to look ahead [default: 7d]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+    within: Option<i64>,
+    /// Distance of the times that are looked at [default: 10m]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+    step: Option<i64>,
+    /// What the product of the probabilities has to exceed, 0 to 1 [default: 0.5]
+    #[arg(long, value_name = "P", allow_hyphen_values = true)]
+    threshold: Option<f64>,
+    /// Model, as in `predict`
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+}
+
+const COLUMNS: [&str; 5] = ["time", "node", "probability", "share", "anybody"];
+const JOINT_COLUMNS: [&str; 2] = ["time", "probability"];
+
+pub async fn run(session: &Session, args: PresenceArgs) -> anyhow::Result<ExitCode> {
+    let PresenceArgs { map, at, object, model } = args;
+    let presence = session.client.predict_presence(PresenceQuery { map, object, times_nanos: at, model }).await?;
+    let mut sheet = session.sheet(&COLUMNS);
+    for PresenceAt { time_nanos, probabilities, shares, anybody } in &presence.times {
+        let mut order: Vec<usize> = (0..presence.nodes.len().min(probabilities.len())).collect();
+        order.sort_by(|&one, &other| probabilities[other].total_cmp(&probabilities[one]));
+        for node in order {
+            sheet.row(vec![
+                Cell::Secs(*time_nanos),
+                presence.nodes[node].as_str().into(),
+                probabilities[node].into(),
+                Cell::maybe(shares.get(node).copied()),
+                (*anybody).into(),
+            ])?;
+        }
+    }
+    sheet.finish()?;
+    if !presence.unobserved.is_empty() {
+        let shown = presence.unobserved.iter().take(10).map(String::as_str).collect::<Vec<_>>().join(", ");
+        let more = if presence.unobserved_nodes > 10 { ", …" } else { "" };
+        notice(&format!("never observed ({}): {shown}{more}", presence.unobserved_nodes));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+pub async fn joint(session: &Session, args: JointArgs) -> anyhow::Result<ExitCode> {
+    let JointArgs { map, states, from, within, step, threshold, model } = args;
+    let query = JointQuery { map, states, from_nanos: from, within_nanos: within, step_nanos: step, threshold, model };
+    let joint = session.client.next_joint(query).await?;
+    let mut sheet = session.sheet(&JOINT_COLUMNS);
+    if let Some(time_nanos) = joint.time_nanos {
+        sheet.row(vec![Cell::Secs(time_nanos), joint.probability.into()])?;
+    }
+    sheet.finish()?;
+    if joint.time_nanos.is_none() {
+        let at = joint.best_nanos.div_euclid(1_000_000_000);
+        notice(&format!("at no time: the greatest probability is {:.3}, at {at}", joint.probability));
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,40 @@
+//! `tidemap reconstruct`.
+//!
+//! Invariant: observations are shown as they were made, one a row, by time; each is written as soon as it is known.
+
+use std::process::ExitCode;
+
+use clap::Args;
+
+use super::{Misused, Session, times};
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct ReconstructArgs {
+    /// Name of the map
+    map: String,
+    /// Name of the state, or cell/X/Y/Z
+    state: String,
+    /// First time
+    #[arg(long, value_name = "TIME", value_parser = times::time)]
+    from: i64,
+    /// Time before which the observations end
+    #[arg(long, value_name = "TIME", value_parser = times::time)]
+    to: i64,
+}
+
+pub async fn run(session: &Session, args: &ReconstructArgs) -> anyhow::Result<ExitCode> {
+    let ReconstructArgs { map, state, from, to } = args;
+    if from >= to {
+        return Err(Misused("--from must be before --to, which is not included".to_owned()).into());
+    }
+    let mut observations = session.client.reconstruct(map, state, *from, *to).await?;
+    let mut sheet = session.sheet(&["time", "value"]);
+    while let Some(seen) = observations.next().await? {
+        for (time, value) in seen {
+            sheet.row(vec![Cell::Secs(time), value.into()])?;
+        }
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,163 @@
+//! `tidemap search`.
+//!
+//! Invariant: rows come in the order of looking; what is not looked at, and why, goes to stderr.
+
+use std::{fs, path::PathBuf, process::ExitCode};
+
+use anyhow::Context as _;
+use clap::{Args, ValueEnum};
+use tidemap_client::{
+    queries::ModelSelector,
+    routes::{Search, SearchEffort, SearchQuery, SearchStep, SearchStop},
+};
+
+use super::{
+    Session, times,
+    topology_picture::{self, Overlay},
+};
+use crate::progress::notice;
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct SearchArgs {
+    /// Name of the map
+    map: String,
+    /// Name of the node where the robot is
+    #[arg(long, value_name = "NODE")]
+    start: String,
+    /// When it starts
+    #[arg(long, value_name = "TIME", value_parser = times::time)]
+    at: i64,
+    /// Whom or what to look for, by the states node/NODE/KIND [default: the states called like the nodes]
+    #[arg(long, value_name = "KIND", default_value = "", hide_default_value = true)]
+    object: String,
+    /// How long the search may take; places that do not fit are left out
+    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+    budget: Option<i64>,
+    /// How hard to look for the best order
+    #[arg(long, value_name = "EFFORT", default_value = "auto")]
+    effort: EffortArg,
+    /// How long to look for it, at most 60s [default: 2s]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration_or_none)]
+    plan_within: Option<i64>,
+    /// Stops once less than this share of the probability remains, 0 to 1
+    #[arg(long, value_name = "P", allow_hyphen_values = true)]
+    remains_below: Option<f64>,
+    /// Stops where it is not worth the time any more: what a second costs, in units of what finding is worth
+    #[arg(long, value_name = "COST", allow_hyphen_values = true)]
+    cost_per_second: Option<f64>,
+    /// Each place counts as predicted for the robot's arrival there
+    #[arg(long)]
+    for_arrival: bool,
+    /// Model, as in `predict`
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+    /// What a place counts at least [default: 1e-6]
+    #[arg(long, value_name = "P", allow_hyphen_values = true)]
+    floor: Option<f64>,
+    /// How fast the robot drives where an edge has a length alone, metres a second [default: 0.5]
+    #[arg(long, value_name = "M/S", allow_hyphen_values = true)]
+    speed: Option<f64>,
+    /// Seed of what is random
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Edges take as long as their reports say, as in `topology predict`, rather than what the map's maker told
+    #[arg(long)]
+    as_travelled: bool,
+    /// Draws the map with the walk, as SVG
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum EffortArg {
+    /// The best order of up to 40 places, a good one of more
+    Auto,
+    /// The best order; more places are refused
+    Exact,
+    /// A good order
+    Heuristic,
+}
+
+const COLUMNS: [&str; 5] = ["step", "node", "arrival_secs", "probability", "expected_secs"];
+
+pub async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode> {
+    if let Some(path) = &args.picture {
+        topology_picture::check_ending(path)?;
+    }
+    let query = SearchQuery {
+        map: args.map.clone(),
+        start: args.start,
+        time_nanos: args.at,
+        object: args.object.clone(),
+        budget_nanos: args.budget,
+        effort: match args.effort {
+            EffortArg::Auto => SearchEffort::Auto,
+            EffortArg::Exact => SearchEffort::Exact,
+            EffortArg::Heuristic => SearchEffort::Heuristic,
+        },
+        plan_within_nanos: args.plan_within,
+        remains_below: args.remains_below,
+        cost_per_sec: args.cost_per_second,
+        for_arrival: args.for_arrival,
+        model: args.model,
+        floor: args.floor,
+        speed_m_per_s: args.speed,
+        seed: args.seed,
+        as_travelled: args.as_travelled,
+    };
+    let search = session.client.plan_search(query).await?;
+    let mut sheet = session.sheet(&COLUMNS);
+    for (step, SearchStep { node, arrival_secs, probability }) in (1_u64..).zip(&search.steps) {
+        sheet.row(vec![
+            Cell::Count(step),
+            node.as_str().into(),
+            (*arrival_secs).into(),
+            (*probability).into(),
+            search.expected_secs.into(),
+        ])?;
+    }
+    sheet.finish()?;
+    summary(&search).iter().for_each(|line| notice(line));
+    if let Some(path) = &args.picture {
+        let way = search.walk.windows(2).map(|pair| (pair[0].0.clone(), pair[1].0.clone(), None)).collect();
+        let overlay = Overlay { way, numbered: search.steps.iter().map(|step| step.node.clone()).collect() };
+        let drawn =
+            topology_picture::draw(session, &args.map, args.at, args.model, args.speed, &args.object, overlay).await?;
+        fs::write(path, drawn).with_context(|| path.display().to_string())?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What there is to say of a search beside its steps.
+fn summary(search: &Search) -> Vec<String> {
+    let Search { expected_secs, lower_bound_secs, remains, .. } = search;
+    let proof = if search.optimal {
+        "no order is better".to_owned()
+    } else {
+        format!("no order is below {lower_bound_secs:.1} s")
+    };
+    let mut lines = vec![format!("{expected_secs:.1} s to expect; {proof}")];
+    lines.extend(search.stop.map(|stop| {
+        let why = match stop {
+            SearchStop::Unlikely => "little remains",
+            SearchStop::NotWorthIt => "the rest is not worth the time",
+            SearchStop::OutOfTime => "the rest does not fit into the budget",
+        };
+        format!("the search ends early: {why}")
+    }));
+    if *remains > 0.0 {
+        lines.push(format!("{:.2} % of the probability is at places that are not visited", 100.0 * remains));
+    }
+    let named = |names: &[String], all: usize| {
+        let shown = names.iter().take(10).map(String::as_str).collect::<Vec<_>>().join(", ");
+        if all > 10 { format!("{shown}, … ({all} in all)") } else { shown }
+    };
+    if !search.unreachable.is_empty() {
+        lines.push(format!("no way leads to: {}", named(&search.unreachable, search.unreachable.len())));
+    }
+    if !search.unobserved.is_empty() {
+        lines.push(format!("never observed: {}", named(&search.unobserved, search.unobserved_nodes as usize)));
+    }
+    lines
+}

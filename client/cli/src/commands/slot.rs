@@ -1,0 +1,53 @@
+//! `tidemap slot`.
+//!
+//! Invariant: one row, the location to look at.
+
+use std::process::ExitCode;
+
+use clap::Args;
+use tidemap_client::{
+    exploration::{SlotChoice, SlotQuery, SlotStrategy},
+    queries::ModelSelector,
+};
+
+use super::{Session, times};
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct SlotArgs {
+    /// Name of the map
+    map: String,
+    /// The middle of the slot
+    #[arg(long, value_name = "TIME", value_parser = times::time)]
+    at: i64,
+    /// The location that the day's plan has: it is kept unless something unexpected was seen elsewhere lately
+    #[arg(long, value_name = "LOCATION", conflicts_with = "monte_carlo")]
+    planned: Option<String>,
+    /// At random, in proportion to the information expected now, instead of the most uncertain location
+    #[arg(long)]
+    monte_carlo: bool,
+    /// Locations to choose from [default: all; where the map has none, every state is one]
+    #[arg(long = "location", value_name = "LOCATION", num_args = 1..)]
+    locations: Vec<String>,
+    /// Model: those of predict [default: auto+persistence, with --planned auto]
+    #[arg(long, value_name = "KIND")]
+    model: Option<ModelSelector>,
+    /// Seed of what is random
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+}
+
+pub async fn run(session: &Session, args: SlotArgs) -> anyhow::Result<ExitCode> {
+    let strategy = match (args.planned, args.monte_carlo) {
+        (Some(planned), _) => SlotStrategy::Novelty { planned },
+        (None, true) => SlotStrategy::MonteCarlo,
+        (None, false) => SlotStrategy::Online,
+    };
+    let (map, at, locations, model, seed) = (args.map, args.at, args.locations, args.model, args.seed);
+    let query = SlotQuery { map, time_nanos: at, strategy, locations, model, seed };
+    let SlotChoice { location, information_bits, surprise_bits } = session.client.plan_slot(query).await?;
+    let mut sheet = session.sheet(&["location", "information_bits", "surprise_bits"]);
+    sheet.row(vec![Cell::Text(location), information_bits.into(), Cell::maybe(surprise_bits)])?;
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}

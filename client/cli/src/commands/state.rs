@@ -1,0 +1,78 @@
+//! `tidemap state`.
+//!
+//! Invariant: states come in the order in which they were first seen, page by page; what was added is durable.
+
+use std::process::ExitCode;
+
+use clap::Subcommand;
+use tidemap_client::maps::{State, StateKind};
+
+use super::{Misused, Session};
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Subcommand)]
+pub enum StateCommand {
+    /// Lists the states of a map, in the order in which they were first seen
+    List {
+        /// Name of the map
+        map: String,
+    },
+    /// Adds a state before anything is observed of it, so that its values mean what they are to mean
+    Add {
+        /// Name of the map
+        map: String,
+        /// Name of the state
+        state: String,
+        /// What its values mean: probability (0 to 1), continuous (any number), count (0, 1, 2, …) or vector
+        /// (a position)
+        #[arg(long, value_name = "KIND", default_value = "probability")]
+        kind: StateKind,
+        /// How many coordinates a vector has, 2 or 3
+        #[arg(long, value_name = "N", required_if_eq("kind", "vector"), value_parser = clap::value_parser!(u32).range(2..=3))]
+        dimensions: Option<u32>,
+    },
+}
+
+const COLUMNS: [&str; 6] = ["state", "kind", "observations", "order", "last_time", "dimensions"];
+
+fn cells(state: State) -> Vec<Cell> {
+    vec![
+        Cell::Text(state.name),
+        state.kind.name().into(),
+        state.observations.into(),
+        state.order.into(),
+        Cell::time(state.last_nanos),
+        Cell::maybe(Some(u64::from(state.dimensions)).filter(|&dimensions| dimensions > 0)),
+    ]
+}
+
+pub async fn run(session: &Session, command: StateCommand) -> anyhow::Result<ExitCode> {
+    let map = match command {
+        StateCommand::List { map } => map,
+        StateCommand::Add { map, state, kind, dimensions } => {
+            let added = match (kind, dimensions) {
+                (StateKind::Vector, Some(dimensions)) => session.client.add_vector(&map, &state, dimensions).await?,
+                (_, Some(_)) => {
+                    return Err(Misused(format!("--dimensions goes with --kind vector, not {}", kind.name())).into());
+                }
+                (_, None) => session.client.add_state(&map, &state, kind).await?,
+            };
+            let mut sheet = session.sheet(&COLUMNS);
+            sheet.row(cells(added))?;
+            sheet.finish()?;
+            return Ok(ExitCode::SUCCESS);
+        }
+    };
+    let mut page = session.client.states(&map, "").await?;
+    let mut sheet = session.sheet(&COLUMNS);
+    loop {
+        let (states, next) = page;
+        for state in states {
+            sheet.row(cells(state))?;
+        }
+        let Some(token) = next else { break };
+        page = session.client.states(&map, &token).await?;
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}

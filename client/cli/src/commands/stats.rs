@@ -1,0 +1,26 @@
+//! `tidemap stats`.
+//!
+//! Invariant: counters are shown as the daemon names them.
+
+use std::process::ExitCode;
+
+use clap::Args;
+
+use super::Session;
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct StatsArgs {
+    /// Name of the map [default: the whole daemon]
+    map: Option<String>,
+}
+
+pub async fn run(session: &Session, args: &StatsArgs) -> anyhow::Result<ExitCode> {
+    let statistics = session.client.statistics(args.map.as_deref().unwrap_or("")).await?;
+    let mut sheet = session.sheet(&["name", "value", "unit"]);
+    for statistic in statistics {
+        sheet.row(vec![Cell::Text(statistic.name), statistic.value.into(), Cell::Text(statistic.unit)])?;
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}

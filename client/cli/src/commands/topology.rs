@@ -1,0 +1,331 @@
+//! `tidemap topology`.
+//!
+//! Invariant: a file is loaded whole or not at all; what was changed is durable.
+
+use std::{
+    fs,
+    io::{self, Read as _},
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use anyhow::Context as _;
+use clap::{Args, Subcommand};
+use tidemap_client::queries::ModelSelector;
+use tidemap_client::routes::{Edge, EdgeEnds, EdgeFailure, Node, Topology, TopologyEdit, TopologySize};
+use tidemap_map::name::EdgeName;
+
+use super::{
+    Misused, Session,
+    point::Point,
+    times,
+    topology_picture::{self, Overlay},
+};
+use tidemap_formats::{
+    table::Cell,
+    topology::{EdgeEntry, NodeEntry, TopologyFile, read_lines, read_yaml},
+};
+
+#[derive(Debug, Subcommand)]
+pub enum TopologyCommand {
+    /// Loads nodes and edges from a file, in place of those that are there; those of the same names keep their numbers
+    ///
+    /// A file that ends in .yaml or .yml is a ROS topological map. Any other has lines `node A`, `link A B SECONDS` (both
+    /// ways) and `edge A B SECONDS` (one way); - is stdin.
+    Load {
+        /// Name of the map
+        map: String,
+        /// The file
+        file: PathBuf,
+        /// Adds to the nodes and edges that are there
+        #[arg(long)]
+        add: bool,
+    },
+    /// Shows the nodes, or the edges
+    Show {
+        /// Name of the map
+        map: String,
+        /// Shows the edges, each direction as one
+        #[arg(long)]
+        edges: bool,
+    },
+    /// Lists the traversals that failed, the newest first; the map keeps 1,000
+    Failures {
+        /// Name of the map
+        map: String,
+        /// How many at most [default: all that are kept]
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+        limit: Option<u32>,
+        /// Those of one edge alone
+        #[arg(long, value_name = "FROM/TO[/ACTION]", value_parser = edge_of)]
+        edge: Option<EdgeEnds>,
+    },
+    /// Shows how likely each edge is passed at a time, and how long it takes
+    ///
+    /// reports is how often an edge was reported; where that is 0, the row is what edges of the map usually are.
+    Predict(PredictArgs),
+    /// Changes one node or edge
+    #[command(subcommand)]
+    Edit(EditCommand),
+}
+
+#[derive(Debug, Args)]
+pub struct PredictArgs {
+    /// Name of the map
+    map: String,
+    /// The time
+    #[arg(long, value_name = "TIME", value_parser = times::time)]
+    at: i64,
+    /// Model, as in `predict`
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+    /// How fast the robot drives where nothing is known, metres a second [default: 0.5]
+    #[arg(long, value_name = "M/S", allow_hyphen_values = true)]
+    speed: Option<f64>,
+    /// Draws the map as SVG, with who is likely where
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+    /// Who or what is drawn at nodes, by the states node/NODE/KIND [default: the states called like the nodes]
+    #[arg(long, value_name = "KIND", default_value = "", hide_default_value = true)]
+    object: String,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum EditCommand {
+    /// Adds a node
+    AddNode(NodeArgs),
+    /// Says where a node lies, and how long a look there takes
+    SetNode(NodeArgs),
+    /// Removes a node, and all edges at it
+    RemoveNode {
+        /// Name of the map
+        map: String,
+        /// Name of the node
+        node: String,
+    },
+    /// Renames a node; its states go with it
+    RenameNode {
+        /// Name of the map
+        map: String,
+        /// Its name so far
+        from: String,
+        /// Its new name
+        to: String,
+    },
+    /// Adds an edge both ways
+    Link(LinkArgs),
+    /// Gives an edge, both ways, another time or length
+    SetLink(LinkArgs),
+    /// Removes an edge, both ways
+    Unlink(EndsArgs),
+}
+
+#[derive(Debug, Args)]
+pub struct NodeArgs {
+    /// Name of the map
+    map: String,
+    /// Name of the node
+    node: String,
+    /// Where it lies, metres
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+    position: Option<Point>,
+    /// Its heading, radians from the x axis
+    #[arg(long, value_name = "RAD", allow_hyphen_values = true, default_value_t = 0.0, requires = "position")]
+    yaw: f64,
+    /// How long a look there takes, seconds
+    #[arg(long, value_name = "SECONDS", allow_hyphen_values = true)]
+    dwell: Option<f64>,
+}
+
+#[derive(Debug, Args)]
+pub struct EndsArgs {
+    /// Name of the map
+    map: String,
+    /// Name of the node where it begins
+    from: String,
+    /// Name of the node where it ends
+    to: String,
+    /// How it is travelled [default: as usual]
+    #[arg(long, default_value = "", hide_default_value = true)]
+    action: String,
+    /// Not the way back
+    #[arg(long)]
+    one_way: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct LinkArgs {
+    #[command(flatten)]
+    ends: EndsArgs,
+    /// What it nominally takes
+    #[arg(allow_hyphen_values = true, required_unless_present = "length")]
+    seconds: Option<f64>,
+    /// Its length, metres
+    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    length: Option<f64>,
+}
+
+impl NodeArgs {
+    fn node(self) -> (String, Node) {
+        let pose = self.position.map(|Point([x, y])| [x, y, self.yaw]);
+        (self.map, Node { name: self.node, pose, dwell_secs: self.dwell, id: 0 })
+    }
+}
+
+impl EndsArgs {
+    fn ends(self) -> (String, EdgeEnds) {
+        let EndsArgs { map, from, to, action, one_way } = self;
+        (map, EdgeEnds { from, to, action, both_ways: !one_way })
+    }
+}
+
+impl LinkArgs {
+    fn edge(self) -> (String, Edge) {
+        let (map, ends) = self.ends.ends();
+        (map, Edge { ends, length_m: self.length, nominal_secs: self.seconds, id: 0 })
+    }
+}
+
+impl EditCommand {
+    fn edit(self) -> (String, TopologyEdit) {
+        fn of<T>((map, what): (String, T), edit: impl FnOnce(T) -> TopologyEdit) -> (String, TopologyEdit) {
+            (map, edit(what))
+        }
+        match self {
+            EditCommand::AddNode(args) => of(args.node(), TopologyEdit::AddNode),
+            EditCommand::SetNode(args) => of(args.node(), TopologyEdit::SetNode),
+            EditCommand::RemoveNode { map, node } => (map, TopologyEdit::RemoveNode(node)),
+            EditCommand::RenameNode { map, from, to } => (map, TopologyEdit::RenameNode { from, to }),
+            EditCommand::Link(args) => of(args.edge(), TopologyEdit::AddEdge),
+            EditCommand::SetLink(args) => of(args.edge(), TopologyEdit::SetEdge),
+            EditCommand::Unlink(args) => of(args.ends(), TopologyEdit::RemoveEdge),
+        }
+    }
+}
+
+/// An edge by its name.
+fn edge_of(text: &str) -> Result<EdgeEnds, String> {
+    let edge = EdgeName::parse(text).map_err(|_| format!("{text:?} is no edge: write FROM/TO or FROM/TO/ACTION"))?;
+    let action = edge.action.map_or_else(String::new, |action| action.as_str().to_owned());
+    let (from, to) = (edge.from.as_str().to_owned(), edge.to.as_str().to_owned());
+    Ok(EdgeEnds { from, to, action, both_ways: false })
+}
+
+/// Reads a file, by its ending.
+fn read(path: &Path) -> anyhow::Result<Topology> {
+    let mut text = String::new();
+    if path.as_os_str() == "-" {
+        io::stdin().lock().read_to_string(&mut text).context("stdin")?;
+    } else {
+        text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    }
+    let is_yaml =
+        path.extension().is_some_and(|ending| ["yaml", "yml"].iter().any(|yaml| ending.eq_ignore_ascii_case(yaml)));
+    let topology = if is_yaml { read_yaml(&text) } else { read_lines(&text) };
+    Ok(from_file(topology.with_context(|| path.display().to_string())?))
+}
+
+/// The topology that a file describes.
+pub fn from_file(file: TopologyFile) -> Topology {
+    let node = |NodeEntry { name, pose }| Node { name, pose, ..Node::default() };
+    let edge = |EdgeEntry { from, to, action, both_ways, length_m, nominal_secs }| {
+        let ends = EdgeEnds { from, to, action, both_ways };
+        Edge { ends, length_m, nominal_secs, id: 0 }
+    };
+    Topology { nodes: file.nodes.into_iter().map(node).collect(), edges: file.edges.into_iter().map(edge).collect() }
+}
+
+pub async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<ExitCode> {
+    let size = match command {
+        TopologyCommand::Load { map, file, add } => {
+            let topology = read(&file)?;
+            if topology.nodes.is_empty() && !add {
+                return Err(Misused(format!(
+                    "{}: it holds no nodes: write a line `node NAME` for each",
+                    file.display()
+                ))
+                .into());
+            }
+            session.client.load_topology(&map, &topology, add).await?
+        }
+        TopologyCommand::Show { map, edges } => {
+            let topology = session.client.topology(&map).await?;
+            if edges {
+                show_edges(session, topology)?;
+            } else {
+                show_nodes(session, topology)?;
+            }
+            return Ok(ExitCode::SUCCESS);
+        }
+        TopologyCommand::Predict(args) => return predict(session, args).await,
+        TopologyCommand::Failures { map, limit, edge } => {
+            let failures = session.client.failures(&map, limit.unwrap_or_default(), edge.as_ref()).await?;
+            show_failures(session, failures)?;
+            return Ok(ExitCode::SUCCESS);
+        }
+        TopologyCommand::Edit(edit) => {
+            let (map, edit) = edit.edit();
+            session.client.edit_topology(&map, &edit).await?
+        }
+    };
+    let TopologySize { nodes, edges } = size;
+    let mut sheet = session.sheet(&["nodes", "edges"]);
+    sheet.row(vec![nodes.into(), edges.into()])?;
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+async fn predict(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
+    let PredictArgs { map, at, model, speed, picture, object } = args;
+    if let Some(path) = &picture {
+        topology_picture::check_ending(path)?;
+    }
+    let columns = ["from", "to", "action", "probability", "lower", "upper", "duration_secs", "reports"];
+    let mut sheet = session.sheet(&columns);
+    for edge in session.client.predict_edges(&map, at, model, speed).await? {
+        sheet.row(vec![
+            edge.edge.from.as_str().into(),
+            edge.edge.to.as_str().into(),
+            edge.edge.action.as_str().into(),
+            edge.success.into(),
+            edge.success_interval[0].into(),
+            edge.success_interval[1].into(),
+            edge.duration_secs.into(),
+            edge.reports.into(),
+        ])?;
+    }
+    sheet.finish()?;
+    if let Some(path) = &picture {
+        let drawn = topology_picture::draw(session, &map, at, model, speed, &object, Overlay::default()).await?;
+        fs::write(path, drawn).with_context(|| path.display().to_string())?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn show_nodes(session: &Session, topology: Topology) -> io::Result<()> {
+    let mut sheet = session.sheet(&["node", "id", "x", "y", "yaw_rad", "dwell_secs"]);
+    for Node { name, pose, dwell_secs, id } in topology.nodes {
+        let [x, y, yaw] = pose.map_or([None; 3], |pose| pose.map(Some));
+        let [x, y, yaw, dwell] = [x, y, yaw, dwell_secs].map(Cell::maybe);
+        sheet.row(vec![Cell::Text(name), id.into(), x, y, yaw, dwell])?;
+    }
+    sheet.finish()
+}
+
+fn show_edges(session: &Session, topology: Topology) -> io::Result<()> {
+    let mut sheet = session.sheet(&["from", "to", "action", "id", "duration_secs", "length_m"]);
+    for Edge { ends, length_m, nominal_secs, id } in topology.edges {
+        let [from, to, action] = [ends.from, ends.to, ends.action].map(Cell::Text);
+        sheet.row(vec![from, to, action, id.into(), Cell::maybe(nominal_secs), Cell::maybe(length_m)])?;
+    }
+    sheet.finish()
+}
+
+fn show_failures(session: &Session, failures: Vec<EdgeFailure>) -> io::Result<()> {
+    let mut sheet = session.sheet(&["edge", "start", "end", "reason"]);
+    for EdgeFailure { edge, start_nanos, end_nanos, reason } in failures {
+        let [start, end] = [start_nanos, end_nanos].map(|nanos| Cell::time(Some(nanos)));
+        sheet.row(vec![Cell::Text(edge.to_string()), start, end, Cell::Text(reason)])?;
+    }
+    sheet.finish()
+}

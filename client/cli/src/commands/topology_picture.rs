@@ -1,0 +1,85 @@
+//! Pictures of the topological map at a time: who is likely where, which ways are likely open.
+//!
+//! Invariant: what was never observed is grey; a map that nobody was ever looked for in is drawn all the same.
+
+use std::{collections::HashMap, path::Path};
+
+use tidemap_client::{
+    queries::ModelSelector,
+    routes::{EdgeEnds, Presence, PresenceQuery},
+};
+use tidemap_map::time::format_rfc3339;
+use tonic::Code;
+
+use super::{Misused, Session};
+use tidemap_formats::topology_svg::{self, DrawnEdge, DrawnNode, TopologyPicture};
+
+/// What is drawn over the map.
+#[derive(Clone, Debug, Default)]
+pub struct Overlay {
+    /// Edges of a way: from, to, and by which action where that is known.
+    pub way: Vec<(String, String, Option<String>)>,
+    /// Nodes in their order.
+    pub numbered: Vec<String>,
+}
+
+/// Refuses a file that would not be what its name says.
+pub fn check_ending(path: &Path) -> Result<(), Misused> {
+    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("svg")) {
+        return Ok(());
+    }
+    Err(Misused(format!("--picture {}: its ending has to be .svg", path.display())))
+}
+
+/// The map at a time.
+pub async fn draw(
+    session: &Session,
+    map: &str,
+    time_nanos: i64,
+    model: ModelSelector,
+    speed_m_per_s: Option<f64>,
+    object: &str,
+    overlay: Overlay,
+) -> anyhow::Result<String> {
+    let topology = session.client.topology(map).await?;
+    let edges = session.client.predict_edges(map, time_nanos, model, speed_m_per_s).await?;
+    let query = PresenceQuery { map: map.to_owned(), object: object.to_owned(), times_nanos: vec![time_nanos], model };
+    // Nobody was ever looked for: nodes are grey.
+    let presence = match session.client.predict_presence(query).await {
+        Ok(presence) => presence,
+        Err(error) if error.code() == Some(Code::FailedPrecondition) => Presence::default(),
+        Err(error) => return Err(error.into()),
+    };
+    let likely = presence.times.first().map(|at| at.probabilities.as_slice()).unwrap_or_default();
+    let likely: HashMap<&str, f64> = presence.nodes.iter().map(String::as_str).zip(likely.iter().copied()).collect();
+    let index: HashMap<&str, usize> =
+        topology.nodes.iter().enumerate().map(|(index, node)| (node.name.as_str(), index)).collect();
+    let step = |name: &str| overlay.numbered.iter().position(|other| other == name).map(|place| place + 1);
+    let nodes = topology.nodes.iter().map(|node| DrawnNode {
+        name: node.name.clone(),
+        at_m: node.pose.map(|[x, y, _]| [x, y]),
+        probability: likely.get(node.name.as_str()).copied(),
+        step: step(&node.name),
+    });
+    let is_on_way = |edge: &EdgeEnds| {
+        let is_it = |(from, to, action): &(String, String, Option<String>)| {
+            *from == edge.from && *to == edge.to && action.as_ref().is_none_or(|action| *action == edge.action)
+        };
+        overlay.way.iter().any(is_it)
+    };
+    let drawn = edges.iter().filter_map(|edge| {
+        Some(DrawnEdge {
+            from: *index.get(edge.edge.from.as_str())?,
+            to: *index.get(edge.edge.to.as_str())?,
+            length: edge.duration_secs,
+            success: (edge.reports > 0).then_some(edge.success),
+            is_on_way: is_on_way(&edge.edge),
+        })
+    });
+    let picture = TopologyPicture {
+        title: format!("{map} at {}", format_rfc3339(time_nanos)),
+        nodes: nodes.collect(),
+        edges: drawn.collect(),
+    };
+    Ok(topology_svg::write(&picture)?)
+}

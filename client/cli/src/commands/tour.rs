@@ -1,0 +1,134 @@
+//! `tidemap tour`.
+//!
+//! Invariant: goals come in driving order; a tour without goals says why.
+
+use std::{fs, path::PathBuf, process::ExitCode};
+
+use anyhow::Context as _;
+use clap::Args;
+use tidemap_client::{
+    exploration::{Sensor, Tour, TourQuery},
+    queries::{GridOutput, GridQuery, ModelSelector},
+};
+
+use super::{Misused, Session, grid, point::Point, predict::check_for_cells, times};
+use crate::progress::notice;
+use tidemap_formats::{table::Cell, tour_svg};
+
+#[derive(Debug, Args)]
+pub struct TourArgs {
+    /// Name of the map
+    map: String,
+    /// When it is driven
+    #[arg(long, value_name = "TIME", value_parser = times::time)]
+    at: i64,
+    /// Goals, at most
+    #[arg(long, value_name = "N", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..=100))]
+    count: u32,
+    /// Where the robot starts and returns to, metres [default: the map's charger]
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+    start: Option<Point>,
+    /// The robot stays at its last goal
+    #[arg(long)]
+    open: bool,
+    /// How long the tour may take, return included
+    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+    budget: Option<i64>,
+    /// How far the robot sees, metres [default: 4]
+    #[arg(long, value_name = "M")]
+    range: Option<f64>,
+    /// Height of its sensor, metres [default: 1.7]
+    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    sensor_height: Option<f64>,
+    /// Distance between the places to choose from, metres [default: 1]
+    #[arg(long, value_name = "M")]
+    spacing: Option<f64>,
+    /// Radius of the robot, metres [default: 0.3]
+    #[arg(long, value_name = "M")]
+    robot_radius: Option<f64>,
+    /// Height of the robot, metres [default: 1.8]
+    #[arg(long, value_name = "M")]
+    robot_height: Option<f64>,
+    /// How fast it drives, metres a second [default: 0.5]
+    #[arg(long, value_name = "M/S")]
+    speed: Option<f64>,
+    /// How long it looks at each goal [default: 60s]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration_or_none)]
+    observing: Option<i64>,
+    /// Model of the grid: auto, mean, latest or spectral, each optionally with +persistence
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    model: ModelSelector,
+    /// Draws the tour over the predicted map, as SVG
+    #[arg(long, value_name = "FILE.svg")]
+    picture: Option<PathBuf>,
+}
+
+const COLUMNS: [&str; 6] = ["step", "x", "y", "information_bits", "reachability", "arrival_secs"];
+
+pub async fn run(session: &Session, args: TourArgs) -> anyhow::Result<ExitCode> {
+    check_for_cells(args.model)?;
+    if let Some(path) = &args.picture
+        && path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("svg"))
+    {
+        return Err(Misused(format!("--picture {}: its ending has to be .svg", path.display())).into());
+    }
+    let query = TourQuery {
+        map: args.map.clone(),
+        time_nanos: args.at,
+        count: args.count,
+        start_m: args.start.map(|Point(at)| at),
+        is_open: args.open,
+        sensor: Sensor { range_m: args.range, height_m: args.sensor_height, ..Sensor::default() },
+        model: args.model,
+        spacing_m: args.spacing,
+        robot_radius_m: args.robot_radius,
+        robot_height_m: args.robot_height,
+        speed_m_per_s: args.speed,
+        observing_nanos: args.observing,
+        budget_nanos: args.budget,
+    };
+    let tour = session.client.plan_tour(&query).await?;
+    if let Some(path) = &args.picture {
+        let svg = draw(session, &query, &tour).await?;
+        fs::write(path, svg).with_context(|| path.display().to_string())?;
+    }
+    if tour.steps.is_empty() {
+        notice(&format!("no tour: {}", tour.reason));
+    } else {
+        let Tour { length_m, duration_secs, information_bits, candidates, .. } = &tour;
+        notice(&format!(
+            "{length_m:.1} m in {duration_secs:.0} s for {information_bits:.0} bits, chosen from {candidates} places"
+        ));
+    }
+    let mut sheet = session.sheet(&COLUMNS);
+    for (step, goal) in (1_u64..).zip(&tour.steps) {
+        sheet.row(vec![
+            Cell::Count(step),
+            goal.at_m[0].into(),
+            goal.at_m[1].into(),
+            goal.information_bits.into(),
+            goal.reachability.into(),
+            goal.arrival_secs.into(),
+        ])?;
+    }
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The tour over the map that is predicted for its time.
+async fn draw(session: &Session, query: &TourQuery, tour: &Tour) -> anyhow::Result<String> {
+    let map = session.client.map(&query.map).await?;
+    let start = query.start_m.or(map.charger_m);
+    let grid = GridQuery {
+        map: query.map.clone(),
+        time_nanos: query.time_nanos,
+        model: query.model,
+        region: grid::predict::heights(&map, 0.2, query.robot_height_m.unwrap_or(1.8)),
+        is_projected: true,
+        output: GridOutput::Probability,
+    };
+    let predicted = session.client.predict_grid(&grid).await?.whole().await?;
+    let picture = grid::predict::picture(&predicted);
+    let goals: Vec<[f64; 2]> = tour.steps.iter().map(|step| step.at_m).collect();
+    Ok(tour_svg::write(&picture, start, &goals, query.is_open)?)
+}

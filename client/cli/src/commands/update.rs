@@ -1,0 +1,64 @@
+//! `tidemap update`.
+//!
+//! Invariant: what is shown is the report of the job that this command started.
+
+use std::process::ExitCode;
+
+use clap::Args;
+use tidemap_client::updates::JobState;
+use tonic::Code;
+
+use super::{Session, job, times};
+use crate::progress::notice;
+use tidemap_formats::table::Cell;
+
+#[derive(Debug, Args)]
+pub struct UpdateArgs {
+    /// Name of the map
+    map: String,
+    /// Takes only observations before this time [default: all there are]
+    #[arg(long, value_name = "TIME", value_parser = times::time)]
+    until: Option<i64>,
+}
+
+const COLUMNS: [&str; 7] = ["state", "order_before", "order", "mse_before", "mse", "observations", "scored"];
+
+pub async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCode> {
+    let client = &session.client;
+    let started = client.run_update(&args.map, args.until).await?;
+    let ended = job::watched(client, started.id).await?;
+    if ended.state == JobState::Failed {
+        anyhow::bail!(job::failure(&ended));
+    }
+    let mut sheet = session.sheet(&COLUMNS);
+    let (mut token, mut states) = (Some(String::new()), 0_u64);
+    while let Some(page_token) = token {
+        let page = client.update_report(started.id, &page_token).await;
+        if page.as_ref().is_err_and(|error| error.code() == Some(Code::NotFound)) {
+            notice(&format!(
+                "the update is done, but another one followed at once: `tidemap job list` shows job {}",
+                started.id
+            ));
+            break;
+        }
+        let (updates, next) = page?;
+        for update in updates {
+            states += 1;
+            sheet.row(vec![
+                Cell::Text(update.state),
+                update.order_before.into(),
+                update.order.into(),
+                Cell::maybe(update.mean_squared_error_before),
+                Cell::maybe(update.mean_squared_error),
+                update.observations.into(),
+                update.scored.into(),
+            ])?;
+        }
+        token = next;
+    }
+    sheet.finish()?;
+    if states == 0 && ended.observations == 0 {
+        notice(&format!("map {:?} has no observations to fold in", args.map));
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,33 @@
+//! `tidemap visit`.
+//!
+//! Invariant: a visit that was reported is durable.
+
+use std::process::ExitCode;
+
+use clap::{ArgAction, Args};
+
+use super::{Session, point::Point, times};
+
+#[derive(Debug, Args)]
+pub struct VisitArgs {
+    /// Name of the map
+    map: String,
+    /// Where the robot was sent, metres
+    #[arg(value_name = "X,Y", allow_hyphen_values = true)]
+    at: Point,
+    /// Whether it got there
+    #[arg(long, value_name = "true|false", action = ArgAction::Set)]
+    reached: bool,
+    /// When [default: now]
+    #[arg(long = "at", value_name = "TIME", value_parser = times::time)]
+    time: Option<i64>,
+}
+
+pub async fn run(session: &Session, args: &VisitArgs) -> anyhow::Result<ExitCode> {
+    let VisitArgs { map, at: Point(at_m), reached, time } = args;
+    let (reachability, attempts) = session.client.report_visit(map, *at_m, *reached, *time).await?;
+    let mut sheet = session.sheet(&["x", "y", "reachability", "attempts"]);
+    sheet.row(vec![at_m[0].into(), at_m[1].into(), reachability.into(), attempts.into()])?;
+    sheet.finish()?;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,43 @@
+//! Waiting for the nightly updates.
+//!
+//! Invariant: what is predicted afterwards rests on everything before the midnight waited for.
+
+use std::time::{Duration, Instant};
+
+use anyhow::bail;
+use tidemap_client::{Client, updates::JobState};
+
+use super::MAP;
+
+/// Nights that take longer than this do not come.
+const TIMEOUT: Duration = Duration::from_secs(60);
+const POLL: Duration = Duration::from_millis(20);
+
+/// Waits until the updates that data time starts have folded in everything before `cut_nanos` UTC.
+pub(super) async fn passed(client: &Client, cut_nanos: i64) -> anyhow::Result<()> {
+    let deadline = Instant::now() + TIMEOUT;
+    loop {
+        let update = client.map(MAP).await?.last_update;
+        if update.cut_nanos.is_some_and(|cut| cut >= cut_nanos) {
+            return Ok(());
+        }
+        if Instant::now() > deadline {
+            bail!("the nightly updates did not come within {} s", TIMEOUT.as_secs());
+        }
+        tokio::time::sleep(POLL).await;
+    }
+}
+
+/// Has everything before `until_nanos` UTC folded in: the last night, which no later data closes.
+pub(super) async fn close(client: &Client, until_nanos: i64) -> anyhow::Result<()> {
+    let mut job = client.run_update(MAP, Some(until_nanos)).await?;
+    let mut watch = client.watch_job(job.id).await?;
+    while let Some(changed) = watch.next().await? {
+        job = changed;
+    }
+    match job.state {
+        JobState::Done => Ok(()),
+        JobState::Failed => bail!("the update failed: {}", job.error),
+        other => bail!("the update ended as {}", other.name()),
+    }
+}

@@ -1,0 +1,32 @@
+//! Results on stdout, in the format that the user asked for.
+//!
+//! Invariant: nothing else writes to stdout.
+
+use std::io::{self, BufWriter, IsTerminal as _};
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use tidemap_formats::table::{Format, Sheet};
+
+/// A table on a terminal, CSV otherwise.
+pub fn default_format() -> Format {
+    if io::stdout().is_terminal() { Format::Table } else { Format::Csv }
+}
+
+/// Reads `--output`.
+pub fn format_parser() -> impl TypedValueParser<Value = Format> {
+    let values = [
+        PossibleValue::new("table").help("Aligned columns, for people"),
+        PossibleValue::new("json").help("An array of objects, one a line"),
+        PossibleValue::new("csv").help("Comma-separated, with a header"),
+    ];
+    PossibleValuesParser::new(values).map(|name| match name.as_str() {
+        "table" => Format::Table,
+        "json" => Format::Json,
+        _ => Format::Csv,
+    })
+}
+
+/// A result on stdout.
+pub fn stdout(format: Format, columns: &[&str]) -> Sheet<BufWriter<io::Stdout>> {
+    Sheet::new(format, columns, BufWriter::with_capacity(64 * 1024, io::stdout()))
+}

@@ -1,0 +1,305 @@
+//! A model with all its parameters, ready to be fitted to readings.
+//!
+//! This is where the experiment meets the temporal models: the names are those of the command line, the parameters those
+//! that a protocol may write. Invariant: a candidate that was made can be fitted to any readings whose values suit it; a
+//! parameter outside its range is refused before data is read.
+
+use tidemap_map::time::{format_duration, parse_duration};
+use tidemap_model::{
+    Accumulator, ORDER_MAX, Periodicities, Sample, SpectralModel,
+    models::{
+        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle,
+        HistogramSettings, Hypertime, HypertimeMethod, HypertimeOptions, Latest, MarkovChain, Mean, Moment, Pergam,
+        PergamOptions, PoissonSpectral, Readings, TemporalModel, UniformSpectral,
+    },
+};
+
+/// What the values of the states are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ValueKind {
+    /// 0, 1 or between.
+    #[default]
+    Probability,
+    /// Any finite number.
+    Continuous,
+    /// A number of events, 0 or more; a reading is the count of one interval.
+    Count,
+}
+
+/// A model that was fitted.
+pub type Fitted = Box<dyn TemporalModel + Send + Sync>;
+
+/// A kind of model with its parameters.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    shown: String,
+    settings: Settings,
+}
+
+#[derive(Clone, Debug)]
+enum Settings {
+    Mean,
+    Latest,
+    Persistence,
+    Histogram(HistogramSettings),
+    Spectral { order: usize, periodicities: Periodicities },
+    Uniform { order: usize },
+    Pergam(PergamOptions),
+    Hypertime(HypertimeOptions),
+    Poisson { periodicities: Periodicities, bin_nanos: i64 },
+    Calibrated,
+}
+
+/// A parameter whose value is wrong, or that does not go with the others.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum WrongParameter {
+    /// Its value cannot be read, or is outside its range.
+    #[error("{name} has to be {right}")]
+    Value {
+        /// Which.
+        name: &'static str,
+        /// What would be right.
+        right: String,
+    },
+    /// The parameters do not go together.
+    #[error("{0}")]
+    Together(String),
+}
+
+/// The kinds of model that can be compared: those of the command line but `auto`, which is a daemon's choice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CandidateKind {
+    Mean,
+    Latest,
+    Persistence,
+    Histogram,
+    Spectral,
+    Uniform,
+    Pergam,
+    HypertimeEm,
+    HypertimeKm,
+    Poisson,
+    Calibrated,
+}
+
+impl CandidateKind {
+    /// With their names, in the order of the command line's.
+    pub const ALL: [(Self, &str); 11] = [
+        (Self::Mean, "mean"),
+        (Self::Latest, "latest"),
+        (Self::Persistence, "persistence"),
+        (Self::Histogram, "histogram"),
+        (Self::Spectral, "spectral"),
+        (Self::Uniform, "uniform"),
+        (Self::Pergam, "pergam"),
+        (Self::HypertimeEm, "hypertime-em"),
+        (Self::HypertimeKm, "hypertime-km"),
+        (Self::Poisson, "poisson"),
+        (Self::Calibrated, "calibrated"),
+    ];
+}
+
+/// The parameters that a kind has.
+pub fn parameter_names(kind: CandidateKind) -> &'static [&'static str] {
+    match kind {
+        CandidateKind::Mean | CandidateKind::Latest | CandidateKind::Persistence | CandidateKind::Calibrated => &[],
+        CandidateKind::Histogram => &["bins", "cycle", "smoothing_bins", "prior_readings"],
+        CandidateKind::Spectral => &["order", "period_base", "period_count"],
+        CandidateKind::Uniform => &["order"],
+        CandidateKind::Pergam => &["gaussians", "period", "seed"],
+        CandidateKind::HypertimeEm | CandidateKind::HypertimeKm => &["clusters", "seed"],
+        CandidateKind::Poisson => &["bin", "period_base", "period_count"],
+    }
+}
+
+/// Parameters by name, as written.
+struct Given<'a>(&'a [(&'static str, &'a str)]);
+
+impl Given<'_> {
+    /// The value of a parameter, or its default.
+    fn get<T>(
+        &self,
+        name: &'static str,
+        default: T,
+        right: &str,
+        read: impl FnOnce(&str) -> Option<T>,
+    ) -> Result<T, WrongParameter> {
+        let written = self.0.iter().find(|(given, _)| *given == name).map(|(_, text)| *text);
+        let wrong = || WrongParameter::Value { name, right: right.to_owned() };
+        written.map_or(Ok(default), |text| read(text).ok_or_else(wrong))
+    }
+
+    fn whole(&self, name: &'static str, default: usize, right: &str) -> Result<usize, WrongParameter> {
+        self.get(name, default, right, |text| text.parse().ok())
+    }
+
+    fn number(&self, name: &'static str, default: f64, right: &str) -> Result<f64, WrongParameter> {
+        self.get(name, default, right, |text| text.parse().ok().filter(|number: &f64| number.is_finite()))
+    }
+
+    fn duration(&self, name: &'static str, default_nanos: i64) -> Result<i64, WrongParameter> {
+        self.get(name, default_nanos, "a duration such as 10m, 1d or 7d", |text| parse_duration(text).ok())
+    }
+
+    fn seed(&self) -> Result<u64, WrongParameter> {
+        self.get("seed", 0, "a whole number from 0", |text| text.parse().ok())
+    }
+
+    fn order(&self) -> Result<usize, WrongParameter> {
+        let order = |text: &str| text.parse().ok().filter(|&order: &usize| order <= ORDER_MAX);
+        self.get("order", ORDER_MAX, "a whole number from 0 to 15", order)
+    }
+
+    fn periodicities(&self) -> Result<Periodicities, WrongParameter> {
+        const DEFAULT_BASE_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
+        let base_nanos = self.duration("period_base", DEFAULT_BASE_NANOS)?;
+        let count = self.whole("period_count", 168, "a whole number from 1 to 2048")?;
+        let count = u32::try_from(count).unwrap_or(u32::MAX);
+        Periodicities::harmonics(base_nanos, count).map_err(|refused| {
+            WrongParameter::Together(format!(
+                "period_base {} with period_count {count}: {refused}",
+                format_duration(base_nanos)
+            ))
+        })
+    }
+}
+
+impl Candidate {
+    /// The kind with the parameters given, of those that [`parameter_names`] lists, and defaults for the rest.
+    ///
+    /// # Errors
+    /// [`WrongParameter`] where a value cannot be read or the model refuses it.
+    pub fn new(kind: CandidateKind, parameters: &[(&'static str, &str)]) -> Result<Self, WrongParameter> {
+        let given = Given(parameters);
+        let settings = match kind {
+            CandidateKind::Mean => Settings::Mean,
+            CandidateKind::Latest => Settings::Latest,
+            CandidateKind::Persistence => Settings::Persistence,
+            CandidateKind::Histogram => {
+                let cycle = given.get("cycle", HistogramCycle::Day, "day, week or weekend", |text| match text {
+                    "day" => Some(HistogramCycle::Day),
+                    "week" => Some(HistogramCycle::Week),
+                    "weekend" => Some(HistogramCycle::WeekdayWeekend),
+                    _ => None,
+                })?;
+                Settings::Histogram(HistogramSettings {
+                    cycle,
+                    bins: given.whole("bins", 24, "a whole number from 1")?,
+                    smoothing_bins: given.number("smoothing_bins", 0.0, "a number of bins, 0 for none")?,
+                    prior_readings: given.number("prior_readings", HISTOGRAM_PRIOR_READINGS, "a number from 0")?,
+                })
+            }
+            CandidateKind::Spectral => {
+                Settings::Spectral { order: given.order()?, periodicities: given.periodicities()? }
+            }
+            CandidateKind::Uniform => Settings::Uniform { order: given.order()? },
+            CandidateKind::Pergam => {
+                let usual = PergamOptions::default();
+                Settings::Pergam(PergamOptions {
+                    gaussians: given.whole("gaussians", usual.gaussians, "a whole number from 1 to 20")?,
+                    period_nanos: given.duration("period", usual.period_nanos)?,
+                    seed: given.seed()?,
+                })
+            }
+            CandidateKind::HypertimeEm | CandidateKind::HypertimeKm => {
+                let usual = HypertimeOptions::default();
+                let is_em = kind == CandidateKind::HypertimeEm;
+                Settings::Hypertime(HypertimeOptions {
+                    method: if is_em { HypertimeMethod::Em } else { HypertimeMethod::Km },
+                    clusters: given.whole("clusters", usual.clusters, "a whole number from 1 to 50")?,
+                    seed: given.seed()?,
+                })
+            }
+            CandidateKind::Poisson => Settings::Poisson {
+                periodicities: given.periodicities()?,
+                bin_nanos: given.duration("bin", COUNT_BIN_NANOS)?,
+            },
+            CandidateKind::Calibrated => Settings::Calibrated,
+        };
+        let shown: Vec<String> = parameters.iter().map(|(name, text)| format!("{name}={text}")).collect();
+        let candidate = Self { shown: shown.join(" "), settings };
+        if matches!(candidate.settings, Settings::Uniform { .. }) {
+            // One reading has no interval.
+            return Ok(candidate);
+        }
+        // The models know their ranges; one reading is enough to be told.
+        let reading = [Sample { utc_nanos: 0, offset_secs: 0, value: 0.5 }];
+        match candidate.fit(&reading, ValueKind::Probability) {
+            Err(refused @ (CannotFit::Parameter { .. } | CannotFit::Irregular { .. })) => {
+                Err(WrongParameter::Together(refused.to_string()))
+            }
+            Ok(_) | Err(CannotFit::NoReadings) => Ok(candidate),
+        }
+    }
+
+    /// The parameters that were given, as `bins=24 cycle=day`.
+    pub fn shown(&self) -> &str {
+        &self.shown
+    }
+
+    /// Fits it to the readings of one state, ascending by time.
+    ///
+    /// # Errors
+    /// [`CannotFit`] where there are no readings or a value does not suit the model.
+    pub fn fit(&self, samples: &[Sample], kind: ValueKind) -> Result<Fitted, CannotFit> {
+        let readings = Readings::new(samples);
+        Ok(match &self.settings {
+            Settings::Mean => Box::new(Mean::fit(readings)?),
+            Settings::Latest => Box::new(Latest::fit(readings)?),
+            Settings::Persistence => Box::new(MarkovChain::fit(readings)?),
+            Settings::Histogram(settings) => Box::new(Histogram::fit(readings, settings)?),
+            Settings::Spectral { order, periodicities } => {
+                check_probabilities(samples)?;
+                Box::new(Spectral::fit(samples, *order, periodicities)?)
+            }
+            Settings::Uniform { order } => Box::new(UniformSpectral::fit(readings, *order)?),
+            Settings::Pergam(options) => {
+                check_probabilities(samples)?;
+                Box::new(Pergam::fit(readings, options)?)
+            }
+            Settings::Hypertime(options) if kind == ValueKind::Probability => {
+                Box::new(Hypertime::fit(readings, options)?)
+            }
+            Settings::Hypertime(options) => Box::new(Hypertime::fit_continuous(readings, options)?),
+            Settings::Poisson { periodicities, bin_nanos } => {
+                Box::new(PoissonSpectral::fit(readings, periodicities, *bin_nanos)?)
+            }
+            Settings::Calibrated => Box::new(Calibrated::fit(readings, CalibratedOptions::default())?),
+        })
+    }
+}
+
+fn check_probabilities(samples: &[Sample]) -> Result<(), CannotFit> {
+    match samples.iter().find(|sample| !(0.0..=1.0).contains(&sample.value)) {
+        Some(sample) => {
+            let (parameter, expected) = ("a reading's value", "0 to 1");
+            Err(CannotFit::Parameter { parameter, found: sample.value, expected })
+        }
+        None => Ok(()),
+    }
+}
+
+/// The spectral model at one order, among its periodicities.
+struct Spectral {
+    model: SpectralModel,
+    order: usize,
+    periodicities: Periodicities,
+}
+
+impl Spectral {
+    fn fit(samples: &[Sample], order: usize, periodicities: &Periodicities) -> Result<Self, CannotFit> {
+        if samples.is_empty() {
+            return Err(CannotFit::NoReadings);
+        }
+        let mut accumulator = Accumulator::new(periodicities);
+        accumulator.add(periodicities, samples);
+        let model = SpectralModel::fit(&accumulator, periodicities);
+        Ok(Self { model, order, periodicities: periodicities.clone() })
+    }
+}
+
+impl TemporalModel for Spectral {
+    fn predict(&self, at: Moment) -> f64 {
+        self.model.predict(&self.periodicities, self.order, at.civil_nanos())
+    }
+}

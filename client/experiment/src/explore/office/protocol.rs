@@ -1,0 +1,97 @@
+//! How an office is explored, as a file says.
+//!
+//! Invariant: a protocol that was read can be run.
+
+use std::path::PathBuf;
+
+use serde::Deserialize;
+use tidemap_map::time::parse_duration;
+use tidemap_plan::tour::GOALS_MAX;
+use tidemap_sim::ExploredOffice;
+
+use super::{Kind, space::DAY_NANOS};
+use crate::{ProtocolError, protocol::written::Word};
+
+/// Most days.
+const DAYS_MAX: usize = 60;
+/// Slots when nothing is said (RA-L 2016, section IV.A).
+const SLOT_NANOS: i64 = tidemap_plan::day::SLOT_NANOS;
+/// The shortest slot: two goals fit.
+const SLOT_MIN_NANOS: i64 = 300_000_000_000;
+
+/// What a protocol says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Protocol {
+    /// Of the experiment.
+    pub name: String,
+    /// Days of exploration, at least 1.
+    pub days: usize,
+    /// Tours a day of each explorer, at most as many as slots.
+    pub tours: usize,
+    /// Goals of a tour.
+    pub goals: usize,
+    /// Rooms on each side of the corridor.
+    pub rooms: usize,
+    /// Length of a slot, which divides the day.
+    pub slot_nanos: i64,
+    /// How many times everything is done, with seeds from 0 on.
+    pub seeds: u64,
+    /// Who explores; the first is what the others are compared with.
+    pub explorers: Vec<Kind>,
+    /// Folder of the results.
+    pub out: PathBuf,
+}
+
+impl Protocol {
+    /// Slots of a day.
+    pub fn slots(&self) -> usize {
+        (DAY_NANOS / self.slot_nanos) as usize
+    }
+}
+
+/// The section `office`.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WrittenOffice {
+    days: Option<Word>,
+    tours: Option<Word>,
+    goals: Option<Word>,
+    rooms: Option<Word>,
+    slot: Option<Word>,
+}
+
+impl WrittenOffice {
+    /// Makes a protocol of it.
+    pub fn parse(self, name: String, seeds: u64, out: PathBuf) -> Result<Protocol, ProtocolError> {
+        let slot_nanos = self.slot.map_or(Ok(SLOT_NANOS), |word| {
+            let divides = |nanos: &i64| *nanos >= SLOT_MIN_NANOS && DAY_NANOS % nanos == 0;
+            let nanos = parse_duration(&word.text).ok().filter(divides);
+            nanos.ok_or_else(|| ProtocolError::value("slot", &word, "at least 5m, and a part of the day, such as 15m"))
+        })?;
+        let slots = (DAY_NANOS / slot_nanos) as usize;
+        let goals_max = GOALS_MAX.min((slot_nanos / 120_000_000_000) as usize);
+        Ok(Protocol {
+            name,
+            days: number("days", self.days, 5, 1..=DAYS_MAX)?,
+            tours: number("tours", self.tours, 24.min(slots), 1..=slots)?,
+            goals: number("goals", self.goals, 6.min(goals_max), 1..=goals_max)?,
+            rooms: number("rooms", self.rooms, 4, 2..=ExploredOffice::ROOMS_MAX)?,
+            slot_nanos,
+            seeds,
+            explorers: Kind::ALL.to_vec(),
+            out,
+        })
+    }
+}
+
+fn number(
+    key: &'static str,
+    word: Option<Word>,
+    usual: usize,
+    right: std::ops::RangeInclusive<usize>,
+) -> Result<usize, ProtocolError> {
+    let Some(word) = word else { return Ok(usual) };
+    let found = word.text.parse().ok().filter(|number| right.contains(number));
+    let right = || format!("a whole number from {} to {}", right.start(), right.end());
+    found.ok_or_else(|| ProtocolError::value(key, &word, &right()))
+}

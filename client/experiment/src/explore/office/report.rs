@@ -1,0 +1,86 @@
+//! What the exploration of an office writes: a row per day and explorer, the error of every slot, and a picture.
+//!
+//! Invariant: the table on stdout and `results.csv` are the same table; errors are in percent of the cells seen so far.
+
+use std::{
+    io::{self, Write},
+    path::Path,
+};
+
+use super::{Outcome, Protocol, picture};
+use crate::report::file;
+use tidemap_formats::table::{Cell, Format, Sheet};
+
+/// Writes a row per day and explorer.
+///
+/// Columns: day, explorer, error_percent (mean over slots and seeds), difference_percent to the first explorer, p_value of
+/// that (the median over seeds of a paired test over the day's slots), seeds_better and seeds_worse (with p below 0.05),
+/// changes_per_tour and changes (cells seen in another state than before), discovered (cells seen for the first time),
+/// tours, tours_8_to_18.
+pub fn summary<W: Write>(protocol: &Protocol, outcome: &Outcome, format: Format, writer: W) -> io::Result<()> {
+    let columns = [
+        "day",
+        "explorer",
+        "error_percent",
+        "difference_percent",
+        "p_value",
+        "seeds_better",
+        "seeds_worse",
+        "changes_per_tour",
+        "changes",
+        "discovered",
+        "tours",
+        "tours_8_to_18",
+    ];
+    let mut sheet = Sheet::new(format, &columns, writer);
+    for day in outcome.days(protocol) {
+        let p_value = median(&day.p_values);
+        let tested = |count: usize| Cell::maybe(p_value.map(|_| count as u64));
+        sheet.row(vec![
+            (day.day as u64).into(),
+            day.kind.name().into(),
+            (100.0 * day.error).into(),
+            Cell::maybe(p_value.map(|_| 100.0 * day.difference)),
+            Cell::maybe(p_value),
+            tested(day.better),
+            tested(day.worse),
+            day.changes_per_tour.into(),
+            day.changes.into(),
+            day.discovered.into(),
+            day.tours.into(),
+            day.tours_by_day.into(),
+        ])?;
+    }
+    sheet.finish()
+}
+
+/// The upper of the two middle ones of an even number.
+fn median(numbers: &[f64]) -> Option<f64> {
+    let mut sorted = numbers.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied()
+}
+
+/// Writes the files of an exploration into its folder, which exists.
+pub fn write(protocol: &Protocol, outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+    file(folder, "results.csv", |writer| summary(protocol, outcome, Format::Csv, writer))?;
+    file(folder, "slots.csv", |writer| slots(protocol, outcome, writer))?;
+    file(folder, "exploration.svg", |writer| writer.write_all(picture::draw(protocol, outcome).as_bytes()))
+}
+
+/// Every explorer's error in every slot, mean over seeds.
+fn slots<W: Write>(protocol: &Protocol, outcome: &Outcome, writer: W) -> io::Result<()> {
+    let mut sheet = Sheet::new(Format::Csv, &["explorer", "day", "slot", "error_percent"], writer);
+    let per_day = protocol.slots();
+    for (index, kind) in protocol.explorers.iter().enumerate() {
+        for slot in 0..protocol.days * per_day {
+            sheet.row(vec![
+                kind.name().into(),
+                (slot as u64 / per_day as u64 + 1).into(),
+                (slot as u64 % per_day as u64).into(),
+                Cell::maybe(outcome.error_at(index, slot).map(|error| 100.0 * error)),
+            ])?;
+        }
+    }
+    sheet.finish()
+}

@@ -1,0 +1,63 @@
+//! What an exploration writes: a row per pair, the error of every week, and a picture.
+//!
+//! Invariant: the table on stdout and `results.csv` are the same table; errors are in percent of all states.
+
+use std::{
+    io::{self, Write},
+    path::Path,
+};
+
+use super::{Outcome, Protocol, WEEK_DAYS, picture};
+use crate::report::file;
+use tidemap_formats::table::{Cell, Format, Sheet};
+
+/// Writes a row per pair.
+///
+/// Columns: strategy, model, error_percent over the whole world and its standard error over seeds, the same of the weeks
+/// that are scored apart where there are such, and visits_per_day.
+pub fn summary<W: Write>(protocol: &Protocol, outcome: &Outcome, format: Format, writer: W) -> io::Result<()> {
+    let mut columns = ["strategy", "model", "error_percent", "standard_error"].map(str::to_owned).to_vec();
+    if let Some((first, last)) = protocol.weeks {
+        columns.push(format!("weeks_{first}_{last}_percent"));
+        columns.push(format!("weeks_{first}_{last}_standard_error"));
+    }
+    columns.push("visits_per_day".to_owned());
+    let mut sheet = Sheet::new(format, &columns, writer);
+    for pair in &outcome.pairs {
+        let mut cells = vec![Cell::from(pair.plan.name()), Cell::Text(pair.model.name())];
+        let apart = protocol.weeks.map(|(first, last)| (first - 1) * WEEK_DAYS..last * WEEK_DAYS);
+        for days in std::iter::once(0..outcome.days).chain(apart) {
+            let error = pair.error(days);
+            cells.push((100.0 * error.mean).into());
+            cells.push(Cell::maybe(error.standard_error.map(|error| 100.0 * error)));
+        }
+        cells.push(pair.visits_per_day.into());
+        sheet.row(cells)?;
+    }
+    sheet.finish()
+}
+
+/// Writes the files of an exploration into its folder, which exists.
+pub fn write(protocol: &Protocol, outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+    file(folder, "results.csv", |writer| summary(protocol, outcome, Format::Csv, writer))?;
+    file(folder, "weeks.csv", |writer| weeks(outcome, writer))?;
+    file(folder, "exploration.svg", |writer| writer.write_all(picture::draw(protocol, outcome).as_bytes()))
+}
+
+/// Every pair's error in every week; the last week may be short.
+fn weeks<W: Write>(outcome: &Outcome, writer: W) -> io::Result<()> {
+    let mut sheet = Sheet::new(Format::Csv, &["strategy", "model", "week", "error_percent", "standard_error"], writer);
+    for pair in &outcome.pairs {
+        for (week, from) in (1_u64..).zip((0..outcome.days).step_by(WEEK_DAYS)) {
+            let error = pair.error(from..outcome.days.min(from + WEEK_DAYS));
+            sheet.row(vec![
+                Cell::from(pair.plan.name()),
+                Cell::Text(pair.model.name()),
+                week.into(),
+                (100.0 * error.mean).into(),
+                Cell::maybe(error.standard_error.map(|error| 100.0 * error)),
+            ])?;
+        }
+    }
+    sheet.finish()
+}

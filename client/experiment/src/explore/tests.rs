@@ -1,0 +1,220 @@
+//! Worlds explored: simulated ones with known answers, and the recorded flat.
+#![allow(clippy::unwrap_used)]
+
+use std::path::{Path, PathBuf};
+
+use super::{
+    belief::{Blend, Kind},
+    *,
+};
+use crate::explore::protocol::parse;
+
+const PROTOCOL: &str = "name: flat
+world: flat.txt
+slot: 30m
+exploration: 0.25
+seeds: 3
+weeks: [2, 3]
+strategies: [round-robin, online-error]
+models: [mean, spectral+persistence, presence]
+out: results
+";
+
+fn protocol(text: &str) -> Protocol {
+    match parse(text, "stem", Path::new("lab")) {
+        Ok(Wanted::Places(protocol)) => protocol,
+        Ok(wanted) => panic!("{wanted:?}"),
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// In bed until seven, in the kitchen until nine, out until six, then on the sofa until eleven; every day alike.
+fn regular(days: usize) -> World {
+    let mut rows = String::new();
+    for day in 0..days {
+        let start = day * 1440;
+        for (from, until, place) in
+            [(0, 420, "bed"), (420, 540, "kitchen"), (540, 1080, "out"), (1080, 1380, "sofa"), (1380, 1440, "bed")]
+        {
+            rows.push_str(&format!("{} {} {place}\n", start + from, start + until));
+        }
+    }
+    World::parse(&rows, 30).unwrap()
+}
+
+fn error(outcome: &Outcome, plan: Plan, model: &str, days: std::ops::Range<usize>) -> f64 {
+    let pair = outcome.pairs.iter().find(|pair| pair.plan == plan && pair.model.name() == model);
+    100.0 * pair.unwrap_or_else(|| panic!("{} {model}", plan.name())).error(days).mean
+}
+
+#[test]
+fn a_protocol_is_read_and_has_defaults() {
+    let read = protocol(PROTOCOL);
+    assert_eq!((read.world, read.out), (PathBuf::from("lab/flat.txt"), PathBuf::from("lab/results")));
+    assert_eq!((read.slot_minutes, read.seeds, read.weeks), (30, 3, Some((2, 3))));
+    assert_eq!(read.plans, [Plan::RoundRobin, Plan::OnlineError]);
+    assert_eq!(read.models[1], Model::Each { kind: Kind::Spectral, blend: Blend::Persistence });
+    let least = protocol("world: w\nstrategies: greedy\nmodels: presence\nout: o\n");
+    assert_eq!((least.name.as_str(), least.slot_minutes, least.seeds, least.weeks), ("stem", 10, 5, None));
+    assert!((least.exploration - 0.5).abs() < 1e-12);
+}
+
+#[test]
+fn what_a_protocol_says_wrongly_is_named() {
+    for (from, to, message) in [
+        (
+            "slot: 30m",
+            "slot: 7m",
+            "line 3: slot is \"7m\": it has to be whole minutes that divide the day, such as 10m",
+        ),
+        ("slot: 30m", "slot: 90s", "line 3: slot is \"90s\""),
+        ("slot: 30m", "slot: 2d", "line 3: slot is \"2d\""),
+        ("exploration: 0.25", "exploration: 1.5", "line 4: exploration is \"1.5\""),
+        ("exploration: 0.25", "exploration: .nan", "line 4: exploration is"),
+        ("seeds: 3", "seeds: 0", "line 5: seeds is \"0\": it has to be a number of runs from 1 to 1000"),
+        ("weeks: [2, 3]", "weeks: [3, 2]", "line 6: weeks is \"2\": it has to be the first and the last week"),
+        ("weeks: [2, 3]", "weeks: [0, 2]", "line 6: weeks is \"0\""),
+        ("weeks: [2, 3]", "weeks: 2", "line 6: weeks is \"2\""),
+        (
+            "online-error]",
+            "clever]",
+            "line 7: strategies is \"clever\": it has to be one of: round-robin, random, greedy",
+        ),
+        ("presence]", "persistence+persistence]", "line 8: models is \"persistence+persistence\""),
+        ("presence]", "mean]", "line 8: models is \"mean\": it has to be each once"),
+        ("name: flat", "nam: flat", "line 1"),
+        ("world: flat.txt\n", "", "key world is missing: write the file of the world"),
+        ("models: [mean, spectral+persistence, presence]\n", "", "key models is missing: write a list of models"),
+    ] {
+        assert!(PROTOCOL.contains(from), "{from}");
+        let refused = parse(&PROTOCOL.replace(from, to), "stem", Path::new("")).expect_err(to).to_string();
+        assert!(refused.starts_with(message) || refused.contains("nam"), "{refused}");
+    }
+}
+
+#[test]
+fn a_world_has_one_place_in_every_minute() {
+    let world = World::parse("0 700 a\n700 1440 b\n1440 2000 a\n", 10).unwrap();
+    assert_eq!((world.days(), world.slots()), (1, 144));
+    assert_eq!((world.seen(69), world.seen(70)), (0, 1));
+    assert_eq!(world.slot(144), [0_u8; 0]);
+    for (text, wrong) in [
+        ("0 1440 a\n1441 2880 b\n", "begins at minute 1441, and the row before ends at 1440"),
+        ("0 1440 a\n1440 1440 b\n", "ends at minute 1440: it has to be after 1440"),
+        ("0 99999999999 a\n", "it has to be after 0, and at most"),
+        ("0 x a\n", "\"x\" is no minute"),
+        ("-1 4 a\n", "\"-1\" is no minute"),
+        ("0 4\n", "is no row: write FROM UNTIL PLACE"),
+        ("0 4 a b\n", "is no row"),
+    ] {
+        let (line, found) = World::parse(text, 10).expect_err(text);
+        assert!(line.is_some() && found.contains(wrong), "{found}");
+    }
+    for (text, wrong) in [
+        ("", "at least two places"),
+        ("0 1440 a\n", "at least two places, and this has 1"),
+        ("0 10 a\n10 20 b\n", "it has 20 minutes"),
+    ] {
+        assert!(matches!(World::parse(text, 10), Err((None, found)) if found.contains(wrong)), "{text}");
+    }
+}
+
+#[test]
+fn of_a_regular_life_all_but_the_surprise_is_learned() {
+    let outcome = explore(&regular(28), &protocol(PROTOCOL), &|_, _| ()).unwrap();
+    let late = |plan, model| error(&outcome, plan, model, 21..28);
+    // Where somebody is in no place for most of the time, the mean says that nobody is anywhere.
+    assert!(late(Plan::RoundRobin, "mean") > 15.0);
+    // In turn, each place is seen at the same times every day, and what happens at others stays unknown.
+    assert!(late(Plan::RoundRobin, "presence") > 10.0);
+    let best = late(Plan::OnlineError, "presence");
+    assert!(best < 5.0, "{best}");
+    for pair in &outcome.pairs {
+        assert!((pair.visits_per_day - 12.0).abs() < 1e-12, "{}", pair.visits_per_day);
+        assert_eq!((pair.days.len(), pair.days[0].len()), (3, 28));
+    }
+}
+
+#[test]
+fn nothing_is_known_before_it_is_seen() {
+    // Without a visit a state is not believed to be on: one place of four is wrong in every minute, forever.
+    let text = PROTOCOL.replace("exploration: 0.25", "exploration: 0");
+    let outcome = explore(&regular(21), &protocol(&text), &|_, _| ()).unwrap();
+    for pair in &outcome.pairs {
+        assert!((pair.error(0..21).mean - 0.25).abs() < 1e-12, "{} {:?}", pair.model.name(), pair.error(0..21));
+    }
+    // What comes later changes nothing before.
+    let all = "round-robin, random, greedy, monte-carlo, novelty-driven, online, online-error";
+    let models = "mean, persistence, spectral, histogram, calibrated, spectral+persistence, spectral+memory, presence";
+    let text = PROTOCOL
+        .replace("round-robin, online-error", all)
+        .replace("mean, spectral+persistence, presence", models)
+        .replace("seeds: 3", "seeds: 1");
+    let (short, long) = (regular(7), regular(9));
+    let run = |world: &World| explore(world, &protocol(&text), &|_, _| ()).unwrap();
+    for (short, long) in run(&short).pairs.iter().zip(run(&long).pairs) {
+        assert_eq!(short.days[0], long.days[0][..7]);
+    }
+}
+
+#[test]
+fn a_seed_repeats_and_another_differs() {
+    let text = PROTOCOL.replace("round-robin, online-error", "monte-carlo").replace("mean, spectral+persistence, ", "");
+    let run = || explore(&regular(5), &protocol(&text), &|_, _| ()).unwrap().pairs.remove(0);
+    let (first, again) = (run(), run());
+    assert_eq!(first.days, again.days);
+    assert_ne!(first.days[0], first.days[1]);
+    assert!(first.error(0..5).standard_error.unwrap() > 0.0);
+}
+
+#[test]
+fn results_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let protocol = protocol(PROTOCOL);
+    let outcome = explore(&regular(21), &protocol, &|_, _| ()).unwrap();
+    write(&protocol, &outcome, folder.path()).unwrap();
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    let results = read("results.csv");
+    let header =
+        "strategy,model,error_percent,standard_error,weeks_2_3_percent,weeks_2_3_standard_error,visits_per_day";
+    assert_eq!(results.lines().next(), Some(header));
+    assert_eq!(results.lines().count(), 1 + 6);
+    assert_eq!(read("weeks.csv").lines().count(), 1 + 6 * 3);
+    let picture = read("exploration.svg");
+    assert!(picture.starts_with("<svg") && picture.contains("online-error") && !picture.contains("NaN"), "{picture}");
+}
+
+#[test]
+fn weeks_that_the_world_does_not_have_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let world = folder.path().join("flat.txt");
+    std::fs::write(&world, "0 1440 a\n1440 14400 b\n").unwrap();
+    let wanted = Protocol { world, ..protocol(PROTOCOL) };
+    let refused = run(&wanted, &|_, _| ()).unwrap_err().to_string();
+    assert_eq!(refused, "weeks 2 to 3 are to be scored apart, and the world has 1 whole weeks");
+    let missing = Protocol { world: folder.path().join("none.txt"), ..wanted };
+    assert!(run(&missing, &|_, _| ()).unwrap_err().to_string().contains("none.txt cannot be read"));
+}
+
+/// The flat of RAS 2017, eight of its sixteen weeks.
+#[test]
+fn of_the_recorded_flat_the_published_order_is_found_and_the_best_pair_is_far_ahead() {
+    let world = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/aruba/presence_8weeks.txt");
+    if !Path::new(world).exists() {
+        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "{world} is not there");
+        println!("SKIPPED: {world} is not there");
+        return;
+    }
+    let text = format!(
+        "world: {world}\nseeds: 2\nweeks: [3, 8]\nstrategies: [round-robin, monte-carlo, online-error]\n\
+         models: [mean, spectral, presence]\nout: o\n"
+    );
+    let outcome = run(&protocol(&text), &|_, _| ()).unwrap();
+    let whole = |plan, model| error(&outcome, plan, model, 0..56);
+    let spectral = whole(Plan::MonteCarlo, "spectral");
+    assert!((5.5..7.0).contains(&spectral), "{spectral}");
+    assert!(spectral < whole(Plan::RoundRobin, "spectral"), "{spectral}");
+    assert!(spectral < whole(Plan::MonteCarlo, "mean") - 1.0, "{spectral}");
+    let best = error(&outcome, Plan::OnlineError, "presence", 14..56);
+    assert!(best < 3.3, "{best}");
+}

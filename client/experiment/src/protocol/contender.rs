@@ -1,0 +1,131 @@
+//! The models of a protocol, each with the candidates that its lists of parameters span.
+//!
+//! Invariant: a contender has at least one candidate, and more than one only where the protocol tunes; candidates come in
+//! the order written, the last parameter changing first.
+
+use super::{
+    super::candidate::{Candidate, CandidateKind, ValueKind, WrongParameter, parameter_names},
+    error::ProtocolError,
+    written::{Word, Words, WrittenModel},
+};
+
+/// Most candidates of one model.
+const CANDIDATES_MAX: usize = 10_000;
+/// The parameter that is no parameter of a model but what it is called.
+const NAME: &str = "name";
+
+/// A model that is compared.
+#[derive(Clone, Debug)]
+pub struct Contender {
+    /// What it is called in results: its kind, or the name that was given to it.
+    pub label: String,
+    /// What it may be; tuning chooses one.
+    pub candidates: Vec<Candidate>,
+}
+
+/// Reads the models.
+pub(crate) fn read(models: &[WrittenModel], values: ValueKind, tunes: bool) -> Result<Vec<Contender>, ProtocolError> {
+    let mut contenders: Vec<Contender> = Vec::with_capacity(models.len());
+    for model in models {
+        let contender = contender(model, values, tunes)?;
+        if contenders.iter().any(|other| other.label == contender.label) {
+            let wrong = format!(
+                "two models are called {:?}: give one a name of its own, as in {}: {{name: other}}",
+                contender.label, model.kind.text
+            );
+            return Err(ProtocolError::model(model.kind.line, &model.kind, wrong));
+        }
+        contenders.push(contender);
+    }
+    Ok(contenders)
+}
+
+fn contender(model: &WrittenModel, values: ValueKind, tunes: bool) -> Result<Contender, ProtocolError> {
+    let written = &model.kind;
+    let (kind, _) = CandidateKind::ALL.into_iter().find(|(_, name)| *name == written.text).ok_or_else(|| {
+        let names = CandidateKind::ALL.map(|(_, name)| name);
+        ProtocolError::value("model", written, &format!("one of: {}", names.join(", ")))
+    })?;
+    if kind == CandidateKind::Poisson && values != ValueKind::Count {
+        let wrong = "it is a model of counts: write kind: count, or leave it out";
+        return Err(ProtocolError::model(written.line, written, wrong));
+    }
+    let mut label = written.text.clone();
+    let mut axes: Vec<(&'static str, &Words)> = Vec::new();
+    for (parameter, values) in &model.parameters {
+        if parameter.text == NAME {
+            label = name(values)?;
+            continue;
+        }
+        let name = parameter_named(kind, written, parameter)?;
+        if values.words.is_empty() {
+            let wrong = format!("{name} is an empty list: write a value, or several to choose from");
+            return Err(ProtocolError::model(values.line, written, wrong));
+        }
+        if values.words.len() > 1 && !tunes {
+            let wrong = format!(
+                "{name} lists {} values and nothing chooses one: write tuning: {{folds: 4, fold: 7d}}, or one value",
+                values.words.len()
+            );
+            return Err(ProtocolError::model(values.line, written, wrong));
+        }
+        axes.push((name, values));
+    }
+    let candidates = combinations(written, &axes)?
+        .into_iter()
+        .map(|chosen| candidate(kind, written, &chosen))
+        .collect::<Result<_, _>>()?;
+    Ok(Contender { label, candidates })
+}
+
+fn name(values: &Words) -> Result<String, ProtocolError> {
+    match &values.words[..] {
+        [word] if !word.text.is_empty() => Ok(word.text.clone()),
+        words => {
+            let text = words.iter().map(|word| word.text.as_str()).collect::<Vec<_>>().join(", ");
+            Err(ProtocolError::value(NAME, &Word { line: values.line, text }, "one word to call the model by"))
+        }
+    }
+}
+
+fn parameter_named(kind: CandidateKind, model: &Word, parameter: &Word) -> Result<&'static str, ProtocolError> {
+    let names = parameter_names(kind);
+    names.iter().find(|name| **name == parameter.text).copied().ok_or_else(|| {
+        let has = match names {
+            [] => format!("it has none but {NAME}"),
+            names => format!("use {} or {NAME}", names.join(", ")),
+        };
+        ProtocolError::model(parameter.line, model, format!("{:?} is not a parameter of it: {has}", parameter.text))
+    })
+}
+
+type Chosen<'a> = Vec<(&'static str, &'a Word)>;
+
+/// Every way to choose a value of each parameter.
+fn combinations<'a>(model: &Word, axes: &[(&'static str, &'a Words)]) -> Result<Vec<Chosen<'a>>, ProtocolError> {
+    let count = axes.iter().try_fold(1, |count: usize, (_, values)| count.checked_mul(values.words.len()));
+    if count.is_none_or(|count| count > CANDIDATES_MAX) {
+        let wrong = format!("its lists span more than {CANDIDATES_MAX} combinations: shorten them");
+        return Err(ProtocolError::model(model.line, model, wrong));
+    }
+    let mut chosen: Vec<Chosen<'a>> = vec![Vec::new()];
+    for &(name, values) in axes {
+        let with = |chosen: &Chosen<'a>, word| chosen.iter().copied().chain([(name, word)]).collect();
+        chosen = chosen.iter().flat_map(|one| values.words.iter().map(|word| with(one, word))).collect();
+    }
+    Ok(chosen)
+}
+
+fn candidate(kind: CandidateKind, model: &Word, chosen: &[(&'static str, &Word)]) -> Result<Candidate, ProtocolError> {
+    let parameters: Vec<(&'static str, &str)> = chosen.iter().map(|&(name, word)| (name, word.text.as_str())).collect();
+    Candidate::new(kind, &parameters).map_err(|wrong| match wrong {
+        WrongParameter::Value { name, right } => match chosen.iter().find(|(given, _)| *given == name) {
+            Some((_, word)) => ProtocolError::value(&format!("{name} of {}", model.text), word, &right),
+            None => ProtocolError::model(model.line, model, format!("{name} has to be {right}")),
+        },
+        WrongParameter::Together(wrong) => {
+            let line = chosen.first().map_or(model.line, |(_, word)| word.line);
+            ProtocolError::model(line, model, wrong)
+        }
+    })
+}

@@ -1,0 +1,131 @@
+//! What an experiment writes: the comparison, every prediction, every trial of the tuning, and a picture.
+//!
+//! Invariant: the table on stdout and `results.csv` are the same table; a file that is written is written whole.
+
+use std::{
+    fs,
+    io::{self, BufWriter, Write},
+    path::Path,
+};
+
+use anyhow::Context as _;
+use tidemap_model::Evaluation;
+
+use super::{Compared, Outcome, Protocol, candidate::ValueKind, picture, protocol::Predictions};
+use tidemap_formats::table::{Cell, Format, Sheet};
+
+/// Writes the comparison, a row per model.
+///
+/// Columns: model, parameters, mse and error_rate (means over test sets), mse of each test set, then the difference of mse
+/// to the baseline with the ends of its interval and its p-value, and a verdict: better, worse, or no difference.
+pub fn summary<W: Write>(protocol: &Protocol, outcome: &Outcome, format: Format, writer: W) -> io::Result<()> {
+    let mut columns = ["model", "parameters", "mse", "error_rate"].map(str::to_owned).to_vec();
+    columns.extend(protocol.test.iter().map(|test| format!("mse_{}", test.label)));
+    columns.extend(["difference", "lower", "upper", "p_value", "verdict"].map(str::to_owned));
+    let mut sheet = Sheet::new(format, &columns, writer);
+    for model in &outcome.models {
+        sheet.row(row(protocol, model))?;
+    }
+    sheet.finish()
+}
+
+fn row(protocol: &Protocol, model: &Compared) -> Vec<Cell> {
+    // A side of 0.5 means nothing for a speed or a count.
+    let has_sides = protocol.kind == ValueKind::Probability;
+    let mut cells = vec![
+        Cell::Text(model.label.clone()),
+        Cell::Text(model.parameters.clone()),
+        model.score.mse().into(),
+        Cell::maybe(has_sides.then(|| model.score.error_rate())),
+    ];
+    cells.extend(model.score.sets.iter().map(|set| Cell::from(set.mse())));
+    let mean = model.difference.map(|difference| difference.mean);
+    let test = model.difference.and_then(|difference| difference.test);
+    let interval = test.and_then(|test| test.interval);
+    cells.push(Cell::maybe(mean));
+    cells.push(Cell::maybe(interval.map(|(lower, _)| lower)));
+    cells.push(Cell::maybe(interval.map(|(_, upper)| upper)));
+    cells.push(Cell::maybe(test.map(|test| test.p_value)));
+    cells.push(model.verdict(protocol.significance).map_or(Cell::Empty, Cell::from));
+    cells
+}
+
+/// Writes the files of an experiment into its folder, which exists.
+pub fn write(protocol: &Protocol, outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+    file(folder, "results.csv", |writer| summary(protocol, outcome, Format::Csv, writer))?;
+    if !outcome.folds.is_empty() {
+        file(folder, "folds.csv", |writer| trials(protocol, outcome, writer))?;
+    }
+    if protocol.predictions != Predictions::Off {
+        file(folder, "predictions.csv", |writer| predictions(protocol, outcome, writer))?;
+    }
+    file(folder, "comparison.svg", |writer| writer.write_all(picture::draw(protocol, outcome).as_bytes()))
+}
+
+pub(super) fn file(
+    folder: &Path,
+    name: &str,
+    write: impl FnOnce(&mut BufWriter<fs::File>) -> io::Result<()>,
+) -> anyhow::Result<()> {
+    let path = folder.join(name);
+    let written = || -> io::Result<()> {
+        let mut writer = BufWriter::new(fs::File::create(&path)?);
+        write(&mut writer)?;
+        writer.flush()
+    };
+    written().with_context(|| path.display().to_string())
+}
+
+/// Every candidate's error on every fold.
+fn trials<W: Write>(protocol: &Protocol, outcome: &Outcome, writer: W) -> io::Result<()> {
+    let columns = ["model", "parameters", "fold", "from", "until", "observations", "mse", "mean_mse", "chosen"];
+    let mut sheet = Sheet::new(Format::Csv, &columns, writer);
+    for trial in &outcome.trials {
+        let model = &protocol.models[trial.model];
+        for (number, (fold, errors)) in (1_u64..).zip(outcome.folds.iter().zip(&trial.folds)) {
+            sheet.row(vec![
+                Cell::Text(model.label.clone()),
+                model.candidates[trial.candidate].shown().into(),
+                number.into(),
+                Cell::Secs(fold.from_nanos),
+                Cell::Secs(fold.until_nanos),
+                errors.observations.into(),
+                Evaluation::mse(errors).into(),
+                trial.error().into(),
+                Cell::Flag(trial.chosen),
+            ])?;
+        }
+    }
+    sheet.finish()
+}
+
+/// What was predicted and what was, by test set, by time, by state.
+fn predictions<W: Write>(protocol: &Protocol, outcome: &Outcome, writer: W) -> io::Result<()> {
+    let mut columns = ["time", "state", "value"].map(str::to_owned).to_vec();
+    columns.extend(outcome.models.iter().map(|model| model.label.clone()));
+    let mut sheet = Sheet::new(Format::Csv, &columns, writer);
+    for (set, test) in outcome.data.tests.iter().enumerate() {
+        let mut shown: Vec<(i64, usize, usize)> = Vec::new();
+        for (state, samples) in test.samples.iter().enumerate() {
+            let mut interval = None;
+            for (at, sample) in samples.iter().enumerate() {
+                if let Predictions::Every { nanos } = protocol.predictions {
+                    let own = Some(sample.utc_nanos.div_euclid(nanos));
+                    if own == interval {
+                        continue;
+                    }
+                    interval = own;
+                }
+                shown.push((sample.utc_nanos, state, at));
+            }
+        }
+        shown.sort_unstable();
+        for (time, state, at) in shown {
+            let value = test.samples[state][at].value;
+            let mut cells = vec![Cell::Secs(time), outcome.data.states[state].as_str().into(), value.into()];
+            cells.extend(outcome.models.iter().map(|model| Cell::from(model.score.predictions[set][state][at])));
+            sheet.row(cells)?;
+        }
+    }
+    sheet.finish()
+}

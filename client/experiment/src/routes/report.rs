@@ -1,0 +1,83 @@
+//! What the robots' experiment writes: a row per robot, every week of each, and a picture.
+//!
+//! Invariant: the table on stdout and `results.csv` are the same table.
+
+use std::{
+    io::{self, Write},
+    path::Path,
+};
+
+use super::{Outcome, picture};
+use crate::report::file;
+use tidemap_formats::table::{Cell, Format, Sheet};
+
+/// Writes a row per robot.
+///
+/// Columns: robot; failures a week in the first week, in the last, and on average over the later half of the weeks; those of
+/// the later half as a share of the shortest ways'; slope (failures a week that the weeks rise by), its p_value over seeds
+/// (two-sided), and in how many seeds it falls; the same slope and p_value without the first week; failures and seconds a
+/// task in the later half.
+pub fn summary<W: Write>(outcome: &Outcome, format: Format, writer: W) -> io::Result<()> {
+    let late = outcome.late();
+    let columns = [
+        "robot",
+        "week_1",
+        &format!("week_{}", outcome.weeks),
+        &format!("weeks_{}_{}", late.start + 1, late.end),
+        "of_shortest",
+        "slope",
+        "p_value",
+        "seeds_falling",
+        "slope_from_2",
+        "p_value_from_2",
+        "failures_per_task",
+        "secs_per_task",
+    ];
+    let mut sheet = Sheet::new(format, &columns, writer);
+    for course in &outcome.courses {
+        let trend = outcome.trend(course, 0..outcome.weeks);
+        let later = outcome.trend(course, 1..outcome.weeks);
+        sheet.row(vec![
+            course.kind.name().into(),
+            course.failures(0..1).mean.into(),
+            course.failures(outcome.weeks - 1..outcome.weeks).mean.into(),
+            course.failures(late.clone()).mean.into(),
+            outcome.of_shortest(course).into(),
+            trend.slope.into(),
+            Cell::maybe(trend.p_value),
+            (trend.falling as u64).into(),
+            later.slope.into(),
+            Cell::maybe(later.p_value),
+            course.failures_per_task(late.clone()).mean.into(),
+            course.secs_per_task(late.clone()).mean.into(),
+        ])?;
+    }
+    sheet.finish()
+}
+
+/// Writes the files of the experiment into its folder, which exists.
+pub fn write(outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+    file(folder, "results.csv", |writer| summary(outcome, Format::Csv, writer))?;
+    file(folder, "weeks.csv", |writer| weeks(outcome, writer))?;
+    file(folder, "routes.svg", |writer| writer.write_all(picture::draw(outcome).as_bytes()))
+}
+
+/// Every robot in every week, mean over seeds.
+fn weeks<W: Write>(outcome: &Outcome, writer: W) -> io::Result<()> {
+    let columns = ["robot", "week", "failures", "standard_error", "failures_per_task", "secs_per_task"];
+    let mut sheet = Sheet::new(Format::Csv, &columns, writer);
+    for course in &outcome.courses {
+        for week in 0..outcome.weeks {
+            let failures = course.failures(week..week + 1);
+            sheet.row(vec![
+                course.kind.name().into(),
+                (week as u64 + 1).into(),
+                failures.mean.into(),
+                Cell::maybe(failures.standard_error),
+                course.failures_per_task(week..week + 1).mean.into(),
+                course.secs_per_task(week..week + 1).mean.into(),
+            ])?;
+        }
+    }
+    sheet.finish()
+}

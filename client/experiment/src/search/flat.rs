@@ -1,0 +1,132 @@
+//! Places with the ways between them, and where the person was in every minute.
+//!
+//! Invariant: every node can be reached from the start; a minute's place is a node, or none where the world's place is not in
+//! the topology.
+
+use std::fs;
+
+use tidemap_map::{
+    name::StateName,
+    topology::{Extent, NodeId, Roads, ShortestTimes, Topology},
+};
+use tidemap_model::{Sample, models::Moment};
+
+use super::{Problem, Protocol};
+use crate::explore::World;
+use tidemap_formats::topology::{TopologyFile, read_lines, read_yaml};
+
+pub use crate::explore::DAY_MINUTES;
+
+/// How fast the robot drives where an edge has a length alone, in metres per second: as the service without being told.
+const SPEED_M_PER_SEC: f64 = 0.5;
+const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
+
+/// Where is looked, and for whom.
+#[derive(Debug)]
+pub struct Flat {
+    /// Names of the nodes.
+    pub names: Vec<String>,
+    /// The ways.
+    pub roads: Roads,
+    /// Where the robot starts.
+    pub start: NodeId,
+    /// Index of the node where the person is, by minute; `None`: nowhere that is looked at.
+    rooms: Vec<Option<usize>>,
+    /// The first local midnight, nanoseconds since 1970-01-01T00:00 local.
+    first_nanos: i64,
+}
+
+impl Flat {
+    /// Reads topology and world.
+    pub fn read(protocol: &Protocol) -> Result<Flat, Problem> {
+        let path = &protocol.topology;
+        let wrong = |wrong: String| Problem::Topology(format!("{}: {wrong}", path.display()));
+        let text = fs::read_to_string(path).map_err(|error| {
+            wrong(format!("the topology cannot be read: {error}; paths are relative to the protocol's folder"))
+        })?;
+        let is_yaml = path.extension().is_some_and(|ending| ending == "yaml" || ending == "yml");
+        let written = if is_yaml { read_yaml(&text) } else { read_lines(&text) };
+        let written = written.map_err(|error| wrong(error.to_string()))?;
+        let world = World::read(&protocol.world, 1)?;
+        Flat::new(&written, &world, protocol).map_err(wrong)
+    }
+
+    /// Puts places and persons together.
+    pub fn new(written: &TopologyFile, world: &World, protocol: &Protocol) -> Result<Flat, String> {
+        let topology = topology(written)?;
+        let names: Vec<String> = written.nodes.iter().map(|node| node.name.clone()).collect();
+        let start = topology.node_named(&protocol.start).map_err(|error| format!("start: {error}"))?.id;
+        let roads = Roads::new(&topology, |edge| Some(edge.extent.secs_at(SPEED_M_PER_SEC)))
+            .map_err(|error| error.to_string())?;
+        let mut shortest = ShortestTimes::default();
+        let index = roads.index_of(start).unwrap_or_default();
+        shortest.from(&roads, index);
+        if let Some((name, _)) = names.iter().zip(shortest.secs()).find(|(_, secs)| secs.is_infinite()) {
+            return Err(format!("no way leads from {} to {name}", protocol.start));
+        }
+        let node_of: Vec<Option<usize>> =
+            world.places.iter().map(|place| names.iter().position(|name| name == place)).collect();
+        if node_of.iter().all(Option::is_none) {
+            let (nodes, places) = (names.join(", "), world.places.join(", "));
+            return Err(format!(
+                "its nodes are {nodes}, and the places of the world {places}: none of them is the same"
+            ));
+        }
+        let rooms = (0..world.days() * DAY_MINUTES).map(|minute| node_of[world.seen(minute)]).collect();
+        Ok(Flat { names, roads, start, rooms, first_nanos: protocol.first_nanos })
+    }
+
+    /// How many minutes there are.
+    pub fn minutes(&self) -> usize {
+        self.rooms.len()
+    }
+
+    /// Where the person is in a minute: the index of the node.
+    pub fn room(&self, minute: usize) -> Option<usize> {
+        self.rooms.get(minute).copied().flatten()
+    }
+
+    /// When a minute begins.
+    pub fn moment(&self, minute: usize) -> Moment {
+        // A world has ten years of minutes at most.
+        Moment { utc_nanos: self.first_nanos + minute as i64 * MINUTE_NANOS, offset_secs: 0 }
+    }
+
+    /// Whether the person was at a node, in every minute before one.
+    pub fn samples(&self, node: usize, until: usize) -> Vec<Sample> {
+        let sample = |minute: usize| Sample {
+            utc_nanos: self.moment(minute).utc_nanos,
+            offset_secs: 0,
+            value: f64::from(u8::from(self.room(minute) == Some(node))),
+        };
+        (0..until).map(sample).collect()
+    }
+}
+
+/// A topology as a file says.
+fn topology(written: &TopologyFile) -> Result<Topology, String> {
+    let mut topology = Topology::new();
+    let name = |text: &str| StateName::new(text).map_err(|error| format!("node {text:?}: {error}"));
+    for node in &written.nodes {
+        topology.add_node(name(&node.name)?, None, None).map_err(|error| error.to_string())?;
+    }
+    for edge in &written.edges {
+        let id = |text: &str| topology.node_named(text).map(|node| node.id).map_err(|error| error.to_string());
+        let (from, to) = (id(&edge.from)?, id(&edge.to)?);
+        let action = Some(&edge.action).filter(|action| !action.is_empty());
+        let action = action.map(|text| name(text)).transpose()?;
+        let extent = Extent { length_m: edge.length_m, nominal_secs: edge.nominal_secs };
+        let ways: &[(NodeId, NodeId)] = if edge.both_ways { &[(from, to), (to, from)] } else { &[(from, to)] };
+        for &(from, to) in ways {
+            topology.add_edge(from, to, action.clone(), extent).map_err(|error| error.to_string())?;
+        }
+    }
+    Ok(topology)
+}
+
+/// The local midnight that a date begins with, in nanoseconds since 1970-01-01T00:00 local; `None` where it is none.
+pub fn midnight_nanos(date: &str) -> Option<i64> {
+    let date: jiff::civil::Date = date.parse().ok()?;
+    let timestamp = date.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp();
+    i64::try_from(timestamp.as_nanosecond()).ok()
+}

@@ -1,0 +1,70 @@
+//! What searches write: a row per model, and every candidate that was tried.
+//!
+//! Invariant: the table on stdout and `results.csv` are the same table.
+
+use std::{
+    io::{self, Write},
+    path::Path,
+};
+
+use super::{Outcome, Protocol};
+use crate::report::file;
+use tidemap_formats::table::{Cell, Format, Sheet};
+
+/// Writes a row per model.
+///
+/// Columns: model, parameters, searches, then when the person was found: mean, median, quartiles and the time within which nine
+/// of ten searches end.
+pub fn summary<W: Write>(outcome: &Outcome, format: Format, writer: W) -> io::Result<()> {
+    let columns = [
+        "model",
+        "parameters",
+        "searches",
+        "mean_secs",
+        "median_secs",
+        "quarter_secs",
+        "three_quarters_secs",
+        "p90_secs",
+    ];
+    let mut sheet = Sheet::new(format, &columns, writer);
+    for row in &outcome.rows {
+        let mut cells = vec![
+            Cell::Text(row.label.clone()),
+            Cell::Text(row.parameters.clone()),
+            (row.found.count() as u64).into(),
+            row.found.mean_secs().into(),
+        ];
+        cells.extend([0.5, 0.25, 0.75, 0.9].map(|share| Cell::from(row.found.quantile_secs(share))));
+        sheet.row(cells)?;
+    }
+    sheet.finish()
+}
+
+/// Writes the files of an experiment into its folder, which exists.
+pub fn write(protocol: &Protocol, outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+    file(folder, "results.csv", |writer| summary(outcome, Format::Csv, writer))?;
+    if outcome.trials.is_empty() {
+        return Ok(());
+    }
+    file(folder, "folds.csv", |writer| trials(protocol, outcome, writer))
+}
+
+/// Every candidate on every fold.
+fn trials<W: Write>(protocol: &Protocol, outcome: &Outcome, writer: W) -> io::Result<()> {
+    let columns = ["model", "parameters", "fold", "mean_secs", "mean_of_folds_secs", "chosen"];
+    let mut sheet = Sheet::new(Format::Csv, &columns, writer);
+    for trial in &outcome.trials {
+        let model = &protocol.models[trial.model];
+        for (number, &mean_secs) in (1_u64..).zip(&trial.folds) {
+            sheet.row(vec![
+                Cell::Text(model.label.clone()),
+                model.candidates[trial.candidate].shown().into(),
+                number.into(),
+                mean_secs.into(),
+                trial.mean_secs().into(),
+                Cell::Flag(trial.chosen),
+            ])?;
+        }
+    }
+    sheet.finish()
+}

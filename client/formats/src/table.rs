@@ -1,0 +1,247 @@
+//! Tables of results: aligned columns for people, CSV and JSON for programs.
+//!
+//! Invariant: the same columns in each form. Programs get numbers in full; only the aligned form rounds.
+
+use std::io::{self, Write};
+
+use comfy_table::{CellAlignment, Table, presets};
+use tidemap_map::time::format_secs;
+
+/// How results are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Aligned columns, for people.
+    Table,
+    /// An array of objects, one a line.
+    Json,
+    /// Comma-separated, with a header.
+    Csv,
+}
+
+/// One value of a result.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cell {
+    /// Nothing.
+    Empty,
+    /// Text.
+    Text(String),
+    /// A whole number.
+    Count(u64),
+    /// Any number.
+    Number(f64),
+    /// Nanoseconds, shown as seconds.
+    Secs(i64),
+    /// Yes or no.
+    Flag(bool),
+}
+
+impl From<&str> for Cell {
+    fn from(text: &str) -> Self {
+        Self::Text(text.to_owned())
+    }
+}
+
+impl From<u64> for Cell {
+    fn from(count: u64) -> Self {
+        Self::Count(count)
+    }
+}
+
+impl From<u32> for Cell {
+    fn from(count: u32) -> Self {
+        Self::Count(count.into())
+    }
+}
+
+impl From<f64> for Cell {
+    fn from(number: f64) -> Self {
+        Self::Number(number)
+    }
+}
+
+impl Cell {
+    /// A value that may be absent.
+    pub fn maybe<T: Into<Self>>(value: Option<T>) -> Self {
+        value.map_or(Self::Empty, Into::into)
+    }
+
+    /// A time, or nothing.
+    pub fn time(nanos: Option<i64>) -> Self {
+        nanos.map_or(Self::Empty, Self::Secs)
+    }
+
+    fn exact(&self) -> String {
+        match self {
+            Self::Empty => String::new(),
+            Self::Text(text) => text.clone(),
+            Self::Count(count) => count.to_string(),
+            Self::Number(number) => number.to_string(),
+            Self::Secs(nanos) => format_secs(*nanos),
+            Self::Flag(flag) => flag.to_string(),
+        }
+    }
+
+    fn rounded(&self) -> String {
+        match self {
+            Self::Number(number) => six_digits(*number),
+            Self::Flag(flag) => if *flag { "yes" } else { "no" }.to_owned(),
+            _ => self.exact(),
+        }
+    }
+
+    /// As a JSON value.
+    pub fn json(&self) -> String {
+        match self {
+            Self::Empty => "null".to_owned(),
+            Self::Text(text) => serde_json::Value::from(text.as_str()).to_string(),
+            Self::Number(number) if !number.is_finite() => "null".to_owned(),
+            _ => self.exact(),
+        }
+    }
+
+    fn is_numeric(&self) -> bool {
+        matches!(self, Self::Count(_) | Self::Number(_) | Self::Secs(_))
+    }
+}
+
+/// Six significant digits, without zeros at the end.
+fn six_digits(number: f64) -> String {
+    let rounded: f64 = format!("{number:.5e}").parse().unwrap_or(number);
+    rounded.to_string()
+}
+
+/// Rows of a table that are laid out together; a longer result comes as several tables.
+const TABLE_ROWS_MAX: usize = 10_000;
+
+/// Least width of the columns of a table whose rows come one by one.
+const LIVE_WIDTH: usize = 14;
+
+/// A result: columns, then row after row.
+pub struct Sheet<W: Write> {
+    format: Format,
+    columns: Vec<String>,
+    writer: W,
+    rows: u64,
+    waiting: Vec<Vec<Cell>>,
+    live: bool,
+}
+
+impl<W: Write> Sheet<W> {
+    /// A result in `writer`.
+    pub fn new<S: AsRef<str>>(format: Format, columns: &[S], writer: W) -> Self {
+        let columns = columns.iter().map(|column| column.as_ref().to_owned()).collect();
+        Self { format, columns, writer, rows: 0, waiting: Vec::new(), live: false }
+    }
+
+    /// A result whose rows come one by one, each written when it comes; the header at once. A table is not laid out as a
+    /// whole then, and in JSON each row ends its line.
+    pub fn live(mut self) -> io::Result<Self> {
+        self.live = true;
+        match self.format {
+            Format::Table => self.write_line(&self.columns.clone())?,
+            Format::Csv => self.write_header()?,
+            Format::Json => {}
+        }
+        self.writer.flush()?;
+        Ok(self)
+    }
+
+    /// Adds a row: a value for each column.
+    pub fn row(&mut self, cells: Vec<Cell>) -> io::Result<()> {
+        debug_assert_eq!(cells.len(), self.columns.len());
+        match self.format {
+            Format::Table if self.live => {
+                let cells: Vec<String> = cells.iter().map(Cell::rounded).collect();
+                self.write_line(&cells)?;
+            }
+            Format::Table => {
+                self.waiting.push(cells);
+                if self.waiting.len() == TABLE_ROWS_MAX {
+                    self.write_table()?;
+                }
+            }
+            Format::Csv => {
+                if self.rows == 0 && !self.live {
+                    self.write_header()?;
+                }
+                let fields: Vec<String> = cells.iter().map(Cell::exact).collect();
+                self.write_csv(&fields)?;
+            }
+            Format::Json => {
+                let separator: &[u8] = if self.live { b"," } else { b",\n " };
+                self.writer.write_all(if self.rows == 0 { b"[" } else { separator })?;
+                let object = object(self.columns.iter().map(String::as_str).zip(cells.iter().map(Cell::json)));
+                self.writer.write_all(object.as_bytes())?;
+                if self.live {
+                    self.writer.write_all(b"\n")?;
+                }
+            }
+        }
+        self.rows += 1;
+        if self.live { self.writer.flush() } else { Ok(()) }
+    }
+
+    /// Writes what is left. Without it the result is not whole.
+    pub fn finish(mut self) -> io::Result<()> {
+        match self.format {
+            Format::Table | Format::Csv if self.live => {}
+            Format::Table if self.rows == 0 || !self.waiting.is_empty() => self.write_table()?,
+            Format::Table => {}
+            Format::Csv if self.rows == 0 => {
+                self.write_header()?;
+            }
+            Format::Csv => {}
+            Format::Json => self.writer.write_all(if self.rows == 0 { b"[]\n" } else { b"]\n" })?,
+        }
+        self.writer.flush()
+    }
+
+    /// A line of a table whose other lines are not known.
+    fn write_line(&mut self, cells: &[String]) -> io::Result<()> {
+        let cells: Vec<String> = cells.iter().map(|cell| format!("{cell:<LIVE_WIDTH$}")).collect();
+        writeln!(self.writer, "{}", cells.join("  ").trim_end())
+    }
+
+    fn write_header(&mut self) -> io::Result<()> {
+        let header = self.columns.clone();
+        self.write_csv(&header)
+    }
+
+    fn write_csv(&mut self, fields: &[String]) -> io::Result<()> {
+        let quoted = |field: &String| match field.contains([',', '"', '\n', '\r']) {
+            true => format!("\"{}\"", field.replace('"', "\"\"")),
+            false => field.clone(),
+        };
+        let fields: Vec<String> = fields.iter().map(quoted).collect();
+        writeln!(self.writer, "{}", fields.join(","))
+    }
+
+    fn write_table(&mut self) -> io::Result<()> {
+        let mut table = Table::new();
+        table.load_preset(presets::NOTHING);
+        table.set_header(self.columns.iter());
+        let numeric: Vec<bool> =
+            (0..self.columns.len()).map(|i| self.waiting.iter().any(|row| row[i].is_numeric())).collect();
+        for row in self.waiting.drain(..) {
+            table.add_row(row.iter().map(Cell::rounded));
+        }
+        for (column, numeric) in table.column_iter_mut().zip(numeric) {
+            column.set_padding((0, 2));
+            if numeric {
+                column.set_cell_alignment(CellAlignment::Right);
+            }
+        }
+        self.writer.write_all(table.trim_fmt().as_bytes())?;
+        self.writer.write_all(b"\n")
+    }
+}
+
+/// A JSON object of names and values that are JSON already.
+pub fn object<'a>(members: impl Iterator<Item = (&'a str, String)>) -> String {
+    let members: Vec<String> =
+        members.map(|(name, value)| format!("{}:{value}", serde_json::Value::from(name))).collect();
+    format!("{{{}}}", members.join(","))
+}
+
+#[cfg(test)]
+mod tests;

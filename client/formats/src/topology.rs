@@ -1,0 +1,239 @@
+//! Files of topological maps: lines of nodes and links, and the YAML of ROS topological maps.
+//!
+//! Invariant: an error names the line or the node that is wrong. Whether the nodes of a link exist is the daemon's to say.
+
+use std::collections::HashMap;
+
+use serde::Deserialize;
+
+/// A node of a file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NodeEntry {
+    /// Its name.
+    pub name: String,
+    /// x, y in metres and heading in radians.
+    pub pose: Option<[f64; 3]>,
+}
+
+/// An edge of a file. At least one of length and time is given.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct EdgeEntry {
+    /// Name of the node where it begins.
+    pub from: String,
+    /// Name of the node where it ends.
+    pub to: String,
+    /// How it is travelled; empty: as usual.
+    pub action: String,
+    /// The way back as well.
+    pub both_ways: bool,
+    /// Its length, metres.
+    pub length_m: Option<f64>,
+    /// What it nominally takes.
+    pub nominal_secs: Option<f64>,
+}
+
+/// The nodes and edges of a file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TopologyFile {
+    /// The nodes.
+    pub nodes: Vec<NodeEntry>,
+    /// The edges.
+    pub edges: Vec<EdgeEntry>,
+}
+
+/// Why a file is no topological map.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TopologyFileError {
+    /// A line is none.
+    #[error("line {line}: {text:?} is not understood: write `node NAME`, `link A B SECONDS` or `edge A B SECONDS`")]
+    Line {
+        /// Which, from 1.
+        line: usize,
+        /// What is there, shortened.
+        text: String,
+    },
+    /// A time is none.
+    #[error("line {line}: {text:?} is no time in seconds")]
+    Seconds {
+        /// Which, from 1.
+        line: usize,
+        /// What is there.
+        text: String,
+    },
+    /// It is no YAML of a topological map.
+    #[error("{0}")]
+    Yaml(String),
+    /// An edge leads to a node that the file does not have.
+    #[error("node {from:?} has an edge to {to:?}, which the file does not have")]
+    UnknownNode {
+        /// Where the edge begins.
+        from: String,
+        /// Where it would end.
+        to: String,
+    },
+}
+
+/// Reads lines: `node NAME`, `link A B SECONDS` (both ways), `edge A B SECONDS` (one way); `#` begins a comment.
+pub fn read_lines(text: &str) -> Result<TopologyFile, TopologyFileError> {
+    let mut topology = TopologyFile::default();
+    for (line, text) in (1..).zip(text.trim_start_matches('\u{feff}').lines()) {
+        let words: Vec<&str> = text.split_whitespace().take_while(|word| !word.starts_with('#')).collect();
+        match words[..] {
+            [] => {}
+            ["node", name] => topology.nodes.push(NodeEntry { name: name.to_owned(), pose: None }),
+            [what @ ("link" | "edge"), from, to, secs] => {
+                let nominal_secs = secs.parse().map_err(|_| TopologyFileError::Seconds { line, text: shown(secs) })?;
+                let (from, to) = (from.to_owned(), to.to_owned());
+                let (both_ways, nominal_secs) = (what == "link", Some(nominal_secs));
+                topology.edges.push(EdgeEntry { from, to, both_ways, nominal_secs, ..EdgeEntry::default() });
+            }
+            _ => return Err(TopologyFileError::Line { line, text: shown(text) }),
+        }
+    }
+    Ok(topology)
+}
+
+fn shown(text: &str) -> String {
+    text.chars().take(60).collect()
+}
+
+#[derive(Deserialize)]
+struct Written {
+    node: WrittenNode,
+}
+
+#[derive(Deserialize)]
+struct WrittenNode {
+    name: String,
+    pose: WrittenPose,
+    #[serde(default)]
+    edges: Vec<WrittenEdge>,
+}
+
+#[derive(Deserialize)]
+struct WrittenPose {
+    position: Position,
+    #[serde(default)]
+    orientation: Orientation,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+struct Position {
+    x: f64,
+    y: f64,
+    #[serde(default)]
+    z: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(default)]
+struct Orientation {
+    x: f64,
+    y: f64,
+    z: f64,
+    w: f64,
+}
+
+impl Default for Orientation {
+    fn default() -> Self {
+        Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
+    }
+}
+
+impl Orientation {
+    fn yaw_rad(&self) -> f64 {
+        let Self { x, y, z, w } = self;
+        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
+    }
+}
+
+#[derive(Deserialize)]
+struct WrittenEdge {
+    node: String,
+    #[serde(default)]
+    action: String,
+    /// Seconds, where somebody has added them.
+    #[serde(default)]
+    duration: Option<f64>,
+}
+
+/// Reads the YAML of a ROS topological map: a list of `node`s with `name`, `pose` and `edges`. An edge is as long as its ends
+/// are apart, and takes its `duration` in seconds where it has one.
+pub fn read_yaml(text: &str) -> Result<TopologyFile, TopologyFileError> {
+    let written: Vec<Written> =
+        serde_saphyr::from_str(text).map_err(|error| TopologyFileError::Yaml(error.to_string()))?;
+    let places: HashMap<&str, Position> =
+        written.iter().map(|Written { node }| (node.name.as_str(), node.pose.position)).collect();
+    let mut topology = TopologyFile::default();
+    for Written { node } in &written {
+        let at = node.pose.position;
+        let pose = Some([at.x, at.y, node.pose.orientation.yaw_rad()]);
+        topology.nodes.push(NodeEntry { name: node.name.clone(), pose });
+        for edge in &node.edges {
+            let unknown = || TopologyFileError::UnknownNode { from: node.name.clone(), to: edge.node.clone() };
+            let to = places.get(edge.node.as_str()).ok_or_else(unknown)?;
+            let length_m = (to.x - at.x).hypot(to.y - at.y).hypot(to.z - at.z);
+            let (from, to, action) = (node.name.clone(), edge.node.clone(), edge.action.clone());
+            // Ends at the same place have a time alone, where there is one.
+            let length_m = Some(length_m).filter(|&length_m| length_m != 0.0 || edge.duration.is_none());
+            let nominal_secs = edge.duration;
+            topology.edges.push(EdgeEntry { from, to, action, both_ways: false, length_m, nominal_secs });
+        }
+    }
+    Ok(topology)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_nodes_and_links() {
+        let topology = read_lines("# a flat\nnode A\nnode B # the bath\n\nlink A   B 14.5 \nedge B A 3\r\n");
+        let topology = topology.expect("right");
+        assert_eq!(topology.nodes.iter().map(|node| node.name.as_str()).collect::<Vec<_>>(), ["A", "B"]);
+        let ways: Vec<_> = topology.edges.iter().map(|edge| (edge.both_ways, edge.nominal_secs)).collect();
+        assert_eq!(ways, [(true, Some(14.5)), (false, Some(3.0))]);
+        for (wrong, words) in [
+            ("node A\nlink A B", "line 2"),
+            ("node", "line 1"),
+            ("knot A", "\"knot A\""),
+            ("link A B soon", "\"soon\" is no time"),
+        ] {
+            let error = read_lines(wrong).expect_err("wrong").to_string();
+            assert!(error.contains(words), "{error}");
+        }
+    }
+
+    const YAML: &str = "
+- meta: {map: flat, node: Hall, pointset: flat}
+  node:
+    edges:
+    - {action: move_base, edge_id: Hall_Bath, node: Bath, top_vel: 0.55}
+    name: Hall
+    pose:
+      orientation: {w: 0.7071067811865476, x: 0.0, y: 0.0, z: 0.7071067811865476}
+      position: {x: 1.0, y: 2.0, z: 0.0}
+    verts: [{x: 1.0, y: 0.5}]
+- meta: {map: flat}
+  node:
+    edges:
+    - {action: doorPassing, edge_id: Bath_Hall, node: Hall, duration: 12}
+    name: Bath
+    pose: {position: {x: 4.0, y: 6.0, z: 0.0}}
+";
+
+    #[test]
+    fn edges_of_yaml_are_as_long_as_their_ends_are_apart() {
+        let topology = read_yaml(YAML).expect("right");
+        let [x, y, yaw] = topology.nodes[0].pose.expect("a pose");
+        assert!((x, y) == (1.0, 2.0) && (yaw - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
+        assert_eq!((topology.edges[0].length_m, topology.edges[0].nominal_secs), (Some(5.0), None));
+        assert_eq!((topology.edges[0].action.as_str(), topology.edges[0].both_ways), ("move_base", false));
+        assert_eq!(topology.edges[1].nominal_secs, Some(12.0));
+        let error = read_yaml(&YAML.replace("node: Bath,", "node: Attic,")).expect_err("wrong").to_string();
+        assert!(error.contains("\"Hall\"") && error.contains("\"Attic\""), "{error}");
+        assert!(read_yaml("- node: {name: A}").expect_err("wrong").to_string().contains("pose"));
+        assert!(read_yaml("- {").is_err());
+    }
+}

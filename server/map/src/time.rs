@@ -1,0 +1,159 @@
+//! Times and durations as people and files write them, and back.
+//!
+//! Invariant: a time is i64 nanoseconds UTC since 1970, at least 0. Text becomes a time, and a time text, by decimal
+//! arithmetic and never through a float, so that nothing is lost on the way.
+
+mod decimal;
+
+use decimal::{Decimal, InvalidDecimal};
+
+/// Nanoseconds in a second.
+pub const NANOS_PER_SEC: i64 = 1_000_000_000;
+
+/// Why a text is not a time.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidTime {
+    /// Neither a number nor RFC 3339.
+    #[error("{0:?} is not a time: use Unix seconds such as 1458518400.5, or RFC 3339 such as 2016-03-21T00:00:00Z")]
+    Malformed(String),
+    /// A civil time whose place on earth is not known.
+    #[error("{0:?} does not say its time zone: add Z for UTC, or an offset such as +01:00")]
+    NoOffset(String),
+    /// Before 1970.
+    #[error("{0:?} is before 1970: times are counted from 1970-01-01T00:00:00Z")]
+    TooEarly(String),
+    /// Beyond what i64 nanoseconds hold.
+    #[error("{0:?} is beyond 2262-04-11T23:47:16Z, the last time that is kept{hint}", hint = magnitude_hint(.0))]
+    TooLate(String),
+    /// Digits below a nanosecond.
+    #[error("{0:?} is finer than a nanosecond: at most 9 digits after the point")]
+    TooFine(String),
+}
+
+/// Why a text is not a duration.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidDuration {
+    /// Not a number with a unit.
+    #[error("{0:?} is not a duration: use a number and a unit, such as 90s, 15m, 1h or 7d")]
+    Malformed(String),
+    /// Nothing, or less than a nanosecond.
+    #[error("{0:?} is not a duration: it must be longer than nothing")]
+    Zero(String),
+    /// Longer than i64 nanoseconds.
+    #[error("{0:?} is too long: at most 292 years (106751d)")]
+    TooLong(String),
+}
+
+/// Times in milli-, micro- or nanoseconds are the usual reason for a time that is far too late.
+fn magnitude_hint(text: &str) -> &'static str {
+    match text.bytes().take_while(u8::is_ascii_digit).count() {
+        13 => "; in milliseconds? times are in seconds",
+        16 => "; in microseconds? times are in seconds",
+        19 => "; in nanoseconds? times are in seconds",
+        _ => "",
+    }
+}
+
+fn shown(text: &str) -> String {
+    text.chars().take(40).collect()
+}
+
+/// Reads Unix seconds (`1458518400`, `1458518400.25`) or RFC 3339 (`2016-03-21T00:00:00Z`, `…+01:00`).
+///
+/// # Errors
+/// [`InvalidTime`], with the text.
+///
+/// ```
+/// assert_eq!(tidemap_map::time::parse_time("1458518400.25"), Ok(1_458_518_400_250_000_000));
+/// assert_eq!(tidemap_map::time::parse_time("2016-03-21T01:00:00+01:00"), Ok(1_458_518_400_000_000_000));
+/// ```
+pub fn parse_time(text: &str) -> Result<i64, InvalidTime> {
+    match Decimal::parse(text) {
+        Ok(decimal) if decimal.negative && decimal.digits != 0 => Err(InvalidTime::TooEarly(shown(text))),
+        Ok(decimal) => decimal.scaled(9).map_err(|why| match why {
+            InvalidDecimal::TooFine => InvalidTime::TooFine(shown(text)),
+            InvalidDecimal::TooLarge | InvalidDecimal::Malformed => InvalidTime::TooLate(shown(text)),
+        }),
+        Err(InvalidDecimal::TooLarge) => Err(InvalidTime::TooLate(shown(text))),
+        Err(_) => parse_rfc3339(text),
+    }
+}
+
+fn parse_rfc3339(text: &str) -> Result<i64, InvalidTime> {
+    let Ok(timestamp) = text.parse::<jiff::Timestamp>() else {
+        let civil = text.parse::<jiff::civil::DateTime>().is_ok() || text.parse::<jiff::civil::Date>().is_ok();
+        return Err(if civil { InvalidTime::NoOffset(shown(text)) } else { InvalidTime::Malformed(shown(text)) });
+    };
+    let nanos = timestamp.as_nanosecond();
+    if nanos < 0 {
+        return Err(InvalidTime::TooEarly(shown(text)));
+    }
+    i64::try_from(nanos).map_err(|_| InvalidTime::TooLate(shown(text)))
+}
+
+/// Unix seconds in the shortest form that is exact: `1458518400`, `1458518400.25`.
+#[must_use]
+pub fn format_secs(nanos: i64) -> String {
+    let sign = if nanos < 0 { "-" } else { "" };
+    let nanos = nanos.unsigned_abs();
+    let per_sec = NANOS_PER_SEC.unsigned_abs();
+    let (secs, fraction) = (nanos / per_sec, nanos % per_sec);
+    if fraction == 0 {
+        return format!("{sign}{secs}");
+    }
+    let text = format!("{sign}{secs}.{fraction:09}");
+    text.trim_end_matches('0').to_owned()
+}
+
+/// RFC 3339 in UTC, for people.
+#[must_use]
+pub fn format_rfc3339(nanos: i64) -> String {
+    jiff::Timestamp::from_nanosecond(i128::from(nanos)).map_or_else(|_| format_secs(nanos), |time| time.to_string())
+}
+
+/// Units of durations, longest first, in nanoseconds.
+const UNITS: [(&str, i64); 6] = [
+    ("w", 7 * 86_400 * NANOS_PER_SEC),
+    ("d", 86_400 * NANOS_PER_SEC),
+    ("h", 3_600 * NANOS_PER_SEC),
+    ("m", 60 * NANOS_PER_SEC),
+    ("ms", 1_000_000),
+    ("s", NANOS_PER_SEC),
+];
+
+/// Reads a duration such as `90s`, `15m`, `1.5h`, `7d`, `2w` or `250ms`, in nanoseconds.
+///
+/// # Errors
+/// [`InvalidDuration`], with the text.
+pub fn parse_duration(text: &str) -> Result<i64, InvalidDuration> {
+    let unit_at = text.find(|character: char| character.is_ascii_alphabetic()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(unit_at);
+    let malformed = || InvalidDuration::Malformed(shown(text));
+    let (_, unit_nanos) = UNITS.into_iter().find(|(name, _)| *name == unit).ok_or_else(malformed)?;
+    let decimal = Decimal::parse(number).map_err(|_| malformed())?;
+    if decimal.digits == 0 {
+        return Err(InvalidDuration::Zero(shown(text)));
+    }
+    if decimal.negative {
+        return Err(malformed());
+    }
+    // The unit's factor of ten goes into the scale, so that 0.0000000001d is still read exactly.
+    let product = decimal.digits.checked_mul(i128::from(unit_nanos)).ok_or(InvalidDuration::TooLong(shown(text)))?;
+    Decimal { digits: product, ..decimal }.scaled(0).map_err(|why| match why {
+        InvalidDecimal::TooLarge => InvalidDuration::TooLong(shown(text)),
+        InvalidDecimal::TooFine | InvalidDecimal::Malformed => malformed(),
+    })
+}
+
+/// A duration in the greatest unit that divides it: `7d`, `36h`, `90s`, `0.5s`.
+#[must_use]
+pub fn format_duration(nanos: i64) -> String {
+    let unit = UNITS[1..4].iter().find(|(_, unit_nanos)| nanos != 0 && nanos % unit_nanos == 0);
+    match unit {
+        Some((name, unit_nanos)) => format!("{}{name}", nanos / unit_nanos),
+        None => format!("{}s", format_secs(nanos)),
+    }
+}
+
+#[cfg(test)]
+mod tests;
