@@ -16,9 +16,9 @@ use tidemap_proto::convert::{
     scans::{ScanError, ScanLimits},
     vectors::{new_shapes, positions},
 };
-use tidemap_proto::v1::ObservationBatch;
+use tidemap_proto::v1;
 
-use super::protocol::{Batch, NewName, Refused};
+use super::protocol::{NewName, ObservationBatch, Refused};
 
 mod cast_table;
 mod scans;
@@ -153,7 +153,7 @@ impl Intake {
     ///
     /// # Errors
     /// What ends the stream; nothing of the message was taken.
-    pub fn take(&mut self, message: ObservationBatch) -> Result<Option<Batch>, IntakeError> {
+    pub fn take(&mut self, message: v1::ObservationBatch) -> Result<Option<ObservationBatch>, IntakeError> {
         let first = message.first_sequence;
         self.check_sequence(first)?;
         self.check_no_open_scan("batch", "observations")?;
@@ -256,14 +256,14 @@ impl Intake {
         Ok(positions)
     }
 
-    fn check(&mut self, columns: &DecodedColumns, positions: &[(u32, Position)], skip: usize) -> Batch {
+    fn check(&mut self, columns: &DecodedColumns, positions: &[(u32, Position)], skip: usize) -> ObservationBatch {
         let new = columns.values.len() - skip;
-        let mut batch = Batch {
+        let mut batch = ObservationBatch {
             first_sequence: self.next_sequence,
             table_indices: Vec::with_capacity(new),
             times_nanos: Vec::with_capacity(new),
             values: Vec::with_capacity(new),
-            ..Batch::default()
+            ..ObservationBatch::default()
         };
         self.rows.clear();
         let mut positions = positions.iter().skip_while(|(place, _)| (*place as usize) < skip).peekable();

@@ -149,7 +149,7 @@ impl From<StateName> for NewName {
 
 /// Checked observations of one message, with their states as indices into the stream's table.
 #[derive(Debug, Default)]
-pub struct Batch {
+pub struct ObservationBatch {
     /// First sequence number that is new.
     pub first_sequence: u64,
     /// Last sequence number.
@@ -214,7 +214,7 @@ impl Default for TakenScan {
 
 /// Checked scans of one message, or some of them.
 #[derive(Debug, Default)]
-pub struct ScanParcel {
+pub struct ScanBatch {
     /// First sequence number that is new.
     pub first_sequence: u64,
     /// Last sequence number; less than the first where nothing is new.
@@ -233,7 +233,7 @@ pub struct ScanParcel {
 
 /// Checked traversals of one message.
 #[derive(Debug, Default)]
-pub struct TraversalParcel {
+pub struct TraversalBatch {
     /// First sequence number that is new.
     pub first_sequence: u64,
     /// Last sequence number; not less than the first.
@@ -378,7 +378,7 @@ pub enum Command {
         /// The stream.
         session: SessionId,
         /// The observations.
-        batch: Batch,
+        batch: ObservationBatch,
         /// Room in the buffers, given back when the batch is applied.
         permits: Permits,
     },
@@ -387,7 +387,7 @@ pub enum Command {
         /// The stream.
         session: SessionId,
         /// The scans.
-        parcel: ScanParcel,
+        batch: ScanBatch,
         /// Room in the buffers, given back when all of them are applied.
         permits: Permits,
     },
@@ -396,7 +396,7 @@ pub enum Command {
         /// The stream.
         session: SessionId,
         /// The traversals.
-        parcel: TraversalParcel,
+        batch: TraversalBatch,
         /// Room in the buffers, given back when they are applied.
         permits: Permits,
     },

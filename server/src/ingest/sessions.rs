@@ -19,7 +19,7 @@ use tidemap_map::{
 use tidemap_model::OffsetCache;
 use tokio::sync::mpsc;
 
-use super::protocol::{Batch, Ending, Hello, HelloError, Opened, Refused, SessionEvent, SessionId};
+use super::protocol::{Ending, Hello, HelloError, ObservationBatch, Opened, Refused, SessionEvent, SessionId};
 
 mod scans;
 mod sensors;
@@ -181,7 +181,7 @@ impl Sessions {
     pub fn event(
         &mut self,
         id: SessionId,
-        batch: Batch,
+        batch: ObservationBatch,
         map: &LiveMap,
         now: i64,
     ) -> Option<(Observations, Vec<Refused>)> {

@@ -258,9 +258,9 @@ impl Writer {
         match command {
             Command::Hello(hello) => self.hello(hello),
             Command::Batch { session, batch, permits } => self.defer(Deferred::Batch(session, batch, permits)),
-            Command::Scans { session, parcel, permits } => self.defer(Deferred::Scans(session, parcel, permits)),
-            Command::Traversals { session, parcel, permits } => {
-                self.defer(Deferred::Traversals(session, parcel, permits));
+            Command::Scans { session, batch, permits } => self.defer(Deferred::Scans(session, batch, permits)),
+            Command::Traversals { session, batch, permits } => {
+                self.defer(Deferred::Traversals(session, batch, permits));
             }
             Command::Leave { session, clean } => self.defer(Deferred::Leave(session, clean)),
             Command::Update { until_nanos, cause, job } => self.updates.push(Wanted { until_nanos, cause, job }),

@@ -37,7 +37,8 @@ use crate::{
         handle::MapHandle,
         intake::{Intake, IntakeError, IntakeLimits},
         protocol::{
-            Batch, Command, Ending, Hello, Opened, Permits, ScanParcel, SessionEvent, TraversalParcel, is_fatal,
+            Command, Ending, Hello, ObservationBatch, Opened, Permits, ScanBatch, SessionEvent, TraversalBatch,
+            is_fatal,
         },
     },
 };
@@ -176,7 +177,7 @@ fn sensor(wire: &v1::ProducerSensor) -> ProducerSensor {
 }
 
 /// Memory that a batch takes until it is durable, about.
-fn bytes_of(batch: &Batch) -> usize {
+fn bytes_of(batch: &ObservationBatch) -> usize {
     let names =
         batch.new_names.iter().map(|name| NAME_BYTES + name.as_ref().map_or(0, |name| name.name.as_str().len()));
     64 + OBSERVATION_BYTES * batch.values.len()
@@ -187,12 +188,12 @@ fn bytes_of(batch: &Batch) -> usize {
 
 /// Memory that traversals take until they are durable, about: as they are, as observations with the names of their states,
 /// and as failures.
-fn bytes_of_traversals(parcel: &TraversalParcel) -> usize {
+fn bytes_of_traversals(batch: &TraversalBatch) -> usize {
     let texts = |traversal: &Traversal| 3 * traversal.edge.to_string().len() + 2 * traversal.reason.len();
     let each = |(_, traversal): &(u64, Traversal)| {
         size_of::<Traversal>() + 2 * (OBSERVATION_BYTES + NAME_BYTES) + texts(traversal) + size_of::<EdgeFailure>()
     };
-    64 + parcel.traversals.iter().map(each).sum::<usize>() + REFUSED_BYTES * parcel.refused.len()
+    64 + batch.traversals.iter().map(each).sum::<usize>() + REFUSED_BYTES * batch.refused.len()
 }
 
 async fn open_and_serve(
@@ -340,21 +341,21 @@ impl Stream<'_> {
         let is_much_work = self.intake()?.begin_scans(message)?;
         self.hold_tables()?;
         let mut is_any_new = false;
-        while let Some(parcel) = self.next_scans(is_much_work).await? {
-            let permits = self.permits(parcel.bytes).await?;
-            is_any_new |= parcel.last_sequence >= parcel.first_sequence;
-            self.handed_over = parcel.last_sequence;
-            self.hand_over(Command::Scans { session: self.opened.session, parcel, permits })?;
+        while let Some(batch) = self.next_scans(is_much_work).await? {
+            let permits = self.permits(batch.bytes).await?;
+            is_any_new |= batch.last_sequence >= batch.first_sequence;
+            self.handed_over = batch.last_sequence;
+            self.hand_over(Command::Scans { session: self.opened.session, batch, permits })?;
         }
         // The writer does not answer for tiles, nor for what was taken before; a scan that goes on waits for its end.
         if is_any_new { Ok(()) } else { self.say_durable().await }
     }
 
     async fn take_traversals(&mut self, message: &v1::TraversalBatch) -> Result<(), RpcError> {
-        let Some(parcel) = self.intake()?.take_traversals(message)? else { return self.say_durable().await };
-        let permits = self.permits(bytes_of_traversals(&parcel)).await?;
-        self.handed_over = parcel.last_sequence;
-        self.hand_over(Command::Traversals { session: self.opened.session, parcel, permits })
+        let Some(batch) = self.intake()?.take_traversals(message)? else { return self.say_durable().await };
+        let permits = self.permits(bytes_of_traversals(&batch)).await?;
+        self.handed_over = batch.last_sequence;
+        self.hand_over(Command::Traversals { session: self.opened.session, batch, permits })
     }
 
     /// Takes room for what the stream's scans refer to, for as long as the stream lives. Waiting for it could go on for
@@ -382,18 +383,18 @@ impl Stream<'_> {
     }
 
     /// The next scans of the message, from a thread of its own where rays are to be cast.
-    async fn next_scans(&mut self, is_much_work: bool) -> Result<Option<ScanParcel>, RpcError> {
+    async fn next_scans(&mut self, is_much_work: bool) -> Result<Option<ScanBatch>, RpcError> {
         if !is_much_work {
             return Ok(self.intake()?.next_scans()?);
         }
         let mut intake = self.intake.take().ok_or(RpcError::Stopping)?;
         let work = tokio::task::spawn_blocking(move || {
-            let parcel = intake.next_scans();
-            (intake, parcel)
+            let batch = intake.next_scans();
+            (intake, batch)
         });
-        let (intake, parcel) = work.await.map_err(|_| RpcError::Stopping)?;
+        let (intake, batch) = work.await.map_err(|_| RpcError::Stopping)?;
         self.intake = Some(intake);
-        Ok(parcel?)
+        Ok(batch?)
     }
 
     fn hand_over(&self, command: Command) -> Result<(), RpcError> {

@@ -1,6 +1,6 @@
-//! The scans of one stream: decoded, cast where they are readings, and handed over in parcels.
+//! The scans of one stream: decoded, cast where they are readings, and handed over in batches.
 //!
-//! Invariant: a parcel is about as large as [`PARCEL_BYTES`] and as much work as [`PARCEL_CELLS`], or holds a single
+//! Invariant: a batch is about as large as [`BATCH_BYTES`] and as much work as [`BATCH_CELLS`], or holds a single
 //! scan, however much a message unpacks to. What is cast lies within the cells that the grid may have.
 //! Scans that were taken before are handed over too, only to be remembered: later ones refer to them.
 
@@ -20,18 +20,18 @@ use tidemap_proto::{
         InvalidField,
         scans::{DecodedScan, ScanContent, ScanDecoder, ScanLimits, ScanRefusal, content_crc},
     },
-    v1::ScanBatch,
+    v1,
 };
 
 use super::{Intake, IntakeError, cast_table::CastTable, last_sequence, shortened};
-use crate::ingest::protocol::{Refused, ScanOrigin, ScanParcel, TakenScan};
+use crate::ingest::protocol::{Refused, ScanBatch, ScanOrigin, TakenScan};
 
 mod effort;
 
 use effort::RayCells;
 
-/// Memory of a parcel at which it is handed over.
-const PARCEL_BYTES: usize = 256 << 10;
+/// Memory of a batch at which it is handed over.
+const BATCH_BYTES: usize = 256 << 10;
 /// Memory of a scan beside its flips, about.
 const SCAN_BYTES: usize = 160;
 /// Memory of a refusal, about.
@@ -40,8 +40,8 @@ const REFUSED_BYTES: usize = 300;
 const RAY_CELLS_MAX: u64 = 100_000;
 /// Cells that the rays of one scan may pass.
 const CAST_CELLS_MAX: u64 = 200_000_000;
-/// Cells of a parcel's rays at which it is handed over.
-const PARCEL_CELLS: u64 = 20_000_000;
+/// Cells of a batch's rays at which it is handed over.
+const BATCH_CELLS: u64 = 20_000_000;
 /// Cells that the rays of a message may pass for casting them to be work for a stream's task.
 const CELLS_AT_ONCE: u64 = 20_000;
 
@@ -60,7 +60,7 @@ pub(super) struct ScanIntake {
     open_cells: u64,
     /// Whether casting the message at hand is much work.
     is_much_work: bool,
-    /// What the parcel before saw, shared by scans that saw the same.
+    /// What the batch before saw, shared by scans that saw the same.
     seen: Option<Arc<[u32]>>,
 }
 
@@ -133,7 +133,7 @@ impl Intake {
     ///
     /// # Errors
     /// What ends the stream.
-    pub fn begin_scans(&mut self, message: ScanBatch) -> Result<bool, IntakeError> {
+    pub fn begin_scans(&mut self, message: v1::ScanBatch) -> Result<bool, IntakeError> {
         let first = message.first_sequence;
         self.check_sequence(first)?;
         last_sequence(first, message.scans.len())?;
@@ -167,26 +167,26 @@ impl Intake {
     ///
     /// # Errors
     /// What ends the stream.
-    pub fn next_scans(&mut self) -> Result<Option<ScanParcel>, IntakeError> {
+    pub fn next_scans(&mut self) -> Result<Option<ScanBatch>, IntakeError> {
         let new_tiles = std::mem::take(&mut self.scans.new_tiles);
-        let mut parcel = ScanParcel { first_sequence: self.next_sequence, new_tiles, ..ScanParcel::default() };
-        parcel.bytes = 4 * SCAN_BYTES + parcel.new_tiles.len() * SCAN_BYTES;
-        let mut is_empty = parcel.new_tiles.is_empty();
+        let mut batch = ScanBatch { first_sequence: self.next_sequence, new_tiles, ..ScanBatch::default() };
+        batch.bytes = 4 * SCAN_BYTES + batch.new_tiles.len() * SCAN_BYTES;
+        let mut is_empty = batch.new_tiles.is_empty();
         let turn = self.scans.is_much_work.then(effort::turn);
         let mut cells = 0;
-        while parcel.bytes < PARCEL_BYTES && cells < PARCEL_CELLS {
+        while batch.bytes < BATCH_BYTES && cells < BATCH_CELLS {
             let Some(scan) = self.scans.decoder.next_scan()? else { break };
             is_empty = false;
-            cells += self.take_scan(scan, &mut parcel);
+            cells += self.take_scan(scan, &mut batch);
         }
         drop(turn);
-        parcel.last_sequence = self.next_sequence - 1;
-        parcel.content_crc = self.content_crc;
-        Ok((!is_empty).then_some(parcel))
+        batch.last_sequence = self.next_sequence - 1;
+        batch.content_crc = self.content_crc;
+        Ok((!is_empty).then_some(batch))
     }
 
     /// Takes one scan; says how many cells its rays pass, about.
-    fn take_scan(&mut self, decoded: DecodedScan, parcel: &mut ScanParcel) -> u64 {
+    fn take_scan(&mut self, decoded: DecodedScan, batch: &mut ScanBatch) -> u64 {
         let DecodedScan { sequence, utc_nanos, digest, content, mut refusal } = decoded;
         let is_new = sequence == self.next_sequence;
         if is_new {
@@ -214,21 +214,21 @@ impl Intake {
             }
             _ => {}
         }
-        parcel.bytes += SCAN_BYTES;
+        batch.bytes += SCAN_BYTES;
         if let Some(taken) = taken {
             let scan = &taken.scan;
-            parcel.bytes += 4 * (scan.observed_flips.len() + scan.occupied_flips.len());
-            parcel.bytes += SCAN_BYTES * taken.new_tiles.len();
+            batch.bytes += 4 * (scan.observed_flips.len() + scan.occupied_flips.len());
+            batch.bytes += SCAN_BYTES * taken.new_tiles.len();
             if self.scans.seen.as_ref().is_none_or(|seen| !Arc::ptr_eq(seen, &scan.seen)) {
                 // Once as slots, once as tiles of the map.
-                parcel.bytes += 8 * scan.seen.len();
+                batch.bytes += 8 * scan.seen.len();
                 self.scans.seen = Some(Arc::clone(&scan.seen));
             }
-            parcel.scans.push(taken);
+            batch.scans.push(taken);
         }
         if let Some(ScanRefusal { reason, detail }) = refusal.filter(|_| is_new) {
-            parcel.bytes += REFUSED_BYTES;
-            parcel.refused.push(Refused { sequence, reason, detail: shortened(&detail) });
+            batch.bytes += REFUSED_BYTES;
+            batch.refused.push(Refused { sequence, reason, detail: shortened(&detail) });
         }
         cells
     }

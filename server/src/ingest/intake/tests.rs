@@ -3,17 +3,17 @@
 use tidemap_map::grid::spec::{Retention, SensorNoise};
 use tidemap_proto::{
     convert::columns::encode,
-    v1::{self, PointCloud, Scan, ScanBatch, scan::Content},
+    v1::{self, PointCloud, Scan, scan::Content},
 };
 
 use super::*;
 
-fn message(first: u64, names: &[&str], indices: &[u32], times: &[i64], values: &[f64]) -> ObservationBatch {
+fn message(first: u64, names: &[&str], indices: &[u32], times: &[i64], values: &[f64]) -> v1::ObservationBatch {
     let names = names.iter().map(|name| (*name).to_owned()).collect();
-    ObservationBatch { first_sequence: first, observations: Some(encode(times, indices, values, names)) }
+    v1::ObservationBatch { first_sequence: first, observations: Some(encode(times, indices, values, names)) }
 }
 
-fn say_kinds(message: &mut ObservationBatch, kinds: &[v1::StateKind]) {
+fn say_kinds(message: &mut v1::ObservationBatch, kinds: &[v1::StateKind]) {
     let columns = message.observations.as_mut().expect("there are some");
     columns.new_kinds = kinds.iter().map(|&kind| kind.into()).collect();
 }
@@ -131,7 +131,7 @@ fn limits_are_errors_and_nothing_is_taken() {
     assert!(over.to_string().contains("max_batch_observations"), "{over}");
     let over = intake.take(message(1, &["a", "b", "c", "d"], &[0], &[0], &[0.0])).expect_err("4 names");
     assert!(matches!(over, IntakeError::Limit { got: 4, max: 3, .. }), "{over}");
-    assert!(intake.take(ObservationBatch { first_sequence: 1, observations: None }).is_err());
+    assert!(intake.take(v1::ObservationBatch { first_sequence: 1, observations: None }).is_err());
     let batch = intake.take(message(1, &["a"], &[0], &[0], &[0.0])).expect("fine").expect("new");
     assert_eq!(batch.first_sequence, 1);
     let edge = intake.take(message(u64::MAX, &[], &[0], &[0], &[0.0]));
@@ -173,10 +173,15 @@ fn wide() -> GridSpec {
     }
 }
 
-fn clouds(first: u64, points: &[f32], count: usize) -> ScanBatch {
+fn clouds(first: u64, points: &[f32], count: usize) -> v1::ScanBatch {
     let cloud = PointCloud { xyz_m: points.to_vec(), ..PointCloud::default() };
     let scan = Scan { content: Some(Content::Cloud(cloud)) };
-    ScanBatch { first_sequence: first, time_deltas: vec![0; count], scans: vec![scan; count], ..ScanBatch::default() }
+    v1::ScanBatch {
+        first_sequence: first,
+        time_deltas: vec![0; count],
+        scans: vec![scan; count],
+        ..v1::ScanBatch::default()
+    }
 }
 
 #[test]
@@ -189,14 +194,14 @@ fn a_few_long_rays_are_much_work_and_end_parcels() {
     assert!(intake.begin_scans(clouds(3, &[30_000.0, 0.0, 0.0], 1)).expect("fine"));
     assert_eq!(intake.next_scans().expect("fine").expect("scans").scans.len(), 1);
     assert!(intake.next_scans().expect("fine").is_none());
-    // Each of these scans is more than half of what a parcel may be.
+    // Each of these scans is more than half of what a batch may be.
     let points = [11_000.0, 0.0, 0.0].repeat(1000);
     assert!(intake.begin_scans(clouds(4, &points, 3)).expect("fine"));
     let lasts: Vec<u64> =
-        std::iter::from_fn(|| intake.next_scans().expect("fine").map(|parcel| parcel.last_sequence)).collect();
+        std::iter::from_fn(|| intake.next_scans().expect("fine").map(|batch| batch.last_sequence)).collect();
     assert_eq!(lasts, [5, 6]);
     // The parts of a scan are taken together.
-    let part = |continues| ScanBatch { continues, ..clouds(7, &[9_000.0, 0.0, 0.0], 1) };
+    let part = |continues| v1::ScanBatch { continues, ..clouds(7, &[9_000.0, 0.0, 0.0], 1) };
     assert!(!intake.begin_scans(part(true)).expect("fine"));
     assert!(intake.next_scans().expect("fine").is_none());
     assert!(intake.begin_scans(part(false)).expect("fine"));
@@ -206,10 +211,10 @@ fn a_few_long_rays_are_much_work_and_end_parcels() {
 #[test]
 fn without_a_grid_no_tiles_are_handed_over() {
     let mut intake = intake();
-    let message = ScanBatch { new_tiles: vec![1, 2, 3], ..clouds(1, &[f32::MAX; 3], 1) };
+    let message = v1::ScanBatch { new_tiles: vec![1, 2, 3], ..clouds(1, &[f32::MAX; 3], 1) };
     assert!(!intake.begin_scans(message).expect("fine"));
-    let parcel = intake.next_scans().expect("fine").expect("a refusal");
-    assert_eq!((parcel.new_tiles.len(), parcel.refused[0].reason), (0, RefusalReason::NoGrid));
+    let batch = intake.next_scans().expect("fine").expect("a refusal");
+    assert_eq!((batch.new_tiles.len(), batch.refused[0].reason), (0, RefusalReason::NoGrid));
 }
 
 #[test]

@@ -7,11 +7,11 @@ use tidemap_proto::{
         InvalidField,
         traversals::{BATCH_TEXT_BYTES_MAX, append_content, text_bytes, traversal_from_wire},
     },
-    v1::TraversalBatch,
+    v1,
 };
 
 use super::{
-    super::protocol::{Refused, TraversalParcel},
+    super::protocol::{Refused, TraversalBatch},
     Intake, IntakeError, last_sequence, shortened,
 };
 
@@ -23,8 +23,8 @@ impl Intake {
     ///
     /// # Errors
     /// What ends the stream; nothing of the message was taken.
-    pub fn take_traversals(&mut self, message: &TraversalBatch) -> Result<Option<TraversalParcel>, IntakeError> {
-        let TraversalBatch { first_sequence: first, traversals } = message;
+    pub fn take_traversals(&mut self, message: &v1::TraversalBatch) -> Result<Option<TraversalBatch>, IntakeError> {
+        let v1::TraversalBatch { first_sequence: first, traversals } = message;
         self.check_sequence(*first)?;
         self.check_no_open_scan("traversals", "traversals")?;
         if traversals.is_empty() {
@@ -47,22 +47,22 @@ impl Intake {
             return Ok(None);
         }
         let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
-        let mut parcel =
-            TraversalParcel { first_sequence: self.next_sequence, last_sequence: last, ..TraversalParcel::default() };
+        let mut batch =
+            TraversalBatch { first_sequence: self.next_sequence, last_sequence: last, ..TraversalBatch::default() };
         self.rows.clear();
         for (sequence, wire) in (self.next_sequence..).zip(&traversals[skip..]) {
             append_content(wire, &mut self.rows);
             match traversal_from_wire(wire) {
-                Ok(traversal) => parcel.traversals.push((sequence, traversal)),
+                Ok(traversal) => batch.traversals.push((sequence, traversal)),
                 Err((reason, detail)) => {
-                    parcel.refused.push(Refused { sequence, reason, detail: shortened(&detail) });
+                    batch.refused.push(Refused { sequence, reason, detail: shortened(&detail) });
                 }
             }
         }
         self.content_crc = crc32c::crc32c_append(self.content_crc, &self.rows);
         self.next_sequence = last + 1;
-        parcel.content_crc = self.content_crc;
-        Ok(Some(parcel))
+        batch.content_crc = self.content_crc;
+        Ok(Some(batch))
     }
 }
 

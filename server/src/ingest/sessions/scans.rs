@@ -1,6 +1,6 @@
 //! Scans of streams turned into events: flips against the last scan of each tile in the order of the log.
 //!
-//! Invariant: an event is one that the log takes, at most 16 MiB, whatever streams show each other; scans of one parcel
+//! Invariant: an event is one that the log takes, at most 16 MiB, whatever streams show each other; scans of one batch
 //! are spread over several where that needs it, in their order.
 
 use tidemap_map::{
@@ -16,7 +16,7 @@ use tidemap_map::{
 };
 
 use super::{
-    super::protocol::{Refused, ScanOrigin, ScanParcel, SessionId, TakenScan},
+    super::protocol::{Refused, ScanBatch, ScanOrigin, SessionId, TakenScan},
     Session, Sessions,
 };
 
@@ -69,8 +69,8 @@ impl Portion {
 impl Sessions {
     /// Turns scans into events with their refusals, some added where the map may not have more tiles. None where the
     /// stream is closed, or nothing is to be logged.
-    pub fn scan_events(&mut self, id: SessionId, parcel: ScanParcel, map: &LiveMap, now: i64) -> Vec<ScanEvent> {
-        let ScanParcel { first_sequence, last_sequence, content_crc, new_tiles, scans, mut refused, .. } = parcel;
+    pub fn scan_events(&mut self, id: SessionId, batch: ScanBatch, map: &LiveMap, now: i64) -> Vec<ScanEvent> {
+        let ScanBatch { first_sequence, last_sequence, content_crc, new_tiles, scans, mut refused, .. } = batch;
         let Some(mut session) = self.sessions.remove(&id) else { return Vec::new() };
         let mut portions: Vec<(Portion, u64, u32)> = Vec::new();
         if session.open {

@@ -13,7 +13,7 @@ use tidemap_map::{
 use tidemap_proto::convert::traversals::{refusal_of, unknown_edge};
 
 use super::{
-    super::protocol::{Refused, SessionId, TraversalParcel},
+    super::protocol::{Refused, SessionId, TraversalBatch},
     Sessions,
     states::{Refusal, Room},
     too_far_ahead,
@@ -36,12 +36,12 @@ impl Sessions {
     pub fn traversal_event(
         &mut self,
         id: SessionId,
-        parcel: TraversalParcel,
+        batch: TraversalBatch,
         map: &LiveMap,
         now: i64,
     ) -> Option<(Observations, Vec<Refused>)> {
         let session = self.sessions.get_mut(&id).filter(|session| session.open)?;
-        let TraversalParcel { first_sequence, last_sequence, content_crc, traversals, mut refused } = parcel;
+        let TraversalBatch { first_sequence, last_sequence, content_crc, traversals, mut refused } = batch;
         let plausible = now.saturating_add(MAX_AHEAD_NANOS);
         let may_wait = map.ahead() < self.limits.ahead;
         let mut taken = Taken::default();

@@ -9,7 +9,7 @@ use tidemap_map::event::Event;
 
 use super::{
     super::{
-        protocol::{Batch, Ending, Hello, Permits, ScanParcel, SessionId, TraversalParcel},
+        protocol::{Ending, Hello, ObservationBatch, Permits, ScanBatch, SessionId, TraversalBatch},
         sessions::ScanEvent,
     },
     Flight, Writer,
@@ -23,11 +23,11 @@ pub(super) const CROWDING_MAX: f64 = 2.0;
 /// What a stream has handed over.
 pub(super) enum Deferred {
     /// Observations.
-    Batch(SessionId, Batch, Permits),
+    Batch(SessionId, ObservationBatch, Permits),
     /// Scans.
-    Scans(SessionId, ScanParcel, Permits),
+    Scans(SessionId, ScanBatch, Permits),
     /// Traversals.
-    Traversals(SessionId, TraversalParcel, Permits),
+    Traversals(SessionId, TraversalBatch, Permits),
     /// That it ended, and whether on purpose.
     Leave(SessionId, bool),
 }
@@ -90,8 +90,8 @@ impl Writer {
     fn take_one(&mut self, deferred: Deferred) {
         match deferred {
             Deferred::Batch(session, batch, permits) => self.batch(session, batch, permits),
-            Deferred::Scans(session, parcel, permits) => self.scans(session, parcel, permits),
-            Deferred::Traversals(session, parcel, permits) => self.traversals(session, parcel, permits),
+            Deferred::Scans(session, batch, permits) => self.scans(session, batch, permits),
+            Deferred::Traversals(session, batch, permits) => self.traversals(session, batch, permits),
             Deferred::Leave(session, clean) => self.leave(session, clean),
         }
     }
@@ -105,7 +105,7 @@ impl Writer {
         self.stopping.is_none()
     }
 
-    fn batch(&mut self, session: SessionId, batch: Batch, permits: Permits) {
+    fn batch(&mut self, session: SessionId, batch: ObservationBatch, permits: Permits) {
         if !self.takes(session) {
             return;
         }
@@ -115,25 +115,25 @@ impl Writer {
         self.launch(Flight::Taken { session, event, refused, tiles_ahead: 0, _permits: Arc::new(permits) });
     }
 
-    fn traversals(&mut self, session: SessionId, parcel: TraversalParcel, permits: Permits) {
+    fn traversals(&mut self, session: SessionId, batch: TraversalBatch, permits: Permits) {
         if !self.takes(session) {
             return;
         }
         let now = self.context.clock.now_nanos();
-        let taken = self.sessions.traversal_event(session, parcel, &self.map, now);
+        let taken = self.sessions.traversal_event(session, batch, &self.map, now);
         let Some((observations, refused)) = taken else { return };
         let event = Event::Observations(observations);
         self.launch(Flight::Taken { session, event, refused, tiles_ahead: 0, _permits: Arc::new(permits) });
     }
 
-    fn scans(&mut self, session: SessionId, parcel: ScanParcel, permits: Permits) {
+    fn scans(&mut self, session: SessionId, batch: ScanBatch, permits: Permits) {
         if !self.takes(session) {
             return;
         }
         let now = self.context.clock.now_nanos();
         let permits = Arc::new(permits);
         let mut is_launched = true;
-        for taken in self.sessions.scan_events(session, parcel, &self.map, now) {
+        for taken in self.sessions.scan_events(session, batch, &self.map, now) {
             let ScanEvent { event, refused, tiles_ahead } = taken;
             let flight = Flight::Taken { session, event, refused, tiles_ahead, _permits: Arc::clone(&permits) };
             // What follows one that the log has not taken must not be in the log without it.

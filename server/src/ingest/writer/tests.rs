@@ -18,7 +18,7 @@ use tokio::sync::{Semaphore, mpsc as events};
 use tidemap_map::spec::MapSpec;
 
 use super::*;
-use crate::{catalog::Catalog, ingest::protocol::Batch, jobs::Phase};
+use crate::{catalog::Catalog, ingest::protocol::ObservationBatch, jobs::Phase};
 
 mod queue;
 mod refits;
@@ -116,7 +116,7 @@ impl Robot {
         let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
         let first = self.sent == self.opened.durable_sequence;
         self.sent += 1;
-        let batch = Batch {
+        let batch = ObservationBatch {
             first_sequence: self.sent,
             last_sequence: self.sent,
             content_crc: 1,
@@ -124,7 +124,7 @@ impl Robot {
             table_indices: vec![0],
             times_nanos: vec![time],
             values: vec![1.0],
-            ..Batch::default()
+            ..ObservationBatch::default()
         };
         let permits = [permit(), permit()];
         assert!(handle.send(Command::Batch { session: self.opened.session, batch, permits }));
@@ -295,7 +295,7 @@ fn send_values(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>, values: V
     let count = times.len();
     let first_sequence = robot.sent + 1;
     robot.sent += count as u64;
-    let batch = Batch {
+    let batch = ObservationBatch {
         first_sequence,
         last_sequence: robot.sent,
         content_crc: 1,
@@ -303,7 +303,7 @@ fn send_values(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>, values: V
         table_indices: vec![0; count],
         values,
         times_nanos: times,
-        ..Batch::default()
+        ..ObservationBatch::default()
     };
     let permits = [permit(), permit()];
     assert!(handle.send(Command::Batch { session: robot.opened.session, batch, permits }));

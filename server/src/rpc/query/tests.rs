@@ -31,7 +31,7 @@ use crate::{
     ingest::{
         handle::MapHandle,
         intake::{Intake, IntakeLimits},
-        protocol::{Batch, Command, Hello, Opened, SessionEvent},
+        protocol::{Command, Hello, ObservationBatch, Opened, SessionEvent},
         writer::Context,
     },
     jobs::Jobs,
@@ -213,7 +213,7 @@ impl Robot {
         };
         let first_sequence = self.sent + 1;
         self.sent += observed.len() as u64;
-        let batch = Batch {
+        let batch = ObservationBatch {
             first_sequence,
             last_sequence: self.sent,
             content_crc: 1,
@@ -221,7 +221,7 @@ impl Robot {
             table_indices: vec![0; observed.len()],
             times_nanos: observed.iter().map(|(time, _)| *time).collect(),
             values: observed.iter().map(|(_, value)| *value).collect(),
-            ..Batch::default()
+            ..ObservationBatch::default()
         };
         let session = self.opened.session;
         assert!(bench.handle.send(Command::Batch { session, batch, permits: [permit(), permit()] }));
@@ -234,10 +234,10 @@ impl Robot {
         let encoded = scans.iter().map(|(_, shown)| self.encoder.tiles(shown).expect("tiles")).collect();
         for message in split(batch(self.sent + 1, &times, encoded), 1 << 20) {
             self.intake.begin_scans(message).expect("well formed");
-            while let Some(parcel) = self.intake.next_scans().expect("well formed") {
-                self.sent = parcel.last_sequence;
+            while let Some(batch) = self.intake.next_scans().expect("well formed") {
+                self.sent = batch.last_sequence;
                 let session = self.opened.session;
-                assert!(bench.handle.send(Command::Scans { session, parcel, permits: [permit(), permit()] }));
+                assert!(bench.handle.send(Command::Scans { session, batch, permits: [permit(), permit()] }));
             }
         }
         self.settled().await;

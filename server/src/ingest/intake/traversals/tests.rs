@@ -3,7 +3,7 @@
 use tidemap_map::ids::RefusalReason;
 use tidemap_proto::{
     convert::{columns::encode, scans::ScanLimits},
-    v1::{ObservationBatch, Traversal},
+    v1::{self, Traversal},
 };
 
 use super::*;
@@ -19,30 +19,30 @@ fn trip(from: &str, start_nanos: i64, end_nanos: i64, success: bool) -> Traversa
     Traversal { from, to, action: String::new(), start_nanos, end_nanos, success, reason }
 }
 
-fn message(first_sequence: u64, traversals: &[Traversal]) -> TraversalBatch {
-    TraversalBatch { first_sequence, traversals: traversals.to_vec() }
+fn message(first_sequence: u64, traversals: &[Traversal]) -> v1::TraversalBatch {
+    v1::TraversalBatch { first_sequence, traversals: traversals.to_vec() }
 }
 
 #[test]
 fn they_share_the_numbers_and_the_crc_of_observations() {
     let mut intake = intake(0);
     let trips = [trip("Hall", 1, 5, true), trip("Hall", 5, 9, false)];
-    let parcel = intake.take_traversals(&message(1, &trips)).expect("fine").expect("new");
-    assert_eq!((parcel.first_sequence, parcel.last_sequence), (1, 2));
-    assert_eq!(parcel.traversals.iter().map(|(sequence, _)| *sequence).collect::<Vec<_>>(), [1, 2]);
+    let batch = intake.take_traversals(&message(1, &trips)).expect("fine").expect("new");
+    assert_eq!((batch.first_sequence, batch.last_sequence), (1, 2));
+    assert_eq!(batch.traversals.iter().map(|(sequence, _)| *sequence).collect::<Vec<_>>(), [1, 2]);
     let bytes = |trip: &Traversal| {
         let tail = [&trip.start_nanos.to_le_bytes()[..], &trip.end_nanos.to_le_bytes(), &[u8::from(trip.success)]];
         [b"edge/Hall/Lab", &tail.concat()[..], b"stuck"].concat()
     };
-    assert_eq!(parcel.content_crc, crc32c::crc32c_append(7, &trips.each_ref().map(bytes).concat()));
+    assert_eq!(batch.content_crc, crc32c::crc32c_append(7, &trips.each_ref().map(bytes).concat()));
     assert!(intake.take_traversals(&message(1, &trips)).expect("fine").is_none());
     let observations = Some(encode(&[3], &[0], &[1.0], vec!["door".to_owned()]));
-    intake.take(ObservationBatch { first_sequence: 3, observations }).expect("fine").expect("new");
+    intake.take(v1::ObservationBatch { first_sequence: 3, observations }).expect("fine").expect("new");
     // The second was taken before; the number between is that of the observation.
     let more = [trips[1].clone(), trip("Hall", 0, 0, false), trip("Hall", 9, 12, true)];
-    let parcel = intake.take_traversals(&message(2, &more)).expect("fine").expect("new");
-    assert_eq!((parcel.first_sequence, parcel.last_sequence, parcel.traversals.len()), (4, 4, 1));
-    assert_eq!(parcel.traversals[0].1.start_nanos, 9);
+    let batch = intake.take_traversals(&message(2, &more)).expect("fine").expect("new");
+    assert_eq!((batch.first_sequence, batch.last_sequence, batch.traversals.len()), (4, 4, 1));
+    assert_eq!(batch.traversals[0].1.start_nanos, 9);
     let leap = intake.take_traversals(&message(6, &trips)).expect_err("a gap");
     assert_eq!(leap, IntakeError::OutOfSequence { got: 6, expected: 5 });
 }
@@ -52,13 +52,13 @@ fn a_wrong_traversal_does_not_take_its_neighbours_with_it() {
     let mut intake = intake(10);
     let long = Traversal { reason: "x\n".repeat(500), ..trip("Hall", 1, 2, false) };
     let sent = [trip("a/b", 1, 5, true), long, trip("Hall", 5, 4, false), trip("Hall", 5, 5, true)];
-    let parcel = intake.take_traversals(&message(11, &sent)).expect("fine").expect("new");
-    let reasons: Vec<_> = parcel.refused.iter().map(|refused| (refused.sequence, refused.reason)).collect();
+    let batch = intake.take_traversals(&message(11, &sent)).expect("fine").expect("new");
+    let reasons: Vec<_> = batch.refused.iter().map(|refused| (refused.sequence, refused.reason)).collect();
     assert_eq!(reasons, [(11, RefusalReason::Edge), (13, RefusalReason::Time), (14, RefusalReason::Time)]);
-    assert!(parcel.refused.iter().all(|refused| refused.detail.chars().count() <= 200));
-    let [(12, taken)] = parcel.traversals.as_slice() else { panic!("{:?}", parcel.traversals) };
+    assert!(batch.refused.iter().all(|refused| refused.detail.chars().count() <= 200));
+    let [(12, taken)] = batch.traversals.as_slice() else { panic!("{:?}", batch.traversals) };
     assert!(taken.reason.starts_with("x x ") && taken.reason.chars().count() <= 200);
-    assert_eq!(parcel.last_sequence, 14);
+    assert_eq!(batch.last_sequence, 14);
 }
 
 #[test]

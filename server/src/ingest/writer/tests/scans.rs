@@ -63,11 +63,11 @@ impl Scanner {
     /// Hands a message over.
     fn send_message(&mut self, handle: &MapHandle, message: v1::ScanBatch) {
         self.intake.begin_scans(message).expect("well formed");
-        while let Some(parcel) = self.intake.next_scans().expect("well formed") {
+        while let Some(batch) = self.intake.next_scans().expect("well formed") {
             let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
             let permits = [permit(), permit()];
-            self.robot.sent = parcel.last_sequence;
-            assert!(handle.send(Command::Scans { session: self.robot.opened.session, parcel, permits }));
+            self.robot.sent = batch.last_sequence;
+            assert!(handle.send(Command::Scans { session: self.robot.opened.session, batch, permits }));
         }
     }
 

@@ -26,7 +26,7 @@ async fn send(
     let name = NewName { name: StateName::new("s").expect("valid"), shape: said.map(StateShape::from) };
     let first_sequence = robot.sent + 1;
     robot.sent += values.len() as u64;
-    let batch = Batch {
+    let batch = ObservationBatch {
         first_sequence,
         last_sequence: robot.sent,
         content_crc: 1,
@@ -34,7 +34,7 @@ async fn send(
         table_indices: vec![0; values.len()],
         times_nanos: (0..values.len() as i64).map(|i| NOON + i).collect(),
         values: values.to_vec(),
-        ..Batch::default()
+        ..ObservationBatch::default()
     };
     let permits = [permit(), permit()];
     assert!(handle.send(Command::Batch { session: robot.opened.session, batch, permits }));
@@ -123,7 +123,7 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
     // The last one finds no room for three states: ten there may be.
     let mut names = vec![vector("anna", Dimensions::Two), Some(StateName::new("door").expect("valid").into())];
     names.extend(["a", "b", "c"].map(|name| vector(name, Dimensions::Three)));
-    let batch = Batch {
+    let batch = ObservationBatch {
         first_sequence: 1,
         last_sequence: 7,
         new_names: names,
@@ -137,7 +137,7 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
             (4, position(&[8.0; 3])),
             (5, position(&[9.0; 3])),
         ],
-        ..Batch::default()
+        ..ObservationBatch::default()
     };
     let before = handle.view().position();
     let permits = [permit(), permit()];

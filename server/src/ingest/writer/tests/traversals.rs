@@ -9,7 +9,7 @@ use tidemap_map::{
 };
 
 use super::{queue::bare, *};
-use crate::ingest::protocol::{EditSite, TraversalParcel};
+use crate::ingest::protocol::{EditSite, TraversalBatch};
 
 const SEC: i64 = 1_000_000_000;
 
@@ -46,14 +46,14 @@ fn send(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) {
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
     let first_sequence = robot.sent + 1;
     robot.sent += traversals.len() as u64;
-    let parcel = TraversalParcel {
+    let batch = TraversalBatch {
         first_sequence,
         last_sequence: robot.sent,
         content_crc: 1,
         traversals: (first_sequence..).zip(traversals).collect(),
         refused: Vec::new(),
     };
-    let command = Command::Traversals { session: robot.opened.session, parcel, permits: [permit(), permit()] };
+    let command = Command::Traversals { session: robot.opened.session, batch, permits: [permit(), permit()] };
     assert!(handle.send(command));
 }
 

@@ -235,7 +235,7 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
     let people = StateName::new("people").expect("valid");
     let session = counter.opened.session;
     let batch = |first_sequence: u64, readings: &[(i64, f64)], new_names| {
-        let batch = Batch {
+        let batch = ObservationBatch {
             first_sequence,
             last_sequence: first_sequence + readings.len() as u64 - 1,
             content_crc: 1,
@@ -243,7 +243,7 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
             table_indices: vec![0; readings.len()],
             times_nanos: readings.iter().map(|(nanos, _)| *nanos).collect(),
             values: readings.iter().map(|(_, value)| *value).collect(),
-            ..Batch::default()
+            ..ObservationBatch::default()
         };
         assert!(bench.handle.send(Command::Batch { session, batch, permits: [permit(), permit()] }));
     };
