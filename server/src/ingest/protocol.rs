@@ -247,7 +247,7 @@ pub struct TraversalBatch {
 }
 
 /// Room in the buffers of a stream and of all streams, given back when it is dropped.
-pub type Permits = [OwnedSemaphorePermit; 2];
+pub type BufferBudget = [OwnedSemaphorePermit; 2];
 
 /// What a save has kept, and where its tiles can be read from, where the map has a grid.
 pub type SavedGrid = Option<(Arc<dyn TileSource>, SavedTiles)>;
@@ -380,7 +380,7 @@ pub enum Command {
         /// The observations.
         batch: ObservationBatch,
         /// Room in the buffers, given back when the batch is applied.
-        permits: Permits,
+        budget: BufferBudget,
     },
     /// Take scans in.
     Scans {
@@ -389,7 +389,7 @@ pub enum Command {
         /// The scans.
         batch: ScanBatch,
         /// Room in the buffers, given back when all of them are applied.
-        permits: Permits,
+        budget: BufferBudget,
     },
     /// Take traversals in.
     Traversals {
@@ -398,7 +398,7 @@ pub enum Command {
         /// The traversals.
         batch: TraversalBatch,
         /// Room in the buffers, given back when they are applied.
-        permits: Permits,
+        budget: BufferBudget,
     },
     /// A stream ended.
     Leave {

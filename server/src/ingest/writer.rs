@@ -257,10 +257,10 @@ impl Writer {
     fn handle(&mut self, command: Command) {
         match command {
             Command::Hello(hello) => self.hello(hello),
-            Command::Batch { session, batch, permits } => self.defer(Deferred::Batch(session, batch, permits)),
-            Command::Scans { session, batch, permits } => self.defer(Deferred::Scans(session, batch, permits)),
-            Command::Traversals { session, batch, permits } => {
-                self.defer(Deferred::Traversals(session, batch, permits));
+            Command::Batch { session, batch, budget } => self.defer(Deferred::Batch(session, batch, budget)),
+            Command::Scans { session, batch, budget } => self.defer(Deferred::Scans(session, batch, budget)),
+            Command::Traversals { session, batch, budget } => {
+                self.defer(Deferred::Traversals(session, batch, budget));
             }
             Command::Leave { session, clean } => self.defer(Deferred::Leave(session, clean)),
             Command::Update { until_nanos, cause, job } => self.updates.push(Wanted { until_nanos, cause, job }),

@@ -37,7 +37,7 @@ use crate::{
         handle::MapHandle,
         intake::{Intake, IntakeError, IntakeLimits},
         protocol::{
-            Command, Ending, Hello, ObservationBatch, Opened, Permits, ScanBatch, SessionEvent, TraversalBatch,
+            BufferBudget, Command, Ending, Hello, ObservationBatch, Opened, ScanBatch, SessionEvent, TraversalBatch,
             is_fatal,
         },
     },
@@ -330,9 +330,9 @@ impl Stream<'_> {
     async fn take(&mut self, message: v1::ObservationBatch) -> Result<(), RpcError> {
         let Some(batch) = self.intake()?.take(message)? else { return self.say_durable().await };
         let only_names = batch.last_sequence < batch.first_sequence;
-        let permits = self.permits(bytes_of(&batch)).await?;
+        let budget = self.budget(bytes_of(&batch)).await?;
         self.handed_over = batch.last_sequence;
-        self.hand_over(Command::Batch { session: self.opened.session, batch, permits })?;
+        self.hand_over(Command::Batch { session: self.opened.session, batch, budget })?;
         // The writer does not answer for names.
         if only_names { self.say_durable().await } else { Ok(()) }
     }
@@ -342,10 +342,10 @@ impl Stream<'_> {
         self.hold_tables()?;
         let mut is_any_new = false;
         while let Some(batch) = self.next_scans(is_much_work).await? {
-            let permits = self.permits(batch.bytes).await?;
+            let budget = self.budget(batch.bytes).await?;
             is_any_new |= batch.last_sequence >= batch.first_sequence;
             self.handed_over = batch.last_sequence;
-            self.hand_over(Command::Scans { session: self.opened.session, batch, permits })?;
+            self.hand_over(Command::Scans { session: self.opened.session, batch, budget })?;
         }
         // The writer does not answer for tiles, nor for what was taken before; a scan that goes on waits for its end.
         if is_any_new { Ok(()) } else { self.say_durable().await }
@@ -353,9 +353,9 @@ impl Stream<'_> {
 
     async fn take_traversals(&mut self, message: &v1::TraversalBatch) -> Result<(), RpcError> {
         let Some(batch) = self.intake()?.take_traversals(message)? else { return self.say_durable().await };
-        let permits = self.permits(bytes_of_traversals(&batch)).await?;
+        let budget = self.budget(bytes_of_traversals(&batch)).await?;
         self.handed_over = batch.last_sequence;
-        self.hand_over(Command::Traversals { session: self.opened.session, batch, permits })
+        self.hand_over(Command::Traversals { session: self.opened.session, batch, budget })
     }
 
     /// Takes room for what the stream's scans refer to, for as long as the stream lives. Waiting for it could go on for
@@ -402,7 +402,7 @@ impl Stream<'_> {
     }
 
     /// Room for what is handed over; what is larger than all the room of a stream takes all of it.
-    async fn permits(&mut self, bytes: usize) -> Result<Permits, RpcError> {
+    async fn budget(&mut self, bytes: usize) -> Result<BufferBudget, RpcError> {
         let bytes = bytes.min(self.limits.max_stream_buffer);
         let own = self.room(&Arc::clone(&self.own_buffer), bytes).await?;
         Ok([own, self.room(&Arc::clone(&self.buffers), bytes).await?])

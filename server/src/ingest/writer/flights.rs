@@ -10,7 +10,7 @@ use tidemap_store::AppendError;
 use tracing::{error, warn};
 
 use super::{
-    super::protocol::{AddStateError, Command, EditSiteError, Ending, Permits, Refused, SessionId, is_fatal},
+    super::protocol::{AddStateError, BufferBudget, Command, EditSiteError, Ending, Refused, SessionId, is_fatal},
     Instant, Job, UPDATE_RETRY, Writer,
     site::Edited,
     states::Added,
@@ -19,7 +19,7 @@ use super::{
 /// An append that the committer has not answered.
 pub(super) enum Flight {
     /// Observations or scans of a stream.
-    Taken { session: SessionId, event: Event, refused: Vec<Refused>, tiles_ahead: u64, _permits: Arc<Permits> },
+    Taken { session: SessionId, event: Event, refused: Vec<Refused>, tiles_ahead: u64, _budget: Arc<BufferBudget> },
     /// The start of an update.
     UpdateStart { event: Event, job: Arc<Job> },
     /// A state to add.

@@ -9,7 +9,7 @@ use tidemap_map::event::Event;
 
 use super::{
     super::{
-        protocol::{Ending, Hello, ObservationBatch, Permits, ScanBatch, SessionId, TraversalBatch},
+        protocol::{BufferBudget, Ending, Hello, ObservationBatch, ScanBatch, SessionId, TraversalBatch},
         sessions::ScanEvent,
     },
     Flight, Writer,
@@ -23,11 +23,11 @@ pub(super) const CROWDING_MAX: f64 = 2.0;
 /// What a stream has handed over.
 pub(super) enum Deferred {
     /// Observations.
-    Batch(SessionId, ObservationBatch, Permits),
+    Batch(SessionId, ObservationBatch, BufferBudget),
     /// Scans.
-    Scans(SessionId, ScanBatch, Permits),
+    Scans(SessionId, ScanBatch, BufferBudget),
     /// Traversals.
-    Traversals(SessionId, TraversalBatch, Permits),
+    Traversals(SessionId, TraversalBatch, BufferBudget),
     /// That it ended, and whether on purpose.
     Leave(SessionId, bool),
 }
@@ -89,9 +89,9 @@ impl Writer {
 
     fn take_one(&mut self, deferred: Deferred) {
         match deferred {
-            Deferred::Batch(session, batch, permits) => self.batch(session, batch, permits),
-            Deferred::Scans(session, batch, permits) => self.scans(session, batch, permits),
-            Deferred::Traversals(session, batch, permits) => self.traversals(session, batch, permits),
+            Deferred::Batch(session, batch, budget) => self.batch(session, batch, budget),
+            Deferred::Scans(session, batch, budget) => self.scans(session, batch, budget),
+            Deferred::Traversals(session, batch, budget) => self.traversals(session, batch, budget),
             Deferred::Leave(session, clean) => self.leave(session, clean),
         }
     }
@@ -105,17 +105,17 @@ impl Writer {
         self.stopping.is_none()
     }
 
-    fn batch(&mut self, session: SessionId, batch: ObservationBatch, permits: Permits) {
+    fn batch(&mut self, session: SessionId, batch: ObservationBatch, budget: BufferBudget) {
         if !self.takes(session) {
             return;
         }
         let now = self.context.clock.now_nanos();
         let Some((observations, refused)) = self.sessions.event(session, batch, &self.map, now) else { return };
         let event = Event::Observations(observations);
-        self.launch(Flight::Taken { session, event, refused, tiles_ahead: 0, _permits: Arc::new(permits) });
+        self.launch(Flight::Taken { session, event, refused, tiles_ahead: 0, _budget: Arc::new(budget) });
     }
 
-    fn traversals(&mut self, session: SessionId, batch: TraversalBatch, permits: Permits) {
+    fn traversals(&mut self, session: SessionId, batch: TraversalBatch, budget: BufferBudget) {
         if !self.takes(session) {
             return;
         }
@@ -123,19 +123,19 @@ impl Writer {
         let taken = self.sessions.traversal_event(session, batch, &self.map, now);
         let Some((observations, refused)) = taken else { return };
         let event = Event::Observations(observations);
-        self.launch(Flight::Taken { session, event, refused, tiles_ahead: 0, _permits: Arc::new(permits) });
+        self.launch(Flight::Taken { session, event, refused, tiles_ahead: 0, _budget: Arc::new(budget) });
     }
 
-    fn scans(&mut self, session: SessionId, batch: ScanBatch, permits: Permits) {
+    fn scans(&mut self, session: SessionId, batch: ScanBatch, budget: BufferBudget) {
         if !self.takes(session) {
             return;
         }
         let now = self.context.clock.now_nanos();
-        let permits = Arc::new(permits);
+        let budget = Arc::new(budget);
         let mut is_launched = true;
         for taken in self.sessions.scan_events(session, batch, &self.map, now) {
             let ScanEvent { event, refused, tiles_ahead } = taken;
-            let flight = Flight::Taken { session, event, refused, tiles_ahead, _permits: Arc::clone(&permits) };
+            let flight = Flight::Taken { session, event, refused, tiles_ahead, _budget: Arc::clone(&budget) };
             // What follows one that the log has not taken must not be in the log without it.
             is_launched = if is_launched { self.launch(flight) } else { self.ground(flight) };
         }

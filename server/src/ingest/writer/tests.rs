@@ -126,8 +126,8 @@ impl Robot {
             values: vec![1.0],
             ..ObservationBatch::default()
         };
-        let permits = [permit(), permit()];
-        assert!(handle.send(Command::Batch { session: self.opened.session, batch, permits }));
+        let budget = [permit(), permit()];
+        assert!(handle.send(Command::Batch { session: self.opened.session, batch, budget }));
         let expected = SessionEvent::Ack { durable_sequence: self.sent, refused: Vec::new() };
         assert_eq!(self.events.recv().await, Some(expected));
     }
@@ -305,8 +305,8 @@ fn send_values(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>, values: V
         times_nanos: times,
         ..ObservationBatch::default()
     };
-    let permits = [permit(), permit()];
-    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, permits }));
+    let budget = [permit(), permit()];
+    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, budget }));
 }
 
 #[tokio::test]

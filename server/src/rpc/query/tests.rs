@@ -224,7 +224,7 @@ impl Robot {
             ..ObservationBatch::default()
         };
         let session = self.opened.session;
-        assert!(bench.handle.send(Command::Batch { session, batch, permits: [permit(), permit()] }));
+        assert!(bench.handle.send(Command::Batch { session, batch, budget: [permit(), permit()] }));
         self.settled().await;
     }
 
@@ -237,7 +237,7 @@ impl Robot {
             while let Some(batch) = self.intake.next_scans().expect("well formed") {
                 self.sent = batch.last_sequence;
                 let session = self.opened.session;
-                assert!(bench.handle.send(Command::Scans { session, batch, permits: [permit(), permit()] }));
+                assert!(bench.handle.send(Command::Scans { session, batch, budget: [permit(), permit()] }));
             }
         }
         self.settled().await;

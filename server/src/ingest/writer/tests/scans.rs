@@ -65,9 +65,9 @@ impl Scanner {
         self.intake.begin_scans(message).expect("well formed");
         while let Some(batch) = self.intake.next_scans().expect("well formed") {
             let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
-            let permits = [permit(), permit()];
+            let budget = [permit(), permit()];
             self.robot.sent = batch.last_sequence;
-            assert!(handle.send(Command::Scans { session: self.robot.opened.session, batch, permits }));
+            assert!(handle.send(Command::Scans { session: self.robot.opened.session, batch, budget }));
         }
     }
 

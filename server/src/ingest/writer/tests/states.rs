@@ -36,8 +36,8 @@ async fn send(
         values: values.to_vec(),
         ..ObservationBatch::default()
     };
-    let permits = [permit(), permit()];
-    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, permits }));
+    let budget = [permit(), permit()];
+    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, budget }));
     match robot.events.recv().await {
         Some(SessionEvent::Ack { durable_sequence, refused }) if durable_sequence == robot.sent => {
             refused.into_iter().map(|refused| (refused.sequence, refused.reason)).collect()
@@ -140,8 +140,8 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
         ..ObservationBatch::default()
     };
     let before = handle.view().position();
-    let permits = [permit(), permit()];
-    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, permits }));
+    let budget = [permit(), permit()];
+    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, budget }));
     let refused = match robot.events.recv().await {
         Some(SessionEvent::Ack { durable_sequence: 7, refused }) => refused,
         other => panic!("{other:?}"),

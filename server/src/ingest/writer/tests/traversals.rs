@@ -53,7 +53,7 @@ fn send(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) {
         traversals: (first_sequence..).zip(traversals).collect(),
         refused: Vec::new(),
     };
-    let command = Command::Traversals { session: robot.opened.session, batch, permits: [permit(), permit()] };
+    let command = Command::Traversals { session: robot.opened.session, batch, budget: [permit(), permit()] };
     assert!(handle.send(command));
 }
 
