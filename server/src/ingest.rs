@@ -4,11 +4,11 @@
 //! Invariant: nothing is acknowledged before the log has it on disk, and every observation is applied once, in the
 //! order of the log.
 
-mod folded;
+pub mod anomaly_feed;
 pub mod handle;
 pub mod intake;
 pub mod protocol;
 mod sessions;
-mod updates;
-pub mod watching;
+mod training_data;
+mod update_schedule;
 pub mod writer;

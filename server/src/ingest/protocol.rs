@@ -25,7 +25,7 @@ use tidemap_map::{
 use tidemap_store::AppendError;
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
-use super::watching::Listening;
+use super::anomaly_feed::FeedReceiver;
 use crate::jobs::Job;
 
 /// Whether the daemon cannot go on: what the disk holds is not known any more.
@@ -340,27 +340,43 @@ pub enum EditSiteError {
     Closing,
 }
 
-/// A question about what was observed.
+/// What a stream hands to its map's writer, with its room in the buffers until it is durable and applied.
 #[derive(Debug)]
-pub struct Recall {
-    /// Of which state or cell.
+pub enum Handover {
+    /// Checked observations.
+    Observations(ObservationBatch, BufferBudget),
+    /// Checked scans.
+    Scans(ScanBatch, BufferBudget),
+    /// Checked traversals.
+    Traversals(TraversalBatch, BufferBudget),
+    /// The end of the stream.
+    End {
+        /// Whether the producer ended it on purpose.
+        clean: bool,
+    },
+}
+
+/// A request for what was observed and is not in the store's history yet.
+#[derive(Debug)]
+pub struct ReadHistory {
+    /// The state or cell.
     pub subject: Subject,
     /// First instant, nanoseconds UTC.
     pub from_nanos: i64,
     /// Beyond the last instant.
     pub to_nanos: i64,
-    /// Of what no update has taken, no more than so many observations are wanted.
+    /// Maximum number of pending observations to return.
     pub at_most: usize,
-    /// The answer; it waits while an update has what was observed then.
-    pub reply: oneshot::Sender<Recalled>,
+    /// The answer; it waits while an update has observations of that time.
+    pub reply: oneshot::Sender<HistoryTail>,
 }
 
-/// What a writer can tell of the past.
+/// The observations that are not in the store's history yet.
 #[derive(Debug)]
-pub struct Recalled {
-    /// What no update has taken.
+pub struct HistoryTail {
+    /// Those that no update has learned.
     pub pending: Vec<Reading>,
-    /// What updates have taken and no save has kept.
+    /// Those that updates have learned and no save has stored.
     pub unsaved: Vec<Arc<HistoryPiece>>,
     /// Generations before this one are in the store's history.
     pub stored_before: u64,
@@ -368,44 +384,17 @@ pub struct Recalled {
     pub newest_nanos: i64,
 }
 
-/// What a writer is asked to do.
+/// A command to a writer.
 #[derive(Debug)]
 pub enum Command {
     /// Open a stream.
     Hello(Hello),
-    /// Take observations in.
-    Batch {
+    /// Take what a stream hands over.
+    HandOver {
         /// The stream.
         session: SessionId,
-        /// The observations.
-        batch: ObservationBatch,
-        /// Room in the buffers, given back when the batch is applied.
-        budget: BufferBudget,
-    },
-    /// Take scans in.
-    Scans {
-        /// The stream.
-        session: SessionId,
-        /// The scans.
-        batch: ScanBatch,
-        /// Room in the buffers, given back when all of them are applied.
-        budget: BufferBudget,
-    },
-    /// Take traversals in.
-    Traversals {
-        /// The stream.
-        session: SessionId,
-        /// The traversals.
-        batch: TraversalBatch,
-        /// Room in the buffers, given back when they are applied.
-        budget: BufferBudget,
-    },
-    /// A stream ended.
-    Leave {
-        /// The stream.
-        session: SessionId,
-        /// Whether the producer ended it on purpose.
-        clean: bool,
+        /// What it hands over.
+        what: Handover,
     },
     /// Update the map.
     Update {
@@ -431,10 +420,10 @@ pub enum Command {
     AddState(AddState),
     /// Change what is known of the place.
     EditSite(EditSite),
-    /// Tell what was observed and is not in the store's history yet.
-    Recall(Recall),
-    /// Tell what is applied from now on. The answer: where it is heard, and how many observations were told before.
-    Watch(oneshot::Sender<(Listening, u64)>),
+    /// Return what is not in the store's history yet.
+    ReadHistory(ReadHistory),
+    /// Subscribe to what is applied from now on. The answer: a receiver, and the number of observations sent before.
+    Watch(oneshot::Sender<(FeedReceiver, u64)>),
     /// End all streams and stop.
     Stop {
         /// What to tell the streams.

@@ -15,6 +15,7 @@ use tidemap_map::{
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
+    traversal::EdgeFailure,
 };
 use tidemap_model::OffsetCache;
 use tokio::sync::mpsc;
@@ -26,8 +27,49 @@ mod sensors;
 mod states;
 mod traversals;
 
-pub use scans::ScanEvent;
 use states::{Room, Slot};
+
+/// An event of a stream, to be appended to the log.
+#[derive(Debug)]
+pub struct StreamEvent {
+    /// The event.
+    pub event: Event,
+    /// Its refused observations or scans.
+    pub refused: Vec<Refused>,
+    /// Tiles of those of its scans whose time is too far ahead.
+    pub tiles_ahead: u64,
+}
+
+/// The messages that an event covers: the first and the last sequence number, and the running CRC up to the last.
+#[derive(Clone, Copy)]
+struct Span {
+    first: u64,
+    last: u64,
+    content_crc: u32,
+}
+
+/// The columns of an event of observations.
+#[derive(Default)]
+struct Columns {
+    new_states: Vec<NewState>,
+    states: Vec<StateId>,
+    times_nanos: Vec<i64>,
+    values: Vec<f64>,
+    offsets: Vec<OffsetRun>,
+    failures: Vec<EdgeFailure>,
+}
+
+impl Columns {
+    fn push(&mut self, state: StateId, time_nanos: i64, value: f64, offset_secs: i32) {
+        match self.offsets.last_mut() {
+            Some(run) if run.offset_secs == offset_secs => run.count += 1,
+            _ => self.offsets.push(OffsetRun { count: 1, offset_secs }),
+        }
+        self.states.push(state);
+        self.times_nanos.push(time_nanos);
+        self.values.push(value);
+    }
+}
 
 /// A stream.
 #[derive(Debug)]
@@ -58,6 +100,39 @@ impl Session {
         *in_flight += 1;
         self.producer = Some(producer);
         (producer, Some(NewProducer { key: self.key.clone(), sensor: self.sensor }))
+    }
+
+    /// An event of observations of the stream, in flight from now on.
+    fn observations(
+        &mut self,
+        map: &LiveMap,
+        producers_in_flight: &mut usize,
+        now: i64,
+        span: Span,
+        columns: Columns,
+        mut refused: Vec<Refused>,
+    ) -> StreamEvent {
+        refused.sort_by_key(|refused| refused.sequence);
+        let (producer, new_producer) = self.producer(map, producers_in_flight);
+        self.in_flight += 1;
+        let Columns { new_states, states, times_nanos, values, offsets, failures } = columns;
+        let event = Event::Observations(Observations {
+            producer,
+            new_producer,
+            incarnation: self.incarnation,
+            first_sequence: span.first,
+            last_sequence: span.last,
+            content_crc: span.content_crc,
+            received_nanos: now,
+            new_states,
+            states,
+            times_nanos,
+            values,
+            offsets,
+            refused: refused.iter().map(|refused| (refused.sequence, refused.reason)).collect(),
+            failures,
+        });
+        StreamEvent { event, refused, tiles_ahead: 0 }
     }
 
     /// Tells the stream something; one that is gone does not mind.
@@ -178,13 +253,13 @@ impl Sessions {
 
     /// Turns a batch into an event, with refusals added where the map may not have more states. `None` where the
     /// stream is closed, or nothing is to be logged.
-    pub fn event(
+    pub fn observation_event(
         &mut self,
         id: SessionId,
         batch: ObservationBatch,
         map: &LiveMap,
         now: i64,
-    ) -> Option<(Observations, Vec<Refused>)> {
+    ) -> Option<StreamEvent> {
         let session = self.sessions.get_mut(&id).filter(|session| session.open)?;
         session.table.extend(batch.new_names.into_iter().map(|name| name.map_or(Slot::Invalid, Slot::Unused)));
         if batch.last_sequence < batch.first_sequence {
@@ -198,10 +273,13 @@ impl Sessions {
         let plausible = now.saturating_add(MAX_AHEAD_NANOS);
         let may_wait = map.ahead() < self.limits.ahead;
         let mut positions = batch.positions.iter().peekable();
-        let mut new_states = Vec::new();
         let count = batch.table_indices.len();
-        let (mut states, mut times_nanos) = (Vec::with_capacity(count), Vec::with_capacity(count));
-        let (mut values, mut offsets) = (Vec::with_capacity(count), Vec::<OffsetRun>::new());
+        let mut columns = Columns {
+            states: Vec::with_capacity(count),
+            times_nanos: Vec::with_capacity(count),
+            values: Vec::with_capacity(count),
+            ..Columns::default()
+        };
         for i in 0..count {
             let time = batch.times_nanos[i];
             let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| *position);
@@ -216,7 +294,7 @@ impl Sessions {
                 renames: &self.renames_in_flight,
                 max: self.limits.states,
             };
-            let state = match slot.state_for(batch.values[i], position.is_some(), &mut room, &mut new_states) {
+            let state = match slot.state_for(batch.values[i], position.is_some(), &mut room, &mut columns.new_states) {
                 Ok(state) => state,
                 Err(Some((reason, text))) => {
                     refuse(i, reason, text);
@@ -227,35 +305,11 @@ impl Sessions {
             let offset_secs = self.offsets.offset_secs(time);
             let numbers = position.as_ref().map_or(&batch.values[i..=i], Position::coordinates);
             for (&number, state) in numbers.iter().zip(state.0..) {
-                match offsets.last_mut() {
-                    Some(run) if run.offset_secs == offset_secs => run.count += 1,
-                    _ => offsets.push(OffsetRun { count: 1, offset_secs }),
-                }
-                states.push(StateId(state));
-                times_nanos.push(time);
-                values.push(number);
+                columns.push(StateId(state), time, number, offset_secs);
             }
         }
-        refused.sort_by_key(|refused| refused.sequence);
-        let (producer, new_producer) = session.producer(map, &mut self.producers_in_flight);
-        session.in_flight += 1;
-        let event = Observations {
-            producer,
-            new_producer,
-            incarnation: session.incarnation,
-            first_sequence: batch.first_sequence,
-            last_sequence: batch.last_sequence,
-            content_crc: batch.content_crc,
-            received_nanos: now,
-            new_states,
-            states,
-            times_nanos,
-            values,
-            offsets,
-            refused: refused.iter().map(|refused| (refused.sequence, refused.reason)).collect(),
-            failures: Vec::new(),
-        };
-        Some((event, refused))
+        let span = Span { first: batch.first_sequence, last: batch.last_sequence, content_crc: batch.content_crc };
+        Some(session.observations(map, &mut self.producers_in_flight, now, span, columns, refused))
     }
 
     /// Observations or scans of the stream were applied to the map. `tiles_ahead`: what of them waits for its time.

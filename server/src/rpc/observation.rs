@@ -37,8 +37,8 @@ use crate::{
         handle::MapHandle,
         intake::{Intake, IntakeError, IntakeLimits},
         protocol::{
-            BufferBudget, Command, Ending, Hello, ObservationBatch, Opened, ScanBatch, SessionEvent, TraversalBatch,
-            is_fatal,
+            BufferBudget, Command, Ending, Handover, Hello, ObservationBatch, Opened, ScanBatch, SessionEvent,
+            TraversalBatch, is_fatal,
         },
     },
 };
@@ -255,7 +255,7 @@ async fn open_and_serve(
     let result = stream.serve(catalog.context().store.store_id(), &mut requests).await;
     let clean = matches!(result, Ok(()));
     // A writer that has stopped has no session to forget.
-    let _ = stream.handle.send(Command::Leave { session: stream.opened.session, clean });
+    let _ = stream.handle.send(Command::HandOver { session: stream.opened.session, what: Handover::End { clean } });
     if let Err(error) = &result {
         stream.say_goodbye(error).await;
     }
@@ -332,7 +332,7 @@ impl Stream<'_> {
         let only_names = batch.last_sequence < batch.first_sequence;
         let budget = self.budget(bytes_of(&batch)).await?;
         self.handed_over = batch.last_sequence;
-        self.hand_over(Command::Batch { session: self.opened.session, batch, budget })?;
+        self.hand_over(Handover::Observations(batch, budget))?;
         // The writer does not answer for names.
         if only_names { self.say_durable().await } else { Ok(()) }
     }
@@ -345,7 +345,7 @@ impl Stream<'_> {
             let budget = self.budget(batch.bytes).await?;
             is_any_new |= batch.last_sequence >= batch.first_sequence;
             self.handed_over = batch.last_sequence;
-            self.hand_over(Command::Scans { session: self.opened.session, batch, budget })?;
+            self.hand_over(Handover::Scans(batch, budget))?;
         }
         // The writer does not answer for tiles, nor for what was taken before; a scan that goes on waits for its end.
         if is_any_new { Ok(()) } else { self.say_durable().await }
@@ -355,7 +355,7 @@ impl Stream<'_> {
         let Some(batch) = self.intake()?.take_traversals(message)? else { return self.say_durable().await };
         let budget = self.budget(bytes_of_traversals(&batch)).await?;
         self.handed_over = batch.last_sequence;
-        self.hand_over(Command::Traversals { session: self.opened.session, batch, budget })
+        self.hand_over(Handover::Traversals(batch, budget))
     }
 
     /// Takes room for what the stream's scans refer to, for as long as the stream lives. Waiting for it could go on for
@@ -397,8 +397,12 @@ impl Stream<'_> {
         Ok(batch?)
     }
 
-    fn hand_over(&self, command: Command) -> Result<(), RpcError> {
-        if self.handle.send(command) { Ok(()) } else { Err(RpcError::Stopping) }
+    fn hand_over(&self, what: Handover) -> Result<(), RpcError> {
+        if self.handle.send(Command::HandOver { session: self.opened.session, what }) {
+            Ok(())
+        } else {
+            Err(RpcError::Stopping)
+        }
     }
 
     /// Room for what is handed over; what is larger than all the room of a stream takes all of it.

@@ -5,7 +5,7 @@
 
 use tidemap_map::{
     MAX_AHEAD_NANOS,
-    event::{Event, Observations},
+    event::Event,
     grid::{
         front::{Front, FrontScan, ScanSource},
         index::TileIndex,
@@ -17,7 +17,7 @@ use tidemap_map::{
 
 use super::{
     super::protocol::{Refused, ScanBatch, ScanOrigin, SessionId, TakenScan},
-    Session, Sessions,
+    Columns, Session, Sessions, Span, StreamEvent,
 };
 
 /// Bits that one scan may flip, those of tiles that are observed anew as a whole not counted: 2 bytes each, as near to
@@ -29,17 +29,6 @@ const EVENT_FLIPS: u64 = 1_000_000;
 const EVENT_TILES: u64 = 500_000;
 /// Tiles of a scan that cannot flip more bits than it may.
 const TILES_UNCOUNTED: usize = (FLIPS_MAX / 1024) as usize;
-
-/// An event of scans on its way into the log.
-#[derive(Debug)]
-pub struct ScanEvent {
-    /// The event.
-    pub event: Event,
-    /// Those of its scans that are refused.
-    pub refused: Vec<Refused>,
-    /// Tiles of those of its scans whose time is too far ahead.
-    pub tiles_ahead: u64,
-}
 
 /// What goes into one event.
 #[derive(Default)]
@@ -69,7 +58,7 @@ impl Portion {
 impl Sessions {
     /// Turns scans into events with their refusals, some added where the map may not have more tiles. None where the
     /// stream is closed, or nothing is to be logged.
-    pub fn scan_events(&mut self, id: SessionId, batch: ScanBatch, map: &LiveMap, now: i64) -> Vec<ScanEvent> {
+    pub fn scan_events(&mut self, id: SessionId, batch: ScanBatch, map: &LiveMap, now: i64) -> Vec<StreamEvent> {
         let ScanBatch { first_sequence, last_sequence, content_crc, new_tiles, scans, mut refused, .. } = batch;
         let Some(mut session) = self.sessions.remove(&id) else { return Vec::new() };
         let mut portions: Vec<(Portion, u64, u32)> = Vec::new();
@@ -101,44 +90,29 @@ impl Sessions {
         for (portion, last, content_crc) in portions {
             let of_portion: Vec<Refused> =
                 std::iter::from_fn(|| refused.next_if(|refused| refused.sequence <= last)).collect();
-            let (producer, new_producer) = session.producer(map, &mut self.producers_in_flight);
-            session.in_flight += 1;
-            let incarnation = session.incarnation;
-            let reasons = of_portion.iter().map(|refused| (refused.sequence, refused.reason)).collect();
-            let event = if map.grid().is_some() {
-                Event::Scans(Scans {
-                    producer,
-                    new_producer,
-                    incarnation,
-                    first_sequence: first,
-                    last_sequence: last,
+            let span = Span { first, last, content_crc };
+            first = last.saturating_add(1);
+            let mut event =
+                session.observations(map, &mut self.producers_in_flight, now, span, Columns::default(), of_portion);
+            // A map without a grid has no events of scans; their refusals are reported as an event of observations.
+            if map.grid().is_some()
+                && let Event::Observations(of_stream) = event.event
+            {
+                event.event = Event::Scans(Scans {
+                    producer: of_stream.producer,
+                    new_producer: of_stream.new_producer,
+                    incarnation: of_stream.incarnation,
+                    first_sequence: of_stream.first_sequence,
+                    last_sequence: of_stream.last_sequence,
                     content_crc,
                     received_nanos: now,
                     new_tiles: portion.new_tiles,
                     scans: portion.scans,
-                    refused: reasons,
-                })
-            } else {
-                // A map without a grid has no events of scans; that some were refused is told all the same.
-                Event::Observations(Observations {
-                    producer,
-                    new_producer,
-                    incarnation,
-                    first_sequence: first,
-                    last_sequence: last,
-                    content_crc,
-                    received_nanos: now,
-                    new_states: Vec::new(),
-                    states: Vec::new(),
-                    times_nanos: Vec::new(),
-                    values: Vec::new(),
-                    offsets: Vec::new(),
-                    refused: reasons,
-                    failures: Vec::new(),
-                })
-            };
-            events.push(ScanEvent { event, refused: of_portion, tiles_ahead: portion.tiles_ahead });
-            first = last.saturating_add(1);
+                    refused: of_stream.refused,
+                });
+                event.tiles_ahead = portion.tiles_ahead;
+            }
+            events.push(event);
         }
         self.sessions.insert(id, session);
         events

@@ -3,32 +3,15 @@
 //! Invariant: a traversal is taken whole or not at all: with all of its observations, in one event. What it says depends on
 //! the topology as it is applied; the writer makes no event of traversals while a change of it is on its way into the log.
 
-use tidemap_map::{
-    MAX_AHEAD_NANOS,
-    event::{NewState, Observations, OffsetRun},
-    ids::{RefusalReason, StateId},
-    live_map::LiveMap,
-    traversal::{EdgeFailure, Traversal},
-};
+use tidemap_map::{MAX_AHEAD_NANOS, ids::RefusalReason, live_map::LiveMap, traversal::Traversal};
 use tidemap_proto::convert::traversals::{refusal_of, unknown_edge};
 
 use super::{
     super::protocol::{Refused, SessionId, TraversalBatch},
-    Sessions,
+    Columns, Sessions, Span, StreamEvent,
     states::{Refusal, Room},
     too_far_ahead,
 };
-
-/// What traversals make of a map.
-#[derive(Default)]
-struct Taken {
-    new_states: Vec<NewState>,
-    states: Vec<StateId>,
-    times_nanos: Vec<i64>,
-    values: Vec<f64>,
-    offsets: Vec<OffsetRun>,
-    failures: Vec<EdgeFailure>,
-}
 
 impl Sessions {
     /// Turns traversals into an event, with refusals added where there is no such edge, or the map may not have more
@@ -39,12 +22,12 @@ impl Sessions {
         batch: TraversalBatch,
         map: &LiveMap,
         now: i64,
-    ) -> Option<(Observations, Vec<Refused>)> {
+    ) -> Option<StreamEvent> {
         let session = self.sessions.get_mut(&id).filter(|session| session.open)?;
         let TraversalBatch { first_sequence, last_sequence, content_crc, traversals, mut refused } = batch;
         let plausible = now.saturating_add(MAX_AHEAD_NANOS);
         let may_wait = map.ahead() < self.limits.ahead;
-        let mut taken = Taken::default();
+        let mut columns = Columns::default();
         for (sequence, traversal) in traversals {
             let time = traversal.start_nanos;
             let result = if time > plausible && !may_wait {
@@ -56,50 +39,25 @@ impl Sessions {
                     renames: &self.renames_in_flight,
                     max: self.limits.states,
                 };
-                taken.take(&traversal, room, self.offsets.offset_secs(time))
+                columns.take(&traversal, room, self.offsets.offset_secs(time))
             };
             if let Err((reason, detail)) = result {
                 refused.push(Refused { sequence, reason, detail });
             }
         }
-        refused.sort_by_key(|refused| refused.sequence);
-        let (producer, new_producer) = session.producer(map, &mut self.producers_in_flight);
-        session.in_flight += 1;
-        let Taken { new_states, states, times_nanos, values, offsets, failures } = taken;
-        let event = Observations {
-            producer,
-            new_producer,
-            incarnation: session.incarnation,
-            first_sequence,
-            last_sequence,
-            content_crc,
-            received_nanos: now,
-            new_states,
-            states,
-            times_nanos,
-            values,
-            offsets,
-            refused: refused.iter().map(|refused| (refused.sequence, refused.reason)).collect(),
-            failures,
-        };
-        Some((event, refused))
+        let span = Span { first: first_sequence, last: last_sequence, content_crc };
+        Some(session.observations(map, &mut self.producers_in_flight, now, span, columns, refused))
     }
 }
 
-impl Taken {
+impl Columns {
     fn take(&mut self, traversal: &Traversal, mut room: Room<'_>, offset_secs: i32) -> Result<(), Refusal> {
         let edge = room.map.site().topology().edge_named(&traversal.edge).map_err(|error| unknown_edge(&error))?;
         let samples = traversal.samples(edge.extent).map_err(|error| refusal_of(&error))?;
         let wanted: Vec<_> = samples.iter().map(|&(what, _)| (traversal.edge.state(what), what.kind())).collect();
         let states = room.states_for(&wanted, &mut self.new_states)?;
         for (state, (_, value)) in states.into_iter().zip(samples) {
-            match self.offsets.last_mut() {
-                Some(run) if run.offset_secs == offset_secs => run.count += 1,
-                _ => self.offsets.push(OffsetRun { count: 1, offset_secs }),
-            }
-            self.states.push(state);
-            self.times_nanos.push(traversal.start_nanos);
-            self.values.push(value);
+            self.push(state, traversal.start_nanos, value, offset_secs);
         }
         self.failures.extend(traversal.failure());
         Ok(())

@@ -18,19 +18,23 @@ use tokio::sync::{Semaphore, mpsc as events};
 use tidemap_map::spec::MapSpec;
 
 use super::*;
-use crate::{catalog::Catalog, ingest::protocol::ObservationBatch, jobs::Phase};
+use crate::{
+    catalog::Catalog,
+    ingest::protocol::{Handover, ObservationBatch},
+    jobs::Phase,
+};
 
-mod queue;
+pub(super) mod backlog;
 mod refits;
 mod repeated;
-mod saving;
+pub(super) mod saves;
 mod scans;
 mod states;
 mod traversals;
 
 const HOUR: i64 = 3_600_000_000_000;
 /// 2016-07-01T12:00 in London, which is then an hour ahead of UTC.
-const NOON: i64 = 1_467_370_800_000_000_000;
+pub(super) const NOON: i64 = 1_467_370_800_000_000_000;
 
 #[derive(Debug)]
 struct SetClock(AtomicI64);
@@ -80,7 +84,7 @@ async fn create_with(bench: &Bench, grid: Option<GridSpec>) -> Arc<MapHandle> {
     bench.catalog.create(spec_with(grid)).await.expect("created")
 }
 
-fn spec_with(grid: Option<GridSpec>) -> MapSpec {
+pub(super) fn spec_with(grid: Option<GridSpec>) -> MapSpec {
     MapSpec {
         name: MapName::new("office").expect("valid"),
         zone: Zone::named("Europe/London").expect("known"),
@@ -127,7 +131,10 @@ impl Robot {
             ..ObservationBatch::default()
         };
         let budget = [permit(), permit()];
-        assert!(handle.send(Command::Batch { session: self.opened.session, batch, budget }));
+        assert!(
+            handle
+                .send(Command::HandOver { session: self.opened.session, what: Handover::Observations(batch, budget) })
+        );
         let expected = SessionEvent::Ack { durable_sequence: self.sent, refused: Vec::new() };
         assert_eq!(self.events.recv().await, Some(expected));
     }
@@ -215,7 +222,7 @@ async fn a_day_of_imported_data_closes_when_every_announcing_stream_has_passed_i
     assert_eq!(view.cut_nanos(), Some(day(1) - 12 * HOUR), "midnight between the days");
     assert_eq!(view.pending(), 2);
     // One of them ends on purpose: the other goes on alone.
-    assert!(handle.send(Command::Leave { session: b.opened.session, clean: true }));
+    assert!(handle.send(Command::HandOver { session: b.opened.session, what: Handover::End { clean: true } }));
     a.observe(&handle, day(2)).await;
     assert_eq!(ended(&bench, 2).await.len(), 2);
 }
@@ -271,7 +278,7 @@ async fn the_last_midnight_of_an_import_counts_although_its_stream_ends_at_once(
                 other => panic!("{other:?}"),
             }
         }
-        assert!(handle.send(Command::Leave { session: robot.opened.session, clean: true }));
+        assert!(handle.send(Command::HandOver { session: robot.opened.session, what: Handover::End { clean: true } }));
         for _ in 0..200 {
             if handle.view().pending() == 1 {
                 break;
@@ -306,7 +313,9 @@ fn send_values(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>, values: V
         ..ObservationBatch::default()
     };
     let budget = [permit(), permit()];
-    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, budget }));
+    assert!(
+        handle.send(Command::HandOver { session: robot.opened.session, what: Handover::Observations(batch, budget) })
+    );
 }
 
 #[tokio::test]

@@ -13,7 +13,7 @@ use tidemap_model::{Sample, models::CannotFit};
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 
 use super::{
-    readings::{Wanted, gather, recall, retention},
+    readings::{Wanted, gather, read, retention},
     replies::{Turns, processors},
 };
 use crate::{
@@ -236,19 +236,19 @@ impl Fitting {
         let subject = Subject::State(learned.id);
         let enough = usize::try_from(self.max_readings).unwrap_or(usize::MAX);
         // Nothing of what no update has taken, and no waiting for an update that runs.
-        let mut recalled = recall(&learned.handle, &Wanted { subject, within_nanos: 0..0, enough }).await?;
+        let mut tail = read(&learned.handle, &Wanted { subject, within_nanos: 0..0, enough }).await?;
         let generation = learned.view.generation();
         // An update may have ended since the view was taken.
-        recalled.unsaved.retain(|piece| piece.generation <= generation);
-        recalled.pending.clear();
-        let before = recalled.stored_before.min(generation + 1);
+        tail.unsaved.retain(|piece| piece.generation <= generation);
+        tail.pending.clear();
+        let before = tail.stored_before.min(generation + 1);
         let history = self.catalog.context().store.history(learned.handle.id)?.before(before);
         let is_complete = history.is_complete();
         let wanted = Wanted { subject, within_nanos: i64::MIN..i64::MAX, enough };
         let learned = Arc::clone(learned);
         let (max, folded) = (self.max_readings, learned.folded());
         let gather = move || {
-            let readings = gather(&history, &learned.handle.spec, recalled, &wanted)?;
+            let readings = gather(&history, &learned.handle.spec, tail, &wanted)?;
             let is_forever = retention(&learned.handle.spec, subject) == Some(Retention::Forever);
             match lacking((readings.len() as u64, folded, max), is_forever && !is_complete) {
                 Some(reason) => Err(learned.unavailable(kind, reason)),

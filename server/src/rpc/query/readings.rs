@@ -16,7 +16,7 @@ use tokio::sync::oneshot;
 use crate::{
     ingest::{
         handle::MapHandle,
-        protocol::{Command, Ending, Recall, Recalled},
+        protocol::{Command, Ending, HistoryTail, ReadHistory},
     },
     rpc::status::RpcError,
 };
@@ -45,10 +45,10 @@ pub(super) fn retention(spec: &MapSpec, subject: Subject) -> Option<Retention> {
 }
 
 /// What the writer of a map knows of it: what has not been saved yet, and what no update has taken.
-pub(super) async fn recall(handle: &MapHandle, wanted: &Wanted) -> Result<Recalled, RpcError> {
-    let (reply, recalled) = oneshot::channel();
+pub(super) async fn read(handle: &MapHandle, wanted: &Wanted) -> Result<HistoryTail, RpcError> {
+    let (reply, tail) = oneshot::channel();
     let stopped = || RpcError::Ended(Ending::Shutdown);
-    let recall = Recall {
+    let read = ReadHistory {
         subject: wanted.subject,
         from_nanos: wanted.within_nanos.start,
         to_nanos: wanted.within_nanos.end,
@@ -56,11 +56,11 @@ pub(super) async fn recall(handle: &MapHandle, wanted: &Wanted) -> Result<Recall
         at_most: wanted.enough.saturating_add(1),
         reply,
     };
-    if !handle.send(Command::Recall(recall)) {
+    if !handle.send(Command::ReadHistory(read)) {
         return Err(stopped());
     }
-    match tokio::time::timeout(UPDATE_WITHIN, recalled).await {
-        Ok(recalled) => recalled.map_err(|_| stopped()),
+    match tokio::time::timeout(UPDATE_WITHIN, tail).await {
+        Ok(tail) => tail.map_err(|_| stopped()),
         Err(_) => Err(RpcError::Updating(UPDATE_WITHIN.as_secs())),
     }
 }
@@ -69,7 +69,7 @@ pub(super) async fn recall(handle: &MapHandle, wanted: &Wanted) -> Result<Recall
 pub(super) fn gather(
     history: &History,
     spec: &MapSpec,
-    recalled: Recalled,
+    tail: HistoryTail,
     wanted: &Wanted,
 ) -> Result<Vec<Reading>, HistoryError> {
     let &Wanted { subject, ref within_nanos, enough } = wanted;
@@ -90,7 +90,7 @@ pub(super) fn gather(
             }
         }
     }
-    let mut unsaved = recalled.unsaved;
+    let mut unsaved = tail.unsaved;
     unsaved.sort_by_key(|piece| piece.generation);
     unsaved.dedup_by_key(|piece| piece.generation);
     for piece in &unsaved {
@@ -99,7 +99,7 @@ pub(super) fn gather(
         }
         found.extend(piece.readings(subject, from_nanos, to_nanos, &spec.periodicities));
     }
-    found.extend(recalled.pending);
+    found.extend(tail.pending);
     found.sort_by_key(|(nanos, _)| *nanos);
     Ok(found)
 }

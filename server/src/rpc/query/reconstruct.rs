@@ -17,12 +17,12 @@ use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
     Queries, check_limit, find_state,
-    readings::{self, Wanted, gather, recall},
+    readings::{self, Wanted, gather, read},
     replies::{Replies, computed},
     states::{cell_of, find_cell},
 };
 use crate::{
-    ingest::{handle::MapHandle, protocol::Recalled},
+    ingest::{handle::MapHandle, protocol::HistoryTail},
     rpc::{map::find_map, status::RpcError},
 };
 
@@ -77,21 +77,21 @@ pub(super) async fn past(
     let max = queries.max_predictions;
     let enough = usize::try_from(max).unwrap_or(usize::MAX);
     let wanted = Wanted { subject, within_nanos, enough };
-    let recalled = recall(handle, &wanted).await?;
+    let tail = read(handle, &wanted).await?;
     let turn = queries.turns.take().await?;
-    let history = queries.catalog.context().store.history(handle.id)?.before(recalled.stored_before);
+    let history = queries.catalog.context().store.history(handle.id)?.before(tail.stored_before);
     let gather = move || {
-        let newest_nanos = recalled.newest_nanos;
+        let newest_nanos = tail.newest_nanos;
         let map = || spec.name.as_str().to_owned();
         if let Subject::State(_) = subject
             && !history.is_complete()
         {
-            let kept_from_nanos = kept_from(first_of_states(&history, &recalled)?, view.cut_nanos());
+            let kept_from_nanos = kept_from(first_of_states(&history, &tail)?, view.cut_nanos());
             if let Some(kept_from_nanos) = kept_from_nanos.filter(|&kept| from_nanos < kept) {
                 return Err(RpcError::BeyondHistory { map: map(), name, kept_from_nanos });
             }
         }
-        let found = gather(&history, &spec, recalled, &wanted)?;
+        let found = gather(&history, &spec, tail, &wanted)?;
         check_limit("observations of the interval", found.len() as u64, max, "setting max_predictions")?;
         if let (true, Retention::Duration(nanos)) = (found.is_empty(), retention) {
             let kept_from_nanos = newest_nanos.saturating_sub(nanos);
@@ -127,12 +127,12 @@ fn retention(spec: &MapSpec, subject: Subject) -> Result<Retention, RpcError> {
 }
 
 /// The first update that left its observations of named states, and the greatest time of these.
-fn first_of_states(history: &History, recalled: &Recalled) -> Result<Option<(u64, i64)>, RpcError> {
+fn first_of_states(history: &History, tail: &HistoryTail) -> Result<Option<(u64, i64)>, RpcError> {
     let of_piece = |piece: &Arc<HistoryPiece>| {
         let samples = piece.states.iter().flat_map(|(_, samples)| samples);
         Some((piece.generation, samples.map(|sample| sample.utc_nanos).max()?))
     };
-    let unsaved = || recalled.unsaved.iter().filter_map(of_piece).min();
+    let unsaved = || tail.unsaved.iter().filter_map(of_piece).min();
     Ok(history.first_of_states()?.or_else(unsaved))
 }
 

@@ -31,7 +31,7 @@ use crate::{
     ingest::{
         handle::MapHandle,
         intake::{Intake, IntakeLimits},
-        protocol::{Command, Hello, ObservationBatch, Opened, SessionEvent},
+        protocol::{Command, Handover, Hello, ObservationBatch, Opened, SessionEvent},
         writer::Context,
     },
     jobs::Jobs,
@@ -224,7 +224,9 @@ impl Robot {
             ..ObservationBatch::default()
         };
         let session = self.opened.session;
-        assert!(bench.handle.send(Command::Batch { session, batch, budget: [permit(), permit()] }));
+        assert!(
+            bench.handle.send(Command::HandOver { session, what: Handover::Observations(batch, [permit(), permit()]) })
+        );
         self.settled().await;
     }
 
@@ -237,7 +239,11 @@ impl Robot {
             while let Some(batch) = self.intake.next_scans().expect("well formed") {
                 self.sent = batch.last_sequence;
                 let session = self.opened.session;
-                assert!(bench.handle.send(Command::Scans { session, batch, budget: [permit(), permit()] }));
+                assert!(
+                    bench
+                        .handle
+                        .send(Command::HandOver { session, what: Handover::Scans(batch, [permit(), permit()]) })
+                );
             }
         }
         self.settled().await;

@@ -30,9 +30,9 @@ use super::{
 };
 use crate::{
     ingest::{
+        anomaly_feed::{Applied, FeedMessage, FeedReceiver},
         handle::MapHandle,
         protocol::Command,
-        watching::{Applied, Listening, Told},
     },
     rpc::{map::find_map, status::RpcError},
 };
@@ -129,7 +129,7 @@ struct Watch {
 
 impl Watch {
     /// Tells anomalies until nobody listens any more, which is no error, or there is nothing more to tell.
-    async fn run(mut self, mut listening: Listening, replies: &Sender) -> Result<(), RpcError> {
+    async fn run(mut self, mut listening: FeedReceiver, replies: &Sender) -> Result<(), RpcError> {
         loop {
             let told = tokio::select! {
                 () = replies.closed() => return Ok(()),
@@ -137,8 +137,8 @@ impl Watch {
             };
             let found = match told {
                 Ok(told) => match &*told {
-                    Told::Applied(applied) => self.judge(applied).await?,
-                    Told::End(ending) => return Err(RpcError::Ended(ending.clone())),
+                    FeedMessage::Applied(applied) => self.judge(applied).await?,
+                    FeedMessage::End(ending) => return Err(RpcError::Ended(ending.clone())),
                 },
                 // The next piece says how many observations these were.
                 Err(RecvError::Lagged(_)) => continue,

@@ -37,7 +37,9 @@ async fn send(
         ..ObservationBatch::default()
     };
     let budget = [permit(), permit()];
-    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, budget }));
+    assert!(
+        handle.send(Command::HandOver { session: robot.opened.session, what: Handover::Observations(batch, budget) })
+    );
     match robot.events.recv().await {
         Some(SessionEvent::Ack { durable_sequence, refused }) if durable_sequence == robot.sent => {
             refused.into_iter().map(|refused| (refused.sequence, refused.reason)).collect()
@@ -141,7 +143,9 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
     };
     let before = handle.view().position();
     let budget = [permit(), permit()];
-    assert!(handle.send(Command::Batch { session: robot.opened.session, batch, budget }));
+    assert!(
+        handle.send(Command::HandOver { session: robot.opened.session, what: Handover::Observations(batch, budget) })
+    );
     let refused = match robot.events.recv().await {
         Some(SessionEvent::Ack { durable_sequence: 7, refused }) => refused,
         other => panic!("{other:?}"),

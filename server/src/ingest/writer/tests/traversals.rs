@@ -8,7 +8,7 @@ use tidemap_map::{
     traversal::Traversal,
 };
 
-use super::{queue::bare, *};
+use super::{backlog::bare, *};
 use crate::ingest::protocol::{EditSite, TraversalBatch};
 
 const SEC: i64 = 1_000_000_000;
@@ -53,7 +53,8 @@ fn send(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) {
         traversals: (first_sequence..).zip(traversals).collect(),
         refused: Vec::new(),
     };
-    let command = Command::Traversals { session: robot.opened.session, batch, budget: [permit(), permit()] };
+    let command =
+        Command::HandOver { session: robot.opened.session, what: Handover::Traversals(batch, [permit(), permit()]) };
     assert!(handle.send(command));
 }
 
@@ -163,7 +164,7 @@ async fn traversals_wait_while_a_change_of_the_topology_is_on_its_way() {
     send(&bare.handle, &mut robot, vec![trip("", NOON, true)]);
     bare.take_in();
     assert!(answer.try_recv().is_err(), "it is on its way");
-    assert!(matches!(bare.writer.deferred.front(), Some(Deferred::Traversals(..))));
+    assert!(matches!(bare.writer.backlog.oldest(), Some(Handover::Traversals(..))));
     bare.go_on(|writer| writer.map.states() == 2);
     let expected = SessionEvent::Ack { durable_sequence: 1, refused: Vec::new() };
     assert_eq!(robot.events.recv().await, Some(expected), "the edge was there when its turn came");

@@ -245,7 +245,9 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
             values: readings.iter().map(|(_, value)| *value).collect(),
             ..ObservationBatch::default()
         };
-        assert!(bench.handle.send(Command::Batch { session, batch, budget: [permit(), permit()] }));
+        assert!(
+            bench.handle.send(Command::HandOver { session, what: Handover::Observations(batch, [permit(), permit()]) })
+        );
     };
     // Of what is not known yet nothing is a surprise.
     let usual: Vec<(i64, f64)> = (0..400).map(|i| (NOON + i * HOUR, f64::from((i % 3) as u8) + 3.0)).collect();

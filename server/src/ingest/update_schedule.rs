@@ -31,7 +31,7 @@ const WAITING_MAX: usize = 16;
 
 /// An update that waits for its turn.
 #[derive(Debug)]
-pub struct Wanted {
+pub struct DueUpdate {
     pub until_nanos: Option<i64>,
     pub cause: UpdateCause,
     pub job: Arc<Job>,
@@ -39,10 +39,10 @@ pub struct Wanted {
 
 /// The updates of one map that wait, and what makes new ones due.
 #[derive(Debug)]
-pub struct Updates {
+pub struct UpdateSchedule {
     map: MapName,
     jobs: Arc<Jobs>,
-    queue: VecDeque<Wanted>,
+    queue: VecDeque<DueUpdate>,
     /// Producers that announced data time and whose stream broke.
     broken: HashMap<ProducerKey, (i64, Instant)>,
     data_midnight_nanos: i64,
@@ -51,7 +51,7 @@ pub struct Updates {
     limits: PendingLimits,
 }
 
-impl Updates {
+impl UpdateSchedule {
     pub fn new(map: MapName, jobs: Arc<Jobs>, limits: PendingLimits) -> Self {
         Self {
             map,
@@ -65,11 +65,11 @@ impl Updates {
     }
 
     /// Lines an update up; one too many fails at once.
-    pub fn push(&mut self, wanted: Wanted) {
+    pub fn push(&mut self, update: DueUpdate) {
         if self.queue.len() < WAITING_MAX {
-            self.queue.push_back(wanted);
+            self.queue.push_back(update);
         } else {
-            wanted.job.end(Err(format!("{WAITING_MAX} updates of this map wait already: try again later")));
+            update.job.end(Err(format!("{WAITING_MAX} updates of this map wait already: try again later")));
         }
     }
 
@@ -88,14 +88,14 @@ impl Updates {
     }
 
     /// The next update to run.
-    pub fn pop(&mut self) -> Option<Wanted> {
+    pub fn pop(&mut self) -> Option<DueUpdate> {
         self.queue.pop_front()
     }
 
     /// Fails all that wait.
     pub fn fail_all(&mut self, error: &str) {
-        for wanted in self.queue.drain(..) {
-            wanted.job.end(Err(error.to_owned()));
+        for update in self.queue.drain(..) {
+            update.job.end(Err(error.to_owned()));
         }
     }
 
@@ -117,13 +117,13 @@ impl Updates {
     }
 
     fn due(&mut self, until_nanos: Option<i64>, cause: UpdateCause, now_nanos: i64) {
-        if let Some(waiting) = self.queue.iter_mut().find(|wanted| wanted.cause == cause) {
+        if let Some(waiting) = self.queue.iter_mut().find(|update| update.cause == cause) {
             // Only midnights join: none of them is open-ended.
             waiting.until_nanos = waiting.until_nanos.max(until_nanos);
             return;
         }
         let job = self.jobs.create(self.map.clone(), cause, now_nanos);
-        self.queue.push_back(Wanted { until_nanos, cause, job });
+        self.queue.push_back(DueUpdate { until_nanos, cause, job });
     }
 
     /// Lines up what imported data has made due: a midnight that every announcing stream has passed. To be asked before

@@ -35,7 +35,7 @@ pub struct Applied {
 
 /// What watchers are told.
 #[derive(Debug)]
-pub enum Told {
+pub enum FeedMessage {
     /// Observations were applied.
     Applied(Applied),
     /// The map stops.
@@ -43,12 +43,12 @@ pub enum Told {
 }
 
 /// What watchers hear.
-pub type Listening = broadcast::Receiver<Arc<Told>>;
+pub type FeedReceiver = broadcast::Receiver<Arc<FeedMessage>>;
 
 /// The writer's end.
 #[derive(Debug)]
-pub struct Watchers {
-    sender: broadcast::Sender<Arc<Told>>,
+pub struct AnomalyFeed {
+    sender: broadcast::Sender<Arc<FeedMessage>>,
     /// Applied, and not yet public.
     waiting: Vec<Applied>,
     /// Observations told so far.
@@ -57,16 +57,16 @@ pub struct Watchers {
     models: Vec<Arc<MapView>>,
 }
 
-impl Default for Watchers {
+impl Default for AnomalyFeed {
     fn default() -> Self {
         Self { sender: broadcast::channel(PIECES).0, waiting: Vec::new(), told: 0, models: Vec::new() }
     }
 }
 
-impl Watchers {
+impl AnomalyFeed {
     /// Another one who watches, and how many observations were told before. What was applied and is not public yet comes too,
     /// where somebody else watched.
-    pub fn listen(&self) -> (Listening, u64) {
+    pub fn listen(&self) -> (FeedReceiver, u64) {
         (self.sender.subscribe(), self.told)
     }
 
@@ -105,14 +105,14 @@ impl Watchers {
             piece.before = self.told;
             self.told += piece.states.len() as u64;
             // They may all have left just now.
-            let _ = self.sender.send(Arc::new(Told::Applied(piece)));
+            let _ = self.sender.send(Arc::new(FeedMessage::Applied(piece)));
         }
     }
 
     /// Tells that the map stops.
     pub fn end(&self, ending: Ending) {
         // Where nobody watches, nobody has to be told.
-        let _ = self.sender.send(Arc::new(Told::End(ending)));
+        let _ = self.sender.send(Arc::new(FeedMessage::End(ending)));
     }
 }
 

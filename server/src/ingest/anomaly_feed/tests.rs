@@ -53,16 +53,16 @@ fn observations(first: i64, count: usize) -> Observations {
 }
 
 /// What is heard next: how many were told before, and the times.
-fn heard(listening: &mut Listening) -> Result<(u64, Vec<i64>), TryRecvError> {
+fn heard(listening: &mut FeedReceiver) -> Result<(u64, Vec<i64>), TryRecvError> {
     match &*listening.try_recv()? {
-        Told::Applied(piece) => Ok((piece.before, piece.times_nanos.clone())),
-        Told::End(ending) => panic!("{ending:?}"),
+        FeedMessage::Applied(piece) => Ok((piece.before, piece.times_nanos.clone())),
+        FeedMessage::End(ending) => panic!("{ending:?}"),
     }
 }
 
 #[test]
 fn observations_are_told_in_their_order_once_they_are_public() {
-    let (mut watchers, view) = (Watchers::default(), map().publish());
+    let (mut watchers, view) = (AnomalyFeed::default(), map().publish());
     let (mut listening, before) = watchers.listen();
     assert_eq!(before, 0);
     watchers.applied(&observations(10, 2));
@@ -81,14 +81,14 @@ fn observations_are_told_in_their_order_once_they_are_public() {
         assert_eq!(heard(listening), Err(TryRecvError::Empty));
     }
     watchers.end(Ending::MapDeleted);
-    assert!(matches!(&*late.try_recv().expect("an end"), Told::End(Ending::MapDeleted)));
+    assert!(matches!(&*late.try_recv().expect("an end"), FeedMessage::End(Ending::MapDeleted)));
     drop(watchers);
     assert_eq!(heard(&mut late), Err(TryRecvError::Closed));
 }
 
 #[test]
 fn nothing_is_kept_while_nobody_watches() {
-    let (mut watchers, view) = (Watchers::default(), map().publish());
+    let (mut watchers, view) = (AnomalyFeed::default(), map().publish());
     watchers.applied(&observations(0, 5));
     assert!(watchers.waiting.is_empty());
     let (listening, _) = watchers.listen();
@@ -103,7 +103,7 @@ fn nothing_is_kept_while_nobody_watches() {
 
 #[test]
 fn one_who_lags_loses_the_oldest_and_can_tell_how_many() {
-    let (mut watchers, view) = (Watchers::default(), map().publish());
+    let (mut watchers, view) = (AnomalyFeed::default(), map().publish());
     let (mut listening, mut expected) = watchers.listen();
     let pieces = PIECES as u64 + 10;
     for piece in 0..pieces {
@@ -129,7 +129,7 @@ fn one_who_lags_loses_the_oldest_and_can_tell_how_many() {
 #[test]
 fn models_of_two_generations_are_kept_however_far_one_lags() {
     let mut map = map();
-    let mut watchers = Watchers::default();
+    let mut watchers = AnomalyFeed::default();
     let (mut listening, _) = watchers.listen();
     for generation in 0..4 {
         watchers.applied(&observations(generation, 1));
@@ -145,7 +145,7 @@ fn models_of_two_generations_are_kept_however_far_one_lags() {
     }
     let mut judged_by = Vec::new();
     while let Ok(told) = listening.try_recv() {
-        let Told::Applied(piece) = &*told else { panic!("no end") };
+        let FeedMessage::Applied(piece) = &*told else { panic!("no end") };
         judged_by.push(piece.models.upgrade().map(|models| models.generation()));
     }
     assert_eq!(judged_by, [None, None, Some(2), Some(3)]);

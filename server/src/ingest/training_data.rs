@@ -18,7 +18,7 @@ mod tests;
 
 /// What the updates before one have folded in.
 #[derive(Debug)]
-pub struct Folded {
+pub struct TrainingData {
     /// The generations that are not in `unsaved`.
     stored: History,
     /// Its files, once they have been asked for.
@@ -27,7 +27,7 @@ pub struct Folded {
     unsaved: Vec<Arc<HistoryPiece>>,
 }
 
-impl Folded {
+impl TrainingData {
     /// What the updates before `generation` have folded in. `unsaved`: all that no save has kept yet; what is older is in
     /// files.
     #[must_use]
@@ -41,7 +41,7 @@ impl Folded {
     }
 }
 
-impl StateReadings for Folded {
+impl StateReadings for TrainingData {
     fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
         let files = self.files.get_or_init(|| self.stored.state_files().map_err(|error| error.to_string()));
         let files = files.as_ref().map_err(String::clone)?;

@@ -86,7 +86,7 @@ fn what_is_given_does_not_depend_on_what_was_saved() {
             for unsaved in files.saturating_sub(2)..=files {
                 let mut unsaved = pieces[unsaved..].to_vec();
                 unsaved.reverse();
-                let folded = Folded::before(generation, history.clone(), unsaved);
+                let folded = TrainingData::before(generation, history.clone(), unsaved);
                 assert_eq!(folded.readings(&wanted).as_ref(), Ok(&all), "{files} files, generation {generation}");
             }
         }
@@ -100,7 +100,7 @@ fn a_damaged_file_is_an_error_that_names_it() {
     let file = folder.path().join("maps/00000001/history/00000000000000000002.states.tmh");
     std::fs::write(&file, "nothing").expect("written");
     let wanted = [WantedReadings { state: StateId(1), from_nanos: 0 }];
-    let error = Folded::before(7, history.clone(), Vec::new()).readings(&wanted).expect_err("damaged");
+    let error = TrainingData::before(7, history.clone(), Vec::new()).readings(&wanted).expect_err("damaged");
     assert!(error.contains(&file.display().to_string()), "{error}");
-    assert!(Folded::before(2, history, Vec::new()).readings(&wanted).is_ok(), "it is not asked for");
+    assert!(TrainingData::before(2, history, Vec::new()).readings(&wanted).is_ok(), "it is not asked for");
 }

@@ -82,7 +82,7 @@ async fn scans_wait_while_those_on_their_way_take_too_much_memory() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let mut bare = bare(dir.path(), NOON, Some(grid()));
     bare.writer.context.max_pending = PendingLimits { observations: u64::MAX, changes: u64::MAX };
-    bare.writer.flight_bytes_max = 4000;
+    bare.writer.appends.set_bytes_max(4000);
     let (mut a, mut b) = (bare.scanner("a").await, bare.scanner("b").await);
     let all: Vec<u16> = (0..512).collect();
     for i in 0..20 {
@@ -90,11 +90,13 @@ async fn scans_wait_while_those_on_their_way_take_too_much_memory() {
         a.send(&bare.handle, &[(NOON - HOUR + i, vec![(tile(0), masks(&all, &all))])]);
         b.send(&bare.handle, &[(NOON - HOUR + i, vec![(tile(0), masks(&[1], &[]))])]);
         bare.take_in();
-        assert!(bare.writer.flight_bytes <= 4000 + 5000, "{}", bare.writer.flight_bytes);
+        assert!(bare.writer.appends.bytes() <= 4000 + 5000, "{}", bare.writer.appends.bytes());
     }
-    assert!(bare.writer.deferred.len() >= 36, "{}", bare.writer.deferred.len());
+    assert!(bare.writer.backlog.len() >= 36, "{}", bare.writer.backlog.len());
     // The end of a stream waits behind its scans, and the next stream of the key behind that.
-    assert!(bare.handle.send(Command::Leave { session: b.robot.opened.session, clean: true }));
+    assert!(
+        bare.handle.send(Command::HandOver { session: b.robot.opened.session, what: Handover::End { clean: true } })
+    );
     let (reply, mut answer) = oneshot::channel();
     let (events, _kept) = events::unbounded_channel();
     let key = ProducerKey::new("b", "").expect("valid");
@@ -107,11 +109,11 @@ async fn scans_wait_while_those_on_their_way_take_too_much_memory() {
         reply
     })));
     bare.take_in();
-    assert!(matches!(bare.writer.deferred.back(), Some(Deferred::Leave(..))));
+    assert!(matches!(bare.writer.backlog.newest(), Some(Handover::End { .. })));
     assert!(answer.try_recv().is_err());
-    bare.go_on(|writer| writer.deferred.is_empty() && writer.flights.is_empty());
+    bare.go_on(|writer| writer.backlog.is_empty() && writer.appends.is_empty());
     assert_eq!(a.settled().await, []);
-    assert_eq!(bare.writer.flight_bytes, 0);
+    assert_eq!(bare.writer.appends.bytes(), 0);
     assert_eq!(picture(&bare.handle), (vec![(0, masks(&[1], &[]))], 40, 20 * 513));
     let opened = answer.try_recv().expect("an answer").expect("accepted");
     assert_eq!(opened.durable_sequence, 20);
@@ -123,13 +125,13 @@ async fn what_waits_at_a_stop_is_not_acknowledged() {
     let mut bare = bare(dir.path(), NOON, None);
     let mut robot = bare.robot("r").await;
     bare.observe(&mut robot, vec![NOON; 2500]);
-    bare.go_on(|writer| writer.flights.iter().all(|flight| matches!(flight, Flight::UpdateStart { .. })));
+    bare.go_on(|writer| writer.appends.are_update_starts());
     bare.observe(&mut robot, vec![NOON]);
-    assert_eq!(bare.writer.deferred.len(), 1);
+    assert_eq!(bare.writer.backlog.len(), 1);
     let (done, _stopped) = oneshot::channel();
     assert!(bare.handle.send(Command::Stop { ending: Ending::Shutdown, done }));
     let Bare { bench: _bench, writer, inbox, kept, .. } = bare;
-    assert!(kept.is_empty() || writer.flights.len() == kept.len());
+    assert!(kept.is_empty() || writer.appends.len() == kept.len());
     for command in kept {
         assert!(writer.commands.send(command).is_ok());
     }
@@ -148,10 +150,10 @@ async fn observations_wait_for_the_update_that_makes_room() {
     bare.go_on(|writer| writer.map.pending() == 2500);
     bare.observe(&mut robot, vec![NOON + 1]);
     bare.observe(&mut robot, vec![NOON + 2]);
-    assert_eq!(bare.writer.deferred.len(), 2);
+    assert_eq!(bare.writer.backlog.len(), 2);
     bare.writer.pump();
-    assert_eq!(bare.writer.deferred.len(), 2, "an update makes room");
-    bare.go_on(|writer| writer.deferred.is_empty() && writer.flights.is_empty());
+    assert_eq!(bare.writer.backlog.len(), 2, "an update makes room");
+    bare.go_on(|writer| writer.backlog.is_empty() && writer.appends.is_empty());
     assert_eq!((bare.writer.map.generation(), bare.writer.map.pending()), (1, 2));
 }
 
@@ -162,13 +164,13 @@ async fn observations_that_no_update_can_take_yet_make_none_due_and_hold_nothing
     let mut robot = bare.robot("r").await;
     bare.observe(&mut robot, vec![NOON + HOUR; 2500]);
     bare.bench.clock.0.store(NOON, Ordering::SeqCst);
-    bare.go_on(|writer| writer.flights.is_empty());
+    bare.go_on(|writer| writer.appends.is_empty());
     bare.observe(&mut robot, vec![NOON + HOUR]);
     bare.observe(&mut robot, vec![NOON + HOUR]);
-    assert_eq!(bare.writer.deferred.len(), 2);
+    assert_eq!(bare.writer.backlog.len(), 2);
     bare.writer.pump();
-    assert_eq!(bare.writer.deferred.len(), 1, "one at a time");
-    bare.go_on(|writer| writer.deferred.is_empty() && writer.flights.is_empty());
+    assert_eq!(bare.writer.backlog.len(), 1, "one at a time");
+    bare.go_on(|writer| writer.backlog.is_empty() && writer.appends.is_empty());
     assert_eq!(bare.bench.jobs.list().len(), 0);
     bare.bench.clock.0.store(NOON + HOUR, Ordering::SeqCst);
     bare.go_on(|writer| writer.map.generation() == 1);

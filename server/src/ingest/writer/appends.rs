@@ -1,0 +1,268 @@
+//! Appends in flight: handed to the log, then applied when they are durable, or failed together.
+//!
+//! Invariant: the committer answers in the order of the appends. After one append has failed, every append in flight
+//! fails with it, and no append starts before the last of them is answered.
+
+use std::{collections::VecDeque, sync::Arc, time::Instant};
+
+use tidemap_map::{event::Event, grid::scan::LoggedScan, update::UpdateWork};
+use tidemap_store::AppendError;
+use tokio::sync::oneshot;
+use tracing::{error, warn};
+
+use super::Writer;
+use crate::{
+    ingest::protocol::{AddStateError, BufferBudget, Command, EditSiteError, Ending, Refused, SessionId, is_fatal},
+    jobs::Job,
+};
+
+#[cfg(test)]
+mod tests;
+
+/// No more scans are taken from the backlog while the scans in flight take more memory than this.
+const IN_FLIGHT_BYTES_MAX: usize = 64 << 20;
+
+/// Reports to a client what became of its request.
+pub(super) type Reply<E> = oneshot::Sender<Result<(), E>>;
+
+/// An append that the committer has not answered.
+pub(super) enum InFlight {
+    /// Observations or scans of a stream.
+    Stream { session: SessionId, event: Event, refused: Vec<Refused>, tiles_ahead: u64, _budget: Arc<BufferBudget> },
+    /// The start of an update.
+    UpdateStart { event: Event, job: Arc<Job> },
+    /// A state to add.
+    AddState { event: Event, reply: Reply<AddStateError> },
+    /// An edit of the site.
+    EditSite { event: Event, reply: Reply<EditSiteError> },
+}
+
+impl InFlight {
+    fn event(&self) -> &Event {
+        let (Self::Stream { event, .. }
+        | Self::UpdateStart { event, .. }
+        | Self::AddState { event, .. }
+        | Self::EditSite { event, .. }) = self;
+        event
+    }
+
+    /// Memory of the scans of the event, in bytes. Everything else is bounded by the buffer budgets.
+    fn bytes(&self) -> usize {
+        let Event::Scans(event) = self.event() else { return 0 };
+        let of_scan = |scan: &LoggedScan| {
+            let flips = scan.observed_flips.len() + scan.occupied_flips.len();
+            size_of::<LoggedScan>() + 4 * (flips + scan.seen.as_ref().map_or(0, |seen| seen.len()))
+        };
+        event.scans.iter().map(of_scan).sum::<usize>() + size_of_val(event.new_tiles.as_slice())
+    }
+}
+
+/// Appends that have failed.
+pub(super) struct AppendFailure {
+    /// The first error: later appends fail because of it.
+    pub(super) cause: AppendError,
+    /// Whether no failure was known before.
+    pub(super) is_first: bool,
+    /// Whether this is the first failure after which the content of the disk is unknown.
+    pub(super) is_newly_fatal: bool,
+    /// The failed appends, in their order.
+    pub(super) appends: Vec<InFlight>,
+}
+
+/// The appends in flight, and the failure that they are part of, if any.
+pub(super) struct Appends {
+    in_flight: VecDeque<InFlight>,
+    /// Memory of the scans in flight, and above which no more are taken.
+    bytes: usize,
+    bytes_max: usize,
+    /// Refused by the log because of an earlier failure that is not answered yet.
+    failed_behind: Vec<InFlight>,
+    /// The failure, until everything in flight is answered.
+    failure: Option<AppendError>,
+}
+
+impl Default for Appends {
+    fn default() -> Self {
+        Self {
+            in_flight: VecDeque::new(),
+            bytes: 0,
+            bytes_max: IN_FLIGHT_BYTES_MAX,
+            failed_behind: Vec::new(),
+            failure: None,
+        }
+    }
+}
+
+impl Appends {
+    /// The log has accepted an append.
+    pub(super) fn push(&mut self, append: InFlight) {
+        self.bytes += append.bytes();
+        self.in_flight.push_back(append);
+    }
+
+    /// The committer has answered the oldest append.
+    pub(super) fn pop(&mut self) -> Option<InFlight> {
+        let append = self.in_flight.pop_front()?;
+        self.bytes = self.bytes.saturating_sub(append.bytes());
+        Some(append)
+    }
+
+    /// An append has failed. `None`: it failed because of an earlier append whose answer is outstanding; it is kept,
+    /// and fails with that append.
+    pub(super) fn fail(&mut self, error: AppendError, append: InFlight) -> Option<AppendFailure> {
+        if self.failure.is_none() && error == AppendError::AfterFailure && !self.in_flight.is_empty() {
+            self.failed_behind.push(append);
+            return None;
+        }
+        let is_first = self.failure.is_none();
+        let is_newly_fatal = is_fatal(&error) && !self.failure.as_ref().is_some_and(is_fatal);
+        if is_newly_fatal {
+            self.failure = Some(error.clone());
+        }
+        let cause = self.failure.get_or_insert(error).clone();
+        let mut appends = vec![append];
+        appends.append(&mut self.failed_behind);
+        Some(AppendFailure { cause, is_first, is_newly_fatal, appends })
+    }
+
+    /// Ends a failure when everything in flight is answered; gives whether it did.
+    pub(super) fn end_failure(&mut self) -> bool {
+        self.in_flight.is_empty() && self.failure.take().is_some()
+    }
+
+    /// The failure that is not over yet: no append starts.
+    pub(super) fn failure(&self) -> Option<&AppendError> {
+        self.failure.as_ref()
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.in_flight.is_empty()
+    }
+
+    /// Whether the memory of the scans in flight allows more appends.
+    pub(super) fn has_room(&self) -> bool {
+        self.bytes <= self.bytes_max && self.failed_behind.is_empty()
+    }
+
+    /// Whether the start of an update is in flight.
+    pub(super) fn is_update_starting(&self) -> bool {
+        self.in_flight.iter().any(|append| matches!(append, InFlight::UpdateStart { .. }))
+    }
+}
+
+impl Writer {
+    /// Hands an event to the log; gives whether the log has accepted it.
+    pub(super) fn append(&mut self, append: InFlight) -> bool {
+        let commands = self.commands.clone();
+        // A writer that has stopped does not need the answer.
+        let answer = Box::new(move |result| drop(commands.send(Command::Committed(result))));
+        match self.log.append(append.event(), answer) {
+            Ok(()) => {
+                self.appends.push(append);
+                true
+            }
+            // The event never joined the queue: the committer owes no answer for it. Earlier ones wait for theirs.
+            Err(error) => {
+                self.append_failed(error, append);
+                false
+            }
+        }
+    }
+
+    /// Fails an event that follows one which the log has not accepted; gives that the log has not accepted it.
+    pub(super) fn fail_after(&mut self, append: InFlight) -> bool {
+        self.append_failed(AppendError::AfterFailure, append);
+        false
+    }
+
+    /// The committer has answered the oldest append: what is durable is applied, then acknowledged by `publish`.
+    pub(super) fn committed(&mut self, result: Result<u64, AppendError>) {
+        let Some(append) = self.appends.pop() else { return };
+        match (result, append) {
+            (Ok(position), InFlight::Stream { session, event, refused, tiles_ahead, .. }) => {
+                if self.apply(position, &event).is_none() {
+                    return;
+                }
+                let last = match &event {
+                    Event::Observations(event) => {
+                        self.feed.applied(event);
+                        metrics::counter!("tidemap_observations_total").increment(event.states.len() as u64);
+                        metrics::counter!("tidemap_refused_total").increment(event.refused.len() as u64);
+                        event.last_sequence
+                    }
+                    Event::Scans(event) => {
+                        metrics::counter!("tidemap_scans_total").increment(event.scans.len() as u64);
+                        metrics::counter!("tidemap_refused_total").increment(event.refused.len() as u64);
+                        event.last_sequence
+                    }
+                    Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => return,
+                };
+                let ack = self.acks.entry(session).or_default();
+                ack.durable_sequence = last;
+                ack.refused.extend(refused);
+                self.sessions.applied(session, &event, tiles_ahead);
+            }
+            (Ok(position), InFlight::UpdateStart { event, job }) => match self.apply(position, &event) {
+                Some(Some(work)) => self.run_update(work, &job),
+                _ => job.end(Err("the update did not start".to_owned())),
+            },
+            (Ok(position), InFlight::AddState { event, reply }) => {
+                if self.apply(position, &event).is_some() {
+                    self.state_added(&event, reply);
+                }
+            }
+            (Ok(position), InFlight::EditSite { event, reply }) => {
+                if self.apply(position, &event).is_some() {
+                    self.site_edited(reply, Ok(()));
+                }
+            }
+            (Err(error), append) => self.append_failed(error, append),
+        }
+    }
+
+    fn append_failed(&mut self, error: AppendError, append: InFlight) {
+        let reason = error.to_string();
+        let Some(AppendFailure { cause, is_first, is_newly_fatal, appends }) = self.appends.fail(error, append) else {
+            return;
+        };
+        // Earlier appends that became durable are acknowledged before the streams hear of the end.
+        self.publish();
+        if is_first {
+            warn!(map = %self.map.spec().name, error = reason, "the log could not be written: its appends are not acknowledged");
+        }
+        if is_newly_fatal {
+            self.fatal(reason);
+        }
+        for append in appends {
+            let error = cause.clone();
+            match append {
+                InFlight::Stream { session, .. } => self.sessions.failed(session, &Ending::Storage(error)),
+                InFlight::UpdateStart { job, .. } => {
+                    self.updates.not_started(job.cause, Instant::now());
+                    job.end(Err(error.to_string()));
+                }
+                // The client may have gone away.
+                InFlight::AddState { reply, .. } => drop(reply.send(Err(AddStateError::Storage(error)))),
+                InFlight::EditSite { reply, .. } => self.site_edited(reply, Err(EditSiteError::Storage(error))),
+            }
+        }
+    }
+
+    pub(super) fn fatal(&self, reason: String) {
+        // The daemon is stopping already if nobody listens.
+        let _ = self.context.fatal.send(reason);
+    }
+
+    /// Applies a durable event. `None`: the map and its log disagree, and the daemon stops.
+    fn apply(&mut self, position: u64, event: &Event) -> Option<Option<UpdateWork>> {
+        self.changed = true;
+        match self.map.apply(position, event) {
+            Ok(work) => Some(work),
+            Err(inconsistent) => {
+                error!(map = %self.map.spec().name, error = %inconsistent, "the map and its log disagree");
+                self.fatal(inconsistent.to_string());
+                None
+            }
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! Updates of the map: started when they are due, run in a thread of their own, published when they end.
+//!
+//! Invariant: one update runs at a time, and its job ends, whatever happens to it.
+
+use std::{
+    panic::{AssertUnwindSafe, catch_unwind},
+    sync::{Arc, atomic::AtomicU64},
+    time::{Duration, Instant},
+};
+
+use tidemap_map::{
+    event::{Event, UpdateCause},
+    grid::tile::TileUnavailable,
+    history::HistoryPiece,
+    name::MapName,
+    update::{UpdateResult, UpdateWork},
+};
+use tidemap_store::MapId;
+use tracing::{error, info, warn};
+
+use super::{Context, Writer, appends::InFlight};
+use crate::{
+    ingest::{
+        protocol::Command,
+        training_data::TrainingData,
+        update_schedule::{DueUpdate, UpdateSchedule},
+    },
+    jobs::{Job, Report},
+};
+
+#[cfg(test)]
+mod tests;
+
+/// How long updates wait after the log did not accept the start of one.
+const UPDATE_RETRY: Duration = Duration::from_secs(10);
+
+/// The updates of a map: scheduled, running, and ended but not published.
+pub(super) struct Updates {
+    /// The updates that wait, and what makes new ones due.
+    pub(super) schedule: UpdateSchedule,
+    /// The job of the running update.
+    running: Option<Arc<Job>>,
+    /// The least time of the observations that the running update has, and its cut. Kept when the update fails: it still
+    /// has the observations.
+    times: Option<(i64, i64)>,
+    /// No update starts before.
+    wait_until: Option<Instant>,
+    /// Jobs whose results the next view shows: generation and cut.
+    ended: Vec<(Arc<Job>, (u64, i64))>,
+}
+
+impl Updates {
+    pub(super) fn new(schedule: UpdateSchedule) -> Self {
+        Self { schedule, running: None, times: None, wait_until: None, ended: Vec::new() }
+    }
+
+    /// Whether updates may start at `now`, as far as the last failure goes.
+    fn may_start(&self, now: Instant) -> bool {
+        self.wait_until.is_none_or(|until| until <= now)
+    }
+
+    /// The log did not accept the start of an update.
+    pub(super) fn not_started(&mut self, cause: UpdateCause, now: Instant) {
+        self.schedule.failed(cause);
+        self.wait_until = Some(now + UPDATE_RETRY);
+    }
+
+    /// An update runs that has the observations from `from_nanos`, if any, to `cut_nanos`.
+    fn begin(&mut self, job: &Arc<Job>, from_nanos: Option<i64>, cut_nanos: i64) {
+        self.times = from_nanos.map(|from| (from, cut_nanos));
+        self.running = Some(Arc::clone(job));
+    }
+
+    /// The update has ended; its job ends when the view shows the generation.
+    fn end(&mut self, job: &Arc<Job>, generation: u64, cut_nanos: i64) {
+        self.running = None;
+        self.times = None;
+        self.ended.push((Arc::clone(job), (generation, cut_nanos)));
+    }
+
+    /// The update has failed.
+    fn fail(&mut self, job: &Job, reason: String) {
+        self.running = None;
+        job.end(Err(reason));
+    }
+
+    /// Whether the running update has observations from `from_nanos` up to but not including `to_nanos`.
+    pub(super) fn has_times(&self, from_nanos: i64, to_nanos: i64) -> bool {
+        self.times.is_some_and(|(from, cut)| from_nanos < cut && from < to_nanos)
+    }
+
+    /// Ends the jobs whose results are public now.
+    pub(super) fn published(&mut self) {
+        for (job, published) in self.ended.drain(..) {
+            job.end(Ok(published));
+        }
+    }
+
+    /// Fails all updates that wait or run.
+    pub(super) fn fail_all(&mut self, reason: &str) {
+        self.schedule.fail_all(reason);
+        if let Some(job) = self.running.take() {
+            job.end(Err(reason.to_owned()));
+        }
+    }
+}
+
+impl Context {
+    /// Runs the update of a map, from where an earlier run of it was cut off. `unsaved`: history of earlier updates that no
+    /// save has stored.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
+    pub fn run_update(
+        &self,
+        id: MapId,
+        map: &MapName,
+        work: UpdateWork,
+        unsaved: Vec<Arc<HistoryPiece>>,
+        progress: &AtomicU64,
+    ) -> Result<UpdateResult, TileUnavailable> {
+        let work = match self.store.history(id) {
+            Ok(history) => {
+                let training_data = TrainingData::before(work.start().generation, history, unsaved);
+                work.with_readings(Arc::new(training_data))
+            }
+            Err(error) => {
+                warn!(%map, %error, "history cannot be read: no model is refitted");
+                work
+            }
+        };
+        let result = self.run_with_journal(id, map, work, progress)?;
+        let refits = result.refits();
+        if let Some(reason) = &refits.failure {
+            warn!(%map, states = refits.failed, reason, "models are not refitted, because history cannot be read");
+        }
+        if refits.waiting > 0 {
+            info!(%map, fitted = refits.fitted, waiting = refits.waiting, "models wait for a refit at a later update");
+        }
+        Ok(result)
+    }
+
+    /// Runs an update, and journals its work where that takes long.
+    fn run_with_journal(
+        &self,
+        id: MapId,
+        map: &MapName,
+        work: UpdateWork,
+        progress: &AtomicU64,
+    ) -> Result<UpdateResult, TileUnavailable> {
+        let file = if work.has_tiles() { self.store.update_file(id, &work.identity()).map(Some) } else { Ok(None) };
+        let file = file.unwrap_or_else(|error| {
+            warn!(%map, %error, "the update runs without a journal");
+            None
+        });
+        let Some(file) = file else { return self.update_pool.install(|| work.run(progress)) };
+        if file.resumed() > 0 {
+            let (tiles, generation) = (file.resumed(), work.start().generation);
+            info!(%map, generation, tiles, of = work.states(), "resuming an update that was cut off");
+        }
+        self.update_pool.install(|| work.run_noting(progress, &file, self.update_journal_min_work))
+    }
+}
+
+impl Writer {
+    /// Whether an update may start or become due: never while the start of another is in flight.
+    pub(super) fn may_update(&self) -> bool {
+        self.stopping.is_none()
+            && self.appends.failure().is_none()
+            && self.updates.may_start(Instant::now())
+            && !self.appends.is_update_starting()
+    }
+
+    pub(super) fn start_update(&mut self, now: i64) {
+        // A save holds what the last update learned: a grid's sums would be copied if they changed meanwhile.
+        let is_blocked_by_save = |writer: &Self| writer.saves.is_saving() && writer.map.grid().is_some();
+        if self.map.is_updating() || is_blocked_by_save(self) {
+            return;
+        }
+        // A due save goes first, because its snapshot has no room beside an update. A save that has failed may fail
+        // again, and takes time: no update waits for it.
+        if self.updates.schedule.is_waited_for()
+            && self.saves.has_unsaved()
+            && !self.saves.has_failed()
+            && self.is_save_due()
+        {
+            self.save();
+            if is_blocked_by_save(self) {
+                return;
+            }
+        }
+        let Some(DueUpdate { until_nanos, cause, job }) = self.updates.schedule.pop() else { return };
+        let event = Event::UpdateStart(self.map.plan_update(until_nanos, now, cause));
+        self.append(InFlight::UpdateStart { event, job });
+    }
+
+    /// Repeats an update that the log had begun when the daemon ended. Its job is a new one: jobs are not stored.
+    pub(super) fn repeat_update(&mut self, work: UpdateWork) {
+        let now = self.context.clock.now_nanos();
+        let job = self.context.jobs.create(self.map.spec().name.clone(), work.start().cause, now);
+        info!(map = %self.map.spec().name, generation = work.start().generation, "an update is repeated");
+        self.run_update(work, &job);
+    }
+
+    pub(super) fn run_update(&mut self, work: UpdateWork, job: &Arc<Job>) {
+        // There is no room beside the update for the snapshot that it replaces.
+        self.saves.drop_unsaved();
+        job.start(work.states(), work.observations());
+        self.updates.begin(job, work.from_nanos(), work.start().cut_nanos);
+        let commands = self.commands.clone();
+        let (context, id, map) = (self.context.clone(), self.id, self.map.spec().name.clone());
+        let for_thread = Arc::clone(job);
+        // With the history that a running save may not have written yet.
+        let unsaved = self.saves.history().map(Arc::clone).collect();
+        let spawned = std::thread::Builder::new().name(format!("update-{}", self.id.0)).spawn(move || {
+            let progress = Arc::clone(&for_thread);
+            // Moved, so that the store is released before the result is sent.
+            let run = move || context.run_update(id, &map, work, unsaved, &progress.states_done);
+            let result = match catch_unwind(AssertUnwindSafe(run)) {
+                Ok(Ok(result)) => Ok(Box::new(result)),
+                Ok(Err(unavailable)) => Err(format!(
+                    "an update could not read its training data: {unavailable}. Restore the folder of this map from a backup"
+                )),
+                Err(_) => Err("the update panicked; this is a defect of tidemap".to_owned()),
+            };
+            // Without a writer the result is not needed: the next start runs the update again from the log.
+            let _ = commands.send(Command::UpdateDone { job: for_thread, result });
+        });
+        if let Err(error) = spawned {
+            self.give_up(job, format!("the update of map {} could not start: {error}", self.map.spec().name));
+        }
+    }
+
+    /// The log says that the update started, and it has no result: only a restart repeats it.
+    fn give_up(&mut self, job: &Arc<Job>, reason: String) {
+        error!(map = %self.map.spec().name, reason, "update failed");
+        self.updates.fail(job, reason.clone());
+        self.fatal(reason);
+    }
+
+    pub(super) fn update_done(&mut self, job: &Arc<Job>, result: Result<Box<UpdateResult>, String>) {
+        let result = match result {
+            Ok(result) => result,
+            Err(reason) => return self.give_up(job, reason),
+        };
+        let cells = result.grid_outcome().copied();
+        self.context.jobs.set_report(job, Report { cells, states: result.outcomes().to_vec() });
+        let states = result.outcomes().len();
+        let tiles = cells.map_or(0, |cells| cells.tiles);
+        let snapshot = self.map.finish_update(*result);
+        self.changed = true;
+        metrics::counter!("tidemap_updates_total").increment(1);
+        info!(
+            map = %self.map.spec().name, cause = ?job.cause, generation = snapshot.generation, states, tiles,
+            observations = job.status().observations, "updated"
+        );
+        self.updates.end(job, snapshot.generation, snapshot.cut_nanos);
+        self.saves.push(snapshot);
+        self.page_out();
+    }
+}
