@@ -13,10 +13,10 @@ use tidemap_map::time::{format_rfc3339, parse_time};
 use tidemap_model::{OffsetCache, Sample};
 
 use super::{
-    candidate::ValueKind,
+    parameter_set::ValueKind,
     protocol::{Protocol, Refit, RowFormat},
 };
-use tidemap_formats::observation_file::{Item, Rows, RowsError};
+use tidemap_formats::observation_file::{RowError, RowItem, RowReader};
 
 /// Name of the state of files without names.
 const UNNAMED: &str = "value";
@@ -40,7 +40,7 @@ pub enum DataError {
         /// Which.
         path: PathBuf,
         /// Why.
-        why: RowsError,
+        why: RowError,
     },
     /// A row cannot be used.
     #[error("{}: line {line}: {wrong}", path.display())]
@@ -244,11 +244,11 @@ impl Reader<'_> {
     ) -> Result<(), DataError> {
         let file = |why| DataError::Rows { path: path.to_owned(), why };
         let wrong = |line, wrong| DataError::Row { path: path.to_owned(), line, wrong };
-        let mut rows = Rows::new(self.open(path)?).and_then(Rows::values_only).map_err(file)?;
+        let mut rows = RowReader::new(self.open(path)?).and_then(RowReader::values_only).map_err(file)?;
         while let Some(item) = rows.next().map_err(file)? {
             let row = match item {
-                Item::Row(row) => row,
-                Item::Torn { line, text } => {
+                RowItem::Row(row) => row,
+                RowItem::Torn { line, text } => {
                     return Err(wrong(
                         line,
                         format!("{text:?} has no line end and makes no row: is the file cut off?"),

@@ -20,25 +20,25 @@ mod picture;
 mod protocol;
 mod replay;
 mod report;
-mod world;
 
 #[cfg(test)]
 mod tests;
 
-pub use protocol::{Protocol, read};
+pub use protocol::{PlacesProtocol, read};
 pub use report::{summary, write};
 
-use belief::Model;
-use replay::Plan;
-pub use world::{DAY_MINUTES, World, WorldError};
+use crate::place_recording::{PlaceRecording, RecordingError};
+use belief::BeliefModel;
+use office::OfficeProtocol;
+use replay::VisitStrategy;
 
 /// What a file wants explored.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Wanted {
+pub enum ExploreProtocol {
     /// A recorded world of places.
-    Places(Protocol),
+    Places(PlacesProtocol),
     /// A simulated office.
-    Office(office::Protocol),
+    Office(OfficeProtocol),
 }
 
 /// Days of a week.
@@ -46,10 +46,10 @@ const WEEK_DAYS: usize = 7;
 
 /// Why a world cannot be explored.
 #[derive(Debug, thiserror::Error)]
-pub enum Problem {
+pub enum ExploreError {
     /// Its recording.
     #[error(transparent)]
-    World(#[from] WorldError),
+    Recording(#[from] RecordingError),
     /// It has fewer weeks than are to be scored apart.
     #[error("weeks {first} to {last} are to be scored apart, and the world has {found} whole weeks")]
     Weeks {
@@ -70,7 +70,7 @@ pub enum Problem {
     },
     /// A plan that cannot be made.
     #[error("strategy {strategy}: {refused}")]
-    Plan {
+    VisitStrategy {
         /// Which strategy.
         strategy: &'static str,
         /// Why.
@@ -80,11 +80,11 @@ pub enum Problem {
 
 /// A strategy with a model, as they did over all seeds.
 #[derive(Clone, Debug)]
-pub struct Pair {
+pub struct StrategyResult {
     /// The strategy.
-    pub plan: Plan,
+    pub plan: VisitStrategy,
     /// The model.
-    pub model: Model,
+    pub model: BeliefModel,
     /// Share of states that were wrong, 0 to 1: of each seed, of each day.
     pub days: Vec<Vec<f64>>,
     /// Visits a day, on average.
@@ -100,7 +100,7 @@ pub struct Estimate {
     pub standard_error: Option<f64>,
 }
 
-impl Pair {
+impl StrategyResult {
     /// The share of states that were wrong on average over the days of a range, over seeds.
     pub fn error(&self, days: std::ops::Range<usize>) -> Estimate {
         let of_seed = |seed: &Vec<f64>| {
@@ -118,27 +118,31 @@ impl Pair {
 
 /// What came of exploring.
 #[derive(Debug)]
-pub struct Outcome {
+pub struct Exploration {
     /// Every strategy with every model, in the order of the protocol, strategy by strategy.
-    pub pairs: Vec<Pair>,
+    pub pairs: Vec<StrategyResult>,
     /// Days of the world.
     pub days: usize,
 }
 
 /// Explores a world with every pair and seed; `progress` is told how many runs are done, of how many.
-pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Outcome, Problem> {
-    let world = World::read(&protocol.world, protocol.slot_minutes)?;
+pub fn run(protocol: &PlacesProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Exploration, ExploreError> {
+    let world = PlaceRecording::read(&protocol.world, protocol.slot_minutes)?;
     let weeks = world.days() / WEEK_DAYS;
     if let Some((first, last)) = protocol.weeks.filter(|&(_, last)| last > weeks) {
-        return Err(Problem::Weeks { first, last, found: weeks });
+        return Err(ExploreError::Weeks { first, last, found: weeks });
     }
     explore(&world, protocol, progress)
 }
 
-fn explore(world: &World, protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Outcome, Problem> {
-    let pairs: Vec<(Plan, Model)> =
+fn explore(
+    world: &PlaceRecording,
+    protocol: &PlacesProtocol,
+    progress: &(impl Fn(u64, u64) + Sync),
+) -> Result<Exploration, ExploreError> {
+    let pairs: Vec<(VisitStrategy, BeliefModel)> =
         protocol.plans.iter().flat_map(|&plan| protocol.models.iter().map(move |&model| (plan, model))).collect();
-    let jobs: Vec<(Plan, Model, u64)> =
+    let jobs: Vec<(VisitStrategy, BeliefModel, u64)> =
         pairs.iter().flat_map(|&(plan, model)| (0..protocol.seeds).map(move |seed| (plan, model, seed))).collect();
     let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
     let runs = jobs
@@ -148,12 +152,12 @@ fn explore(world: &World, protocol: &Protocol, progress: &(impl Fn(u64, u64) + S
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
             run
         })
-        .collect::<Result<Vec<replay::Run>, Problem>>()?;
+        .collect::<Result<Vec<replay::Run>, ExploreError>>()?;
     let seeds = (protocol.seeds as usize).max(1);
-    let of_pair = |(&(plan, model), runs): (&(Plan, Model), &[replay::Run])| {
+    let of_pair = |(&(plan, model), runs): (&(VisitStrategy, BeliefModel), &[replay::Run])| {
         let visits: u64 = runs.iter().map(|run| run.visits).sum();
         let visits_per_day = visits as f64 / (runs.len() * world.days()).max(1) as f64;
-        Pair { plan, model, days: runs.iter().map(|run| run.errors.clone()).collect(), visits_per_day }
+        StrategyResult { plan, model, days: runs.iter().map(|run| run.errors.clone()).collect(), visits_per_day }
     };
-    Ok(Outcome { pairs: pairs.iter().zip(runs.chunks(seeds)).map(of_pair).collect(), days: world.days() })
+    Ok(Exploration { pairs: pairs.iter().zip(runs.chunks(seeds)).map(of_pair).collect(), days: world.days() })
 }

@@ -8,11 +8,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use tidemap_model::models::CannotFit;
 
-mod candidate;
 mod data;
 pub mod explore;
 mod paired;
+mod parameter_set;
 mod picture;
+mod place_recording;
 mod protocol;
 mod report;
 pub mod routes;
@@ -26,15 +27,15 @@ mod tests;
 pub use protocol::{Protocol, ProtocolError, read};
 pub use report::{summary, write};
 
-use candidate::Candidate;
 use data::{Data, DataError};
 use paired::Difference;
-use score::Score;
+use parameter_set::ParameterSet;
+use score::TestScore;
 use tuning::{Fold, Trial};
 
 /// Why an experiment could not be run.
 #[derive(Debug, thiserror::Error)]
-pub enum Problem {
+pub enum ExperimentError {
     /// Its data.
     #[error(transparent)]
     Data(#[from] DataError),
@@ -53,8 +54,8 @@ pub enum Problem {
     },
 }
 
-impl Problem {
-    fn fit(label: &str, candidate: &Candidate, state: &str, refused: CannotFit) -> Self {
+impl ExperimentError {
+    fn fit(label: &str, candidate: &ParameterSet, state: &str, refused: CannotFit) -> Self {
         let model = match candidate.shown() {
             "" => label.to_owned(),
             shown => format!("{label} ({shown})"),
@@ -65,18 +66,18 @@ impl Problem {
 
 /// A model as it was compared.
 #[derive(Clone, Debug)]
-pub struct Compared {
+pub struct ModelResult {
     /// What it is called.
     pub label: String,
     /// Its parameters, with those that were chosen.
     pub parameters: String,
     /// How it did.
-    pub score: Score,
+    pub score: TestScore,
     /// To the baseline; none of the baseline itself.
     pub difference: Option<Difference>,
 }
 
-impl Compared {
+impl ModelResult {
     /// What the test says: `better`, `worse` or `no difference`; `baseline` of the baseline, none where nothing was tested.
     pub fn verdict(&self, significance: f64) -> Option<&'static str> {
         let Some(difference) = self.difference else { return Some("baseline") };
@@ -91,9 +92,9 @@ impl Compared {
 
 /// What came of an experiment.
 #[derive(Debug)]
-pub struct Outcome {
+pub struct Comparison {
     /// The models, in the order of the protocol.
-    pub models: Vec<Compared>,
+    pub models: Vec<ModelResult>,
     /// The folds that parameters were chosen on.
     pub folds: Vec<Fold>,
     /// How every candidate did on them.
@@ -103,7 +104,7 @@ pub struct Outcome {
 }
 
 /// Runs an experiment; `progress` is told how many pieces of work are done, of how many.
-pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Outcome, Problem> {
+pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Comparison, ExperimentError> {
     let data = Data::read(protocol)?;
     let folds = protocol.tuning.map(|tuning| tuning::folds(&data, tuning)).transpose()?.unwrap_or_default();
     let candidates: usize = protocol.models.iter().map(|model| model.candidates.len()).sum();
@@ -117,7 +118,7 @@ pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result
         tuning::tune(&data, &protocol.models, &folds, protocol.kind, &step)?
     };
     let chosen = |model: usize| trials.iter().find(|trial| trial.model == model && trial.chosen);
-    let models: Vec<(&str, &Candidate)> = (0..)
+    let models: Vec<(&str, &ParameterSet)> = (0..)
         .zip(&protocol.models)
         .filter_map(|(index, model)| {
             // Without tuning there is one candidate.
@@ -130,7 +131,7 @@ pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result
     let compared = models.iter().zip(scores).enumerate().map(|(index, (&(label, candidate), score))| {
         let difference =
             (index != protocol.baseline).then(|| paired::difference(&score.days, &baseline, protocol.significance));
-        Compared { label: label.to_owned(), parameters: candidate.shown().to_owned(), score, difference }
+        ModelResult { label: label.to_owned(), parameters: candidate.shown().to_owned(), score, difference }
     });
-    Ok(Outcome { models: compared.collect(), folds, trials, data })
+    Ok(Comparison { models: compared.collect(), folds, trials, data })
 }

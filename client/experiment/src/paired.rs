@@ -19,7 +19,7 @@ mod tests;
 const DRAWS: usize = 9_999;
 const SEED: u64 = 1;
 /// Days less test sets below which nothing is said: with so few days an interval would be far too short.
-const LEAST_FREEDOM: usize = 5;
+const FREEDOM_MIN: usize = 5;
 
 /// How much more one model errs than another.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,7 +42,7 @@ pub struct PairedTest {
 
 /// The paired difference of one day.
 #[derive(Clone, Copy, Debug)]
-struct Day {
+struct PairedDay {
     squared: f64,
     readings: f64,
 }
@@ -55,14 +55,14 @@ pub fn difference(model: &[DayErrors], baseline: &[DayErrors], significance: f64
 /// How often a mean difference as large would be found, either way, if there were none, of differences that are each a sample
 /// of their own. `None` where there are too few.
 pub fn p_value(differences: &[f64]) -> Option<f64> {
-    let set: Vec<Day> = differences.iter().map(|&squared| Day { squared, readings: 1.0 }).collect();
+    let set: Vec<PairedDay> = differences.iter().map(|&squared| PairedDay { squared, readings: 1.0 }).collect();
     paired(&[set], 0.05, DRAWS).test.map(|test| test.p_value)
 }
 
 /// Differences by test set.
-fn sets(model: &[DayErrors], baseline: &[DayErrors]) -> Vec<Vec<Day>> {
+fn sets(model: &[DayErrors], baseline: &[DayErrors]) -> Vec<Vec<PairedDay>> {
     let pairs: Vec<(&DayErrors, &DayErrors)> = model.iter().zip(baseline).collect();
-    let day = |(model, baseline): &(&DayErrors, &DayErrors)| Day {
+    let day = |(model, baseline): &(&DayErrors, &DayErrors)| PairedDay {
         squared: model.errors.squared_error - baseline.errors.squared_error,
         readings: model.errors.observations as f64,
     };
@@ -71,22 +71,22 @@ fn sets(model: &[DayErrors], baseline: &[DayErrors]) -> Vec<Vec<Day>> {
 
 /// The difference over some days, and how far off it may be.
 #[derive(Clone, Copy, Debug)]
-struct Estimate {
+struct MeanDifference {
     /// The mean over test sets of the mean over readings.
     mean: f64,
     /// Its standard error, up to a factor that is the same for all draws.
     error: f64,
 }
 
-impl Estimate {
-    fn of<'a>(sets: impl ExactSizeIterator<Item = &'a [Day]>) -> Self {
+impl MeanDifference {
+    fn of<'a>(sets: impl ExactSizeIterator<Item = &'a [PairedDay]>) -> Self {
         let count = sets.len().max(1) as f64;
         let (mut sum, mut variance) = (0.0, 0.0);
         for days in sets {
             let readings = days.iter().map(|day| day.readings).sum::<f64>().max(1.0);
             let mean = days.iter().map(|day| day.squared).sum::<f64>() / readings;
             // What a day adds to the mean of its set beyond its share of the readings.
-            let beyond = |day: &Day| (day.squared - mean * day.readings) / readings;
+            let beyond = |day: &PairedDay| (day.squared - mean * day.readings) / readings;
             sum += mean;
             variance += days.iter().map(|day| beyond(day).powi(2)).sum::<f64>();
         }
@@ -100,10 +100,10 @@ impl Estimate {
     }
 }
 
-fn paired(sets: &[Vec<Day>], significance: f64, draws: usize) -> Difference {
-    let found = Estimate::of(sets.iter().map(Vec::as_slice));
+fn paired(sets: &[Vec<PairedDay>], significance: f64, draws: usize) -> Difference {
+    let found = MeanDifference::of(sets.iter().map(Vec::as_slice));
     let days: usize = sets.iter().map(Vec::len).sum();
-    if days.saturating_sub(sets.len()) < LEAST_FREEDOM {
+    if days.saturating_sub(sets.len()) < FREEDOM_MIN {
         return Difference { mean: found.mean, test: None };
     }
     let mut random = SmallRng::seed_from_u64(SEED);
@@ -113,7 +113,7 @@ fn paired(sets: &[Vec<Day>], significance: f64, draws: usize) -> Difference {
         for (drawn, days) in drawn.iter_mut().zip(sets) {
             drawn.fill_with(|| days[random.random_range(0..days.len())]);
         }
-        distances.push(Estimate::of(drawn.iter().map(Vec::as_slice)).distance(found.mean));
+        distances.push(MeanDifference::of(drawn.iter().map(Vec::as_slice)).distance(found.mean));
     }
     distances.sort_by(f64::total_cmp);
     let own = found.distance(0.0);

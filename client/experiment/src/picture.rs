@@ -7,7 +7,7 @@
 
 use std::fmt::Write as _;
 
-use super::{Compared, Outcome, Protocol};
+use super::{Comparison, ModelResult, Protocol};
 
 pub(super) const WIDTH: f64 = 860.0;
 const MARGIN: f64 = 16.0;
@@ -35,7 +35,7 @@ const WORSE: &str = "#cd4600";
 const UNDECIDED: &str = "#aaaaaa";
 const BASELINE: &str = "#555555";
 
-fn colour(protocol: &Protocol, model: &Compared) -> &'static str {
+fn colour(protocol: &Protocol, model: &ModelResult) -> &'static str {
     match model.verdict(protocol.significance) {
         Some("baseline") => BASELINE,
         Some("better") => BETTER,
@@ -45,15 +45,15 @@ fn colour(protocol: &Protocol, model: &Compared) -> &'static str {
 }
 
 /// Draws the comparison.
-pub fn draw(protocol: &Protocol, outcome: &Outcome) -> String {
+pub fn draw(protocol: &Protocol, outcome: &Comparison) -> String {
     let models = &outcome.models;
     let baseline_mse = models.get(protocol.baseline).map_or(0.0, |model| model.score.mse());
-    let whisker = |model: &Compared| {
+    let whisker = |model: &ModelResult| {
         let (lower, upper) = model.difference?.test?.interval?;
         // The same predictions differ by nothing.
         (lower < upper).then_some((baseline_mse + lower, baseline_mse + upper))
     };
-    let highest = |model: &Compared| whisker(model).map_or(0.0, |(_, upper)| upper).max(model.score.mse());
+    let highest = |model: &ModelResult| whisker(model).map_or(0.0, |(_, upper)| upper).max(model.score.mse());
     let most = models.iter().map(highest).fold(0.0, f64::max);
     let tick = tick(most);
     let ticks = (most / tick).ceil().max(1.0);

@@ -11,18 +11,18 @@ use std::{
 use tidemap_map::time::parse_duration;
 use tidemap_model::Zone;
 
-pub(super) mod contender;
 mod error;
-pub(super) mod written;
+pub(super) mod model_entry;
+pub(super) mod raw;
 
 #[cfg(test)]
 mod tests;
 
-pub use contender::Contender;
 pub use error::ProtocolError;
+pub use model_entry::ModelEntry;
 
-use super::candidate::ValueKind;
-use written::{Word, Words, Written, WrittenTuning};
+use super::parameter_set::ValueKind;
+use raw::{RawProtocol, RawTuning, Word, Words};
 
 /// Longest protocol; a long one has a hundred lines.
 pub(super) const FILE_BYTES_MAX: u64 = 1024 * 1024;
@@ -102,7 +102,7 @@ pub struct Protocol {
     /// When models are fitted again.
     pub refit: Refit,
     /// The models, at least one.
-    pub models: Vec<Contender>,
+    pub models: Vec<ModelEntry>,
     /// How parameters are chosen.
     pub tuning: Option<Tuning>,
     /// The model that all are compared with; an index of `models`.
@@ -131,7 +131,7 @@ pub fn read(path: &Path) -> Result<Protocol, ProtocolError> {
 
 /// Makes a protocol of a text; `name` is used where it says none.
 pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, ProtocolError> {
-    let written: Written = serde_saphyr::from_str(text).map_err(|error| ProtocolError::yaml(&error))?;
+    let written: RawProtocol = serde_saphyr::from_str(text).map_err(|error| ProtocolError::yaml(&error))?;
     let right = "an IANA time zone by which people live there, such as Europe/London or UTC";
     let zone = needed(written.zone, "zone", right)?;
     let zone = Zone::named(&zone.text).map_err(|_| ProtocolError::value("zone", &zone, right))?;
@@ -147,7 +147,7 @@ pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, Protocol
     let refit = choice(written.refit, "refit", &[("never", Refit::Never), ("each", Refit::Each)])?;
     let tuning = written.tuning.map(tuning).transpose()?;
     let models = match written.models {
-        Some(models) if !models.is_empty() => contender::read(&models, kind, tuning.is_some())?,
+        Some(models) if !models.is_empty() => model_entry::read(&models, kind, tuning.is_some())?,
         _ => return Err(ProtocolError::missing("models", "a list of models, such as [mean, spectral]")),
     };
     let baseline = match written.baseline {
@@ -259,8 +259,8 @@ fn labelled(paths: Vec<(Word, PathBuf)>) -> Vec<TestFile> {
     tests
 }
 
-pub(super) fn tuning(written: WrittenTuning) -> Result<Tuning, ProtocolError> {
-    let WrittenTuning { folds: written_folds, fold: written_fold } = written;
+pub(super) fn tuning(written: RawTuning) -> Result<Tuning, ProtocolError> {
+    let RawTuning { folds: written_folds, fold: written_fold } = written;
     let folds = written_folds.text.parse().ok().filter(|folds| (1..=FOLDS_MAX).contains(folds));
     let folds = folds.ok_or_else(|| {
         ProtocolError::value("folds", &written_folds, &format!("a whole number from 1 to {FOLDS_MAX}"))

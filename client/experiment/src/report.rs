@@ -11,14 +11,14 @@ use std::{
 use anyhow::Context as _;
 use tidemap_model::Evaluation;
 
-use super::{Compared, Outcome, Protocol, candidate::ValueKind, picture, protocol::Predictions};
+use super::{Comparison, ModelResult, Protocol, parameter_set::ValueKind, picture, protocol::Predictions};
 use tidemap_formats::table::{Cell, Format, Sheet};
 
 /// Writes the comparison, a row per model.
 ///
 /// Columns: model, parameters, mse and error_rate (means over test sets), mse of each test set, then the difference of mse
 /// to the baseline with the ends of its interval and its p-value, and a verdict: better, worse, or no difference.
-pub fn summary<W: Write>(protocol: &Protocol, outcome: &Outcome, format: Format, writer: W) -> io::Result<()> {
+pub fn summary<W: Write>(protocol: &Protocol, outcome: &Comparison, format: Format, writer: W) -> io::Result<()> {
     let mut columns = ["model", "parameters", "mse", "error_rate"].map(str::to_owned).to_vec();
     columns.extend(protocol.test.iter().map(|test| format!("mse_{}", test.label)));
     columns.extend(["difference", "lower", "upper", "p_value", "verdict"].map(str::to_owned));
@@ -29,7 +29,7 @@ pub fn summary<W: Write>(protocol: &Protocol, outcome: &Outcome, format: Format,
     sheet.finish()
 }
 
-fn row(protocol: &Protocol, model: &Compared) -> Vec<Cell> {
+fn row(protocol: &Protocol, model: &ModelResult) -> Vec<Cell> {
     // A side of 0.5 means nothing for a speed or a count.
     let has_sides = protocol.kind == ValueKind::Probability;
     let mut cells = vec![
@@ -51,7 +51,7 @@ fn row(protocol: &Protocol, model: &Compared) -> Vec<Cell> {
 }
 
 /// Writes the files of an experiment into its folder, which exists.
-pub fn write(protocol: &Protocol, outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+pub fn write(protocol: &Protocol, outcome: &Comparison, folder: &Path) -> anyhow::Result<()> {
     file(folder, "results.csv", |writer| summary(protocol, outcome, Format::Csv, writer))?;
     if !outcome.folds.is_empty() {
         file(folder, "folds.csv", |writer| trials(protocol, outcome, writer))?;
@@ -77,7 +77,7 @@ pub(super) fn file(
 }
 
 /// Every candidate's error on every fold.
-fn trials<W: Write>(protocol: &Protocol, outcome: &Outcome, writer: W) -> io::Result<()> {
+fn trials<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
     let columns = ["model", "parameters", "fold", "from", "until", "observations", "mse", "mean_mse", "chosen"];
     let mut sheet = Sheet::new(Format::Csv, &columns, writer);
     for trial in &outcome.trials {
@@ -100,7 +100,7 @@ fn trials<W: Write>(protocol: &Protocol, outcome: &Outcome, writer: W) -> io::Re
 }
 
 /// What was predicted and what was, by test set, by time, by state.
-fn predictions<W: Write>(protocol: &Protocol, outcome: &Outcome, writer: W) -> io::Result<()> {
+fn predictions<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
     let mut columns = ["time", "state", "value"].map(str::to_owned).to_vec();
     columns.extend(outcome.models.iter().map(|model| model.label.clone()));
     let mut sheet = Sheet::new(Format::Csv, &columns, writer);

@@ -31,7 +31,7 @@ mod robot;
 mod tests;
 
 pub use report::{summary, write};
-pub use robot::{Kind, Week};
+pub use robot::{RobotKind, Week};
 
 const DAY_SECS: f64 = 86_400.0;
 const WEEK_DAYS: usize = 7;
@@ -40,7 +40,7 @@ const START_NANOS: i64 = 20_094 * 86_400_000_000_000;
 
 /// What is to be run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Protocol {
+pub struct RoutesProtocol {
     /// Buildings with another luck each, 1 or more.
     pub seeds: u64,
     /// The first seed; the others follow.
@@ -68,9 +68,9 @@ pub enum RoutesError {
 
 /// A robot, as it did with all seeds.
 #[derive(Clone, Debug)]
-pub struct Course {
+pub struct RobotCourse {
     /// How it chose its ways.
-    pub kind: Kind,
+    pub kind: RobotKind,
     /// Of each seed, of each week.
     pub seeds: Vec<Vec<Week>>,
 }
@@ -94,7 +94,7 @@ impl Estimate {
     }
 }
 
-impl Course {
+impl RobotCourse {
     /// Failed traversals a week, over the weeks of a range, counted from 0.
     pub fn failures(&self, weeks: Range<usize>) -> Estimate {
         self.over(weeks, |weeks| weeks.iter().map(|week| week.failures as f64).sum::<f64>() / weeks.len().max(1) as f64)
@@ -140,9 +140,9 @@ fn per_task(weeks: &[Week], of: impl Fn(&Week) -> f64) -> f64 {
 
 /// What came of it.
 #[derive(Clone, Debug)]
-pub struct Outcome {
-    /// The robots, in the order of [`Kind::ALL`].
-    pub courses: Vec<Course>,
+pub struct RouteComparison {
+    /// The robots, in the order of [`RobotKind::ALL`].
+    pub courses: Vec<RobotCourse>,
     /// Weeks that they were on their way.
     pub weeks: usize,
 }
@@ -158,14 +158,14 @@ pub struct Trend {
     pub falling: usize,
 }
 
-impl Outcome {
+impl RouteComparison {
     /// The later half of the weeks, counted from 0.
     pub fn late(&self) -> Range<usize> {
         self.weeks / 2..self.weeks
     }
 
     /// How a robot's failures develop over the weeks of a range.
-    pub fn trend(&self, course: &Course, weeks: Range<usize>) -> Trend {
+    pub fn trend(&self, course: &RobotCourse, weeks: Range<usize>) -> Trend {
         let slopes = course.slopes(weeks);
         Trend {
             slope: Estimate::of(&slopes).mean,
@@ -175,16 +175,16 @@ impl Outcome {
     }
 
     /// The failures of a robot's later weeks as a share of those of the robot that takes the shortest ways.
-    pub fn of_shortest(&self, course: &Course) -> f64 {
+    pub fn of_shortest(&self, course: &RobotCourse) -> f64 {
         let baseline = self.courses.first().map_or(0.0, |first| first.failures(self.late()).mean);
         course.failures(self.late()).mean / baseline
     }
 }
 
 /// Sends all robots around; `progress` is told how many runs are done, of how many.
-pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Outcome, RoutesError> {
+pub fn run(protocol: &RoutesProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<RouteComparison, RoutesError> {
     // The quick ones last, so that no thread is left with a long one at the end.
-    let jobs: Vec<(Kind, u64)> = Kind::ALL
+    let jobs: Vec<(RobotKind, u64)> = RobotKind::ALL
         .into_iter()
         .rev()
         .flat_map(|kind| (0..protocol.seeds).map(move |seed| (kind, protocol.first_seed.wrapping_add(seed))))
@@ -197,10 +197,10 @@ pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
             Ok((kind, run?))
         })
-        .collect::<Result<Vec<(Kind, Vec<Week>)>, RoutesError>>()?;
-    let course = |kind: Kind| Course {
+        .collect::<Result<Vec<(RobotKind, Vec<Week>)>, RoutesError>>()?;
+    let course = |kind: RobotKind| RobotCourse {
         kind,
         seeds: runs.iter().filter(|(other, _)| *other == kind).map(|(_, weeks)| weeks.clone()).collect(),
     };
-    Ok(Outcome { courses: Kind::ALL.into_iter().map(course).collect(), weeks: protocol.weeks })
+    Ok(RouteComparison { courses: RobotKind::ALL.into_iter().map(course).collect(), weeks: protocol.weeks })
 }

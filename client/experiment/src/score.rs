@@ -7,9 +7,9 @@ use rayon::prelude::*;
 use tidemap_model::{Evaluation, LocalDay, Sample};
 
 use super::{
-    Problem,
-    candidate::{Candidate, ValueKind},
+    ExperimentError,
     data::Data,
+    parameter_set::{ParameterSet, ValueKind},
     protocol::Refit,
 };
 
@@ -26,7 +26,7 @@ pub struct DayErrors {
 
 /// How a model did.
 #[derive(Clone, Debug)]
-pub struct Score {
+pub struct TestScore {
     /// Errors of each test set.
     pub sets: Vec<Evaluation>,
     /// Errors of each day, by test set, then by date.
@@ -35,7 +35,7 @@ pub struct Score {
     pub predictions: Vec<Vec<Vec<f64>>>,
 }
 
-impl Score {
+impl TestScore {
     /// The mean over test sets of their mean squared errors.
     pub fn mse(&self) -> f64 {
         mean(self.sets.iter().map(Evaluation::mse))
@@ -55,11 +55,11 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 /// Fits each model and predicts all test sets.
 pub fn score(
     data: &Data,
-    models: &[(&str, &Candidate)],
+    models: &[(&str, &ParameterSet)],
     refit: Refit,
     kind: ValueKind,
     step: &(impl Fn() + Sync),
-) -> Result<Vec<Score>, Problem> {
+) -> Result<Vec<TestScore>, ExperimentError> {
     let jobs: Vec<(usize, usize)> =
         (0..models.len()).flat_map(|model| (0..data.states.len()).map(move |state| (model, state))).collect();
     let predictions = jobs
@@ -67,11 +67,11 @@ pub fn score(
         .map(|(model, state)| {
             let (label, candidate) = models[model];
             let predictions = predict(data, state, candidate, refit, kind)
-                .map_err(|refused| Problem::fit(label, candidate, &data.states[state], refused));
+                .map_err(|refused| ExperimentError::fit(label, candidate, &data.states[state], refused));
             step();
             predictions
         })
-        .collect::<Result<Vec<Vec<Vec<f64>>>, Problem>>()?;
+        .collect::<Result<Vec<Vec<Vec<f64>>>, ExperimentError>>()?;
     Ok(predictions.chunks(data.states.len()).map(|of_model| tally(data, of_model)).collect())
 }
 
@@ -79,7 +79,7 @@ pub fn score(
 fn predict(
     data: &Data,
     state: usize,
-    candidate: &Candidate,
+    candidate: &ParameterSet,
     refit: Refit,
     kind: ValueKind,
 ) -> Result<Vec<Vec<f64>>, tidemap_model::models::CannotFit> {
@@ -98,8 +98,8 @@ fn predict(
 }
 
 /// Adds up the errors of one model; `predictions` by state, then by test set.
-fn tally(data: &Data, predictions: &[Vec<Vec<f64>>]) -> Score {
-    let mut score = Score { sets: Vec::new(), days: Vec::new(), predictions: Vec::new() };
+fn tally(data: &Data, predictions: &[Vec<Vec<f64>>]) -> TestScore {
+    let mut score = TestScore { sets: Vec::new(), days: Vec::new(), predictions: Vec::new() };
     for (set, test) in data.tests.iter().enumerate() {
         let mut whole = Evaluation::default();
         let mut days = std::collections::BTreeMap::<LocalDay, Evaluation>::new();

@@ -16,27 +16,27 @@ use rayon::prelude::*;
 use tidemap_model::models::CannotFit;
 use tidemap_plan::search::SearchError;
 
-mod flat;
-mod hunt;
 mod protocol;
+mod recorded_world;
 mod report;
+mod simulate;
 
 #[cfg(test)]
 mod tests;
 
-pub use protocol::{Protocol, read};
+pub use protocol::{SearchProtocol, read};
 pub use report::{summary, write};
 
-use super::explore::WorldError;
-use flat::Flat;
-use hunt::Found;
+use crate::place_recording::{DAY_MINUTES, RecordingError};
+use recorded_world::RecordedWorld;
+use simulate::FindTimes;
 
 /// Why searches could not be replayed.
 #[derive(Debug, thiserror::Error)]
-pub enum Problem {
+pub enum ReplayError {
     /// Where the person was.
     #[error(transparent)]
-    World(#[from] WorldError),
+    Recording(#[from] RecordingError),
     /// The map of the places.
     #[error("{0}")]
     Topology(String),
@@ -73,7 +73,7 @@ pub enum Problem {
 
 /// How one candidate of a model did on the days that are learned.
 #[derive(Clone, Debug)]
-pub struct Trial {
+pub struct SearchTrial {
     /// Index of the model.
     pub model: usize,
     /// Index of the candidate among the model's.
@@ -84,7 +84,7 @@ pub struct Trial {
     pub chosen: bool,
 }
 
-impl Trial {
+impl SearchTrial {
     /// The mean over folds.
     pub fn mean_secs(&self) -> f64 {
         self.folds.iter().sum::<f64>() / self.folds.len().max(1) as f64
@@ -93,40 +93,44 @@ impl Trial {
 
 /// How a model did.
 #[derive(Clone, Debug)]
-pub struct Row {
+pub struct SearchResult {
     /// What it is called.
     pub label: String,
     /// Its parameters, with those that were chosen.
     pub parameters: String,
     /// When the person was found.
-    pub found: Found,
+    pub found: FindTimes,
 }
 
 /// What came of the searches.
 #[derive(Debug)]
-pub struct Outcome {
+pub struct SearchComparison {
     /// The models, in the order of the protocol, then who knows where the person is.
-    pub rows: Vec<Row>,
+    pub rows: Vec<SearchResult>,
     /// Every candidate where there is more than one.
-    pub trials: Vec<Trial>,
+    pub trials: Vec<SearchTrial>,
 }
 
 /// What the last row is called: the search of who knows where the person is.
 const OMNISCIENT: &str = "omniscient";
 
 /// Searches with every model; `progress` is told how many pieces of work are done, of how many.
-pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Outcome, Problem> {
-    let flat = Flat::read(protocol)?;
-    let (learned, minutes) = (protocol.train_minutes, flat.minutes());
+pub fn run(protocol: &SearchProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<SearchComparison, ReplayError> {
+    let world = RecordedWorld::read(protocol)?;
+    let (learned, minutes) = (protocol.train_minutes, world.minutes());
     if learned >= minutes {
-        let day = flat::DAY_MINUTES;
-        return Err(Problem::Days { learned: learned / day, found: minutes / day });
+        let day = DAY_MINUTES;
+        return Err(ReplayError::Days { learned: learned / day, found: minutes / day });
     }
-    replay(&flat, protocol, progress)
+    replay(&world, protocol, progress)
 }
 
-fn replay(flat: &Flat, protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Outcome, Problem> {
-    let (learned, minutes) = (protocol.train_minutes, flat.minutes());
+fn replay(
+    world: &RecordedWorld,
+    protocol: &SearchProtocol,
+    progress: &(impl Fn(u64, u64) + Sync),
+) -> Result<SearchComparison, ReplayError> {
+    let (learned, minutes) = (protocol.train_minutes, world.minutes());
     let folds = folds(protocol);
     let tuned = |model: usize| protocol.models[model].candidates.len() > 1;
     let candidates: Vec<(usize, usize)> = (0..protocol.models.len())
@@ -136,7 +140,7 @@ fn replay(flat: &Flat, protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync
     let (done, total) = (AtomicU64::new(0), (candidates.len() * folds.len() + protocol.models.len() + 1) as u64);
     let step = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
     let asked = |model: usize, candidate: usize, learned: usize, asked: Range<usize>| {
-        let found = hunt::by_model(flat, &protocol.models[model], candidate, learned, asked);
+        let found = simulate::by_model(world, &protocol.models[model], candidate, learned, asked);
         step();
         found
     };
@@ -147,11 +151,11 @@ fn replay(flat: &Flat, protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync
     let means = jobs
         .into_par_iter()
         .map(|(model, candidate, fold)| Ok(asked(model, candidate, fold.start, fold.clone())?.mean_secs()))
-        .collect::<Result<Vec<f64>, Problem>>()?;
-    let mut trials: Vec<Trial> = candidates
+        .collect::<Result<Vec<f64>, ReplayError>>()?;
+    let mut trials: Vec<SearchTrial> = candidates
         .into_iter()
         .zip(means.chunks(folds.len().max(1)))
-        .map(|((model, candidate), folds)| Trial { model, candidate, folds: folds.to_vec(), chosen: false })
+        .map(|((model, candidate), folds)| SearchTrial { model, candidate, folds: folds.to_vec(), chosen: false })
         .collect();
     for of_model in trials.chunk_by_mut(|a, b| a.model == b.model) {
         // Of equal ones the first.
@@ -165,20 +169,20 @@ fn replay(flat: &Flat, protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync
     let mut rows = (0..protocol.models.len())
         .into_par_iter()
         .map(|model| {
-            let (contender, candidate) = (&protocol.models[model], chosen(model));
+            let (entry, candidate) = (&protocol.models[model], chosen(model));
             let found = asked(model, candidate, learned, learned..minutes)?;
-            let parameters = contender.candidates[candidate].shown().to_owned();
-            Ok(Row { label: contender.label.clone(), parameters, found })
+            let parameters = entry.candidates[candidate].shown().to_owned();
+            Ok(SearchResult { label: entry.label.clone(), parameters, found })
         })
-        .collect::<Result<Vec<Row>, Problem>>()?;
-    let found = hunt::by_truth(flat, learned..minutes)?;
+        .collect::<Result<Vec<SearchResult>, ReplayError>>()?;
+    let found = simulate::by_truth(world, learned..minutes)?;
     step();
-    rows.push(Row { label: OMNISCIENT.to_owned(), parameters: String::new(), found });
-    Ok(Outcome { rows, trials })
+    rows.push(SearchResult { label: OMNISCIENT.to_owned(), parameters: String::new(), found });
+    Ok(SearchComparison { rows, trials })
 }
 
 /// The last minutes that are learned, in pieces, each of which is asked for by what is before it.
-fn folds(protocol: &Protocol) -> Vec<Range<usize>> {
+fn folds(protocol: &SearchProtocol) -> Vec<Range<usize>> {
     let fold = protocol.fold_minutes;
     let until = protocol.train_minutes;
     (0..protocol.folds).rev().map(|behind| until - (behind + 1) * fold..until - behind * fold).collect()

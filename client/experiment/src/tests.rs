@@ -62,7 +62,7 @@ fn protocol(folder: &Path, text: &str) -> Protocol {
     parse(text, "test", folder).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn ran(folder: &Path, text: &str) -> Outcome {
+fn ran(folder: &Path, text: &str) -> Comparison {
     run(&protocol(folder, text), &|_, _| ()).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -70,12 +70,12 @@ fn problem(folder: &Path, text: &str) -> String {
     run(&protocol(folder, text), &|_, _| ()).expect_err(text).to_string()
 }
 
-fn mse(outcome: &Outcome, label: &str) -> f64 {
+fn mse(outcome: &Comparison, label: &str) -> f64 {
     outcome.models.iter().find(|model| model.label == label).unwrap().score.mse()
 }
 
 /// What the tuning decided and by which errors.
-fn tuned(outcome: &Outcome) -> Vec<(String, bool, Vec<f64>)> {
+fn tuned(outcome: &Comparison) -> Vec<(String, bool, Vec<f64>)> {
     let of_trial = |trial: &Trial| {
         let errors = trial.folds.iter().map(|fold| fold.mse()).collect();
         (format!("{} {}", trial.model, trial.candidate), trial.chosen, errors)
@@ -306,7 +306,7 @@ fn nothing_in_the_picture_overlaps_a_text() {
 
 /// The recordings of Krajník et al., RA-L 2019, where they are at hand.
 fn recordings(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")).join(name);
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
     if !folder.is_dir() {
         assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "no recordings at {}", folder.display());
         println!("SKIPPED: no recordings at {}", folder.display());
@@ -316,7 +316,7 @@ fn recordings(name: &str) -> Option<PathBuf> {
 }
 
 #[track_caller]
-fn assert_mse(outcome: &Outcome, expected: &[(&str, f64)]) {
+fn assert_mse(outcome: &Comparison, expected: &[(&str, f64)]) {
     for &(label, expected) in expected {
         let found = mse(outcome, label);
         println!("{label}: {found:.5}");

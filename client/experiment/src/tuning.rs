@@ -10,10 +10,10 @@ use tidemap_map::time::{format_duration, format_rfc3339};
 use tidemap_model::{Evaluation, Sample};
 
 use super::{
-    Problem,
-    candidate::{Candidate, ValueKind},
+    ExperimentError,
     data::Data,
-    protocol::{Contender, Tuning},
+    parameter_set::{ParameterSet, ValueKind},
+    protocol::{ModelEntry, Tuning},
 };
 
 /// A stretch of the training data that is predicted from what is before it: after `from`, up to and with `until`.
@@ -46,8 +46,10 @@ impl Trial {
 }
 
 /// The folds, which end with the training data.
-pub fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, Problem> {
-    let Some((first, last)) = data.train_extent() else { return Err(Problem::Folds("there is none".to_owned())) };
+pub fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, ExperimentError> {
+    let Some((first, last)) = data.train_extent() else {
+        return Err(ExperimentError::Folds("there is none".to_owned()));
+    };
     let starts_before = |folds_behind: usize| {
         let behind = i64::try_from(folds_behind).ok().and_then(|count| tuning.fold_nanos.checked_mul(count));
         behind.and_then(|behind| last.checked_sub(behind)).unwrap_or(i64::MIN)
@@ -58,7 +60,7 @@ pub fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, Problem> {
         .collect();
     let fold_length = format_duration(tuning.fold_nanos);
     if folds.first().is_none_or(|fold| fold.from_nanos < first) {
-        return Err(Problem::Folds(format!(
+        return Err(ExperimentError::Folds(format!(
             "{} folds of {fold_length} need more than the training data has, {} to {}: use fewer or shorter folds",
             tuning.folds,
             format_rfc3339(first),
@@ -68,7 +70,7 @@ pub fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, Problem> {
     for (number, fold) in (1..).zip(&folds) {
         if !data.train.iter().any(|samples| !split(samples, *fold).1.is_empty() && !split(samples, *fold).0.is_empty())
         {
-            return Err(Problem::Folds(format!(
+            return Err(ExperimentError::Folds(format!(
                 "fold {number}, from {} to {}, has no readings of a state that was seen before: use longer folds, or fewer",
                 format_rfc3339(fold.from_nanos),
                 format_rfc3339(fold.until_nanos)
@@ -88,11 +90,11 @@ fn split(samples: &[Sample], fold: Fold) -> (&[Sample], &[Sample]) {
 /// Scores every candidate on every fold, and chooses.
 pub fn tune(
     data: &Data,
-    models: &[Contender],
+    models: &[ModelEntry],
     folds: &[Fold],
     kind: ValueKind,
     step: &(impl Fn() + Sync),
-) -> Result<Vec<Trial>, Problem> {
+) -> Result<Vec<Trial>, ExperimentError> {
     let each_fold = |model: usize, candidate: usize| (0..folds.len()).map(move |fold| (model, candidate, fold));
     let each_candidate = |model: usize| (0..models[model].candidates.len()).map(move |candidate| (model, candidate));
     let all: Vec<(usize, usize)> = (0..models.len()).flat_map(each_candidate).collect();
@@ -106,7 +108,7 @@ pub fn tune(
             step();
             errors
         })
-        .collect::<Result<Vec<Evaluation>, Problem>>()?;
+        .collect::<Result<Vec<Evaluation>, ExperimentError>>()?;
     let mut trials: Vec<Trial> = all
         .into_iter()
         .zip(errors.chunks(folds.len().max(1)))
@@ -125,17 +127,18 @@ pub fn tune(
 fn fold_errors(
     data: &Data,
     label: &str,
-    candidate: &Candidate,
+    candidate: &ParameterSet,
     fold: Fold,
     kind: ValueKind,
-) -> Result<Evaluation, Problem> {
+) -> Result<Evaluation, ExperimentError> {
     let mut errors = Evaluation::default();
     for (state, samples) in data.states.iter().zip(&data.train) {
         let (learned, ahead) = split(samples, fold);
         if learned.is_empty() || ahead.is_empty() {
             continue;
         }
-        let model = candidate.fit(learned, kind).map_err(|refused| Problem::fit(label, candidate, state, refused))?;
+        let model =
+            candidate.fit(learned, kind).map_err(|refused| ExperimentError::fit(label, candidate, state, refused))?;
         for sample in ahead {
             errors.add(model.predict(sample.moment()), sample.value);
         }

@@ -13,14 +13,14 @@ const SHOWN_CHARS_MAX: usize = 40;
 #[error("{place}: {problem}")]
 pub struct FormatError {
     /// Where in the file.
-    pub place: Place,
+    pub place: FilePlace,
     /// What is wrong there.
-    pub problem: Problem,
+    pub problem: FormatProblem,
 }
 
 /// A place in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum FilePlace {
     /// A line, from 1.
     Line(u64),
     /// A byte, from 0.
@@ -29,7 +29,7 @@ pub enum Place {
 
 /// What is wrong with a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Problem {
+pub enum FormatProblem {
     /// A value that may not be.
     #[error("{what} is {found}; it has to be {right}")]
     Value {
@@ -85,37 +85,51 @@ pub enum Problem {
 
 impl FormatError {
     /// A value that may not be.
-    pub fn value(place: Place, what: impl Into<String>, found: impl fmt::Display, right: impl Into<String>) -> Self {
-        Self { place, problem: Problem::Value { what: what.into(), found: found.to_string(), right: right.into() } }
+    pub fn value(
+        place: FilePlace,
+        what: impl Into<String>,
+        found: impl fmt::Display,
+        right: impl Into<String>,
+    ) -> Self {
+        Self {
+            place,
+            problem: FormatProblem::Value { what: what.into(), found: found.to_string(), right: right.into() },
+        }
     }
 
     /// Something that has to be there and is not.
-    pub fn missing(place: Place, what: impl Into<String>, right: impl Into<String>) -> Self {
-        Self { place, problem: Problem::Missing { what: what.into(), right: right.into() } }
+    pub fn missing(place: FilePlace, what: impl Into<String>, right: impl Into<String>) -> Self {
+        Self { place, problem: FormatProblem::Missing { what: what.into(), right: right.into() } }
     }
 
     /// Fewer bytes than something takes.
     pub fn cut_off(at: u64, what: impl Into<String>, needs: u64, has: u64) -> Self {
-        Self { place: Place::Byte(at), problem: Problem::CutOff { what: what.into(), needs, has, unit: "bytes" } }
+        Self {
+            place: FilePlace::Byte(at),
+            problem: FormatProblem::CutOff { what: what.into(), needs, has, unit: "bytes" },
+        }
     }
 
     /// Fewer lines than something takes.
     pub fn lines_cut_off(line: u64, what: impl Into<String>, needs: u64, has: u64) -> Self {
-        Self { place: Place::Line(line), problem: Problem::CutOff { what: what.into(), needs, has, unit: "lines" } }
+        Self {
+            place: FilePlace::Line(line),
+            problem: FormatProblem::CutOff { what: what.into(), needs, has, unit: "lines" },
+        }
     }
 
     /// More than is read from one file.
-    pub fn too_many(place: Place, what: impl Into<String>, found: u64, most: u64) -> Self {
-        Self { place, problem: Problem::TooMany { what: what.into(), found, most } }
+    pub fn too_many(place: FilePlace, what: impl Into<String>, found: u64, most: u64) -> Self {
+        Self { place, problem: FormatProblem::TooMany { what: what.into(), found, most } }
     }
 
     /// Bytes behind the end.
     pub fn trailing(at: u64, count: u64, what: impl Into<String>) -> Self {
-        Self { place: Place::Byte(at), problem: Problem::Trailing { count, what: what.into() } }
+        Self { place: FilePlace::Byte(at), problem: FormatProblem::Trailing { count, what: what.into() } }
     }
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for FilePlace {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Line(line) => write!(out, "line {line}"),

@@ -24,7 +24,7 @@ mod settings;
 mod tests;
 mod write;
 
-use super::error::{FormatError, Place};
+use super::error::{FilePlace, FormatError};
 
 pub use settings::{GridMode, GridSettings, read_settings};
 pub use write::{Thresholds, write};

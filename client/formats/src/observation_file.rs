@@ -20,7 +20,7 @@ const LINE_BYTES_MAX: usize = 64 * 1024;
 
 /// Why a file cannot be read at all.
 #[derive(Debug, thiserror::Error)]
-pub enum RowsError {
+pub enum RowError {
     /// Reading failed.
     #[error(transparent)]
     Io(#[from] io::Error),
@@ -61,7 +61,7 @@ fn needed(column: &str) -> &'static str {
 
 /// Where a row stands in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct At {
+pub struct RowPlace {
     /// Its number, from 1; the header and blank lines do not count.
     pub number: u64,
     /// Its line, from 1.
@@ -71,20 +71,20 @@ pub struct At {
 }
 
 /// A header.
-pub struct Header<'a> {
+pub struct CsvHeader<'a> {
     text: &'a str,
     /// Names of the columns, in small letters.
     names: Vec<String>,
 }
 
-impl Header<'_> {
+impl CsvHeader<'_> {
     /// The place of a column that has to be there, once.
-    fn column(&self, column: &'static str) -> Result<usize, RowsError> {
+    fn column(&self, column: &'static str) -> Result<usize, RowError> {
         let mut places = self.names.iter().enumerate().filter(|(_, name)| *name == column).map(|(place, _)| place);
         match (places.next(), places.next()) {
             (Some(place), None) => Ok(place),
-            (None, _) => Err(RowsError::MissingColumn { column, header: shown(self.text) }),
-            (Some(_), Some(_)) => Err(RowsError::DoubleColumn { column, header: shown(self.text) }),
+            (None, _) => Err(RowError::MissingColumn { column, header: shown(self.text) }),
+            (Some(_), Some(_)) => Err(RowError::DoubleColumn { column, header: shown(self.text) }),
         }
     }
 
@@ -101,18 +101,18 @@ pub trait Layout: Sized {
     type Row: std::fmt::Debug;
 
     /// From the header, with the places of the columns that are used.
-    fn new(header: &Header<'_>) -> Result<(Self, Vec<usize>), RowsError>;
+    fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError>;
 
     /// The row of a line, and whether all of it could be read.
-    fn row(&self, line: &[u8], at: At) -> (Self::Row, bool);
+    fn row(&self, line: &[u8], at: RowPlace) -> (Self::Row, bool);
 
     /// Where a row stands.
-    fn at(row: &Self::Row) -> At;
+    fn at(row: &Self::Row) -> RowPlace;
 }
 
 /// A row of observations.
 #[derive(Clone, Debug)]
-pub struct Row {
+pub struct ObservationRow {
     /// Its number, from 1; the header and blank lines do not count.
     pub number: u64,
     /// Its line, from 1.
@@ -137,7 +137,7 @@ pub struct Row {
 
 /// What comes next in a file.
 #[derive(Clone, Debug)]
-pub enum Item<T = Row> {
+pub enum RowItem<T = ObservationRow> {
     /// A row.
     Row(T),
     /// A last line without an end that makes no row, or that may be the beginning of another one: somebody is still
@@ -152,7 +152,7 @@ pub enum Item<T = Row> {
 
 /// Where the columns of observations are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Columns {
+pub struct ObservationColumns {
     time: usize,
     state: usize,
     value: usize,
@@ -164,7 +164,7 @@ pub struct Columns {
 
 /// Reads a file row by row.
 #[derive(Debug)]
-pub struct Rows<R, L = Columns> {
+pub struct RowReader<R, L = ObservationColumns> {
     reader: R,
     layout: L,
     ignored: Vec<String>,
@@ -184,28 +184,28 @@ enum LineEnd {
     EndOfFile,
 }
 
-impl<R: BufRead> Rows<R> {
+impl<R: BufRead> RowReader<R> {
     /// Reads the header of a file of observations.
-    pub fn new(reader: R) -> Result<Self, RowsError> {
+    pub fn new(reader: R) -> Result<Self, RowError> {
         Self::open(reader)
     }
 
     /// Refuses a file of positions.
-    pub fn values_only(self) -> Result<Self, RowsError> {
-        if self.layout.has_positions() { Err(RowsError::Positions) } else { Ok(self) }
+    pub fn values_only(self) -> Result<Self, RowError> {
+        if self.layout.has_positions() { Err(RowError::Positions) } else { Ok(self) }
     }
 }
 
-impl<R: BufRead, L: Layout> Rows<R, L> {
+impl<R: BufRead, L: Layout> RowReader<R, L> {
     /// Reads the header.
-    pub fn open(mut reader: R) -> Result<Self, RowsError> {
+    pub fn open(mut reader: R) -> Result<Self, RowError> {
         let mut buffer = Vec::new();
         let (end, bytes) = read_line(&mut reader, &mut buffer)?;
-        end.ok_or(RowsError::Empty(L::HEADER))?;
+        end.ok_or(RowError::Empty(L::HEADER))?;
         let text = String::from_utf8_lossy(&buffer);
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let names = split(text).unwrap_or_default().iter().map(|name| name.to_lowercase()).collect();
-        let header = Header { text, names };
+        let header = CsvHeader { text, names };
         let (layout, used) = L::new(&header)?;
         let ignored = (0..).zip(&header.names).filter(|(place, _)| !used.contains(place));
         let ignored = ignored.map(|(_, name)| name.clone()).collect();
@@ -225,7 +225,7 @@ impl<R: BufRead, L: Layout> Rows<R, L> {
         self
     }
 
-    /// Columns of the header that are not used.
+    /// ObservationColumns of the header that are not used.
     pub fn ignored(&self) -> &[String] {
         &self.ignored
     }
@@ -244,7 +244,7 @@ impl<R: BufRead, L: Layout> Rows<R, L> {
     }
 
     /// The next row; `None` at the end.
-    pub fn next(&mut self) -> Result<Option<Item<L::Row>>, RowsError> {
+    pub fn next(&mut self) -> Result<Option<RowItem<L::Row>>, RowError> {
         loop {
             if self.ended {
                 return Ok(None);
@@ -257,13 +257,16 @@ impl<R: BufRead, L: Layout> Rows<R, L> {
             if self.buffer.iter().all(|byte| byte.is_ascii_whitespace()) {
                 continue;
             }
-            let at = At { number: self.number + 1, line: self.line, has_end: end == LineEnd::Newline };
+            let at = RowPlace { number: self.number + 1, line: self.line, has_end: end == LineEnd::Newline };
             let (row, readable) = self.layout.row(&self.buffer, at);
             if !at.has_end && (self.lines_must_end || !readable) {
-                return Ok(Some(Item::Torn { line: self.line, text: shown(&String::from_utf8_lossy(&self.buffer)) }));
+                return Ok(Some(RowItem::Torn {
+                    line: self.line,
+                    text: shown(&String::from_utf8_lossy(&self.buffer)),
+                }));
             }
             self.number += 1;
-            return Ok(Some(Item::Row(row)));
+            return Ok(Some(RowItem::Row(row)));
         }
     }
 }
@@ -315,11 +318,11 @@ fn fields(line: &[u8], count: usize) -> Result<Vec<std::borrow::Cow<'_, str>>, S
     Ok(fields)
 }
 
-impl Layout for Columns {
+impl Layout for ObservationColumns {
     const HEADER: &'static str = "time,state,value";
-    type Row = Row;
+    type Row = ObservationRow;
 
-    fn new(header: &Header<'_>) -> Result<(Self, Vec<usize>), RowsError> {
+    fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError> {
         let (time, state) = (header.column("time")?, header.column("state")?);
         let dimensions = (!header.has("value") && (header.has("x") || header.has("y"))).then_some(if header.has("z") {
             Dimensions::Three
@@ -343,8 +346,8 @@ impl Layout for Columns {
         Ok((Self { time, state, value, axes, dimensions, count: header.names.len() }, used))
     }
 
-    fn row(&self, line: &[u8], At { number, line: line_number, has_end }: At) -> (Row, bool) {
-        let mut row = Row {
+    fn row(&self, line: &[u8], RowPlace { number, line: line_number, has_end }: RowPlace) -> (ObservationRow, bool) {
+        let mut row = ObservationRow {
             number,
             line: line_number,
             state: String::new(),
@@ -362,12 +365,12 @@ impl Layout for Columns {
         (row, readable)
     }
 
-    fn at(row: &Row) -> At {
-        At { number: row.number, line: row.line, has_end: row.has_end }
+    fn at(row: &ObservationRow) -> RowPlace {
+        RowPlace { number: row.number, line: row.line, has_end: row.has_end }
     }
 }
 
-impl Columns {
+impl ObservationColumns {
     /// Whether the rows are positions.
     pub fn has_positions(&self) -> bool {
         self.dimensions.is_some()
@@ -375,8 +378,8 @@ impl Columns {
 
     /// Fills in what can be read; the value last, so that it stays NaN where anything else is wrong. Gives what is wrong
     /// with a row that can be read but that no daemon accepts.
-    fn fill(&self, line: &[u8], row: &mut Row) -> Result<Option<String>, String> {
-        let Columns { time, state, value, axes, dimensions, count } = *self;
+    fn fill(&self, line: &[u8], row: &mut ObservationRow) -> Result<Option<String>, String> {
+        let ObservationColumns { time, state, value, axes, dimensions, count } = *self;
         let fields = fields(line, count)?;
         let (chars, chars_max) = (fields[state].chars().count(), StateName::chars_max(&fields[state]));
         // A longer one cannot even be sent to be refused.

@@ -16,7 +16,7 @@ mod tests;
 
 use super::{
     CELLS_MAX,
-    error::{FormatError, Place, shown_start},
+    error::{FilePlace, FormatError, shown_start},
     text::{Line, Lines},
 };
 
@@ -60,7 +60,7 @@ pub fn read(bytes: &[u8]) -> Result<OctoMap, FormatError> {
     let binary = bytes.starts_with(BINARY_START.as_bytes());
     if !binary && !bytes.starts_with(FULL_START.as_bytes()) {
         return Err(FormatError::value(
-            Place::Byte(0),
+            FilePlace::Byte(0),
             "the start of the file",
             shown_start(bytes),
             format!("{BINARY_START:?} (.bt) or {FULL_START:?} (.ot)"),
@@ -68,8 +68,13 @@ pub fn read(bytes: &[u8]) -> Result<OctoMap, FormatError> {
     }
     let mut lines = Lines::new(bytes);
     let header = header(&mut lines, binary)?;
-    let mut walk =
-        Walk { bytes: lines.rest(), at: lines.at(), nodes: 0, leaves: Vec::new(), colour_bytes: header.colour_bytes };
+    let mut walk = TreeReader {
+        bytes: lines.rest(),
+        at: lines.at(),
+        nodes: 0,
+        leaves: Vec::new(),
+        colour_bytes: header.colour_bytes,
+    };
     if header.nodes > 0 {
         walk.nodes = 1;
         if binary {
@@ -89,18 +94,18 @@ pub fn read(bytes: &[u8]) -> Result<OctoMap, FormatError> {
     Ok(OctoMap { resolution_m: header.resolution_m, leaves: walk.leaves })
 }
 
-struct Header {
+struct TreeHeader {
     resolution_m: f64,
     nodes: u64,
-    nodes_at: Place,
+    nodes_at: FilePlace,
     colour_bytes: usize,
 }
 
 /// Takes the lines of the header, `data` included.
-fn header(lines: &mut Lines<'_>, binary: bool) -> Result<Header, FormatError> {
+fn header(lines: &mut Lines<'_>, binary: bool) -> Result<TreeHeader, FormatError> {
     let (mut id, mut size, mut resolution): (Option<Line<'_>>, Option<Line<'_>>, Option<Line<'_>>) = (None, None, None);
     let missing = |lines: &Lines<'_>, key| {
-        FormatError::missing(Place::Line(lines.number()), key, "the header has id, size, res and, as its end, data")
+        FormatError::missing(FilePlace::Line(lines.number()), key, "the header has id, size, res and, as its end, data")
     };
     loop {
         let line = lines.next_line()?.ok_or_else(|| missing(lines, "data"))?;
@@ -134,11 +139,11 @@ fn header(lines: &mut Lines<'_>, binary: bool) -> Result<Header, FormatError> {
     if !(resolution_m.is_finite() && resolution_m > 0.0) {
         return Err(resolution.wrong("res", word.unwrap_or_default(), right));
     }
-    Ok(Header { resolution_m, nodes, nodes_at: size.place(), colour_bytes })
+    Ok(TreeHeader { resolution_m, nodes, nodes_at: size.place(), colour_bytes })
 }
 
 /// Goes through the nodes of a file, which is recursive to the depth of the tree.
-struct Walk<'a> {
+struct TreeReader<'a> {
     bytes: &'a [u8],
     at: u64,
     nodes: u64,
@@ -146,7 +151,7 @@ struct Walk<'a> {
     colour_bytes: usize,
 }
 
-impl<'a> Walk<'a> {
+impl<'a> TreeReader<'a> {
     fn take<const N: usize>(&mut self, what: &str) -> Result<&'a [u8; N], FormatError> {
         let Some((taken, rest)) = self.bytes.split_first_chunk() else {
             return Err(FormatError::cut_off(self.at, what, N as u64, self.bytes.len() as u64));
@@ -158,7 +163,7 @@ impl<'a> Walk<'a> {
 
     fn leaf(&mut self, corner: [u32; 3], depth: u32, log_odds: f32) -> Result<(), FormatError> {
         if self.leaves.len() as u64 >= CELLS_MAX {
-            let place = Place::Byte(self.at);
+            let place = FilePlace::Byte(self.at);
             return Err(FormatError::too_many(place, "the number of leaves", CELLS_MAX + 1, CELLS_MAX));
         }
         // Keys are below 65536.
@@ -170,7 +175,7 @@ impl<'a> Walk<'a> {
 
     /// A node that has children, of a binary file.
     fn binary_node(&mut self, corner: [u32; 3], depth: u32) -> Result<(), FormatError> {
-        let place = Place::Byte(self.at);
+        let place = FilePlace::Byte(self.at);
         let children = u16::from_le_bytes(*self.take("a node of the tree")?);
         // A root without children is what is left of a tree that was emptied.
         if children == 0 && depth > 0 {
@@ -195,7 +200,7 @@ impl<'a> Walk<'a> {
 
     /// A node with or without children, of a full file.
     fn full_node(&mut self, corner: [u32; 3], depth: u32) -> Result<(), FormatError> {
-        let place = Place::Byte(self.at);
+        let place = FilePlace::Byte(self.at);
         let log_odds = f32::from_le_bytes(*self.take("a node of the tree")?);
         if !log_odds.is_finite() {
             return Err(FormatError::value(place, "the log-odds of a node", log_odds, "a finite number"));
@@ -218,7 +223,7 @@ impl<'a> Walk<'a> {
     }
 }
 
-fn too_deep(place: Place) -> FormatError {
+fn too_deep(place: FilePlace) -> FormatError {
     FormatError::value(place, "the depth of the tree", format!("more than {DEPTH}"), format!("at most {DEPTH}"))
 }
 

@@ -11,12 +11,12 @@ mod lzf;
 mod tests;
 
 use super::{
-    error::{FormatError, Place},
+    error::{FilePlace, FormatError},
     points::{PointFile, Pose},
     scalar::Endian,
     text::Lines,
 };
-use header::{Data, Header};
+use header::{Data, PcdHeader};
 
 /// Most bytes that compressed data may unpack to.
 const UNPACKED_BYTES_MAX: u64 = 2 << 30;
@@ -37,7 +37,7 @@ pub fn read_pose(bytes: &[u8]) -> Result<Option<Pose>, FormatError> {
     Ok(header::read(bytes, &mut Lines::new(bytes))?.pose)
 }
 
-fn ascii(header: &Header, mut lines: Lines<'_>) -> Result<PointFile, FormatError> {
+fn ascii(header: &PcdHeader, mut lines: Lines<'_>) -> Result<PointFile, FormatError> {
     let row = header.row(true);
     let room = lines.rest().len() as u64;
     // Each value takes a character at least, and a space or line end behind it.
@@ -77,7 +77,7 @@ fn ascii(header: &Header, mut lines: Lines<'_>) -> Result<PointFile, FormatError
     Ok(file)
 }
 
-fn binary(header: &Header, lines: &Lines<'_>) -> Result<PointFile, FormatError> {
+fn binary(header: &PcdHeader, lines: &Lines<'_>) -> Result<PointFile, FormatError> {
     let row = header.row(true);
     let (data, room) = (lines.rest(), lines.rest().len() as u64);
     let needs = header.points * row.bytes as u64;
@@ -94,7 +94,7 @@ fn binary(header: &Header, lines: &Lines<'_>) -> Result<PointFile, FormatError> 
 }
 
 /// Compressed data: its packed and its unpacked length, then all the values of the first field, those of the second …
-fn compressed(header: &Header, lines: &Lines<'_>) -> Result<PointFile, FormatError> {
+fn compressed(header: &PcdHeader, lines: &Lines<'_>) -> Result<PointFile, FormatError> {
     let (data, at) = (lines.rest(), lines.at());
     let Some(([a, b, c, d, e, f, g, h], data)) = data.split_first_chunk::<8>() else {
         return Err(FormatError::cut_off(at, "the length of compressed data", 8, data.len() as u64));
@@ -110,14 +110,19 @@ fn compressed(header: &Header, lines: &Lines<'_>) -> Result<PointFile, FormatErr
     let rows = [header.row(true), header.row(false)];
     let Some(row) = rows.iter().find(|row| row.bytes as u64 * header.points == unpacked) else {
         return Err(FormatError::value(
-            Place::Byte(at + 4),
+            FilePlace::Byte(at + 4),
             "the unpacked length",
             unpacked,
             format!("{}, for {} points", rows[0].bytes as u64 * header.points, header.points),
         ));
     };
     if unpacked > UNPACKED_BYTES_MAX {
-        return Err(FormatError::too_many(Place::Byte(at + 4), "the unpacked length", unpacked, UNPACKED_BYTES_MAX));
+        return Err(FormatError::too_many(
+            FilePlace::Byte(at + 4),
+            "the unpacked length",
+            unpacked,
+            UNPACKED_BYTES_MAX,
+        ));
     }
     let data = lzf::unpack(data, usize::try_from(unpacked).unwrap_or(0), at + 8)?;
     let mut file = PointFile::with_room(header.points, header.pose);

@@ -12,12 +12,12 @@ mod tests;
 mod write;
 
 use super::{
-    error::{FormatError, Place},
+    error::{FilePlace, FormatError},
     points::PointFile,
     scalar::{Endian, Scalar},
     text::{Line, Lines},
 };
-use header::{Element, Encoding, Kind};
+use header::{Element, Encoding, PropertyKind};
 
 pub use write::write;
 
@@ -81,7 +81,7 @@ fn ascii_row(element: &Element, line: Line<'_>) -> Result<[f64; 3], FormatError>
     let mut point = [0.0; 3];
     for (index, property) in element.properties.iter().enumerate() {
         match property.kind {
-            Kind::Scalar(_) => {
+            PropertyKind::Scalar(_) => {
                 let word = words.next();
                 if let Some(axis) = element.axis(index) {
                     point[axis] = line.parse(property.name, word, "a number")?;
@@ -89,7 +89,7 @@ fn ascii_row(element: &Element, line: Line<'_>) -> Result<[f64; 3], FormatError>
                     return Err(FormatError::missing(line.place(), property.name, "the header announces it"));
                 }
             }
-            Kind::List { .. } => {
+            PropertyKind::List { .. } => {
                 let length: u64 = line.parse(property.name, words.next(), "the length of a list")?;
                 for taken in 0..length {
                     if words.next().is_none() {
@@ -132,7 +132,7 @@ impl<'a> Binary<'a> {
         let length = count.read(self.take(count.bytes() as u64, what)?, 0, self.endian);
         if length < 0.0 {
             return Err(FormatError::value(
-                Place::Byte(at),
+                FilePlace::Byte(at),
                 format!("the length of list {what}"),
                 length,
                 "at least 0",
@@ -145,20 +145,20 @@ impl<'a> Binary<'a> {
 
 fn binary(element: &Element, data: &mut Binary<'_>, file: &mut PointFile) -> Result<(), FormatError> {
     let least = element.properties.iter().map(|property| match property.kind {
-        Kind::Scalar(scalar) | Kind::List { count: scalar, .. } => scalar.bytes() as u64,
+        PropertyKind::Scalar(scalar) | PropertyKind::List { count: scalar, .. } => scalar.bytes() as u64,
     });
     room_for(element, least.sum(), data.at, data.bytes.len() as u64, file)?;
     for _ in 0..element.count {
         let mut point = [0.0; 3];
         for (index, property) in element.properties.iter().enumerate() {
             match property.kind {
-                Kind::Scalar(scalar) => {
+                PropertyKind::Scalar(scalar) => {
                     let bytes = data.take(scalar.bytes() as u64, property.name)?;
                     if let Some(axis) = element.axis(index) {
                         point[axis] = scalar.read(bytes, 0, data.endian);
                     }
                 }
-                Kind::List { count, item } => {
+                PropertyKind::List { count, item } => {
                     let length = data.length(count, property.name)?;
                     data.take(length.saturating_mul(item.bytes() as u64), property.name)?;
                 }

@@ -5,7 +5,7 @@
 
 use std::str::FromStr;
 
-use super::error::{FormatError, Place, Problem, shown};
+use super::error::{FilePlace, FormatError, FormatProblem, shown};
 
 /// Takes a file line by line.
 pub struct Lines<'a> {
@@ -36,9 +36,9 @@ impl<'a> Lines<'a> {
             return Ok(None);
         }
         self.number += 1;
-        let place = Place::Line(self.number);
+        let place = FilePlace::Line(self.number);
         let Some(length) = rest.iter().position(|&byte| byte == b'\n') else {
-            return Err(FormatError { place, problem: Problem::NoLineEnd });
+            return Err(FormatError { place, problem: FormatProblem::NoLineEnd });
         };
         self.at += length + 1;
         match std::str::from_utf8(&rest[..length]) {
@@ -75,8 +75,8 @@ impl<'a> Lines<'a> {
 
 impl<'a> Line<'a> {
     /// Where it is.
-    pub fn place(&self) -> Place {
-        Place::Line(self.number)
+    pub fn place(&self) -> FilePlace {
+        FilePlace::Line(self.number)
     }
 
     /// Its words.

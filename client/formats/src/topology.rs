@@ -98,20 +98,20 @@ fn shown(text: &str) -> String {
 }
 
 #[derive(Deserialize)]
-struct Written {
-    node: WrittenNode,
+struct YamlItem {
+    node: YamlNode,
 }
 
 #[derive(Deserialize)]
-struct WrittenNode {
+struct YamlNode {
     name: String,
-    pose: WrittenPose,
+    pose: YamlPose,
     #[serde(default)]
-    edges: Vec<WrittenEdge>,
+    edges: Vec<YamlEdge>,
 }
 
 #[derive(Deserialize)]
-struct WrittenPose {
+struct YamlPose {
     position: Position,
     #[serde(default)]
     orientation: Orientation,
@@ -148,7 +148,7 @@ impl Orientation {
 }
 
 #[derive(Deserialize)]
-struct WrittenEdge {
+struct YamlEdge {
     node: String,
     #[serde(default)]
     action: String,
@@ -160,12 +160,12 @@ struct WrittenEdge {
 /// Reads the YAML of a ROS topological map: a list of `node`s with `name`, `pose` and `edges`. An edge is as long as its ends
 /// are apart, and takes its `duration` in seconds where it has one.
 pub fn read_yaml(text: &str) -> Result<TopologyFile, TopologyFileError> {
-    let written: Vec<Written> =
+    let written: Vec<YamlItem> =
         serde_saphyr::from_str(text).map_err(|error| TopologyFileError::Yaml(error.to_string()))?;
     let places: HashMap<&str, Position> =
-        written.iter().map(|Written { node }| (node.name.as_str(), node.pose.position)).collect();
+        written.iter().map(|YamlItem { node }| (node.name.as_str(), node.pose.position)).collect();
     let mut topology = TopologyFile::default();
-    for Written { node } in &written {
+    for YamlItem { node } in &written {
         let at = node.pose.position;
         let pose = Some([at.x, at.y, node.pose.orientation.yaw_rad()]);
         topology.nodes.push(NodeEntry { name: node.name.clone(), pose });

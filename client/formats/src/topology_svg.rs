@@ -68,7 +68,7 @@ pub struct TopologyPicture {
 
 /// Why a map cannot be drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum CannotDraw {
+pub enum TopologyPictureError {
     /// There is nothing.
     #[error("the map has no nodes: there is nothing to draw")]
     Empty,
@@ -88,8 +88,8 @@ pub enum CannotDraw {
 /// Draws a map.
 ///
 /// # Errors
-/// [`CannotDraw`].
-pub fn write(picture: &TopologyPicture) -> Result<String, CannotDraw> {
+/// [`TopologyPictureError`].
+pub fn write(picture: &TopologyPicture) -> Result<String, TopologyPictureError> {
     let places = fitted(&layout::places(&picture.nodes, &picture.edges)?);
     let far = |axis: usize| places.iter().map(|place| place[axis]).fold(0.0, f64::max) + MARGIN;
     let (width, height) = (far(0), far(1));

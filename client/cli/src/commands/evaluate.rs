@@ -19,7 +19,7 @@ use super::{
 };
 use crate::progress::{Bar, notice};
 use tidemap_formats::{
-    observation_file::{Columns, RowsError},
+    observation_file::{ObservationColumns, RowError},
     table::Cell,
 };
 
@@ -90,9 +90,9 @@ fn missing(unavailable: &Unavailable) -> String {
 
 pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::shown(&args.file);
-    let Feed { mut rows, total_bytes, layout } = feed::open::<Columns>(&args.file)?;
+    let Feed { mut rows, total_bytes, layout } = feed::open::<ObservationColumns>(&args.file)?;
     if layout.has_positions() {
-        return Err(anyhow::Error::new(RowsError::Positions).context(feed::shown(&args.file)));
+        return Err(anyhow::Error::new(RowError::Positions).context(feed::shown(&args.file)));
     }
     let options = EvaluateOptions { map: args.map, models: selected(&args.models), max_order: args.max_order };
     let mut kinds = Kinds::new(session.client.clone(), options.map.clone(), None);

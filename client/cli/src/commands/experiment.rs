@@ -17,7 +17,7 @@ use super::Misused;
 use crate::progress::{Bar, notice};
 use tidemap_experiment::{
     self, ProtocolError,
-    explore::{self, Wanted, office},
+    explore::{self, ExploreProtocol, office},
     routes, search,
 };
 use tidemap_formats::table::Format;
@@ -107,7 +107,7 @@ fn compare(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
     tidemap_experiment::write(&protocol, &outcome, out)?;
     tidemap_experiment::summary(&protocol, &outcome, format, io::stdout().lock())?;
     let undecided =
-        |model: &tidemap_experiment::Compared| model.difference.is_some_and(|difference| difference.test.is_none());
+        |model: &tidemap_experiment::ModelResult| model.difference.is_some_and(|difference| difference.test.is_none());
     if outcome.models.iter().any(undecided) {
         notice("the test sets have too few days for a test: intervals and p-values are left out");
     }
@@ -121,13 +121,13 @@ fn explore(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
     let shown = args.protocol.display();
     let wanted = explore::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
     let own = match &wanted {
-        Wanted::Places(protocol) => &protocol.out,
-        Wanted::Office(protocol) => &protocol.out,
+        ExploreProtocol::Places(protocol) => &protocol.out,
+        ExploreProtocol::Office(protocol) => &protocol.out,
     };
     let out = args.out.as_ref().unwrap_or(own);
     fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
     match &wanted {
-        Wanted::Places(protocol) => {
+        ExploreProtocol::Places(protocol) => {
             let bar = Bar::count("runs");
             let outcome = explore::run(protocol, &|done, total| bar.set_of(done, total));
             bar.clear();
@@ -135,7 +135,7 @@ fn explore(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
             explore::write(protocol, &outcome, out)?;
             explore::summary(protocol, &outcome, format, io::stdout().lock())?;
         }
-        Wanted::Office(protocol) => {
+        ExploreProtocol::Office(protocol) => {
             let bar = Bar::count("days");
             let outcome = office::run(protocol, &|done, total| bar.set_of(done, total));
             bar.clear();
@@ -176,8 +176,12 @@ fn refused(path: &Path, error: &ProtocolError) -> anyhow::Error {
 
 fn routes(args: &RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
     let RoutesArgs { seeds, first_seed, weeks, tasks, out } = args;
-    let protocol =
-        routes::Protocol { seeds: *seeds, first_seed: *first_seed, weeks: *weeks as usize, tasks: *tasks as usize };
+    let protocol = routes::RoutesProtocol {
+        seeds: *seeds,
+        first_seed: *first_seed,
+        weeks: *weeks as usize,
+        tasks: *tasks as usize,
+    };
     fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
     let bar = Bar::count("runs");
     let outcome = routes::run(&protocol, &|done, total| bar.set_of(done, total));

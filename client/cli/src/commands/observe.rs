@@ -30,7 +30,7 @@ use self::{
 use super::{Misused, Session, job, producer_id, times};
 use crate::progress::{Bar, notice};
 use tidemap_formats::{
-    observation_file::{Columns, Layout},
+    observation_file::{Layout, ObservationColumns},
     table::Cell,
 };
 
@@ -70,7 +70,7 @@ pub(super) const INTERRUPTED: u8 = 130;
 
 pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::shown(&args.file);
-    let feed = feed::open::<Columns>(&args.file)?;
+    let feed = feed::open::<ObservationColumns>(&args.file)?;
     let has_positions = feed.layout.has_positions();
     if let Some(kind) = args.kind.filter(|kind| (*kind == StateKind::Vector) != has_positions) {
         let columns = if has_positions { "positions, columns x and y" } else { "single values, column value" };

@@ -9,16 +9,16 @@ use tidemap_model::{
 
 mod learner;
 
-pub use learner::Kind;
 use learner::Learner;
+pub use learner::LearnerKind;
 
 /// A model that can be compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Model {
+pub enum BeliefModel {
     /// Every place by itself, by a model of one state.
     Each {
         /// Which.
-        kind: Kind,
+        kind: LearnerKind,
         /// How it is drawn towards what was seen last.
         blend: Blend,
     },
@@ -39,24 +39,24 @@ pub enum Blend {
     Memory,
 }
 
-impl Model {
+impl BeliefModel {
     /// All that can be named, in the order of the documentation.
-    pub fn all() -> impl Iterator<Item = Model> {
-        let plain = Kind::ALL.into_iter().map(|kind| Model::Each { kind, blend: Blend::None });
+    pub fn all() -> impl Iterator<Item = BeliefModel> {
+        let plain = LearnerKind::ALL.into_iter().map(|kind| BeliefModel::Each { kind, blend: Blend::None });
         let blended = [Blend::Persistence, Blend::Memory].into_iter().flat_map(|blend| {
-            let kinds = Kind::ALL.into_iter().filter(|&kind| kind != Kind::Persistence);
-            kinds.map(move |kind| Model::Each { kind, blend })
+            let kinds = LearnerKind::ALL.into_iter().filter(|&kind| kind != LearnerKind::Persistence);
+            kinds.map(move |kind| BeliefModel::Each { kind, blend })
         });
-        plain.chain(blended).chain([Model::Presence])
+        plain.chain(blended).chain([BeliefModel::Presence])
     }
 
     /// As people write it.
     pub fn name(self) -> String {
         match self {
-            Model::Each { kind, blend: Blend::None } => kind.name().to_owned(),
-            Model::Each { kind, blend: Blend::Persistence } => format!("{}+persistence", kind.name()),
-            Model::Each { kind, blend: Blend::Memory } => format!("{}+memory", kind.name()),
-            Model::Presence => "presence".to_owned(),
+            BeliefModel::Each { kind, blend: Blend::None } => kind.name().to_owned(),
+            BeliefModel::Each { kind, blend: Blend::Persistence } => format!("{}+persistence", kind.name()),
+            BeliefModel::Each { kind, blend: Blend::Memory } => format!("{}+memory", kind.name()),
+            BeliefModel::Presence => "presence".to_owned(),
         }
     }
 }
@@ -82,14 +82,14 @@ pub struct Belief {
     slots: Slots,
     /// The slot that is now; none before the first.
     now: Option<usize>,
-    places: Vec<Place>,
+    places: Vec<PlaceBelief>,
     presence: Option<Presence>,
     blend: Blend,
     remembers: bool,
 }
 
 /// What is known of one place.
-struct Place {
+struct PlaceBelief {
     learner: Learner,
     readings: Vec<Sample>,
     persistence: tidemap_model::Persistence,
@@ -101,23 +101,23 @@ struct Place {
 
 impl Belief {
     /// Of which nothing is known; `remembers`: with a short-term memory beside the model.
-    pub fn new(model: Model, places: usize, slots: Slots, remembers: bool) -> Result<Belief, CannotFit> {
+    pub fn new(model: BeliefModel, places: usize, slots: Slots, remembers: bool) -> Result<Belief, CannotFit> {
         let (kind, blend) = match model {
-            Model::Each { kind, blend } => (kind, blend),
-            Model::Presence => (Kind::Mean, Blend::None),
+            BeliefModel::Each { kind, blend } => (kind, blend),
+            BeliefModel::Presence => (LearnerKind::Mean, Blend::None),
         };
         let presence = match model {
-            Model::Presence => Some(Presence::new(PresenceOptions::new(places, slots.per_day))?),
-            Model::Each { .. } => None,
+            BeliefModel::Presence => Some(Presence::new(PresenceOptions::new(places, slots.per_day))?),
+            BeliefModel::Each { .. } => None,
         };
-        let place = || Place {
+        let place = || PlaceBelief {
             learner: Learner::new(kind),
             readings: Vec::new(),
             persistence: tidemap_model::Persistence::default(),
             chain: None,
             today: vec![0.5; slots.per_day],
         };
-        let remembers = remembers || kind == Kind::Persistence || blend == Blend::Memory;
+        let remembers = remembers || kind == LearnerKind::Persistence || blend == Blend::Memory;
         let places = (0..places).map(|_| place()).collect();
         Ok(Belief { slots, now: None, places, presence, blend, remembers })
     }
@@ -169,10 +169,10 @@ impl Belief {
         }
     }
 
-    fn each(&self, place: &Place, slot: usize) -> f64 {
+    fn each(&self, place: &PlaceBelief, slot: usize) -> f64 {
         let at = self.slots.middle(slot);
         let p = match (&place.chain, place.learner.kind()) {
-            (Some(chain), Kind::Persistence) => chain.predict(at),
+            (Some(chain), LearnerKind::Persistence) => chain.predict(at),
             _ => place.today.get(slot % self.slots.per_day).copied().unwrap_or(0.5),
         };
         match (self.blend, &place.chain, place.readings.last()) {

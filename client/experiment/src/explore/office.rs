@@ -27,9 +27,9 @@ mod space;
 #[cfg(test)]
 mod tests;
 
-pub use explorer::Kind;
-pub use protocol::Protocol;
-pub(super) use protocol::WrittenOffice;
+pub use explorer::ExplorerKind;
+pub use protocol::OfficeProtocol;
+pub(super) use protocol::RawOffice;
 pub use report::{summary, write};
 
 /// Why an office could not be explored.
@@ -55,7 +55,7 @@ pub enum OfficeError {
 
 /// What an explorer did in a run.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Course {
+pub struct ExplorerCourse {
     /// Of each slot from the first, the share of cells that it expects wrongly, 0 to 1; none before anything was seen.
     pub errors: Vec<Option<f64>>,
     /// Of each day, cells seen in another state than this explorer had seen them in before.
@@ -70,9 +70,9 @@ pub struct Course {
 
 /// What came of exploring.
 #[derive(Debug)]
-pub struct Outcome {
+pub struct OfficeExploration {
     /// By seed, then by explorer, in the order of the protocol.
-    pub runs: Vec<Vec<Course>>,
+    pub runs: Vec<Vec<ExplorerCourse>>,
 }
 
 /// An explorer on a day, over all seeds.
@@ -81,7 +81,7 @@ pub struct DayFigures {
     /// From 1.
     pub day: usize,
     /// Which.
-    pub kind: Kind,
+    pub kind: ExplorerKind,
     /// Mean error over slots and seeds, 0 to 1.
     pub error: f64,
     /// The same less that of the first explorer.
@@ -108,7 +108,7 @@ pub struct DayFigures {
 const SIGNIFICANCE: f64 = 0.05;
 
 /// Explores the office with every seed; `progress` is told how many days are done, of how many.
-pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Outcome, OfficeError> {
+pub fn run(protocol: &OfficeProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<OfficeExploration, OfficeError> {
     let (done, total) = (AtomicU64::new(0), protocol.seeds * protocol.days as u64);
     let day_done = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
     let seeds: Vec<u64> = (0..protocol.seeds).collect();
@@ -116,29 +116,31 @@ pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result
         .into_par_iter()
         .map(|seed| run::explore(protocol, &ExploredOffice::new(seed, protocol.rooms), seed, &day_done))
         .collect::<Result<_, OfficeError>>()?;
-    Ok(Outcome { runs })
+    Ok(OfficeExploration { runs })
 }
 
-impl Outcome {
+impl OfficeExploration {
     /// Every day of every explorer, day by day.
-    pub fn days(&self, protocol: &Protocol) -> Vec<DayFigures> {
+    pub fn days(&self, protocol: &OfficeProtocol) -> Vec<DayFigures> {
         let explorers = || protocol.explorers.iter().enumerate();
         (0..protocol.days)
             .flat_map(|day| explorers().map(move |(index, &kind)| self.day(protocol, day, index, kind)))
             .collect()
     }
 
-    fn day(&self, protocol: &Protocol, day: usize, index: usize, kind: Kind) -> DayFigures {
+    fn day(&self, protocol: &OfficeProtocol, day: usize, index: usize, kind: ExplorerKind) -> DayFigures {
         let slots = day * protocol.slots()..(day + 1) * protocol.slots();
-        let errors = |course: &Course| -> Vec<f64> {
+        let errors = |course: &ExplorerCourse| -> Vec<f64> {
             course.errors.get(slots.clone()).unwrap_or_default().iter().flatten().copied().collect()
         };
-        let mean =
-            |of: &dyn Fn(&Vec<Course>) -> f64| self.runs.iter().map(of).sum::<f64>() / self.runs.len().max(1) as f64;
+        let mean = |of: &dyn Fn(&Vec<ExplorerCourse>) -> f64| {
+            self.runs.iter().map(of).sum::<f64>() / self.runs.len().max(1) as f64
+        };
         let mean_of = |errors: &[f64]| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
         let error = |index: usize| mean(&|run| mean_of(&errors(&run[index])));
-        let count =
-            |of: fn(&Course) -> &Vec<u64>| mean(&|run| of(&run[index]).get(day).map_or(0.0, |&count| count as f64));
+        let count = |of: fn(&ExplorerCourse) -> &Vec<u64>| {
+            mean(&|run| of(&run[index]).get(day).map_or(0.0, |&count| count as f64))
+        };
         let (mut p_values, mut better, mut worse) = (Vec::new(), 0, 0);
         for run in self.runs.iter().filter(|_| index > 0) {
             let differences: Vec<f64> =

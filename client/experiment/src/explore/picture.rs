@@ -2,7 +2,7 @@
 //!
 //! Invariant: the same results give the same bytes; all panels have one scale.
 
-use super::{Outcome, Protocol, WEEK_DAYS};
+use super::{Exploration, PlacesProtocol, WEEK_DAYS};
 use crate::picture::{Svg, WIDTH, number, tick};
 
 const COLUMNS: usize = 2;
@@ -22,9 +22,9 @@ fn style(model: usize) -> String {
 }
 
 /// Draws the weeks.
-pub fn draw(protocol: &Protocol, outcome: &Outcome) -> String {
+pub fn draw(protocol: &PlacesProtocol, outcome: &Exploration) -> String {
     let weeks = outcome.days.div_ceil(WEEK_DAYS).max(1);
-    let percent = |pair: &super::Pair, week: usize| {
+    let percent = |pair: &super::StrategyResult, week: usize| {
         100.0 * pair.error(week * WEEK_DAYS..outcome.days.min((week + 1) * WEEK_DAYS)).mean
     };
     let most = outcome.pairs.iter().flat_map(|pair| (0..weeks).map(|week| percent(pair, week))).fold(0.0, f64::max);

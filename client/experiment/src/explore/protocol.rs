@@ -11,15 +11,15 @@ use serde::Deserialize;
 use tidemap_map::time::parse_duration;
 
 use super::{
-    Wanted,
-    belief::Model,
-    office::{self, WrittenOffice},
-    replay::Plan,
-    world::DAY_MINUTES,
+    ExploreProtocol,
+    belief::BeliefModel,
+    office::{OfficeProtocol, RawOffice},
+    replay::VisitStrategy,
 };
 use crate::{
     ProtocolError,
-    protocol::written::{Word, Words},
+    place_recording::DAY_MINUTES,
+    protocol::raw::{Word, Words},
 };
 
 /// Longest protocol.
@@ -34,7 +34,7 @@ const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 
 /// What a protocol says.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Protocol {
+pub struct PlacesProtocol {
     /// Of the experiment.
     pub name: String,
     /// The recording.
@@ -48,9 +48,9 @@ pub struct Protocol {
     /// First and last week, from 1, that are also scored apart.
     pub weeks: Option<(usize, usize)>,
     /// Strategies, at least one.
-    pub plans: Vec<Plan>,
+    pub plans: Vec<VisitStrategy>,
     /// Models, at least one.
-    pub models: Vec<Model>,
+    pub models: Vec<BeliefModel>,
     /// Folder of the results.
     pub out: PathBuf,
 }
@@ -58,10 +58,10 @@ pub struct Protocol {
 /// The file.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Written {
+struct RawExploreProtocol {
     name: Option<Word>,
     world: Option<Word>,
-    office: Option<WrittenOffice>,
+    office: Option<RawOffice>,
     slot: Option<Word>,
     exploration: Option<Word>,
     seeds: Option<Word>,
@@ -75,7 +75,7 @@ struct Written {
 ///
 /// # Errors
 /// [`ProtocolError`], with line, key, what was found and what would be right.
-pub fn read(path: &Path) -> Result<Wanted, ProtocolError> {
+pub fn read(path: &Path) -> Result<ExploreProtocol, ProtocolError> {
     let length = fs::metadata(path)?.len();
     if length > FILE_BYTES_MAX {
         return Err(ProtocolError::TooLong { found: length, most: FILE_BYTES_MAX });
@@ -86,21 +86,21 @@ pub fn read(path: &Path) -> Result<Wanted, ProtocolError> {
 }
 
 /// Makes a protocol of a text; `name` is used where it says none.
-pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Wanted, ProtocolError> {
-    let mut written: Written = serde_saphyr::from_str(text).map_err(|error| ProtocolError::yaml(&error))?;
+pub fn parse(text: &str, name: &str, folder: &Path) -> Result<ExploreProtocol, ProtocolError> {
+    let mut written: RawExploreProtocol = serde_saphyr::from_str(text).map_err(|error| ProtocolError::yaml(&error))?;
     match written.office.take() {
-        Some(office) => of_office(office, written, name, folder).map(Wanted::Office),
-        None => of_places(written, name, folder).map(Wanted::Places),
+        Some(office) => of_office(office, written, name, folder).map(ExploreProtocol::Office),
+        None => of_places(written, name, folder).map(ExploreProtocol::Places),
     }
 }
 
 /// An office, of which strategies and models are not chosen.
 fn of_office(
-    office: WrittenOffice,
-    written: Written,
+    office: RawOffice,
+    written: RawExploreProtocol,
     name: &str,
     folder: &Path,
-) -> Result<office::Protocol, ProtocolError> {
+) -> Result<OfficeProtocol, ProtocolError> {
     const RIGHT: &str = "left out beside an office, which is a world of its own";
     let one = [("world", written.world), ("slot", written.slot), ("exploration", written.exploration)];
     let lists = [("weeks", written.weeks), ("strategies", written.strategies), ("models", written.models)];
@@ -116,7 +116,7 @@ fn of_office(
     office.parse(name, seeds(written.seeds)?, path(written.out, "out", OUT, folder)?)
 }
 
-fn of_places(written: Written, name: &str, folder: &Path) -> Result<Protocol, ProtocolError> {
+fn of_places(written: RawExploreProtocol, name: &str, folder: &Path) -> Result<PlacesProtocol, ProtocolError> {
     let slot_minutes = written.slot.map_or(Ok(SLOT_MINUTES), |word| {
         let minutes = parse_duration(&word.text).ok().and_then(|nanos| {
             let minutes = usize::try_from(nanos / MINUTE_NANOS).ok().filter(|_| nanos % MINUTE_NANOS == 0)?;
@@ -128,11 +128,12 @@ fn of_places(written: Written, name: &str, folder: &Path) -> Result<Protocol, Pr
         let ratio = word.text.parse().ok().filter(|ratio: &f64| (0.0..=1.0).contains(ratio));
         ratio.ok_or_else(|| ProtocolError::value("exploration", &word, "the share of slots to look in, from 0 to 1"))
     })?;
-    let plan = |word: &Word| Plan::ALL.into_iter().find(|plan| plan.name() == word.text);
-    let plans = named("strategies", written.strategies, plan, &Plan::ALL.map(|plan| plan.name().to_owned()))?;
-    let model = |word: &Word| Model::all().find(|model| model.name() == word.text);
-    let models = named("models", written.models, model, &Model::all().map(Model::name).collect::<Vec<_>>())?;
-    Ok(Protocol {
+    let plan = |word: &Word| VisitStrategy::ALL.into_iter().find(|plan| plan.name() == word.text);
+    let plans = named("strategies", written.strategies, plan, &VisitStrategy::ALL.map(|plan| plan.name().to_owned()))?;
+    let model = |word: &Word| BeliefModel::all().find(|model| model.name() == word.text);
+    let models =
+        named("models", written.models, model, &BeliefModel::all().map(BeliefModel::name).collect::<Vec<_>>())?;
+    Ok(PlacesProtocol {
         name: written.name.map_or_else(|| name.to_owned(), |word| word.text),
         world: path(written.world, "world", WORLD, folder)?,
         slot_minutes,

@@ -8,17 +8,17 @@ use tidemap_plan::{
 };
 
 use super::{
-    Problem,
-    belief::{Belief, Model, Slots},
-    world::World,
+    ExploreError,
+    belief::{Belief, BeliefModel, Slots},
 };
+use crate::place_recording::PlaceRecording;
 
 /// Gains that differ by less are equal but for rounding.
 const NEAR_TIE: f64 = 1e-9;
 
 /// A way to choose where to look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Plan {
+pub enum VisitStrategy {
     /// All places in turn.
     RoundRobin,
     /// Any place at any time.
@@ -35,39 +35,39 @@ pub enum Plan {
     OnlineError,
 }
 
-impl Plan {
+impl VisitStrategy {
     /// All of them.
-    pub const ALL: [Plan; 7] = [
-        Plan::RoundRobin,
-        Plan::Random,
-        Plan::Greedy,
-        Plan::MonteCarlo,
-        Plan::NoveltyDriven,
-        Plan::Online,
-        Plan::OnlineError,
+    pub const ALL: [VisitStrategy; 7] = [
+        VisitStrategy::RoundRobin,
+        VisitStrategy::Random,
+        VisitStrategy::Greedy,
+        VisitStrategy::MonteCarlo,
+        VisitStrategy::NoveltyDriven,
+        VisitStrategy::Online,
+        VisitStrategy::OnlineError,
     ];
 
     /// As people write it.
     pub fn name(self) -> &'static str {
         match self {
-            Plan::RoundRobin => "round-robin",
-            Plan::Random => "random",
-            Plan::Greedy => "greedy",
-            Plan::MonteCarlo => "monte-carlo",
-            Plan::NoveltyDriven => "novelty-driven",
-            Plan::Online => "online",
-            Plan::OnlineError => "online-error",
+            VisitStrategy::RoundRobin => "round-robin",
+            VisitStrategy::Random => "random",
+            VisitStrategy::Greedy => "greedy",
+            VisitStrategy::MonteCarlo => "monte-carlo",
+            VisitStrategy::NoveltyDriven => "novelty-driven",
+            VisitStrategy::Online => "online",
+            VisitStrategy::OnlineError => "online-error",
         }
     }
 
     /// How a day is scheduled ahead; none where it is not.
     fn ahead(self, visited: u64) -> Option<Strategy> {
         match self {
-            Plan::RoundRobin => Some(Strategy::RoundRobin { visited }),
-            Plan::Random => Some(Strategy::Random),
-            Plan::Greedy => Some(Strategy::Greedy),
-            Plan::MonteCarlo | Plan::NoveltyDriven => Some(Strategy::MonteCarlo),
-            Plan::Online | Plan::OnlineError => None,
+            VisitStrategy::RoundRobin => Some(Strategy::RoundRobin { visited }),
+            VisitStrategy::Random => Some(Strategy::Random),
+            VisitStrategy::Greedy => Some(Strategy::Greedy),
+            VisitStrategy::MonteCarlo | VisitStrategy::NoveltyDriven => Some(Strategy::MonteCarlo),
+            VisitStrategy::Online | VisitStrategy::OnlineError => None,
         }
     }
 }
@@ -82,12 +82,18 @@ pub struct Run {
 }
 
 /// Explores a world once.
-pub fn replay(world: &World, exploration: f64, plan: Plan, model: Model, seed: u64) -> Result<Run, Problem> {
-    let cannot_fit = |refused| Problem::Fit { model: model.name(), refused };
-    let cannot_plan = |refused: StrategyError| Problem::Plan { strategy: plan.name(), refused };
+pub fn replay(
+    world: &PlaceRecording,
+    exploration: f64,
+    plan: VisitStrategy,
+    model: BeliefModel,
+    seed: u64,
+) -> Result<Run, ExploreError> {
+    let cannot_fit = |refused| ExploreError::Fit { model: model.name(), refused };
+    let cannot_plan = |refused: StrategyError| ExploreError::VisitStrategy { strategy: plan.name(), refused };
     let (places, per_day) = (world.places.len(), world.slots());
     let slots = Slots { per_day, nanos: world.slot_minutes as i64 * 60_000_000_000 };
-    let mut belief = Belief::new(model, places, slots, plan == Plan::NoveltyDriven).map_err(cannot_fit)?;
+    let mut belief = Belief::new(model, places, slots, plan == VisitStrategy::NoveltyDriven).map_err(cannot_fit)?;
     let allowed = Budget::Ratio(exploration).visits(per_day).map_err(cannot_plan)?;
     let mut allowance = Allowance::new(per_day, allowed).map_err(cannot_plan)?;
     let mut run = Run { errors: Vec::with_capacity(world.days()), visits: 0 };
@@ -122,7 +128,7 @@ pub fn replay(world: &World, exploration: f64, plan: Plan, model: Model, seed: u
 
 /// Where to look in the slot that is, given what was planned for it.
 fn visit(
-    plan: Plan,
+    plan: VisitStrategy,
     planned: Option<usize>,
     p: &[f64],
     belief: &Belief,
@@ -130,17 +136,19 @@ fn visit(
     seed: u64,
 ) -> Option<usize> {
     match plan {
-        Plan::RoundRobin | Plan::Random | Plan::Greedy | Plan::MonteCarlo => planned,
-        Plan::NoveltyDriven => {
+        VisitStrategy::RoundRobin | VisitStrategy::Random | VisitStrategy::Greedy | VisitStrategy::MonteCarlo => {
+            planned
+        }
+        VisitStrategy::NoveltyDriven => {
             let expected = belief.expected();
             let worth = |(&expected, &p): (&f64, &f64)| (surprise_bits([(expected, p)]), information_bits([p]));
             planned.map(|planned| strategy::novel(expected.iter().zip(p).map(worth)).unwrap_or(planned))
         }
-        Plan::Online | Plan::OnlineError => {
+        VisitStrategy::Online | VisitStrategy::OnlineError => {
             // Of two that are as unsure, such as 0.7 and 0.3 of the only two places in question, a look at the likelier
             // tells more minutes of the slot: wherever somebody goes, it is from there.
             let errors = |p: f64| expected_errors([p]) + NEAR_TIE * p;
-            let gain = |&p: &f64| if plan == Plan::Online { information_bits([p]) } else { errors(p) };
+            let gain = |&p: &f64| if plan == VisitStrategy::Online { information_bits([p]) } else { errors(p) };
             let gains: Vec<f64> = p.iter().map(gain).collect();
             let (place, gain) = strategy::best(&gains, seed)?;
             allowance.grant(gain).then_some(place)

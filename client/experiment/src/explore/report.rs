@@ -7,7 +7,7 @@ use std::{
     path::Path,
 };
 
-use super::{Outcome, Protocol, WEEK_DAYS, picture};
+use super::{Exploration, PlacesProtocol, WEEK_DAYS, picture};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, Sheet};
 
@@ -15,7 +15,12 @@ use tidemap_formats::table::{Cell, Format, Sheet};
 ///
 /// Columns: strategy, model, error_percent over the whole world and its standard error over seeds, the same of the weeks
 /// that are scored apart where there are such, and visits_per_day.
-pub fn summary<W: Write>(protocol: &Protocol, outcome: &Outcome, format: Format, writer: W) -> io::Result<()> {
+pub fn summary<W: Write>(
+    protocol: &PlacesProtocol,
+    outcome: &Exploration,
+    format: Format,
+    writer: W,
+) -> io::Result<()> {
     let mut columns = ["strategy", "model", "error_percent", "standard_error"].map(str::to_owned).to_vec();
     if let Some((first, last)) = protocol.weeks {
         columns.push(format!("weeks_{first}_{last}_percent"));
@@ -38,14 +43,14 @@ pub fn summary<W: Write>(protocol: &Protocol, outcome: &Outcome, format: Format,
 }
 
 /// Writes the files of an exploration into its folder, which exists.
-pub fn write(protocol: &Protocol, outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+pub fn write(protocol: &PlacesProtocol, outcome: &Exploration, folder: &Path) -> anyhow::Result<()> {
     file(folder, "results.csv", |writer| summary(protocol, outcome, Format::Csv, writer))?;
     file(folder, "weeks.csv", |writer| weeks(outcome, writer))?;
     file(folder, "exploration.svg", |writer| writer.write_all(picture::draw(protocol, outcome).as_bytes()))
 }
 
 /// Every pair's error in every week; the last week may be short.
-fn weeks<W: Write>(outcome: &Outcome, writer: W) -> io::Result<()> {
+fn weeks<W: Write>(outcome: &Exploration, writer: W) -> io::Result<()> {
     let mut sheet = Sheet::new(Format::Csv, &["strategy", "model", "week", "error_percent", "standard_error"], writer);
     for pair in &outcome.pairs {
         for (week, from) in (1_u64..).zip((0..outcome.days).step_by(WEEK_DAYS)) {

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{
-    belief::{Blend, Kind},
+    belief::{Blend, LearnerKind},
     *,
 };
 use crate::explore::protocol::parse;
@@ -20,16 +20,16 @@ models: [mean, spectral+persistence, presence]
 out: results
 ";
 
-fn protocol(text: &str) -> Protocol {
+fn protocol(text: &str) -> PlacesProtocol {
     match parse(text, "stem", Path::new("lab")) {
-        Ok(Wanted::Places(protocol)) => protocol,
+        Ok(ExploreProtocol::Places(protocol)) => protocol,
         Ok(wanted) => panic!("{wanted:?}"),
         Err(error) => panic!("{error}"),
     }
 }
 
 /// In bed until seven, in the kitchen until nine, out until six, then on the sofa until eleven; every day alike.
-fn regular(days: usize) -> World {
+fn regular(days: usize) -> PlaceRecording {
     let mut rows = String::new();
     for day in 0..days {
         let start = day * 1440;
@@ -39,10 +39,10 @@ fn regular(days: usize) -> World {
             rows.push_str(&format!("{} {} {place}\n", start + from, start + until));
         }
     }
-    World::parse(&rows, 30).unwrap()
+    PlaceRecording::parse(&rows, 30).unwrap()
 }
 
-fn error(outcome: &Outcome, plan: Plan, model: &str, days: std::ops::Range<usize>) -> f64 {
+fn error(outcome: &Exploration, plan: VisitStrategy, model: &str, days: std::ops::Range<usize>) -> f64 {
     let pair = outcome.pairs.iter().find(|pair| pair.plan == plan && pair.model.name() == model);
     100.0 * pair.unwrap_or_else(|| panic!("{} {model}", plan.name())).error(days).mean
 }
@@ -52,8 +52,8 @@ fn a_protocol_is_read_and_has_defaults() {
     let read = protocol(PROTOCOL);
     assert_eq!((read.world, read.out), (PathBuf::from("lab/flat.txt"), PathBuf::from("lab/results")));
     assert_eq!((read.slot_minutes, read.seeds, read.weeks), (30, 3, Some((2, 3))));
-    assert_eq!(read.plans, [Plan::RoundRobin, Plan::OnlineError]);
-    assert_eq!(read.models[1], Model::Each { kind: Kind::Spectral, blend: Blend::Persistence });
+    assert_eq!(read.plans, [VisitStrategy::RoundRobin, VisitStrategy::OnlineError]);
+    assert_eq!(read.models[1], BeliefModel::Each { kind: LearnerKind::Spectral, blend: Blend::Persistence });
     let least = protocol("world: w\nstrategies: greedy\nmodels: presence\nout: o\n");
     assert_eq!((least.name.as_str(), least.slot_minutes, least.seeds, least.weeks), ("stem", 10, 5, None));
     assert!((least.exploration - 0.5).abs() < 1e-12);
@@ -94,7 +94,7 @@ fn what_a_protocol_says_wrongly_is_named() {
 
 #[test]
 fn a_world_has_one_place_in_every_minute() {
-    let world = World::parse("0 700 a\n700 1440 b\n1440 2000 a\n", 10).unwrap();
+    let world = PlaceRecording::parse("0 700 a\n700 1440 b\n1440 2000 a\n", 10).unwrap();
     assert_eq!((world.days(), world.slots()), (1, 144));
     assert_eq!((world.seen(69), world.seen(70)), (0, 1));
     assert_eq!(world.slot(144), [0_u8; 0]);
@@ -107,7 +107,7 @@ fn a_world_has_one_place_in_every_minute() {
         ("0 4\n", "is no row: write FROM UNTIL PLACE"),
         ("0 4 a b\n", "is no row"),
     ] {
-        let (line, found) = World::parse(text, 10).expect_err(text);
+        let (line, found) = PlaceRecording::parse(text, 10).expect_err(text);
         assert!(line.is_some() && found.contains(wrong), "{found}");
     }
     for (text, wrong) in [
@@ -115,7 +115,7 @@ fn a_world_has_one_place_in_every_minute() {
         ("0 1440 a\n", "at least two places, and this has 1"),
         ("0 10 a\n10 20 b\n", "it has 20 minutes"),
     ] {
-        assert!(matches!(World::parse(text, 10), Err((None, found)) if found.contains(wrong)), "{text}");
+        assert!(matches!(PlaceRecording::parse(text, 10), Err((None, found)) if found.contains(wrong)), "{text}");
     }
 }
 
@@ -124,10 +124,10 @@ fn of_a_regular_life_all_but_the_surprise_is_learned() {
     let outcome = explore(&regular(28), &protocol(PROTOCOL), &|_, _| ()).unwrap();
     let late = |plan, model| error(&outcome, plan, model, 21..28);
     // Where somebody is in no place for most of the time, the mean says that nobody is anywhere.
-    assert!(late(Plan::RoundRobin, "mean") > 15.0);
+    assert!(late(VisitStrategy::RoundRobin, "mean") > 15.0);
     // In turn, each place is seen at the same times every day, and what happens at others stays unknown.
-    assert!(late(Plan::RoundRobin, "presence") > 10.0);
-    let best = late(Plan::OnlineError, "presence");
+    assert!(late(VisitStrategy::RoundRobin, "presence") > 10.0);
+    let best = late(VisitStrategy::OnlineError, "presence");
     assert!(best < 5.0, "{best}");
     for pair in &outcome.pairs {
         assert!((pair.visits_per_day - 12.0).abs() < 1e-12, "{}", pair.visits_per_day);
@@ -151,7 +151,7 @@ fn nothing_is_known_before_it_is_seen() {
         .replace("mean, spectral+persistence, presence", models)
         .replace("seeds: 3", "seeds: 1");
     let (short, long) = (regular(7), regular(9));
-    let run = |world: &World| explore(world, &protocol(&text), &|_, _| ()).unwrap();
+    let run = |world: &PlaceRecording| explore(world, &protocol(&text), &|_, _| ()).unwrap();
     for (short, long) in run(&short).pairs.iter().zip(run(&long).pairs) {
         assert_eq!(short.days[0], long.days[0][..7]);
     }
@@ -189,17 +189,17 @@ fn weeks_that_the_world_does_not_have_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let world = folder.path().join("flat.txt");
     std::fs::write(&world, "0 1440 a\n1440 14400 b\n").unwrap();
-    let wanted = Protocol { world, ..protocol(PROTOCOL) };
+    let wanted = PlacesProtocol { world, ..protocol(PROTOCOL) };
     let refused = run(&wanted, &|_, _| ()).unwrap_err().to_string();
     assert_eq!(refused, "weeks 2 to 3 are to be scored apart, and the world has 1 whole weeks");
-    let missing = Protocol { world: folder.path().join("none.txt"), ..wanted };
+    let missing = PlacesProtocol { world: folder.path().join("none.txt"), ..wanted };
     assert!(run(&missing, &|_, _| ()).unwrap_err().to_string().contains("none.txt cannot be read"));
 }
 
 /// The flat of RAS 2017, eight of its sixteen weeks.
 #[test]
 fn of_the_recorded_flat_the_published_order_is_found_and_the_best_pair_is_far_ahead() {
-    let world = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/aruba/presence_8weeks.txt");
+    let world = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/aruba/presence_8weeks.txt");
     if !Path::new(world).exists() {
         assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "{world} is not there");
         println!("SKIPPED: {world} is not there");
@@ -211,10 +211,10 @@ fn of_the_recorded_flat_the_published_order_is_found_and_the_best_pair_is_far_ah
     );
     let outcome = run(&protocol(&text), &|_, _| ()).unwrap();
     let whole = |plan, model| error(&outcome, plan, model, 0..56);
-    let spectral = whole(Plan::MonteCarlo, "spectral");
+    let spectral = whole(VisitStrategy::MonteCarlo, "spectral");
     assert!((5.5..7.0).contains(&spectral), "{spectral}");
-    assert!(spectral < whole(Plan::RoundRobin, "spectral"), "{spectral}");
-    assert!(spectral < whole(Plan::MonteCarlo, "mean") - 1.0, "{spectral}");
-    let best = error(&outcome, Plan::OnlineError, "presence", 14..56);
+    assert!(spectral < whole(VisitStrategy::RoundRobin, "spectral"), "{spectral}");
+    assert!(spectral < whole(VisitStrategy::MonteCarlo, "mean") - 1.0, "{spectral}");
+    let best = error(&outcome, VisitStrategy::OnlineError, "presence", 14..56);
     assert!(best < 3.3, "{best}");
 }

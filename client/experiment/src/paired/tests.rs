@@ -73,9 +73,9 @@ fn the_level_is_kept() {
     let mut found = 0;
     for _ in 0..experiments {
         // Four weeks, the last one a day short, whose days differ by a skewed noise with mean 0.
-        let sets: Vec<Vec<Day>> = [7, 7, 7, 6]
+        let sets: Vec<Vec<PairedDay>> = [7, 7, 7, 6]
             .map(|days| {
-                let day = |_| Day { squared: -(random.random_range(1e-9..1.0_f64)).ln() - 1.0, readings: 1.0 };
+                let day = |_| PairedDay { squared: -(random.random_range(1e-9..1.0_f64)).ln() - 1.0, readings: 1.0 };
                 (0..days).map(day).collect()
             })
             .to_vec();

@@ -4,7 +4,7 @@
 
 use std::io;
 
-use super::written::Word;
+use super::raw::Word;
 
 /// Why a protocol was refused.
 #[derive(Debug, thiserror::Error)]

@@ -101,7 +101,7 @@ const CANTEEN: (&str, &str) = ("s3", "s4");
 
 /// What draws are about.
 #[derive(Clone, Copy)]
-enum Topic {
+enum DrawSubject {
     Mishap,
     MishapNow,
     Noon,
@@ -163,12 +163,14 @@ impl Building {
     /// Tries to travel an edge; `secs`: when, since midnight before the first Monday.
     pub fn attempt(&self, edge: &Edge, secs: f64) -> Attempt {
         let (link, obstacle) = self.link(edge);
-        let spread = 1.0 + SPREAD * (2.0 * self.draw(Topic::Speed, link, secs / MINUTE_SECS) - 1.0);
+        let spread = 1.0 + SPREAD * (2.0 * self.draw(DrawSubject::Speed, link, secs / MINUTE_SECS) - 1.0);
         let drive_secs = length_m(edge) / (usual_speed(secs) * spread);
-        let mishap = self.draw(Topic::MishapNow, link, secs / MINUTE_SECS) < self.mishap(link);
+        let mishap = self.draw(DrawSubject::MishapNow, link, secs / MINUTE_SECS) < self.mishap(link);
         let reason = match obstacle {
             Some(Obstacle::Door) if !is_door_open(secs) => Some("safety door shut"),
-            Some(Obstacle::Crowd) if is_noon(secs) && self.draw(Topic::Noon, link, secs / QUARTER_SECS) < BLOCKED => {
+            Some(Obstacle::Crowd)
+                if is_noon(secs) && self.draw(DrawSubject::Noon, link, secs / QUARTER_SECS) < BLOCKED =>
+            {
                 Some("people in the way")
             }
             _ => mishap.then_some("navigation failed"),
@@ -189,7 +191,7 @@ impl Building {
     }
 
     fn mishap(&self, link: u64) -> f64 {
-        MISHAP.start + (MISHAP.end - MISHAP.start) * self.draw(Topic::Mishap, link, 0.0)
+        MISHAP.start + (MISHAP.end - MISHAP.start) * self.draw(DrawSubject::Mishap, link, 0.0)
     }
 
     /// A number for both directions of an edge, and what may be in the way there.
@@ -209,7 +211,7 @@ impl Building {
     }
 
     /// A number in [0, 1), another one for each slot of time, given in slots.
-    fn draw(&self, topic: Topic, link: u64, slot: f64) -> f64 {
+    fn draw(&self, topic: DrawSubject, link: u64, slot: f64) -> f64 {
         draw(self.seed, [topic as u64, link, slot.max(0.0) as u64]).random()
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Invariant: the same results give the same bytes.
 
-use super::Outcome;
+use super::RouteComparison;
 use crate::picture::{Svg, WIDTH, number, tick};
 
 const LEFT: f64 = 56.0;
@@ -13,9 +13,9 @@ const HEIGHT: f64 = 280.0;
 const COLOURS: [&str; 5] = ["#000000", "#0072b2", "#56b4e9", "#d55e00", "#009e73"];
 
 /// Draws the weeks.
-pub fn draw(outcome: &Outcome) -> String {
+pub fn draw(outcome: &RouteComparison) -> String {
     let weeks = outcome.weeks;
-    let failures = |course: &super::Course, week: usize| course.failures(week..week + 1).mean;
+    let failures = |course: &super::RobotCourse, week: usize| course.failures(week..week + 1).mean;
     let all = outcome.courses.iter().flat_map(|course| (0..weeks).map(move |week| failures(course, week)));
     let tick = tick(all.clone().fold(0.0, f64::max));
     let ticks = (all.fold(0.0, f64::max) / tick).ceil().max(1.0);

@@ -7,7 +7,7 @@ use std::{
     path::Path,
 };
 
-use super::{Outcome, picture};
+use super::{RouteComparison, picture};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, Sheet};
 
@@ -17,7 +17,7 @@ use tidemap_formats::table::{Cell, Format, Sheet};
 /// the later half as a share of the shortest ways'; slope (failures a week that the weeks rise by), its p_value over seeds
 /// (two-sided), and in how many seeds it falls; the same slope and p_value without the first week; failures and seconds a
 /// task in the later half.
-pub fn summary<W: Write>(outcome: &Outcome, format: Format, writer: W) -> io::Result<()> {
+pub fn summary<W: Write>(outcome: &RouteComparison, format: Format, writer: W) -> io::Result<()> {
     let late = outcome.late();
     let columns = [
         "robot",
@@ -56,14 +56,14 @@ pub fn summary<W: Write>(outcome: &Outcome, format: Format, writer: W) -> io::Re
 }
 
 /// Writes the files of the experiment into its folder, which exists.
-pub fn write(outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+pub fn write(outcome: &RouteComparison, folder: &Path) -> anyhow::Result<()> {
     file(folder, "results.csv", |writer| summary(outcome, Format::Csv, writer))?;
     file(folder, "weeks.csv", |writer| weeks(outcome, writer))?;
     file(folder, "routes.svg", |writer| writer.write_all(picture::draw(outcome).as_bytes()))
 }
 
 /// Every robot in every week, mean over seeds.
-fn weeks<W: Write>(outcome: &Outcome, writer: W) -> io::Result<()> {
+fn weeks<W: Write>(outcome: &RouteComparison, writer: W) -> io::Result<()> {
     let columns = ["robot", "week", "failures", "standard_error", "failures_per_task", "secs_per_task"];
     let mut sheet = Sheet::new(Format::Csv, &columns, writer);
     for course in &outcome.courses {

@@ -12,7 +12,7 @@ use tidemap_map::{
 use tidemap_plan::route::{EdgeForecast, Objective, RouteError, RouteOptions, SUCCESS_MIN, When, plan_routes};
 
 use super::{
-    DAY_SECS, Protocol, RoutesError, START_NANOS, WEEK_DAYS,
+    DAY_SECS, RoutesError, RoutesProtocol, START_NANOS, WEEK_DAYS,
     building::{Building, draw},
     learner::Learner,
 };
@@ -24,7 +24,7 @@ const TRUE_EVIDENCE: f64 = 1e6;
 
 /// How a robot chooses its way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum RobotKind {
     /// The shortest way, whatever happened there.
     Shortest,
     /// The route that tidemap plans on what it learned until last midnight.
@@ -37,19 +37,24 @@ pub enum Kind {
     Oracle,
 }
 
-impl Kind {
+impl RobotKind {
     /// All of them, the one that the others are compared with first.
-    pub const ALL: [Kind; 5] =
-        [Kind::Shortest, Kind::Tidemap, Kind::TidemapPersistence, Kind::TidemapTime, Kind::Oracle];
+    pub const ALL: [RobotKind; 5] = [
+        RobotKind::Shortest,
+        RobotKind::Tidemap,
+        RobotKind::TidemapPersistence,
+        RobotKind::TidemapTime,
+        RobotKind::Oracle,
+    ];
 
     /// As people write it.
     pub fn name(self) -> &'static str {
         match self {
-            Kind::Shortest => "shortest",
-            Kind::Tidemap => "tidemap",
-            Kind::TidemapPersistence => "tidemap+persistence",
-            Kind::TidemapTime => "tidemap-time",
-            Kind::Oracle => "oracle",
+            RobotKind::Shortest => "shortest",
+            RobotKind::Tidemap => "tidemap",
+            RobotKind::TidemapPersistence => "tidemap+persistence",
+            RobotKind::TidemapTime => "tidemap-time",
+            RobotKind::Oracle => "oracle",
         }
     }
 }
@@ -66,8 +71,8 @@ pub struct Week {
 }
 
 /// A robot on its way.
-struct Robot<'a> {
-    kind: Kind,
+struct RouteRobot<'a> {
+    kind: RobotKind,
     building: &'a Building,
     learner: Learner,
     at: NodeId,
@@ -76,12 +81,12 @@ struct Robot<'a> {
 }
 
 /// Sends a robot of a kind around for some weeks.
-pub fn run(kind: Kind, seed: u64, protocol: &Protocol) -> Result<Vec<Week>, RoutesError> {
-    let learner = Learner::new(kind == Kind::TidemapPersistence)?;
+pub fn run(kind: RobotKind, seed: u64, protocol: &RoutesProtocol) -> Result<Vec<Week>, RoutesError> {
+    let learner = Learner::new(kind == RobotKind::TidemapPersistence)?;
     let building = Building::new(seed, learner.topology().clone());
     let nodes: Vec<NodeId> = building.topology().nodes().map(|node| node.id).collect();
     let start = building.topology().node_named("dock").map_err(|error| RoutesError::Setting(error.to_string()))?.id;
-    let mut robot = Robot { kind, building: &building, learner, at: start, now_secs: 0.0 };
+    let mut robot = RouteRobot { kind, building: &building, learner, at: start, now_secs: 0.0 };
     let mut weeks = vec![Week::default(); protocol.weeks];
     for day in 0..protocol.weeks * WEEK_DAYS {
         if day > 0 && kind.learns() {
@@ -106,13 +111,13 @@ pub fn run(kind: Kind, seed: u64, protocol: &Protocol) -> Result<Vec<Week>, Rout
     Ok(weeks)
 }
 
-impl Kind {
+impl RobotKind {
     fn learns(self) -> bool {
-        matches!(self, Kind::Tidemap | Kind::TidemapPersistence | Kind::TidemapTime)
+        matches!(self, RobotKind::Tidemap | RobotKind::TidemapPersistence | RobotKind::TidemapTime)
     }
 }
 
-impl Robot<'_> {
+impl RouteRobot<'_> {
     /// Drives to a node, and tells how many traversals failed on the way.
     fn go(&mut self, goal: NodeId) -> Result<u64, RoutesError> {
         let topology = self.building.topology();
@@ -159,15 +164,15 @@ impl Robot<'_> {
         let is_open = |edge: &Edge| !shunned.contains(&edge.id);
         let now_secs = self.now_secs;
         match self.kind {
-            Kind::Shortest => self.shortest(goal, is_open),
-            Kind::Tidemap | Kind::TidemapPersistence | Kind::TidemapTime => {
+            RobotKind::Shortest => self.shortest(goal, is_open),
+            RobotKind::Tidemap | RobotKind::TidemapPersistence | RobotKind::TidemapTime => {
                 let edges = self.learner.edges();
                 self.planned(goal, |edge, at_secs| {
                     let Outlook { success, evidence, duration_secs } = edges.outlook(edge, nanos(now_secs + at_secs));
                     is_open(edge).then_some(EdgeForecast { success, duration_secs, evidence })
                 })
             }
-            Kind::Oracle => self.planned(goal, |edge, at_secs| {
+            RobotKind::Oracle => self.planned(goal, |edge, at_secs| {
                 let (success, duration_secs) = self.building.truth(edge, now_secs + at_secs);
                 let success = success.max(TRUE_SUCCESS_MIN.max(SUCCESS_MIN));
                 is_open(edge).then_some(EdgeForecast { success, duration_secs, evidence: TRUE_EVIDENCE })
@@ -182,7 +187,7 @@ impl Robot<'_> {
         mut forecast: impl FnMut(&Edge, f64) -> Option<EdgeForecast>,
     ) -> Result<Option<Vec<EdgeId>>, RoutesError> {
         let mut options = RouteOptions::default();
-        if self.kind == Kind::TidemapTime {
+        if self.kind == RobotKind::TidemapTime {
             options.objective = Objective::Time;
         }
         let never = || false;

@@ -56,9 +56,10 @@ fn what_is_true_is_how_often_it_happens() {
 
 #[test]
 fn robots_that_learn_fail_less_often_than_those_that_take_the_shortest_way() {
-    let outcome = run(&Protocol { seeds: 2, first_seed: 0, weeks: 3, tasks: 24 }, &|_, _| {}).expect("robots");
-    let late = |kind: Kind| outcome.courses.iter().find(|course| course.kind == kind).map(|c| outcome.of_shortest(c));
-    let [tidemap, oracle] = [Kind::Tidemap, Kind::Oracle].map(|kind| late(kind).expect("a robot"));
+    let outcome = run(&RoutesProtocol { seeds: 2, first_seed: 0, weeks: 3, tasks: 24 }, &|_, _| {}).expect("robots");
+    let late =
+        |kind: RobotKind| outcome.courses.iter().find(|course| course.kind == kind).map(|c| outcome.of_shortest(c));
+    let [tidemap, oracle] = [RobotKind::Tidemap, RobotKind::Oracle].map(|kind| late(kind).expect("a robot"));
     assert!(tidemap < 0.6, "{tidemap} of the failures on shortest ways");
     assert!(oracle < tidemap + 0.05, "knowing the truth: {oracle} of the failures, tidemap {tidemap}");
     let tasks: Vec<u64> = outcome.courses.iter().flat_map(|course| &course.seeds).flatten().map(|w| w.tasks).collect();
@@ -68,10 +69,10 @@ fn robots_that_learn_fail_less_often_than_those_that_take_the_shortest_way() {
 #[test]
 fn a_trend_is_the_slope_of_a_straight_line() {
     let weeks = |failures: [u64; 4]| failures.map(|failures| Week { tasks: 10, failures, secs: 5.0 }).to_vec();
-    let falling = Course { kind: Kind::Tidemap, seeds: vec![weeks([9, 7, 5, 3]), weeks([4, 4, 4, 4])] };
+    let falling = RobotCourse { kind: RobotKind::Tidemap, seeds: vec![weeks([9, 7, 5, 3]), weeks([4, 4, 4, 4])] };
     assert_eq!(falling.slopes(0..4), [-2.0, 0.0]);
     assert_eq!(falling.slopes(1..2), [0.0, 0.0]);
-    let outcome = Outcome { courses: vec![falling.clone()], weeks: 4 };
+    let outcome = RouteComparison { courses: vec![falling.clone()], weeks: 4 };
     let trend = outcome.trend(&falling, 0..4);
     assert_eq!((trend.slope, trend.p_value, trend.falling), (-1.0, None, 1));
     assert_eq!(outcome.late(), 2..4);

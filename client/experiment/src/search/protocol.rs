@@ -9,12 +9,14 @@ use std::{
 
 use serde::Deserialize;
 
-use super::flat::{DAY_MINUTES, midnight_nanos};
+use super::recorded_world::midnight_nanos;
 use crate::{
-    candidate::ValueKind,
+    parameter_set::ValueKind,
+    place_recording::DAY_MINUTES,
     protocol::{
-        Contender, FILE_BYTES_MAX, ProtocolError, contender, tuning,
-        written::{Word, WrittenModel, WrittenTuning},
+        FILE_BYTES_MAX, ModelEntry, ProtocolError, model_entry,
+        raw::{RawModel, RawTuning, Word},
+        tuning,
     },
 };
 
@@ -24,7 +26,7 @@ const TRAIN_DAYS_MAX: usize = 3_660;
 
 /// What a protocol says.
 #[derive(Debug)]
-pub struct Protocol {
+pub struct SearchProtocol {
     /// The places and ways.
     pub topology: PathBuf,
     /// Where the person was.
@@ -40,7 +42,7 @@ pub struct Protocol {
     /// Minutes of each.
     pub fold_minutes: usize,
     /// The models, at least one.
-    pub models: Vec<Contender>,
+    pub models: Vec<ModelEntry>,
     /// Folder of the results.
     pub out: PathBuf,
 }
@@ -48,14 +50,14 @@ pub struct Protocol {
 /// The file.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Written {
+struct RawSearchProtocol {
     topology: Option<Word>,
     world: Option<Word>,
     first_day: Option<Word>,
     start: Option<Word>,
     train_days: Option<Word>,
-    tuning: Option<WrittenTuning>,
-    models: Option<Vec<WrittenModel>>,
+    tuning: Option<RawTuning>,
+    models: Option<Vec<RawModel>>,
     out: Option<Word>,
 }
 
@@ -63,7 +65,7 @@ struct Written {
 ///
 /// # Errors
 /// [`ProtocolError`], with line, key, what was found and what would be right.
-pub fn read(path: &Path) -> Result<Protocol, ProtocolError> {
+pub fn read(path: &Path) -> Result<SearchProtocol, ProtocolError> {
     let length = fs::metadata(path)?.len();
     if length > FILE_BYTES_MAX {
         return Err(ProtocolError::TooLong { found: length, most: FILE_BYTES_MAX });
@@ -73,8 +75,8 @@ pub fn read(path: &Path) -> Result<Protocol, ProtocolError> {
 }
 
 /// Makes a protocol of a text.
-pub fn parse(text: &str, folder: &Path) -> Result<Protocol, ProtocolError> {
-    let written: Written = serde_saphyr::from_str(text).map_err(|error| ProtocolError::yaml(&error))?;
+pub fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, ProtocolError> {
+    let written: RawSearchProtocol = serde_saphyr::from_str(text).map_err(|error| ProtocolError::yaml(&error))?;
     let topology = filled(written.topology, "topology", "the file of nodes and links, as `topology load` reads it")?;
     let world = filled(written.world, "world", "the file of the world, with rows of FROM UNTIL PLACE in minutes")?;
     let first_day = filled(written.first_day, "first_day", "the date that the world begins with, as 2010-11-04")?;
@@ -93,11 +95,11 @@ pub fn parse(text: &str, folder: &Path) -> Result<Protocol, ProtocolError> {
         Some(written) => chosen_on(written, train_minutes)?,
     };
     let models = match written.models {
-        Some(models) if !models.is_empty() => contender::read(&models, ValueKind::Probability, folds > 0)?,
+        Some(models) if !models.is_empty() => model_entry::read(&models, ValueKind::Probability, folds > 0)?,
         _ => return Err(ProtocolError::missing("models", "a list of models, such as [mean, spectral]")),
     };
     let out = filled(written.out, "out", "the folder that results are written to")?;
-    Ok(Protocol {
+    Ok(SearchProtocol {
         topology: folder.join(topology.text),
         world: folder.join(world.text),
         first_nanos,
@@ -119,7 +121,7 @@ fn filled(word: Option<Word>, key: &'static str, right: &str) -> Result<Word, Pr
 }
 
 /// How many folds of how many minutes, of which some minutes are left to learn before the first.
-fn chosen_on(written: WrittenTuning, train_minutes: usize) -> Result<(usize, usize), ProtocolError> {
+fn chosen_on(written: RawTuning, train_minutes: usize) -> Result<(usize, usize), ProtocolError> {
     let fold = written.fold.clone();
     let tuning = tuning(written)?;
     let wrong = |right: &str| ProtocolError::value("fold", &fold, right);

@@ -7,7 +7,7 @@ use std::{
     path::Path,
 };
 
-use super::{Outcome, Protocol};
+use super::{SearchComparison, SearchProtocol};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, Sheet};
 
@@ -15,7 +15,7 @@ use tidemap_formats::table::{Cell, Format, Sheet};
 ///
 /// Columns: model, parameters, searches, then when the person was found: mean, median, quartiles and the time within which nine
 /// of ten searches end.
-pub fn summary<W: Write>(outcome: &Outcome, format: Format, writer: W) -> io::Result<()> {
+pub fn summary<W: Write>(outcome: &SearchComparison, format: Format, writer: W) -> io::Result<()> {
     let columns = [
         "model",
         "parameters",
@@ -41,7 +41,7 @@ pub fn summary<W: Write>(outcome: &Outcome, format: Format, writer: W) -> io::Re
 }
 
 /// Writes the files of an experiment into its folder, which exists.
-pub fn write(protocol: &Protocol, outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+pub fn write(protocol: &SearchProtocol, outcome: &SearchComparison, folder: &Path) -> anyhow::Result<()> {
     file(folder, "results.csv", |writer| summary(outcome, Format::Csv, writer))?;
     if outcome.trials.is_empty() {
         return Ok(());
@@ -50,7 +50,7 @@ pub fn write(protocol: &Protocol, outcome: &Outcome, folder: &Path) -> anyhow::R
 }
 
 /// Every candidate on every fold.
-fn trials<W: Write>(protocol: &Protocol, outcome: &Outcome, writer: W) -> io::Result<()> {
+fn trials<W: Write>(protocol: &SearchProtocol, outcome: &SearchComparison, writer: W) -> io::Result<()> {
     let columns = ["model", "parameters", "fold", "mean_secs", "mean_of_folds_secs", "chosen"];
     let mut sheet = Sheet::new(Format::Csv, &columns, writer);
     for trial in &outcome.trials {

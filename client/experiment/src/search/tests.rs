@@ -1,4 +1,4 @@
-//! Searches replayed: in worlds with known answers, and in the recorded flat.
+//! Searches replayed: in worlds with known answers, and in the recorded world.
 #![allow(clippy::unwrap_used)]
 
 use std::{fs, path::Path};
@@ -45,13 +45,13 @@ fn folder(rooms: &str, world: &str) -> TempDir {
     folder
 }
 
-fn searched(protocol: &str, rooms: &str, world: &str) -> Result<Outcome, String> {
+fn searched(protocol: &str, rooms: &str, world: &str) -> Result<SearchComparison, String> {
     let folder = folder(rooms, world);
     let protocol = parse(protocol, folder.path()).map_err(|error| error.to_string())?;
     run(&protocol, &|_, _| ()).map_err(|error| error.to_string().replace(&*folder.path().to_string_lossy(), "."))
 }
 
-fn mean_secs(outcome: &Outcome, label: &str) -> f64 {
+fn mean_secs(outcome: &SearchComparison, label: &str) -> f64 {
     outcome.rows.iter().find(|row| row.label == label).unwrap().found.mean_secs()
 }
 
@@ -164,10 +164,10 @@ fn what_cannot_be_searched_is_refused_with_what_would_be_right() {
     assert!(run(&missing, &|_, _| ()).unwrap_err().to_string().contains("cannot be read"));
 }
 
-/// The flat of "Waldo", section VII, by the example that is shipped; the published figures as repeated independently.
+/// The world of "Waldo", section VII, by the example that is shipped; the published figures as repeated independently.
 #[test]
 fn of_the_recorded_flat_the_published_times_are_found() {
-    let example = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/experiments/aruba-search.yaml"));
+    let example = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/experiments/aruba-search.yaml"));
     let mut protocol = read(example).unwrap();
     if !protocol.world.exists() {
         println!("SKIPPED: {} is not there", protocol.world.display());

@@ -6,9 +6,9 @@
 use super::{
     super::{
         CELLS_MAX,
-        error::{Problem, shown, shown_start},
+        error::{FormatProblem, shown, shown_start},
     },
-    FormatError, Place,
+    FilePlace, FormatError,
 };
 
 /// An image.
@@ -31,7 +31,7 @@ pub fn read(bytes: &[u8]) -> Result<Image, FormatError> {
         Some(b"P5") => false,
         _ => {
             return Err(FormatError::value(
-                Place::Byte(0),
+                FilePlace::Byte(0),
                 "the start of the image",
                 shown_start(bytes),
                 "\"P2\" or \"P5\", as in a PGM file; convert other images to PGM",
@@ -39,7 +39,7 @@ pub fn read(bytes: &[u8]) -> Result<Image, FormatError> {
         }
     };
     let mut words = Words { bytes, at: 2 };
-    let at = |words: &Words<'_>| Place::Byte(words.at as u64);
+    let at = |words: &Words<'_>| FilePlace::Byte(words.at as u64);
     let (width, width_at) = words.number("the image's width", 1, u32::MAX)?;
     let (height, _) = words.number("the image's height", 1, u32::MAX)?;
     let (most, _) = words.number("the image's highest value", 1, u32::from(u16::MAX))?;
@@ -51,7 +51,7 @@ pub fn read(bytes: &[u8]) -> Result<Image, FormatError> {
     }
     // One white space belongs to the header.
     if words.bytes.get(words.at).is_none_or(|byte| !byte.is_ascii_whitespace()) {
-        return Err(FormatError { place: at(&words), problem: Problem::NoLineEnd });
+        return Err(FormatError { place: at(&words), problem: FormatProblem::NoLineEnd });
     }
     words.at += 1;
     let each = if text || most > 255 { 2 } else { 1 };
@@ -68,14 +68,14 @@ pub fn read(bytes: &[u8]) -> Result<Image, FormatError> {
             values.push(u16::try_from(value).unwrap_or(most));
         }
         if words.bytes.get(words.at).is_none_or(|byte| !byte.is_ascii_whitespace()) {
-            return Err(FormatError { place: at(&words), problem: Problem::NoLineEnd });
+            return Err(FormatError { place: at(&words), problem: FormatProblem::NoLineEnd });
         }
     } else {
         let wide = usize::from(most > 255) + 1;
         for (index, pixel) in bytes[words.at..].chunks_exact(wide).take(pixels).enumerate() {
             let value = pixel.iter().fold(0, |value, &byte| value << 8 | u16::from(byte));
             if value > most {
-                let place = Place::Byte((words.at + index * wide) as u64);
+                let place = FilePlace::Byte((words.at + index * wide) as u64);
                 return Err(FormatError::value(place, "a pixel", value, format!("at most {most}")));
             }
             values.push(value);
@@ -97,10 +97,10 @@ struct Words<'a> {
 
 impl Words<'_> {
     /// The next number, and where it is.
-    fn number(&mut self, what: &str, least: u32, most: u32) -> Result<(u32, Place), FormatError> {
+    fn number(&mut self, what: &str, least: u32, most: u32) -> Result<(u32, FilePlace), FormatError> {
         self.skip_space();
         let rest = self.bytes.get(self.at..).unwrap_or_default();
-        let place = Place::Byte(self.at as u64);
+        let place = FilePlace::Byte(self.at as u64);
         if rest.is_empty() {
             return Err(FormatError::cut_off(self.at as u64, what, 1, 0));
         }

@@ -10,7 +10,7 @@
 
 use saphyr_parser::{Event, Parser};
 
-use super::{super::error::shown, FormatError, Place};
+use super::{super::error::shown, FilePlace, FormatError};
 
 /// Most bytes of a YAML file; those of grids have a few hundred.
 const YAML_BYTES_MAX: usize = 64 * 1024;
@@ -57,13 +57,13 @@ impl GridMode {
 }
 
 /// An entry of the file.
-struct Entry {
+struct YamlEntry {
     key: String,
-    place: Place,
-    value: Value,
+    place: FilePlace,
+    value: YamlValue,
 }
 
-enum Value {
+enum YamlValue {
     Word(String),
     List(Vec<String>),
     Other,
@@ -72,13 +72,14 @@ enum Value {
 /// Reads the YAML file of a grid.
 pub fn read_settings(bytes: &[u8]) -> Result<GridSettings, FormatError> {
     if bytes.len() > YAML_BYTES_MAX {
-        let place = Place::Byte(YAML_BYTES_MAX as u64);
+        let place = FilePlace::Byte(YAML_BYTES_MAX as u64);
         return Err(FormatError::too_many(place, "the file's length", bytes.len() as u64, YAML_BYTES_MAX as u64));
     }
-    let text = std::str::from_utf8(bytes)
-        .map_err(|error| FormatError::value(Place::Byte(error.valid_up_to() as u64), "a byte", "not UTF-8", "text"))?;
+    let text = std::str::from_utf8(bytes).map_err(|error| {
+        FormatError::value(FilePlace::Byte(error.valid_up_to() as u64), "a byte", "not UTF-8", "text")
+    })?;
     let lines = text.lines().count() as u64;
-    let entries = Entries { entries: entries(text)?, lines };
+    let entries = YamlEntries { entries: entries(text)?, lines };
     let image = entries.word("image", "the name of the image file")?;
     if image.0.is_empty() {
         return Err(FormatError::value(image.1, "image", "empty", "the name of the image file"));
@@ -104,26 +105,28 @@ pub fn read_settings(bytes: &[u8]) -> Result<GridSettings, FormatError> {
     })
 }
 
-struct Entries {
-    entries: Vec<Entry>,
+struct YamlEntries {
+    entries: Vec<YamlEntry>,
     lines: u64,
 }
 
-impl Entries {
-    fn find(&self, key: &str, right: &str) -> Result<&Entry, FormatError> {
+impl YamlEntries {
+    fn find(&self, key: &str, right: &str) -> Result<&YamlEntry, FormatError> {
         let found = self.entries.iter().find(|entry| entry.key == key);
-        found.ok_or_else(|| FormatError::missing(Place::Line(self.lines), key, format!("write {right}")))
+        found.ok_or_else(|| FormatError::missing(FilePlace::Line(self.lines), key, format!("write {right}")))
     }
 
-    fn word(&self, key: &'static str, right: &str) -> Result<(&str, Place), FormatError> {
+    fn word(&self, key: &'static str, right: &str) -> Result<(&str, FilePlace), FormatError> {
         let entry = self.find(key, right)?;
         match &entry.value {
-            Value::Word(word) => Ok((word, entry.place)),
-            Value::List(_) | Value::Other => Err(FormatError::value(entry.place, key, "more than one value", right)),
+            YamlValue::Word(word) => Ok((word, entry.place)),
+            YamlValue::List(_) | YamlValue::Other => {
+                Err(FormatError::value(entry.place, key, "more than one value", right))
+            }
         }
     }
 
-    fn number(&self, key: &'static str, right: &str) -> Result<(f64, Place), FormatError> {
+    fn number(&self, key: &'static str, right: &str) -> Result<(f64, FilePlace), FormatError> {
         let (word, place) = self.word(key, right)?;
         number(word).map(|number| (number, place)).ok_or_else(|| FormatError::value(place, key, shown(word), right))
     }
@@ -131,7 +134,7 @@ impl Entries {
     fn origin(&self) -> Result<[f64; 2], FormatError> {
         const RIGHT: &str = "three numbers: [x, y, yaw] of the lower left corner";
         let entry = self.find("origin", RIGHT)?;
-        let Value::List(words) = &entry.value else {
+        let YamlValue::List(words) = &entry.value else {
             return Err(FormatError::value(entry.place, "origin", "no list", RIGHT));
         };
         let numbers: Option<Vec<f64>> = words.iter().map(|word| number(word)).collect();
@@ -172,13 +175,13 @@ fn number(word: &str) -> Option<f64> {
 }
 
 /// The entries of a file that is a mapping.
-fn entries(text: &str) -> Result<Vec<Entry>, FormatError> {
+fn entries(text: &str) -> Result<Vec<YamlEntry>, FormatError> {
     let mut events = Parser::new_from_str(text);
     let mut next = || match events.next_event() {
-        None => Ok((Event::StreamEnd, Place::Line(1))),
-        Some(Ok((event, span))) => Ok((event, Place::Line(span.start.line() as u64))),
+        None => Ok((Event::StreamEnd, FilePlace::Line(1))),
+        Some(Ok((event, span))) => Ok((event, FilePlace::Line(span.start.line() as u64))),
         Some(Err(error)) => {
-            let place = Place::Line(error.marker().line() as u64);
+            let place = FilePlace::Line(error.marker().line() as u64);
             Err(FormatError::value(place, "the text", format!("no YAML ({})", error.info()), "YAML"))
         }
     };
@@ -191,7 +194,7 @@ fn entries(text: &str) -> Result<Vec<Entry>, FormatError> {
             }
         }
     }
-    let mut entries: Vec<Entry> = Vec::new();
+    let mut entries: Vec<YamlEntry> = Vec::new();
     loop {
         let (key, place) = match next()? {
             (Event::MappingEnd, _) => return Ok(entries),
@@ -202,7 +205,7 @@ fn entries(text: &str) -> Result<Vec<Entry>, FormatError> {
             return Err(FormatError::value(place, "the key", shown(&key), "there once"));
         }
         let value = match next()?.0 {
-            Event::Scalar(word, ..) => Value::Word(word.into_owned()),
+            Event::Scalar(word, ..) => YamlValue::Word(word.into_owned()),
             start @ (Event::SequenceStart(..) | Event::MappingStart(..)) => {
                 let mut words = matches!(start, Event::SequenceStart(..)).then(Vec::new);
                 let mut depth = 1;
@@ -219,10 +222,10 @@ fn entries(text: &str) -> Result<Vec<Entry>, FormatError> {
                         _ => words = None,
                     }
                 }
-                words.map_or(Value::Other, Value::List)
+                words.map_or(YamlValue::Other, YamlValue::List)
             }
-            _ => Value::Other,
+            _ => YamlValue::Other,
         };
-        entries.push(Entry { key, place, value });
+        entries.push(YamlEntry { key, place, value });
     }
 }

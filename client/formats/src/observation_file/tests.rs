@@ -2,8 +2,8 @@
 
 use super::*;
 
-fn read(text: &[u8]) -> Result<Vec<Item>, RowsError> {
-    let mut rows = Rows::new(text)?;
+fn read(text: &[u8]) -> Result<Vec<RowItem>, RowError> {
+    let mut rows = RowReader::new(text)?;
     let mut items = Vec::new();
     while let Some(item) = rows.next()? {
         items.push(item);
@@ -11,11 +11,11 @@ fn read(text: &[u8]) -> Result<Vec<Item>, RowsError> {
     Ok(items)
 }
 
-fn good(items: &[Item]) -> Vec<(u64, u64, &str, i64, f64)> {
+fn good(items: &[RowItem]) -> Vec<(u64, u64, &str, i64, f64)> {
     items
         .iter()
         .filter_map(|item| match item {
-            Item::Row(row) if row.wrong.is_none() => {
+            RowItem::Row(row) if row.wrong.is_none() => {
                 Some((row.number, row.line, row.state.as_str(), row.time_nanos, row.value))
             }
             _ => None,
@@ -23,10 +23,10 @@ fn good(items: &[Item]) -> Vec<(u64, u64, &str, i64, f64)> {
         .collect()
 }
 
-fn wrong(line: &str) -> Result<Row, RowsError> {
+fn wrong(line: &str) -> Result<ObservationRow, RowError> {
     let items = read(format!("time,state,value\n{line}\n").as_bytes())?;
     match items.as_slice() {
-        [Item::Row(row)] => Ok(row.clone()),
+        [RowItem::Row(row)] => Ok(row.clone()),
         other => panic!("{other:?}"),
     }
 }
@@ -34,7 +34,7 @@ fn wrong(line: &str) -> Result<Row, RowsError> {
 const SECOND: i64 = 1_000_000_000;
 
 #[test]
-fn rows_are_read_in_any_order_of_columns_and_with_any_line_end() -> Result<(), RowsError> {
+fn rows_are_read_in_any_order_of_columns_and_with_any_line_end() -> Result<(), RowError> {
     for text in [
         "time,state,value\n1,door,0\n2,door,0.5\n",
         "time,state,value\r\n1,door,0\r\n2,door,0.5\r\n",
@@ -44,13 +44,13 @@ fn rows_are_read_in_any_order_of_columns_and_with_any_line_end() -> Result<(), R
     ] {
         let items = read(text.as_bytes())?;
         assert_eq!(good(&items), [(1, 2, "door", SECOND, 0.0), (2, 3, "door", 2 * SECOND, 0.5)], "{text:?}");
-        assert!(matches!(&items[0], Item::Row(row) if row.value.is_sign_positive()), "{text:?}");
+        assert!(matches!(&items[0], RowItem::Row(row) if row.value.is_sign_positive()), "{text:?}");
     }
     Ok(())
 }
 
 #[test]
-fn blank_lines_do_not_count_as_rows() -> Result<(), RowsError> {
+fn blank_lines_do_not_count_as_rows() -> Result<(), RowError> {
     let items = read(b"time,state,value\n\n1,a,0\n  \n\r\n2,a,1\n\n")?;
     assert_eq!(good(&items), [(1, 3, "a", SECOND, 0.0), (2, 6, "a", 2 * SECOND, 1.0)]);
     Ok(())
@@ -70,14 +70,14 @@ fn a_header_that_does_not_fit_is_shown() {
 }
 
 #[test]
-fn columns_that_are_not_used_are_known() -> Result<(), RowsError> {
-    let rows = Rows::new(b"time,robot,state,value,note\n".as_slice())?;
+fn columns_that_are_not_used_are_known() -> Result<(), RowError> {
+    let rows = RowReader::new(b"time,robot,state,value,note\n".as_slice())?;
     assert_eq!(rows.ignored(), ["robot", "note"]);
     Ok(())
 }
 
 #[test]
-fn what_cannot_be_read_uses_up_its_number_and_says_why() -> Result<(), RowsError> {
+fn what_cannot_be_read_uses_up_its_number_and_says_why() -> Result<(), RowError> {
     for (line, state, time_nanos, reason) in [
         ("soon,door,0", "door", 0, "time \"soon\" is not a time"),
         ("-5,door,0", "door", 0, "time \"-5\" is before 1970"),
@@ -100,7 +100,7 @@ fn what_cannot_be_read_uses_up_its_number_and_says_why() -> Result<(), RowsError
 }
 
 #[test]
-fn values_out_of_range_are_wrong_but_sent_as_they_are() -> Result<(), RowsError> {
+fn values_out_of_range_are_wrong_but_sent_as_they_are() -> Result<(), RowError> {
     for text in ["2", "-1", "inf", "-inf", "NaN", "1e300", "1.0000001"] {
         let row = wrong(&format!("1,door,{text}"))?;
         assert_eq!(row.wrong, Some(format!("value {text} is not between 0 and 1")));
@@ -113,22 +113,22 @@ fn values_out_of_range_are_wrong_but_sent_as_they_are() -> Result<(), RowsError>
 }
 
 #[test]
-fn bytes_that_are_not_text_spoil_one_row() -> Result<(), RowsError> {
+fn bytes_that_are_not_text_spoil_one_row() -> Result<(), RowError> {
     let items = read(b"time,state,value\n1,d\xffr,0\n2,a,1\n")?;
-    assert!(matches!(&items[0], Item::Row(row) if row.wrong.as_ref().is_some_and(|w| w.ends_with("is not UTF-8"))));
+    assert!(matches!(&items[0], RowItem::Row(row) if row.wrong.as_ref().is_some_and(|w| w.ends_with("is not UTF-8"))));
     assert_eq!(good(&items), [(2, 3, "a", 2 * SECOND, 1.0)]);
     Ok(())
 }
 
 #[test]
-fn a_last_line_that_is_cut_off_is_no_row_until_it_is_whole() -> Result<(), RowsError> {
+fn a_last_line_that_is_cut_off_is_no_row_until_it_is_whole() -> Result<(), RowError> {
     let whole = "time,state,value\n1,a,0\n2,kitchen,0.5\n";
     let second = whole.find("2,").unwrap_or_default();
     for cut in second + 1..whole.len() {
         let items = read(&whole.as_bytes()[..cut])?;
         match &items[1] {
-            Item::Torn { line: 3, text } => assert_eq!(*text, whole[second..cut]),
-            Item::Row(row) => assert!(row.wrong.is_none() && cut >= whole.len() - 4, "{cut} {row:?}"),
+            RowItem::Torn { line: 3, text } => assert_eq!(*text, whole[second..cut]),
+            RowItem::Row(row) => assert!(row.wrong.is_none() && cut >= whole.len() - 4, "{cut} {row:?}"),
             other => panic!("{other:?}"),
         }
     }
@@ -136,18 +136,18 @@ fn a_last_line_that_is_cut_off_is_no_row_until_it_is_whole() -> Result<(), RowsE
 }
 
 #[test]
-fn a_last_line_without_an_end_is_a_row_only_where_that_is_allowed() -> Result<(), RowsError> {
+fn a_last_line_without_an_end_is_a_row_only_where_that_is_allowed() -> Result<(), RowError> {
     let text = b"time,state,value\n1,a,0\n2,a,1".as_slice();
     let items = read(text)?;
     assert_eq!(good(&items).len(), 2);
-    let ends: Vec<bool> = items.iter().map(|item| matches!(item, Item::Row(row) if row.has_end)).collect();
+    let ends: Vec<bool> = items.iter().map(|item| matches!(item, RowItem::Row(row) if row.has_end)).collect();
     assert_eq!(ends, [true, false]);
-    let mut rows = Rows::new(text)?.lines_must_end();
-    assert!(matches!(rows.next()?, Some(Item::Row(_))));
-    assert!(matches!(rows.next()?, Some(Item::Torn { line: 3, text }) if text == "2,a,1"));
+    let mut rows = RowReader::new(text)?.lines_must_end();
+    assert!(matches!(rows.next()?, Some(RowItem::Row(_))));
+    assert!(matches!(rows.next()?, Some(RowItem::Torn { line: 3, text }) if text == "2,a,1"));
     assert!(rows.next()?.is_none());
     // A value out of range is a whole one.
-    assert!(matches!(read(b"time,state,value\n1,a,2")?.as_slice(), [Item::Row(row)] if row.wrong.is_some()));
+    assert!(matches!(read(b"time,state,value\n1,a,2")?.as_slice(), [RowItem::Row(row)] if row.wrong.is_some()));
     Ok(())
 }
 
@@ -163,10 +163,10 @@ impl io::Read for Growing {
 }
 
 #[test]
-fn a_file_that_grows_while_it_is_read_is_not_read_past_its_end() -> Result<(), RowsError> {
+fn a_file_that_grows_while_it_is_read_is_not_read_past_its_end() -> Result<(), RowError> {
     for (last, torn) in [("2,a", true), ("2,a,0", false), ("  ", true), ("", true)] {
         let pieces = vec![b"time,state,value\n1,a,0\n".as_slice(), last.as_bytes(), b"", b".5\n3,a,1\n", b""];
-        let mut rows = Rows::new(io::BufReader::new(Growing(pieces)))?;
+        let mut rows = RowReader::new(io::BufReader::new(Growing(pieces)))?;
         let mut items = Vec::new();
         while let Some(item) = rows.next()? {
             items.push(item);
@@ -181,11 +181,11 @@ fn a_file_that_grows_while_it_is_read_is_not_read_past_its_end() -> Result<(), R
 type Read = (Option<Vec<f64>>, Option<String>);
 
 #[test]
-fn positions_have_two_coordinates_or_three_in_any_order() -> Result<(), RowsError> {
-    let positions = |text: &str| -> Result<Vec<Read>, RowsError> {
+fn positions_have_two_coordinates_or_three_in_any_order() -> Result<(), RowError> {
+    let positions = |text: &str| -> Result<Vec<Read>, RowError> {
         let items = read(text.as_bytes())?;
-        let row = |item: &Item| match item {
-            Item::Row(row) => (row.position.map(|position| position.coordinates().to_vec()), row.wrong.clone()),
+        let row = |item: &RowItem| match item {
+            RowItem::Row(row) => (row.position.map(|position| position.coordinates().to_vec()), row.wrong.clone()),
             other => panic!("{other:?}"),
         };
         Ok(items.iter().map(row).collect())
@@ -212,6 +212,6 @@ fn positions_have_two_coordinates_or_three_in_any_order() -> Result<(), RowsErro
         message("time,state,x\n").starts_with("column \"y\" is missing: the header must name time, state, x and y")
     );
     assert!(message("time,state,x,y,x\n").starts_with("column \"x\" appears twice"));
-    assert!(matches!(Rows::new(b"time,state,x,y\n".as_slice())?.values_only(), Err(RowsError::Positions)));
+    assert!(matches!(RowReader::new(b"time,state,x,y\n".as_slice())?.values_only(), Err(RowError::Positions)));
     Ok(())
 }

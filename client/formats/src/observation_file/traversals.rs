@@ -5,14 +5,14 @@
 
 use tidemap_map::name::NAME_CHARS_MAX;
 
-use super::{At, Header, Layout, RowsError, fields, shown};
+use super::{CsvHeader, Layout, RowError, RowPlace, fields, shown};
 use tidemap_map::time::parse_time;
 
 /// A row of traversals.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TraversalRow {
     /// Where it stands.
-    pub at: At,
+    pub at: RowPlace,
     /// Name of the node where the edge begins.
     pub from: String,
     /// Name of the node where it ends.
@@ -57,7 +57,7 @@ impl Layout for TraversalColumns {
     const HEADER: &'static str = "from,to,start,end,success";
     type Row = TraversalRow;
 
-    fn new(header: &Header<'_>) -> Result<(Self, Vec<usize>), RowsError> {
+    fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError> {
         let maybe = |column: &'static str| header.has(column).then(|| header.column(column)).transpose();
         let columns = Self {
             from: header.column("from")?,
@@ -74,7 +74,7 @@ impl Layout for TraversalColumns {
         Ok((columns, used))
     }
 
-    fn row(&self, line: &[u8], at: At) -> (TraversalRow, bool) {
+    fn row(&self, line: &[u8], at: RowPlace) -> (TraversalRow, bool) {
         match self.read(line, at) {
             Ok(row) => (row, true),
             Err(wrong) => {
@@ -85,13 +85,13 @@ impl Layout for TraversalColumns {
         }
     }
 
-    fn at(row: &TraversalRow) -> At {
+    fn at(row: &TraversalRow) -> RowPlace {
         row.at
     }
 }
 
 impl TraversalColumns {
-    fn read(&self, line: &[u8], at: At) -> Result<TraversalRow, String> {
+    fn read(&self, line: &[u8], at: RowPlace) -> Result<TraversalRow, String> {
         let fields = fields(line, self.count)?;
         let name = |what: &str, place: usize| {
             let chars = fields[place].chars().count();
@@ -119,26 +119,26 @@ impl TraversalColumns {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observation_file::{Item, Rows};
+    use crate::observation_file::{RowItem, RowReader};
 
-    fn read(text: &str) -> Result<Vec<TraversalRow>, RowsError> {
-        let mut rows = Rows::<_, TraversalColumns>::open(text.as_bytes())?;
+    fn read(text: &str) -> Result<Vec<TraversalRow>, RowError> {
+        let mut rows = RowReader::<_, TraversalColumns>::open(text.as_bytes())?;
         let mut read = Vec::new();
         while let Some(item) = rows.next()? {
             match item {
-                Item::Row(row) => read.push(row),
-                Item::Torn { line, text } => panic!("line {line}: {text}"),
+                RowItem::Row(row) => read.push(row),
+                RowItem::Torn { line, text } => panic!("line {line}: {text}"),
             }
         }
         Ok(read)
     }
 
     #[test]
-    fn columns_come_in_any_order_and_two_of_them_may_lack() -> Result<(), RowsError> {
+    fn columns_come_in_any_order_and_two_of_them_may_lack() -> Result<(), RowError> {
         let text = "from,to,action,start,end,success,reason\nHall,Lab,door,10,12.5,False,\"stuck, again\"\n";
         let rows = read(text)?;
         let expected = TraversalRow {
-            at: At { number: 1, line: 2, has_end: true },
+            at: RowPlace { number: 1, line: 2, has_end: true },
             from: "Hall".to_owned(),
             to: "Lab".to_owned(),
             action: "door".to_owned(),
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_of_a_row_is_told() -> Result<(), RowsError> {
+    fn what_cannot_be_read_of_a_row_is_told() -> Result<(), RowError> {
         let long = "n".repeat(129);
         for (row, words) in [
             ("Hall,Lab,10,12", "has 4 fields, the header has 5"),

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 
 use super::super::{
     POINTS_MAX,
-    error::{FormatError, Place, shown_start},
+    error::{FilePlace, FormatError, shown_start},
     points::Pose,
     scalar::Scalar,
     text::{Line, Lines},
@@ -21,7 +21,7 @@ const KEYS: [&str; 10] =
     ["VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"];
 
 /// What the header says.
-pub struct Header<'a> {
+pub struct PcdHeader<'a> {
     fields: Vec<Field<'a>>,
     /// The number of points.
     pub points: u64,
@@ -49,7 +49,7 @@ struct Field<'a> {
 }
 
 /// How a point is laid out.
-pub struct Row {
+pub struct PointLayout {
     /// How many bytes it takes.
     pub bytes: usize,
     /// How many values it has.
@@ -62,10 +62,10 @@ pub struct Row {
     pub value: [usize; 3],
 }
 
-impl Header<'_> {
+impl PcdHeader<'_> {
     /// How a point is laid out, with or without fields that are padding.
-    pub fn row(&self, padding: bool) -> Row {
-        let mut row = Row { bytes: 0, values: 0, scalar: [Scalar::F32; 3], byte: [0; 3], value: [0; 3] };
+    pub fn row(&self, padding: bool) -> PointLayout {
+        let mut row = PointLayout { bytes: 0, values: 0, scalar: [Scalar::F32; 3], byte: [0; 3], value: [0; 3] };
         for field in self.fields.iter().filter(|field| padding || field.name != "_") {
             if let Some(axis) = ["x", "y", "z"].iter().position(|&name| name == field.name) {
                 (row.scalar[axis], row.byte[axis], row.value[axis]) = (field.scalar, row.bytes, row.values);
@@ -78,10 +78,10 @@ impl Header<'_> {
 }
 
 /// Takes the lines of the header, DATA included.
-pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<Header<'a>, FormatError> {
+pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<PcdHeader<'a>, FormatError> {
     if !(bytes.starts_with(b"#") || bytes.starts_with(b"VERSION")) {
         return Err(FormatError::value(
-            Place::Byte(0),
+            FilePlace::Byte(0),
             "the start of the file",
             shown_start(bytes),
             "\"# .PCD v0.7\" or \"VERSION 0.7\", as in a PCD file",
@@ -111,11 +111,11 @@ pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<Header<'a>, Fo
         Some("binary_compressed") => Data::Compressed,
         other => return Err(line.wrong("DATA", other.unwrap_or(""), "ascii, binary or binary_compressed")),
     };
-    Ok(Header { fields, points, pose, data })
+    Ok(PcdHeader { fields, points, pose, data })
 }
 
 fn missing(key: &str, line: u64) -> FormatError {
-    FormatError::missing(Place::Line(line), key, "the header of a PCD file has it, before DATA or as DATA")
+    FormatError::missing(FilePlace::Line(line), key, "the header of a PCD file has it, before DATA or as DATA")
 }
 
 fn version(line: Line<'_>) -> Result<(), FormatError> {

@@ -7,14 +7,14 @@
 //! Invariant: exactly the announced length comes out, or an error; memory is taken only for what the input can unpack
 //! to.
 
-use super::super::error::{FormatError, Place};
+use super::super::error::{FilePlace, FormatError};
 
 /// Most bytes of output for a byte of input: three bytes can repeat 264.
 const EXPANSION_MAX: usize = 88;
 
 /// Unpacks data that begins at a byte of the file.
 pub fn unpack(packed: &[u8], length: usize, at: u64) -> Result<Vec<u8>, FormatError> {
-    let place = |index: usize| Place::Byte(at + index as u64);
+    let place = |index: usize| FilePlace::Byte(at + index as u64);
     if length > packed.len().saturating_mul(EXPANSION_MAX) {
         let right = format!("at most {EXPANSION_MAX} times the packed length {}", packed.len());
         return Err(FormatError::value(place(0), "the unpacked length", length, right));
@@ -56,7 +56,7 @@ pub fn unpack(packed: &[u8], length: usize, at: u64) -> Result<Vec<u8>, FormatEr
     Ok(out)
 }
 
-fn fits(unpacked: usize, length: usize, place: Place) -> Result<(), FormatError> {
+fn fits(unpacked: usize, length: usize, place: FilePlace) -> Result<(), FormatError> {
     if unpacked <= length {
         return Ok(());
     }

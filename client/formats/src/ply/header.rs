@@ -6,13 +6,13 @@
 
 use super::super::{
     POINTS_MAX,
-    error::{FormatError, Place, shown_start},
+    error::{FilePlace, FormatError, shown_start},
     scalar::{Endian, Scalar},
     text::{Line, Lines},
 };
 
 /// What the header says.
-pub struct Header<'a> {
+pub struct PlyHeader<'a> {
     /// How the elements are written down.
     pub encoding: Encoding,
     /// What follows, in this order.
@@ -46,12 +46,12 @@ pub struct Property<'a> {
     /// Its name.
     pub name: &'a str,
     /// Its type.
-    pub kind: Kind,
+    pub kind: PropertyKind,
 }
 
 /// The type of a property.
 #[derive(Clone, Copy)]
-pub enum Kind {
+pub enum PropertyKind {
     /// A number.
     Scalar(Scalar),
     /// A length and as many numbers.
@@ -71,10 +71,10 @@ impl Element<'_> {
 }
 
 /// Takes the lines of the header, the last one included.
-pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<Header<'a>, FormatError> {
+pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<PlyHeader<'a>, FormatError> {
     if !(bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r\n")) {
         return Err(FormatError::value(
-            Place::Byte(0),
+            FilePlace::Byte(0),
             "the start of the file",
             shown_start(bytes),
             "\"ply\" and a line end, as in a PLY file",
@@ -85,7 +85,7 @@ pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<Header<'a>, Fo
     let mut elements: Vec<Element<'a>> = Vec::new();
     loop {
         let line = lines.next_line()?.ok_or_else(|| {
-            FormatError::missing(Place::Line(lines.number()), "end_header", "the header of a PLY file ends with it")
+            FormatError::missing(FilePlace::Line(lines.number()), "end_header", "the header of a PLY file ends with it")
         })?;
         let mut words = line.words();
         match words.next() {
@@ -109,7 +109,7 @@ pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<Header<'a>, Fo
             }
         }
     }
-    let end = Place::Line(lines.number());
+    let end = FilePlace::Line(lines.number());
     let encoding = encoding
         .ok_or_else(|| FormatError::missing(end, "format", "for example \"format ascii 1.0\", below \"ply\""))?;
     if elements.iter().filter(|element| element.name == "vertex").count() != 1 {
@@ -118,7 +118,7 @@ pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<Header<'a>, Fo
     for element in &mut elements {
         check(element)?;
     }
-    Ok(Header { encoding, elements })
+    Ok(PlyHeader { encoding, elements })
 }
 
 fn format(line: Line<'_>) -> Result<Encoding, FormatError> {
@@ -146,9 +146,9 @@ fn property(line: Line<'_>) -> Result<Property<'_>, FormatError> {
     let kind = if first == Some("list") {
         let count = scalar(words.next(), true)?;
         first = words.next();
-        Kind::List { count, item: scalar(first, false)? }
+        PropertyKind::List { count, item: scalar(first, false)? }
     } else {
-        Kind::Scalar(scalar(first, false)?)
+        PropertyKind::Scalar(scalar(first, false)?)
     };
     let name = line.parse_name(words.next(), "the property's name")?;
     match words.next() {
@@ -172,7 +172,7 @@ fn scalar(word: &str) -> Option<Scalar> {
 }
 
 fn check(element: &mut Element<'_>) -> Result<(), FormatError> {
-    let place = Place::Line(element.line);
+    let place = FilePlace::Line(element.line);
     if element.properties.is_empty() && element.count > 0 {
         let what = format!("a property of element {:?}", element.name);
         return Err(FormatError::missing(place, what, "an element has one or more"));
@@ -187,7 +187,7 @@ fn check(element: &mut Element<'_>) -> Result<(), FormatError> {
     for (axis, name) in points.iter_mut().zip(["x", "y", "z"]) {
         let mut found = element.properties.iter().enumerate().filter(|(_, property)| property.name == name);
         match (found.next(), found.next()) {
-            (Some((index, Property { kind: Kind::Scalar(_), .. })), None) => *axis = index,
+            (Some((index, Property { kind: PropertyKind::Scalar(_), .. })), None) => *axis = index,
             (None, _) => {
                 let what = format!("property {name} of element vertex");
                 return Err(FormatError::missing(place, what, format!("for example \"property float {name}\"")));

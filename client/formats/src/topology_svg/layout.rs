@@ -6,16 +6,16 @@
 
 use std::f64::consts::TAU;
 
-use super::{CannotDraw, DrawnEdge, DrawnNode};
+use super::{DrawnEdge, DrawnNode, TopologyPictureError};
 
 /// Most nodes that are laid out.
 pub const LAID_OUT_MAX: usize = 400;
 const ROUNDS: usize = 200;
 
 /// Where each node lies: as the map says, or laid out where it does not say of all.
-pub fn places(nodes: &[DrawnNode], edges: &[DrawnEdge]) -> Result<Vec<[f64; 2]>, CannotDraw> {
+pub fn places(nodes: &[DrawnNode], edges: &[DrawnEdge]) -> Result<Vec<[f64; 2]>, TopologyPictureError> {
     if nodes.is_empty() {
-        return Err(CannotDraw::Empty);
+        return Err(TopologyPictureError::Empty);
     }
     if let Some(known) = nodes.iter().map(|node| node.at_m).collect::<Option<Vec<_>>>() {
         return Ok(known);
@@ -23,7 +23,7 @@ pub fn places(nodes: &[DrawnNode], edges: &[DrawnEdge]) -> Result<Vec<[f64; 2]>,
     let count = nodes.len();
     if count > LAID_OUT_MAX {
         let without = nodes.iter().filter(|node| node.at_m.is_none()).count();
-        return Err(CannotDraw::TooMany { without, nodes: count });
+        return Err(TopologyPictureError::TooMany { without, nodes: count });
     }
     let far = distances(count, edges);
     let mut places: Vec<[f64; 2]> = (0..count)

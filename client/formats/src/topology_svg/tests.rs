@@ -11,7 +11,7 @@ fn edge(from: usize, to: usize, success: Option<f64>) -> DrawnEdge {
 }
 
 #[test]
-fn nodes_lie_where_the_map_says_and_show_their_probability() -> Result<(), CannotDraw> {
+fn nodes_lie_where_the_map_says_and_show_their_probability() -> Result<(), TopologyPictureError> {
     let nodes = vec![
         node("a<b>&\"c\"", Some([0.0, 0.0]), Some(0.25)),
         node("north", Some([0.0, 10.0]), None),
@@ -33,7 +33,7 @@ fn nodes_lie_where_the_map_says_and_show_their_probability() -> Result<(), Canno
 }
 
 #[test]
-fn what_has_no_place_is_laid_out_with_near_ones_near() -> Result<(), CannotDraw> {
+fn what_has_no_place_is_laid_out_with_near_ones_near() -> Result<(), TopologyPictureError> {
     // A chain of five, each way told in one direction or both, and a node apart.
     let nodes: Vec<DrawnNode> = (0..6).map(|i| node(&i.to_string(), None, None)).collect();
     let edges: Vec<DrawnEdge> = (0..4).map(|i| edge(i, i + 1, None)).chain([edge(3, 2, None)]).collect();
@@ -48,10 +48,10 @@ fn what_has_no_place_is_laid_out_with_near_ones_near() -> Result<(), CannotDraw>
 
 #[test]
 fn what_cannot_be_drawn_is_said() {
-    assert_eq!(write(&TopologyPicture::default()), Err(CannotDraw::Empty));
+    assert_eq!(write(&TopologyPicture::default()), Err(TopologyPictureError::Empty));
     let nodes: Vec<DrawnNode> = (0..401).map(|i| node(&i.to_string(), None, None)).collect();
     let picture = TopologyPicture { nodes, ..TopologyPicture::default() };
-    assert_eq!(write(&picture), Err(CannotDraw::TooMany { without: 401, nodes: 401 }));
+    assert_eq!(write(&picture), Err(TopologyPictureError::TooMany { without: 401, nodes: 401 }));
     let one = TopologyPicture { nodes: vec![node("alone", None, None)], ..TopologyPicture::default() };
     assert!(write(&one).is_ok_and(|svg| !svg.contains("NaN") && !svg.contains("inf")));
 }

@@ -13,7 +13,7 @@ use anyhow::Context as _;
 use tokio::sync::mpsc;
 
 use crate::progress::Bar;
-use tidemap_formats::observation_file::{Columns, Item, Layout, Row, Rows, RowsError};
+use tidemap_formats::observation_file::{Layout, ObservationColumns, ObservationRow, RowError, RowItem, RowReader};
 
 const BUFFER_BYTES: usize = 256 * 1024;
 const CHUNK_ROWS: usize = 1024;
@@ -23,7 +23,7 @@ const TOLD_MAX: u64 = 20;
 
 /// Rows that were read together.
 #[derive(Debug)]
-pub struct Chunk<T = Row> {
+pub struct Chunk<T = ObservationRow> {
     /// The rows.
     pub rows: Vec<T>,
     /// Line and text of a last line that was cut off.
@@ -42,7 +42,7 @@ impl<T> Default for Chunk<T> {
 
 /// A file that is being read.
 #[derive(Debug)]
-pub struct Feed<L: Layout = Columns> {
+pub struct Feed<L: Layout = ObservationColumns> {
     /// Its rows; an error is the last entry.
     pub rows: Chunks<L::Row>,
     /// Its size, where it has one.
@@ -52,7 +52,7 @@ pub struct Feed<L: Layout = Columns> {
 }
 
 /// Where the rows of a file come from.
-pub type Chunks<T> = mpsc::Receiver<Result<Chunk<T>, RowsError>>;
+pub type Chunks<T> = mpsc::Receiver<Result<Chunk<T>, RowError>>;
 
 /// The file as messages name it.
 pub fn shown(path: &Path) -> String {
@@ -72,7 +72,8 @@ where
         let total_bytes = file.metadata().ok().filter(|metadata| metadata.is_file()).map(|metadata| metadata.len());
         (Box::new(file), total_bytes)
     };
-    let mut rows = Rows::<_, L>::open(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
+    let mut rows =
+        RowReader::<_, L>::open(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
     if stdin {
         // Whoever writes to a pipe may be killed in the middle of a line. A file that lacks its last line end was more
         // likely saved that way.
@@ -88,19 +89,22 @@ where
 }
 
 /// Reads until the end, an error, or until nobody wants more.
-fn read<R: Read, L: Layout>(mut rows: Rows<BufReader<R>, L>, sender: &mpsc::Sender<Result<Chunk<L::Row>, RowsError>>) {
+fn read<R: Read, L: Layout>(
+    mut rows: RowReader<BufReader<R>, L>,
+    sender: &mpsc::Sender<Result<Chunk<L::Row>, RowError>>,
+) {
     let mut chunk = Chunk::default();
     loop {
         let item = rows.next();
         chunk.bytes = rows.bytes();
         let last = match item {
-            Ok(Some(Item::Row(row))) => {
+            Ok(Some(RowItem::Row(row))) => {
                 let at = L::at(&row);
                 chunk.unended = (!at.has_end).then_some(at.line);
                 chunk.rows.push(row);
                 false
             }
-            Ok(Some(Item::Torn { line, text })) => {
+            Ok(Some(RowItem::Torn { line, text })) => {
                 chunk.torn = Some((line, text));
                 false
             }

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use tidemap_client::{Client, maps::StateKind};
 use tonic::Code;
 
-use tidemap_formats::observation_file::Row;
+use tidemap_formats::observation_file::ObservationRow;
 
 /// States that are asked for, at most: a file of garbage must not become as many requests.
 const ASKED_MAX: usize = 10_000;
@@ -29,7 +29,7 @@ impl Kinds {
     }
 
     /// What is wrong with a row, if anything is.
-    pub async fn wrong(&mut self, row: &Row) -> Option<String> {
+    pub async fn wrong(&mut self, row: &ObservationRow) -> Option<String> {
         if !row.is_read || row.position.is_some() {
             return row.wrong.clone();
         }

@@ -13,12 +13,14 @@ use super::{
     kinds::Kinds,
 };
 use crate::progress::Bar;
-use tidemap_formats::observation_file::{At, Columns, Layout as _, Row, traversals::TraversalRow};
+use tidemap_formats::observation_file::{
+    Layout as _, ObservationColumns, ObservationRow, RowPlace, traversals::TraversalRow,
+};
 
 /// A row of a file that is sent.
 pub trait Sendable {
     /// Where it stands.
-    fn at(&self) -> At;
+    fn at(&self) -> RowPlace;
     /// Adds it to the checksum.
     fn add_to(&self, crc: &mut ContentCrc);
     /// Sends it.
@@ -27,9 +29,9 @@ pub trait Sendable {
     fn wrong(&self, kinds: &mut Kinds) -> impl Future<Output = Option<String>>;
 }
 
-impl Sendable for Row {
-    fn at(&self) -> At {
-        Columns::at(self)
+impl Sendable for ObservationRow {
+    fn at(&self) -> RowPlace {
+        ObservationColumns::at(self)
     }
 
     fn add_to(&self, crc: &mut ContentCrc) {
@@ -52,7 +54,7 @@ impl Sendable for Row {
 }
 
 impl Sendable for TraversalRow {
-    fn at(&self) -> At {
+    fn at(&self) -> RowPlace {
         self.at
     }
 
@@ -200,7 +202,7 @@ impl<T: Sendable> Transfer<T> {
     }
 
     async fn row(&mut self, row: &T) -> Result<(), Ended> {
-        let At { number, line, .. } = row.at();
+        let RowPlace { number, line, .. } = row.at();
         if number <= self.sent_before {
             self.read = number;
             self.duplicate += 1;
@@ -294,7 +296,7 @@ impl<T> Drop for Transfer<T> {
 
 #[cfg(test)]
 mod tests {
-    use tidemap_formats::observation_file::{Item, Rows, traversals::TraversalColumns};
+    use tidemap_formats::observation_file::{RowItem, RowReader, traversals::TraversalColumns};
 
     use super::*;
 
@@ -314,8 +316,8 @@ mod tests {
             ("Hall,Lab,10,100000,1", "more than a day"),
         ] {
             let text = format!("from,to,start,end,success\n{row}\n");
-            let mut rows = Rows::<_, TraversalColumns>::open(text.as_bytes())?;
-            let Some(Item::Row(row)) = rows.next()? else { anyhow::bail!("no row in {text:?}") };
+            let mut rows = RowReader::<_, TraversalColumns>::open(text.as_bytes())?;
+            let Some(RowItem::Row(row)) = rows.next()? else { anyhow::bail!("no row in {text:?}") };
             let wrong = row.wrong.clone().or_else(|| report(&row).wrong()).unwrap_or_default();
             assert!(wrong.contains(words), "{wrong}");
             assert!(report(&row).wrong().is_some());

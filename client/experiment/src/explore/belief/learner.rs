@@ -12,7 +12,7 @@ use tidemap_model::{
 
 /// The most components that the spectral model uses.
 const ORDER_MAX: usize = 8;
-/// Candidate periodicities: the harmonics of four weeks down to two hours (RAS 2017, section 4.1.1).
+/// ParameterSet periodicities: the harmonics of four weeks down to two hours (RAS 2017, section 4.1.1).
 const PERIOD_BASE_NANOS: i64 = 28 * 86_400 * 1_000_000_000;
 const PERIOD_COUNT: u32 = 28 * 12;
 /// A lower order wins where its error exceeds the lowest by no more than this factor, as in a map.
@@ -22,7 +22,7 @@ const HISTOGRAM_BINS: usize = 24;
 
 /// A kind of model of one state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum LearnerKind {
     /// The mean of all readings: the long-term memory of RAS 2017.
     Mean,
     /// A Markov chain from the newest reading on: its short-term memory.
@@ -37,27 +37,33 @@ pub enum Kind {
     Calibrated,
 }
 
-impl Kind {
+impl LearnerKind {
     /// All of them.
-    pub const ALL: [Kind; 6] =
-        [Kind::Mean, Kind::Persistence, Kind::Spectral, Kind::Pergam, Kind::Histogram, Kind::Calibrated];
+    pub const ALL: [LearnerKind; 6] = [
+        LearnerKind::Mean,
+        LearnerKind::Persistence,
+        LearnerKind::Spectral,
+        LearnerKind::Pergam,
+        LearnerKind::Histogram,
+        LearnerKind::Calibrated,
+    ];
 
     /// As people write it.
     pub fn name(self) -> &'static str {
         match self {
-            Kind::Mean => "mean",
-            Kind::Persistence => "persistence",
-            Kind::Spectral => "spectral",
-            Kind::Pergam => "pergam",
-            Kind::Histogram => "histogram",
-            Kind::Calibrated => "calibrated",
+            LearnerKind::Mean => "mean",
+            LearnerKind::Persistence => "persistence",
+            LearnerKind::Spectral => "spectral",
+            LearnerKind::Pergam => "pergam",
+            LearnerKind::Histogram => "histogram",
+            LearnerKind::Calibrated => "calibrated",
         }
     }
 }
 
 /// A model of one state with what it has learned.
 pub struct Learner {
-    kind: Kind,
+    kind: LearnerKind,
     fitted: Option<Box<dyn TemporalModel>>,
     spectral: Option<Spectral>,
 }
@@ -71,12 +77,12 @@ struct Spectral {
 
 impl Learner {
     /// That has learned nothing.
-    pub fn new(kind: Kind) -> Learner {
+    pub fn new(kind: LearnerKind) -> Learner {
         Learner { kind, fitted: None, spectral: None }
     }
 
     /// Which it is.
-    pub fn kind(&self) -> Kind {
+    pub fn kind(&self) -> LearnerKind {
         self.kind
     }
 
@@ -87,18 +93,18 @@ impl Learner {
         }
         let all = Readings::new(readings);
         self.fitted = match self.kind {
-            Kind::Mean => Some(Box::new(Mean::fit(all)?)),
-            Kind::Pergam => Some(Box::new(Pergam::fit(all, &PergamOptions::default())?)),
-            Kind::Histogram => {
+            LearnerKind::Mean => Some(Box::new(Mean::fit(all)?)),
+            LearnerKind::Pergam => Some(Box::new(Pergam::fit(all, &PergamOptions::default())?)),
+            LearnerKind::Histogram => {
                 let settings = HistogramSettings::new(HistogramCycle::Day, HISTOGRAM_BINS);
                 Some(Box::new(Histogram::fit(all, &settings)?))
             }
-            Kind::Calibrated => Some(Box::new(Calibrated::fit(all, CalibratedOptions::default())?)),
-            Kind::Spectral => {
+            LearnerKind::Calibrated => Some(Box::new(Calibrated::fit(all, CalibratedOptions::default())?)),
+            LearnerKind::Spectral => {
                 self.learn_spectral(readings)?;
                 None
             }
-            Kind::Persistence => None,
+            LearnerKind::Persistence => None,
         };
         Ok(())
     }

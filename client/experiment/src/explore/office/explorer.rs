@@ -44,7 +44,7 @@ const UNSURE: f32 = 0.01;
 
 /// How an explorer expects, and when it goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum ExplorerKind {
     /// By the last map, at even distances of time.
     Spatial,
     /// By the spatio-temporal model, when much is to be learned.
@@ -53,24 +53,25 @@ pub enum Kind {
     TemporalPersistence,
 }
 
-impl Kind {
+impl ExplorerKind {
     /// All of them.
-    pub const ALL: [Kind; 3] = [Kind::Spatial, Kind::Temporal, Kind::TemporalPersistence];
+    pub const ALL: [ExplorerKind; 3] =
+        [ExplorerKind::Spatial, ExplorerKind::Temporal, ExplorerKind::TemporalPersistence];
 
     /// As people write it.
     pub fn name(self) -> &'static str {
         match self {
-            Kind::Spatial => "spatial",
-            Kind::Temporal => "spatio-temporal",
-            Kind::TemporalPersistence => "spatio-temporal+persistence",
+            ExplorerKind::Spatial => "spatial",
+            ExplorerKind::Temporal => "spatio-temporal",
+            ExplorerKind::TemporalPersistence => "spatio-temporal+persistence",
         }
     }
 
     fn selector(self) -> ModelSelector {
         let (kind, persistence) = match self {
-            Kind::Spatial => (ModelKind::Latest, false),
-            Kind::Temporal => (ModelKind::Auto, false),
-            Kind::TemporalPersistence => (ModelKind::Auto, true),
+            ExplorerKind::Spatial => (ModelKind::Latest, false),
+            ExplorerKind::Temporal => (ModelKind::Auto, false),
+            ExplorerKind::TemporalPersistence => (ModelKind::Auto, true),
         };
         ModelSelector { kind, order: None, persistence }
     }
@@ -98,7 +99,7 @@ pub struct Findings {
 /// An explorer.
 pub struct Explorer {
     /// What it goes by.
-    pub kind: Kind,
+    pub kind: ExplorerKind,
     map: LiveMap,
     view: MapView,
     front: Front,
@@ -116,7 +117,7 @@ pub struct Explorer {
 
 impl Explorer {
     /// One that knows nothing.
-    pub fn new(kind: Kind, space: &Space) -> Result<Self, OfficeError> {
+    pub fn new(kind: ExplorerKind, space: &Space) -> Result<Self, OfficeError> {
         let mut map = LiveMap::new(Arc::clone(space.spec()));
         let grid = map.grid().ok_or_else(|| OfficeError::Setting("the map has no grid".to_owned()))?;
         let front = Front::new(grid);
@@ -147,7 +148,7 @@ impl Explorer {
         self.predict_by(self.kind, utc_nanos)
     }
 
-    fn predict_by(&self, kind: Kind, utc_nanos: i64) -> Result<PredictedGrid, OfficeError> {
+    fn predict_by(&self, kind: ExplorerKind, utc_nanos: i64) -> Result<PredictedGrid, OfficeError> {
         let options = PredictOptions { selector: kind.selector(), ..PredictOptions::default() };
         Ok(PredictedGrid::new(&self.view, utc_nanos, &options)?)
     }
@@ -161,7 +162,7 @@ impl Explorer {
     pub fn tour(
         &mut self,
         space: &Space,
-        kind: Kind,
+        kind: ExplorerKind,
         start_nanos: i64,
         middle_nanos: i64,
     ) -> Result<Findings, OfficeError> {
@@ -203,7 +204,7 @@ impl Explorer {
     }
 
     /// Goals for a time: by what is expected of it, then by going round.
-    fn plan(&mut self, space: &Space, kind: Kind, utc_nanos: i64) -> Result<Vec<TourStep>, OfficeError> {
+    fn plan(&mut self, space: &Space, kind: ExplorerKind, utc_nanos: i64) -> Result<Vec<TourStep>, OfficeError> {
         self.view = self.map.publish();
         let expected = self.predict_by(kind, utc_nanos)?;
         let mut steps = plan_tour(&expected, &self.reachability, &space.question)?.steps;

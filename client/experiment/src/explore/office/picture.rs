@@ -2,7 +2,7 @@
 //!
 //! Invariant: the same results give the same bytes. What is off the scale of the days after the first is cut off.
 
-use super::{Outcome, Protocol};
+use super::{OfficeExploration, OfficeProtocol};
 use crate::picture::{Svg, WIDTH, number, tick};
 
 const LEFT: f64 = 56.0;
@@ -12,7 +12,7 @@ const HEIGHT: f64 = 280.0;
 const COLOURS: [&str; 3] = ["#000000", "#0072b2", "#d55e00"];
 
 /// Draws the errors.
-pub fn draw(protocol: &Protocol, outcome: &Outcome) -> String {
+pub fn draw(protocol: &OfficeProtocol, outcome: &OfficeExploration) -> String {
     let per_day = protocol.slots();
     let slots = protocol.days * per_day;
     let percent = |index: usize, slot: usize| outcome.error_at(index, slot).map(|error| 100.0 * error);

@@ -9,8 +9,8 @@ use tidemap_map::time::parse_duration;
 use tidemap_plan::tour::GOALS_MAX;
 use tidemap_sim::ExploredOffice;
 
-use super::{Kind, space::DAY_NANOS};
-use crate::{ProtocolError, protocol::written::Word};
+use super::{ExplorerKind, space::DAY_NANOS};
+use crate::{ProtocolError, protocol::raw::Word};
 
 /// Most days.
 const DAYS_MAX: usize = 60;
@@ -21,7 +21,7 @@ const SLOT_MIN_NANOS: i64 = 300_000_000_000;
 
 /// What a protocol says.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Protocol {
+pub struct OfficeProtocol {
     /// Of the experiment.
     pub name: String,
     /// Days of exploration, at least 1.
@@ -37,12 +37,12 @@ pub struct Protocol {
     /// How many times everything is done, with seeds from 0 on.
     pub seeds: u64,
     /// Who explores; the first is what the others are compared with.
-    pub explorers: Vec<Kind>,
+    pub explorers: Vec<ExplorerKind>,
     /// Folder of the results.
     pub out: PathBuf,
 }
 
-impl Protocol {
+impl OfficeProtocol {
     /// Slots of a day.
     pub fn slots(&self) -> usize {
         (DAY_NANOS / self.slot_nanos) as usize
@@ -52,7 +52,7 @@ impl Protocol {
 /// The section `office`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct WrittenOffice {
+pub struct RawOffice {
     days: Option<Word>,
     tours: Option<Word>,
     goals: Option<Word>,
@@ -60,9 +60,9 @@ pub struct WrittenOffice {
     slot: Option<Word>,
 }
 
-impl WrittenOffice {
+impl RawOffice {
     /// Makes a protocol of it.
-    pub fn parse(self, name: String, seeds: u64, out: PathBuf) -> Result<Protocol, ProtocolError> {
+    pub fn parse(self, name: String, seeds: u64, out: PathBuf) -> Result<OfficeProtocol, ProtocolError> {
         let slot_nanos = self.slot.map_or(Ok(SLOT_NANOS), |word| {
             let divides = |nanos: &i64| *nanos >= SLOT_MIN_NANOS && DAY_NANOS % nanos == 0;
             let nanos = parse_duration(&word.text).ok().filter(divides);
@@ -70,7 +70,7 @@ impl WrittenOffice {
         })?;
         let slots = (DAY_NANOS / slot_nanos) as usize;
         let goals_max = GOALS_MAX.min((slot_nanos / 120_000_000_000) as usize);
-        Ok(Protocol {
+        Ok(OfficeProtocol {
             name,
             days: number("days", self.days, 5, 1..=DAYS_MAX)?,
             tours: number("tours", self.tours, 24.min(slots), 1..=slots)?,
@@ -78,7 +78,7 @@ impl WrittenOffice {
             rooms: number("rooms", self.rooms, 4, 2..=ExploredOffice::ROOMS_MAX)?,
             slot_nanos,
             seeds,
-            explorers: Kind::ALL.to_vec(),
+            explorers: ExplorerKind::ALL.to_vec(),
             out,
         })
     }

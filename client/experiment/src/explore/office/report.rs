@@ -7,7 +7,7 @@ use std::{
     path::Path,
 };
 
-use super::{Outcome, Protocol, picture};
+use super::{OfficeExploration, OfficeProtocol, picture};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, Sheet};
 
@@ -17,7 +17,12 @@ use tidemap_formats::table::{Cell, Format, Sheet};
 /// that (the median over seeds of a paired test over the day's slots), seeds_better and seeds_worse (with p below 0.05),
 /// changes_per_tour and changes (cells seen in another state than before), discovered (cells seen for the first time),
 /// tours, tours_8_to_18.
-pub fn summary<W: Write>(protocol: &Protocol, outcome: &Outcome, format: Format, writer: W) -> io::Result<()> {
+pub fn summary<W: Write>(
+    protocol: &OfficeProtocol,
+    outcome: &OfficeExploration,
+    format: Format,
+    writer: W,
+) -> io::Result<()> {
     let columns = [
         "day",
         "explorer",
@@ -62,14 +67,14 @@ fn median(numbers: &[f64]) -> Option<f64> {
 }
 
 /// Writes the files of an exploration into its folder, which exists.
-pub fn write(protocol: &Protocol, outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+pub fn write(protocol: &OfficeProtocol, outcome: &OfficeExploration, folder: &Path) -> anyhow::Result<()> {
     file(folder, "results.csv", |writer| summary(protocol, outcome, Format::Csv, writer))?;
     file(folder, "slots.csv", |writer| slots(protocol, outcome, writer))?;
     file(folder, "exploration.svg", |writer| writer.write_all(picture::draw(protocol, outcome).as_bytes()))
 }
 
 /// Every explorer's error in every slot, mean over seeds.
-fn slots<W: Write>(protocol: &Protocol, outcome: &Outcome, writer: W) -> io::Result<()> {
+fn slots<W: Write>(protocol: &OfficeProtocol, outcome: &OfficeExploration, writer: W) -> io::Result<()> {
     let mut sheet = Sheet::new(Format::Csv, &["explorer", "day", "slot", "error_percent"], writer);
     let per_day = protocol.slots();
     for (index, kind) in protocol.explorers.iter().enumerate() {

@@ -11,8 +11,8 @@ use tidemap_plan::{
 use tidemap_sim::ExploredOffice;
 
 use super::{
-    Course, OfficeError, Protocol,
-    explorer::{Explorer, Kind},
+    ExplorerCourse, OfficeError, OfficeProtocol,
+    explorer::{Explorer, ExplorerKind},
     space::{DAY_NANOS, START_NANOS, Space},
 };
 
@@ -22,15 +22,15 @@ const HOUR_NANOS: i64 = 3_600_000_000_000;
 
 /// Explores an office once; `day_done` is told of each day.
 pub fn explore(
-    protocol: &Protocol,
+    protocol: &OfficeProtocol,
     office: &ExploredOffice,
     seed: u64,
     day_done: &impl Fn(),
-) -> Result<Vec<Course>, OfficeError> {
+) -> Result<Vec<ExplorerCourse>, OfficeError> {
     let space = Space::new(office, protocol.goals)?;
     let mut explorers =
         protocol.explorers.iter().map(|&kind| Explorer::new(kind, &space)).collect::<Result<Vec<_>, OfficeError>>()?;
-    let mut courses = vec![Course::default(); explorers.len()];
+    let mut courses = vec![ExplorerCourse::default(); explorers.len()];
     for day in 0..protocol.days {
         let midnight_nanos = START_NANOS + day as i64 * DAY_NANOS;
         let slots = DaySlots::of(&space.spec().zone, LocalDay::of_civil_nanos(midnight_nanos), protocol.slot_nanos)?;
@@ -41,7 +41,7 @@ pub fn explore(
             }
             let kind = (day > 0).then_some(explorer.kind);
             schedules.push((
-                kind.unwrap_or(Kind::Spatial),
+                kind.unwrap_or(ExplorerKind::Spatial),
                 schedule(protocol, &space, explorer, kind, &slots, seed * 1000 + day as u64)?,
             ));
             for counts in [&mut course.changes, &mut course.discovered, &mut course.tours, &mut course.tours_by_day] {
@@ -72,10 +72,10 @@ pub fn explore(
 
 /// In which slots of a day an explorer goes.
 fn schedule(
-    protocol: &Protocol,
+    protocol: &OfficeProtocol,
     space: &Space,
     explorer: &Explorer,
-    kind: Option<Kind>,
+    kind: Option<ExplorerKind>,
     slots: &DaySlots,
     seed: u64,
 ) -> Result<Vec<Option<usize>>, OfficeError> {
@@ -85,7 +85,7 @@ fn schedule(
     // The first day is the same for all: nobody has anything to predict by. Tours at even hours would show periods of
     // 24 h / i and 24 h / (24 - i) alike.
     let Some(kind) = kind else { return Ok(strategy::schedule(Strategy::Random, &even()?, budget, seed)?) };
-    if kind == Kind::Spatial {
+    if kind == ExplorerKind::Spatial {
         return Ok(strategy::schedule(Strategy::RoundRobin { visited: 0 }, &even()?, budget, seed)?);
     }
     // E_G of each slot (RA-L, sections III.E and F).

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use super::*;
-use crate::explore::{Wanted, protocol::parse};
+use crate::explore::{ExploreProtocol, protocol::parse};
 
 const PROTOCOL: &str = "name: office
 office:
@@ -17,9 +17,9 @@ seeds: 1
 out: results
 ";
 
-fn protocol() -> Protocol {
+fn protocol() -> OfficeProtocol {
     match parse(PROTOCOL, "stem", Path::new("lab")) {
-        Ok(Wanted::Office(protocol)) => protocol,
+        Ok(ExploreProtocol::Office(protocol)) => protocol,
         other => panic!("{other:?}"),
     }
 }
@@ -29,7 +29,7 @@ fn a_protocol_is_read_and_has_the_defaults_of_the_paper() {
     let read = protocol();
     assert_eq!((read.days, read.tours, read.goals, read.rooms, read.seeds), (4, 16, 4, 2, 1));
     assert_eq!((read.slots(), read.out, read.explorers.len()), (48, PathBuf::from("lab/results"), 3));
-    let Ok(Wanted::Office(least)) = parse("office: {}\nout: o\n", "stem", Path::new("")) else { panic!() };
+    let Ok(ExploreProtocol::Office(least)) = parse("office: {}\nout: o\n", "stem", Path::new("")) else { panic!() };
     assert_eq!((least.name.as_str(), least.days, least.tours, least.goals, least.rooms), ("stem", 5, 24, 6, 4));
     assert_eq!((least.slots(), least.seeds), (96, 5));
 }
@@ -60,14 +60,14 @@ fn the_first_day_is_the_same_for_all_and_the_model_errs_less_every_day() {
     let protocol = protocol();
     let outcome = run(&protocol, &|_, _| ()).unwrap();
     let days = outcome.days(&protocol);
-    let of = |day: usize, kind: Kind| days.iter().find(|found| (found.day, found.kind) == (day, kind)).unwrap();
+    let of = |day: usize, kind: ExplorerKind| days.iter().find(|found| (found.day, found.kind) == (day, kind)).unwrap();
     for day in &days {
         assert!(day.tours <= 16.0 && (day.tours >= 16.0 || day.day == 1), "{day:?}");
     }
-    let (spatial, temporal) = (of(1, Kind::Spatial), of(1, Kind::Temporal));
+    let (spatial, temporal) = (of(1, ExplorerKind::Spatial), of(1, ExplorerKind::Temporal));
     assert_eq!((spatial.changes, spatial.discovered), (temporal.changes, temporal.discovered), "the same first day");
     assert_eq!(temporal.worse, 1, "{temporal:?}");
-    let errors: Vec<f64> = (1..=4).map(|day| of(day, Kind::Temporal).error).collect();
+    let errors: Vec<f64> = (1..=4).map(|day| of(day, ExplorerKind::Temporal).error).collect();
     assert!(errors.is_sorted_by(|one, next| one > next), "{errors:?}");
     let folder = tempfile::tempdir().unwrap();
     write(&protocol, &outcome, folder.path()).unwrap();
@@ -82,19 +82,19 @@ fn the_first_day_is_the_same_for_all_and_the_model_errs_less_every_day() {
 #[ignore = "takes minutes"]
 fn from_the_third_day_on_the_spatio_temporal_model_with_persistence_errs_less() {
     let text = "office: {}\nseeds: 1\nout: o\n";
-    let Ok(Wanted::Office(protocol)) = parse(text, "stem", Path::new("")) else { panic!() };
+    let Ok(ExploreProtocol::Office(protocol)) = parse(text, "stem", Path::new("")) else { panic!() };
     let days = run(&protocol, &|_, _| ()).unwrap().days(&protocol);
-    for day in days.iter().filter(|day| day.day >= 3 && day.kind == Kind::TemporalPersistence) {
+    for day in days.iter().filter(|day| day.day >= 3 && day.kind == ExplorerKind::TemporalPersistence) {
         assert!(day.better == 1 && day.difference < 0.0, "{day:?}");
     }
 }
 
 #[test]
 fn the_same_seed_gives_the_same_figures() {
-    let protocol = Protocol { days: 2, tours: 3, goals: 2, ..protocol() };
+    let protocol = OfficeProtocol { days: 2, tours: 3, goals: 2, ..protocol() };
     let (one, other) = (run(&protocol, &|_, _| ()).unwrap(), run(&protocol, &|_, _| ()).unwrap());
     assert_eq!(one.runs, other.runs);
-    let longer = run(&Protocol { days: 3, ..protocol }, &|_, _| ()).unwrap();
+    let longer = run(&OfficeProtocol { days: 3, ..protocol }, &|_, _| ()).unwrap();
     let (short, long) = (&one.runs[0], &longer.runs[0]);
     assert!(short.iter().zip(long).all(|(short, long)| short.errors[..] == long.errors[..96]));
 }

@@ -31,7 +31,7 @@ pub struct Words {
 
 /// A model as a protocol names it: alone, or with parameters.
 #[derive(Clone, Debug)]
-pub struct WrittenModel {
+pub struct RawModel {
     /// Its kind.
     pub kind: Word,
     /// Its parameters, in the order written.
@@ -41,7 +41,7 @@ pub struct WrittenModel {
 /// The file.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Written {
+pub struct RawProtocol {
     pub name: Option<Word>,
     pub zone: Option<Word>,
     pub kind: Option<Word>,
@@ -50,8 +50,8 @@ pub struct Written {
     pub train: Option<Words>,
     pub test: Option<Words>,
     pub refit: Option<Word>,
-    pub models: Option<Vec<WrittenModel>>,
-    pub tuning: Option<WrittenTuning>,
+    pub models: Option<Vec<RawModel>>,
+    pub tuning: Option<RawTuning>,
     pub baseline: Option<Word>,
     pub significance: Option<Word>,
     pub predictions: Option<Word>,
@@ -61,7 +61,7 @@ pub struct Written {
 /// The section `tuning`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct WrittenTuning {
+pub struct RawTuning {
     pub folds: Word,
     pub fold: Word,
 }
@@ -143,7 +143,7 @@ impl<'de> Visitor<'de> for OneOrManyVisitor {
     }
 }
 
-impl<'de> Deserialize<'de> for WrittenModel {
+impl<'de> Deserialize<'de> for RawModel {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let Spanned { value, referenced, .. } = Spanned::<Unplaced>::deserialize(deserializer)?;
         Ok(match value {
@@ -155,7 +155,7 @@ impl<'de> Deserialize<'de> for WrittenModel {
 
 enum Unplaced {
     Name(String),
-    Model(WrittenModel),
+    Model(RawModel),
 }
 
 impl<'de> Deserialize<'de> for Unplaced {
@@ -182,7 +182,7 @@ impl<'de> Visitor<'de> for ModelVisitor {
             return Err(A::Error::custom("a model without a name: write one, as in histogram: {bins: 24}"));
         };
         match map.next_key::<Word>()? {
-            None => Ok(Unplaced::Model(WrittenModel { kind, parameters })),
+            None => Ok(Unplaced::Model(RawModel { kind, parameters })),
             Some(other) => Err(A::Error::custom(format!(
                 "{:?} beside the model {:?}: begin each model with a dash of its own, and write its parameters in \
                  braces or indented below it",

@@ -7,10 +7,10 @@ use std::ops::Range;
 use rayon::prelude::*;
 use tidemap_plan::search::{Goal, Options, SearchError, search};
 
-use super::{Flat, Problem};
+use super::{RecordedWorld, ReplayError};
 use crate::{
-    candidate::{Fitted, ValueKind},
-    protocol::Contender,
+    parameter_set::{FittedModel, ValueKind},
+    protocol::ModelEntry,
 };
 
 /// Minutes that are searched one after another by one thread.
@@ -18,15 +18,15 @@ const PIECE: usize = 1440;
 
 /// When the person was found.
 #[derive(Clone, Debug, Default)]
-pub struct Found {
+pub struct FindTimes {
     /// Seconds after the robot left its start, ascending.
     secs: Vec<f64>,
 }
 
-impl Found {
-    fn of(mut secs: Vec<f64>) -> Found {
+impl FindTimes {
+    fn of(mut secs: Vec<f64>) -> FindTimes {
         secs.sort_by(f64::total_cmp);
-        Found { secs }
+        FindTimes { secs }
     }
 
     /// How many searches there were.
@@ -49,32 +49,36 @@ impl Found {
 
 /// Searches of some minutes by a candidate of a model that has learned all before the minute `learned`.
 pub fn by_model(
-    flat: &Flat,
-    contender: &Contender,
+    world: &RecordedWorld,
+    entry: &ModelEntry,
     candidate: usize,
     learned: usize,
     minutes: Range<usize>,
-) -> Result<Found, Problem> {
-    let chosen = &contender.candidates[candidate];
-    let models = (0..flat.names.len())
+) -> Result<FindTimes, ReplayError> {
+    let chosen = &entry.candidates[candidate];
+    let models = (0..world.names.len())
         .into_par_iter()
         .map(|node| {
-            chosen.fit(&flat.samples(node, learned), ValueKind::Probability).map_err(|refused| {
-                let model = format!("{} {}", contender.label, chosen.shown());
-                let (model, place) = (model.trim_end().to_owned(), flat.names[node].clone());
-                Problem::Fit { model, place, refused }
+            chosen.fit(&world.samples(node, learned), ValueKind::Probability).map_err(|refused| {
+                let model = format!("{} {}", entry.label, chosen.shown());
+                let (model, place) = (model.trim_end().to_owned(), world.names[node].clone());
+                ReplayError::Fit { model, place, refused }
             })
         })
-        .collect::<Result<Vec<Fitted>, Problem>>()?;
-    find(flat, minutes, |node, minute| models[node].predict(flat.moment(minute)))
+        .collect::<Result<Vec<FittedModel>, ReplayError>>()?;
+    find(world, minutes, |node, minute| models[node].predict(world.moment(minute)))
 }
 
 /// Searches by who knows where the person is.
-pub fn by_truth(flat: &Flat, minutes: Range<usize>) -> Result<Found, Problem> {
-    find(flat, minutes, |node, minute| f64::from(u8::from(flat.room(minute) == Some(node))))
+pub fn by_truth(world: &RecordedWorld, minutes: Range<usize>) -> Result<FindTimes, ReplayError> {
+    find(world, minutes, |node, minute| f64::from(u8::from(world.room(minute) == Some(node))))
 }
 
-fn find(flat: &Flat, minutes: Range<usize>, expect: impl Fn(usize, usize) -> f64 + Sync) -> Result<Found, Problem> {
+fn find(
+    world: &RecordedWorld,
+    minutes: Range<usize>,
+    expect: impl Fn(usize, usize) -> f64 + Sync,
+) -> Result<FindTimes, ReplayError> {
     let pieces: Vec<Range<usize>> =
         minutes.clone().step_by(PIECE).map(|from| from..minutes.end.min(from + PIECE)).collect();
     let found = pieces
@@ -83,11 +87,11 @@ fn find(flat: &Flat, minutes: Range<usize>, expect: impl Fn(usize, usize) -> f64
             let mut found = Vec::with_capacity(piece.len());
             let mut last: (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
             for minute in piece {
-                let Some(room) = flat.room(minute) else { continue };
+                let Some(room) = world.room(minute) else { continue };
                 let expected: Vec<f64> =
-                    (0..flat.names.len()).map(|node| expect(node, minute).clamp(0.0, 1.0)).collect();
+                    (0..world.names.len()).map(|node| expect(node, minute).clamp(0.0, 1.0)).collect();
                 if expected != last.0 {
-                    last = (expected.clone(), arrivals(flat, &expected)?);
+                    last = (expected.clone(), arrivals(world, &expected)?);
                 }
                 found.push(last.1[room]);
             }
@@ -96,19 +100,19 @@ fn find(flat: &Flat, minutes: Range<usize>, expect: impl Fn(usize, usize) -> f64
         .collect::<Result<Vec<Vec<f64>>, SearchError>>()?
         .concat();
     if found.is_empty() {
-        return Err(Problem::Nobody { from: minutes.start, until: minutes.end });
+        return Err(ReplayError::Nobody { from: minutes.start, until: minutes.end });
     }
-    Ok(Found::of(found))
+    Ok(FindTimes::of(found))
 }
 
 /// When the robot comes to each node, in seconds after it left its start.
-fn arrivals(flat: &Flat, expected: &[f64]) -> Result<Vec<f64>, SearchError> {
-    let goal = |(index, &probability): (usize, &f64)| Goal { node: flat.roads.node(index), probability };
+fn arrivals(world: &RecordedWorld, expected: &[f64]) -> Result<Vec<f64>, SearchError> {
+    let goal = |(index, &probability): (usize, &f64)| Goal { node: world.roads.node(index), probability };
     let goals: Vec<Goal> = expected.iter().enumerate().map(goal).collect();
-    let plan = search(&flat.roads, flat.start, &goals, &Options::default(), || false)?;
+    let plan = search(&world.roads, world.start, &goals, &Options::default(), || false)?;
     let mut arrivals = vec![f64::INFINITY; expected.len()];
     for step in &plan.steps {
-        if let Some(index) = flat.roads.index_of(step.node) {
+        if let Some(index) = world.roads.index_of(step.node) {
             arrivals[index] = step.arrival_secs;
         }
     }

@@ -19,7 +19,7 @@ const FILE_BYTES_MAX: u64 = 256 * 1024 * 1024;
 
 /// Why a recording cannot be used.
 #[derive(Debug, thiserror::Error)]
-pub enum WorldError {
+pub enum RecordingError {
     /// It cannot be read.
     #[error("the world {} cannot be read: {why}; paths are relative to the protocol's folder", path.display())]
     Io {
@@ -50,7 +50,7 @@ pub enum WorldError {
 
 /// Where somebody was in every minute.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct World {
+pub struct PlaceRecording {
     /// Names of the places.
     pub places: Vec<String>,
     /// Minutes of a slot; they divide the day.
@@ -59,25 +59,25 @@ pub struct World {
     minutes: Vec<u8>,
 }
 
-impl World {
+impl PlaceRecording {
     /// Reads a recording.
-    pub fn read(path: &Path, slot_minutes: usize) -> Result<World, WorldError> {
-        let io = |why| WorldError::Io { path: path.to_owned(), why };
+    pub fn read(path: &Path, slot_minutes: usize) -> Result<PlaceRecording, RecordingError> {
+        let io = |why| RecordingError::Io { path: path.to_owned(), why };
         let length = fs::metadata(path).map_err(io)?.len();
         if length > FILE_BYTES_MAX {
             let wrong = format!("it has {length} bytes, and a world at most {FILE_BYTES_MAX}");
-            return Err(WorldError::Whole { path: path.to_owned(), wrong });
+            return Err(RecordingError::Whole { path: path.to_owned(), wrong });
         }
         let text = fs::read_to_string(path).map_err(io)?;
-        World::parse(&text, slot_minutes).map_err(|(line, wrong)| match line {
-            Some(line) => WorldError::Row { path: path.to_owned(), line, wrong },
-            None => WorldError::Whole { path: path.to_owned(), wrong },
+        PlaceRecording::parse(&text, slot_minutes).map_err(|(line, wrong)| match line {
+            Some(line) => RecordingError::Row { path: path.to_owned(), line, wrong },
+            None => RecordingError::Whole { path: path.to_owned(), wrong },
         })
     }
 
     /// Makes a world of a text; what is wrong comes with its line, from 1, where one is to blame.
-    pub fn parse(text: &str, slot_minutes: usize) -> Result<World, (Option<usize>, String)> {
-        let mut world = World { places: Vec::new(), slot_minutes, minutes: Vec::new() };
+    pub fn parse(text: &str, slot_minutes: usize) -> Result<PlaceRecording, (Option<usize>, String)> {
+        let mut world = PlaceRecording { places: Vec::new(), slot_minutes, minutes: Vec::new() };
         for (line, row) in (1..).zip(text.lines()) {
             if !row.trim().is_empty() {
                 world.add(row).map_err(|wrong| (Some(line), wrong))?;

@@ -1,12 +1,12 @@
 //! The models of a protocol, each with the candidates that its lists of parameters span.
 //!
-//! Invariant: a contender has at least one candidate, and more than one only where the protocol tunes; candidates come in
+//! Invariant: a entry has at least one candidate, and more than one only where the protocol tunes; candidates come in
 //! the order written, the last parameter changing first.
 
 use super::{
-    super::candidate::{Candidate, CandidateKind, ValueKind, WrongParameter, parameter_names},
+    super::parameter_set::{CandidateKind, ParameterSet, ValueKind, WrongParameter, parameter_names},
     error::ProtocolError,
-    written::{Word, Words, WrittenModel},
+    raw::{RawModel, Word, Words},
 };
 
 /// Most candidates of one model.
@@ -16,31 +16,31 @@ const NAME: &str = "name";
 
 /// A model that is compared.
 #[derive(Clone, Debug)]
-pub struct Contender {
+pub struct ModelEntry {
     /// What it is called in results: its kind, or the name that was given to it.
     pub label: String,
     /// What it may be; tuning chooses one.
-    pub candidates: Vec<Candidate>,
+    pub candidates: Vec<ParameterSet>,
 }
 
 /// Reads the models.
-pub(crate) fn read(models: &[WrittenModel], values: ValueKind, tunes: bool) -> Result<Vec<Contender>, ProtocolError> {
-    let mut contenders: Vec<Contender> = Vec::with_capacity(models.len());
+pub(crate) fn read(models: &[RawModel], values: ValueKind, tunes: bool) -> Result<Vec<ModelEntry>, ProtocolError> {
+    let mut entries: Vec<ModelEntry> = Vec::with_capacity(models.len());
     for model in models {
-        let contender = contender(model, values, tunes)?;
-        if contenders.iter().any(|other| other.label == contender.label) {
+        let entry = entry(model, values, tunes)?;
+        if entries.iter().any(|other| other.label == entry.label) {
             let wrong = format!(
                 "two models are called {:?}: give one a name of its own, as in {}: {{name: other}}",
-                contender.label, model.kind.text
+                entry.label, model.kind.text
             );
             return Err(ProtocolError::model(model.kind.line, &model.kind, wrong));
         }
-        contenders.push(contender);
+        entries.push(entry);
     }
-    Ok(contenders)
+    Ok(entries)
 }
 
-fn contender(model: &WrittenModel, values: ValueKind, tunes: bool) -> Result<Contender, ProtocolError> {
+fn entry(model: &RawModel, values: ValueKind, tunes: bool) -> Result<ModelEntry, ProtocolError> {
     let written = &model.kind;
     let (kind, _) = CandidateKind::ALL.into_iter().find(|(_, name)| *name == written.text).ok_or_else(|| {
         let names = CandidateKind::ALL.map(|(_, name)| name);
@@ -75,7 +75,7 @@ fn contender(model: &WrittenModel, values: ValueKind, tunes: bool) -> Result<Con
         .into_iter()
         .map(|chosen| candidate(kind, written, &chosen))
         .collect::<Result<_, _>>()?;
-    Ok(Contender { label, candidates })
+    Ok(ModelEntry { label, candidates })
 }
 
 fn name(values: &Words) -> Result<String, ProtocolError> {
@@ -99,26 +99,30 @@ fn parameter_named(kind: CandidateKind, model: &Word, parameter: &Word) -> Resul
     })
 }
 
-type Chosen<'a> = Vec<(&'static str, &'a Word)>;
+type Combination<'a> = Vec<(&'static str, &'a Word)>;
 
 /// Every way to choose a value of each parameter.
-fn combinations<'a>(model: &Word, axes: &[(&'static str, &'a Words)]) -> Result<Vec<Chosen<'a>>, ProtocolError> {
+fn combinations<'a>(model: &Word, axes: &[(&'static str, &'a Words)]) -> Result<Vec<Combination<'a>>, ProtocolError> {
     let count = axes.iter().try_fold(1, |count: usize, (_, values)| count.checked_mul(values.words.len()));
     if count.is_none_or(|count| count > CANDIDATES_MAX) {
         let wrong = format!("its lists span more than {CANDIDATES_MAX} combinations: shorten them");
         return Err(ProtocolError::model(model.line, model, wrong));
     }
-    let mut chosen: Vec<Chosen<'a>> = vec![Vec::new()];
+    let mut chosen: Vec<Combination<'a>> = vec![Vec::new()];
     for &(name, values) in axes {
-        let with = |chosen: &Chosen<'a>, word| chosen.iter().copied().chain([(name, word)]).collect();
+        let with = |chosen: &Combination<'a>, word| chosen.iter().copied().chain([(name, word)]).collect();
         chosen = chosen.iter().flat_map(|one| values.words.iter().map(|word| with(one, word))).collect();
     }
     Ok(chosen)
 }
 
-fn candidate(kind: CandidateKind, model: &Word, chosen: &[(&'static str, &Word)]) -> Result<Candidate, ProtocolError> {
+fn candidate(
+    kind: CandidateKind,
+    model: &Word,
+    chosen: &[(&'static str, &Word)],
+) -> Result<ParameterSet, ProtocolError> {
     let parameters: Vec<(&'static str, &str)> = chosen.iter().map(|&(name, word)| (name, word.text.as_str())).collect();
-    Candidate::new(kind, &parameters).map_err(|wrong| match wrong {
+    ParameterSet::new(kind, &parameters).map_err(|wrong| match wrong {
         WrongParameter::Value { name, right } => match chosen.iter().find(|(given, _)| *given == name) {
             Some((_, word)) => ProtocolError::value(&format!("{name} of {}", model.text), word, &right),
             None => ProtocolError::model(model.line, model, format!("{name} has to be {right}")),

@@ -11,11 +11,9 @@ use tidemap_map::{
 };
 use tidemap_model::{Sample, models::Moment};
 
-use super::{Problem, Protocol};
-use crate::explore::World;
+use super::{ReplayError, SearchProtocol};
+use crate::place_recording::{DAY_MINUTES, PlaceRecording};
 use tidemap_formats::topology::{TopologyFile, read_lines, read_yaml};
-
-pub use crate::explore::DAY_MINUTES;
 
 /// How fast the robot drives where an edge has a length alone, in metres per second: as the service without being told.
 const SPEED_M_PER_SEC: f64 = 0.5;
@@ -23,7 +21,7 @@ const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 
 /// Where is looked, and for whom.
 #[derive(Debug)]
-pub struct Flat {
+pub struct RecordedWorld {
     /// Names of the nodes.
     pub names: Vec<String>,
     /// The ways.
@@ -36,23 +34,27 @@ pub struct Flat {
     first_nanos: i64,
 }
 
-impl Flat {
+impl RecordedWorld {
     /// Reads topology and world.
-    pub fn read(protocol: &Protocol) -> Result<Flat, Problem> {
+    pub fn read(protocol: &SearchProtocol) -> Result<RecordedWorld, ReplayError> {
         let path = &protocol.topology;
-        let wrong = |wrong: String| Problem::Topology(format!("{}: {wrong}", path.display()));
+        let wrong = |wrong: String| ReplayError::Topology(format!("{}: {wrong}", path.display()));
         let text = fs::read_to_string(path).map_err(|error| {
             wrong(format!("the topology cannot be read: {error}; paths are relative to the protocol's folder"))
         })?;
         let is_yaml = path.extension().is_some_and(|ending| ending == "yaml" || ending == "yml");
         let written = if is_yaml { read_yaml(&text) } else { read_lines(&text) };
         let written = written.map_err(|error| wrong(error.to_string()))?;
-        let world = World::read(&protocol.world, 1)?;
-        Flat::new(&written, &world, protocol).map_err(wrong)
+        let world = PlaceRecording::read(&protocol.world, 1)?;
+        RecordedWorld::new(&written, &world, protocol).map_err(wrong)
     }
 
     /// Puts places and persons together.
-    pub fn new(written: &TopologyFile, world: &World, protocol: &Protocol) -> Result<Flat, String> {
+    pub fn new(
+        written: &TopologyFile,
+        world: &PlaceRecording,
+        protocol: &SearchProtocol,
+    ) -> Result<RecordedWorld, String> {
         let topology = topology(written)?;
         let names: Vec<String> = written.nodes.iter().map(|node| node.name.clone()).collect();
         let start = topology.node_named(&protocol.start).map_err(|error| format!("start: {error}"))?.id;
@@ -73,7 +75,7 @@ impl Flat {
             ));
         }
         let rooms = (0..world.days() * DAY_MINUTES).map(|minute| node_of[world.seen(minute)]).collect();
-        Ok(Flat { names, roads, start, rooms, first_nanos: protocol.first_nanos })
+        Ok(RecordedWorld { names, roads, start, rooms, first_nanos: protocol.first_nanos })
     }
 
     /// How many minutes there are.

@@ -27,11 +27,11 @@ pub enum ValueKind {
 }
 
 /// A model that was fitted.
-pub type Fitted = Box<dyn TemporalModel + Send + Sync>;
+pub type FittedModel = Box<dyn TemporalModel + Send + Sync>;
 
 /// A kind of model with its parameters.
 #[derive(Clone, Debug)]
-pub struct Candidate {
+pub struct ParameterSet {
     shown: String,
     settings: Settings,
 }
@@ -113,9 +113,9 @@ pub fn parameter_names(kind: CandidateKind) -> &'static [&'static str] {
 }
 
 /// Parameters by name, as written.
-struct Given<'a>(&'a [(&'static str, &'a str)]);
+struct ParameterTexts<'a>(&'a [(&'static str, &'a str)]);
 
-impl Given<'_> {
+impl ParameterTexts<'_> {
     /// The value of a parameter, or its default.
     fn get<T>(
         &self,
@@ -164,13 +164,13 @@ impl Given<'_> {
     }
 }
 
-impl Candidate {
+impl ParameterSet {
     /// The kind with the parameters given, of those that [`parameter_names`] lists, and defaults for the rest.
     ///
     /// # Errors
     /// [`WrongParameter`] where a value cannot be read or the model refuses it.
     pub fn new(kind: CandidateKind, parameters: &[(&'static str, &str)]) -> Result<Self, WrongParameter> {
-        let given = Given(parameters);
+        let given = ParameterTexts(parameters);
         let settings = match kind {
             CandidateKind::Mean => Settings::Mean,
             CandidateKind::Latest => Settings::Latest,
@@ -241,7 +241,7 @@ impl Candidate {
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings or a value does not suit the model.
-    pub fn fit(&self, samples: &[Sample], kind: ValueKind) -> Result<Fitted, CannotFit> {
+    pub fn fit(&self, samples: &[Sample], kind: ValueKind) -> Result<FittedModel, CannotFit> {
         let readings = Readings::new(samples);
         Ok(match &self.settings {
             Settings::Mean => Box::new(Mean::fit(readings)?),
