@@ -1,7 +1,7 @@
 //! Sending observations, scans and traversals, each exactly once.
 //!
 //! [`Producer`] is what callers use. Behind it: [`window`] decides what is sent, kept and given up, without any I/O;
-//! [`columns`] packs observations; [`tiles`] and [`scan_stream`] pack scans; [`retry`] decides when to try again; `link`
+//! [`columns`] packs observations; [`scan_stream`] packs scans; [`retry`] decides when to try again; `link`
 //! does the talking.
 //!
 //! Invariant: an observation handed to a producer is given its sequence number at once and is kept until the daemon
@@ -16,13 +16,21 @@ mod replay;
 pub mod retry;
 pub mod scan;
 pub mod scan_stream;
-pub mod tiles;
 mod traversal;
 pub mod window;
 
 pub use producer::{Phase, Producer, ProducerOptions, Progress};
 pub use replay::Replay;
 pub use traversal::Traversal;
+
+/// Tiles of a grid, and the table by which scans of them are sent as differences.
+pub mod tiles {
+    pub use tidemap_map::grid::{
+        index::TileIndex,
+        mask::{Mask, TileMasks},
+    };
+    pub use tidemap_proto::convert::scans::{MASK_BYTES, TileError, TilePicture, TileTable, pack_seen};
+}
 
 use crate::error::Error;
 
@@ -146,7 +154,7 @@ pub enum ProducerError {
     },
     /// A scan that makes no sense.
     #[error("the scan makes no sense: {0}")]
-    Tiles(#[from] tiles::TileError),
+    Tiles(#[from] tidemap_proto::convert::scans::TileError),
     /// A time before 1970 cannot be sent.
     #[error("time {0} ns is before 1970")]
     TimeBefore1970(i64),

@@ -32,12 +32,13 @@ use std::{
 };
 
 use prost::Message as _;
-use tidemap_proto::v1::{Scan, ScanBatch};
+use tidemap_proto::{
+    convert::scans::join_part,
+    v1::{Scan, ScanBatch},
+};
 
 pub use error::{ScanFileError, Wrong};
 pub use writer::{ScanFileWriter, ScanWriteError};
-
-use crate::observe::tiles::join;
 
 /// The first line.
 pub const MAGIC: &[u8] = b"tidemap scans 1\n";
@@ -180,7 +181,7 @@ impl<R: BufRead> ScanFile<R> {
                         return Err(Wrong::Parts(PARTS_MAX));
                     }
                     whole.new_tiles.extend(new_tiles);
-                    join(&mut whole.scan, scan).map_err(Wrong::Tiles)?;
+                    join_part(&mut whole.scan.content, scan.content).map_err(Wrong::Tiles)?;
                     (whole, parts + 1)
                 }
             };

@@ -10,7 +10,7 @@ use tidemap_client::{
     observe::{
         Producer, ProducerOptions,
         scan::Scan,
-        tiles::{SeenTile, TileMasks},
+        tiles::{Mask, TileIndex, TileMasks},
     },
 };
 use tidemap_tests::{
@@ -37,7 +37,7 @@ fn is_occupied([x, y]: [i32; 2], hour: i64) -> bool {
     is_wall || (SEAT.contains(&x) && SEAT.contains(&y) && (9..17).contains(&hour))
 }
 
-fn scan(hour: i64) -> Vec<SeenTile> {
+fn scan(hour: i64) -> Vec<(TileIndex, TileMasks)> {
     let tiles = SIDE / 8;
     let mask = |[column, row]: [i32; 2]| {
         (0..64)
@@ -45,9 +45,8 @@ fn scan(hour: i64) -> Vec<SeenTile> {
             .fold(0, |mask, place| mask | 1_u64 << place)
     };
     let tile = |at: [i32; 2]| {
-        let (mut observed, mut occupied) = ([0; 8], [0; 8]);
-        (observed[0], occupied[0]) = (u64::MAX, mask(at));
-        SeenTile { tile: [at[0], at[1], 0], masks: TileMasks { observed, occupied } }
+        let layer = |word| Mask([word, 0, 0, 0, 0, 0, 0, 0]);
+        (TileIndex { x: at[0], y: at[1], z: 0 }, TileMasks::clipped(layer(u64::MAX), layer(mask(at))))
     };
     (0..tiles).flat_map(|row| (0..tiles).map(move |column| [column, row])).map(tile).collect()
 }

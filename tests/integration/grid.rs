@@ -20,7 +20,7 @@ use tidemap_client::{
     observe::{
         Producer, ProducerOptions,
         scan::Scan,
-        tiles::{Mask, SeenTile},
+        tiles::{Mask, TileIndex, TileMasks},
     },
     queries::{GridQuery, ModelKind, ModelSelector, PredictedGrid},
 };
@@ -70,7 +70,7 @@ async fn producer(daemon: &Daemon, name: &str) -> Producer {
 }
 
 /// Sends scans of tiles and waits until they are durable; none of them may be refused.
-async fn send(producer: &mut Producer, scans: impl IntoIterator<Item = (i64, Vec<SeenTile>)>) {
+async fn send(producer: &mut Producer, scans: impl IntoIterator<Item = (i64, Vec<(TileIndex, TileMasks)>)>) {
     for (time, tiles) in scans {
         producer.send_scan(time, Scan::Tiles(tiles)).await.expect("taken");
     }
@@ -80,22 +80,22 @@ async fn send(producer: &mut Producer, scans: impl IntoIterator<Item = (i64, Vec
 
 /// A part of what a film shows: every fifth scan, seven seconds later, with six of the tiles, some layers of them, and
 /// now and then something in the way where nothing ever is.
-fn partial_view(film: &Film) -> impl Iterator<Item = (i64, Vec<SeenTile>)> {
+fn partial_view(film: &Film) -> impl Iterator<Item = (i64, Vec<(TileIndex, TileMasks)>)> {
     film.run().enumerate().skip(3).step_by(5).map(|(number, (time, occupied))| {
         let turn = number / 250;
-        let observed: Mask = std::array::from_fn(|z| match (z + turn) % 8 {
+        let observed = Mask(std::array::from_fn(|z| match (z + turn) % 8 {
             0 | 1 => 0,
             2 => 0x0F0F_0F0F_0F0F_0F0F,
             _ => u64::MAX,
-        });
+        }));
         let mut tiles = film.seen(&occupied);
         tiles = tiles.into_iter().skip(turn % 4).step_by(2).take(6).collect();
-        for seen in &mut tiles {
-            seen.masks.observed = observed;
+        for (_, masks) in &mut tiles {
+            let mut occupied = masks.occupied();
             if number % 7 == 0 {
-                seen.masks.occupied[3] ^= 1 << 17;
+                occupied.flip(3 * 64 + 17);
             }
-            seen.masks.occupied = std::array::from_fn(|z| seen.masks.occupied[z] & observed[z]);
+            *masks = TileMasks::clipped(observed, occupied);
         }
         (time + 7_000_000_000, tiles)
     })

@@ -3,7 +3,7 @@
 //! Invariant: a film is a function of its options. Scan n, from 0, is the one that its producer sends as number n + 1;
 //! every cell of every tile is observed in each.
 
-use tidemap_client::observe::tiles::{Mask, SeenTile, TileMasks};
+use tidemap_client::observe::tiles::{Mask, TileIndex, TileMasks};
 use tidemap_sim::{GridOffice, GridOfficeOptions, GridStream};
 
 /// Cells of a tile.
@@ -15,7 +15,7 @@ pub type FilmCell = (usize, u32);
 /// The scans of a number of days.
 #[derive(Clone, Debug)]
 pub struct Film {
-    tiles: Vec<[i32; 3]>,
+    tiles: Vec<TileIndex>,
     times: Vec<i64>,
     /// The cells that flip in each scan, as slot * 512 + place.
     flips: Vec<Vec<u32>>,
@@ -46,7 +46,8 @@ impl Film {
             flips.push(scan.occupied_flips.to_vec());
         }
         let changing = office.changing_cells().to_vec();
-        Self { tiles: office.tiles().to_vec(), times, flips, changing, per_day: scans_per_day as usize }
+        let tiles = office.tiles().iter().map(|&[x, y, z]| TileIndex { x, y, z }).collect();
+        Self { tiles, times, flips, changing, per_day: scans_per_day as usize }
     }
 
     /// Where the office is.
@@ -72,7 +73,7 @@ impl Film {
 
     /// The tiles, by slot.
     #[must_use]
-    pub fn tiles(&self) -> &[[i32; 3]] {
+    pub fn tiles(&self) -> &[TileIndex] {
         &self.tiles
     }
 
@@ -92,7 +93,8 @@ impl Film {
     #[must_use]
     pub fn index(&self, (slot, place): FilmCell) -> [i32; 3] {
         let within = [place % 8, place / 8 % 8, place / 64].map(u32::cast_signed);
-        std::array::from_fn(|axis| self.tiles[slot][axis] * 8 + within[axis])
+        let TileIndex { x, y, z } = self.tiles[slot];
+        std::array::from_fn(|axis| [x, y, z][axis] * 8 + within[axis])
     }
 
     /// The name of a cell as a state.
@@ -104,11 +106,11 @@ impl Film {
 
     /// All scans in their order: the time, and what is occupied in each tile, by slot.
     pub fn run(&self) -> impl Iterator<Item = (i64, Vec<Mask>)> {
-        let mut occupied: Vec<Mask> = vec![[0; 8]; self.tiles.len()];
+        let mut occupied: Vec<Mask> = vec![Mask::EMPTY; self.tiles.len()];
         self.times.iter().zip(&self.flips).map(move |(&time, flips)| {
             for &cell in flips {
                 let (slot, place) = ((cell / TILE_CELLS) as usize, cell % TILE_CELLS);
-                occupied[slot][place as usize / 64] ^= 1 << (place % 64);
+                occupied[slot].flip(place as u16);
             }
             (time, occupied.clone())
         })
@@ -116,8 +118,8 @@ impl Film {
 
     /// A scan as it is sent: every cell of every tile is observed.
     #[must_use]
-    pub fn seen(&self, occupied: &[Mask]) -> Vec<SeenTile> {
-        let whole = |(&tile, &occupied)| SeenTile { tile, masks: TileMasks { observed: [u64::MAX; 8], occupied } };
+    pub fn seen(&self, occupied: &[Mask]) -> Vec<(TileIndex, TileMasks)> {
+        let whole = |(&tile, &occupied)| (tile, TileMasks::clipped(Mask::FULL, occupied));
         self.tiles.iter().zip(occupied).map(whole).collect()
     }
 }
@@ -125,5 +127,5 @@ impl Film {
 /// Whether a mask holds a place.
 #[must_use]
 pub fn holds(mask: &Mask, place: u32) -> bool {
-    mask[place as usize / 64] >> (place % 64) & 1 == 1
+    mask.contains(place as u16)
 }

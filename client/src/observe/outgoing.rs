@@ -140,14 +140,14 @@ mod tests {
     use super::*;
     use crate::observe::{
         scan::{PointCloud, Scan},
-        tiles::{SeenTile, TileMasks},
+        tiles::{Mask, TileIndex, TileMasks},
     };
 
     #[test]
     fn all_leave_in_the_order_of_their_numbers() -> Result<(), Box<dyn std::error::Error>> {
         let welcome =
             Welcome { max_batch_observations: 3, max_batch_scans: 2, max_message_bytes: 5000, ..Welcome::default() };
-        let tile = |x| SeenTile { tile: [x, 0, 0], masks: TileMasks { observed: [1; 8], occupied: [0; 8] } };
+        let tile = |x| (TileIndex { x, y: 0, z: 0 }, TileMasks::clipped(Mask([1; 8]), Mask::EMPTY));
         let mut window = Window::new(100, 0, 0);
         for time in 0..5 {
             window.push("door", time, 1.0);

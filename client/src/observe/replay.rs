@@ -2,13 +2,12 @@
 //!
 //! Invariant: numbers, checksum and tiles are those of a producer that had sent the same scans.
 
-use tidemap_proto::v1;
-
-use super::{
-    scan::Scan,
-    tiles::{TileError, TileTable},
-    window::Window,
+use tidemap_proto::{
+    convert::scans::{TileError, TileTable},
+    v1,
 };
+
+use super::{scan::Scan, window::Window};
 
 /// Follows scans from the first on.
 #[derive(Debug)]

@@ -2,9 +2,8 @@
 //!
 //! Invariant: a scan is sent as it was given; whether it makes sense on the map is the daemon's to say.
 
+use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
 use tidemap_proto::v1::{self, scan::Content};
-
-use super::tiles::SeenTile;
 
 /// Bytes that a scan takes on the wire beside its points, masks and flips, at most.
 const FRAME_BYTES: usize = 256;
@@ -70,7 +69,7 @@ pub struct RangeScan {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Scan {
     /// The tiles that were seen, none twice. What differs from the producer's scan before is sent.
-    Tiles(Vec<SeenTile>),
+    Tiles(Vec<(TileIndex, TileMasks)>),
     /// A point cloud.
     Cloud(PointCloud),
     /// A planar range scan.
@@ -103,19 +102,6 @@ impl From<RangeScan> for v1::RangeScan {
     }
 }
 
-/// Digest of a scan of points or ranges, as at `Scan` in `observation.proto`.
-pub(crate) fn points_digest(pose: Option<&v1::Pose>, numbers: &[f32]) -> u64 {
-    let pose = pose.copied().unwrap_or_default();
-    let parts = [pose.x_m, pose.y_m, pose.z_m, pose.qx, pose.qy, pose.qz, pose.qw];
-    let mut crc = crc32c::crc32c(parts.map(f64::to_le_bytes).as_flattened());
-    // Few at a time: the checksum of four bytes costs as much as that of a hundred.
-    for numbers in numbers.chunks(1024) {
-        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
-        crc = crc32c::crc32c_append(crc, &bytes);
-    }
-    u64::from(crc)
-}
-
 /// Most bytes that a scan takes on the wire, and about as many in memory.
 pub(super) fn wire_bytes(content: &Content) -> usize {
     // A packed number takes 5 bytes at most, a float 4.
@@ -129,19 +115,4 @@ pub(super) fn wire_bytes(content: &Content) -> usize {
             Content::Cloud(cloud) => cloud.xyz_m.len() * 4 + cloud.frame_id.len(),
             Content::Ranges(ranges) => ranges.ranges_m.len() * 4 + ranges.frame_id.len(),
         }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_digest_is_that_of_the_bytes_in_a_row() {
-        let pose = Pose { position_m: [1.0, 2.0, 3.0], ..Pose::default() }.to_wire();
-        let numbers: Vec<f32> = (0..3000_u16).map(f32::from).collect();
-        let mut bytes: Vec<u8> = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0_f64].iter().flat_map(|n| n.to_le_bytes()).collect();
-        bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
-        assert_eq!(points_digest(Some(&pose), &numbers), u64::from(crc32c::crc32c(&bytes)));
-        assert_eq!(points_digest(None, &[]), u64::from(crc32c::crc32c(&[0; 56])));
-    }
 }

@@ -11,15 +11,12 @@ use std::collections::{HashMap, VecDeque};
 
 pub use scans::KeptScan;
 use tidemap_model::{Dimensions, Position};
-use tidemap_proto::v1;
-
-use super::{
-    ProducerError,
-    columns::Entry,
-    content::ContentCrc,
-    tiles::{Shown, TileTable},
-    traversal::wire_bytes,
+use tidemap_proto::{
+    convert::scans::{TilePicture, TileTable},
+    v1,
 };
+
+use super::{ProducerError, columns::Entry, content::ContentCrc, traversal::wire_bytes};
 
 /// Most bytes of scans and observations kept, unless told otherwise.
 pub const WINDOW_BYTES: usize = 64 << 20;
@@ -64,7 +61,7 @@ pub struct Window {
     /// What the last scan pushed has shown.
     tiles: TileTable,
     /// What the last scan acknowledged has shown.
-    base: Shown,
+    base: TilePicture,
 }
 
 impl Window {
@@ -83,7 +80,7 @@ impl Window {
             names: Vec::new(),
             indices: Default::default(),
             tiles: TileTable::default(),
-            base: Shown::default(),
+            base: TilePicture::default(),
         }
     }
 
@@ -234,7 +231,7 @@ impl Window {
                 Item::Traversal(traversal) => self.crc.add_wire_traversal(&traversal),
                 Item::Scan(scan) => {
                     self.crc.add_scan(scan.time_nanos(), scan.digest());
-                    scan.shown_in(&mut self.base);
+                    scan.follow_in(&mut self.base);
                 }
             }
         }

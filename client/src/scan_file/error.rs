@@ -5,7 +5,7 @@
 use std::{io, sync::Arc};
 
 use super::MESSAGE_BYTES_MAX;
-use crate::observe::tiles::TileError;
+use tidemap_proto::convert::scans::TileError;
 
 /// Why a file of scans cannot be read.
 #[derive(Clone, Debug, thiserror::Error)]

@@ -3,7 +3,7 @@
 use super::*;
 use crate::observe::{
     scan::{PointCloud, Scan as Given},
-    tiles::{SeenTile, TileMasks, TileTable},
+    tiles::{Mask, TileIndex, TileMasks, TileTable},
 };
 use tidemap_proto::v1::scan::Content;
 
@@ -13,16 +13,12 @@ fn header() -> ScanFileHeader {
     ScanFileHeader { resolution_m: 0.1, frame_id: "map".to_owned(), origin_m: vec![1.0, 2.0, 3.0] }
 }
 
-fn tiles(time: u64) -> Vec<SeenTile> {
+fn tiles(time: u64) -> Vec<(TileIndex, TileMasks)> {
     let masks = |x: u64| {
-        let observed = [u64::MAX; 8];
         let occupied = std::array::from_fn(|word| if (time / (x + 1)).is_multiple_of(5) { x << word } else { 0 });
-        TileMasks { observed, occupied }
+        TileMasks::clipped(Mask::FULL, Mask(occupied))
     };
-    (0..9)
-        .filter(|x| !time.is_multiple_of(x + 2))
-        .map(|x| SeenTile { tile: [x as i32, 0, 0], masks: masks(x) })
-        .collect()
+    (0..9).filter(|x| !time.is_multiple_of(x + 2)).map(|x| (TileIndex { x: x as i32, y: 0, z: 0 }, masks(x))).collect()
 }
 
 fn file(scans: u64) -> Result<Vec<u8>, ScanWriteError> {
@@ -65,10 +61,10 @@ fn what_is_written_is_read() -> Tested {
         let Some(Content::Tiles(content)) = scan.scan.content else { panic!("tiles") };
         table.apply(&content)?;
         let expected = tiles(number);
-        let slots = table.shown().seen().iter().flat_map(crate::observe::tiles::Run::slots);
-        let mut seen: Vec<_> = slots.map(|slot| (table.tiles()[slot as usize], table.shown().masks(slot))).collect();
+        let slots = table.picture().seen();
+        let mut seen: Vec<_> = slots.map(|slot| (table.tiles()[slot as usize], table.picture().masks(slot))).collect();
         seen.sort_unstable_by_key(|(tile, _)| *tile);
-        assert_eq!(seen, expected.iter().map(|seen| (seen.tile, seen.masks)).collect::<Vec<_>>());
+        assert_eq!(seen, expected);
     }
     Ok(())
 }

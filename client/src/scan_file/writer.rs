@@ -35,7 +35,7 @@ pub enum ScanWriteError {
     Io(#[from] io::Error),
     /// The scan makes no sense.
     #[error(transparent)]
-    Scan(#[from] crate::observe::tiles::TileError),
+    Scan(#[from] tidemap_proto::convert::scans::TileError),
     /// The scan has a time before 1970.
     #[error(transparent)]
     Time(ProducerError),

@@ -1,6 +1,6 @@
 //! Scans of an occupancy grid: what a stream sends, its table of tiles, and the digests by which both sides compare.
 //!
-//! Way in: [`ScanDecoder`] for what a server receives, [`ScanEncoder`] for what a client sends.
+//! Entry points: [`ScanDecoder`] for what a server receives, [`TileTable`] for what a client sends.
 //!
 //! Invariant: both sides keep the same picture of what the stream last showed of each tile. What makes the table itself
 //! or the order of the stream ambiguous is an error of the message; what is wrong in one scan refuses that scan, and the
@@ -15,21 +15,24 @@ use super::InvalidField;
 
 mod decode;
 mod digest;
-mod encode;
 mod flips;
 mod parts;
 mod points;
 mod shown;
 mod split;
+mod table;
 #[cfg(test)]
 mod tests;
 mod tile_scan;
 
 pub use decode::ScanDecoder;
-pub use digest::{DIGEST_FACTOR, content_crc, points_digest, ranges_digest, tile_digest};
-pub use encode::{EncodedScan, ScanEncoder};
-pub use flips::{pack_flips, pack_seen};
-pub use split::{batch, split};
+pub use digest::{content_crc, content_digest, points_digest, ranges_digest, tile_digest};
+pub use flips::{pack_flips, pack_seen, unpack_flips};
+pub use split::{batch, set_times, split};
+pub use table::{EncodedScan, TileError, TilePicture, TileTable, join_part, set_masks};
+
+/// Bytes of a mask on the wire.
+pub const MASK_BYTES: usize = 64;
 
 /// What one stream may send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,6 +77,12 @@ pub struct ScanRefusal {
 impl ScanRefusal {
     fn malformed(detail: impl Into<String>) -> ScanRefusal {
         ScanRefusal { reason: RefusalReason::Scan, detail: detail.into() }
+    }
+}
+
+impl From<TileError> for ScanRefusal {
+    fn from(error: TileError) -> Self {
+        Self::malformed(error.to_string())
     }
 }
 

@@ -6,7 +6,11 @@ use std::{collections::BTreeMap, time::Duration};
 use tidemap_client::{
     Client, Error,
     maps::{NewMap, Retention},
-    observe::{Producer, scan::Scan, tiles::SeenTile},
+    observe::{
+        Producer,
+        scan::Scan,
+        tiles::{TileIndex, TileMasks},
+    },
     queries::ModelKind,
 };
 use tidemap_tests::{
@@ -24,14 +28,18 @@ const SCANS_PER_DAY: u32 = 200;
 type Readings = Vec<(i64, f64)>;
 
 /// What each of some cells was read as, by time.
-fn readings(film: &Film, sent: &[(i64, Vec<SeenTile>)], cells: &[FilmCell]) -> BTreeMap<String, Readings> {
-    let mut sent: Vec<&(i64, Vec<SeenTile>)> = sent.iter().collect();
+fn readings(
+    film: &Film,
+    sent: &[(i64, Vec<(TileIndex, TileMasks)>)],
+    cells: &[FilmCell],
+) -> BTreeMap<String, Readings> {
+    let mut sent: Vec<&(i64, Vec<(TileIndex, TileMasks)>)> = sent.iter().collect();
     sent.sort_by_key(|(time, _)| *time);
     let of_cell = |&(slot, place): &FilmCell| {
-        let reading = |(time, tiles): &&(i64, Vec<SeenTile>)| {
-            let seen = tiles.iter().find(|seen| seen.tile == film.tiles()[slot])?;
-            let is_occupied = holds(&seen.masks.occupied, place);
-            holds(&seen.masks.observed, place).then_some((*time, f64::from(u8::from(is_occupied))))
+        let reading = |(time, tiles): &&(i64, Vec<(TileIndex, TileMasks)>)| {
+            let (_, masks) = tiles.iter().find(|(tile, _)| *tile == film.tiles()[slot])?;
+            let is_occupied = holds(&masks.occupied(), place);
+            holds(&masks.observed(), place).then_some((*time, f64::from(u8::from(is_occupied))))
         };
         (film.name((slot, place)), sent.iter().filter_map(reading).collect())
     };
@@ -80,7 +88,7 @@ async fn grid_history_gives_back_exactly_what_was_sent() {
     // By half days, so that updates find days of which a part is folded in already.
     for half in 0..8 {
         let bounds = [half, half + 1].map(|half| film.time(0) + half * DAY_NANOS / 2);
-        let now = |(time, _): &&(i64, Vec<SeenTile>)| (bounds[0]..bounds[1]).contains(time);
+        let now = |(time, _): &&(i64, Vec<(TileIndex, TileMasks)>)| (bounds[0]..bounds[1]).contains(time);
         let (whole, part) = (whole.iter().filter(now), part.iter().filter(now));
         let (mut camera, mut robot) = (producer(&daemon, "camera").await, producer(&daemon, "robot").await);
         for (time, tiles) in whole.clone() {

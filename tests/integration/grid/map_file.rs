@@ -13,7 +13,7 @@ use std::{
 use tidemap_client::time::format_rfc3339;
 use tidemap_client::{
     maps::Retention,
-    observe::tiles::{SeenTile, TileMasks},
+    observe::tiles::{Mask, TileIndex, TileMasks},
     queries::{GridQuery, ModelKind},
 };
 use tidemap_tests::{cli, film::Film, oracle::run_update};
@@ -75,11 +75,10 @@ async fn grid_written_as_pgm_is_read_by_others_as_it_was_meant() {
     let (data, daemon) = office(grid(Retention::None)).await;
     // A partial view that leaves some columns of each tile out, so that these stay unknown.
     let mut robot = producer(&daemon, "robot").await;
-    let hidden = |(time, mut tiles): (i64, Vec<SeenTile>)| {
-        for TileMasks { observed, occupied } in tiles.iter_mut().map(|seen| &mut seen.masks) {
-            for layer in observed.iter_mut().chain(occupied) {
-                *layer &= !0xF0F0_0000_0000_0081;
-            }
+    let hidden = |(time, mut tiles): (i64, Vec<(TileIndex, TileMasks)>)| {
+        let left_out = Mask([0xF0F0_0000_0000_0081; 8]);
+        for (_, masks) in &mut tiles {
+            *masks = TileMasks::clipped(masks.observed().without(left_out), masks.occupied());
         }
         (time, tiles)
     };

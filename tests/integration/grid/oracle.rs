@@ -18,7 +18,10 @@ use super::{
 use tidemap_client::time::format_rfc3339;
 use tidemap_client::{
     maps::{Grid, Retention, SensorNoise},
-    observe::{Producer, ProducerOptions, Sensor, tiles::SeenTile},
+    observe::{
+        Producer, ProducerOptions, Sensor,
+        tiles::{TileIndex, TileMasks},
+    },
 };
 
 /// Readings of each cell in the order of their arrival.
@@ -32,16 +35,16 @@ struct Sent {
 
 impl Sent {
     /// Notes what readings count as: `levels` of a free and an occupied one.
-    fn note(&mut self, film: &Film, scans: &[(i64, Vec<SeenTile>)], levels: (f64, f64)) {
+    fn note(&mut self, film: &Film, scans: &[(i64, Vec<(TileIndex, TileMasks)>)], levels: (f64, f64)) {
         for (time, tiles) in scans {
             self.phasors.add(*time);
             self.scans += 1;
-            for seen in tiles {
-                let slot = film.tiles().iter().position(|tile| *tile == seen.tile).expect("a tile of the film");
-                self.cell_observations += seen.masks.observed.iter().map(|w| u64::from(w.count_ones())).sum::<u64>();
+            for (tile, masks) in tiles {
+                let slot = film.tiles().iter().position(|known| known == tile).expect("a tile of the film");
+                self.cell_observations += u64::from(masks.observed().count());
                 for (&(_, place), readings) in self.readings.range_mut((slot, 0)..(slot + 1, 0)) {
-                    if holds(&seen.masks.observed, place) {
-                        let is_occupied = holds(&seen.masks.occupied, place);
+                    if holds(&masks.observed(), place) {
+                        let is_occupied = holds(&masks.occupied(), place);
                         readings.push((*time, if is_occupied { levels.1 } else { levels.0 }, is_occupied));
                     }
                 }

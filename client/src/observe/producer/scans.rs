@@ -2,14 +2,13 @@
 //!
 //! Invariant: scans and observations of a producer share one sequence and one window.
 
-use tidemap_proto::v1;
+use tidemap_proto::{
+    convert::scans::{TileError, TileTable},
+    v1,
+};
 
 use super::{Producer, ProducerError};
-use crate::observe::{
-    scan::Scan,
-    tiles::{TileError, TileTable},
-    window::Window,
-};
+use crate::observe::{scan::Scan, window::Window};
 
 impl Producer {
     /// Gives a scan its number and takes charge of it; waits while the window is full. The scan is durable once

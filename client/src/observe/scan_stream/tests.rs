@@ -4,10 +4,11 @@ use std::collections::{HashMap, VecDeque};
 
 use proptest::prelude::*;
 use prost::Message as _;
+use tidemap_map::grid::mask::Mask;
 use tidemap_proto::{
     convert::{
         grid::grid_from_wire,
-        scans::{ScanDecoder, ScanLimits as DaemonLimits},
+        scans::{ScanDecoder, ScanLimits as DaemonLimits, TileTable, join_part},
     },
     v1,
 };
@@ -16,11 +17,10 @@ use super::*;
 use crate::observe::{
     content::ContentCrc,
     scan::{PointCloud, Scan as Given},
-    tiles::{SeenTile, TileTable, join},
     window::Window,
 };
 
-type Picture = Vec<([i32; 3], TileMasks)>;
+type Picture = Vec<(TileIndex, TileMasks)>;
 
 /// The daemon's own decoder; beside it, what it shows.
 struct Daemon {
@@ -68,7 +68,7 @@ impl Daemon {
             let scan = match self.unfinished.take() {
                 None => scan,
                 Some(mut whole) => {
-                    join(&mut whole, scan).expect("parts that fit");
+                    join_part(&mut whole.content, scan.content).expect("parts that fit");
                     whole
                 }
             };
@@ -81,8 +81,8 @@ impl Daemon {
             if batch.first_sequence + i as u64 > self.durable() {
                 assert_eq!(self.decoded.remove(0), (time, digest));
                 self.crc.add_scan(time, digest);
-                let slots = self.table.shown().seen().iter().flat_map(Run::slots);
-                let seen = slots.map(|slot| (self.table.tiles()[slot as usize], self.table.shown().masks(slot)));
+                let shown = self.table.picture();
+                let seen = shown.seen().map(|slot| (self.table.tiles()[slot as usize], shown.masks(slot)));
                 let mut picture: Picture = seen.collect();
                 picture.sort_unstable_by_key(|(tile, _)| *tile);
                 self.pictures.push(picture);
@@ -118,11 +118,12 @@ fn steps() -> impl Strategy<Value = Vec<Step>> {
 
 fn picture(tiles: &[(i32, u64)]) -> Picture {
     let masks = |bits: u64| {
-        let observed = std::array::from_fn(|word| bits | 1 << word);
-        TileMasks { observed, occupied: observed.map(|word| word & bits & 0x5555_5555_5555_5555) }
+        let observed: [u64; 8] = std::array::from_fn(|word| bits | 1 << word);
+        TileMasks::clipped(Mask(observed), Mask(observed.map(|word| word & bits & 0x5555_5555_5555_5555)))
     };
     let by_place: HashMap<i32, u64> = tiles.iter().copied().collect();
-    let mut picture: Picture = by_place.into_iter().map(|(x, bits)| ([x, 0, -1], masks(bits))).collect();
+    let mut picture: Picture =
+        by_place.into_iter().map(|(x, bits)| (TileIndex { x, y: 0, z: -1 }, masks(bits))).collect();
     picture.sort_unstable_by_key(|(tile, _)| *tile);
     picture
 }
@@ -152,9 +153,8 @@ proptest! {
             match step {
                 Step::Push(tiles) => if window.has_room() {
                     let picture = picture(&tiles);
-                    let seen = picture.iter().map(|&(tile, masks)| SeenTile { tile, masks }).collect();
-                    pushed.push(picture);
-                    prop_assert_eq!(window.push_scan(time * 3, Given::Tiles(seen)), Ok(pushed.len() as u64));
+                    pushed.push(picture.clone());
+                    prop_assert_eq!(window.push_scan(time * 3, Given::Tiles(picture)), Ok(pushed.len() as u64));
                 },
                 Step::Send => {
                     let messages = taken(&mut window, &mut stream, limits);
@@ -200,7 +200,7 @@ fn a_large_cloud_is_split_and_comes_out_whole() -> Result<(), Box<dyn std::error
         assert_eq!((message.first_sequence, message.first_time_nanos, message.continues), (1, 5, i < last));
         let part = message.scans.remove(0);
         match &mut whole {
-            Some(whole) => join(whole, part)?,
+            Some(whole) => join_part(&mut whole.content, part.content)?,
             None => whole = Some(part),
         }
     }

@@ -3,13 +3,14 @@
 //! Invariant: a scan of tiles is kept as what differs from the producer's scan of tiles before it; each slot that it uses
 //! is among the first [`KeptScan::tiles`] of the producer's table.
 
-use tidemap_proto::v1::{self, scan::Content};
+use tidemap_map::grid::index::TileIndex;
+use tidemap_proto::{
+    convert::scans::{EncodedScan, TileError, TilePicture, TileTable, content_digest},
+    v1::{self, scan::Content},
+};
 
 use super::{Item, Window};
-use crate::observe::{
-    scan::{Scan, points_digest, wire_bytes},
-    tiles::{Shown, TileError, TileTable},
-};
+use crate::observe::scan::{Scan, wire_bytes};
 
 /// A scan that is kept until it is durable.
 #[derive(Clone, Debug)]
@@ -52,10 +53,10 @@ impl KeptScan {
     }
 
     /// Follows it.
-    pub(crate) fn shown_in(&self, shown: &mut Shown) {
+    pub(crate) fn follow_in(&self, picture: &mut TilePicture) {
         if let Content::Tiles(scan) = &self.content {
-            shown.grow(self.tiles);
-            shown.follow(scan, |_| {});
+            picture.grow(self.tiles);
+            picture.follow(scan, |_| {});
         }
     }
 }
@@ -68,7 +69,7 @@ impl Window {
     pub fn push_scan(&mut self, time_nanos: i64, scan: Scan) -> Result<u64, TileError> {
         let (content, digest) = match scan {
             Scan::Tiles(seen) => {
-                let (_, scan, digest) = self.tiles.changes(&seen)?;
+                let EncodedScan { scan, digest, .. } = self.tiles.encode(&seen)?;
                 (Content::Tiles(scan), digest)
             }
             Scan::Cloud(cloud) => digested(Content::Cloud(cloud.into())),
@@ -102,7 +103,7 @@ impl Window {
     /// Goes on from a table of tiles: what the last scan showed that the daemon has.
     pub fn go_on_from(&mut self, tiles: TileTable) {
         debug_assert!(self.entries.is_empty(), "scans follow it");
-        self.base = tiles.shown().clone();
+        self.base = tiles.picture().clone();
         self.tiles = tiles;
     }
 
@@ -114,13 +115,13 @@ impl Window {
 
     /// The producer's tiles.
     #[must_use]
-    pub fn tiles(&self) -> &[[i32; 3]] {
+    pub fn tiles(&self) -> &[TileIndex] {
         self.tiles.tiles()
     }
 
     /// What the last scan acknowledged has shown.
     #[must_use]
-    pub fn base(&self) -> &Shown {
+    pub fn base(&self) -> &TilePicture {
         &self.base
     }
 
@@ -134,10 +135,6 @@ impl Window {
 }
 
 fn digested(content: Content) -> (Content, u64) {
-    let digest = match &content {
-        Content::Cloud(cloud) => points_digest(cloud.pose.as_ref(), &cloud.xyz_m),
-        Content::Ranges(ranges) => points_digest(ranges.pose.as_ref(), &ranges.ranges_m),
-        Content::Tiles(_) => 0,
-    };
+    let digest = content_digest(&content);
     (content, digest)
 }

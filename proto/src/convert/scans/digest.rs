@@ -4,10 +4,10 @@
 
 use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
 
-use crate::v1;
+use crate::v1::{self, scan::Content};
 
 /// What the checksum of a tile is multiplied by.
-pub const DIGEST_FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
+const DIGEST_FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// What one tile adds to the digest of a scan of tiles; the digest is their sum modulo 2^64.
 #[must_use]
@@ -44,6 +44,16 @@ pub fn ranges_digest(scan: &v1::RangeScan) -> u64 {
     u64::from(floats_crc(pose_crc(scan.pose.as_ref()), &scan.ranges_m))
 }
 
+/// Digest of a scan of points or ranges; 0 for tiles, whose digest a table computes.
+#[must_use]
+pub fn content_digest(content: &Content) -> u64 {
+    match content {
+        Content::Cloud(cloud) => points_digest(cloud),
+        Content::Ranges(scan) => ranges_digest(scan),
+        Content::Tiles(_) => 0,
+    }
+}
+
 /// The checksum of a pose as sent.
 pub(super) fn pose_crc(pose: Option<&v1::Pose>) -> u32 {
     let pose = pose.copied().unwrap_or_default();
@@ -66,4 +76,20 @@ pub(super) fn floats_crc(crc: u32, numbers: &[f32]) -> u32 {
 #[must_use]
 pub fn content_crc(crc: u32, utc_nanos: i64, digest: u64) -> u32 {
     crc32c::crc32c_append(crc32c::crc32c_append(crc, &utc_nanos.to_le_bytes()), &digest.to_le_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_digest_is_that_of_the_bytes_in_a_row() {
+        let pose = Some(v1::Pose { x_m: 1.0, y_m: 2.0, z_m: 3.0, qw: 1.0, ..v1::Pose::default() });
+        let xyz_m: Vec<f32> = (0..3000_u16).map(f32::from).collect();
+        let mut bytes: Vec<u8> = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0_f64].iter().flat_map(|n| n.to_le_bytes()).collect();
+        bytes.extend(xyz_m.iter().flat_map(|number| number.to_le_bytes()));
+        let cloud = v1::PointCloud { pose, xyz_m, ..v1::PointCloud::default() };
+        assert_eq!(points_digest(&cloud), u64::from(crc32c::crc32c(&bytes)));
+        assert_eq!(ranges_digest(&v1::RangeScan::default()), u64::from(crc32c::crc32c(&[0; 56])));
+    }
 }

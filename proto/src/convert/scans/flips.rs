@@ -2,22 +2,22 @@
 //!
 //! Invariant: reading gives strictly ascending numbers, or says what is wrong with them.
 
-use super::ScanRefusal;
+use super::{ScanRefusal, TileError};
 
 /// Reads cells that are sent as differences, one after the other.
 #[derive(Debug)]
-pub(super) struct Flips<'a> {
+pub(super) struct FlipReader<'a> {
     field: &'static str,
     rest: std::slice::Iter<'a, u32>,
     /// The cell that comes next.
     next: Option<u32>,
 }
 
-impl<'a> Flips<'a> {
-    pub(super) fn new(field: &'static str, sent: &'a [u32]) -> Flips<'a> {
+impl<'a> FlipReader<'a> {
+    pub(super) fn new(field: &'static str, sent: &'a [u32]) -> FlipReader<'a> {
         let mut rest = sent.iter();
         let next = rest.next().copied();
-        Flips { field, rest, next }
+        FlipReader { field, rest, next }
     }
 
     /// The slot of the next cell.
@@ -41,48 +41,57 @@ impl<'a> Flips<'a> {
     }
 }
 
-/// Reads runs of slots that are sent as gaps and lengths, as (first, beyond the last), joined where they touch.
-pub(super) fn unpack_seen(sent: &[u32], table: usize, runs: &mut Vec<(u32, u32)>) -> Result<(), ScanRefusal> {
+/// Slots in a row: the first, and the one beyond the last.
+pub(super) type SlotRun = (u32, u32);
+
+/// Reads runs of slots that are sent as gaps and lengths, joined where they touch.
+pub(super) fn unpack_runs(sent: &[u32], table: usize, runs: &mut Vec<SlotRun>) -> Result<(), TileError> {
     runs.clear();
     let (pairs, rest) = sent.as_chunks::<2>();
     if !rest.is_empty() {
-        let text = format!("seen: {} entries are not pairs of a gap and a length", sent.len());
-        return Err(ScanRefusal::malformed(text));
+        return Err(TileError::Runs(sent.len()));
     }
     let mut end = 0u32;
     for &[gap, length] in pairs {
-        let run = end.checked_add(gap).and_then(|first| Some((first, first.checked_add(length)?)));
-        match run {
-            Some((first, beyond)) if length > 0 && beyond as usize <= table => {
-                match runs.last_mut() {
-                    Some((_, last)) if *last == first => *last = beyond,
-                    _ => runs.push((first, beyond)),
-                }
-                end = beyond;
-            }
-            _ if length == 0 => return Err(ScanRefusal::malformed("seen: a run of 0 slots")),
-            _ => {
-                let text = format!("seen: {length} slots after {end} + {gap} are beyond the stream's {table} tiles");
-                return Err(ScanRefusal::malformed(text));
-            }
+        if length == 0 {
+            return Err(TileError::EmptyRun);
         }
+        let first = u64::from(end) + u64::from(gap);
+        let run = u32::try_from(first).ok().and_then(|first| Some((first, first.checked_add(length)?)));
+        let run = run.filter(|(_, beyond)| *beyond as usize <= table);
+        let (first, beyond) = run.ok_or(TileError::Slot { slot: first.max(table as u64), tiles: table })?;
+        match runs.last_mut() {
+            Some((_, last)) if *last == first => *last = beyond,
+            _ => runs.push((first, beyond)),
+        }
+        end = beyond;
     }
     Ok(())
 }
 
+/// The runs of ascending slots.
+pub(super) fn runs_of(slots: impl IntoIterator<Item = u32>) -> Vec<SlotRun> {
+    let mut runs: Vec<SlotRun> = Vec::new();
+    for slot in slots {
+        match runs.last_mut() {
+            Some((_, beyond)) if *beyond == slot => *beyond = slot.saturating_add(1),
+            _ => runs.push((slot, slot.saturating_add(1))),
+        }
+    }
+    runs
+}
+
+/// Runs as the wire has them: gaps and lengths.
+pub(super) fn pack_runs(runs: &[SlotRun]) -> Vec<u32> {
+    let mut end = 0;
+    let pair = |&(first, beyond): &SlotRun| [first.saturating_sub(std::mem::replace(&mut end, beyond)), beyond - first];
+    runs.iter().flat_map(pair).collect()
+}
+
 /// Ascending slots as the wire has them: gaps and lengths of runs.
 #[must_use]
-pub fn pack_seen(slots: &[u32]) -> Vec<u32> {
-    let mut packed: Vec<u32> = Vec::new();
-    let mut end = 0;
-    for &slot in slots {
-        match packed.last_mut() {
-            Some(length) if slot == end => *length += 1,
-            _ => packed.extend([slot.saturating_sub(end), 1]),
-        }
-        end = slot.saturating_add(1);
-    }
-    packed
+pub fn pack_seen(slots: impl IntoIterator<Item = u32>) -> Vec<u32> {
+    pack_runs(&runs_of(slots))
 }
 
 /// Ascending cells as the wire has them: the first, then differences.
@@ -90,4 +99,12 @@ pub fn pack_seen(slots: &[u32]) -> Vec<u32> {
 pub fn pack_flips(cells: &[u32]) -> Vec<u32> {
     let mut before = 0;
     cells.iter().map(|&cell| cell.wrapping_sub(std::mem::replace(&mut before, cell))).collect()
+}
+
+/// The cells of flips whose slots were checked.
+pub fn unpack_flips(packed: &[u32]) -> impl Iterator<Item = u32> {
+    packed.iter().scan(0_u32, |cell, &step| {
+        *cell = cell.saturating_add(step);
+        Some(*cell)
+    })
 }

@@ -6,6 +6,7 @@
 use super::{
     ScanError, ScanLimits,
     digest::{floats_crc, pose_crc},
+    table::join_part,
 };
 use crate::{
     convert::InvalidField,
@@ -52,23 +53,10 @@ impl Parts {
             let text = format!("{utc_nanos}: the parts of scan {sequence} have its time, {}", self.utc_nanos);
             return Err(InvalidField::new("scans.first_time_nanos", text).into());
         }
-        match (&mut self.content, part) {
-            (Some(Content::Tiles(known)), Some(Content::Tiles(part))) => {
-                known.seen.extend(part.seen);
-                known.masked.extend(part.masked);
-                known.observed.extend(part.observed);
-                known.occupied.extend(part.occupied);
-                known.observed_flips.extend(part.observed_flips);
-                known.occupied_flips.extend(part.occupied_flips);
-            }
-            (Some(Content::Cloud(known)), Some(Content::Cloud(part))) => known.xyz_m.extend(part.xyz_m),
-            (Some(Content::Ranges(known)), Some(Content::Ranges(part))) => known.ranges_m.extend(part.ranges_m),
-            _ => {
-                let text = format!("the parts of scan {sequence} are not of one kind");
-                return Err(InvalidField::new("scans.scans[0].content", text).into());
-            }
-        }
-        Ok(())
+        join_part(&mut self.content, part).map_err(|_| {
+            let text = format!("the parts of scan {sequence} are not of one kind");
+            InvalidField::new("scans.scans[0].content", text).into()
+        })
     }
 
     /// Keeps no more of readings than their checksum and how many they are.

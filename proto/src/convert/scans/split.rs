@@ -4,8 +4,11 @@
 
 use prost::Message as _;
 
-use super::EncodedScan;
-use crate::v1::{self, scan::Content};
+use super::{EncodedScan, MASK_BYTES};
+use crate::{
+    convert::columns::greatest_common_divisor,
+    v1::{self, scan::Content},
+};
 
 /// Bytes of a message beside its scans and tiles, and of a scan beside its columns, at most.
 const OVERHEAD: usize = 160;
@@ -13,33 +16,27 @@ const OVERHEAD: usize = 160;
 const TIME_BYTES: usize = 10;
 /// Bytes of a number on the wire, at most.
 const NUMBER_BYTES: usize = 5;
-const MASK_BYTES: usize = 64;
 
 /// A message of encoded scans, with their times; the slices have the same length. Cut it with [`split`] where it may be
 /// too long.
 #[must_use]
 pub fn batch(first_sequence: u64, times_nanos: &[i64], scans: Vec<EncodedScan>) -> v1::ScanBatch {
+    let new_tiles = scans.iter().flat_map(|scan| &scan.new_tiles).flat_map(|tile| [tile.x, tile.y, tile.z]).collect();
+    let wire = |scan: EncodedScan| v1::Scan { content: Some(Content::Tiles(scan.scan)) };
+    let scans = scans.into_iter().map(wire).collect();
+    let mut batch = v1::ScanBatch { first_sequence, new_tiles, scans, ..v1::ScanBatch::default() };
+    set_times(&mut batch, times_nanos);
+    batch
+}
+
+/// Gives a message the times of its scans, in the greatest unit that divides their differences.
+pub fn set_times(batch: &mut v1::ScanBatch, times_nanos: &[i64]) {
     let deltas = || times_nanos.windows(2).map(|pair| pair[1].wrapping_sub(pair[0]));
     let unit = deltas().fold(0, |unit, delta| greatest_common_divisor(unit, delta.unsigned_abs()));
     let unit = i64::try_from(unit).unwrap_or(1).max(1);
-    let new_tiles = scans.iter().flat_map(|scan| &scan.new_tiles).flat_map(|tile| [tile.x, tile.y, tile.z]).collect();
-    let wire = |scan: EncodedScan| v1::Scan { content: Some(Content::Tiles(scan.scan)) };
-    v1::ScanBatch {
-        first_sequence,
-        new_tiles,
-        time_unit_nanos: unit.unsigned_abs(),
-        first_time_nanos: times_nanos.first().copied().unwrap_or(0),
-        time_deltas: times_nanos.first().map(|_| 0).into_iter().chain(deltas().map(|delta| delta / unit)).collect(),
-        scans: scans.into_iter().map(wire).collect(),
-        continues: false,
-    }
-}
-
-fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
-    while b != 0 {
-        (a, b) = (b, a % b);
-    }
-    a
+    batch.time_unit_nanos = unit.unsigned_abs();
+    batch.first_time_nanos = times_nanos.first().copied().unwrap_or(0);
+    batch.time_deltas = times_nanos.first().map(|_| 0).into_iter().chain(deltas().map(|delta| delta / unit)).collect();
 }
 
 /// Cuts a message into messages of at most `max_bytes` each, at least 4096: between scans, and within scans that are

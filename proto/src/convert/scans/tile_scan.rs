@@ -10,14 +10,11 @@ use tidemap_map::grid::{
 };
 
 use super::{
-    ScanRefusal,
-    flips::{Flips, unpack_seen},
+    MASK_BYTES, ScanRefusal,
+    flips::{FlipReader, unpack_runs},
     shown::{LAYER, Shown, Slot},
 };
 use crate::v1;
-
-/// Bytes of a mask on the wire.
-const MASK_BYTES: usize = 64;
 
 /// Reads scans of tiles; keeps room that they share.
 #[derive(Debug, Default)]
@@ -108,13 +105,13 @@ impl TileScans {
     fn read_whole(&mut self, shown: &mut Shown, scan: &v1::TileScan, utc_nanos: i64) -> Result<SentScan, ScanRefusal> {
         let mut sees_others = false;
         if !scan.seen.is_empty() {
-            unpack_seen(&scan.seen, shown.slots.len(), &mut self.runs)?;
+            unpack_runs(&scan.seen, shown.slots.len(), &mut self.runs)?;
             sees_others = self.runs != shown.runs;
         }
         let mut within = Within { runs: if sees_others { &self.runs } else { &shown.runs } };
         let mut masks = Masks::new(scan, shown.is_flat)?;
-        let mut observed_flips = Flips::new("observed_flips", &scan.observed_flips);
-        let mut occupied_flips = Flips::new("occupied_flips", &scan.occupied_flips);
+        let mut observed_flips = FlipReader::new("observed_flips", &scan.observed_flips);
+        let mut occupied_flips = FlipReader::new("occupied_flips", &scan.occupied_flips);
         let (mut to_observed, mut to_occupied) =
             (Vec::with_capacity(scan.observed_flips.len()), Vec::with_capacity(scan.occupied_flips.len()));
         self.changes.clear();

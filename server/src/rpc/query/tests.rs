@@ -15,7 +15,7 @@ use tidemap_map::{
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_proto::{
     convert::{
-        scans::{ScanEncoder, ScanLimits, batch, split},
+        scans::{ScanLimits, TileTable, batch, split},
         time::timestamp,
     },
     v1::predict_grid_response::Message,
@@ -137,7 +137,7 @@ impl Bench {
         assert!(self.handle.send(Command::Hello(hello)));
         let opened = answer.await.expect("an answer").expect("accepted");
         let intake = Intake::new(opened.durable_sequence, opened.content_crc, LIMITS, self.handle.spec.grid.as_ref());
-        Robot { opened, sent: opened.durable_sequence, events, intake, encoder: ScanEncoder::new(false) }
+        Robot { opened, sent: opened.durable_sequence, events, intake, encoder: TileTable::default() }
     }
 
     async fn names(&self, states: &[&str], times: &[i64]) -> Result<Vec<v1::PredictStatesResponse>, Status> {
@@ -197,7 +197,7 @@ struct Robot {
     sent: u64,
     events: mpsc::UnboundedReceiver<SessionEvent>,
     intake: Intake,
-    encoder: ScanEncoder,
+    encoder: TileTable,
 }
 
 fn permit() -> tokio::sync::OwnedSemaphorePermit {
@@ -233,7 +233,7 @@ impl Robot {
     /// Sends scans and waits until they are acknowledged.
     async fn show(&mut self, bench: &Bench, scans: &[(i64, Shown)]) {
         let times: Vec<i64> = scans.iter().map(|(time, _)| *time).collect();
-        let encoded = scans.iter().map(|(_, shown)| self.encoder.tiles(shown).expect("tiles")).collect();
+        let encoded = scans.iter().map(|(_, shown)| self.encoder.encode(shown).expect("tiles")).collect();
         for message in split(batch(self.sent + 1, &times, encoded), 1 << 20) {
             self.intake.begin_scans(message).expect("well formed");
             while let Some(batch) = self.intake.next_scans().expect("well formed") {

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use tidemap_client::{
     maps::{CellBox, Grid},
-    observe::tiles::{SeenTile, TileMasks},
+    observe::tiles::{Mask, TileIndex, TileMasks},
 };
 
 use tidemap_formats::{nav2, octomap::OctoMap};
@@ -22,7 +22,7 @@ const OFF_MAX: f64 = 0.01;
 #[derive(Debug)]
 pub struct OnGrid {
     /// Its tiles.
-    pub tiles: Vec<SeenTile>,
+    pub tiles: Vec<(TileIndex, TileMasks)>,
     /// What is worth knowing about how it was fitted in.
     pub notice: Option<String>,
 }
@@ -68,7 +68,8 @@ impl Fit {
 /// Tiles that are being filled.
 #[derive(Debug)]
 struct Tiles {
-    tiles: HashMap<[i32; 3], TileMasks>,
+    /// Observed and occupied cells.
+    tiles: HashMap<TileIndex, [Mask; 2]>,
     /// The cells that there may be.
     allowed: ([i64; 3], [i64; 3]),
 }
@@ -115,21 +116,23 @@ impl Tiles {
         let from: [u32; 3] = std::array::from_fn(|axis| (min[axis] - tile[axis] * edge).clamp(0, edge) as u32);
         let to: [u32; 3] = std::array::from_fn(|axis| (max[axis] - tile[axis] * edge).clamp(0, edge) as u32);
         // Within `allowed`, a tile's index is far below what i32 holds.
-        let masks = self.tiles.entry(tile.map(|index| index as i32)).or_default();
+        let [x, y, z] = tile.map(|index| index as i32);
+        let [observed, taken] = self.tiles.entry(TileIndex { x, y, z }).or_default();
         let row = row_bits(from[0], to[0]);
         let layer = (from[1]..to[1]).fold(0_u64, |layer, y| layer | row << (8 * y));
         for z in from[2]..to[2] {
-            masks.observed[z as usize] |= layer;
+            observed.0[z as usize] |= layer;
             if occupied {
-                masks.occupied[z as usize] |= layer;
+                taken.0[z as usize] |= layer;
             }
         }
     }
 
-    fn into_seen(self) -> Vec<SeenTile> {
-        let mut tiles: Vec<SeenTile> = self.tiles.into_iter().map(|(tile, masks)| SeenTile { tile, masks }).collect();
+    fn into_seen(self) -> Vec<(TileIndex, TileMasks)> {
+        let seen = |(tile, [observed, occupied]): (_, [Mask; 2])| (tile, TileMasks::clipped(observed, occupied));
+        let mut tiles: Vec<_> = self.tiles.into_iter().map(seen).collect();
         // Always the same order, so that the same map always makes the same scan.
-        tiles.sort_unstable_by_key(|seen| [seen.tile[2], seen.tile[1], seen.tile[0]]);
+        tiles.sort_unstable_by_key(|(tile, _)| (tile.z, tile.y, tile.x));
         tiles
     }
 }
@@ -178,10 +181,9 @@ mod tests {
         Grid { resolution_m: 0.1, origin_m: [-0.8, 0.0, 0.0], ..Grid::default() }
     }
 
-    fn count(tiles: &[SeenTile]) -> (u32, u32) {
-        let ones = |mask: &[u64; 8]| mask.iter().map(|word| word.count_ones()).sum::<u32>();
-        tiles.iter().fold((0, 0), |(observed, occupied), seen| {
-            (observed + ones(&seen.masks.observed), occupied + ones(&seen.masks.occupied))
+    fn count(tiles: &[(TileIndex, TileMasks)]) -> (u32, u32) {
+        tiles.iter().fold((0, 0), |(observed, occupied), (_, masks)| {
+            (observed + masks.observed().count(), occupied + masks.occupied().count())
         })
     }
 
@@ -193,9 +195,13 @@ mod tests {
         // Twice as wide: 8, 64 and 1 leaf cells are 8 cells each.
         assert_eq!(count(&on.tiles), ((8 + 64 + 1) * 8, (8 + 1) * 8));
         assert!(on.notice.is_none(), "{:?}", on.notice);
-        let first = on.tiles.iter().find(|seen| seen.tile == [0, 0, 0]).map(|seen| seen.masks.occupied);
+        let first = on
+            .tiles
+            .iter()
+            .find(|(tile, _)| *tile == TileIndex { x: 0, y: 0, z: 0 })
+            .map(|(_, masks)| masks.occupied());
         // The leaf begins 4 cells left of the map's origin, which is cell 8 of the grid.
-        assert_eq!(first.map(|occupied| occupied[0]), Some(0xF0F0_F0F0));
+        assert_eq!(first.map(|occupied| occupied.0[0]), Some(0xF0F0_F0F0));
         let flat = of_octomap(
             &OctoMap { resolution_m: 0.1, leaves: vec![leaf([0, 0, -4], 8, true)] },
             &Grid { is_flat: true, ..grid() },
@@ -211,7 +217,7 @@ mod tests {
         let on = of_plane(&map, &grid())?;
         assert_eq!(count(&on.tiles), (8, 4));
         assert!(on.notice.is_some_and(|notice| notice.contains("moved by 0.30") && notice.contains("z = 0")));
-        assert_eq!(on.tiles.iter().map(|seen| seen.tile).collect::<Vec<_>>(), [[0, 0, 0]]);
+        assert_eq!(on.tiles.iter().map(|(tile, _)| *tile).collect::<Vec<_>>(), [TileIndex { x: 0, y: 0, z: 0 }]);
         Ok(())
     }
 

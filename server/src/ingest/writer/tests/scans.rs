@@ -6,7 +6,7 @@ use tidemap_map::grid::{
     spec::SensorNoise,
 };
 use tidemap_proto::{
-    convert::scans::{ScanEncoder, ScanLimits, batch, content_crc, split},
+    convert::scans::{ScanLimits, TileTable, batch, content_crc, split},
     v1,
 };
 
@@ -48,7 +48,7 @@ pub(super) type Shown = Vec<(TileIndex, TileMasks)>;
 pub(super) struct Scanner {
     pub(super) robot: Robot,
     intake: Intake,
-    encoder: ScanEncoder,
+    encoder: TileTable,
     crc: u32,
 }
 
@@ -56,7 +56,7 @@ pub(super) async fn scanner(handle: &MapHandle, name: &str, nightly: bool) -> Sc
     let robot = hello(handle, name, 0, nightly).await.expect("accepted");
     let opened = robot.opened;
     let intake = Intake::new(opened.durable_sequence, opened.content_crc, LIMITS, handle.spec.grid.as_ref());
-    Scanner { robot, intake, encoder: ScanEncoder::new(false), crc: opened.content_crc }
+    Scanner { robot, intake, encoder: TileTable::default(), crc: opened.content_crc }
 }
 
 impl Scanner {
@@ -80,7 +80,7 @@ impl Scanner {
     pub(super) fn send(&mut self, handle: &MapHandle, scans: &[(i64, Shown)]) {
         let first = self.robot.sent + 1;
         let times: Vec<i64> = scans.iter().map(|(time, _)| *time).collect();
-        let encoded: Vec<_> = scans.iter().map(|(_, shown)| self.encoder.tiles(shown).expect("tiles")).collect();
+        let encoded: Vec<_> = scans.iter().map(|(_, shown)| self.encoder.encode(shown).expect("tiles")).collect();
         for (time, scan) in times.iter().zip(&encoded) {
             self.crc = content_crc(self.crc, *time, scan.digest);
         }
@@ -230,7 +230,7 @@ async fn a_new_stream_that_sends_known_scans_again_has_them_remembered() {
     let mut second = scanner(&handle, "r", false).await;
     assert_eq!(second.robot.opened.durable_sequence, 4);
     // From the third on, of which two are known.
-    let encoded: Vec<_> = scans[2..].iter().map(|(_, shown)| second.encoder.tiles(shown).expect("tiles")).collect();
+    let encoded: Vec<_> = scans[2..].iter().map(|(_, shown)| second.encoder.encode(shown).expect("tiles")).collect();
     let times: Vec<i64> = scans[2..].iter().map(|(time, _)| *time).collect();
     second.send_message(&handle, batch(3, &times, encoded));
     assert_eq!(second.settled().await, []);

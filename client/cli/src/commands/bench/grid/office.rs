@@ -11,7 +11,7 @@ use std::{
 
 use anyhow::Context as _;
 use tidemap_client::{
-    observe::tiles::{MASK_BYTES, runs_of, runs_to_wire},
+    observe::tiles::{MASK_BYTES, pack_seen},
     scan_file::{ScanFileHeader, ScanFileWriter},
 };
 use tidemap_proto::v1::{Scan, TileScan, scan::Content};
@@ -100,7 +100,7 @@ impl<'a> WireScans<'a> {
         }
         if self.view != Some(scan.view) {
             let slots = self.office.view_slots(scan.view);
-            tiles.seen = runs_to_wire(&runs_of(slots.iter().copied()));
+            tiles.seen = pack_seen(slots.iter().copied());
             let view = scan.view as usize;
             if self.shown.len() <= view {
                 self.shown.resize(view + 1, false);
@@ -136,7 +136,7 @@ fn occupied_masks(slots: &[u32], occupied: &[u32]) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
-    use tidemap_client::observe::tiles::TileTable;
+    use tidemap_client::observe::tiles::{Mask, TileTable};
 
     use super::*;
 
@@ -158,18 +158,18 @@ mod tests {
             table.extend(&new_tiles)?;
             let Some(Content::Tiles(tiles)) = wire.content else { anyhow::bail!("tiles") };
             table.apply(&tiles)?;
-            let seen: Vec<u32> = table.shown().seen().iter().flat_map(|run| run.slots()).collect();
+            let seen: Vec<u32> = table.picture().seen().collect();
             assert_eq!(seen, office.view_slots(scan.view));
             for &slot in seen.iter().step_by(5) {
-                let masks = table.shown().masks(slot);
-                assert_eq!(masks.observed, [u64::MAX; 8]);
+                let masks = table.picture().masks(slot);
+                assert_eq!(masks.observed(), Mask::FULL);
                 for cell in (0..512).step_by(37) {
-                    let shown = masks.occupied[cell as usize / 64] >> (cell % 64) & 1 == 1;
+                    let shown = masks.occupied().contains(cell as u16);
                     assert_eq!(shown, office.truth(slot, cell, scan.utc_nanos), "{slot} {cell}");
                 }
             }
         }
-        assert_eq!(table.tiles(), office.tiles());
+        assert!(table.tiles().iter().map(|tile| [tile.x, tile.y, tile.z]).eq(office.tiles().iter().copied()));
         Ok(())
     }
 }
