@@ -3,6 +3,9 @@
 //!
 //! Invariant: reads the work tree, changes nothing. Rules look at code only: comments, and tests, may name anything.
 
+mod circles;
+mod words;
+
 use std::{
     fs,
     path::{Path, PathBuf},
