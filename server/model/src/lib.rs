@@ -44,6 +44,7 @@ mod phasor;
 mod phasor_sum;
 mod position;
 mod sample;
+pub mod special;
 mod spectral;
 mod state;
 

@@ -20,8 +20,8 @@
 //! Invariant: an answer never claims more [`Certainty`] than it has; every number in it is finite.
 
 mod alternatives;
-mod beta;
 mod bounds;
+mod chance;
 mod cost;
 mod departure;
 mod error;
@@ -249,7 +249,7 @@ pub fn plan_routes(
 /// Beta(success · evidence, (1 - success) · evidence), widened to hold the success itself.
 #[must_use]
 pub fn success_interval(success: f64, evidence: f64, confidence: f64) -> Interval {
-    beta::Chance::new(success, evidence).interval(confidence)
+    chance::Chance::new(success, evidence).interval(confidence)
 }
 
 impl Routes {

@@ -8,6 +8,7 @@
 
 use super::cluster::Cluster;
 use super::conditional::HypertimeDistribution;
+use crate::special::normal_tail;
 
 #[cfg(test)]
 mod tests;
@@ -60,7 +61,7 @@ impl Raster<'_> {
         let deviation = |edge: usize| ((edges[edge] - centre) / row[axis]).clamp(-FARTHEST, FARTHEST);
         let is_last = axis + 1 == self.edges.len();
         let mut from = deviation(0);
-        let mut below = share_below(from);
+        let mut below = normal_tail(-from);
         for cell in 0..edges.len() - 1 {
             let to = deviation(cell + 1);
             if to <= from {
@@ -68,7 +69,7 @@ impl Raster<'_> {
             }
             let place = first + cell * stride;
             if is_last {
-                let below_next = share_below(to);
+                let below_next = normal_tail(-to);
                 cells[place] += mass * (below_next - below).max(0.0);
                 below = below_next;
             } else {
@@ -77,7 +78,7 @@ impl Raster<'_> {
                 let edge = |strip: f64| from + (to - from) * strip / strips;
                 for strip in 0..strips as usize {
                     let (left, right) = (edge(strip as f64), edge(strip as f64 + 1.0));
-                    let share = (share_below(right) - share_below(left)).max(0.0);
+                    let share = (normal_tail(-right) - normal_tail(-left)).max(0.0);
                     if share > 0.0 {
                         let mut given = given.to_vec();
                         given.push(mean_between(left, right, share));
@@ -88,11 +89,6 @@ impl Raster<'_> {
             from = to;
         }
     }
-}
-
-/// Share of a standard Gaussian below a number.
-fn share_below(deviation: f64) -> f64 {
-    0.5 * libm::erfc(-deviation / std::f64::consts::SQRT_2)
 }
 
 /// Mean of a standard Gaussian between two numbers, where it has this share.

@@ -5,6 +5,7 @@
 //! added in closed form. Invariant: the masses are positive and sum to 1.
 
 use super::Interval;
+use crate::special::softplus;
 
 /// Steps of the grid.
 const STEPS: usize = 1024;
@@ -87,9 +88,4 @@ impl Beta {
             (None, _) => self.below[0],
         }
     }
-}
-
-/// ln(1 + e^u) without overflow.
-fn softplus(u: f64) -> f64 {
-    u.max(0.0) + (-u.abs()).exp().ln_1p()
 }

@@ -5,7 +5,7 @@
 //! A. C. Cameron and P. K. Trivedi, "Econometric models based on count data", Journal of Applied Econometrics 1986). As φ
 //! goes to 1 it becomes Poisson. Invariant: a tail is a probability, whatever is asked.
 
-use crate::{StateKind, VALUE_MAX};
+use crate::{StateKind, VALUE_MAX, special::normal_tail};
 
 #[cfg(test)]
 mod tests;
@@ -39,16 +39,6 @@ pub fn value_tail(kind: StateKind, expected: f64, variance: f64, value: f64) -> 
         normal_tail((value - expected).abs() / deviation)
     };
     (2.0 * one_sided).clamp(0.0, 1.0)
-}
-
-/// The probability that a standard normal variable is at least z ≥ 0 (M. Abramowitz and I. A. Stegun, "Handbook of
-/// Mathematical Functions", 1964, 26.2.17).
-fn normal_tail(z: f64) -> f64 {
-    let t = 1.0 / (1.0 + 0.231_641_9 * z);
-    let polynomial = [1.330_274_429, -1.821_255_978, 1.781_477_937, -0.356_563_782, 0.319_381_530];
-    let sum = polynomial.into_iter().fold(0.0, |sum, coefficient| (sum + coefficient) * t);
-    let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
-    if density > 0.0 { density * sum } else { 0.0 }
 }
 
 /// The lesser of the probabilities of a count of at most and of at least `value`, of that mean and variance φ·mean.

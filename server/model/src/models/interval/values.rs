@@ -3,7 +3,7 @@
 //! Invariant: a band is finite, holds its prediction and lies in the bounds of the state's kind.
 
 use super::{HourMoments, Interval};
-use crate::StateKind;
+use crate::{StateKind, special::normal_upper_quantile};
 
 #[cfg(test)]
 mod tests;
@@ -27,16 +27,7 @@ pub fn value_interval(kind: StateKind, p: f64, hour: HourMoments, readings: f64,
     let freedom = (days - 1.0).max(0.0);
     let variance = (between.min(f64::MAX) + BORROWED_DAYS * number(readings)) / (freedom + BORROWED_DAYS);
     let deviation = (variance * (1.0 + 1.0 / days.max(1.0))).sqrt().min(1e13);
-    let reach = normal_quantile(if level.is_nan() { 1.0 } else { level }) * deviation;
+    let level = if level.is_nan() { 1.0 } else { level }.clamp(0.0, 0.999_999);
+    let reach = normal_upper_quantile((1.0 - level) / 2.0) * deviation;
     Interval { lower: kind.saturate(p - reach), upper: kind.saturate(p + reach) }
-}
-
-/// The z within which of either side of 0 the standard normal distribution has probability `level`, to 5e-4 (M. Abramowitz
-/// and I. A. Stegun, "Handbook of Mathematical Functions", 1964, 26.2.23).
-fn normal_quantile(level: f64) -> f64 {
-    let tail = (1.0 - level.clamp(0.0, 0.999_999)) / 2.0;
-    let t = (-2.0 * tail.ln()).sqrt();
-    let numerator = 2.515_517 + t * (0.802_853 + t * 0.010_328);
-    let denominator = 1.0 + t * (1.432_788 + t * (0.189_269 + t * 0.001_308));
-    (t - numerator / denominator).max(0.0)
 }

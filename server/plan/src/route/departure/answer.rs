@@ -8,8 +8,8 @@ use super::{AUTO_LABELS, AUTO_SAMPLES, Departure, Planner};
 use crate::route::{
     Bounds, Certainty, Forecasts, Route, RouteError, RouteStep, Routes,
     alternatives::next_best,
-    beta::Chance,
     bounds::ToGo,
+    chance::Chance,
     cost::Cost,
     labels::{Found, Marks},
 };

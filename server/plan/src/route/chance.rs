@@ -1,0 +1,56 @@
+//! The probability of a route that is not known for certain: a product of independent Beta variables.
+//!
+//! Invariant: 0 ≤ lower ≤ upper ≤ 1, for all arguments.
+
+use tidemap_model::{models::Interval, special::beta_quantile};
+
+#[cfg(test)]
+mod tests;
+
+/// More observations than this make an interval no narrower.
+const EVIDENCE_MAX: f64 = 1e6;
+/// Fewer are as good as none: the value is 0 or 1.
+const EVIDENCE_MIN: f64 = 1e-9;
+
+/// A chance that is not known for certain: a product of independent Beta variables, by its first two moments.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Chance {
+    /// The logarithm of the mean.
+    log_mean: f64,
+    /// The logarithm of E[P²] / E[P]².
+    log_spread: f64,
+}
+
+impl Chance {
+    pub const CERTAIN: Chance = Chance { log_mean: 0.0, log_spread: 0.0 };
+
+    /// Beta(mean · evidence, (1 - mean) · evidence).
+    pub fn new(mean: f64, evidence: f64) -> Chance {
+        Chance { log_mean: mean.ln(), log_spread: ((1.0 - mean) / (mean * (evidence + 1.0))).ln_1p() }
+    }
+
+    /// Of both, which do not depend on each other: the means of products are the products of means.
+    pub fn and(self, other: Chance) -> Chance {
+        Chance { log_mean: self.log_mean + other.log_mean, log_spread: self.log_spread + other.log_spread }
+    }
+
+    /// The interval with equal tails that holds `confidence` of the Beta distribution with these two moments, and the mean. A
+    /// chance of 1 is certain.
+    pub fn interval(self, confidence: f64) -> Interval {
+        let mean = self.log_mean.exp();
+        if mean >= 1.0 {
+            return Interval { lower: 1.0, upper: 1.0 };
+        }
+        if mean < f64::MIN_POSITIVE {
+            return Interval { lower: 0.0, upper: 0.0 };
+        }
+        // m(1 - m) / v - 1, with v = m² · (e^spread - 1).
+        let found = -self.log_mean.exp_m1() / (mean * self.log_spread.exp_m1()) - 1.0;
+        let evidence = if found.is_nan() { EVIDENCE_MIN } else { found.clamp(EVIDENCE_MIN, EVIDENCE_MAX) };
+        let (alpha, beta) = (mean * evidence, -self.log_mean.exp_m1() * evidence);
+        let tail = 0.5 * (1.0 - confidence);
+        let (lower, upper) = (beta_quantile(alpha, beta, tail), beta_quantile(alpha, beta, 1.0 - tail));
+        // Nearly all of a chance close to 0 or 1 may lie on one side of its mean.
+        Interval { lower: lower.min(mean), upper: upper.max(mean) }
+    }
+}
