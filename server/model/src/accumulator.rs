@@ -10,11 +10,11 @@ use crate::{InvalidParts, Periodicities, Sample, StateKind};
 
 mod fold;
 
+use fold::CHUNK;
+
 #[cfg(test)]
 mod tests;
 
-/// Observations that are folded in at a time; their phasors and values stay in cache.
-const CHUNK: usize = 1024;
 /// All observations together never count less than this.
 const WEIGHT_MIN: f64 = 1e-9;
 

@@ -9,43 +9,21 @@ use pulp::Arch;
 use crate::{Accumulator, InvalidParts, ORDER_MAX, Periodicities, PhasorTable, StateKind};
 
 mod cell;
+mod component;
 mod instant;
 mod score;
-mod strongest;
 mod sweep;
 mod values;
 
 pub use cell::CellSums;
+pub use component::Component;
+use component::Strongest;
 pub use instant::InstantPhasors;
 pub use score::ScoreSums;
-use strongest::Strongest;
 use sweep::{Predict, Term};
 
 #[cfg(test)]
 mod tests;
-
-/// One periodic component γ_k of a state's value.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Component {
-    /// Index k of the periodicity, from 0.
-    pub periodicity: u32,
-    /// Real part of γ_k.
-    pub gamma_re: f64,
-    /// Imaginary part of γ_k.
-    pub gamma_im: f64,
-}
-
-impl Component {
-    /// How far the value swings either way: 2|γ_k|.
-    pub fn amplitude(&self) -> f64 {
-        2.0 * self.gamma_re.hypot(self.gamma_im)
-    }
-
-    /// Phase at local civil time 1970-01-01T00:00, in radians from -π to π: arg γ_k.
-    pub fn phase_rad(&self) -> f64 {
-        self.gamma_im.atan2(self.gamma_re)
-    }
-}
 
 /// When a state has which value, as mean and components. By default never updated: 0.5 at all times.
 #[derive(Clone, Debug, PartialEq)]

@@ -20,7 +20,7 @@ mod kind_tests;
 #[cfg(test)]
 mod tests;
 
-pub use alternatives::{Alternatives, AlternativesParts, Chosen, FitParts, HISTOGRAMS, ModelChoice};
+pub use alternatives::{Alternatives, AlternativesParts, Chosen, FitParts, HISTOGRAMS, ModelChoice, UpdateRules};
 pub use fits::{EnabledModels, FitKind, FittedModel, FittedModelParts};
 
 /// The long-term model of one state.
@@ -32,23 +32,6 @@ pub struct StateModel {
     errors: OrderErrors,
     /// Absent where nothing was folded in.
     alternatives: Option<Box<Alternatives>>,
-}
-
-/// How a state is updated.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct UpdateRules {
-    /// Which error decides between orders and models.
-    pub criterion: OrderCriterion,
-    /// An observation of this many local days ago counts half, above 0; `None`: all count alike, however old.
-    pub half_life_days: Option<f64>,
-    /// Which models there are to choose among.
-    pub models: EnabledModels,
-}
-
-impl From<OrderCriterion> for UpdateRules {
-    fn from(criterion: OrderCriterion) -> UpdateRules {
-        UpdateRules { criterion, ..UpdateRules::default() }
-    }
 }
 
 /// What an update did.

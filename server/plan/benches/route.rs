@@ -6,12 +6,12 @@
 #![allow(clippy::unwrap_used)]
 #![allow(dead_code, reason = "the maps are shared with other benchmarks, which use more of them")]
 
-#[path = "search/maps.rs"]
-mod maps;
+#[path = "../src/testkit.rs"]
+mod testkit;
 
 use std::time::{Duration, Instant};
 
-use maps::{Map, Shape};
+use testkit::{Map, Shape};
 use tidemap_map::topology::{Edge, NodeId, Topology};
 use tidemap_plan::policy::{PolicyObjective, PolicyOptions, solve_policy};
 use tidemap_plan::route::{

@@ -6,12 +6,12 @@
 //! costs in `search/best.txt`. `-- long SECONDS RUNS [SEED OF THE MAP]` makes those anew: a line per run, as it ends.
 #![allow(clippy::unwrap_used)]
 
-#[path = "search/maps.rs"]
-mod maps;
+#[path = "../src/testkit.rs"]
+mod testkit;
 
 use std::time::{Duration, Instant};
 
-use maps::{Map, Shape};
+use testkit::{Map, Shape};
 use tidemap_plan::search::{Effort, Goal, Options, Plan, search};
 
 /// Maps of 200 nodes: shape and seed.

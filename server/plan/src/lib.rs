@@ -13,6 +13,8 @@ pub mod predicted;
 pub mod route;
 pub mod search;
 pub mod strategy;
+#[cfg(test)]
+mod testkit;
 pub mod tour;
 pub mod travel;
 pub mod view;

@@ -15,10 +15,10 @@
 mod settle;
 mod solve;
 
-use tidemap_map::topology::{EdgeId, NOMINAL_MAX_SECS, NodeId, Topology};
+use tidemap_map::topology::{EdgeId, NodeId};
 
-use self::solve::Solver;
-use crate::route::{ForecastError, Forecasts, Network};
+pub use self::solve::solve_policy;
+use crate::route::ForecastError;
 
 /// Most states, nodes times slots, of a policy.
 pub const POLICY_STATES_MAX: usize = 2_000_000;
@@ -165,51 +165,6 @@ pub enum PolicyError {
     /// A forecast is out of range.
     #[error(transparent)]
     Forecast(#[from] ForecastError),
-}
-
-/// Finds the best policy for a target. `until` is asked for each slot whether to give up.
-///
-/// # Errors
-/// [`PolicyError`].
-pub fn solve_policy(
-    topology: &Topology,
-    target: NodeId,
-    options: &PolicyOptions,
-    forecasts: &mut impl Forecasts,
-    mut until: impl FnMut() -> bool,
-) -> Result<PolicyTable, PolicyError> {
-    check(options)?;
-    let network = Network::new(topology);
-    let (count, slots) = (network.nodes.len(), options.slots);
-    if count.saturating_mul(slots) > POLICY_STATES_MAX {
-        return Err(PolicyError::TooManyStates { nodes: count, slots });
-    }
-    let goal = network.index_of(target).ok_or(PolicyError::UnknownNode(target.0))?;
-    let mut solver = Solver::new(&network, goal, options);
-    for slot in (0..slots).rev() {
-        if until() {
-            return Err(PolicyError::Stopped { left: slot + 1, slots });
-        }
-        solver.solve(slot, forecasts)?;
-    }
-    let entries = solver.entries;
-    Ok(PolicyTable { target, slot_secs: options.slot_secs, slots, nodes: network.nodes, entries })
-}
-
-fn check(options: &PolicyOptions) -> Result<(), PolicyError> {
-    let slots = options.slots as f64;
-    let most = NOMINAL_MAX_SECS;
-    let range = [
-        ("the width of a slot", options.slot_secs, (1e-3..=most).contains(&options.slot_secs), "0.001 s", most),
-        ("the recovery", options.recovery_secs, (0.0..=most).contains(&options.recovery_secs), "0 s", most),
-        ("the number of slots", slots, options.slots >= 1, "1", POLICY_STATES_MAX as f64),
-    ];
-    match range.into_iter().find(|range| !range.2) {
-        Some((what, found, _, least, most)) => {
-            Err(PolicyError::Range { what, found, expected: format!("{least} to {most}") })
-        }
-        None => Ok(()),
-    }
 }
 
 #[cfg(test)]

@@ -7,16 +7,9 @@
 //! Invariant: probabilities are those of [`tidemap_map::grid::view::GridView::predict_tile`]. A cell that is the same at
 //! all times is held once.
 
-use std::sync::Arc;
-
 use tidemap_map::{
-    grid::{
-        index::{CellBox, CellIndex},
-        spec::InvalidGrid,
-        tile::TileUnavailable,
-    },
+    grid::{index::CellBox, spec::InvalidGrid, tile::TileUnavailable},
     selector::ModelSelector,
-    view::MapView,
 };
 
 mod lattice;
@@ -26,7 +19,7 @@ mod times;
 pub(crate) mod tests;
 
 pub use lattice::Lattice;
-pub use times::PredictedTimes;
+pub use times::{PredictedGrid, PredictedTimes};
 
 /// The most cells of a region, unless said otherwise.
 pub const CELLS_MAX: u64 = 1 << 24;
@@ -93,56 +86,4 @@ pub enum PredictError {
     /// A part of the grid cannot be read.
     #[error(transparent)]
     Unavailable(#[from] TileUnavailable),
-}
-
-/// A region of a grid at one time.
-#[derive(Clone, Debug)]
-pub struct PredictedGrid {
-    lattice: Arc<Lattice>,
-    /// By place in the lattice; NaN where unknown, and on the border.
-    probabilities: Vec<f32>,
-}
-
-impl PredictedGrid {
-    /// What a map's grid is expected to be at a time in nanoseconds UTC. 4 bytes a cell.
-    ///
-    /// # Errors
-    /// [`PredictError`], before the work begins where it is too much.
-    pub fn new(view: &MapView, utc_nanos: i64, options: &PredictOptions) -> Result<PredictedGrid, PredictError> {
-        Ok(PredictedTimes::new(view, &[utc_nanos], options)?.into_first())
-    }
-
-    /// A grid that was predicted elsewhere, or is known: `probability` says of each cell of the region how probably it is
-    /// occupied, clipped to [0, 1]; `None` and NaN where that is unknown.
-    pub fn from_fn(lattice: Arc<Lattice>, mut probability: impl FnMut(CellIndex) -> Option<f32>) -> PredictedGrid {
-        let mut probabilities = vec![f32::NAN; lattice.held()];
-        for place in lattice.rows().flatten() {
-            let told = lattice.cell(place).and_then(&mut probability);
-            probabilities[place] = told.map_or(f32::NAN, |told| told.clamp(0.0, 1.0));
-        }
-        PredictedGrid { lattice, probabilities }
-    }
-
-    /// Where the cells lie.
-    #[must_use]
-    pub fn lattice(&self) -> &Arc<Lattice> {
-        &self.lattice
-    }
-
-    /// Probability that a cell is occupied; `None` where it was never observed, and outside the region.
-    #[must_use]
-    pub fn probability(&self, cell: CellIndex) -> Option<f32> {
-        let probability = self.probabilities[self.lattice.place(cell)?];
-        (!probability.is_nan()).then_some(probability)
-    }
-
-    /// Probabilities of all cells of the region that were ever observed.
-    pub fn known(&self) -> impl Iterator<Item = f32> {
-        self.probabilities.iter().copied().filter(|probability| !probability.is_nan())
-    }
-
-    /// Probabilities by place in the lattice; NaN where unknown, and on the border.
-    pub(crate) fn probabilities(&self) -> &[f32] {
-        &self.probabilities
-    }
 }

@@ -30,14 +30,14 @@ mod labels;
 mod network;
 mod outlook;
 
+pub use chance::success_interval;
+pub use departure::plan_routes;
 pub use error::RouteError;
 pub(crate) use forecast::expected_secs;
 pub use forecast::{EdgeBest, EdgeForecast, ForecastError, Forecasts, SUCCESS_MIN};
 pub(crate) use network::Network;
-use tidemap_map::topology::{EdgeId, NOMINAL_MAX_SECS, NodeId, Topology};
+use tidemap_map::topology::{EdgeId, NOMINAL_MAX_SECS, NodeId};
 use tidemap_model::models::Interval;
-
-use self::{departure::Planner, error::check};
 
 /// Most alternatives beside the best route.
 pub const ALTERNATIVES_MAX: usize = 10;
@@ -213,58 +213,6 @@ pub struct Routes {
     pub labels: usize,
     /// How often a forecast was asked for.
     pub forecasts: usize,
-}
-
-/// Plans routes from one node to another. `until` is asked now and then whether to make do with what is found so far.
-///
-/// Where both nodes are the same, the route has no steps and a success of 1. See [`Forecasts`] for `forecasts`.
-///
-/// # Errors
-/// [`RouteError`].
-pub fn plan_routes(
-    topology: &Topology,
-    from: NodeId,
-    to: NodeId,
-    when: When,
-    options: &RouteOptions,
-    forecasts: &mut impl Forecasts,
-    until: impl FnMut() -> bool,
-) -> Result<Routes, RouteError> {
-    check(when, options)?;
-    let network = Network::new(topology);
-    let index = |node: NodeId| network.index_of(node).ok_or(RouteError::UnknownNode(node.0));
-    let (start, goal) = (index(from)?, index(to)?);
-    if start == goal {
-        let departure_secs = match when {
-            When::DepartAt(secs)
-            | When::DepartWithin { from_secs: secs, .. }
-            | When::ArriveBy { by_secs: secs, .. } => secs,
-        };
-        return Ok(Routes::standing(departure_secs));
-    }
-    Planner::new(&network, forecasts, until, start, goal, options).plan(when)
-}
-
-/// Where the success of an edge lies with a probability `confidence`, 0 to 1, with equal tails: quantiles of
-/// Beta(success · evidence, (1 - success) · evidence), widened to hold the success itself.
-#[must_use]
-pub fn success_interval(success: f64, evidence: f64, confidence: f64) -> Interval {
-    chance::Chance::new(success, evidence).interval(confidence)
-}
-
-impl Routes {
-    fn standing(departure_secs: f64) -> Routes {
-        let route = Route {
-            steps: Vec::new(),
-            departure_secs,
-            arrival_secs: departure_secs,
-            expected_secs: 0.0,
-            success: 1.0,
-            success_interval: Interval { lower: 1.0, upper: 1.0 },
-            cost: 0.0,
-        };
-        Routes { routes: vec![route], certainty: Certainty::Proven, labels: 0, forecasts: 0 }
-    }
 }
 
 #[cfg(test)]

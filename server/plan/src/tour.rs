@@ -25,8 +25,9 @@ mod question;
 mod tests;
 
 use budget::Budget;
-use choose::{Candidate, Choice, Chosen};
+use choose::{Choice, Chosen};
 use order::Ways;
+use question::Candidate;
 pub use question::{GOALS_MAX, Suppression, TourEnd, TourError, TourQuestion};
 
 /// Why a tour has no goal.

@@ -6,10 +6,12 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::CHUNK;
 use crate::Sample;
 use crate::periodicity::{Cycle, Cycles};
 use crate::phasor::{BLOCK, GROUP, Wheels, unit_phasor};
+
+/// Observations that are folded in at a time; their phasors and values stay in cache.
+pub(super) const CHUNK: usize = 1024;
 
 /// Adds at most [`CHUNK`] samples to the spectrum.
 pub(super) struct Fold<'a> {

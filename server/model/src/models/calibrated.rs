@@ -8,14 +8,16 @@
 //!
 //! Invariant: a prediction lies between the lowest and the highest reading that it was fitted to.
 
+use crate::InvalidParts;
 use crate::civil::NANOS_PER_SEC;
-use crate::{InvalidParts, LocalDay};
 
 use super::{CannotFit, Moment, Readings, TemporalModel};
 
+mod options;
 mod slots;
 mod tiers;
 
+pub use options::CalibratedOptions;
 use slots::{DAYS_OF_WEEK, SLOTS_PER_DAY, SlotSums, days};
 
 #[cfg(test)]
@@ -23,61 +25,6 @@ mod tests;
 
 /// Slots of ten minutes in a week, from Monday 00:00 local.
 const SLOTS_PER_WEEK: usize = SLOTS_PER_DAY * DAYS_OF_WEEK;
-
-/// How a [`Calibrated`] model is fitted.
-///
-/// The defaults were chosen by rolling origin on ten weeks of one office door: of the settings whose error was within half a
-/// percent of the lowest, the one with the longest memory, then the least caution. The error is flat around it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CalibratedOptions {
-    /// Standard deviation of the Gaussian that smooths each day over time of day, in seconds, 0 to 86,400.
-    pub smoothing_secs: f64,
-    /// The same for the broad daily profile, on which time of day rests where little was observed.
-    pub broad_smoothing_secs: f64,
-    /// How fast days lose weight, in days, above 0: a day that is a days older than the newest counts 1/(1 + a/memory).
-    /// Infinite: all count alike.
-    pub memory_days: f64,
-    /// By how much more than the credible departure asks a tier is drawn towards the one before, above 0; 1 is
-    /// Bühlmann's formula. More than 1 allows for routines that do not last.
-    pub caution: f64,
-    /// The same for the last tier, the days of the week.
-    pub day_of_week_caution: f64,
-}
-
-impl Default for CalibratedOptions {
-    fn default() -> CalibratedOptions {
-        CalibratedOptions {
-            smoothing_secs: 300.0,
-            broad_smoothing_secs: 3600.0,
-            memory_days: 14.0,
-            caution: 8.0,
-            day_of_week_caution: 2.0,
-        }
-    }
-}
-
-impl CalibratedOptions {
-    fn check(&self) -> Result<(), CannotFit> {
-        let day = "0 to 86400 seconds";
-        for (parameter, found) in
-            [("smoothing_secs", self.smoothing_secs), ("broad_smoothing_secs", self.broad_smoothing_secs)]
-        {
-            if !(0.0..=86_400.0).contains(&found) {
-                return Err(CannotFit::Parameter { parameter, found, expected: day });
-            }
-        }
-        for (parameter, found) in [
-            ("memory_days", self.memory_days),
-            ("caution", self.caution),
-            ("day_of_week_caution", self.day_of_week_caution),
-        ] {
-            if found.is_nan() || found <= 0.0 {
-                return Err(CannotFit::Parameter { parameter, found, expected: "a number above 0" });
-            }
-        }
-        Ok(())
-    }
-}
 
 /// What a [`Calibrated`] model consists of, to be stored.
 #[derive(Clone, Debug, PartialEq)]
@@ -179,10 +126,4 @@ impl TemporalModel for Calibrated {
 fn between(from: f64, to: f64, share: f64) -> f64 {
     let found = from * (1.0 - share) + to * share;
     found.clamp(from.min(to), from.max(to))
-}
-
-/// Monday 0 to Sunday 6.
-fn day_of_week(day: LocalDay) -> usize {
-    // 1970-01-01 was a Thursday.
-    (i64::from(day.0) + 3).rem_euclid(DAYS_OF_WEEK as i64) as usize
 }

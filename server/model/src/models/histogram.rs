@@ -12,8 +12,8 @@ mod answer;
 mod cycle;
 mod hours;
 
-pub(crate) use answer::hour_runs;
 pub use cycle::HistogramCycle;
+pub(crate) use hours::hour_runs;
 pub use hours::{HourSpread, HourTable, HourTableParts};
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use super::{CannotFit, Moment, Readings, TemporalModel};
 use crate::{Component, InvalidParts, LocalDay, ORDER_MAX, Periodicities};
 
 mod spectrum;
-use spectrum::Spectrum;
+use spectrum::{Bin, Spectrum};
 
 #[cfg(test)]
 mod tests;
@@ -160,16 +160,6 @@ impl TemporalModel for PoissonSpectral {
     fn predict(&self, at: Moment) -> f64 {
         self.count(ORDER_MAX, at.civil_nanos())
     }
-}
-
-/// What was counted in one observed bin.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Bin {
-    /// The middle of the bin in local civil time, nanoseconds since 1970 local.
-    centre_nanos: i64,
-    count: f64,
-    /// How much the bin counts, in `(0,1]`: as its last reading.
-    weight: f64,
 }
 
 /// The observed bins, ascending.

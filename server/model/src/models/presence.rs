@@ -170,9 +170,9 @@ impl Presence {
     /// proportional to the slots kept, times the square of the number of places.
     pub fn learn(&mut self) {
         for _ in 0..self.options.steps {
-            learning::improve(self);
+            self.improve();
         }
-        if let Some(belief) = learning::filtered(self).pop() {
+        if let Some(belief) = self.filtered().pop() {
             self.belief = belief;
         }
     }

@@ -14,7 +14,7 @@ use crate::{Component, InvalidParts, ORDER_MAX, Sample};
 mod gaps;
 mod regular;
 
-use regular::{off_time, regular};
+use regular::{STEPS_MAX, off_time, regular};
 
 #[cfg(test)]
 mod tests;
@@ -24,9 +24,6 @@ mod tests;
 const TIE: f64 = 1e-9;
 /// Components weaker than this are what rounding leaves of 0.
 const GAMMA_MIN: f64 = 1e-12;
-/// More readings than this are refused: steps are stored in 32 bits.
-const STEPS_MAX: u64 = u32::MAX as u64;
-
 /// A regularly sampled binary state (T-RO, section III.B).
 ///
 /// Time is counted in steps: reading i was made i intervals (UTC) after the first. What is predicted for a moment follows

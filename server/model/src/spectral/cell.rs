@@ -4,7 +4,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::strongest::Strongest;
+use super::component::Strongest;
 use super::{Component, SpectralModel};
 use crate::{Periodicities, PhasorSum};
 

@@ -8,7 +8,7 @@
 
 use std::sync::Arc;
 
-use super::{EnabledModels, FitKind, FittedModel, UpdateRules};
+use super::{EnabledModels, FitKind, FittedModel};
 use crate::{
     Accumulator, LocalDay, Periodicities, Persistence, Sample, SpectralModel, StateKind,
     models::{
@@ -23,8 +23,35 @@ mod parts;
 #[cfg(test)]
 mod tests;
 
-use parts::Fit;
 pub use parts::{AlternativesParts, FitParts};
+
+/// A model that was fitted to readings, as it last was.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Fit {
+    /// Shared: it is a large part of a state, and most updates leave it as it is.
+    pub(super) model: Arc<FittedModel>,
+    /// The last local day that it was fitted to.
+    pub(super) day: LocalDay,
+    /// Faded sum of errors, of this fit and those before it; `None` before the first day that it was scored on.
+    pub(super) error: Option<f64>,
+}
+
+/// How a state is updated.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct UpdateRules {
+    /// Which error decides between orders and models.
+    pub criterion: OrderCriterion,
+    /// An observation of this many local days ago counts half, above 0; `None`: all count alike, however old.
+    pub half_life_days: Option<f64>,
+    /// Which models there are to choose among.
+    pub models: EnabledModels,
+}
+
+impl From<OrderCriterion> for UpdateRules {
+    fn from(criterion: OrderCriterion) -> UpdateRules {
+        UpdateRules { criterion, ..UpdateRules::default() }
+    }
+}
 
 /// The histograms that are tried: cycle, and bins of the cycle.
 pub const HISTOGRAMS: [(HistogramCycle, usize); 3] =

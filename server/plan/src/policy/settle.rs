@@ -8,7 +8,17 @@
 //! in closed form; then each node takes its best choice. Invariant: the values of a policy are exact up to rounding, and of
 //! policies each is better than the one before, so that it ends.
 
-use super::solve::Choice;
+/// Something to do at a node in a slot.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Choice {
+    /// What is known of its worth, by part; less is better.
+    pub known: [f64; 3],
+    /// How much of its worth is not the value of `to` in this slot, above 0, at most 1.
+    pub leak: f64,
+    pub to: u32,
+    /// Index of the edge, or [`WAIT`].
+    pub edge: u32,
+}
 
 /// What is better by less than this share is not better: sums of the same in another order differ by as much.
 const ROUNDING: f64 = 1e-14;

@@ -7,28 +7,63 @@
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
+use tidemap_map::topology::{NOMINAL_MAX_SECS, NodeId, Topology};
+
 use super::{
-    PolicyAction, PolicyEntry, PolicyObjective, PolicyOptions,
-    settle::{Choices, Picked, evaluate, settle},
+    POLICY_STATES_MAX, PolicyAction, PolicyEntry, PolicyError, PolicyObjective, PolicyOptions, PolicyTable,
+    settle::{Choice, Choices, Picked, evaluate, settle},
 };
 use crate::route::{EdgeForecast, ForecastError, Forecasts, Network, expected_secs};
+
+/// Finds the best policy for a target. `until` is asked for each slot whether to give up.
+///
+/// # Errors
+/// [`PolicyError`].
+pub fn solve_policy(
+    topology: &Topology,
+    target: NodeId,
+    options: &PolicyOptions,
+    forecasts: &mut impl Forecasts,
+    mut until: impl FnMut() -> bool,
+) -> Result<PolicyTable, PolicyError> {
+    check(options)?;
+    let network = Network::new(topology);
+    let (count, slots) = (network.nodes.len(), options.slots);
+    if count.saturating_mul(slots) > POLICY_STATES_MAX {
+        return Err(PolicyError::TooManyStates { nodes: count, slots });
+    }
+    let goal = network.index_of(target).ok_or(PolicyError::UnknownNode(target.0))?;
+    let mut solver = Solver::new(&network, goal, options);
+    for slot in (0..slots).rev() {
+        if until() {
+            return Err(PolicyError::Stopped { left: slot + 1, slots });
+        }
+        solver.solve(slot, forecasts)?;
+    }
+    let entries = solver.entries;
+    Ok(PolicyTable { target, slot_secs: options.slot_secs, slots, nodes: network.nodes, entries })
+}
+
+fn check(options: &PolicyOptions) -> Result<(), PolicyError> {
+    let slots = options.slots as f64;
+    let most = NOMINAL_MAX_SECS;
+    let range = [
+        ("the width of a slot", options.slot_secs, (1e-3..=most).contains(&options.slot_secs), "0.001 s", most),
+        ("the recovery", options.recovery_secs, (0.0..=most).contains(&options.recovery_secs), "0 s", most),
+        ("the number of slots", slots, options.slots >= 1, "1", POLICY_STATES_MAX as f64),
+    ];
+    match range.into_iter().find(|range| !range.2) {
+        Some((what, found, _, least, most)) => {
+            Err(PolicyError::Range { what, found, expected: format!("{least} to {most}") })
+        }
+        None => Ok(()),
+    }
+}
 
 /// Choices whose probability to reach the target differs by no more are equal.
 const TIE: f64 = 1e-12;
 /// The edge of a choice to wait.
 const WAIT: u32 = u32::MAX;
-
-/// Something to do at a node in a slot.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Choice {
-    /// What is known of its worth, by part; less is better.
-    pub known: [f64; 3],
-    /// How much of its worth is not the value of `to` in this slot, above 0, at most 1.
-    pub leak: f64,
-    pub to: u32,
-    /// Index of the edge, or [`WAIT`].
-    edge: u32,
-}
 
 /// Seconds.
 const TIME: usize = 0;

@@ -18,7 +18,59 @@ use tidemap_map::{
 };
 use tidemap_model::InstantPhasors;
 
-use super::{Lattice, PredictError, PredictOptions, PredictedGrid};
+use super::{Lattice, PredictError, PredictOptions};
+
+/// A region of a grid at one time.
+#[derive(Clone, Debug)]
+pub struct PredictedGrid {
+    lattice: Arc<Lattice>,
+    /// By place in the lattice; NaN where unknown, and on the border.
+    probabilities: Vec<f32>,
+}
+
+impl PredictedGrid {
+    /// What a map's grid is expected to be at a time in nanoseconds UTC. 4 bytes a cell.
+    ///
+    /// # Errors
+    /// [`PredictError`], before the work begins where it is too much.
+    pub fn new(view: &MapView, utc_nanos: i64, options: &PredictOptions) -> Result<PredictedGrid, PredictError> {
+        Ok(PredictedTimes::new(view, &[utc_nanos], options)?.into_first())
+    }
+
+    /// A grid that was predicted elsewhere, or is known: `probability` says of each cell of the region how probably it is
+    /// occupied, clipped to [0, 1]; `None` and NaN where that is unknown.
+    pub fn from_fn(lattice: Arc<Lattice>, mut probability: impl FnMut(CellIndex) -> Option<f32>) -> PredictedGrid {
+        let mut probabilities = vec![f32::NAN; lattice.held()];
+        for place in lattice.rows().flatten() {
+            let told = lattice.cell(place).and_then(&mut probability);
+            probabilities[place] = told.map_or(f32::NAN, |told| told.clamp(0.0, 1.0));
+        }
+        PredictedGrid { lattice, probabilities }
+    }
+
+    /// Where the cells lie.
+    #[must_use]
+    pub fn lattice(&self) -> &Arc<Lattice> {
+        &self.lattice
+    }
+
+    /// Probability that a cell is occupied; `None` where it was never observed, and outside the region.
+    #[must_use]
+    pub fn probability(&self, cell: CellIndex) -> Option<f32> {
+        let probability = self.probabilities[self.lattice.place(cell)?];
+        (!probability.is_nan()).then_some(probability)
+    }
+
+    /// Probabilities of all cells of the region that were ever observed.
+    pub fn known(&self) -> impl Iterator<Item = f32> {
+        self.probabilities.iter().copied().filter(|probability| !probability.is_nan())
+    }
+
+    /// Probabilities by place in the lattice; NaN where unknown, and on the border.
+    pub(crate) fn probabilities(&self) -> &[f32] {
+        &self.probabilities
+    }
+}
 
 /// A region of a grid at many times.
 #[derive(Clone, Debug)]

@@ -7,6 +7,13 @@ use tidemap_model::{models::Interval, special::beta_quantile};
 #[cfg(test)]
 mod tests;
 
+/// Where the success of an edge lies with a probability `confidence`, 0 to 1, with equal tails: quantiles of
+/// Beta(success · evidence, (1 - success) · evidence), widened to hold the success itself.
+#[must_use]
+pub fn success_interval(success: f64, evidence: f64, confidence: f64) -> Interval {
+    Chance::new(success, evidence).interval(confidence)
+}
+
 /// More observations than this make an interval no narrower.
 const EVIDENCE_MAX: f64 = 1e6;
 /// Fewer are as good as none: the value is 0 or 1.

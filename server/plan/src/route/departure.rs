@@ -2,10 +2,14 @@
 //!
 //! Invariant: each departure is a search of its own; what one has found limits the others only in what cannot be better.
 
+use tidemap_map::topology::{NodeId, Topology};
+use tidemap_model::models::Interval;
+
 use super::{
-    Bounds, Forecasts, RouteError, RouteOptions, Routes, When,
+    Bounds, Certainty, Forecasts, Route, RouteError, RouteOptions, Routes, When,
     bounds::{Source, ToGo},
     cost::{Cost, Costing},
+    error::check,
     labels::{Found, Labels, Marks, Task},
     network::Network,
     outlook::Outlook,
@@ -13,6 +17,51 @@ use super::{
 
 mod answer;
 mod arrival;
+
+/// Plans routes from one node to another. `until` is asked now and then whether to make do with what is found so far.
+///
+/// Where both nodes are the same, the route has no steps and a success of 1. See [`Forecasts`] for `forecasts`.
+///
+/// # Errors
+/// [`RouteError`].
+pub fn plan_routes(
+    topology: &Topology,
+    from: NodeId,
+    to: NodeId,
+    when: When,
+    options: &RouteOptions,
+    forecasts: &mut impl Forecasts,
+    until: impl FnMut() -> bool,
+) -> Result<Routes, RouteError> {
+    check(when, options)?;
+    let network = Network::new(topology);
+    let index = |node: NodeId| network.index_of(node).ok_or(RouteError::UnknownNode(node.0));
+    let (start, goal) = (index(from)?, index(to)?);
+    if start == goal {
+        let departure_secs = match when {
+            When::DepartAt(secs)
+            | When::DepartWithin { from_secs: secs, .. }
+            | When::ArriveBy { by_secs: secs, .. } => secs,
+        };
+        return Ok(Routes::standing(departure_secs));
+    }
+    Planner::new(&network, forecasts, until, start, goal, options).plan(when)
+}
+
+impl Routes {
+    fn standing(departure_secs: f64) -> Routes {
+        let route = Route {
+            steps: Vec::new(),
+            departure_secs,
+            arrival_secs: departure_secs,
+            expected_secs: 0.0,
+            success: 1.0,
+            success_interval: Interval { lower: 1.0, upper: 1.0 },
+            cost: 0.0,
+        };
+        Routes { routes: vec![route], certainty: Certainty::Proven, labels: 0, forecasts: 0 }
+    }
+}
 
 /// Labels of the first try of [`Bounds::Auto`], for one departure.
 const AUTO_LABELS: usize = 5_000;

@@ -7,7 +7,13 @@
 
 use tidemap_map::topology::{NodeId, Roads};
 
-use super::{EXACT_GOALS_MAX, Effort, Goal, Options, Ordered, Plan, Problem, Question, SearchError, order};
+use super::{
+    EXACT_GOALS_MAX, Effort, Goal, Options, SearchError,
+    order::order,
+    plan::Plan,
+    problem::Problem,
+    question::{Ordered, Question},
+};
 
 /// Most goals of a search during which probabilities change: each change of the order costs as many predictions.
 pub const CHANGING_GOALS_MAX: usize = 200;

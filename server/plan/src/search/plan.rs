@@ -4,7 +4,11 @@
 
 use tidemap_map::topology::{NodeId, Roads, ShortestTimes};
 
-use super::{Goal, Ordered, Question, stop::Stopped};
+use super::{
+    Goal,
+    question::{Ordered, Question},
+    stop::{Stop, Stopped},
+};
 
 /// A look.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,4 +119,64 @@ impl Plan {
         // Where no goal is likely at all, nothing remains to be found.
         self.remains = if unseen > 0.0 { unseen / (seen + unseen) } else { 0.0 };
     }
+}
+
+impl Stop {
+    /// Cuts a plan.
+    pub(super) fn apply(&self, plan: &mut Plan) {
+        let unlikely = self.remains_below.map_or(plan.steps.len(), |below| steps_until_unlikely(plan, below));
+        let worth = self.cost_per_sec.map_or(plan.steps.len(), |cost| steps_worth_it(plan, cost));
+        let in_time = self
+            .within_secs
+            .map_or(plan.steps.len(), |within| plan.steps.partition_point(|step| step.arrival_secs <= within));
+        let kept = unlikely.min(worth).min(in_time);
+        if kept >= plan.steps.len() {
+            return;
+        }
+        plan.stopped = Some(match kept {
+            kept if kept == unlikely => Stopped::Unlikely,
+            kept if kept == worth => Stopped::NotWorthIt,
+            _ => Stopped::OutOfTime,
+        });
+        let left = plan.steps[kept..].iter().map(|step| step.probability).sum();
+        plan.steps.truncate(kept);
+        let end_secs = plan.steps.last().map_or(0.0, |step| step.arrival_secs);
+        let walked = plan.walk.partition_point(|passage| passage.arrival_secs <= end_secs);
+        plan.walk.truncate(walked);
+        plan.summarise(left);
+    }
+}
+
+/// How many steps are taken until less than this share remains.
+fn steps_until_unlikely(plan: &Plan, below: f64) -> usize {
+    let all = plan.steps.iter().map(|step| step.probability).sum::<f64>()
+        + plan.unreachable.iter().map(|goal| goal.probability).sum::<f64>();
+    let mut left = all;
+    for (taken, step) in plan.steps.iter().enumerate() {
+        // Rounding may leave a little of nothing.
+        if left < below * all || left <= 1e-12 * all && below > 0.0 {
+            return taken;
+        }
+        left -= step.probability;
+    }
+    plan.steps.len()
+}
+
+/// After how many steps the gain less the cost of the time to expect is greatest.
+fn steps_worth_it(plan: &Plan, cost_per_sec: f64) -> usize {
+    let sum: f64 = plan.steps.iter().map(|step| step.probability).sum();
+    // More than one person may be there: then one of them is at the goals for sure.
+    let scale = if sum > 1.0 { 1.0 / sum } else { 1.0 };
+    let (mut found, mut found_secs) = (0.0, 0.0);
+    let (mut best, mut most) = (0, 0.0);
+    for (taken, step) in plan.steps.iter().enumerate() {
+        found += scale * step.probability;
+        found_secs += scale * step.probability * step.arrival_secs;
+        let search_secs = found_secs + (1.0 - found).max(0.0) * step.arrival_secs;
+        let net = found - cost_per_sec * search_secs;
+        if net >= most {
+            (best, most) = (taken + 1, net);
+        }
+    }
+    best
 }

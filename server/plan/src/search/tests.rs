@@ -1,15 +1,16 @@
 //! Searches against naive oracles, and what is refused.
 
 mod bounds;
-#[path = "../../benches/search/maps.rs"]
-mod maps;
 mod optimal;
 mod plans;
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
-use self::maps::{Map, Shape};
-use super::*;
+use super::{
+    problem::{Passing, Problem},
+    *,
+};
+use crate::testkit::{Map, Shape};
 
 const SHAPES: [Shape; 4] = [Shape::Tree, Shape::Streets, Shape::Complete, Shape::Random];
 

@@ -3,12 +3,7 @@
 //! Invariant: every gain is finite and from 0 to [`GAIN_MAX`]; there is at least one slot and one place, and at most
 //! [`GAINS_MAX`] of both together.
 
-use super::StrategyError;
-
-/// The most slots times places of one plan.
-pub const GAINS_MAX: usize = 4_000_000;
-/// The largest gain of one visit, in bits.
-pub const GAIN_MAX: f64 = 1e12;
+use super::{GAIN_MAX, GAINS_MAX, StrategyError};
 
 /// The gain of visiting a place in a slot, for all slots and places: the entropy of what is seen there, in bits, or another
 /// measure that is 0 where a visit is worth nothing.

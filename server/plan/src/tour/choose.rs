@@ -13,7 +13,7 @@ use std::{
 use rayon::prelude::*;
 use tidemap_map::grid::index::CellIndex;
 
-use super::Suppression;
+use super::question::{Candidate, Suppression};
 use crate::{
     travel::Column,
     view::{Fan, Looker, Scene},
@@ -25,16 +25,6 @@ const BATCH: usize = 4;
 /// Places of cells that are remembered of candidates that were looked from, all together; beyond, they are looked from
 /// again.
 const KEPT_MAX: usize = 1 << 24;
-
-/// A place to look from.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Candidate {
-    pub column: Column,
-    pub cell: CellIndex,
-    pub at_m: [f64; 2],
-    /// Above 0.
-    pub reachability: f64,
-}
 
 /// A candidate that was chosen.
 #[derive(Clone, Debug, PartialEq)]

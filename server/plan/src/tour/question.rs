@@ -4,12 +4,21 @@
 
 use tidemap_map::{grid::index::CellIndex, reachability::Reachability};
 
-use super::choose::Candidate;
 use crate::{
     predicted::PredictedGrid,
     travel::{Column, Distances, InvalidTravel, TravelGrid, TravelOptions},
     view::{InvalidSensor, InvalidThreshold, Scene, SceneOptions, Sensor},
 };
+
+/// A place to look from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Candidate {
+    pub column: Column,
+    pub cell: CellIndex,
+    pub at_m: [f64; 2],
+    /// Above 0.
+    pub reachability: f64,
+}
 
 /// The most goals of a tour.
 pub const GOALS_MAX: usize = 100;

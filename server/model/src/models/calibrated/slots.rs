@@ -3,10 +3,16 @@
 //! A day counts once in a slot however often it was looked at there: readings minutes apart say the same thing
 //! again. Invariant: values have been brought to `[0,1]`, so every mean lies there.
 
-use super::{CalibratedOptions, day_of_week};
+use super::options::CalibratedOptions;
 use crate::civil::NANOS_PER_SEC;
 use crate::models::Readings;
 use crate::{LocalDay, Sample};
+
+/// Monday 0 to Sunday 6.
+pub(super) fn day_of_week(day: LocalDay) -> usize {
+    // 1970-01-01 was a Thursday.
+    (i64::from(day.0) + 3).rem_euclid(DAYS_OF_WEEK as i64) as usize
+}
 
 /// Slots of ten minutes in a day.
 pub(super) const SLOTS_PER_DAY: usize = 144;

@@ -3,45 +3,14 @@
 //!
 //! Invariant: an answer is bit for bit that of the histogram that [`HourTable::histogram`] makes.
 
-use super::cycle::{DAY_HOURS, HOUR_NANOS, civil_hour, hour_of_week_of, is_weekend};
+use super::cycle::{DAY_HOURS, is_weekend};
 use super::hours::{add_to, mean};
 use super::{HISTOGRAM_PRIOR_READINGS, HistogramCycle, HourTable, shrunk};
-use crate::Sample;
 
 /// Days of a week.
 const WEEK_DAYS: usize = 7;
 /// Monday to Friday.
 const WEEKDAYS: usize = 5;
-
-/// Readings of the same local civil hour that follow each other.
-pub(crate) struct HourRun<'a> {
-    /// The hour's number, from 1970-01-01T00:00 local.
-    pub(crate) civil_hour: i64,
-    /// At least one.
-    pub(crate) samples: &'a [Sample],
-}
-
-impl HourRun<'_> {
-    /// The hour of the week, 0..168 from Monday, midnight.
-    pub(crate) fn hour_of_week(&self) -> usize {
-        hour_of_week_of(self.civil_hour)
-    }
-}
-
-/// Readings as runs of the same hour, as they come.
-pub(crate) fn hour_runs(samples: &[Sample]) -> impl Iterator<Item = HourRun<'_>> {
-    let mut rest = samples;
-    std::iter::from_fn(move || {
-        let civil_nanos = rest.first()?.civil_nanos();
-        // A division a run, and none a reading.
-        let into = civil_nanos.rem_euclid(HOUR_NANOS);
-        let hour = civil_nanos.saturating_sub(into)..=civil_nanos.saturating_add(HOUR_NANOS - 1 - into);
-        let length = rest.iter().position(|sample| !hour.contains(&sample.civil_nanos()));
-        let (samples, later) = rest.split_at(length.unwrap_or(rest.len()));
-        rest = later;
-        Some(HourRun { civil_hour: civil_hour(civil_nanos), samples })
-    })
-}
 
 impl HourTable {
     /// The mean of all readings; `None` where nothing was read.

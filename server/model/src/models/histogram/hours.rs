@@ -4,10 +4,39 @@
 //! Invariant: sums commute, so the table depends neither on order nor on batching beyond 1e-9, as long as no local hour
 //! is split over two batches.
 
-use super::answer::hour_runs;
-use super::cycle::{DAY_HOURS, WEEK_HOURS, hour_of_week_of, is_weekend};
+use super::cycle::{DAY_HOURS, HOUR_NANOS, WEEK_HOURS, civil_hour, hour_of_week_of, is_weekend};
 use super::{HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle, HistogramSettings};
 use crate::{InvalidParts, Sample};
+
+/// Readings of the same local civil hour that follow each other.
+pub(crate) struct HourRun<'a> {
+    /// The hour's number, from 1970-01-01T00:00 local.
+    pub(crate) civil_hour: i64,
+    /// At least one.
+    pub(crate) samples: &'a [Sample],
+}
+
+impl HourRun<'_> {
+    /// The hour of the week, 0..168 from Monday, midnight.
+    pub(crate) fn hour_of_week(&self) -> usize {
+        hour_of_week_of(self.civil_hour)
+    }
+}
+
+/// Readings as runs of the same hour, as they come.
+pub(crate) fn hour_runs(samples: &[Sample]) -> impl Iterator<Item = HourRun<'_>> {
+    let mut rest = samples;
+    std::iter::from_fn(move || {
+        let civil_nanos = rest.first()?.civil_nanos();
+        // A division a run, and none a reading.
+        let into = civil_nanos.rem_euclid(HOUR_NANOS);
+        let hour = civil_nanos.saturating_sub(into)..=civil_nanos.saturating_add(HOUR_NANOS - 1 - into);
+        let length = rest.iter().position(|sample| !hour.contains(&sample.civil_nanos()));
+        let (samples, later) = rest.split_at(length.unwrap_or(rest.len()));
+        rest = later;
+        Some(HourRun { civil_hour: civil_hour(civil_nanos), samples })
+    })
+}
 
 /// Weights below this are forgotten: their sums have no precision left.
 const WEIGHT_MIN: f64 = 1e-9;

@@ -9,7 +9,8 @@ use super::HypertimeMethod;
 use super::axis::{HypertimeAxis, standardised};
 use super::conditional::HypertimeDistribution;
 use super::grow::{Attempt, Circles, Fit};
-use super::mixture::{Mixture, Points};
+use super::mixture::Mixture;
+use super::seeding::Points;
 use super::week::{Residuals, project, slot, turn};
 
 /// Most readings fitted to.

@@ -5,43 +5,14 @@
 //! sound; a reading is an hour's worth here.
 //! Invariant: no cluster has no weight, and densities are finite.
 
-use super::HypertimeOptions;
 use super::cluster::{Cluster, Given, HypertimeCluster, VARIANCE_MIN, factorised};
 use super::concentration::concentration;
-use super::seeding::{first_clusters, spread};
+use super::options::HypertimeOptions;
+use super::seeding::{Points, first_clusters, spread};
 use crate::InvalidParts;
 
 /// Nats per reading below which a step is the last.
 const GAIN_MIN: f64 = 1e-5;
-
-/// Weighted points, each of so many coordinates and then cosine and sine on so many circles.
-#[derive(Clone, Debug)]
-pub(super) struct Points {
-    pub(super) coordinates: usize,
-    pub(super) circles: usize,
-    pub(super) numbers: Vec<f64>,
-    /// Above 0.
-    pub(super) weights: Vec<f64>,
-    /// What independent readings weigh: those of the same hour say much the same.
-    pub(super) unit: f64,
-}
-
-impl Points {
-    pub(super) fn new(coordinates: usize, circles: usize, unit: f64) -> Points {
-        Points { coordinates, circles, numbers: Vec::new(), weights: Vec::new(), unit }
-    }
-
-    pub(super) fn stride(&self) -> usize {
-        self.coordinates + 2 * self.circles
-    }
-
-    /// Numbers and weight of each.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (&[f64], f64)> {
-        // Without coordinates and circles, a point is still a point.
-        let stride = self.stride();
-        self.weights.iter().enumerate().map(move |(index, &weight)| (&self.numbers[index * stride..][..stride], weight))
-    }
-}
 
 /// Sums that a step makes of the readings, for one cluster; coordinates are relative to its present centre.
 struct Moments {

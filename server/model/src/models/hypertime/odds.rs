@@ -5,7 +5,8 @@
 //! Invariant: a prediction lies in `[0,1]`, and where nothing was observed it tends to the mean.
 
 use super::grow::{Attempt, Circles, Fit};
-use super::mixture::{Mixture, Points};
+use super::mixture::Mixture;
+use super::seeding::Points;
 use super::week::{Residuals, SLOTS, check_divisors, project, slot_turn};
 use super::{HypertimeCluster, HypertimeMethod};
 use crate::InvalidParts;

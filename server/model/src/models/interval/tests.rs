@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 
 use proptest::prelude::*;
 
-use super::*;
+use super::{beta::Beta, *};
 
 fn seen(means: &[f64]) -> HourMoments {
     means.iter().fold(HourMoments::default(), |all, &mean| {

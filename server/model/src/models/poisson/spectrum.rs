@@ -3,8 +3,17 @@
 //! As the accumulator's, but of values beyond 1 and with weights. Invariant: components are finite, strongest first, and
 //! of periods that the observed span holds.
 
-use super::Bin;
 use crate::{Component, ORDER_MAX, Periodicities, PhasorTable};
+
+/// What was counted in one observed bin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Bin {
+    /// The middle of the bin in local civil time, nanoseconds since 1970 local.
+    pub(super) centre_nanos: i64,
+    pub(super) count: f64,
+    /// How much the bin counts, in `(0,1]`: as its last reading.
+    pub(super) weight: f64,
+}
 
 /// Bins that share one table of phasors.
 const CHUNK: usize = 512;

@@ -4,90 +4,93 @@
 
 use super::{Presence, condition, normalise};
 
-/// Where it was in each slot kept, by the looks up to that slot.
-pub(super) fn filtered(model: &Presence) -> Vec<Vec<f64>> {
-    let mut beliefs: Vec<Vec<f64>> = Vec::with_capacity(model.history.len());
-    for slot in &model.history {
-        let mut belief = match beliefs.last() {
-            Some(before) => model.stepped(before, slot.of_day),
-            None => model.initial.clone(),
-        };
-        if let Some(look) = slot.look {
-            condition(&mut belief, look);
-        }
-        beliefs.push(belief);
-    }
-    beliefs
-}
-
-/// One step: the expected number of changes at each time of day by the rates so far, then the rates by those numbers.
-pub(super) fn improve(model: &mut Presence) {
-    let counts = expected_changes(model);
-    let (places, slots) = (model.options.places, model.options.slots_per_day);
-    let size = places * places;
-    let prior = model.options.prior_slots;
-
-    let mut all = vec![0.0; size];
-    for of_slot in counts.chunks(size) {
-        add(&mut all, of_slot, 1.0);
-    }
-    // Where nothing is known of a place: to stay is as likely as to go, wherever somebody is usually found.
-    let mut usual: Vec<f64> = (0..places).map(|to| 1.0 + all.iter().skip(to).step_by(places).sum::<f64>()).collect();
-    normalise(&mut usual);
-    for (from, row) in all.chunks_mut(places).enumerate() {
-        for (to, (rate, usual)) in row.iter_mut().zip(&usual).enumerate() {
-            *rate += prior * 0.5 * (usual + if from == to { 1.0 } else { 0.0 });
-        }
-        normalise(row);
-    }
-    let kernel = kernel(model.options.smoothing_slots, slots);
-    for (slot, rates) in model.transitions.chunks_mut(size).enumerate() {
-        rates.copy_from_slice(&all);
-        rates.iter_mut().for_each(|rate| *rate *= prior);
-        for (distance, &weight) in kernel.iter().enumerate() {
-            let after = (slot + distance) % slots;
-            add(rates, &counts[after * size..][..size], weight);
-            if distance > 0 {
-                let before = (slot + slots - distance) % slots;
-                add(rates, &counts[before * size..][..size], weight);
+impl Presence {
+    /// Where it was in each slot kept, by the looks up to that slot.
+    pub(super) fn filtered(&self) -> Vec<Vec<f64>> {
+        let mut beliefs: Vec<Vec<f64>> = Vec::with_capacity(self.history.len());
+        for slot in &self.history {
+            let mut belief = match beliefs.last() {
+                Some(before) => self.stepped(before, slot.of_day),
+                None => self.initial.clone(),
+            };
+            if let Some(look) = slot.look {
+                condition(&mut belief, look);
             }
+            beliefs.push(belief);
         }
-        rates.chunks_mut(places).for_each(normalise);
+        beliefs
     }
-}
 
-/// By slot of the day, then by place before and place after: how often that change was made, staying included, as far as
-/// the looks tell (forwards and backwards).
-pub(super) fn expected_changes(model: &Presence) -> Vec<f64> {
-    let places = model.options.places;
-    let size = places * places;
-    let forward = filtered(model);
-    let mut counts = vec![0.0; model.options.slots_per_day * size];
-    // How well each place explains the looks that follow, to a common factor.
-    let mut backward = vec![1.0; places];
-    let mut joint = vec![0.0; size];
-    for (slot, before) in model.history.iter().skip(1).zip(&forward).rev() {
-        if let Some(look) = slot.look {
-            condition(&mut backward, look);
+    /// One step: the expected number of changes at each time of day by the rates so far, then the rates by those numbers.
+    pub(super) fn improve(&mut self) {
+        let counts = self.expected_changes();
+        let (places, slots) = (self.options.places, self.options.slots_per_day);
+        let size = places * places;
+        let prior = self.options.prior_slots;
+
+        let mut all = vec![0.0; size];
+        for of_slot in counts.chunks(size) {
+            add(&mut all, of_slot, 1.0);
         }
-        let rates = model.transitions_into(slot.of_day);
-        let mut explained = Vec::with_capacity(places);
-        for ((joint, rates), &before) in joint.chunks_mut(places).zip(rates.chunks(places)).zip(before) {
-            let mut of_place = 0.0;
-            for ((joint, &rate), &after) in joint.iter_mut().zip(rates).zip(&backward) {
-                of_place += rate * after;
-                *joint = before * rate * after;
+        // Where nothing is known of a place: to stay is as likely as to go, wherever somebody is usually found.
+        let mut usual: Vec<f64> =
+            (0..places).map(|to| 1.0 + all.iter().skip(to).step_by(places).sum::<f64>()).collect();
+        normalise(&mut usual);
+        for (from, row) in all.chunks_mut(places).enumerate() {
+            for (to, (rate, usual)) in row.iter_mut().zip(&usual).enumerate() {
+                *rate += prior * 0.5 * (usual + if from == to { 1.0 } else { 0.0 });
             }
-            explained.push(of_place);
+            normalise(row);
         }
-        let total: f64 = joint.iter().sum();
-        if total > 0.0 {
-            add(&mut counts[slot.of_day * size..][..size], &joint, 1.0 / total);
+        let kernel = kernel(self.options.smoothing_slots, slots);
+        for (slot, rates) in self.transitions.chunks_mut(size).enumerate() {
+            rates.copy_from_slice(&all);
+            rates.iter_mut().for_each(|rate| *rate *= prior);
+            for (distance, &weight) in kernel.iter().enumerate() {
+                let after = (slot + distance) % slots;
+                add(rates, &counts[after * size..][..size], weight);
+                if distance > 0 {
+                    let before = (slot + slots - distance) % slots;
+                    add(rates, &counts[before * size..][..size], weight);
+                }
+            }
+            rates.chunks_mut(places).for_each(normalise);
         }
-        backward = explained;
-        normalise(&mut backward);
     }
-    counts
+
+    /// By slot of the day, then by place before and place after: how often that change was made, staying included, as far as
+    /// the looks tell (forwards and backwards).
+    pub(super) fn expected_changes(&self) -> Vec<f64> {
+        let places = self.options.places;
+        let size = places * places;
+        let forward = self.filtered();
+        let mut counts = vec![0.0; self.options.slots_per_day * size];
+        // How well each place explains the looks that follow, to a common factor.
+        let mut backward = vec![1.0; places];
+        let mut joint = vec![0.0; size];
+        for (slot, before) in self.history.iter().skip(1).zip(&forward).rev() {
+            if let Some(look) = slot.look {
+                condition(&mut backward, look);
+            }
+            let rates = self.transitions_into(slot.of_day);
+            let mut explained = Vec::with_capacity(places);
+            for ((joint, rates), &before) in joint.chunks_mut(places).zip(rates.chunks(places)).zip(before) {
+                let mut of_place = 0.0;
+                for ((joint, &rate), &after) in joint.iter_mut().zip(rates).zip(&backward) {
+                    of_place += rate * after;
+                    *joint = before * rate * after;
+                }
+                explained.push(of_place);
+            }
+            let total: f64 = joint.iter().sum();
+            if total > 0.0 {
+                add(&mut counts[slot.of_day * size..][..size], &joint, 1.0 / total);
+            }
+            backward = explained;
+            normalise(&mut backward);
+        }
+        counts
+    }
 }
 
 fn add(sums: &mut [f64], terms: &[f64], weight: f64) {

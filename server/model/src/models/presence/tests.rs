@@ -90,7 +90,7 @@ proptest! {
         }
         // After learning, the rates are no longer those of the start.
         (0..rounds).for_each(|_| presence.learn());
-        let (found, expected) = (learning::expected_changes(&presence), enumerated_changes(&presence));
+        let (found, expected) = (presence.expected_changes(), enumerated_changes(&presence));
         for (found, expected) in found.iter().zip(&expected) {
             prop_assert!((found - expected).abs() < 1e-9, "{found} instead of {expected}");
         }

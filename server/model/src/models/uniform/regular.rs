@@ -5,7 +5,10 @@
 //! not shift either, says how far apart the readings usually are, and which comes too late or too soon. Invariant: an
 //! interval that is found is above 0, and no reading is missing.
 
-use super::{CannotFit, STEPS_MAX, Sample};
+use super::{CannotFit, Sample};
+
+/// More readings than this are refused: steps are stored in 32 bits.
+pub(super) const STEPS_MAX: u64 = u32::MAX as u64;
 
 /// A reading may lie this share of the interval off its regular time.
 const JITTER: f64 = 0.01;

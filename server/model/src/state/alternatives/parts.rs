@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use super::{Alternatives, Errors, FitKind, FittedModel, HISTOGRAMS, ModelChoice};
+use super::{Alternatives, Errors, Fit, FitKind, FittedModel, HISTOGRAMS, ModelChoice};
 use crate::{
     FittedModelParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
     models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts},
@@ -135,17 +135,6 @@ impl Alternatives {
             fits,
         })
     }
-}
-
-/// A model that was fitted to readings, as it last was.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Fit {
-    /// Shared: it is a large part of a state, and most updates leave it as it is.
-    pub(super) model: Arc<FittedModel>,
-    /// The last local day that it was fitted to.
-    pub(super) day: LocalDay,
-    /// Faded sum of errors, of this fit and those before it; `None` before the first day that it was scored on.
-    pub(super) error: Option<f64>,
 }
 
 impl Fit {

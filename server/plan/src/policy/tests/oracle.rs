@@ -3,7 +3,7 @@
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use tidemap_map::{
     name::StateName,
-    topology::{Edge, Extent},
+    topology::{Edge, Extent, Topology},
 };
 
 use super::*;

@@ -2,10 +2,11 @@
 
 use tidemap_map::{
     name::StateName,
-    topology::{Edge, Extent},
+    topology::{Edge, Extent, Topology},
 };
 
 use super::*;
+use crate::route::Forecasts;
 
 /// Nodes one after another, joined both ways.
 fn street(count: usize) -> Topology {

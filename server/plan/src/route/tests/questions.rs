@@ -1,5 +1,7 @@
 //! What is answered and refused beside the best way.
 
+use tidemap_map::topology::Topology;
+
 use super::{worlds::street, *};
 
 fn sure(_: &tidemap_map::topology::Edge, _: f64) -> Option<EdgeForecast> {

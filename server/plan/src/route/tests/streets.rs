@@ -3,7 +3,7 @@
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use tidemap_map::{
     name::StateName,
-    topology::{Edge, Extent, Roads, ShortestTimes},
+    topology::{Edge, Extent, Roads, ShortestTimes, Topology},
 };
 
 use super::*;

@@ -2,7 +2,7 @@
 
 use tidemap_map::{
     name::StateName,
-    topology::{Extent, Topology},
+    topology::{Extent, Roads, Topology},
 };
 
 use super::*;

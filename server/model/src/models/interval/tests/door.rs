@@ -4,7 +4,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::super::*;
+use super::super::{
+    beta::{BORROWED, Borrowed, interval},
+    *,
+};
 use crate::models::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
 use crate::{Sample, Zone};
 

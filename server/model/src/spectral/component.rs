@@ -1,10 +1,32 @@
-//! The choice of the strongest components of a spectrum.
+//! The components of a spectral model, and the choice of the strongest of a spectrum.
 //!
 //! Invariant: what was kept is in descending order of power; of equal powers, the one offered first
 //! comes first.
 
-use super::Component;
 use crate::ORDER_MAX;
+
+/// One periodic component γ_k of a state's value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Component {
+    /// Index k of the periodicity, from 0.
+    pub periodicity: u32,
+    /// Real part of γ_k.
+    pub gamma_re: f64,
+    /// Imaginary part of γ_k.
+    pub gamma_im: f64,
+}
+
+impl Component {
+    /// How far the value swings either way: 2|γ_k|.
+    pub fn amplitude(&self) -> f64 {
+        2.0 * self.gamma_re.hypot(self.gamma_im)
+    }
+
+    /// Phase at local civil time 1970-01-01T00:00, in radians from -π to π: arg γ_k.
+    pub fn phase_rad(&self) -> f64 {
+        self.gamma_im.atan2(self.gamma_re)
+    }
+}
 
 /// The at most [`ORDER_MAX`] strongest of the components offered so far.
 pub(super) struct Strongest {

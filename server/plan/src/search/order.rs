@@ -1,0 +1,105 @@
+//! Plans a search: the order of its goals, and the walk along it.
+
+use tidemap_map::topology::{NodeId, Roads};
+
+use super::{
+    EXACT_GOALS_MAX, Effort, Goal, Options, SearchError,
+    exact::{self, Sorted},
+    iterate::iterate,
+    machine::Machine,
+    plan::Plan,
+    problem::{Passing, Problem},
+    question::{Ordered, Question},
+};
+
+/// Plans a search from a node. `until` is asked now and then whether to make do with what is found so far.
+///
+/// # Errors
+/// [`SearchError`].
+pub fn search(
+    roads: &Roads,
+    start: NodeId,
+    goals: &[Goal],
+    options: &Options,
+    mut until: impl FnMut() -> bool,
+) -> Result<Plan, SearchError> {
+    let question = Question::new(roads, start, goals, options)?;
+    let exact = match options.effort {
+        Effort::Auto => question.goals.len() <= EXACT_GOALS_MAX,
+        Effort::Exact if question.goals.len() > EXACT_GOALS_MAX => {
+            return Err(SearchError::TooManyForExact { found: question.goals.len() });
+        }
+        Effort::Exact => true,
+        Effort::Heuristic => false,
+    };
+    let ordered = order(roads, &question, options, exact, &mut until);
+    let mut plan = Plan::of(roads, &question, &ordered, options.floor);
+    options.stop.apply(&mut plan);
+    Ok(plan)
+}
+
+/// Finds an order of a question's goals.
+pub(super) fn order(
+    roads: &Roads,
+    question: &Question,
+    options: &Options,
+    exact: bool,
+    mut until: impl FnMut() -> bool,
+) -> Ordered {
+    let start = question.start;
+    let count_of = |probability: f64| probability.max(options.floor);
+    let sum: f64 = question.goals.iter().map(|&(_, probability)| count_of(probability)).sum();
+    let weighted = question.goals.iter().map(|&(node, probability)| (node, count_of(probability) / sum));
+    // Who looks at the start without losing time does so first.
+    let at_once = |node: usize| node == start && roads.dwell_secs(node) == 0.0;
+    let goals: Vec<(usize, f64)> = weighted.clone().filter(|&(node, _)| !at_once(node)).collect();
+    let first = weighted.filter(|&(node, _)| at_once(node)).map(|(node, _)| node);
+    let mut problem = Problem::new(roads, start, &goals);
+    let has_traps = problem.fill_missing();
+
+    let (count, rounds) = (problem.count, if exact { first_rounds(problem.count) } else { options.rounds_max });
+    let mut found = iterate(&problem, rounds, options.seed, &mut until);
+    let mut known = problem.expected_secs(&found);
+    let (mut lower_bound_secs, mut complete, mut states) = (known, count < 2, 0);
+    if exact && count >= 2 {
+        let mut passing = Passing::new(&problem);
+        if count > exact::TABLE_GOALS_MAX {
+            passing.find_before(&problem, roads, start, &goals);
+        }
+        let machine = Machine::new(&problem, Some(&passing));
+        let sorted = problem.reordered(&machine.order);
+        let passing = passing.reordered(&machine.order);
+        let sorted_machine = machine.sorted();
+        let sorted = Sorted { problem: &sorted, passing: &passing, machine: &sorted_machine };
+        let mut proven = sorted.prove_quickly(known, options.states_max, &mut until);
+        if !proven.complete {
+            // The better the known walk, the less is looked at.
+            let better = iterate(&problem, EXACT_ROUNDS * count, options.seed, &mut until);
+            let cost = problem.expected_secs(&better);
+            if cost < known {
+                (found, known) = (better, cost);
+            }
+            proven = sorted.prove(known, &proven, options.states_max, &mut until);
+        }
+        if let Some(better) = proven.order {
+            found = better.into_iter().map(|goal| machine.order[goal]).collect();
+        }
+        (lower_bound_secs, complete, states) = (proven.lower_bound, proven.complete, proven.states);
+    } else if count >= 2 {
+        lower_bound_secs = Machine::new(&problem, None).root;
+    }
+    if has_traps {
+        // What cannot be reached any more costs something made up, and so does the bound.
+        (lower_bound_secs, complete) = (0.0, false);
+    }
+    let nodes = first.chain(found.iter().map(|&goal| goals[goal].0)).collect();
+    Ordered { nodes, lower_bound_secs, complete, states }
+}
+
+/// Disturbances, for each goal, before an exact search that takes longer.
+const EXACT_ROUNDS: usize = 4;
+
+/// Disturbances before an exact search of which it is not known whether it takes long.
+fn first_rounds(count: usize) -> usize {
+    if count <= exact::TABLE_GOALS_MAX { 0 } else { count }
+}

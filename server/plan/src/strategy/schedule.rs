@@ -1,0 +1,153 @@
+//! Which places to visit when.
+
+use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_model::{INFORMATION_CERTAINTY, entropy_bits};
+
+use super::{Budget, GAIN_MAX, IOTA_BITS, NOVELTY_FACTOR, Strategy, StrategyError, draw, gains::Gains};
+
+/// Which place to visit in each slot; `None` where the slot is left to other tasks.
+///
+/// # Errors
+/// [`StrategyError`] where the budget does not suit the slots.
+pub fn schedule(
+    strategy: Strategy,
+    gains: &Gains,
+    budget: Budget,
+    seed: u64,
+) -> Result<Vec<Option<usize>>, StrategyError> {
+    let (slots, places) = (gains.slots(), gains.places());
+    let visits = budget.visits(slots)?;
+    let mut random = SmallRng::seed_from_u64(seed);
+    Ok(match strategy {
+        Strategy::RoundRobin { visited } => {
+            let mut turn = (visited % places as u64) as usize;
+            let visit = |slot: usize| {
+                let is_visit = (slot + 1) * visits / slots > slot * visits / slots;
+                is_visit.then(|| {
+                    let place = turn;
+                    turn = (turn + 1) % places;
+                    place
+                })
+            };
+            (0..slots).map(visit).collect()
+        }
+        Strategy::Random => by_chance(
+            &mut random,
+            budget,
+            visits,
+            slots,
+            |_, _| 1.0,
+            places,
+            |ratio| {
+                if ratio > 0.0 { places as f64 * (1.0 - ratio) / ratio } else { 0.0 }
+            },
+        ),
+        Strategy::MonteCarlo => {
+            let total = gains.total();
+            by_chance(
+                &mut random,
+                budget,
+                visits,
+                slots,
+                |slot, place| gains.at(slot, place) + IOTA_BITS,
+                places,
+                |ratio| {
+                    if ratio >= 1.0 {
+                        0.0
+                    } else if total > 0.0 {
+                        total * (1.0 - ratio) / (slots as f64 * ratio) + IOTA_BITS
+                    } else {
+                        // Where nothing can be gained anywhere, ι alone would not keep the ratio.
+                        places as f64 * IOTA_BITS * (1.0 - ratio) / ratio
+                    }
+                },
+            )
+        }
+        Strategy::Greedy => greedy(&mut random, gains, visits),
+    })
+}
+
+/// Draws slots and places in proportion to weights. With a ratio each slot is drawn by itself, against a weight of rest.
+fn by_chance(
+    random: &mut SmallRng,
+    budget: Budget,
+    visits: usize,
+    slots: usize,
+    weight: impl Fn(usize, usize) -> f64,
+    places: usize,
+    rest: impl Fn(f64) -> f64,
+) -> Vec<Option<usize>> {
+    let mut plan = vec![None; slots];
+    match budget {
+        Budget::Ratio(ratio) if ratio > 0.0 => {
+            let rest = rest(ratio);
+            for (slot, visit) in plan.iter_mut().enumerate() {
+                let weights = std::iter::once(rest).chain((0..places).map(|place| weight(slot, place)));
+                *visit = draw::index(random, weights).checked_sub(1);
+            }
+        }
+        Budget::Ratio(_) => {}
+        Budget::Visits(_) => {
+            let of_slots: Vec<f64> =
+                (0..slots).map(|slot| (0..places).map(|place| weight(slot, place)).sum()).collect();
+            for slot in draw::distinct(random, &of_slots, visits) {
+                if let Some(visit) = plan.get_mut(slot) {
+                    *visit = Some(draw::index(random, (0..places).map(|place| weight(slot, place))));
+                }
+            }
+        }
+    }
+    plan
+}
+
+fn greedy(random: &mut SmallRng, gains: &Gains, visits: usize) -> Vec<Option<usize>> {
+    let best: Vec<Option<(usize, f64)>> =
+        (0..gains.slots()).map(|slot| draw::largest(random, gains.slot(slot))).collect();
+    let mut ranked: Vec<(f64, u64, usize)> = best
+        .iter()
+        .enumerate()
+        .map(|(slot, best)| (best.map_or(0.0, |(_, gain)| gain), random.random(), slot))
+        .collect();
+    ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut plan = vec![None; gains.slots()];
+    for (_, _, slot) in ranked.into_iter().take(visits) {
+        plan[slot] = best[slot].map(|(place, _)| place);
+    }
+    plan
+}
+
+/// One place, chosen again for the knowledge of now, by the gains of all places in the slot: the best, or for strategies
+/// that draw, one in proportion to gain plus [`IOTA_BITS`]. Strategies that do not look at gains, and gains that are empty,
+/// keep what was `planned`.
+pub fn choose(strategy: Strategy, planned: usize, gains_now: &[f64], seed: u64) -> usize {
+    let mut random = SmallRng::seed_from_u64(seed);
+    match strategy {
+        Strategy::RoundRobin { .. } | Strategy::Random => planned,
+        Strategy::Greedy => draw::largest(&mut random, gains_now).map_or(planned, |(place, _)| place),
+        Strategy::MonteCarlo if gains_now.is_empty() => planned,
+        Strategy::MonteCarlo => {
+            draw::index(&mut random, gains_now.iter().map(|gain| gain.clamp(0.0, GAIN_MAX) + IOTA_BITS))
+        }
+    }
+}
+
+/// Where to go instead of what was planned, because what was seen lately says that the model is wrong there: of the places
+/// where [`surprise_bits`](crate::location::surprise_bits) is at least [`NOVELTY_FACTOR`] times what the model expects,
+/// the one with the largest difference (RAS 2017, eq. 12). `None` where there is none. Pairs are (I', I) of each place.
+pub fn novel(places: impl IntoIterator<Item = (f64, f64)>) -> Option<usize> {
+    let mut best: Option<(usize, f64)> = None;
+    for (place, (surprise, expected)) in places.into_iter().enumerate() {
+        let more = surprise - expected;
+        // Surprise counts no model as surer than the certainty, so neither does what it is compared with.
+        let is_novel = surprise >= NOVELTY_FACTOR * expected.max(entropy_bits(INFORMATION_CERTAINTY));
+        if is_novel && best.is_none_or(|(_, most)| more > most) {
+            best = Some((place, more));
+        }
+    }
+    best.map(|(place, _)| place)
+}
+
+/// The place with the largest gain, and that gain; ties are broken by the seed. `None` of none.
+pub fn best(gains_now: &[f64], seed: u64) -> Option<(usize, f64)> {
+    draw::largest(&mut SmallRng::seed_from_u64(seed), gains_now)
+}
