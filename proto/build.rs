@@ -16,6 +16,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let descriptors = protox::compile(&paths, ["."])?;
     let out = PathBuf::from(env::var("OUT_DIR")?).join("tidemap.v1.bin");
     fs::write(&out, descriptors.encode_to_vec())?;
-    tonic_prost_build::configure().bytes(".tidemap.v1.ObservationColumns.bits").compile_fds(descriptors)?;
+    tonic_prost_build::configure()
+        .bytes(".tidemap.v1.ObservationColumns.bits")
+        .server_mod_attribute(".", "#[cfg(feature = \"server\")]")
+        .compile_fds(descriptors)?;
     Ok(())
 }
