@@ -48,7 +48,7 @@ use crate::{
     demo,
     output::{self, default_format, format_parser},
 };
-use tidemap_formats::table::{Format, Sheet};
+use tidemap_formats::table::{Format, TableWriter};
 
 /// Heading of the options that every command has.
 const GLOBAL: &str = "Options of every command";
@@ -56,7 +56,7 @@ const GLOBAL: &str = "Options of every command";
 /// A command that makes no sense, though each of its words does.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub struct Misused(pub String);
+pub struct UsageError(pub String);
 
 /// A map that knows when things change.
 ///
@@ -204,7 +204,7 @@ pub struct Session {
 
 impl Session {
     /// A result on stdout.
-    pub fn sheet(&self, columns: &[&str]) -> Sheet<BufWriter<Stdout>> {
+    pub fn table(&self, columns: &[&str]) -> TableWriter<BufWriter<Stdout>> {
         output::stdout(self.format, columns)
     }
 }
@@ -224,7 +224,7 @@ pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         }
         None => Client::new(&line.server),
     };
-    let client = client.map_err(|error| Misused(error.to_string()))?;
+    let client = client.map_err(|error| UsageError(error.to_string()))?;
     let session = Session { client, format: line.output.unwrap_or_else(default_format) };
     match line.command {
         Command::Map(command) => map::run(&session, command).await,

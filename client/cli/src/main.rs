@@ -12,7 +12,7 @@ use std::{io, process::ExitCode};
 
 use clap::Parser as _;
 
-use commands::{CommandLine, Misused};
+use commands::{CommandLine, UsageError};
 
 fn main() -> ExitCode {
     let command_line = CommandLine::parse();
@@ -34,6 +34,6 @@ fn failed(error: &anyhow::Error) -> ExitCode {
     if error.chain().any(broken_pipe) {
         return ExitCode::SUCCESS;
     }
-    progress::notice(&format!("error: {error:#}"));
-    if error.is::<Misused>() { ExitCode::from(2) } else { ExitCode::FAILURE }
+    progress::status_line(&format!("error: {error:#}"));
+    if error.is::<UsageError>() { ExitCode::from(2) } else { ExitCode::FAILURE }
 }

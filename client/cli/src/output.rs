@@ -5,7 +5,7 @@
 use std::io::{self, BufWriter, IsTerminal as _};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use tidemap_formats::table::{Format, Sheet};
+use tidemap_formats::table::{Format, TableWriter};
 
 /// A table on a terminal, CSV otherwise.
 pub fn default_format() -> Format {
@@ -27,6 +27,6 @@ pub fn format_parser() -> impl TypedValueParser<Value = Format> {
 }
 
 /// A result on stdout.
-pub fn stdout(format: Format, columns: &[&str]) -> Sheet<BufWriter<io::Stdout>> {
-    Sheet::new(format, columns, BufWriter::with_capacity(64 * 1024, io::stdout()))
+pub fn stdout(format: Format, columns: &[&str]) -> TableWriter<BufWriter<io::Stdout>> {
+    TableWriter::new(format, columns, BufWriter::with_capacity(64 * 1024, io::stdout()))
 }

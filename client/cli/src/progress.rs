@@ -12,7 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 const TICK: Duration = Duration::from_millis(200);
 
 /// Says a line.
-pub fn notice(line: &str) {
+pub fn status_line(line: &str) {
     let _ = writeln!(io::stderr().lock(), "{line}");
 }
 
@@ -59,8 +59,8 @@ impl Bar {
     }
 
     /// Says a line above the bar.
-    pub fn notice(&self, line: &str) {
-        self.0.suspend(|| notice(line));
+    pub fn status_line(&self, line: &str) {
+        self.0.suspend(|| status_line(line));
     }
 
     /// Takes the bar away.

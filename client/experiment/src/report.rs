@@ -12,7 +12,7 @@ use anyhow::Context as _;
 use tidemap_model::Evaluation;
 
 use super::{Comparison, ModelResult, Protocol, parameter_set::ValueKind, picture, protocol::Predictions};
-use tidemap_formats::table::{Cell, Format, Sheet};
+use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Writes the comparison, a row per model.
 ///
@@ -22,11 +22,11 @@ pub fn summary<W: Write>(protocol: &Protocol, outcome: &Comparison, format: Form
     let mut columns = ["model", "parameters", "mse", "error_rate"].map(str::to_owned).to_vec();
     columns.extend(protocol.test.iter().map(|test| format!("mse_{}", test.label)));
     columns.extend(["difference", "lower", "upper", "p_value", "verdict"].map(str::to_owned));
-    let mut sheet = Sheet::new(format, &columns, writer);
+    let mut table = TableWriter::new(format, &columns, writer);
     for model in &outcome.models {
-        sheet.row(row(protocol, model))?;
+        table.row(row(protocol, model))?;
     }
-    sheet.finish()
+    table.finish()
 }
 
 fn row(protocol: &Protocol, model: &ModelResult) -> Vec<Cell> {
@@ -79,11 +79,11 @@ pub(super) fn file(
 /// Every candidate's error on every fold.
 fn trials<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
     let columns = ["model", "parameters", "fold", "from", "until", "observations", "mse", "mean_mse", "chosen"];
-    let mut sheet = Sheet::new(Format::Csv, &columns, writer);
+    let mut table = TableWriter::new(Format::Csv, &columns, writer);
     for trial in &outcome.trials {
         let model = &protocol.models[trial.model];
         for (number, (fold, errors)) in (1_u64..).zip(outcome.folds.iter().zip(&trial.folds)) {
-            sheet.row(vec![
+            table.row(vec![
                 Cell::Text(model.label.clone()),
                 model.candidates[trial.candidate].shown().into(),
                 number.into(),
@@ -96,14 +96,14 @@ fn trials<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io:
             ])?;
         }
     }
-    sheet.finish()
+    table.finish()
 }
 
 /// What was predicted and what was, by test set, by time, by state.
 fn predictions<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
     let mut columns = ["time", "state", "value"].map(str::to_owned).to_vec();
     columns.extend(outcome.models.iter().map(|model| model.label.clone()));
-    let mut sheet = Sheet::new(Format::Csv, &columns, writer);
+    let mut table = TableWriter::new(Format::Csv, &columns, writer);
     for (set, test) in outcome.data.tests.iter().enumerate() {
         let mut shown: Vec<(i64, usize, usize)> = Vec::new();
         for (state, samples) in test.samples.iter().enumerate() {
@@ -124,8 +124,8 @@ fn predictions<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -
             let value = test.samples[state][at].value;
             let mut cells = vec![Cell::Secs(time), outcome.data.states[state].as_str().into(), value.into()];
             cells.extend(outcome.models.iter().map(|model| Cell::from(model.score.predictions[set][state][at])));
-            sheet.row(cells)?;
+            table.row(cells)?;
         }
     }
-    sheet.finish()
+    table.finish()
 }

@@ -117,7 +117,7 @@ const TABLE_ROWS_MAX: usize = 10_000;
 const LIVE_WIDTH: usize = 14;
 
 /// A result: columns, then row after row.
-pub struct Sheet<W: Write> {
+pub struct TableWriter<W: Write> {
     format: Format,
     columns: Vec<String>,
     writer: W,
@@ -126,7 +126,7 @@ pub struct Sheet<W: Write> {
     live: bool,
 }
 
-impl<W: Write> Sheet<W> {
+impl<W: Write> TableWriter<W> {
     /// A result in `writer`.
     pub fn new<S: AsRef<str>>(format: Format, columns: &[S], writer: W) -> Self {
         let columns = columns.iter().map(|column| column.as_ref().to_owned()).collect();

@@ -9,8 +9,8 @@ use anyhow::Context as _;
 use clap::Args;
 use tidemap_client::queries::{Anomaly, AnomalyWatch, Judgement, ModelSelector};
 
-use super::{Misused, Session, observe::INTERRUPTED, times};
-use crate::progress::notice;
+use super::{Session, UsageError, observe::INTERRUPTED, times};
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -51,53 +51,53 @@ pub async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitC
         return watched(session, watch).await;
     }
     let (Some(from), Some(to)) = (from, to) else {
-        return Err(Misused("say when, with --from and --to, or --watch what is to come".to_owned()).into());
+        return Err(UsageError("say when, with --from and --to, or --watch what is to come".to_owned()).into());
     };
     let [state] = states.as_slice() else {
-        return Err(Misused("name one state; several can only be watched, with --watch".to_owned()).into());
+        return Err(UsageError("name one state; several can only be watched, with --watch".to_owned()).into());
     };
     if from >= to {
-        return Err(Misused("--from must be before --to, which is not included".to_owned()).into());
+        return Err(UsageError("--from must be before --to, which is not included".to_owned()).into());
     }
     let mut anomalies = session.client.anomalies(&map, state, from, to, judgement).await?;
-    let mut sheet = session.sheet(&["time", "value", "probability"]);
+    let mut table = session.table(&["time", "value", "probability"]);
     while let Some(found) = anomalies.next().await? {
         for Anomaly { time_nanos, value, probability } in found {
-            sheet.row(vec![Cell::Secs(time_nanos), value.into(), probability.into()])?;
+            table.row(vec![Cell::Secs(time_nanos), value.into(), probability.into()])?;
         }
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }
 
 async fn watched(session: &Session, mut watch: AnomalyWatch) -> anyhow::Result<ExitCode> {
-    let mut sheet = session.sheet(&["time", "state", "value", "probability"]).live()?;
+    let mut table = session.table(&["time", "state", "value", "probability"]).live()?;
     let mut interrupted = std::pin::pin!(tokio::signal::ctrl_c());
     loop {
         let seen = tokio::select! {
             seen = watch.next() => seen,
             signal = &mut interrupted => {
                 signal.context("signals")?;
-                sheet.finish()?;
+                table.finish()?;
                 return Ok(ExitCode::from(INTERRUPTED));
             }
         };
         let seen = match seen {
             Ok(Some(seen)) => seen,
             Ok(None) => {
-                sheet.finish()?;
+                table.finish()?;
                 anyhow::bail!("the daemon ended the watch");
             }
             Err(error) => {
-                sheet.finish()?;
+                table.finish()?;
                 return Err(error.into());
             }
         };
         if seen.missed > 0 {
-            notice(&format!("{} observations were missed: they came faster than they could be read", seen.missed));
+            status_line(&format!("{} observations were missed: they came faster than they could be read", seen.missed));
         }
         for (state, Anomaly { time_nanos, value, probability }) in seen.anomalies {
-            sheet.row(vec![Cell::Secs(time_nanos), Cell::Text(state), value.into(), probability.into()])?;
+            table.row(vec![Cell::Secs(time_nanos), Cell::Text(state), value.into(), probability.into()])?;
         }
     }
 }

@@ -17,19 +17,19 @@ use clap::{Args, Subcommand};
 use tidemap_client::{Client, clock, maps::NewMap, updates::Job};
 
 use super::{Session, job, map::with_grid};
-use crate::progress::notice;
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
 pub enum BenchCommand {
     /// How many observations become durable per second, and how long an update of them takes
-    Observe(observe::ObserveArgs),
+    Observe(observe::ObserveBenchArgs),
     /// How long an observation takes to become durable, at a given rate
     Latency(latency::LatencyArgs),
     /// How many predictions are answered per second
-    Predict(predict::PredictArgs),
+    Predict(predict::PredictBenchArgs),
     /// How long the planning of a search takes, from request to answer
-    Search(search::SearchArgs),
+    Search(search::SearchBenchArgs),
     /// How fast months of scans of a whole office are learned, with an update every night
     Grid(grid::GridArgs),
 }
@@ -66,9 +66,9 @@ pub async fn run(session: &Session, command: &BenchCommand) -> anyhow::Result<Ex
     let figures = measured?;
     deleted?;
     let columns: Vec<&'static str> = figures.iter().map(|(name, _)| *name).collect();
-    let mut sheet = session.sheet(&columns);
-    sheet.row(figures.into_iter().map(|(_, cell)| cell).collect())?;
-    sheet.finish()?;
+    let mut table = session.table(&columns);
+    table.row(figures.into_iter().map(|(_, cell)| cell).collect())?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -86,7 +86,7 @@ async fn measure(client: &Client, map: &str, command: &BenchCommand) -> anyhow::
 
 /// Runs an update to its end.
 async fn updated(client: &Client, map: &str) -> anyhow::Result<Job> {
-    notice("updating");
+    status_line("updating");
     let started = client.run_update(map, None).await?;
     let ended = job::watched(client, started.id).await?;
     anyhow::ensure!(ended.error.is_empty(), job::failure(&ended));

@@ -13,11 +13,11 @@ use tidemap_client::queries::{
 use super::{
     Session,
     observe::{
-        feed::{self, Feed, Told},
+        feed::{self, Feed, RefusalReport},
         kinds::Kinds,
     },
 };
-use crate::progress::{Bar, notice};
+use crate::progress::{Bar, status_line};
 use tidemap_formats::{
     observation_file::{ObservationColumns, RowError},
     table::Cell,
@@ -36,17 +36,17 @@ pub struct EvaluateArgs {
     /// histogram:week[:BINS], histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]],
     /// hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson, calibrated; or all, for each kind without it
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', default_value = "spectral")]
-    models: Vec<Choice>,
+    models: Vec<ModelArg>,
 }
 
 /// A model, or all of them.
 #[derive(Clone, Debug)]
-enum Choice {
+enum ModelArg {
     All,
     One(ModelSelector),
 }
 
-impl FromStr for Choice {
+impl FromStr for ModelArg {
     type Err = InvalidModel;
 
     fn from_str(text: &str) -> Result<Self, InvalidModel> {
@@ -54,12 +54,12 @@ impl FromStr for Choice {
     }
 }
 
-fn selected(choices: &[Choice]) -> Vec<ModelSelector> {
+fn selected(choices: &[ModelArg]) -> Vec<ModelSelector> {
     let mut models = Vec::new();
     for choice in choices {
         let chosen = match choice {
-            Choice::All => ModelKind::ALL.map(|kind| ModelSelector { kind, ..ModelSelector::default() }).to_vec(),
-            Choice::One(model) => vec![*model],
+            ModelArg::All => ModelKind::ALL.map(|kind| ModelSelector { kind, ..ModelSelector::default() }).to_vec(),
+            ModelArg::One(model) => vec![*model],
         };
         // Naming a model twice asks for it once.
         models.extend(chosen.into_iter().filter(|model| !models.contains(model)).collect::<Vec<_>>());
@@ -68,11 +68,11 @@ fn selected(choices: &[Choice]) -> Vec<ModelSelector> {
 }
 
 /// Whether this model was asked for by its name, and not as one of all.
-fn is_named(choices: &[Choice], model: ModelSelector) -> bool {
+fn is_named(choices: &[ModelArg], model: ModelSelector) -> bool {
     choices.iter().any(|choice| match choice {
-        Choice::All => false,
+        ModelArg::All => false,
         // The daemon fills in what was left out.
-        Choice::One(named) => {
+        ModelArg::One(named) => {
             let parameter = named.parameter.or(model.parameter);
             ModelSelector { parameter, order: model.order, ..*named } == model
         }
@@ -98,7 +98,7 @@ pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCo
     let mut kinds = Kinds::new(session.client.clone(), options.map.clone(), None);
     let mut evaluator = session.client.evaluate(options);
     let bar = Bar::bytes(total_bytes);
-    let mut told = Told::new(bar.clone(), "is left out");
+    let mut told = RefusalReport::new(bar.clone(), "is left out");
     'file: while let Some(chunk) = rows.recv().await {
         let chunk = chunk.with_context(|| shown.clone())?;
         bar.set(chunk.bytes);
@@ -113,9 +113,9 @@ pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCo
     }
     let Comparison { evaluations, unavailable } = evaluator.finish().await?;
     bar.clear();
-    let mut sheet = session.sheet(&["state", "model", "order", "n", "mse", "error_rate"]);
+    let mut table = session.table(&["state", "model", "order", "n", "mse", "error_rate"]);
     for evaluation in evaluations {
-        sheet.row(vec![
+        table.row(vec![
             Cell::Text(evaluation.state),
             Cell::Text(evaluation.model.to_string()),
             Cell::maybe(evaluation.model.order),
@@ -124,8 +124,8 @@ pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCo
             Cell::maybe(evaluation.error_rate),
         ])?;
     }
-    sheet.finish()?;
-    unavailable.iter().for_each(|unavailable| notice(&missing(unavailable)));
+    table.finish()?;
+    unavailable.iter().for_each(|unavailable| status_line(&missing(unavailable)));
     let all_there = !unavailable.iter().any(|unavailable| is_named(&args.models, unavailable.model));
     Ok(if told.all_well() && all_there { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
@@ -134,7 +134,7 @@ pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCo
 mod tests {
     use super::*;
 
-    fn choices(texts: &[&str]) -> Vec<Choice> {
+    fn choices(texts: &[&str]) -> Vec<ModelArg> {
         texts.iter().map(|text| text.parse().expect(text)).collect()
     }
 

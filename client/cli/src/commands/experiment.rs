@@ -13,8 +13,8 @@ use std::{
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
 
-use super::Misused;
-use crate::progress::{Bar, notice};
+use super::UsageError;
+use crate::progress::{Bar, status_line};
 use tidemap_experiment::{
     self, ProtocolError,
     explore::{self, ExploreProtocol, office},
@@ -90,7 +90,7 @@ pub fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCode> {
         (Some(ExperimentKind::Explore(args)), _) => explore(&args, format),
         (Some(ExperimentKind::Search(args)), _) => search(&args, format),
         (Some(ExperimentKind::Routes(args)), _) => routes(&args, format),
-        (None, None) => Err(Misused("name a protocol, a file that ends in .yaml or .yml".to_owned()).into()),
+        (None, None) => Err(UsageError("name a protocol, a file that ends in .yaml or .yml".to_owned()).into()),
     }
 }
 
@@ -109,10 +109,10 @@ fn compare(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
     let undecided =
         |model: &tidemap_experiment::ModelResult| model.difference.is_some_and(|difference| difference.test.is_none());
     if outcome.models.iter().any(undecided) {
-        notice("the test sets have too few days for a test: intervals and p-values are left out");
+        status_line("the test sets have too few days for a test: intervals and p-values are left out");
     }
     if io::stderr().is_terminal() {
-        notice(&format!("results are in {}", out.display()));
+        status_line(&format!("results are in {}", out.display()));
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -145,7 +145,7 @@ fn explore(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
         }
     }
     if io::stderr().is_terminal() {
-        notice(&format!("results are in {}", out.display()));
+        status_line(&format!("results are in {}", out.display()));
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -162,7 +162,7 @@ fn search(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
     search::write(&protocol, &outcome, out)?;
     search::summary(&outcome, format, io::stdout().lock())?;
     if io::stderr().is_terminal() {
-        notice(&format!("results are in {}", out.display()));
+        status_line(&format!("results are in {}", out.display()));
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -171,7 +171,7 @@ fn search(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
 fn refused(path: &Path, error: &ProtocolError) -> anyhow::Error {
     let misuse = error.is_misuse();
     let message = format!("{}: {error}", path.display());
-    if misuse { Misused(message).into() } else { anyhow::anyhow!(message) }
+    if misuse { UsageError(message).into() } else { anyhow::anyhow!(message) }
 }
 
 fn routes(args: &RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
@@ -190,7 +190,7 @@ fn routes(args: &RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
     routes::write(&outcome, out)?;
     routes::summary(&outcome, format, io::stdout().lock())?;
     if io::stderr().is_terminal() {
-        notice(&format!("results are in {}", out.display()));
+        status_line(&format!("results are in {}", out.display()));
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -24,11 +24,11 @@ pub enum GridCommand {
     /// scan, ray-cast from --pose; .bt and .ot (OctoMap) and .yaml or .pgm (Nav2) are maps, whose known cells count as
     /// observed at that time. The same producer and label again continue where they were; scans that differ from what was
     /// sent are refused.
-    Observe(observe::ObserveArgs),
+    Observe(observe::GridObserveArgs),
     /// Writes the map at any time, past or future, to a file
     ///
     /// By ending of --out: .pgm (with a .yaml beside it, for Nav2), .png, .csv or .ply.
-    Predict(predict::PredictArgs),
+    Predict(predict::GridPredictArgs),
 }
 
 pub async fn run(session: &Session, command: GridCommand) -> anyhow::Result<ExitCode> {

@@ -10,7 +10,7 @@ use tidemap_client::{
     queries::ModelSelector,
 };
 
-use super::{Misused, Session, point::ViewArg, times};
+use super::{Session, UsageError, point::ViewArg, times};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -40,7 +40,7 @@ const COLUMNS: [&str; 4] = ["target", "entropy_bits", "information_bits", "time"
 pub async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<ExitCode> {
     let InfoArgs { map, at, states, locations, views, model } = args;
     if states.is_empty() && locations.is_empty() && views.is_empty() {
-        return Err(Misused("name what to look at, with --state, --location or --view".to_owned()).into());
+        return Err(UsageError("name what to look at, with --state, --location or --view".to_owned()).into());
     }
     let mut rows = Vec::new();
     if views.is_empty() {
@@ -71,10 +71,10 @@ pub async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<ExitCode> 
             }
         }
     }
-    let mut sheet = session.sheet(&COLUMNS);
+    let mut table = session.table(&COLUMNS);
     for row in rows {
-        sheet.row(row)?;
+        table.row(row)?;
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }

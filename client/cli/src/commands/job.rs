@@ -11,7 +11,7 @@ use tidemap_client::{
 };
 
 use super::Session;
-use crate::progress::{Bar, notice};
+use crate::progress::{Bar, status_line};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
@@ -45,14 +45,14 @@ pub async fn run(session: &Session, command: &JobCommand) -> anyhow::Result<Exit
         JobCommand::Watch { id } => vec![watched(&session.client, *id).await?],
     };
     let failed = matches!(command, JobCommand::Watch { .. }) && jobs.iter().any(|job| job.state == JobState::Failed);
-    let mut sheet = session.sheet(&COLUMNS);
+    let mut table = session.table(&COLUMNS);
     for job in jobs {
         if failed {
-            notice(&format!("error: {}", failure(&job)));
+            status_line(&format!("error: {}", failure(&job)));
         }
-        sheet.row(cells(job))?;
+        table.row(cells(job))?;
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 

@@ -8,7 +8,7 @@ use clap::Subcommand;
 use tidemap_client::maps::Location;
 
 use super::{Session, point::Point};
-use crate::progress::notice;
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
@@ -51,15 +51,15 @@ pub async fn run(session: &Session, command: LocationCommand) -> anyhow::Result<
         LocationCommand::List { map } => session.client.locations(&map).await?,
         LocationCommand::Delete { map, location } => {
             session.client.delete_location(&map, &location).await?;
-            notice(&format!("location {location:?} is deleted; its states stay"));
+            status_line(&format!("location {location:?} is deleted; its states stay"));
             return Ok(ExitCode::SUCCESS);
         }
     };
-    let mut sheet = session.sheet(&COLUMNS);
+    let mut table = session.table(&COLUMNS);
     for Location { name, states, position_m } in locations {
         let [x, y] = position_m.map_or([None; 2], |at| at.map(Some));
-        sheet.row(vec![Cell::Text(name), Cell::maybe(x), Cell::maybe(y), Cell::Text(states.join(" "))])?;
+        table.row(vec![Cell::Text(name), Cell::maybe(x), Cell::maybe(y), Cell::Text(states.join(" "))])?;
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }

@@ -11,8 +11,8 @@ use tidemap_client::maps::{Candidate, Grid, InvalidCandidate, Map, NewMap, Order
 use tidemap_map::time::format_duration;
 
 use self::grid_spec::{GridSpec, shown, shown_box, shown_retention};
-use super::{Misused, Session, point::Point, times};
-use crate::progress::notice;
+use super::{Session, UsageError, point::Point, times};
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
@@ -158,7 +158,7 @@ pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitC
             let wanted = new_map(*args);
             let has_grid = wanted.grid.is_some();
             if has_grid && wanted.half_life_nanos.is_some() {
-                notice("the half-life is of named states: cells of the grid forget nothing");
+                status_line("the half-life is of named states: cells of the grid forget nothing");
             }
             vec![with_grid(client.create_map(wanted).await?, has_grid)?]
         }
@@ -173,21 +173,21 @@ pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitC
                 let Map { states, observations, .. } = client.map(&name).await?;
                 let lost = format!("{observations} observations of {states} states");
                 return Err(
-                    Misused(format!("this deletes map {name:?} with {lost} for good; add --yes to do it")).into()
+                    UsageError(format!("this deletes map {name:?} with {lost} for good; add --yes to do it")).into()
                 );
             }
             client.delete_map(&name).await?;
-            notice(&format!("map {name:?} is deleted"));
+            status_line(&format!("map {name:?} is deleted"));
             return Ok(ExitCode::SUCCESS);
         }
     };
     let columns = if all { COLUMNS.to_vec() } else { [&COLUMNS[..], &MORE_COLUMNS].concat() };
-    let mut sheet = session.sheet(&columns);
+    let mut table = session.table(&columns);
     for map in maps {
         let more = if all { Vec::new() } else { more_cells(&map) };
-        sheet.row([cells(map), more].concat())?;
+        table.row([cells(map), more].concat())?;
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }
 

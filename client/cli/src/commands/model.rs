@@ -65,10 +65,10 @@ fn component_cells(component: &Component, used: bool) -> [(&'static str, Cell); 
 
 /// Two tables: the state, then its components.
 fn table(model: &ModelDescription) -> io::Result<()> {
-    let mut sheet = crate::output::stdout(Format::Table, &["state", "mean", "n", "order", "model"]);
+    let mut table = crate::output::stdout(Format::Table, &["state", "mean", "n", "order", "model"]);
     let (state, chosen) = (Cell::Text(model.state.clone()), Cell::Text(model.chosen.to_string()));
-    sheet.row(vec![state, model.mean.into(), model.folded_observations.into(), model.order.into(), chosen])?;
-    sheet.finish()?;
+    table.row(vec![state, model.mean.into(), model.folded_observations.into(), model.order.into(), chosen])?;
+    table.finish()?;
     if let Some(date) = &model.change_date {
         writeln!(
             io::stdout(),
@@ -77,17 +77,17 @@ fn table(model: &ModelDescription) -> io::Result<()> {
     }
     if !model.model_errors.is_empty() {
         writeln!(io::stdout())?;
-        let mut sheet = crate::output::stdout(Format::Table, &["model", "order", "recent_error", "used"]);
+        let mut table = crate::output::stdout(Format::Table, &["model", "order", "recent_error", "used"]);
         for (tried, error) in &model.model_errors {
             let used = (tried.kind, tried.cycle) == (model.chosen.kind, model.chosen.cycle);
-            sheet.row(vec![
+            table.row(vec![
                 Cell::Text(tried.to_string()),
                 Cell::maybe(tried.order),
                 (*error).into(),
                 Cell::Flag(used),
             ])?;
         }
-        sheet.finish()?;
+        table.finish()?;
     }
     if model.components.is_empty() {
         return writeln!(
@@ -96,13 +96,13 @@ fn table(model: &ModelDescription) -> io::Result<()> {
         );
     }
     writeln!(io::stdout())?;
-    let mut sheet = crate::output::stdout(Format::Table, &["period", "period_secs", "amplitude", "phase_rad", "used"]);
+    let mut table = crate::output::stdout(Format::Table, &["period", "period_secs", "amplitude", "phase_rad", "used"]);
     for (index, component) in model.components.iter().enumerate() {
         let mut cells = vec![Cell::Text(words(component.period_secs))];
         cells.extend(component_cells(component, used(model, index)).map(|(_, cell)| cell));
-        sheet.row(cells)?;
+        table.row(cells)?;
     }
-    sheet.finish()
+    table.finish()
 }
 
 /// One table for programs: what holds for the state is repeated with each component, and has a row of its own where
@@ -112,7 +112,7 @@ fn csv(model: &ModelDescription) -> io::Result<()> {
     let summary = summary(model);
     let columns = ["period_secs", "amplitude", "phase_rad", "used", "model", "recent_errors"];
     let columns: Vec<&'static str> = summary[..3].iter().map(|(name, _)| *name).chain(columns).collect();
-    let mut sheet = crate::output::stdout(Format::Csv, &columns);
+    let mut table = crate::output::stdout(Format::Csv, &columns);
     let errors = model.model_errors.iter().map(|(tried, error)| format!("{tried}={error}"));
     let tried = [Cell::Text(model.chosen.to_string()), Cell::Text(errors.collect::<Vec<_>>().join(" "))];
     let row = |component: [Cell; 4]| {
@@ -120,12 +120,12 @@ fn csv(model: &ModelDescription) -> io::Result<()> {
         state.chain(component).chain(tried.clone()).collect()
     };
     if model.components.is_empty() {
-        sheet.row(row([Cell::Empty, Cell::Empty, Cell::Empty, Cell::Empty]))?;
+        table.row(row([Cell::Empty, Cell::Empty, Cell::Empty, Cell::Empty]))?;
     }
     for (index, component) in model.components.iter().enumerate() {
-        sheet.row(row(component_cells(component, used(model, index)).map(|(_, cell)| cell)))?;
+        table.row(row(component_cells(component, used(model, index)).map(|(_, cell)| cell)))?;
     }
-    sheet.finish()
+    table.finish()
 }
 
 fn json(model: &ModelDescription) -> io::Result<()> {

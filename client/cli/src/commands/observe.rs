@@ -23,12 +23,12 @@ use tidemap_client::{
 use tokio::{sync::watch, task::JoinHandle};
 
 use self::{
-    feed::{Feed, Told},
+    feed::{Feed, RefusalReport},
     kinds::Kinds,
-    transfer::{Ended, Sendable, Transfer},
+    transfer::{Sendable, Transfer, TransferEnd},
 };
-use super::{Misused, Session, job, producer_id, times};
-use crate::progress::{Bar, notice};
+use super::{Session, UsageError, job, producer_id, times};
+use crate::progress::{Bar, status_line};
 use tidemap_formats::{
     observation_file::{Layout, ObservationColumns},
     table::Cell,
@@ -74,7 +74,7 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
     let has_positions = feed.layout.has_positions();
     if let Some(kind) = args.kind.filter(|kind| (*kind == StateKind::Vector) != has_positions) {
         let columns = if has_positions { "positions, columns x and y" } else { "single values, column value" };
-        return Err(Misused(format!("--kind {} does not go with {shown}, which has {columns}", kind.name())).into());
+        return Err(UsageError(format!("--kind {} does not go with {shown}, which has {columns}", kind.name())).into());
     }
     send(session, options(&args)?, feed, &shown).await
 }
@@ -91,18 +91,20 @@ pub(super) async fn send<L: Layout<Row: Sendable>>(
     let bar = Bar::bytes(total_bytes);
     let mut transfer = {
         let (producer, notices) = opened(session, options, &bar).await?;
-        let told = Told::new(bar.clone(), "is refused");
+        let told = RefusalReport::new(bar.clone(), "is refused");
         let kinds = Kinds::new(session.client.clone(), map.clone(), kind);
         Transfer::new(producer, notices, rows, (told, kinds), bar.clone())
     };
     if transfer.sent_before() > 0 {
         let rows = transfer.sent_before();
-        bar.notice(&format!("{producer} sent {rows} rows as {label} before; they are compared and not sent again"));
+        bar.status_line(&format!(
+            "{producer} sent {rows} rows as {label} before; they are compared and not sent again"
+        ));
     }
     let sent = async {
         match transfer.run().await {
-            Ended::Whole if is_nightly => {
-                nights(session, &map, &bar).await.map_or_else(Ended::Nights, |()| Ended::Whole)
+            TransferEnd::Whole if is_nightly => {
+                nights(session, &map, &bar).await.map_or_else(TransferEnd::Nights, |()| TransferEnd::Whole)
             }
             ended => ended,
         }
@@ -111,36 +113,36 @@ pub(super) async fn send<L: Layout<Row: Sendable>>(
         ended = sent => ended,
         signal = tokio::signal::ctrl_c() => {
             signal.context("signals")?;
-            Ended::Interrupted
+            TransferEnd::Interrupted
         }
     };
-    if matches!(ended, Ended::Interrupted) {
-        bar.notice("interrupted; waiting for what is under way");
+    if matches!(ended, TransferEnd::Interrupted) {
+        bar.status_line("interrupted; waiting for what is under way");
         let _ = tokio::time::timeout(LAST_FLUSH, transfer.flush()).await;
     }
     bar.clear();
     let counts = transfer.counts();
-    if !matches!(ended, Ended::Differs(_)) {
-        let mut sheet = session.sheet(&["read", "accepted", "duplicate", "refused"]);
-        sheet.row([counts.read, counts.accepted, counts.duplicate, counts.refused].map(Cell::from).to_vec())?;
-        sheet.finish()?;
+    if !matches!(ended, TransferEnd::Differs(_)) {
+        let mut table = session.table(&["read", "accepted", "duplicate", "refused"]);
+        table.row([counts.read, counts.accepted, counts.duplicate, counts.refused].map(Cell::from).to_vec())?;
+        table.finish()?;
     }
     transfer.told.conclude();
     match ended {
-        Ended::Whole if transfer.told.all_well() => Ok(ExitCode::SUCCESS),
-        Ended::Whole => Ok(ExitCode::FAILURE),
-        Ended::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
-        Ended::Unreadable(error) => Err(error.context(shown.to_owned())),
-        Ended::Nights(error) => Err(error.context("everything was sent, but the nightly updates failed")),
-        Ended::Stopped(error) => {
+        TransferEnd::Whole if transfer.told.all_well() => Ok(ExitCode::SUCCESS),
+        TransferEnd::Whole => Ok(ExitCode::FAILURE),
+        TransferEnd::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
+        TransferEnd::Unreadable(error) => Err(error.context(shown.to_owned())),
+        TransferEnd::Nights(error) => Err(error.context("everything was sent, but the nightly updates failed")),
+        TransferEnd::Stopped(error) => {
             let durable = counts.accepted + counts.duplicate + counts.refused;
-            notice(&format!(
+            status_line(&format!(
                 "{durable} of the {} rows read are durable; the same command again sends the rest",
                 counts.read
             ));
             Err(error.into())
         }
-        Ended::Differs(how) => {
+        TransferEnd::Differs(how) => {
             anyhow::bail!(
                 "{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. Another file \
                            needs another --label"
@@ -155,7 +157,7 @@ pub(super) fn usual_options(producer: Option<&str>, label: &str, map: &str) -> a
         return Ok(ProducerOptions::new(producer, label, map));
     }
     let producer = producer_id::usual()?;
-    notice(&format!("observing as producer {producer}, label {label}"));
+    status_line(&format!("observing as producer {producer}, label {label}"));
     Ok(ProducerOptions::new(&producer, label, map))
 }
 
@@ -228,11 +230,11 @@ async fn say(mut progress: watch::Receiver<Progress>, bar: Bar, patience: Durati
         match phase {
             Phase::Waiting(error) if !waiting => {
                 waiting = true;
-                bar.notice(&format!("{error}; trying again for up to {} s", patience.as_secs()));
+                bar.status_line(&format!("{error}; trying again for up to {} s", patience.as_secs()));
             }
             Phase::Connected if waiting => {
                 waiting = false;
-                bar.notice("connected again");
+                bar.status_line("connected again");
             }
             _ => {}
         }

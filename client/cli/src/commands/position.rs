@@ -8,8 +8,8 @@ use std::process::ExitCode;
 use clap::Args;
 use tidemap_client::queries::{ModelSelector, PositionForecast, PositionQuery, PositionsHeader};
 
-use super::{Misused, Session, times};
-use crate::progress::notice;
+use super::{Session, UsageError, times};
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -52,7 +52,7 @@ fn region(text: &str) -> Result<Region, String> {
 
 pub async fn run(session: &Session, args: PositionArgs) -> anyhow::Result<ExitCode> {
     if args.resolution.is_some_and(|edge| edge.is_nan() || edge <= 0.0) {
-        return Err(Misused("--resolution must be above 0".to_owned()).into());
+        return Err(UsageError("--resolution must be above 0".to_owned()).into());
     }
     let query = PositionQuery {
         times: args.at.clone(),
@@ -65,7 +65,7 @@ pub async fn run(session: &Session, args: PositionArgs) -> anyhow::Result<ExitCo
     let header = positions.header().clone();
     let axes = ["x", "y", "z"].into_iter().take(header.counts.len());
     let columns: Vec<&str> = ["time"].into_iter().chain(axes).chain(["probability"]).collect();
-    let mut sheet = session.sheet(&columns);
+    let mut table = session.table(&columns);
     let mut told = Vec::new();
     while let Some(forecast) = positions.next().await? {
         let time = args.at.get(forecast.time).copied().unwrap_or_default();
@@ -73,12 +73,12 @@ pub async fn run(session: &Session, args: PositionArgs) -> anyhow::Result<ExitCo
             let mut cells = vec![Cell::Secs(time)];
             cells.extend(middle.iter().map(|&coordinate| Cell::from(coordinate)));
             cells.push((*probability).into());
-            sheet.row(cells)?;
+            table.row(cells)?;
         }
         told.push(summary(&header, &forecast, time));
     }
-    sheet.finish()?;
-    told.iter().for_each(|line| notice(line));
+    table.finish()?;
+    told.iter().for_each(|line| status_line(line));
     Ok(ExitCode::SUCCESS)
 }
 

@@ -8,7 +8,7 @@ use clap::{ArgGroup, Args};
 use tidemap_client::queries::{ModelSelector, ORDER_MAX, PredictionRun};
 use tidemap_model::Dimensions;
 
-use super::{Misused, Session, times};
+use super::{Session, UsageError, times};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -53,7 +53,7 @@ const COLUMNS: [&str; 9] =
 
 pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
     if args.order.is_some() && !args.model.kind.has_order() {
-        return Err(Misused(format!(
+        return Err(UsageError(format!(
             "--order does not go with --model {}: only auto, spectral and uniform have one",
             args.model
         ))
@@ -67,10 +67,10 @@ pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
         (Some(at), ..) => at,
         (None, Some(path), ..) => times::from_file(&path)?,
         (None, None, Some(from), Some(to), Some(step)) => times::steps(from, to, step)?,
-        _ => return Err(Misused("say when: --at, --times, or --from with --to and --step".to_owned()).into()),
+        _ => return Err(UsageError("say when: --at, --times, or --from with --to and --step".to_owned()).into()),
     };
     let mut predictions = session.client.predict(&args.map, args.states, times, model).with_intervals(args.interval);
-    let mut sheet = session.sheet(&COLUMNS);
+    let mut table = session.table(&COLUMNS);
     while let Some(run) = predictions.next().await? {
         let (states, times) = (predictions.states(), predictions.times());
         let name = match run.axis.and_then(|axis| Dimensions::Three.axes().get(axis)) {
@@ -78,19 +78,19 @@ pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
             None => Cow::Borrowed(states[run.state].as_str()),
         };
         for cells in rows(&run, &name, &times[run.first_time..]) {
-            sheet.row(cells)?;
+            table.row(cells)?;
         }
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Refuses a model that cells of a grid do not have.
-pub(super) fn check_for_cells(model: ModelSelector) -> Result<(), Misused> {
+pub(super) fn check_for_cells(model: ModelSelector) -> Result<(), UsageError> {
     if model.kind.is_for_cells() {
         return Ok(());
     }
-    Err(Misused(format!("cells have no model {model}: use auto, mean, latest or spectral")))
+    Err(UsageError(format!("cells have no model {model}: use auto, mean, latest or spectral")))
 }
 
 fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl Iterator<Item = Vec<Cell>> + 'a {

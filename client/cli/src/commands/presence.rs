@@ -11,7 +11,7 @@ use tidemap_client::{
 };
 
 use super::{Session, times};
-use crate::progress::notice;
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -59,12 +59,12 @@ const JOINT_COLUMNS: [&str; 2] = ["time", "probability"];
 pub async fn run(session: &Session, args: PresenceArgs) -> anyhow::Result<ExitCode> {
     let PresenceArgs { map, at, object, model } = args;
     let presence = session.client.predict_presence(PresenceQuery { map, object, times_nanos: at, model }).await?;
-    let mut sheet = session.sheet(&COLUMNS);
+    let mut table = session.table(&COLUMNS);
     for PresenceAt { time_nanos, probabilities, shares, anybody } in &presence.times {
         let mut order: Vec<usize> = (0..presence.nodes.len().min(probabilities.len())).collect();
         order.sort_by(|&one, &other| probabilities[other].total_cmp(&probabilities[one]));
         for node in order {
-            sheet.row(vec![
+            table.row(vec![
                 Cell::Secs(*time_nanos),
                 presence.nodes[node].as_str().into(),
                 probabilities[node].into(),
@@ -73,11 +73,11 @@ pub async fn run(session: &Session, args: PresenceArgs) -> anyhow::Result<ExitCo
             ])?;
         }
     }
-    sheet.finish()?;
+    table.finish()?;
     if !presence.unobserved.is_empty() {
         let shown = presence.unobserved.iter().take(10).map(String::as_str).collect::<Vec<_>>().join(", ");
         let more = if presence.unobserved_nodes > 10 { ", …" } else { "" };
-        notice(&format!("never observed ({}): {shown}{more}", presence.unobserved_nodes));
+        status_line(&format!("never observed ({}): {shown}{more}", presence.unobserved_nodes));
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -86,14 +86,14 @@ pub async fn joint(session: &Session, args: JointArgs) -> anyhow::Result<ExitCod
     let JointArgs { map, states, from, within, step, threshold, model } = args;
     let query = JointQuery { map, states, from_nanos: from, within_nanos: within, step_nanos: step, threshold, model };
     let joint = session.client.next_joint(query).await?;
-    let mut sheet = session.sheet(&JOINT_COLUMNS);
+    let mut table = session.table(&JOINT_COLUMNS);
     if let Some(time_nanos) = joint.time_nanos {
-        sheet.row(vec![Cell::Secs(time_nanos), joint.probability.into()])?;
+        table.row(vec![Cell::Secs(time_nanos), joint.probability.into()])?;
     }
-    sheet.finish()?;
+    table.finish()?;
     if joint.time_nanos.is_none() {
         let at = joint.best_nanos.div_euclid(1_000_000_000);
-        notice(&format!("at no time: the greatest probability is {:.3}, at {at}", joint.probability));
+        status_line(&format!("at no time: the greatest probability is {:.3}, at {at}", joint.probability));
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 
-use super::{Misused, Session, times};
+use super::{Session, UsageError, times};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -26,15 +26,15 @@ pub struct ReconstructArgs {
 pub async fn run(session: &Session, args: &ReconstructArgs) -> anyhow::Result<ExitCode> {
     let ReconstructArgs { map, state, from, to } = args;
     if from >= to {
-        return Err(Misused("--from must be before --to, which is not included".to_owned()).into());
+        return Err(UsageError("--from must be before --to, which is not included".to_owned()).into());
     }
     let mut observations = session.client.reconstruct(map, state, *from, *to).await?;
-    let mut sheet = session.sheet(&["time", "value"]);
+    let mut table = session.table(&["time", "value"]);
     while let Some(seen) = observations.next().await? {
         for (time, value) in seen {
-            sheet.row(vec![Cell::Secs(time), value.into()])?;
+            table.row(vec![Cell::Secs(time), value.into()])?;
         }
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }

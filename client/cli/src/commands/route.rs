@@ -12,10 +12,10 @@ use tidemap_client::{
 };
 
 use super::{
-    Misused, Session, times,
+    Session, UsageError, times,
     topology_picture::{self, Overlay},
 };
-use crate::progress::notice;
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -144,7 +144,7 @@ pub async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode>
         (None, None, Some(from_nanos), Some(to_nanos)) => {
             RouteTime::DepartWithin { from_nanos, to_nanos, step_nanos: args.step }
         }
-        _ => return Err(Misused("say when: --at, --arrive, or --from with --to".to_owned()).into()),
+        _ => return Err(UsageError("say when: --at, --arrive, or --from with --to".to_owned()).into()),
     };
     if let Some(path) = &args.picture {
         topology_picture::check_ending(path)?;
@@ -165,10 +165,10 @@ pub async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode>
         ..RouteQuery::new(&args.map, &args.from, &args.to, when)
     };
     let (routes, certainty) = session.client.plan_route(query).await?;
-    let mut sheet = session.sheet(&COLUMNS);
+    let mut table = session.table(&COLUMNS);
     for (number, route) in (1_u64..).zip(&routes) {
         for (index, step) in (1_u64..).zip(&route.steps) {
-            sheet.row(vec![
+            table.row(vec![
                 Cell::Count(index),
                 step.edge.from.as_str().into(),
                 step.edge.to.as_str().into(),
@@ -184,11 +184,11 @@ pub async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode>
             ])?;
         }
     }
-    sheet.finish()?;
+    table.finish()?;
     for (number, route) in (1..).zip(&routes) {
-        notice(&summary(number, route, routes.len()));
+        status_line(&summary(number, route, routes.len()));
     }
-    notice(match certainty {
+    status_line(match certainty {
         RouteCertainty::Proven => "no route is better",
         RouteCertainty::WithinResolution => {
             "no route is better, but for ways that arrive within a second of each other"
@@ -237,7 +237,7 @@ pub async fn policy(session: &Session, args: PolicyArgs) -> anyhow::Result<ExitC
         speed_m_per_s: args.speed,
     };
     let policy = session.client.plan_policy(query).await?;
-    let mut sheet = session.sheet(&POLICY_COLUMNS);
+    let mut table = session.table(&POLICY_COLUMNS);
     for (node, entries) in &policy.nodes {
         for (slot, entry) in (0_i64..).zip(entries) {
             let (action, edge) = match &entry.action {
@@ -249,7 +249,7 @@ pub async fn policy(session: &Session, args: PolicyArgs) -> anyhow::Result<ExitC
             let by = |EdgeEnds { action: by, .. }: &EdgeEnds| {
                 if by.is_empty() { action.to_owned() } else { format!("{action}:{by}") }
             };
-            sheet.row(vec![
+            table.row(vec![
                 Cell::Secs(policy.time_nanos.saturating_add(slot.saturating_mul(policy.slot_nanos))),
                 node.as_str().into(),
                 Cell::maybe(edge.map(|edge| edge.to.as_str())),
@@ -259,6 +259,6 @@ pub async fn policy(session: &Session, args: PolicyArgs) -> anyhow::Result<ExitC
             ])?;
         }
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }

@@ -15,7 +15,7 @@ use super::{
     Session, times,
     topology_picture::{self, Overlay},
 };
-use crate::progress::notice;
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -107,9 +107,9 @@ pub async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode
         as_travelled: args.as_travelled,
     };
     let search = session.client.plan_search(query).await?;
-    let mut sheet = session.sheet(&COLUMNS);
+    let mut table = session.table(&COLUMNS);
     for (step, SearchStep { node, arrival_secs, probability }) in (1_u64..).zip(&search.steps) {
-        sheet.row(vec![
+        table.row(vec![
             Cell::Count(step),
             node.as_str().into(),
             (*arrival_secs).into(),
@@ -117,8 +117,8 @@ pub async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode
             search.expected_secs.into(),
         ])?;
     }
-    sheet.finish()?;
-    summary(&search).iter().for_each(|line| notice(line));
+    table.finish()?;
+    summary(&search).iter().for_each(|line| status_line(line));
     if let Some(path) = &args.picture {
         let way = search.walk.windows(2).map(|pair| (pair[0].0.clone(), pair[1].0.clone(), None)).collect();
         let overlay = Overlay { way, numbered: search.steps.iter().map(|step| step.node.clone()).collect() };

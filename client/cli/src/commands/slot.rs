@@ -46,8 +46,8 @@ pub async fn run(session: &Session, args: SlotArgs) -> anyhow::Result<ExitCode> 
     let (map, at, locations, model, seed) = (args.map, args.at, args.locations, args.model, args.seed);
     let query = SlotQuery { map, time_nanos: at, strategy, locations, model, seed };
     let SlotChoice { location, information_bits, surprise_bits } = session.client.plan_slot(query).await?;
-    let mut sheet = session.sheet(&["location", "information_bits", "surprise_bits"]);
-    sheet.row(vec![Cell::Text(location), information_bits.into(), Cell::maybe(surprise_bits)])?;
-    sheet.finish()?;
+    let mut table = session.table(&["location", "information_bits", "surprise_bits"]);
+    table.row(vec![Cell::Text(location), information_bits.into(), Cell::maybe(surprise_bits)])?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use clap::Subcommand;
 use tidemap_client::maps::{State, StateKind};
 
-use super::{Misused, Session};
+use super::{Session, UsageError};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
@@ -53,26 +53,26 @@ pub async fn run(session: &Session, command: StateCommand) -> anyhow::Result<Exi
             let added = match (kind, dimensions) {
                 (StateKind::Vector, Some(dimensions)) => session.client.add_vector(&map, &state, dimensions).await?,
                 (_, Some(_)) => {
-                    return Err(Misused(format!("--dimensions goes with --kind vector, not {}", kind.name())).into());
+                    return Err(UsageError(format!("--dimensions goes with --kind vector, not {}", kind.name())).into());
                 }
                 (_, None) => session.client.add_state(&map, &state, kind).await?,
             };
-            let mut sheet = session.sheet(&COLUMNS);
-            sheet.row(cells(added))?;
-            sheet.finish()?;
+            let mut table = session.table(&COLUMNS);
+            table.row(cells(added))?;
+            table.finish()?;
             return Ok(ExitCode::SUCCESS);
         }
     };
     let mut page = session.client.states(&map, "").await?;
-    let mut sheet = session.sheet(&COLUMNS);
+    let mut table = session.table(&COLUMNS);
     loop {
         let (states, next) = page;
         for state in states {
-            sheet.row(cells(state))?;
+            table.row(cells(state))?;
         }
         let Some(token) = next else { break };
         page = session.client.states(&map, &token).await?;
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }

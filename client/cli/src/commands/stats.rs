@@ -17,10 +17,10 @@ pub struct StatsArgs {
 
 pub async fn run(session: &Session, args: &StatsArgs) -> anyhow::Result<ExitCode> {
     let statistics = session.client.statistics(args.map.as_deref().unwrap_or("")).await?;
-    let mut sheet = session.sheet(&["name", "value", "unit"]);
+    let mut table = session.table(&["name", "value", "unit"]);
     for statistic in statistics {
-        sheet.row(vec![Cell::Text(statistic.name), statistic.value.into(), Cell::Text(statistic.unit)])?;
+        table.row(vec![Cell::Text(statistic.name), statistic.value.into(), Cell::Text(statistic.unit)])?;
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }

@@ -12,7 +12,7 @@ use anyhow::Context as _;
 use tidemap_client::clock;
 use tidemap_map::time::{InvalidDuration, InvalidTime, parse_duration, parse_time};
 
-use super::Misused;
+use super::UsageError;
 
 /// Most times of one `--from --to --step`.
 const STEPS_MAX: i64 = 10_000_000;
@@ -36,12 +36,14 @@ pub fn duration_or_none(text: &str) -> Result<i64, InvalidDuration> {
 }
 
 /// Times from `from` in steps of `step`, up to but without `to`.
-pub fn steps(from: i64, to: i64, step: i64) -> Result<Vec<i64>, Misused> {
+pub fn steps(from: i64, to: i64, step: i64) -> Result<Vec<i64>, UsageError> {
     if from >= to {
-        return Err(Misused("--from must be before --to, which is not included".to_owned()));
+        return Err(UsageError("--from must be before --to, which is not included".to_owned()));
     }
     if (to - from) / step >= STEPS_MAX {
-        return Err(Misused(format!("--from, --to and --step make more than {STEPS_MAX} times: use a longer --step")));
+        return Err(UsageError(format!(
+            "--from, --to and --step make more than {STEPS_MAX} times: use a longer --step"
+        )));
     }
     Ok(std::iter::successors(Some(from), |time| time.checked_add(step)).take_while(|&time| time < to).collect())
 }

@@ -16,7 +16,7 @@ use tidemap_client::routes::{Edge, EdgeEnds, EdgeFailure, Node, Topology, Topolo
 use tidemap_map::name::EdgeName;
 
 use super::{
-    Misused, Session,
+    Session, UsageError,
     point::Point,
     times,
     topology_picture::{self, Overlay},
@@ -63,14 +63,14 @@ pub enum TopologyCommand {
     /// Shows how likely each edge is passed at a time, and how long it takes
     ///
     /// reports is how often an edge was reported; where that is 0, the row is what edges of the map usually are.
-    Predict(PredictArgs),
+    Predict(EdgeForecastArgs),
     /// Changes one node or edge
     #[command(subcommand)]
     Edit(EditCommand),
 }
 
 #[derive(Debug, Args)]
-pub struct PredictArgs {
+pub struct EdgeForecastArgs {
     /// Name of the map
     map: String,
     /// The time
@@ -240,7 +240,7 @@ pub async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<
         TopologyCommand::Load { map, file, add } => {
             let topology = read(&file)?;
             if topology.nodes.is_empty() && !add {
-                return Err(Misused(format!(
+                return Err(UsageError(format!(
                     "{}: it holds no nodes: write a line `node NAME` for each",
                     file.display()
                 ))
@@ -269,21 +269,21 @@ pub async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<
         }
     };
     let TopologySize { nodes, edges } = size;
-    let mut sheet = session.sheet(&["nodes", "edges"]);
-    sheet.row(vec![nodes.into(), edges.into()])?;
-    sheet.finish()?;
+    let mut table = session.table(&["nodes", "edges"]);
+    table.row(vec![nodes.into(), edges.into()])?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }
 
-async fn predict(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
-    let PredictArgs { map, at, model, speed, picture, object } = args;
+async fn predict(session: &Session, args: EdgeForecastArgs) -> anyhow::Result<ExitCode> {
+    let EdgeForecastArgs { map, at, model, speed, picture, object } = args;
     if let Some(path) = &picture {
         topology_picture::check_ending(path)?;
     }
     let columns = ["from", "to", "action", "probability", "lower", "upper", "duration_secs", "reports"];
-    let mut sheet = session.sheet(&columns);
+    let mut table = session.table(&columns);
     for edge in session.client.predict_edges(&map, at, model, speed).await? {
-        sheet.row(vec![
+        table.row(vec![
             edge.edge.from.as_str().into(),
             edge.edge.to.as_str().into(),
             edge.edge.action.as_str().into(),
@@ -294,7 +294,7 @@ async fn predict(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
             edge.reports.into(),
         ])?;
     }
-    sheet.finish()?;
+    table.finish()?;
     if let Some(path) = &picture {
         let drawn = topology_picture::draw(session, &map, at, model, speed, &object, Overlay::default()).await?;
         fs::write(path, drawn).with_context(|| path.display().to_string())?;
@@ -303,29 +303,29 @@ async fn predict(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
 }
 
 fn show_nodes(session: &Session, topology: Topology) -> io::Result<()> {
-    let mut sheet = session.sheet(&["node", "id", "x", "y", "yaw_rad", "dwell_secs"]);
+    let mut table = session.table(&["node", "id", "x", "y", "yaw_rad", "dwell_secs"]);
     for Node { name, pose, dwell_secs, id } in topology.nodes {
         let [x, y, yaw] = pose.map_or([None; 3], |pose| pose.map(Some));
         let [x, y, yaw, dwell] = [x, y, yaw, dwell_secs].map(Cell::maybe);
-        sheet.row(vec![Cell::Text(name), id.into(), x, y, yaw, dwell])?;
+        table.row(vec![Cell::Text(name), id.into(), x, y, yaw, dwell])?;
     }
-    sheet.finish()
+    table.finish()
 }
 
 fn show_edges(session: &Session, topology: Topology) -> io::Result<()> {
-    let mut sheet = session.sheet(&["from", "to", "action", "id", "duration_secs", "length_m"]);
+    let mut table = session.table(&["from", "to", "action", "id", "duration_secs", "length_m"]);
     for Edge { ends, length_m, nominal_secs, id } in topology.edges {
         let [from, to, action] = [ends.from, ends.to, ends.action].map(Cell::Text);
-        sheet.row(vec![from, to, action, id.into(), Cell::maybe(nominal_secs), Cell::maybe(length_m)])?;
+        table.row(vec![from, to, action, id.into(), Cell::maybe(nominal_secs), Cell::maybe(length_m)])?;
     }
-    sheet.finish()
+    table.finish()
 }
 
 fn show_failures(session: &Session, failures: Vec<EdgeFailure>) -> io::Result<()> {
-    let mut sheet = session.sheet(&["edge", "start", "end", "reason"]);
+    let mut table = session.table(&["edge", "start", "end", "reason"]);
     for EdgeFailure { edge, start_nanos, end_nanos, reason } in failures {
         let [start, end] = [start_nanos, end_nanos].map(|nanos| Cell::time(Some(nanos)));
-        sheet.row(vec![Cell::Text(edge.to_string()), start, end, Cell::Text(reason)])?;
+        table.row(vec![Cell::Text(edge.to_string()), start, end, Cell::Text(reason)])?;
     }
-    sheet.finish()
+    table.finish()
 }

@@ -11,7 +11,7 @@ use tidemap_client::{
 use tidemap_map::time::format_rfc3339;
 use tonic::Code;
 
-use super::{Misused, Session};
+use super::{Session, UsageError};
 use tidemap_formats::topology_svg::{self, DrawnEdge, DrawnNode, TopologyPicture};
 
 /// What is drawn over the map.
@@ -24,11 +24,11 @@ pub struct Overlay {
 }
 
 /// Refuses a file that would not be what its name says.
-pub fn check_ending(path: &Path) -> Result<(), Misused> {
+pub fn check_ending(path: &Path) -> Result<(), UsageError> {
     if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("svg")) {
         return Ok(());
     }
-    Err(Misused(format!("--picture {}: its ending has to be .svg", path.display())))
+    Err(UsageError(format!("--picture {}: its ending has to be .svg", path.display())))
 }
 
 /// The map at a time.

@@ -11,8 +11,8 @@ use tidemap_client::{
     queries::{GridOutput, GridQuery, ModelSelector},
 };
 
-use super::{Misused, Session, grid, point::Point, predict::check_for_cells, times};
-use crate::progress::notice;
+use super::{Session, UsageError, grid, point::Point, predict::check_for_cells, times};
+use crate::progress::status_line;
 use tidemap_formats::{table::Cell, tour_svg};
 
 #[derive(Debug, Args)]
@@ -70,7 +70,7 @@ pub async fn run(session: &Session, args: TourArgs) -> anyhow::Result<ExitCode> 
     if let Some(path) = &args.picture
         && path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("svg"))
     {
-        return Err(Misused(format!("--picture {}: its ending has to be .svg", path.display())).into());
+        return Err(UsageError(format!("--picture {}: its ending has to be .svg", path.display())).into());
     }
     let query = TourQuery {
         map: args.map.clone(),
@@ -93,16 +93,16 @@ pub async fn run(session: &Session, args: TourArgs) -> anyhow::Result<ExitCode> 
         fs::write(path, svg).with_context(|| path.display().to_string())?;
     }
     if tour.steps.is_empty() {
-        notice(&format!("no tour: {}", tour.reason));
+        status_line(&format!("no tour: {}", tour.reason));
     } else {
         let Tour { length_m, duration_secs, information_bits, candidates, .. } = &tour;
-        notice(&format!(
+        status_line(&format!(
             "{length_m:.1} m in {duration_secs:.0} s for {information_bits:.0} bits, chosen from {candidates} places"
         ));
     }
-    let mut sheet = session.sheet(&COLUMNS);
+    let mut table = session.table(&COLUMNS);
     for (step, goal) in (1_u64..).zip(&tour.steps) {
-        sheet.row(vec![
+        table.row(vec![
             Cell::Count(step),
             goal.at_m[0].into(),
             goal.at_m[1].into(),
@@ -111,7 +111,7 @@ pub async fn run(session: &Session, args: TourArgs) -> anyhow::Result<ExitCode> 
             goal.arrival_secs.into(),
         ])?;
     }
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }
 

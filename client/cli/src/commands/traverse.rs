@@ -8,8 +8,8 @@ use std::{path::PathBuf, process::ExitCode, time::Duration};
 use clap::Args;
 use tidemap_client::observe::{ProducerOptions, Traversal};
 
-use super::{Misused, Session, observe, observe::feed, times};
-use crate::progress::{Bar, notice};
+use super::{Session, UsageError, observe, observe::feed, times};
+use crate::progress::{Bar, status_line};
 use tidemap_formats::{
     observation_file::traversals::{TraversalColumns, parse_success},
     table::Cell,
@@ -91,7 +91,7 @@ pub async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Result<ExitC
     }
     let report = args.report();
     if let Some(wrong) = report.wrong() {
-        return Err(Misused(wrong).into());
+        return Err(UsageError(wrong).into());
     }
     let bar = Bar::bytes(None);
     let (mut producer, notices) = observe::opened(session, args.options()?, &bar).await?;
@@ -101,9 +101,9 @@ pub async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Result<ExitC
     bar.clear();
     let refusals = producer.take_refusals();
     let refused = u64::from(!refusals.is_empty());
-    let mut sheet = session.sheet(&["read", "accepted", "duplicate", "refused"]);
-    sheet.row([1, 1 - refused, 0, refused].map(Cell::from).to_vec())?;
-    sheet.finish()?;
-    refusals.iter().for_each(|refusal| notice(&format!("the report is refused: {}", refusal.detail)));
+    let mut table = session.table(&["read", "accepted", "duplicate", "refused"]);
+    table.row([1, 1 - refused, 0, refused].map(Cell::from).to_vec())?;
+    table.finish()?;
+    refusals.iter().for_each(|refusal| status_line(&format!("the report is refused: {}", refusal.detail)));
     Ok(if refusals.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

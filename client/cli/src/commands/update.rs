@@ -9,7 +9,7 @@ use tidemap_client::updates::JobState;
 use tonic::Code;
 
 use super::{Session, job, times};
-use crate::progress::notice;
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -30,12 +30,12 @@ pub async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCod
     if ended.state == JobState::Failed {
         anyhow::bail!(job::failure(&ended));
     }
-    let mut sheet = session.sheet(&COLUMNS);
+    let mut table = session.table(&COLUMNS);
     let (mut token, mut states) = (Some(String::new()), 0_u64);
     while let Some(page_token) = token {
         let page = client.update_report(started.id, &page_token).await;
         if page.as_ref().is_err_and(|error| error.code() == Some(Code::NotFound)) {
-            notice(&format!(
+            status_line(&format!(
                 "the update is done, but another one followed at once: `tidemap job list` shows job {}",
                 started.id
             ));
@@ -44,7 +44,7 @@ pub async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCod
         let (updates, next) = page?;
         for update in updates {
             states += 1;
-            sheet.row(vec![
+            table.row(vec![
                 Cell::Text(update.state),
                 update.order_before.into(),
                 update.order.into(),
@@ -56,9 +56,9 @@ pub async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCod
         }
         token = next;
     }
-    sheet.finish()?;
+    table.finish()?;
     if states == 0 && ended.observations == 0 {
-        notice(&format!("map {:?} has no observations to fold in", args.map));
+        status_line(&format!("map {:?} has no observations to fold in", args.map));
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -30,7 +30,7 @@ pub(super) struct Daemon {
 }
 
 /// A daemon that was kept.
-pub(super) struct Kept {
+pub(super) struct KeptDaemon {
     pub(super) pid: u32,
     pub(super) folder: PathBuf,
 }
@@ -70,9 +70,9 @@ impl Daemon {
     }
 
     /// Leaves the daemon running, with its folder.
-    pub(super) fn keep(mut self) -> Kept {
+    pub(super) fn keep(mut self) -> KeptDaemon {
         let folder = self.folder.take().map(TempDir::keep).unwrap_or_default();
-        Kept { pid: self.child.id(), folder }
+        KeptDaemon { pid: self.child.id(), folder }
     }
 
     fn wait_until_ready(&mut self) -> anyhow::Result<String> {

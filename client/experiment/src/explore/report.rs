@@ -9,7 +9,7 @@ use std::{
 
 use super::{Exploration, PlacesProtocol, WEEK_DAYS, picture};
 use crate::report::file;
-use tidemap_formats::table::{Cell, Format, Sheet};
+use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Writes a row per pair.
 ///
@@ -27,7 +27,7 @@ pub fn summary<W: Write>(
         columns.push(format!("weeks_{first}_{last}_standard_error"));
     }
     columns.push("visits_per_day".to_owned());
-    let mut sheet = Sheet::new(format, &columns, writer);
+    let mut table = TableWriter::new(format, &columns, writer);
     for pair in &outcome.pairs {
         let mut cells = vec![Cell::from(pair.plan.name()), Cell::Text(pair.model.name())];
         let apart = protocol.weeks.map(|(first, last)| (first - 1) * WEEK_DAYS..last * WEEK_DAYS);
@@ -37,9 +37,9 @@ pub fn summary<W: Write>(
             cells.push(Cell::maybe(error.standard_error.map(|error| 100.0 * error)));
         }
         cells.push(pair.visits_per_day.into());
-        sheet.row(cells)?;
+        table.row(cells)?;
     }
-    sheet.finish()
+    table.finish()
 }
 
 /// Writes the files of an exploration into its folder, which exists.
@@ -51,11 +51,12 @@ pub fn write(protocol: &PlacesProtocol, outcome: &Exploration, folder: &Path) ->
 
 /// Every pair's error in every week; the last week may be short.
 fn weeks<W: Write>(outcome: &Exploration, writer: W) -> io::Result<()> {
-    let mut sheet = Sheet::new(Format::Csv, &["strategy", "model", "week", "error_percent", "standard_error"], writer);
+    let mut table =
+        TableWriter::new(Format::Csv, &["strategy", "model", "week", "error_percent", "standard_error"], writer);
     for pair in &outcome.pairs {
         for (week, from) in (1_u64..).zip((0..outcome.days).step_by(WEEK_DAYS)) {
             let error = pair.error(from..outcome.days.min(from + WEEK_DAYS));
-            sheet.row(vec![
+            table.row(vec![
                 Cell::from(pair.plan.name()),
                 Cell::Text(pair.model.name()),
                 week.into(),
@@ -64,5 +65,5 @@ fn weeks<W: Write>(outcome: &Exploration, writer: W) -> io::Result<()> {
             ])?;
         }
     }
-    sheet.finish()
+    table.finish()
 }

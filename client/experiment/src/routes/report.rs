@@ -9,7 +9,7 @@ use std::{
 
 use super::{RouteComparison, picture};
 use crate::report::file;
-use tidemap_formats::table::{Cell, Format, Sheet};
+use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Writes a row per robot.
 ///
@@ -33,11 +33,11 @@ pub fn summary<W: Write>(outcome: &RouteComparison, format: Format, writer: W) -
         "failures_per_task",
         "secs_per_task",
     ];
-    let mut sheet = Sheet::new(format, &columns, writer);
+    let mut table = TableWriter::new(format, &columns, writer);
     for course in &outcome.courses {
         let trend = outcome.trend(course, 0..outcome.weeks);
         let later = outcome.trend(course, 1..outcome.weeks);
-        sheet.row(vec![
+        table.row(vec![
             course.kind.name().into(),
             course.failures(0..1).mean.into(),
             course.failures(outcome.weeks - 1..outcome.weeks).mean.into(),
@@ -52,7 +52,7 @@ pub fn summary<W: Write>(outcome: &RouteComparison, format: Format, writer: W) -
             course.secs_per_task(late.clone()).mean.into(),
         ])?;
     }
-    sheet.finish()
+    table.finish()
 }
 
 /// Writes the files of the experiment into its folder, which exists.
@@ -65,11 +65,11 @@ pub fn write(outcome: &RouteComparison, folder: &Path) -> anyhow::Result<()> {
 /// Every robot in every week, mean over seeds.
 fn weeks<W: Write>(outcome: &RouteComparison, writer: W) -> io::Result<()> {
     let columns = ["robot", "week", "failures", "standard_error", "failures_per_task", "secs_per_task"];
-    let mut sheet = Sheet::new(Format::Csv, &columns, writer);
+    let mut table = TableWriter::new(Format::Csv, &columns, writer);
     for course in &outcome.courses {
         for week in 0..outcome.weeks {
             let failures = course.failures(week..week + 1);
-            sheet.row(vec![
+            table.row(vec![
                 course.kind.name().into(),
                 (week as u64 + 1).into(),
                 failures.mean.into(),
@@ -79,5 +79,5 @@ fn weeks<W: Write>(outcome: &RouteComparison, writer: W) -> io::Result<()> {
             ])?;
         }
     }
-    sheet.finish()
+    table.finish()
 }

@@ -9,7 +9,7 @@ use std::{
 
 use super::{SearchComparison, SearchProtocol};
 use crate::report::file;
-use tidemap_formats::table::{Cell, Format, Sheet};
+use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Writes a row per model.
 ///
@@ -26,7 +26,7 @@ pub fn summary<W: Write>(outcome: &SearchComparison, format: Format, writer: W) 
         "three_quarters_secs",
         "p90_secs",
     ];
-    let mut sheet = Sheet::new(format, &columns, writer);
+    let mut table = TableWriter::new(format, &columns, writer);
     for row in &outcome.rows {
         let mut cells = vec![
             Cell::Text(row.label.clone()),
@@ -35,9 +35,9 @@ pub fn summary<W: Write>(outcome: &SearchComparison, format: Format, writer: W) 
             row.found.mean_secs().into(),
         ];
         cells.extend([0.5, 0.25, 0.75, 0.9].map(|share| Cell::from(row.found.quantile_secs(share))));
-        sheet.row(cells)?;
+        table.row(cells)?;
     }
-    sheet.finish()
+    table.finish()
 }
 
 /// Writes the files of an experiment into its folder, which exists.
@@ -52,11 +52,11 @@ pub fn write(protocol: &SearchProtocol, outcome: &SearchComparison, folder: &Pat
 /// Every candidate on every fold.
 fn trials<W: Write>(protocol: &SearchProtocol, outcome: &SearchComparison, writer: W) -> io::Result<()> {
     let columns = ["model", "parameters", "fold", "mean_secs", "mean_of_folds_secs", "chosen"];
-    let mut sheet = Sheet::new(Format::Csv, &columns, writer);
+    let mut table = TableWriter::new(Format::Csv, &columns, writer);
     for trial in &outcome.trials {
         let model = &protocol.models[trial.model];
         for (number, &mean_secs) in (1_u64..).zip(&trial.folds) {
-            sheet.row(vec![
+            table.row(vec![
                 Cell::Text(model.label.clone()),
                 model.candidates[trial.candidate].shown().into(),
                 number.into(),
@@ -66,5 +66,5 @@ fn trials<W: Write>(protocol: &SearchProtocol, outcome: &SearchComparison, write
             ])?;
         }
     }
-    sheet.finish()
+    table.finish()
 }

@@ -4,11 +4,11 @@ use super::*;
 
 fn written(format: Format, rows: &[Vec<Cell>]) -> io::Result<String> {
     let mut bytes = Vec::new();
-    let mut sheet = Sheet::new(format, &["state", "n", "p", "time"], &mut bytes);
+    let mut table = TableWriter::new(format, &["state", "n", "p", "time"], &mut bytes);
     for row in rows {
-        sheet.row(row.clone())?;
+        table.row(row.clone())?;
     }
-    sheet.finish()?;
+    table.finish()?;
     String::from_utf8(bytes).map_err(io::Error::other)
 }
 
@@ -76,8 +76,8 @@ impl Write for Gone {
 
 #[test]
 fn a_reader_that_has_gone_away_is_told_by_its_kind() {
-    let mut sheet = Sheet::new(Format::Csv, &["a"], Gone);
-    let result = sheet.row(vec![Cell::Empty]);
+    let mut table = TableWriter::new(Format::Csv, &["a"], Gone);
+    let result = table.row(vec![Cell::Empty]);
     assert_eq!(result.map_err(|error| error.kind()), Err(io::ErrorKind::BrokenPipe));
 }
 
@@ -116,23 +116,23 @@ fn rows_that_come_one_by_one_are_whole_lines_at_once() -> io::Result<()> {
         ),
     ] {
         let mut kept = Flushed::default();
-        let mut sheet = Sheet::new(format, &["state", "n", "p", "time"], &mut kept).live()?;
+        let mut table = TableWriter::new(format, &["state", "n", "p", "time"], &mut kept).live()?;
         for row in 1..=2 {
-            sheet.row(rows().remove(1))?;
-            assert!(!sheet.writer.unflushed, "row {row}");
-            assert!(sheet.writer.written.ends_with('\n'));
+            table.row(rows().remove(1))?;
+            assert!(!table.writer.unflushed, "row {row}");
+            assert!(table.writer.written.ends_with('\n'));
         }
-        sheet.finish()?;
+        table.finish()?;
         assert_eq!(kept.written, expected);
     }
     // Before the first row there is the header, and at the end something that can be read.
     let mut kept = Flushed::default();
-    let sheet = Sheet::new(Format::Csv, &["state"], &mut kept).live()?;
-    assert_eq!((sheet.writer.written.as_str(), sheet.writer.unflushed), ("state\n", false));
-    sheet.finish()?;
+    let table = TableWriter::new(Format::Csv, &["state"], &mut kept).live()?;
+    assert_eq!((table.writer.written.as_str(), table.writer.unflushed), ("state\n", false));
+    table.finish()?;
     assert_eq!(kept.written, "state\n");
     let mut kept = Flushed::default();
-    Sheet::new(Format::Json, &["state"], &mut kept).live()?.finish()?;
+    TableWriter::new(Format::Json, &["state"], &mut kept).live()?.finish()?;
     assert_eq!(kept.written, "[]\n");
     Ok(())
 }

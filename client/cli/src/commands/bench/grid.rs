@@ -4,11 +4,11 @@
 //! daemon. Updates run as midnights of the data pass, those that pass while one runs joined into one, and count.
 
 mod feed;
-mod made;
-mod nights;
 mod office;
 mod probe;
 mod quality;
+mod recorded_scans;
+mod updates;
 
 use std::{
     path::PathBuf,
@@ -21,9 +21,9 @@ use tidemap_client::{
     maps::{Grid, NewMap},
 };
 
-use self::{made::Made, nights::Nights, probe::Probe};
+use self::{probe::Probe, recorded_scans::RecordedScans, updates::UpdateTimes};
 use super::{DaemonProcess, Figures, machine::CpuTimes, updated};
-use crate::{commands::times, progress::notice};
+use crate::{commands::times, progress::status_line};
 use tidemap_formats::table::Cell;
 
 #[derive(Clone, Debug, Args)]
@@ -102,30 +102,30 @@ impl GridArgs {
 pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::Result<Figures> {
     let folder = tempfile::tempdir()?;
     let path = args.file.clone().unwrap_or_else(|| folder.path().join("bench.tms"));
-    let made = if args.existing().is_some() {
-        let made = Made::look(&path)?;
-        notice(&format!(
+    let recorded = if args.existing().is_some() {
+        let recorded = RecordedScans::inspect(&path)?;
+        status_line(&format!(
             "sending {} as it is: --days, --cells, --scans-per-day and what else the office is like are not used for it",
             path.display()
         ));
         anyhow::ensure!(
-            args.compare == 0 || made.is_of(args)?,
+            args.compare == 0 || recorded.matches(args)?,
             "{} is not of the office that the options describe: --compare takes the options that it was made with",
             path.display()
         );
-        Some(made)
+        Some(recorded)
     } else {
         let began = Instant::now();
-        notice(&format!("making {} days of scans in {}", args.days, path.display()));
+        status_line(&format!("making {} days of scans in {}", args.days, path.display()));
         let (of, to) = (args.clone(), path.clone());
         let bytes = tokio::task::spawn_blocking(move || office::write(&to, &of)).await??;
-        notice(&format!("{bytes} bytes in {:.1} s, which do not count", began.elapsed().as_secs_f64()));
+        status_line(&format!("{bytes} bytes in {:.1} s, which do not count", began.elapsed().as_secs_f64()));
         None
     };
-    notice(&format!(
+    status_line(&format!(
         "sending to map {map}; updates as midnights of the data pass; those that pass while one runs are joined"
     ));
-    let nights = Nights::watch(client, map);
+    let updates = UpdateTimes::watch(client, map);
     let pause = Duration::from_nanos(args.probe_pause.unsigned_abs());
     let probe = args.probe.then(|| Probe::start(client, map, pause));
     let (before, began) = (CpuTimes::now(args.process), Instant::now());
@@ -135,11 +135,11 @@ pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::
     updated(client, map).await?;
     let secs = began.elapsed().as_secs_f64();
     let after = CpuTimes::now(args.process);
-    let nights = nights.ended(client).await?;
+    let updates = updates.ended(client).await?;
     let statistics = client.statistics(map).await?;
     let figure = |name: &str| Cell::maybe(statistics.iter().find(|row| row.name == name).map(|row| row.value));
     let summary = client.map(map).await?.grid_summary.unwrap_or_default();
-    let scans_per_day = made.map_or(Some(f64::from(args.scans_per_day)), |made| made.scans_per_day());
+    let scans_per_day = recorded.map_or(Some(f64::from(args.scans_per_day)), |recorded| recorded.scans_per_day());
     let days = scans_per_day.map(|a_day| fed.scans as f64 / a_day);
     let mut figures = vec![
         ("scans", Cell::from(fed.scans)),
@@ -155,9 +155,9 @@ pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::
         ("feeder_cpu_secs", after.feeder_since(before)),
         ("daemon_cpu_secs", after.daemon_since(before)),
         ("daemon_peak_rss_bytes", CpuTimes::daemon_peak_bytes(args.process)),
-        ("updates", nights.count().into()),
-        ("update_mean_secs", Cell::maybe(nights.mean_secs())),
-        ("update_max_secs", Cell::maybe(nights.max_secs())),
+        ("updates", updates.count().into()),
+        ("update_mean_secs", Cell::maybe(updates.mean_secs())),
+        ("update_max_secs", Cell::maybe(updates.max_secs())),
         ("log_bytes", figure("log_bytes")),
         ("checkpoint_bytes", figure("checkpoint_bytes")),
         ("history_bytes", figure("history_bytes")),

@@ -17,7 +17,7 @@ use tidemap_client::{
 use tokio::task::JoinSet;
 
 use super::{DaemonProcess, Figures, machine::CpuTimes};
-use crate::progress::notice;
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -40,7 +40,7 @@ const LATENCY_MAX_MICROS: u64 = 600_000_000;
 const DIGITS: u8 = 3;
 
 pub(super) async fn run(client: &Client, map: &str, args: &LatencyArgs) -> anyhow::Result<Figures> {
-    notice(&format!("{} observations a second on {} streams for {} s", args.rate, args.streams, args.secs));
+    status_line(&format!("{} observations a second on {} streams for {} s", args.rate, args.streams, args.secs));
     let mut producers = Vec::new();
     for stream in 0..args.streams {
         producers.push(Producer::open(client, ProducerOptions::new(&format!("bench-{stream}"), "", map)).await?);

@@ -40,7 +40,7 @@ pub(super) struct Load {
 
 /// What it took.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Taken {
+pub(super) struct FeedRate {
     /// From the first batch to the last acknowledgement.
     pub(super) elapsed: Duration,
     pub(super) refused: u64,
@@ -48,7 +48,7 @@ pub(super) struct Taken {
 
 impl Load {
     /// Sends everything and waits until it is durable.
-    pub(super) async fn send(&self, client: &Client) -> anyhow::Result<Taken> {
+    pub(super) async fn send(&self, client: &Client) -> anyhow::Result<FeedRate> {
         let names: Arc<[Box<str>]> = (0..self.states).map(|state| self.name(state).into()).collect();
         let mut opening = JoinSet::new();
         for stream in 0..self.streams {
@@ -65,7 +65,7 @@ impl Load {
         while let Some(stream) = running.join_next().await {
             refused += stream??;
         }
-        Ok(Taken { elapsed: began.elapsed(), refused })
+        Ok(FeedRate { elapsed: began.elapsed(), refused })
     }
 
     pub(super) fn name(&self, state: u64) -> String {

@@ -13,11 +13,11 @@ use super::{
     machine::CpuTimes,
     updated,
 };
-use crate::progress::notice;
+use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct ObserveArgs {
+pub struct ObserveBenchArgs {
     /// Streams at a time
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     streams: u64,
@@ -43,7 +43,7 @@ const START_NANOS: i64 = 1_577_836_800 * NANOS_PER_SEC;
 const STEP_NANOS: i64 = NANOS_PER_SEC / 8;
 const MICRO_NANOS: i64 = 1_000;
 
-pub(super) async fn run(client: &Client, map: &str, args: &ObserveArgs) -> anyhow::Result<Figures> {
+pub(super) async fn run(client: &Client, map: &str, args: &ObserveBenchArgs) -> anyhow::Result<Figures> {
     let load = Load {
         map: map.to_owned(),
         streams: args.streams,
@@ -53,7 +53,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &ObserveArgs) -> anyho
         batch: args.batch,
         observation,
     };
-    notice(&format!("sending {} observations on {} streams to map {map}", args.observations, args.streams));
+    status_line(&format!("sending {} observations on {} streams to map {map}", args.observations, args.streams));
     let before = CpuTimes::now(args.process);
     let taken = load.send(client).await?;
     let sent = CpuTimes::now(args.process);

@@ -18,10 +18,10 @@ use super::{
     machine::CpuTimes,
     updated,
 };
-use crate::progress::notice;
+use crate::progress::status_line;
 
 #[derive(Debug, Args)]
-pub struct PredictArgs {
+pub struct PredictBenchArgs {
     /// States to predict
     #[arg(long, value_name = "N", default_value_t = 1_000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     states: u64,
@@ -42,7 +42,7 @@ const HOURS: u64 = 4 * 7 * 24;
 /// As long as it takes for the figure to stand.
 const MEASURED: Duration = Duration::from_secs(5);
 
-pub(super) async fn run(client: &Client, map: &str, args: &PredictArgs) -> anyhow::Result<Figures> {
+pub(super) async fn run(client: &Client, map: &str, args: &PredictBenchArgs) -> anyhow::Result<Figures> {
     let load = Load {
         map: map.to_owned(),
         streams: 4,
@@ -52,7 +52,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &PredictArgs) -> anyho
         batch: 4096,
         observation,
     };
-    notice(&format!("sending four weeks of {} states to map {map}", args.states));
+    status_line(&format!("sending four weeks of {} states to map {map}", args.states));
     load.send(client).await?;
     updated(client, map).await?;
     let states: Vec<String> = (0..args.states).map(|state| load.name(state)).collect();
@@ -60,7 +60,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &PredictArgs) -> anyho
     let times: Vec<i64> = (0..i64::from(args.times)).map(|i| future + i * 61 * NANOS_PER_SEC).collect();
     let model = ModelSelector { kind: ModelKind::Spectral, order: Some(args.order), ..ModelSelector::default() };
 
-    notice("predicting");
+    status_line("predicting");
     asked(client, map, &states, &times, model).await?;
     let before = CpuTimes::now(args.process);
     let (began, mut rounds) = (Instant::now(), 0_u64);

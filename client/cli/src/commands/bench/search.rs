@@ -26,11 +26,11 @@ use super::{
     machine::CpuTimes,
     updated,
 };
-use crate::{commands::topology::from_file, progress::notice};
+use crate::{commands::topology::from_file, progress::status_line};
 use tidemap_formats::{table::Cell, topology::read_lines};
 
 #[derive(Debug, Args)]
-pub struct SearchArgs {
+pub struct SearchBenchArgs {
     /// Nodes to look at, in a tree
     #[arg(long, value_name = "N", default_value_t = 9, value_parser = clap::value_parser!(u64).range(2..=1_000))]
     nodes: u64,
@@ -63,7 +63,7 @@ const READING_NANOS: i64 = 10 * MINUTE_NANOS;
 const ANSWER_MAX_MICROS: u64 = 600_000_000;
 const DIGITS: u8 = 3;
 
-pub(super) async fn run(client: &Client, map: &str, args: &SearchArgs) -> anyhow::Result<Figures> {
+pub(super) async fn run(client: &Client, map: &str, args: &SearchBenchArgs) -> anyhow::Result<Figures> {
     let shape = match &args.topology {
         Some(path) => {
             let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
@@ -84,7 +84,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &SearchArgs) -> anyhow
     };
     let topology = renamed(&shape, &load)?;
     client.load_topology(map, &topology, false).await?;
-    notice(&format!("sending four weeks of {states} nodes to map {map}"));
+    status_line(&format!("sending four weeks of {states} nodes to map {map}"));
     load.send(client).await?;
     updated(client, map).await?;
 
@@ -96,7 +96,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &SearchArgs) -> anyhow
         model: args.model,
         ..SearchQuery::default()
     };
-    notice("searching");
+    status_line("searching");
     // What is made once is made.
     for number in 0..100 {
         client.plan_search(query(number)).await?;

@@ -20,7 +20,7 @@ const OFF_MAX: f64 = 0.01;
 
 /// What a map is on a grid.
 #[derive(Debug)]
-pub struct OnGrid {
+pub struct GridMasks {
     /// Its tiles.
     pub tiles: Vec<(TileIndex, TileMasks)>,
     /// What is worth knowing about how it was fitted in.
@@ -29,7 +29,7 @@ pub struct OnGrid {
 
 /// How the cells of a map lie in those of a grid.
 #[derive(Clone, Copy, Debug)]
-struct Fit {
+struct CellFit {
     /// Cells of the grid along one of the map.
     times: i64,
     /// Cell of the grid where the map's cell (0, 0, 0) begins.
@@ -37,7 +37,7 @@ struct Fit {
     off_cells: f64,
 }
 
-impl Fit {
+impl CellFit {
     fn new(resolution_m: f64, origin_m: [f64; 3], grid: &Grid) -> anyhow::Result<Self> {
         let ratio = resolution_m / grid.resolution_m;
         let times = ratio.round();
@@ -65,16 +65,16 @@ impl Fit {
     }
 }
 
-/// Tiles that are being filled.
+/// TileFill that are being filled.
 #[derive(Debug)]
-struct Tiles {
+struct TileFill {
     /// Observed and occupied cells.
     tiles: HashMap<TileIndex, [Mask; 2]>,
     /// The cells that there may be.
     allowed: ([i64; 3], [i64; 3]),
 }
 
-impl Tiles {
+impl TileFill {
     fn new(grid: &Grid) -> Self {
         let far = i64::from(i32::MAX / 4);
         let (mut min, mut max) = ([-far; 3], [far; 3]);
@@ -143,22 +143,22 @@ fn row_bits(from: u32, to: u32) -> u64 {
 }
 
 /// The known cells of an OctoMap.
-pub fn of_octomap(map: &OctoMap, grid: &Grid) -> anyhow::Result<OnGrid> {
-    let fit = Fit::new(map.resolution_m, [0.0; 3], grid)?;
-    let mut tiles = Tiles::new(grid);
+pub fn of_octomap(map: &OctoMap, grid: &Grid) -> anyhow::Result<GridMasks> {
+    let fit = CellFit::new(map.resolution_m, [0.0; 3], grid)?;
+    let mut tiles = TileFill::new(grid);
     for leaf in &map.leaves {
         let cells = fit.cells(leaf.min_cell.map(i64::from), [i64::from(leaf.size_cells); 3]);
         tiles.fill(cells, leaf.occupied)?;
     }
     let also = grid.is_flat.then_some("the grid is flat: only the layer z = 0 is used");
-    Ok(OnGrid { tiles: tiles.into_seen(), notice: fit.notice(also) })
+    Ok(GridMasks { tiles: tiles.into_seen(), notice: fit.notice(also) })
 }
 
 /// The known cells of a grid in the plane.
-pub fn of_plane(map: &nav2::Grid, grid: &Grid) -> anyhow::Result<OnGrid> {
+pub fn of_plane(map: &nav2::Grid, grid: &Grid) -> anyhow::Result<GridMasks> {
     let [x_m, y_m] = map.origin_m;
-    let fit = Fit::new(map.resolution_m, [x_m, y_m, grid.origin_m[2]], grid)?;
-    let mut tiles = Tiles::new(grid);
+    let fit = CellFit::new(map.resolution_m, [x_m, y_m, grid.origin_m[2]], grid)?;
+    let mut tiles = TileFill::new(grid);
     // A map in the plane is one layer of the grid, however wide its cells.
     tiles.allowed.0[2] = tiles.allowed.0[2].max(0);
     tiles.allowed.1[2] = tiles.allowed.1[2].min(1);
@@ -169,7 +169,7 @@ pub fn of_plane(map: &nav2::Grid, grid: &Grid) -> anyhow::Result<OnGrid> {
         }
     }
     let also = (!grid.is_flat).then_some("the map is flat: its cells are those of the layer z = 0");
-    Ok(OnGrid { tiles: tiles.into_seen(), notice: fit.notice(also) })
+    Ok(GridMasks { tiles: tiles.into_seen(), notice: fit.notice(also) })
 }
 
 #[cfg(test)]

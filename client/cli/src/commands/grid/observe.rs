@@ -15,19 +15,19 @@ use anyhow::Context as _;
 use clap::Args;
 use tidemap_client::observe::{ProducerOptions, Sensor, scan::Pose};
 
-use self::transfer::Transfer;
+use self::transfer::ScanTransfer;
 use super::{grid_of, place, scans, sensor};
 use crate::{
     commands::{
         Session,
-        observe::{INTERRUPTED, LAST_FLUSH, feed::Told, nights, opened, transfer::Ended},
+        observe::{INTERRUPTED, LAST_FLUSH, feed::RefusalReport, nights, opened, transfer::TransferEnd},
         producer_id, times,
     },
-    progress::notice,
+    progress::status_line,
 };
 
 #[derive(Debug, Args)]
-pub struct ObserveArgs {
+pub struct GridObserveArgs {
     /// Name of the map
     map: String,
     /// Files; several are as many scans
@@ -71,8 +71,8 @@ fn range(text: &str) -> Result<f32, String> {
     text.parse::<f32>().ok().filter(|range| range.is_finite() && *range >= 0.0).ok_or_else(right)
 }
 
-pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
-    let given = scans::Given {
+pub async fn run(session: &Session, args: GridObserveArgs) -> anyhow::Result<ExitCode> {
+    let given = scans::ScanOptions {
         at_nanos: args.at,
         every_nanos: args.every,
         pose: args.pose,
@@ -86,21 +86,23 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
     let (producer, label) = (options.producer.clone(), options.label.clone());
     let mut transfer = {
         let (producer, notices) = opened(session, options, &bar).await?;
-        Transfer::new(producer, notices, chunks, Told::of(bar.clone(), "scan", "is refused"), bar.clone())
+        ScanTransfer::new(producer, notices, chunks, RefusalReport::of(bar.clone(), "scan", "is refused"), bar.clone())
     };
     if transfer.sent_before() > 0 {
         let scans = transfer.sent_before();
-        bar.notice(&format!("{producer} sent {scans} scans as {label} before; they are compared and not sent again"));
+        bar.status_line(&format!(
+            "{producer} sent {scans} scans as {label} before; they are compared and not sent again"
+        ));
     }
     let sent = async {
         match transfer.run().await {
-            Ended::Whole if args.nightly => {
-                nights(session, &args.map, &bar).await.map_or_else(Ended::Nights, |()| Ended::Whole)
+            TransferEnd::Whole if args.nightly => {
+                nights(session, &args.map, &bar).await.map_or_else(TransferEnd::Nights, |()| TransferEnd::Whole)
             }
             // What came before counts.
-            Ended::Unreadable(error) => match transfer.flush().await {
-                Ok(()) => Ended::Unreadable(error),
-                Err(stopped) => Ended::Stopped(stopped),
+            TransferEnd::Unreadable(error) => match transfer.flush().await {
+                Ok(()) => TransferEnd::Unreadable(error),
+                Err(stopped) => TransferEnd::Stopped(stopped),
             },
             ended => ended,
         }
@@ -109,34 +111,34 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
         ended = sent => ended,
         signal = tokio::signal::ctrl_c() => {
             signal.context("signals")?;
-            Ended::Interrupted
+            TransferEnd::Interrupted
         }
     };
-    if matches!(ended, Ended::Interrupted) {
-        bar.notice("interrupted; waiting for what is under way");
+    if matches!(ended, TransferEnd::Interrupted) {
+        bar.status_line("interrupted; waiting for what is under way");
         let _ = tokio::time::timeout(LAST_FLUSH, transfer.flush()).await;
     }
     bar.clear();
     let counts = transfer.counts();
-    if !matches!(ended, Ended::Differs(_)) {
+    if !matches!(ended, TransferEnd::Differs(_)) {
         // The daemon counts cells: it casts the rays. What others observe on this map meanwhile counts as well.
         let cells = grid_of(session, &args.map).await.map_or(0, |(_, cells)| cells.saturating_sub(cells_before));
-        let mut sheet = session.sheet(&["scans", "cells", "refused", "duplicate"]);
-        sheet.row(vec![counts.accepted.into(), cells.into(), counts.refused.into(), counts.duplicate.into()])?;
-        sheet.finish()?;
+        let mut table = session.table(&["scans", "cells", "refused", "duplicate"]);
+        table.row(vec![counts.accepted.into(), cells.into(), counts.refused.into(), counts.duplicate.into()])?;
+        table.finish()?;
     }
     transfer.told.conclude();
     match ended {
-        Ended::Whole if transfer.told.all_well() => Ok(ExitCode::SUCCESS),
-        Ended::Whole => Ok(ExitCode::FAILURE),
-        Ended::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
-        Ended::Unreadable(error) => Err(error),
-        Ended::Nights(error) => Err(error.context("everything was sent, but the nightly updates failed")),
-        Ended::Stopped(error) => {
-            notice("the same command again sends what is missing");
+        TransferEnd::Whole if transfer.told.all_well() => Ok(ExitCode::SUCCESS),
+        TransferEnd::Whole => Ok(ExitCode::FAILURE),
+        TransferEnd::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
+        TransferEnd::Unreadable(error) => Err(error),
+        TransferEnd::Nights(error) => Err(error.context("everything was sent, but the nightly updates failed")),
+        TransferEnd::Stopped(error) => {
+            status_line("the same command again sends what is missing");
             Err(error.into())
         }
-        Ended::Differs(how) => anyhow::bail!(
+        TransferEnd::Differs(how) => anyhow::bail!(
             "{} differs from what {producer} sent as {label}: {how}; nothing was sent. Other scans need another --label",
             shown(&args.files)
         ),
@@ -151,7 +153,7 @@ fn shown(files: &[PathBuf]) -> String {
     }
 }
 
-fn options(args: &ObserveArgs) -> anyhow::Result<ProducerOptions> {
+fn options(args: &GridObserveArgs) -> anyhow::Result<ProducerOptions> {
     let producer = match &args.producer {
         Some(producer) => producer.clone(),
         None => producer_id::usual()?,
@@ -159,7 +161,7 @@ fn options(args: &ObserveArgs) -> anyhow::Result<ProducerOptions> {
     let base = args.files.first().and_then(|file| Path::file_name(file));
     let label = args.label.clone().or_else(|| Some(base?.to_string_lossy().into_owned())).unwrap_or_default();
     if args.producer.is_none() {
-        notice(&format!("observing as producer {producer}, label {label}"));
+        status_line(&format!("observing as producer {producer}, label {label}"));
     }
     let patience = Duration::from_nanos(args.patience.unsigned_abs());
     let (nightly, sensor) = (args.nightly, args.sensor);

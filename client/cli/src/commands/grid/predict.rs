@@ -17,13 +17,13 @@ use tidemap_client::{
 
 use super::place::{Rectangle, Stretch, cells};
 use crate::{
-    commands::{Misused, Session, predict::check_for_cells, times},
-    progress::notice,
+    commands::{Session, UsageError, predict::check_for_cells, times},
+    progress::status_line,
 };
 use tidemap_formats::{CELLS_MAX, MapPicture, PictureCell, cells_csv, nav2, ply, png, table::Cell};
 
 #[derive(Debug, Args)]
-pub struct PredictArgs {
+pub struct GridPredictArgs {
     /// Name of the map
     map: String,
     /// When
@@ -75,45 +75,45 @@ fn threshold(text: &str) -> Result<f64, String> {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+enum OutputKind {
     Pgm,
     Png,
     Csv,
     Ply,
 }
 
-fn kind(path: &Path) -> Result<Kind, Misused> {
+fn kind(path: &Path) -> Result<OutputKind, UsageError> {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
     match ending.as_deref() {
-        Some("pgm") => Ok(Kind::Pgm),
-        Some("png") => Ok(Kind::Png),
-        Some("csv") => Ok(Kind::Csv),
-        Some("ply") => Ok(Kind::Ply),
-        _ => Err(Misused(format!("--out {}: its ending has to be .pgm, .png, .csv or .ply", path.display()))),
+        Some("pgm") => Ok(OutputKind::Pgm),
+        Some("png") => Ok(OutputKind::Png),
+        Some("csv") => Ok(OutputKind::Csv),
+        Some("ply") => Ok(OutputKind::Ply),
+        _ => Err(UsageError(format!("--out {}: its ending has to be .pgm, .png, .csv or .ply", path.display()))),
     }
 }
 
-pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
+pub async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Result<ExitCode> {
     let kind = kind(&args.out)?;
     if args.order.is_some() && !args.model.kind.has_order() {
         let text = format!("--order does not go with --model {}: only auto and spectral have one", args.model);
-        return Err(Misused(text).into());
+        return Err(UsageError(text).into());
     }
     check_for_cells(args.model)?;
-    if args.entropy && kind == Kind::Csv {
+    if args.entropy && kind == OutputKind::Csv {
         return Err(
-            Misused("a .csv file has the entropy in a column of its own: leave out --entropy".to_owned()).into()
+            UsageError("a .csv file has the entropy in a column of its own: leave out --entropy".to_owned()).into()
         );
     }
-    if args.pgm_mode.is_some() && kind != Kind::Pgm {
-        return Err(Misused("--pgm-mode goes with --out FILE.pgm only".to_owned()).into());
+    if args.pgm_mode.is_some() && kind != OutputKind::Pgm {
+        return Err(UsageError("--pgm-mode goes with --out FILE.pgm only".to_owned()).into());
     }
     let query = GridQuery {
         map: args.map.clone(),
         time_nanos: args.at,
         model: ModelSelector { order: args.order, ..args.model },
         region: region(session, &args).await?,
-        is_projected: args.project || matches!(kind, Kind::Pgm | Kind::Png),
+        is_projected: args.project || matches!(kind, OutputKind::Pgm | OutputKind::Png),
         output: match args.threshold {
             Some(threshold) => GridOutput::Threshold(threshold),
             None if args.entropy => GridOutput::Entropy,
@@ -131,32 +131,32 @@ pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
     let predicted = predicted.whole().await?;
     let picture = picture(&predicted);
     write(kind, &picture, &args)?;
-    let is_picture = matches!(kind, Kind::Pgm | Kind::Png);
+    let is_picture = matches!(kind, OutputKind::Pgm | OutputKind::Png);
     if is_picture && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
-        notice("every column is occupied at some height: ask for heights with --z MIN:MAX");
+        status_line("every column is occupied at some height: ask for heights with --z MIN:MAX");
     }
     let count = |wanted: fn(&PictureCell) -> bool| picture.cells.iter().filter(|cell| wanted(cell)).count() as u64;
-    let mut sheet = session.sheet(&["out", "cells", "known", "changing", "generation"]);
-    sheet.row(vec![
+    let mut table = session.table(&["out", "cells", "known", "changing", "generation"]);
+    table.row(vec![
         Cell::Text(args.out.display().to_string()),
         (picture.cells.len() as u64).into(),
         count(|cell| *cell != PictureCell::Unknown).into(),
         count(|cell| matches!(cell, PictureCell::Changing { .. })).into(),
         predicted.header.generation.into(),
     ])?;
-    sheet.finish()?;
+    table.finish()?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// The cells asked for; none where all are.
-async fn region(session: &Session, args: &PredictArgs) -> anyhow::Result<Option<CellBox>> {
+async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Option<CellBox>> {
     if args.region.is_none() && args.z.is_none() {
         return Ok(None);
     }
     let map = session.client.map(&args.map).await?;
     let Some(grid) = map.grid else { return Ok(None) };
     if grid.is_flat && args.z.is_some() {
-        return Err(Misused(format!("--z: the grid of map {:?} is flat, it has one layer", args.map)).into());
+        return Err(UsageError(format!("--z: the grid of map {:?} is flat, it has one layer", args.map)).into());
     }
     // Where nothing was observed yet the answer is empty, whatever the region.
     let Some(bounds) = map.grid_summary.and_then(|summary| summary.bounds) else { return Ok(None) };
@@ -213,14 +213,14 @@ pub fn picture(predicted: &PredictedGrid) -> MapPicture {
     }
 }
 
-fn write(kind: Kind, picture: &MapPicture, args: &PredictArgs) -> anyhow::Result<()> {
+fn write(kind: OutputKind, picture: &MapPicture, args: &GridPredictArgs) -> anyhow::Result<()> {
     let out = &args.out;
     let save = |path: &Path, bytes: &[u8]| fs::write(path, bytes).with_context(|| path.display().to_string());
     match kind {
-        Kind::Png => save(out, &png::write(picture)?),
-        Kind::Csv => save(out, cells_csv::write(picture)?.as_bytes()),
-        Kind::Ply => save(out, &ply::write(picture)?),
-        Kind::Pgm => {
+        OutputKind::Png => save(out, &png::write(picture)?),
+        OutputKind::Csv => save(out, cells_csv::write(picture)?.as_bytes()),
+        OutputKind::Ply => save(out, &ply::write(picture)?),
+        OutputKind::Pgm => {
             let mode = match (args.pgm_mode, args.entropy) {
                 (Some(PgmMode::Raw), _) | (None, true) => nav2::GridMode::Raw,
                 (Some(PgmMode::Scale), _) => nav2::GridMode::Scale,
@@ -270,7 +270,7 @@ mod tests {
 
     #[test]
     fn an_ending_says_what_to_write() {
-        assert_eq!(kind(Path::new("a/map.PGM")).ok(), Some(Kind::Pgm));
+        assert_eq!(kind(Path::new("a/map.PGM")).ok(), Some(OutputKind::Pgm));
         assert!(kind(Path::new("map.tif")).is_err_and(|error| error.0.contains(".pgm, .png, .csv or .ply")));
         assert!(threshold("0").is_err() && threshold("1.1").is_err() && threshold("1").is_ok());
     }

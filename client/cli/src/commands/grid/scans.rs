@@ -21,9 +21,9 @@ use tidemap_client::{
 use tidemap_proto::v1::scan::Content;
 use tokio::sync::mpsc;
 
-use self::plan::Kind;
-pub(super) use self::plan::{Given, Plan, plan};
-use super::cell_masks::{OnGrid, of_octomap, of_plane};
+use self::plan::FileKind;
+pub(super) use self::plan::{ScanOptions, ScanPlan, plan};
+use super::cell_masks::{GridMasks, of_octomap, of_plane};
 use crate::progress::Bar;
 use tidemap_formats::{PointFile, nav2, octomap, pcd, ply};
 
@@ -32,34 +32,29 @@ const CHUNKS_AHEAD: usize = 2;
 
 /// A scan with its time.
 #[derive(Debug)]
-pub(super) enum FromFile {
+pub(super) enum ScanInput {
     /// As a file of scans has it.
     Wire(FileScan),
     /// Made of a file.
-    Given {
-        /// When.
-        time_nanos: i64,
-        /// What.
-        scan: Scan,
-    },
+    Masks { time_nanos: i64, scan: Scan },
 }
 
 /// Scans that were read together, and how far the reading is.
 #[derive(Debug)]
-pub(super) struct Chunk {
-    pub(super) scans: Vec<FromFile>,
+pub(super) struct ScanChunk {
+    pub(super) scans: Vec<ScanInput>,
     /// Bytes of the file of scans, or number of files.
     pub(super) position: u64,
 }
 
-pub(super) type Chunks = mpsc::Receiver<anyhow::Result<Chunk>>;
+pub(super) type ScanChunks = mpsc::Receiver<anyhow::Result<ScanChunk>>;
 
 /// Opens files; gives their scans and a bar for them.
-pub(super) fn open(plan: Plan, grid: &Grid) -> anyhow::Result<(Chunks, Bar)> {
+pub(super) fn open(plan: ScanPlan, grid: &Grid) -> anyhow::Result<(ScanChunks, Bar)> {
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     let (each, given) = match plan {
-        Plan::Each(each, given) => (each, given),
-        Plan::Scans(file) => {
+        ScanPlan::Each(each, given) => (each, given),
+        ScanPlan::Scans(file) => {
             let (scans, total) = scan_file(&file).with_context(|| file.display().to_string())?;
             fits(scans.header(), grid).with_context(|| file.display().to_string())?;
             let (name, is_flat) = (file.display().to_string(), grid.is_flat);
@@ -74,7 +69,7 @@ pub(super) fn open(plan: Plan, grid: &Grid) -> anyhow::Result<(Chunks, Bar)> {
         for ((file, kind, time_nanos), position) in each.into_iter().zip(1..) {
             let scan = one_scan(&file, kind, &given, &grid, &notices).with_context(|| file.display().to_string());
             let failed = scan.is_err();
-            let chunk = scan.map(|scan| Chunk { scans: vec![FromFile::Given { time_nanos, scan }], position });
+            let chunk = scan.map(|scan| ScanChunk { scans: vec![ScanInput::Masks { time_nanos, scan }], position });
             if sender.blocking_send(chunk).is_err() || failed {
                 return;
             }
@@ -116,7 +111,7 @@ fn send_scans(
     mut file: ScanFile<BufReader<File>>,
     name: &str,
     is_flat: bool,
-    sender: &mpsc::Sender<anyhow::Result<Chunk>>,
+    sender: &mpsc::Sender<anyhow::Result<ScanChunk>>,
 ) {
     loop {
         let chunk = match file.next_scans() {
@@ -125,8 +120,8 @@ fn send_scans(
                 if is_flat {
                     scans.iter_mut().for_each(spell_out_layers);
                 }
-                let scans = scans.into_iter().map(FromFile::Wire).collect();
-                Ok(Chunk { scans, position: file.bytes() })
+                let scans = scans.into_iter().map(ScanInput::Wire).collect();
+                Ok(ScanChunk { scans, position: file.bytes() })
             }
             Err(error) => Err(anyhow::Error::new(error).context(name.to_owned())),
         };
@@ -148,30 +143,30 @@ fn spell_out_layers(scan: &mut FileScan) {
 }
 
 /// The scan that a file makes.
-fn one_scan(file: &Path, kind: Kind, given: &Given, grid: &Grid, bar: &Bar) -> anyhow::Result<Scan> {
-    let tiles = |on: OnGrid| {
+fn one_scan(file: &Path, kind: FileKind, given: &ScanOptions, grid: &Grid, bar: &Bar) -> anyhow::Result<Scan> {
+    let tiles = |on: GridMasks| {
         if let Some(notice) = on.notice {
-            bar.notice(&format!("{}: {notice}", file.display()));
+            bar.status_line(&format!("{}: {notice}", file.display()));
         }
         Scan::Tiles(on.tiles)
     };
     let some_finite = |points: PointFile| {
         if points.points.is_empty() && points.not_finite > 0 {
             let text = format!("none of its points is finite: {} are left out", points.not_finite);
-            bar.notice(&format!("{}: {text}", file.display()));
+            bar.status_line(&format!("{}: {text}", file.display()));
         }
         points
     };
     match kind {
-        Kind::Pcd => cloud(some_finite(pcd::read(&fs::read(file)?)?), given),
-        Kind::Ply => cloud(some_finite(ply::read(&fs::read(file)?)?), given),
-        Kind::OctoMap => of_octomap(&octomap::read(&fs::read(file)?)?, grid).map(tiles),
-        Kind::Plane => of_plane(&plane(file)?, grid).map(tiles),
-        Kind::Scans => anyhow::bail!("a file of scans is not one scan"),
+        FileKind::Pcd => cloud(some_finite(pcd::read(&fs::read(file)?)?), given),
+        FileKind::Ply => cloud(some_finite(ply::read(&fs::read(file)?)?), given),
+        FileKind::OctoMap => of_octomap(&octomap::read(&fs::read(file)?)?, grid).map(tiles),
+        FileKind::Plane => of_plane(&plane(file)?, grid).map(tiles),
+        FileKind::Scans => anyhow::bail!("a file of scans is not one scan"),
     }
 }
 
-fn cloud(points: PointFile, given: &Given) -> anyhow::Result<Scan> {
+fn cloud(points: PointFile, given: &ScanOptions) -> anyhow::Result<Scan> {
     let own = points.pose.map(|pose| Pose { position_m: pose.position_m, quaternion_xyzw: pose.quaternion_xyzw });
     let pose = given.pose.or(own).context("the file does not say where the sensor was: say it with --pose")?;
     Ok(Scan::Cloud(PointCloud {

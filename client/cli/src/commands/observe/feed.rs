@@ -23,7 +23,7 @@ const TOLD_MAX: u64 = 20;
 
 /// Rows that were read together.
 #[derive(Debug)]
-pub struct Chunk<T = ObservationRow> {
+pub struct RowChunk<T = ObservationRow> {
     /// The rows.
     pub rows: Vec<T>,
     /// Line and text of a last line that was cut off.
@@ -34,7 +34,7 @@ pub struct Chunk<T = ObservationRow> {
     pub bytes: u64,
 }
 
-impl<T> Default for Chunk<T> {
+impl<T> Default for RowChunk<T> {
     fn default() -> Self {
         Self { rows: Vec::new(), torn: None, unended: None, bytes: 0 }
     }
@@ -44,7 +44,7 @@ impl<T> Default for Chunk<T> {
 #[derive(Debug)]
 pub struct Feed<L: Layout = ObservationColumns> {
     /// Its rows; an error is the last entry.
-    pub rows: Chunks<L::Row>,
+    pub rows: RowChunks<L::Row>,
     /// Its size, where it has one.
     pub total_bytes: Option<u64>,
     /// What its rows are.
@@ -52,7 +52,7 @@ pub struct Feed<L: Layout = ObservationColumns> {
 }
 
 /// Where the rows of a file come from.
-pub type Chunks<T> = mpsc::Receiver<Result<Chunk<T>, RowError>>;
+pub type RowChunks<T> = mpsc::Receiver<Result<RowChunk<T>, RowError>>;
 
 /// The file as messages name it.
 pub fn shown(path: &Path) -> String {
@@ -80,7 +80,7 @@ where
         rows = rows.lines_must_end();
     }
     if !rows.ignored().is_empty() {
-        crate::progress::notice(&format!("{}: not used: column {}", shown(path), rows.ignored().join(", ")));
+        crate::progress::status_line(&format!("{}: not used: column {}", shown(path), rows.ignored().join(", ")));
     }
     let layout = *rows.layout();
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
@@ -91,9 +91,9 @@ where
 /// Reads until the end, an error, or until nobody wants more.
 fn read<R: Read, L: Layout>(
     mut rows: RowReader<BufReader<R>, L>,
-    sender: &mpsc::Sender<Result<Chunk<L::Row>, RowError>>,
+    sender: &mpsc::Sender<Result<RowChunk<L::Row>, RowError>>,
 ) {
-    let mut chunk = Chunk::default();
+    let mut chunk = RowChunk::default();
     loop {
         let item = rows.next();
         chunk.bytes = rows.bytes();
@@ -126,7 +126,7 @@ fn read<R: Read, L: Layout>(
 
 /// Tells what is wrong with rows: the first ones one by one, of the others the number.
 #[derive(Debug)]
-pub struct Told {
+pub struct RefusalReport {
     bar: Bar,
     noun: &'static str,
     verb: &'static str,
@@ -136,13 +136,13 @@ pub struct Told {
     torn: bool,
 }
 
-impl Told {
+impl RefusalReport {
     /// Nothing so far. A wrong row "is refused", or whatever the verb is.
     pub fn new(bar: Bar, verb: &'static str) -> Self {
         Self::of(bar, "row", verb)
     }
 
-    /// As [`Told::new`], of other things than rows.
+    /// As [`RefusalReport::new`], of other things than rows.
     pub fn of(bar: Bar, noun: &'static str, verb: &'static str) -> Self {
         Self { bar, noun, verb, wrong: 0, told: 0, torn: false }
     }
@@ -153,7 +153,7 @@ impl Told {
         if self.told < TOLD_MAX {
             self.told += 1;
             let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
-            self.bar.notice(&format!("{} {number}{line} {}: {why}", self.noun, self.verb));
+            self.bar.status_line(&format!("{} {number}{line} {}: {why}", self.noun, self.verb));
         }
     }
 
@@ -163,14 +163,14 @@ impl Told {
     }
 
     /// What is to be said of a chunk's last line.
-    pub fn last_line<T>(&mut self, chunk: &Chunk<T>) {
+    pub fn last_line<T>(&mut self, chunk: &RowChunk<T>) {
         if let Some((line, text)) = &chunk.torn {
             self.torn = true;
             let why = "the input ends in it, without a line end";
-            self.bar.notice(&format!("line {line} is incomplete and was left out: {text:?} ({why})"));
+            self.bar.status_line(&format!("line {line} is incomplete and was left out: {text:?} ({why})"));
         }
         if let Some(line) = chunk.unended {
-            self.bar.notice(&format!("line {line} has no line end and was taken as it is"));
+            self.bar.status_line(&format!("line {line} has no line end and was taken as it is"));
         }
     }
 
@@ -182,7 +182,7 @@ impl Told {
     /// Says how many there were beside those that were told.
     pub fn conclude(&self) {
         if self.wrong > self.told {
-            self.bar.notice(&format!("and {} more {}s like these", self.wrong - self.told, self.noun));
+            self.bar.status_line(&format!("and {} more {}s like these", self.wrong - self.told, self.noun));
         }
     }
 }

@@ -9,7 +9,7 @@ use tidemap_client::observe::{Phase, Producer, ProducerError, Progress, Traversa
 use tokio::{sync::watch, task::JoinHandle};
 
 use super::{
-    feed::{Chunk, Chunks, Told},
+    feed::{RefusalReport, RowChunk, RowChunks},
     kinds::Kinds,
 };
 use crate::progress::Bar;
@@ -77,7 +77,7 @@ fn report(row: &TraversalRow) -> Traversal {
 }
 
 /// How a transfer of rows or scans ended.
-pub enum Ended {
+pub enum TransferEnd {
     /// All was sent.
     Whole,
     /// By Ctrl-C.
@@ -94,7 +94,7 @@ pub enum Ended {
 
 /// What became of the rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Counts {
+pub(super) struct RowCounts {
     pub(super) read: u64,
     pub(super) accepted: u64,
     pub(super) duplicate: u64,
@@ -105,8 +105,8 @@ pub(super) struct Transfer<T> {
     producer: Producer,
     changes: watch::Receiver<Progress>,
     notices: JoinHandle<()>,
-    rows: Chunks<T>,
-    pub(super) told: Told,
+    rows: RowChunks<T>,
+    pub(super) told: RefusalReport,
     kinds: Kinds,
     bar: Bar,
     /// What the daemon had at the start, with its checksum.
@@ -128,8 +128,8 @@ impl<T: Sendable> Transfer<T> {
     pub(super) fn new(
         producer: Producer,
         notices: JoinHandle<()>,
-        rows: Chunks<T>,
-        (told, kinds): (Told, Kinds),
+        rows: RowChunks<T>,
+        (told, kinds): (RefusalReport, Kinds),
         bar: Bar,
     ) -> Self {
         let progress = producer.progress();
@@ -158,7 +158,7 @@ impl<T: Sendable> Transfer<T> {
     }
 
     /// Sends everything and waits until it is durable.
-    pub(super) async fn run(&mut self) -> Ended {
+    pub(super) async fn run(&mut self) -> TransferEnd {
         loop {
             let chunk = match self.chunk().await {
                 Ok(Some(chunk)) => chunk,
@@ -177,31 +177,31 @@ impl<T: Sendable> Transfer<T> {
         }
         if self.read < self.sent_before {
             let (read, sent_before) = (self.read, self.sent_before);
-            return Ended::Differs(format!("it has only {read} rows, but {sent_before} were sent before"));
+            return TransferEnd::Differs(format!("it has only {read} rows, but {sent_before} were sent before"));
         }
         let closed = self.producer.close().await;
         self.collect();
-        closed.map_or_else(Ended::Stopped, |_| Ended::Whole)
+        closed.map_or_else(TransferEnd::Stopped, |_| TransferEnd::Whole)
     }
 
     /// Waits for rows, and meanwhile for what the daemon has to say: nothing may come on stdin for hours.
-    async fn chunk(&mut self) -> Result<Option<Chunk<T>>, Ended> {
+    async fn chunk(&mut self) -> Result<Option<RowChunk<T>>, TransferEnd> {
         loop {
             tokio::select! {
-                chunk = self.rows.recv() => return chunk.transpose().map_err(|error| Ended::Unreadable(error.into())),
+                chunk = self.rows.recv() => return chunk.transpose().map_err(|error| TransferEnd::Unreadable(error.into())),
                 // The producer holds the sender: this fails only when there is nothing left to wait for.
                 Ok(()) = self.changes.changed() => {
                     let phase = self.changes.borrow_and_update().phase.clone();
                     self.collect();
                     if let Phase::Ended(error) = phase {
-                        return Err(Ended::Stopped(error));
+                        return Err(TransferEnd::Stopped(error));
                     }
                 }
             }
         }
     }
 
-    async fn row(&mut self, row: &T) -> Result<(), Ended> {
+    async fn row(&mut self, row: &T) -> Result<(), TransferEnd> {
         let RowPlace { number, line, .. } = row.at();
         if number <= self.sent_before {
             self.read = number;
@@ -209,13 +209,13 @@ impl<T: Sendable> Transfer<T> {
             row.add_to(&mut self.crc);
             if number == self.sent_before && self.crc.value() != self.content_crc {
                 let sent_before = self.sent_before;
-                return Err(Ended::Differs(format!(
+                return Err(TransferEnd::Differs(format!(
                     "its first {sent_before} rows are not the {sent_before} sent before"
                 )));
             }
             return Ok(());
         }
-        let sequence = row.send(&mut self.producer).await.map_err(Ended::Stopped)?;
+        let sequence = row.send(&mut self.producer).await.map_err(TransferEnd::Stopped)?;
         debug_assert_eq!(sequence, number);
         self.read = number;
         self.follow_line(number, line);
@@ -270,12 +270,12 @@ impl<T: Sendable> Transfer<T> {
         self.lines = self.lines.split_off(&known.unwrap_or(0));
     }
 
-    pub(super) fn counts(&mut self) -> Counts {
+    pub(super) fn counts(&mut self) -> RowCounts {
         // Once more: the last wait may have been cut short.
         self.collect();
         let progress = self.producer.progress();
         if progress.unreported > 0 {
-            self.bar.notice(&format!(
+            self.bar.status_line(&format!(
                 "{} rows became durable while the connection broke: those among them that only the daemon knows to be \
                  refused, such as for a state's name, count as accepted",
                 progress.unreported
@@ -284,7 +284,7 @@ impl<T: Sendable> Transfer<T> {
         let durable = progress.durable_sequence.saturating_sub(self.sent_before);
         // Rows that are wrong and not durable yet are not refused yet.
         let refused = self.refused.saturating_sub(self.wrong.len() as u64);
-        Counts { read: self.read, accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
+        RowCounts { read: self.read, accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
     }
 }
 

@@ -9,7 +9,7 @@ use std::{
 
 use super::{OfficeExploration, OfficeProtocol, picture};
 use crate::report::file;
-use tidemap_formats::table::{Cell, Format, Sheet};
+use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Writes a row per day and explorer.
 ///
@@ -37,11 +37,11 @@ pub fn summary<W: Write>(
         "tours",
         "tours_8_to_18",
     ];
-    let mut sheet = Sheet::new(format, &columns, writer);
+    let mut table = TableWriter::new(format, &columns, writer);
     for day in outcome.days(protocol) {
         let p_value = median(&day.p_values);
         let tested = |count: usize| Cell::maybe(p_value.map(|_| count as u64));
-        sheet.row(vec![
+        table.row(vec![
             (day.day as u64).into(),
             day.kind.name().into(),
             (100.0 * day.error).into(),
@@ -56,7 +56,7 @@ pub fn summary<W: Write>(
             day.tours_by_day.into(),
         ])?;
     }
-    sheet.finish()
+    table.finish()
 }
 
 /// The upper of the two middle ones of an even number.
@@ -75,11 +75,11 @@ pub fn write(protocol: &OfficeProtocol, outcome: &OfficeExploration, folder: &Pa
 
 /// Every explorer's error in every slot, mean over seeds.
 fn slots<W: Write>(protocol: &OfficeProtocol, outcome: &OfficeExploration, writer: W) -> io::Result<()> {
-    let mut sheet = Sheet::new(Format::Csv, &["explorer", "day", "slot", "error_percent"], writer);
+    let mut table = TableWriter::new(Format::Csv, &["explorer", "day", "slot", "error_percent"], writer);
     let per_day = protocol.slots();
     for (index, kind) in protocol.explorers.iter().enumerate() {
         for slot in 0..protocol.days * per_day {
-            sheet.row(vec![
+            table.row(vec![
                 kind.name().into(),
                 (slot as u64 / per_day as u64 + 1).into(),
                 (slot as u64 % per_day as u64).into(),
@@ -87,5 +87,5 @@ fn slots<W: Write>(protocol: &OfficeProtocol, outcome: &OfficeExploration, write
             ])?;
         }
     }
-    sheet.finish()
+    table.finish()
 }

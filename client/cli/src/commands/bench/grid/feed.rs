@@ -20,7 +20,7 @@ use tonic::{
     codegen::http::uri::PathAndQuery,
 };
 
-use crate::progress::{Bar, notice};
+use crate::progress::{Bar, status_line};
 
 const BUFFER_BYTES: usize = 1 << 20;
 const BATCHES_AHEAD: usize = 4;
@@ -29,7 +29,7 @@ const SCANS_TAG: u8 = 3 << 3 | 2;
 
 /// What was sent.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Fed {
+pub(super) struct FeedTotals {
     pub(super) scans: u64,
     pub(super) refused: u64,
     pub(super) bytes: u64,
@@ -74,7 +74,7 @@ impl Decoder for Raw {
 }
 
 /// Sends a file and waits until all of it is durable and the stream has ended.
-pub(super) async fn send(client: &Client, map: &str, path: &Path) -> anyhow::Result<Fed> {
+pub(super) async fn send(client: &Client, map: &str, path: &Path) -> anyhow::Result<FeedTotals> {
     let shown = path.display().to_string();
     let open = File::open(path).with_context(|| shown.clone())?;
     let total = open.metadata()?.len();
@@ -108,7 +108,7 @@ pub(super) async fn send(client: &Client, map: &str, path: &Path) -> anyhow::Res
                 durable = ack.durable_sequence;
                 refused += ack.refused.len() as u64;
                 if let Some(refusal) = ack.refused.first().filter(|_| refused == ack.refused.len() as u64) {
-                    bar.notice(&format!("scan {} is refused: {}", refusal.sequence, refusal.detail));
+                    bar.status_line(&format!("scan {} is refused: {}", refusal.sequence, refusal.detail));
                 }
             }
             Some(observe_response::Message::Goodbye(goodbye)) => {
@@ -120,7 +120,7 @@ pub(super) async fn send(client: &Client, map: &str, path: &Path) -> anyhow::Res
     bar.clear();
     let scans = last.await?.with_context(|| shown)?;
     anyhow::ensure!(durable == scans, "{durable} of {scans} scans are durable");
-    Ok(Fed { scans, refused, bytes: total })
+    Ok(FeedTotals { scans, refused, bytes: total })
 }
 
 /// Reads batches until the end; gives the number of scans.
@@ -143,7 +143,7 @@ fn read(
         bar.set(file.bytes());
         if file.bytes() * 10 / total.max(1) > tenth {
             tenth = file.bytes() * 10 / total.max(1);
-            notice(&format!("{tenth}0 % sent"));
+            status_line(&format!("{tenth}0 % sent"));
         }
     }
     let last = ScanBatch::decode(last.as_slice())?;

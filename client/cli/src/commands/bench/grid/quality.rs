@@ -9,7 +9,7 @@ use tidemap_client::{
 use tidemap_sim::GridOffice;
 
 use super::{Figures, GridArgs, office};
-use crate::progress::{Bar, notice};
+use crate::progress::{Bar, status_line};
 use tidemap_formats::table::Cell;
 
 /// Orders compared: static, and those of the paper.
@@ -36,7 +36,7 @@ pub(super) async fn estimation_errors(
     scans_a_day: u32,
 ) -> anyhow::Result<Figures> {
     let office = office::make(args)?;
-    notice("comparing the orders with the office");
+    status_line("comparing the orders with the office");
     let bar = Bar::count("days compared");
     let mut wrong = [0_u64; ORDERS.len()];
     let mut compared = 0_u64;

@@ -6,26 +6,26 @@
 use tidemap_client::observe::{Phase, Producer, ProducerError, Progress, Replay, tiles::TileError};
 use tokio::{sync::watch, task::JoinHandle};
 
-use super::super::scans::{Chunk, Chunks, FromFile};
+use super::super::scans::{ScanChunk, ScanChunks, ScanInput};
 use crate::{
-    commands::observe::{feed::Told, transfer::Ended},
+    commands::observe::{feed::RefusalReport, transfer::TransferEnd},
     progress::Bar,
 };
 
 /// What became of the scans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Counts {
+pub(super) struct ScanCounts {
     pub(super) accepted: u64,
     pub(super) duplicate: u64,
     pub(super) refused: u64,
 }
 
-pub(super) struct Transfer {
+pub(super) struct ScanTransfer {
     producer: Producer,
     changes: watch::Receiver<Progress>,
     notices: JoinHandle<()>,
-    chunks: Chunks,
-    pub(super) told: Told,
+    chunks: ScanChunks,
+    pub(super) told: RefusalReport,
     bar: Bar,
     /// What the daemon had at the start, with its checksum.
     sent_before: u64,
@@ -39,8 +39,14 @@ pub(super) struct Transfer {
     of_options: bool,
 }
 
-impl Transfer {
-    pub(super) fn new(producer: Producer, notices: JoinHandle<()>, chunks: Chunks, told: Told, bar: Bar) -> Self {
+impl ScanTransfer {
+    pub(super) fn new(
+        producer: Producer,
+        notices: JoinHandle<()>,
+        chunks: ScanChunks,
+        told: RefusalReport,
+        bar: Bar,
+    ) -> Self {
         let progress = producer.progress();
         Self {
             changes: producer.watch(),
@@ -64,9 +70,9 @@ impl Transfer {
     }
 
     /// Sends everything and waits until it is durable.
-    pub(super) async fn run(&mut self) -> Ended {
+    pub(super) async fn run(&mut self) -> TransferEnd {
         loop {
-            let Chunk { scans, position } = match self.chunk().await {
+            let ScanChunk { scans, position } = match self.chunk().await {
                 Ok(Some(chunk)) => chunk,
                 Ok(None) => break,
                 Err(ended) => return ended,
@@ -82,63 +88,66 @@ impl Transfer {
         }
         if self.read < self.sent_before {
             let (read, sent_before) = (self.read, self.sent_before);
-            return Ended::Differs(format!("there are only {read} scans, but {sent_before} were sent before"));
+            return TransferEnd::Differs(format!("there are only {read} scans, but {sent_before} were sent before"));
         }
         let closed = self.producer.close().await;
         self.collect();
-        closed.map_or_else(Ended::Stopped, |_| Ended::Whole)
+        closed.map_or_else(TransferEnd::Stopped, |_| TransferEnd::Whole)
     }
 
     /// Waits for scans, and meanwhile for what the daemon has to say.
-    async fn chunk(&mut self) -> Result<Option<Chunk>, Ended> {
+    async fn chunk(&mut self) -> Result<Option<ScanChunk>, TransferEnd> {
         loop {
             tokio::select! {
-                chunk = self.chunks.recv() => return chunk.transpose().map_err(Ended::Unreadable),
+                chunk = self.chunks.recv() => return chunk.transpose().map_err(TransferEnd::Unreadable),
                 Ok(()) = self.changes.changed() => {
                     let phase = self.changes.borrow_and_update().phase.clone();
                     self.collect();
                     if let Phase::Ended(error) = phase {
-                        return Err(Ended::Stopped(error));
+                        return Err(TransferEnd::Stopped(error));
                     }
                 }
             }
         }
     }
 
-    async fn scan(&mut self, scan: FromFile) -> Result<(), Ended> {
+    async fn scan(&mut self, scan: ScanInput) -> Result<(), TransferEnd> {
         let number = self.read + 1;
-        self.of_options = matches!(scan, FromFile::Given { .. });
-        let senseless = |error: TileError| Ended::Unreadable(anyhow::anyhow!("scan {number} makes no sense: {error}"));
+        self.of_options = matches!(scan, ScanInput::Masks { .. });
+        let senseless =
+            |error: TileError| TransferEnd::Unreadable(anyhow::anyhow!("scan {number} makes no sense: {error}"));
         if let Some(replay) = &mut self.replay {
             let followed = match scan {
-                FromFile::Wire(scan) => replay.wire_scan(scan.time_nanos, &scan.new_tiles, scan.scan),
-                FromFile::Given { time_nanos, scan } => replay.scan(time_nanos, scan),
+                ScanInput::Wire(scan) => replay.wire_scan(scan.time_nanos, &scan.new_tiles, scan.scan),
+                ScanInput::Masks { time_nanos, scan } => replay.scan(time_nanos, scan),
             };
             followed.map_err(senseless)?;
             (self.read, self.duplicate) = (number, self.duplicate + 1);
             return if number == self.sent_before { self.compared().await } else { Ok(()) };
         }
         let sent = match scan {
-            FromFile::Wire(scan) => self.producer.send_wire_scan(scan.time_nanos, &scan.new_tiles, scan.scan).await,
-            FromFile::Given { time_nanos, scan } => self.producer.send_scan(time_nanos, scan).await,
+            ScanInput::Wire(scan) => self.producer.send_wire_scan(scan.time_nanos, &scan.new_tiles, scan.scan).await,
+            ScanInput::Masks { time_nanos, scan } => self.producer.send_scan(time_nanos, scan).await,
         };
         match sent {
             Ok(sequence) => debug_assert_eq!(sequence, number),
             Err(ProducerError::Tiles(error)) => return Err(senseless(error)),
-            Err(error) => return Err(Ended::Stopped(error)),
+            Err(error) => return Err(TransferEnd::Stopped(error)),
         }
         self.read = number;
         Ok(())
     }
 
     /// All scans that the daemon has were followed: are they the same, and what did they show?
-    async fn compared(&mut self) -> Result<(), Ended> {
+    async fn compared(&mut self) -> Result<(), TransferEnd> {
         let Some(replay) = self.replay.take() else { return Ok(()) };
         if replay.content_crc() != self.content_crc {
             let sent_before = self.sent_before;
-            return Err(Ended::Differs(format!("the first {sent_before} scans are not the {sent_before} sent before")));
+            return Err(TransferEnd::Differs(format!(
+                "the first {sent_before} scans are not the {sent_before} sent before"
+            )));
         }
-        self.producer.go_on_from(replay.into_tiles()).await.map_err(Ended::Stopped)
+        self.producer.go_on_from(replay.into_tiles()).await.map_err(TransferEnd::Stopped)
     }
 
     /// Waits until everything sent is durable.
@@ -157,12 +166,12 @@ impl Transfer {
         }
     }
 
-    pub(super) fn counts(&mut self) -> Counts {
+    pub(super) fn counts(&mut self) -> ScanCounts {
         // Once more: the last wait may have been cut short.
         self.collect();
         let progress = self.producer.progress();
         if progress.unreported > 0 {
-            self.bar.notice(&format!(
+            self.bar.status_line(&format!(
                 "{} scans became durable while the connection broke: those among them that were refused count as accepted",
                 progress.unreported
             ));
@@ -170,7 +179,7 @@ impl Transfer {
         let durable = progress.durable_sequence.saturating_sub(self.sent_before);
         self.told.refused_untold(progress.dropped_refusals);
         let refused = self.refused + progress.dropped_refusals;
-        Counts { accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
+        ScanCounts { accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
     }
 }
 
@@ -179,7 +188,7 @@ fn in_options(detail: &str) -> String {
     detail.replace("min_range_m", "--min-range").replace("max_range_m", "--max-range")
 }
 
-impl Drop for Transfer {
+impl Drop for ScanTransfer {
     fn drop(&mut self) {
         self.notices.abort();
     }

@@ -13,7 +13,7 @@ use anyhow::Context as _;
 use tidemap_client::observe::scan::Pose;
 
 use super::plane_files;
-use crate::commands::Misused;
+use crate::commands::UsageError;
 use tidemap_formats::pcd;
 
 /// Within so many bytes the header of a point cloud ends.
@@ -21,7 +21,7 @@ const HEADER_BYTES: u64 = 64 * 1024;
 
 /// What else than the files says what the scans are.
 #[derive(Clone, Debug)]
-pub(in crate::commands::grid) struct Given {
+pub(in crate::commands::grid) struct ScanOptions {
     pub(in crate::commands::grid) at_nanos: Option<i64>,
     pub(in crate::commands::grid) every_nanos: Option<i64>,
     pub(in crate::commands::grid) pose: Option<Pose>,
@@ -31,7 +31,7 @@ pub(in crate::commands::grid) struct Given {
 
 /// What the ending of a file says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::commands::grid) enum Kind {
+pub(in crate::commands::grid) enum FileKind {
     Scans,
     Pcd,
     Ply,
@@ -41,26 +41,26 @@ pub(in crate::commands::grid) enum Kind {
 
 /// What is to be sent.
 #[derive(Debug)]
-pub(in crate::commands::grid) enum Plan {
+pub(in crate::commands::grid) enum ScanPlan {
     /// A file of scans.
     Scans(PathBuf),
     /// Files that are a scan each, with their times.
-    Each(Vec<(PathBuf, Kind, i64)>, Given),
+    Each(Vec<(PathBuf, FileKind, i64)>, ScanOptions),
 }
 
 /// What to do with files.
-pub(in crate::commands::grid) fn plan(files: &[PathBuf], given: &Given) -> anyhow::Result<Plan> {
-    let kinds = files.iter().map(|file| kind(file)).collect::<Result<Vec<Kind>, Misused>>()?;
-    if kinds.contains(&Kind::Scans) {
+pub(in crate::commands::grid) fn plan(files: &[PathBuf], given: &ScanOptions) -> anyhow::Result<ScanPlan> {
+    let kinds = files.iter().map(|file| kind(file)).collect::<Result<Vec<FileKind>, UsageError>>()?;
+    if kinds.contains(&FileKind::Scans) {
         let [file] = files else {
-            return Err(Misused("a .tms file is sent by itself: one a command".to_owned()).into());
+            return Err(UsageError("a .tms file is sent by itself: one a command".to_owned()).into());
         };
         if given.at_nanos.is_some() || given.every_nanos.is_some() || given.has_sensor() {
             let text = "a .tms file has its own times, poses and ranges: leave out --at, --every, --pose, --min-range \
                         and --max-range";
-            return Err(Misused(text.to_owned()).into());
+            return Err(UsageError(text.to_owned()).into());
         }
-        return Ok(Plan::Scans(file.clone()));
+        return Ok(ScanPlan::Scans(file.clone()));
     }
     given.check_ranges()?;
     let times = times(given, files.len())?;
@@ -68,35 +68,35 @@ pub(in crate::commands::grid) fn plan(files: &[PathBuf], given: &Given) -> anyho
         check(file, *kind, given)?;
     }
     let each = files.iter().cloned().zip(kinds).zip(times).map(|((file, kind), time)| (file, kind, time));
-    Ok(Plan::Each(each.collect(), given.clone()))
+    Ok(ScanPlan::Each(each.collect(), given.clone()))
 }
 
-impl Given {
+impl ScanOptions {
     /// Whether anything is said of a sensor.
     fn has_sensor(&self) -> bool {
         self.pose.is_some() || self.min_range_m.is_some() || self.max_range_m.is_some()
     }
 
-    fn check_ranges(&self) -> Result<(), Misused> {
+    fn check_ranges(&self) -> Result<(), UsageError> {
         match (self.min_range_m, self.max_range_m) {
             // A longest range of 0 is none.
             (Some(min), Some(max)) if max > 0.0 && min > max => {
-                Err(Misused(format!("--min-range {min} is above --max-range {max}: no point would be left")))
+                Err(UsageError(format!("--min-range {min} is above --max-range {max}: no point would be left")))
             }
             _ => Ok(()),
         }
     }
 }
 
-fn kind(path: &Path) -> Result<Kind, Misused> {
+fn kind(path: &Path) -> Result<FileKind, UsageError> {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
     match ending.as_deref() {
-        Some("tms") => Ok(Kind::Scans),
-        Some("pcd") => Ok(Kind::Pcd),
-        Some("ply") => Ok(Kind::Ply),
-        Some("bt" | "ot") => Ok(Kind::OctoMap),
-        Some("yaml" | "yml" | "pgm") => Ok(Kind::Plane),
-        _ => Err(Misused(format!(
+        Some("tms") => Ok(FileKind::Scans),
+        Some("pcd") => Ok(FileKind::Pcd),
+        Some("ply") => Ok(FileKind::Ply),
+        Some("bt" | "ot") => Ok(FileKind::OctoMap),
+        Some("yaml" | "yml" | "pgm") => Ok(FileKind::Plane),
+        _ => Err(UsageError(format!(
             "{}: its ending does not say what it is: use .tms, .pcd, .ply, .bt, .ot, .yaml or .pgm",
             path.display()
         ))),
@@ -104,69 +104,70 @@ fn kind(path: &Path) -> Result<Kind, Misused> {
 }
 
 /// A time for each file.
-fn times(given: &Given, files: usize) -> anyhow::Result<Vec<i64>> {
-    let at = given.at_nanos.ok_or_else(|| Misused("say when the scan was made, with --at".to_owned()))?;
+fn times(given: &ScanOptions, files: usize) -> anyhow::Result<Vec<i64>> {
+    let at = given.at_nanos.ok_or_else(|| UsageError("say when the scan was made, with --at".to_owned()))?;
     let every = match given.every_nanos {
         Some(every) => every,
         None if files == 1 => 0,
         None => {
-            return Err(
-                Misused(format!("{files} files are as many scans: say how far apart they are, with --every")).into()
-            );
+            return Err(UsageError(format!(
+                "{files} files are as many scans: say how far apart they are, with --every"
+            ))
+            .into());
         }
     };
     let time = |index: i64| every.checked_mul(index).and_then(|after| at.checked_add(after));
     let times = (0..).take(files).map(time).collect::<Option<Vec<i64>>>();
-    times.ok_or_else(|| Misused("--at and --every lead beyond the year 2262".to_owned()).into())
+    times.ok_or_else(|| UsageError("--at and --every lead beyond the year 2262".to_owned()).into())
 }
 
 /// Whether a file is there, and what is said of the sensor goes with it.
-fn check(file: &Path, kind: Kind, given: &Given) -> anyhow::Result<()> {
+fn check(file: &Path, kind: FileKind, given: &ScanOptions) -> anyhow::Result<()> {
     let shown = || file.display().to_string();
-    if matches!(kind, Kind::OctoMap | Kind::Plane) && given.has_sensor() {
+    if matches!(kind, FileKind::OctoMap | FileKind::Plane) && given.has_sensor() {
         let text = "it is a map and not a scan of a sensor: leave out --pose, --min-range and --max-range";
-        return Err(Misused(format!("{}: {text}", file.display())).into());
+        return Err(UsageError(format!("{}: {text}", file.display())).into());
     }
     let open = File::open(file).with_context(shown)?;
     let has_pose = match kind {
-        Kind::Pcd if given.pose.is_none() => {
+        FileKind::Pcd if given.pose.is_none() => {
             let mut start = Vec::new();
             open.take(HEADER_BYTES).read_to_end(&mut start).with_context(shown)?;
             // What is wrong with the file is told when it is read.
             pcd::read_pose(&start).map_or(true, |pose| pose.is_some())
         }
-        Kind::Ply => given.pose.is_some(),
-        Kind::Plane => {
+        FileKind::Ply => given.pose.is_some(),
+        FileKind::Plane => {
             let (_, image) = plane_files(file).with_context(shown)?;
             File::open(&image).with_context(|| image.display().to_string())?;
             true
         }
-        Kind::Pcd | Kind::OctoMap | Kind::Scans => true,
+        FileKind::Pcd | FileKind::OctoMap | FileKind::Scans => true,
     };
     if has_pose {
         return Ok(());
     }
     let text = "the file does not say where the sensor was: say it with --pose";
-    Err(Misused(format!("{}: {text}", file.display())).into())
+    Err(UsageError(format!("{}: {text}", file.display())).into())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn given() -> Given {
-        Given { at_nanos: Some(100), every_nanos: None, pose: None, min_range_m: None, max_range_m: None }
+    fn given() -> ScanOptions {
+        ScanOptions { at_nanos: Some(100), every_nanos: None, pose: None, min_range_m: None, max_range_m: None }
     }
 
-    fn said(file: &Path, given: &Given) -> (String, bool) {
+    fn said(file: &Path, given: &ScanOptions) -> (String, bool) {
         let error = plan(&[file.to_path_buf()], given).err();
-        error.map(|error| (format!("{error:#}"), error.is::<Misused>())).unwrap_or_default()
+        error.map(|error| (format!("{error:#}"), error.is::<UsageError>())).unwrap_or_default()
     }
 
     #[test]
     fn an_ending_says_what_a_file_is() {
-        assert_eq!(kind(Path::new("a/b.TMS")).ok(), Some(Kind::Scans));
-        assert_eq!(kind(Path::new("map.pgm")).ok(), Some(Kind::Plane));
+        assert_eq!(kind(Path::new("a/b.TMS")).ok(), Some(FileKind::Scans));
+        assert_eq!(kind(Path::new("map.pgm")).ok(), Some(FileKind::Plane));
         for unknown in ["scan", "scan.las", "-"] {
             assert!(kind(Path::new(unknown)).is_err_and(|error| error.0.contains(".tms, .pcd")), "{unknown}");
         }
@@ -175,11 +176,12 @@ mod tests {
     #[test]
     fn each_file_has_a_time() -> anyhow::Result<()> {
         assert_eq!(times(&given(), 1)?, [100]);
-        assert_eq!(times(&Given { every_nanos: Some(5), ..given() }, 3)?, [100, 105, 110]);
-        let said = |given: &Given, files| times(given, files).err().map(|error| error.to_string()).unwrap_or_default();
+        assert_eq!(times(&ScanOptions { every_nanos: Some(5), ..given() }, 3)?, [100, 105, 110]);
+        let said =
+            |given: &ScanOptions, files| times(given, files).err().map(|error| error.to_string()).unwrap_or_default();
         assert!(said(&given(), 2).contains("--every"));
-        assert!(said(&Given { at_nanos: None, ..given() }, 1).contains("--at"));
-        assert!(said(&Given { every_nanos: Some(i64::MAX), ..given() }, 3).contains("2262"));
+        assert!(said(&ScanOptions { at_nanos: None, ..given() }, 1).contains("--at"));
+        assert!(said(&ScanOptions { every_nanos: Some(i64::MAX), ..given() }, 3).contains("2262"));
         Ok(())
     }
 
@@ -194,7 +196,7 @@ mod tests {
         let header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\n";
         let turned = file("posed.pcd", &format!("{header}VIEWPOINT 1 2 3 1 0 0 0\nDATA ascii\n1 2 3\n"))?;
         let bare = file("bare.pcd", &format!("{header}DATA ascii\n1 2 3\n"))?;
-        let posed = Given { pose: Some(Pose::default()), ..given() };
+        let posed = ScanOptions { pose: Some(Pose::default()), ..given() };
         assert_eq!(said(&turned, &given()), (String::new(), false));
         assert_eq!(said(&bare, &posed), (String::new(), false));
         for cloud in [bare, file("bare.ply", "ply\n")?] {
@@ -203,11 +205,11 @@ mod tests {
         }
         let octomap = file("map.bt", "")?;
         assert_eq!(said(&octomap, &given()), (String::new(), false));
-        for sensor in [&posed, &Given { max_range_m: Some(5.0), ..given() }] {
+        for sensor in [&posed, &ScanOptions { max_range_m: Some(5.0), ..given() }] {
             let (error, misused) = said(&octomap, sensor);
             assert!(misused && error.contains("leave out --pose"), "{error}");
         }
-        let ranges = |min, max| Given { min_range_m: Some(min), max_range_m: Some(max), ..posed.clone() };
+        let ranges = |min, max| ScanOptions { min_range_m: Some(min), max_range_m: Some(max), ..posed.clone() };
         assert_eq!(said(&turned, &ranges(5.0, 0.0)), (String::new(), false));
         let (error, misused) = said(&turned, &ranges(5.0, 3.0));
         assert!(misused && error.contains("--min-range 5 is above --max-range 3"), "{error}");

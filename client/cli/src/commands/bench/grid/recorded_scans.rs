@@ -23,14 +23,14 @@ const LOOKS_PER_DAY: u32 = 24;
 
 /// A file, and how far apart its scans are.
 #[derive(Debug)]
-pub(super) struct Made {
+pub(super) struct RecordedScans {
     path: PathBuf,
     scans_per_day: Option<f64>,
 }
 
-impl Made {
+impl RecordedScans {
     /// Reads the first two scans.
-    pub(super) fn look(path: &Path) -> anyhow::Result<Self> {
+    pub(super) fn inspect(path: &Path) -> anyhow::Result<Self> {
         let shown = || path.display().to_string();
         let mut file = open(path).with_context(shown)?;
         let mut times = Vec::new();
@@ -49,7 +49,7 @@ impl Made {
     }
 
     /// Whether its first day is that of the file that the options make.
-    pub(super) fn is_of(&self, args: &GridArgs) -> anyhow::Result<bool> {
+    pub(super) fn matches(&self, args: &GridArgs) -> anyhow::Result<bool> {
         let shown = || self.path.display().to_string();
         let office = office::make(args)?;
         let (mut stream, mut made) = (GridStream::new(&office, 1), office::WireScans::new(&office));
@@ -100,18 +100,18 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_of_the_options_that_it_was_made_with() -> anyhow::Result<()> {
+    fn a_file_matches_the_options_that_it_was_made_with() -> anyhow::Result<()> {
         let usual = "bench --cells 20000 --changing-cells 1400 --scans-per-day 96 --days 1";
         let args =
             |more: &str| Line::try_parse_from(usual.split(' ').chain(more.split_whitespace())).map(|line| line.args);
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("made.tms");
         office::write(&path, &args("")?)?;
-        let made = Made::look(&path)?;
-        assert_eq!(made.scans_per_day(), Some(96.0));
-        assert!(made.is_of(&args("")?)? && made.is_of(&args("--keep")?)?);
+        let recorded = RecordedScans::inspect(&path)?;
+        assert_eq!(recorded.scans_per_day(), Some(96.0));
+        assert!(recorded.matches(&args("")?)? && recorded.matches(&args("--keep")?)?);
         for other in ["--seed 2", "--views 2", "--changes-per-day 20"] {
-            assert!(!made.is_of(&args(other)?)?, "{other}");
+            assert!(!recorded.matches(&args(other)?)?, "{other}");
         }
         Ok(())
     }

@@ -12,7 +12,7 @@ const PAUSE: Duration = Duration::from_millis(500);
 
 /// Follows the updates of a map.
 #[derive(Debug)]
-pub(super) struct Nights {
+pub(super) struct UpdateTimes {
     map: String,
     /// Seconds of each, by the job's number.
     seen: tokio::sync::watch::Receiver<BTreeMap<u64, f64>>,
@@ -21,9 +21,9 @@ pub(super) struct Nights {
 
 /// How long updates ran.
 #[derive(Clone, Debug)]
-pub(super) struct NightSecs(Vec<f64>);
+pub(super) struct UpdateSecs(Vec<f64>);
 
-impl Nights {
+impl UpdateTimes {
     pub(super) fn watch(client: &Client, map: &str) -> Self {
         let (sender, seen) = tokio::sync::watch::channel(BTreeMap::new());
         let (client, watched) = (client.clone(), map.to_owned());
@@ -39,15 +39,15 @@ impl Nights {
     }
 
     /// Looks once more.
-    pub(super) async fn ended(self, client: &Client) -> anyhow::Result<NightSecs> {
+    pub(super) async fn ended(self, client: &Client) -> anyhow::Result<UpdateSecs> {
         self.task.abort();
         let mut all = self.seen.borrow().clone();
         all.extend(ended(client, &self.map).await?);
-        Ok(NightSecs(all.into_values().collect()))
+        Ok(UpdateSecs(all.into_values().collect()))
     }
 }
 
-impl Drop for Nights {
+impl Drop for UpdateTimes {
     fn drop(&mut self) {
         self.task.abort();
     }
@@ -59,7 +59,7 @@ async fn ended(client: &Client, map: &str) -> Result<Vec<(u64, f64)>, tidemap_cl
     Ok(of_map.map(|job| (job.id, job.elapsed_nanos as f64 / 1e9)).collect())
 }
 
-impl NightSecs {
+impl UpdateSecs {
     pub(super) fn count(&self) -> u64 {
         self.0.len() as u64
     }
