@@ -30,6 +30,8 @@ use crate::{
 
 /// Batches that wait to be written to the connection. More would only sit in memory twice.
 const QUEUED_BATCHES: usize = 2;
+/// Between two attempts to get a key that another stream holds.
+const KEY_PAUSE: Duration = Duration::from_millis(200);
 
 /// How a connection ended.
 enum End {
@@ -62,8 +64,16 @@ impl Link {
 
     pub(super) async fn run(mut self) {
         let mut said_hello = false;
+        let mut key_deadline = None;
         loop {
             let error = match self.connection().await {
+                // The daemon may not have noticed yet that an earlier stream of the key has ended.
+                End::Final(ProducerError::KeyInUse(_)) if self.waits_for_key(&mut key_deadline) => {
+                    if self.left_during(KEY_PAUSE).await {
+                        return self.finish(ProducerError::Closed);
+                    }
+                    continue;
+                }
                 // An earlier Hello, whose Welcome was lost with its connection, may hold the key until the daemon
                 // notices.
                 End::Final(ProducerError::KeyInUse(detail)) if said_hello && self.incarnation == 0 => {
@@ -85,6 +95,13 @@ impl Link {
                 return self.finish(ProducerError::Closed);
             }
         }
+    }
+
+    /// Whether to try again for a key that another stream holds; the deadline is set the first time.
+    fn waits_for_key(&self, deadline: &mut Option<Duration>) -> bool {
+        let now = self.epoch.elapsed();
+        let deadline = *deadline.get_or_insert_with(|| now + self.shared.options.key_patience);
+        self.incarnation == 0 && now < deadline
     }
 
     /// Whether the producer may end without the daemon: nothing is left to be made durable, and the daemon's nightly

@@ -44,12 +44,15 @@ pub struct ProducerOptions {
     pub window: usize,
     /// Most bytes of them; one scan may go beyond it.
     pub window_bytes: usize,
-    /// How long to go on trying when the daemon cannot be reached.
+    /// How long to try again when the daemon cannot be reached.
     pub patience: Duration,
+    /// How long to wait at first for the key (producer, label, map) where another stream holds it: the daemon takes a
+    /// moment to notice that a stream has ended.
+    pub key_patience: Duration,
 }
 
 impl ProducerOptions {
-    /// Options with the usual window (65,536 observations, 64 MiB) and patience (a minute).
+    /// Options with the usual window (65,536 observations, 64 MiB), patience (a minute) and key patience (30 s).
     #[must_use]
     pub fn new(producer: &str, label: &str, map: &str) -> Self {
         Self {
@@ -62,6 +65,7 @@ impl ProducerOptions {
             window: 65_536,
             window_bytes: WINDOW_BYTES,
             patience: Duration::from_secs(60),
+            key_patience: Duration::from_secs(30),
         }
     }
 }

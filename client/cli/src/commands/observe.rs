@@ -10,7 +10,7 @@ pub mod transfer;
 use std::{
     path::{Path, PathBuf},
     process::ExitCode,
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use anyhow::Context as _;
@@ -61,7 +61,6 @@ pub struct ObserveArgs {
 
 /// A stream that ended a moment ago may hold its key until the daemon has noticed.
 const KEY_PATIENCE: Duration = Duration::from_secs(3);
-const KEY_PAUSE: Duration = Duration::from_millis(200);
 /// After Ctrl-C, what is under way gets this long to become durable.
 pub(super) const LAST_FLUSH: Duration = Duration::from_secs(5);
 /// Between two looks for nightly updates.
@@ -182,21 +181,15 @@ pub(super) async fn opened(
     options: ProducerOptions,
     bar: &Bar,
 ) -> Result<(Producer, JoinHandle<()>), ProducerError> {
-    let deadline = Instant::now() + KEY_PATIENCE;
-    loop {
-        let mut producer = Producer::start(&session.client, options.clone());
-        let notices = tokio::spawn(say(producer.watch(), bar.clone(), options.patience));
-        match producer.opened().await {
-            Ok(_) => return Ok((producer, notices)),
-            Err(ProducerError::KeyInUse(_)) if Instant::now() < deadline => {
-                notices.abort();
-                tokio::time::sleep(KEY_PAUSE).await;
-            }
-            Err(error) => {
-                notices.abort();
-                bar.clear();
-                return Err(error);
-            }
+    let patience = options.patience;
+    let mut producer = Producer::start(&session.client, ProducerOptions { key_patience: KEY_PATIENCE, ..options });
+    let notices = tokio::spawn(say(producer.watch(), bar.clone(), patience));
+    match producer.opened().await {
+        Ok(_) => Ok((producer, notices)),
+        Err(error) => {
+            notices.abort();
+            bar.clear();
+            Err(error)
         }
     }
 }

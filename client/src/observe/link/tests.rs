@@ -176,10 +176,13 @@ impl ObservationService for Fake {
 }
 
 async fn producer(acts: &[Act]) -> Result<(Fake, Producer), Box<dyn std::error::Error>> {
-    producer_with(acts, false).await
+    producer_with(acts, |options| options).await
 }
 
-async fn producer_with(acts: &[Act], nightly: bool) -> Result<(Fake, Producer), Box<dyn std::error::Error>> {
+async fn producer_with(
+    acts: &[Act],
+    change: impl FnOnce(ProducerOptions) -> ProducerOptions,
+) -> Result<(Fake, Producer), Box<dyn std::error::Error>> {
     let fake = Fake::default();
     fake.stored().acts = acts.iter().cloned().collect();
     let listener = TcpListener::bind("127.0.0.1:0").await?;
@@ -187,9 +190,9 @@ async fn producer_with(acts: &[Act], nightly: bool) -> Result<(Fake, Producer), 
     let service = ObservationServiceServer::new(fake.clone());
     tokio::spawn(Server::builder().add_service(service).serve_with_incoming(TcpListenerStream::new(listener)));
     let client = Client::new(&address.to_string())?;
-    let patience = Duration::from_secs(30);
-    let options = ProducerOptions { patience, nightly, ..ProducerOptions::new("robot", "", "office") };
-    Ok((fake, Producer::start(&client, options)))
+    let (patience, key_patience) = (Duration::from_secs(30), Duration::ZERO);
+    let options = ProducerOptions { patience, key_patience, ..ProducerOptions::new("robot", "", "office") };
+    Ok((fake, Producer::start(&client, change(options))))
 }
 
 type Tested = Result<(), Box<dyn std::error::Error>>;
@@ -270,6 +273,22 @@ async fn a_key_held_by_an_own_lost_hello_is_tried_again() -> Tested {
 }
 
 #[tokio::test]
+async fn a_key_that_an_ended_stream_still_holds_is_waited_for() -> Tested {
+    let held = [Act::Refuse(Code::AlreadyExists), Act::Refuse(Code::AlreadyExists)];
+    let patient = |key_patience| move |options| ProducerOptions { key_patience, ..options };
+    let (fake, mut producer) = producer_with(&held, patient(Duration::from_secs(30))).await?;
+    assert_eq!(send(&mut producer, &[1.0]).await, Ok(()));
+    assert_eq!(fake.stored().incarnations.len(), 3);
+
+    let held = vec![Act::Refuse(Code::AlreadyExists); 100];
+    let (fake, mut producer) = producer_with(&held, patient(Duration::from_millis(300))).await?;
+    assert_eq!(send(&mut producer, &[1.0]).await, Err(ProducerError::KeyInUse("no".to_owned())));
+    let attempts = fake.stored().incarnations.len();
+    assert!((2..=3).contains(&attempts), "{attempts}");
+    Ok(())
+}
+
+#[tokio::test]
 async fn a_restored_daemon_gets_what_it_lacks_or_is_noticed() -> Tested {
     let (fake, mut mended) = producer(&[Act::ServeUntil(3), Act::Restored(3)]).await?;
     send(&mut mended, &[0.0, 1.0, 0.0]).await?;
@@ -303,7 +322,7 @@ async fn a_daemon_that_has_everything_and_is_gone_does_not_hold_up_the_end() -> 
 #[tokio::test]
 async fn a_producer_that_announced_data_time_says_that_it_is_gone() -> Tested {
     let acts = [Act::ServeAndStop, Act::Refuse(Code::Unavailable), Act::Refuse(Code::Unavailable), Act::Serve];
-    let (fake, mut producer) = producer_with(&acts, true).await?;
+    let (fake, mut producer) = producer_with(&acts, |options| ProducerOptions { nightly: true, ..options }).await?;
     send(&mut producer, &[1.0]).await?;
     producer.close().await?;
     assert_eq!(fake.stored().incarnations.len(), 4);
