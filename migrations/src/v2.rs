@@ -6,7 +6,8 @@
 //! | `log/00000000000000000001.log` | as before, also with frames of [`event::Scans`] and [`site::SiteEdit`] |
 //! | `checkpoints/00000000000000000007.tmc` | as before, with a [`map::Snapshot`], an optional [`site::Site`] and, |
 //! | | for a map with a grid, [`grid`] records |
-//! | `checkpoints/update-00000000000000000008.tmu` | [`mod@file`] without a trailer, with [`update`] records |
+//! | `checkpoints/update-00000000000000000008.tmu` | what an update had done when it was killed: no longer written or |
+//! | | read; removed when the map opens |
 //! | `history/00000000000000000007.states.tmh` | [`mod@file`] with [`history`] records |
 //! | `history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
 //!
@@ -29,7 +30,6 @@ pub mod log;
 pub mod map;
 pub mod site;
 pub mod topology;
-pub mod update;
 
 /// The number of this format.
 pub const FORMAT: u32 = 2;

@@ -135,9 +135,6 @@ pub struct Settings {
     pub checkpoints_kept: usize,
     /// Memory for what is learned of the tiles of a map, in bytes. Tiles beyond it are read from the newest checkpoint.
     pub tile_cache_bytes: u64,
-    /// Work that the update of a grid has done, in changed cells times scans, before it begins to note what it has done, so
-    /// that it goes on from there after a kill. A unit takes about 4 ns of a processor. 0: every tile is noted each day.
-    pub update_journal_min_work: u64,
 }
 
 impl Default for Settings {
@@ -175,7 +172,6 @@ impl Default for Settings {
             index_cache_bytes: 64 << 20,
             checkpoints_kept: 2,
             tile_cache_bytes: 1 << 30,
-            update_journal_min_work: 2_000_000_000,
         }
     }
 }
@@ -236,7 +232,6 @@ impl Settings {
             ("index_cache_bytes", self.index_cache_bytes, 1 << 20, 1 << 36),
             ("checkpoints_kept", self.checkpoints_kept as u64, 1, 100),
             ("tile_cache_bytes", self.tile_cache_bytes, 1 << 20, 1 << 44),
-            ("update_journal_min_work", self.update_journal_min_work, 0, 1 << 60),
         ] {
             if !(least..=most).contains(&value) {
                 bail!("setting {key} is {value}: it must be between {least} and {most}");

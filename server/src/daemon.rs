@@ -135,7 +135,6 @@ pub async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), DaemonEr
         },
         max_tiles: settings.max_tiles_per_map,
         tile_cache_bytes: settings.tile_cache_bytes,
-        update_journal_min_work: settings.update_journal_min_work,
     };
     let store = Arc::clone(&context.store);
     let max_maps = settings.max_maps;

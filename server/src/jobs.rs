@@ -12,7 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_map::{event::UpdateCause, grid::update::GridOutcome, name::MapName, update::StateOutcome};
+use tidemap_map::{event::UpdateCause, grid::outcome::GridOutcome, name::MapName, update::StateOutcome};
 use tokio::sync::watch;
 
 const JOBS_KEPT: usize = 1000;

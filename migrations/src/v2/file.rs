@@ -13,8 +13,6 @@ use crate::v1::{
 
 /// First bytes of a history file; the position in its header is the generation.
 pub const HISTORY_MAGIC: [u8; 8] = *b"tidemhst";
-/// First bytes of the file of an update that runs; the position in its header is the generation.
-pub const UPDATE_MAGIC: [u8; 8] = *b"tidemupd";
 /// Most bytes of a long record in one piece.
 pub const PIECE_MAX: usize = RECORD_MAX - 1;
 
@@ -56,9 +54,9 @@ pub enum RecordKind {
     Table = 14,
     /// [`super::history::End`], the last record of a history file.
     End = 15,
-    /// [`super::update::Update`], the first of the file of an update.
+    /// Of the file of an update; no longer written.
     Update = 16,
-    /// [`super::update::DoneTile`], the last of a tile in the file of an update.
+    /// Of the file of an update; no longer written.
     DoneTile = 17,
     /// [`super::site::Site`], after the last state where the snapshot has one.
     Site = 18,

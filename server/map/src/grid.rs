@@ -7,15 +7,16 @@
 //! an occupied cell is observed.
 
 pub mod day;
+mod fold;
 pub mod front;
 pub mod generation;
 pub mod index;
 pub mod live;
 pub mod live_tile;
 pub mod mask;
+pub mod outcome;
 pub mod paging;
 pub mod predict;
-pub mod progress;
 pub mod raycast;
 pub mod scan;
 pub mod sensor_sums;

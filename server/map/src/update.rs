@@ -11,15 +11,17 @@ use std::sync::{
 use rayon::prelude::*;
 use tidemap_model::{Sample, StateModel, UpdateOutcome};
 
+#[cfg(test)]
+use crate::grid::update::rules::UpdateLimits;
 use crate::{
     directory::Directory,
     event::{UpdateCause, UpdateStart},
     grid::{
         live::GridBasis,
-        progress::{self, Notes, UpdateIdentity, UpdateJournal},
+        outcome::GridOutcome,
         spec::Retention,
         tile::TileUnavailable,
-        update::{GridOutcome, GridResult, GridWork},
+        update::{GridResult, GridWork},
     },
     history::{HistoryDay, HistoryPiece},
     ids::StateId,
@@ -98,20 +100,6 @@ impl UpdateWork {
         self.samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>() + scans
     }
 
-    /// What the update is known by.
-    #[must_use]
-    pub fn identity(&self) -> UpdateIdentity {
-        let Basis { start: UpdateStart { generation, cut_nanos, .. }, position, .. } = self.basis;
-        let content = progress::content(self.grid.as_ref().map_or(&[], |grid| &grid.days));
-        UpdateIdentity { generation, position, cut_nanos, content }
-    }
-
-    /// Whether a journal could be of use: there are tiles of a grid to work on.
-    #[must_use]
-    pub fn has_tiles(&self) -> bool {
-        self.grid.as_ref().is_some_and(|grid| grid.busy_tiles() > 0)
-    }
-
     /// The same with what earlier updates have folded in, so that models are fitted again where they are due.
     /// Without it they stay as they are, and so they do in an update for [`UpdateCause::PendingLimit`]. The same update is to
     /// be given the same readings whenever it is run.
@@ -120,40 +108,28 @@ impl UpdateWork {
         UpdateWork { readings: Some(readings), ..self }
     }
 
+    /// The same with other limits of the update of the grid.
+    #[cfg(test)]
+    pub(crate) fn with_limits(mut self, limits: UpdateLimits) -> UpdateWork {
+        if let Some(grid) = &mut self.grid {
+            grid.rules.limits = limits;
+        }
+        self
+    }
+
     /// Runs the update, on the threads of the rayon pool that this is called in. `progress` counts the states and tiles
     /// done; a tile that was seen on several days is done in as many parts.
     ///
     /// # Errors
     /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
     pub fn run(self, progress: &AtomicU64) -> Result<UpdateResult, TileUnavailable> {
-        self.run_with(progress, &Notes::new(None, 0))
-    }
-
-    /// Runs the update as [`UpdateWork::run`] does, from where an earlier run of the same update was cut off, and notes
-    /// what it does in a journal of this update. The result is the same.
-    ///
-    /// Nothing is noted before the update has done `min_work`, in changed cells times scans; from then on tiles are noted
-    /// when enough has been done to them. With 0 every tile is noted on every day.
-    ///
-    /// # Errors
-    /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
-    pub fn run_noting(
-        self,
-        progress: &AtomicU64,
-        journal: &dyn UpdateJournal,
-        min_work: u64,
-    ) -> Result<UpdateResult, TileUnavailable> {
-        self.run_with(progress, &Notes::new(Some(journal), min_work))
-    }
-
-    fn run_with(self, progress: &AtomicU64, notes: &Notes<'_>) -> Result<UpdateResult, TileUnavailable> {
         let keeps_states = self.spec.retention != Retention::None;
         let kept_grid = self.spec.grid.as_ref().filter(|grid| grid.retention != Retention::None);
         let mut history = HistoryPiece::new(self.basis.start.generation);
         if keeps_states {
             history.states.clone_from(&self.samples);
         }
-        let mut grid = self.grid.map(|grid| grid.run(progress, notes)).transpose()?;
+        let mut grid = self.grid.map(|grid| grid.run(progress)).transpose()?;
         if let Some(grid) = &mut grid {
             let days = std::mem::take(&mut grid.days);
             if let Some(spec) = kept_grid {

@@ -26,7 +26,6 @@ fn catalog(store: Store) -> Result<Catalog, CatalogError> {
         max_pending: tidemap_map::live_map::PendingLimits { observations: 1000, changes: 1000 },
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
-        update_journal_min_work: 0,
     };
     Catalog::open(context, 10)
 }

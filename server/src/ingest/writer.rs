@@ -72,8 +72,6 @@ pub struct Context {
     pub max_tiles: usize,
     /// Memory for what is learned of a map's tiles, in bytes.
     pub tile_cache_bytes: u64,
-    /// Work of an update of a grid before it notes what it has done.
-    pub update_journal_min_work: u64,
 }
 
 /// Starts the writer of a map that was restored. `unsaved`: what an update that was run for that has left to be saved.

@@ -2,7 +2,7 @@
 
 use std::{sync::Arc, sync::atomic::Ordering, time::Duration};
 
-use tidemap_map::{event::UpdateCause, grid::update::GridOutcome, update::StateOutcome};
+use tidemap_map::{event::UpdateCause, grid::outcome::GridOutcome, update::StateOutcome};
 use tidemap_proto::{
     convert::{
         map::update_to_wire,
@@ -62,18 +62,19 @@ fn job_to_wire(job: &Job) -> v1::Job {
 }
 
 /// The row of all cells of the grid: the most frequent orders, and the errors with each cell's own.
-fn cells_to_wire(cells: &GridOutcome) -> v1::StateUpdate {
+fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
     // Of equally many the lower order.
     let most = |cells_by_order: &[u64]| {
         let orders = cells_by_order.iter().enumerate().rev();
         let order = orders.max_by_key(|(_, cells)| **cells).map_or(0, |(order, _)| order);
         u32::try_from(order).unwrap_or(u32::MAX)
     };
+    let cells = &grid.cells;
     let scored = (cells.scored > 0).then_some(cells.scored as f64);
     v1::StateUpdate {
         state: "cell/*".to_owned(),
-        order_before: most(&cells.cells_by_order_before),
-        order: most(&cells.cells_by_order),
+        order_before: most(&grid.cells_by_order_before),
+        order: most(&grid.cells_by_order),
         mean_squared_error_before: scored.map(|scored| cells.squared_error_in_force / scored),
         mean_squared_error: scored.map(|scored| cells.squared_error_chosen / scored),
         observations: cells.observations,

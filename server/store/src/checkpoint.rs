@@ -31,8 +31,8 @@ mod model_cache;
 mod tiles;
 
 use grid_reader::{Keep, ReadGrid};
-pub(crate) use grid_writer::{Shared, TileWriter, WriteError};
-pub(crate) use tiles::{CheckpointTiles, Places, TilePlace};
+pub(crate) use grid_writer::WriteError;
+pub(crate) use tiles::CheckpointTiles;
 
 const SUFFIX: &str = ".tmc";
 const NEW_SUFFIX: &str = ".tmc.new";
@@ -247,10 +247,10 @@ impl Checkpoints<'_> {
         Ok(Report::CheckpointSetAside { file, reason })
     }
 
-    /// Removes what an interrupted save has left.
+    /// Removes what an interrupted save has left, and what earlier builds noted of a killed update.
     pub(crate) fn remove_leftovers(&self, reports: &mut Vec<Report>) -> Result<(), OpenError> {
         for name in self.disk.list(&self.folder).map_err(open_io(&self.folder))? {
-            if name.ends_with(NEW_SUFFIX) {
+            if name.ends_with(NEW_SUFFIX) || is_update_file(&name) {
                 let file = self.folder.join(name);
                 self.disk.remove(&file).map_err(open_io(&file))?;
                 reports.push(Report::LeftoverRemoved { file });
@@ -266,6 +266,12 @@ impl Checkpoints<'_> {
         }
         Ok(())
     }
+}
+
+/// Whether a file is one in which earlier builds noted what an update had done.
+fn is_update_file(name: &str) -> bool {
+    let digits = name.strip_prefix("update-").and_then(|rest| rest.strip_suffix(".tmu"));
+    digits.is_some_and(|digits| digits.len() == 20 && digits.bytes().all(|byte| byte.is_ascii_digit()))
 }
 
 /// The site of a checkpoint whose states have been read.

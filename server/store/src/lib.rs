@@ -16,7 +16,6 @@ mod log;
 mod record;
 mod record_file;
 mod store;
-mod update_file;
 
 #[cfg(test)]
 mod simulation;
@@ -29,7 +28,6 @@ pub use history::{GridDays, History, HistorySizes, StateFiles};
 pub use log::{Done, MapLog, replay::Replay};
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
 pub use store::{OpenedMap, Sizes, Source, Store, StoreOptions};
-pub use update_file::UpdateFile;
 
 /// Number of a map within its store, from 1, never reused; the name of its folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

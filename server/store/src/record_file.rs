@@ -41,33 +41,9 @@ impl RecordWriter {
         Ok(writer)
     }
 
-    /// Goes on with a file of which `length` bytes have this checksum; what follows them is cut off. Such a file gets
-    /// no trailer.
-    pub(crate) fn go_on(disk: &dyn Disk, path: &Path, length: u64, total_crc: u32) -> io::Result<RecordWriter> {
-        let mut file = disk.open(path)?;
-        if disk.length(path)? != length {
-            file.truncate(length)?;
-        }
-        Ok(RecordWriter { file, buffer: Vec::new(), length, total_crc, records: 0 })
-    }
-
     /// Offset of the next record in the file.
     pub(crate) fn offset(&self) -> u64 {
         self.length
-    }
-
-    /// Checksum of all bytes so far.
-    pub(crate) fn total_crc(&self) -> u32 {
-        self.total_crc
-    }
-
-    /// Hands all records so far to the operating system.
-    pub(crate) fn flush(&mut self) -> io::Result<()> {
-        if !self.buffer.is_empty() {
-            self.file.append(&self.buffer)?;
-            self.buffer.clear();
-        }
-        Ok(())
     }
 
     fn push(&mut self, bytes: &[u8]) {
@@ -129,7 +105,6 @@ pub(crate) struct RecordReader {
     offset: u64,
     total_crc: u32,
     /// Checksum of all bytes before `offset`.
-    crc_before: u32,
     records: u32,
     payload: Vec<u8>,
 }
@@ -152,17 +127,12 @@ impl RecordReader {
         let offset = FILE_HEADER_LENGTH as u64;
         let crc = crc32c::crc32c(&bytes);
         let (ahead, payload) = (None, Vec::new());
-        Ok(RecordReader { reader, header, ahead, offset, total_crc: crc, crc_before: crc, records: 0, payload })
+        Ok(RecordReader { reader, header, ahead, offset, total_crc: crc, records: 0, payload })
     }
 
     /// Offset of the next record in the file.
     pub(crate) fn offset(&self) -> u64 {
         self.offset
-    }
-
-    /// Checksum of all bytes before the next record.
-    pub(crate) fn crc_before(&self) -> u32 {
-        self.crc_before
     }
 
     /// The kind of the next record.
@@ -196,7 +166,6 @@ impl RecordReader {
             return Err(format!("record {record} is of another kind than it should"));
         }
         self.total_crc = crc32c::crc32c_append(self.total_crc, &self.payload);
-        self.crc_before = self.total_crc;
         self.records = record;
         self.offset += (RECORD_HEADER_LENGTH + self.payload.len()) as u64;
         self.ahead = None;

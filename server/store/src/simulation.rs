@@ -6,4 +6,3 @@ mod crash;
 mod disk;
 mod faults;
 mod machine;
-mod updates;

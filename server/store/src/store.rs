@@ -10,7 +10,7 @@ use std::{
     thread::JoinHandle,
 };
 
-use tidemap_map::{grid::progress::UpdateIdentity, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 
 use crate::{
     MapId,
@@ -21,7 +21,6 @@ use crate::{
     history::History,
     index::Index,
     log::{Log, MapLog, replay::Replay},
-    update_file::{UpdateFile, is_update_file},
 };
 
 mod catalogue;
@@ -260,11 +259,9 @@ impl Store {
     #[must_use]
     pub fn sizes(&self, map: MapId) -> Sizes {
         let inner = &*self.inner;
-        // What a running update writes is gone when it is done.
         let bytes = |folder: &Path| -> io::Result<u64> {
             let names = inner.disk.list(folder)?;
-            let lasting = names.iter().filter(|name| !is_update_file(name));
-            lasting.map(|name| inner.disk.length(&folder.join(name))).sum()
+            names.iter().map(|name| inner.disk.length(&folder.join(name))).sum()
         };
         Sizes {
             log_bytes: bytes(&catalogue::log_folder(&inner.directory, map)).unwrap_or(0),
@@ -281,19 +278,6 @@ impl Store {
         let is_complete = self.inner.maps().entries.get(&map).map(|entry| entry.history_complete);
         let is_complete = is_complete.ok_or(HistoryError::UnknownMap(map))?;
         Ok(History { is_complete, ..self.inner.history(map) })
-    }
-
-    /// Where an update of a map with a grid keeps what it has done, with what an earlier run of the same update has
-    /// left. There is one of an update at a time.
-    ///
-    /// # Errors
-    /// [`StoreError::UnknownMap`].
-    pub fn update_file(&self, map: MapId, identity: &UpdateIdentity) -> Result<UpdateFile, StoreError> {
-        let inner = &*self.inner;
-        let spec = inner.maps().entries.get(&map).map(|entry| Arc::clone(&entry.spec));
-        let spec = spec.ok_or(StoreError::UnknownMap(map))?;
-        let folder = catalogue::checkpoints_folder(&inner.directory, map);
-        Ok(UpdateFile::open(Arc::clone(&inner.disk), &folder, map, &spec.periodicities, identity))
     }
 
     /// How long fdatasync of the logs has taken.

@@ -18,4 +18,3 @@ mod scans;
 mod segments;
 mod torn_tail;
 mod traversals;
-pub(crate) mod update_file;

@@ -8,16 +8,16 @@ use std::{collections::HashMap, sync::Arc};
 use tidemap_model::{LocalDay, OrderCriterion, Periodicities};
 
 use super::{
-    day::{GridDay, ScanTime},
+    day::GridDay,
     generation::Generation,
     index::{TileId, TileIndex},
     live_tile::{LikeScans, LiveTile},
     mask::TileMasks,
     sensors::{InvalidSensor, ProducerSensor, SensorId, Sensors},
-    snapshot::GridSnapshot,
+    snapshot::{AheadScan, GridSnapshot},
     spec::GridSpec,
     tile::SumsSlot,
-    update::{GridWork, Rules},
+    update::{GridWork, rules::Rules},
 };
 
 mod due;
@@ -31,15 +31,6 @@ pub(crate) const TILE_CHUNK: usize = 64;
 
 /// A chunk of tiles, shared with readers.
 pub(crate) type TileChunk = Arc<Vec<Arc<LiveTile>>>;
-
-/// A scan that waits because its time is too far ahead.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct AheadScan {
-    /// When it was made.
-    pub time: ScanTime,
-    /// What it showed.
-    pub tiles: Vec<(TileId, TileMasks)>,
-}
 
 /// The scan before: what unchanged tiles need not be asked again.
 #[derive(Clone, Debug)]

@@ -51,11 +51,6 @@ impl SensorSums {
     pub fn sums(&self) -> impl Iterator<Item = &Arc<PhasorSum>> {
         self.groups.iter().flatten().flat_map(|weighted| [&weighted.alpha, &weighted.beta])
     }
-
-    /// The sums, to be replaced.
-    pub(crate) fn sums_mut(&mut self) -> impl Iterator<Item = &mut Arc<PhasorSum>> {
-        self.groups.iter_mut().flatten().flat_map(|weighted| [&mut weighted.alpha, &mut weighted.beta])
-    }
 }
 
 /// The sums over the readings of a group.

@@ -14,11 +14,11 @@ use std::sync::Arc;
 use tidemap_model::{Periodicities, PhasorSum, PhasorTable, RunningSums};
 
 use super::{
+    fold::{Chunk, Cursor, WeightedRows, WeightedScans, fold_toggles},
     index::TILE_CELLS,
     mask::Mask,
     sensor_sums::{GroupSums, WeightedSums},
     sensors::{SensorId, Sensors},
-    update::{CHUNK, Chunk, Cursor, WeightedRows, WeightedScans, fold_toggles},
 };
 
 /// Cells that were observed at the same times of a day.
@@ -109,7 +109,13 @@ impl Sightings {
     }
 
     /// The sums over the times at which each of these cells was observed, in their order.
-    pub(super) fn sums(&self, cells: &[u16], periodicities: &Periodicities, sensors: &Sensors) -> Vec<GroupSums> {
+    pub(super) fn sums(
+        &self,
+        cells: &[u16],
+        periodicities: &Periodicities,
+        sensors: &Sensors,
+        chunk_scans: usize,
+    ) -> Vec<GroupSums> {
         let has_others = self.days.iter().any(|day| day.sensors.is_some());
         let mut sums: Vec<CellSums> = cells.iter().map(|_| CellSums::zero(periodicities, has_others)).collect();
         for day in &self.days {
@@ -125,8 +131,8 @@ impl Sightings {
             let weighted = day.sensors.as_ref().map(|ids| WeightedScans::new(Arc::clone(ids), sensors));
             let mut rows = RunningSums::new(periodicities);
             let mut weighted_rows = weighted.as_ref().map(|_| WeightedRows::new(periodicities));
-            for (number, civil_nanos) in day.civil_nanos.chunks(CHUNK).enumerate() {
-                let first = number * CHUNK;
+            for (number, civil_nanos) in day.civil_nanos.chunks(chunk_scans).enumerate() {
+                let first = number * chunk_scans;
                 let phasors = PhasorTable::new(periodicities, civil_nanos);
                 rows.extend_chunk(&phasors);
                 if let (Some(rows), Some(weighted)) = (&mut weighted_rows, &weighted) {

@@ -5,12 +5,21 @@
 use std::sync::Arc;
 
 use super::{
-    day::GridDay,
+    day::{GridDay, ScanTime},
     index::TileId,
-    live::AheadScan,
     live_tile::LiveTile,
+    mask::TileMasks,
     tile::{ModelSlot, SumsSlot},
 };
+
+/// A scan that waits because its time is too far ahead.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AheadScan {
+    /// When it was made.
+    pub time: ScanTime,
+    /// What it showed.
+    pub tiles: Vec<(TileId, TileMasks)>,
+}
 
 /// A whole grid at one log position.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,6 +5,7 @@
 use proptest::prelude::*;
 
 use self::world::World;
+use super::update::rules::UpdateLimits;
 
 mod compare;
 mod oracle;
@@ -17,20 +18,30 @@ fn config() -> ProptestConfig {
     ProptestConfig { cases: usual.cases / 4, max_shrink_iters: 200, ..usual }
 }
 
+fn follow(mut world: World, seed: u64, steps: usize) {
+    for step in 0..steps {
+        world.step();
+        world.compare(&format!("seed {seed}, step {step}"));
+    }
+    world.settle();
+    world.compare(&format!("seed {seed}, settled"));
+    world.restore();
+    world.compare(&format!("seed {seed}, restored"));
+}
+
 proptest! {
     #![proptest_config(config())]
 
     #[test]
     fn a_grid_says_of_each_cell_what_its_own_model_would(seed in any::<u64>(), steps in 1_usize..60) {
+        follow(World::new(seed), seed, steps);
+    }
+
+    #[test]
+    fn a_grid_says_so_with_the_limits_of_the_daemon_too(seed in any::<u64>(), steps in 1_usize..60) {
         let mut world = World::new(seed);
-        for step in 0..steps {
-            world.step();
-            world.compare(&format!("seed {seed}, step {step}"));
-        }
-        world.settle();
-        world.compare(&format!("seed {seed}, settled"));
-        world.restore();
-        world.compare(&format!("seed {seed}, restored"));
+        world.limits = UpdateLimits::default();
+        follow(world, seed, steps);
     }
 
     #[test]

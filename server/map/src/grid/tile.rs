@@ -157,11 +157,6 @@ impl TileSums {
         self.groups.iter().chain(self.sensors.iter().flat_map(|sensors| sensors.sums()))
     }
 
-    /// The same, to be replaced.
-    pub(crate) fn shared_mut(&mut self) -> impl Iterator<Item = &mut Arc<PhasorSum>> {
-        self.groups.iter_mut().chain(self.sensors.iter_mut().flat_map(|sensors| sensors.sums_mut()))
-    }
-
     /// The sums of a group.
     pub(crate) fn group(&self, index: usize) -> Option<GroupSums> {
         let plain = Arc::clone(self.groups.get(index)?);
@@ -220,6 +215,30 @@ impl TileSums {
         let cells: usize = self.cells.iter().map(PhasorSum::bytes).sum();
         let sensors = self.sensors.as_ref().map_or(0, |sensors| size_of_val(sensors.groups.as_slice()));
         size_of::<Self>() + pointers + cells + self.sightings.bytes() + sensors
+    }
+}
+
+/// A tile's model and sums, while an update changes them.
+#[derive(Debug, Default)]
+pub(crate) struct TileData {
+    pub(crate) model: TileModel,
+    pub(crate) sums: TileSums,
+}
+
+impl TileData {
+    /// Gives back memory that is held for more groups and cells.
+    pub(crate) fn shrink(&mut self) {
+        self.model.groups.shrink_to_fit();
+        self.model.cells.shrink_to_fit();
+        self.sums.groups.shrink_to_fit();
+        self.sums.cells.shrink_to_fit();
+        if let Some(weights) = &mut self.model.sensors {
+            weights.groups.shrink_to_fit();
+            weights.occupied.shrink_to_fit();
+        }
+        if let Some(sums) = &mut self.sums.sensors {
+            sums.groups.shrink_to_fit();
+        }
     }
 }
 

@@ -70,7 +70,6 @@ fn bench_with(dir: &Path, now: i64, change: impl FnOnce(&mut Context)) -> Bench 
         max_pending: PendingLimits { observations: 1000, changes: 1000 },
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
-        update_journal_min_work: 0,
     };
     change(&mut context);
     Bench { catalog: Catalog::open(context, 10).expect("maps"), clock, jobs }

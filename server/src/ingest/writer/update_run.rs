@@ -106,8 +106,7 @@ impl Updates {
 }
 
 impl Context {
-    /// Runs the update of a map, from where an earlier run of it was cut off. `unsaved`: history of earlier updates that no
-    /// save has stored.
+    /// Runs the update of a map. `unsaved`: history of earlier updates that no save has stored.
     ///
     /// # Errors
     /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
@@ -129,7 +128,7 @@ impl Context {
                 work
             }
         };
-        let result = self.run_with_journal(id, map, work, progress)?;
+        let result = self.update_pool.install(|| work.run(progress))?;
         let refits = result.refits();
         if let Some(reason) = &refits.failure {
             warn!(%map, states = refits.failed, reason, "models are not refitted, because history cannot be read");
@@ -138,27 +137,6 @@ impl Context {
             info!(%map, fitted = refits.fitted, waiting = refits.waiting, "models wait for a refit at a later update");
         }
         Ok(result)
-    }
-
-    /// Runs an update, and journals its work where that takes long.
-    fn run_with_journal(
-        &self,
-        id: MapId,
-        map: &MapName,
-        work: UpdateWork,
-        progress: &AtomicU64,
-    ) -> Result<UpdateResult, TileUnavailable> {
-        let file = if work.has_tiles() { self.store.update_file(id, &work.identity()).map(Some) } else { Ok(None) };
-        let file = file.unwrap_or_else(|error| {
-            warn!(%map, %error, "the update runs without a journal");
-            None
-        });
-        let Some(file) = file else { return self.update_pool.install(|| work.run(progress)) };
-        if file.resumed() > 0 {
-            let (tiles, generation) = (file.resumed(), work.start().generation);
-            info!(%map, generation, tiles, of = work.states(), "resuming an update that was cut off");
-        }
-        self.update_pool.install(|| work.run_noting(progress, &file, self.update_journal_min_work))
     }
 }
 

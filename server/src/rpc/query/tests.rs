@@ -68,7 +68,6 @@ impl Bench {
             max_pending: tidemap_map::live_map::PendingLimits { observations: 1_000_000, changes: 1_000_000 },
             max_tiles: 5000,
             tile_cache_bytes: 1 << 30,
-            update_journal_min_work: 0,
         };
         Arc::new(Catalog::open(context, 10).expect("maps"))
     }

@@ -120,16 +120,6 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
-    /// Those of a file that is gone on with, by number.
-    pub(crate) fn of_file(in_memory: Vec<Weak<PhasorSum>>) -> Shared {
-        let live = (0..).zip(&in_memory).filter(|(_, sum)| sum.strong_count() > 0);
-        Shared {
-            by_address: live.map(|(number, sum)| (sum.as_ptr() as usize, number)).collect(),
-            by_place: HashMap::new(),
-            in_memory,
-        }
-    }
-
     fn next(&self) -> Result<u32, WriteError> {
         u32::try_from(self.in_memory.len()).map_err(|_| "a grid has more shared sums than can be numbered".into())
     }
@@ -153,25 +143,6 @@ impl<'writer> TileWriter<'writer> {
         shared: Shared,
     ) -> TileWriter<'writer> {
         TileWriter { writer, periodicities, shared, model: Vec::new(), sums: Vec::new() }
-    }
-
-    /// Writes the model and the sums of a tile, after the shared sums that are new with it. Nothing where it has none.
-    pub(crate) fn put(&mut self, model: &TileModel, sums: &TileSums) -> Result<(), WriteError> {
-        self.model.clear();
-        self.sums.clear();
-        let has_model = self.encode_model(model)?;
-        if has_model != self.encode_sums(sums)? {
-            return Err("a tile has a model without sums, or sums without a model".into());
-        }
-        if has_model {
-            self.write_prepared()?;
-        }
-        Ok(())
-    }
-
-    /// What has been written to the file.
-    pub(crate) fn into_shared(self) -> Shared {
-        self.shared
     }
 
     fn write_prepared(&mut self) -> io::Result<()> {

@@ -118,11 +118,6 @@ impl CheckpointTiles {
         self.shared().get(number as usize)?.upgrade()
     }
 
-    /// All shared sums that are in memory, by number.
-    pub(crate) fn into_shared(self) -> Vec<Weak<PhasorSum>> {
-        self.shared.into_inner().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn shared_sum(&self, number: u32) -> Result<Arc<PhasorSum>, String> {
         if let Some(sum) = self.shared_in_memory(number) {
             return Ok(sum);

@@ -9,9 +9,9 @@ use std::sync::Arc;
 use tidemap_map::grid::{
     day::{Bit, DayTile, Flip, GridDay, PresenceRun, ScanTime},
     index::{TILE_CELLS, TileId},
-    live::AheadScan,
     mask::{Mask, TileMasks},
     sensors::SensorId,
+    snapshot::AheadScan,
 };
 use tidemap_migrations::v2::grid as v2;
 use tidemap_model::LocalDay;

@@ -22,7 +22,6 @@ use crate::{
         segment_position,
         writer::LogWriter,
     },
-    update_file,
 };
 
 /// The newest snapshot, and what is wrong elsewhere.
@@ -69,13 +68,6 @@ impl Store {
         let checkpoints = inner.checkpoints(map);
         checkpoints.remove_leftovers(&mut reports)?;
         inner.history(map).remove_leftovers(&mut reports)?;
-        let learned = newest.snapshot.as_ref().map_or(0, |snapshot| snapshot.generation);
-        match update_file::remove_through(&*inner.disk, &checkpoints.folder, learned) {
-            Ok(removed) => reports.extend(removed.into_iter().map(|file| Report::LeftoverRemoved { file })),
-            Err(error) => {
-                tracing::warn!(map = map.0, %error, "what an update has noted is not deleted; tried again at the next save");
-            }
-        }
         for damaged in newest.damaged {
             reports.push(checkpoints.set_aside(damaged)?);
         }

@@ -15,7 +15,6 @@ use crate::{
     MapId,
     error::StoreError,
     log::{Log, segment_path, segment_position, writer::LogWriter},
-    update_file,
 };
 
 impl Store {
@@ -51,10 +50,6 @@ impl Store {
 impl Inner {
     /// Deletes what is not needed any more.
     fn forget(&self, map: MapId, entry: &Entry, snapshot: &MapSnapshot) {
-        let folder = catalogue::checkpoints_folder(&self.directory, map);
-        if let Err(error) = update_file::remove_through(&*self.disk, &folder, snapshot.generation) {
-            tracing::warn!(map = map.0, %error, "what an update has noted is not deleted; tried again at the next save");
-        }
         if let Err(error) = self.history(map).forget(&entry.spec, snapshot.newest_nanos) {
             tracing::warn!(map = map.0, %error, "old history is not deleted; tried again at the next save");
         }

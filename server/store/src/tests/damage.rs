@@ -107,6 +107,20 @@ fn an_interrupted_save_leaves_the_map_as_it_was() {
 }
 
 #[test]
+fn what_an_earlier_build_noted_of_a_killed_update_is_removed() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = example(directory.path());
+    let checkpoints = directory.path().join("maps/00000001/checkpoints");
+    let (noted, other) = (checkpoints.join("update-00000000000000000004.tmu"), checkpoints.join("update-7.tmu"));
+    fs::write(&noted, "notes").expect("writable");
+    fs::write(&other, "of somebody else").expect("writable");
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!(opened.reports, [Report::LeftoverRemoved { file: noted.clone() }]);
+    assert!(!noted.exists() && other.exists());
+    assert_eq!(opened.snapshot.as_ref(), example.snapshots.last());
+}
+
+#[test]
 fn a_snapshot_that_sled_was_writing_does_not_stop_it() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let example = example(directory.path());

@@ -12,12 +12,12 @@ use tidemap_map::{
     grid::{
         day::{GridDay, ScanTime},
         index::{CellBox, CellIndex, TileId, TileIndex},
-        live::AheadScan,
         live_tile::{Away, LiveTile},
         mask::{Mask, TileMasks},
         scan::{CellRef, LoggedScan, Scans},
         sensors::SensorId,
         sightings::Sightings,
+        snapshot::AheadScan,
         snapshot::GridSnapshot,
         spec::{GridSpec, Retention, SensorNoise},
         tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},

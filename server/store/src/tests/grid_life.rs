@@ -1,19 +1,12 @@
 //! A map with a grid through the store and back: what goes on from a checkpoint is what would have gone on without.
 
-use std::{
-    collections::VecDeque,
-    sync::{
-        Arc,
-        atomic::{AtomicUsize, Ordering},
-    },
-};
+use std::{collections::VecDeque, sync::Arc};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
     event::{Event, UpdateCause, UpdateStart},
     grid::{
         index::{TileId, TileIndex},
-        progress::{DoneTile, TileNote, UpdateJournal},
         scan::{CellRef, LoggedScan, Scans},
     },
     ids::ProducerId,
@@ -27,7 +20,7 @@ use super::{
     example::{append, options},
     grid_example::{DAY_NANOS, spec},
 };
-use crate::{MapId, Source, Store, StoreOptions, UpdateFile};
+use crate::{MapId, Source, Store, StoreOptions};
 
 const TILES: u32 = 6;
 const EVENTS: u64 = 12;
@@ -138,27 +131,8 @@ fn a_map_goes_on_from_its_checkpoint_as_if_nothing_had_happened() {
     }
 }
 
-/// The file of an update in a process that ends after so many notes.
-struct Cut<'file> {
-    file: &'file UpdateFile,
-    left: AtomicUsize,
-}
-
-impl UpdateJournal for Cut<'_> {
-    fn resume(&self) -> Vec<DoneTile> {
-        self.file.resume()
-    }
-
-    fn note(&self, tiles: &[TileNote<'_>]) {
-        let take = |left: usize| left.checked_sub(1);
-        if self.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, take).is_ok() {
-            self.file.note(tiles);
-        }
-    }
-}
-
 #[test]
-fn an_update_that_was_cut_off_goes_on_from_its_file() {
+fn an_update_that_was_cut_off_is_run_again() {
     let spec = spec("office");
     let events = events();
     let expected = last_snapshot(&spec, &events);
@@ -179,9 +153,7 @@ fn an_update_that_was_cut_off_goes_on_from_its_file() {
             }
             append(&opened.log, update).expect("appends");
         }
-        let mut resumed = Vec::new();
-        // Two days, each noted for all tiles at once: nothing is noted, then one day, then the other.
-        for notes in [0, 1, 0, usize::MAX, 0] {
+        for start in 0..3 {
             let store = Store::open(directory.path(), options()).expect("opens");
             let opened = store.open_map(MapId(1), &spec).expect("opens");
             let snapshot = opened.snapshot.expect("saved");
@@ -197,12 +169,8 @@ fn an_update_that_was_cut_off_goes_on_from_its_file() {
                 }
             }
             let work = work.expect("repeated");
-            let file = store.update_file(MapId(1), &work.identity()).expect("known");
-            resumed.push(file.resumed());
-            let cut = Cut { file: &file, left: AtomicUsize::new(notes) };
-            let snapshot = map.finish_update(work.run_noting(&Default::default(), &cut, 0).expect("runs"));
-            assert_eq!(snapshot.grid, expected.grid, "{tile_cache_bytes} bytes, {notes} notes");
+            let snapshot = map.finish_update(work.run(&Default::default()).expect("runs"));
+            assert_eq!(snapshot.grid, expected.grid, "{tile_cache_bytes} bytes, start {start}");
         }
-        assert_eq!(resumed, [0, 0, TILES as usize, TILES as usize, TILES as usize], "{tile_cache_bytes} bytes");
     }
 }

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use tidemap_model::LocalDay;
 
 use super::{
-    super::{day::GridDay, index::TileId},
-    AheadScan, LiveGrid,
+    super::{day::GridDay, index::TileId, snapshot::AheadScan},
+    LiveGrid,
 };
 
 impl LiveGrid {

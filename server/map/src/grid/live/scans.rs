@@ -18,8 +18,9 @@ use super::{
         mask::TileMasks,
         scan::{CellRef, LoggedScan, Scans},
         sensors::{ProducerSensor, SensorId},
+        snapshot::AheadScan,
     },
-    AheadScan, LiveGrid, Previous,
+    LiveGrid, Previous,
 };
 
 /// The flips of a scan, tile by tile.

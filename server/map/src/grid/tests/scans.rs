@@ -13,8 +13,8 @@ use crate::{
         index::{TileId, TileIndex},
         live::LiveGrid,
         mask::TileMasks,
+        outcome::GridOutcome,
         sensors::ProducerSensor,
-        update::GridOutcome,
     },
     history::HistoryPiece,
 };
@@ -68,13 +68,13 @@ impl ScanOracle {
         let taken = std::mem::take(&mut self.taken);
         assert_eq!(outcome.scans, taken.len() as u64);
         let count = |scan: &Whole| scan.tiles.iter().map(|(_, masks)| u64::from(masks.observed().count())).sum::<u64>();
-        assert_eq!(outcome.observations, taken.iter().map(count).sum::<u64>());
+        assert_eq!(outcome.cells.observations, taken.iter().map(count).sum::<u64>());
         let [before, now] =
             [outcome.cells_by_order_before, outcome.cells_by_order].map(|cells| cells.iter().sum::<u64>());
         assert!(before <= now && now == outcome.changed_cells, "{outcome:?}");
         // What is chosen is one of the orders, cell by cell.
-        let all = outcome.squared_errors.iter().sum::<f64>();
-        assert!((0.0..=all + 1e-9).contains(&outcome.squared_error_chosen), "{outcome:?}");
+        let all = outcome.cells.squared_errors.iter().sum::<f64>();
+        assert!((0.0..=all + 1e-9).contains(&outcome.cells.squared_error_chosen), "{outcome:?}");
         let mut by_day: BTreeMap<LocalDay, Vec<Whole>> = BTreeMap::new();
         let time = |scan: &Whole| ScanTime {
             utc_nanos: scan.utc_nanos,

@@ -19,6 +19,7 @@ use crate::{
         scan::Scans,
         sensors::ProducerSensor,
         spec::{GridSpec, Retention, SensorNoise},
+        update::rules::UpdateLimits,
     },
     ids::{NewProducer, ProducerId, RefusalReason},
     live_map::LiveMap,
@@ -32,6 +33,10 @@ pub const SECOND: i64 = 1_000_000_000;
 pub const HOUR: i64 = 3600 * SECOND;
 /// Saturday evening before clocks go forward in London, or back.
 const EVENINGS: [i64; 2] = [1_711_828_800 * SECOND, 1_729_972_800 * SECOND];
+
+/// Limits of updates at which small worlds arrive often.
+pub const SMALL: UpdateLimits =
+    UpdateLimits { chunk_scans: 3, summed_groups_max: 2, sightings_per_sum: 4, batch_cells_min: 2, batch_cells_max: 4 };
 
 /// The world.
 pub struct World {
@@ -48,6 +53,7 @@ pub struct World {
     /// By the server's clock.
     now_nanos: i64,
     max_tiles: usize,
+    pub limits: UpdateLimits,
 }
 
 pub fn spec(rng: &mut u64) -> MapSpec {
@@ -105,6 +111,7 @@ impl World {
             running: None,
             now_nanos: EVENINGS[random(&mut rng, 2)],
             max_tiles: 3,
+            limits: SMALL,
             rng,
         }
     }
@@ -243,8 +250,8 @@ impl World {
         let position = self.map.position() + 1;
         let work = self.map.apply(position, &event).expect("consistent");
         self.log.push(event);
-        if work.is_some() {
-            self.running = work;
+        if let Some(work) = work {
+            self.running = Some(work.with_limits(self.limits));
         }
     }
 
@@ -266,13 +273,6 @@ impl World {
         let grid = self.map.grid().expect("a grid");
         self.scans.finish_update(&outcome, &snapshot.history, &self.spec.periodicities, grid);
         self.snapshot = Some(snapshot);
-    }
-
-    /// An update of all there is, to be run by hand.
-    pub fn take_work(&mut self) -> UpdateWork {
-        self.finish_update();
-        self.start_update(None);
-        self.running.take().expect("started")
     }
 
     /// An update of all there is.
@@ -297,7 +297,7 @@ impl World {
                 self.map.recover_pending(position, event).expect("consistent");
             } else if let Some(work) = self.map.apply(position, event).expect("consistent") {
                 assert!(was_running && self.running.is_none());
-                self.running = Some(work);
+                self.running = Some(work.with_limits(self.limits));
             }
         }
         assert_eq!(self.running.is_some(), was_running);

@@ -1,40 +1,32 @@
-//! Tiles that are worked off, and noted, together: some of those that were seen by the same scans.
+//! Tiles that are worked off together: some of those that were seen by the same scans.
 //!
 //! Invariant: a batch is a few seconds of work, unless a single tile is more, and enough of it that the phasors of its
-//! scans, which each batch makes anew, do not count.
+//! scans, which each batch computes again, do not count.
 
-use std::sync::Arc;
-
-use super::{
-    super::{
-        day::GridDay,
-        index::TileId,
-        progress::{BusyTile, Notes, Share},
-    },
-    Rules, Working,
-    pattern::Pattern,
+use std::sync::{
+    Arc,
+    atomic::{AtomicU64, Ordering},
 };
 
+use super::{super::day::GridDay, pattern::Pattern, rules::Rules, tile_day::BusyTile};
+
 /// Work of a batch: cells times scans, at about 4 ns each.
-const WORK: usize = 1_000_000_000;
-/// Cells of a batch at least: the phasors of a scan cost as much as about a hundred cells. Tests have many batches.
-const CELLS_MIN: usize = if cfg!(test) { 2 } else { 2_000 };
-/// Cells of a batch at most.
-const CELLS_MAX: usize = if cfg!(test) { 4 } else { 30_000 };
+const BATCH_WORK: usize = 1_000_000_000;
 
 /// Some tiles of a pattern.
 pub(super) struct Batch {
     pattern: Arc<Pattern>,
-    tiles: Vec<(TileId, BusyTile)>,
-    /// What the tiles weigh: their cells with a spectrum, and one for each.
+    tiles: Vec<BusyTile>,
+    /// Cells of the tiles with a spectrum, and one for each tile.
     cells: usize,
     cells_max: usize,
 }
 
 impl Batch {
     /// A batch without tiles.
-    pub(super) fn new(pattern: Arc<Pattern>) -> Batch {
-        let cells_max = (WORK / pattern.scans().max(1)).clamp(CELLS_MIN, CELLS_MAX);
+    pub(super) fn new(pattern: Arc<Pattern>, rules: &Rules) -> Batch {
+        let limits = rules.limits;
+        let cells_max = (BATCH_WORK / pattern.scans().max(1)).clamp(limits.batch_cells_min, limits.batch_cells_max);
         Batch { pattern, tiles: Vec::new(), cells: 0, cells_max }
     }
 
@@ -45,36 +37,43 @@ impl Batch {
 
     /// Another batch of the pattern, without tiles.
     pub(super) fn next(&self) -> Batch {
-        Batch::new(Arc::clone(&self.pattern))
+        Batch { pattern: Arc::clone(&self.pattern), tiles: Vec::new(), cells: 0, cells_max: self.cells_max }
     }
 
-    pub(super) fn push(&mut self, id: TileId, tile: BusyTile) {
-        self.cells += 1 + tile.working.model.cells.len();
-        self.tiles.push((id, tile));
+    pub(super) fn push(&mut self, tile: BusyTile) {
+        self.cells += 1 + tile.data.model.cells.len();
+        self.tiles.push(tile);
     }
 
     /// Works off the day for these tiles.
-    pub(super) fn run(
-        self,
-        rules: &Rules,
-        day: &GridDay,
-        notes: &Notes<'_>,
-        share: &Share<'_>,
-    ) -> Vec<(TileId, BusyTile)> {
-        let scans = self.pattern.scans();
-        let (tiles, accounts): (Vec<(TileId, Working)>, Vec<_>) =
-            self.tiles.into_iter().map(|(id, BusyTile { working, account })| ((id, working), account)).unzip();
-        let done = self.pattern.run(rules, day, tiles);
-        let mut tiles: Vec<(TileId, BusyTile)> = done
-            .into_iter()
-            .zip(accounts)
-            .map(|(((id, working), outcome), mut account)| {
-                account.outcome.add(&outcome);
-                (id, BusyTile { working, account })
-            })
-            .collect();
-        notes.take(day.day, scans, &mut tiles);
-        share.add(tiles.len());
+    pub(super) fn run(self, rules: &Rules, day: &GridDay, meter: &ProgressMeter<'_>) -> Vec<BusyTile> {
+        let tiles = self.pattern.run(rules, day, self.tiles);
+        meter.add(tiles.len());
         tiles
+    }
+}
+
+/// Reports the progress of an update in tiles. Each tile counts in equal parts on each of its days.
+pub(super) struct ProgressMeter<'a> {
+    progress: &'a AtomicU64,
+    tiles: u64,
+    /// Days of all tiles.
+    days: u64,
+    days_done: AtomicU64,
+}
+
+impl<'a> ProgressMeter<'a> {
+    pub(super) fn new(progress: &'a AtomicU64, tiles: u64, days: &[GridDay]) -> ProgressMeter<'a> {
+        let days = days.iter().map(|day| day.tiles().len() as u64).sum();
+        ProgressMeter { progress, tiles, days, days_done: AtomicU64::new(0) }
+    }
+
+    /// This many tiles are done for one more of their days.
+    pub(super) fn add(&self, days: usize) {
+        let before = self.days_done.fetch_add(days as u64, Ordering::Relaxed);
+        let part = |done: u64| u128::from(done) * u128::from(self.tiles) / u128::from(self.days.max(1));
+        // The parts add up, in whatever order they are added.
+        let more = part(before + days as u64) - part(before);
+        self.progress.fetch_add(u64::try_from(more).unwrap_or(0), Ordering::Relaxed);
     }
 }

@@ -7,21 +7,28 @@ use tidemap_model::{CellSums, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, 
 use super::{
     super::{
         day::DayTile,
+        fold::{CHUNK_SCANS_MAX, Chunk, Cursor, fill, fold_toggles, run_length},
         index::{TILE_CELLS, TileId},
         mask::Mask,
+        outcome::TileOutcome,
         sensor_sums::SensorWeights,
         sensors::Weights,
         sightings::Sightings,
-        tile::{CellModel, Group, TileModel, TileSums},
+        tile::{CellModel, Group, TileData, TileModel, TileSums},
     },
-    CHUNK, Rules, SUMMED_GROUPS_MAX, TileOutcome, Working,
     observed::{DayToggles, Refined, refine, split_by_spectrum},
-    pattern::{Chunk, Cursor, Gains, Times, fill, fold_toggles, run_length},
+    rules::Rules,
+    shared_sums::{Gains, Times},
 };
 
-/// Sightings of a tile may take as much memory as this many sums for each group without one. Tests, whose sums are short,
-/// keep sightings for some days.
-const SIGHTINGS_PER_SUM: usize = if cfg!(test) { 4 } else { 1 };
+/// A tile that an update changes.
+#[derive(Debug)]
+pub(super) struct BusyTile {
+    pub(super) id: TileId,
+    pub(super) data: TileData,
+    /// What was done to it since the update began.
+    pub(super) outcome: TileOutcome,
+}
 
 /// A cell that has a spectrum, on the day.
 #[derive(Debug, Default)]
@@ -54,8 +61,7 @@ struct GroupDay {
 /// One tile on one day.
 #[derive(Debug)]
 pub(super) struct TileDay {
-    id: TileId,
-    working: Working,
+    tile: BusyTile,
     observed: Vec<(Vec<u32>, Mask)>,
     refined: Vec<Refined>,
     groups: Vec<GroupDay>,
@@ -66,19 +72,19 @@ pub(super) struct TileDay {
 
 impl TileDay {
     pub(super) fn new(
-        id: TileId,
-        mut working: Working,
-        tile: &DayTile,
+        mut tile: BusyTile,
+        of_day: &DayTile,
         ranges: &[(u32, u32)],
         times: &Times,
         rules: &Rules,
     ) -> TileDay {
-        let toggles = DayToggles::new(tile, ranges);
+        let toggles = DayToggles::new(of_day, ranges);
+        let working = &mut tile.data;
         if times.weighted.is_some() {
             working.model.keep_weights();
         }
-        let refined = refine_working(&mut working, &toggles, rules);
-        begin_spectra(&mut working, &toggles, rules);
+        let refined = refine_working(working, &toggles, rules);
+        begin_spectra(working, &toggles, rules);
         let mut groups: Vec<GroupDay> = Vec::with_capacity(refined.len());
         for group in &refined {
             let last_nanos = group.before.and_then(|before| working.model.groups.get(before)).map(|g| g.last_nanos);
@@ -103,7 +109,7 @@ impl TileDay {
             let occupied_weight = working.model.sensors.as_ref().map_or(0.0, |_| times.weigh(&toggles).beta);
             cells.push(CellDay { toggles, group, occupied_weight, ..CellDay::default() });
         }
-        TileDay { id, working, observed: toggles.observed, refined, groups, cells, scans: times.utc_nanos.len() }
+        TileDay { tile, observed: toggles.observed, refined, groups, cells, scans: times.utc_nanos.len() }
     }
 
     /// The times at which cells of the tile were observed whose sums are to be whole; some may come twice.
@@ -119,12 +125,13 @@ impl TileDay {
             group.weigh(toggles.map_or(&[], Vec::as_slice), chunk);
         }
         let with_wrong = rules.criterion == OrderCriterion::ZeroOne;
-        let (free, occupied, mut mixed) = ([rules.levels.0; CHUNK], [rules.levels.1; CHUNK], [0.0; CHUNK]);
+        let (free, occupied, mut mixed) =
+            ([rules.levels.0; CHUNK_SCANS_MAX], [rules.levels.1; CHUNK_SCANS_MAX], [0.0; CHUNK_SCANS_MAX]);
         let length = chunk.utc_nanos.len();
         let end = chunk.first + length;
         let (free, occupied) = chunk.levels.unwrap_or((&free[..length], &occupied[..length]));
         let occupied_rows = chunk.weighted.map_or(chunk.rows, |weighted| &weighted.beta);
-        let cells = self.cells.iter_mut().zip(&self.working.model.cells).zip(&mut self.working.sums.cells);
+        let cells = self.cells.iter_mut().zip(&self.tile.data.model.cells).zip(&mut self.tile.data.sums.cells);
         for ((day, model), sum) in cells {
             let Some(group) = self.groups.get(day.group) else { continue };
             let weights = (!group.all).then_some(group.weights.as_slice());
@@ -147,7 +154,7 @@ impl TileDay {
 
     /// Gives the tile its groups as they are after the day.
     pub(super) fn regroup(&mut self, gains: &mut Gains, times: &Times, rules: &Rules) {
-        let Working { model, sums } = &mut self.working;
+        let TileData { model, sums } = &mut self.tile.data;
         let mut groups = Vec::with_capacity(self.refined.len());
         let mut group_sums = Vec::with_capacity(self.refined.len());
         let mut weights = Vec::with_capacity(model.sensors.as_ref().map_or(0, |_| self.refined.len()));
@@ -187,7 +194,7 @@ impl TileDay {
 
     /// Keeps when the cells were observed whose sums are not whole, or makes all sums whole where that takes less.
     fn keep_sightings(&mut self, times: &Times, rules: &Rules) {
-        let sums = &mut self.working.sums;
+        let sums = &mut self.tile.data.sums;
         let others: Vec<(usize, &Refined)> =
             self.refined.iter().enumerate().filter(|(_, group)| !group.is_summed).collect();
         if others.is_empty() {
@@ -197,7 +204,7 @@ impl TileDay {
         let sensors = times.weighted.as_ref().map(|weighted| &weighted.ids);
         let observed = self.observed.iter().map(|(toggles, alike)| (toggles, *alike & cells));
         sums.sightings.push(&times.civil_nanos, sensors, observed);
-        if sums.sightings.bytes() > others.len() * SIGHTINGS_PER_SUM * 16 * rules.periodicities.len() {
+        if sums.sightings.bytes() > others.len() * rules.limits.sightings_per_sum * 16 * rules.periodicities.len() {
             let groups: Vec<(usize, u16)> =
                 others.into_iter().filter_map(|(index, group)| Some((index, group.cells.first()?))).collect();
             complete(sums, &groups, rules);
@@ -206,12 +213,12 @@ impl TileDay {
     }
 
     /// Chooses orders and fits the models anew.
-    pub(super) fn refit(mut self, day: LocalDay, rules: &Rules) -> ((TileId, Working), TileOutcome) {
+    pub(super) fn refit(mut self, day: LocalDay, rules: &Rules) -> BusyTile {
         let mut outcome = TileOutcome::default();
         for (toggles, cells) in &self.observed {
             outcome.observations += u64::from(cells.count()) * run_length(toggles, self.scans);
         }
-        let Working { model, sums } = &mut self.working;
+        let TileData { model, sums } = &mut self.tile.data;
         let TileModel { groups, cells, sensors, .. } = model;
         for (index, ((cell, sum), of_day)) in cells.iter_mut().zip(&sums.cells).zip(&self.cells).enumerate() {
             let observed = self.refined.get(of_day.group).is_some_and(|group| group.toggles.is_some());
@@ -262,7 +269,8 @@ impl TileDay {
                 &rules.periodicities,
             );
         }
-        ((self.id, self.working), outcome)
+        self.tile.outcome.add(&outcome);
+        self.tile
     }
 }
 
@@ -275,7 +283,7 @@ impl GroupDay {
             return;
         }
         self.weights.resize(chunk.utc_nanos.len(), 0.0);
-        let ends = (&[0.0; CHUNK][..], &[1.0; CHUNK][..]);
+        let ends = (&[0.0; CHUNK_SCANS_MAX][..], &[1.0; CHUNK_SCANS_MAX][..]);
         fill(&mut self.weights, toggles, self.cursor, chunk.first, ends);
         for (weight, &nanos) in self.weights.iter_mut().zip(chunk.utc_nanos) {
             if nanos <= newer_than {
@@ -292,13 +300,14 @@ impl GroupDay {
 
 /// Refines the groups of a tile by a day. Where there are too many for a sum each, those with and those without a
 /// spectrum are parted, and the sums of cells that get one on the day are made whole.
-fn refine_working(working: &mut Working, toggles: &DayToggles, rules: &Rules) -> Vec<Refined> {
+fn refine_working(working: &mut TileData, toggles: &DayToggles, rules: &Rules) -> Vec<Refined> {
     let refined = refine(&working.model.groups, &toggles.observed);
-    let is_new = working.model.groups.len() <= SUMMED_GROUPS_MAX && refined.len() > SUMMED_GROUPS_MAX;
+    let is_new =
+        working.model.groups.len() <= rules.limits.summed_groups_max && refined.len() > rules.limits.summed_groups_max;
     if working.sums.sightings.is_empty() && !is_new {
         return refined;
     }
-    let Working { model, sums } = working;
+    let TileData { model, sums } = working;
     let changed = model.changed();
     let changing = changing(model, toggles);
     let mut to_complete = Vec::new();
@@ -330,7 +339,7 @@ fn complete(sums: &mut TileSums, groups: &[(usize, u16)], rules: &Rules) {
         return;
     }
     let cells: Vec<u16> = groups.iter().map(|&(_, cell)| cell).collect();
-    let later = sums.sightings.sums(&cells, &rules.periodicities, &rules.sensors);
+    let later = sums.sightings.sums(&cells, &rules.periodicities, &rules.sensors, rules.limits.chunk_scans);
     for (&(index, _), later) in groups.iter().zip(later) {
         if let Some(before) = sums.group(index) {
             sums.set_group(index, later.plus(&before));
@@ -348,8 +357,8 @@ fn changing(model: &TileModel, toggles: &DayToggles) -> Mask {
 }
 
 /// Gives a spectrum to the cells that show another value than ever before, and notes those that never have.
-fn begin_spectra(working: &mut Working, toggles: &DayToggles, rules: &Rules) {
-    let Working { model, sums } = working;
+fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
+    let TileData { model, sums } = working;
     let changing = changing(model, toggles);
     for cell in changing.cells() {
         let before = model.groups.iter().position(|group| group.cells.contains(cell));

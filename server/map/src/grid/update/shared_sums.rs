@@ -1,0 +1,181 @@
+//! What the tiles of a pattern share: the times of its scans, and the sums over them.
+//!
+//! Invariant: groups with the same history and the same toggles share one sum, whichever tiles and batches they are of.
+
+use std::{
+    collections::{HashMap, HashSet},
+    sync::Arc,
+};
+
+use tidemap_model::PhasorSum;
+
+use super::{
+    super::{
+        day::GridDay,
+        fold::{Chunk, Cursor, WeightedScans, fold_toggles, run_length},
+        sensor_sums::{GroupSums, WeightedSums},
+        sensors::{SensorId, Weights},
+    },
+    rules::Rules,
+};
+
+/// Times of a pattern's scans.
+#[derive(Debug)]
+pub(super) struct Times {
+    pub(super) utc_nanos: Vec<i64>,
+    pub(super) civil_nanos: Arc<[i64]>,
+    /// What is seen by all scans.
+    pub(super) all: Counted,
+    /// What the scans count; `None` where all are of the map's own sensor.
+    pub(super) weighted: Option<WeightedScans>,
+}
+
+impl Times {
+    /// The times of the scans in these ranges of a day.
+    pub(super) fn new(ranges: &[(u32, u32)], day: &GridDay, rules: &Rules) -> Times {
+        let scans: Vec<_> =
+            ranges.iter().filter_map(|&(first, end)| day.scans.get(first as usize..end as usize)).flatten().collect();
+        Times {
+            utc_nanos: scans.iter().map(|scan| scan.utc_nanos).collect(),
+            civil_nanos: scans.iter().map(|scan| scan.civil_nanos()).collect(),
+            all: Counted {
+                observations: scans.len() as u64,
+                first_nanos: scans.iter().map(|scan| scan.utc_nanos).min().unwrap_or(i64::MAX),
+                last_nanos: scans.iter().map(|scan| scan.utc_nanos).max().unwrap_or(i64::MIN),
+            },
+            weighted: scans
+                .iter()
+                .any(|scan| scan.sensor != SensorId::OWN)
+                .then(|| WeightedScans::new(Arc::new(scans.iter().map(|scan| scan.sensor).collect()), &rules.sensors)),
+        }
+    }
+
+    /// How many scans see what turns over at these, and when the first and the last do.
+    pub(super) fn count(&self, toggles: &[u32]) -> Counted {
+        if toggles == [0] {
+            return self.all;
+        }
+        let mut counted = Counted { observations: 0, first_nanos: i64::MAX, last_nanos: i64::MIN };
+        for run in toggles.chunks(2) {
+            let from = run.first().map_or(0, |&from| from as usize);
+            let to = run.get(1).map_or(self.utc_nanos.len(), |&to| to as usize);
+            for &nanos in self.utc_nanos.get(from..to).unwrap_or_default() {
+                counted.observations += 1;
+                counted.first_nanos = counted.first_nanos.min(nanos);
+                counted.last_nanos = counted.last_nanos.max(nanos);
+            }
+        }
+        counted
+    }
+
+    /// What the readings at which a bit with these toggles is set count.
+    pub(super) fn weigh(&self, toggles: &[u32]) -> Weights {
+        match &self.weighted {
+            Some(weighted) => weighted.sum(toggles),
+            None => Weights::own(run_length(toggles, self.utc_nanos.len())),
+        }
+    }
+}
+
+/// How often some cells were observed on the day, and when first and last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Counted {
+    pub(super) observations: u64,
+    pub(super) first_nanos: i64,
+    pub(super) last_nanos: i64,
+}
+
+/// B_k over the scans at which some cells were observed on the day.
+#[derive(Debug)]
+pub(super) struct Contribution {
+    toggles: Vec<u32>,
+    cursor: Cursor,
+    sum: PhasorSum,
+    /// G_k and D_k, where some of the scans are of another sensor than the map's own.
+    weighted: Option<Box<(PhasorSum, PhasorSum)>>,
+}
+
+/// The gains of a pattern, and sums made of them, so that groups with the same history share theirs.
+#[derive(Debug, Default)]
+pub(super) struct Gains {
+    gains: Vec<GroupSums>,
+    by_toggles: HashMap<Vec<u32>, usize>,
+    zero: Option<Arc<PhasorSum>>,
+    /// By the group's sums before, by address, and the gain; the old sums are kept alive.
+    shared: HashMap<([usize; 3], usize), (GroupSums, GroupSums)>,
+}
+
+impl Gains {
+    /// What is to be computed of these toggles.
+    pub(super) fn missing<'a>(
+        &self,
+        toggles: impl Iterator<Item = &'a Vec<u32>>,
+        times: &Times,
+        rules: &Rules,
+    ) -> Vec<Contribution> {
+        let mut asked = HashSet::new();
+        let missing = toggles.filter(|toggles| !self.by_toggles.contains_key(*toggles) && asked.insert(*toggles));
+        missing.map(|toggles| Contribution::new(toggles.clone(), times, rules)).collect()
+    }
+
+    /// Takes what was computed; another batch may have been first.
+    pub(super) fn take(&mut self, contributions: Vec<Contribution>) {
+        for Contribution { toggles, sum, weighted, .. } in contributions {
+            let next = self.gains.len();
+            if *self.by_toggles.entry(toggles).or_insert(next) == next {
+                let weighted = weighted.map(|weighted| {
+                    let (alpha, beta) = *weighted;
+                    WeightedSums { alpha: Arc::new(alpha), beta: Arc::new(beta) }
+                });
+                self.gains.push(GroupSums { plain: Arc::new(sum), weighted });
+            }
+        }
+    }
+
+    /// The gain of cells with these toggles, where one was asked for.
+    pub(super) fn gain(&self, toggles: &Vec<u32>) -> Option<usize> {
+        self.by_toggles.get(toggles).copied()
+    }
+
+    /// The sums of a group that was not observed before the day.
+    pub(super) fn sum(&mut self, index: usize, rules: &Rules) -> GroupSums {
+        match self.gains.get(index) {
+            Some(gain) => gain.clone(),
+            None => self.zero(rules),
+        }
+    }
+
+    /// The sums of a group none of whose observations are in them; all share them.
+    pub(super) fn zero(&mut self, rules: &Rules) -> GroupSums {
+        let zero = self.zero.get_or_insert_with(|| Arc::new(PhasorSum::zero(&rules.periodicities)));
+        GroupSums { plain: Arc::clone(zero), weighted: None }
+    }
+
+    /// The sums of a group after the day.
+    pub(super) fn add_to(&mut self, before: GroupSums, index: usize) -> GroupSums {
+        let Some(gain) = self.gains.get(index) else { return before };
+        let entry = self.shared.entry((before.addresses(), index)).or_insert_with(|| {
+            let after = before.plus(gain);
+            (before, after)
+        });
+        entry.1.clone()
+    }
+}
+
+impl Contribution {
+    fn new(toggles: Vec<u32>, times: &Times, rules: &Rules) -> Contribution {
+        let zero = || PhasorSum::zero(&rules.periodicities);
+        let has_others = times.weighted.as_ref().is_some_and(|scans| scans.has_others(&toggles));
+        let weighted = has_others.then(|| Box::new((zero(), zero())));
+        Contribution { toggles, cursor: Cursor::default(), sum: zero(), weighted }
+    }
+
+    pub(super) fn fold(&mut self, chunk: &Chunk<'_>) {
+        let from = self.cursor;
+        fold_toggles(&self.toggles, &mut self.cursor, &mut self.sum, chunk.rows, chunk);
+        if let (Some((alpha, beta)), Some(rows)) = (self.weighted.as_deref_mut(), chunk.weighted) {
+            fold_toggles(&self.toggles, &mut { from }, alpha, &rows.alpha, chunk);
+            fold_toggles(&self.toggles, &mut { from }, beta, &rows.beta, chunk);
+        }
+    }
+}
