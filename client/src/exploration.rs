@@ -2,6 +2,7 @@
 //!
 //! Invariant: information is in bits; an answer that leaves a target or a viewpoint out is an error, never a gap.
 
+use tidemap_proto::convert::time::{duration, timestamp};
 use tidemap_proto::v1::{self, exploration_service_client::ExplorationServiceClient};
 
 use crate::{
@@ -9,7 +10,6 @@ use crate::{
     error::Error,
     maps::{point_from_wire, point_to_wire},
     queries::ModelSelector,
-    wire::{duration, timestamp},
 };
 
 /// What observing a state, a location or a region would teach, per time.

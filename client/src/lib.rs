@@ -16,7 +16,6 @@ pub mod queries;
 pub mod routes;
 pub mod scan_file;
 pub mod updates;
-mod wire;
 
 pub use connection::Client;
 pub use error::Error;

@@ -7,44 +7,26 @@ mod grid;
 mod site;
 
 pub use candidate::{Candidate, InvalidCandidate};
-pub use grid::{CellBox, Grid, GridSummary, Retention, SensorNoise};
+pub use grid::{CellBox, Grid, GridSummary};
 pub use site::Location;
 pub(crate) use site::{point_from_wire, point_to_wire};
 
 use std::str::FromStr;
 
+pub use tidemap_map::grid::spec::{Retention, SensorNoise};
 use tidemap_model::StateKind as Rule;
-use tidemap_proto::v1::{self, map_service_client::MapServiceClient, periodicities::Set};
+pub use tidemap_model::{OrderCriterion, PeriodicityDefinition};
+use tidemap_proto::convert::time::{duration, instant, span};
+use tidemap_proto::convert::{
+    grid::{retention_from_wire, retention_to_wire},
+    map::{criterion_from_wire, criterion_to_wire, periodicities_from_wire, periodicities_to_wire},
+};
+use tidemap_proto::v1::{self, map_service_client::MapServiceClient};
 
 use crate::{
     connection::{Client, Connection, REPLY_BYTES_MAX},
     error::Error,
-    wire::{duration, instant, span},
 };
-
-/// Candidate periodicities, in nanoseconds.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Periodicities {
-    /// `base_nanos` / 1, / 2, ... / `count`.
-    Harmonics {
-        /// The longest period.
-        base_nanos: i64,
-        /// How many.
-        count: u32,
-    },
-    /// Any periods.
-    List(Vec<i64>),
-}
-
-/// How the orders of the spectral model are compared.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum OrderCriterion {
-    /// By the squared difference between value and prediction.
-    #[default]
-    SquaredError,
-    /// By the share of values on the other side of 0.5 than their prediction.
-    ZeroOne,
-}
 
 /// A map to create.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -54,7 +36,7 @@ pub struct NewMap {
     /// IANA time zone; UTC where absent.
     pub time_zone: Option<String>,
     /// Candidate periodicities; 168 harmonics of 7 days where absent.
-    pub periodicities: Option<Periodicities>,
+    pub periodicities: Option<PeriodicityDefinition>,
     /// How orders are compared.
     pub order_criterion: OrderCriterion,
     /// How long the exact observations of named states are kept; for ever where absent.
@@ -95,7 +77,7 @@ pub struct Map {
     /// IANA time zone by whose civil time the people on it live.
     pub time_zone: String,
     /// Candidate periodicities.
-    pub periodicities: Periodicities,
+    pub periodicities: PeriodicityDefinition,
     /// How orders are compared.
     pub order_criterion: OrderCriterion,
     /// When it was created.
@@ -109,7 +91,7 @@ pub struct Map {
     /// The last update.
     pub last_update: UpdateSummary,
     /// How long the exact observations of named states are kept.
-    pub retention: Option<Retention>,
+    pub retention: Retention,
     /// The occupancy grid, where it has one.
     pub grid: Option<Grid>,
     /// What the grid holds.
@@ -230,16 +212,12 @@ impl Client {
     /// # Errors
     /// [`Error`]; the code is `ALREADY_EXISTS` where the name is taken, `INVALID_ARGUMENT` where a value is wrong.
     pub async fn create_map(&self, map: NewMap) -> Result<Map, Error> {
-        let criterion = match map.order_criterion {
-            OrderCriterion::SquaredError => v1::OrderCriterion::SquaredError,
-            OrderCriterion::ZeroOne => v1::OrderCriterion::ZeroOne,
-        };
         let request = v1::CreateMapRequest {
             name: map.name,
             time_zone: map.time_zone.unwrap_or_default(),
-            periodicities: map.periodicities.map(periodicities_to_wire),
-            order_criterion: criterion.into(),
-            retention: map.retention.map(Retention::to_wire),
+            periodicities: map.periodicities.as_ref().map(periodicities_to_wire),
+            order_criterion: criterion_to_wire(map.order_criterion).into(),
+            retention: map.retention.map(retention_to_wire),
             grid: map.grid.as_ref().map(Grid::to_wire),
             half_life: map.half_life_nanos.map(duration),
             prior: map.prior,
@@ -328,33 +306,12 @@ impl Client {
     }
 }
 
-fn periodicities_to_wire(periodicities: Periodicities) -> v1::Periodicities {
-    let set = match periodicities {
-        Periodicities::Harmonics { base_nanos, count } => {
-            Set::Harmonics(v1::Harmonics { base: Some(duration(base_nanos)), count })
-        }
-        Periodicities::List(periods) => {
-            Set::List(v1::PeriodList { periods: periods.into_iter().map(duration).collect() })
-        }
-    };
-    v1::Periodicities { set: Some(set) }
-}
-
 fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
     let map = map.ok_or(Error::Protocol("no map in the answer"))?;
-    let order_criterion = match map.order_criterion() {
-        v1::OrderCriterion::ZeroOne => OrderCriterion::ZeroOne,
-        v1::OrderCriterion::SquaredError | v1::OrderCriterion::Unspecified => OrderCriterion::SquaredError,
-    };
-    let periodicities = match map.periodicities.and_then(|periodicities| periodicities.set) {
-        Some(Set::Harmonics(harmonics)) => {
-            Periodicities::Harmonics { base_nanos: span(harmonics.base).unwrap_or_default(), count: harmonics.count }
-        }
-        Some(Set::List(list)) => {
-            Periodicities::List(list.periods.into_iter().filter_map(|period| span(Some(period))).collect())
-        }
-        None => Periodicities::List(Vec::new()),
-    };
+    let order_criterion = criterion_from_wire(map.order_criterion()).unwrap_or_default();
+    let wrong = |_| Error::Protocol("a map that cannot be");
+    let periodicities = periodicities_from_wire(map.periodicities).map_err(wrong)?.definition().clone();
+    let retention = retention_from_wire("retention", map.retention, Retention::Forever).map_err(wrong)?;
     Ok(Map {
         name: map.name,
         time_zone: map.time_zone,
@@ -365,7 +322,7 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         observations: map.observations,
         pending_observations: map.pending_observations,
         last_update: UpdateSummary::from_wire(map.last_update),
-        retention: Retention::from_wire(map.retention),
+        retention,
         grid: map.grid.map(Grid::from_wire),
         grid_summary: map.grid_summary.as_ref().map(GridSummary::from_wire),
         half_life_nanos: span(map.half_life),

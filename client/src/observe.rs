@@ -32,51 +32,13 @@ pub mod tiles {
     pub use tidemap_proto::convert::scans::{MASK_BYTES, TileError, TilePicture, TileTable, pack_seen};
 }
 
+pub use tidemap_map::{grid::sensors::ProducerSensor, ids::RefusalReason};
+
 use crate::error::Error;
 
 /// Most bytes of a state's name that is sent: the longest of an edge, with 4 bytes a character. Others have at most 128
 /// characters; the daemon refuses longer ones.
 pub const STATE_NAME_BYTES_MAX: usize = 4 * tidemap_map::name::EDGE_STATE_CHARS_MAX;
-
-/// Why an observation was refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum RefusalReason {
-    /// Not a number, infinite, or not one of the state's kind.
-    Value,
-    /// Before 1970, or beyond what i64 nanoseconds hold.
-    Time,
-    /// The state's name is not valid.
-    StateName,
-    /// The state is not in the stream's table; a fault of this client.
-    StateIndex,
-    /// The map or the stream has as many states as it may.
-    StateLimit,
-    /// The state is of another kind.
-    StateKind,
-    /// The map has no grid.
-    NoGrid,
-    /// The scan is malformed.
-    Scan,
-    /// The scan shows nothing of the grid.
-    Empty,
-    /// The map has as many tiles as it may.
-    TileLimit,
-    /// The scan is in another frame than the map.
-    Frame,
-    /// The map has no such edge.
-    Edge,
-    /// A reason that this version does not know.
-    Other,
-}
-
-/// A sensor of scans. The prior is the map's: a reading counts as the posterior P(occupied | reading).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sensor {
-    /// P(reads occupied | is occupied), above `false_alarm` and at most 1.
-    pub hit: f64,
-    /// P(reads occupied | is free), at least 0 and below 1.
-    pub false_alarm: f64,
-}
 
 /// An observation that the daemon refused. It used up its sequence number.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -84,7 +46,8 @@ pub struct Refusal {
     /// Which.
     pub sequence: u64,
     /// The reason to act on.
-    pub reason: RefusalReason,
+    /// `None`: a reason that this version does not know.
+    pub reason: Option<RefusalReason>,
     /// The reason to read.
     pub detail: String,
 }

@@ -20,13 +20,13 @@ pub use positions::{PositionForecast, PositionQuery, Positions, PositionsHeader}
 pub use predict::{PredictionRun, Predictions};
 pub use reconstruct::Reconstruction;
 
+use tidemap_proto::convert::time::instant;
 use tidemap_proto::v1::{self, query_service_client::QueryServiceClient};
 
 use crate::{
     connection::{Client, Connection, REPLY_BYTES_MAX},
     error::Error,
     maps::StateKind,
-    wire::instant,
 };
 
 /// What was learned of one state.

@@ -4,6 +4,7 @@
 
 use std::fmt;
 
+use tidemap_proto::convert::time::{duration, timestamp};
 use tidemap_proto::v1::{
     self, edit_topology_request::Edit, route_service_client::RouteServiceClient,
     search_service_client::SearchServiceClient, topology_service_client::TopologyServiceClient,
@@ -22,7 +23,6 @@ use crate::{
     connection::{Client, Connection},
     error::Error,
     queries::ModelSelector,
-    wire::{duration, timestamp},
 };
 
 /// Bytes of the largest topological map that is read: a million edges with names of usual length.

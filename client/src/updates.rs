@@ -2,6 +2,7 @@
 //!
 //! Invariant: a job that failed is a value here, not an error: asking about it succeeded.
 
+use tidemap_proto::convert::time::{instant, span, timestamp};
 use tidemap_proto::v1::{self, maintenance_service_client::MaintenanceServiceClient};
 use tonic::Streaming;
 
@@ -9,7 +10,6 @@ use crate::{
     connection::{Client, Connection, REPLY_BYTES_MAX},
     error::Error,
     maps::UpdateSummary,
-    wire::{instant, span, timestamp},
 };
 
 /// State of a job.

@@ -4,6 +4,23 @@
 
 use std::fmt::Display;
 
+/// The pairs of a wire enum and a domain enum, in one table for both ways.
+macro_rules! both_ways {
+    ($(#[$doc:meta])* $to:ident, $from:ident, $domain:ty, $wire:ty, [$($here:ident = $there:ident),* $(,)?]) => {
+        $(#[$doc])*
+        #[must_use]
+        pub fn $to(domain: $domain) -> $wire {
+            match domain { $(<$domain>::$here => <$wire>::$there,)* }
+        }
+
+        /// The same from the wire; `None` where the value is unspecified.
+        #[must_use]
+        pub fn $from(wire: $wire) -> Option<$domain> {
+            match wire { $(<$wire>::$there => Some(<$domain>::$here),)* <$wire>::Unspecified => None }
+        }
+    };
+}
+
 pub mod anomaly;
 pub mod cells;
 pub mod columns;

@@ -2,39 +2,11 @@
 //!
 //! Invariant: cells are numbered as on the wire, from the grid's origin; what a grid leaves out, the daemon fills in.
 
-use tidemap_proto::v1::{self, retention::Keep};
-
-use crate::wire::{duration, span};
-
-/// How long exact observations are kept for recall. Models do not need them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Retention {
-    /// Not at all.
-    None,
-    /// For so many nanoseconds of the data's own time.
-    Duration(i64),
-    /// For ever.
-    Forever,
-}
-
-impl Retention {
-    pub(crate) fn to_wire(self) -> v1::Retention {
-        let keep = match self {
-            Self::None => Keep::None(true),
-            Self::Duration(nanos) => Keep::Duration(duration(nanos)),
-            Self::Forever => Keep::Forever(true),
-        };
-        v1::Retention { keep: Some(keep) }
-    }
-
-    pub(crate) fn from_wire(retention: Option<v1::Retention>) -> Option<Self> {
-        match retention?.keep? {
-            Keep::None(_) => Some(Self::None),
-            Keep::Duration(length) => span(Some(length)).map(Self::Duration),
-            Keep::Forever(_) => Some(Self::Forever),
-        }
-    }
-}
+use tidemap_map::grid::spec::{Retention, SensorNoise};
+use tidemap_proto::{
+    convert::grid::{retention_from_wire, retention_to_wire},
+    v1,
+};
 
 /// Cells from `min` up to but not including `max`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -71,17 +43,6 @@ impl CellBox {
     }
 }
 
-/// How far a reading is believed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SensorNoise {
-    /// P(reads occupied | is occupied).
-    pub hit: f64,
-    /// P(reads occupied | is free).
-    pub false_alarm: f64,
-    /// P(is occupied) before any reading.
-    pub prior: f64,
-}
-
 /// An occupancy grid. Cell (x, y, z) spans origin + index * resolution to origin + (index + 1) * resolution.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Grid {
@@ -114,7 +75,7 @@ impl Grid {
             origin_z_m,
             extent: self.extent.map(CellBox::to_wire),
             sensor: self.sensor.map(noise),
-            retention: self.retention.map(Retention::to_wire),
+            retention: self.retention.map(retention_to_wire),
         }
     }
 
@@ -127,7 +88,7 @@ impl Grid {
             origin_m: [grid.origin_x_m, grid.origin_y_m, grid.origin_z_m],
             extent: grid.extent.as_ref().map(CellBox::from_wire),
             sensor: grid.sensor.map(noise),
-            retention: Retention::from_wire(grid.retention),
+            retention: retention_from_wire("retention", grid.retention, Retention::None).ok(),
         }
     }
 }
@@ -175,10 +136,11 @@ mod tests {
             retention: Some(Retention::Duration(86_400_000_000_000)),
         };
         assert_eq!(Grid::from_wire(grid.to_wire()), grid);
-        let bare = Grid { resolution_m: 0.1, ..Grid::default() };
+        let bare = Grid { resolution_m: 0.1, retention: Some(Retention::None), ..Grid::default() };
         assert_eq!(Grid::from_wire(bare.to_wire()), bare);
         for retention in [Retention::None, Retention::Forever] {
-            assert_eq!(Retention::from_wire(Some(retention.to_wire())), Some(retention));
+            let wire = Some(retention_to_wire(retention));
+            assert_eq!(retention_from_wire("retention", wire, Retention::Duration(1)), Ok(retention));
         }
     }
 

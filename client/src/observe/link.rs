@@ -8,6 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use tidemap_proto::convert::map::refusal_from_wire;
 use tidemap_proto::v1::{
     Ack, Goodbye, GoodbyeReason, Hello, ObserveRequest, ObserveResponse, ProducerSensor, Welcome,
     observation_service_client::ObservationServiceClient, observe_request, observe_response,
@@ -17,7 +18,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, Streaming};
 
 use super::{
-    ProducerError, Refusal, RefusalReason,
+    ProducerError, Refusal,
     outgoing::{Limits, Outgoing},
     producer::{Phase, Shared},
     retry::Outage,
@@ -304,23 +305,7 @@ fn refused(error: Error) -> End {
 }
 
 fn refusal(refusal: tidemap_proto::v1::Refusal) -> Refusal {
-    use tidemap_proto::v1::RefusalReason as Wire;
-    let reason = match refusal.reason() {
-        Wire::Value => RefusalReason::Value,
-        Wire::Time => RefusalReason::Time,
-        Wire::StateName => RefusalReason::StateName,
-        Wire::StateIndex => RefusalReason::StateIndex,
-        Wire::StateLimit => RefusalReason::StateLimit,
-        Wire::StateKind => RefusalReason::StateKind,
-        Wire::NoGrid => RefusalReason::NoGrid,
-        Wire::Scan => RefusalReason::Scan,
-        Wire::Empty => RefusalReason::Empty,
-        Wire::TileLimit => RefusalReason::TileLimit,
-        Wire::Frame => RefusalReason::Frame,
-        Wire::Edge => RefusalReason::Edge,
-        Wire::Unspecified => RefusalReason::Other,
-    };
-    Refusal { sequence: refusal.sequence, reason, detail: refusal.detail }
+    Refusal { sequence: refusal.sequence, reason: refusal_from_wire(refusal.reason()), detail: refusal.detail }
 }
 
 #[cfg(test)]

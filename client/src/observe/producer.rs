@@ -17,7 +17,7 @@ use tokio::{
 };
 
 use super::{
-    ProducerError, Refusal, STATE_NAME_BYTES_MAX, Sensor,
+    ProducerError, ProducerSensor, Refusal, STATE_NAME_BYTES_MAX,
     link::Link,
     window::{WINDOW_BYTES, Window},
 };
@@ -39,7 +39,7 @@ pub struct ProducerOptions {
     pub kind: Option<StateKind>,
     /// How far its scans are believed; `None`: as the daemon knows of this producer and label, of a new one as the map's
     /// grid says. What the daemon knows does not change any more: announcing something else is refused.
-    pub sensor: Option<Sensor>,
+    pub sensor: Option<ProducerSensor>,
     /// Most observations and scans kept until they are durable; sending more waits.
     pub window: usize,
     /// Most bytes of them; one scan may go beyond it.
@@ -345,7 +345,7 @@ mod tests {
     #[test]
     fn refusals_that_nobody_takes_are_counted_instead() {
         let refusals = |numbers: std::ops::Range<usize>| {
-            numbers.map(|i| Refusal { sequence: i as u64, reason: RefusalReason::Value, detail: String::new() })
+            numbers.map(|i| Refusal { sequence: i as u64, reason: Some(RefusalReason::Value), detail: String::new() })
         };
         let mut state = State { window: None, urgent: 0, closing: false, refusals: Vec::new() };
         assert_eq!(state.keep_refusals(refusals(0..REFUSALS_MAX - 1)), 0);

@@ -3,23 +3,13 @@
 //! Invariant: what is looked back at comes by time, each observation once, and none outside of what was asked for; what is
 //! watched comes in the order in which the daemon applied it, and what was missed is told.
 
+pub use tidemap_map::anomaly::Anomaly;
 use tidemap_proto::v1;
 use tonic::Streaming;
 
 use super::ModelSelector;
-use crate::{connection::Client, error::Error, wire::timestamp};
-
-/// An observation that was not expected.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Anomaly {
-    /// When, nanoseconds UTC.
-    pub time_nanos: i64,
-    /// What was observed, in the state's unit; in [0, 1] of a probability.
-    pub value: f64,
-    /// Probability that the model gave the value 1, in [0, 1]. Of a state that is no probability: that of a value at least as
-    /// far from what the model expected, to either side.
-    pub probability: f64,
-}
+use crate::{connection::Client, error::Error};
+use tidemap_proto::convert::time::timestamp;
 
 /// What counts as an anomaly, by the T-RO paper of 2017, section V: that the model says the contrary with this confidence. Of a state that is no probability: that the value lies outside
 /// of the interval that holds a single one with this confidence.
@@ -123,7 +113,7 @@ impl Anomalies {
         };
         let found = found(reply, self.from_nanos..self.to_nanos)?;
         if let Some(last) = found.last() {
-            self.from_nanos = last.time_nanos;
+            self.from_nanos = last.utc_nanos;
         }
         Ok(Some(found))
     }
@@ -163,7 +153,7 @@ fn rows(times_nanos: Vec<i64>, values: Vec<f64>, probabilities: Vec<f64>) -> Res
         return Err(Error::Protocol("anomalies are not whole"));
     }
     let rows = times_nanos.into_iter().zip(values).zip(probabilities);
-    Ok(rows.map(|((time_nanos, value), probability)| Anomaly { time_nanos, value, probability }).collect())
+    Ok(rows.map(|((utc_nanos, value), probability)| Anomaly { utc_nanos, value, probability }).collect())
 }
 
 #[cfg(test)]
@@ -177,7 +167,7 @@ mod tests {
             values: vec![0.0; 2],
             probabilities: vec![1.0; 2],
         };
-        let anomaly = |time_nanos| Anomaly { time_nanos, value: 0.0, probability: 1.0 };
+        let anomaly = |utc_nanos| Anomaly { utc_nanos, value: 0.0, probability: 1.0 };
         assert_eq!(found(reply(&[5, 9]), 5..10), Ok(vec![anomaly(5), anomaly(9)]));
         assert_eq!(found(reply(&[5, 5]), 5..10), Ok(vec![anomaly(5), anomaly(5)]));
         for wrong in [&[9, 5][..], &[4, 5], &[5, 10], &[5], &[5, 6, 7]] {
@@ -195,8 +185,8 @@ mod tests {
             missed_observations: 7,
         };
         let anomalies = vec![
-            ("door".to_owned(), Anomaly { time_nanos: 9, value: 0.0, probability: 1.0 }),
-            ("gate".to_owned(), Anomaly { time_nanos: 5, value: 1.0, probability: 0.0 }),
+            ("door".to_owned(), Anomaly { utc_nanos: 9, value: 0.0, probability: 1.0 }),
+            ("gate".to_owned(), Anomaly { utc_nanos: 5, value: 1.0, probability: 0.0 }),
         ];
         assert_eq!(watched(reply.clone()), Ok(Watched { anomalies, missed: 7 }));
         assert!(watched(v1::WatchAnomaliesResponse { states: vec!["door".to_owned()], ..reply.clone() }).is_err());

@@ -5,6 +5,7 @@
 
 mod tile;
 
+use tidemap_proto::convert::time::timestamp;
 use tidemap_proto::v1::{self, predict_grid_response::Message};
 use tonic::Streaming;
 
@@ -15,7 +16,6 @@ use crate::{
     connection::Client,
     error::Error,
     maps::{CellBox, Grid},
-    wire::timestamp,
 };
 
 /// Cells along a tile's edge.

@@ -5,9 +5,10 @@
 use std::{fmt, str::FromStr};
 
 use tidemap_map::time::{InvalidDuration, format_duration, parse_duration};
-use tidemap_proto::v1;
-
-use crate::wire;
+use tidemap_proto::{
+    convert::time::{duration, span},
+    v1,
+};
 
 /// Greatest order of the spectral model.
 pub const ORDER_MAX: u32 = 15;
@@ -293,7 +294,7 @@ impl ModelSelector {
             persistence: self.persistence,
             parameter: self.parameter,
             cycle: cycle.into(),
-            period: self.period_nanos.map(wire::duration),
+            period: self.period_nanos.map(duration),
         }
     }
 
@@ -323,7 +324,7 @@ impl ModelSelector {
             persistence: model.persistence,
             parameter: model.parameter,
             cycle,
-            period_nanos: wire::span(model.period),
+            period_nanos: span(model.period),
         }
     }
 }

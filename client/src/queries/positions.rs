@@ -7,7 +7,8 @@ use tidemap_proto::v1::{self, predict_positions_response::Message};
 use tonic::Streaming;
 
 use super::ModelSelector;
-use crate::{connection::Client, error::Error, wire::instant};
+use crate::{connection::Client, error::Error};
+use tidemap_proto::convert::time::instant;
 
 /// What is asked of a vector.
 #[derive(Clone, Debug, Default, PartialEq)]

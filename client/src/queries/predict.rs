@@ -9,7 +9,8 @@ use tidemap_proto::v1;
 use tonic::Streaming;
 
 use super::ModelSelector;
-use crate::{connection::Client, error::Error, wire::instant};
+use crate::{connection::Client, error::Error};
+use tidemap_proto::convert::time::instant;
 
 /// The daemon's limits of one request, with some room in the bytes.
 const STATES_MAX: usize = 10_000;

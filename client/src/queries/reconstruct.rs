@@ -5,7 +5,8 @@
 use tidemap_proto::v1;
 use tonic::Streaming;
 
-use crate::{connection::Client, error::Error, wire::timestamp};
+use crate::{connection::Client, error::Error};
+use tidemap_proto::convert::time::timestamp;
 
 /// An answer under way.
 #[derive(Debug)]

@@ -2,15 +2,11 @@
 //!
 //! Invariant: times are nanoseconds UTC, and each edge is told for when the robot reaches it.
 
+use tidemap_proto::convert::time::{duration, instant, timestamp};
 use tidemap_proto::v1::{self, plan_route_request};
 
 use super::EdgeEnds;
-use crate::{
-    connection::Client,
-    error::Error,
-    queries::ModelSelector,
-    wire::{duration, instant, timestamp},
-};
+use crate::{connection::Client, error::Error, queries::ModelSelector};
 
 /// What a route or a policy is best at.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

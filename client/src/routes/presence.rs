@@ -2,14 +2,10 @@
 //!
 //! Invariant: probabilities and shares are in the order of the nodes.
 
+use tidemap_proto::convert::time::{duration, instant, timestamp};
 use tidemap_proto::v1;
 
-use crate::{
-    connection::Client,
-    error::Error,
-    queries::ModelSelector,
-    wire::{duration, instant, timestamp},
-};
+use crate::{connection::Client, error::Error, queries::ModelSelector};
 
 /// What is asked of presence.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -18,7 +18,7 @@ use super::{
     site::point_to_wire,
     time::{duration, nanos_from_duration, timestamp},
 };
-use crate::v1;
+use crate::v1::{self, periodicities::Set};
 
 /// Default base of the harmonic periodicities: 7 days, in nanoseconds.
 pub const DEFAULT_BASE_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
@@ -37,8 +37,7 @@ pub fn spec_from_request(request: v1::CreateMapRequest, created_nanos: i64) -> R
     };
     let periodicities = periodicities_from_wire(request.periodicities)?;
     let criterion = match v1::OrderCriterion::try_from(request.order_criterion) {
-        Ok(v1::OrderCriterion::Unspecified | v1::OrderCriterion::SquaredError) => OrderCriterion::SquaredError,
-        Ok(v1::OrderCriterion::ZeroOne) => OrderCriterion::ZeroOne,
+        Ok(criterion) => criterion_from_wire(criterion).unwrap_or_default(),
         Err(_) => {
             return Err(InvalidField::new("order_criterion", format!("{} is not known", request.order_criterion)));
         }
@@ -63,10 +62,14 @@ pub fn spec_from_request(request: v1::CreateMapRequest, created_nanos: i64) -> R
     Ok(MapSpec { name, zone, periodicities, criterion, created_nanos, half_life_nanos, prior, retention, models, grid })
 }
 
-fn periodicities_from_wire(wire: Option<v1::Periodicities>) -> Result<Periodicities, InvalidField> {
+/// Periodicities; the defaults where there are none.
+///
+/// # Errors
+/// The field that is invalid.
+pub fn periodicities_from_wire(wire: Option<v1::Periodicities>) -> Result<Periodicities, InvalidField> {
     match wire.and_then(|periodicities| periodicities.set) {
         None => Ok(Periodicities::default()),
-        Some(v1::periodicities::Set::Harmonics(harmonics)) => {
+        Some(Set::Harmonics(harmonics)) => {
             let base = match harmonics.base {
                 Some(base) => nanos_from_duration("periodicities.harmonics.base", base)?,
                 None => DEFAULT_BASE_NANOS,
@@ -74,7 +77,7 @@ fn periodicities_from_wire(wire: Option<v1::Periodicities>) -> Result<Periodicit
             let count = if harmonics.count == 0 { DEFAULT_COUNT } else { harmonics.count };
             Periodicities::harmonics(base, count).map_err(|error| InvalidField::new("periodicities.harmonics", error))
         }
-        Some(v1::periodicities::Set::List(list)) => {
+        Some(Set::List(list)) => {
             let nanos = |(i, &period): (usize, &Duration)| {
                 nanos_from_duration(&format!("periodicities.list.periods[{i}]"), period)
             };
@@ -88,23 +91,11 @@ fn periodicities_from_wire(wire: Option<v1::Periodicities>) -> Result<Periodicit
 #[must_use]
 pub fn map_to_wire(view: &MapView) -> v1::Map {
     let spec = view.spec();
-    let set = match spec.periodicities.definition() {
-        PeriodicityDefinition::Harmonics { base_nanos, count } => {
-            v1::periodicities::Set::Harmonics(v1::Harmonics { base: Some(duration(*base_nanos)), count: *count })
-        }
-        PeriodicityDefinition::List { period_nanos } => v1::periodicities::Set::List(v1::PeriodList {
-            periods: period_nanos.iter().map(|&nanos| duration(nanos)).collect(),
-        }),
-    };
-    let criterion = match spec.criterion {
-        OrderCriterion::SquaredError => v1::OrderCriterion::SquaredError,
-        OrderCriterion::ZeroOne => v1::OrderCriterion::ZeroOne,
-    };
     v1::Map {
         name: spec.name.as_str().to_owned(),
         time_zone: spec.zone.name().to_owned(),
-        periodicities: Some(v1::Periodicities { set: Some(set) }),
-        order_criterion: criterion.into(),
+        periodicities: Some(periodicities_to_wire(spec.periodicities.definition())),
+        order_criterion: criterion_to_wire(spec.criterion).into(),
         create_time: Some(timestamp(spec.created_nanos)),
         states: view.len() as u64,
         observations: view.observations(),
@@ -166,21 +157,41 @@ pub fn kind_to_wire(kind: StateKind) -> v1::StateKind {
     }
 }
 
-/// A reason for the wire.
+both_ways!(
+    /// Why an observation is refused, for the wire.
+    refusal_to_wire, refusal_from_wire, RefusalReason, v1::RefusalReason,
+    [
+        Value = Value,
+        Time = Time,
+        StateName = StateName,
+        StateIndex = StateIndex,
+        StateLimit = StateLimit,
+        StateKind = StateKind,
+        NoGrid = NoGrid,
+        Scan = Scan,
+        Empty = Empty,
+        TileLimit = TileLimit,
+        Frame = Frame,
+        Edge = Edge,
+    ]
+);
+
+both_ways!(
+    /// How orders are compared, for the wire.
+    criterion_to_wire, criterion_from_wire, OrderCriterion, v1::OrderCriterion,
+    [SquaredError = SquaredError, ZeroOne = ZeroOne]
+);
+
+/// Periodicities for the wire.
 #[must_use]
-pub fn refusal_to_wire(reason: RefusalReason) -> v1::RefusalReason {
-    match reason {
-        RefusalReason::Value => v1::RefusalReason::Value,
-        RefusalReason::Time => v1::RefusalReason::Time,
-        RefusalReason::StateName => v1::RefusalReason::StateName,
-        RefusalReason::StateIndex => v1::RefusalReason::StateIndex,
-        RefusalReason::StateLimit => v1::RefusalReason::StateLimit,
-        RefusalReason::StateKind => v1::RefusalReason::StateKind,
-        RefusalReason::NoGrid => v1::RefusalReason::NoGrid,
-        RefusalReason::Scan => v1::RefusalReason::Scan,
-        RefusalReason::Empty => v1::RefusalReason::Empty,
-        RefusalReason::TileLimit => v1::RefusalReason::TileLimit,
-        RefusalReason::Frame => v1::RefusalReason::Frame,
-        RefusalReason::Edge => v1::RefusalReason::Edge,
-    }
+pub fn periodicities_to_wire(definition: &PeriodicityDefinition) -> v1::Periodicities {
+    let set = match definition {
+        PeriodicityDefinition::Harmonics { base_nanos, count } => {
+            Set::Harmonics(v1::Harmonics { base: Some(duration(*base_nanos)), count: *count })
+        }
+        PeriodicityDefinition::List { period_nanos } => {
+            Set::List(v1::PeriodList { periods: period_nanos.iter().map(|&nanos| duration(nanos)).collect() })
+        }
+    };
+    v1::Periodicities { set: Some(set) }
 }

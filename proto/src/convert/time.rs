@@ -40,6 +40,18 @@ pub fn instant_from_wire(field: &str, timestamp: Option<Timestamp>) -> Result<i6
     nanos_from_timestamp(field, timestamp.ok_or_else(missing)?)
 }
 
+/// An instant of a reply; `None` where it is absent or outside 1970 to 2262.
+#[must_use]
+pub fn instant(timestamp: Option<Timestamp>) -> Option<i64> {
+    nanos_from_timestamp("", timestamp?).ok()
+}
+
+/// A span of a reply; `None` where it is absent or more than i64 nanoseconds hold.
+#[must_use]
+pub fn span(duration: Option<Duration>) -> Option<i64> {
+    nanos_from_duration("", duration?).ok()
+}
+
 /// From `from_time` up to but not including `to_time`, both required.
 ///
 /// # Errors

@@ -19,7 +19,7 @@ use tidemap_client::time::format_rfc3339;
 use tidemap_client::{
     maps::{Grid, Retention, SensorNoise},
     observe::{
-        Producer, ProducerOptions, Sensor,
+        Producer, ProducerOptions, ProducerSensor,
         tiles::{TileIndex, TileMasks},
     },
 };
@@ -158,12 +158,12 @@ async fn grid_models_of_cells_are_those_of_a_naive_model() {
 }
 
 /// P(occupied | reads free) and P(occupied | reads occupied), by Bayes' rule.
-fn levels(Sensor { hit, false_alarm }: Sensor, prior: f64) -> (f64, f64) {
+fn levels(ProducerSensor { hit, false_alarm }: ProducerSensor, prior: f64) -> (f64, f64) {
     let of = |if_occupied: f64, if_free: f64| if_occupied * prior / (if_occupied * prior + if_free * (1.0 - prior));
     (of(1.0 - hit, 1.0 - false_alarm), of(hit, false_alarm))
 }
 
-async fn with_sensor(daemon: &Daemon, name: &str, sensor: Option<Sensor>) -> Result<Producer, String> {
+async fn with_sensor(daemon: &Daemon, name: &str, sensor: Option<ProducerSensor>) -> Result<Producer, String> {
     let options = ProducerOptions { sensor, ..ProducerOptions::new(name, "", MAP) };
     Producer::open(&daemon.client(), options).await.map_err(|error| error.to_string())
 }
@@ -171,7 +171,7 @@ async fn with_sensor(daemon: &Daemon, name: &str, sensor: Option<Sensor>) -> Res
 #[tokio::test(flavor = "multi_thread")]
 async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior_means() {
     let film = Film::new(6, 400);
-    let own = Sensor { hit: 0.9, false_alarm: 0.05 };
+    let own = ProducerSensor { hit: 0.9, false_alarm: 0.05 };
     let sensor = Some(SensorNoise { hit: own.hit, false_alarm: own.false_alarm, prior: 0.4 });
     let (data, mut daemon) = office(Grid { sensor, ..grid(Retention::Forever) }).await;
     let mut sent = Sent::default();
@@ -185,7 +185,8 @@ async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior
     // A third producer sees as the robot does, with a better sensor, a little later.
     let shift = 60_000_000_000;
     let late: Vec<_> = part.iter().step_by(3).map(|(time, seen)| (time + shift, seen.clone())).collect();
-    let (weak, sharp) = (Sensor { hit: 0.7, false_alarm: 0.2 }, Sensor { hit: 0.99, false_alarm: 0.001 });
+    let (weak, sharp) =
+        (ProducerSensor { hit: 0.7, false_alarm: 0.2 }, ProducerSensor { hit: 0.99, false_alarm: 0.001 });
     let midnight = film.time(film.scans_of(2));
     for (from, to) in [(i64::MIN, midnight), (midnight, i64::MAX)] {
         let announced = |sensor| Some(sensor).filter(|_| from == i64::MIN);
@@ -233,11 +234,11 @@ async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior
 
     // What a key has does not change any more.
     for (name, says, words) in [
-        ("robot", Sensor { hit: 0.75, ..weak }, ["0.7,", "0.75", "another label"]),
+        ("robot", ProducerSensor { hit: 0.75, ..weak }, ["0.7,", "0.75", "another label"]),
         ("robot", own, ["0.7,", "0.9", "another label"]),
         ("camera", weak, ["0.9,", "0.7", "another label"]),
-        ("fourth", Sensor { hit: 0.2, false_alarm: 0.2 }, ["0.2", "false alarm", "hit <= 1"]),
-        ("fourth", Sensor { hit: f64::NAN, false_alarm: 0.2 }, ["NaN", "false alarm", "hit <= 1"]),
+        ("fourth", ProducerSensor { hit: 0.2, false_alarm: 0.2 }, ["0.2", "false alarm", "hit <= 1"]),
+        ("fourth", ProducerSensor { hit: f64::NAN, false_alarm: 0.2 }, ["NaN", "false alarm", "hit <= 1"]),
     ] {
         let refused = with_sensor(&daemon, name, Some(says)).await.expect_err("refused");
         assert!(words.iter().all(|word| refused.contains(word)), "{refused}");

@@ -193,7 +193,7 @@ async fn grid_questions_that_make_no_sense_are_refused_by_name() {
     astray.send_scan(NOON_NANOS, cloud(&[1.0, 0.0, 0.0])).await.expect("taken");
     astray.flush().await.expect("refused by itself");
     let refusals = astray.take_refusals();
-    assert_eq!(refusals.iter().map(|refusal| refusal.reason).collect::<Vec<_>>(), [RefusalReason::NoGrid]);
+    assert_eq!(refusals.iter().map(|refusal| refusal.reason).collect::<Vec<_>>(), [Some(RefusalReason::NoGrid)]);
 }
 
 async fn refused(client: &Client, query: &GridQuery, code: Code, words: &[&str]) {

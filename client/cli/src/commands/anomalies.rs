@@ -62,7 +62,7 @@ pub async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitC
     let mut anomalies = session.client.anomalies(&map, state, from, to, judgement).await?;
     let mut table = session.table(&["time", "value", "probability"]);
     while let Some(found) = anomalies.next().await? {
-        for Anomaly { time_nanos, value, probability } in found {
+        for Anomaly { utc_nanos: time_nanos, value, probability } in found {
             table.row(vec![Cell::Secs(time_nanos), value.into(), probability.into()])?;
         }
     }
@@ -96,7 +96,7 @@ async fn watched(session: &Session, mut watch: AnomalyWatch) -> anyhow::Result<E
         if seen.missed > 0 {
             status_line(&format!("{} observations were missed: they came faster than they could be read", seen.missed));
         }
-        for (state, Anomaly { time_nanos, value, probability }) in seen.anomalies {
+        for (state, Anomaly { utc_nanos: time_nanos, value, probability }) in seen.anomalies {
             table.row(vec![Cell::Secs(time_nanos), Cell::Text(state), value.into(), probability.into()])?;
         }
     }

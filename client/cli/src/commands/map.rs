@@ -7,7 +7,9 @@ pub mod grid_spec;
 use std::{process::ExitCode, str::FromStr};
 
 use clap::{Args, Subcommand, ValueEnum};
-use tidemap_client::maps::{Candidate, Grid, InvalidCandidate, Map, NewMap, OrderCriterion, Periodicities, Retention};
+use tidemap_client::maps::{
+    Candidate, Grid, InvalidCandidate, Map, NewMap, OrderCriterion, PeriodicityDefinition, Retention,
+};
 use tidemap_map::time::format_duration;
 
 use self::grid_spec::{GridSpec, shown, shown_box, shown_retention};
@@ -204,9 +206,9 @@ pub fn with_grid(made: Map, wanted: bool) -> anyhow::Result<Map> {
 
 fn new_map(args: CreateArgs) -> NewMap {
     let periodicities = match (args.periods, args.period_base, args.period_count) {
-        (Some(periods), ..) => Some(Periodicities::List(periods)),
+        (Some(periods), ..) => Some(PeriodicityDefinition::List { period_nanos: periods }),
         (None, None, None) => None,
-        (None, base, count) => Some(Periodicities::Harmonics {
+        (None, base, count) => Some(PeriodicityDefinition::Harmonics {
             base_nanos: base.unwrap_or(WEEK_NANOS),
             count: count.unwrap_or(USUAL_COUNT),
         }),
@@ -231,8 +233,10 @@ fn new_map(args: CreateArgs) -> NewMap {
 
 fn cells(map: Map) -> Vec<Cell> {
     let periods = match map.periodicities {
-        Periodicities::Harmonics { base_nanos, count } => format!("{}/1..{count}", format_duration(base_nanos)),
-        Periodicities::List(periods) => periods.into_iter().map(format_duration).collect::<Vec<_>>().join(" "),
+        PeriodicityDefinition::Harmonics { base_nanos, count } => format!("{}/1..{count}", format_duration(base_nanos)),
+        PeriodicityDefinition::List { period_nanos } => {
+            period_nanos.into_iter().map(format_duration).collect::<Vec<_>>().join(" ")
+        }
     };
     let criterion = match map.order_criterion {
         OrderCriterion::SquaredError => "squared-error",
@@ -257,7 +261,7 @@ fn more_cells(map: &Map) -> Vec<Cell> {
     let text = |text: Option<String>| text.map_or(Cell::Empty, Cell::Text);
     let (grid, summary) = (map.grid.as_ref(), map.grid_summary.as_ref());
     vec![
-        text(map.retention.map(shown_retention)),
+        text(Some(shown_retention(map.retention))),
         text(grid.map(shown)),
         text(grid.and_then(|grid| grid.retention).map(shown_retention)),
         Cell::maybe(summary.map(|summary| summary.tiles)),

@@ -17,7 +17,7 @@ use tokio_stream::{Stream, StreamExt as _, wrappers::TcpListenerStream};
 use tonic::{Request, Response, Status, transport::Server};
 
 use super::*;
-use crate::observe::{Producer, ProducerOptions, content::ContentCrc};
+use crate::observe::{Producer, ProducerOptions, RefusalReason, content::ContentCrc};
 
 /// What the daemon does with one connection.
 #[derive(Clone, Debug)]
@@ -236,7 +236,7 @@ async fn refusals_come_back_with_their_numbers() -> Tested {
     let refused: Vec<_> = producer.take_refusals().into_iter().map(|r| (r.sequence, r.reason, r.detail)).collect();
     assert_eq!(
         refused,
-        [(2, RefusalReason::Value, "value 2".to_owned()), (4, RefusalReason::Value, "value 3".to_owned())]
+        [(2, Some(RefusalReason::Value), "value 2".to_owned()), (4, Some(RefusalReason::Value), "value 3".to_owned())]
     );
     assert!(producer.take_refusals().is_empty());
     Ok(())

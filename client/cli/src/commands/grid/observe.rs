@@ -13,7 +13,7 @@ use std::{
 
 use anyhow::Context as _;
 use clap::Args;
-use tidemap_client::observe::{ProducerOptions, Sensor, scan::Pose};
+use tidemap_client::observe::{ProducerOptions, ProducerSensor, scan::Pose};
 
 use self::transfer::ScanTransfer;
 use super::{grid_of, place, scans, sensor};
@@ -57,7 +57,7 @@ pub struct GridObserveArgs {
     /// How far these scans are believed, where that is not as the map says: P(reads occupied | is occupied) [default: 1]
     /// and P(reads occupied | is free) [default: 0]. Fixed for a producer and label once it has sent something
     #[arg(long, value_name = "hit=P,false-alarm=P", value_parser = sensor::sensor)]
-    sensor: Option<Sensor>,
+    sensor: Option<ProducerSensor>,
     /// Runs the nightly update whenever the scans pass the map's local midnight
     #[arg(long)]
     nightly: bool,

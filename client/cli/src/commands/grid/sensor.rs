@@ -2,10 +2,10 @@
 //!
 //! Invariant: a mistake names the part that is wrong and what would be right.
 
-use tidemap_client::observe::Sensor;
+use tidemap_client::observe::ProducerSensor;
 
 /// A sensor as the command line says it; what is not said is that of a sensor that is always right.
-pub fn sensor(text: &str) -> Result<Sensor, String> {
+pub fn sensor(text: &str) -> Result<ProducerSensor, String> {
     let (mut hit, mut false_alarm) = (None, None);
     for part in text.split(',') {
         let (name, value) = part.split_once('=').unwrap_or((part, ""));
@@ -20,7 +20,7 @@ pub fn sensor(text: &str) -> Result<Sensor, String> {
             return Err(format!("{name} is said twice"));
         }
     }
-    let sensor = Sensor { hit: hit.unwrap_or(1.0), false_alarm: false_alarm.unwrap_or(0.0) };
+    let sensor = ProducerSensor { hit: hit.unwrap_or(1.0), false_alarm: false_alarm.unwrap_or(0.0) };
     if sensor.hit > sensor.false_alarm { Ok(sensor) } else { Err("hit has to be above false-alarm".to_owned()) }
 }
 
@@ -30,9 +30,9 @@ mod tests {
 
     #[test]
     fn what_is_not_said_is_always_right() {
-        assert_eq!(sensor("hit=0.9,false-alarm=0.05"), Ok(Sensor { hit: 0.9, false_alarm: 0.05 }));
-        assert_eq!(sensor("false-alarm=0.05"), Ok(Sensor { hit: 1.0, false_alarm: 0.05 }));
-        assert_eq!(sensor("hit=0.9"), Ok(Sensor { hit: 0.9, false_alarm: 0.0 }));
+        assert_eq!(sensor("hit=0.9,false-alarm=0.05"), Ok(ProducerSensor { hit: 0.9, false_alarm: 0.05 }));
+        assert_eq!(sensor("false-alarm=0.05"), Ok(ProducerSensor { hit: 1.0, false_alarm: 0.05 }));
+        assert_eq!(sensor("hit=0.9"), Ok(ProducerSensor { hit: 0.9, false_alarm: 0.0 }));
     }
 
     #[test]
