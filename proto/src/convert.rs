@@ -48,6 +48,30 @@ pub struct InvalidField {
     pub description: String,
 }
 
+/// More of something than a limit allows.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{what}: {}more than the {max} that {setting} allows", got.map_or_else(String::new, |got| format!("{got} is ")))]
+pub struct OverLimit {
+    /// What there is too much of.
+    pub what: &'static str,
+    /// How much there is, if it is known.
+    pub got: Option<u64>,
+    /// How much is allowed.
+    pub max: u64,
+    /// The setting or rule that says so.
+    pub setting: &'static str,
+}
+
+impl OverLimit {
+    /// Checks an amount against its limit.
+    ///
+    /// # Errors
+    /// `got` exceeds `max`.
+    pub fn check(what: &'static str, got: usize, max: usize, setting: &'static str) -> Result<(), Self> {
+        if got > max { Err(Self { what, got: Some(got as u64), max: max as u64, setting }) } else { Ok(()) }
+    }
+}
+
 impl InvalidField {
     /// A field and what is wrong with it.
     pub fn new(field: impl Into<String>, description: impl Display) -> Self {

@@ -11,7 +11,7 @@ use tidemap_map::{
     ids::RefusalReason,
 };
 
-use super::InvalidField;
+use super::{InvalidField, OverLimit};
 
 mod decode;
 mod digest;
@@ -52,17 +52,8 @@ pub enum ScanError {
     #[error(transparent)]
     Invalid(#[from] InvalidField),
     /// There is too much of something.
-    #[error("{what}: {got} is more than the {max} that {setting} allows")]
-    Limit {
-        /// What there is too much of.
-        what: &'static str,
-        /// How much was sent.
-        got: u64,
-        /// How much is allowed.
-        max: u64,
-        /// Which setting says so.
-        setting: &'static str,
-    },
+    #[error(transparent)]
+    Limit(#[from] OverLimit),
 }
 
 /// Why one scan is refused.

@@ -11,7 +11,7 @@ use tidemap_map::{
     name::StateName,
 };
 use tidemap_proto::convert::{
-    InvalidField,
+    InvalidField, OverLimit,
     columns::{DecodedColumns, decode},
     scans::{ScanError, ScanLimits},
     vectors::{new_shapes, positions},
@@ -42,17 +42,8 @@ pub enum IntakeError {
     #[error(transparent)]
     Invalid(#[from] InvalidField),
     /// The message, or the stream with it, is over a limit.
-    #[error("{what}: {got} is more than the {max} that {setting} allows")]
-    Limit {
-        /// What there is too much of.
-        what: &'static str,
-        /// How much was sent.
-        got: u64,
-        /// How much is allowed.
-        max: u64,
-        /// Which setting or rule says so.
-        setting: &'static str,
-    },
+    #[error(transparent)]
+    Limit(#[from] OverLimit),
     /// A sequence number leaps.
     #[error("first_sequence {got} leaves a gap: {expected} is the next sequence number of this stream")]
     OutOfSequence {
@@ -67,7 +58,7 @@ impl From<ScanError> for IntakeError {
     fn from(error: ScanError) -> Self {
         match error {
             ScanError::Invalid(field) => Self::Invalid(field),
-            ScanError::Limit { what, got, max, setting } => Self::Limit { what, got, max, setting },
+            ScanError::Limit(limit) => Self::Limit(limit),
         }
     }
 }
@@ -209,9 +200,7 @@ impl Intake {
             ("states of one stream", self.table.len() + names.len(), self.limits.table, "setting max_states_per_map"),
             ("bytes of one stream's states' names", bytes, max_bytes, "setting max_states_per_map"),
         ] {
-            if got > max {
-                return Err(IntakeError::Limit { what, got: got as u64, max: max as u64, setting });
-            }
+            OverLimit::check(what, got, max, setting)?;
         }
         Ok(())
     }
@@ -244,15 +233,8 @@ impl Intake {
         // One position always fits.
         let max = self.limits.batch.max(Dimensions::Three.count());
         let got = columns.values.len() - positions.len() + coordinates.len();
-        if got > max {
-            let what = "observations of one message, positions counted by their coordinates";
-            return Err(IntakeError::Limit {
-                what,
-                got: got as u64,
-                max: max as u64,
-                setting: "setting max_batch_observations",
-            });
-        }
+        let what = "observations of one message, positions counted by their coordinates";
+        OverLimit::check(what, got, max, "setting max_batch_observations")?;
         Ok(positions)
     }
 

@@ -19,7 +19,7 @@ use tidemap_map::{
     traversal::{EdgeFailure, Traversal},
 };
 use tidemap_proto::{
-    convert::{InvalidField, time::duration},
+    convert::{InvalidField, OverLimit, time::duration},
     v1::{
         self, observation_service_server::ObservationService, observe_request::Message as Up,
         observe_response::Message as Down,
@@ -111,10 +111,7 @@ impl ObservationService for Observations {
         let open = self.streams.fetch_add(1, Ordering::Relaxed) + 1;
         let counted = Counted(Arc::clone(&self.streams));
         metrics::gauge!("tidemap_streams").set(open as f64);
-        if open > self.limits.max_streams {
-            let (got, max) = (open as u64, self.limits.max_streams as u64);
-            return Err(RpcError::Limit { what: "streams", got, max, setting: "setting max_streams" }.into());
-        }
+        OverLimit::check("streams", open, self.limits.max_streams, "setting max_streams").map_err(RpcError::from)?;
         let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
         let catalog = Arc::clone(&self.catalog);
         let limits = self.limits;
@@ -148,11 +145,8 @@ async fn reply(replies: &Replies, message: Down) -> Result<(), RpcError> {
 fn unread(status: &Status, limits: &StreamLimits) -> RpcError {
     match status.code() {
         Code::OutOfRange => {
-            let max = limits.max_message_bytes as u64;
-            // The transport says how long the message was only in its text.
-            let mut numbers = status.message().split(|character: char| !character.is_ascii_digit());
-            let got = numbers.find_map(|digits| digits.parse().ok()).unwrap_or(max + 1);
-            RpcError::Limit { what: "bytes of one message", got, max, setting: "setting max_message_bytes" }
+            let (what, max) = ("bytes of one message", limits.max_message_bytes as u64);
+            OverLimit { what, got: None, max, setting: "setting max_message_bytes" }.into()
         }
         // With a source it is the connection's error, and not the message's.
         Code::Internal | Code::InvalidArgument if std::error::Error::source(status).is_none() => {
@@ -368,12 +362,9 @@ impl Stream<'_> {
         }
         let Ok(more) = Arc::clone(&self.tables).try_acquire_many_owned(wanted - held) else {
             let free = (held as usize).saturating_add(self.tables.available_permits()) as u64 * 1024;
-            return Err(RpcError::Limit {
-                what: "bytes of this stream's tiles and unfinished scan, beside those of other streams",
-                got: u64::from(wanted) * 1024,
-                max: free,
-                setting: "setting max_stream_tables_bytes",
-            });
+            let what = "bytes of this stream's tiles and unfinished scan, beside those of other streams";
+            let got = Some(u64::from(wanted) * 1024);
+            return Err(OverLimit { what, got, max: free, setting: "setting max_stream_tables_bytes" }.into());
         };
         match &mut self.held {
             Some(held) => held.merge(more),

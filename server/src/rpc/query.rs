@@ -6,7 +6,10 @@
 use std::sync::Arc;
 
 use tidemap_map::{event::StateShape, ids::StateId, view::MapView};
-use tidemap_proto::v1::{self, query_service_server::QueryService};
+use tidemap_proto::{
+    convert::OverLimit,
+    v1::{self, query_service_server::QueryService},
+};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::status::RpcError;
@@ -104,7 +107,7 @@ pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError
 }
 
 pub(super) fn check_limit(what: &'static str, got: u64, max: u64, setting: &'static str) -> Result<(), RpcError> {
-    if got > max { Err(RpcError::Limit { what, got, max, setting }) } else { Ok(()) }
+    if got > max { Err(OverLimit { what, got: Some(got), max, setting }.into()) } else { Ok(()) }
 }
 
 #[tonic::async_trait]

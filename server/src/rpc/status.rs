@@ -10,7 +10,7 @@ use tidemap_map::{
     selector::ModelKind,
     site::InvalidEdit,
 };
-use tidemap_proto::convert::InvalidField;
+use tidemap_proto::convert::{InvalidField, OverLimit};
 use tidemap_store::{AppendError, HistoryError};
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
@@ -132,17 +132,8 @@ pub enum RpcError {
     #[error("job {0} has no report: it has not ended well, or a later update of the same map replaced it")]
     NoReport(u64),
     /// More than is allowed.
-    #[error("{what}: {got} is more than the {max} that {setting} allows")]
-    Limit {
-        /// What there is too much of.
-        what: &'static str,
-        /// How much.
-        got: u64,
-        /// How much is allowed.
-        max: u64,
-        /// Which setting or rule says so.
-        setting: &'static str,
-    },
+    #[error(transparent)]
+    Limit(#[from] OverLimit),
     /// A state was not added.
     #[error(transparent)]
     AddState(#[from] AddStateError),
@@ -253,7 +244,7 @@ impl RpcError {
             Self::Updating(_) => (Code::Unavailable, "UPDATING"),
             Self::UnknownJob(_) => (Code::NotFound, "UNKNOWN_JOB"),
             Self::NoReport(_) => (Code::FailedPrecondition, "NO_REPORT"),
-            Self::Limit { .. } | Self::NoTurn { .. } | Self::Intake(IntakeError::Limit { .. }) => {
+            Self::Limit(_) | Self::NoTurn { .. } | Self::Intake(IntakeError::Limit(_)) => {
                 (Code::ResourceExhausted, "LIMIT")
             }
             Self::AddState(error) => match error {
@@ -319,8 +310,8 @@ impl From<RpcError> for Status {
             RpcError::UnknownState { name, .. } | RpcError::UnknownCell { name, .. } => {
                 details.set_resource_info("state", name, "", error.to_string());
             }
-            RpcError::Limit { what, .. } | RpcError::Intake(IntakeError::Limit { what, .. }) => {
-                details.add_quota_failure_violation(*what, error.to_string());
+            RpcError::Limit(limit) | RpcError::Intake(IntakeError::Limit(limit)) => {
+                details.add_quota_failure_violation(limit.what, error.to_string());
             }
             RpcError::Intake(IntakeError::OutOfSequence { got, expected }) => {
                 metadata.insert("got".to_owned(), got.to_string());

@@ -20,7 +20,7 @@ use super::{
     tile_scan::TileScans,
 };
 use crate::{
-    convert::InvalidField,
+    convert::{InvalidField, OverLimit},
     v1::{self, scan::Content},
 };
 
@@ -84,15 +84,7 @@ impl ScanDecoder {
         if count == 0 {
             return Err(InvalidField::new("scans.scans", "there is no scan: send at least 1").into());
         }
-        if count > self.limits.batch_scans {
-            let (got, max) = (count as u64, self.limits.batch_scans as u64);
-            return Err(ScanError::Limit {
-                what: "scans of one message",
-                got,
-                max,
-                setting: "setting max_batch_scans",
-            });
-        }
+        OverLimit::check("scans of one message", count, self.limits.batch_scans, "setting max_batch_scans")?;
         if message.time_deltas.len() != count {
             let text = format!("{} entries for {count} scans: there is one per scan", message.time_deltas.len());
             return Err(InvalidField::new("scans.time_deltas", text).into());

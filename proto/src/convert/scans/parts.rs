@@ -9,7 +9,7 @@ use super::{
     table::join_part,
 };
 use crate::{
-    convert::InvalidField,
+    convert::{InvalidField, OverLimit},
     v1::{TileScan, scan::Content},
 };
 
@@ -97,10 +97,7 @@ impl Parts {
                 ("rays of one scan", folded + scan.ranges_m.len(), limits.points, "setting max_scan_points")
             }
         };
-        if got > max {
-            return Err(ScanError::Limit { what, got: got as u64, max: max as u64, setting });
-        }
-        Ok(())
+        Ok(OverLimit::check(what, got, max, setting)?)
     }
 }
 

@@ -16,7 +16,7 @@ use super::{
     ScanError,
     digest::{index_crc, masks_digest},
 };
-use crate::convert::InvalidField;
+use crate::convert::{InvalidField, OverLimit};
 
 /// Cells of a tile that a flat grid has.
 pub(super) const LAYER: Mask = Mask([u64::MAX, 0, 0, 0, 0, 0, 0, 0]);
@@ -91,10 +91,7 @@ impl Shown {
             return Err(InvalidField::new("scans.new_tiles", text).into());
         }
         let tiles = self.slots.len() + triples.len();
-        if tiles > max_tiles {
-            let (what, setting) = ("tiles of one stream", "setting max_scan_tiles");
-            return Err(ScanError::Limit { what, got: tiles as u64, max: max_tiles as u64, setting });
-        }
+        OverLimit::check("tiles of one stream", tiles, max_tiles, "setting max_scan_tiles")?;
         let mut added = HashSet::with_capacity(triples.len());
         let mut indices = Vec::with_capacity(triples.len());
         for (number, &[x, y, z]) in triples.iter().enumerate() {

@@ -127,10 +127,10 @@ fn times_before_1970_are_refused() {
 fn limits_are_errors_and_nothing_is_taken() {
     let mut intake = intake();
     let over = intake.take(message(1, &["a"], &[0; 5], &[0; 5], &[0.0; 5])).expect_err("5 observations");
-    assert!(matches!(over, IntakeError::Limit { got: 5, max: 4, .. }), "{over}");
+    assert!(matches!(over, IntakeError::Limit(OverLimit { got: Some(5), max: 4, .. })), "{over}");
     assert!(over.to_string().contains("max_batch_observations"), "{over}");
     let over = intake.take(message(1, &["a", "b", "c", "d"], &[0], &[0], &[0.0])).expect_err("4 names");
-    assert!(matches!(over, IntakeError::Limit { got: 4, max: 3, .. }), "{over}");
+    assert!(matches!(over, IntakeError::Limit(OverLimit { got: Some(4), max: 3, .. })), "{over}");
     assert!(intake.take(v1::ObservationBatch { first_sequence: 1, observations: None }).is_err());
     let batch = intake.take(message(1, &["a"], &[0], &[0], &[0.0])).expect("fine").expect("new");
     assert_eq!(batch.first_sequence, 1);
@@ -148,7 +148,7 @@ fn the_bytes_of_a_table_are_bounded() {
         assert_eq!(batch.refused[0].reason, RefusalReason::StateName);
     }
     let over = intake.take(message(3, &["a"], &[0], &[0], &[0.0])).expect_err("full");
-    assert!(matches!(over, IntakeError::Limit { got, max, .. } if got == max + 1), "{over}");
+    assert!(matches!(over, IntakeError::Limit(OverLimit { got: Some(got), max, .. }) if got == max + 1), "{over}");
     assert!(intake.take(message(3, &[], &[0], &[0], &[0.0])).is_ok());
 }
 
@@ -261,5 +261,5 @@ fn positions_are_taken_whole_or_refused_whole() {
     }
     // Seven coordinates and a value are eight observations.
     let error = Intake::new(0, 0, limits(7, 3), None).take(sent(1, &coordinates)).expect_err("too many");
-    assert!(matches!(error, IntakeError::Limit { got: 8, max: 7, .. }), "{error}");
+    assert!(matches!(error, IntakeError::Limit(OverLimit { got: Some(8), max: 7, .. })), "{error}");
 }

@@ -4,7 +4,7 @@
 
 use tidemap_proto::{
     convert::{
-        InvalidField,
+        InvalidField, OverLimit,
         traversals::{BATCH_TEXT_BYTES_MAX, append_content, text_bytes, traversal_from_wire},
     },
     v1,
@@ -32,16 +32,11 @@ impl Intake {
         }
         // One always fits.
         let (got, max) = (traversals.len().saturating_mul(OBSERVATIONS_EACH), self.limits.batch.max(OBSERVATIONS_EACH));
-        if got > max {
-            let what = "observations of one message, traversals counted as two each";
-            let (got, max) = (got as u64, max as u64);
-            return Err(IntakeError::Limit { what, got, max, setting: "setting max_batch_observations" });
-        }
-        let (got, max) = (traversals.iter().map(text_bytes).sum::<usize>(), BATCH_TEXT_BYTES_MAX);
-        if got > max {
-            let what = "bytes of the names and reasons of one message of traversals";
-            return Err(IntakeError::Limit { what, got: got as u64, max: max as u64, setting: "the protocol" });
-        }
+        let what = "observations of one message, traversals counted as two each";
+        OverLimit::check(what, got, max, "setting max_batch_observations")?;
+        let bytes = traversals.iter().map(text_bytes).sum();
+        let what = "bytes of the names and reasons of one message of traversals";
+        OverLimit::check(what, bytes, BATCH_TEXT_BYTES_MAX, "the protocol")?;
         let last = last_sequence(*first, traversals.len())?;
         if last < self.next_sequence {
             return Ok(None);

@@ -10,6 +10,7 @@ use tidemap_map::{
     event::StateKind, grid::spec::Retention, history::Subject, ids::StateId, selector::ModelKind, view::MapView,
 };
 use tidemap_model::{Sample, models::CannotFit};
+use tidemap_proto::convert::OverLimit;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 
 use super::{
@@ -184,11 +185,10 @@ impl Fitting {
     /// # Errors
     /// [`RpcError::Limit`] where all requests would hold more than may be kept.
     pub(super) fn hold(&self, models: usize) -> Result<OwnedSemaphorePermit, RpcError> {
-        self.fits.hold(models).ok_or_else(|| RpcError::Limit {
-            what: "fitted models that evaluations hold",
-            got: self.fits.held().saturating_add(models) as u64,
-            max: self.fits.max() as u64,
-            setting: "setting max_fitted_models",
+        self.fits.hold(models).ok_or_else(|| {
+            let (what, setting) = ("fitted models that evaluations hold", "setting max_fitted_models");
+            let got = Some(self.fits.held().saturating_add(models) as u64);
+            OverLimit { what, got, max: self.fits.max() as u64, setting }.into()
         })
     }
 

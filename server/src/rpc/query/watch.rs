@@ -15,7 +15,7 @@ use tidemap_map::{
 };
 use tidemap_proto::{
     convert::{
-        InvalidField,
+        InvalidField, OverLimit,
         anomaly::{confidence_from_wire, watching_judge_from_wire},
     },
     v1,
@@ -64,7 +64,7 @@ impl Watches {
 
     fn place(&self) -> Result<OwnedSemaphorePermit, RpcError> {
         let max = self.max as u64;
-        let full = |_| RpcError::Limit { what: "watches", got: max + 1, max, setting: "setting max_watches" };
+        let full = |_| OverLimit { what: "watches", got: Some(max + 1), max, setting: "setting max_watches" }.into();
         Arc::clone(&self.places).try_acquire_owned().map_err(full)
     }
 }
