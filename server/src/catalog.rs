@@ -14,8 +14,8 @@ use tidemap_store::{MapId, OpenError, StoreError};
 use tracing::{info, warn};
 
 use crate::ingest::{
+    ending::Ending,
     handle::MapHandle,
-    protocol::Ending,
     writer::{Context, start},
 };
 

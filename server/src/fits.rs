@@ -14,12 +14,14 @@ use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 
 mod fitted;
 mod positions;
+mod unavailable;
 
 #[cfg(test)]
 mod tests;
 
 pub use fitted::Fitted;
 pub use positions::PositionModel;
+pub use unavailable::ModelUnavailable;
 
 /// Which model, of what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

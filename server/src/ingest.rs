@@ -5,10 +5,12 @@
 //! order of the log.
 
 pub mod anomaly_feed;
+pub mod ending;
 pub mod handle;
 pub mod intake;
 pub mod protocol;
 mod sessions;
+pub mod tile_totals;
 mod training_data;
 mod update_schedule;
 pub mod writer;

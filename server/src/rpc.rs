@@ -12,5 +12,8 @@ pub mod serve;
 pub mod status;
 
 mod acks;
+mod lookup;
 mod page;
+mod permits;
+mod replies;
 mod series;

@@ -2,9 +2,10 @@
 //!
 //! Invariant: names are never reused for something else; new ones are added at the end.
 
-use crate::{catalog::Catalog, ingest::handle::MapHandle};
+use tidemap_map::grid::index::TileId;
+use tidemap_store::Sizes;
 
-pub mod tiles;
+use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
 /// Name, value, unit.
 pub type Row = (&'static str, f64, &'static str);
@@ -24,7 +25,7 @@ pub fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Row> {
         ("checkpoint_bytes", sizes.checkpoint_bytes as f64, "bytes"),
     ];
     rows.extend(of_storage(catalog));
-    rows.extend(tiles::rows(catalog, handle, &sizes));
+    rows.extend(of_grid(catalog, handle, &sizes));
     rows
 }
 
@@ -65,5 +66,36 @@ fn of_storage(catalog: &Catalog) -> [Row; 3] {
         ("fdatasyncs", sync.count as f64, ""),
         ("fdatasync_p50_secs", sync.p50.as_secs_f64(), "s"),
         ("fdatasync_p99_secs", sync.p99.as_secs_f64(), "s"),
+    ]
+}
+
+/// Bits observed for each bit kept (T-RO 2017, eq. 16); 0 where nothing is kept.
+fn ratio(observed_bits: u64, kept_bytes: u64) -> f64 {
+    if kept_bytes == 0 { 0.0 } else { observed_bits as f64 / (8.0 * kept_bytes as f64) }
+}
+
+/// Counters of the grid of a map, and its compression; 0 if it has no grid.
+fn of_grid(catalog: &Catalog, handle: &MapHandle, sizes: &Sizes) -> Vec<Row> {
+    let view = handle.view();
+    let totals = handle.tile_totals();
+    let grid = view.grid();
+    let live_bytes: u64 = grid.map_or(0, |grid| {
+        let ids = (0..u32::try_from(grid.tiles()).unwrap_or(u32::MAX)).map(TileId);
+        ids.filter_map(|id| grid.live(id)).map(|tile| tile.bytes() as u64).sum()
+    });
+    let cell_observations = grid.map_or(0, |grid| grid.cell_observations());
+    let history = catalog.context().store.history(handle.id).ok().and_then(|history| history.sizes().ok());
+    let grid_history = history.unwrap_or_default().grid_bytes;
+    vec![
+        ("history_bytes", sizes.history_bytes as f64, "bytes"),
+        ("tiles", grid.map_or(0, |grid| grid.tiles()) as f64, ""),
+        ("scans", grid.map_or(0, |grid| grid.scans()) as f64, ""),
+        ("pending_scans", grid.map_or(0, |grid| grid.pending_scans()) as f64, ""),
+        ("cell_observations", cell_observations as f64, ""),
+        ("changed_cells", totals.changed_cells as f64, ""),
+        ("tile_memory_bytes", (live_bytes + handle.tile_bytes()) as f64, "bytes"),
+        ("published_model_bytes", totals.model_bytes as f64, "bytes"),
+        ("compression_ratio", ratio(cell_observations, totals.model_bytes), ""),
+        ("history_compression_ratio", ratio(cell_observations, totals.model_bytes + grid_history), ""),
     ]
 }

@@ -9,7 +9,7 @@ use std::sync::{Arc, Weak};
 use tidemap_map::{event::Observations, ids::StateId, view::MapView};
 use tokio::sync::broadcast;
 
-use super::protocol::Ending;
+use super::ending::Ending;
 
 /// Most observations of one piece.
 const PIECE: usize = 4096;

@@ -13,8 +13,7 @@ use tidemap_map::{spec::MapSpec, view::MapView};
 use tidemap_store::MapId;
 use tokio::sync::{oneshot, watch};
 
-use super::protocol::{Command, Ending};
-use crate::statistics::tiles::TileTotals;
+use super::{ending::Ending, protocol::Command, tile_totals::TileTotals};
 
 /// A map, as everybody but its writer sees it.
 #[derive(Debug)]

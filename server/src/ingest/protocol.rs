@@ -25,14 +25,8 @@ use tidemap_map::{
 use tidemap_store::AppendError;
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
-use super::anomaly_feed::FeedReceiver;
+use super::{anomaly_feed::FeedReceiver, ending::Ending};
 use crate::jobs::Job;
-
-/// Whether the daemon cannot go on: what the disk holds is not known any more.
-#[must_use]
-pub fn is_fatal(error: &AppendError) -> bool {
-    !matches!(error, AppendError::DiskFull | AppendError::AfterFailure)
-}
 
 /// A stream, as its map's writer knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -264,19 +258,6 @@ pub enum SessionEvent {
     },
     /// The stream ends.
     End(Ending),
-}
-
-/// Why the server ends a stream.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Ending {
-    /// The daemon stops.
-    Shutdown,
-    /// Another stream of the key took over.
-    Superseded,
-    /// The map was deleted.
-    MapDeleted,
-    /// The log could not be written.
-    Storage(AppendError),
 }
 
 /// A state to add.

@@ -20,7 +20,10 @@ use tidemap_map::{
 use tidemap_model::OffsetCache;
 use tokio::sync::mpsc;
 
-use super::protocol::{Ending, Hello, HelloError, ObservationBatch, Opened, Refused, SessionEvent, SessionId};
+use super::{
+    ending::Ending,
+    protocol::{Hello, HelloError, ObservationBatch, Opened, Refused, SessionEvent, SessionId},
+};
 
 mod scans;
 mod sensors;

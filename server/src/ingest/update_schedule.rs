@@ -29,7 +29,7 @@ const UNSURE_NANOS: i64 = 60_000_000_000;
 /// Most updates that wait.
 const WAITING_MAX: usize = 16;
 
-/// An update that waits for its turn.
+/// An update that waits.
 #[derive(Debug)]
 pub struct DueUpdate {
     pub until_nanos: Option<i64>,
@@ -82,7 +82,7 @@ impl UpdateSchedule {
         }
     }
 
-    /// Whether an update waits for its turn.
+    /// Whether an update waits.
     pub fn is_waited_for(&self) -> bool {
         !self.queue.is_empty()
     }

@@ -24,8 +24,9 @@ use tracing::warn;
 
 use super::{
     anomaly_feed::AnomalyFeed,
+    ending::Ending,
     handle::MapHandle,
-    protocol::{Command, Ending, Hello, HelloError, Opened, Refused, SessionEvent, SessionId},
+    protocol::{Command, Hello, HelloError, Opened, Refused, SessionEvent, SessionId},
     sessions::{Limits, Sessions},
     update_schedule::{DueUpdate, UpdateSchedule},
 };

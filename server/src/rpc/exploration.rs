@@ -1,37 +1,31 @@
 //! `ExplorationService`: what looking would teach, and plans of where and when to look.
 //!
 //! Invariant: a request is answered from one view, off the async threads. What it costs is checked before any of it is
-//! computed, and plans take turns of their own, so that predictions do not wait for them.
+//! computed, and plans take permits of their own, so that predictions do not wait for them.
 
 use std::sync::Arc;
 
 use tidemap_map::site::SiteEdit;
-use tidemap_plan::{
-    day::DayError,
-    predicted::{PredictError, PredictOptions},
-    strategy::StrategyError,
-    tour::TourError,
-    view::{InvalidThreshold, LookLimits, TooMuchWork},
-};
+use tidemap_plan::{predicted::PredictOptions, view::LookLimits};
 use tidemap_proto::{
     convert::{InvalidField, site::point_from_wire, time::nanos_from_timestamp},
     v1::{self, exploration_service_server::ExplorationService},
 };
-use tonic::{Code, Request, Response, Status};
+use tonic::{Request, Response, Status};
 
 use super::{
-    map::{edit_site, find_map},
-    query::{
-        Queries, check_limit,
-        fitting::Fitting,
-        replies::{Replies, Turns, processors},
-    },
+    lookup::{check_limit, find_map},
+    map::edit_site,
+    permits::{Permits, processors},
+    query::{Queries, fitting::Fitting},
+    replies::Replies,
     series::Means,
     status::RpcError,
 };
 use crate::catalog::Catalog;
 
 mod day;
+pub(super) mod error;
 mod information;
 mod slot;
 mod tour;
@@ -52,54 +46,13 @@ pub struct PlanLimits {
     pub view_work: u64,
 }
 
-/// Why there is no plan.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum PlanError {
-    /// The grid cannot be predicted.
-    #[error(transparent)]
-    Predict(#[from] PredictError),
-    /// The question about a tour is none.
-    #[error(transparent)]
-    Tour(#[from] TourError),
-    /// Too many views, or no sensor.
-    #[error(transparent)]
-    Look(#[from] TooMuchWork),
-    /// No day can be planned so.
-    #[error(transparent)]
-    Day(#[from] DayError),
-    /// A threshold is none.
-    #[error(transparent)]
-    Threshold(#[from] InvalidThreshold),
-    /// Nobody knows where the robot starts.
-    #[error(
-        "the map has no charger, and no start was given: give one, or set the charger with `tidemap map set --charger`"
-    )]
-    NoStart,
-}
-
-impl PlanError {
-    pub(super) fn code_and_reason(&self) -> (Code, &'static str) {
-        match self {
-            Self::Predict(PredictError::NoGrid) => (Code::FailedPrecondition, "NO_GRID"),
-            Self::Predict(PredictError::EmptyRegion) => (Code::FailedPrecondition, "NOTHING_OBSERVED"),
-            Self::NoStart => (Code::FailedPrecondition, "NO_START"),
-            Self::Predict(PredictError::Unavailable(_)) => (Code::Internal, "STORAGE_FAILED"),
-            Self::Predict(PredictError::TooManyCells { .. } | PredictError::TooManyValues { .. })
-            | Self::Tour(TourError::TooManyCandidates { .. })
-            | Self::Look(TooMuchWork::Work { .. })
-            | Self::Day(DayError::Strategy(StrategyError::TooMany { .. })) => (Code::ResourceExhausted, "LIMIT"),
-            _ => (Code::InvalidArgument, "INVALID_FIELD"),
-        }
-    }
-}
-
 /// The service.
 #[derive(Debug)]
 pub struct Explorations {
     catalog: Arc<Catalog>,
     limits: PlanLimits,
     fitting: Arc<Fitting>,
-    turns: Turns,
+    permits: Permits,
 }
 
 impl Explorations {
@@ -107,7 +60,7 @@ impl Explorations {
     #[must_use]
     pub fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits) -> Self {
         // A plan keeps all processors busy; more than a few at once only wait for each other.
-        Self { catalog, limits, fitting: queries.fitting(), turns: Turns::new(processors().max(2)) }
+        Self { catalog, limits, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
     }
 
     /// The same, for work that goes on by itself.
@@ -116,7 +69,7 @@ impl Explorations {
             catalog: Arc::clone(&self.catalog),
             limits: self.limits,
             fitting: Arc::clone(&self.fitting),
-            turns: self.turns.clone(),
+            permits: self.permits.clone(),
         }
     }
 
@@ -126,7 +79,7 @@ impl Explorations {
 
     /// What predicting takes.
     fn means(&self) -> Means<'_> {
-        Means { fitting: &self.fitting, turns: &self.turns, predictions: self.limits.predictions }
+        Means { fitting: &self.fitting, permits: &self.permits, predictions: self.limits.predictions }
     }
 
     /// Refuses more times than a grid is predicted for at once.

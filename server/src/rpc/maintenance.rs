@@ -14,11 +14,12 @@ use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::{map::find_map, page::page, status::RpcError};
+use super::{page::page, status::RpcError};
 use crate::{
     catalog::Catalog,
     ingest::protocol::Command,
     jobs::{Job, Phase},
+    rpc::lookup::find_map,
     statistics,
 };
 

@@ -20,13 +20,14 @@ use tidemap_proto::{
 use tokio::sync::oneshot;
 use tonic::{Request, Response, Status};
 
-use super::{page::page, query::find_state, status::RpcError};
+use super::{page::page, status::RpcError};
 use crate::{
-    catalog::{Catalog, CatalogError},
+    catalog::Catalog,
     ingest::{
         handle::MapHandle,
         protocol::{AddState, AddStateError, Command, EditSite, EditSiteError},
     },
+    rpc::lookup::{find_map, find_state},
 };
 
 /// The service.
@@ -34,17 +35,6 @@ use crate::{
 pub struct Maps {
     /// The maps.
     pub catalog: Arc<Catalog>,
-}
-
-/// The map of this name, or an error that lists those that exist.
-pub fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
-    catalog.get(name).map_err(|error| match error {
-        CatalogError::Unknown(name) => {
-            let known = catalog.all().keys().map(|name| name.as_str().to_owned()).collect();
-            RpcError::UnknownMap { name, known }
-        }
-        error => error.into(),
-    })
 }
 
 /// Changes a map's site; durable and shown when this returns.

@@ -30,17 +30,18 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, Request, Response, Status, Streaming};
 use tracing::debug;
 
-use super::{acks::acks, map::find_map, status::RpcError};
+use super::{acks::acks, status::RpcError};
 use crate::{
     catalog::Catalog,
     ingest::{
+        ending::{Ending, is_fatal},
         handle::MapHandle,
         intake::{Intake, IntakeError, IntakeLimits},
         protocol::{
-            BufferBudget, Command, Ending, Handover, Hello, ObservationBatch, Opened, ScanBatch, SessionEvent,
-            TraversalBatch, is_fatal,
+            BufferBudget, Command, Handover, Hello, ObservationBatch, Opened, ScanBatch, SessionEvent, TraversalBatch,
         },
     },
+    rpc::lookup::find_map,
 };
 
 /// A stream says hello within this time.

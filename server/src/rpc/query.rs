@@ -5,14 +5,10 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{event::StateShape, ids::StateId, view::MapView};
-use tidemap_proto::{
-    convert::OverLimit,
-    v1::{self, query_service_server::QueryService},
-};
+use tidemap_proto::v1::{self, query_service_server::QueryService};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::status::RpcError;
+use super::{permits::Permits, replies::Replies};
 use crate::catalog::Catalog;
 
 mod anomalies;
@@ -22,17 +18,13 @@ mod grid;
 mod positions;
 mod readings;
 mod reconstruct;
-pub(super) mod replies;
 pub(super) mod states;
 mod watch;
 
 #[cfg(test)]
 mod tests;
 
-pub(super) use fitting::Unavailable;
-
 use fitting::Fitting;
-use replies::{Replies, Turns};
 use watch::Watches;
 
 /// Most states of one request.
@@ -44,9 +36,9 @@ pub struct Queries {
     catalog: Arc<Catalog>,
     max_predictions: u64,
     max_batch: usize,
-    turns: Turns,
-    /// Turns to ask about the past. They are others: who has one may wait for an update, and predictions go on meanwhile.
-    recalls: Turns,
+    permits: Permits,
+    /// Permits to ask about the past. They are others: who has one may wait for an update, and predictions go on meanwhile.
+    past_permits: Permits,
     fitting: Arc<Fitting>,
     watches: Watches,
 }
@@ -76,8 +68,8 @@ impl Queries {
             catalog,
             max_predictions,
             max_batch,
-            turns: Turns::default(),
-            recalls: Turns::default(),
+            permits: Permits::default(),
+            past_permits: Permits::default(),
             fitting,
             watches: Watches::new(limits.watches),
         }
@@ -87,27 +79,6 @@ impl Queries {
     pub(super) fn fitting(&self) -> Arc<Fitting> {
         Arc::clone(&self.fitting)
     }
-}
-
-/// The state of this name, or an error that lists some that exist, or the axes of a vector.
-pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError> {
-    if let Some(id) = view.find(name) {
-        return Ok(id);
-    }
-    let map = || view.spec().name.as_str().to_owned();
-    if let Some((_, shape @ StateShape::Vector(dimensions))) = view.shape(name) {
-        let axes = dimensions.axes().iter().map(|axis| format!("{name}/{axis}")).collect();
-        return Err(RpcError::IsVector { map: map(), name: name.to_owned(), shape, axes });
-    }
-    Err(RpcError::UnknownState {
-        map: map(),
-        name: name.chars().take(80).collect(),
-        known: view.infos().take(11).map(|info| info.name.as_str().to_owned()).collect(),
-    })
-}
-
-pub(super) fn check_limit(what: &'static str, got: u64, max: u64, setting: &'static str) -> Result<(), RpcError> {
-    if got > max { Err(OverLimit { what, got: Some(got), max, setting }.into()) } else { Ok(()) }
 }
 
 #[tonic::async_trait]

@@ -1,18 +1,13 @@
 //! `TopologyService`, `RouteService` and `SearchService`: the topological map, and plans over it.
 //!
 //! Invariant: a change is durable and shown when it is answered. A plan is made from one view, off the async threads, with
-//! turns of its own, and ends at its deadline or when nobody waits for it any more.
+//! permits of its own, and ends at its deadline or when nobody waits for it any more.
 
 use std::sync::Arc;
 
-use tidemap_map::{
-    site::SiteEdit,
-    topology::{RoadsError, TopologyEdit, TopologyError},
-};
-use tidemap_plan::{policy::PolicyError, route::RouteError as CannotRoute, search::SearchError};
+use tidemap_map::{site::SiteEdit, topology::TopologyEdit};
 use tidemap_proto::{
     convert::{
-        route::POLICY_CELLS_MAX,
         topology::{edit_from_wire, load_from_wire, topology_to_wire},
         traversals::{failure_to_wire, is_of},
     },
@@ -21,162 +16,24 @@ use tidemap_proto::{
         topology_service_server::TopologyService,
     },
 };
-use tonic::{Code, Request, Response, Status};
+use tonic::{Request, Response, Status};
 
 use super::{
-    map::{edit_site, find_map},
-    query::{
-        Queries,
-        fitting::Fitting,
-        replies::{Turns, processors},
-    },
+    lookup::find_map,
+    map::edit_site,
+    permits::{Permits, processors},
+    query::{Queries, fitting::Fitting},
     series::Means,
     status::RpcError,
 };
 use crate::catalog::Catalog;
 
 mod edges;
+pub(super) mod error;
 mod places;
 mod plan;
 mod presence;
 mod search;
-
-/// Why there is no walk.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum RouteError {
-    /// The map has no nodes.
-    #[error("map {0:?} has no nodes: load a topological map, with `tidemap topology load`")]
-    NoNodes(String),
-    /// A node is not known.
-    #[error("there is no node {name:?}; nodes here: {known}")]
-    UnknownNode {
-        /// The name, shortened.
-        name: String,
-        /// Some that there are.
-        known: String,
-    },
-    /// Nothing is known of any node.
-    #[error(
-        "nothing was observed at any node of map {map:?}: observe states like {example:?}, 1 where somebody is, else 0"
-    )]
-    NothingObserved {
-        /// The map.
-        map: String,
-        /// Name of a state that would be asked.
-        example: String,
-    },
-    /// Nobody is expected.
-    #[error("nobody is to be found: each of the {0} nodes that were observed has a probability of 0 at that time")]
-    Nobody(usize),
-    /// No way leads to anybody.
-    #[error("from node {start:?} no way leads to any of the {goals} nodes that were observed")]
-    Unreachable {
-        /// Where the search begins.
-        start: String,
-        /// How many places there are.
-        goals: usize,
-    },
-    /// No way leads there.
-    #[error("no way leads from node {from:?} to node {to:?}")]
-    NoWay {
-        /// Where the route begins.
-        from: String,
-        /// Where it would end.
-        to: String,
-    },
-    /// All ways take too long.
-    #[error("no way from node {from:?} to node {to:?} takes at most {horizon_secs} s: raise the horizon")]
-    TooLong {
-        /// Where the route begins.
-        from: String,
-        /// Where it would end.
-        to: String,
-        /// The longest that was allowed.
-        horizon_secs: f64,
-    },
-    /// No departure is early enough.
-    #[error(
-        "no departure from node {from:?} is expected to arrive at node {to:?} by {by_nanos} ns: arrive later, or raise the \
-         horizon"
-    )]
-    TooLate {
-        /// Where the route begins.
-        from: String,
-        /// Where it would end.
-        to: String,
-        /// The latest arrival, nanoseconds UTC.
-        by_nanos: i64,
-    },
-    /// A route that is none.
-    #[error(transparent)]
-    Plan(CannotRoute),
-    /// A policy that is none.
-    #[error(transparent)]
-    Policy(#[from] PolicyError),
-    /// A policy would be too large for an answer.
-    #[error("{nodes} nodes in {slots} slots: at most {POLICY_CELLS_MAX} of both together; take fewer, wider slots")]
-    PolicyTooLarge {
-        /// Nodes of the map.
-        nodes: usize,
-        /// Slots.
-        slots: usize,
-    },
-    /// Too many edges for an answer.
-    #[error("the map has {found} edges: at most {most} are told of at once")]
-    TooManyEdges {
-        /// How many there are.
-        found: usize,
-        /// How many may be.
-        most: usize,
-    },
-    /// The edges have no times.
-    #[error(transparent)]
-    Roads(#[from] RoadsError),
-    /// The search is none, or too large.
-    #[error(transparent)]
-    Search(#[from] SearchError),
-}
-
-impl RouteError {
-    pub(super) fn code_and_reason(&self) -> (Code, &'static str) {
-        match self {
-            Self::NoNodes(_) => (Code::FailedPrecondition, "NO_TOPOLOGY"),
-            Self::UnknownNode { .. } => (Code::NotFound, "UNKNOWN_NODE"),
-            Self::NothingObserved { .. } => (Code::FailedPrecondition, "NOTHING_OBSERVED"),
-            Self::Nobody(_) => (Code::FailedPrecondition, "NOBODY"),
-            Self::Unreachable { .. } | Self::Search(SearchError::Unreachable { .. }) => {
-                (Code::FailedPrecondition, "UNREACHABLE")
-            }
-            Self::NoWay { .. } | Self::TooLong { .. } | Self::TooLate { .. } => {
-                (Code::FailedPrecondition, "UNREACHABLE")
-            }
-            Self::Plan(CannotRoute::CutOff { .. }) => (Code::DeadlineExceeded, "CUT_OFF"),
-            Self::Plan(CannotRoute::TooManyDepartures { .. })
-            | Self::Policy(PolicyError::TooManyStates { .. })
-            | Self::PolicyTooLarge { .. }
-            | Self::TooManyEdges { .. }
-            | Self::Search(SearchError::TooManyForExact { .. } | SearchError::TooMany { .. })
-            | Self::Roads(RoadsError::TooManyPairs { .. }) => (Code::ResourceExhausted, "LIMIT"),
-            Self::Search(_) | Self::Roads(_) | Self::Plan(_) | Self::Policy(_) => {
-                (Code::InvalidArgument, "INVALID_FIELD")
-            }
-        }
-    }
-}
-
-/// Code and reason of an edit that is refused.
-pub(super) fn refusal_of(error: &TopologyError) -> (Code, &'static str) {
-    match error {
-        TopologyError::UnknownNode(_) | TopologyError::UnknownNodeId(_) => (Code::NotFound, "UNKNOWN_NODE"),
-        TopologyError::UnknownEdge(_) | TopologyError::UnknownEdgeId(_) => (Code::NotFound, "UNKNOWN_EDGE"),
-        TopologyError::DuplicateNode(_) => (Code::AlreadyExists, "NODE_EXISTS"),
-        TopologyError::DuplicateEdge(_) => (Code::AlreadyExists, "EDGE_EXISTS"),
-        TopologyError::TooManyNodes | TopologyError::TooManyEdges | TopologyError::NumbersUsedUp => {
-            (Code::ResourceExhausted, "LIMIT")
-        }
-        _ => (Code::InvalidArgument, "INVALID_FIELD"),
-    }
-}
 
 /// The service.
 #[derive(Debug)]
@@ -185,25 +42,25 @@ pub struct Routes {
     /// Most predictions of one request.
     predictions: u64,
     fitting: Arc<Fitting>,
-    turns: Turns,
+    permits: Permits,
 }
 
 impl Routes {
     /// Plans with so many predictions at most; models are fitted where questions have theirs fitted.
     #[must_use]
     pub fn new(catalog: Arc<Catalog>, queries: &Queries, predictions: u64) -> Self {
-        Self { catalog, predictions, fitting: queries.fitting(), turns: Turns::new(processors().max(2)) }
+        Self { catalog, predictions, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
     }
 
     fn means(&self) -> Means<'_> {
-        Means { fitting: &self.fitting, turns: &self.turns, predictions: self.predictions }
+        Means { fitting: &self.fitting, permits: &self.permits, predictions: self.predictions }
     }
 
-    /// Does what may take long off the async threads, with a turn.
+    /// Does what may take long off the async threads, with a permit.
     async fn off_threads<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, RpcError> {
-        let turn = self.turns.take().await?;
+        let permit = self.permits.take().await?;
         let work = move || {
-            let _turn = turn;
+            let _permit = permit;
             work()
         };
         tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)

@@ -9,11 +9,9 @@ use tidemap_model::models::Moment;
 use tidemap_proto::convert::InvalidField;
 
 use super::{
-    query::{
-        check_limit,
-        fitting::{Fitting, Learned},
-        replies::Turns,
-    },
+    lookup::check_limit,
+    permits::Permits,
+    query::fitting::{Fitting, Learned},
     status::RpcError,
 };
 use crate::{fits::Fitted, ingest::handle::MapHandle};
@@ -26,8 +24,8 @@ const TIMES_PER_BLOCK: usize = 4096;
 pub(super) struct Means<'a> {
     /// Fits models to readings.
     pub fitting: &'a Arc<Fitting>,
-    /// Turns to compute.
-    pub turns: &'a Turns,
+    /// Permits to compute.
+    pub permits: &'a Permits,
     /// Most predictions of one request.
     pub predictions: u64,
 }
@@ -60,10 +58,10 @@ pub(super) async fn series(
     let predictions = states.len() as u64 * times_nanos.len() as u64;
     check_limit("predictions", predictions, means.predictions, "setting max_predictions")?;
     if !selector.kind.needs_readings() {
-        let turn = means.turns.take().await?;
+        let permit = means.permits.take().await?;
         let view = Arc::clone(view);
         let predict = move || {
-            let _turn = turn;
+            let _permit = permit;
             let mut rows = vec![Vec::with_capacity(times_nanos.len()); states.len()];
             for block in times_nanos.chunks(TIMES_PER_BLOCK) {
                 let prepared = view.prepare(block);
@@ -82,10 +80,10 @@ pub(super) async fn series(
     for id in states {
         let learned = Learned::new(Arc::clone(handle), Arc::clone(view), id);
         let fitted = means.fitting.fitted(&learned, selector.kind).await?;
-        let turn = means.turns.take().await?;
+        let permit = means.permits.take().await?;
         let (view, moments) = (Arc::clone(view), Arc::clone(&moments));
         let predict = move || {
-            let _turn = turn;
+            let _permit = permit;
             let mut row = vec![0.0; moments.len()];
             fitted.predict_into(&view, id, &moments, selector, &mut row);
             row

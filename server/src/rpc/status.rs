@@ -17,14 +17,15 @@ use tonic_types::{ErrorDetails, StatusExt as _};
 
 use crate::{
     catalog::CatalogError,
+    fits::ModelUnavailable,
     ingest::{
+        ending::{Ending, is_fatal},
         intake::IntakeError,
-        protocol::{AddStateError, EditSiteError, Ending, HelloError, is_fatal},
+        protocol::{AddStateError, EditSiteError, HelloError},
     },
     rpc::{
-        exploration::PlanError,
-        query::Unavailable,
-        route::{RouteError, refusal_of},
+        exploration::error::PlanError,
+        route::error::{RouteError, refusal_of},
     },
 };
 
@@ -99,7 +100,7 @@ pub enum RpcError {
     },
     /// There is no such model of the state.
     #[error("model {model} of state {state:?} in map {map:?}: {reason}")]
-    Unavailable {
+    ModelUnavailable {
         /// The model.
         model: ModelKind,
         /// The map.
@@ -107,7 +108,7 @@ pub enum RpcError {
         /// The state.
         state: String,
         /// Why not.
-        reason: Unavailable,
+        reason: ModelUnavailable,
     },
     /// All of it is older than what is kept.
     #[error("{name} of map {map:?}: nothing from before {} is kept any more", shown_time(*.kept_from_nanos))]
@@ -159,7 +160,7 @@ pub enum RpcError {
     #[error(
         "{max} requests for predictions run, as many as may at once, and none ended within {secs} seconds: ask again"
     )]
-    NoTurn {
+    Busy {
         /// How many may run.
         max: usize,
         /// How long this one waited.
@@ -226,12 +227,12 @@ impl RpcError {
             Self::UnknownCell { .. } => (Code::NotFound, "UNKNOWN_CELL"),
             Self::Tile(_) => (Code::Internal, "STORAGE_FAILED"),
             Self::NoHistory { .. } => (Code::FailedPrecondition, "NO_HISTORY"),
-            Self::Unavailable { reason, .. } => match reason {
-                Unavailable::NotKept | Unavailable::Forgotten | Unavailable::Incomplete { .. } => {
+            Self::ModelUnavailable { reason, .. } => match reason {
+                ModelUnavailable::NotKept | ModelUnavailable::Forgotten | ModelUnavailable::Incomplete { .. } => {
                     (Code::FailedPrecondition, "NO_HISTORY")
                 }
-                Unavailable::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
-                Unavailable::OtherKind { .. } | Unavailable::CannotFit(_) | Unavailable::Unlearned => {
+                ModelUnavailable::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
+                ModelUnavailable::OtherKind { .. } | ModelUnavailable::CannotFit(_) | ModelUnavailable::Unlearned => {
                     (Code::FailedPrecondition, "MODEL_UNAVAILABLE")
                 }
             },
@@ -244,7 +245,7 @@ impl RpcError {
             Self::Updating(_) => (Code::Unavailable, "UPDATING"),
             Self::UnknownJob(_) => (Code::NotFound, "UNKNOWN_JOB"),
             Self::NoReport(_) => (Code::FailedPrecondition, "NO_REPORT"),
-            Self::Limit(_) | Self::NoTurn { .. } | Self::Intake(IntakeError::Limit(_)) => {
+            Self::Limit(_) | Self::Busy { .. } | Self::Intake(IntakeError::Limit(_)) => {
                 (Code::ResourceExhausted, "LIMIT")
             }
             Self::AddState(error) => match error {

@@ -163,7 +163,7 @@ impl Intake {
         Ok(self.scans.is_much_work)
     }
 
-    /// The next scans of the message; `None` where all are out. Waits for a turn where that is much work.
+    /// The next scans of the message; `None` where all are out. Waits for a permit where that is much work.
     ///
     /// # Errors
     /// What ends the stream.
@@ -172,14 +172,14 @@ impl Intake {
         let mut batch = ScanBatch { first_sequence: self.next_sequence, new_tiles, ..ScanBatch::default() };
         batch.bytes = 4 * SCAN_BYTES + batch.new_tiles.len() * SCAN_BYTES;
         let mut is_empty = batch.new_tiles.is_empty();
-        let turn = self.scans.is_much_work.then(effort::turn);
+        let permit = self.scans.is_much_work.then(effort::permit);
         let mut cells = 0;
         while batch.bytes < BATCH_BYTES && cells < BATCH_CELLS {
             let Some(scan) = self.scans.decoder.next_scan()? else { break };
             is_empty = false;
             cells += self.take_scan(scan, &mut batch);
         }
-        drop(turn);
+        drop(permit);
         batch.last_sequence = self.next_sequence - 1;
         batch.content_crc = self.content_crc;
         Ok((!is_empty).then_some(batch))

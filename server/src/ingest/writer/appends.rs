@@ -12,7 +12,10 @@ use tracing::{error, warn};
 
 use super::Writer;
 use crate::{
-    ingest::protocol::{AddStateError, BufferBudget, Command, EditSiteError, Ending, Refused, SessionId, is_fatal},
+    ingest::{
+        ending::{Ending, is_fatal},
+        protocol::{AddStateError, BufferBudget, Command, EditSiteError, Refused, SessionId},
+    },
     jobs::Job,
 };
 

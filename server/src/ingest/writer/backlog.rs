@@ -8,7 +8,8 @@ use std::{collections::VecDeque, sync::Arc};
 
 use super::{Writer, appends::InFlight};
 use crate::ingest::{
-    protocol::{Ending, Handover, Hello, ReadHistory, SessionId},
+    ending::Ending,
+    protocol::{Handover, Hello, ReadHistory, SessionId},
     sessions::StreamEvent,
 };
 

@@ -24,10 +24,9 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, PlanError, information::location_states};
+use super::{Explorations, error::PlanError, information::location_states};
 use crate::rpc::{
-    map::find_map,
-    query::{check_limit, find_state},
+    lookup::{check_limit, find_map, find_state},
     series::{check_kind, series},
     status::RpcError,
 };
@@ -140,9 +139,9 @@ async fn view_gains(
     check_limit("viewpoints x slots", cells, explorations.limits.predictions, "setting max_predictions")?;
     let options = PredictOptions { selector: looks.selector, ..explorations.predict_options() };
     let limits = explorations.look_limits();
-    let (turn, view) = (explorations.turns.take().await?, Arc::clone(view));
+    let (permit, view) = (explorations.permits.take().await?, Arc::clone(view));
     let work = move || {
-        let _turn = turn;
+        let _permit = permit;
         let grid = PredictedTimes::new(&view, &middles, &options)?;
         let scene = TimedScene::new(&grid, &looks.scene)?;
         let reachability = view.site().reachability();

@@ -19,16 +19,12 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, PlanError};
+use super::{Explorations, error::PlanError};
 use crate::{
     ingest::protocol::EditSiteError,
     rpc::{
-        map::find_map,
-        query::{
-            check_limit, find_state,
-            replies::{Replies, computed, streamed},
-            states::{cell_of, find_cell},
-        },
+        lookup::{cell_of, check_limit, find_cell, find_map, find_state},
+        replies::{Replies, computed, streamed},
         series::{check_kind, series},
         status::RpcError,
     },
@@ -107,8 +103,8 @@ pub(super) async fn get_information(
         let options =
             PredictOptions { selector, region: Some(cell_box_from_wire(&region)), ..explorations.predict_options() };
         let most = explorations.limits.predictions;
-        let turn = explorations.turns.take().await?;
-        return Ok(computed(turn, move |computed| {
+        let permit = explorations.permits.take().await?;
+        return Ok(computed(permit, move |computed| {
             computed.send(of_region(&view, &times_nanos, &options, (certainty, most))?);
             Ok(())
         }));

@@ -16,8 +16,8 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, PlanError, day::locations};
-use crate::rpc::{map::find_map, series::series, status::RpcError};
+use super::{Explorations, day::locations, error::PlanError};
+use crate::rpc::{lookup::find_map, series::series, status::RpcError};
 
 pub(super) async fn plan_slot(
     explorations: &Explorations,

@@ -16,8 +16,8 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, PlanError};
-use crate::rpc::{map::find_map, status::RpcError};
+use super::{Explorations, error::PlanError};
+use crate::rpc::{lookup::find_map, status::RpcError};
 
 pub(super) async fn plan_tour(
     explorations: &Explorations,
@@ -32,9 +32,9 @@ pub(super) async fn plan_tour(
     let start = start.or(view.site().charger_m()).ok_or(PlanError::NoStart)?;
     let question = tour_from_wire(&request, start)?;
     let options = PredictOptions { selector, ..explorations.predict_options() };
-    let turn = explorations.turns.take().await?;
+    let permit = explorations.permits.take().await?;
     let work = move || {
-        let _turn = turn;
+        let _permit = permit;
         let grid = PredictedGrid::new(&view, time_nanos, &options)?;
         Ok::<_, PlanError>(plan(&grid, view.site().reachability(), &question)?)
     };

@@ -17,13 +17,10 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, PlanError};
+use super::{Explorations, error::PlanError};
 use crate::rpc::{
-    map::find_map,
-    query::{
-        check_limit,
-        replies::{Replies, computed},
-    },
+    lookup::{check_limit, find_map},
+    replies::{Replies, computed},
     status::RpcError,
 };
 
@@ -46,8 +43,8 @@ pub(super) async fn evaluate_views(
     let viewpoints: Vec<Viewpoint> = request.viewpoints.iter().map(viewpoint_from_wire).collect();
     let options = PredictOptions { selector, ..explorations.predict_options() };
     let limits = explorations.look_limits();
-    let turn = explorations.turns.take().await?;
-    Ok(computed(turn, move |computed| {
+    let permit = explorations.permits.take().await?;
+    Ok(computed(permit, move |computed| {
         let grid = PredictedTimes::new(&view, &request.times_nanos, &options).map_err(PlanError::from)?;
         let scene = TimedScene::new(&grid, &scene_options).map_err(PlanError::from)?;
         let tell = |number: usize, told: Result<Vec<Option<f64>>, _>| {

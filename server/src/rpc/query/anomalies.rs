@@ -22,15 +22,17 @@ use tidemap_proto::{
 };
 
 use super::{
-    Queries, find_state,
+    Queries,
     fitting::Learned,
     reconstruct::{Asked, past},
-    replies::{Replies, computed},
-    states::{cell_of, find_cell},
 };
 use crate::{
     fits::Fitted,
-    rpc::{map::find_map, status::RpcError},
+    rpc::{
+        lookup::{cell_of, find_cell, find_map, find_state},
+        replies::{Replies, computed},
+        status::RpcError,
+    },
 };
 
 /// Observations that are judged at once, and of one reply: their phasors take some 10 MB at 168 periodicities.
@@ -90,15 +92,15 @@ pub(super) async fn find_anomalies(
     if cell.is_some() {
         check_for_cells("model", selector)?;
     }
-    // Before the turns to look up are taken: a fit has turns of its own, and may last.
+    // Before the permits to look up are taken: a fit has permits of its own, and may last.
     let fitted = if selector.kind.needs_readings() {
         let learned = Learned::new(Arc::clone(&handle), Arc::clone(&view), find_state(&view, &name)?);
         Some(queries.fitting.fitted(&learned, selector.kind).await?)
     } else {
         None
     };
-    let (turns, gather) = past(queries, &handle, Arc::clone(&view), asked).await?;
-    Ok(computed(turns, move |computed| {
+    let (permits, gather) = past(queries, &handle, Arc::clone(&view), asked).await?;
+    Ok(computed(permits, move |computed| {
         let judge = match (cell, fitted) {
             (Some(cell), _) => Judge::Cell(Box::new(find_cell(&view, cell)?)),
             (None, Some(fitted)) => Judge::Fitted(find_state(&view, &name)?, fitted),

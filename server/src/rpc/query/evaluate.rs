@@ -23,10 +23,14 @@ use tidemap_proto::{
 };
 use tonic::{Status, Streaming};
 
-use super::{Queries, STATES_MAX, Unavailable, check_limit, find_state, fitting::Learned};
+use super::{Queries, STATES_MAX, fitting::Learned};
 use crate::{
     evaluation::{Answering, Evaluator},
-    rpc::{map::find_map, status::RpcError},
+    fits::ModelUnavailable,
+    rpc::{
+        lookup::{check_limit, find_map, find_state},
+        status::RpcError,
+    },
 };
 
 /// Most sums of errors of one evaluation, one per state, model and order: 24 MB, and a reply that can be sent.
@@ -113,7 +117,7 @@ pub(super) async fn evaluate_states(
             held.merge(queries.fitting.hold(models.iter().flatten().count())?);
             let answering = |model| match model {
                 Ok(fitted) => Answering::Fitted(fitted),
-                Err(reason) => evaluator.nothing(&Unavailable::to_string(&reason)),
+                Err(reason) => evaluator.nothing(&ModelUnavailable::to_string(&reason)),
             };
             let answering: Vec<Answering> = models.into_iter().map(answering).collect();
             evaluator.begin(state, answering);

@@ -1,7 +1,7 @@
 //! Models fitted to what updates have folded in, for the questions that ask for them.
 //!
 //! Invariant: a model is fitted to exactly the observations that the view's updates have folded in, and to nothing that is
-//! pending, so that a comparison with pending observations is one with what was not learned. A fit takes a turn of its own
+//! pending, so that a comparison with pending observations is one with what was not learned. A fit takes a permit of its own
 //! kind: whoever predicts without one does not wait for it. A fit that was begun ends, and is kept for the next.
 
 use std::sync::Arc;
@@ -9,66 +9,22 @@ use std::sync::Arc;
 use tidemap_map::{
     event::StateKind, grid::spec::Retention, history::Subject, ids::StateId, selector::ModelKind, view::MapView,
 };
-use tidemap_model::{Sample, models::CannotFit};
+use tidemap_model::Sample;
 use tidemap_proto::convert::OverLimit;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 
-use super::{
-    readings::{Wanted, gather, read, retention},
-    replies::{Turns, processors},
-};
+use super::readings::{Wanted, gather, read, retention};
 use crate::{
     catalog::Catalog,
-    fits::{FitKey, Fits, Fitted, PositionModel},
+    fits::{FitKey, Fits, Fitted, ModelUnavailable, PositionModel},
     ingest::handle::MapHandle,
-    rpc::status::RpcError,
+    rpc::{
+        permits::{Permits, processors},
+        status::RpcError,
+    },
 };
 
 mod positions;
-
-/// Why a model cannot answer for a state.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Unavailable {
-    /// The map keeps nothing to fit it to.
-    #[error("it has to be fitted to observations, and the map, created with --retention none, keeps none")]
-    NotKept,
-    /// What the state had is older than what the map keeps.
-    #[error("it has to be fitted to observations, and the map keeps those of this state no more: see --retention")]
-    Forgotten,
-    /// The map was made by a version that kept nothing.
-    #[error(
-        "it has to be fitted to all {folded} observations that updates have folded in, and the map, which is older than \
-         its history, keeps {kept} of them"
-    )]
-    Incomplete {
-        /// Observations that updates have folded in.
-        folded: u64,
-        /// Those of them that are kept.
-        kept: u64,
-    },
-    /// There are too many observations.
-    #[error("it would be fitted to {got} observations or more, and setting max_fit_readings allows {max}")]
-    TooMany {
-        /// How many there are at least.
-        got: u64,
-        /// How many are allowed.
-        max: u64,
-    },
-    /// The values of the state are not what such a model is of.
-    #[error("it is a model of {expected}, and the state is a {found}", found = .found.name())]
-    OtherKind {
-        /// What it is a model of.
-        expected: &'static str,
-        /// What the state is.
-        found: StateKind,
-    },
-    /// There is nothing to fit it to.
-    #[error("no update has folded in any observation of it yet: see tidemap update")]
-    Unlearned,
-    /// The readings do not go with the model.
-    #[error("{0}")]
-    CannotFit(#[from] CannotFit),
-}
 
 /// Fits models, or finds them.
 #[derive(Debug)]
@@ -77,12 +33,12 @@ pub(in crate::rpc) struct Fitting {
     fits: Fits,
     /// As many models of positions.
     positions: Fits<PositionModel>,
-    /// Turns to gather readings and fit. They are others than those to predict.
-    turns: Turns,
+    /// Permits to gather readings and fit. They are others than those to predict.
+    permits: Permits,
     /// The same for kinds whose fit may take seconds: none of the others waits for these.
-    slow_turns: Turns,
-    /// Turns to have several models of a state fitted: whoever has one holds the readings from the first to the last.
-    comparing_turns: Turns,
+    slow_permits: Permits,
+    /// Permits to have several models of a state fitted: whoever has one holds the readings from the first to the last.
+    comparing_permits: Permits,
     max_readings: u64,
 }
 
@@ -104,8 +60,8 @@ impl Learned {
         self.view.model(self.id).accumulator().observations()
     }
 
-    fn unavailable(&self, model: ModelKind, reason: impl Into<Unavailable>) -> RpcError {
-        RpcError::Unavailable {
+    fn unavailable(&self, model: ModelKind, reason: impl Into<ModelUnavailable>) -> RpcError {
+        RpcError::ModelUnavailable {
             model,
             map: self.handle.spec.name.as_str().to_owned(),
             state: self.view.info(self.id).map_or_else(String::new, |info| info.name.as_str().to_owned()),
@@ -118,15 +74,15 @@ impl Fitting {
     /// Keeps at most so many models, and fits one to at most so many readings.
     pub(super) fn new(catalog: Arc<Catalog>, max_fitted: usize, max_readings: u64) -> Self {
         // Half of the processors stay free for everybody else.
-        let slow_turns = Turns::new((processors() / 2).max(1));
-        let (turns, comparing_turns) = (Turns::default(), Turns::default());
+        let slow_permits = Permits::new((processors() / 2).max(1));
+        let (permits, comparing_permits) = (Permits::default(), Permits::default());
         Self {
             catalog,
             fits: Fits::new(max_fitted),
             positions: Fits::new(max_fitted),
-            turns,
-            slow_turns,
-            comparing_turns,
+            permits,
+            slow_permits,
+            comparing_permits,
             max_readings,
         }
     }
@@ -134,22 +90,22 @@ impl Fitting {
     /// Several models of a state, each as [`Fitting::fitted`] gives it, from readings that are gathered once.
     ///
     /// # Errors
-    /// Where the readings cannot be read, or no turn came up in time.
+    /// Where the readings cannot be read, or no permit came up in time.
     pub(super) async fn all_fitted(
         self: &Arc<Self>,
         learned: &Arc<Learned>,
         kinds: impl Iterator<Item = ModelKind>,
-    ) -> Result<Vec<Result<Arc<Fitted>, Unavailable>>, RpcError> {
+    ) -> Result<Vec<Result<Arc<Fitted>, ModelUnavailable>>, RpcError> {
         let mut kinds = kinds.peekable();
         let mut models = Vec::new();
         if kinds.peek().is_none() {
             return Ok(models);
         }
-        let _turn = self.comparing_turns.take().await?;
+        let _permit = self.comparing_permits.take().await?;
         for kind in kinds {
             models.push(match self.fitted(learned, kind).await {
                 Ok(fitted) => Ok(fitted),
-                Err(RpcError::Unavailable { reason, .. }) => Err(reason),
+                Err(RpcError::ModelUnavailable { reason, .. }) => Err(reason),
                 Err(error) => return Err(error),
             });
         }
@@ -159,7 +115,7 @@ impl Fitting {
     /// The model of a state: the one that is kept, or else one that is fitted now.
     ///
     /// # Errors
-    /// [`RpcError::Unavailable`] where there can be no such model; others where the readings cannot be read.
+    /// [`RpcError::ModelUnavailable`] where there can be no such model; others where the readings cannot be read.
     pub(in crate::rpc) async fn fitted(
         self: &Arc<Self>,
         learned: &Arc<Learned>,
@@ -195,7 +151,7 @@ impl Fitting {
     /// What can be told without looking at any reading.
     fn check(&self, learned: &Learned, kind: ModelKind) -> Result<(), RpcError> {
         let retention = retention(&learned.handle.spec, Subject::State(learned.id));
-        let retention = retention.ok_or_else(|| learned.unavailable(kind, Unavailable::NotKept))?;
+        let retention = retention.ok_or_else(|| learned.unavailable(kind, ModelUnavailable::NotKept))?;
         let found = learned.view.kind(learned.id);
         let expected = match kind {
             ModelKind::Poisson if found != StateKind::Count => Some("counts"),
@@ -207,24 +163,24 @@ impl Fitting {
             _ => None,
         };
         if let Some(expected) = expected {
-            return Err(learned.unavailable(kind, Unavailable::OtherKind { expected, found }));
+            return Err(learned.unavailable(kind, ModelUnavailable::OtherKind { expected, found }));
         }
         // With another retention some may be kept no more.
         let (got, max) = (learned.folded(), self.max_readings);
         if retention == Retention::Forever && got > max {
-            return Err(learned.unavailable(kind, Unavailable::TooMany { got, max }));
+            return Err(learned.unavailable(kind, ModelUnavailable::TooMany { got, max }));
         }
         Ok(())
     }
 
     async fn fit(&self, learned: &Arc<Learned>, kind: ModelKind) -> Result<Fitted, RpcError> {
         let is_slow = matches!(kind, ModelKind::HypertimeEm { .. } | ModelKind::HypertimeKm { .. });
-        let turn = if is_slow { self.slow_turns.take().await? } else { self.turns.take().await? };
+        let permit = if is_slow { self.slow_permits.take().await? } else { self.permits.take().await? };
         let samples = learned.samples.get_or_try_init(|| self.gather(learned, kind)).await?;
         let (samples, handle) = (Arc::clone(samples), Arc::clone(&learned.handle));
         let of = learned.view.kind(learned.id);
         let fit = move || {
-            let _turn = turn;
+            let _permit = permit;
             Fitted::fit(kind, of, &samples, &handle.spec)
         };
         let fitted = tokio::task::spawn_blocking(fit).await.map_err(|_| RpcError::Stopping)?;
@@ -264,11 +220,11 @@ impl Fitting {
 
 /// Why a model cannot be fitted to so many readings that are kept of those that were folded in, where `max` are allowed.
 /// `lost_some`: of some that should be kept there never was any history.
-fn lacking((kept, folded, max): (u64, u64, u64), lost_some: bool) -> Option<Unavailable> {
+fn lacking((kept, folded, max): (u64, u64, u64), lost_some: bool) -> Option<ModelUnavailable> {
     match kept {
-        _ if kept > max => Some(Unavailable::TooMany { got: kept, max }),
-        _ if lost_some && kept < folded => Some(Unavailable::Incomplete { folded, kept }),
-        0 => Some(Unavailable::Forgotten),
+        _ if kept > max => Some(ModelUnavailable::TooMany { got: kept, max }),
+        _ if lost_some && kept < folded => Some(ModelUnavailable::Incomplete { folded, kept }),
+        0 => Some(ModelUnavailable::Forgotten),
         _ => None,
     }
 }
@@ -282,9 +238,9 @@ mod tests {
         assert_eq!(lacking((5, 5, 5), false), None);
         assert_eq!(lacking((5, 5, 5), true), None, "of this state nothing was lost");
         assert_eq!(lacking((4, 5, 5), false), None, "the rest is older than what is kept");
-        assert_eq!(lacking((4, 5, 5), true), Some(Unavailable::Incomplete { folded: 5, kept: 4 }));
-        assert_eq!(lacking((0, 5, 5), true), Some(Unavailable::Incomplete { folded: 5, kept: 0 }));
-        assert_eq!(lacking((0, 5, 5), false), Some(Unavailable::Forgotten));
-        assert_eq!(lacking((6, 9, 5), false), Some(Unavailable::TooMany { got: 6, max: 5 }));
+        assert_eq!(lacking((4, 5, 5), true), Some(ModelUnavailable::Incomplete { folded: 5, kept: 4 }));
+        assert_eq!(lacking((0, 5, 5), true), Some(ModelUnavailable::Incomplete { folded: 5, kept: 0 }));
+        assert_eq!(lacking((0, 5, 5), false), Some(ModelUnavailable::Forgotten));
+        assert_eq!(lacking((6, 9, 5), false), Some(ModelUnavailable::TooMany { got: 6, max: 5 }));
     }
 }

@@ -15,11 +15,12 @@ use tidemap_proto::{
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 
-use super::{
-    Queries, check_limit,
+use super::Queries;
+use crate::rpc::{
+    lookup::{check_limit, find_map},
     replies::{Computed, Replies, computed},
+    status::RpcError,
 };
-use crate::rpc::{map::find_map, status::RpcError};
 
 /// A page is sent when it has this many bytes.
 const PAGE_BYTES: usize = 128 << 10;
@@ -32,11 +33,11 @@ pub(super) async fn predict_grid(
     let question = question_from_wire(&request)?;
     let no_grid = || RpcError::NoGrid { map: view.spec().name.as_str().to_owned() };
     view.grid().ok_or_else(no_grid)?;
-    let turn = queries.turns.take().await?;
-    // Every tile of a map may have to be looked at. The turn lasts as long as that, even if nobody waits any more.
+    let permit = queries.permits.take().await?;
+    // Every tile of a map may have to be looked at. The permit lasts as long as that, even if nobody waits any more.
     let for_selection = Arc::clone(&view);
-    let select = move || (turn, for_selection.grid().map(|grid| grid.select(&question)));
-    let (turn, selection) = tokio::task::spawn_blocking(select).await.map_err(|_| RpcError::Stopping)?;
+    let select = move || (permit, for_selection.grid().map(|grid| grid.select(&question)));
+    let (permit, selection) = tokio::task::spawn_blocking(select).await.map_err(|_| RpcError::Stopping)?;
     let (grid, selection) = view.grid().zip(selection).ok_or_else(no_grid)?;
     let header = header_to_wire(grid, view.generation(), &question, &selection);
     let header = v1::PredictGridResponse { message: Some(Message::Header(header)) };
@@ -47,7 +48,7 @@ pub(super) async fn predict_grid(
         return Ok(ReceiverStream::new(replies));
     }
     check_limit("cells to predict", selection.cells, queries.max_predictions, "setting max_predictions")?;
-    Ok(computed(turn, move |computed| {
+    Ok(computed(permit, move |computed| {
         if !computed.send(header) {
             return Ok(());
         }

@@ -17,14 +17,14 @@ use tidemap_proto::{
     v1::{self, predict_positions_response::Message},
 };
 
-use super::{
-    Queries, check_limit, find_state,
-    fitting::Learned,
-    replies::{Computed, Replies, streamed},
-};
+use super::{Queries, fitting::Learned};
 use crate::{
     fits::PositionModel,
-    rpc::{map::find_map, status::RpcError},
+    rpc::{
+        lookup::{check_limit, find_map, find_state},
+        replies::{Computed, Replies, streamed},
+        status::RpcError,
+    },
 };
 
 #[cfg(test)]
@@ -111,11 +111,11 @@ pub(super) async fn predict_positions(
     let cells = cells.unwrap_or_else(|| Cells::around(low, high, edge_m));
     check(&cells)?;
     let top = if request.top == 0 { usize::MAX } else { request.top as usize };
-    let (moments, turns) = (view.moments(&request.times_nanos), queries.turns.clone());
+    let (moments, permits) = (view.moments(&request.times_nanos), queries.permits.clone());
     Ok(streamed(move |computed| async move {
-        let turn = turns.take().await?;
+        let permit = permits.take().await?;
         let predict = move || {
-            let _turn = turn;
+            let _permit = permit;
             if computed.send(header(&view, first, &model, &cells)) {
                 tell(&model, &cells, &moments, top, &computed);
             }

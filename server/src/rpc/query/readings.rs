@@ -15,8 +15,9 @@ use tokio::sync::oneshot;
 
 use crate::{
     ingest::{
+        ending::Ending,
         handle::MapHandle,
-        protocol::{Command, Ending, HistoryTail, ReadHistory},
+        protocol::{Command, HistoryTail, ReadHistory},
     },
     rpc::status::RpcError,
 };

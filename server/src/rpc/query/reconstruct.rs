@@ -16,14 +16,16 @@ use tidemap_store::History;
 use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
-    Queries, check_limit, find_state,
+    Queries,
     readings::{self, Wanted, gather, read},
-    replies::{Replies, computed},
-    states::{cell_of, find_cell},
 };
 use crate::{
     ingest::{handle::MapHandle, protocol::HistoryTail},
-    rpc::{map::find_map, status::RpcError},
+    rpc::{
+        lookup::{cell_of, check_limit, find_cell, find_map, find_state},
+        replies::{Replies, computed},
+        status::RpcError,
+    },
 };
 
 /// Observations of one reply.
@@ -37,8 +39,8 @@ pub(super) async fn reconstruct(
     let handle = find_map(&queries.catalog, &map)?;
     let asked = Asked { name, within_nanos: interval_from_wire(from_time, to_time)? };
     let view = handle.view();
-    let (turns, gather) = past(queries, &handle, view, asked).await?;
-    Ok(computed(turns, move |computed| {
+    let (permits, gather) = past(queries, &handle, view, asked).await?;
+    Ok(computed(permits, move |computed| {
         for readings in gather()?.chunks(READINGS_PER_REPLY) {
             let (times_nanos, values) = readings.iter().copied().unzip();
             if !computed.send(v1::ReconstructResponse { times_nanos, values }) {
@@ -58,7 +60,7 @@ pub(super) struct Asked {
     pub(super) within_nanos: Range<i64>,
 }
 
-/// What gives the readings that were asked for, in a thread where it may wait, and the turns to hold meanwhile.
+/// What gives the readings that were asked for, in a thread where it may wait, and the permits to hold meanwhile.
 pub(super) async fn past(
     queries: &Queries,
     handle: &Arc<MapHandle>,
@@ -70,7 +72,7 @@ pub(super) async fn past(
 > {
     let Asked { name, within_nanos } = asked;
     let (from_nanos, to_nanos) = (within_nanos.start, within_nanos.end);
-    let recall_turn = queries.recalls.take().await?;
+    let past_permit = queries.past_permits.take().await?;
     let subject = find_subject(&view, &name).await?;
     let spec = Arc::clone(&handle.spec);
     let retention = retention(&spec, subject)?;
@@ -78,7 +80,7 @@ pub(super) async fn past(
     let enough = usize::try_from(max).unwrap_or(usize::MAX);
     let wanted = Wanted { subject, within_nanos, enough };
     let tail = read(handle, &wanted).await?;
-    let turn = queries.turns.take().await?;
+    let permit = queries.permits.take().await?;
     let history = queries.catalog.context().store.history(handle.id)?.before(tail.stored_before);
     let gather = move || {
         let newest_nanos = tail.newest_nanos;
@@ -101,7 +103,7 @@ pub(super) async fn past(
         }
         Ok(found)
     };
-    Ok(((recall_turn, turn), gather))
+    Ok(((past_permit, permit), gather))
 }
 
 async fn find_subject(view: &Arc<MapView>, name: &str) -> Result<Subject, RpcError> {

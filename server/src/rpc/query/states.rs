@@ -28,15 +28,15 @@ use tidemap_proto::{
 };
 use tokio::sync::OwnedSemaphorePermit;
 
-use super::{
-    Queries, STATES_MAX, check_limit, find_state,
-    fitting::Learned,
-    replies::{Computed, Replies, computed, streamed},
-};
+use super::{Queries, STATES_MAX, fitting::Learned};
 use crate::{
     fits::Fitted,
     ingest::handle::MapHandle,
-    rpc::{map::find_map, status::RpcError},
+    rpc::{
+        lookup::{cell_of, check_limit, find_cell, find_map, find_state},
+        replies::{Computed, Replies, computed, streamed},
+        status::RpcError,
+    },
 };
 
 /// Times whose phasors are held at once: some 10 MB at 168 periodicities.
@@ -76,22 +76,10 @@ enum Named {
     Cell(CellIndex, Box<CellDescription>),
 }
 
-/// The cell of a name, where it is one.
-pub(in crate::rpc) fn cell_of(field: &str, name: &str) -> Result<Option<CellIndex>, RpcError> {
-    CellIndex::from_name(name).transpose().map_err(|error| InvalidField::new(field, error).into())
-}
-
-/// What is known of a cell.
-pub(in crate::rpc) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellDescription, RpcError> {
-    let map = || view.spec().name.as_str().to_owned();
-    let grid = view.grid().ok_or_else(|| RpcError::NoGrid { map: map() })?;
-    grid.describe(cell)?.ok_or_else(|| RpcError::UnknownCell { map: map(), name: cell.name() })
-}
-
-/// What names stand for, and the turn again. `field` gives the name of the field of each.
+/// What names stand for, and the permit again. `field` gives the name of the field of each.
 async fn find_all(
     view: &Arc<MapView>,
-    turn: OwnedSemaphorePermit,
+    permit: OwnedSemaphorePermit,
     field: impl Fn(usize) -> String + Send + 'static,
     names: Vec<String>,
 ) -> Result<(Vec<Named>, OwnedSemaphorePermit), RpcError> {
@@ -103,9 +91,9 @@ async fn find_all(
             None => find_state(&view, name).map(Named::State),
         };
         let named = names.iter().enumerate().map(find).collect::<Result<_, RpcError>>()?;
-        Ok((named, turn))
+        Ok((named, permit))
     };
-    // A cell may have to be read from the disk. The turn lasts as long as that, even if nobody waits any more.
+    // A cell may have to be read from the disk. The permit lasts as long as that, even if nobody waits any more.
     if any_cell { tokio::task::spawn_blocking(find).await.map_err(|_| RpcError::Stopping)? } else { find() }
 }
 
@@ -148,10 +136,10 @@ pub(super) async fn predict_states(
         let states = places.into_iter().zip(states).collect();
         return Ok(predict_fitted(queries, handle, view, states, &request.times_nanos, (selector, level)));
     }
-    let turn = queries.turns.take().await?;
-    let (named, turn) = find_all(&view, turn, field, names).await?;
+    let permit = queries.permits.take().await?;
+    let (named, permit) = find_all(&view, permit, field, names).await?;
     let named: Vec<(Place, Named)> = places.into_iter().zip(named).collect();
-    Ok(computed(turn, move |computed| {
+    Ok(computed(permit, move |computed| {
         predict(&view, &named, &request.times_nanos, (selector, level), computed);
         Ok(())
     }))
@@ -167,7 +155,7 @@ fn predict_fitted(
     times_nanos: &[i64],
     (selector, level): (ModelSelector, f64),
 ) -> Replies<v1::PredictStatesResponse> {
-    let (fitting, turns) = (Arc::clone(&queries.fitting), queries.turns.clone());
+    let (fitting, permits) = (Arc::clone(&queries.fitting), queries.permits.clone());
     let moments: Arc<[Moment]> = view.moments(times_nanos).into();
     streamed(move |computed| async move {
         for (place, id) in states {
@@ -176,10 +164,10 @@ fn predict_fitted(
                 () = computed.unwanted() => return Ok(()),
                 fitted = fitting.fitted(&learned, selector.kind) => fitted?,
             };
-            let turn = turns.take().await?;
+            let permit = permits.take().await?;
             let (view, moments, computed) = (Arc::clone(&view), Arc::clone(&moments), computed.clone());
             let predict = move || {
-                let _turn = turn;
+                let _permit = permit;
                 predict_one(&view, (place, id), &fitted, &moments, (selector, level), &computed)
             };
             if !tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)? {
@@ -310,8 +298,8 @@ pub(super) async fn describe_model(
     request: v1::DescribeModelRequest,
 ) -> Result<v1::DescribeModelResponse, RpcError> {
     let view = find_map(&queries.catalog, &request.map)?.view();
-    let turn = queries.turns.take().await?;
-    let (mut found, _turn) = find_all(&view, turn, |_| "state".to_owned(), vec![request.state]).await?;
+    let permit = queries.permits.take().await?;
+    let (mut found, _permit) = find_all(&view, permit, |_| "state".to_owned(), vec![request.state]).await?;
     Ok(match found.pop() {
         Some(Named::State(id)) => description_to_wire(&view, id).unwrap_or_default(),
         Some(Named::Cell(cell, description)) => cell_description_to_wire(&view, cell, &description),

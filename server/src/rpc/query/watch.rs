@@ -1,7 +1,7 @@
 //! `WatchAnomalies`: what is observed and not expected, as it comes.
 //!
 //! Invariant: nothing that a watcher does or leaves undone slows the writer, and what waits for one is bounded: what it
-//! does not take in time is counted as missed. Judging has turns of its own, which leave processors to everybody else.
+//! does not take in time is counted as missed. Judging has permits of its own, which leave processors to everybody else.
 
 use std::{collections::HashSet, sync::Arc, time::Duration};
 
@@ -24,17 +24,19 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, broadcast::error::RecvError, 
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
-use super::{
-    Queries, STATES_MAX, check_limit, find_state,
-    replies::{Replies, processors},
-};
+use super::{Queries, STATES_MAX};
 use crate::{
     ingest::{
         anomaly_feed::{Applied, FeedMessage, FeedReceiver},
         handle::MapHandle,
         protocol::Command,
     },
-    rpc::{map::find_map, status::RpcError},
+    rpc::{
+        lookup::{check_limit, find_map, find_state},
+        permits::processors,
+        replies::Replies,
+        status::RpcError,
+    },
 };
 
 /// Replies that wait for the reader.
@@ -51,15 +53,15 @@ type Sender = mpsc::Sender<Result<v1::WatchAnomaliesResponse, Status>>;
 pub(super) struct Watches {
     places: Arc<Semaphore>,
     max: usize,
-    turns: Arc<Semaphore>,
+    permits: Arc<Semaphore>,
 }
 
 impl Watches {
     /// So many at once.
     pub(super) fn new(max: usize) -> Self {
         let max = max.min(Semaphore::MAX_PERMITS);
-        let turns = Arc::new(Semaphore::new((processors() / 2).max(1)));
-        Self { places: Arc::new(Semaphore::new(max)), max, turns }
+        let permits = Arc::new(Semaphore::new((processors() / 2).max(1)));
+        Self { places: Arc::new(Semaphore::new(max)), max, permits }
     }
 
     fn place(&self) -> Result<OwnedSemaphorePermit, RpcError> {
@@ -85,8 +87,8 @@ pub(super) async fn watch_anomalies(
         return Err(RpcError::Stopping);
     }
     let (listening, told) = listening.await.map_err(|_| RpcError::Stopping)?;
-    let turns = Arc::clone(&queries.watches.turns);
-    let watch = Watch { handle, watched, confidence, selector, turns, told, missed: 0 };
+    let permits = Arc::clone(&queries.watches.permits);
+    let watch = Watch { handle, watched, confidence, selector, permits, told, missed: 0 };
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD + 1);
     // Its place is taken now: there is none when the reader is slow.
     let last_word = replies.clone().try_reserve_owned().map_err(|_| RpcError::Stopping)?;
@@ -120,7 +122,7 @@ struct Watch {
     watched: Option<HashSet<StateId>>,
     confidence: Confidence,
     selector: ModelSelector,
-    turns: Arc<Semaphore>,
+    permits: Arc<Semaphore>,
     /// How many observations were told before the next.
     told: u64,
     /// Those of them that were not judged since the last reply.
@@ -163,10 +165,10 @@ impl Watch {
             self.missed += count;
             return Ok(Vec::new());
         };
-        let turn = Arc::clone(&self.turns).acquire_owned().await.map_err(|_| RpcError::Stopping)?;
+        let permit = Arc::clone(&self.permits).acquire_owned().await.map_err(|_| RpcError::Stopping)?;
         let (confidence, selector) = (self.confidence, self.selector);
         let judge = move || {
-            let _turn = turn;
+            let _permit = permit;
             unexpected(&models, &observed, selector, confidence)
         };
         tokio::task::spawn_blocking(judge).await.map_err(|_| RpcError::Stopping)

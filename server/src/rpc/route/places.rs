@@ -12,7 +12,7 @@ use tidemap_map::{
 };
 use tidemap_proto::convert::InvalidField;
 
-use super::{RouteError, Routes};
+use super::{Routes, error::RouteError};
 use crate::rpc::status::RpcError;
 
 /// Nodes that a message names.

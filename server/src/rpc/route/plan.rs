@@ -16,7 +16,7 @@ use tidemap_map::{
 };
 use tidemap_plan::{
     policy::{PolicyAction, PolicyTable, solve_policy},
-    route::{Route, RouteError as CannotRoute, Routes as Planned, plan_routes, success_interval},
+    route::{Route, RouteError as PlanRouteError, Routes as Planned, plan_routes, success_interval},
 };
 use tidemap_proto::{
     convert::{
@@ -30,12 +30,13 @@ use tidemap_proto::{
 };
 
 use super::{
-    RouteError, Routes,
+    Routes,
     edges::{Ahead, Edges, later},
+    error::RouteError,
     places::find_node,
     search::Waiting,
 };
-use crate::rpc::{map::find_map, status::RpcError};
+use crate::rpc::{lookup::find_map, status::RpcError};
 
 /// Most edges that are told of at once.
 const EDGES_TOLD_MAX: usize = 100_000;
@@ -65,18 +66,18 @@ pub(super) async fn plan_route(
         let planned = plan_routes(&over, from, to, question.when, &question.options, &mut ahead, until);
         match planned {
             Ok(planned) => Ok(to_wire(&planned, question.reference_nanos, &over, &edges)),
-            Err(error) => Err(named(error, ends, question.reference_nanos)),
+            Err(error) => Err(with_node_names(error, ends, question.reference_nanos)),
         }
     };
     Ok(routes.off_threads(work).await??)
 }
 
 /// A planner's refusal in the words of who asked: names for numbers.
-fn named(error: CannotRoute, (from, to): (String, String), reference_nanos: i64) -> RouteError {
+fn with_node_names(error: PlanRouteError, (from, to): (String, String), reference_nanos: i64) -> RouteError {
     match error {
-        CannotRoute::Unreachable { .. } => RouteError::NoWay { from, to },
-        CannotRoute::BeyondHorizon { horizon_secs, .. } => RouteError::TooLong { from, to, horizon_secs },
-        CannotRoute::TooLate { by_secs, .. } => {
+        PlanRouteError::Unreachable { .. } => RouteError::NoWay { from, to },
+        PlanRouteError::BeyondHorizon { horizon_secs, .. } => RouteError::TooLong { from, to, horizon_secs },
+        PlanRouteError::TooLate { by_secs, .. } => {
             RouteError::TooLate { from, to, by_nanos: later(reference_nanos, by_secs) }
         }
         other => RouteError::Plan(other),

@@ -16,8 +16,7 @@ use tidemap_proto::{
 
 use super::{Routes, places::Places};
 use crate::rpc::{
-    map::find_map,
-    query::{check_limit, find_state},
+    lookup::{check_limit, find_map, find_state},
     series::{check_kind, series},
     status::RpcError,
 };

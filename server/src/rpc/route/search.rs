@@ -27,12 +27,13 @@ use tidemap_proto::{
 };
 
 use super::{
-    RouteError, Routes,
+    Routes,
     edges::Edges,
+    error::RouteError,
     places::{Places, find_node},
 };
 use crate::rpc::{
-    map::find_map,
+    lookup::find_map,
     series::{Predictor, series},
     status::RpcError,
 };

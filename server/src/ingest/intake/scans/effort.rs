@@ -1,7 +1,7 @@
-//! What casting rays takes, told before it is done, and the turns in which it is done.
+//! What casting rays takes, told before it is done, and the permits in which it is done.
 //!
 //! Invariant: no more casts that are much work run at a time than there are processors, in all streams together; those
-//! that wait get their turns in the order in which they asked.
+//! that wait get their permits in the order in which they asked.
 
 use std::sync::{Condvar, LazyLock, Mutex, MutexGuard, PoisonError};
 
@@ -76,17 +76,17 @@ fn numbers(ranges_m: &[f32]) -> impl Iterator<Item = f64> + '_ {
     ranges_m.iter().map(|&range| f64::from(range)).filter(|range| !range.is_nan())
 }
 
-/// Turns of all streams of the process.
-static TURNS: LazyLock<Turns> =
-    LazyLock::new(|| Turns::new(std::thread::available_parallelism().map_or(1, std::num::NonZero::get)));
+/// CastPermits of all streams of the process.
+static PERMITS: LazyLock<CastPermits> =
+    LazyLock::new(|| CastPermits::new(std::thread::available_parallelism().map_or(1, std::num::NonZero::get)));
 
-/// Waits for a turn at casting; it ends when what is given is dropped. Not to be called where tasks run.
-pub(super) fn turn() -> Turn<'static> {
-    TURNS.take()
+/// Waits for a permit at casting; it ends when what is given is dropped. Not to be called where tasks run.
+pub(super) fn permit() -> CastPermit<'static> {
+    PERMITS.take()
 }
 
 #[derive(Debug)]
-struct Turns {
+struct CastPermits {
     queue: Mutex<Queue>,
     moved: Condvar,
 }
@@ -99,20 +99,20 @@ struct Queue {
     first: u64,
 }
 
-/// A turn that is being had.
+/// A permit that is being had.
 #[derive(Debug)]
-pub(super) struct Turn<'a>(&'a Turns);
+pub(super) struct CastPermit<'a>(&'a CastPermits);
 
-impl Turns {
-    fn new(free: usize) -> Turns {
-        Turns { queue: Mutex::new(Queue { free, next: 0, first: 0 }), moved: Condvar::new() }
+impl CastPermits {
+    fn new(free: usize) -> CastPermits {
+        CastPermits { queue: Mutex::new(Queue { free, next: 0, first: 0 }), moved: Condvar::new() }
     }
 
     fn queue(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn take(&self) -> Turn<'_> {
+    fn take(&self) -> CastPermit<'_> {
         let mut queue = self.queue();
         let own = queue.next;
         queue.next += 1;
@@ -124,11 +124,11 @@ impl Turns {
         drop(queue);
         // There may be room for the next one too.
         self.moved.notify_all();
-        Turn(self)
+        CastPermit(self)
     }
 }
 
-impl Drop for Turn<'_> {
+impl Drop for CastPermit<'_> {
     fn drop(&mut self) {
         self.0.queue().free += 1;
         self.0.moved.notify_all();

@@ -7,9 +7,9 @@ use std::sync::Arc;
 use tidemap_map::selector::ModelKind;
 use tidemap_model::Sample;
 
-use super::{Fitting, Learned, Unavailable};
+use super::{Fitting, Learned};
 use crate::{
-    fits::{FitKey, PositionModel},
+    fits::{FitKey, ModelUnavailable, PositionModel},
     rpc::status::RpcError,
 };
 
@@ -17,7 +17,7 @@ impl Fitting {
     /// The model of a vector, of which these are all axes: the one that is kept, or else one that is fitted now.
     ///
     /// # Errors
-    /// [`RpcError::Unavailable`] where there can be no such model; others where the readings cannot be read.
+    /// [`RpcError::ModelUnavailable`] where there can be no such model; others where the readings cannot be read.
     pub(in crate::rpc::query) async fn position_model(
         self: &Arc<Self>,
         axes: Vec<Arc<Learned>>,
@@ -26,7 +26,7 @@ impl Fitting {
         let first = axes.first().ok_or(RpcError::Stopping)?;
         self.check(first, kind)?;
         if first.folded() == 0 {
-            return Err(first.unavailable(kind, Unavailable::Unlearned));
+            return Err(first.unavailable(kind, ModelUnavailable::Unlearned));
         }
         let (map, generation, state) = (first.handle.id, first.view.generation(), first.id);
         let key = FitKey { map, generation, state, kind };
@@ -42,14 +42,14 @@ impl Fitting {
     async fn fit_positions(&self, axes: &[Arc<Learned>], kind: ModelKind) -> Result<PositionModel, RpcError> {
         let first = axes.first().ok_or(RpcError::Stopping)?;
         let options = PositionModel::options(kind).ok_or(RpcError::Stopping)?;
-        let turn = self.slow_turns.take().await?;
+        let permit = self.slow_permits.take().await?;
         let mut samples: Vec<Arc<[Sample]>> = Vec::with_capacity(axes.len());
         for axis in axes {
             samples.push(self.gather(axis, kind).await?);
         }
         let handle = Arc::clone(&first.handle);
         let fit = move || {
-            let _turn = turn;
+            let _permit = permit;
             PositionModel::fit(&options, &samples, &handle.spec)
         };
         let fitted = tokio::task::spawn_blocking(fit).await.map_err(|_| RpcError::Stopping)?;

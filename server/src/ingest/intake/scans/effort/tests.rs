@@ -1,4 +1,4 @@
-//! Turns are bounded, and what rays cost is never told too low.
+//! Permits are bounded, and what rays cost is never told too low.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -24,22 +24,22 @@ fn spec(extent: Option<CellBox>) -> GridSpec {
 
 #[test]
 fn no_more_have_a_turn_than_may() {
-    let (turns, inside, most) = (Turns::new(2), AtomicUsize::new(0), AtomicUsize::new(0));
+    let (permits, inside, most) = (CastPermits::new(2), AtomicUsize::new(0), AtomicUsize::new(0));
     std::thread::scope(|scope| {
         for _ in 0..8 {
             scope.spawn(|| {
                 for _ in 0..50 {
-                    let turn = turns.take();
+                    let permit = permits.take();
                     most.fetch_max(inside.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
                     std::thread::yield_now();
                     inside.fetch_sub(1, Ordering::SeqCst);
-                    drop(turn);
+                    drop(permit);
                 }
             });
         }
     });
     assert!(most.into_inner() <= 2);
-    let queue = turns.queue();
+    let queue = permits.queue();
     assert_eq!((queue.free, queue.next, queue.first), (2, 400, 400));
 }
 

@@ -4,100 +4,54 @@
 //! together. What ends early ends with
 //! an error, never as if it were all.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
-use crate::rpc::status::RpcError;
+use super::status::RpcError;
 
 /// Replies computed ahead of the reader.
 const REPLIES_AHEAD: usize = 8;
-/// Requests that compute at once, at least.
-const COMPUTING_LEAST: usize = 4;
-/// A request waits this long until others have ended.
-const TURN_WITHIN: Duration = Duration::from_secs(30);
 /// A reader is waited for so long, all its replies together.
 const READ_WITHIN: Duration = Duration::from_secs(30);
 
 /// A stream of replies.
-pub(in crate::rpc) type Replies<T> = ReceiverStream<Result<T, Status>>;
-
-/// Turns to compute. Clones share them.
-#[derive(Clone, Debug)]
-pub(in crate::rpc) struct Turns {
-    /// A permit for each request that may compute.
-    permits: Arc<Semaphore>,
-    max: usize,
-}
-
-impl Default for Turns {
-    fn default() -> Self {
-        // Twice the processors: some wait for their readers.
-        Self::new(COMPUTING_LEAST.max(2 * processors()))
-    }
-}
-
-/// Processors of the machine.
-pub(in crate::rpc) fn processors() -> usize {
-    std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
-}
-
-impl Turns {
-    /// So many turns at once.
-    pub(in crate::rpc) fn new(max: usize) -> Self {
-        Self { permits: Arc::new(Semaphore::new(max)), max }
-    }
-
-    /// A turn, which lasts until it is dropped.
-    ///
-    /// # Errors
-    /// [`RpcError::NoTurn`] where none came up in time.
-    pub(in crate::rpc) async fn take(&self) -> Result<OwnedSemaphorePermit, RpcError> {
-        let turn = Arc::clone(&self.permits).acquire_owned();
-        match tokio::time::timeout(TURN_WITHIN, turn).await {
-            Ok(permit) => permit.map_err(|_| RpcError::Stopping),
-            Err(_) => Err(RpcError::NoTurn { max: self.max, secs: TURN_WITHIN.as_secs() }),
-        }
-    }
-}
+pub(super) type Replies<T> = ReceiverStream<Result<T, Status>>;
 
 /// Where computed replies go.
 #[derive(Clone, Debug)]
-pub(in crate::rpc) struct Computed<T>(mpsc::Sender<Result<T, RpcError>>);
+pub(super) struct Computed<T>(mpsc::Sender<Result<T, RpcError>>);
 
 impl<T> Computed<T> {
     /// Hands a reply over, once there is room. `false`: nobody wants any more.
-    pub(in crate::rpc) fn send(&self, reply: T) -> bool {
+    pub(super) fn send(&self, reply: T) -> bool {
         self.0.blocking_send(Ok(reply)).is_ok()
     }
 
     /// Ends when nobody wants any more.
-    pub(in crate::rpc) async fn unwanted(&self) {
+    pub(super) async fn unwanted(&self) {
         self.0.closed().await;
     }
 }
 
-/// The replies that `work` computes, in a thread where it may wait. The turns are given back when it has ended.
-pub(in crate::rpc) fn computed<T: Send + 'static>(
-    turns: impl Send + 'static,
+/// The replies that `work` computes, in a thread where it may wait. The permits are given back when it has ended.
+pub(super) fn computed<T: Send + 'static>(
+    permits: impl Send + 'static,
     work: impl FnOnce(&Computed<T>) -> Result<(), RpcError> + Send + 'static,
 ) -> Replies<T> {
     streamed(|computed| async move {
         let work = move || {
-            let _turns = turns;
+            let _permits = permits;
             work(&computed)
         };
         tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)?
     })
 }
 
-/// The replies that `work` sends, which waits for others now and then, and takes its turns itself.
-pub(in crate::rpc) fn streamed<T: Send + 'static, W>(work: impl FnOnce(Computed<T>) -> W) -> Replies<T>
+/// The replies that `work` sends, which waits for others now and then, and takes its permits itself.
+pub(super) fn streamed<T: Send + 'static, W>(work: impl FnOnce(Computed<T>) -> W) -> Replies<T>
 where
     W: Future<Output = Result<(), RpcError>> + Send + 'static,
 {
@@ -149,6 +103,7 @@ mod tests {
     use tokio_stream::StreamExt as _;
 
     use super::*;
+    use crate::rpc::permits::Permits;
 
     #[tokio::test]
     async fn a_slow_reader_is_told_and_not_waited_for() {
@@ -184,8 +139,8 @@ mod tests {
 
     #[tokio::test]
     async fn an_error_ends_the_replies() {
-        let turn = || async { Turns::default().take().await.expect("a turn") };
-        let replies: Vec<_> = computed(turn().await, |computed| {
+        let permit = || async { Permits::default().take().await.expect("a permit") };
+        let replies: Vec<_> = computed(permit().await, |computed| {
             assert!(computed.send(1) && computed.send(2));
             Err(RpcError::UnknownJob(3))
         })
@@ -195,7 +150,7 @@ mod tests {
             replies.into_iter().map(|reply: Result<i32, Status>| reply.map_err(|end| end.code())).collect();
         assert_eq!(codes, [Ok(1), Ok(2), Err(tonic::Code::NotFound)]);
         assert_eq!(
-            computed(turn().await, |computed| {
+            computed(permit().await, |computed| {
                 computed.send(1);
                 Ok(())
             })

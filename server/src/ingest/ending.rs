@@ -1,0 +1,24 @@
+//! Why streams and maps end, and which errors of the log end the daemon.
+//!
+//! Invariant: after an error that is fatal the daemon serves nothing more, because the content of the disk is unknown.
+
+use tidemap_store::AppendError;
+
+/// Whether the daemon must stop, because the content of the disk is unknown.
+#[must_use]
+pub fn is_fatal(error: &AppendError) -> bool {
+    !matches!(error, AppendError::DiskFull | AppendError::AfterFailure)
+}
+
+/// Why the server ends a stream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// The daemon stops.
+    Shutdown,
+    /// Another stream of the key took over.
+    Superseded,
+    /// The map was deleted.
+    MapDeleted,
+    /// The log could not be written.
+    Storage(AppendError),
+}

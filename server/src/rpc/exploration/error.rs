@@ -1,0 +1,53 @@
+//! Why a request to explore fails.
+//!
+//! Invariant: each error has one gRPC code and one reason.
+
+use tidemap_plan::{
+    day::DayError,
+    predicted::PredictError,
+    strategy::StrategyError,
+    tour::TourError,
+    view::{InvalidThreshold, TooMuchWork},
+};
+use tonic::Code;
+
+/// Why there is no plan.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PlanError {
+    /// The grid cannot be predicted.
+    #[error(transparent)]
+    Predict(#[from] PredictError),
+    /// The question about a tour is none.
+    #[error(transparent)]
+    Tour(#[from] TourError),
+    /// Too many views, or no sensor.
+    #[error(transparent)]
+    Look(#[from] TooMuchWork),
+    /// No day can be planned so.
+    #[error(transparent)]
+    Day(#[from] DayError),
+    /// A threshold is none.
+    #[error(transparent)]
+    Threshold(#[from] InvalidThreshold),
+    /// Nobody knows where the robot starts.
+    #[error(
+        "the map has no charger, and no start was given: give one, or set the charger with `tidemap map set --charger`"
+    )]
+    NoStart,
+}
+
+impl PlanError {
+    pub(in crate::rpc) fn code_and_reason(&self) -> (Code, &'static str) {
+        match self {
+            Self::Predict(PredictError::NoGrid) => (Code::FailedPrecondition, "NO_GRID"),
+            Self::Predict(PredictError::EmptyRegion) => (Code::FailedPrecondition, "NOTHING_OBSERVED"),
+            Self::NoStart => (Code::FailedPrecondition, "NO_START"),
+            Self::Predict(PredictError::Unavailable(_)) => (Code::Internal, "STORAGE_FAILED"),
+            Self::Predict(PredictError::TooManyCells { .. } | PredictError::TooManyValues { .. })
+            | Self::Tour(TourError::TooManyCandidates { .. })
+            | Self::Look(TooMuchWork::Work { .. })
+            | Self::Day(DayError::Strategy(StrategyError::TooMany { .. })) => (Code::ResourceExhausted, "LIMIT"),
+            _ => (Code::InvalidArgument, "INVALID_FIELD"),
+        }
+    }
+}

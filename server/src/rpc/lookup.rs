@@ -1,0 +1,64 @@
+//! What the names in a request refer to: maps, states and cells.
+//!
+//! Invariant: an unknown name is an error that lists some known ones.
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    event::StateShape,
+    grid::{index::CellIndex, view::CellDescription},
+    ids::StateId,
+    view::MapView,
+};
+use tidemap_proto::convert::{InvalidField, OverLimit};
+
+use super::status::RpcError;
+use crate::{
+    catalog::{Catalog, CatalogError},
+    ingest::handle::MapHandle,
+};
+
+/// The map of this name, or an error that lists those that exist.
+pub(super) fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
+    catalog.get(name).map_err(|error| match error {
+        CatalogError::Unknown(name) => {
+            let known = catalog.all().keys().map(|name| name.as_str().to_owned()).collect();
+            RpcError::UnknownMap { name, known }
+        }
+        error => error.into(),
+    })
+}
+
+/// The state of this name, or an error that lists some that exist, or the axes of a vector.
+pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError> {
+    if let Some(id) = view.find(name) {
+        return Ok(id);
+    }
+    let map = || view.spec().name.as_str().to_owned();
+    if let Some((_, shape @ StateShape::Vector(dimensions))) = view.shape(name) {
+        let axes = dimensions.axes().iter().map(|axis| format!("{name}/{axis}")).collect();
+        return Err(RpcError::IsVector { map: map(), name: name.to_owned(), shape, axes });
+    }
+    Err(RpcError::UnknownState {
+        map: map(),
+        name: name.chars().take(80).collect(),
+        known: view.infos().take(11).map(|info| info.name.as_str().to_owned()).collect(),
+    })
+}
+
+/// The cell of a name, where it is one.
+pub(super) fn cell_of(field: &str, name: &str) -> Result<Option<CellIndex>, RpcError> {
+    CellIndex::from_name(name).transpose().map_err(|error| InvalidField::new(field, error).into())
+}
+
+/// What is known of a cell.
+pub(super) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellDescription, RpcError> {
+    let map = || view.spec().name.as_str().to_owned();
+    let grid = view.grid().ok_or_else(|| RpcError::NoGrid { map: map() })?;
+    grid.describe(cell)?.ok_or_else(|| RpcError::UnknownCell { map: map(), name: cell.name() })
+}
+
+/// Checks an amount against its limit.
+pub(super) fn check_limit(what: &'static str, got: u64, max: u64, setting: &'static str) -> Result<(), RpcError> {
+    if got > max { Err(OverLimit { what, got: Some(got), max, setting }.into()) } else { Ok(()) }
+}

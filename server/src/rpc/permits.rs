@@ -1,0 +1,52 @@
+//! Permits: how many requests of a kind compute at once.
+//!
+//! Invariant: a request that gets no permit within [`PERMIT_WITHIN`] ends with an error that says so.
+
+use std::{sync::Arc, time::Duration};
+
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+use super::status::RpcError;
+
+/// Minimum number of requests that compute at once.
+const PERMITS_MIN: usize = 4;
+/// A request waits this long for others to end.
+const PERMIT_WITHIN: Duration = Duration::from_secs(30);
+
+/// Permits to compute. Clones share them.
+#[derive(Clone, Debug)]
+pub(super) struct Permits {
+    permits: Arc<Semaphore>,
+    max: usize,
+}
+
+impl Default for Permits {
+    fn default() -> Self {
+        // Twice the processors: some wait for their readers.
+        Self::new(PERMITS_MIN.max(2 * processors()))
+    }
+}
+
+/// Processors of the machine.
+pub(super) fn processors() -> usize {
+    std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
+}
+
+impl Permits {
+    /// `max` permits.
+    pub(super) fn new(max: usize) -> Self {
+        Self { permits: Arc::new(Semaphore::new(max)), max }
+    }
+
+    /// Waits for a permit, which is given back when it is dropped.
+    ///
+    /// # Errors
+    /// [`RpcError::Busy`] if none was free in time.
+    pub(super) async fn take(&self) -> Result<OwnedSemaphorePermit, RpcError> {
+        let permit = Arc::clone(&self.permits).acquire_owned();
+        match tokio::time::timeout(PERMIT_WITHIN, permit).await {
+            Ok(permit) => permit.map_err(|_| RpcError::Stopping),
+            Err(_) => Err(RpcError::Busy { max: self.max, secs: PERMIT_WITHIN.as_secs() }),
+        }
+    }
+}
