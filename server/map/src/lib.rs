@@ -5,6 +5,7 @@
 //! events in the same order gives the same map, whether they arrive live or are replayed from a log.
 
 pub mod anomaly;
+pub mod edge_forecast;
 pub mod event;
 pub mod grid;
 pub mod history;
@@ -12,7 +13,6 @@ pub mod ids;
 pub mod interval;
 pub mod live_map;
 pub mod name;
-pub mod outlook;
 pub mod predict;
 pub mod reachability;
 pub mod refit;

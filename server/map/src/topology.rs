@@ -83,8 +83,8 @@ impl Extent {
 
     /// The nominal time, or else the time that the length takes at a speed in metres per second.
     #[must_use]
-    pub fn secs_at(&self, speed_m_per_sec: f64) -> f64 {
-        self.nominal_secs.unwrap_or_else(|| self.length_m.unwrap_or(f64::INFINITY) / speed_m_per_sec)
+    pub fn secs_at(&self, speed_m_per_s: f64) -> f64 {
+        self.nominal_secs.unwrap_or_else(|| self.length_m.unwrap_or(f64::INFINITY) / speed_m_per_s)
     }
 
     fn check(&self, what: impl Fn() -> String) -> Result<(), TopologyError> {

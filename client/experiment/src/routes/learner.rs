@@ -6,13 +6,13 @@
 use std::sync::{Arc, atomic::AtomicU64};
 
 use tidemap_map::{
+    edge_forecast::EdgeForecasts,
     event::{Event, NewState, Observations, OffsetRun, UpdateCause},
     grid::spec::Retention,
     history::HistoryPiece,
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey},
-    outlook::Edges,
     refit::{StateReadings, WantedReadings},
     site::SiteEdit,
     spec::MapSpec,
@@ -33,7 +33,7 @@ pub struct Learner {
     sequence: u64,
     known: Pieces,
     persistence: bool,
-    edges: Edges,
+    edges: EdgeForecasts,
 }
 
 /// What updates have folded in, as history files would have it.
@@ -78,7 +78,7 @@ impl Learner {
         let mut map = LiveMap::new(Arc::new(spec));
         let load = building::load().map_err(|error| setting(&error))?;
         map.apply(1, &Event::EditSite(SiteEdit::Topology(load)))?;
-        let edges = Edges::new(Arc::new(map.publish()), SPEED_M_PER_SEC, persistence);
+        let edges = EdgeForecasts::new(Arc::new(map.publish()), SPEED_M_PER_SEC, persistence);
         Ok(Self { map, sequence: 0, known: Pieces::default(), persistence, edges })
     }
 
@@ -88,7 +88,7 @@ impl Learner {
     }
 
     /// What it expects.
-    pub fn edges(&self) -> &Edges {
+    pub fn edges(&self) -> &EdgeForecasts {
         &self.edges
     }
 
@@ -154,6 +154,6 @@ impl Learner {
     }
 
     fn look(&mut self) {
-        self.edges = Edges::new(Arc::new(self.map.publish()), SPEED_M_PER_SEC, self.persistence);
+        self.edges = EdgeForecasts::new(Arc::new(self.map.publish()), SPEED_M_PER_SEC, self.persistence);
     }
 }

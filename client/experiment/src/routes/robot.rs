@@ -5,7 +5,6 @@
 
 use rand::Rng as _;
 use tidemap_map::{
-    outlook::Outlook,
     topology::{Edge, EdgeId, NodeId, Roads, ShortestTimes},
     traversal::Traversal,
 };
@@ -168,8 +167,7 @@ impl RouteRobot<'_> {
             RobotKind::Tidemap | RobotKind::TidemapPersistence | RobotKind::TidemapTime => {
                 let edges = self.learner.edges();
                 self.planned(goal, |edge, at_secs| {
-                    let Outlook { success, evidence, duration_secs } = edges.outlook(edge, nanos(now_secs + at_secs));
-                    is_open(edge).then_some(EdgeForecast { success, duration_secs, evidence })
+                    is_open(edge).then(|| edges.forecast(edge, nanos(now_secs + at_secs)))
                 })
             }
             RobotKind::Oracle => self.planned(goal, |edge, at_secs| {

@@ -13,7 +13,7 @@ use super::{
     POLICY_STATES_MAX, PolicyAction, PolicyEntry, PolicyError, PolicyObjective, PolicyOptions, PolicyTable,
     settle::{Choice, Choices, Picked, evaluate, settle},
 };
-use crate::route::{EdgeForecast, ForecastError, Forecasts, Network, expected_secs};
+use crate::route::{EdgeForecast, ForecastError, Forecasts, Network, check_forecast, expected_secs};
 
 /// Finds the best policy for a target. `until` is asked for each slot whether to give up.
 ///
@@ -97,7 +97,7 @@ impl<'a> Solver<'a> {
         for (index, edge) in self.network.edges.iter().enumerate() {
             let forecast = if self.network.from(index) == self.target { None } else { forecasts.at(edge, at_secs) };
             if let Some(forecast) = &forecast {
-                forecast.check(|| self.network.edge_name(index))?;
+                check_forecast(&forecast, || self.network.edge_name(index))?;
             }
             open.push(forecast);
         }

@@ -2,22 +2,11 @@
 //!
 //! Invariant: a forecast that is used lies in range; one that does not is refused, with the name of its edge.
 
+pub use tidemap_map::edge_forecast::EdgeForecast;
 use tidemap_map::topology::{Edge, NOMINAL_MAX_SECS};
 
 /// The least success of an edge that is not closed: trying again until it works would take too long to count.
 pub const SUCCESS_MIN: f64 = 1e-9;
-
-/// What is known of an edge at a time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EdgeForecast {
-    /// How likely an attempt succeeds, [`SUCCESS_MIN`] to 1: the mean of what is believed of it.
-    pub success: f64,
-    /// How long a successful attempt takes, in seconds, above 0, at most [`NOMINAL_MAX_SECS`]; a failed one counts as much.
-    pub duration_secs: f64,
-    /// How many observations `success` is worth, above 0: it is believed to follow
-    /// Beta(success · evidence, (1 - success) · evidence).
-    pub evidence: f64,
-}
 
 /// The best that an edge can be at any time of a span.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,20 +67,19 @@ pub enum ForecastError {
     },
 }
 
-impl EdgeForecast {
-    /// Checks the ranges; `name` is asked for the edge's name where they do not hold.
-    pub(crate) fn check(&self, name: impl FnOnce() -> String) -> Result<(), ForecastError> {
-        if !(SUCCESS_MIN..=1.0).contains(&self.success) {
-            return Err(ForecastError::Success { edge: name(), found: self.success });
-        }
-        if !(self.duration_secs > 0.0 && self.duration_secs <= NOMINAL_MAX_SECS) {
-            return Err(ForecastError::Duration { edge: name(), found: self.duration_secs });
-        }
-        if self.evidence.is_nan() || self.evidence <= 0.0 {
-            return Err(ForecastError::Evidence { edge: name(), found: self.evidence });
-        }
-        Ok(())
+/// Checks that a forecast lies in range; `name` gives the edge's name for the error.
+pub(crate) fn check_forecast(forecast: &EdgeForecast, name: impl FnOnce() -> String) -> Result<(), ForecastError> {
+    let EdgeForecast { success, evidence, duration_secs } = *forecast;
+    if !(SUCCESS_MIN..=1.0).contains(&success) {
+        return Err(ForecastError::Success { edge: name(), found: success });
     }
+    if !(duration_secs > 0.0 && duration_secs <= NOMINAL_MAX_SECS) {
+        return Err(ForecastError::Duration { edge: name(), found: duration_secs });
+    }
+    if evidence.is_nan() || evidence <= 0.0 {
+        return Err(ForecastError::Evidence { edge: name(), found: evidence });
+    }
+    Ok(())
 }
 
 /// Expected seconds until an edge is behind the robot that tries again until it works: d + (1 - p)/p · (d + r). The number of

@@ -8,7 +8,7 @@ use tidemap_map::topology::NOMINAL_MAX_SECS;
 use super::{
     ForecastError, Forecasts,
     cost::{Cost, Costing},
-    forecast::expected_secs,
+    forecast::{check_forecast, expected_secs},
     network::Network,
 };
 
@@ -80,7 +80,7 @@ impl<'a, F: Forecasts> Outlook<'a, F> {
                 None
             }
             Some(forecast) => {
-                forecast.check(|| self.network.edge_name(edge))?;
+                check_forecast(&forecast, || self.network.edge_name(edge))?;
                 let (success, duration_secs) = (forecast.success, forecast.duration_secs);
                 Some(Traversal {
                     success,

@@ -6,14 +6,14 @@
 use std::{collections::HashMap, sync::Arc};
 
 use tidemap_map::{
+    edge_forecast::{EdgeForecast, EdgeForecasts},
     ids::StateId,
-    outlook::{self, Outlook},
     predict::PreparedTimes,
     selector::ModelSelector,
     topology::{Edge, EdgeId},
     view::MapView,
 };
-use tidemap_plan::route::{EdgeForecast, Forecasts};
+use tidemap_plan::route::Forecasts;
 
 use super::Routes;
 use crate::{
@@ -23,7 +23,7 @@ use crate::{
 
 /// The edges of a map, ready to be asked for any time.
 pub(super) struct Edges {
-    edges: outlook::Edges,
+    edges: EdgeForecasts,
     /// Place of each edge's success among the states of the predictor.
     places: HashMap<StateId, usize>,
     predictor: Predictor,
@@ -37,10 +37,10 @@ impl Edges {
         handle: &Arc<MapHandle>,
         view: &Arc<MapView>,
         selector: ModelSelector,
-        speed_m_per_sec: f64,
+        speed_m_per_s: f64,
     ) -> Result<Edges, RpcError> {
         let of = Arc::clone(view);
-        let edges = routes.off_threads(move || outlook::Edges::new(of, speed_m_per_sec, selector.persistence)).await?;
+        let edges = routes.off_threads(move || EdgeForecasts::new(of, speed_m_per_s, selector.persistence)).await?;
         let states: Vec<StateId> = edges.success_states().collect();
         let places = states.iter().enumerate().map(|(place, &id)| (id, place)).collect();
         let alone = ModelSelector { persistence: false, ..selector };
@@ -49,11 +49,11 @@ impl Edges {
     }
 
     /// What is to be expected of an edge at a time in nanoseconds UTC.
-    pub(super) fn outlook(&self, edge: &Edge, time_nanos: i64) -> Outlook {
+    pub(super) fn forecast(&self, edge: &Edge, time_nanos: i64) -> EdgeForecast {
         let success = |id: StateId, times: &PreparedTimes| {
             self.places.get(&id).map_or(f64::NAN, |&place| self.predictor.at_prepared(place, times))
         };
-        self.edges.outlook_by(edge, time_nanos, success)
+        self.edges.forecast_with(edge, time_nanos, success)
     }
 
     /// How often an edge was reported.
@@ -70,9 +70,7 @@ pub(super) struct Ahead<'a> {
 
 impl Forecasts for Ahead<'_> {
     fn at(&mut self, edge: &Edge, at_secs: f64) -> Option<EdgeForecast> {
-        let Outlook { success, evidence, duration_secs } =
-            self.edges.outlook(edge, later(self.reference_nanos, at_secs));
-        Some(EdgeForecast { success, duration_secs, evidence })
+        Some(self.edges.forecast(edge, later(self.reference_nanos, at_secs)))
     }
 }
 

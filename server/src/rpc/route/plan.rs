@@ -11,7 +11,7 @@ use std::{
 };
 
 use tidemap_map::{
-    outlook::Outlook,
+    edge_forecast::EdgeForecast,
     topology::{Edge, EdgeId, NodeId, Topology},
 };
 use tidemap_plan::{
@@ -200,7 +200,7 @@ pub(super) async fn predict_edges(
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
     let work = move || {
         let told = |edge: &Edge| {
-            let Outlook { success, evidence, duration_secs } = edges.outlook(edge, time_nanos);
+            let EdgeForecast { success, evidence, duration_secs } = edges.forecast(edge, time_nanos);
             let interval = success_interval(success, evidence, confidence);
             v1::PredictedEdge {
                 edge: Some(edge_to_wire(&topology, edge)),

@@ -97,7 +97,7 @@ pub(super) async fn plan_search(
         let deadline = Instant::now() + within;
         let until = || is_given_up.load(Ordering::Relaxed) || Instant::now() >= deadline;
         let roads = Roads::new(&walked, |edge| match &travelled {
-            Some(travelled) => Some(travelled.outlook(edge, time_nanos).duration_secs),
+            Some(travelled) => Some(travelled.forecast(edge, time_nanos).duration_secs),
             None => Some(edge.extent.secs_at(speed)),
         })?;
         let plan = match predictor {

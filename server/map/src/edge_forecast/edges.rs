@@ -8,7 +8,7 @@ use std::{
     sync::{Arc, OnceLock},
 };
 
-use super::{EdgeRecord, EdgeStates, LEAST_SUCCESS, Outlook, UsualEdge};
+use super::{EdgeForecast, EdgePrior, EdgeRecord, EdgeStates, LEARNED_SUCCESS_MIN};
 use crate::{
     ids::StateId,
     predict::PreparedTimes,
@@ -20,7 +20,7 @@ use crate::{
 
 /// An edge of which something was reported.
 #[derive(Debug)]
-struct Known {
+struct ReportedEdge {
     /// Made when the edge is first asked: a route looks at few of the edges of a large map.
     record: OnceLock<EdgeRecord>,
     states: EdgeStates,
@@ -28,28 +28,28 @@ struct Known {
 
 /// The edges of a map.
 #[derive(Debug)]
-pub struct Edges {
+pub struct EdgeForecasts {
     view: Arc<MapView>,
-    usual: UsualEdge,
-    known: HashMap<EdgeId, Known>,
+    prior: EdgePrior,
+    known: HashMap<EdgeId, ReportedEdge>,
     persistence: bool,
 }
 
-impl Edges {
-    /// The edges of a view. `speed_m_per_sec`: the speed as long as none was reported, above 0. `persistence`: whether the
+impl EdgeForecasts {
+    /// The edges of a view. `speed_m_per_s`: the speed as long as none was reported, above 0. `persistence`: whether the
     /// last report of an edge counts, for as long as it does (T-RO 2017, eq. 12 and 13).
     #[must_use]
-    pub fn new(view: Arc<MapView>, speed_m_per_sec: f64, persistence: bool) -> Edges {
+    pub fn new(view: Arc<MapView>, speed_m_per_s: f64, persistence: bool) -> EdgeForecasts {
         let topology = view.site().topology();
         let reported: Vec<(&Edge, EdgeStates)> = topology
             .edges()
             .map(|edge| (edge, states_of(&view, topology, edge)))
             .filter(|(_, states)| *states != EdgeStates::default())
             .collect();
-        let usual = UsualEdge::of(&view, reported.iter().map(|(edge, states)| (edge.extent, *states)), speed_m_per_sec);
-        let known = |(edge, states): (&Edge, EdgeStates)| (edge.id, Known { record: OnceLock::new(), states });
+        let prior = EdgePrior::of(&view, reported.iter().map(|(edge, states)| (edge.extent, *states)), speed_m_per_s);
+        let known = |(edge, states): (&Edge, EdgeStates)| (edge.id, ReportedEdge { record: OnceLock::new(), states });
         let known = reported.into_iter().map(known).collect();
-        Edges { view, usual, known, persistence }
+        EdgeForecasts { view, prior, known, persistence }
     }
 
     /// The states that tell of the success of edges, in no order.
@@ -59,32 +59,32 @@ impl Edges {
 
     /// What is to be expected of an edge at a time in nanoseconds UTC.
     #[must_use]
-    pub fn outlook(&self, edge: &Edge, time_nanos: i64) -> Outlook {
+    pub fn forecast(&self, edge: &Edge, time_nanos: i64) -> EdgeForecast {
         let by_chosen = |id: StateId, times: &PreparedTimes| self.predict(id, times);
-        self.outlook_by(edge, time_nanos, by_chosen)
+        self.forecast_with(edge, time_nanos, by_chosen)
     }
 
     /// The same, where `success` says how likely the state of an edge's success is 1 at the only time of those given.
-    pub fn outlook_by(
+    pub fn forecast_with(
         &self,
         edge: &Edge,
         time_nanos: i64,
         success: impl FnOnce(StateId, &PreparedTimes) -> f64,
-    ) -> Outlook {
-        let Some(Known { record, states }) = self.known.get(&edge.id) else {
-            let record = EdgeRecord::of(&self.view, edge.extent, EdgeStates::default(), &self.usual);
-            return record.outlook(&self.usual, f64::NAN, f64::NAN, self.view.moments(&[time_nanos])[0]);
+    ) -> EdgeForecast {
+        let Some(ReportedEdge { record, states }) = self.known.get(&edge.id) else {
+            let record = EdgeRecord::of(&self.view, edge.extent, EdgeStates::default(), &self.prior);
+            return record.forecast(&self.prior, f64::NAN, f64::NAN, self.view.moments(&[time_nanos])[0]);
         };
-        let record = record.get_or_init(|| EdgeRecord::of(&self.view, edge.extent, *states, &self.usual));
+        let record = record.get_or_init(|| EdgeRecord::of(&self.view, edge.extent, *states, &self.prior));
         let times = self.view.prepare(&[time_nanos]);
         let success = states.success.map_or(f64::NAN, |id| success(id, &times));
         let travel = states.travel.map_or(f64::NAN, |id| self.predict(id, &times));
-        let mut outlook = record.outlook(&self.usual, success, travel, times.moments()[0]);
+        let mut forecast = record.forecast(&self.prior, success, travel, times.moments()[0]);
         if let Some(id) = states.success.filter(|_| self.persistence) {
-            let blended = self.view.live(id).persistence.blend(outlook.success, time_nanos);
-            outlook.success = blended.clamp(LEAST_SUCCESS, 1.0 - 1e-9);
+            let blended = self.view.live(id).persistence.blend(forecast.success, time_nanos);
+            forecast.success = blended.clamp(LEARNED_SUCCESS_MIN, 1.0 - 1e-9);
         }
-        outlook
+        forecast
     }
 
     fn predict(&self, id: StateId, times: &PreparedTimes) -> f64 {

@@ -9,14 +9,14 @@
 use libm::lgamma;
 use tidemap_model::models::HourTable;
 
-use super::{BORROWED, DAY_HOURS, WEEK_HOURS};
+use super::{DAY_HOURS, PRIOR_REPORTS, WEEK_HOURS};
 
 /// As how many reports an edge may count for an hour.
-const STRENGTHS: [f64; 4] = [BORROWED, 8.0, 32.0, 128.0];
+const STRENGTHS: [f64; 4] = [PRIOR_REPORTS, 8.0, 32.0, 128.0];
 
-/// As how many reports an edge counts for one of its hours; `usual`: how likely edges of the map are passed, of
-/// [`BORROWED`] reports' weight, above 0 and below 1.
-pub(super) fn steadiness(table: &HourTable, usual: f64) -> f64 {
+/// As how many reports an edge counts for one of its hours; `prior`: how likely edges of the map are passed, of
+/// [`PRIOR_REPORTS`] reports' weight, above 0 and below 1.
+pub(super) fn hour_uniformity(table: &HourTable, prior: f64) -> f64 {
     // Hours of weekdays, then of the weekend.
     let mut hours = [[0.0_f64; 2]; 2 * DAY_HOURS];
     for hour in 0..WEEK_HOURS {
@@ -27,7 +27,7 @@ pub(super) fn steadiness(table: &HourTable, usual: f64) -> f64 {
         sums[1] += passed;
     }
     let [tried, passed] = hours.iter().fold([0.0, 0.0], |sums, hour| [sums[0] + hour[0], sums[1] + hour[1]]);
-    let mean = (passed + BORROWED * usual) / (tried + BORROWED);
+    let mean = (passed + PRIOR_REPORTS * prior) / (tried + PRIOR_REPORTS);
     let mut best = (STRENGTHS[0], f64::NEG_INFINITY);
     for strength in STRENGTHS {
         let [a, b] = [strength * mean, strength * (1.0 - mean)];

@@ -19,7 +19,7 @@ use crate::{
 };
 
 const HOUR: i64 = 3_600_000_000_000;
-const USUAL: UsualEdge = UsualEdge { success: 0.8, speed_m_per_sec: 0.5, pace: 1.0 };
+const PRIOR: EdgePrior = EdgePrior { success: 0.8, speed_m_per_s: 0.5, pace: 1.0 };
 
 fn at(hour: i64) -> Moment {
     Moment { utc_nanos: hour * HOUR, offset_secs: 0 }
@@ -31,25 +31,25 @@ fn record(extent: Extent, reports: &[(i64, f64)]) -> EdgeRecord {
     let mut table = HourTable::default();
     table.add(&samples);
     let by_hour = (!reports.is_empty()).then(|| near_hours(&table));
-    let steadiness = steadiness::steadiness(&table, USUAL.success);
-    EdgeRecord { extent, tried: reports.len() as f64, travelled: 0.0, by_hour, steadiness }
+    let hour_uniformity = hour_uniformity::hour_uniformity(&table, PRIOR.success);
+    EdgeRecord { extent, tried: reports.len() as f64, travelled: 0.0, by_hour, hour_uniformity }
 }
 
 #[test]
 fn an_edge_that_was_never_driven_is_as_edges_of_its_map_are_and_unsure() {
     let edge = record(Extent::metres(4.0), &[]);
-    let outlook = edge.outlook(&USUAL, f64::NAN, f64::NAN, at(9));
-    assert!((outlook.success - 0.8).abs() < 1e-12 && (outlook.duration_secs - 8.0).abs() < 1e-12, "{outlook:?}");
-    assert!(outlook.evidence <= BORROWED, "{outlook:?}");
-    let nominal = record(Extent::secs(14.0), &[]).outlook(&USUAL, 0.0, 0.0, at(9));
+    let forecast = edge.forecast(&PRIOR, f64::NAN, f64::NAN, at(9));
+    assert!((forecast.success - 0.8).abs() < 1e-12 && (forecast.duration_secs - 8.0).abs() < 1e-12, "{forecast:?}");
+    assert!(forecast.evidence <= PRIOR_REPORTS, "{forecast:?}");
+    let nominal = record(Extent::secs(14.0), &[]).forecast(&PRIOR, 0.0, 0.0, at(9));
     assert!((nominal.duration_secs - 14.0).abs() < 1e-12, "{nominal:?}");
 }
 
 #[test]
 fn an_edge_that_always_failed_is_tried_again_some_day() {
     let reports: Vec<(i64, f64)> = (0..2_000).map(|hour| (hour, 0.0)).collect();
-    let outlook = record(Extent::secs(9.0), &reports).outlook(&USUAL, 0.0, 1.0, at(2_001));
-    assert!(outlook.success >= LEAST_SUCCESS && outlook.success < 0.02, "{outlook:?}");
+    let forecast = record(Extent::secs(9.0), &reports).forecast(&PRIOR, 0.0, 1.0, at(2_001));
+    assert!(forecast.success >= LEARNED_SUCCESS_MIN && forecast.success < 0.02, "{forecast:?}");
 }
 
 #[test]
@@ -59,7 +59,7 @@ fn a_door_that_is_shut_at_night_is_known_to_be_although_its_model_forgot() {
     let at_night = (0..3).flat_map(|day| [0, 1, 2, 3, 4, 5, 22, 23].map(move |hour| (24 * day + hour, 0.0)));
     let reports: Vec<(i64, f64)> = by_day.chain(at_night).collect();
     let edge = record(Extent::secs(9.0), &reports);
-    let expected = |hour: i64| edge.outlook(&USUAL, 0.94, 1.0, at(28 * 24 + hour));
+    let expected = |hour: i64| edge.forecast(&PRIOR, 0.94, 1.0, at(28 * 24 + hour));
     assert!(expected(12).success > 0.97, "{:?}", expected(12));
     assert!(expected(2).success < 0.6, "{:?}", expected(2));
     assert!(expected(2).evidence < expected(12).evidence / 4.0, "few reports make a wide interval");
@@ -71,19 +71,19 @@ fn an_edge_that_fails_at_any_time_is_not_shunned_at_the_hours_at_which_it_did() 
     let is_mishap = |hour: i64| (hour * 7_919 + hour / 24 * 31) % 50 == 0;
     let reports: Vec<(i64, f64)> = (0..56 * 24).map(|hour| (hour, f64::from(u8::from(!is_mishap(hour))))).collect();
     let edge = record(Extent::secs(9.0), &reports);
-    let least = (0..168).map(|hour| edge.outlook(&USUAL, 0.98, 1.0, at(56 * 24 + hour)).success).fold(1.0, f64::min);
+    let least = (0..168).map(|hour| edge.forecast(&PRIOR, 0.98, 1.0, at(56 * 24 + hour)).success).fold(1.0, f64::min);
     assert!(least > 0.95, "{least}");
 }
 
 #[test]
 fn a_changed_length_keeps_the_speed() {
     let driven = |length_m| EdgeRecord { travelled: 100.0, ..record(Extent::metres(length_m), &[]) };
-    let secs = |length_m| driven(length_m).outlook(&USUAL, 1.0, 1.25, at(9)).duration_secs;
+    let secs = |length_m| driven(length_m).forecast(&PRIOR, 1.0, 1.25, at(9)).duration_secs;
     assert!((secs(20.0) / secs(10.0) - 2.0).abs() < 1e-12);
     assert!((secs(10.0) - 10.0 / 1.235).abs() < 0.1, "{}", secs(10.0));
     // A length and a nominal time: what the maker of the map says, until robots say otherwise.
     let both = Extent { length_m: Some(10.0), nominal_secs: Some(40.0) };
-    assert!((record(both, &[]).outlook(&USUAL, 1.0, 9.0, at(9)).duration_secs - 40.0).abs() < 1e-9);
+    assert!((record(both, &[]).forecast(&PRIOR, 1.0, 9.0, at(9)).duration_secs - 40.0).abs() < 1e-9);
 }
 
 /// A map of which nothing is known.
@@ -106,11 +106,11 @@ fn empty() -> LiveMap {
 fn a_map_without_reports_has_a_prior() {
     let view = empty().publish();
     let edges = [(Extent::metres(3.0), EdgeStates::default())];
-    let usual = UsualEdge::of(&view, edges, 0.7);
-    assert!((usual.success - 0.9).abs() < 1e-12 && (usual.speed_m_per_sec - 0.7).abs() < 1e-12, "{usual:?}");
-    assert!((usual.pace - 1.0).abs() < 1e-12);
-    let edge = EdgeRecord::of(&view, Extent::metres(3.0), EdgeStates::default(), &usual);
-    assert!((edge.outlook(&usual, 0.5, 0.5, at(0)).success - 0.9).abs() < 1e-12);
+    let prior = EdgePrior::of(&view, edges, 0.7);
+    assert!((prior.success - 0.9).abs() < 1e-12 && (prior.speed_m_per_s - 0.7).abs() < 1e-12, "{prior:?}");
+    assert!((prior.pace - 1.0).abs() < 1e-12);
+    let edge = EdgeRecord::of(&view, Extent::metres(3.0), EdgeStates::default(), &prior);
+    assert!((edge.forecast(&prior, 0.5, 0.5, at(0)).success - 0.9).abs() < 1e-12);
 }
 
 proptest! {
@@ -120,14 +120,14 @@ proptest! {
         success in proptest::num::f64::ANY,
         travel in proptest::num::f64::ANY,
         length_m in 1e-6..1e7,
-        usual in (LEAST_SUCCESS..0.999, 1e-3..1e3, 1e-3..1e3),
+        prior in (LEARNED_SUCCESS_MIN..0.999, 1e-3..1e3, 1e-3..1e3),
         hour in -10_000_i64..100_000,
     ) {
-        let usual = UsualEdge { success: usual.0, speed_m_per_sec: usual.1, pace: usual.2 };
-        let outlook = record(Extent::metres(length_m), &reports).outlook(&usual, success, travel, at(hour));
-        prop_assert!((LEAST_SUCCESS..1.0).contains(&outlook.success), "{outlook:?}");
-        prop_assert!(outlook.evidence > 0.0 && outlook.evidence.is_finite(), "{outlook:?}");
-        prop_assert!(outlook.duration_secs > 0.0 && outlook.duration_secs.is_finite(), "{outlook:?}");
+        let prior = EdgePrior { success: prior.0, speed_m_per_s: prior.1, pace: prior.2 };
+        let forecast = record(Extent::metres(length_m), &reports).forecast(&prior, success, travel, at(hour));
+        prop_assert!((LEARNED_SUCCESS_MIN..1.0).contains(&forecast.success), "{forecast:?}");
+        prop_assert!(forecast.evidence > 0.0 && forecast.evidence.is_finite(), "{forecast:?}");
+        prop_assert!(forecast.duration_secs > 0.0 && forecast.duration_secs.is_finite(), "{forecast:?}");
     }
 }
 
@@ -196,21 +196,21 @@ fn edges_are_expected_to_be_as_they_were_reported() {
         topology.edge_between(id(from), id(to), None).expect("an edge")
     };
     let (there, back) = (edge("a", "b"), edge("b", "a"));
-    let [edges, recent] = [false, true].map(|persistence| Edges::new(Arc::clone(&view), 1.0, persistence));
+    let [edges, recent] = [false, true].map(|persistence| EdgeForecasts::new(Arc::clone(&view), 1.0, persistence));
     let at = |hour: i64| (14 * 24 + hour) * HOUR;
-    assert!(edges.outlook(there, at(12)).success > 0.95, "{:?}", edges.outlook(there, at(12)));
-    assert!(edges.outlook(there, at(20)).success < 0.2, "{:?}", edges.outlook(there, at(20)));
+    assert!(edges.forecast(there, at(12)).success > 0.95, "{:?}", edges.forecast(there, at(12)));
+    assert!(edges.forecast(there, at(20)).success < 0.2, "{:?}", edges.forecast(there, at(20)));
     // 12 m in 20 s, next to the 1 m/s that is assumed.
-    assert!((edges.outlook(there, at(12)).duration_secs - 20.0).abs() < 0.5);
+    assert!((edges.forecast(there, at(12)).duration_secs - 20.0).abs() < 0.5);
     assert_eq!((edges.reports(there.id), edges.reports(back.id)), (14 * 15, 0));
-    let unknown = edges.outlook(back, at(12));
-    assert!(unknown.evidence <= BORROWED && (unknown.duration_secs - 20.0).abs() < 0.5, "{unknown:?}");
+    let unknown = edges.forecast(back, at(12));
+    assert!(unknown.evidence <= PRIOR_REPORTS && (unknown.duration_secs - 20.0).abs() < 0.5, "{unknown:?}");
     // The last report was a failure at 21:00 of the day before; a minute later it is nearly all that counts.
     let soon = at(-3) + HOUR / 60;
-    assert!(recent.outlook(there, soon).success < edges.outlook(there, soon).success, "{soon}");
-    let told = edges.outlook_by(there, at(20), |id, times| {
+    assert!(recent.forecast(there, soon).success < edges.forecast(there, soon).success, "{soon}");
+    let told = edges.forecast_with(there, at(20), |id, times| {
         assert_eq!((Some(id), times.moments().len()), (edges.success_states().next(), 1));
         1.0
     });
-    assert!(told.success > edges.outlook(there, at(20)).success, "the caller's model counts: {told:?}");
+    assert!(told.success > edges.forecast(there, at(20)).success, "the caller's model counts: {told:?}");
 }
