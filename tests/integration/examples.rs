@@ -1,0 +1,198 @@
+//! Runs the shell examples of the README and of the guide, as a reader would type them.
+//!
+//! Every page has a folder and a daemon of its own. Its ```` ```sh ```` blocks run in order and must end with status 0; an
+//! ```` ```output ```` block directly behind one must be what that block showed. In it `…` stands for any text, and a line
+//! with `…` alone for any number of lines; the number of spaces between words does not matter. Commands that a test cannot
+//! run, such as installation, are ```` ```console ````.
+//!
+//! Invariant: a block sees what a reader sees: tables, as on a terminal, unless its output goes to a file or a pipe. A
+//! failure names the page and the line of the block.
+
+mod output;
+mod page;
+
+use std::{
+    fs,
+    os::unix::{fs::PermissionsExt as _, process::CommandExt as _},
+    path::{Path, PathBuf},
+    process::{Command, ExitStatus, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use rustix::process::{Pid, Signal, kill_process_group};
+use tempfile::TempDir;
+use tidemap_tests::{
+    binaries,
+    daemon::{Daemon, Launch},
+};
+
+use self::page::Block;
+
+/// A block that has not ended by then hangs.
+const ENDS_WITHIN: Duration = Duration::from_secs(180);
+const POLL: Duration = Duration::from_millis(5);
+
+/// A test for each page, and the list of all of them.
+macro_rules! pages {
+    ($($name:ident: $path:literal,)*) => {
+        const PAGES: &[&str] = &[$($path),*];
+        $(#[test]
+        fn $name() {
+            run($path);
+        })*
+    };
+}
+
+pages! {
+    readme: "README.md",
+    anomalies: "docs/src/anomalies.md",
+    commands: "docs/src/commands.md",
+    configuration: "docs/src/configuration.md",
+    durability: "docs/src/durability.md",
+    experiments: "docs/src/experiments.md",
+    exploration: "docs/src/exploration.md",
+    first_map: "docs/src/first-map.md",
+    grids: "docs/src/grids.md",
+    introduction: "docs/src/introduction.md",
+    kinds: "docs/src/kinds.md",
+    limits: "docs/src/limits.md",
+    models: "docs/src/models.md",
+    topology: "docs/src/topology.md",
+    wire: "docs/src/wire.md",
+}
+
+/// Stands for the command line: shows a table where a reader would see one, which is where the output is not redirected.
+const TIDEMAP_SCRIPT: &str = r#"#!/bin/sh
+case " $* " in *" --output "*) exec "$TIDEMAP_BUILT" "$@" ;; esac
+if [ /proc/self/fd/1 -ef "$TIDEMAP_SCREEN" ]; then exec "$TIDEMAP_BUILT" "$@" --output table; fi
+exec "$TIDEMAP_BUILT" "$@"
+"#;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the crate is in a workspace").to_path_buf()
+}
+
+fn run(path: &str) {
+    let text = fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"));
+    let blocks = page::blocks(&text).unwrap_or_else(|(line, problem)| panic!("{path}:{line}: {problem}"));
+    if blocks.is_empty() {
+        return;
+    }
+    let reader = Reader::new();
+    for block in &blocks {
+        if let Err(problem) = reader.follow(block) {
+            panic!("{path}:{}: {problem}\n--- the daemon\n{}", block.line, reader.daemon.process().stderr());
+        }
+    }
+    reader.daemon.stop_in_order();
+}
+
+/// Somebody at a shell, with a daemon of their own.
+struct Reader {
+    folder: TempDir,
+    daemon: Daemon,
+}
+
+impl Reader {
+    fn new() -> Self {
+        let folder = TempDir::new().expect("a temporary folder");
+        let programs = folder.path().join("programs");
+        fs::create_dir_all(&programs).expect("a folder for the programs");
+        fs::create_dir_all(folder.path().join("work")).expect("a folder to work in");
+        let script = programs.join("tidemap");
+        fs::write(&script, TIDEMAP_SCRIPT).expect("the script can be written");
+        fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).expect("the script can be run");
+        std::os::unix::fs::symlink(binaries::tidemapd(), programs.join("tidemapd")).expect("a link to the daemon");
+        let daemon = Launch::on(&folder.path().join("data")).start();
+        Self { folder, daemon }
+    }
+
+    /// Runs a block and compares what it shows.
+    fn follow(&self, block: &Block) -> Result<(), String> {
+        let screen = self.folder.path().join("screen");
+        let file = fs::File::create(&screen).expect("a file for the output");
+        let path = std::env::var("PATH").unwrap_or_default();
+        let mut command = Command::new("bash");
+        command.args(["-eu", "-o", "pipefail", "-c", &block.script]).current_dir(self.folder.path().join("work"));
+        for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("TIDEMAP_")) {
+            command.env_remove(name);
+        }
+        command.env("PATH", format!("{}:{path}", self.folder.path().join("programs").display()));
+        command.env("TIDEMAP_SERVER", &self.daemon.grpc);
+        command.env("TIDEMAP_SCREEN", &screen).env("TIDEMAP_BUILT", binaries::tidemap());
+        command.env("XDG_CONFIG_HOME", self.folder.path().join("config"));
+        let second = file.try_clone().expect("a second handle of the file");
+        command.stdin(Stdio::null()).stdout(file).stderr(second);
+        let status = wait(command).map_err(|error| format!("bash: {error}"))?;
+        let shown = fs::read_to_string(&screen).expect("the output is text");
+        if !status.success() {
+            return Err(format!("the block ended with {status}:\n{shown}"));
+        }
+        match &block.output {
+            Some(expected) if !output::matches(expected, &shown) => {
+                Err(format!("the block showed other output than the page says:\n{shown}--- the page\n{expected}"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Runs a command with all processes that it starts; after [`ENDS_WITHIN`] they are ended.
+fn wait(mut command: Command) -> std::io::Result<ExitStatus> {
+    let mut child = command.process_group(0).spawn()?;
+    let since = Instant::now();
+    let status = loop {
+        match child.try_wait()? {
+            Some(status) => break Ok(status),
+            None if since.elapsed() > ENDS_WITHIN => break Err(std::io::Error::other("the block does not end")),
+            None => thread::sleep(POLL),
+        }
+    };
+    // What the block left running in the background, or all of it.
+    if let Some(group) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
+        let _ = kill_process_group(group, Signal::KILL);
+    }
+    status
+}
+
+#[test]
+fn every_page_is_run() {
+    let mut pages: Vec<String> = fs::read_dir(root().join("docs/src"))
+        .expect("the guide is there")
+        .map(|entry| entry.expect("a file of the guide").file_name().to_string_lossy().into_owned())
+        .filter(|name| name.ends_with(".md") && name != "SUMMARY.md")
+        .map(|name| format!("docs/src/{name}"))
+        .chain(["README.md".to_owned()])
+        .collect();
+    pages.sort();
+    let mut run = PAGES.to_vec();
+    run.sort_unstable();
+    assert_eq!(pages, run);
+}
+
+#[test]
+fn the_summary_lists_every_page_once() {
+    let summary = fs::read_to_string(root().join("docs/src/SUMMARY.md")).expect("the summary");
+    for page in PAGES.iter().filter_map(|page| page.strip_prefix("docs/src/")) {
+        assert_eq!(summary.matches(&format!("({page})")).count(), 1, "{page} in docs/src/SUMMARY.md");
+    }
+}
+
+/// Links of the README, the guide and the page of the architecture to files and pages of the project.
+#[test]
+fn links_lead_somewhere() {
+    for path in PAGES.iter().chain(&["ARCHITECTURE.md", "BENCHMARKS.md", "CHANGELOG.md"]) {
+        let text = fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"));
+        let folder = root().join(path).parent().expect("a page lies in a folder").to_path_buf();
+        for (number, line) in text.lines().enumerate() {
+            for target in line.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
+                let file = target.split('#').next().unwrap_or_default();
+                if target.contains("://") || file.is_empty() {
+                    continue;
+                }
+                assert!(folder.join(file).exists(), "{path}:{}: there is no {file}", number + 1);
+            }
+        }
+    }
+}

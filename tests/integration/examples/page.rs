@@ -1,0 +1,69 @@
+//! A Markdown page as the shell blocks that it has, each with the output that is shown behind it.
+
+/// A block of commands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Block {
+    /// Line of the page on which its first command stands, from 1.
+    pub line: usize,
+    /// The commands.
+    pub script: String,
+    /// What the page says that they show.
+    pub output: Option<String>,
+}
+
+/// The blocks of a page in order, or the line and the reason why the page cannot be read.
+pub fn blocks(text: &str) -> Result<Vec<Block>, (usize, String)> {
+    let mut blocks: Vec<Block> = Vec::new();
+    // Whether an output block here would belong to the last block.
+    let mut follows = false;
+    let mut lines = text.lines().enumerate();
+    while let Some((index, line)) = lines.next() {
+        let line = line.trim_end();
+        let Some(fence) = line.trim_start().strip_prefix("```") else {
+            follows &= line.is_empty();
+            continue;
+        };
+        let kind = fence.trim_start_matches('`').to_owned();
+        let mut body = String::new();
+        let closed = lines.by_ref().map(|(_, line)| line).find(|line| {
+            let end = line.trim() == "```";
+            if !end {
+                body.push_str(line);
+                body.push('\n');
+            }
+            end
+        });
+        if closed.is_none() {
+            return Err((index + 1, "the block has no end".to_owned()));
+        }
+        match kind.as_str() {
+            "sh" => blocks.push(Block { line: index + 2, script: body, output: None }),
+            "output" => match blocks.last_mut() {
+                Some(block) if follows => block.output = Some(body),
+                _ => return Err((index + 1, "an output block must stand directly behind a sh block".to_owned())),
+            },
+            "" => return Err((index + 1, "the block does not say what it is".to_owned())),
+            _ => {}
+        }
+        follows = kind == "sh";
+    }
+    Ok(blocks)
+}
+
+#[test]
+fn blocks_have_lines_and_outputs() {
+    let page = "# A\n\n```sh\necho a\n```\n\n```output\na\n```\ntext\n```console\nmake\n```\n```sh\necho b\n```\n";
+    let block = |line, script: &str, output: Option<&str>| Block {
+        line,
+        script: script.to_owned(),
+        output: output.map(str::to_owned),
+    };
+    assert_eq!(blocks(page), Ok(vec![block(4, "echo a\n", Some("a\n")), block(15, "echo b\n", None)]));
+}
+
+#[test]
+fn unclear_pages_are_refused() {
+    assert!(blocks("```sh\necho a\n").is_err_and(|(line, _)| line == 1));
+    assert!(blocks("```sh\necho a\n```\nthen\n```output\na\n```\n").is_err_and(|(line, _)| line == 5));
+    assert!(blocks("\n```\nwhat\n```\n").is_err_and(|(line, _)| line == 2));
+}
