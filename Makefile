@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test lint bench durability install clean
+.PHONY: help build demo test docs lint bench durability install clean
 # The recipes of this file share one cargo, and cargo has its own jobs.
 .NOTPARALLEL:
 
@@ -39,6 +39,11 @@ test:
 		cargo test $(TESTED); \
 	fi
 	@$(ENV); cargo test --workspace --doc --locked
+
+## docs: the guide, as pages of HTML in target/docs
+docs:
+	@$(SETUP) docs
+	@$(ENV); target/tools/bin/mdbook build docs
 
 ## lint: formatting, lints, and the policy on dependencies where cargo-deny is installed
 lint:

@@ -1,15 +1,17 @@
 #!/usr/bin/env bash
 # Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
-# rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use.
+# rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
-#   deploy/setup.sh [test]      `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount
-#   TIDEMAP_SETUP_DRY_RUN=1     says what it would do, and does nothing
+#   deploy/setup.sh [test|docs]   `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount;
+#                                 `docs` adds mdbook, in target/tools
+#   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
 #
 # Says nothing where nothing is missing, and then needs no network. Writes target/setup.env, which recipes read.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 NEXTEST_VERSION=0.9.143
+MDBOOK_VERSION=0.5.4
 wanted=$(sed -n 's/^channel = "\(.*\)"/\1/p' rust-toolchain.toml)
 dry=${TIDEMAP_SETUP_DRY_RUN:-}
 goal=${1:-build}
@@ -121,6 +123,14 @@ if [ "$goal" = test ]; then
             say "cargo-nextest could not be installed; the tests run with cargo test"
         fi
     fi
+fi
+
+# --- what makes the guide -------------------------------------------------------------------------------------------
+if [ "$goal" = docs ] && [ "$(target/tools/bin/mdbook --version 2>/dev/null)" != "mdbook v$MDBOOK_VERSION" ]; then
+    if [ -n "$toolchain" ]; then export RUSTUP_TOOLCHAIN=$toolchain; fi
+    say "installing mdbook $MDBOOK_VERSION into target/tools, once; this takes some minutes"
+    run cargo install mdbook --version "$MDBOOK_VERSION" --locked --quiet --root target/tools \
+        --no-default-features --features search || fail "mdbook could not be installed; is there a network?"
 fi
 
 if [ -n "$dry" ]; then exit 0; fi

@@ -17,3 +17,8 @@ pub mod oracle;
 pub mod recordings;
 pub mod rounds;
 pub mod stream;
+
+/// Compiles the Rust example of the guide with the doc tests.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/src/wire.md")]
+struct GuideExample;
