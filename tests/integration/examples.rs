@@ -196,3 +196,17 @@ fn links_lead_somewhere() {
         }
     }
 }
+
+/// Files and folders that the page of the architecture names.
+#[test]
+fn files_of_the_architecture_exist() {
+    let text = fs::read_to_string(root().join("ARCHITECTURE.md")).expect("the page");
+    let roots = ["server/", "client/", "proto/", "tests/", "migrations/", "docs/", "deploy/"];
+    let paths = text.split('`').skip(1).step_by(2).filter(|path| roots.iter().any(|root| path.starts_with(root)));
+    let mut checked = 0;
+    for path in paths {
+        assert!(root().join(path).exists(), "ARCHITECTURE.md: there is no {path}");
+        checked += 1;
+    }
+    assert!(checked > 20, "{checked} paths");
+}
