@@ -35,7 +35,7 @@ mod visit;
 
 use std::{
     fs,
-    io::{BufWriter, Stdout},
+    io::{self, BufWriter, Stdout},
     path::PathBuf,
     process::ExitCode,
 };
@@ -48,15 +48,20 @@ use crate::{
     demo,
     output::{self, default_format, format_parser},
 };
-use tidemap_formats::table::{Format, TableWriter};
+use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Heading of the options that every command has.
 const GLOBAL: &str = "Options of every command";
 
-/// A command that makes no sense, though each of its words does.
+/// A command whose arguments are valid one by one, but not together.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct UsageError(pub String);
+
+/// A [`UsageError`] as the error of a command.
+fn usage(text: impl Into<String>) -> anyhow::Error {
+    UsageError(text.into()).into()
+}
 
 /// A map that knows when things change.
 ///
@@ -203,7 +208,14 @@ pub struct Session {
 }
 
 impl Session {
-    /// A result on stdout.
+    /// Prints rows to stdout.
+    pub fn print(&self, columns: &[&str], rows: impl IntoIterator<Item = Vec<Cell>>) -> io::Result<()> {
+        let mut table = self.table(columns);
+        rows.into_iter().try_for_each(|row| table.row(row))?;
+        table.finish()
+    }
+
+    /// A result on stdout, for rows that come one by one.
     pub fn table(&self, columns: &[&str]) -> TableWriter<BufWriter<Stdout>> {
         output::stdout(self.format, columns)
     }

@@ -9,7 +9,7 @@ use anyhow::Context as _;
 use clap::Args;
 use tidemap_client::queries::{Anomaly, AnomalyWatch, Judgement, ModelSelector};
 
-use super::{Session, UsageError, observe::INTERRUPTED, times};
+use super::{Session, observe::INTERRUPTED, times, usage};
 use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
@@ -51,13 +51,13 @@ pub async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitC
         return watched(session, watch).await;
     }
     let (Some(from), Some(to)) = (from, to) else {
-        return Err(UsageError("say when, with --from and --to, or --watch what is to come".to_owned()).into());
+        return Err(usage("say when, with --from and --to, or --watch what is to come"));
     };
     let [state] = states.as_slice() else {
-        return Err(UsageError("name one state; several can only be watched, with --watch".to_owned()).into());
+        return Err(usage("name one state; several can only be watched, with --watch"));
     };
     if from >= to {
-        return Err(UsageError("--from must be before --to, which is not included".to_owned()).into());
+        return Err(usage("--from must be before --to, which is not included"));
     }
     let mut anomalies = session.client.anomalies(&map, state, from, to, judgement).await?;
     let mut table = session.table(&["time", "value", "probability"]);

@@ -88,7 +88,7 @@ async fn measure(client: &Client, map: &str, command: &BenchCommand) -> anyhow::
 async fn updated(client: &Client, map: &str) -> anyhow::Result<Job> {
     status_line("updating");
     let started = client.run_update(map, None).await?;
-    let ended = job::watched(client, started.id).await?;
+    let ended = job::watch(client, started.id).await?;
     anyhow::ensure!(ended.error.is_empty(), job::failure(&ended));
     Ok(ended)
 }

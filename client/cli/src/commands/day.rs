@@ -12,7 +12,7 @@ use tidemap_client::{
     queries::ModelSelector,
 };
 
-use super::{Session, UsageError, times};
+use super::{Session, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -84,7 +84,7 @@ async fn viewpoints(session: &Session, map: &str, apart_m: f64) -> anyhow::Resul
     let count = |axis: usize| (cells(axis) * grid.resolution_m / apart_m).floor().max(1.0);
     if count(0) * count(1) > VIEWS_MAX {
         let text = format!("--views {apart_m}: that are {:.0} places, more than {VIEWS_MAX}", count(0) * count(1));
-        return Err(UsageError(text).into());
+        return Err(usage(text));
     }
     let along = |axis: usize, number: u32| {
         let spare = cells(axis) * grid.resolution_m - count(axis) * apart_m;
@@ -104,7 +104,7 @@ pub async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
     let budget = match (args.explore, args.ratio) {
         (Some(slots), _) => Budget::Slots(slots),
         (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Budget::Ratio(ratio),
-        (None, Some(ratio)) => return Err(UsageError(format!("--ratio {ratio}: it is above 0 and at most 1")).into()),
+        (None, Some(ratio)) => return Err(usage(format!("--ratio {ratio}: it is above 0 and at most 1"))),
         (None, None) => Budget::Usual,
     };
     let viewpoints = match args.views {

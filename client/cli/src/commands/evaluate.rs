@@ -98,18 +98,18 @@ pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCo
     let mut kinds = Kinds::new(session.client.clone(), options.map.clone(), None);
     let mut evaluator = session.client.evaluate(options);
     let bar = Bar::bytes(total_bytes);
-    let mut told = RefusalReport::new(bar.clone(), "is left out");
+    let mut report = RefusalReport::new(bar.clone(), "row", "is left out");
     'file: while let Some(chunk) = rows.recv().await {
         let chunk = chunk.with_context(|| shown.clone())?;
         bar.set(chunk.bytes);
         for row in &chunk.rows {
             if let Some(wrong) = kinds.wrong(row).await {
-                told.refused(row.number, Some(row.line), &wrong);
+                report.refused(row.number, Some(row.line), &wrong);
             } else if !evaluator.add(&row.state, row.time_nanos, row.value).await {
                 break 'file;
             }
         }
-        told.last_line(&chunk);
+        report.last_line(&chunk);
     }
     let Comparison { evaluations, unavailable } = evaluator.finish().await?;
     bar.clear();
@@ -127,7 +127,7 @@ pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCo
     table.finish()?;
     unavailable.iter().for_each(|unavailable| status_line(&missing(unavailable)));
     let all_there = !unavailable.iter().any(|unavailable| is_named(&args.models, unavailable.model));
-    Ok(if told.all_well() && all_there { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(if report.is_clean() && all_there { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
 //! `tidemap experiment`.
 //!
-//! Invariant: no daemon is asked. A word after `experiment` that names no kind of experiment is a protocol's file, and a
-//! protocol's file ends in .yaml or .yml, so that kinds that come later take no file's name away.
+//! Invariant: no daemon is contacted. A word after `experiment` that names no kind of experiment is a protocol file,
+//! and a protocol file ends in .yaml or .yml, so that kinds added later cannot take a file's name.
 
 use std::{
     fs,
-    io::{self, IsTerminal as _},
+    io::{self, IsTerminal as _, StdoutLock},
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -13,12 +13,13 @@ use std::{
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
 
-use super::UsageError;
+use super::usage;
 use crate::progress::{Bar, status_line};
 use tidemap_experiment::{
-    self, ProtocolError,
+    ModelResult, ProtocolError,
     explore::{self, ExploreProtocol, office},
-    routes, search,
+    routes::{self, RoutesProtocol},
+    search,
 };
 use tidemap_formats::table::Format;
 
@@ -33,28 +34,28 @@ pub struct ExperimentArgs {
 
 #[derive(Debug, Subcommand)]
 enum ExperimentKind {
-    /// Compares temporal models by a protocol; the same as a protocol's file alone
+    /// Compares temporal models by a protocol; the same as a protocol file alone
     Compare(CompareArgs),
-    /// Explores a recorded world of places, or a simulated office: where to look, and what is learned from it
+    /// Explores a recorded world of places, or a simulated office, by each strategy and model
     Explore(CompareArgs),
-    /// Searches a recorded world for a person at every minute: how long it takes, by each model
+    /// Searches a recorded world for a person at every minute, and reports the search times of each model
     Search(CompareArgs),
-    /// Sends robots around a simulated building: how often those fail that follow routes, week by week
+    /// Sends robots around a simulated building, and reports how often their routes fail, week by week
     Routes(RoutesArgs),
 }
 
 #[derive(Debug, Args)]
 struct RoutesArgs {
-    /// Buildings, with another luck each
+    /// Number of runs, each with its own random seed
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=1_000))]
     seeds: u64,
-    /// The first seed of their luck
+    /// The first seed
     #[arg(long, value_name = "N", default_value_t = 0)]
     first_seed: u64,
-    /// Weeks that robots drive in each
+    /// Weeks of each run
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(2..=520))]
     weeks: u64,
-    /// Tasks of each robot a day
+    /// Tasks per robot and day
     #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u64).range(1..=500))]
     tasks: u64,
     /// Folder of the results
@@ -70,6 +71,12 @@ struct CompareArgs {
     /// Folder of the results, instead of the protocol's `out`
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+}
+
+impl CompareArgs {
+    fn shown(&self) -> String {
+        self.protocol.display().to_string()
+    }
 }
 
 fn protocol_file(text: &str) -> Result<PathBuf, String> {
@@ -89,108 +96,97 @@ pub fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCode> {
         (Some(ExperimentKind::Compare(args)), _) | (None, Some(args)) => compare(&args, format),
         (Some(ExperimentKind::Explore(args)), _) => explore(&args, format),
         (Some(ExperimentKind::Search(args)), _) => search(&args, format),
-        (Some(ExperimentKind::Routes(args)), _) => routes(&args, format),
-        (None, None) => Err(UsageError("name a protocol, a file that ends in .yaml or .yml".to_owned()).into()),
+        (Some(ExperimentKind::Routes(args)), _) => routes(args, format),
+        (None, None) => Err(usage("name a protocol, a file that ends in .yaml or .yml")),
     }
 }
 
-fn compare(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
-    let shown = args.protocol.display();
-    let protocol = tidemap_experiment::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
-    let out = args.out.as_ref().unwrap_or(&protocol.out);
-    // Before the work, so that it is not done in vain.
+/// Runs an experiment under a progress bar, writes its files and prints its summary.
+fn conduct<T>(
+    out: &Path,
+    unit: &'static str,
+    run: impl FnOnce(&Bar) -> anyhow::Result<T>,
+    write: impl FnOnce(&T, &Path) -> anyhow::Result<()>,
+    summary: impl FnOnce(&T, StdoutLock<'_>) -> io::Result<()>,
+) -> anyhow::Result<T> {
+    // First, so that a folder that cannot be created costs no work.
     fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
-    let bar = Bar::count("fits");
-    let outcome = tidemap_experiment::run(&protocol, &|done, total| bar.set_of(done, total));
+    let bar = Bar::count(unit);
+    let outcome = run(&bar);
     bar.clear();
-    let outcome = outcome.with_context(|| shown.to_string())?;
-    tidemap_experiment::write(&protocol, &outcome, out)?;
-    tidemap_experiment::summary(&protocol, &outcome, format, io::stdout().lock())?;
-    let undecided =
-        |model: &tidemap_experiment::ModelResult| model.difference.is_some_and(|difference| difference.test.is_none());
-    if outcome.models.iter().any(undecided) {
-        status_line("the test sets have too few days for a test: intervals and p-values are left out");
-    }
+    let outcome = outcome?;
+    write(&outcome, out)?;
+    summary(&outcome, io::stdout().lock())?;
     if io::stderr().is_terminal() {
         status_line(&format!("results are in {}", out.display()));
+    }
+    Ok(outcome)
+}
+
+fn compare(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let protocol = tidemap_experiment::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
+    let outcome = conduct(
+        args.out.as_ref().unwrap_or(&protocol.out),
+        "fits",
+        |bar| tidemap_experiment::run(&protocol, &|done, total| bar.set_of(done, total)).with_context(|| args.shown()),
+        |outcome, out| tidemap_experiment::write(&protocol, outcome, out),
+        |outcome, stdout| tidemap_experiment::summary(&protocol, outcome, format, stdout),
+    )?;
+    let undecided = |model: &ModelResult| model.difference.is_some_and(|difference| difference.test.is_none());
+    if outcome.models.iter().any(undecided) {
+        status_line("the test sets have too few days for a test: intervals and p-values are left out");
     }
     Ok(ExitCode::SUCCESS)
 }
 
 fn explore(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
-    let shown = args.protocol.display();
-    let wanted = explore::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
-    let own = match &wanted {
-        ExploreProtocol::Places(protocol) => &protocol.out,
-        ExploreProtocol::Office(protocol) => &protocol.out,
-    };
-    let out = args.out.as_ref().unwrap_or(own);
-    fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
-    match &wanted {
-        ExploreProtocol::Places(protocol) => {
-            let bar = Bar::count("runs");
-            let outcome = explore::run(protocol, &|done, total| bar.set_of(done, total));
-            bar.clear();
-            let outcome = outcome.with_context(|| shown.to_string())?;
-            explore::write(protocol, &outcome, out)?;
-            explore::summary(protocol, &outcome, format, io::stdout().lock())?;
-        }
-        ExploreProtocol::Office(protocol) => {
-            let bar = Bar::count("days");
-            let outcome = office::run(protocol, &|done, total| bar.set_of(done, total));
-            bar.clear();
-            let outcome = outcome.with_context(|| shown.to_string())?;
-            office::write(protocol, &outcome, out)?;
-            office::summary(protocol, &outcome, format, io::stdout().lock())?;
-        }
-    }
-    if io::stderr().is_terminal() {
-        status_line(&format!("results are in {}", out.display()));
+    let out = |own| args.out.as_ref().unwrap_or(own);
+    match &explore::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))? {
+        ExploreProtocol::Places(protocol) => drop(conduct(
+            out(&protocol.out),
+            "runs",
+            |bar| explore::run(protocol, &|done, total| bar.set_of(done, total)).with_context(|| args.shown()),
+            |outcome, out| explore::write(protocol, outcome, out),
+            |outcome, stdout| explore::summary(protocol, outcome, format, stdout),
+        )?),
+        ExploreProtocol::Office(protocol) => drop(conduct(
+            out(&protocol.out),
+            "days",
+            |bar| office::run(protocol, &|done, total| bar.set_of(done, total)).with_context(|| args.shown()),
+            |outcome, out| office::write(protocol, outcome, out),
+            |outcome, stdout| office::summary(protocol, outcome, format, stdout),
+        )?),
     }
     Ok(ExitCode::SUCCESS)
 }
 
 fn search(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
-    let shown = args.protocol.display();
     let protocol = search::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
-    let out = args.out.as_ref().unwrap_or(&protocol.out);
-    fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
-    let bar = Bar::count("rounds");
-    let outcome = search::run(&protocol, &|done, total| bar.set_of(done, total));
-    bar.clear();
-    let outcome = outcome.with_context(|| shown.to_string())?;
-    search::write(&protocol, &outcome, out)?;
-    search::summary(&outcome, format, io::stdout().lock())?;
-    if io::stderr().is_terminal() {
-        status_line(&format!("results are in {}", out.display()));
-    }
+    conduct(
+        args.out.as_ref().unwrap_or(&protocol.out),
+        "rounds",
+        |bar| search::run(&protocol, &|done, total| bar.set_of(done, total)).with_context(|| args.shown()),
+        |outcome, out| search::write(&protocol, outcome, out),
+        |outcome, stdout| search::summary(outcome, format, stdout),
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// What a protocol says wrongly is wrong usage, as if it stood on the command line.
+/// An invalid protocol is a usage error, as if it stood on the command line.
 fn refused(path: &Path, error: &ProtocolError) -> anyhow::Error {
-    let misuse = error.is_misuse();
     let message = format!("{}: {error}", path.display());
-    if misuse { UsageError(message).into() } else { anyhow::anyhow!(message) }
+    if error.is_misuse() { usage(message) } else { anyhow::anyhow!(message) }
 }
 
-fn routes(args: &RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
+fn routes(args: RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
     let RoutesArgs { seeds, first_seed, weeks, tasks, out } = args;
-    let protocol = routes::RoutesProtocol {
-        seeds: *seeds,
-        first_seed: *first_seed,
-        weeks: *weeks as usize,
-        tasks: *tasks as usize,
-    };
-    fs::create_dir_all(out).with_context(|| format!("folder of the results {}", out.display()))?;
-    let bar = Bar::count("runs");
-    let outcome = routes::run(&protocol, &|done, total| bar.set_of(done, total));
-    bar.clear();
-    let outcome = outcome?;
-    routes::write(&outcome, out)?;
-    routes::summary(&outcome, format, io::stdout().lock())?;
-    if io::stderr().is_terminal() {
-        status_line(&format!("results are in {}", out.display()));
-    }
+    let protocol = RoutesProtocol { seeds, first_seed, weeks: weeks as usize, tasks: tasks as usize };
+    conduct(
+        &out,
+        "runs",
+        |bar| Ok(routes::run(&protocol, &|done, total| bar.set_of(done, total))?),
+        routes::write,
+        |outcome, stdout| routes::summary(outcome, format, stdout),
+    )?;
     Ok(ExitCode::SUCCESS)
 }

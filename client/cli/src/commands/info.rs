@@ -10,7 +10,7 @@ use tidemap_client::{
     queries::ModelSelector,
 };
 
-use super::{Session, UsageError, point::ViewArg, times};
+use super::{Session, point::ViewArg, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -40,7 +40,7 @@ const COLUMNS: [&str; 4] = ["target", "entropy_bits", "information_bits", "time"
 pub async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<ExitCode> {
     let InfoArgs { map, at, states, locations, views, model } = args;
     if states.is_empty() && locations.is_empty() && views.is_empty() {
-        return Err(UsageError("name what to look at, with --state, --location or --view".to_owned()).into());
+        return Err(usage("name what to look at, with --state, --location or --view"));
     }
     let mut rows = Vec::new();
     if views.is_empty() {

@@ -42,7 +42,7 @@ const COLUMNS: [&str; 11] = [
 pub async fn run(session: &Session, command: &JobCommand) -> anyhow::Result<ExitCode> {
     let jobs = match command {
         JobCommand::List => session.client.jobs().await?,
-        JobCommand::Watch { id } => vec![watched(&session.client, *id).await?],
+        JobCommand::Watch { id } => vec![watch(&session.client, *id).await?],
     };
     let failed = matches!(command, JobCommand::Watch { .. }) && jobs.iter().any(|job| job.state == JobState::Failed);
     let mut table = session.table(&COLUMNS);
@@ -57,11 +57,11 @@ pub async fn run(session: &Session, command: &JobCommand) -> anyhow::Result<Exit
 }
 
 /// Follows a job to its end.
-pub async fn watched(client: &Client, id: u64) -> anyhow::Result<Job> {
-    let mut watch = client.watch_job(id).await?;
+pub async fn watch(client: &Client, id: u64) -> anyhow::Result<Job> {
+    let mut updates = client.watch_job(id).await?;
     let bar = Bar::count("states updated");
     let mut last = None;
-    while let Some(job) = watch.next().await? {
+    while let Some(job) = updates.next().await? {
         bar.set_of(job.states_done, job.states_total);
         let ended = job.has_ended();
         last = Some(job);

@@ -13,7 +13,7 @@ use tidemap_client::maps::{
 use tidemap_map::time::format_duration;
 
 use self::grid_spec::{GridSpec, shown, shown_box, shown_retention};
-use super::{Session, UsageError, point::Point, times};
+use super::{Session, point::Point, times, usage};
 use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
@@ -174,9 +174,7 @@ pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitC
             if !yes {
                 let Map { states, observations, .. } = client.map(&name).await?;
                 let lost = format!("{observations} observations of {states} states");
-                return Err(
-                    UsageError(format!("this deletes map {name:?} with {lost} for good; add --yes to do it")).into()
-                );
+                return Err(usage(format!("this deletes map {name:?} with {lost} for good; add --yes to do it")));
             }
             client.delete_map(&name).await?;
             status_line(&format!("map {name:?} is deleted"));

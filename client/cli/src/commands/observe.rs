@@ -1,7 +1,7 @@
-//! `tidemap observe`.
+//! `tidemap observe`, and what all commands that send files share.
 //!
-//! Invariant: a row's number in its file is its sequence number, so that a file can be sent any number of times, in any
-//! number of pieces, and is learned once. What the daemon has is compared with the file before anything is sent.
+//! Invariant: a row's number in its file is its sequence number. A file can be sent any number of times, in any number
+//! of pieces, and is learned once. The rows that the daemon has are compared with the file before anything is sent.
 
 pub mod feed;
 pub mod kinds;
@@ -25,9 +25,9 @@ use tokio::{sync::watch, task::JoinHandle};
 use self::{
     feed::{Feed, RefusalReport},
     kinds::Kinds,
-    transfer::{Sendable, Transfer, TransferEnd},
+    transfer::{RowTransfer, Sendable, Transfer, TransferEnd},
 };
-use super::{Session, UsageError, job, producer_id, times};
+use super::{Session, job, producer_id, times, usage};
 use crate::progress::{Bar, status_line};
 use tidemap_formats::{
     observation_file::{Layout, ObservationColumns},
@@ -38,32 +38,56 @@ use tidemap_formats::{
 pub struct ObserveArgs {
     /// Name of the map
     map: String,
-    /// File with the columns time,state,value, or time,state,x,y and perhaps z of positions in metres; - is stdin
+    /// File with the columns time,state,value, or time,state,x,y and optionally z of positions in metres; - is stdin
     file: PathBuf,
-    /// Who observes [default: a name for this user and machine, made once and kept]
-    #[arg(long, value_name = "ID")]
-    producer: Option<String>,
-    /// Which of the producer's files this is [default: its base name, or stdin]
-    #[arg(long, value_name = "LABEL")]
-    label: Option<String>,
-    /// What the values of the file's states mean: probability, continuous or count; new states become that, and rows of
-    /// states of another kind are refused; with columns x and y it is vector [default: what each state is; new ones are
-    /// probabilities]
+    #[command(flatten)]
+    sender: SenderArgs,
+    /// Kind of the file's states: probability, continuous or count; new states get it, and rows of states of another
+    /// kind are refused; a file with columns x and y has kind vector [default: each state keeps its kind; new states
+    /// are probabilities]
     #[arg(long, value_name = "KIND")]
     kind: Option<StateKind>,
+}
+
+/// Who sends a file, and how.
+#[derive(Debug, Args)]
+pub struct SenderArgs {
+    /// Name of the producer [default: a name for this user and machine, generated once and kept]
+    #[arg(long, value_name = "ID")]
+    producer: Option<String>,
+    /// Label of the file among the producer's files [default: the base name of the first file, or stdin]
+    #[arg(long, value_name = "LABEL")]
+    label: Option<String>,
     /// Runs the nightly update whenever the data passes the map's local midnight
     #[arg(long)]
     nightly: bool,
-    /// How long to go on trying when the daemon cannot be reached
+    /// How long to keep trying when the daemon cannot be reached
     #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = times::duration_or_none)]
     patience: i64,
 }
 
-/// A stream that ended a moment ago may hold its key until the daemon has noticed.
+impl SenderArgs {
+    /// The options of the stream; reports the default producer on stderr.
+    pub(super) fn options(&self, map: &str, default_label: &str) -> anyhow::Result<ProducerOptions> {
+        let label = self.label.as_deref().unwrap_or(default_label);
+        let producer = match &self.producer {
+            Some(producer) => producer.clone(),
+            None => {
+                let producer = producer_id::of_user()?;
+                status_line(&format!("observing as producer {producer}, label {label}"));
+                producer
+            }
+        };
+        let patience = Duration::from_nanos(self.patience.unsigned_abs());
+        Ok(ProducerOptions { nightly: self.nightly, patience, ..ProducerOptions::new(&producer, label, map) })
+    }
+}
+
+/// The daemon may hold the key of a stream that has just ended for this long.
 const KEY_PATIENCE: Duration = Duration::from_secs(3);
-/// After Ctrl-C, what is under way gets this long to become durable.
-pub(super) const LAST_FLUSH: Duration = Duration::from_secs(5);
-/// Between two looks for nightly updates.
+/// How long the last flush may take after Ctrl-C.
+const LAST_FLUSH: Duration = Duration::from_secs(5);
+/// Pause between two checks for nightly updates.
 const NIGHT_PAUSE: Duration = Duration::from_millis(50);
 pub(super) const INTERRUPTED: u8 = 130;
 
@@ -73,101 +97,108 @@ pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCod
     let has_positions = feed.layout.has_positions();
     if let Some(kind) = args.kind.filter(|kind| (*kind == StateKind::Vector) != has_positions) {
         let columns = if has_positions { "positions, columns x and y" } else { "single values, column value" };
-        return Err(UsageError(format!("--kind {} does not go with {shown}, which has {columns}", kind.name())).into());
+        return Err(usage(format!("--kind {} does not go with {shown}, which has {columns}", kind.name())));
     }
-    send(session, options(&args)?, feed, &shown).await
+    let options = args.sender.options(&args.map, &base_name(&args.file))?;
+    send(session, ProducerOptions { kind: args.kind, ..options }, feed, &shown).await
 }
 
-/// Sends the rows of a file, tells what became of them, and waits for nightly updates where they were announced.
+/// Sends the rows of a file, prints the counts, and waits for nightly updates if the options announce them.
 pub(super) async fn send<L: Layout<Row: Sendable>>(
     session: &Session,
     options: ProducerOptions,
     Feed { rows, total_bytes, .. }: Feed<L>,
     shown: &str,
 ) -> anyhow::Result<ExitCode> {
-    let (producer, label) = (options.producer.clone(), options.label.clone());
-    let (map, kind, is_nightly) = (options.map.clone(), options.kind, options.nightly);
     let bar = Bar::bytes(total_bytes);
-    let mut transfer = {
-        let (producer, notices) = opened(session, options, &bar).await?;
-        let told = RefusalReport::new(bar.clone(), "is refused");
-        let kinds = Kinds::new(session.client.clone(), map.clone(), kind);
-        Transfer::new(producer, notices, rows, (told, kinds), bar.clone())
+    let (producer, notices) = open_stream(session, options.clone(), &bar).await?;
+    let report = RefusalReport::new(bar.clone(), "row", "is refused");
+    let kinds = Kinds::new(session.client.clone(), options.map.clone(), options.kind);
+    let mut transfer = RowTransfer::new(producer, notices, rows, (report, kinds), bar.clone());
+    let end = run_transfer(session, &mut transfer, &options, &bar, "rows").await?;
+    let counts = transfer.counts();
+    if !matches!(end, TransferEnd::Differs(_)) {
+        let cells = [counts.read, counts.accepted, counts.duplicate, counts.refused].map(Cell::from).to_vec();
+        session.print(&["read", "accepted", "duplicate", "refused"], [cells])?;
+    }
+    transfer.report.conclude();
+    if let TransferEnd::Stopped(_) = end {
+        let durable = counts.accepted + counts.duplicate + counts.refused;
+        status_line(&format!(
+            "{durable} of the {} rows read are durable; the same command again sends the rest",
+            counts.read
+        ));
+    }
+    let end = match end {
+        TransferEnd::Unreadable(error) => TransferEnd::Unreadable(error.context(shown.to_owned())),
+        end => end,
     };
+    exit_code(end, &transfer.report, &options, shown, "Another file needs")
+}
+
+/// Runs a transfer until it ends or Ctrl-C, then waits for nightly updates if the options announce them.
+pub(super) async fn run_transfer(
+    session: &Session,
+    transfer: &mut impl Transfer,
+    options: &ProducerOptions,
+    bar: &Bar,
+    noun: &str,
+) -> anyhow::Result<TransferEnd> {
     if transfer.sent_before() > 0 {
-        let rows = transfer.sent_before();
+        let (sent, ProducerOptions { producer, label, .. }) = (transfer.sent_before(), options);
         bar.status_line(&format!(
-            "{producer} sent {rows} rows as {label} before; they are compared and not sent again"
+            "{producer} sent {sent} {noun} as {label} before; they are compared and not sent again"
         ));
     }
     let sent = async {
         match transfer.run().await {
-            TransferEnd::Whole if is_nightly => {
-                nights(session, &map, &bar).await.map_or_else(TransferEnd::Nights, |()| TransferEnd::Whole)
-            }
-            ended => ended,
+            TransferEnd::Whole if options.nightly => await_updates(session, &options.map, bar)
+                .await
+                .map_or_else(TransferEnd::Updates, |()| TransferEnd::Whole),
+            end => end,
         }
     };
-    let ended = tokio::select! {
-        ended = sent => ended,
+    let end = tokio::select! {
+        end = sent => end,
         signal = tokio::signal::ctrl_c() => {
             signal.context("signals")?;
             TransferEnd::Interrupted
         }
     };
-    if matches!(ended, TransferEnd::Interrupted) {
-        bar.status_line("interrupted; waiting for what is under way");
+    if matches!(end, TransferEnd::Interrupted) {
+        bar.status_line("interrupted; waiting for observations in flight");
         let _ = tokio::time::timeout(LAST_FLUSH, transfer.flush()).await;
     }
     bar.clear();
-    let counts = transfer.counts();
-    if !matches!(ended, TransferEnd::Differs(_)) {
-        let mut table = session.table(&["read", "accepted", "duplicate", "refused"]);
-        table.row([counts.read, counts.accepted, counts.duplicate, counts.refused].map(Cell::from).to_vec())?;
-        table.finish()?;
-    }
-    transfer.told.conclude();
-    match ended {
-        TransferEnd::Whole if transfer.told.all_well() => Ok(ExitCode::SUCCESS),
+    Ok(end)
+}
+
+/// The exit status of a transfer, or its error.
+pub(super) fn exit_code(
+    end: TransferEnd,
+    report: &RefusalReport,
+    options: &ProducerOptions,
+    shown: &str,
+    others_need: &str,
+) -> anyhow::Result<ExitCode> {
+    match end {
+        TransferEnd::Whole if report.is_clean() => Ok(ExitCode::SUCCESS),
         TransferEnd::Whole => Ok(ExitCode::FAILURE),
         TransferEnd::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
-        TransferEnd::Unreadable(error) => Err(error.context(shown.to_owned())),
-        TransferEnd::Nights(error) => Err(error.context("everything was sent, but the nightly updates failed")),
-        TransferEnd::Stopped(error) => {
-            let durable = counts.accepted + counts.duplicate + counts.refused;
-            status_line(&format!(
-                "{durable} of the {} rows read are durable; the same command again sends the rest",
-                counts.read
-            ));
-            Err(error.into())
-        }
+        TransferEnd::Unreadable(error) => Err(error),
+        TransferEnd::Updates(error) => Err(error.context("everything was sent, but the nightly updates failed")),
+        TransferEnd::Stopped(error) => Err(error.into()),
         TransferEnd::Differs(how) => {
+            let ProducerOptions { producer, label, .. } = options;
             anyhow::bail!(
-                "{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. Another file \
-                           needs another --label"
+                "{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. {others_need} another \
+                 --label"
             )
         }
     }
 }
 
-/// Who sends, from the options of a command; says so where that was not said.
-pub(super) fn usual_options(producer: Option<&str>, label: &str, map: &str) -> anyhow::Result<ProducerOptions> {
-    if let Some(producer) = producer {
-        return Ok(ProducerOptions::new(producer, label, map));
-    }
-    let producer = producer_id::usual()?;
-    status_line(&format!("observing as producer {producer}, label {label}"));
-    Ok(ProducerOptions::new(&producer, label, map))
-}
-
-fn options(args: &ObserveArgs) -> anyhow::Result<ProducerOptions> {
-    let label = args.label.clone().unwrap_or_else(|| base_name(&args.file));
-    let patience = Duration::from_nanos(args.patience.unsigned_abs());
-    let usual = usual_options(args.producer.as_deref(), &label, &args.map)?;
-    Ok(ProducerOptions { nightly: args.nightly, kind: args.kind, patience, ..usual })
-}
-
-/// The usual label of a file.
+/// The default label of a file.
 pub(super) fn base_name(file: &Path) -> String {
     match file.file_name() {
         Some(name) if name != "-" => name.to_string_lossy().into_owned(),
@@ -175,15 +206,15 @@ pub(super) fn base_name(file: &Path) -> String {
     }
 }
 
-/// Opens the stream; says so where that takes a while.
-pub(super) async fn opened(
+/// Opens the stream, and reports on stderr when the daemon cannot be reached.
+pub(super) async fn open_stream(
     session: &Session,
     options: ProducerOptions,
     bar: &Bar,
 ) -> Result<(Producer, JoinHandle<()>), ProducerError> {
     let patience = options.patience;
     let mut producer = Producer::start(&session.client, ProducerOptions { key_patience: KEY_PATIENCE, ..options });
-    let notices = tokio::spawn(say(producer.watch(), bar.clone(), patience));
+    let notices = tokio::spawn(report_outages(producer.watch(), bar.clone(), patience));
     match producer.opened().await {
         Ok(_) => Ok((producer, notices)),
         Err(error) => {
@@ -194,18 +225,18 @@ pub(super) async fn opened(
     }
 }
 
-/// Waits for the updates of the days that the data closed, so that whoever asks next is answered from them.
-pub(super) async fn nights(session: &Session, map: &str, bar: &Bar) -> anyhow::Result<()> {
+/// Waits for the updates of the days that the data closed, so that later predictions come from the updated models.
+async fn await_updates(session: &Session, map: &str, bar: &Bar) -> anyhow::Result<()> {
     bar.clear();
-    // An update is lined up just after the acknowledgement that makes it due: look twice.
+    // The daemon queues an update just after the acknowledgement that makes it due, so one empty list is not enough.
     let mut quiet = 0;
     while quiet < 2 {
         let jobs = session.client.jobs().await?;
-        let night = |job: &&Job| job.map == map && job.cause == JobCause::DataTime && !job.has_ended();
-        // The oldest first: they run one after the other.
-        if let Some(job) = jobs.iter().rev().find(night) {
+        let is_nightly = |job: &&Job| job.map == map && job.cause == JobCause::DataTime && !job.has_ended();
+        // Oldest first: the daemon runs them one after the other.
+        if let Some(job) = jobs.iter().rev().find(is_nightly) {
             quiet = 0;
-            let ended = job::watched(&session.client, job.id).await?;
+            let ended = job::watch(&session.client, job.id).await?;
             anyhow::ensure!(ended.state == JobState::Done, job::failure(&ended));
         } else {
             quiet += 1;
@@ -215,8 +246,8 @@ pub(super) async fn nights(session: &Session, map: &str, bar: &Bar) -> anyhow::R
     Ok(())
 }
 
-/// Says on stderr when the daemon cannot be reached, once per outage, and when it can again.
-async fn say(mut progress: watch::Receiver<Progress>, bar: Bar, patience: Duration) {
+/// Reports on stderr, once per outage, that the daemon cannot be reached, and that the connection is back.
+async fn report_outages(mut progress: watch::Receiver<Progress>, bar: Bar, patience: Duration) {
     let mut waiting = false;
     while progress.changed().await.is_ok() {
         let phase = progress.borrow_and_update().phase.clone();

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use clap::Args;
 use tidemap_client::queries::{ModelSelector, PositionForecast, PositionQuery, PositionsHeader};
 
-use super::{Session, UsageError, times};
+use super::{Session, times, usage};
 use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
@@ -52,7 +52,7 @@ fn region(text: &str) -> Result<Region, String> {
 
 pub async fn run(session: &Session, args: PositionArgs) -> anyhow::Result<ExitCode> {
     if args.resolution.is_some_and(|edge| edge.is_nan() || edge <= 0.0) {
-        return Err(UsageError("--resolution must be above 0".to_owned()).into());
+        return Err(usage("--resolution must be above 0"));
     }
     let query = PositionQuery {
         times: args.at.clone(),

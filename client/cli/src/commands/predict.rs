@@ -8,7 +8,7 @@ use clap::{ArgGroup, Args};
 use tidemap_client::queries::{ModelSelector, ORDER_MAX, PredictionRun};
 use tidemap_model::Dimensions;
 
-use super::{Session, UsageError, times};
+use super::{Session, UsageError, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -53,11 +53,10 @@ const COLUMNS: [&str; 9] =
 
 pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
     if args.order.is_some() && !args.model.kind.has_order() {
-        return Err(UsageError(format!(
+        return Err(usage(format!(
             "--order does not go with --model {}: only auto, spectral and uniform have one",
             args.model
-        ))
-        .into());
+        )));
     }
     if args.states.iter().any(|state| state.starts_with("cell/")) {
         check_for_cells(args.model)?;
@@ -67,7 +66,7 @@ pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCod
         (Some(at), ..) => at,
         (None, Some(path), ..) => times::from_file(&path)?,
         (None, None, Some(from), Some(to), Some(step)) => times::steps(from, to, step)?,
-        _ => return Err(UsageError("say when: --at, --times, or --from with --to and --step".to_owned()).into()),
+        _ => return Err(usage("say when: --at, --times, or --from with --to and --step")),
     };
     let mut predictions = session.client.predict(&args.map, args.states, times, model).with_intervals(args.interval);
     let mut table = session.table(&COLUMNS);

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 
-use super::{Session, UsageError, times};
+use super::{Session, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -26,7 +26,7 @@ pub struct ReconstructArgs {
 pub async fn run(session: &Session, args: &ReconstructArgs) -> anyhow::Result<ExitCode> {
     let ReconstructArgs { map, state, from, to } = args;
     if from >= to {
-        return Err(UsageError("--from must be before --to, which is not included".to_owned()).into());
+        return Err(usage("--from must be before --to, which is not included"));
     }
     let mut observations = session.client.reconstruct(map, state, *from, *to).await?;
     let mut table = session.table(&["time", "value"]);

@@ -12,8 +12,9 @@ use tidemap_client::{
 };
 
 use super::{
-    Session, UsageError, times,
+    Session, times,
     topology_picture::{self, Overlay},
+    usage,
 };
 use crate::progress::status_line;
 use tidemap_formats::table::Cell;
@@ -144,7 +145,7 @@ pub async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode>
         (None, None, Some(from_nanos), Some(to_nanos)) => {
             RouteTime::DepartWithin { from_nanos, to_nanos, step_nanos: args.step }
         }
-        _ => return Err(UsageError("say when: --at, --arrive, or --from with --to".to_owned()).into()),
+        _ => return Err(usage("say when: --at, --arrive, or --from with --to")),
     };
     if let Some(path) = &args.picture {
         topology_picture::check_ending(path)?;

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use clap::Subcommand;
 use tidemap_client::maps::{State, StateKind};
 
-use super::{Session, UsageError};
+use super::{Session, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
@@ -53,7 +53,7 @@ pub async fn run(session: &Session, command: StateCommand) -> anyhow::Result<Exi
             let added = match (kind, dimensions) {
                 (StateKind::Vector, Some(dimensions)) => session.client.add_vector(&map, &state, dimensions).await?,
                 (_, Some(_)) => {
-                    return Err(UsageError(format!("--dimensions goes with --kind vector, not {}", kind.name())).into());
+                    return Err(usage(format!("--dimensions goes with --kind vector, not {}", kind.name())));
                 }
                 (_, None) => session.client.add_state(&map, &state, kind).await?,
             };

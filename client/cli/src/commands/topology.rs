@@ -16,10 +16,11 @@ use tidemap_client::routes::{Edge, EdgeEnds, EdgeFailure, Node, Topology, Topolo
 use tidemap_map::name::EdgeName;
 
 use super::{
-    Session, UsageError,
+    Session,
     point::Point,
     times,
     topology_picture::{self, Overlay},
+    usage,
 };
 use tidemap_formats::{
     table::Cell,
@@ -240,11 +241,7 @@ pub async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<
         TopologyCommand::Load { map, file, add } => {
             let topology = read(&file)?;
             if topology.nodes.is_empty() && !add {
-                return Err(UsageError(format!(
-                    "{}: it holds no nodes: write a line `node NAME` for each",
-                    file.display()
-                ))
-                .into());
+                return Err(usage(format!("{}: it holds no nodes: write a line `node NAME` for each", file.display())));
             }
             session.client.load_topology(&map, &topology, add).await?
         }

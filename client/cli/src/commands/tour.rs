@@ -11,7 +11,7 @@ use tidemap_client::{
     queries::{GridOutput, GridQuery, ModelSelector},
 };
 
-use super::{Session, UsageError, grid, point::Point, predict::check_for_cells, times};
+use super::{Session, grid, point::Point, predict::check_for_cells, times, usage};
 use crate::progress::status_line;
 use tidemap_formats::{table::Cell, tour_svg};
 
@@ -70,7 +70,7 @@ pub async fn run(session: &Session, args: TourArgs) -> anyhow::Result<ExitCode> 
     if let Some(path) = &args.picture
         && path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("svg"))
     {
-        return Err(UsageError(format!("--picture {}: its ending has to be .svg", path.display())).into());
+        return Err(usage(format!("--picture {}: its ending has to be .svg", path.display())));
     }
     let query = TourQuery {
         map: args.map.clone(),

@@ -1,14 +1,18 @@
 //! `tidemap traverse`.
 //!
-//! Invariant: as for `tidemap observe`: a file can be sent any number of times and is learned once. A single report, which
-//! has no file, is sent each time.
+//! Invariant: as for `tidemap observe`, a file can be sent any number of times and is learned once. A single report has
+//! no file and is sent each time.
 
-use std::{path::PathBuf, process::ExitCode, time::Duration};
+use std::{path::PathBuf, process::ExitCode};
 
 use clap::Args;
 use tidemap_client::observe::{ProducerOptions, Traversal};
 
-use super::{Session, UsageError, observe, observe::feed, times};
+use super::{
+    Session,
+    observe::{self, SenderArgs, feed},
+    times, usage,
+};
 use crate::progress::{Bar, status_line};
 use tidemap_formats::{
     observation_file::traversals::{TraversalColumns, parse_success},
@@ -46,30 +50,17 @@ pub struct TraverseArgs {
     /// Why it did not, at most 200 characters
     #[arg(long, value_name = "TEXT", requires = "from")]
     reason: Option<String>,
-    /// Who reports [default: a name for this user and machine, made once and kept]
-    #[arg(long, value_name = "ID")]
-    producer: Option<String>,
-    /// Which of the producer's files this is [default: its base name, or stdin; traverse without a file]
-    #[arg(long, value_name = "LABEL")]
-    label: Option<String>,
-    /// Runs the nightly update whenever the data passes the map's local midnight
-    #[arg(long)]
-    nightly: bool,
-    /// How long to go on trying when the daemon cannot be reached
-    #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = times::duration_or_none)]
-    patience: i64,
+    #[command(flatten)]
+    sender: SenderArgs,
 }
 
 impl TraverseArgs {
     fn options(&self) -> anyhow::Result<ProducerOptions> {
-        let usual = || self.file.as_deref().map_or_else(|| LABEL.to_owned(), observe::base_name);
-        let label = self.label.clone().unwrap_or_else(usual);
-        let patience = Duration::from_nanos(self.patience.unsigned_abs());
-        let usual = observe::usual_options(self.producer.as_deref(), &label, &self.map)?;
-        Ok(ProducerOptions { nightly: self.nightly, patience, ..usual })
+        let default_label = self.file.as_deref().map_or_else(|| LABEL.to_owned(), observe::base_name);
+        self.sender.options(&self.map, &default_label)
     }
 
-    /// The report that the options make. They are all there: the command line sees to that.
+    /// The report from the options. The command line requires all of them.
     fn report(&self) -> Traversal {
         let text = |text: &Option<String>| text.clone().unwrap_or_default();
         Traversal {
@@ -91,10 +82,10 @@ pub async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Result<ExitC
     }
     let report = args.report();
     if let Some(wrong) = report.wrong() {
-        return Err(UsageError(wrong).into());
+        return Err(usage(wrong));
     }
     let bar = Bar::bytes(None);
-    let (mut producer, notices) = observe::opened(session, args.options()?, &bar).await?;
+    let (mut producer, notices) = observe::open_stream(session, args.options()?, &bar).await?;
     producer.send_traversal(&report).await?;
     producer.close().await?;
     notices.abort();

@@ -26,7 +26,7 @@ const COLUMNS: [&str; 7] = ["state", "order_before", "order", "mse_before", "mse
 pub async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCode> {
     let client = &session.client;
     let started = client.run_update(&args.map, args.until).await?;
-    let ended = job::watched(client, started.id).await?;
+    let ended = job::watch(client, started.id).await?;
     if ended.state == JobState::Failed {
         anyhow::bail!(job::failure(&ended));
     }

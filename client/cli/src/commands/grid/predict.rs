@@ -17,7 +17,7 @@ use tidemap_client::{
 
 use super::place::{Rectangle, Stretch, cells};
 use crate::{
-    commands::{Session, UsageError, predict::check_for_cells, times},
+    commands::{Session, UsageError, predict::check_for_cells, times, usage},
     progress::status_line,
 };
 use tidemap_formats::{CELLS_MAX, MapPicture, PictureCell, cells_csv, nav2, ply, png, table::Cell};
@@ -97,16 +97,14 @@ pub async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Result<Exi
     let kind = kind(&args.out)?;
     if args.order.is_some() && !args.model.kind.has_order() {
         let text = format!("--order does not go with --model {}: only auto and spectral have one", args.model);
-        return Err(UsageError(text).into());
+        return Err(usage(text));
     }
     check_for_cells(args.model)?;
     if args.entropy && kind == OutputKind::Csv {
-        return Err(
-            UsageError("a .csv file has the entropy in a column of its own: leave out --entropy".to_owned()).into()
-        );
+        return Err(usage("a .csv file has the entropy in a column of its own: leave out --entropy"));
     }
     if args.pgm_mode.is_some() && kind != OutputKind::Pgm {
-        return Err(UsageError("--pgm-mode goes with --out FILE.pgm only".to_owned()).into());
+        return Err(usage("--pgm-mode goes with --out FILE.pgm only"));
     }
     let query = GridQuery {
         map: args.map.clone(),
@@ -156,7 +154,7 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
     let map = session.client.map(&args.map).await?;
     let Some(grid) = map.grid else { return Ok(None) };
     if grid.is_flat && args.z.is_some() {
-        return Err(UsageError(format!("--z: the grid of map {:?} is flat, it has one layer", args.map)).into());
+        return Err(usage(format!("--z: the grid of map {:?} is flat, it has one layer", args.map)));
     }
     // Where nothing was observed yet the answer is empty, whatever the region.
     let Some(bounds) = map.grid_summary.and_then(|summary| summary.bounds) else { return Ok(None) };

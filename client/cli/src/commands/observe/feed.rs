@@ -1,6 +1,7 @@
-//! Reading a file, or stdin, on a thread of its own, and telling what is wrong with its rows.
+//! Reads the rows of a file, or of stdin, on a thread of its own, and reports invalid rows.
 //!
-//! Invariant: few rows are read ahead, however large the file; a row that arrives on stdin is passed on at once.
+//! Invariant: the memory for rows read ahead is bounded, whatever the size of the file. A row that arrives on stdin is
+//! passed on at once.
 
 use std::{
     fs::File,
@@ -18,17 +19,16 @@ use tidemap_formats::observation_file::{Layout, ObservationColumns, ObservationR
 const BUFFER_BYTES: usize = 256 * 1024;
 const CHUNK_ROWS: usize = 1024;
 const CHUNKS_AHEAD: usize = 4;
-/// Refusals that are told one by one.
-const TOLD_MAX: u64 = 20;
+/// Refusals that are reported one by one.
+const REPORTED_MAX: u64 = 20;
 
 /// Rows that were read together.
 #[derive(Debug)]
 pub struct RowChunk<T = ObservationRow> {
-    /// The rows.
     pub rows: Vec<T>,
     /// Line and text of a last line that was cut off.
     pub torn: Option<(u64, String)>,
-    /// A last line that makes a row, but has no end.
+    /// A last line that is a valid row, but has no line end.
     pub unended: Option<u64>,
     /// Bytes of the file read so far.
     pub bytes: u64,
@@ -43,23 +43,21 @@ impl<T> Default for RowChunk<T> {
 /// A file that is being read.
 #[derive(Debug)]
 pub struct Feed<L: Layout = ObservationColumns> {
-    /// Its rows; an error is the last entry.
+    /// An error is the last entry.
     pub rows: RowChunks<L::Row>,
-    /// Its size, where it has one.
+    /// Size of the file; `None` for pipes.
     pub total_bytes: Option<u64>,
-    /// What its rows are.
     pub layout: L,
 }
 
-/// Where the rows of a file come from.
 pub type RowChunks<T> = mpsc::Receiver<Result<RowChunk<T>, RowError>>;
 
-/// The file as messages name it.
+/// Name of the file for messages.
 pub fn shown(path: &Path) -> String {
     if path.as_os_str() == "-" { "stdin".to_owned() } else { path.display().to_string() }
 }
 
-/// Opens a file, or stdin where it is `-`, and reads its header.
+/// Opens a file, or stdin if the path is `-`, and reads its header.
 pub fn open<L>(path: &Path) -> anyhow::Result<Feed<L>>
 where
     L: Layout<Row: Send> + Copy + Send + 'static,
@@ -124,45 +122,38 @@ fn read<R: Read, L: Layout>(
     }
 }
 
-/// Tells what is wrong with rows: the first ones one by one, of the others the number.
+/// Reports invalid rows or scans: the first ones one by one, then the number of the others.
 #[derive(Debug)]
 pub struct RefusalReport {
     bar: Bar,
     noun: &'static str,
     verb: &'static str,
     wrong: u64,
-    /// Those of them that were told.
-    told: u64,
+    reported: u64,
     torn: bool,
 }
 
 impl RefusalReport {
-    /// Nothing so far. A wrong row "is refused", or whatever the verb is.
-    pub fn new(bar: Bar, verb: &'static str) -> Self {
-        Self::of(bar, "row", verb)
+    /// `noun` and `verb` make the message: a "row" "is refused".
+    pub fn new(bar: Bar, noun: &'static str, verb: &'static str) -> Self {
+        Self { bar, noun, verb, wrong: 0, reported: 0, torn: false }
     }
 
-    /// As [`RefusalReport::new`], of other things than rows.
-    pub fn of(bar: Bar, noun: &'static str, verb: &'static str) -> Self {
-        Self { bar, noun, verb, wrong: 0, told: 0, torn: false }
-    }
-
-    /// A row is wrong.
     pub fn refused(&mut self, number: u64, line: Option<u64>, why: &str) {
         self.wrong += 1;
-        if self.told < TOLD_MAX {
-            self.told += 1;
+        if self.reported < REPORTED_MAX {
+            self.reported += 1;
             let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
             self.bar.status_line(&format!("{} {number}{line} {}: {why}", self.noun, self.verb));
         }
     }
 
-    /// Rows are wrong of which nothing more is known.
-    pub fn refused_untold(&mut self, rows: u64) {
+    /// Counts refused rows whose details are lost.
+    pub fn count_refused(&mut self, rows: u64) {
         self.wrong += rows;
     }
 
-    /// What is to be said of a chunk's last line.
+    /// Reports a last line that has no line end.
     pub fn last_line<T>(&mut self, chunk: &RowChunk<T>) {
         if let Some((line, text)) = &chunk.torn {
             self.torn = true;
@@ -174,15 +165,15 @@ impl RefusalReport {
         }
     }
 
-    /// Whether nothing was wrong.
-    pub fn all_well(&self) -> bool {
+    /// Whether every row was valid.
+    pub fn is_clean(&self) -> bool {
         self.wrong == 0 && !self.torn
     }
 
-    /// Says how many there were beside those that were told.
+    /// Reports the number of refusals that were not reported one by one.
     pub fn conclude(&self) {
-        if self.wrong > self.told {
-            self.bar.status_line(&format!("and {} more {}s like these", self.wrong - self.told, self.noun));
+        if self.wrong > self.reported {
+            self.bar.status_line(&format!("and {} more {}s like these", self.wrong - self.reported, self.noun));
         }
     }
 }

@@ -1,7 +1,7 @@
-//! Sending a file's rows: those that the daemon has are compared, the others sent.
+//! Sends the rows of a file. Rows that the daemon already has are compared, not sent.
 //!
-//! Invariant: nothing is sent before all rows that the daemon has were compared. Each row counts as exactly one of
-//! accepted, duplicate and refused once it is durable.
+//! Invariant: nothing is sent before all rows that the daemon has are compared. Once it is durable, each row counts as
+//! exactly one of accepted, duplicate and refused.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,15 +17,13 @@ use tidemap_formats::observation_file::{
     Layout as _, ObservationColumns, ObservationRow, RowPlace, traversals::TraversalRow,
 };
 
-/// A row of a file that is sent.
+/// A row that can be sent.
 pub trait Sendable {
-    /// Where it stands.
     fn at(&self) -> RowPlace;
-    /// Adds it to the checksum.
+    /// Adds the row to the checksum of the content.
     fn add_to(&self, crc: &mut ContentCrc);
-    /// Sends it.
     fn send(&self, producer: &mut Producer) -> impl Future<Output = Result<u64, ProducerError>>;
-    /// What is wrong with it, as far as can be said here.
+    /// Why the row is invalid, as far as the client can tell.
     fn wrong(&self, kinds: &mut Kinds) -> impl Future<Output = Option<String>>;
 }
 
@@ -76,23 +74,32 @@ fn report(row: &TraversalRow) -> Traversal {
     Traversal { from, to, action, start_nanos, end_nanos, success, reason }
 }
 
+/// Sends a file's rows or scans.
+pub trait Transfer {
+    /// Number of rows or scans that the daemon had at the start.
+    fn sent_before(&self) -> u64;
+    /// Sends everything and waits until it is durable.
+    fn run(&mut self) -> impl Future<Output = TransferEnd>;
+    /// Waits until everything sent so far is durable.
+    fn flush(&mut self) -> impl Future<Output = Result<(), ProducerError>>;
+}
+
 /// How a transfer of rows or scans ended.
 pub enum TransferEnd {
-    /// All was sent.
+    /// Everything is durable.
     Whole,
     /// By Ctrl-C.
     Interrupted,
-    /// The content is not what was sent before; how it differs.
+    /// The content differs from what was sent before; how.
     Differs(String),
     /// A file cannot be read further.
     Unreadable(anyhow::Error),
-    /// The producer ended.
+    /// The producer failed.
     Stopped(ProducerError),
-    /// All was sent, but the nightly updates failed.
-    Nights(anyhow::Error),
+    /// Everything is durable, but the nightly updates failed.
+    Updates(anyhow::Error),
 }
 
-/// What became of the rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct RowCounts {
     pub(super) read: u64,
@@ -101,35 +108,35 @@ pub(super) struct RowCounts {
     pub(super) refused: u64,
 }
 
-pub(super) struct Transfer<T> {
+pub(super) struct RowTransfer<T> {
     producer: Producer,
     changes: watch::Receiver<Progress>,
     notices: JoinHandle<()>,
     rows: RowChunks<T>,
-    pub(super) told: RefusalReport,
+    pub(super) report: RefusalReport,
     kinds: Kinds,
     bar: Bar,
-    /// What the daemon had at the start, with its checksum.
+    /// Number of rows that the daemon had at the start, and their checksum.
     sent_before: u64,
     content_crc: u32,
     crc: ContentCrc,
     read: u64,
     duplicate: u64,
     refused: u64,
-    /// Rows that were found wrong here, until the daemon has confirmed their numbers.
+    /// Numbers of the invalid rows, until the daemon confirms them.
     wrong: BTreeSet<u64>,
-    /// How far the line of a row is ahead of its number, from the row on where that changed: blank lines do not count.
+    /// Line minus number of the rows from a number on: blank lines have no number.
     lines: BTreeMap<u64, u64>,
-    /// Refusals without a place for them that were counted already.
+    /// Dropped refusals that are already counted.
     dropped: u64,
 }
 
-impl<T: Sendable> Transfer<T> {
+impl<T: Sendable> RowTransfer<T> {
     pub(super) fn new(
         producer: Producer,
         notices: JoinHandle<()>,
         rows: RowChunks<T>,
-        (told, kinds): (RefusalReport, Kinds),
+        (report, kinds): (RefusalReport, Kinds),
         bar: Bar,
     ) -> Self {
         let progress = producer.progress();
@@ -138,7 +145,7 @@ impl<T: Sendable> Transfer<T> {
             producer,
             notices,
             rows,
-            told,
+            report,
             kinds,
             bar,
             sent_before: progress.resumed_at,
@@ -153,43 +160,12 @@ impl<T: Sendable> Transfer<T> {
         }
     }
 
-    pub(super) fn sent_before(&self) -> u64 {
-        self.sent_before
-    }
-
-    /// Sends everything and waits until it is durable.
-    pub(super) async fn run(&mut self) -> TransferEnd {
-        loop {
-            let chunk = match self.chunk().await {
-                Ok(Some(chunk)) => chunk,
-                Ok(None) => break,
-                Err(ended) => return ended,
-            };
-            for row in &chunk.rows {
-                if let Err(ended) = self.row(row).await {
-                    self.collect();
-                    return ended;
-                }
-            }
-            self.told.last_line(&chunk);
-            self.bar.set(chunk.bytes);
-            self.collect();
-        }
-        if self.read < self.sent_before {
-            let (read, sent_before) = (self.read, self.sent_before);
-            return TransferEnd::Differs(format!("it has only {read} rows, but {sent_before} were sent before"));
-        }
-        let closed = self.producer.close().await;
-        self.collect();
-        closed.map_or_else(TransferEnd::Stopped, |_| TransferEnd::Whole)
-    }
-
-    /// Waits for rows, and meanwhile for what the daemon has to say: nothing may come on stdin for hours.
+    /// Waits for rows, and handles refusals meanwhile: stdin may be silent for hours.
     async fn chunk(&mut self) -> Result<Option<RowChunk<T>>, TransferEnd> {
         loop {
             tokio::select! {
                 chunk = self.rows.recv() => return chunk.transpose().map_err(|error| TransferEnd::Unreadable(error.into())),
-                // The producer holds the sender: this fails only when there is nothing left to wait for.
+                // The producer holds the sender, so this never fails while the producer lives.
                 Ok(()) = self.changes.changed() => {
                     let phase = self.changes.borrow_and_update().phase.clone();
                     self.collect();
@@ -222,12 +198,12 @@ impl<T: Sendable> Transfer<T> {
         if let Some(wrong) = row.wrong(&mut self.kinds).await {
             self.refused += 1;
             self.wrong.insert(number);
-            self.told.refused(number, Some(line), &wrong);
+            self.report.refused(number, Some(line), &wrong);
         }
         Ok(())
     }
 
-    /// Notes where a row stands, unless that follows from the row before.
+    /// Stores the line of a row, unless it follows from the row before.
     fn follow_line(&mut self, number: u64, line: u64) {
         let ahead = line.saturating_sub(number);
         if self.lines.last_key_value().is_none_or(|(_, known)| *known != ahead) {
@@ -240,38 +216,31 @@ impl<T: Sendable> Transfer<T> {
         self.lines.range(..=number).next_back().map(|(_, ahead)| number + ahead)
     }
 
-    /// Waits until everything sent is durable.
-    pub(super) async fn flush(&mut self) -> Result<(), ProducerError> {
-        let flushed = self.producer.flush().await;
-        self.collect();
-        flushed.map(|_| ())
-    }
-
-    /// Takes the refusals that have arrived. A row that was found wrong here was told already, with a better reason.
+    /// Takes the refusals that have arrived. A row that was found invalid here is already reported, with a better reason.
     fn collect(&mut self) {
-        // Before the refusals: those of everything up to here have arrived then.
+        // Read before the refusals, so that the refusals of all these rows have arrived.
         let progress = self.producer.progress();
         for refusal in self.producer.take_refusals() {
             if !self.wrong.remove(&refusal.sequence) {
                 self.refused += 1;
                 let line = self.line(refusal.sequence);
-                self.told.refused(refusal.sequence, line, &refusal.detail);
+                self.report.refused(refusal.sequence, line, &refusal.detail);
             }
         }
         let later = self.wrong.split_off(&(progress.durable_sequence + 1));
         let confirmed = std::mem::replace(&mut self.wrong, later);
-        // What is left of those confirmed was dropped, or lost with a connection: it must not count twice.
+        // The other confirmed rows were dropped or lost with a connection; they must not count twice.
         let dropped = progress.dropped_refusals.saturating_sub(self.dropped).saturating_sub(confirmed.len() as u64);
         self.dropped = progress.dropped_refusals;
         self.refused += dropped;
-        self.told.refused_untold(dropped);
-        // Of what is durable no refusals come any more.
+        self.report.count_refused(dropped);
+        // No more refusals come for durable rows.
         let known = self.lines.range(..=progress.durable_sequence).next_back().map(|(number, _)| *number);
         self.lines = self.lines.split_off(&known.unwrap_or(0));
     }
 
     pub(super) fn counts(&mut self) -> RowCounts {
-        // Once more: the last wait may have been cut short.
+        // The last wait may have been cut short.
         self.collect();
         let progress = self.producer.progress();
         if progress.unreported > 0 {
@@ -282,13 +251,51 @@ impl<T: Sendable> Transfer<T> {
             ));
         }
         let durable = progress.durable_sequence.saturating_sub(self.sent_before);
-        // Rows that are wrong and not durable yet are not refused yet.
+        // Invalid rows that are not durable yet are not refused yet.
         let refused = self.refused.saturating_sub(self.wrong.len() as u64);
         RowCounts { read: self.read, accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
     }
 }
 
-impl<T> Drop for Transfer<T> {
+impl<T: Sendable> Transfer for RowTransfer<T> {
+    fn sent_before(&self) -> u64 {
+        self.sent_before
+    }
+
+    async fn run(&mut self) -> TransferEnd {
+        loop {
+            let chunk = match self.chunk().await {
+                Ok(Some(chunk)) => chunk,
+                Ok(None) => break,
+                Err(ended) => return ended,
+            };
+            for row in &chunk.rows {
+                if let Err(ended) = self.row(row).await {
+                    self.collect();
+                    return ended;
+                }
+            }
+            self.report.last_line(&chunk);
+            self.bar.set(chunk.bytes);
+            self.collect();
+        }
+        if self.read < self.sent_before {
+            let (read, sent_before) = (self.read, self.sent_before);
+            return TransferEnd::Differs(format!("it has only {read} rows, but {sent_before} were sent before"));
+        }
+        let closed = self.producer.close().await;
+        self.collect();
+        closed.map_or_else(TransferEnd::Stopped, |_| TransferEnd::Whole)
+    }
+
+    async fn flush(&mut self) -> Result<(), ProducerError> {
+        let flushed = self.producer.flush().await;
+        self.collect();
+        flushed.map(|_| ())
+    }
+}
+
+impl<T> Drop for RowTransfer<T> {
     fn drop(&mut self) {
         self.notices.abort();
     }

@@ -18,7 +18,7 @@ use tidemap_proto::v1::{Scan, TileScan, scan::Content};
 use tidemap_sim::{GridOffice, GridOfficeError, GridOfficeOptions, GridScan, GridStream};
 
 use super::GridArgs;
-use crate::{commands::UsageError, progress::Bar};
+use crate::{commands::usage, progress::Bar};
 
 /// Time zone of the office.
 pub(super) const ZONE: &str = "Europe/London";
@@ -41,11 +41,11 @@ pub(super) fn make(args: &GridArgs) -> anyhow::Result<GridOffice> {
     office.map_err(|error| match error {
         GridOfficeError::OutOfRange { option, allowed, given } => {
             let option = option.replace('_', "-");
-            UsageError(format!("--{option} {given}: it has to be {allowed} here")).into()
+            usage(format!("--{option} {given}: it has to be {allowed} here"))
         }
         GridOfficeError::TooQuiet { asked, least } => {
             let text = format!("--changes-per-day {asked}: the routines of this office alone make {least:.1}");
-            UsageError(text).into()
+            usage(text)
         }
         GridOfficeError::Zone(_) => error.into(),
     })

@@ -1,18 +1,20 @@
-//! Sending the scans of files: those that the daemon has are compared, the others sent.
+//! Sends the scans of files. Scans that the daemon already has are compared, not sent.
 //!
-//! Invariant: nothing is sent before all scans that the daemon has were compared. Each scan counts as exactly one of
-//! accepted, duplicate and refused once it is durable.
+//! Invariant: nothing is sent before all scans that the daemon has are compared. Once it is durable, each scan counts as
+//! exactly one of accepted, duplicate and refused.
 
 use tidemap_client::observe::{Phase, Producer, ProducerError, Progress, Replay, tiles::TileError};
 use tokio::{sync::watch, task::JoinHandle};
 
 use super::super::scans::{ScanChunk, ScanChunks, ScanInput};
 use crate::{
-    commands::observe::{feed::RefusalReport, transfer::TransferEnd},
+    commands::observe::{
+        feed::RefusalReport,
+        transfer::{Transfer, TransferEnd},
+    },
     progress::Bar,
 };
 
-/// What became of the scans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ScanCounts {
     pub(super) accepted: u64,
@@ -25,18 +27,18 @@ pub(super) struct ScanTransfer {
     changes: watch::Receiver<Progress>,
     notices: JoinHandle<()>,
     chunks: ScanChunks,
-    pub(super) told: RefusalReport,
+    pub(super) report: RefusalReport,
     bar: Bar,
-    /// What the daemon had at the start, with its checksum.
+    /// Number of scans that the daemon had at the start, and their checksum.
     sent_before: u64,
     content_crc: u32,
-    /// Scans that the daemon has already, until they are through.
+    /// Replays the scans that the daemon already has; `None` once they are compared.
     replay: Option<Replay>,
     read: u64,
     duplicate: u64,
     refused: u64,
-    /// Whether options say what the scans are, and not a file of scans.
-    of_options: bool,
+    /// Whether options of the command describe the scans.
+    from_options: bool,
 }
 
 impl ScanTransfer {
@@ -44,7 +46,7 @@ impl ScanTransfer {
         producer: Producer,
         notices: JoinHandle<()>,
         chunks: ScanChunks,
-        told: RefusalReport,
+        report: RefusalReport,
         bar: Bar,
     ) -> Self {
         let progress = producer.progress();
@@ -53,7 +55,7 @@ impl ScanTransfer {
             producer,
             notices,
             chunks,
-            told,
+            report,
             bar,
             sent_before: progress.resumed_at,
             content_crc: progress.content_crc,
@@ -61,21 +63,16 @@ impl ScanTransfer {
             read: 0,
             duplicate: 0,
             refused: 0,
-            of_options: false,
+            from_options: false,
         }
     }
 
-    pub(super) fn sent_before(&self) -> u64 {
-        self.sent_before
-    }
-
-    /// Sends everything and waits until it is durable.
-    pub(super) async fn run(&mut self) -> TransferEnd {
+    async fn send_all(&mut self) -> TransferEnd {
         loop {
             let ScanChunk { scans, position } = match self.chunk().await {
                 Ok(Some(chunk)) => chunk,
                 Ok(None) => break,
-                Err(ended) => return ended,
+                Err(end) => return end,
             };
             for scan in scans {
                 if let Err(ended) = self.scan(scan).await {
@@ -95,7 +92,7 @@ impl ScanTransfer {
         closed.map_or_else(TransferEnd::Stopped, |_| TransferEnd::Whole)
     }
 
-    /// Waits for scans, and meanwhile for what the daemon has to say.
+    /// Waits for scans, and handles refusals meanwhile.
     async fn chunk(&mut self) -> Result<Option<ScanChunk>, TransferEnd> {
         loop {
             tokio::select! {
@@ -113,7 +110,7 @@ impl ScanTransfer {
 
     async fn scan(&mut self, scan: ScanInput) -> Result<(), TransferEnd> {
         let number = self.read + 1;
-        self.of_options = matches!(scan, ScanInput::Masks { .. });
+        self.from_options = matches!(scan, ScanInput::Masks { .. });
         let senseless =
             |error: TileError| TransferEnd::Unreadable(anyhow::anyhow!("scan {number} makes no sense: {error}"));
         if let Some(replay) = &mut self.replay {
@@ -138,7 +135,7 @@ impl ScanTransfer {
         Ok(())
     }
 
-    /// All scans that the daemon has were followed: are they the same, and what did they show?
+    /// Compares the checksum of the replayed scans, and continues from their tiles.
     async fn compared(&mut self) -> Result<(), TransferEnd> {
         let Some(replay) = self.replay.take() else { return Ok(()) };
         if replay.content_crc() != self.content_crc {
@@ -150,24 +147,16 @@ impl ScanTransfer {
         self.producer.go_on_from(replay.into_tiles()).await.map_err(TransferEnd::Stopped)
     }
 
-    /// Waits until everything sent is durable.
-    pub(super) async fn flush(&mut self) -> Result<(), ProducerError> {
-        let flushed = self.producer.flush().await;
-        self.collect();
-        flushed.map(|_| ())
-    }
-
-    /// Takes the refusals that have arrived.
     fn collect(&mut self) {
         for refusal in self.producer.take_refusals() {
             self.refused += 1;
-            let why = if self.of_options { in_options(&refusal.detail) } else { refusal.detail };
-            self.told.refused(refusal.sequence, None, &why);
+            let why = if self.from_options { in_options(&refusal.detail) } else { refusal.detail };
+            self.report.refused(refusal.sequence, None, &why);
         }
     }
 
     pub(super) fn counts(&mut self) -> ScanCounts {
-        // Once more: the last wait may have been cut short.
+        // The last wait may have been cut short.
         self.collect();
         let progress = self.producer.progress();
         if progress.unreported > 0 {
@@ -177,15 +166,37 @@ impl ScanTransfer {
             ));
         }
         let durable = progress.durable_sequence.saturating_sub(self.sent_before);
-        self.told.refused_untold(progress.dropped_refusals);
+        self.report.count_refused(progress.dropped_refusals);
         let refused = self.refused + progress.dropped_refusals;
         ScanCounts { accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
     }
 }
 
-/// What the daemon says of fields of the wire, said of the options that they come from.
+/// The daemon's message with the names of options in place of fields of the wire.
 fn in_options(detail: &str) -> String {
     detail.replace("min_range_m", "--min-range").replace("max_range_m", "--max-range")
+}
+
+impl Transfer for ScanTransfer {
+    fn sent_before(&self) -> u64 {
+        self.sent_before
+    }
+
+    async fn run(&mut self) -> TransferEnd {
+        match self.send_all().await {
+            // The scans before the error count.
+            TransferEnd::Unreadable(error) => {
+                self.flush().await.map_or_else(TransferEnd::Stopped, |()| TransferEnd::Unreadable(error))
+            }
+            end => end,
+        }
+    }
+
+    async fn flush(&mut self) -> Result<(), ProducerError> {
+        let flushed = self.producer.flush().await;
+        self.collect();
+        flushed.map(|_| ())
+    }
 }
 
 impl Drop for ScanTransfer {

@@ -13,7 +13,7 @@ use anyhow::Context as _;
 use tidemap_client::observe::scan::Pose;
 
 use super::plane_files;
-use crate::commands::UsageError;
+use crate::commands::{UsageError, usage};
 use tidemap_formats::pcd;
 
 /// Within so many bytes the header of a point cloud ends.
@@ -53,12 +53,12 @@ pub(in crate::commands::grid) fn plan(files: &[PathBuf], given: &ScanOptions) ->
     let kinds = files.iter().map(|file| kind(file)).collect::<Result<Vec<FileKind>, UsageError>>()?;
     if kinds.contains(&FileKind::Scans) {
         let [file] = files else {
-            return Err(UsageError("a .tms file is sent by itself: one a command".to_owned()).into());
+            return Err(usage("a .tms file is sent by itself: one a command"));
         };
         if given.at_nanos.is_some() || given.every_nanos.is_some() || given.has_sensor() {
             let text = "a .tms file has its own times, poses and ranges: leave out --at, --every, --pose, --min-range \
                         and --max-range";
-            return Err(UsageError(text.to_owned()).into());
+            return Err(usage(text));
         }
         return Ok(ScanPlan::Scans(file.clone()));
     }
@@ -110,15 +110,12 @@ fn times(given: &ScanOptions, files: usize) -> anyhow::Result<Vec<i64>> {
         Some(every) => every,
         None if files == 1 => 0,
         None => {
-            return Err(UsageError(format!(
-                "{files} files are as many scans: say how far apart they are, with --every"
-            ))
-            .into());
+            return Err(usage(format!("{files} files are as many scans: say how far apart they are, with --every")));
         }
     };
     let time = |index: i64| every.checked_mul(index).and_then(|after| at.checked_add(after));
     let times = (0..).take(files).map(time).collect::<Option<Vec<i64>>>();
-    times.ok_or_else(|| UsageError("--at and --every lead beyond the year 2262".to_owned()).into())
+    times.ok_or_else(|| usage("--at and --every lead beyond the year 2262"))
 }
 
 /// Whether a file is there, and what is said of the sensor goes with it.
@@ -126,7 +123,7 @@ fn check(file: &Path, kind: FileKind, given: &ScanOptions) -> anyhow::Result<()>
     let shown = || file.display().to_string();
     if matches!(kind, FileKind::OctoMap | FileKind::Plane) && given.has_sensor() {
         let text = "it is a map and not a scan of a sensor: leave out --pose, --min-range and --max-range";
-        return Err(UsageError(format!("{}: {text}", file.display())).into());
+        return Err(usage(format!("{}: {text}", file.display())));
     }
     let open = File::open(file).with_context(shown)?;
     let has_pose = match kind {
@@ -148,7 +145,7 @@ fn check(file: &Path, kind: FileKind, given: &ScanOptions) -> anyhow::Result<()>
         return Ok(());
     }
     let text = "the file does not say where the sensor was: say it with --pose";
-    Err(UsageError(format!("{}: {text}", file.display())).into())
+    Err(usage(format!("{}: {text}", file.display())))
 }
 
 #[cfg(test)]
