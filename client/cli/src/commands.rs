@@ -7,6 +7,7 @@ mod bench;
 mod day;
 mod evaluate;
 mod experiment;
+mod files;
 mod grid;
 mod info;
 mod job;

@@ -4,6 +4,7 @@
 //! the disk's own speed beside each figure, without which figures of two machines cannot be compared.
 
 mod grid;
+mod latencies;
 mod latency;
 mod load;
 mod machine;

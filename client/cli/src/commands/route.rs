@@ -2,9 +2,8 @@
 //!
 //! Invariant: rows come by route from the best, then by step; how sure it is that none is better goes to stderr.
 
-use std::{fs, path::PathBuf, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode};
 
-use anyhow::Context as _;
 use clap::{ArgGroup, Args, ValueEnum};
 use tidemap_client::{
     queries::ModelSelector,
@@ -12,7 +11,7 @@ use tidemap_client::{
 };
 
 use super::{
-    Session, times,
+    Session, files, times,
     topology_picture::{self, Overlay},
     usage,
 };
@@ -147,9 +146,7 @@ pub async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode>
         }
         _ => return Err(usage("say when: --at, --arrive, or --from with --to")),
     };
-    if let Some(path) = &args.picture {
-        topology_picture::check_ending(path)?;
-    }
+    files::check_picture(args.picture.as_deref())?;
     let query = RouteQuery {
         objective: match args.objective {
             ObjectiveArg::Success => RouteObjective::Success,
@@ -204,7 +201,7 @@ pub async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode>
         let picture =
             topology_picture::draw(session, &args.map, best.departure_nanos, args.model, args.speed, "", overlay)
                 .await?;
-        fs::write(path, picture).with_context(|| path.display().to_string())?;
+        files::write(path, picture)?;
     }
     Ok(ExitCode::SUCCESS)
 }

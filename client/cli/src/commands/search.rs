@@ -2,9 +2,8 @@
 //!
 //! Invariant: rows come in the order of looking; what is not looked at, and why, goes to stderr.
 
-use std::{fs, path::PathBuf, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode};
 
-use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use tidemap_client::{
     queries::ModelSelector,
@@ -12,7 +11,7 @@ use tidemap_client::{
 };
 
 use super::{
-    Session, times,
+    Session, files, times,
     topology_picture::{self, Overlay},
 };
 use crate::progress::status_line;
@@ -82,9 +81,7 @@ enum EffortArg {
 const COLUMNS: [&str; 5] = ["step", "node", "arrival_secs", "probability", "expected_secs"];
 
 pub async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode> {
-    if let Some(path) = &args.picture {
-        topology_picture::check_ending(path)?;
-    }
+    files::check_picture(args.picture.as_deref())?;
     let query = SearchQuery {
         map: args.map.clone(),
         start: args.start,
@@ -124,7 +121,7 @@ pub async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode
         let overlay = Overlay { way, numbered: search.steps.iter().map(|step| step.node.clone()).collect() };
         let drawn =
             topology_picture::draw(session, &args.map, args.at, args.model, args.speed, &args.object, overlay).await?;
-        fs::write(path, drawn).with_context(|| path.display().to_string())?;
+        files::write(path, drawn)?;
     }
     Ok(ExitCode::SUCCESS)
 }

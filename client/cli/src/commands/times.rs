@@ -2,17 +2,13 @@
 //!
 //! Invariant: `now` is read from the clock once, when the command line is.
 
-use std::{
-    fs,
-    io::{self, Read as _},
-    path::Path,
-};
+use std::path::Path;
 
 use anyhow::Context as _;
 use tidemap_client::clock;
 use tidemap_map::time::{InvalidDuration, InvalidTime, parse_duration, parse_time};
 
-use super::UsageError;
+use super::{UsageError, files};
 
 /// Most times of one `--from --to --step`.
 const STEPS_MAX: i64 = 10_000_000;
@@ -50,13 +46,7 @@ pub fn steps(from: i64, to: i64, step: i64) -> Result<Vec<i64>, UsageError> {
 
 /// The times of a file, one a line, or of its column `time` where it has a header; `-` is stdin.
 pub fn from_file(path: &Path) -> anyhow::Result<Vec<i64>> {
-    let mut text = String::new();
-    if path.as_os_str() == "-" {
-        io::stdin().lock().read_to_string(&mut text).context("stdin")?;
-    } else {
-        text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
-    }
-    from_text(&text).with_context(|| path.display().to_string())
+    from_text(&files::read_text(path)?).with_context(|| path.display().to_string())
 }
 
 fn from_text(text: &str) -> anyhow::Result<Vec<i64>> {

@@ -3,8 +3,7 @@
 //! Invariant: a file is loaded whole or not at all; what was changed is durable.
 
 use std::{
-    fs,
-    io::{self, Read as _},
+    io,
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -16,7 +15,7 @@ use tidemap_client::routes::{Edge, EdgeEnds, EdgeFailure, Node, Topology, Topolo
 use tidemap_map::name::EdgeName;
 
 use super::{
-    Session,
+    Session, files,
     point::Point,
     times,
     topology_picture::{self, Overlay},
@@ -214,14 +213,8 @@ fn edge_of(text: &str) -> Result<EdgeEnds, String> {
 
 /// Reads a file, by its ending.
 fn read(path: &Path) -> anyhow::Result<Topology> {
-    let mut text = String::new();
-    if path.as_os_str() == "-" {
-        io::stdin().lock().read_to_string(&mut text).context("stdin")?;
-    } else {
-        text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
-    }
-    let is_yaml =
-        path.extension().is_some_and(|ending| ["yaml", "yml"].iter().any(|yaml| ending.eq_ignore_ascii_case(yaml)));
+    let text = files::read_text(path)?;
+    let is_yaml = matches!(files::ending(path).as_deref(), Some("yaml" | "yml"));
     let topology = if is_yaml { read_yaml(&text) } else { read_lines(&text) };
     Ok(from_file(topology.with_context(|| path.display().to_string())?))
 }
@@ -274,9 +267,7 @@ pub async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<
 
 async fn predict(session: &Session, args: EdgeForecastArgs) -> anyhow::Result<ExitCode> {
     let EdgeForecastArgs { map, at, model, speed, picture, object } = args;
-    if let Some(path) = &picture {
-        topology_picture::check_ending(path)?;
-    }
+    files::check_picture(picture.as_deref())?;
     let columns = ["from", "to", "action", "probability", "lower", "upper", "duration_secs", "reports"];
     let mut table = session.table(&columns);
     for edge in session.client.predict_edges(&map, at, model, speed).await? {
@@ -294,7 +285,7 @@ async fn predict(session: &Session, args: EdgeForecastArgs) -> anyhow::Result<Ex
     table.finish()?;
     if let Some(path) = &picture {
         let drawn = topology_picture::draw(session, &map, at, model, speed, &object, Overlay::default()).await?;
-        fs::write(path, drawn).with_context(|| path.display().to_string())?;
+        files::write(path, drawn)?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -2,7 +2,7 @@
 //!
 //! Invariant: what was never observed is grey; a map that nobody was ever looked for in is drawn all the same.
 
-use std::{collections::HashMap, path::Path};
+use std::collections::HashMap;
 
 use tidemap_client::{
     queries::ModelSelector,
@@ -11,7 +11,7 @@ use tidemap_client::{
 use tidemap_map::time::format_rfc3339;
 use tonic::Code;
 
-use super::{Session, UsageError};
+use super::Session;
 use tidemap_formats::topology_svg::{self, DrawnEdge, DrawnNode, TopologyPicture};
 
 /// What is drawn over the map.
@@ -21,14 +21,6 @@ pub struct Overlay {
     pub way: Vec<(String, String, Option<String>)>,
     /// Nodes in their order.
     pub numbered: Vec<String>,
-}
-
-/// Refuses a file that would not be what its name says.
-pub fn check_ending(path: &Path) -> Result<(), UsageError> {
-    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("svg")) {
-        return Ok(());
-    }
-    Err(UsageError(format!("--picture {}: its ending has to be .svg", path.display())))
 }
 
 /// The map at a time.

@@ -2,16 +2,15 @@
 //!
 //! Invariant: goals come in driving order; a tour without goals says why.
 
-use std::{fs, path::PathBuf, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode};
 
-use anyhow::Context as _;
 use clap::Args;
 use tidemap_client::{
     exploration::{Sensor, Tour, TourQuery},
     queries::{GridOutput, GridQuery, ModelSelector},
 };
 
-use super::{Session, grid, point::Point, predict::check_for_cells, times, usage};
+use super::{Session, files, grid, point::Point, predict::check_for_cells, times};
 use crate::progress::status_line;
 use tidemap_formats::{table::Cell, tour_svg};
 
@@ -67,11 +66,7 @@ const COLUMNS: [&str; 6] = ["step", "x", "y", "information_bits", "reachability"
 
 pub async fn run(session: &Session, args: TourArgs) -> anyhow::Result<ExitCode> {
     check_for_cells(args.model)?;
-    if let Some(path) = &args.picture
-        && path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("svg"))
-    {
-        return Err(usage(format!("--picture {}: its ending has to be .svg", path.display())));
-    }
+    files::check_picture(args.picture.as_deref())?;
     let query = TourQuery {
         map: args.map.clone(),
         time_nanos: args.at,
@@ -90,7 +85,7 @@ pub async fn run(session: &Session, args: TourArgs) -> anyhow::Result<ExitCode> 
     let tour = session.client.plan_tour(&query).await?;
     if let Some(path) = &args.picture {
         let svg = draw(session, &query, &tour).await?;
-        fs::write(path, svg).with_context(|| path.display().to_string())?;
+        files::write(path, svg)?;
     }
     if tour.steps.is_empty() {
         status_line(&format!("no tour: {}", tour.reason));

@@ -9,16 +9,14 @@ use std::{
 };
 
 use clap::Args;
-use hdrhistogram::Histogram;
 use tidemap_client::{
     Client, clock,
     observe::{Phase, Producer, ProducerOptions},
 };
 use tokio::task::JoinSet;
 
-use super::{DaemonProcess, Figures, machine::CpuTimes};
+use super::{DaemonProcess, Figures, latencies::Latencies, machine::CpuTimes};
 use crate::progress::status_line;
-use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
 pub struct LatencyArgs {
@@ -34,10 +32,6 @@ pub struct LatencyArgs {
     #[command(flatten)]
     process: DaemonProcess,
 }
-
-/// Longest latency that is told apart, in microseconds.
-const LATENCY_MAX_MICROS: u64 = 600_000_000;
-const DIGITS: u8 = 3;
 
 pub(super) async fn run(client: &Client, map: &str, args: &LatencyArgs) -> anyhow::Result<Figures> {
     status_line(&format!("{} observations a second on {} streams for {} s", args.rate, args.streams, args.secs));
@@ -57,24 +51,22 @@ pub(super) async fn run(client: &Client, map: &str, args: &LatencyArgs) -> anyho
             timed(producer, format!("door-{stream}"), first, end, period)
         })
         .collect();
-    let mut latencies = Histogram::<u64>::new_with_max(LATENCY_MAX_MICROS, DIGITS)?;
+    let mut latencies = Latencies::new()?;
     while let Some(stream) = running.join_next().await {
         latencies.add(stream??)?;
     }
     let elapsed = began.elapsed();
     let after = CpuTimes::now(args.process);
-    let millis = |micros: u64| Cell::from(micros as f64 / 1e3);
-    Ok(vec![
+    let mut figures = vec![
         ("streams", args.streams.into()),
         ("rate", args.rate.into()),
-        ("observations", latencies.len().into()),
-        ("observations_per_sec", (latencies.len() as f64 / elapsed.as_secs_f64()).round().into()),
-        ("p50_ms", millis(latencies.value_at_quantile(0.5))),
-        ("p99_ms", millis(latencies.value_at_quantile(0.99))),
-        ("max_ms", millis(latencies.max())),
-        ("feeder_cpu_secs", after.feeder_since(before)),
-        ("daemon_cpu_secs", after.daemon_since(before)),
-    ])
+        ("observations", latencies.count().into()),
+        ("observations_per_sec", (latencies.count() as f64 / elapsed.as_secs_f64()).round().into()),
+    ];
+    figures.extend(latencies.figures(["p50_ms", "p99_ms", "max_ms"]));
+    figures.push(("feeder_cpu_secs", after.feeder_since(before)));
+    figures.push(("daemon_cpu_secs", after.daemon_since(before)));
+    Ok(figures)
 }
 
 /// Sends an observation each period and times the acknowledgements, in microseconds.
@@ -84,8 +76,8 @@ async fn timed(
     first: Instant,
     end: Instant,
     period: Duration,
-) -> anyhow::Result<Histogram<u64>> {
-    let mut latencies = Histogram::<u64>::new_with_max(LATENCY_MAX_MICROS, DIGITS)?;
+) -> anyhow::Result<Latencies> {
+    let mut latencies = Latencies::new()?;
     let mut progress = producer.watch();
     let mut under_way: VecDeque<(u64, Instant)> = VecDeque::new();
     let mut due = first;
@@ -107,8 +99,7 @@ async fn timed(
                     progress.durable_sequence
                 };
                 while let Some((_, due)) = under_way.pop_front_if(|(sequence, _)| *sequence <= durable) {
-                    let micros = u64::try_from(due.elapsed().as_micros()).unwrap_or(u64::MAX);
-                    latencies.record(micros.clamp(1, LATENCY_MAX_MICROS))?;
+                    latencies.record(due.elapsed())?;
                 }
             }
         }

@@ -3,14 +3,10 @@
 //! Invariant: the nodes were observed for weeks with a rhythm, and every request asks for another minute, so that no answer is
 //! one that was given before.
 
-use std::{
-    path::PathBuf,
-    time::{Duration, Instant},
-};
+use std::{path::PathBuf, time::Instant};
 
 use anyhow::Context as _;
 use clap::Args;
-use hdrhistogram::Histogram;
 use tidemap_client::{
     Client,
     observe::columns::Entry,
@@ -22,12 +18,16 @@ use tokio::task::JoinSet;
 
 use super::{
     DaemonProcess, Figures,
+    latencies::Latencies,
     load::{Load, scrambled},
     machine::CpuTimes,
     updated,
 };
-use crate::{commands::topology::from_file, progress::status_line};
-use tidemap_formats::{table::Cell, topology::read_lines};
+use crate::{
+    commands::{files, topology::from_file},
+    progress::status_line,
+};
+use tidemap_formats::topology::read_lines;
 
 #[derive(Debug, Args)]
 pub struct SearchBenchArgs {
@@ -59,14 +59,11 @@ const MINUTE_NANOS: i64 = 60 * NANOS_PER_SEC;
 /// Every ten minutes for four weeks.
 const READINGS: u64 = 4 * 7 * 144;
 const READING_NANOS: i64 = 10 * MINUTE_NANOS;
-/// Longest answer that is told apart, in microseconds.
-const ANSWER_MAX_MICROS: u64 = 600_000_000;
-const DIGITS: u8 = 3;
 
 pub(super) async fn run(client: &Client, map: &str, args: &SearchBenchArgs) -> anyhow::Result<Figures> {
     let shape = match &args.topology {
         Some(path) => {
-            let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            let text = files::read_text(path)?;
             from_file(read_lines(&text).with_context(|| path.display().to_string())?)
         }
         None => tree(args.nodes),
@@ -108,36 +105,33 @@ pub(super) async fn run(client: &Client, map: &str, args: &SearchBenchArgs) -> a
         let queries: Vec<SearchQuery> = (first..args.requests).step_by(args.concurrent as usize).map(query).collect();
         running.spawn(asked(client.clone(), queries));
     }
-    let mut answers = Histogram::<u64>::new_with_max(ANSWER_MAX_MICROS, DIGITS)?;
+    let mut answers = Latencies::new()?;
     while let Some(one) = running.join_next().await {
         answers.add(one??)?;
     }
     let elapsed = began.elapsed();
     let after = CpuTimes::now(args.process);
-    let millis = |micros: u64| Cell::from(micros as f64 / 1e3);
-    Ok(vec![
+    let mut figures = vec![
         ("nodes", states.into()),
         ("concurrent", args.concurrent.into()),
-        ("searches", answers.len().into()),
-        ("searches_per_sec", (answers.len() as f64 / elapsed.as_secs_f64()).round().into()),
-        ("p50_ms", millis(answers.value_at_quantile(0.5))),
-        ("p99_ms", millis(answers.value_at_quantile(0.99))),
-        ("max_ms", millis(answers.max())),
-        ("client_cpu_secs", after.feeder_since(before)),
-        ("daemon_cpu_secs", after.daemon_since(before)),
-    ])
+        ("searches", answers.count().into()),
+        ("searches_per_sec", (answers.count() as f64 / elapsed.as_secs_f64()).round().into()),
+    ];
+    figures.extend(answers.figures(["p50_ms", "p99_ms", "max_ms"]));
+    figures.push(("client_cpu_secs", after.feeder_since(before)));
+    figures.push(("daemon_cpu_secs", after.daemon_since(before)));
+    Ok(figures)
 }
 
 /// Asks one after another, and times each answer in microseconds.
-async fn asked(client: Client, queries: Vec<SearchQuery>) -> anyhow::Result<Histogram<u64>> {
-    let mut answers = Histogram::<u64>::new_with_max(ANSWER_MAX_MICROS, DIGITS)?;
+async fn asked(client: Client, queries: Vec<SearchQuery>) -> anyhow::Result<Latencies> {
+    let mut answers = Latencies::new()?;
     for query in queries {
         let began = Instant::now();
         let search = client.plan_search(query).await?;
-        let took: Duration = began.elapsed();
+        let took = began.elapsed();
         anyhow::ensure!(!search.steps.is_empty(), "a search came without steps");
-        let micros = u64::try_from(took.as_micros()).unwrap_or(u64::MAX);
-        answers.record(micros.clamp(1, ANSWER_MAX_MICROS))?;
+        answers.record(took)?;
     }
     Ok(answers)
 }

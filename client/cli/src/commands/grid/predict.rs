@@ -3,12 +3,10 @@
 //! Invariant: a file is written whole or not at all; unknown cells stay unknown.
 
 use std::{
-    fs,
     path::{Path, PathBuf},
     process::ExitCode,
 };
 
-use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use tidemap_client::{
     maps::{CellBox, Map},
@@ -17,7 +15,7 @@ use tidemap_client::{
 
 use super::place::{Rectangle, Stretch, cells};
 use crate::{
-    commands::{Session, UsageError, predict::check_for_cells, times, usage},
+    commands::{Session, UsageError, files, predict::check_for_cells, times, usage},
     progress::status_line,
 };
 use tidemap_formats::{CELLS_MAX, MapPicture, PictureCell, cells_csv, nav2, ply, png, table::Cell};
@@ -83,8 +81,7 @@ enum OutputKind {
 }
 
 fn kind(path: &Path) -> Result<OutputKind, UsageError> {
-    let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
-    match ending.as_deref() {
+    match files::ending(path).as_deref() {
         Some("pgm") => Ok(OutputKind::Pgm),
         Some("png") => Ok(OutputKind::Png),
         Some("csv") => Ok(OutputKind::Csv),
@@ -213,11 +210,10 @@ pub fn picture(predicted: &PredictedGrid) -> MapPicture {
 
 fn write(kind: OutputKind, picture: &MapPicture, args: &GridPredictArgs) -> anyhow::Result<()> {
     let out = &args.out;
-    let save = |path: &Path, bytes: &[u8]| fs::write(path, bytes).with_context(|| path.display().to_string());
     match kind {
-        OutputKind::Png => save(out, &png::write(picture)?),
-        OutputKind::Csv => save(out, cells_csv::write(picture)?.as_bytes()),
-        OutputKind::Ply => save(out, &ply::write(picture)?),
+        OutputKind::Png => files::write(out, png::write(picture)?),
+        OutputKind::Csv => files::write(out, cells_csv::write(picture)?),
+        OutputKind::Ply => files::write(out, ply::write(picture)?),
         OutputKind::Pgm => {
             let mode = match (args.pgm_mode, args.entropy) {
                 (Some(PgmMode::Raw), _) | (None, true) => nav2::GridMode::Raw,
@@ -225,9 +221,9 @@ fn write(kind: OutputKind, picture: &MapPicture, args: &GridPredictArgs) -> anyh
                 (Some(PgmMode::Trinary), _) | (None, false) => nav2::GridMode::Trinary,
             };
             let name = out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-            let files = nav2::write(picture, &name, mode, nav2::Thresholds::default())?;
-            save(out, &files.image)?;
-            save(&out.with_extension("yaml"), files.yaml.as_bytes())
+            let map = nav2::write(picture, &name, mode, nav2::Thresholds::default())?;
+            files::write(out, &map.image)?;
+            files::write(&out.with_extension("yaml"), &map.yaml)
         }
     }
 }

@@ -13,7 +13,7 @@ use anyhow::Context as _;
 use tidemap_client::observe::scan::Pose;
 
 use super::plane_files;
-use crate::commands::{UsageError, usage};
+use crate::commands::{UsageError, files, usage};
 use tidemap_formats::pcd;
 
 /// Within so many bytes the header of a point cloud ends.
@@ -89,8 +89,7 @@ impl ScanOptions {
 }
 
 fn kind(path: &Path) -> Result<FileKind, UsageError> {
-    let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
-    match ending.as_deref() {
+    match files::ending(path).as_deref() {
         Some("tms") => Ok(FileKind::Scans),
         Some("pcd") => Ok(FileKind::Pcd),
         Some("ply") => Ok(FileKind::Ply),
