@@ -24,10 +24,10 @@ use sync_stats::SyncTimes;
 /// Most bytes of frames that wait; more make their appenders wait.
 const QUEUE_BYTES_MAX: usize = 32 << 20;
 /// Most records that wait.
-const QUEUE_JOBS_MAX: usize = 65_536;
+const QUEUE_RECORDS_MAX: usize = 65_536;
 
 /// One record to append.
-pub(crate) struct Job {
+pub(crate) struct Append {
     pub(crate) log: Arc<Log>,
     pub(crate) epoch: u64,
     pub(crate) event: EncodedEvent,
@@ -36,7 +36,7 @@ pub(crate) struct Job {
 
 #[derive(Default)]
 struct Queue {
-    jobs: Vec<Job>,
+    appends: Vec<Append>,
     bytes: usize,
     is_closed: bool,
 }
@@ -53,7 +53,7 @@ pub(crate) struct Committer {
     poison: OnceLock<AppendError>,
 }
 
-/// The jobs of one log in one round.
+/// The appends of one log in one round.
 struct Group {
     log: Arc<Log>,
     events: Vec<EncodedEvent>,
@@ -75,12 +75,12 @@ impl Committer {
     }
 
     /// Queues a record; waits while the queue is full.
-    pub(crate) fn push(&self, job: Job) -> Result<(), AppendError> {
-        let bytes = job.event.frame_length();
+    pub(crate) fn push(&self, append: Append) -> Result<(), AppendError> {
+        let bytes = append.event.frame_length();
         let mut queue = self.queue();
         // One record always has room, however long it is.
         while !queue.is_closed
-            && (queue.jobs.len() >= QUEUE_JOBS_MAX || (queue.bytes > 0 && queue.bytes + bytes > QUEUE_BYTES_MAX))
+            && (queue.appends.len() >= QUEUE_RECORDS_MAX || (queue.bytes > 0 && queue.bytes + bytes > QUEUE_BYTES_MAX))
         {
             queue = self.has_room.wait(queue).unwrap_or_else(PoisonError::into_inner);
         }
@@ -88,7 +88,7 @@ impl Committer {
             return Err(AppendError::Closed);
         }
         queue.bytes += bytes;
-        queue.jobs.push(job);
+        queue.appends.push(append);
         drop(queue);
         self.has_work.notify_one();
         Ok(())
@@ -102,9 +102,9 @@ impl Committer {
     }
 
     /// Waits for work; `None` when closed and empty.
-    fn take(&self) -> Option<Vec<Job>> {
+    fn take(&self) -> Option<Vec<Append>> {
         let mut queue = self.queue();
-        while queue.jobs.is_empty() {
+        while queue.appends.is_empty() {
             if queue.is_closed {
                 return None;
             }
@@ -113,10 +113,10 @@ impl Committer {
         Some(self.take_queued(&mut queue))
     }
 
-    fn take_queued(&self, queue: &mut Queue) -> Vec<Job> {
+    fn take_queued(&self, queue: &mut Queue) -> Vec<Append> {
         queue.bytes = 0;
         self.has_room.notify_all();
-        mem::take(&mut queue.jobs)
+        mem::take(&mut queue.appends)
     }
 
     /// The committer's thread.
@@ -129,30 +129,30 @@ impl Committer {
             }
         }
         let _close = CloseAtEnd(self);
-        while let Some(jobs) = self.take() {
-            self.commit(jobs);
+        while let Some(appends) = self.take() {
+            self.commit(appends);
         }
     }
 
     /// Takes what is queued, to commit it by hand.
     #[cfg(test)]
-    pub(crate) fn take_now(&self) -> Vec<Job> {
+    pub(crate) fn take_now(&self) -> Vec<Append> {
         self.take_queued(&mut self.queue())
     }
 
     /// One round.
-    pub(crate) fn commit(&self, jobs: Vec<Job>) {
+    pub(crate) fn commit(&self, appends: Vec<Append>) {
         let mut groups: BTreeMap<u32, Group> = BTreeMap::new();
-        for job in jobs {
-            let error = if job.log.has_failed(job.epoch) { Some(AppendError::AfterFailure) } else { None };
+        for append in appends {
+            let error = if append.log.has_failed(append.epoch) { Some(AppendError::AfterFailure) } else { None };
             if let Some(error) = self.poison().or(error) {
-                (job.done)(Err(error));
+                (append.done)(Err(error));
                 continue;
             }
-            let new_group = || Group { log: Arc::clone(&job.log), events: Vec::new(), dones: Vec::new() };
-            let group = groups.entry(job.log.map).or_insert_with(new_group);
-            group.events.push(job.event);
-            group.dones.push(job.done);
+            let new_group = || Group { log: Arc::clone(&append.log), events: Vec::new(), dones: Vec::new() };
+            let group = groups.entry(append.log.map).or_insert_with(new_group);
+            group.events.push(append.event);
+            group.dones.push(append.done);
         }
         // All writes before the first fdatasync, so that the kernel can begin with the others meanwhile.
         let written: Vec<Group> = groups.into_values().filter_map(|group| self.write(group)).collect();

@@ -26,14 +26,14 @@ use crate::{
 
 mod days;
 mod file;
-mod pick;
 mod states;
+mod table;
 mod write;
 
 pub use days::GridDays;
 use file::HistoryFile;
-use pick::Table;
 pub use states::StateFiles;
+use table::Table;
 
 const SUFFIX: &str = ".tmh";
 const NEW_SUFFIX: &str = ".tmh.new";
@@ -178,7 +178,7 @@ impl History {
             }
             let Some(file) = self.open_if_there(generation, Part::States)? else { continue };
             if file.overlaps(from_nanos, to_nanos) {
-                file.samples(&mut Table::new(&file), id, |sample| {
+                Table::new(&file).samples(id, |sample| {
                     if (from_nanos..to_nanos).contains(&sample.utc_nanos) {
                         found.push(sample);
                     }

@@ -34,14 +34,14 @@ struct Trees {
 
 /// The records of a map as they are in the database: a sum per state and producer, and that of the site.
 #[derive(Default)]
-struct Written {
+struct KnownRows {
     states: Vec<Sum>,
     producers: Vec<Sum>,
     site: Sum,
 }
 
 /// What the index holds of a map.
-pub(crate) enum Found {
+pub(crate) enum IndexContent {
     /// It is not used for this map.
     Unused,
     /// Nothing.
@@ -59,7 +59,7 @@ pub(crate) struct Index {
     /// `None` once it has failed: the store goes on without.
     trees: Option<Trees>,
     /// Maps of which every record is known.
-    written: BTreeMap<u32, Written>,
+    written: BTreeMap<u32, KnownRows>,
 }
 
 impl Trees {
@@ -135,8 +135,8 @@ impl Index {
     }
 
     /// What there is of a map.
-    pub(crate) fn load(&mut self, map: u32, spec: &MapSpec) -> Result<Found, Damage> {
-        let Some(trees) = &self.trees else { return Ok(Found::Nothing) };
+    pub(crate) fn load(&mut self, map: u32, spec: &MapSpec) -> Result<IndexContent, Damage> {
+        let Some(trees) = &self.trees else { return Ok(IndexContent::Nothing) };
         let (found, written) = panics::catch(|| load::load(trees, map, spec))??;
         if let Some(written) = written {
             self.written.insert(map, written);

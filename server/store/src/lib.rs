@@ -13,6 +13,7 @@ mod error;
 mod history;
 mod index;
 mod log;
+mod map_log;
 mod record;
 mod record_file;
 mod store;
@@ -25,7 +26,8 @@ mod tests;
 pub use committer::SyncStats;
 pub use error::{AppendError, HistoryError, OpenError, Report, StoreError};
 pub use history::{GridDays, History, HistorySizes, StateFiles};
-pub use log::{Done, MapLog, replay::Replay};
+pub use log::{Done, replay::Replay};
+pub use map_log::MapLog;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
 pub use store::{OpenedMap, Sizes, Source, Store, StoreOptions};
 

@@ -6,18 +6,12 @@
 use std::{
     path::{Path, PathBuf},
     sync::{
-        Arc, Mutex, PoisonError,
+        Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
     },
 };
 
-use tidemap_map::event::Event;
-
-use crate::{
-    committer::{Committer, Job},
-    error::AppendError,
-    log::{frame::EncodedEvent, writer::LogWriter},
-};
+use crate::{error::AppendError, log::writer::LogWriter};
 
 pub(crate) mod frame;
 pub(crate) mod recovery;
@@ -33,12 +27,12 @@ pub(crate) struct Log {
     /// `None` once the map is deleted. Locked by the committer while it writes or syncs; nobody else writes.
     pub(crate) writer: Mutex<Option<LogWriter>>,
     /// Counts the attempts of the map's writer, from 1: appends of one epoch depend on each other.
-    epoch: AtomicU64,
+    pub(crate) epoch: AtomicU64,
     /// The last epoch in which an append has failed.
     failed_epoch: AtomicU64,
     /// Position of the last durable record.
-    end: AtomicU64,
-    progress: Mutex<Progress>,
+    pub(crate) end: AtomicU64,
+    pub(crate) progress: Mutex<Progress>,
 }
 
 /// Bytes of the log, for deciding when a checkpoint is due.
@@ -92,58 +86,6 @@ impl Log {
             progress.covered = bytes;
         }
         progress.updates.retain(|&(start, _)| start > position);
-    }
-}
-
-/// The log of a map, open for appending. Clones append to the same log.
-#[derive(Clone)]
-pub struct MapLog {
-    log: Arc<Log>,
-    committer: Arc<Committer>,
-}
-
-impl MapLog {
-    pub(crate) fn new(log: Arc<Log>, committer: Arc<Committer>) -> MapLog {
-        MapLog { log, committer }
-    }
-
-    /// Encodes an event on this thread and queues it; waits while the queue is full. `done` is called on the
-    /// committer's thread, in the order of the appends, when the record is durable or has failed. It must be quick and
-    /// must not append itself.
-    ///
-    /// # Errors
-    /// [`AppendError`] where the event is not even queued; `done` is not called then.
-    pub fn append(&self, event: &Event, done: Done) -> Result<(), AppendError> {
-        if let Some(poison) = self.committer.poison() {
-            return Err(poison);
-        }
-        let epoch = self.log.epoch.load(Ordering::Acquire);
-        if self.log.has_failed(epoch) {
-            return Err(AppendError::AfterFailure);
-        }
-        let event = EncodedEvent::encode(event).map_err(AppendError::InvalidEvent)?;
-        self.committer.push(Job { log: Arc::clone(&self.log), epoch, event, done })
-    }
-
-    /// Accepts appends again after one has failed. The map's writer calls this when it has undone everything that
-    /// was not acknowledged; appends queued before still fail.
-    pub fn resume(&self) {
-        if self.log.has_failed(self.log.epoch.load(Ordering::Acquire)) {
-            self.log.epoch.fetch_add(1, Ordering::AcqRel);
-        }
-    }
-
-    /// Position of the last durable record; 0 where there is none.
-    #[must_use]
-    pub fn end(&self) -> u64 {
-        self.log.end.load(Ordering::Acquire)
-    }
-
-    /// Bytes of durable records after the position of the newest saved snapshot, roughly.
-    #[must_use]
-    pub fn tail_bytes(&self) -> u64 {
-        let progress = self.log.progress.lock().unwrap_or_else(PoisonError::into_inner);
-        progress.bytes.saturating_sub(progress.covered)
     }
 }
 

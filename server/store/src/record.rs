@@ -11,6 +11,7 @@ pub(crate) mod doubles;
 pub(crate) mod event;
 mod fits;
 pub(crate) mod history;
+mod ids;
 mod offsets;
 pub(crate) mod scans;
 mod sensors;

@@ -20,7 +20,8 @@ use crate::{
     error::{HistoryError, Report, StoreError, store_io},
     history::History,
     index::Index,
-    log::{Log, MapLog, replay::Replay},
+    log::{Log, replay::Replay},
+    map_log::MapLog,
 };
 
 mod catalogue;
@@ -61,7 +62,7 @@ impl Default for StoreOptions {
 /// A data directory, open. Clones are handles of the same store, which is closed with the last of them.
 #[derive(Clone)]
 pub struct Store {
-    inner: Arc<Inner>,
+    inner: Arc<OpenStore>,
 }
 
 impl fmt::Debug for Store {
@@ -70,7 +71,7 @@ impl fmt::Debug for Store {
     }
 }
 
-struct Inner {
+struct OpenStore {
     directory: PathBuf,
     disk: Arc<dyn Disk>,
     options: StoreOptions,
@@ -87,13 +88,13 @@ struct Inner {
 }
 
 struct Maps {
-    entries: BTreeMap<MapId, Entry>,
+    entries: BTreeMap<MapId, MapEntry>,
     next: u32,
 }
 
 /// One map.
 #[derive(Clone)]
-struct Entry {
+struct MapEntry {
     spec: Arc<MapSpec>,
     /// Whether history files replace the beginning of the log.
     history_complete: bool,
@@ -102,9 +103,9 @@ struct Entry {
     busy: Arc<Mutex<()>>,
 }
 
-impl Entry {
-    fn new(spec: MapSpec, history_complete: bool) -> Entry {
-        Entry { spec: Arc::new(spec), history_complete, log: None, busy: Arc::default() }
+impl MapEntry {
+    fn new(spec: MapSpec, history_complete: bool) -> MapEntry {
+        MapEntry { spec: Arc::new(spec), history_complete, log: None, busy: Arc::default() }
     }
 }
 
@@ -153,7 +154,7 @@ pub struct Sizes {
     pub history_bytes: u64,
 }
 
-impl Inner {
+impl OpenStore {
     fn maps(&self) -> MutexGuard<'_, Maps> {
         self.maps.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -184,7 +185,7 @@ impl Inner {
     }
 }
 
-impl Drop for Inner {
+impl Drop for OpenStore {
     fn drop(&mut self) {
         self.close();
     }
@@ -221,7 +222,7 @@ impl Store {
         // A map whose folder somebody has moved away had the same number, and left its records.
         self.inner.index().purge(map.0);
         catalogue::create(&*self.inner.disk, &self.inner.directory, map, spec)?;
-        maps.entries.insert(map, Entry::new(spec.clone(), true));
+        maps.entries.insert(map, MapEntry::new(spec.clone(), true));
         Ok(map)
     }
 

@@ -1,6 +1,6 @@
 //! Reading a grid out of a checkpoint, record by record.
 //!
-//! Tiles are kept in memory until a number of bytes is used up; of the others it is kept where they are. Invariant:
+//! TileReader are kept in memory until a number of bytes is used up; of the others it is kept where they are. Invariant:
 //! every record has been read and found sound, whether it is kept or not.
 
 use std::sync::{Arc, Weak};
@@ -67,7 +67,7 @@ impl ReadGrid {
     }
 }
 
-struct Tiles<'reader> {
+struct TileReader<'reader> {
     reader: &'reader mut RecordReader,
     periodicities: &'reader Periodicities,
     /// Bytes of models and sums that may still be kept.
@@ -107,7 +107,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
         Keep::UpTo(bytes) => bytes,
     };
     let keeps = keep != Keep::Places;
-    let mut tiles = Tiles { reader, periodicities, room, shared: Vec::new(), places: Places::default(), buffer };
+    let mut tiles = TileReader { reader, periodicities, room, shared: Vec::new(), places: Places::default(), buffer };
     let mut cold_from = None;
     for index in 0..head.tiles as usize {
         let (live, slots) = tiles.tile(index < head.models as usize)?;
@@ -123,7 +123,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
             grid.sums.push(sums);
         }
     }
-    let Tiles { reader, shared, places, mut buffer, .. } = tiles;
+    let TileReader { reader, shared, places, mut buffer, .. } = tiles;
     let mut last_day = None;
     for _ in 0..head.days {
         let day = read_day(reader, head.tiles, &mut buffer)?;
@@ -146,7 +146,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
     Ok(ReadGrid { places, shared, grid, cold_from })
 }
 
-impl Tiles<'_> {
+impl TileReader<'_> {
     /// The next tile, and its model and sums if they are kept.
     fn tile(&mut self, may_have_model: bool) -> Result<(LiveTile, Option<(ModelSlot, SumsSlot)>), String> {
         while self.reader.next_kind()? == RecordKind::SharedSum {

@@ -10,7 +10,7 @@ use tidemap_migrations::v2::{file::RecordKind, grid as v2, history::Entry};
 use super::{
     History, Part,
     file::HistoryFile,
-    pick::Table,
+    table::Table,
     write::{day_key, tile_key},
 };
 use crate::{

@@ -7,21 +7,17 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_map::ids::StateId;
 use tidemap_migrations::{
     v1::file::{FILE_HEADER_LENGTH, FileHeader, RECORD_HEADER_LENGTH, TRAILER_LENGTH, Trailer},
     v2::{
         file::{HISTORY_MAGIC, RecordKind},
-        history::{END_LENGTH, End, StateSamples},
+        history::{END_LENGTH, End},
     },
 };
-use tidemap_model::Sample;
 
-use super::pick::Table;
 use crate::{
     disk::{Disk, DiskReader},
     error::HistoryError,
-    record::history::decode_samples,
     record_file::{RecordReader, anywhere},
 };
 
@@ -65,27 +61,6 @@ impl HistoryFile {
     /// Whether it may have observations from one instant up to another.
     pub(super) fn overlaps(&self, from_nanos: i64, to_nanos: i64) -> bool {
         self.end.from_nanos < to_nanos && self.end.to_nanos >= from_nanos
-    }
-
-    /// Gives the observations of a state in order of arrival. `table` is that of this file.
-    pub(super) fn samples(
-        &self,
-        table: &mut Table<'_>,
-        id: StateId,
-        mut take: impl FnMut(Sample),
-    ) -> Result<(), HistoryError> {
-        let Some(entry) = table.find(u64::from(id.0))? else { return Ok(()) };
-        let mut offset = entry.offset;
-        for _ in 0..entry.records {
-            let read = anywhere::message::<StateSamples>(&*self.file, RecordKind::StateSamples, offset);
-            let (message, next) = read.map_err(|reason| self.damaged(reason))?;
-            if message.state != id.0 {
-                return Err(self.damaged("its table names another state than its records"));
-            }
-            decode_samples(&message).map_err(|reason| self.damaged(reason))?.into_iter().for_each(&mut take);
-            offset = next;
-        }
-        Ok(())
     }
 }
 

@@ -5,7 +5,7 @@
 use tidemap_map::refit::WantedReadings;
 use tidemap_model::Sample;
 
-use super::{History, Part, pick::Table};
+use super::{History, Part, table::Table};
 use crate::error::HistoryError;
 
 /// The files of named states that a map has, with the times that each is of.
@@ -56,7 +56,7 @@ impl StateFiles {
                     continue;
                 }
                 let found = &mut found[index];
-                file.samples(&mut table, state, |sample| {
+                table.samples(state, |sample| {
                     if sample.utc_nanos >= from_nanos {
                         found.push(sample);
                     }

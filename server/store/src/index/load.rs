@@ -13,7 +13,7 @@ use tidemap_migrations::{
     },
 };
 
-use super::{Damage, Found, Trees, Written, rows::Sum};
+use super::{Damage, IndexContent, KnownRows, Trees, rows::Sum};
 use crate::record::{site as record_site, snapshot as record};
 
 fn payload<'value, M: Message + Default>(tree: &str, key: &[u8], value: &'value [u8]) -> Result<M, Damage> {
@@ -39,14 +39,14 @@ fn column<'state>(message: &'state mut v2::State, key: &[u8]) -> Result<&'state 
     Ok(&mut known.calibrated.as_mut().ok_or(STRAY)?.profile)
 }
 
-pub(super) fn load(trees: &Trees, map: u32, spec: &MapSpec) -> Result<(Found, Option<Written>), Damage> {
+pub(super) fn load(trees: &Trees, map: u32, spec: &MapSpec) -> Result<(IndexContent, Option<KnownRows>), Damage> {
     let text = |error: sled::Error| error.to_string();
     let prefix = map_key(map);
-    let Some(value) = trees.marks.get(prefix).map_err(text)? else { return Ok((Found::Nothing, None)) };
+    let Some(value) = trees.marks.get(prefix).map_err(text)? else { return Ok((IndexContent::Nothing, None)) };
     let mark: Mark = payload(MARKS, &prefix, &value)?;
-    let Some(header) = mark.snapshot.filter(|_| !mark.dirty) else { return Ok((Found::Unfinished, None)) };
+    let Some(header) = mark.snapshot.filter(|_| !mark.dirty) else { return Ok((IndexContent::Unfinished, None)) };
 
-    let mut written = Written::default();
+    let mut written = KnownRows::default();
     let mut producers = Vec::new();
     // The mark itself has the prefix alone as its key.
     for entry in trees.marks.range(item_key(map, 0)..=item_key(map, u32::MAX)) {
@@ -95,5 +95,5 @@ pub(super) fn load(trees: &Trees, map: u32, spec: &MapSpec) -> Result<(Found, Op
     let site = v2_site::Site::decode(&site[..]).map_err(|_| "the site is not a message")?;
     let site = record_site::decode(&site, states.len())?;
     let snapshot = record::decode(&header, producers, states, site)?;
-    Ok((Found::Snapshot(Box::new(snapshot)), Some(written)))
+    Ok((IndexContent::Snapshot(Box::new(snapshot)), Some(written)))
 }

@@ -16,15 +16,15 @@ use crate::record::{site as record_site, snapshot as record};
 
 /// Which tree a record is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum Tree {
     States,
     Models,
     Marks,
 }
 
 /// One record.
-pub(super) struct Row {
-    pub(super) place: Place,
+pub(super) struct IndexRow {
+    pub(super) tree: Tree,
     pub(super) key: Vec<u8>,
     pub(super) value: Vec<u8>,
 }
@@ -48,7 +48,7 @@ impl Sum {
 }
 
 /// The sum over some rows.
-pub(super) fn sum(rows: &[Row]) -> Sum {
+pub(super) fn sum(rows: &[IndexRow]) -> Sum {
     let mut sum = Sum::default();
     for row in rows {
         sum.add_value(&row.value);
@@ -57,7 +57,7 @@ pub(super) fn sum(rows: &[Row]) -> Sum {
 }
 
 /// The records of a state: itself, and its spectrum, its hours, its calibrated profile and its other fits in chunks.
-pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<Row> {
+pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<IndexRow> {
     let mut message = record::encode_state(id, state);
     let spectrum = std::mem::take(&mut message.spectrum);
     let mut known = message.alternatives.as_mut();
@@ -71,24 +71,24 @@ pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<Row> {
     let chunks = chunks.into_iter().flat_map(|(first, bytes)| (first..).zip(bytes.chunks(CHUNK_LENGTH)));
     let chunks = chunks.map(|(chunk, bytes)| {
         let key = chunk_key(map, id, chunk).to_vec();
-        Row { place: Place::Models, value: encode_value(MODELS, &key, bytes), key }
+        IndexRow { tree: Tree::Models, value: encode_value(MODELS, &key, bytes), key }
     });
-    std::iter::once(Row { place: Place::States, key, value }).chain(chunks).collect()
+    std::iter::once(IndexRow { tree: Tree::States, key, value }).chain(chunks).collect()
 }
 
 /// The records of a site: none where nothing was ever told.
-pub(super) fn of_site(map: u32, site: &Site) -> Vec<Row> {
+pub(super) fn of_site(map: u32, site: &Site) -> Vec<IndexRow> {
     let bytes = record_site::encode(site).map(|message| message.encode_to_vec()).unwrap_or_default();
     let chunk = |(chunk, bytes): (u16, &[u8])| {
         let key = chunk_key(map, SITE_ITEM, chunk).to_vec();
-        Row { place: Place::Models, value: encode_value(MODELS, &key, bytes), key }
+        IndexRow { tree: Tree::Models, value: encode_value(MODELS, &key, bytes), key }
     };
     (0..).zip(bytes.chunks(CHUNK_LENGTH)).map(chunk).collect()
 }
 
 /// The record of a producer.
-pub(super) fn of_producer(map: u32, id: u32, producer: &ProducerMark) -> Vec<Row> {
+pub(super) fn of_producer(map: u32, id: u32, producer: &ProducerMark) -> Vec<IndexRow> {
     let key = item_key(map, id).to_vec();
     let value = encode_value(MARKS, &key, &record::encode_producer(id, producer).encode_to_vec());
-    vec![Row { place: Place::Marks, key, value }]
+    vec![IndexRow { tree: Tree::Marks, key, value }]
 }

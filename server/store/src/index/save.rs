@@ -10,8 +10,8 @@ use tidemap_migrations::{
 };
 
 use super::{
-    Damage, Trees, Written,
-    rows::{self, Place, Row, Sum},
+    Damage, KnownRows, Trees,
+    rows::{self, IndexRow, Sum, Tree},
 };
 use crate::record::snapshot as record;
 
@@ -31,13 +31,13 @@ struct Batches {
 }
 
 impl Batches {
-    fn push(&mut self, trees: &Trees, row: Row) -> Result<(), Damage> {
+    fn push(&mut self, trees: &Trees, row: IndexRow) -> Result<(), Damage> {
         self.records += 1;
         self.bytes += row.key.len() + row.value.len();
-        let batch = match row.place {
-            Place::States => &mut self.states,
-            Place::Models => &mut self.models,
-            Place::Marks => &mut self.marks,
+        let batch = match row.tree {
+            Tree::States => &mut self.states,
+            Tree::Models => &mut self.models,
+            Tree::Marks => &mut self.marks,
         };
         batch.insert(row.key, row.value);
         if self.records >= BATCH_RECORDS || self.bytes >= BATCH_BYTES { self.apply(trees) } else { Ok(()) }
@@ -51,7 +51,7 @@ impl Batches {
     }
 }
 
-impl Written {
+impl KnownRows {
     /// The sum over everything.
     pub(super) fn total(&self) -> Sum {
         let mut total = Sum::default();
@@ -96,8 +96,8 @@ pub(super) fn save(
     trees: &Trees,
     map: u32,
     snapshot: &MapSnapshot,
-    before: Option<Written>,
-) -> Result<Written, Damage> {
+    before: Option<KnownRows>,
+) -> Result<KnownRows, Damage> {
     set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
     let site = rows::of_site(map, &snapshot.site);
     // States and producers are only ever added; anything else begins afresh.
@@ -110,7 +110,7 @@ pub(super) fn save(
         Some(before) => before,
         None => {
             clear(trees, map)?;
-            Written::default()
+            KnownRows::default()
         }
     };
     let mut batches = Batches::default();
@@ -163,7 +163,7 @@ fn write_changed(
     batches: &mut Batches,
     sums: &mut Vec<Sum>,
     id: u32,
-    rows: Vec<Row>,
+    rows: Vec<IndexRow>,
 ) -> Result<bool, Damage> {
     let sum = rows::sum(&rows);
     let was_there = match sums.get_mut(id as usize) {

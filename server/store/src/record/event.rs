@@ -4,16 +4,20 @@
 
 use prost::Message as _;
 use tidemap_map::{
-    event::{Dimensions, Event, NewState, Observations, OffsetRun, StateKind, StateShape, UpdateCause, UpdateStart},
-    ids::{NewProducer, ProducerId, RefusalReason, StateId},
-    name::{ProducerKey, StateName},
+    event::{Dimensions, Event, NewState, Observations, OffsetRun, StateShape, UpdateCause, UpdateStart},
+    ids::{ProducerId, StateId},
+    name::StateName,
 };
 use tidemap_migrations::{
-    v1::{event as v1, map::ProducerKey as V1ProducerKey},
-    v2::{self, log::FrameKind, map as v2_map},
+    v1::event as v1,
+    v2::{self, log::FrameKind},
 };
 
-use super::{Invalid, columns, scans, sensors, site, traversal};
+use super::{
+    Invalid, columns,
+    ids::{decode_kind, decode_new_producer, decode_refused, encode_kind, encode_new_producer, encode_refused},
+    scans, site, traversal,
+};
 
 /// Kinds of new states that are vectors; what a map makes of them are states of continuous values.
 const VECTOR_OF_TWO: u32 = 3;
@@ -163,50 +167,6 @@ fn decode_observations(message: &v2::event::Observations) -> Result<Observations
     })
 }
 
-/// Differences of the sequence numbers, and reasons.
-pub(super) fn encode_refused(refused: &[(u64, RefusalReason)]) -> Result<(Vec<u64>, Vec<u32>), Invalid> {
-    let mut previous = 0;
-    let mut sequences = Vec::with_capacity(refused.len());
-    for &(sequence, _) in refused {
-        sequences.push(sequence.checked_sub(previous).ok_or("refused sequence numbers do not ascend")?);
-        previous = sequence;
-    }
-    Ok((sequences, refused.iter().map(|&(_, reason)| encode_reason(reason)).collect()))
-}
-
-/// Refused sequence numbers with their reasons.
-pub(super) fn decode_refused(sequences: &[u64], reasons: &[u32]) -> Result<Vec<(u64, RefusalReason)>, Invalid> {
-    if sequences.len() != reasons.len() {
-        return Err("the refused sequence numbers differ in number from their reasons");
-    }
-    let mut sequence = 0_u64;
-    let mut refused = Vec::with_capacity(sequences.len());
-    for (&difference, &reason) in sequences.iter().zip(reasons) {
-        sequence = sequence.checked_add(difference).ok_or("a refused sequence number is too large")?;
-        refused.push((sequence, decode_reason(reason)?));
-    }
-    Ok(refused)
-}
-
-pub(super) fn encode_producer_key(key: &ProducerKey) -> V1ProducerKey {
-    V1ProducerKey { producer: key.producer().to_owned(), label: key.label().to_owned() }
-}
-
-pub(super) fn decode_producer_key(key: &V1ProducerKey) -> Result<ProducerKey, Invalid> {
-    ProducerKey::new(&key.producer, &key.label).map_err(|_| "the name of a producer is not valid")
-}
-
-pub(super) fn encode_new_producer(new: &NewProducer) -> v2_map::NewProducer {
-    let V1ProducerKey { producer, label } = encode_producer_key(&new.key);
-    v2_map::NewProducer { producer, label, sensor: sensors::encode(new.sensor) }
-}
-
-pub(super) fn decode_new_producer(new: &v2_map::NewProducer) -> Result<NewProducer, Invalid> {
-    let v2_map::NewProducer { producer, label, sensor } = new;
-    let key = V1ProducerKey { producer: producer.clone(), label: label.clone() };
-    Ok(NewProducer { key: decode_producer_key(&key)?, sensor: sensors::decode(sensor.as_ref())? })
-}
-
 fn encode_new_state(state: &NewState) -> v1::NewState {
     let kind = match state.shape {
         StateShape::Scalar(kind) => encode_kind(kind),
@@ -232,61 +192,4 @@ fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
         name.check_vector().map_err(|_| NAME)?;
     }
     Ok(NewState { id: StateId(state.id), name, shape })
-}
-
-/// The name of a state as the map knows it: axes of vectors included.
-pub(super) fn decode_state_name(name: &str) -> Result<StateName, Invalid> {
-    StateName::stored(name).map_err(|_| "the name of a state is not valid")
-}
-
-pub(super) fn encode_kind(kind: StateKind) -> u32 {
-    match kind {
-        StateKind::Probability => 0,
-        StateKind::Continuous => 1,
-        StateKind::Count => 2,
-    }
-}
-
-pub(super) fn decode_kind(kind: u32) -> Result<StateKind, Invalid> {
-    match kind {
-        0 => Ok(StateKind::Probability),
-        1 => Ok(StateKind::Continuous),
-        2 => Ok(StateKind::Count),
-        _ => Err("the kind of a state is not known"),
-    }
-}
-
-fn encode_reason(reason: RefusalReason) -> u32 {
-    match reason {
-        RefusalReason::Value => 1,
-        RefusalReason::Time => 2,
-        RefusalReason::StateName => 3,
-        RefusalReason::StateIndex => 4,
-        RefusalReason::StateLimit => 5,
-        RefusalReason::StateKind => 6,
-        RefusalReason::NoGrid => 7,
-        RefusalReason::Scan => 8,
-        RefusalReason::Empty => 9,
-        RefusalReason::TileLimit => 10,
-        RefusalReason::Frame => 11,
-        RefusalReason::Edge => 12,
-    }
-}
-
-fn decode_reason(reason: u32) -> Result<RefusalReason, Invalid> {
-    match reason {
-        1 => Ok(RefusalReason::Value),
-        2 => Ok(RefusalReason::Time),
-        3 => Ok(RefusalReason::StateName),
-        4 => Ok(RefusalReason::StateIndex),
-        5 => Ok(RefusalReason::StateLimit),
-        6 => Ok(RefusalReason::StateKind),
-        7 => Ok(RefusalReason::NoGrid),
-        8 => Ok(RefusalReason::Scan),
-        9 => Ok(RefusalReason::Empty),
-        10 => Ok(RefusalReason::TileLimit),
-        11 => Ok(RefusalReason::Frame),
-        12 => Ok(RefusalReason::Edge),
-        _ => Err("the reason of a refusal is not known"),
-    }
 }

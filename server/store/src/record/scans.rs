@@ -17,7 +17,7 @@ use tidemap_migrations::v2::event as v2;
 
 use super::{
     Invalid, columns,
-    event::{decode_new_producer, decode_refused, encode_new_producer, encode_refused},
+    ids::{decode_new_producer, decode_refused, encode_new_producer, encode_refused},
     offsets,
     tile_set::{push_set, take_set},
     varint::{CUT, push_varint, take_varint, unzigzag, zigzag},
@@ -32,15 +32,15 @@ pub const SEEN_TILES_MAX: usize = 1 << 24;
 pub const WHOLE_TILES_MAX: usize = 1 << 17;
 
 /// The observed bits that a scan flips.
-struct Observed<'a> {
+struct ObservedFlips<'a> {
     /// Tiles all of whose bits flip.
     whole: Vec<TileId>,
     others: Cow<'a, [CellRef]>,
 }
 
-impl Observed<'_> {
-    fn new(flips: &[CellRef]) -> Observed<'_> {
-        let mut observed = Observed { whole: Vec::new(), others: Cow::Borrowed(flips) };
+impl ObservedFlips<'_> {
+    fn new(flips: &[CellRef]) -> ObservedFlips<'_> {
+        let mut observed = ObservedFlips { whole: Vec::new(), others: Cow::Borrowed(flips) };
         if flips.len() < TILE_CELLS {
             return observed;
         }
@@ -57,7 +57,7 @@ impl Observed<'_> {
     }
 }
 
-fn encode_whole(scans: &[Observed<'_>]) -> Result<Vec<u8>, Invalid> {
+fn encode_whole(scans: &[ObservedFlips<'_>]) -> Result<Vec<u8>, Invalid> {
     let mut out = Vec::new();
     let mut next = 0;
     for (number, scan) in scans.iter().enumerate().filter(|(_, scan)| !scan.whole.is_empty()) {
@@ -101,7 +101,7 @@ pub(super) fn encode(event: &Scans) -> Result<v2::Scans, Invalid> {
         return Err("the last sequence number is before the first");
     }
     let (refused_sequences, refused_reasons) = encode_refused(&event.refused)?;
-    let observed: Vec<Observed<'_>> = scans.iter().map(|scan| Observed::new(&scan.observed_flips)).collect();
+    let observed: Vec<ObservedFlips<'_>> = scans.iter().map(|scan| ObservedFlips::new(&scan.observed_flips)).collect();
     if observed.iter().map(|scan| scan.whole.len()).sum::<usize>() > WHOLE_TILES_MAX {
         return Err("its scans observe more tiles anew than one record may hold");
     }

@@ -11,7 +11,7 @@ use tidemap_map::{
 };
 use tidemap_migrations::v2::site as v2;
 
-use super::{Invalid, event::decode_state_name, topology, traversal};
+use super::{Invalid, ids::decode_state_name, topology, traversal};
 
 fn encode_place(at: [f64; 2]) -> v2::Place {
     let [x_bits, y_bits] = at.map(f64::to_bits);

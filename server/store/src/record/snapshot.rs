@@ -17,7 +17,7 @@ use tidemap_model::{
 
 use super::{
     Invalid, alternatives,
-    event::{decode_kind, decode_producer_key, decode_state_name, encode_kind, encode_producer_key},
+    ids::{decode_kind, decode_producer_key, decode_state_name, encode_kind, encode_producer_key},
     sensors,
 };
 

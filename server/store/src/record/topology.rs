@@ -10,7 +10,7 @@ use tidemap_map::{
 };
 use tidemap_migrations::v2::topology as v2;
 
-use super::{Invalid, event::decode_state_name};
+use super::{Invalid, ids::decode_state_name};
 
 fn encode_pose(pose: Pose) -> v2::Pose {
     let [x_bits, y_bits, yaw_bits] = [pose.x_m, pose.y_m, pose.yaw_rad].map(f64::to_bits);

@@ -19,7 +19,7 @@ const SECTOR: usize = 512;
 type Names = BTreeMap<String, usize>;
 
 #[derive(Clone)]
-enum Node {
+enum DiskNode {
     /// The content at the last sync, and after each change since.
     File(Vec<Vec<u8>>),
     /// The names at the last sync, and after each change since.
@@ -36,8 +36,8 @@ pub(super) struct Fault {
     pub(super) is_sticky: bool,
 }
 
-struct State {
-    nodes: Vec<Node>,
+struct DiskState {
+    nodes: Vec<DiskNode>,
     calls: usize,
     fault: Option<Fault>,
     random: SmallRng,
@@ -45,13 +45,13 @@ struct State {
 
 /// The disk; clones are the same disk.
 #[derive(Clone)]
-pub(super) struct SimulatedDisk(Arc<Mutex<State>>);
+pub(super) struct SimulatedDisk(Arc<Mutex<DiskState>>);
 
 fn latest<T>(versions: &[T]) -> &T {
     versions.last().expect("never empty")
 }
 
-impl State {
+impl DiskState {
     /// Counts a call that changes the disk, and fails it if it is its turn.
     fn call(&mut self, may_be_full: bool) -> io::Result<()> {
         let call = self.calls;
@@ -72,7 +72,7 @@ impl State {
         for part in path.components() {
             let Component::Normal(name) = part else { continue };
             let name = name.to_str().expect("text");
-            let Node::Folder(versions) = &self.nodes[node] else { return Err(io::ErrorKind::NotADirectory.into()) };
+            let DiskNode::Folder(versions) = &self.nodes[node] else { return Err(io::ErrorKind::NotADirectory.into()) };
             node = *latest(versions).get(name).ok_or(io::ErrorKind::NotFound)?;
         }
         Ok(node)
@@ -80,14 +80,14 @@ impl State {
 
     fn change_names(&mut self, folder: &Path, change: impl FnOnce(&mut Names)) -> io::Result<()> {
         let node = self.find(folder)?;
-        let Node::Folder(versions) = &mut self.nodes[node] else { return Err(io::ErrorKind::NotADirectory.into()) };
+        let DiskNode::Folder(versions) = &mut self.nodes[node] else { return Err(io::ErrorKind::NotADirectory.into()) };
         let mut names = latest(versions).clone();
         change(&mut names);
         versions.push(names);
         Ok(())
     }
 
-    fn add(&mut self, path: &Path, node: Node) -> io::Result<usize> {
+    fn add(&mut self, path: &Path, node: DiskNode) -> io::Result<usize> {
         self.nodes.push(node);
         let number = self.nodes.len() - 1;
         self.change_names(folder_of(path), |names| {
@@ -98,8 +98,8 @@ impl State {
 
     fn content(&mut self, node: usize) -> &mut Vec<Vec<u8>> {
         match &mut self.nodes[node] {
-            Node::File(versions) => versions,
-            Node::Folder(_) => panic!("a folder is no file"),
+            DiskNode::File(versions) => versions,
+            DiskNode::Folder(_) => panic!("a folder is no file"),
         }
     }
 }
@@ -135,11 +135,11 @@ fn torn(versions: &[Vec<u8>], random: &mut SmallRng) -> Vec<u8> {
 
 impl SimulatedDisk {
     pub(super) fn new(random: SmallRng) -> SimulatedDisk {
-        let nodes = vec![Node::Folder(vec![Names::new()])];
-        SimulatedDisk(Arc::new(Mutex::new(State { nodes, calls: 0, fault: None, random })))
+        let nodes = vec![DiskNode::Folder(vec![Names::new()])];
+        SimulatedDisk(Arc::new(Mutex::new(DiskState { nodes, calls: 0, fault: None, random })))
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, DiskState> {
         self.0.lock().expect("not poisoned")
     }
 
@@ -157,22 +157,22 @@ impl SimulatedDisk {
         let mut state = self.state();
         let mut random = state.random.clone();
         let nodes = state.nodes.iter().map(|node| match node {
-            Node::File(versions) => Node::File(vec![torn(versions, &mut random)]),
-            Node::Folder(versions) => {
+            DiskNode::File(versions) => DiskNode::File(vec![torn(versions, &mut random)]),
+            DiskNode::Folder(versions) => {
                 let kept = random.random_range(0..versions.len());
-                Node::Folder(vec![versions[kept].clone()])
+                DiskNode::Folder(vec![versions[kept].clone()])
             }
         });
         let nodes = nodes.collect();
         state.random = random.clone();
-        SimulatedDisk(Arc::new(Mutex::new(State { nodes, calls: 0, fault: None, random })))
+        SimulatedDisk(Arc::new(Mutex::new(DiskState { nodes, calls: 0, fault: None, random })))
     }
 
     /// The disk after the process was killed: nothing is lost, and nothing more is durable than before.
     pub(super) fn kill(&self) -> SimulatedDisk {
         let state = self.state();
         let (nodes, random) = (state.nodes.clone(), state.random.clone());
-        SimulatedDisk(Arc::new(Mutex::new(State { nodes, calls: 0, fault: None, random })))
+        SimulatedDisk(Arc::new(Mutex::new(DiskState { nodes, calls: 0, fault: None, random })))
     }
 }
 
@@ -185,7 +185,7 @@ impl Disk for SimulatedDisk {
                 state.content(node).push(Vec::new());
                 node
             }
-            Err(_) => state.add(file, Node::File(vec![Vec::new()]))?,
+            Err(_) => state.add(file, DiskNode::File(vec![Vec::new()]))?,
         };
         Ok(Box::new(SimulatedFile { disk: self.clone(), node }))
     }
@@ -215,8 +215,8 @@ impl Disk for SimulatedDisk {
     fn list(&self, folder: &Path) -> io::Result<Vec<String>> {
         let state = self.state();
         match &state.nodes[state.find(folder)?] {
-            Node::Folder(versions) => Ok(latest(versions).keys().cloned().collect()),
-            Node::File(_) => Err(io::ErrorKind::NotADirectory.into()),
+            DiskNode::Folder(versions) => Ok(latest(versions).keys().cloned().collect()),
+            DiskNode::File(_) => Err(io::ErrorKind::NotADirectory.into()),
         }
     }
 
@@ -226,7 +226,7 @@ impl Disk for SimulatedDisk {
         if state.find(folder).is_ok() {
             return Err(io::ErrorKind::AlreadyExists.into());
         }
-        state.add(folder, Node::Folder(vec![Names::new()])).map(|_| ())
+        state.add(folder, DiskNode::Folder(vec![Names::new()])).map(|_| ())
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
@@ -257,7 +257,7 @@ impl Disk for SimulatedDisk {
         let mut state = self.state();
         state.call(false)?;
         let node = state.find(folder)?;
-        if let Node::Folder(versions) = &mut state.nodes[node] {
+        if let DiskNode::Folder(versions) = &mut state.nodes[node] {
             versions.drain(..versions.len() - 1);
         }
         Ok(())

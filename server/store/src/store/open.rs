@@ -17,7 +17,7 @@ use tidemap_migrations::{
 };
 
 use super::{
-    Entry, Inner, Lock, Maps, Store, StoreOptions,
+    Lock, MapEntry, Maps, OpenStore, Store, StoreOptions,
     catalogue::{self, Catalogued},
 };
 use crate::{
@@ -112,9 +112,9 @@ impl Store {
                 index.purge(map.0);
             }
         }
-        let entry = |Catalogued { spec, history_complete }| Entry::new(spec, history_complete);
+        let entry = |Catalogued { spec, history_complete }| MapEntry::new(spec, history_complete);
         let entries = catalogue.maps.into_iter().map(|(map, known)| (map, entry(known))).collect();
-        let inner = Inner {
+        let inner = OpenStore {
             directory,
             disk,
             options,

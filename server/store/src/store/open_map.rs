@@ -9,14 +9,14 @@ use std::{
 
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 
-use super::{Entry, Inner, OpenedMap, Source, Store, catalogue};
+use super::{MapEntry, OpenStore, OpenedMap, Source, Store, catalogue};
 use crate::{
     MapId,
     checkpoint::DamagedCheckpoint,
     error::{OpenError, Report, open_io},
-    index::Found,
+    index::IndexContent,
     log::{
-        Log, MapLog,
+        Log,
         recovery::{Expectation, Recovered, recover},
         replay::Replay,
         segment_position,
@@ -78,7 +78,7 @@ impl Store {
     }
 }
 
-impl Inner {
+impl OpenStore {
     /// Without any snapshot the log must be whole: the beginning of one that is not is nowhere but in checkpoints.
     fn check_beginning(&self, folder: &Path, newest: &Newest) -> Result<(), OpenError> {
         if newest.snapshot.is_some() {
@@ -109,12 +109,12 @@ impl Inner {
         let mut state = IndexState::Good;
         let mut indexed = None;
         // The index has no room for grids.
-        let found = if spec.grid.is_some() { Ok(Found::Unused) } else { self.index().load(map.0, spec) };
+        let found = if spec.grid.is_some() { Ok(IndexContent::Unused) } else { self.index().load(map.0, spec) };
         match found {
-            Ok(Found::Unused) => {}
-            Ok(Found::Snapshot(snapshot)) => indexed = Some(*snapshot),
-            Ok(Found::Nothing) => state = IndexState::Stale("it held nothing of this map"),
-            Ok(Found::Unfinished) => state = IndexState::Stale("it was being written when the process stopped"),
+            Ok(IndexContent::Unused) => {}
+            Ok(IndexContent::Snapshot(snapshot)) => indexed = Some(*snapshot),
+            Ok(IndexContent::Nothing) => state = IndexState::Stale("it held nothing of this map"),
+            Ok(IndexContent::Unfinished) => state = IndexState::Stale("it was being written when the process stopped"),
             Err(damage) => state = IndexState::Damaged(damage),
         }
         let known = newest_name.max(indexed.as_ref().map_or(0, |snapshot| snapshot.position));
@@ -149,7 +149,7 @@ impl Inner {
         let end = writer.end();
         let log = Arc::new(Log::new(map.0, writer, progress));
         let mut maps = self.maps();
-        let entry: &mut Entry = maps.entries.get_mut(&map).ok_or(OpenError::UnknownMap(map))?;
+        let entry: &mut MapEntry = maps.entries.get_mut(&map).ok_or(OpenError::UnknownMap(map))?;
         entry.log = Some(Arc::clone(&log));
         drop(maps);
         let replay = Replay::new(Arc::clone(&self.disk), folder.to_owned(), segments, replay_from, end);

@@ -10,7 +10,7 @@ use std::{
 
 use tidemap_map::{grid::tile::TileSource, snapshot::MapSnapshot};
 
-use super::{Entry, Inner, Store, catalogue};
+use super::{MapEntry, OpenStore, Store, catalogue};
 use crate::{
     MapId,
     error::StoreError,
@@ -47,9 +47,9 @@ impl Store {
     }
 }
 
-impl Inner {
+impl OpenStore {
     /// Deletes what is not needed any more.
-    fn forget(&self, map: MapId, entry: &Entry, snapshot: &MapSnapshot) {
+    fn forget(&self, map: MapId, entry: &MapEntry, snapshot: &MapSnapshot) {
         if let Err(error) = self.history(map).forget(&entry.spec, snapshot.newest_nanos) {
             tracing::warn!(map = map.0, %error, "old history is not deleted; tried again at the next save");
         }

@@ -2,16 +2,19 @@
 //!
 //! Invariant: one record of the table is in memory at a time.
 
+use tidemap_map::ids::StateId;
 use tidemap_migrations::{
     v1::file::RECORD_HEADER_LENGTH,
     v2::{
         file::RecordKind,
-        history::{ENTRIES_MAX, ENTRY_LENGTH, Entry},
+        history::{ENTRIES_MAX, ENTRY_LENGTH, Entry, StateSamples},
     },
 };
 
+use tidemap_model::Sample;
+
 use super::file::HistoryFile;
-use crate::{error::HistoryError, record_file::anywhere};
+use crate::{error::HistoryError, record::history::decode_samples, record_file::anywhere};
 
 /// The table of an open file.
 pub(super) struct Table<'file> {
@@ -93,6 +96,23 @@ impl<'file> Table<'file> {
         while let Some(entry) = self.entry(number)?.filter(|entry| entry.key < to) {
             call(entry)?;
             number += 1;
+        }
+        Ok(())
+    }
+
+    /// Gives the observations of a state in order of arrival.
+    pub(super) fn samples(&mut self, id: StateId, mut take: impl FnMut(Sample)) -> Result<(), HistoryError> {
+        let Some(entry) = self.find(u64::from(id.0))? else { return Ok(()) };
+        let file = self.file;
+        let mut offset = entry.offset;
+        for _ in 0..entry.records {
+            let read = anywhere::message::<StateSamples>(&*file.file, RecordKind::StateSamples, offset);
+            let (message, next) = read.map_err(|reason| file.damaged(reason))?;
+            if message.state != id.0 {
+                return Err(file.damaged("its table names another state than its records"));
+            }
+            decode_samples(&message).map_err(|reason| file.damaged(reason))?.into_iter().for_each(&mut take);
+            offset = next;
         }
         Ok(())
     }
