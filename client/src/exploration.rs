@@ -2,6 +2,11 @@
 //!
 //! Invariant: information is in bits; an answer that leaves a target or a viewpoint out is an error, never a gap.
 
+pub use tidemap_plan::{
+    strategy::{Budget, Strategy},
+    view::{Sensor, Viewpoint},
+};
+use tidemap_proto::convert::exploration::{budget_to_wire, sensor_to_wire, strategy_to_wire, viewpoint_to_wire};
 use tidemap_proto::convert::time::{duration, timestamp};
 use tidemap_proto::v1::{self, exploration_service_client::ExplorationServiceClient};
 
@@ -32,32 +37,6 @@ pub struct Targets {
     pub states: Vec<String>,
     /// Names of locations.
     pub locations: Vec<String>,
-}
-
-/// How a robot looks around. `None`: the daemon's default.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sensor {
-    /// How far it sees, metres; 4 by default.
-    pub range_m: Option<f64>,
-    /// Horizontal field of view, radians; all around by default.
-    pub horizontal_fov_rad: Option<f64>,
-    /// Vertical field of view, radians; a right angle by default.
-    pub vertical_fov_rad: Option<f64>,
-    /// Height above z = 0, metres; 1.7 by default.
-    pub height_m: Option<f64>,
-}
-
-/// From where to look.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Viewpoint {
-    /// Along x, metres.
-    pub x_m: f64,
-    /// Along y, metres.
-    pub y_m: f64,
-    /// Along z, metres; `None`: the sensor's height.
-    pub z_m: Option<f64>,
-    /// Where the middle of the view points, radians.
-    pub yaw_rad: f64,
 }
 
 /// What is seen from a viewpoint.
@@ -130,32 +109,6 @@ pub struct Tour {
     pub reason: String,
 }
 
-/// How slots are chosen.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Strategy {
-    /// In proportion to the information expected.
-    #[default]
-    MonteCarlo,
-    /// Those with the most information.
-    Greedy,
-    /// All locations in turn.
-    RoundRobin,
-    /// All locations alike, at random.
-    Random,
-}
-
-/// How much of a day is explored.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Budget {
-    /// As the daemon has it: a quarter of the slots.
-    #[default]
-    Usual,
-    /// So many slots.
-    Slots(u32),
-    /// This share of the slots, in (0, 1].
-    Ratio(f64),
-}
-
 /// What is asked of a day's plan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DayQuery {
@@ -165,8 +118,8 @@ pub struct DayQuery {
     pub date: String,
     /// Length of a slot, nanoseconds; a quarter of an hour by default.
     pub slot_nanos: Option<i64>,
-    /// How much is explored.
-    pub budget: Budget,
+    /// How much is explored; a quarter of the slots by default.
+    pub budget: Option<Budget>,
     /// How slots are chosen.
     pub strategy: Strategy,
     /// Seed of what is random.
@@ -239,22 +192,6 @@ pub struct DaySlot {
     pub information_bits: f64,
 }
 
-impl Sensor {
-    fn to_wire(self) -> v1::Sensor {
-        v1::Sensor {
-            range_m: self.range_m.unwrap_or_default(),
-            horizontal_fov_rad: self.horizontal_fov_rad.unwrap_or_default(),
-            vertical_fov_rad: self.vertical_fov_rad.unwrap_or_default(),
-            height_m: self.height_m,
-        }
-    }
-}
-
-fn viewpoint_to_wire(at: &Viewpoint) -> v1::Viewpoint {
-    let Viewpoint { x_m, y_m, z_m, yaw_rad } = *at;
-    v1::Viewpoint { x_m, y_m, z_m, yaw_rad }
-}
-
 impl Client {
     fn exploration_service(&self) -> ExplorationServiceClient<Connection> {
         ExplorationServiceClient::new(self.requests())
@@ -310,7 +247,7 @@ impl Client {
             map: map.to_owned(),
             viewpoints: viewpoints.iter().map(viewpoint_to_wire).collect(),
             times_nanos,
-            sensor: Some(sensor.to_wire()),
+            sensor: Some(sensor_to_wire(sensor)),
             model: Some(model.to_wire()),
             ..Default::default()
         };
@@ -343,7 +280,7 @@ impl Client {
             count: query.count,
             start: query.start_m.map(point_to_wire),
             is_open: query.is_open,
-            sensor: Some(query.sensor.to_wire()),
+            sensor: Some(sensor_to_wire(query.sensor)),
             model: Some(query.model.to_wire()),
             spacing_m: query.spacing_m.unwrap_or_default(),
             robot_radius_m: query.robot_radius_m,
@@ -375,31 +312,20 @@ impl Client {
     /// # Errors
     /// [`Error`]; the code is `INVALID_ARGUMENT` where the budget does not suit the day or the date is none.
     pub async fn plan_day(&self, query: DayQuery) -> Result<Vec<DaySlot>, Error> {
-        use v1::plan_day_request::Budget as Wire;
-        let strategy = match query.strategy {
-            Strategy::MonteCarlo => v1::Strategy::MonteCarlo,
-            Strategy::Greedy => v1::Strategy::Greedy,
-            Strategy::RoundRobin => v1::Strategy::RoundRobin,
-            Strategy::Random => v1::Strategy::Random,
-        };
         let request = v1::PlanDayRequest {
             map: query.map,
             date: query.date,
             slot: query.slot_nanos.map(duration),
-            strategy: strategy.into(),
+            strategy: strategy_to_wire(query.strategy).into(),
             seed: query.seed,
             locations: query.locations,
             model: Some(query.model.to_wire()),
             certainty: None,
             exploration_weight: query.exploration_weight,
             task_states: query.task_states,
-            sensor: (!query.viewpoints.is_empty()).then(|| query.sensor.to_wire()),
+            sensor: (!query.viewpoints.is_empty()).then(|| sensor_to_wire(query.sensor)),
             viewpoints: query.viewpoints.iter().map(viewpoint_to_wire).collect(),
-            budget: match query.budget {
-                Budget::Usual => None,
-                Budget::Slots(slots) => Some(Wire::Explore(slots)),
-                Budget::Ratio(ratio) => Some(Wire::Ratio(ratio)),
-            },
+            budget: query.budget.map(budget_to_wire),
         };
         let answer = self.exploration_service().plan_day(request).await.map_err(|status| self.error(&status))?;
         let slot = |slot: v1::DaySlot| DaySlot {

@@ -4,6 +4,7 @@
 
 use std::fmt;
 
+use tidemap_proto::convert::search::{effort_to_wire, stop_from_wire};
 use tidemap_proto::convert::time::{duration, timestamp};
 use tidemap_proto::v1::{
     self, edit_topology_request::Edit, route_service_client::RouteServiceClient,
@@ -14,10 +15,13 @@ mod path;
 mod presence;
 
 pub use path::{
-    Policy, PolicyAction, PolicyEntry, PolicyQuery, PredictedEdge, Route, RouteCertainty, RouteObjective, RouteQuery,
-    RouteStep, RouteTime,
+    Policy, PolicyAction, PolicyEntry, PolicyQuery, PredictedEdge, Route, RouteQuery, RouteStep, RouteTime,
 };
 pub use presence::{Joint, JointQuery, Presence, PresenceAt, PresenceQuery};
+pub use tidemap_plan::{
+    route::{Certainty, Objective},
+    search::{Effort, Stopped},
+};
 
 use crate::{
     connection::{Client, Connection},
@@ -124,18 +128,6 @@ pub struct TopologySize {
     pub edges: u32,
 }
 
-/// How hard to look for the best order.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SearchEffort {
-    /// The best order of up to 40 places, a good one of more.
-    #[default]
-    Auto,
-    /// The best order; more places are refused.
-    Exact,
-    /// A good order.
-    Heuristic,
-}
-
 /// What is asked of a search. `None`: the daemon's default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SearchQuery {
@@ -150,7 +142,7 @@ pub struct SearchQuery {
     /// When the robot has to be at the last place, nanoseconds after its start.
     pub budget_nanos: Option<i64>,
     /// How hard to look for the best order.
-    pub effort: SearchEffort,
+    pub effort: Effort,
     /// How long to look for it, nanoseconds.
     pub plan_within_nanos: Option<i64>,
     /// End once less than this share of the probability remains.
@@ -182,17 +174,6 @@ pub struct SearchStep {
     pub probability: f64,
 }
 
-/// Why a walk ends before all places are visited.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SearchStop {
-    /// What remains is below the limit.
-    Unlikely,
-    /// What remains is not worth the time.
-    NotWorthIt,
-    /// The rest does not fit into the budget.
-    OutOfTime,
-}
-
 /// A planned search.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Search {
@@ -209,7 +190,7 @@ pub struct Search {
     /// Probability of all places that are no step, over that of all.
     pub remains: f64,
     /// Why the walk ends early, if it does.
-    pub stop: Option<SearchStop>,
+    pub stop: Option<Stopped>,
     /// Nodes to which no way leads.
     pub unreachable: Vec<String>,
     /// Nodes of which nothing was ever observed, the first thousand.
@@ -354,18 +335,13 @@ impl Client {
     /// [`Error`]; the code is `NOT_FOUND` where there is no such map or node, `FAILED_PRECONDITION` where there is nobody to be
     /// found or no way, `RESOURCE_EXHAUSTED` where there are too many nodes.
     pub async fn plan_search(&self, query: SearchQuery) -> Result<Search, Error> {
-        let effort = match query.effort {
-            SearchEffort::Auto => v1::SearchEffort::Auto,
-            SearchEffort::Exact => v1::SearchEffort::Exact,
-            SearchEffort::Heuristic => v1::SearchEffort::Heuristic,
-        };
         let request = v1::PlanSearchRequest {
             map: query.map,
             start: query.start,
             start_time: Some(timestamp(query.time_nanos)),
             object: query.object,
             budget: query.budget_nanos.map(duration),
-            effort: effort.into(),
+            effort: effort_to_wire(query.effort).into(),
             plan_within: query.plan_within_nanos.map(duration),
             remains_below: query.remains_below,
             cost_per_sec: query.cost_per_sec,
@@ -378,12 +354,7 @@ impl Client {
         };
         let answer = self.search_service().plan_search(request).await.map_err(|status| self.error(&status))?;
         let told = answer.into_inner();
-        let stop = match told.stop() {
-            v1::SearchStop::Unspecified => None,
-            v1::SearchStop::Unlikely => Some(SearchStop::Unlikely),
-            v1::SearchStop::NotWorthIt => Some(SearchStop::NotWorthIt),
-            v1::SearchStop::OutOfTime => Some(SearchStop::OutOfTime),
-        };
+        let stop = stop_from_wire(told.stop());
         let step = |step: v1::SearchStep| {
             let v1::SearchStep { node, arrival_secs, probability } = step;
             SearchStep { node, arrival_secs, probability }

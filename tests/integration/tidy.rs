@@ -24,7 +24,7 @@ const CRATES: [(&str, &str, &[&str]); 14] = [
         "tidemapd",
         &["tidemap-map", "tidemap-migrations", "tidemap-model", "tidemap-plan", "tidemap-proto", "tidemap-store"],
     ),
-    ("client", "tidemap-client", &["tidemap-map", "tidemap-model", "tidemap-proto"]),
+    ("client", "tidemap-client", &["tidemap-map", "tidemap-model", "tidemap-plan", "tidemap-proto"]),
     (
         "client/cli",
         "tidemap",

@@ -2,26 +2,12 @@
 //!
 //! Invariant: times are nanoseconds UTC, and each edge is told for when the robot reaches it.
 
+use tidemap_proto::convert::route::{certainty_from_wire, objective_to_wire};
 use tidemap_proto::convert::time::{duration, instant, timestamp};
 use tidemap_proto::v1::{self, plan_route_request};
 
-use super::EdgeEnds;
+use super::{Certainty, EdgeEnds, Objective};
 use crate::{connection::Client, error::Error, queries::ModelSelector};
-
-/// What a route or a policy is best at.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum RouteObjective {
-    /// The greatest chance that nothing fails; of a policy, to be there in time.
-    #[default]
-    Success,
-    /// The least expected time.
-    Time,
-    /// Something between them; not for policies.
-    Blend {
-        /// 0 is the time alone, 1 the doubt alone.
-        doubt: f64,
-    },
-}
 
 /// When to go, nanoseconds UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,7 +39,7 @@ pub struct RouteQuery {
     /// When.
     pub when: RouteTime,
     /// What the route is best at.
-    pub objective: RouteObjective,
+    pub objective: Objective,
     /// What a failed attempt costs beside its own time, seconds.
     pub recovery_secs: Option<f64>,
     /// What a failure costs in a blend, seconds.
@@ -81,7 +67,7 @@ impl RouteQuery {
             from: from.to_owned(),
             to: to.to_owned(),
             when,
-            objective: RouteObjective::default(),
+            objective: Objective::default(),
             recovery_secs: None,
             failure_cost_secs: None,
             alternatives: 0,
@@ -130,19 +116,6 @@ pub struct Route {
     pub cost: f64,
 }
 
-/// How sure it is that no route is better.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RouteCertainty {
-    /// Proven.
-    Proven,
-    /// Proven to a second.
-    WithinResolution,
-    /// Likely.
-    Sampled,
-    /// The time was up.
-    CutOff,
-}
-
 /// What is asked of a policy. `None`: the daemon's default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PolicyQuery {
@@ -157,7 +130,7 @@ pub struct PolicyQuery {
     /// How long a slot is, nanoseconds.
     pub slot_nanos: Option<i64>,
     /// What the policy is best at.
-    pub objective: RouteObjective,
+    pub objective: Objective,
     /// What a failed attempt costs beside its own time, seconds.
     pub recovery_secs: Option<f64>,
     /// Which model predicts success.
@@ -216,16 +189,6 @@ pub struct PredictedEdge {
     pub reports: u64,
 }
 
-impl RouteObjective {
-    fn to_wire(self) -> (v1::RouteObjective, f64) {
-        match self {
-            Self::Success => (v1::RouteObjective::Success, 0.0),
-            Self::Time => (v1::RouteObjective::Time, 0.0),
-            Self::Blend { doubt } => (v1::RouteObjective::Blend, doubt),
-        }
-    }
-}
-
 fn ends(edge: Option<v1::EdgeEnds>) -> EdgeEnds {
     let v1::EdgeEnds { from, to, action, both_ways } = edge.unwrap_or_default();
     EdgeEnds { from, to, action, both_ways }
@@ -273,8 +236,8 @@ impl Client {
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` where there is no such map or node, `FAILED_PRECONDITION` where no way leads there.
-    pub async fn plan_route(&self, query: RouteQuery) -> Result<(Vec<Route>, RouteCertainty), Error> {
-        let (objective, doubt) = query.objective.to_wire();
+    pub async fn plan_route(&self, query: RouteQuery) -> Result<(Vec<Route>, Certainty), Error> {
+        let (objective, doubt) = objective_to_wire(query.objective);
         let when = match query.when {
             RouteTime::Depart(nanos) => plan_route_request::When::DepartTime(timestamp(nanos)),
             RouteTime::ArriveBy(nanos) => plan_route_request::When::ArriveByTime(timestamp(nanos)),
@@ -302,12 +265,7 @@ impl Client {
         };
         let answer = self.route_service().plan_route(request).await.map_err(|status| self.error(&status))?;
         let told = answer.into_inner();
-        let certainty = match told.certainty() {
-            v1::RouteCertainty::Proven => RouteCertainty::Proven,
-            v1::RouteCertainty::WithinResolution => RouteCertainty::WithinResolution,
-            v1::RouteCertainty::Sampled => RouteCertainty::Sampled,
-            v1::RouteCertainty::CutOff | v1::RouteCertainty::Unspecified => RouteCertainty::CutOff,
-        };
+        let certainty = certainty_from_wire(told.certainty()).unwrap_or(Certainty::CutOff);
         Ok((told.routes.into_iter().map(route).collect(), certainty))
     }
 
@@ -317,7 +275,7 @@ impl Client {
     /// [`Error`]; the code is `NOT_FOUND` where there is no such map or node, `RESOURCE_EXHAUSTED` where there are too many
     /// slots.
     pub async fn plan_policy(&self, query: PolicyQuery) -> Result<Policy, Error> {
-        let (objective, _) = query.objective.to_wire();
+        let (objective, _) = objective_to_wire(query.objective);
         let request = v1::PlanPolicyRequest {
             map: query.map,
             to: query.to,

@@ -60,6 +60,20 @@ pub fn sensor_from_wire(wire: Option<v1::Sensor>) -> Sensor {
     }
 }
 
+/// A sensor for the wire.
+#[must_use]
+pub fn sensor_to_wire(sensor: Sensor) -> v1::Sensor {
+    let Sensor { range_m, horizontal_fov_rad, vertical_fov_rad, height_m } = sensor;
+    v1::Sensor { range_m, horizontal_fov_rad, vertical_fov_rad, height_m: Some(height_m) }
+}
+
+/// A viewpoint for the wire.
+#[must_use]
+pub fn viewpoint_to_wire(viewpoint: &Viewpoint) -> v1::Viewpoint {
+    let Viewpoint { x_m, y_m, z_m, yaw_rad } = *viewpoint;
+    v1::Viewpoint { x_m, y_m, z_m, yaw_rad }
+}
+
 /// A viewpoint.
 #[must_use]
 pub fn viewpoint_from_wire(wire: &v1::Viewpoint) -> Viewpoint {
@@ -152,6 +166,26 @@ pub fn budget_from_wire(budget: Option<v1::plan_day_request::Budget>) -> Budget 
         Some(v1::plan_day_request::Budget::Explore(visits)) => Budget::Visits(visits as usize),
         Some(v1::plan_day_request::Budget::Ratio(ratio)) => Budget::Ratio(ratio),
         None => Budget::Ratio(0.25),
+    }
+}
+
+/// How much is explored, for the wire.
+#[must_use]
+pub fn budget_to_wire(budget: Budget) -> v1::plan_day_request::Budget {
+    match budget {
+        Budget::Visits(visits) => v1::plan_day_request::Budget::Explore(u32::try_from(visits).unwrap_or(u32::MAX)),
+        Budget::Ratio(ratio) => v1::plan_day_request::Budget::Ratio(ratio),
+    }
+}
+
+/// How slots are chosen, for the wire.
+#[must_use]
+pub fn strategy_to_wire(strategy: Strategy) -> v1::Strategy {
+    match strategy {
+        Strategy::MonteCarlo => v1::Strategy::MonteCarlo,
+        Strategy::Greedy => v1::Strategy::Greedy,
+        Strategy::RoundRobin { .. } => v1::Strategy::RoundRobin,
+        Strategy::Random => v1::Strategy::Random,
     }
 }
 

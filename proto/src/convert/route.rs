@@ -3,14 +3,16 @@
 //! Invariant: times become seconds after the question's reference time; what is wrong is told with its field, and what the
 //! planner itself checks is left to it.
 
+use tidemap_map::topology::{EdgeId, NodeId, Topology};
 use tidemap_plan::{
-    policy::{PolicyObjective, PolicyOptions},
-    route::{Certainty, DEPARTURES_MAX, Objective, RouteOptions, When},
+    policy::{PolicyAction, PolicyObjective, PolicyOptions, PolicyTable},
+    route::{Certainty, DEPARTURES_MAX, Objective, Route, RouteOptions, RouteStep, Routes, When},
 };
 
 use super::{
     InvalidField,
-    time::{instant_from_wire, nanos_from_duration, nanos_from_timestamp},
+    time::{duration, instant_from_wire, nanos_from_duration, nanos_from_timestamp, timestamp},
+    topology::{edge_to_wire, node_name},
 };
 use crate::v1;
 
@@ -58,7 +60,7 @@ pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, 
             (from, When::DepartWithin { from_secs: 0.0, to_secs, step_secs })
         }
     };
-    let objective = match objective_from_wire(request.objective)? {
+    let objective = match known_objective(request.objective)? {
         v1::RouteObjective::Unspecified | v1::RouteObjective::Success => Objective::Success,
         v1::RouteObjective::Time => Objective::Time,
         v1::RouteObjective::Blend => Objective::Blend { weight: within("doubt", request.doubt, 0.0, 1.0)? },
@@ -81,7 +83,7 @@ pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, 
 /// The field that is wrong.
 pub fn policy_from_wire(request: &v1::PlanPolicyRequest) -> Result<PolicyOptions, InvalidField> {
     let default = PolicyOptions::default();
-    let objective = match objective_from_wire(request.objective)? {
+    let objective = match known_objective(request.objective)? {
         v1::RouteObjective::Unspecified | v1::RouteObjective::Success => PolicyObjective::Reach,
         v1::RouteObjective::Time => PolicyObjective::Time,
         v1::RouteObjective::Blend => {
@@ -112,18 +114,103 @@ pub fn confidence_from_wire(confidence: Option<f64>) -> Result<f64, InvalidField
     }
 }
 
-/// How sure an answer is, for the wire.
+both_ways!(
+    /// How sure it is that no route is better, for the wire.
+    certainty_to_wire, certainty_from_wire, Certainty, v1::RouteCertainty,
+    [Proven = Proven, WithinResolution = WithinResolution, Sampled = Sampled, CutOff = CutOff]
+);
+
+/// What a route is best at, and the doubt of a blend, for the wire.
 #[must_use]
-pub fn certainty_to_wire(certainty: Certainty) -> v1::RouteCertainty {
-    match certainty {
-        Certainty::Proven => v1::RouteCertainty::Proven,
-        Certainty::WithinResolution => v1::RouteCertainty::WithinResolution,
-        Certainty::Sampled => v1::RouteCertainty::Sampled,
-        Certainty::CutOff => v1::RouteCertainty::CutOff,
+pub fn objective_to_wire(objective: Objective) -> (v1::RouteObjective, f64) {
+    match objective {
+        Objective::Success => (v1::RouteObjective::Success, 0.0),
+        Objective::Time => (v1::RouteObjective::Time, 0.0),
+        Objective::Blend { weight } => (v1::RouteObjective::Blend, weight),
     }
 }
 
-fn objective_from_wire(objective: i32) -> Result<v1::RouteObjective, InvalidField> {
+/// The time `secs` seconds after another, in nanoseconds UTC.
+#[must_use]
+pub fn later(reference_nanos: i64, secs: f64) -> i64 {
+    reference_nanos.saturating_add((secs * 1e9).round() as i64)
+}
+
+/// Routes for the wire; `reports` counts those of an edge.
+#[must_use]
+pub fn routes_to_wire(
+    planned: &Routes,
+    reference_nanos: i64,
+    topology: &Topology,
+    reports: impl Fn(EdgeId) -> u64,
+) -> v1::PlanRouteResponse {
+    let time = |secs| later(reference_nanos, secs);
+    let step = |step: &RouteStep| v1::RouteStep {
+        edge: ends(topology, step.edge),
+        start_nanos: time(step.start_secs),
+        duration_secs: step.duration_secs,
+        success: step.success,
+        success_lower: step.success_interval.lower,
+        success_upper: step.success_interval.upper,
+        reports: reports(step.edge),
+    };
+    let route = |route: &Route| v1::Route {
+        steps: route.steps.iter().map(step).collect(),
+        departure_nanos: time(route.departure_secs),
+        arrival_nanos: time(route.arrival_secs),
+        expected_secs: route.expected_secs,
+        success: route.success,
+        success_lower: route.success_interval.lower,
+        success_upper: route.success_interval.upper,
+        cost: route.cost,
+    };
+    v1::PlanRouteResponse {
+        routes: planned.routes.iter().map(route).collect(),
+        certainty: certainty_to_wire(planned.certainty).into(),
+    }
+}
+
+fn ends(topology: &Topology, edge: EdgeId) -> Option<v1::EdgeEnds> {
+    topology.edge(edge).ok().map(|edge| edge_to_wire(topology, edge))
+}
+
+/// A policy whose first slot begins at `start_nanos`, for the wire.
+#[must_use]
+pub fn policy_to_wire(table: &PolicyTable, start_nanos: i64, topology: &Topology) -> v1::PlanPolicyResponse {
+    let node = |&node: &NodeId| {
+        let mut wire = v1::NodePolicy { node: node_name(topology, node), ..v1::NodePolicy::default() };
+        let mut edges: Vec<EdgeId> = Vec::new();
+        for entry in (0..table.slots()).filter_map(|slot| table.entry(node, slot)) {
+            let mut index = 0;
+            let action = match entry.action {
+                PolicyAction::Take(edge) => {
+                    index = edges.iter().position(|&other| other == edge).unwrap_or_else(|| {
+                        edges.push(edge);
+                        edges.len() - 1
+                    });
+                    v1::PolicyAction::Edge
+                }
+                PolicyAction::Wait => v1::PolicyAction::Wait,
+                PolicyAction::Arrived => v1::PolicyAction::Arrived,
+                PolicyAction::Nothing => v1::PolicyAction::None,
+            };
+            wire.actions.push(action.into());
+            wire.edge_indices.push(u32::try_from(index).unwrap_or(u32::MAX));
+            wire.expected_secs.push(entry.expected_secs);
+            wire.reach.push(entry.reach);
+        }
+        wire.edges = edges.into_iter().filter_map(|edge| ends(topology, edge)).collect();
+        wire
+    };
+    v1::PlanPolicyResponse {
+        start_time: Some(timestamp(start_nanos)),
+        slot: Some(duration((table.slot_secs() * 1e9).round() as i64)),
+        slots: u32::try_from(table.slots()).unwrap_or(u32::MAX),
+        nodes: table.nodes().iter().map(node).collect(),
+    }
+}
+
+fn known_objective(objective: i32) -> Result<v1::RouteObjective, InvalidField> {
     v1::RouteObjective::try_from(objective)
         .map_err(|_| InvalidField::new("objective", format!("{objective} is not known")))
 }
@@ -149,7 +236,6 @@ fn positive_secs(field: &'static str, span: Option<prost_types::Duration>, defau
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::convert::time::timestamp;
 
     const MINUTE: i64 = 60_000_000_000;
 

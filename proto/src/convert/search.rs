@@ -2,11 +2,13 @@
 //!
 //! Invariant: an error names the field; what the planner itself checks is left to it.
 
-use tidemap_plan::search::{Effort, Options, Stop, Stopped};
+use tidemap_map::topology::Topology;
+use tidemap_plan::search::{Effort, Options, Plan, Stop, Stopped};
 
 use super::{
     InvalidField,
     time::{instant_from_wire, nanos_from_duration},
+    topology::node_name,
 };
 use crate::v1;
 
@@ -24,9 +26,7 @@ pub const SPEED_M_PER_SEC: f64 = 0.5;
 pub fn search_from_wire(request: &v1::PlanSearchRequest) -> Result<Options, InvalidField> {
     let default = Options::default();
     let effort = match v1::SearchEffort::try_from(request.effort) {
-        Ok(v1::SearchEffort::Unspecified | v1::SearchEffort::Auto) => Effort::Auto,
-        Ok(v1::SearchEffort::Exact) => Effort::Exact,
-        Ok(v1::SearchEffort::Heuristic) => Effort::Heuristic,
+        Ok(effort) => effort_from_wire(effort).unwrap_or_default(),
         Err(_) => return Err(InvalidField::new("effort", format!("{} is not known", request.effort))),
     };
     let within_nanos = request.budget.map(|span| nanos_from_duration("budget", span)).transpose()?;
@@ -110,14 +110,40 @@ pub fn joint_times_from_wire(request: &v1::NextJointRequest) -> Result<Vec<i64>,
     Ok((0..=steps).map(|k| from + k * step).filter(|&time| time <= last).collect())
 }
 
-/// Why a walk ends early, for the wire.
+both_ways!(
+    /// Why a walk ends early, for the wire.
+    stop_to_wire, stop_from_wire, Stopped, v1::SearchStop,
+    [Unlikely = Unlikely, NotWorthIt = NotWorthIt, OutOfTime = OutOfTime]
+);
+
+both_ways!(
+    /// How hard to look for the best order, for the wire.
+    effort_to_wire, effort_from_wire, Effort, v1::SearchEffort,
+    [Auto = Auto, Exact = Exact, Heuristic = Heuristic]
+);
+
+/// A planned search for the wire, without the nodes that were never observed.
 #[must_use]
-pub fn stop_to_wire(stopped: Option<Stopped>) -> v1::SearchStop {
-    match stopped {
-        None => v1::SearchStop::Unspecified,
-        Some(Stopped::Unlikely) => v1::SearchStop::Unlikely,
-        Some(Stopped::NotWorthIt) => v1::SearchStop::NotWorthIt,
-        Some(Stopped::OutOfTime) => v1::SearchStop::OutOfTime,
+pub fn plan_to_wire(plan: &Plan, topology: &Topology) -> v1::PlanSearchResponse {
+    let steps = plan.steps.iter().map(|step| v1::SearchStep {
+        node: node_name(topology, step.node),
+        arrival_secs: step.arrival_secs,
+        probability: step.probability,
+    });
+    let walk = plan
+        .walk
+        .iter()
+        .map(|at| v1::SearchPassage { node: node_name(topology, at.node), arrival_secs: at.arrival_secs });
+    v1::PlanSearchResponse {
+        steps: steps.collect(),
+        walk: walk.collect(),
+        expected_secs: plan.expected_secs,
+        lower_bound_secs: plan.lower_bound_secs,
+        optimal: plan.optimal,
+        remains: plan.remains,
+        stop: plan.stopped.map_or(v1::SearchStop::Unspecified, stop_to_wire).into(),
+        unreachable: plan.unreachable.iter().map(|goal| node_name(topology, goal.node)).collect(),
+        ..v1::PlanSearchResponse::default()
     }
 }
 

@@ -89,13 +89,18 @@ pub fn topology_to_wire(topology: &Topology) -> v1::GetTopologyResponse {
     v1::GetTopologyResponse { nodes: nodes.collect(), edges: edges.collect() }
 }
 
+/// The name of a node; empty where there is none.
+#[must_use]
+pub fn node_name(topology: &Topology, node: NodeId) -> String {
+    topology.node(node).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned())
+}
+
 /// Which edge, for the wire.
 #[must_use]
 pub fn edge_to_wire(topology: &Topology, edge: &Edge) -> v1::EdgeEnds {
-    let name = |id: NodeId| topology.node(id).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
     v1::EdgeEnds {
-        from: name(edge.from),
-        to: name(edge.to),
+        from: node_name(topology, edge.from),
+        to: node_name(topology, edge.to),
         action: edge.action.as_ref().map_or_else(String::new, |action| action.as_str().to_owned()),
         both_ways: false,
     }

@@ -30,7 +30,7 @@ pub const IOTA_BITS: f64 = 0.02 * std::f64::consts::LOG2_E;
 pub const NOVELTY_FACTOR: f64 = 4.0;
 
 /// How visits are scheduled for a day ahead.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
     /// All places in turn, evenly spaced over the day.
     RoundRobin {
@@ -42,6 +42,7 @@ pub enum Strategy {
     /// The slots whose best place has the highest gains; ties are broken by chance.
     Greedy,
     /// Slots and places by chance, in proportion to gain plus [`IOTA_BITS`] (eq. 11).
+    #[default]
     MonteCarlo,
 }
 

@@ -102,10 +102,10 @@ const COLUMNS: [&str; 4] = ["slot", "start", "location", "information_bits"];
 
 pub async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
     let budget = match (args.explore, args.ratio) {
-        (Some(slots), _) => Budget::Slots(slots),
-        (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Budget::Ratio(ratio),
+        (Some(slots), _) => Some(Budget::Visits(slots as usize)),
+        (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Some(Budget::Ratio(ratio)),
         (None, Some(ratio)) => return Err(usage(format!("--ratio {ratio}: it is above 0 and at most 1"))),
-        (None, None) => Budget::Usual,
+        (None, None) => None,
     };
     let viewpoints = match args.views {
         Some(apart_m) => viewpoints(session, &args.map, apart_m).await?,
@@ -119,7 +119,7 @@ pub async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
         strategy: match args.strategy {
             StrategyArg::MonteCarlo => Strategy::MonteCarlo,
             StrategyArg::Greedy => Strategy::Greedy,
-            StrategyArg::RoundRobin => Strategy::RoundRobin,
+            StrategyArg::RoundRobin => Strategy::RoundRobin { visited: 0 },
             StrategyArg::Random => Strategy::Random,
         },
         seed: args.seed,

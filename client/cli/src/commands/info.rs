@@ -58,7 +58,9 @@ pub async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<ExitCode> 
             .iter()
             .map(|view| Viewpoint { x_m: view.at_m[0], y_m: view.at_m[1], z_m: Some(view.at_m[2]), yaw_rad: 0.0 })
             .collect();
-        let sensor = Sensor { range_m: group.first().and_then(|view| view.range_m), ..Sensor::default() };
+        let usual = Sensor::default();
+        let range_m = group.first().and_then(|view| view.range_m).unwrap_or(usual.range_m);
+        let sensor = Sensor { range_m, ..usual };
         let looks = session.client.evaluate_views(&map, &viewpoints, at.clone(), sensor, model).await?;
         for (view, look) in group.iter().zip(looks) {
             let [x, y, z] = view.at_m;

@@ -7,7 +7,7 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::{ArgGroup, Args, ValueEnum};
 use tidemap_client::{
     queries::ModelSelector,
-    routes::{EdgeEnds, PolicyAction, PolicyQuery, Route, RouteCertainty, RouteObjective, RouteQuery, RouteTime},
+    routes::{Certainty, EdgeEnds, Objective, PolicyAction, PolicyQuery, Route, RouteQuery, RouteTime},
 };
 
 use super::{
@@ -149,9 +149,9 @@ pub async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode>
     files::check_picture(args.picture.as_deref())?;
     let query = RouteQuery {
         objective: match args.objective {
-            ObjectiveArg::Success => RouteObjective::Success,
-            ObjectiveArg::Time => RouteObjective::Time,
-            ObjectiveArg::Blend => RouteObjective::Blend { doubt: args.doubt },
+            ObjectiveArg::Success => Objective::Success,
+            ObjectiveArg::Time => Objective::Time,
+            ObjectiveArg::Blend => Objective::Blend { weight: args.doubt },
         },
         recovery_secs: args.recovery,
         failure_cost_secs: args.failure_cost,
@@ -187,12 +187,10 @@ pub async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode>
         status_line(&summary(number, route, routes.len()));
     }
     status_line(match certainty {
-        RouteCertainty::Proven => "no route is better",
-        RouteCertainty::WithinResolution => {
-            "no route is better, but for ways that arrive within a second of each other"
-        }
-        RouteCertainty::Sampled => "no route is better by edges predicted at a few times; that is no proof",
-        RouteCertainty::CutOff => "the time was up: there may be better routes",
+        Certainty::Proven => "no route is better",
+        Certainty::WithinResolution => "no route is better, but for ways that arrive within a second of each other",
+        Certainty::Sampled => "no route is better by edges predicted at a few times; that is no proof",
+        Certainty::CutOff => "the time was up: there may be better routes",
     });
     if let (Some(path), Some(best)) = (&args.picture, routes.first()) {
         let way = best.steps.iter().map(|step| step.edge.clone());
@@ -227,8 +225,8 @@ pub async fn policy(session: &Session, args: PolicyArgs) -> anyhow::Result<ExitC
         horizon_nanos: args.horizon,
         slot_nanos: args.slot,
         objective: match args.objective {
-            PolicyObjectiveArg::Success => RouteObjective::Success,
-            PolicyObjectiveArg::Time => RouteObjective::Time,
+            PolicyObjectiveArg::Success => Objective::Success,
+            PolicyObjectiveArg::Time => Objective::Time,
         },
         recovery_secs: args.recovery,
         model: args.model,

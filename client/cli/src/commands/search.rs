@@ -7,7 +7,7 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::{Args, ValueEnum};
 use tidemap_client::{
     queries::ModelSelector,
-    routes::{Search, SearchEffort, SearchQuery, SearchStep, SearchStop},
+    routes::{Effort, Search, SearchQuery, SearchStep, Stopped},
 };
 
 use super::{
@@ -89,9 +89,9 @@ pub async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode
         object: args.object.clone(),
         budget_nanos: args.budget,
         effort: match args.effort {
-            EffortArg::Auto => SearchEffort::Auto,
-            EffortArg::Exact => SearchEffort::Exact,
-            EffortArg::Heuristic => SearchEffort::Heuristic,
+            EffortArg::Auto => Effort::Auto,
+            EffortArg::Exact => Effort::Exact,
+            EffortArg::Heuristic => Effort::Heuristic,
         },
         plan_within_nanos: args.plan_within,
         remains_below: args.remains_below,
@@ -137,9 +137,9 @@ fn summary(search: &Search) -> Vec<String> {
     let mut lines = vec![format!("{expected_secs:.1} s to expect; {proof}")];
     lines.extend(search.stop.map(|stop| {
         let why = match stop {
-            SearchStop::Unlikely => "little remains",
-            SearchStop::NotWorthIt => "the rest is not worth the time",
-            SearchStop::OutOfTime => "the rest does not fit into the budget",
+            Stopped::Unlikely => "little remains",
+            Stopped::NotWorthIt => "the rest is not worth the time",
+            Stopped::OutOfTime => "the rest does not fit into the budget",
         };
         format!("the search ends early: {why}")
     }));

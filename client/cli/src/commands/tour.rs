@@ -67,13 +67,18 @@ const COLUMNS: [&str; 6] = ["step", "x", "y", "information_bits", "reachability"
 pub async fn run(session: &Session, args: TourArgs) -> anyhow::Result<ExitCode> {
     check_for_cells(args.model)?;
     files::check_picture(args.picture.as_deref())?;
+    let usual = Sensor::default();
     let query = TourQuery {
         map: args.map.clone(),
         time_nanos: args.at,
         count: args.count,
         start_m: args.start.map(|Point(at)| at),
         is_open: args.open,
-        sensor: Sensor { range_m: args.range, height_m: args.sensor_height, ..Sensor::default() },
+        sensor: Sensor {
+            range_m: args.range.unwrap_or(usual.range_m),
+            height_m: args.sensor_height.unwrap_or(usual.height_m),
+            ..usual
+        },
         model: args.model,
         spacing_m: args.spacing,
         robot_radius_m: args.robot_radius,

@@ -20,6 +20,7 @@ use crate::{
     ingest::handle::MapHandle,
     rpc::{series::Predictor, status::RpcError},
 };
+use tidemap_proto::convert::route::later;
 
 /// The edges of a map, ready to be asked for any time.
 pub(super) struct Edges {
@@ -72,9 +73,4 @@ impl Forecasts for Ahead<'_> {
     fn at(&mut self, edge: &Edge, at_secs: f64) -> Option<EdgeForecast> {
         Some(self.edges.forecast(edge, later(self.reference_nanos, at_secs)))
     }
-}
-
-/// A time so many seconds after another, in nanoseconds UTC.
-pub(super) fn later(reference_nanos: i64, secs: f64) -> i64 {
-    reference_nanos.saturating_add((secs * 1e9).round() as i64)
 }

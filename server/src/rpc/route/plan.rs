@@ -10,20 +10,20 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_map::{
-    edge_forecast::EdgeForecast,
-    topology::{Edge, EdgeId, NodeId, Topology},
-};
+use tidemap_map::{edge_forecast::EdgeForecast, topology::Edge};
 use tidemap_plan::{
-    policy::{PolicyAction, PolicyTable, solve_policy},
-    route::{Route, RouteError as PlanRouteError, Routes as Planned, plan_routes, success_interval},
+    policy::solve_policy,
+    route::{RouteError as PlanRouteError, plan_routes, success_interval},
 };
 use tidemap_proto::{
     convert::{
         query::selector_from_wire,
-        route::{POLICY_CELLS_MAX, certainty_to_wire, confidence_from_wire, policy_from_wire, route_from_wire},
+        route::{
+            POLICY_CELLS_MAX, confidence_from_wire, later, policy_from_wire, policy_to_wire, route_from_wire,
+            routes_to_wire,
+        },
         search::{plan_within_from_wire, speed_from_wire},
-        time::{duration, instant_from_wire, timestamp},
+        time::instant_from_wire,
         topology::edge_to_wire,
     },
     v1,
@@ -31,7 +31,7 @@ use tidemap_proto::{
 
 use super::{
     Routes,
-    edges::{Ahead, Edges, later},
+    edges::{Ahead, Edges},
     error::RouteError,
     places::find_node,
     search::Waiting,
@@ -65,7 +65,7 @@ pub(super) async fn plan_route(
         let mut ahead = Ahead { edges: &edges, reference_nanos: question.reference_nanos };
         let planned = plan_routes(&over, from, to, question.when, &question.options, &mut ahead, until);
         match planned {
-            Ok(planned) => Ok(to_wire(&planned, question.reference_nanos, &over, &edges)),
+            Ok(planned) => Ok(routes_to_wire(&planned, question.reference_nanos, &over, |edge| edges.reports(edge))),
             Err(error) => Err(with_node_names(error, ends, question.reference_nanos)),
         }
     };
@@ -82,40 +82,6 @@ fn with_node_names(error: PlanRouteError, (from, to): (String, String), referenc
         }
         other => RouteError::Plan(other),
     }
-}
-
-fn to_wire(planned: &Planned, reference_nanos: i64, topology: &Topology, edges: &Edges) -> v1::PlanRouteResponse {
-    let time = |secs| later(reference_nanos, secs);
-    let route = |route: &Route| v1::Route {
-        steps: route
-            .steps
-            .iter()
-            .map(|step| v1::RouteStep {
-                edge: ends(topology, step.edge),
-                start_nanos: time(step.start_secs),
-                duration_secs: step.duration_secs,
-                success: step.success,
-                success_lower: step.success_interval.lower,
-                success_upper: step.success_interval.upper,
-                reports: edges.reports(step.edge),
-            })
-            .collect(),
-        departure_nanos: time(route.departure_secs),
-        arrival_nanos: time(route.arrival_secs),
-        expected_secs: route.expected_secs,
-        success: route.success,
-        success_lower: route.success_interval.lower,
-        success_upper: route.success_interval.upper,
-        cost: route.cost,
-    };
-    v1::PlanRouteResponse {
-        routes: planned.routes.iter().map(route).collect(),
-        certainty: certainty_to_wire(planned.certainty).into(),
-    }
-}
-
-fn ends(topology: &Topology, edge: EdgeId) -> Option<v1::EdgeEnds> {
-    topology.edge(edge).ok().map(|edge| edge_to_wire(topology, edge))
 }
 
 pub(super) async fn plan_policy(
@@ -144,42 +110,6 @@ pub(super) async fn plan_policy(
         Ok::<_, RouteError>(policy_to_wire(&table, time_nanos, &topology))
     };
     Ok(routes.off_threads(work).await??)
-}
-
-fn policy_to_wire(table: &PolicyTable, time_nanos: i64, topology: &Topology) -> v1::PlanPolicyResponse {
-    let node = |&node: &NodeId| {
-        let name = topology.node(node).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
-        let mut told = v1::NodePolicy { node: name, ..v1::NodePolicy::default() };
-        let mut taken: Vec<EdgeId> = Vec::new();
-        for entry in (0..table.slots()).filter_map(|slot| table.entry(node, slot)) {
-            let mut index = 0;
-            let action = match entry.action {
-                PolicyAction::Take(edge) => {
-                    index = taken.iter().position(|&other| other == edge).unwrap_or_else(|| {
-                        taken.push(edge);
-                        taken.len() - 1
-                    });
-                    v1::PolicyAction::Edge
-                }
-                PolicyAction::Wait => v1::PolicyAction::Wait,
-                PolicyAction::Arrived => v1::PolicyAction::Arrived,
-                PolicyAction::Nothing => v1::PolicyAction::None,
-            };
-            told.actions.push(action.into());
-            told.edge_indices.push(u32::try_from(index).unwrap_or(u32::MAX));
-            told.expected_secs.push(entry.expected_secs);
-            told.reach.push(entry.reach);
-        }
-        told.edges = taken.into_iter().filter_map(|edge| ends(topology, edge)).collect();
-        told
-    };
-    let slot_nanos = (table.slot_secs() * 1e9).round() as i64;
-    v1::PlanPolicyResponse {
-        start_time: Some(timestamp(time_nanos)),
-        slot: Some(duration(slot_nanos)),
-        slots: u32::try_from(table.slots()).unwrap_or(u32::MAX),
-        nodes: table.nodes().iter().map(node).collect(),
-    }
 }
 
 pub(super) async fn predict_edges(

@@ -12,15 +12,15 @@ use std::{
 
 use tidemap_map::{
     selector::ModelSelector,
-    topology::{NodeId, Roads, Topology},
+    topology::{NodeId, Roads},
 };
 use tidemap_plan::search::{
-    CHANGING_GOALS_MAX, EXACT_GOALS_MAX, Effort, GOALS_MAX, Goal, Plan, SearchError, search, search_changing,
+    CHANGING_GOALS_MAX, EXACT_GOALS_MAX, Effort, GOALS_MAX, Goal, SearchError, search, search_changing,
 };
 use tidemap_proto::{
     convert::{
         query::selector_from_wire,
-        search::{plan_within_from_wire, search_from_wire, speed_from_wire, stop_to_wire},
+        search::{plan_to_wire, plan_within_from_wire, search_from_wire, speed_from_wire},
         time::instant_from_wire,
     },
     v1,
@@ -120,26 +120,5 @@ pub(super) async fn plan_search(
         })
     };
     let plan = routes.off_threads(work).await??;
-    Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..to_wire(&plan, &topology) })
-}
-
-fn to_wire(plan: &Plan, topology: &Topology) -> v1::PlanSearchResponse {
-    let name = |id| topology.node(id).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
-    let steps = plan.steps.iter().map(|step| v1::SearchStep {
-        node: name(step.node),
-        arrival_secs: step.arrival_secs,
-        probability: step.probability,
-    });
-    let walk = plan.walk.iter().map(|at| v1::SearchPassage { node: name(at.node), arrival_secs: at.arrival_secs });
-    v1::PlanSearchResponse {
-        steps: steps.collect(),
-        walk: walk.collect(),
-        expected_secs: plan.expected_secs,
-        lower_bound_secs: plan.lower_bound_secs,
-        optimal: plan.optimal,
-        remains: plan.remains,
-        stop: stop_to_wire(plan.stopped).into(),
-        unreachable: plan.unreachable.iter().map(|goal| name(goal.node)).collect(),
-        ..Default::default()
-    }
+    Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..plan_to_wire(&plan, &topology) })
 }
