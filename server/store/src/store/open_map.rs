@@ -22,6 +22,7 @@ use crate::{
         segment_position,
         writer::LogWriter,
     },
+    map_log::MapLog,
 };
 
 /// The newest snapshot, and what is wrong elsewhere.
