@@ -217,7 +217,7 @@ impl LiveMap {
     /// How full the memory for what is pending is, what a running update has taken included where that is asked: 1 where
     /// the fuller of the two kinds has reached its limit.
     #[must_use]
-    pub fn crowding(&self, limits: PendingLimits, with_running: bool) -> f64 {
+    pub fn pending_load(&self, limits: PendingLimits, with_running: bool) -> f64 {
         let taken = self.running.map(|(_, taken)| taken).filter(|_| with_running).unwrap_or_default();
         let observations = self.pending.total() + taken.observations;
         let changes = self.grid.as_ref().map_or(0, |grid| grid.pending_changes) + taken.changes;

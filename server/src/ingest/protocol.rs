@@ -180,7 +180,7 @@ pub enum ScanOrigin {
 
 /// A checked scan of a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TakenScan {
+pub struct CheckedScan {
     /// Its sequence number.
     pub sequence: u64,
     /// Running CRC up to it.
@@ -197,7 +197,7 @@ pub struct TakenScan {
     pub restarts: bool,
 }
 
-impl Default for TakenScan {
+impl Default for CheckedScan {
     fn default() -> Self {
         let scan =
             SentScan { utc_nanos: 0, seen: Arc::from([]), observed_flips: Vec::new(), occupied_flips: Vec::new() };
@@ -218,7 +218,7 @@ pub struct ScanBatch {
     /// Tiles added to the client's table before the scans.
     pub new_tiles: Vec<TileIndex>,
     /// The scans, in their order.
-    pub scans: Vec<TakenScan>,
+    pub scans: Vec<CheckedScan>,
     /// Those of them that are new and refused.
     pub refused: Vec<Refused>,
     /// Memory that it takes, about.

@@ -9,7 +9,7 @@ use tidemap_map::{
     MAX_AHEAD_NANOS,
     event::{Event, NewState, Observations, OffsetRun, Position, StateKind},
     grid::{
-        front::{Front, ScanSource},
+        front::{Front, StreamTiles},
         sensors::ProducerSensor,
     },
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
@@ -85,8 +85,8 @@ pub struct Session {
     events: mpsc::UnboundedSender<SessionEvent>,
     table: Vec<Slot>,
     /// What it has shown by scans: those that it sent as tiles, and those that were cast for it.
-    shown: ScanSource,
-    cast: ScanSource,
+    shown: StreamTiles,
+    cast: StreamTiles,
     in_flight: usize,
     open: bool,
     /// Whether data time is announced, and how far the data has come, nanoseconds UTC.
@@ -235,8 +235,8 @@ impl Sessions {
                 incarnation,
                 events: hello.events.clone(),
                 table: Vec::new(),
-                shown: ScanSource::default(),
-                cast: ScanSource::default(),
+                shown: StreamTiles::default(),
+                cast: StreamTiles::default(),
                 in_flight: 0,
                 open: true,
                 data_time: hello.nightly.then_some(i64::MIN),

@@ -163,7 +163,7 @@ impl UpdateSchedule {
     }
 
     fn look_at_pending(&mut self, map: &LiveMap, now_nanos: i64) {
-        if map.crowding(self.limits, false) <= 1.0 || map.is_updating() || !self.queue.is_empty() {
+        if map.pending_load(self.limits, false) <= 1.0 || map.is_updating() || !self.queue.is_empty() {
             return;
         }
         // What is later than a cut may be, the clock having been set back, has to wait: no update could take it.

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tidemap_map::{
     event::Event,
     grid::{
-        front::{Front, ScanSource, SentScan},
+        front::{Front, SentScan, StreamTiles},
         index::TileIndex,
         scan::Scans,
         spec::{GridSpec, Retention, SensorNoise},
@@ -75,8 +75,8 @@ impl Office {
     }
 
     /// A stream with all tiles in its table.
-    pub fn source() -> ScanSource {
-        let mut source = ScanSource::default();
+    pub fn source() -> StreamTiles {
+        let mut source = StreamTiles::default();
         (0..TILES as i32).for_each(|tile| source.push(TileIndex { x: tile % 26, y: tile / 26, z: 0 }));
         source
     }

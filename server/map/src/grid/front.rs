@@ -2,7 +2,7 @@
 //! each tile in the order of the log.
 //!
 //! Invariant: `Front` shows the map as it will be when everything handed to the log so far is applied; after a failure
-//! it is made anew from the map. A `ScanSource` shows its tiles as its stream has sent them. No tile beyond the limits of
+//! it is made anew from the map. A `StreamTiles` shows its tiles as its stream has sent them. No tile beyond the limits of
 //! indices gets into the log.
 
 use std::{collections::HashMap, sync::Arc};
@@ -35,7 +35,7 @@ pub struct SentScan {
 
 /// One stream's tiles: which they are, and what it last showed of them.
 #[derive(Debug, Default)]
-pub struct ScanSource {
+pub struct StreamTiles {
     slots: Vec<Slot>,
     seen: Option<SeenSlots>,
     /// Whether two of these slots are the same tile.
@@ -59,7 +59,7 @@ struct Slot {
     masks: TileMasks,
 }
 
-impl ScanSource {
+impl StreamTiles {
     /// Appends a tile to the stream's table.
     pub fn push(&mut self, index: TileIndex) {
         self.slots.push(Slot { index, tile: None, masks: TileMasks::default() });
@@ -173,7 +173,7 @@ impl Front {
         &mut self,
         grid: &LiveGrid,
         stream: u64,
-        source: &mut ScanSource,
+        source: &mut StreamTiles,
         scan: &SentScan,
         offset_secs: i32,
         max_tiles: usize,
@@ -234,14 +234,14 @@ impl Front {
 
     /// Whether a scan follows the one before it in the log, of the same stream and the same tiles: then all its tiles are as
     /// this stream showed them last.
-    fn goes_on(&self, stream: u64, source: &ScanSource, scan: &SentScan) -> bool {
+    fn goes_on(&self, stream: u64, source: &StreamTiles, scan: &SentScan) -> bool {
         source.is_like_before(scan) && !source.has_skipped && self.last_owner == stream
     }
 
     /// How many flips a scan of a stream would be in the log, those of tiles that are observed anew as a whole not
     /// counted; nothing is changed.
     #[must_use]
-    pub fn flips_at_most(&self, grid: &LiveGrid, stream: u64, source: &ScanSource, scan: &SentScan) -> u64 {
+    pub fn flips_at_most(&self, grid: &LiveGrid, stream: u64, source: &StreamTiles, scan: &SentScan) -> u64 {
         if self.goes_on(stream, source, scan) {
             return (scan.observed_flips.len() + scan.occupied_flips.len()) as u64;
         }
@@ -264,7 +264,7 @@ impl Front {
     fn resolve(
         &mut self,
         grid: &LiveGrid,
-        source: &mut ScanSource,
+        source: &mut StreamTiles,
         seen: &[u32],
         max_tiles: usize,
     ) -> Result<Vec<TileIndex>, TooManyTiles> {
@@ -300,7 +300,7 @@ impl Front {
     }
 
     /// Shows one tile of a stream to the map.
-    fn show(&mut self, source: &ScanSource, slot: u32, flips: &mut Flips) {
+    fn show(&mut self, source: &StreamTiles, slot: u32, flips: &mut Flips) {
         let Some(slot) = source.slots.get(slot as usize) else { return };
         let Some(tile) = slot.tile else { return };
         let index = tile.0 as usize;
@@ -344,7 +344,7 @@ mod limits {
     fn a_tile_beyond_the_limits_gets_no_id() {
         let map = LiveMap::new(Arc::new(spec(&mut 1)));
         let grid = map.grid().expect("a grid");
-        let (mut front, mut source) = (Front::new(grid), ScanSource::default());
+        let (mut front, mut source) = (Front::new(grid), StreamTiles::default());
         let index = TileIndex { x: 1, y: 2, z: 3 };
         source.push(TileIndex { x: TILE_LIMIT, ..index });
         source.push(index);

@@ -5,7 +5,7 @@ use std::sync::{Arc, atomic::AtomicU64};
 use tidemap_map::{
     event::{Event, UpdateCause},
     grid::{
-        front::{Front, ScanSource, SentScan},
+        front::{Front, SentScan, StreamTiles},
         index::{CellBox, CellIndex, TileIndex},
         scan::Scans,
         spec::{GridSpec, Retention, SensorNoise},
@@ -59,7 +59,7 @@ fn apply(map: &mut LiveMap, event: &Event) -> Option<tidemap_map::update::Update
 fn learned(grid: GridSpec) -> MapView {
     let mut map = LiveMap::new(map_spec(Some(grid)));
     let mut front = Front::new(map.grid().unwrap());
-    let mut source = ScanSource::default();
+    let mut source = StreamTiles::default();
     source.push(TileIndex { x: 0, y: 0, z: 0 });
     source.push(TileIndex { x: 2, y: 1, z: 0 });
     let mut scans = Scans {

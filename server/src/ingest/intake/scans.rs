@@ -24,7 +24,7 @@ use tidemap_proto::{
 };
 
 use super::{Intake, IntakeError, cast_table::CastTable, last_sequence, shortened};
-use crate::ingest::protocol::{Refused, ScanBatch, ScanOrigin, TakenScan};
+use crate::ingest::protocol::{CheckedScan, Refused, ScanBatch, ScanOrigin};
 
 mod effort;
 
@@ -199,7 +199,7 @@ impl Intake {
         match content {
             Some(ScanContent::Tiles(scan)) => {
                 let origin = ScanOrigin::Stream;
-                taken = Some(TakenScan { sequence, content_crc, origin, is_taken, scan, ..TakenScan::default() });
+                taken = Some(CheckedScan { sequence, content_crc, origin, is_taken, scan, ..CheckedScan::default() });
             }
             Some(ScanContent::Readings(readings)) if is_taken => {
                 cells = self.scans.ray_cells.as_ref().map_or(0, |cells| cells.of_readings(&readings));
@@ -207,7 +207,8 @@ impl Intake {
                     Ok(cast) => {
                         let (scan, new_tiles, restarts) = (cast.scan, cast.new_tiles, cast.restarts);
                         let origin = ScanOrigin::Cast;
-                        taken = Some(TakenScan { sequence, content_crc, origin, is_taken, scan, new_tiles, restarts });
+                        taken =
+                            Some(CheckedScan { sequence, content_crc, origin, is_taken, scan, new_tiles, restarts });
                     }
                     Err(refused) => refusal = Some(refused),
                 }

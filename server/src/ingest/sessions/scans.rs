@@ -7,7 +7,7 @@ use tidemap_map::{
     MAX_AHEAD_NANOS,
     event::Event,
     grid::{
-        front::{Front, FrontScan, ScanSource},
+        front::{Front, FrontScan, StreamTiles},
         index::TileIndex,
         scan::{LoggedScan, Scans},
     },
@@ -16,7 +16,7 @@ use tidemap_map::{
 };
 
 use super::{
-    super::protocol::{Refused, ScanBatch, ScanOrigin, SessionId, TakenScan},
+    super::protocol::{CheckedScan, Refused, ScanBatch, ScanOrigin, SessionId},
     Columns, Session, Sessions, Span, StreamEvent,
 };
 
@@ -124,17 +124,17 @@ impl Sessions {
         &mut self,
         id: SessionId,
         session: &mut Session,
-        taken: TakenScan,
+        taken: CheckedScan,
         map: &LiveMap,
         now: i64,
     ) -> Result<Option<(FrontScan, u64)>, Refused> {
-        let TakenScan { sequence, origin, is_taken, scan, new_tiles, restarts, .. } = taken;
+        let CheckedScan { sequence, origin, is_taken, scan, new_tiles, restarts, .. } = taken;
         let (source, stream) = match origin {
             ScanOrigin::Stream => (&mut session.shown, 2 * id.0),
             ScanOrigin::Cast => (&mut session.cast, 2 * id.0 + 1),
         };
         if restarts {
-            *source = ScanSource::default();
+            *source = StreamTiles::default();
         }
         for index in new_tiles {
             source.push(index);

@@ -111,7 +111,7 @@ impl Writer {
 
     /// The pending observations, with those of the running update, relative to the limit.
     pub(super) fn pending_load(&self) -> f64 {
-        self.map.crowding(self.context.max_pending, true)
+        self.map.pending_load(self.context.max_pending, true)
     }
 
     fn take(&mut self, session: SessionId, what: Handover) {

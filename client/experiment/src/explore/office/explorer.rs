@@ -13,7 +13,7 @@ use std::{
 use tidemap_map::{
     event::{Event, UpdateCause},
     grid::{
-        front::{Front, ScanSource, SentScan},
+        front::{Front, SentScan, StreamTiles},
         index::{CellIndex, TILE_CELLS, TileIndex},
         mask::{Mask, TileMasks},
         scan::Scans,
@@ -103,7 +103,7 @@ pub struct Explorer {
     map: LiveMap,
     view: MapView,
     front: Front,
-    source: ScanSource,
+    source: StreamTiles,
     /// Its stream's tiles: slot of each, and what it showed of it.
     slots: HashMap<TileIndex, u32>,
     shown: Vec<TileMasks>,
@@ -127,7 +127,7 @@ impl Explorer {
             map,
             view,
             front,
-            source: ScanSource::default(),
+            source: StreamTiles::default(),
             slots: HashMap::new(),
             shown: Vec::new(),
             scans: 0,

@@ -10,8 +10,8 @@ fn empty() -> LiveMap {
     LiveMap::new(Arc::new(spec(&mut 1)))
 }
 
-fn source(tiles: &[TileIndex]) -> ScanSource {
-    let mut source = ScanSource::default();
+fn source(tiles: &[TileIndex]) -> StreamTiles {
+    let mut source = StreamTiles::default();
     tiles.iter().for_each(|&tile| source.push(tile));
     source
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::{
     grid::{
-        front::{ScanSource, SentScan},
+        front::{SentScan, StreamTiles},
         index::TileIndex,
         mask::{Mask, TileMasks},
         sensors::ProducerSensor,
@@ -52,7 +52,7 @@ pub struct Robot {
     pub key: ProducerKey,
     /// What it announces.
     pub sensor: Option<ProducerSensor>,
-    pub source: ScanSource,
+    pub source: StreamTiles,
     table: Vec<TileIndex>,
     /// What it has sent of each tile of its table.
     shown: Vec<TileMasks>,
@@ -70,7 +70,7 @@ impl Robot {
         Robot {
             key: ProducerKey::new(&format!("robot{id}"), "").expect("valid"),
             sensor,
-            source: ScanSource::default(),
+            source: StreamTiles::default(),
             table: Vec::new(),
             shown: Vec::new(),
             sent: None,
