@@ -19,7 +19,7 @@ use super::{
     permits::{Permits, processors},
     query::{Queries, fitting::Fitting},
     replies::Replies,
-    series::Means,
+    series::PredictContext,
     status::RpcError,
 };
 use crate::catalog::Catalog;
@@ -78,8 +78,8 @@ impl Explorations {
     }
 
     /// What predicting takes.
-    fn means(&self) -> Means<'_> {
-        Means { fitting: &self.fitting, permits: &self.permits, predictions: self.limits.predictions }
+    fn predict_context(&self) -> PredictContext<'_> {
+        PredictContext { fitting: &self.fitting, permits: &self.permits, predictions: self.limits.predictions }
     }
 
     /// Refuses more times than a grid is predicted for at once.

@@ -23,7 +23,7 @@ use super::{
     map::edit_site,
     permits::{Permits, processors},
     query::{Queries, fitting::Fitting},
-    series::Means,
+    series::PredictContext,
     status::RpcError,
 };
 use crate::catalog::Catalog;
@@ -52,12 +52,12 @@ impl Routes {
         Self { catalog, predictions, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
     }
 
-    fn means(&self) -> Means<'_> {
-        Means { fitting: &self.fitting, permits: &self.permits, predictions: self.predictions }
+    fn predict_context(&self) -> PredictContext<'_> {
+        PredictContext { fitting: &self.fitting, permits: &self.permits, predictions: self.predictions }
     }
 
     /// Does what may take long off the async threads, with a permit.
-    async fn off_threads<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, RpcError> {
+    async fn run_blocking<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, RpcError> {
         let permit = self.permits.take().await?;
         let work = move || {
             let _permit = permit;
@@ -86,7 +86,7 @@ impl TopologyService for Routes {
         let request = request.into_inner();
         let map = request.map.clone();
         find_map(&self.catalog, &map)?;
-        let edit = self.off_threads(move || load_from_wire(&request)).await?.map_err(RpcError::from)?;
+        let edit = self.run_blocking(move || load_from_wire(&request)).await?.map_err(RpcError::from)?;
         let (nodes, edges) = self.edit(&map, edit).await?;
         Ok(Response::new(v1::LoadTopologyResponse { nodes, edges }))
     }
@@ -106,7 +106,7 @@ impl TopologyService for Routes {
         request: Request<v1::GetTopologyRequest>,
     ) -> Result<Response<v1::GetTopologyResponse>, Status> {
         let view = find_map(&self.catalog, &request.get_ref().map)?.view();
-        Ok(Response::new(self.off_threads(move || topology_to_wire(view.site().topology())).await?))
+        Ok(Response::new(self.run_blocking(move || topology_to_wire(view.site().topology())).await?))
     }
 
     async fn list_failures(

@@ -21,7 +21,7 @@ const TIMES_PER_BLOCK: usize = 4096;
 
 /// What predicting for a plan takes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Means<'a> {
+pub(super) struct PredictContext<'a> {
     /// Fits models to readings.
     pub fitting: &'a Arc<Fitting>,
     /// Permits to compute.
@@ -48,17 +48,17 @@ pub(super) fn check_kind(view: &MapView, id: StateId, field: &str) -> Result<(),
 ///
 /// # Errors
 /// There are more predictions than may be, or a model cannot be fitted.
-pub(super) async fn series(
-    means: Means<'_>,
+pub(super) async fn predict_series(
+    context: PredictContext<'_>,
     handle: &Arc<MapHandle>,
     view: &Arc<MapView>,
     (states, times_nanos): (Vec<StateId>, Vec<i64>),
     selector: ModelSelector,
 ) -> Result<Vec<Vec<f64>>, RpcError> {
     let predictions = states.len() as u64 * times_nanos.len() as u64;
-    check_limit("predictions", predictions, means.predictions, "setting max_predictions")?;
+    check_limit("predictions", predictions, context.predictions, "setting max_predictions")?;
     if !selector.kind.needs_readings() {
-        let permit = means.permits.take().await?;
+        let permit = context.permits.take().await?;
         let view = Arc::clone(view);
         let predict = move || {
             let _permit = permit;
@@ -79,8 +79,8 @@ pub(super) async fn series(
     let mut rows = Vec::with_capacity(states.len());
     for id in states {
         let learned = Learned::new(Arc::clone(handle), Arc::clone(view), id);
-        let fitted = means.fitting.fitted(&learned, selector.kind).await?;
-        let permit = means.permits.take().await?;
+        let fitted = context.fitting.fitted(&learned, selector.kind).await?;
+        let permit = context.permits.take().await?;
         let (view, moments) = (Arc::clone(view), Arc::clone(&moments));
         let predict = move || {
             let _permit = permit;
@@ -107,7 +107,7 @@ impl Predictor {
     /// # Errors
     /// A model cannot be fitted.
     pub(super) async fn new(
-        means: Means<'_>,
+        context: PredictContext<'_>,
         handle: &Arc<MapHandle>,
         view: &Arc<MapView>,
         states: Vec<StateId>,
@@ -117,7 +117,7 @@ impl Predictor {
         if selector.kind.needs_readings() {
             for &id in &states {
                 let learned = Learned::new(Arc::clone(handle), Arc::clone(view), id);
-                fitted.push(means.fitting.fitted(&learned, selector.kind).await?);
+                fitted.push(context.fitting.fitted(&learned, selector.kind).await?);
             }
         }
         Ok(Predictor { view: Arc::clone(view), states, selector, fitted })

@@ -27,7 +27,7 @@ use tidemap_proto::{
 use super::{Explorations, error::PlanError, information::location_states};
 use crate::rpc::{
     lookup::{check_limit, find_map, find_state},
-    series::{check_kind, series},
+    series::{check_kind, predict_series},
     status::RpcError,
 };
 
@@ -82,7 +82,8 @@ pub(super) async fn plan_day(
         let (names, by_location) = locations(&view, request.locations)?;
         let counts: Vec<usize> = by_location.iter().map(Vec::len).collect();
         let asked: Vec<StateId> = by_location.into_iter().flatten().collect();
-        let rows = series(explorations.means(), &handle, &view, (asked, middles.clone()), selector).await?;
+        let rows =
+            predict_series(explorations.predict_context(), &handle, &view, (asked, middles.clone()), selector).await?;
         (names, gains(&rows, &counts, slots.count(), certainty).map_err(PlanError::from)?)
     } else {
         if !request.locations.is_empty() {
@@ -103,7 +104,8 @@ pub(super) async fn plan_day(
         return Err(InvalidField::new("task_states", text).into());
     }
     let weighed = if weight < 1.0 {
-        let of_tasks = series(explorations.means(), &handle, &view, (tasks, middles), selector).await?;
+        let of_tasks =
+            predict_series(explorations.predict_context(), &handle, &view, (tasks, middles), selector).await?;
         let task = Gains::of(slots.count(), names.len(), |slot, place| of_tasks[place][slot]);
         let weighed = task.and_then(|task| information.weighed(&task, weight));
         Some(weighed.map_err(|error| PlanError::Day(error.into()))?)

@@ -25,7 +25,7 @@ use crate::{
     rpc::{
         lookup::{cell_of, check_limit, find_cell, find_map, find_state},
         replies::{Replies, computed, streamed},
-        series::{check_kind, series},
+        series::{check_kind, predict_series},
         status::RpcError,
     },
 };
@@ -142,7 +142,7 @@ pub(super) async fn get_information(
                 Target::States(states) => {
                     tokio::select! {
                         () = computed.unwanted() => return Ok(()),
-                        rows = series(asked.means(), &handle, &view, (states, times_nanos.clone()), selector) => rows?,
+                        rows = predict_series(asked.predict_context(), &handle, &view, (states, times_nanos.clone()), selector) => rows?,
                     }
                 }
                 Target::Cell(cell) => {

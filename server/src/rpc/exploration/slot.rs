@@ -17,7 +17,7 @@ use tidemap_proto::{
 };
 
 use super::{Explorations, day::locations, error::PlanError};
-use crate::rpc::{lookup::find_map, series::series, status::RpcError};
+use crate::rpc::{lookup::find_map, series::predict_series, status::RpcError};
 
 pub(super) async fn plan_slot(
     explorations: &Explorations,
@@ -44,7 +44,9 @@ pub(super) async fn plan_slot(
         return Err(InvalidField::new("planned", "only the novelty-driven strategy goes by a plan").into());
     }
     let states: Vec<StateId> = by_location.iter().flatten().copied().collect();
-    let ask = |selector| series(explorations.means(), &handle, &view, (states.clone(), vec![time_nanos]), selector);
+    let ask = |selector| {
+        predict_series(explorations.predict_context(), &handle, &view, (states.clone(), vec![time_nanos]), selector)
+    };
     let informed = ask(selector).await?;
     let informed = split(&informed, &by_location);
     let gain = |_, place: usize| certainty.bits_of(informed[place].iter().copied());

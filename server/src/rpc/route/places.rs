@@ -92,7 +92,7 @@ impl Places {
         }
         let (of, over, object) = (Arc::clone(view), Arc::clone(topology), object.to_owned());
         let example = topology.nodes().next().map_or_else(String::new, |node| state_at(node.name.as_str(), &object));
-        let places = routes.off_threads(move || Places::of(&of, &over, &object)).await??;
+        let places = routes.run_blocking(move || Places::of(&of, &over, &object)).await??;
         if places.nodes.is_empty() {
             return Err(RouteError::NothingObserved { map: map.to_owned(), example }.into());
         }

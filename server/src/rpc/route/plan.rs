@@ -34,7 +34,7 @@ use super::{
     edges::{Ahead, Edges},
     error::RouteError,
     places::find_node,
-    search::Waiting,
+    search::CancelOnDrop,
 };
 use crate::rpc::{lookup::find_map, status::RpcError};
 
@@ -56,12 +56,12 @@ pub(super) async fn plan_route(
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
 
-    let is_given_up = Arc::new(AtomicBool::new(false));
-    let _waiting = Waiting(Arc::clone(&is_given_up));
+    let is_cancelled = Arc::new(AtomicBool::new(false));
+    let _cancel = CancelOnDrop(Arc::clone(&is_cancelled));
     let (over, ends) = (Arc::clone(&topology), (request.from, request.to));
     let work = move || {
         let deadline = Instant::now() + within;
-        let until = || is_given_up.load(Ordering::Relaxed) || Instant::now() >= deadline;
+        let until = || is_cancelled.load(Ordering::Relaxed) || Instant::now() >= deadline;
         let mut ahead = Ahead { edges: &edges, reference_nanos: question.reference_nanos };
         let planned = plan_routes(&over, from, to, question.when, &question.options, &mut ahead, until);
         match planned {
@@ -69,7 +69,7 @@ pub(super) async fn plan_route(
             Err(error) => Err(with_node_names(error, ends, question.reference_nanos)),
         }
     };
-    Ok(routes.off_threads(work).await??)
+    Ok(routes.run_blocking(work).await??)
 }
 
 /// A planner's refusal in the words of who asked: names for numbers.
@@ -101,15 +101,15 @@ pub(super) async fn plan_policy(
         return Err(RouteError::PolicyTooLarge { nodes, slots }.into());
     }
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
-    let is_given_up = Arc::new(AtomicBool::new(false));
-    let _waiting = Waiting(Arc::clone(&is_given_up));
+    let is_cancelled = Arc::new(AtomicBool::new(false));
+    let _cancel = CancelOnDrop(Arc::clone(&is_cancelled));
     let work = move || {
-        let until = || is_given_up.load(Ordering::Relaxed);
+        let until = || is_cancelled.load(Ordering::Relaxed);
         let mut ahead = Ahead { edges: &edges, reference_nanos: time_nanos };
         let table = solve_policy(&topology, to, &options, &mut ahead, until).map_err(RouteError::from)?;
         Ok::<_, RouteError>(policy_to_wire(&table, time_nanos, &topology))
     };
-    Ok(routes.off_threads(work).await??)
+    Ok(routes.run_blocking(work).await??)
 }
 
 pub(super) async fn predict_edges(
@@ -143,5 +143,5 @@ pub(super) async fn predict_edges(
         };
         v1::PredictEdgesResponse { edges: topology.edges().map(told).collect() }
     };
-    routes.off_threads(work).await
+    routes.run_blocking(work).await
 }

@@ -17,7 +17,7 @@ use tidemap_proto::{
 use super::{Routes, places::Places};
 use crate::rpc::{
     lookup::{check_limit, find_map, find_state},
-    series::{check_kind, series},
+    series::{check_kind, predict_series},
     status::RpcError,
 };
 
@@ -38,7 +38,7 @@ pub(super) async fn predict_presence(
         request.times_nanos.iter().map(|&time| time_from_wire("times_nanos", time)).collect::<Result<_, _>>()?;
     let Places { nodes, states, unobserved, unobserved_nodes } =
         Places::asked(routes, &request.map, &view, &request.object).await?;
-    let rows = series(routes.means(), &handle, &view, (states, times.clone()), selector).await?;
+    let rows = predict_series(routes.predict_context(), &handle, &view, (states, times.clone()), selector).await?;
     let at = |(index, &time_nanos): (usize, &i64)| {
         let probabilities: Vec<f64> = rows.iter().map(|row| row[index].clamp(0.0, 1.0)).collect();
         let sum: f64 = probabilities.iter().sum();
@@ -79,7 +79,8 @@ pub(super) async fn next_joint(
     let mut best = (times[0], -1.0);
     // Later blocks need not be predicted where an earlier one passes the threshold.
     for block in times.chunks(TIMES_PER_BLOCK) {
-        let rows = series(routes.means(), &handle, &view, (states.clone(), block.to_vec()), selector).await?;
+        let rows = predict_series(routes.predict_context(), &handle, &view, (states.clone(), block.to_vec()), selector)
+            .await?;
         let together = |index: usize| rows.iter().map(move |row| row[index].clamp(0.0, 1.0));
         for (index, &time) in block.iter().enumerate() {
             let joint: f64 = together(index).product();

@@ -34,14 +34,14 @@ use super::{
 };
 use crate::rpc::{
     lookup::find_map,
-    series::{Predictor, series},
+    series::{Predictor, predict_series},
     status::RpcError,
 };
 
 /// Tells work that nobody waits for it any more, when dropped.
-pub(super) struct Waiting(pub(super) Arc<AtomicBool>);
+pub(super) struct CancelOnDrop(pub(super) Arc<AtomicBool>);
 
-impl Drop for Waiting {
+impl Drop for CancelOnDrop {
     fn drop(&mut self) {
         self.0.store(true, Ordering::Relaxed);
     }
@@ -74,14 +74,14 @@ pub(super) async fn plan_search(
     check_count(nodes.len(), options.effort, request.for_arrival).map_err(RouteError::from)?;
 
     let asked = (states.clone(), vec![time_nanos]);
-    let rows = series(routes.means(), &handle, &view, asked, selector).await?;
+    let rows = predict_series(routes.predict_context(), &handle, &view, asked, selector).await?;
     let goals: Vec<Goal> =
         nodes.iter().zip(&rows).map(|(&node, row)| Goal { node, probability: row[0].clamp(0.0, 1.0) }).collect();
     if !request.for_arrival && goals.iter().all(|goal| goal.probability == 0.0) {
         return Err(RouteError::Nobody(goals.len()).into());
     }
     let predictor = match request.for_arrival {
-        true => Some(Predictor::new(routes.means(), &handle, &view, states, selector).await?),
+        true => Some(Predictor::new(routes.predict_context(), &handle, &view, states, selector).await?),
         false => None,
     };
 
@@ -90,12 +90,12 @@ pub(super) async fn plan_search(
         false => None,
     };
 
-    let is_given_up = Arc::new(AtomicBool::new(false));
-    let _waiting = Waiting(Arc::clone(&is_given_up));
+    let is_cancelled = Arc::new(AtomicBool::new(false));
+    let _cancel = CancelOnDrop(Arc::clone(&is_cancelled));
     let walked = Arc::clone(&topology);
     let work = move || {
         let deadline = Instant::now() + within;
-        let until = || is_given_up.load(Ordering::Relaxed) || Instant::now() >= deadline;
+        let until = || is_cancelled.load(Ordering::Relaxed) || Instant::now() >= deadline;
         let roads = Roads::new(&walked, |edge| match &travelled {
             Some(travelled) => Some(travelled.forecast(edge, time_nanos).duration_secs),
             None => Some(edge.extent.secs_at(speed)),
@@ -119,6 +119,32 @@ pub(super) async fn plan_search(
             (error, _) => error.into(),
         })
     };
+<<<<<<< HEAD
     let plan = routes.off_threads(work).await??;
     Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..plan_to_wire(&plan, &topology) })
+=======
+    let plan = routes.run_blocking(work).await??;
+    Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..to_wire(&plan, &topology) })
+}
+
+fn to_wire(plan: &Plan, topology: &Topology) -> v1::PlanSearchResponse {
+    let name = |id| topology.node(id).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
+    let steps = plan.steps.iter().map(|step| v1::SearchStep {
+        node: name(step.node),
+        arrival_secs: step.arrival_secs,
+        probability: step.probability,
+    });
+    let walk = plan.walk.iter().map(|at| v1::SearchPassage { node: name(at.node), arrival_secs: at.arrival_secs });
+    v1::PlanSearchResponse {
+        steps: steps.collect(),
+        walk: walk.collect(),
+        expected_secs: plan.expected_secs,
+        lower_bound_secs: plan.lower_bound_secs,
+        optimal: plan.optimal,
+        remains: plan.remains,
+        stop: stop_to_wire(plan.stopped).into(),
+        unreachable: plan.unreachable.iter().map(|goal| name(goal.node)).collect(),
+        ..Default::default()
+    }
+>>>>>>> c4ee7c8 (Name the context of a prediction, predict_series, run_blocking and CancelOnDrop)
 }
