@@ -119,32 +119,6 @@ pub(super) async fn plan_search(
             (error, _) => error.into(),
         })
     };
-<<<<<<< HEAD
-    let plan = routes.off_threads(work).await??;
-    Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..plan_to_wire(&plan, &topology) })
-=======
     let plan = routes.run_blocking(work).await??;
-    Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..to_wire(&plan, &topology) })
-}
-
-fn to_wire(plan: &Plan, topology: &Topology) -> v1::PlanSearchResponse {
-    let name = |id| topology.node(id).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
-    let steps = plan.steps.iter().map(|step| v1::SearchStep {
-        node: name(step.node),
-        arrival_secs: step.arrival_secs,
-        probability: step.probability,
-    });
-    let walk = plan.walk.iter().map(|at| v1::SearchPassage { node: name(at.node), arrival_secs: at.arrival_secs });
-    v1::PlanSearchResponse {
-        steps: steps.collect(),
-        walk: walk.collect(),
-        expected_secs: plan.expected_secs,
-        lower_bound_secs: plan.lower_bound_secs,
-        optimal: plan.optimal,
-        remains: plan.remains,
-        stop: stop_to_wire(plan.stopped).into(),
-        unreachable: plan.unreachable.iter().map(|goal| name(goal.node)).collect(),
-        ..Default::default()
-    }
->>>>>>> c4ee7c8 (Name the context of a prediction, predict_series, run_blocking and CancelOnDrop)
+    Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..plan_to_wire(&plan, &topology) })
 }
