@@ -14,7 +14,7 @@ use tidemap_map::{
 };
 use tidemap_model::{Evaluation, Sample};
 
-use crate::fits::Fitted;
+use crate::model_cache::Fitted;
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 1024;

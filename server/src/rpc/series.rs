@@ -14,7 +14,7 @@ use super::{
     query::fitting::{Fitting, Learned},
     status::RpcError,
 };
-use crate::{fits::Fitted, ingest::handle::MapHandle};
+use crate::{ingest::handle::MapHandle, model_cache::Fitted};
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;
@@ -22,7 +22,7 @@ const TIMES_PER_BLOCK: usize = 4096;
 /// What predicting for a plan takes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PredictContext<'a> {
-    /// Fits models to readings.
+    /// ModelCache models to readings.
     pub fitting: &'a Arc<Fitting>,
     /// Permits to compute.
     pub permits: &'a Permits,

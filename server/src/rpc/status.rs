@@ -17,12 +17,12 @@ use tonic_types::{ErrorDetails, StatusExt as _};
 
 use crate::{
     catalog::CatalogError,
-    fits::ModelUnavailable,
     ingest::{
         ending::{Ending, is_fatal},
         intake::IntakeError,
         protocol::{AddStateError, EditSiteError, HelloError},
     },
+    model_cache::ModelUnavailable,
     rpc::{
         exploration::error::PlanError,
         route::error::{RouteError, refusal_of},

@@ -27,7 +27,7 @@ use super::{
     reconstruct::{Asked, past},
 };
 use crate::{
-    fits::Fitted,
+    model_cache::Fitted,
     rpc::{
         lookup::{cell_of, find_cell, find_map, find_state},
         replies::{Replies, computed},

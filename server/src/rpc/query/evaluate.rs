@@ -26,7 +26,7 @@ use tonic::{Status, Streaming};
 use super::{Queries, STATES_MAX, fitting::Learned};
 use crate::{
     evaluation::{Answering, Evaluator},
-    fits::ModelUnavailable,
+    model_cache::ModelUnavailable,
     rpc::{
         lookup::{check_limit, find_map, find_state},
         status::RpcError,
@@ -63,7 +63,7 @@ pub(super) async fn evaluate_states(
     check_limit("models", models.len() as u64, 64, "one request")?;
     let mut evaluator = Evaluator::new(Arc::clone(&view), models, max_order);
     let mut table: Vec<StateId> = Vec::new();
-    let mut held = queries.fitting.hold(0)?;
+    let mut reserved = queries.fitting.reserve(0)?;
     while let Some(request) = stream.message().await? {
         let Some(v1::evaluate_states_request::Message::Observations(mut columns)) = request.message else {
             let error = InvalidField::new("observations", "every message after the first must have them");
@@ -114,7 +114,7 @@ pub(super) async fn evaluate_states(
         for &state in first_seen.iter().filter(|state| evaluator.is_new(**state)).collect::<Vec<_>>() {
             let learned = Learned::new(Arc::clone(&handle), Arc::clone(&view), state);
             let models = queries.fitting.all_fitted(&learned, evaluator.kinds_to_fit()).await?;
-            held.merge(queries.fitting.hold(models.iter().flatten().count())?);
+            reserved.merge(queries.fitting.reserve(models.iter().flatten().count())?);
             let answering = |model| match model {
                 Ok(fitted) => Answering::Fitted(fitted),
                 Err(reason) => evaluator.nothing(&ModelUnavailable::to_string(&reason)),

@@ -16,8 +16,8 @@ use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 use super::readings::{Wanted, gather, read, retention};
 use crate::{
     catalog::Catalog,
-    fits::{FitKey, Fits, Fitted, ModelUnavailable, PositionModel},
     ingest::handle::MapHandle,
+    model_cache::{Fitted, ModelCache, ModelKey, ModelUnavailable, PositionModel},
     rpc::{
         permits::{Permits, processors},
         status::RpcError,
@@ -26,13 +26,13 @@ use crate::{
 
 mod positions;
 
-/// Fits models, or finds them.
+/// ModelCache models, or finds them.
 #[derive(Debug)]
 pub(in crate::rpc) struct Fitting {
     catalog: Arc<Catalog>,
-    fits: Fits,
+    models: ModelCache,
     /// As many models of positions.
-    positions: Fits<PositionModel>,
+    positions: ModelCache<PositionModel>,
     /// Permits to gather readings and fit. They are others than those to predict.
     permits: Permits,
     /// The same for kinds whose fit may take seconds: none of the others waits for these.
@@ -78,8 +78,8 @@ impl Fitting {
         let (permits, comparing_permits) = (Permits::default(), Permits::default());
         Self {
             catalog,
-            fits: Fits::new(max_fitted),
-            positions: Fits::new(max_fitted),
+            models: ModelCache::new(max_fitted),
+            positions: ModelCache::new(max_fitted),
             permits,
             slow_permits,
             comparing_permits,
@@ -123,8 +123,8 @@ impl Fitting {
     ) -> Result<Arc<Fitted>, RpcError> {
         self.check(learned, kind)?;
         let map = learned.handle.id;
-        let key = FitKey { map, generation: learned.view.generation(), state: learned.id, kind };
-        if let Some(fitted) = self.fits.get(&key) {
+        let key = ModelKey { map, generation: learned.view.generation(), state: learned.id, kind };
+        if let Some(fitted) = self.models.get(&key) {
             return Ok(fitted);
         }
         if learned.folded() == 0 {
@@ -132,7 +132,7 @@ impl Fitting {
         }
         let (this, learned) = (Arc::clone(self), Arc::clone(learned));
         // A task of its own: where this request goes away, others may wait for the same model.
-        let task = tokio::spawn(async move { this.fits.get_or_fit(key, this.fit(&learned, kind)).await });
+        let task = tokio::spawn(async move { this.models.get_or_fit(key, this.fit(&learned, kind)).await });
         task.await.map_err(|_| RpcError::Stopping)?
     }
 
@@ -140,11 +140,11 @@ impl Fitting {
     ///
     /// # Errors
     /// [`RpcError::Limit`] where all requests would hold more than may be kept.
-    pub(super) fn hold(&self, models: usize) -> Result<OwnedSemaphorePermit, RpcError> {
-        self.fits.hold(models).ok_or_else(|| {
+    pub(super) fn reserve(&self, models: usize) -> Result<OwnedSemaphorePermit, RpcError> {
+        self.models.reserve(models).ok_or_else(|| {
             let (what, setting) = ("fitted models that evaluations hold", "setting max_fitted_models");
-            let got = Some(self.fits.held().saturating_add(models) as u64);
-            OverLimit { what, got, max: self.fits.max() as u64, setting }.into()
+            let got = Some(self.models.reserved().saturating_add(models) as u64);
+            OverLimit { what, got, max: self.models.max() as u64, setting }.into()
         })
     }
 

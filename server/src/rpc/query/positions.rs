@@ -19,7 +19,7 @@ use tidemap_proto::{
 
 use super::{Queries, fitting::Learned};
 use crate::{
-    fits::PositionModel,
+    model_cache::PositionModel,
     rpc::{
         lookup::{check_limit, find_map, find_state},
         replies::{Computed, Replies, streamed},

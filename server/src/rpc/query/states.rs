@@ -30,8 +30,8 @@ use tokio::sync::OwnedSemaphorePermit;
 
 use super::{Queries, STATES_MAX, fitting::Learned};
 use crate::{
-    fits::Fitted,
     ingest::handle::MapHandle,
+    model_cache::Fitted,
     rpc::{
         lookup::{cell_of, check_limit, find_cell, find_map, find_state},
         replies::{Computed, Replies, computed, streamed},

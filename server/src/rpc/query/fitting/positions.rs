@@ -9,7 +9,7 @@ use tidemap_model::Sample;
 
 use super::{Fitting, Learned};
 use crate::{
-    fits::{FitKey, ModelUnavailable, PositionModel},
+    model_cache::{ModelKey, ModelUnavailable, PositionModel},
     rpc::status::RpcError,
 };
 
@@ -29,7 +29,7 @@ impl Fitting {
             return Err(first.unavailable(kind, ModelUnavailable::Unlearned));
         }
         let (map, generation, state) = (first.handle.id, first.view.generation(), first.id);
-        let key = FitKey { map, generation, state, kind };
+        let key = ModelKey { map, generation, state, kind };
         if let Some(model) = self.positions.get(&key) {
             return Ok(model);
         }

@@ -45,7 +45,7 @@ pub enum Fitted {
 }
 
 impl Fitted {
-    /// Fits a model of this kind to the readings of a state of a map, ascending by time, whose values are `of` that kind. Kinds that need none
+    /// ModelCache a model of this kind to the readings of a state of a map, ascending by time, whose values are `of` that kind. Kinds that need none
     /// ([`ModelKind::needs_readings`]) give [`Fitted::Unlearned`].
     ///
     /// # Errors

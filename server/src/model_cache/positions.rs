@@ -35,7 +35,7 @@ impl PositionModel {
         Some(HypertimeOptions { method, clusters: clusters as usize, seed: SEED })
     }
 
-    /// Fits a model to the readings of all axes of a vector of a map, each ascending by time.
+    /// ModelCache a model to the readings of all axes of a vector of a map, each ascending by time.
     ///
     /// # Errors
     /// [`CannotFit`] where an option is outside its range, there is no reading, or the axes do not have readings of the

@@ -25,7 +25,7 @@ pub use unavailable::ModelUnavailable;
 
 /// Which model, of what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct FitKey {
+pub struct ModelKey {
     /// The map.
     pub map: MapId,
     /// It knows what the updates up to this one have folded in.
@@ -37,52 +37,52 @@ pub struct FitKey {
 }
 
 /// A model, once it has been fitted.
-type Slot<T> = Arc<OnceCell<Arc<T>>>;
+type CacheSlot<T> = Arc<OnceCell<Arc<T>>>;
 
 /// The fitted models of all maps: those of states, or those of positions.
 #[derive(Debug)]
-pub struct Fits<T = Fitted> {
+pub struct ModelCache<T = Fitted> {
     max: usize,
     // A lock, because asking for a model changes when it was last used; held to look it up, never to fit.
-    kept: Mutex<Kept<T>>,
-    held: Arc<Semaphore>,
+    entries: Mutex<CacheEntries<T>>,
+    reserved: Arc<Semaphore>,
 }
 
 #[derive(Debug)]
-struct Kept<T> {
-    slots: HashMap<FitKey, (Slot<T>, u64)>,
+struct CacheEntries<T> {
+    slots: HashMap<ModelKey, (CacheSlot<T>, u64)>,
     /// The same keys by when they were last used, oldest first.
-    by_use: BTreeMap<u64, FitKey>,
+    by_use: BTreeMap<u64, ModelKey>,
     uses: u64,
 }
 
-impl<T> Fits<T> {
+impl<T> ModelCache<T> {
     /// Keeps at most so many models, at least one; those that are being fitted come on top.
     #[must_use]
     pub fn new(max: usize) -> Self {
         let max = max.clamp(1, Semaphore::MAX_PERMITS);
         Self {
             max,
-            kept: Mutex::new(Kept { slots: HashMap::new(), by_use: BTreeMap::new(), uses: 0 }),
-            held: Arc::new(Semaphore::new(max)),
+            entries: Mutex::new(CacheEntries { slots: HashMap::new(), by_use: BTreeMap::new(), uses: 0 }),
+            reserved: Arc::new(Semaphore::new(max)),
         }
     }
 
     /// The model, if it is kept.
     #[must_use]
-    pub fn get(&self, key: &FitKey) -> Option<Arc<T>> {
-        self.with_kept(|kept| kept.used(key)?.get().cloned())
+    pub fn get(&self, key: &ModelKey) -> Option<Arc<T>> {
+        self.with_entries(|entries| entries.used(key)?.get().cloned())
     }
 
     /// The model: the one that is kept, or the one that somebody is fitting now, or what `fit` gives.
     ///
     /// # Errors
     /// What `fit` ends with. Others who wait for the model then fit it themselves.
-    pub async fn get_or_fit<E>(&self, key: FitKey, fit: impl Future<Output = Result<T, E>>) -> Result<Arc<T>, E> {
-        let slot = self.with_kept(|kept| kept.slot(key, self.max));
+    pub async fn get_or_fit<E>(&self, key: ModelKey, fit: impl Future<Output = Result<T, E>>) -> Result<Arc<T>, E> {
+        let slot = self.with_entries(|entries| entries.slot(key, self.max));
         let fitted = slot.get_or_try_init(|| async { fit.await.map(Arc::new) }).await.cloned();
         if fitted.is_err() {
-            self.with_kept(|kept| kept.forget(&key, &slot));
+            self.with_entries(|entries| entries.forget(&key, &slot));
         }
         fitted
     }
@@ -90,14 +90,14 @@ impl<T> Fits<T> {
     /// Leave to hold so many models, kept or not, for as long as a request lasts; `None` where all requests together would
     /// hold more than may be kept.
     #[must_use]
-    pub fn hold(&self, models: usize) -> Option<OwnedSemaphorePermit> {
-        Arc::clone(&self.held).try_acquire_many_owned(u32::try_from(models).ok()?).ok()
+    pub fn reserve(&self, models: usize) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.reserved).try_acquire_many_owned(u32::try_from(models).ok()?).ok()
     }
 
     /// How many models requests have leave to hold.
     #[must_use]
-    pub fn held(&self) -> usize {
-        self.max.saturating_sub(self.held.available_permits())
+    pub fn reserved(&self) -> usize {
+        self.max.saturating_sub(self.reserved.available_permits())
     }
 
     /// Most models that are kept, and most that requests hold.
@@ -106,14 +106,14 @@ impl<T> Fits<T> {
         self.max
     }
 
-    fn with_kept<R>(&self, work: impl FnOnce(&mut Kept<T>) -> R) -> R {
-        work(&mut self.kept.lock().unwrap_or_else(PoisonError::into_inner))
+    fn with_entries<R>(&self, work: impl FnOnce(&mut CacheEntries<T>) -> R) -> R {
+        work(&mut self.entries.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
-impl<T> Kept<T> {
+impl<T> CacheEntries<T> {
     /// A slot that there is, which is now the last used.
-    fn used(&mut self, key: &FitKey) -> Option<Slot<T>> {
+    fn used(&mut self, key: &ModelKey) -> Option<CacheSlot<T>> {
         let (slot, last_use) = self.slots.get_mut(key)?;
         self.uses += 1;
         self.by_use.remove(last_use);
@@ -123,7 +123,7 @@ impl<T> Kept<T> {
     }
 
     /// The slot of a key, which is now the last used; others go where there is no room for it.
-    fn slot(&mut self, key: FitKey, max: usize) -> Slot<T> {
+    fn slot(&mut self, key: ModelKey, max: usize) -> CacheSlot<T> {
         if let Some(slot) = self.used(&key) {
             return slot;
         }
@@ -136,20 +136,20 @@ impl<T> Kept<T> {
             }
         }
         self.uses += 1;
-        let slot = Slot::default();
+        let slot = CacheSlot::default();
         self.slots.insert(key, (Arc::clone(&slot), self.uses));
         self.by_use.insert(self.uses, key);
         slot
     }
 
     /// Whether somebody waits for the model: were its slot given away, the next one who asks would fit it again.
-    fn is_in_flight(&self, key: &FitKey) -> bool {
+    fn is_in_flight(&self, key: &ModelKey) -> bool {
         self.slots.get(key).is_some_and(|(slot, _)| !slot.initialized() && Arc::strong_count(slot) > 1)
     }
 
     /// Gives up a slot that has no model.
-    fn forget(&mut self, key: &FitKey, slot: &Slot<T>) {
-        let is_empty = |(kept, _): &(Slot<T>, u64)| Arc::ptr_eq(kept, slot) && !kept.initialized();
+    fn forget(&mut self, key: &ModelKey, slot: &CacheSlot<T>) {
+        let is_empty = |(kept, _): &(CacheSlot<T>, u64)| Arc::ptr_eq(kept, slot) && !kept.initialized();
         if self.slots.get(key).is_some_and(is_empty)
             && let Some((_, last_use)) = self.slots.remove(key)
         {

@@ -1,0 +1,156 @@
+//! What is kept of fitted models, for how long, and how often one is fitted.
+
+use std::{
+    convert::Infallible,
+    sync::atomic::{AtomicU32, Ordering},
+};
+
+use tidemap_map::selector::PERGAM_PERIOD_NANOS;
+use tidemap_model::{
+    Sample,
+    models::{MarkovChain, Readings},
+};
+use tokio::sync::Notify;
+
+use super::*;
+
+fn key(state: u32) -> ModelKey {
+    let kind = ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS };
+    ModelKey { map: MapId(1), generation: 1, state: StateId(state), kind }
+}
+
+/// A model that is told from others by its newest value.
+fn model(value: f64) -> Fitted {
+    let samples = [Sample { utc_nanos: 5, offset_secs: 0, value }];
+    Fitted::MarkovChain(MarkovChain::fit(Readings::new(&samples)).expect("a reading"))
+}
+
+fn value(fitted: &Fitted) -> f64 {
+    let Fitted::MarkovChain(chain) = fitted else { panic!("{fitted:?}") };
+    chain.to_parts().last_value
+}
+
+async fn keep(cache: &ModelCache, key: ModelKey, value: f64) {
+    cache.get_or_fit(key, async { Ok::<_, Infallible>(model(value)) }).await.expect("fitted");
+}
+
+#[tokio::test]
+async fn a_model_is_fitted_once_however_many_ask_for_it() {
+    let cache = Arc::new(ModelCache::new(10));
+    let (fitted, go) = (Arc::new(AtomicU32::new(0)), Arc::new(Notify::new()));
+    let asking: Vec<_> = (0..8)
+        .map(|_| {
+            let (cache, fitted, go) = (Arc::clone(&cache), Arc::clone(&fitted), Arc::clone(&go));
+            tokio::spawn(async move {
+                let fit = async {
+                    fitted.fetch_add(1, Ordering::Relaxed);
+                    go.notified().await;
+                    Ok::<_, Infallible>(model(0.25))
+                };
+                cache.get_or_fit(key(1), fit).await.map(|fitted| value(&fitted))
+            })
+        })
+        .collect();
+    // While it is fitted, others are asked for, given and fitted.
+    while fitted.load(Ordering::Relaxed) == 0 {
+        tokio::task::yield_now().await;
+    }
+    assert!(cache.get(&key(1)).is_none());
+    keep(&cache, key(2), 0.5).await;
+    assert_eq!(cache.get(&key(2)).map(|fitted| value(&fitted)), Some(0.5));
+    go.notify_one();
+    for asked in asking {
+        assert_eq!(asked.await.expect("no panic"), Ok(0.25));
+    }
+    keep(&cache, key(1), 1.0).await;
+    assert_eq!(cache.get(&key(1)).map(|fitted| value(&fitted)), Some(0.25));
+    assert_eq!(fitted.load(Ordering::Relaxed), 1);
+}
+
+#[tokio::test]
+async fn the_least_recently_used_model_goes() {
+    let cache = ModelCache::new(3);
+    for state in 1..=3 {
+        keep(&cache, key(state), 0.5).await;
+    }
+    assert!(cache.get(&key(1)).is_some());
+    keep(&cache, key(2), 0.5).await;
+    keep(&cache, key(4), 0.5).await;
+    let kept: Vec<u32> = (1..=4).filter(|&state| cache.get(&key(state)).is_some()).collect();
+    assert_eq!(kept, [1, 2, 4]);
+    // As they were just looked up, 1 is the oldest now.
+    keep(&cache, key(5), 0.5).await;
+    keep(&cache, key(6), 0.5).await;
+    let kept: Vec<u32> = (1..=6).filter(|&state| cache.get(&key(state)).is_some()).collect();
+    assert_eq!(kept, [4, 5, 6]);
+    let inner = cache.entries.lock().expect("no panic");
+    assert_eq!((inner.slots.len(), inner.by_use.len()), (3, 3));
+}
+
+#[tokio::test]
+async fn whatever_differs_is_another_model() {
+    let cache = ModelCache::new(10);
+    let others = [
+        ModelKey { map: MapId(2), ..key(1) },
+        ModelKey { generation: 2, ..key(1) },
+        ModelKey { kind: ModelKind::Pergam { gaussians: 4, period_nanos: PERGAM_PERIOD_NANOS }, ..key(1) },
+        ModelKey { kind: ModelKind::Pergam { gaussians: 3, period_nanos: 7 * PERGAM_PERIOD_NANOS }, ..key(1) },
+        ModelKey { kind: ModelKind::Uniform, ..key(1) },
+        ModelKey { kind: ModelKind::HypertimeEm { clusters: 3 }, ..key(1) },
+        key(2),
+    ];
+    keep(&cache, key(1), 0.5).await;
+    for other in others {
+        assert!(cache.get(&other).is_none(), "{other:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_fit_that_failed_is_not_kept() {
+    let cache = ModelCache::new(2);
+    keep(&cache, key(1), 0.5).await;
+    keep(&cache, key(2), 0.5).await;
+    for state in 3..20 {
+        let failed = cache.get_or_fit(key(state), async { Err("no readings") }).await;
+        assert_eq!(failed.err(), Some("no readings"));
+        assert!(cache.get(&key(state)).is_none());
+    }
+    keep(&cache, key(3), 0.75).await;
+    assert_eq!(cache.get(&key(3)).map(|fitted| value(&fitted)), Some(0.75));
+}
+
+#[tokio::test]
+async fn a_model_that_is_being_fitted_is_not_given_up_for_others() {
+    let cache = Arc::new(ModelCache::new(1));
+    let (go, started) = (Arc::new(Notify::new()), Arc::new(Notify::new()));
+    let fitting = {
+        let (cache, go, started) = (Arc::clone(&cache), Arc::clone(&go), Arc::clone(&started));
+        tokio::spawn(async move {
+            let fit = async {
+                started.notify_one();
+                go.notified().await;
+                Ok::<_, Infallible>(model(0.25))
+            };
+            cache.get_or_fit(key(1), fit).await.map(drop)
+        })
+    };
+    started.notified().await;
+    keep(&cache, key(2), 0.5).await;
+    keep(&cache, key(3), 0.5).await;
+    go.notify_one();
+    assert_eq!(fitting.await.expect("no panic"), Ok(()));
+    assert_eq!(cache.get(&key(1)).map(|fitted| value(&fitted)), Some(0.25));
+    // What came on top goes with the next one.
+    keep(&cache, key(4), 0.5).await;
+    assert_eq!(cache.entries.lock().expect("no panic").slots.len(), 1);
+}
+
+#[test]
+fn requests_hold_no_more_than_may_be_kept() {
+    let cache: ModelCache = ModelCache::new(10);
+    let first = cache.reserve(7).expect("room");
+    assert_eq!((cache.reserved(), cache.reserve(4).is_none(), cache.reserve(usize::MAX).is_none()), (7, true, true));
+    let second = cache.reserve(3).expect("room");
+    drop((first, second));
+    assert!(cache.reserve(10).is_some());
+}
