@@ -258,7 +258,7 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
         None => (LiveMap::new(Arc::clone(&spec)), 0),
     };
     let mut replayed = 0u64;
-    let mut repeated = Repeated { context, id, spec: &spec, unsaved: None, save_above: HISTORY_BYTES };
+    let mut repeated = UpdateReplay { context, id, spec: &spec, unsaved: None, save_above: HISTORY_BYTES };
     // The last update that the log has begun. Only what follows tells whether it ended; until then it may be long.
     let mut begun: Option<UpdateWork> = None;
     for entry in opened.replay {
@@ -286,7 +286,7 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
 }
 
 /// Updates that are run again at the start because others followed them, and what they have left to be saved.
-struct Repeated<'a> {
+struct UpdateReplay<'a> {
     context: &'a Context,
     id: MapId,
     spec: &'a MapSpec,
@@ -294,7 +294,7 @@ struct Repeated<'a> {
     save_above: usize,
 }
 
-impl Repeated<'_> {
+impl UpdateReplay<'_> {
     fn run(&mut self, map: &mut LiveMap, work: UpdateWork) -> Result<(), CatalogError> {
         let done = std::sync::atomic::AtomicU64::new(0);
         let kept = self.unsaved.as_ref().map_or(Vec::new(), |snapshot| snapshot.history.clone());

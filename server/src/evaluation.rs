@@ -14,21 +14,21 @@ use tidemap_map::{
 };
 use tidemap_model::{Evaluation, Sample};
 
-use crate::model_cache::Fitted;
+use crate::model_cache::CachedModel;
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 1024;
 
 /// What answers for a state where a model has to be fitted to its readings.
 #[derive(Clone, Debug)]
-pub enum Answering {
+pub enum AnswerSource {
     /// The fitted model.
-    Fitted(Arc<Fitted>),
+    Fitted(Arc<CachedModel>),
     /// There is no such model, for this reason.
     Nothing(Arc<str>),
 }
 
-/// Sums of errors per state and model.
+/// ErrorSums of errors per state and model.
 #[derive(Debug)]
 pub struct Evaluator {
     view: Arc<MapView>,
@@ -37,14 +37,14 @@ pub struct Evaluator {
     states: Vec<StateId>,
     /// Why there are no models: many states share few reasons.
     reasons: HashSet<Arc<str>>,
-    sums: HashMap<StateId, Sums>,
+    sums: HashMap<StateId, ErrorSums>,
 }
 
 /// What is known of one state, each as long as the rows.
 #[derive(Debug)]
-struct Sums {
+struct ErrorSums {
     /// Who answers, where it is not the view.
-    answering: Vec<Option<Answering>>,
+    answering: Vec<Option<AnswerSource>>,
     errors: Vec<Evaluation>,
 }
 
@@ -63,7 +63,7 @@ impl Evaluator {
         Self { view, rows, states: Vec::new(), reasons: HashSet::new(), sums: HashMap::new() }
     }
 
-    /// Sums kept for each state.
+    /// ErrorSums kept for each state.
     #[must_use]
     pub fn sums_per_state(&self) -> usize {
         self.rows.len()
@@ -82,9 +82,9 @@ impl Evaluator {
     }
 
     /// That there is no model, for this reason.
-    pub fn nothing(&mut self, reason: &str) -> Answering {
+    pub fn nothing(&mut self, reason: &str) -> AnswerSource {
         let known = self.reasons.get(reason).cloned();
-        Answering::Nothing(known.unwrap_or_else(|| {
+        AnswerSource::Nothing(known.unwrap_or_else(|| {
             let reason: Arc<str> = reason.into();
             self.reasons.insert(Arc::clone(&reason));
             reason
@@ -92,11 +92,14 @@ impl Evaluator {
     }
 
     /// Begins with a state: who answers, for each of [`Evaluator::kinds_to_fit`]. Has no effect on a state that there is.
-    pub fn begin(&mut self, id: StateId, fitted: impl IntoIterator<Item = Answering>) {
+    pub fn begin(&mut self, id: StateId, fitted: impl IntoIterator<Item = AnswerSource>) {
         if let Entry::Vacant(entry) = self.sums.entry(id) {
             let mut fitted = fitted.into_iter();
             let answering = self.rows.iter().map(|row| if row.kind.needs_readings() { fitted.next() } else { None });
-            entry.insert(Sums { answering: answering.collect(), errors: vec![Evaluation::default(); self.rows.len()] });
+            entry.insert(ErrorSums {
+                answering: answering.collect(),
+                errors: vec![Evaluation::default(); self.rows.len()],
+            });
             self.states.push(id);
         }
     }
@@ -113,11 +116,11 @@ impl Evaluator {
                 for ((row, answering), sum) in rows {
                     match answering {
                         None => self.view.predict_into(*id, &prepared, *row, &mut predicted),
-                        Some(Answering::Fitted(fitted)) => {
+                        Some(AnswerSource::Fitted(fitted)) => {
                             let moments = prepared.moments();
                             fitted.predict_into(&self.view, *id, moments, *row, &mut predicted);
                         }
-                        Some(Answering::Nothing(_)) => continue,
+                        Some(AnswerSource::Nothing(_)) => continue,
                     }
                     for (sample, &probability) in block.iter().zip(&predicted) {
                         sum.add(probability, sample.value);
@@ -129,7 +132,7 @@ impl Evaluator {
 
     /// The rows: name of the state, model with its order, sums.
     pub fn rows(&self) -> impl Iterator<Item = (&str, ModelSelector, &Evaluation)> {
-        self.all().filter(|(.., answering, _)| !matches!(answering, Some(Answering::Nothing(_)))).map(
+        self.all().filter(|(.., answering, _)| !matches!(answering, Some(AnswerSource::Nothing(_)))).map(
             |(id, row, _, errors)| {
                 let order = Some(row.order_for(self.view.model(id))).filter(|_| row.kind.has_order());
                 (self.name(id), ModelSelector { order, ..*row }, errors)
@@ -143,7 +146,7 @@ impl Evaluator {
         let mut found: Vec<(ModelSelector, &str, Vec<&str>)> = Vec::new();
         let mut places = HashMap::new();
         for (id, row, answering, _) in self.all() {
-            let Some(Answering::Nothing(reason)) = answering else { continue };
+            let Some(AnswerSource::Nothing(reason)) = answering else { continue };
             let reason = &**reason;
             let place = *places.entry((*row, reason)).or_insert_with(|| {
                 found.push((*row, reason, Vec::new()));
@@ -158,7 +161,7 @@ impl Evaluator {
     }
 
     /// All rows by state, whether there is one who answers or not.
-    fn all(&self) -> impl Iterator<Item = (StateId, &ModelSelector, &Option<Answering>, &Evaluation)> {
+    fn all(&self) -> impl Iterator<Item = (StateId, &ModelSelector, &Option<AnswerSource>, &Evaluation)> {
         let of_state = |&id: &StateId| self.sums.get(&id).map(|sums| (id, sums));
         self.states.iter().filter_map(of_state).flat_map(|(id, sums)| {
             let rows = self.rows.iter().zip(&sums.answering).zip(&sums.errors);

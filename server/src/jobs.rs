@@ -40,7 +40,7 @@ impl Phase {
 
 /// A job as it stands.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Status {
+pub struct JobStatus {
     /// How far it is.
     pub phase: Phase,
     /// States and tiles with observations to fold in.
@@ -53,7 +53,7 @@ pub struct Status {
 
 /// An update.
 #[derive(Debug)]
-pub struct Job {
+pub struct UpdateJob {
     /// Identity.
     pub id: u64,
     /// Map that it updates.
@@ -64,7 +64,7 @@ pub struct Job {
     pub created_nanos: i64,
     /// States and tiles done so far.
     pub states_done: AtomicU64,
-    status: watch::Sender<Status>,
+    status: watch::Sender<JobStatus>,
     // A lock, because the report is dropped when the map's next update ends; held only to copy a pointer.
     report: Mutex<Option<Arc<Report>>>,
 }
@@ -78,10 +78,10 @@ pub struct Report {
     pub states: Vec<StateOutcome>,
 }
 
-impl Job {
+impl UpdateJob {
     /// The job as it stands.
     #[must_use]
-    pub fn status(&self) -> Status {
+    pub fn status(&self) -> JobStatus {
         self.status.borrow().clone()
     }
 
@@ -93,7 +93,7 @@ impl Job {
 
     /// Follows the job.
     #[must_use]
-    pub fn watch(&self) -> watch::Receiver<Status> {
+    pub fn watch(&self) -> watch::Receiver<JobStatus> {
         self.status.subscribe()
     }
 
@@ -135,15 +135,15 @@ impl Job {
 pub struct Jobs {
     next_id: AtomicU64,
     // A lock, because jobs come from all maps; held only to push or copy pointers.
-    jobs: Mutex<VecDeque<Arc<Job>>>,
+    jobs: Mutex<VecDeque<Arc<UpdateJob>>>,
 }
 
 impl Jobs {
     /// A new job, waiting.
-    pub fn create(&self, map: MapName, cause: UpdateCause, created_nanos: i64) -> Arc<Job> {
+    pub fn create(&self, map: MapName, cause: UpdateCause, created_nanos: i64) -> Arc<UpdateJob> {
         let (status, _) =
-            watch::channel(Status { phase: Phase::Waiting, states_total: 0, observations: 0, published: None });
-        let job = Arc::new(Job {
+            watch::channel(JobStatus { phase: Phase::Waiting, states_total: 0, observations: 0, published: None });
+        let job = Arc::new(UpdateJob {
             id: self.next_id.fetch_add(1, Ordering::Relaxed) + 1,
             map,
             cause,
@@ -164,7 +164,7 @@ impl Jobs {
     }
 
     /// Keeps the report of a job and drops that of the map's update before.
-    pub fn set_report(&self, job: &Job, report: Report) {
+    pub fn set_report(&self, job: &UpdateJob, report: Report) {
         for other in self.list().iter().filter(|other| other.map == job.map && other.id != job.id) {
             *other.report.lock().unwrap_or_else(PoisonError::into_inner) = None;
         }
@@ -173,13 +173,13 @@ impl Jobs {
 
     /// All jobs known, newest first.
     #[must_use]
-    pub fn list(&self) -> Vec<Arc<Job>> {
+    pub fn list(&self) -> Vec<Arc<UpdateJob>> {
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 
     /// The job of this identity.
     #[must_use]
-    pub fn get(&self, id: u64) -> Option<Arc<Job>> {
+    pub fn get(&self, id: u64) -> Option<Arc<UpdateJob>> {
         self.list().into_iter().find(|job| job.id == id)
     }
 }

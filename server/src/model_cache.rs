@@ -19,7 +19,7 @@ mod unavailable;
 #[cfg(test)]
 mod tests;
 
-pub use fitted::Fitted;
+pub use fitted::CachedModel;
 pub use positions::PositionModel;
 pub use unavailable::ModelUnavailable;
 
@@ -41,7 +41,7 @@ type CacheSlot<T> = Arc<OnceCell<Arc<T>>>;
 
 /// The fitted models of all maps: those of states, or those of positions.
 #[derive(Debug)]
-pub struct ModelCache<T = Fitted> {
+pub struct ModelCache<T = CachedModel> {
     max: usize,
     // A lock, because asking for a model changes when it was last used; held to look it up, never to fit.
     entries: Mutex<CacheEntries<T>>,

@@ -8,11 +8,11 @@ use tidemap_store::Sizes;
 use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
 /// Name, value, unit.
-pub type Row = (&'static str, f64, &'static str);
+pub type Counter = (&'static str, f64, &'static str);
 
 /// Counters of one map.
 #[must_use]
-pub fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Row> {
+pub fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
     let view = handle.view();
     let sizes = catalog.context().store.sizes(handle.id);
     let mut rows = vec![
@@ -31,7 +31,7 @@ pub fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Row> {
 
 /// Counters of the daemon.
 #[must_use]
-pub fn of_daemon(catalog: &Catalog) -> Vec<Row> {
+pub fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
     let maps = catalog.all();
     let mut rows = vec![("maps", maps.len() as f64, "")];
     let mut sums = [
@@ -60,7 +60,7 @@ pub fn of_daemon(catalog: &Catalog) -> Vec<Row> {
     rows
 }
 
-fn of_storage(catalog: &Catalog) -> [Row; 3] {
+fn of_storage(catalog: &Catalog) -> [Counter; 3] {
     let sync = catalog.context().store.sync_stats();
     [
         ("fdatasyncs", sync.count as f64, ""),
@@ -75,7 +75,7 @@ fn ratio(observed_bits: u64, kept_bytes: u64) -> f64 {
 }
 
 /// Counters of the grid of a map, and its compression; 0 if it has no grid.
-fn of_grid(catalog: &Catalog, handle: &MapHandle, sizes: &Sizes) -> Vec<Row> {
+fn of_grid(catalog: &Catalog, handle: &MapHandle, sizes: &Sizes) -> Vec<Counter> {
     let view = handle.view();
     let totals = handle.tile_totals();
     let grid = view.grid();

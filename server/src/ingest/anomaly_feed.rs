@@ -20,7 +20,7 @@ const GENERATIONS: usize = 2;
 
 /// Observations that were applied one after the other.
 #[derive(Debug, Default)]
-pub struct Applied {
+pub struct FeedPiece {
     /// The models that were in force; gone where two updates have ended since.
     pub models: Weak<MapView>,
     /// How many observations were told before.
@@ -37,7 +37,7 @@ pub struct Applied {
 #[derive(Debug)]
 pub enum FeedMessage {
     /// Observations were applied.
-    Applied(Applied),
+    Applied(FeedPiece),
     /// The map stops.
     End(Ending),
 }
@@ -49,8 +49,8 @@ pub type FeedReceiver = broadcast::Receiver<Arc<FeedMessage>>;
 #[derive(Debug)]
 pub struct AnomalyFeed {
     sender: broadcast::Sender<Arc<FeedMessage>>,
-    /// Applied, and not yet public.
-    waiting: Vec<Applied>,
+    /// FeedPiece, and not yet public.
+    waiting: Vec<FeedPiece>,
     /// Observations told so far.
     told: u64,
     /// Models that may still be judged by, oldest first.
@@ -77,7 +77,7 @@ impl AnomalyFeed {
         }
         for (state, sample) in observations.samples() {
             if self.waiting.last().is_none_or(|piece| piece.states.len() >= PIECE) {
-                self.waiting.push(Applied::default());
+                self.waiting.push(FeedPiece::default());
             }
             if let Some(piece) = self.waiting.last_mut() {
                 piece.states.push(state);

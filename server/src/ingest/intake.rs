@@ -18,7 +18,7 @@ use tidemap_proto::convert::{
 };
 use tidemap_proto::v1;
 
-use super::protocol::{NewName, ObservationBatch, Refused};
+use super::protocol::{NewName, ObservationBatch, RefusedObservation};
 
 mod cast_table;
 mod scans;
@@ -284,7 +284,11 @@ impl Intake {
                         batch.kept.extend(0..u32::try_from(offset).unwrap_or(u32::MAX));
                     }
                     let detail = shortened(&detail);
-                    batch.refused.push(Refused { sequence: self.next_sequence + offset as u64, reason, detail });
+                    batch.refused.push(RefusedObservation {
+                        sequence: self.next_sequence + offset as u64,
+                        reason,
+                        detail,
+                    });
                 }
             }
         }

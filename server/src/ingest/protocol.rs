@@ -26,7 +26,7 @@ use tidemap_store::AppendError;
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
 use super::{anomaly_feed::FeedReceiver, ending::Ending};
-use crate::jobs::Job;
+use crate::jobs::UpdateJob;
 
 /// A stream, as its map's writer knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -46,12 +46,12 @@ pub struct Hello {
     /// Where the writer's messages to the stream go.
     pub events: mpsc::UnboundedSender<SessionEvent>,
     /// The answer.
-    pub reply: oneshot::Sender<Result<Opened, HelloError>>,
+    pub reply: oneshot::Sender<Result<Welcome, HelloError>>,
 }
 
 /// A stream that was accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Opened {
+pub struct Welcome {
     /// The stream.
     pub session: SessionId,
     /// Its incarnation.
@@ -116,7 +116,7 @@ pub enum HelloError {
 
 /// An observation that was refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Refused {
+pub struct RefusedObservation {
     /// Its sequence number.
     pub sequence: u64,
     /// Why, to act on.
@@ -165,7 +165,7 @@ pub struct ObservationBatch {
     /// may have, and of as many coordinates as its name is said to have.
     pub positions: Vec<(u32, Position)>,
     /// The others.
-    pub refused: Vec<Refused>,
+    pub refused: Vec<RefusedObservation>,
 }
 
 /// Which of a stream's two tables of tiles a scan refers to.
@@ -220,7 +220,7 @@ pub struct ScanBatch {
     /// The scans, in their order.
     pub scans: Vec<CheckedScan>,
     /// Those of them that are new and refused.
-    pub refused: Vec<Refused>,
+    pub refused: Vec<RefusedObservation>,
     /// Memory that it takes, about.
     pub bytes: usize,
 }
@@ -237,7 +237,7 @@ pub struct TraversalBatch {
     /// Those that may be taken, with their sequence numbers. Whether there are such edges is for the map's writer to say.
     pub traversals: Vec<(u64, Traversal)>,
     /// The others.
-    pub refused: Vec<Refused>,
+    pub refused: Vec<RefusedObservation>,
 }
 
 /// Room in the buffers of a stream and of all streams, given back when it is dropped.
@@ -253,8 +253,8 @@ pub enum SessionEvent {
     Ack {
         /// That number.
         durable_sequence: u64,
-        /// Refused since the last one.
-        refused: Vec<Refused>,
+        /// RefusedObservation since the last one.
+        refused: Vec<RefusedObservation>,
     },
     /// The stream ends.
     End(Ending),
@@ -384,14 +384,14 @@ pub enum Command {
         /// Why.
         cause: UpdateCause,
         /// The job.
-        job: Arc<Job>,
+        job: Arc<UpdateJob>,
     },
     /// The committer answers the oldest append that is not answered.
     Committed(Result<u64, AppendError>),
     /// The update that was out is back; `Err` where it failed.
     UpdateDone {
         /// The job.
-        job: Arc<Job>,
+        job: Arc<UpdateJob>,
         /// What it learned.
         result: Result<Box<UpdateResult>, String>,
     },

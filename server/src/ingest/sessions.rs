@@ -22,7 +22,7 @@ use tokio::sync::mpsc;
 
 use super::{
     ending::Ending,
-    protocol::{Hello, HelloError, ObservationBatch, Opened, Refused, SessionEvent, SessionId},
+    protocol::{Hello, HelloError, ObservationBatch, RefusedObservation, SessionEvent, SessionId, Welcome},
 };
 
 mod scans;
@@ -30,7 +30,7 @@ mod sensors;
 mod states;
 mod traversals;
 
-use states::{Room, Slot};
+use states::{StateAllocator, StreamState};
 
 /// An event of a stream, to be appended to the log.
 #[derive(Debug)]
@@ -38,7 +38,7 @@ pub struct StreamEvent {
     /// The event.
     pub event: Event,
     /// Its refused observations or scans.
-    pub refused: Vec<Refused>,
+    pub refused: Vec<RefusedObservation>,
     /// Tiles of those of its scans whose time is too far ahead.
     pub tiles_ahead: u64,
 }
@@ -83,7 +83,7 @@ pub struct Session {
     sensor: Option<ProducerSensor>,
     incarnation: u64,
     events: mpsc::UnboundedSender<SessionEvent>,
-    table: Vec<Slot>,
+    table: Vec<StreamState>,
     /// What it has shown by scans: those that it sent as tiles, and those that were cast for it.
     shown: StreamTiles,
     cast: StreamTiles,
@@ -113,7 +113,7 @@ impl Session {
         now: i64,
         span: Span,
         columns: Columns,
-        mut refused: Vec<Refused>,
+        mut refused: Vec<RefusedObservation>,
     ) -> StreamEvent {
         refused.sort_by_key(|refused| refused.sequence);
         let (producer, new_producer) = self.producer(map, producers_in_flight);
@@ -147,7 +147,7 @@ impl Session {
 
 /// How much the streams of a map may add to it.
 #[derive(Clone, Copy, Debug)]
-pub struct Limits {
+pub struct SessionLimits {
     /// States of the map.
     pub states: usize,
     /// Producer keys of the map.
@@ -177,11 +177,11 @@ pub struct Sessions {
     front: Option<Front>,
     /// Tiles of scans in flight whose time is too far ahead.
     tiles_ahead: u64,
-    limits: Limits,
+    limits: SessionLimits,
 }
 
 impl Sessions {
-    pub fn new(offsets: OffsetCache, limits: Limits) -> Self {
+    pub fn new(offsets: OffsetCache, limits: SessionLimits) -> Self {
         Self {
             next_id: 1,
             sessions: BTreeMap::new(),
@@ -200,7 +200,7 @@ impl Sessions {
 
     /// Opens a stream, superseding an open one of the same key where the hello may. `Ok(None)`: batches of the key are
     /// still in flight; ask again when they are answered.
-    pub fn open(&mut self, hello: &Hello, map: &LiveMap) -> Result<Option<Opened>, HelloError> {
+    pub fn open(&mut self, hello: &Hello, map: &LiveMap) -> Result<Option<Welcome>, HelloError> {
         let mark = map.producer(&hello.key);
         let open = self.open_by_key.get(&hello.key).and_then(|id| self.sessions.get(id));
         let seen = mark.map_or(0, |(_, mark)| mark.incarnation);
@@ -251,7 +251,7 @@ impl Sessions {
             self.issued.insert(hello.key.clone(), incarnation);
         }
         let (durable_sequence, content_crc) = mark.map_or((0, 0), |(_, m)| (m.durable_sequence, m.content_crc));
-        Ok(Some(Opened { session: id, incarnation, durable_sequence, content_crc }))
+        Ok(Some(Welcome { session: id, incarnation, durable_sequence, content_crc }))
     }
 
     /// Turns a batch into an event, with refusals added where the map may not have more states. `None` where the
@@ -264,14 +264,16 @@ impl Sessions {
         now: i64,
     ) -> Option<StreamEvent> {
         let session = self.sessions.get_mut(&id).filter(|session| session.open)?;
-        session.table.extend(batch.new_names.into_iter().map(|name| name.map_or(Slot::Invalid, Slot::Unused)));
+        session
+            .table
+            .extend(batch.new_names.into_iter().map(|name| name.map_or(StreamState::Invalid, StreamState::Unused)));
         if batch.last_sequence < batch.first_sequence {
             return None;
         }
         let mut refused = batch.refused;
         let mut refuse = |i: usize, reason: RefusalReason, detail: String| {
             let offset = batch.kept.get(i).map_or(i as u64, |&kept| u64::from(kept));
-            refused.push(Refused { sequence: batch.first_sequence + offset, reason, detail });
+            refused.push(RefusedObservation { sequence: batch.first_sequence + offset, reason, detail });
         };
         let plausible = now.saturating_add(MAX_AHEAD_NANOS);
         let may_wait = map.ahead() < self.limits.ahead;
@@ -291,20 +293,21 @@ impl Sessions {
                 continue;
             }
             let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
-            let mut room = Room {
+            let mut allocator = StateAllocator {
                 map,
                 in_flight: &mut self.states_in_flight,
                 renames: &self.renames_in_flight,
                 max: self.limits.states,
             };
-            let state = match slot.state_for(batch.values[i], position.is_some(), &mut room, &mut columns.new_states) {
-                Ok(state) => state,
-                Err(Some((reason, text))) => {
-                    refuse(i, reason, text);
-                    continue;
-                }
-                Err(None) => continue,
-            };
+            let state =
+                match slot.state_for(batch.values[i], position.is_some(), &mut allocator, &mut columns.new_states) {
+                    Ok(state) => state,
+                    Err(Some((reason, text))) => {
+                        refuse(i, reason, text);
+                        continue;
+                    }
+                    Err(None) => continue,
+                };
             let offset_secs = self.offsets.offset_secs(time);
             let numbers = position.as_ref().map_or(&batch.values[i..=i], Position::coordinates);
             for (&number, state) in numbers.iter().zip(state.0..) {

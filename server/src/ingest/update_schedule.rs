@@ -18,7 +18,7 @@ use tidemap_map::{
 };
 
 use super::sessions::Sessions;
-use crate::jobs::{Job, Jobs};
+use crate::jobs::{Jobs, UpdateJob};
 
 /// How long a producer whose stream broke keeps its say in when a day of imported data closes.
 const ANNOUNCEMENT_KEPT: Duration = Duration::from_secs(60);
@@ -34,7 +34,7 @@ const WAITING_MAX: usize = 16;
 pub struct DueUpdate {
     pub until_nanos: Option<i64>,
     pub cause: UpdateCause,
-    pub job: Arc<Job>,
+    pub job: Arc<UpdateJob>,
 }
 
 /// The updates of one map that wait, and what makes new ones due.

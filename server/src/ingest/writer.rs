@@ -26,8 +26,8 @@ use super::{
     anomaly_feed::AnomalyFeed,
     ending::Ending,
     handle::MapHandle,
-    protocol::{Command, Hello, HelloError, Opened, Refused, SessionEvent, SessionId},
-    sessions::{Limits, Sessions},
+    protocol::{Command, Hello, HelloError, RefusedObservation, SessionEvent, SessionId, Welcome},
+    sessions::{SessionLimits, Sessions},
     update_schedule::{DueUpdate, UpdateSchedule},
 };
 use crate::{clock::Clock, jobs::Jobs};
@@ -115,7 +115,7 @@ fn build(
     let tile_bytes = Arc::new(AtomicU64::new(map.tile_memory().bytes));
     let handle =
         MapHandle::new(id, Arc::clone(&spec), Arc::clone(&view), commands.clone(), saturated, Arc::clone(&tile_bytes));
-    let limits = Limits {
+    let limits = SessionLimits {
         states: context.max_states,
         producers: context.max_producers,
         // A quarter of what may be pending: enough for a robot with a wrong clock, too little to matter.
@@ -149,7 +149,7 @@ fn build(
 #[derive(Default)]
 struct PendingAck {
     durable_sequence: u64,
-    refused: Vec<Refused>,
+    refused: Vec<RefusedObservation>,
 }
 
 struct Writer {
@@ -297,7 +297,7 @@ impl Writer {
                 Err(error) => Err(error),
             }
         };
-        let opened: Option<Opened> = answer.as_ref().ok().copied();
+        let opened: Option<Welcome> = answer.as_ref().ok().copied();
         if opened.is_some() {
             self.updates.schedule.stream_settled(&hello.key);
         }

@@ -25,7 +25,7 @@ const SEED: u64 = 0;
 
 /// A model that was fitted to the readings of a state.
 #[derive(Clone, Debug)]
-pub enum Fitted {
+pub enum CachedModel {
     /// There are no readings: what is answered of a state of which nothing was learned.
     Unlearned,
     /// Persistence alone.
@@ -37,16 +37,16 @@ pub enum Fitted {
     /// Warped hypertime.
     Hypertime(Box<Hypertime>),
     /// Rate of counts.
-    Poisson(Box<Counts>),
+    Poisson(Box<CountModel>),
     /// Rhythms of day and week.
     Calibrated(Calibrated),
     /// The spectrum of regular readings and its outliers: of the highest order, which answers for every lower one.
     Uniform(Box<UniformSpectral>),
 }
 
-impl Fitted {
+impl CachedModel {
     /// ModelCache a model of this kind to the readings of a state of a map, ascending by time, whose values are `of` that kind. Kinds that need none
-    /// ([`ModelKind::needs_readings`]) give [`Fitted::Unlearned`].
+    /// ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
     ///
     /// # Errors
     /// [`CannotFit`] where a parameter is outside its range or the readings are not those of such a model.
@@ -77,7 +77,7 @@ impl Fitted {
             ModelKind::HypertimeEm { clusters } => hypertime(HypertimeMethod::Em, clusters),
             ModelKind::HypertimeKm { clusters } => hypertime(HypertimeMethod::Km, clusters),
             ModelKind::Poisson => {
-                Counts::fit(readings, &spec.periodicities).map(|model| Self::Poisson(Box::new(model)))
+                CountModel::fit(readings, &spec.periodicities).map(|model| Self::Poisson(Box::new(model)))
             }
             ModelKind::Calibrated => Calibrated::fit(readings, CalibratedOptions::default()).map(Self::Calibrated),
             ModelKind::Uniform => UniformSpectral::fit(readings, ORDER_MAX).map(|model| Self::Uniform(Box::new(model))),
@@ -85,7 +85,7 @@ impl Fitted {
     }
 
     /// Probability that the state is 1, or the value to expect, at each of the moments, written to `out`, which is as long as these.
-    /// A model that recalls what it does not explain ([`Fitted::Uniform`]) answers 0 or 1 there, as it was observed.
+    /// A model that recalls what it does not explain ([`CachedModel::Uniform`]) answers 0 or 1 there, as it was observed.
     pub fn predict_into(
         &self,
         view: &MapView,
@@ -149,12 +149,12 @@ fn from_newest(mut chain: MarkovChain, view: &MapView, id: StateId) -> MarkovCha
 
 /// The count to expect of a reading, from a model of the counts of bins.
 #[derive(Clone, Debug)]
-pub struct Counts {
+pub struct CountModel {
     bins: PoissonSpectral,
     readings_per_bin: f64,
 }
 
-impl Counts {
+impl CountModel {
     fn fit(readings: Readings<'_>, periodicities: &Periodicities) -> Result<Self, CannotFit> {
         let bins = PoissonSpectral::fit(readings, periodicities, COUNT_BIN_NANOS)?;
         let of_reading = readings.samples.iter().map(|sample| sample.civil_nanos().div_euclid(COUNT_BIN_NANOS));
@@ -163,7 +163,7 @@ impl Counts {
     }
 }
 
-impl TemporalModel for Counts {
+impl TemporalModel for CountModel {
     fn predict(&self, at: Moment) -> f64 {
         self.bins.predict(at) / self.readings_per_bin
     }

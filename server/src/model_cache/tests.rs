@@ -20,13 +20,13 @@ fn key(state: u32) -> ModelKey {
 }
 
 /// A model that is told from others by its newest value.
-fn model(value: f64) -> Fitted {
+fn model(value: f64) -> CachedModel {
     let samples = [Sample { utc_nanos: 5, offset_secs: 0, value }];
-    Fitted::MarkovChain(MarkovChain::fit(Readings::new(&samples)).expect("a reading"))
+    CachedModel::MarkovChain(MarkovChain::fit(Readings::new(&samples)).expect("a reading"))
 }
 
-fn value(fitted: &Fitted) -> f64 {
-    let Fitted::MarkovChain(chain) = fitted else { panic!("{fitted:?}") };
+fn value(fitted: &CachedModel) -> f64 {
+    let CachedModel::MarkovChain(chain) = fitted else { panic!("{fitted:?}") };
     chain.to_parts().last_value
 }
 

@@ -4,14 +4,14 @@
 
 use tidemap_proto::{convert::map::refusal_to_wire, v1};
 
-use crate::ingest::protocol::Refused;
+use crate::ingest::protocol::RefusedObservation;
 
 /// Most refusals of one message: less than 1 MB, where clients take 4 MiB.
 const REFUSALS_MAX: usize = 1000;
 
 /// The messages that acknowledge up to `durable`, where up to `before` was acknowledged: all but the last leave the
 /// number as it was, so that a client which hears some of them only does not take the others' observations for accepted.
-pub fn acks(before: u64, durable: u64, refused: Vec<Refused>) -> impl Iterator<Item = v1::Ack> {
+pub fn acks(before: u64, durable: u64, refused: Vec<RefusedObservation>) -> impl Iterator<Item = v1::Ack> {
     let mut left = refused.len();
     let mut refused = refused.into_iter();
     let mut is_first = true;
@@ -26,7 +26,7 @@ pub fn acks(before: u64, durable: u64, refused: Vec<Refused>) -> impl Iterator<I
     })
 }
 
-fn to_wire(refused: Refused) -> v1::Refusal {
+fn to_wire(refused: RefusedObservation) -> v1::Refusal {
     v1::Refusal { sequence: refused.sequence, reason: refusal_to_wire(refused.reason).into(), detail: refused.detail }
 }
 
@@ -37,7 +37,8 @@ mod tests {
     use super::*;
 
     fn check(count: u64, expected: &[(u64, usize)]) {
-        let refused = |sequence| Refused { sequence, reason: RefusalReason::Value, detail: "wrong".to_owned() };
+        let refused =
+            |sequence| RefusedObservation { sequence, reason: RefusalReason::Value, detail: "wrong".to_owned() };
         let acks: Vec<_> = acks(7, 9000, (8..8 + count).map(refused).collect()).collect();
         let shape: Vec<_> = acks.iter().map(|ack| (ack.durable_sequence, ack.refused.len())).collect();
         assert_eq!(shape, expected);

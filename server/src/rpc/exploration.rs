@@ -17,7 +17,7 @@ use super::{
     lookup::{check_limit, find_map},
     map::edit_site,
     permits::{Permits, processors},
-    query::{Queries, fitting::Fitting},
+    query::{Queries, fitting::ModelFitter},
     replies::Replies,
     series::PredictContext,
     status::RpcError,
@@ -51,7 +51,7 @@ pub struct PlanLimits {
 pub struct Explorations {
     catalog: Arc<Catalog>,
     limits: PlanLimits,
-    fitting: Arc<Fitting>,
+    fitting: Arc<ModelFitter>,
     permits: Permits,
 }
 

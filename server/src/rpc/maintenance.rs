@@ -18,7 +18,7 @@ use super::{page::page, status::RpcError};
 use crate::{
     catalog::Catalog,
     ingest::protocol::Command,
-    jobs::{Job, Phase},
+    jobs::{Phase, UpdateJob},
     rpc::lookup::find_map,
     statistics,
 };
@@ -33,7 +33,7 @@ pub struct Maintenance {
     pub catalog: Arc<Catalog>,
 }
 
-fn job_to_wire(job: &Job) -> v1::Job {
+fn job_to_wire(job: &UpdateJob) -> v1::Job {
     let status = job.status();
     let (state, elapsed, error) = match status.phase {
         Phase::Waiting => (v1::JobState::Waiting, Duration::ZERO, String::new()),
@@ -98,7 +98,7 @@ fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
 }
 
 impl Maintenance {
-    fn job(&self, id: u64) -> Result<Arc<Job>, RpcError> {
+    fn job(&self, id: u64) -> Result<Arc<UpdateJob>, RpcError> {
         self.catalog.context().jobs.get(id).ok_or(RpcError::UnknownJob(id))
     }
 }

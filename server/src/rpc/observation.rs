@@ -38,7 +38,7 @@ use crate::{
         handle::MapHandle,
         intake::{Intake, IntakeError, IntakeLimits},
         protocol::{
-            BufferBudget, Command, Handover, Hello, ObservationBatch, Opened, ScanBatch, SessionEvent, TraversalBatch,
+            BufferBudget, Command, Handover, Hello, ObservationBatch, ScanBatch, SessionEvent, TraversalBatch, Welcome,
         },
     },
     rpc::lookup::find_map,
@@ -92,9 +92,9 @@ pub struct Observations {
 }
 
 /// Counts a stream while it lives.
-struct Counted(Arc<AtomicUsize>);
+struct StreamCount(Arc<AtomicUsize>);
 
-impl Drop for Counted {
+impl Drop for StreamCount {
     fn drop(&mut self) {
         let before = self.0.fetch_sub(1, Ordering::Relaxed);
         metrics::gauge!("tidemap_streams").set(before as f64 - 1.0);
@@ -110,7 +110,7 @@ impl ObservationService for Observations {
         request: Request<Streaming<v1::ObserveRequest>>,
     ) -> Result<Response<Self::ObserveStream>, Status> {
         let open = self.streams.fetch_add(1, Ordering::Relaxed) + 1;
-        let counted = Counted(Arc::clone(&self.streams));
+        let counted = StreamCount(Arc::clone(&self.streams));
         metrics::gauge!("tidemap_streams").set(open as f64);
         OverLimit::check("streams", open, self.limits.max_streams, "setting max_streams").map_err(RpcError::from)?;
         let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
@@ -259,7 +259,7 @@ async fn open_and_serve(
 
 struct Stream<'a> {
     handle: Arc<MapHandle>,
-    opened: Opened,
+    opened: Welcome,
     /// Away while it works in another thread.
     intake: Option<Intake>,
     limits: StreamLimits,

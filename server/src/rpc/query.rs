@@ -24,7 +24,7 @@ mod watch;
 #[cfg(test)]
 mod tests;
 
-use fitting::Fitting;
+use fitting::ModelFitter;
 use watch::Watches;
 
 /// Most states of one request.
@@ -39,7 +39,7 @@ pub struct Queries {
     permits: Permits,
     /// Permits to ask about the past. They are others: who has one may wait for an update, and predictions go on meanwhile.
     past_permits: Permits,
-    fitting: Arc<Fitting>,
+    fitting: Arc<ModelFitter>,
     watches: Watches,
 }
 
@@ -50,7 +50,7 @@ pub struct QueryLimits {
     pub predictions: u64,
     /// Observations of one message.
     pub batch: usize,
-    /// Fitted models that are kept.
+    /// CachedModel models that are kept.
     pub fitted_models: usize,
     /// Readings that a model is fitted to.
     pub fit_readings: u64,
@@ -62,7 +62,7 @@ impl Queries {
     /// Answers within these limits.
     #[must_use]
     pub fn new(catalog: Arc<Catalog>, limits: QueryLimits) -> Self {
-        let fitting = Arc::new(Fitting::new(Arc::clone(&catalog), limits.fitted_models, limits.fit_readings));
+        let fitting = Arc::new(ModelFitter::new(Arc::clone(&catalog), limits.fitted_models, limits.fit_readings));
         let (max_predictions, max_batch) = (limits.predictions, limits.batch);
         Self {
             catalog,
@@ -76,7 +76,7 @@ impl Queries {
     }
 
     /// What fits models, for others who need them too.
-    pub(super) fn fitting(&self) -> Arc<Fitting> {
+    pub(super) fn fitting(&self) -> Arc<ModelFitter> {
         Arc::clone(&self.fitting)
     }
 }

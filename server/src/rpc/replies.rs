@@ -22,46 +22,46 @@ pub(super) type Replies<T> = ReceiverStream<Result<T, Status>>;
 
 /// Where computed replies go.
 #[derive(Clone, Debug)]
-pub(super) struct Computed<T>(mpsc::Sender<Result<T, RpcError>>);
+pub(super) struct ReplySink<T>(mpsc::Sender<Result<T, RpcError>>);
 
-impl<T> Computed<T> {
+impl<T> ReplySink<T> {
     /// Hands a reply over, once there is room. `false`: nobody wants any more.
     pub(super) fn send(&self, reply: T) -> bool {
         self.0.blocking_send(Ok(reply)).is_ok()
     }
 
     /// Ends when nobody wants any more.
-    pub(super) async fn unwanted(&self) {
+    pub(super) async fn closed(&self) {
         self.0.closed().await;
     }
 }
 
 /// The replies that `work` computes, in a thread where it may wait. The permits are given back when it has ended.
-pub(super) fn computed<T: Send + 'static>(
+pub(super) fn compute_replies<T: Send + 'static>(
     permits: impl Send + 'static,
-    work: impl FnOnce(&Computed<T>) -> Result<(), RpcError> + Send + 'static,
+    work: impl FnOnce(&ReplySink<T>) -> Result<(), RpcError> + Send + 'static,
 ) -> Replies<T> {
-    streamed(|computed| async move {
+    stream_replies(|sink| async move {
         let work = move || {
             let _permits = permits;
-            work(&computed)
+            work(&sink)
         };
         tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)?
     })
 }
 
 /// The replies that `work` sends, which waits for others now and then, and takes its permits itself.
-pub(super) fn streamed<T: Send + 'static, W>(work: impl FnOnce(Computed<T>) -> W) -> Replies<T>
+pub(super) fn stream_replies<T: Send + 'static, W>(work: impl FnOnce(ReplySink<T>) -> W) -> Replies<T>
 where
     W: Future<Output = Result<(), RpcError>> + Send + 'static,
 {
-    let (computed, ready) = mpsc::channel(1);
+    let (sink, ready) = mpsc::channel(1);
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
-    let work = work(Computed(computed.clone()));
+    let work = work(ReplySink(sink.clone()));
     let work = tokio::spawn(async move {
         if let Err(error) = work.await {
             // Where nobody wants it, it is not needed.
-            let _ = computed.send(Err(error)).await;
+            let _ = sink.send(Err(error)).await;
         }
     });
     tokio::spawn(async move {
@@ -107,10 +107,10 @@ mod tests {
 
     #[tokio::test]
     async fn a_slow_reader_is_told_and_not_waited_for() {
-        let (computed, ready) = mpsc::channel(1);
+        let (sink, ready) = mpsc::channel(1);
         let (replies, mut stream) = mpsc::channel(3);
         let passing = tokio::spawn(async move { pass_on(ready, &replies, Duration::from_millis(20)).await });
-        while computed.send(Ok(7)).await.is_ok() {}
+        while sink.send(Ok(7)).await.is_ok() {}
         assert!(!passing.await.expect("no panic"));
         // What was sent before is still read, and then why there is no more.
         assert!(stream.recv().await.expect("a reply").is_ok());
@@ -122,10 +122,10 @@ mod tests {
 
     #[tokio::test]
     async fn a_reader_that_takes_a_reply_now_and_then_is_not_waited_for_longer() {
-        let (computed, ready) = mpsc::channel(1);
+        let (sink, ready) = mpsc::channel(1);
         let (replies, mut stream) = mpsc::channel(2);
         let passing = tokio::spawn(async move { pass_on(ready, &replies, Duration::from_millis(50)).await });
-        let computing = tokio::spawn(async move { while computed.send(Ok(7)).await.is_ok() {} });
+        let computing = tokio::spawn(async move { while sink.send(Ok(7)).await.is_ok() {} });
         // Each one is waited for less long than there is time for all.
         let mut end = None;
         while let Some(reply) = stream.recv().await {
@@ -140,8 +140,8 @@ mod tests {
     #[tokio::test]
     async fn an_error_ends_the_replies() {
         let permit = || async { Permits::default().take().await.expect("a permit") };
-        let replies: Vec<_> = computed(permit().await, |computed| {
-            assert!(computed.send(1) && computed.send(2));
+        let replies: Vec<_> = compute_replies(permit().await, |sink| {
+            assert!(sink.send(1) && sink.send(2));
             Err(RpcError::UnknownJob(3))
         })
         .collect()
@@ -150,8 +150,8 @@ mod tests {
             replies.into_iter().map(|reply: Result<i32, Status>| reply.map_err(|end| end.code())).collect();
         assert_eq!(codes, [Ok(1), Ok(2), Err(tonic::Code::NotFound)]);
         assert_eq!(
-            computed(permit().await, |computed| {
-                computed.send(1);
+            compute_replies(permit().await, |sink| {
+                sink.send(1);
                 Ok(())
             })
             .collect::<Vec<_>>()

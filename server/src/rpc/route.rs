@@ -22,7 +22,7 @@ use super::{
     lookup::find_map,
     map::edit_site,
     permits::{Permits, processors},
-    query::{Queries, fitting::Fitting},
+    query::{Queries, fitting::ModelFitter},
     series::PredictContext,
     status::RpcError,
 };
@@ -41,7 +41,7 @@ pub struct Routes {
     catalog: Arc<Catalog>,
     /// Most predictions of one request.
     predictions: u64,
-    fitting: Arc<Fitting>,
+    fitting: Arc<ModelFitter>,
     permits: Permits,
 }
 

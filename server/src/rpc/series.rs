@@ -11,10 +11,10 @@ use tidemap_proto::convert::InvalidField;
 use super::{
     lookup::check_limit,
     permits::Permits,
-    query::fitting::{Fitting, Learned},
+    query::fitting::{LearnedState, ModelFitter},
     status::RpcError,
 };
-use crate::{ingest::handle::MapHandle, model_cache::Fitted};
+use crate::{ingest::handle::MapHandle, model_cache::CachedModel};
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;
@@ -23,7 +23,7 @@ const TIMES_PER_BLOCK: usize = 4096;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PredictContext<'a> {
     /// ModelCache models to readings.
-    pub fitting: &'a Arc<Fitting>,
+    pub fitting: &'a Arc<ModelFitter>,
     /// Permits to compute.
     pub permits: &'a Permits,
     /// Most predictions of one request.
@@ -78,7 +78,7 @@ pub(super) async fn predict_series(
     let moments: Arc<[_]> = view.moments(&times_nanos).into();
     let mut rows = Vec::with_capacity(states.len());
     for id in states {
-        let learned = Learned::new(Arc::clone(handle), Arc::clone(view), id);
+        let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), id);
         let fitted = context.fitting.fitted(&learned, selector.kind).await?;
         let permit = context.permits.take().await?;
         let (view, moments) = (Arc::clone(view), Arc::clone(&moments));
@@ -100,7 +100,7 @@ pub(super) struct Predictor {
     states: Vec<StateId>,
     selector: ModelSelector,
     /// Models that were fitted to readings, one per state; empty where none has to be.
-    fitted: Vec<Arc<Fitted>>,
+    fitted: Vec<Arc<CachedModel>>,
 }
 
 impl Predictor {
@@ -116,7 +116,7 @@ impl Predictor {
         let mut fitted = Vec::new();
         if selector.kind.needs_readings() {
             for &id in &states {
-                let learned = Learned::new(Arc::clone(handle), Arc::clone(view), id);
+                let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), id);
                 fitted.push(context.fitting.fitted(&learned, selector.kind).await?);
             }
         }

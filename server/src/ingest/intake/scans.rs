@@ -24,7 +24,7 @@ use tidemap_proto::{
 };
 
 use super::{Intake, IntakeError, cast_table::CastTable, last_sequence, shortened};
-use crate::ingest::protocol::{CheckedScan, Refused, ScanBatch, ScanOrigin};
+use crate::ingest::protocol::{CheckedScan, RefusedObservation, ScanBatch, ScanOrigin};
 
 mod effort;
 
@@ -229,7 +229,7 @@ impl Intake {
         }
         if let Some(ScanRefusal { reason, detail }) = refusal.filter(|_| is_new) {
             batch.bytes += REFUSED_BYTES;
-            batch.refused.push(Refused { sequence, reason, detail: shortened(&detail) });
+            batch.refused.push(RefusedObservation { sequence, reason, detail: shortened(&detail) });
         }
         cells
     }

@@ -11,7 +11,7 @@ use tidemap_proto::{
 };
 
 use super::{
-    super::protocol::{Refused, TraversalBatch},
+    super::protocol::{RefusedObservation, TraversalBatch},
     Intake, IntakeError, last_sequence, shortened,
 };
 
@@ -50,7 +50,7 @@ impl Intake {
             match traversal_from_wire(wire) {
                 Ok(traversal) => batch.traversals.push((sequence, traversal)),
                 Err((reason, detail)) => {
-                    batch.refused.push(Refused { sequence, reason, detail: shortened(&detail) });
+                    batch.refused.push(RefusedObservation { sequence, reason, detail: shortened(&detail) });
                 }
             }
         }

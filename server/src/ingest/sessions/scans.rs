@@ -16,7 +16,7 @@ use tidemap_map::{
 };
 
 use super::{
-    super::protocol::{CheckedScan, Refused, ScanBatch, ScanOrigin, SessionId},
+    super::protocol::{CheckedScan, RefusedObservation, ScanBatch, ScanOrigin, SessionId},
     Columns, Session, Sessions, Span, StreamEvent,
 };
 
@@ -88,7 +88,7 @@ impl Sessions {
         let mut first = first_sequence;
         let mut events = Vec::with_capacity(portions.len());
         for (portion, last, content_crc) in portions {
-            let of_portion: Vec<Refused> =
+            let of_portion: Vec<RefusedObservation> =
                 std::iter::from_fn(|| refused.next_if(|refused| refused.sequence <= last)).collect();
             let span = Span { first, last, content_crc };
             first = last.saturating_add(1);
@@ -127,7 +127,7 @@ impl Sessions {
         taken: CheckedScan,
         map: &LiveMap,
         now: i64,
-    ) -> Result<Option<(FrontScan, u64)>, Refused> {
+    ) -> Result<Option<(FrontScan, u64)>, RefusedObservation> {
         let CheckedScan { sequence, origin, is_taken, scan, new_tiles, restarts, .. } = taken;
         let (source, stream) = match origin {
             ScanOrigin::Stream => (&mut session.shown, 2 * id.0),
@@ -143,7 +143,7 @@ impl Sessions {
             source.skip(&scan);
             return Ok(None);
         };
-        let refuse = |reason: RefusalReason, detail: String| Err(Refused { sequence, reason, detail });
+        let refuse = |reason: RefusalReason, detail: String| Err(RefusedObservation { sequence, reason, detail });
         let is_ahead = scan.utc_nanos > now.saturating_add(MAX_AHEAD_NANOS);
         if is_ahead && map.ahead() + grid.ahead_tiles() + self.tiles_ahead >= self.limits.ahead {
             source.skip(&scan);

@@ -47,7 +47,7 @@ mod tests {
     use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
     use tokio::sync::{mpsc, oneshot};
 
-    use super::{super::Limits, *};
+    use super::{super::SessionLimits, *};
 
     const OWN: SensorNoise = SensorNoise { hit: 0.9, false_alarm: 0.1, prior: 0.5 };
 
@@ -76,7 +76,7 @@ mod tests {
     }
 
     fn sessions() -> Sessions {
-        let limits = Limits { states: 10, producers: 1000, ahead: 10, tiles: 10 };
+        let limits = SessionLimits { states: 10, producers: 1000, ahead: 10, tiles: 10 };
         Sessions::new(Zone::named("Europe/London").expect("known").offset_cache(), limits)
     }
 

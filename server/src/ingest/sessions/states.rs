@@ -26,7 +26,7 @@ pub(super) type Refusal = (RefusalReason, String);
 
 /// A name of a stream's table.
 #[derive(Debug)]
-pub(super) enum Slot {
+pub(super) enum StreamState {
     /// A state of the map, or of a batch in flight; of a vector its first axis.
     State(StateId, StateShape),
     /// A state that is not what the stream said: what it is, and what was said.
@@ -38,33 +38,33 @@ pub(super) enum Slot {
 }
 
 /// The states that there are, and how many there may be.
-pub(super) struct Room<'a> {
+pub(super) struct StateAllocator<'a> {
     pub(super) map: &'a LiveMap,
     pub(super) in_flight: &'a mut HashMap<StateName, (StateId, StateKind)>,
     pub(super) renames: &'a HashMap<StateName, (StateId, StateKind)>,
     pub(super) max: usize,
 }
 
-impl Slot {
+impl StreamState {
     /// The state of an observation with this value, or the first axis of one with a position; it may be new. `Err(None)`:
     /// it is refused already.
     pub(super) fn state_for(
         &mut self,
         value: f64,
         is_position: bool,
-        room: &mut Room<'_>,
+        allocator: &mut StateAllocator<'_>,
         new_states: &mut Vec<NewState>,
     ) -> Result<StateId, Option<Refusal>> {
-        if let Slot::Unused(name) = self {
-            *self = used(name, value, room, new_states)?;
+        if let StreamState::Unused(name) = self {
+            *self = used(name, value, allocator, new_states)?;
         }
         match self {
             // Intake gives a position where a vector was said, and then only.
-            Slot::State(state, StateShape::Vector(_)) if is_position => Ok(*state),
-            Slot::State(state, StateShape::Scalar(kind)) if !is_position && kind.allows(value) => Ok(*state),
-            Slot::State(_, shape) => Err(Some(refuse_value(value, shape.kind()))),
-            Slot::OtherShape(name, found, said) => Err(Some(other_shape(name, *found, *said))),
-            Slot::Unused(_) | Slot::Invalid => Err(None),
+            StreamState::State(state, StateShape::Vector(_)) if is_position => Ok(*state),
+            StreamState::State(state, StateShape::Scalar(kind)) if !is_position && kind.allows(value) => Ok(*state),
+            StreamState::State(_, shape) => Err(Some(refuse_value(value, shape.kind()))),
+            StreamState::OtherShape(name, found, said) => Err(Some(other_shape(name, *found, *said))),
+            StreamState::Unused(_) | StreamState::Invalid => Err(None),
         }
     }
 }
@@ -73,30 +73,30 @@ impl Slot {
 fn used(
     NewName { name, shape: said }: &NewName,
     value: f64,
-    room: &mut Room<'_>,
+    allocator: &mut StateAllocator<'_>,
     new_states: &mut Vec<NewState>,
-) -> Result<Slot, Refusal> {
+) -> Result<StreamState, Refusal> {
     let shape = said.unwrap_or_default();
-    match known_state(room.map, room.in_flight, room.renames, name) {
+    match known_state(allocator.map, allocator.in_flight, allocator.renames, name) {
         // Of a name of which nothing is said there are values.
         Some((state, found)) if *said == Some(found) || (said.is_none() && is_scalar(found)) => {
-            Ok(Slot::State(state, found))
+            Ok(StreamState::State(state, found))
         }
-        Some((_, found)) => Ok(Slot::OtherShape(name.clone(), found, *said)),
+        Some((_, found)) => Ok(StreamState::OtherShape(name.clone(), found, *said)),
         // A value that no such state may have does not make one. Positions are those that a vector may have.
         None if is_scalar(shape) && !shape.kind().allows(value) => Err(refuse_value(value, shape.kind())),
-        None => match room.add(name, shape) {
+        None => match allocator.add(name, shape) {
             Some(new) => {
                 let state = new.id;
                 new_states.push(new);
-                Ok(Slot::State(state, shape))
+                Ok(StreamState::State(state, shape))
             }
-            None => Err(room.is_full(name)),
+            None => Err(allocator.is_full(name)),
         },
     }
 }
 
-impl Room<'_> {
+impl StateAllocator<'_> {
     /// The states of these names and kinds; those that there are not yet are new. All of them, or none.
     pub(super) fn states_for(
         &mut self,
@@ -130,7 +130,7 @@ impl Room<'_> {
         Ok(states)
     }
 
-    /// That there is no room for a state.
+    /// That there is no allocator for a state.
     fn is_full(&self, name: &StateName) -> Refusal {
         let name = name.as_str().chars().take(60).collect::<String>();
         let text = format!(
@@ -140,7 +140,7 @@ impl Room<'_> {
         (RefusalReason::StateLimit, text)
     }
 
-    /// A state, or all axes of a vector, which are in flight from now on; `None` where there is no room for them.
+    /// A state, or all axes of a vector, which are in flight from now on; `None` where there is no allocator for them.
     fn add(&mut self, name: &StateName, shape: StateShape) -> Option<NewState> {
         let next = self.map.states() + self.in_flight.len();
         if next.saturating_add(shape.states()) > self.max {
@@ -164,13 +164,13 @@ impl Sessions {
             Some((_, found)) if found == shape => Ok(None),
             Some((_, found)) => Err(AddStateError::OtherKind { name: name.clone(), found, asked: shape }),
             None => {
-                let mut room = Room {
+                let mut allocator = StateAllocator {
                     map,
                     in_flight: &mut self.states_in_flight,
                     renames: &self.renames_in_flight,
                     max: self.limits.states,
                 };
-                let new = room.add(name, shape);
+                let new = allocator.add(name, shape);
                 new.map(Some).ok_or(AddStateError::TooMany { max: self.limits.states })
             }
         }

@@ -7,9 +7,9 @@ use tidemap_map::{MAX_AHEAD_NANOS, ids::RefusalReason, live_map::LiveMap, traver
 use tidemap_proto::convert::traversals::{refusal_of, unknown_edge};
 
 use super::{
-    super::protocol::{Refused, SessionId, TraversalBatch},
+    super::protocol::{RefusedObservation, SessionId, TraversalBatch},
     Columns, Sessions, Span, StreamEvent,
-    states::{Refusal, Room},
+    states::{Refusal, StateAllocator},
     too_far_ahead,
 };
 
@@ -33,16 +33,16 @@ impl Sessions {
             let result = if time > plausible && !may_wait {
                 Err((RefusalReason::Time, too_far_ahead(time, self.limits.ahead)))
             } else {
-                let room = Room {
+                let allocator = StateAllocator {
                     map,
                     in_flight: &mut self.states_in_flight,
                     renames: &self.renames_in_flight,
                     max: self.limits.states,
                 };
-                columns.take(&traversal, room, self.offsets.offset_secs(time))
+                columns.take(&traversal, allocator, self.offsets.offset_secs(time))
             };
             if let Err((reason, detail)) = result {
-                refused.push(Refused { sequence, reason, detail });
+                refused.push(RefusedObservation { sequence, reason, detail });
             }
         }
         let span = Span { first: first_sequence, last: last_sequence, content_crc };
@@ -51,11 +51,16 @@ impl Sessions {
 }
 
 impl Columns {
-    fn take(&mut self, traversal: &Traversal, mut room: Room<'_>, offset_secs: i32) -> Result<(), Refusal> {
-        let edge = room.map.site().topology().edge_named(&traversal.edge).map_err(|error| unknown_edge(&error))?;
+    fn take(
+        &mut self,
+        traversal: &Traversal,
+        mut allocator: StateAllocator<'_>,
+        offset_secs: i32,
+    ) -> Result<(), Refusal> {
+        let edge = allocator.map.site().topology().edge_named(&traversal.edge).map_err(|error| unknown_edge(&error))?;
         let samples = traversal.samples(edge.extent).map_err(|error| refusal_of(&error))?;
         let wanted: Vec<_> = samples.iter().map(|&(what, _)| (traversal.edge.state(what), what.kind())).collect();
-        let states = room.states_for(&wanted, &mut self.new_states)?;
+        let states = allocator.states_for(&wanted, &mut self.new_states)?;
         for (state, (_, value)) in states.into_iter().zip(samples) {
             self.push(state, traversal.start_nanos, value, offset_secs);
         }

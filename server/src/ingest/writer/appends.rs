@@ -14,9 +14,9 @@ use super::Writer;
 use crate::{
     ingest::{
         ending::{Ending, is_fatal},
-        protocol::{AddStateError, BufferBudget, Command, EditSiteError, Refused, SessionId},
+        protocol::{AddStateError, BufferBudget, Command, EditSiteError, RefusedObservation, SessionId},
     },
-    jobs::Job,
+    jobs::UpdateJob,
 };
 
 #[cfg(test)]
@@ -31,9 +31,15 @@ pub(super) type Reply<E> = oneshot::Sender<Result<(), E>>;
 /// An append that the committer has not answered.
 pub(super) enum InFlight {
     /// Observations or scans of a stream.
-    Stream { session: SessionId, event: Event, refused: Vec<Refused>, tiles_ahead: u64, _budget: Arc<BufferBudget> },
+    Stream {
+        session: SessionId,
+        event: Event,
+        refused: Vec<RefusedObservation>,
+        tiles_ahead: u64,
+        _budget: Arc<BufferBudget>,
+    },
     /// The start of an update.
-    UpdateStart { event: Event, job: Arc<Job> },
+    UpdateStart { event: Event, job: Arc<UpdateJob> },
     /// A state to add.
     AddState { event: Event, reply: Reply<AddStateError> },
     /// An edit of the site.
@@ -78,7 +84,7 @@ pub(super) struct Appends {
     /// Memory of the scans in flight, and above which no more are taken.
     bytes: usize,
     bytes_max: usize,
-    /// Refused by the log because of an earlier failure that is not answered yet.
+    /// RefusedObservation by the log because of an earlier failure that is not answered yet.
     failed_behind: Vec<InFlight>,
     /// The failure, until everything in flight is answered.
     failure: Option<AppendError>,

@@ -99,7 +99,7 @@ pub(super) fn spec_with(grid: Option<GridSpec>) -> MapSpec {
 }
 
 struct Robot {
-    opened: Opened,
+    opened: Welcome,
     sent: u64,
     events: events::UnboundedReceiver<SessionEvent>,
 }

@@ -25,7 +25,7 @@ use crate::{
         training_data::TrainingData,
         update_schedule::{DueUpdate, UpdateSchedule},
     },
-    jobs::{Job, Report},
+    jobs::{Report, UpdateJob},
 };
 
 #[cfg(test)]
@@ -39,14 +39,14 @@ pub(super) struct Updates {
     /// The updates that wait, and what makes new ones due.
     pub(super) schedule: UpdateSchedule,
     /// The job of the running update.
-    running: Option<Arc<Job>>,
+    running: Option<Arc<UpdateJob>>,
     /// The least time of the observations that the running update has, and its cut. Kept when the update fails: it still
     /// has the observations.
     times: Option<(i64, i64)>,
     /// No update starts before.
     wait_until: Option<Instant>,
     /// Jobs whose results the next view shows: generation and cut.
-    ended: Vec<(Arc<Job>, (u64, i64))>,
+    ended: Vec<(Arc<UpdateJob>, (u64, i64))>,
 }
 
 impl Updates {
@@ -66,20 +66,20 @@ impl Updates {
     }
 
     /// An update runs that has the observations from `from_nanos`, if any, to `cut_nanos`.
-    fn begin(&mut self, job: &Arc<Job>, from_nanos: Option<i64>, cut_nanos: i64) {
+    fn begin(&mut self, job: &Arc<UpdateJob>, from_nanos: Option<i64>, cut_nanos: i64) {
         self.times = from_nanos.map(|from| (from, cut_nanos));
         self.running = Some(Arc::clone(job));
     }
 
     /// The update has ended; its job ends when the view shows the generation.
-    fn end(&mut self, job: &Arc<Job>, generation: u64, cut_nanos: i64) {
+    fn end(&mut self, job: &Arc<UpdateJob>, generation: u64, cut_nanos: i64) {
         self.running = None;
         self.times = None;
         self.ended.push((Arc::clone(job), (generation, cut_nanos)));
     }
 
     /// The update has failed.
-    fn fail(&mut self, job: &Job, reason: String) {
+    fn fail(&mut self, job: &UpdateJob, reason: String) {
         self.running = None;
         job.end(Err(reason));
     }
@@ -180,7 +180,7 @@ impl Writer {
         self.run_update(work, &job);
     }
 
-    pub(super) fn run_update(&mut self, work: UpdateWork, job: &Arc<Job>) {
+    pub(super) fn run_update(&mut self, work: UpdateWork, job: &Arc<UpdateJob>) {
         // There is no room beside the update for the snapshot that it replaces.
         self.saves.drop_unsaved();
         job.start(work.states(), work.observations());
@@ -210,13 +210,13 @@ impl Writer {
     }
 
     /// The log says that the update started, and it has no result: only a restart repeats it.
-    fn give_up(&mut self, job: &Arc<Job>, reason: String) {
+    fn give_up(&mut self, job: &Arc<UpdateJob>, reason: String) {
         error!(map = %self.map.spec().name, reason, "update failed");
         self.updates.fail(job, reason.clone());
         self.fatal(reason);
     }
 
-    pub(super) fn update_done(&mut self, job: &Arc<Job>, result: Result<Box<UpdateResult>, String>) {
+    pub(super) fn update_done(&mut self, job: &Arc<UpdateJob>, result: Result<Box<UpdateResult>, String>) {
         let result = match result {
             Ok(result) => result,
             Err(reason) => return self.give_up(job, reason),

@@ -24,7 +24,7 @@ use crate::{
     ingest::protocol::EditSiteError,
     rpc::{
         lookup::{cell_of, check_limit, find_cell, find_map, find_state},
-        replies::{Replies, computed, streamed},
+        replies::{Replies, compute_replies, stream_replies},
         series::{check_kind, predict_series},
         status::RpcError,
     },
@@ -104,8 +104,8 @@ pub(super) async fn get_information(
             PredictOptions { selector, region: Some(cell_box_from_wire(&region)), ..explorations.predict_options() };
         let most = explorations.limits.predictions;
         let permit = explorations.permits.take().await?;
-        return Ok(computed(permit, move |computed| {
-            computed.send(of_region(&view, &times_nanos, &options, (certainty, most))?);
+        return Ok(compute_replies(permit, move |sink| {
+            sink.send(of_region(&view, &times_nanos, &options, (certainty, most))?);
             Ok(())
         }));
     }
@@ -136,12 +136,12 @@ pub(super) async fn get_information(
     let predictions = targets.iter().map(all).sum::<u64>() * times_nanos.len() as u64;
     check_limit("predictions", predictions, explorations.limits.predictions, "setting max_predictions")?;
     let asked = explorations.share();
-    Ok(streamed(move |computed| async move {
+    Ok(stream_replies(move |sink| async move {
         for (name, target) in targets {
             let rows = match target {
                 Target::States(states) => {
                     tokio::select! {
-                        () = computed.unwanted() => return Ok(()),
+                        () = sink.closed() => return Ok(()),
                         rows = predict_series(asked.predict_context(), &handle, &view, (states, times_nanos.clone()), selector) => rows?,
                     }
                 }
@@ -156,7 +156,7 @@ pub(super) async fn get_information(
                 }
             };
             let told = reply(&name, &rows, times_nanos.len(), certainty);
-            let to = computed.clone();
+            let to = sink.clone();
             if !tokio::task::spawn_blocking(move || to.send(told)).await.map_err(|_| RpcError::Stopping)? {
                 break;
             }

@@ -20,7 +20,7 @@ use tidemap_proto::{
 use super::{Explorations, error::PlanError};
 use crate::rpc::{
     lookup::{check_limit, find_map},
-    replies::{Replies, computed},
+    replies::{Replies, compute_replies},
     status::RpcError,
 };
 
@@ -44,7 +44,7 @@ pub(super) async fn evaluate_views(
     let options = PredictOptions { selector, ..explorations.predict_options() };
     let limits = explorations.look_limits();
     let permit = explorations.permits.take().await?;
-    Ok(computed(permit, move |computed| {
+    Ok(compute_replies(permit, move |sink| {
         let grid = PredictedTimes::new(&view, &request.times_nanos, &options).map_err(PlanError::from)?;
         let scene = TimedScene::new(&grid, &scene_options).map_err(PlanError::from)?;
         let tell = |number: usize, told: Result<Vec<Option<f64>>, _>| {
@@ -56,7 +56,7 @@ pub(super) async fn evaluate_views(
                 Ok(bits) => reply.information_bits = bits.into_iter().map(|bits| bits.unwrap_or(f64::NAN)).collect(),
                 Err(error) => reply.reason = ToString::to_string(&error),
             }
-            if computed.send(reply) { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+            if sink.send(reply) { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
         look_many(&scene, &sensor, &viewpoints, limits, tell).map_err(PlanError::from)?;
         Ok(())

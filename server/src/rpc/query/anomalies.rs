@@ -23,14 +23,14 @@ use tidemap_proto::{
 
 use super::{
     Queries,
-    fitting::Learned,
-    reconstruct::{Asked, past},
+    fitting::LearnedState,
+    reconstruct::{PastQuery, past},
 };
 use crate::{
-    model_cache::Fitted,
+    model_cache::CachedModel,
     rpc::{
         lookup::{cell_of, find_cell, find_map, find_state},
-        replies::{Replies, computed},
+        replies::{Replies, compute_replies},
         status::RpcError,
     },
 };
@@ -43,7 +43,7 @@ enum Judge {
     /// A model that the view has of a state.
     State(StateId),
     /// One that was fitted to the state's readings.
-    Fitted(StateId, Arc<Fitted>),
+    Fitted(StateId, Arc<CachedModel>),
     /// A model that the view has of a cell.
     Cell(Box<CellDescription>),
 }
@@ -84,7 +84,7 @@ pub(super) async fn find_anomalies(
 ) -> Result<Replies<v1::FindAnomaliesResponse>, RpcError> {
     let v1::FindAnomaliesRequest { map, state: name, from_time, to_time, confidence, model } = request;
     let handle = find_map(&queries.catalog, &map)?;
-    let asked = Asked { name: name.clone(), within_nanos: interval_from_wire(from_time, to_time)? };
+    let asked = PastQuery { name: name.clone(), within_nanos: interval_from_wire(from_time, to_time)? };
     let confidence = confidence_from_wire("confidence", confidence)?;
     let selector = judge_from_wire("model", model)?;
     let view = handle.view();
@@ -94,13 +94,13 @@ pub(super) async fn find_anomalies(
     }
     // Before the permits to look up are taken: a fit has permits of its own, and may last.
     let fitted = if selector.kind.needs_readings() {
-        let learned = Learned::new(Arc::clone(&handle), Arc::clone(&view), find_state(&view, &name)?);
+        let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), find_state(&view, &name)?);
         Some(queries.fitting.fitted(&learned, selector.kind).await?)
     } else {
         None
     };
     let (permits, gather) = past(queries, &handle, Arc::clone(&view), asked).await?;
-    Ok(computed(permits, move |computed| {
+    Ok(compute_replies(permits, move |sink| {
         let judge = match (cell, fitted) {
             (Some(cell), _) => Judge::Cell(Box::new(find_cell(&view, cell)?)),
             (None, Some(fitted)) => Judge::Fitted(find_state(&view, &name)?, fitted),
@@ -114,7 +114,7 @@ pub(super) async fn find_anomalies(
                 reply.probabilities.push(probability);
             }
             // An empty one too: that somebody still listens is known only from what is taken.
-            if !computed.send(reply) {
+            if !sink.send(reply) {
                 break;
             }
         }

@@ -23,9 +23,9 @@ use tidemap_proto::{
 };
 use tonic::{Status, Streaming};
 
-use super::{Queries, STATES_MAX, fitting::Learned};
+use super::{Queries, STATES_MAX, fitting::LearnedState};
 use crate::{
-    evaluation::{Answering, Evaluator},
+    evaluation::{AnswerSource, Evaluator},
     model_cache::ModelUnavailable,
     rpc::{
         lookup::{check_limit, find_map, find_state},
@@ -112,14 +112,14 @@ pub(super) async fn evaluate_states(
             samples.push(make(time, value));
         }
         for &state in first_seen.iter().filter(|state| evaluator.is_new(**state)).collect::<Vec<_>>() {
-            let learned = Learned::new(Arc::clone(&handle), Arc::clone(&view), state);
+            let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), state);
             let models = queries.fitting.all_fitted(&learned, evaluator.kinds_to_fit()).await?;
             reserved.merge(queries.fitting.reserve(models.iter().flatten().count())?);
             let answering = |model| match model {
-                Ok(fitted) => Answering::Fitted(fitted),
+                Ok(fitted) => AnswerSource::Fitted(fitted),
                 Err(reason) => evaluator.nothing(&ModelUnavailable::to_string(&reason)),
             };
-            let answering: Vec<Answering> = models.into_iter().map(answering).collect();
+            let answering: Vec<AnswerSource> = models.into_iter().map(answering).collect();
             evaluator.begin(state, answering);
         }
         evaluator = tokio::task::spawn_blocking(move || {

@@ -13,11 +13,11 @@ use tidemap_model::Sample;
 use tidemap_proto::convert::OverLimit;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 
-use super::readings::{Wanted, gather, read, retention};
+use super::readings::{ReadingsQuery, gather, read, retention};
 use crate::{
     catalog::Catalog,
     ingest::handle::MapHandle,
-    model_cache::{Fitted, ModelCache, ModelKey, ModelUnavailable, PositionModel},
+    model_cache::{CachedModel, ModelCache, ModelKey, ModelUnavailable, PositionModel},
     rpc::{
         permits::{Permits, processors},
         status::RpcError,
@@ -28,7 +28,7 @@ mod positions;
 
 /// ModelCache models, or finds them.
 #[derive(Debug)]
-pub(in crate::rpc) struct Fitting {
+pub(in crate::rpc) struct ModelFitter {
     catalog: Arc<Catalog>,
     models: ModelCache,
     /// As many models of positions.
@@ -44,14 +44,14 @@ pub(in crate::rpc) struct Fitting {
 
 /// A state as one view knows it, and the readings that the view's updates have folded in, once they are gathered.
 #[derive(Debug)]
-pub(in crate::rpc) struct Learned {
+pub(in crate::rpc) struct LearnedState {
     handle: Arc<MapHandle>,
     view: Arc<MapView>,
     id: StateId,
     samples: OnceCell<Arc<[Sample]>>,
 }
 
-impl Learned {
+impl LearnedState {
     pub(in crate::rpc) fn new(handle: Arc<MapHandle>, view: Arc<MapView>, id: StateId) -> Arc<Self> {
         Arc::new(Self { handle, view, id, samples: OnceCell::new() })
     }
@@ -70,7 +70,7 @@ impl Learned {
     }
 }
 
-impl Fitting {
+impl ModelFitter {
     /// Keeps at most so many models, and fits one to at most so many readings.
     pub(super) fn new(catalog: Arc<Catalog>, max_fitted: usize, max_readings: u64) -> Self {
         // Half of the processors stay free for everybody else.
@@ -87,15 +87,15 @@ impl Fitting {
         }
     }
 
-    /// Several models of a state, each as [`Fitting::fitted`] gives it, from readings that are gathered once.
+    /// Several models of a state, each as [`ModelFitter::fitted`] gives it, from readings that are gathered once.
     ///
     /// # Errors
     /// Where the readings cannot be read, or no permit came up in time.
     pub(super) async fn all_fitted(
         self: &Arc<Self>,
-        learned: &Arc<Learned>,
+        learned: &Arc<LearnedState>,
         kinds: impl Iterator<Item = ModelKind>,
-    ) -> Result<Vec<Result<Arc<Fitted>, ModelUnavailable>>, RpcError> {
+    ) -> Result<Vec<Result<Arc<CachedModel>, ModelUnavailable>>, RpcError> {
         let mut kinds = kinds.peekable();
         let mut models = Vec::new();
         if kinds.peek().is_none() {
@@ -118,9 +118,9 @@ impl Fitting {
     /// [`RpcError::ModelUnavailable`] where there can be no such model; others where the readings cannot be read.
     pub(in crate::rpc) async fn fitted(
         self: &Arc<Self>,
-        learned: &Arc<Learned>,
+        learned: &Arc<LearnedState>,
         kind: ModelKind,
-    ) -> Result<Arc<Fitted>, RpcError> {
+    ) -> Result<Arc<CachedModel>, RpcError> {
         self.check(learned, kind)?;
         let map = learned.handle.id;
         let key = ModelKey { map, generation: learned.view.generation(), state: learned.id, kind };
@@ -128,7 +128,7 @@ impl Fitting {
             return Ok(fitted);
         }
         if learned.folded() == 0 {
-            return Ok(Arc::new(Fitted::Unlearned));
+            return Ok(Arc::new(CachedModel::Unlearned));
         }
         let (this, learned) = (Arc::clone(self), Arc::clone(learned));
         // A task of its own: where this request goes away, others may wait for the same model.
@@ -149,7 +149,7 @@ impl Fitting {
     }
 
     /// What can be told without looking at any reading.
-    fn check(&self, learned: &Learned, kind: ModelKind) -> Result<(), RpcError> {
+    fn check(&self, learned: &LearnedState, kind: ModelKind) -> Result<(), RpcError> {
         let retention = retention(&learned.handle.spec, Subject::State(learned.id));
         let retention = retention.ok_or_else(|| learned.unavailable(kind, ModelUnavailable::NotKept))?;
         let found = learned.view.kind(learned.id);
@@ -173,7 +173,7 @@ impl Fitting {
         Ok(())
     }
 
-    async fn fit(&self, learned: &Arc<Learned>, kind: ModelKind) -> Result<Fitted, RpcError> {
+    async fn fit(&self, learned: &Arc<LearnedState>, kind: ModelKind) -> Result<CachedModel, RpcError> {
         let is_slow = matches!(kind, ModelKind::HypertimeEm { .. } | ModelKind::HypertimeKm { .. });
         let permit = if is_slow { self.slow_permits.take().await? } else { self.permits.take().await? };
         let samples = learned.samples.get_or_try_init(|| self.gather(learned, kind)).await?;
@@ -181,18 +181,18 @@ impl Fitting {
         let of = learned.view.kind(learned.id);
         let fit = move || {
             let _permit = permit;
-            Fitted::fit(kind, of, &samples, &handle.spec)
+            CachedModel::fit(kind, of, &samples, &handle.spec)
         };
         let fitted = tokio::task::spawn_blocking(fit).await.map_err(|_| RpcError::Stopping)?;
         fitted.map_err(|error| learned.unavailable(kind, error))
     }
 
     /// What the view's updates have folded in of a state, ascending by time.
-    async fn gather(&self, learned: &Arc<Learned>, kind: ModelKind) -> Result<Arc<[Sample]>, RpcError> {
+    async fn gather(&self, learned: &Arc<LearnedState>, kind: ModelKind) -> Result<Arc<[Sample]>, RpcError> {
         let subject = Subject::State(learned.id);
         let enough = usize::try_from(self.max_readings).unwrap_or(usize::MAX);
         // Nothing of what no update has taken, and no waiting for an update that runs.
-        let mut tail = read(&learned.handle, &Wanted { subject, within_nanos: 0..0, enough }).await?;
+        let mut tail = read(&learned.handle, &ReadingsQuery { subject, within_nanos: 0..0, enough }).await?;
         let generation = learned.view.generation();
         // An update may have ended since the view was taken.
         tail.unsaved.retain(|piece| piece.generation <= generation);
@@ -200,7 +200,7 @@ impl Fitting {
         let before = tail.stored_before.min(generation + 1);
         let history = self.catalog.context().store.history(learned.handle.id)?.before(before);
         let is_complete = history.is_complete();
-        let wanted = Wanted { subject, within_nanos: i64::MIN..i64::MAX, enough };
+        let wanted = ReadingsQuery { subject, within_nanos: i64::MIN..i64::MAX, enough };
         let learned = Arc::clone(learned);
         let (max, folded) = (self.max_readings, learned.folded());
         let gather = move || {

@@ -18,7 +18,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use super::Queries;
 use crate::rpc::{
     lookup::{check_limit, find_map},
-    replies::{Computed, Replies, computed},
+    replies::{Replies, ReplySink, compute_replies},
     status::RpcError,
 };
 
@@ -48,11 +48,11 @@ pub(super) async fn predict_grid(
         return Ok(ReceiverStream::new(replies));
     }
     check_limit("cells to predict", selection.cells, queries.max_predictions, "setting max_predictions")?;
-    Ok(computed(permit, move |computed| {
-        if !computed.send(header) {
+    Ok(compute_replies(permit, move |sink| {
+        if !sink.send(header) {
             return Ok(());
         }
-        predict(&view, &question, &selection, computed)
+        predict(&view, &question, &selection, sink)
     }))
 }
 
@@ -61,10 +61,10 @@ fn predict(
     view: &MapView,
     question: &GridQuestion,
     selection: &GridSelection,
-    computed: &Computed<v1::PredictGridResponse>,
+    sink: &ReplySink<v1::PredictGridResponse>,
 ) -> Result<(), RpcError> {
     let levels = view.grid().map_or((0.0, 1.0), tidemap_map::grid::view::GridView::levels);
-    let send = |tiles| computed.send(v1::PredictGridResponse { message: Some(Message::Page(v1::GridPage { tiles })) });
+    let send = |tiles| sink.send(v1::PredictGridResponse { message: Some(Message::Page(v1::GridPage { tiles })) });
     let (mut page, mut bytes) = (Vec::new(), 0);
     for tile in view.predict_grid(question, selection) {
         let tile = tile_to_wire(tile?, question, levels);

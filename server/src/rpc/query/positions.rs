@@ -17,12 +17,12 @@ use tidemap_proto::{
     v1::{self, predict_positions_response::Message},
 };
 
-use super::{Queries, fitting::Learned};
+use super::{Queries, fitting::LearnedState};
 use crate::{
     model_cache::PositionModel,
     rpc::{
         lookup::{check_limit, find_map, find_state},
-        replies::{Computed, Replies, streamed},
+        replies::{Replies, ReplySink, stream_replies},
         status::RpcError,
     },
 };
@@ -105,19 +105,19 @@ pub(super) async fn predict_positions(
     let cells = region.map(|(low, high)| Cells::of(&low, &high, edge_m));
     cells.as_ref().map_or(Ok(()), check)?;
     let axes = (first.0..).take(dimensions.count()).map(StateId);
-    let axes = axes.map(|id| Learned::new(Arc::clone(&handle), Arc::clone(&view), id)).collect();
+    let axes = axes.map(|id| LearnedState::new(Arc::clone(&handle), Arc::clone(&view), id)).collect();
     let model = queries.fitting.position_model(axes, kind).await?;
     let (low, high) = model.bounds_m();
     let cells = cells.unwrap_or_else(|| Cells::around(low, high, edge_m));
     check(&cells)?;
     let top = if request.top == 0 { usize::MAX } else { request.top as usize };
     let (moments, permits) = (view.moments(&request.times_nanos), queries.permits.clone());
-    Ok(streamed(move |computed| async move {
+    Ok(stream_replies(move |sink| async move {
         let permit = permits.take().await?;
         let predict = move || {
             let _permit = permit;
-            if computed.send(header(&view, first, &model, &cells)) {
-                tell(&model, &cells, &moments, top, &computed);
+            if sink.send(header(&view, first, &model, &cells)) {
+                tell(&model, &cells, &moments, top, &sink);
             }
         };
         tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)
@@ -204,7 +204,7 @@ fn tell(
     cells: &Cells,
     moments: &[Moment],
     top: usize,
-    computed: &Computed<v1::PredictPositionsResponse>,
+    sink: &ReplySink<v1::PredictPositionsResponse>,
 ) {
     for (time_index, &moment) in (0..).zip(moments) {
         let Some(at) = model.at(moment) else { return };
@@ -225,7 +225,7 @@ fn tell(
             let expected_m = std::mem::take(&mut expected_m);
             let outside = std::mem::take(&mut outside);
             let cells = v1::PositionCells { time_index, expected_m, outside, indices, probabilities };
-            if !computed.send(v1::PredictPositionsResponse { message: Some(Message::Cells(cells)) }) {
+            if !sink.send(v1::PredictPositionsResponse { message: Some(Message::Cells(cells)) }) {
                 return;
             }
             if rest.is_empty() {

@@ -27,7 +27,7 @@ const UPDATE_WITHIN: Duration = Duration::from_secs(30);
 
 /// What is asked for.
 #[derive(Clone, Debug)]
-pub(super) struct Wanted {
+pub(super) struct ReadingsQuery {
     /// Of which state or cell.
     pub subject: Subject,
     /// From the first instant up to but not including the last, nanoseconds UTC.
@@ -46,7 +46,7 @@ pub(super) fn retention(spec: &MapSpec, subject: Subject) -> Option<Retention> {
 }
 
 /// What the writer of a map knows of it: what has not been saved yet, and what no update has taken.
-pub(super) async fn read(handle: &MapHandle, wanted: &Wanted) -> Result<HistoryTail, RpcError> {
+pub(super) async fn read(handle: &MapHandle, wanted: &ReadingsQuery) -> Result<HistoryTail, RpcError> {
     let (reply, tail) = oneshot::channel();
     let stopped = || RpcError::Ended(Ending::Shutdown);
     let read = ReadHistory {
@@ -71,9 +71,9 @@ pub(super) fn gather(
     history: &History,
     spec: &MapSpec,
     tail: HistoryTail,
-    wanted: &Wanted,
+    wanted: &ReadingsQuery,
 ) -> Result<Vec<Reading>, HistoryError> {
-    let &Wanted { subject, ref within_nanos, enough } = wanted;
+    let &ReadingsQuery { subject, ref within_nanos, enough } = wanted;
     let (from_nanos, to_nanos) = (within_nanos.start, within_nanos.end);
     let mut found: Vec<Reading> = Vec::new();
     match subject {

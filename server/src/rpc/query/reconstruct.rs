@@ -17,13 +17,13 @@ use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
     Queries,
-    readings::{self, Wanted, gather, read},
+    readings::{self, ReadingsQuery, gather, read},
 };
 use crate::{
     ingest::{handle::MapHandle, protocol::HistoryTail},
     rpc::{
         lookup::{cell_of, check_limit, find_cell, find_map, find_state},
-        replies::{Replies, computed},
+        replies::{Replies, compute_replies},
         status::RpcError,
     },
 };
@@ -37,13 +37,13 @@ pub(super) async fn reconstruct(
 ) -> Result<Replies<v1::ReconstructResponse>, RpcError> {
     let v1::ReconstructRequest { map, state: name, from_time, to_time } = request;
     let handle = find_map(&queries.catalog, &map)?;
-    let asked = Asked { name, within_nanos: interval_from_wire(from_time, to_time)? };
+    let asked = PastQuery { name, within_nanos: interval_from_wire(from_time, to_time)? };
     let view = handle.view();
     let (permits, gather) = past(queries, &handle, view, asked).await?;
-    Ok(computed(permits, move |computed| {
+    Ok(compute_replies(permits, move |sink| {
         for readings in gather()?.chunks(READINGS_PER_REPLY) {
             let (times_nanos, values) = readings.iter().copied().unzip();
-            if !computed.send(v1::ReconstructResponse { times_nanos, values }) {
+            if !sink.send(v1::ReconstructResponse { times_nanos, values }) {
                 break;
             }
         }
@@ -53,7 +53,7 @@ pub(super) async fn reconstruct(
 
 /// What is asked of the past.
 #[derive(Clone, Debug)]
-pub(super) struct Asked {
+pub(super) struct PastQuery {
     /// Name of a state or cell.
     pub(super) name: String,
     /// From the first instant up to but not including the second.
@@ -65,12 +65,12 @@ pub(super) async fn past(
     queries: &Queries,
     handle: &Arc<MapHandle>,
     view: Arc<MapView>,
-    asked: Asked,
+    asked: PastQuery,
 ) -> Result<
     ((OwnedSemaphorePermit, OwnedSemaphorePermit), impl FnOnce() -> Result<Vec<Reading>, RpcError> + Send + use<>),
     RpcError,
 > {
-    let Asked { name, within_nanos } = asked;
+    let PastQuery { name, within_nanos } = asked;
     let (from_nanos, to_nanos) = (within_nanos.start, within_nanos.end);
     let past_permit = queries.past_permits.take().await?;
     let subject = find_subject(&view, &name).await?;
@@ -78,7 +78,7 @@ pub(super) async fn past(
     let retention = retention(&spec, subject)?;
     let max = queries.max_predictions;
     let enough = usize::try_from(max).unwrap_or(usize::MAX);
-    let wanted = Wanted { subject, within_nanos, enough };
+    let wanted = ReadingsQuery { subject, within_nanos, enough };
     let tail = read(handle, &wanted).await?;
     let permit = queries.permits.take().await?;
     let history = queries.catalog.context().store.history(handle.id)?.before(tail.stored_before);

@@ -28,13 +28,13 @@ use tidemap_proto::{
 };
 use tokio::sync::OwnedSemaphorePermit;
 
-use super::{Queries, STATES_MAX, fitting::Learned};
+use super::{Queries, STATES_MAX, fitting::LearnedState};
 use crate::{
     ingest::handle::MapHandle,
-    model_cache::Fitted,
+    model_cache::CachedModel,
     rpc::{
         lookup::{cell_of, check_limit, find_cell, find_map, find_state},
-        replies::{Computed, Replies, computed, streamed},
+        replies::{Replies, ReplySink, compute_replies, stream_replies},
         status::RpcError,
     },
 };
@@ -44,25 +44,25 @@ const TIMES_PER_BLOCK: usize = 4096;
 
 /// Which of the names of a request: its index, and of a vector the axis, 1 for x.
 #[derive(Clone, Copy, Debug)]
-struct Place {
+struct StateAxis {
     state_index: usize,
     axis: u32,
 }
 
 /// The names of a request, each vector as its axes.
-fn by_axis(view: &MapView, names: Vec<String>) -> (Vec<Place>, Vec<String>) {
+fn by_axis(view: &MapView, names: Vec<String>) -> (Vec<StateAxis>, Vec<String>) {
     let mut places = Vec::with_capacity(names.len());
     let mut all = Vec::with_capacity(names.len());
     for (state_index, name) in names.into_iter().enumerate() {
         match view.shape(&name) {
             Some((_, StateShape::Vector(dimensions))) => {
                 for (axis, letter) in (1..).zip(dimensions.axes()) {
-                    places.push(Place { state_index, axis });
+                    places.push(StateAxis { state_index, axis });
                     all.push(format!("{name}/{letter}"));
                 }
             }
             _ => {
-                places.push(Place { state_index, axis: 0 });
+                places.push(StateAxis { state_index, axis: 0 });
                 all.push(name);
             }
         }
@@ -71,7 +71,7 @@ fn by_axis(view: &MapView, names: Vec<String>) -> (Vec<Place>, Vec<String>) {
 }
 
 /// What a name stands for.
-enum Named {
+enum StateOrCell {
     State(StateId),
     Cell(CellIndex, Box<CellDescription>),
 }
@@ -82,13 +82,13 @@ async fn find_all(
     permit: OwnedSemaphorePermit,
     field: impl Fn(usize) -> String + Send + 'static,
     names: Vec<String>,
-) -> Result<(Vec<Named>, OwnedSemaphorePermit), RpcError> {
+) -> Result<(Vec<StateOrCell>, OwnedSemaphorePermit), RpcError> {
     let view = Arc::clone(view);
     let any_cell = names.iter().any(|name| matches!(CellIndex::from_name(name), Some(Ok(_))));
     let find = move || {
         let find = |(i, name): (usize, &String)| match cell_of(&field(i), name)? {
-            Some(cell) => Ok(Named::Cell(cell, Box::new(find_cell(&view, cell)?))),
-            None => find_state(&view, name).map(Named::State),
+            Some(cell) => Ok(StateOrCell::Cell(cell, Box::new(find_cell(&view, cell)?))),
+            None => find_state(&view, name).map(StateOrCell::State),
         };
         let named = names.iter().enumerate().map(find).collect::<Result<_, RpcError>>()?;
         Ok((named, permit))
@@ -138,9 +138,9 @@ pub(super) async fn predict_states(
     }
     let permit = queries.permits.take().await?;
     let (named, permit) = find_all(&view, permit, field, names).await?;
-    let named: Vec<(Place, Named)> = places.into_iter().zip(named).collect();
-    Ok(computed(permit, move |computed| {
-        predict(&view, &named, &request.times_nanos, (selector, level), computed);
+    let named: Vec<(StateAxis, StateOrCell)> = places.into_iter().zip(named).collect();
+    Ok(compute_replies(permit, move |sink| {
+        predict(&view, &named, &request.times_nanos, (selector, level), sink);
         Ok(())
     }))
 }
@@ -151,24 +151,24 @@ fn predict_fitted(
     queries: &Queries,
     handle: Arc<MapHandle>,
     view: Arc<MapView>,
-    states: Vec<(Place, StateId)>,
+    states: Vec<(StateAxis, StateId)>,
     times_nanos: &[i64],
     (selector, level): (ModelSelector, f64),
 ) -> Replies<v1::PredictStatesResponse> {
     let (fitting, permits) = (Arc::clone(&queries.fitting), queries.permits.clone());
     let moments: Arc<[Moment]> = view.moments(times_nanos).into();
-    streamed(move |computed| async move {
+    stream_replies(move |sink| async move {
         for (place, id) in states {
-            let learned = Learned::new(Arc::clone(&handle), Arc::clone(&view), id);
+            let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), id);
             let fitted = tokio::select! {
-                () = computed.unwanted() => return Ok(()),
+                () = sink.closed() => return Ok(()),
                 fitted = fitting.fitted(&learned, selector.kind) => fitted?,
             };
             let permit = permits.take().await?;
-            let (view, moments, computed) = (Arc::clone(&view), Arc::clone(&moments), computed.clone());
+            let (view, moments, sink) = (Arc::clone(&view), Arc::clone(&moments), sink.clone());
             let predict = move || {
                 let _permit = permit;
-                predict_one(&view, (place, id), &fitted, &moments, (selector, level), &computed)
+                predict_one(&view, (place, id), &fitted, &moments, (selector, level), &sink)
             };
             if !tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)? {
                 break;
@@ -181,11 +181,11 @@ fn predict_fitted(
 /// Predicts one state by a fitted model. `false`: nobody wants any more.
 fn predict_one(
     view: &MapView,
-    (place, id): (Place, StateId),
-    fitted: &Fitted,
+    (place, id): (StateAxis, StateId),
+    fitted: &CachedModel,
     moments: &[Moment],
     (selector, level): (ModelSelector, f64),
-    computed: &Computed<v1::PredictStatesResponse>,
+    sink: &ReplySink<v1::PredictStatesResponse>,
 ) -> bool {
     let live = view.live(id);
     let mut blocks = moments.chunks(TIMES_PER_BLOCK).enumerate();
@@ -199,17 +199,17 @@ fn predict_one(
             persistence: live.persistence,
         };
         let intervals = view.intervals(id, moments, &probabilities, Some(level).filter(|&level| level > 0.0));
-        computed.send(reply(place, block * TIMES_PER_BLOCK, probabilities, &intervals, about))
+        sink.send(reply(place, block * TIMES_PER_BLOCK, probabilities, &intervals, about))
     })
 }
 
 /// Computes the replies until all are taken or nobody takes them.
 fn predict(
     view: &MapView,
-    named: &[(Place, Named)],
+    named: &[(StateAxis, StateOrCell)],
     times_nanos: &[i64],
     (selector, level): (ModelSelector, f64),
-    computed: &Computed<v1::PredictStatesResponse>,
+    sink: &ReplySink<v1::PredictStatesResponse>,
 ) {
     let blocks = blocks(times_nanos.len());
     let shared = (blocks.len() == 1).then(|| view.prepare(times_nanos));
@@ -226,7 +226,7 @@ fn predict(
             let mut probabilities = vec![0.0; block.len()];
             let level = Some(level).filter(|&level| level > 0.0);
             let (about, intervals) = match named {
-                Named::State(id) => {
+                StateOrCell::State(id) => {
                     view.predict_into(*id, prepared, selector, &mut probabilities);
                     let live = view.live(*id);
                     let about = About {
@@ -237,7 +237,7 @@ fn predict(
                     };
                     (about, view.intervals(*id, prepared.moments(), &probabilities, level))
                 }
-                Named::Cell(_, cell) => {
+                StateOrCell::Cell(_, cell) => {
                     view.predict_cell_into(cell, prepared, selector, &mut probabilities);
                     let about = About {
                         kind: StateKind::Probability,
@@ -248,7 +248,7 @@ fn predict(
                     (about, cell_intervals(cell, &probabilities, level))
                 }
             };
-            if !computed.send(reply(*place, block.start, probabilities, &intervals, about)) {
+            if !sink.send(reply(*place, block.start, probabilities, &intervals, about)) {
                 return;
             }
         }
@@ -270,7 +270,7 @@ struct About {
 
 /// Predictions of one state.
 fn reply(
-    place: Place,
+    place: StateAxis,
     first_time_index: usize,
     probabilities: Vec<f64>,
     intervals: &[Interval],
@@ -301,8 +301,8 @@ pub(super) async fn describe_model(
     let permit = queries.permits.take().await?;
     let (mut found, _permit) = find_all(&view, permit, |_| "state".to_owned(), vec![request.state]).await?;
     Ok(match found.pop() {
-        Some(Named::State(id)) => description_to_wire(&view, id).unwrap_or_default(),
-        Some(Named::Cell(cell, description)) => cell_description_to_wire(&view, cell, &description),
+        Some(StateOrCell::State(id)) => description_to_wire(&view, id).unwrap_or_default(),
+        Some(StateOrCell::Cell(cell, description)) => cell_description_to_wire(&view, cell, &description),
         None => v1::DescribeModelResponse::default(),
     })
 }

@@ -31,7 +31,7 @@ use crate::{
     ingest::{
         handle::MapHandle,
         intake::{Intake, IntakeLimits},
-        protocol::{Command, Handover, Hello, ObservationBatch, Opened, SessionEvent},
+        protocol::{Command, Handover, Hello, ObservationBatch, SessionEvent, Welcome},
         writer::Context,
     },
     jobs::Jobs,
@@ -192,7 +192,7 @@ impl Bench {
 type Shown = Vec<(TileIndex, TileMasks)>;
 
 struct Robot {
-    opened: Opened,
+    opened: Welcome,
     sent: u64,
     events: mpsc::UnboundedReceiver<SessionEvent>,
     intake: Intake,

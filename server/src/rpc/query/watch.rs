@@ -27,7 +27,7 @@ use tonic::Status;
 use super::{Queries, STATES_MAX};
 use crate::{
     ingest::{
-        anomaly_feed::{Applied, FeedMessage, FeedReceiver},
+        anomaly_feed::{FeedMessage, FeedPiece, FeedReceiver},
         handle::MapHandle,
         protocol::Command,
     },
@@ -115,7 +115,7 @@ fn watched(view: &MapView, names: &[String]) -> Result<Option<HashSet<StateId>>,
 }
 
 /// What was observed of which state.
-type Observed = (StateId, Reading);
+type StateReading = (StateId, Reading);
 
 struct Watch {
     handle: Arc<MapHandle>,
@@ -153,7 +153,7 @@ impl Watch {
     }
 
     /// The anomalies among observations that were applied, in their order.
-    async fn judge(&mut self, applied: &Applied) -> Result<Vec<(StateId, Anomaly)>, RpcError> {
+    async fn judge(&mut self, applied: &FeedPiece) -> Result<Vec<(StateId, Anomaly)>, RpcError> {
         let count = applied.states.len() as u64;
         self.missed += applied.before.saturating_sub(self.told);
         self.told = applied.before + count;
@@ -175,7 +175,7 @@ impl Watch {
     }
 
     /// The observations of the states that are watched.
-    fn observed(&self, applied: &Applied) -> Vec<Observed> {
+    fn observed(&self, applied: &FeedPiece) -> Vec<StateReading> {
         let is_watched = |state: &StateId| self.watched.as_ref().is_none_or(|watched| watched.contains(state));
         let readings = applied.times_nanos.iter().copied().zip(applied.values.iter().copied());
         applied.states.iter().copied().zip(readings).filter(|(state, _)| is_watched(state)).collect()
@@ -215,7 +215,7 @@ impl Watch {
 /// The anomalies among observations of several states, in their order. Those of a state are judged together.
 fn unexpected(
     models: &MapView,
-    observed: &[Observed],
+    observed: &[StateReading],
     selector: ModelSelector,
     confidence: Confidence,
 ) -> Vec<(StateId, Anomaly)> {

@@ -7,20 +7,20 @@ use std::sync::Arc;
 use tidemap_map::selector::ModelKind;
 use tidemap_model::Sample;
 
-use super::{Fitting, Learned};
+use super::{LearnedState, ModelFitter};
 use crate::{
     model_cache::{ModelKey, ModelUnavailable, PositionModel},
     rpc::status::RpcError,
 };
 
-impl Fitting {
+impl ModelFitter {
     /// The model of a vector, of which these are all axes: the one that is kept, or else one that is fitted now.
     ///
     /// # Errors
     /// [`RpcError::ModelUnavailable`] where there can be no such model; others where the readings cannot be read.
     pub(in crate::rpc::query) async fn position_model(
         self: &Arc<Self>,
-        axes: Vec<Arc<Learned>>,
+        axes: Vec<Arc<LearnedState>>,
         kind: ModelKind,
     ) -> Result<Arc<PositionModel>, RpcError> {
         let first = axes.first().ok_or(RpcError::Stopping)?;
@@ -39,7 +39,7 @@ impl Fitting {
         task.await.map_err(|_| RpcError::Stopping)?
     }
 
-    async fn fit_positions(&self, axes: &[Arc<Learned>], kind: ModelKind) -> Result<PositionModel, RpcError> {
+    async fn fit_positions(&self, axes: &[Arc<LearnedState>], kind: ModelKind) -> Result<PositionModel, RpcError> {
         let first = axes.first().ok_or(RpcError::Stopping)?;
         let options = PositionModel::options(kind).ok_or(RpcError::Stopping)?;
         let permit = self.slow_permits.take().await?;

@@ -38,7 +38,7 @@ async fn what_was_observed_is_told_wherever_it_is() {
                 check(bench.past(&name, 0, i64::MAX).await, &expected(so_far, cell));
             }
             if part < 3 && !after_update {
-                // Asked while the update has what is asked for, or just before or after that.
+                // PastQuery while the update has what is asked for, or just before or after that.
                 let (past, ()) = tokio::join!(bench.past("door", 0, i64::MAX), bench.update());
                 check(past, &door[..so_far]);
             }
