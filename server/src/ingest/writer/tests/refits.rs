@@ -3,7 +3,7 @@
 use std::{fs, path::PathBuf};
 
 use tidemap_map::ids::StateId;
-use tidemap_model::{CachedModel, EnabledModels, FitKind, StateModel};
+use tidemap_model::{FittedModel, EnabledModels, FitKind, StateModel};
 
 use super::*;
 
@@ -89,7 +89,7 @@ async fn updates_that_are_run_again_fit_the_same_models() {
     for kind in FitKind::ALL {
         let (model, day) = known.fit(kind).expect("fitted");
         assert_eq!((model.kind(), newest - day.0), (kind, 3));
-        if let CachedModel::Calibrated(model) = model {
+        if let FittedModel::Calibrated(model) = model {
             assert_eq!(model.observations(), 21 * 48);
         }
     }
@@ -147,7 +147,7 @@ async fn an_update_that_makes_room_fits_nothing() {
     update(&bench, &handle, 10).await;
     let learned = model(&handle);
     let (fitted, _) = learned.alternatives().expect("learned").fit(calibrated).expect("fitted");
-    assert!(matches!(fitted, CachedModel::Calibrated(model) if model.observations() == 9 * 48 + 1), "{fitted:?}");
+    assert!(matches!(fitted, FittedModel::Calibrated(model) if model.observations() == 9 * 48 + 1), "{fitted:?}");
     assert!(!learned.is_fit_due(calibrated));
     bench.catalog.stop().await;
 }
