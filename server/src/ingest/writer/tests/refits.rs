@@ -3,7 +3,7 @@
 use std::{fs, path::PathBuf};
 
 use tidemap_map::ids::StateId;
-use tidemap_model::{FittedModel, EnabledModels, FitKind, StateModel};
+use tidemap_model::{EnabledModels, FitKind, FittedModel, StateModel};
 
 use super::*;
 
