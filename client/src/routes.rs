@@ -20,7 +20,7 @@ pub use path::{
 pub use presence::{Joint, JointQuery, Presence, PresenceAt, PresenceQuery};
 pub use tidemap_plan::{
     route::{Certainty, Objective},
-    search::{Effort, Stopped},
+    search::{Effort, StopReason},
 };
 
 use crate::{
@@ -190,7 +190,7 @@ pub struct Search {
     /// Probability of all places that are no step, over that of all.
     pub remains: f64,
     /// Why the walk ends early, if it does.
-    pub stop: Option<Stopped>,
+    pub stop: Option<StopReason>,
     /// Nodes to which no way leads.
     pub unreachable: Vec<String>,
     /// Nodes of which nothing was ever observed, the first thousand.

@@ -17,7 +17,7 @@ use std::{
 
 use rayon::prelude::*;
 use tidemap_map::{grid::tile::TileUnavailable, live_map::InconsistentEvent};
-use tidemap_plan::route::RouteError;
+use tidemap_plan::route::PlanRouteError;
 
 use super::paired;
 
@@ -60,7 +60,7 @@ pub enum RoutesError {
     /// A map that could not be read.
     Tile(#[from] TileUnavailable),
     /// A route.
-    Route(#[from] RouteError),
+    Route(#[from] PlanRouteError),
     /// The building.
     #[error("{0}")]
     Setting(String),

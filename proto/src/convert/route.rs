@@ -6,7 +6,7 @@
 use tidemap_map::topology::{EdgeId, NodeId, Topology};
 use tidemap_plan::{
     policy::{PolicyAction, PolicyObjective, PolicyOptions, PolicyTable},
-    route::{Certainty, DEPARTURES_MAX, Objective, Route, RouteOptions, RouteStep, Routes, When},
+    route::{Certainty, DEPARTURES_MAX, Objective, Route, RouteOptions, RouteStep, RoutePlan, When},
 };
 
 use super::{
@@ -139,7 +139,7 @@ pub fn later(reference_nanos: i64, secs: f64) -> i64 {
 /// Routes for the wire; `reports` counts those of an edge.
 #[must_use]
 pub fn routes_to_wire(
-    planned: &Routes,
+    planned: &RoutePlan,
     reference_nanos: i64,
     topology: &Topology,
     reports: impl Fn(EdgeId) -> u64,

@@ -3,7 +3,7 @@
 //! Invariant: an error names the field; what the planner itself checks is left to it.
 
 use tidemap_map::topology::Topology;
-use tidemap_plan::search::{Effort, Options, Plan, Stop, Stopped};
+use tidemap_plan::search::{Effort, SearchOptions, SearchPlan, Stop, StopReason};
 
 use super::{
     InvalidField,
@@ -23,8 +23,8 @@ pub const SPEED_M_PER_SEC: f64 = 0.5;
 ///
 /// # Errors
 /// The field that is wrong.
-pub fn search_from_wire(request: &v1::PlanSearchRequest) -> Result<Options, InvalidField> {
-    let default = Options::default();
+pub fn search_from_wire(request: &v1::PlanSearchRequest) -> Result<SearchOptions, InvalidField> {
+    let default = SearchOptions::default();
     let effort = match v1::SearchEffort::try_from(request.effort) {
         Ok(effort) => effort_from_wire(effort).unwrap_or_default(),
         Err(_) => return Err(InvalidField::new("effort", format!("{} is not known", request.effort))),
@@ -43,7 +43,7 @@ pub fn search_from_wire(request: &v1::PlanSearchRequest) -> Result<Options, Inva
         within_secs: within_nanos.map(|nanos| nanos as f64 / 1e9),
     };
     let floor = share("floor", request.floor, |x| x > 0.0 && x <= 1.0, "above 0, at most 1")?;
-    Ok(Options { effort, floor: floor.unwrap_or(default.floor), seed: request.seed, stop, ..default })
+    Ok(SearchOptions { effort, floor: floor.unwrap_or(default.floor), seed: request.seed, stop, ..default })
 }
 
 /// How long an order may be looked for, in nanoseconds.
@@ -112,7 +112,7 @@ pub fn joint_times_from_wire(request: &v1::NextJointRequest) -> Result<Vec<i64>,
 
 both_ways!(
     /// Why a walk ends early, for the wire.
-    stop_to_wire, stop_from_wire, Stopped, v1::SearchStop,
+    stop_to_wire, stop_from_wire, StopReason, v1::SearchStop,
     [Unlikely = Unlikely, NotWorthIt = NotWorthIt, OutOfTime = OutOfTime]
 );
 
@@ -124,7 +124,7 @@ both_ways!(
 
 /// A planned search for the wire, without the nodes that were never observed.
 #[must_use]
-pub fn plan_to_wire(plan: &Plan, topology: &Topology) -> v1::PlanSearchResponse {
+pub fn plan_to_wire(plan: &SearchPlan, topology: &Topology) -> v1::PlanSearchResponse {
     let steps = plan.steps.iter().map(|step| v1::SearchStep {
         node: node_name(topology, step.node),
         arrival_secs: step.arrival_secs,
@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn an_empty_question_has_the_defaults() {
         let request = v1::PlanSearchRequest::default();
-        assert_eq!(search_from_wire(&request), Ok(Options::default()));
+        assert_eq!(search_from_wire(&request), Ok(SearchOptions::default()));
         assert_eq!(plan_within_from_wire(None), Ok(2_000_000_000));
         assert_eq!(speed_from_wire(0.0), Ok(SPEED_M_PER_SEC));
     }

@@ -62,7 +62,7 @@ pub use position::{Dimensions, Position};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
 pub use state::{
-    Alternatives, AlternativesParts, Chosen, EnabledModels, FitKind, FitParts, FittedModel, FittedModelParts,
+    ActiveModel, Alternatives, AlternativesParts, EnabledModels, FitKind, FitParts, FittedModel, FittedModelParts,
     HISTOGRAMS, ModelChoice, StateModel, UpdateOutcome, UpdateRules,
 };
 

@@ -69,11 +69,11 @@ pub enum InvalidPeriodicities {
 /// Candidate periodicities Ω. Cheap to clone.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Periodicities {
-    inner: Arc<Inner>,
+    inner: Arc<PeriodicityTable>,
 }
 
 #[derive(Debug, PartialEq, Eq)]
-struct Inner {
+struct PeriodicityTable {
     definition: PeriodicityDefinition,
     cycles: Cycles,
 }
@@ -96,7 +96,7 @@ impl Periodicities {
         let harmonics = check_count(count as usize)?;
         check_period(0, base_nanos)?;
         check_period(harmonics - 1, base_nanos / i64::from(count))?;
-        Ok(Periodicities::from_inner(Inner {
+        Ok(Periodicities::from_inner(PeriodicityTable {
             definition: PeriodicityDefinition::Harmonics { base_nanos, count },
             cycles: Cycles::Harmonics { base: Cycle::new(base_nanos), count: harmonics },
         }))
@@ -119,10 +119,13 @@ impl Periodicities {
             return Err(InvalidPeriodicities::Repeated { first, second, period_nanos });
         }
         let cycles = Cycles::List(period_nanos.iter().map(|&period| Cycle::new(period)).collect());
-        Ok(Periodicities::from_inner(Inner { definition: PeriodicityDefinition::List { period_nanos }, cycles }))
+        Ok(Periodicities::from_inner(PeriodicityTable {
+            definition: PeriodicityDefinition::List { period_nanos },
+            cycles,
+        }))
     }
 
-    fn from_inner(inner: Inner) -> Periodicities {
+    fn from_inner(inner: PeriodicityTable) -> Periodicities {
         Periodicities { inner: Arc::new(inner) }
     }
 
@@ -185,7 +188,7 @@ impl Default for Periodicities {
     /// The 168 harmonics of a week, one week to one hour (T-RO section III.C, indoor).
     fn default() -> Periodicities {
         let (base_nanos, count) = (WEEK_NANOS, WEEK_HARMONICS);
-        Periodicities::from_inner(Inner {
+        Periodicities::from_inner(PeriodicityTable {
             definition: PeriodicityDefinition::Harmonics { base_nanos, count },
             cycles: Cycles::Harmonics { base: Cycle::new(base_nanos), count: count as usize },
         })

@@ -12,7 +12,7 @@ mod rows;
 mod turn;
 mod wheel;
 
-pub(crate) use rows::Rows;
+pub(crate) use rows::AlignedRows;
 pub(crate) use turn::{nearest_turn, unit_phasor};
 pub(crate) use wheel::{BLOCK, GROUP, Wheels};
 
@@ -29,8 +29,8 @@ pub struct PhasorTable {
     /// The periodicities held, ascending.
     held: Vec<u32>,
     /// A row per periodicity held.
-    cos: Rows,
-    sin: Rows,
+    cos: AlignedRows,
+    sin: AlignedRows,
 }
 
 impl PhasorTable {
@@ -66,8 +66,8 @@ impl PhasorTable {
             periodicities: periodicities.clone(),
             civil_nanos: civil_nanos.to_vec(),
             held,
-            cos: Rows::zeros(rows, times),
-            sin: Rows::zeros(rows, times),
+            cos: AlignedRows::zeros(rows, times),
+            sin: AlignedRows::zeros(rows, times),
         }
     }
 
@@ -134,8 +134,8 @@ fn fill_turns(turns: &mut [f64], civil_nanos: &[i64], of: impl Fn(i64) -> f64) {
 struct FillHarmonics<'a> {
     turns: &'a [f64],
     harmonics: usize,
-    cos: &'a mut Rows,
-    sin: &'a mut Rows,
+    cos: &'a mut AlignedRows,
+    sin: &'a mut AlignedRows,
 }
 
 impl WithSimd for FillHarmonics<'_> {

@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::phasor::Rows;
+use crate::phasor::AlignedRows;
 use crate::{InvalidParts, Periodicities, PhasorTable};
 
 #[cfg(test)]
@@ -169,14 +169,14 @@ pub struct RunningSums {
     periodicities: usize,
     /// Times in the chunk; there is a row more.
     times: usize,
-    rows: Rows,
+    rows: AlignedRows,
 }
 
 impl RunningSums {
     /// Before the first time: one row of zeros.
     pub fn new(periodicities: &Periodicities) -> RunningSums {
         let periodicities = periodicities.len();
-        RunningSums { periodicities, times: 0, rows: Rows::zeros(1, 2 * periodicities) }
+        RunningSums { periodicities, times: 0, rows: AlignedRows::zeros(1, 2 * periodicities) }
     }
 
     /// Begins again from zeros, before the first time.
@@ -201,7 +201,7 @@ impl RunningSums {
         let last = self.row(self.times).to_vec();
         self.times = phasors.len();
         if self.rows.count() <= self.times {
-            self.rows = Rows::zeros(self.times + 1, last.len());
+            self.rows = AlignedRows::zeros(self.times + 1, last.len());
         }
         self.rows.row_mut(0).copy_from_slice(&last);
         let (cos, sin): (Vec<_>, Vec<_>) =

@@ -20,7 +20,7 @@ mod kind_tests;
 #[cfg(test)]
 mod tests;
 
-pub use alternatives::{Alternatives, AlternativesParts, Chosen, FitParts, HISTOGRAMS, ModelChoice, UpdateRules};
+pub use alternatives::{ActiveModel, Alternatives, AlternativesParts, FitParts, HISTOGRAMS, ModelChoice, UpdateRules};
 pub use fits::{EnabledModels, FitKind, FittedModel, FittedModelParts};
 
 /// The long-term model of one state.
@@ -103,7 +103,7 @@ impl StateModel {
     }
 
     /// The model in force; `None` where it is the spectral one.
-    pub fn chosen(&self) -> Option<Chosen<'_>> {
+    pub fn chosen(&self) -> Option<ActiveModel<'_>> {
         self.alternatives.as_ref()?.chosen()
     }
 

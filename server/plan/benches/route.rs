@@ -15,7 +15,7 @@ use testkit::{Map, Shape};
 use tidemap_map::topology::{Edge, NodeId, Topology};
 use tidemap_plan::policy::{PolicyObjective, PolicyOptions, solve_policy};
 use tidemap_plan::route::{
-    Bounds, EdgeBest, EdgeForecast, Forecasts, Objective, RouteOptions, Routes, When, plan_routes,
+    Bounds, EdgeBest, EdgeForecast, Forecasts, Objective, RouteOptions, RoutePlan, When, plan_routes,
 };
 
 /// Forecasts by a daily and a half-daily rhythm of each edge; with its bounds, or without.
@@ -67,7 +67,7 @@ fn fastest<T>(mut run: impl FnMut() -> T, repetitions: usize) -> (Duration, T) {
     best.expect("at least one repetition")
 }
 
-fn row(name: &str, nodes: usize, mut asked: Vec<(Duration, Routes)>) {
+fn row(name: &str, nodes: usize, mut asked: Vec<(Duration, RoutePlan)>) {
     asked.sort_by_key(|(took, _)| *took);
     let (median, slowest) = (asked[asked.len() / 2].0, asked[asked.len() - 1].0);
     let labels = asked.iter().map(|(_, routes)| routes.labels).max().unwrap_or(0);

@@ -12,7 +12,7 @@ mod testkit;
 use std::time::{Duration, Instant};
 
 use testkit::{Map, Shape};
-use tidemap_plan::search::{Effort, Goal, Options, Plan, search};
+use tidemap_plan::search::{Effort, Goal, SearchOptions, SearchPlan, search};
 
 /// Maps of 200 nodes: shape and seed.
 const LARGE: [(Shape, u64); 6] = [
@@ -35,8 +35,8 @@ fn processor_time() -> Duration {
 }
 
 /// The fastest of some repetitions, at most for so long.
-fn fastest(mut run: impl FnMut() -> Plan, repetitions: usize) -> (Duration, Plan) {
-    let mut best: Option<(Duration, Plan)> = None;
+fn fastest(mut run: impl FnMut() -> SearchPlan, repetitions: usize) -> (Duration, SearchPlan) {
+    let mut best: Option<(Duration, SearchPlan)> = None;
     let begun = Instant::now();
     for _ in 0..repetitions {
         let start = Instant::now();
@@ -66,7 +66,7 @@ fn exact() {
             for seed in 0..maps {
                 let map = Map::random(shape, count, false, 1_000 * count as u64 + seed);
                 let (roads, goals) = (map.roads(), goals(&map));
-                let options = Options::default();
+                let options = SearchOptions::default();
                 let plan = || {
                     runs += 1;
                     search(&roads, map.start(), &goals, &options, || false).unwrap()
@@ -92,8 +92,8 @@ fn exact() {
     }
 }
 
-fn heuristic(map: &Map, seed: u64, budget: Duration) -> Plan {
-    let options = Options { effort: Effort::Heuristic, seed, rounds_max: usize::MAX, ..Options::default() };
+fn heuristic(map: &Map, seed: u64, budget: Duration) -> SearchPlan {
+    let options = SearchOptions { effort: Effort::Heuristic, seed, rounds_max: usize::MAX, ..SearchOptions::default() };
     let (start, mut asked) = (processor_time(), 0_u64);
     let until = || {
         asked += 1;

@@ -26,13 +26,13 @@ mod cost;
 mod departure;
 mod error;
 mod forecast;
+mod forecast_cache;
 mod labels;
 mod network;
-mod outlook;
 
 pub use chance::success_interval;
 pub use departure::plan_routes;
-pub use error::RouteError;
+pub use error::PlanRouteError;
 pub use forecast::{EdgeBest, EdgeForecast, ForecastError, Forecasts, SUCCESS_MIN};
 pub(crate) use forecast::{check_forecast, expected_secs};
 pub(crate) use network::Network;
@@ -204,7 +204,7 @@ pub struct Route {
 
 /// An answer.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Routes {
+pub struct RoutePlan {
     /// The best route and its alternatives, the best first. Alternatives leave at the same time.
     pub routes: Vec<Route>,
     /// How sure it is that these are the best.

@@ -23,9 +23,9 @@ mod stop;
 
 pub use changing::{CHANGING_GOALS_MAX, search_changing};
 pub use order::search;
-pub use plan::{Passage, Plan, Step};
-pub use policy::{Joint, PolicyError, anyone, next_above};
-pub use stop::{Stop, StopError, Stopped};
+pub use plan::{Passage, SearchPlan, SearchStep};
+pub use policy::{JointMoment, PolicyError, anyone, next_above};
+pub use stop::{Stop, StopError, StopReason};
 
 use tidemap_map::topology::NodeId;
 
@@ -60,7 +60,7 @@ pub enum Effort {
 
 /// Options of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Options {
+pub struct SearchOptions {
     /// How hard to look.
     pub effort: Effort,
     /// What a goal counts at least, in `[0,1]`, above 0. Without it, the order among impossible goals would be arbitrary: with
@@ -76,10 +76,17 @@ pub struct Options {
     pub stop: Stop,
 }
 
-impl Default for Options {
-    fn default() -> Options {
+impl Default for SearchOptions {
+    fn default() -> SearchOptions {
         let effort = Effort::Auto;
-        Options { effort, floor: FLOOR, states_max: 4_000_000, rounds_max: 10_000, seed: 0, stop: Stop::default() }
+        SearchOptions {
+            effort,
+            floor: FLOOR,
+            states_max: 4_000_000,
+            rounds_max: 10_000,
+            seed: 0,
+            stop: Stop::default(),
+        }
     }
 }
 

@@ -24,10 +24,10 @@ mod question;
 #[cfg(test)]
 mod tests;
 
-use budget::Budget;
-use choose::{Choice, Chosen};
+use budget::TourBudget;
+use choose::{GoalSelection, TourGoal};
 use order::Ways;
-use question::Candidate;
+use question::TourCandidate;
 pub use question::{GOALS_MAX, Suppression, TourEnd, TourError, TourQuestion};
 
 /// Why a tour has no goal.
@@ -47,7 +47,7 @@ pub enum NoTour {
     NothingToLearn,
     /// No goal fits into the time.
     #[error("the time for the tour is {budget_secs} s, and the nearest goal alone takes {least_secs} s")]
-    Budget {
+    TourBudget {
         /// How long it may take, seconds.
         budget_secs: f64,
         /// How long it takes to the nearest chosen goal and to the end, looking included, seconds.
@@ -143,7 +143,7 @@ pub fn plan_tour_with(
     if candidates.is_empty() {
         return Ok(Tour::none(NoTour::NothingReachable, 0, 0));
     }
-    let mut choice = Choice::new(&scene, fan, &candidates, question.suppression);
+    let mut choice = GoalSelection::new(&scene, fan, &candidates, question.suppression);
     let chosen = choice.choose(question.goals);
     let looks = choice.looks();
     if chosen.is_empty() {
@@ -156,7 +156,7 @@ pub fn plan_tour_with(
         between[one].to(goals[other]).unwrap_or(f64::INFINITY)
     });
     let values: Vec<f64> = chosen.iter().map(|goal| goal.bits * candidates[goal.candidate].reachability).collect();
-    let budget = Budget {
+    let budget = TourBudget {
         ways: &ways,
         values: &values,
         secs_m: question.speed_m_secs.recip(),
@@ -166,7 +166,7 @@ pub fn plan_tour_with(
     let order = budget.fit();
     if order.is_empty() {
         let (budget_secs, least_secs) = (budget.budget_secs, budget.least_secs());
-        return Ok(Tour::none(NoTour::Budget { budget_secs, least_secs }, candidates.len(), looks));
+        return Ok(Tour::none(NoTour::TourBudget { budget_secs, least_secs }, candidates.len(), looks));
     }
     let mut tour = told(&scene, &candidates, &chosen, &order, &budget);
     (tour.candidates, tour.looks) = (candidates.len(), looks);
@@ -174,7 +174,13 @@ pub fn plan_tour_with(
 }
 
 /// The tour through goals in an order.
-fn told(scene: &Scene, candidates: &[Candidate], chosen: &[Chosen], order: &[usize], budget: &Budget) -> Tour {
+fn told(
+    scene: &Scene,
+    candidates: &[TourCandidate],
+    chosen: &[TourGoal],
+    order: &[usize],
+    budget: &TourBudget,
+) -> Tour {
     let mut tour = Tour::default();
     let mut new_bits = vec![0.0; chosen.len()];
     let mut alone_bits = vec![0.0; chosen.len()];
@@ -190,7 +196,7 @@ fn told(scene: &Scene, candidates: &[Candidate], chosen: &[Chosen], order: &[usi
         }
     }
     for (step, &goal) in order.iter().enumerate() {
-        let Candidate { at_m: [x_m, y_m], reachability, .. } = candidates[chosen[goal].candidate];
+        let TourCandidate { at_m: [x_m, y_m], reachability, .. } = candidates[chosen[goal].candidate];
         let driven_m = budget.ways.to_last(&order[..=step]);
         tour.steps.push(TourStep {
             x_m,

@@ -22,9 +22,9 @@ mod timed;
 mod tests;
 
 pub use fan::Fan;
-pub use many::{LookLimits, TooMuchWork, look_many};
-pub use scene::{InvalidThreshold, Looker, Scene, SceneOptions, Seen};
-pub use timed::{TimedLooker, TimedScene};
+pub use many::{TooMuchWork, ViewLimits, look_many};
+pub use scene::{InvalidThreshold, Scene, SceneOptions, ViewGain, ViewScorer};
+pub use timed::{TimedScene, TimedViewScorer};
 
 /// The most cells that the rays of a sensor may pass all together, those that several pass counted for each.
 pub const RAY_CELLS_MAX: f64 = 3e7;

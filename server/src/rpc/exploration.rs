@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_map::site::SiteEdit;
-use tidemap_plan::{predicted::PredictOptions, view::LookLimits};
+use tidemap_plan::{predicted::PredictOptions, view::ViewLimits};
 use tidemap_proto::{
     convert::{InvalidField, site::point_from_wire, time::nanos_from_timestamp},
     v1::{self, exploration_service_server::ExplorationService},
@@ -87,8 +87,8 @@ impl Explorations {
         check_limit("times", times_nanos.len() as u64, GRID_TIMES_MAX, "one request about a grid")
     }
 
-    fn look_limits(&self) -> LookLimits {
-        LookLimits { max_work: self.limits.view_work }
+    fn look_limits(&self) -> ViewLimits {
+        ViewLimits { max_work: self.limits.view_work }
     }
 
     async fn visited(&self, request: v1::ReportVisitRequest) -> Result<v1::ReportVisitResponse, RpcError> {

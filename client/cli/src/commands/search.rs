@@ -7,7 +7,7 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::{Args, ValueEnum};
 use tidemap_client::{
     queries::ModelSelector,
-    routes::{Effort, Search, SearchQuery, SearchStep, Stopped},
+    routes::{Effort, Search, SearchQuery, SearchStep, StopReason},
 };
 
 use super::{
@@ -137,9 +137,9 @@ fn summary(search: &Search) -> Vec<String> {
     let mut lines = vec![format!("{expected_secs:.1} s to expect; {proof}")];
     lines.extend(search.stop.map(|stop| {
         let why = match stop {
-            Stopped::Unlikely => "little remains",
-            Stopped::NotWorthIt => "the rest is not worth the time",
-            Stopped::OutOfTime => "the rest does not fit into the budget",
+            StopReason::Unlikely => "little remains",
+            StopReason::NotWorthIt => "the rest is not worth the time",
+            StopReason::OutOfTime => "the rest does not fit into the budget",
         };
         format!("the search ends early: {why}")
     }));

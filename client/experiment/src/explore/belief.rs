@@ -203,7 +203,7 @@ impl Belief {
             chain.observe(at.utc_nanos, value);
         }
         if let Some(presence) = &mut self.presence {
-            presence.look(place, there);
+            presence.observe(place, there);
         }
     }
 }

@@ -8,7 +8,7 @@ use tidemap_map::{
     topology::{Edge, EdgeId, NodeId, Roads, ShortestTimes},
     traversal::Traversal,
 };
-use tidemap_plan::route::{EdgeForecast, Objective, RouteError, RouteOptions, SUCCESS_MIN, When, plan_routes};
+use tidemap_plan::route::{EdgeForecast, Objective, PlanRouteError, RouteOptions, SUCCESS_MIN, When, plan_routes};
 
 use super::{
     DAY_SECS, RoutesError, RoutesProtocol, START_NANOS, WEEK_DAYS,
@@ -192,7 +192,7 @@ impl RouteRobot<'_> {
         let topology = self.building.topology();
         match plan_routes(topology, self.at, goal, When::DepartAt(0.0), &options, &mut forecast, never) {
             Ok(planned) => Ok(planned.routes.first().map(|route| route.steps.iter().map(|step| step.edge).collect())),
-            Err(RouteError::Unreachable { .. }) => Ok(None),
+            Err(PlanRouteError::Unreachable { .. }) => Ok(None),
             Err(other) => Err(other.into()),
         }
     }

@@ -5,7 +5,7 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
-use tidemap_plan::search::{Goal, Options, SearchError, search};
+use tidemap_plan::search::{Goal, SearchError, SearchOptions, search};
 
 use super::{RecordedWorld, ReplayError};
 use crate::{
@@ -109,7 +109,7 @@ fn find(
 fn arrivals(world: &RecordedWorld, expected: &[f64]) -> Result<Vec<f64>, SearchError> {
     let goal = |(index, &probability): (usize, &f64)| Goal { node: world.roads.node(index), probability };
     let goals: Vec<Goal> = expected.iter().enumerate().map(goal).collect();
-    let plan = search(&world.roads, world.start, &goals, &Options::default(), || false)?;
+    let plan = search(&world.roads, world.start, &goals, &SearchOptions::default(), || false)?;
     let mut arrivals = vec![f64::INFINITY; expected.len()];
     for step in &plan.steps {
         if let Some(index) = world.roads.index_of(step.node) {

@@ -30,7 +30,7 @@ pub use conditional::HypertimeDistribution;
 pub use field::{FieldReading, HypertimeField, HypertimeFieldParts};
 use grow::{Extent, deal, grow, unit_weight};
 pub use odds::HypertimeOddsParts;
-use odds::{Counts, Folds, Odds};
+use odds::{Folds, Odds, SlotWeights};
 pub use options::{HypertimeMethod, HypertimeOptions};
 
 #[cfg(test)]
@@ -48,11 +48,11 @@ pub enum HypertimeParts {
 /// The value of one state over time, by warped hypertime.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hypertime {
-    shape: Shape,
+    shape: HypertimeKind,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-enum Shape {
+enum HypertimeKind {
     Probability(Odds),
     Continuous(HypertimeField),
 }
@@ -75,14 +75,14 @@ impl Hypertime {
         let civil: Vec<i64> = samples.iter().map(|sample| sample.civil_nanos()).collect();
         let (folds_of, count) = deal(&civil, options.seed);
         let unit = unit_weight(&civil, readings.weights().sum());
-        let mut folds = vec![Counts::new(); count];
+        let mut folds = vec![SlotWeights::new(); count];
         for (((sample, weight), civil), fold) in samples.iter().zip(readings.weights()).zip(civil).zip(folds_of) {
             let probability = if sample.value.is_nan() { 0.0 } else { sample.value.clamp(0.0, 1.0) };
             folds[fold].add(week::slot(civil), weight, probability);
         }
         let extent = Extent { span_nanos: first.utc_nanos.abs_diff(last.utc_nanos), folds: count };
         let odds = grow(&Folds { folds, method: options.method, unit }, &extent, options);
-        Ok(Hypertime { shape: Shape::Probability(odds) })
+        Ok(Hypertime { shape: HypertimeKind::Probability(odds) })
     }
 
     /// Fits the model of a value that is not a probability, such as a speed or a count, as [`HypertimeField::fit`]
@@ -98,23 +98,23 @@ impl Hypertime {
         });
         let (points, weights): (Vec<FieldReading>, Vec<f64>) = of_one_place.zip(readings.weights()).unzip();
         let field = HypertimeField::fit_weighted(&points, &weights, options)?;
-        Ok(Hypertime { shape: Shape::Continuous(field) })
+        Ok(Hypertime { shape: HypertimeKind::Continuous(field) })
     }
 
     /// The distribution p(a | t) at a moment of a value that is not a probability; `None` of a probability, where the
     /// prediction says it all.
     pub fn distribution(&self, at: Moment) -> Option<HypertimeDistribution> {
         match &self.shape {
-            Shape::Probability(_) => None,
-            Shape::Continuous(field) => field.distribution(at, &[]),
+            HypertimeKind::Probability(_) => None,
+            HypertimeKind::Continuous(field) => field.distribution(at, &[]),
         }
     }
 
     /// The periods found, in seconds, in the order found; at most five.
     pub fn periods_secs(&self) -> Vec<f64> {
         let divisors = match &self.shape {
-            Shape::Probability(odds) => odds.divisors(),
-            Shape::Continuous(field) => field.week_divisors(),
+            HypertimeKind::Probability(odds) => odds.divisors(),
+            HypertimeKind::Continuous(field) => field.week_divisors(),
         };
         divisors.iter().map(|&divisor| week::WEEK_NANOS as f64 / f64::from(divisor) / 1e9).collect()
     }
@@ -122,16 +122,16 @@ impl Hypertime {
     /// How its clusters were found.
     pub fn method(&self) -> HypertimeMethod {
         match &self.shape {
-            Shape::Probability(odds) => odds.method(),
-            Shape::Continuous(field) => field.method(),
+            HypertimeKind::Probability(odds) => odds.method(),
+            HypertimeKind::Continuous(field) => field.method(),
         }
     }
 
     /// What the model consists of; a model made of it again predicts the same.
     pub fn to_parts(&self) -> HypertimeParts {
         match &self.shape {
-            Shape::Probability(odds) => HypertimeParts::Probability(odds.to_parts()),
-            Shape::Continuous(field) => HypertimeParts::Continuous(field.to_parts()),
+            HypertimeKind::Probability(odds) => HypertimeParts::Probability(odds.to_parts()),
+            HypertimeKind::Continuous(field) => HypertimeParts::Continuous(field.to_parts()),
         }
     }
 
@@ -142,11 +142,11 @@ impl Hypertime {
     /// has a location or more than one number as its value.
     pub fn from_parts(parts: &HypertimeParts) -> Result<Hypertime, InvalidParts> {
         let shape = match parts {
-            HypertimeParts::Probability(odds) => Shape::Probability(Odds::from_parts(odds)?),
+            HypertimeParts::Probability(odds) => HypertimeKind::Probability(Odds::from_parts(odds)?),
             HypertimeParts::Continuous(field) => {
                 InvalidParts::check("location", field.location.len() as f64, 0.0..=0.0)?;
                 InvalidParts::check("value", field.value.len() as f64, 1.0..=1.0)?;
-                Shape::Continuous(HypertimeField::from_parts(field)?)
+                HypertimeKind::Continuous(HypertimeField::from_parts(field)?)
             }
         };
         Ok(Hypertime { shape })
@@ -157,9 +157,11 @@ impl TemporalModel for Hypertime {
     /// The probability, or the mean of the conditional distribution (RA-L 2019 eq. 4), at a moment.
     fn predict(&self, at: Moment) -> f64 {
         match &self.shape {
-            Shape::Probability(odds) => odds.at(week::turn(at.civil_nanos())),
+            HypertimeKind::Probability(odds) => odds.at(week::turn(at.civil_nanos())),
             // A model without location and with one number always answers.
-            Shape::Continuous(field) => field.mean(at, &[]).and_then(|mean| mean.first().copied()).unwrap_or(0.0),
+            HypertimeKind::Continuous(field) => {
+                field.mean(at, &[]).and_then(|mean| mean.first().copied()).unwrap_or(0.0)
+            }
         }
     }
 }

@@ -11,10 +11,10 @@ use crate::InvalidParts;
 use crate::civil::NANOS_PER_SEC;
 
 mod expectation;
-mod folded;
+mod phases;
 
-use expectation::{Wrapped, fit_wrapped};
-use folded::Folded;
+use expectation::{WrappedGaussian, fit_wrapped};
+use phases::PhaseMeans;
 
 #[cfg(test)]
 mod tests;
@@ -72,7 +72,7 @@ pub struct PergamParts {
 pub struct Pergam {
     parts: PergamParts,
     /// The same Gaussians; mean and deviation in turns.
-    wrapped: Vec<Wrapped>,
+    wrapped: Vec<WrappedGaussian>,
 }
 
 impl Pergam {
@@ -88,7 +88,7 @@ impl Pergam {
         if readings.samples.is_empty() {
             return Err(CannotFit::NoReadings);
         }
-        let folded = Folded::new(readings, options.period_nanos);
+        let folded = PhaseMeans::new(readings, options.period_nanos);
         let level = folded.level();
         let found = fit_wrapped(folded.shares(), options.gaussians, options.seed);
         let gaussians = found.iter().map(|wrapped| PergamGaussian {
@@ -102,7 +102,7 @@ impl Pergam {
     /// What is stored is what decides, so that a model made of it again predicts the same to the last bit.
     fn of(parts: PergamParts) -> Pergam {
         let period_secs = parts.period_nanos as f64 / 1e9;
-        let wrapped = parts.gaussians.iter().map(|gaussian| Wrapped {
+        let wrapped = parts.gaussians.iter().map(|gaussian| WrappedGaussian {
             weight: gaussian.weight,
             mean: gaussian.mean_secs / period_secs,
             deviation: gaussian.deviation_secs / period_secs,
@@ -141,7 +141,7 @@ impl Pergam {
 impl TemporalModel for Pergam {
     /// The probability at a moment (Waldo eq. 7), saturated to `[0,1]`.
     fn predict(&self, at: Moment) -> f64 {
-        let turn = folded::turn(at.civil_nanos(), self.parts.period_nanos);
+        let turn = phases::turn(at.civil_nanos(), self.parts.period_nanos);
         let sum: f64 = self.wrapped.iter().map(|gaussian| gaussian.weight * gaussian.density(turn)).sum();
         sum.clamp(0.0, 1.0)
     }

@@ -77,28 +77,28 @@ impl PresenceOptions {
 
 /// One look into one place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Look {
+struct PresenceObservation {
     place: usize,
     there: bool,
 }
 
 /// A slot that has passed, or is passing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Slot {
+struct PresenceSlot {
     of_day: usize,
-    look: Option<Look>,
+    observation: Option<PresenceObservation>,
 }
 
 /// Where somebody is, by looks into one place at a time; see the module's head.
 ///
-/// Time goes on slot by slot: [`Presence::advance`], then at most one [`Presence::look`]. [`Presence::learn`] takes what
+/// Time goes on slot by slot: [`Presence::advance`], then at most one [`Presence::observe`]. [`Presence::learn`] takes what
 /// was seen so far into the rates of change; between two calls they stay as they are.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Presence {
     options: PresenceOptions,
     /// By slot of the day: the probability, for each place of the slot before, of each place.
     transitions: Vec<f64>,
-    history: VecDeque<Slot>,
+    history: VecDeque<PresenceSlot>,
     /// Where it is in the first slot that is kept, before that slot's look.
     initial: Vec<f64>,
     /// Where it is in the present slot.
@@ -132,7 +132,7 @@ impl Presence {
         if !self.history.is_empty() {
             self.belief = self.stepped(&self.belief, of_day);
         }
-        self.history.push_back(Slot { of_day, look: None });
+        self.history.push_back(PresenceSlot { of_day, observation: None });
         if self.history.len() > HISTORY_MAX {
             self.forget_first();
         }
@@ -140,14 +140,14 @@ impl Presence {
 
     /// Takes in a look into one place in the present slot; a second look in one slot is taken in, but only the last is
     /// learned from. A look at a place that there is not, or before the first slot, changes nothing.
-    pub fn look(&mut self, place: usize, there: bool) {
+    pub fn observe(&mut self, place: usize, there: bool) {
         if place >= self.options.places {
             return;
         }
         if let Some(slot) = self.history.back_mut() {
-            let look = Look { place, there };
-            slot.look = Some(look);
-            condition(&mut self.belief, look);
+            let observation = PresenceObservation { place, there };
+            slot.observation = Some(observation);
+            condition(&mut self.belief, observation);
         }
     }
 
@@ -197,8 +197,8 @@ impl Presence {
     /// What the oldest slot says stays, as where it is in the next.
     fn forget_first(&mut self) {
         if let Some(slot) = self.history.pop_front() {
-            if let Some(look) = slot.look {
-                condition(&mut self.initial, look);
+            if let Some(observation) = slot.observation {
+                condition(&mut self.initial, observation);
             }
             if let Some(second) = self.history.front() {
                 self.initial = self.stepped(&self.initial, second.of_day);
@@ -208,16 +208,16 @@ impl Presence {
 }
 
 /// The probabilities given a look. One that contradicts them leaves what it says alone.
-fn condition(belief: &mut [f64], look: Look) {
+fn condition(belief: &mut [f64], observation: PresenceObservation) {
     for (place, p) in belief.iter_mut().enumerate() {
-        if (place == look.place) != look.there {
+        if (place == observation.place) != observation.there {
             *p = 0.0;
         }
     }
     let total: f64 = belief.iter().sum();
     if total < f64::MIN_POSITIVE {
         for (place, p) in belief.iter_mut().enumerate() {
-            *p = if (place == look.place) == look.there { 1.0 } else { 0.0 };
+            *p = if (place == observation.place) == observation.there { 1.0 } else { 0.0 };
         }
     }
     normalise(belief);

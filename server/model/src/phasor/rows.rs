@@ -8,7 +8,7 @@ const LINE: usize = 8;
 
 /// Rows of equal length.
 #[derive(Debug)]
-pub(crate) struct Rows {
+pub(crate) struct AlignedRows {
     /// Room to begin at a line, then the rows.
     entries: Vec<f64>,
     start: usize,
@@ -16,13 +16,13 @@ pub(crate) struct Rows {
     length: usize,
 }
 
-impl Rows {
+impl AlignedRows {
     /// Rows of zeros.
-    pub(crate) fn zeros(rows: usize, length: usize) -> Rows {
+    pub(crate) fn zeros(rows: usize, length: usize) -> AlignedRows {
         let stride = (length.div_ceil(LINE) | 1) * LINE;
         let entries = vec![0.0_f64; rows * stride + LINE - 1];
         let start = entries.as_ptr().align_offset(LINE * size_of::<f64>()).min(LINE - 1);
-        Rows { entries, start, stride, length }
+        AlignedRows { entries, start, stride, length }
     }
 
     /// Number of rows.
@@ -48,9 +48,9 @@ impl Rows {
     }
 }
 
-impl Clone for Rows {
-    fn clone(&self) -> Rows {
-        let mut clone = Rows::zeros(self.count(), self.length);
+impl Clone for AlignedRows {
+    fn clone(&self) -> AlignedRows {
+        let mut clone = AlignedRows::zeros(self.count(), self.length);
         for i in 0..self.count() {
             clone.row_mut(i).copy_from_slice(self.row(i));
         }

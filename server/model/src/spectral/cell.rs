@@ -42,7 +42,7 @@ impl SpectralModel {
         }
         let (free, occupied) = sums.levels;
         let mut strongest = Strongest::new();
-        Arch::new().dispatch(Fit {
+        Arch::new().dispatch(CellFit {
             sums: &sums,
             scale: (occupied - free) / sums.observations as f64,
             periodicities,
@@ -54,14 +54,14 @@ impl SpectralModel {
 }
 
 /// γ_k = scale·(A_k - mean·B_k) of each periodicity, offered to the choice of the strongest.
-struct Fit<'a> {
+struct CellFit<'a> {
     sums: &'a CellSums<'a>,
     scale: f64,
     periodicities: &'a Periodicities,
     strongest: &'a mut Strongest,
 }
 
-impl WithSimd for Fit<'_> {
+impl WithSimd for CellFit<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -47,21 +47,21 @@ impl SpectralModel {
         let mut terms = [Term::default(); ORDER_MAX];
         match self.terms(ORDER_MAX, phasors, &mut terms) {
             Some(terms) => {
-                Arch::new().dispatch(Score { mean: self.mean, terms, values, weights, with_wrong, sums });
+                Arch::new().dispatch(ScoreKernel { mean: self.mean, terms, values, weights, with_wrong, sums });
             }
             None => {
                 let own: Vec<u32> = self.components.iter().map(|component| component.periodicity).collect();
                 let phasors = PhasorTable::only(phasors.periodicities(), &phasors.civil_nanos()[..times], &own);
                 let mut terms = [Term::default(); ORDER_MAX];
                 let terms = self.terms(ORDER_MAX, &phasors, &mut terms).unwrap_or(&[]);
-                Arch::new().dispatch(Score { mean: self.mean, terms, values, weights, with_wrong, sums });
+                Arch::new().dispatch(ScoreKernel { mean: self.mean, terms, values, weights, with_wrong, sums });
             }
         }
     }
 }
 
 /// Adds the errors of every order.
-pub(super) struct Score<'a, 'b> {
+pub(super) struct ScoreKernel<'a, 'b> {
     pub(super) mean: f64,
     pub(super) terms: &'b [Term<'a>],
     pub(super) values: &'b [f64],
@@ -71,7 +71,7 @@ pub(super) struct Score<'a, 'b> {
     pub(super) sums: &'b mut ScoreSums,
 }
 
-impl WithSimd for Score<'_, '_> {
+impl WithSimd for ScoreKernel<'_, '_> {
     type Output = ();
 
     #[inline(always)]
@@ -86,12 +86,12 @@ impl WithSimd for Score<'_, '_> {
     }
 }
 
-impl Score<'_, '_> {
+impl ScoreKernel<'_, '_> {
     #[inline(always)]
     fn run<S: Simd, const SIDE_BY_SIDE: usize, const WRONG: bool>(self, simd: S) {
         let used = self.terms.len().min(ORDER_MAX);
         let terms = &self.terms[..used];
-        let mut lanes = Lanes::<S>::new(simd);
+        let mut lanes = ScoreLanes::<S>::new(simd);
         let times = self.values.len();
         let (group_len, mut at) = (SIDE_BY_SIDE * S::F64_LANES, 0);
         while at + group_len <= times {
@@ -134,7 +134,7 @@ fn padded(numbers: &[f64]) -> [f64; LANES_MAX] {
 }
 
 /// The observations at `N` vectors of times.
-struct Observed<S: Simd, const N: usize> {
+struct ErrorBounds<S: Simd, const N: usize> {
     /// The bounds of the error.
     least: [S::f64s; N],
     most: [S::f64s; N],
@@ -146,18 +146,18 @@ struct Observed<S: Simd, const N: usize> {
 }
 
 /// Sums of each order, still in lanes.
-struct Lanes<S: Simd> {
+struct ScoreLanes<S: Simd> {
     squared: [S::f64s; ORDER_MAX + 1],
     wrong: [S::f64s; ORDER_MAX + 1],
     /// Values of at least 0.5: wrong predictions of each order if all were below 0.5.
     positive: S::f64s,
 }
 
-impl<S: Simd> Lanes<S> {
+impl<S: Simd> ScoreLanes<S> {
     #[inline(always)]
-    fn new(simd: S) -> Lanes<S> {
+    fn new(simd: S) -> ScoreLanes<S> {
         let zero = simd.splat_f64s(0.0);
-        Lanes { squared: [zero; ORDER_MAX + 1], wrong: [zero; ORDER_MAX + 1], positive: zero }
+        ScoreLanes { squared: [zero; ORDER_MAX + 1], wrong: [zero; ORDER_MAX + 1], positive: zero }
     }
 
     /// Adds the errors at `N` vectors of times: the first of `values` and `weights`, and those of the
@@ -183,7 +183,7 @@ impl<S: Simd> Lanes<S> {
             }
         }
         let mut error = [zero; N];
-        let mut observed = Observed { least: error, most: error, threshold: error, step: error };
+        let mut observed = ErrorBounds { least: error, most: error, threshold: error, step: error };
         for (v, (&value, &counted)) in values.iter().zip(&counted).enumerate() {
             error[v] = simd.sub_f64s(mean, value);
             observed.least[v] = simd.neg_f64s(simd.mul_f64s(counted, value));
@@ -214,7 +214,7 @@ impl<S: Simd> Lanes<S> {
         simd: S,
         order: usize,
         error: &[S::f64s; N],
-        observed: &Observed<S, N>,
+        observed: &ErrorBounds<S, N>,
     ) {
         let mut squared = self.squared[order];
         for (v, &error) in error.iter().enumerate() {

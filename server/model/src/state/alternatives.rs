@@ -27,7 +27,7 @@ pub use parts::{AlternativesParts, FitParts};
 
 /// A model that was fitted to readings, as it last was.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Fit {
+pub(super) struct FitRecord {
     /// Shared: it is a large part of a state, and most updates leave it as it is.
     pub(super) model: Arc<FittedModel>,
     /// The last local day that it was fitted to.
@@ -90,18 +90,18 @@ pub enum ModelChoice {
 
 /// The model in force, where it is not the spectral one.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Chosen<'a> {
+pub enum ActiveModel<'a> {
     /// A histogram of what was folded in.
     Histogram(Histogram),
     /// A model that was fitted to readings.
     Fitted(&'a FittedModel),
 }
 
-impl TemporalModel for Chosen<'_> {
+impl TemporalModel for ActiveModel<'_> {
     fn predict(&self, at: Moment) -> f64 {
         match self {
-            Chosen::Histogram(model) => model.predict(at),
-            Chosen::Fitted(model) => model.predict(at),
+            ActiveModel::Histogram(model) => model.predict(at),
+            ActiveModel::Fitted(model) => model.predict(at),
         }
     }
 }
@@ -121,7 +121,7 @@ pub struct Alternatives {
     /// The first local day of the present routine, as far as the alarm tells.
     since: Option<LocalDay>,
     /// By [`FitKind`].
-    fits: [Option<Fit>; FitKind::ALL.len()],
+    fits: [Option<FitRecord>; FitKind::ALL.len()],
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -194,11 +194,11 @@ impl Alternatives {
     }
 
     /// The model in force, where it is not the spectral one.
-    pub(super) fn chosen(&self) -> Option<Chosen<'_>> {
+    pub(super) fn chosen(&self) -> Option<ActiveModel<'_>> {
         match self.parts.choice {
             ModelChoice::Spectral => None,
-            ModelChoice::Histogram(number) => self.histogram(number).map(Chosen::Histogram),
-            ModelChoice::Fitted(kind) => self.fit(kind).map(|(model, _)| Chosen::Fitted(model)),
+            ModelChoice::Histogram(number) => self.histogram(number).map(ActiveModel::Histogram),
+            ModelChoice::Fitted(kind) => self.fit(kind).map(|(model, _)| ActiveModel::Fitted(model)),
         }
     }
 
@@ -218,7 +218,7 @@ impl Alternatives {
     pub(super) fn refit(&mut self, model: FittedModel, day: LocalDay) {
         let fit = &mut self.fits[model.kind().index()];
         let error = fit.as_ref().and_then(|fit| fit.error);
-        *fit = Some(Fit { model: Arc::new(model), day, error });
+        *fit = Some(FitRecord { model: Arc::new(model), day, error });
     }
 
     /// What is not to be tried has no errors, and is not in force.
@@ -273,7 +273,7 @@ impl Alternatives {
         } else {
             [DayError::default(); HISTOGRAMS.len()]
         };
-        let of_fit = |fit: &Option<Fit>| fit.as_ref().map(|fit| DayError::of(&*fit.model, criterion, newer));
+        let of_fit = |fit: &Option<FitRecord>| fit.as_ref().map(|fit| DayError::of(&*fit.model, criterion, newer));
         let fitted = self.fits.each_ref().map(of_fit);
         let in_force = match self.parts.choice {
             ModelChoice::Spectral => None,

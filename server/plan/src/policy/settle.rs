@@ -10,7 +10,7 @@
 
 /// Something to do at a node in a slot.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Choice {
+pub(super) struct SlotChoice {
     /// What is known of its worth, by part; less is better.
     pub known: [f64; 3],
     /// How much of its worth is not the value of `to` in this slot, above 0, at most 1.
@@ -26,21 +26,21 @@ const ROUNDING: f64 = 1e-14;
 const ROUNDS_MAX: usize = 10_000;
 
 /// Choices of all nodes of a slot.
-pub(super) struct Choices {
+pub(super) struct SlotChoices {
     /// Node by node.
-    pub all: Vec<Choice>,
+    pub all: Vec<SlotChoice>,
     /// Where those of each node begin; one more than nodes.
     pub first: Vec<u32>,
 }
 
-impl Choices {
+impl SlotChoices {
     pub fn of(&self, node: usize) -> std::ops::Range<usize> {
         self.first[node] as usize..self.first[node + 1] as usize
     }
 
     /// What a choice is worth in a part.
     pub fn worth(&self, choice: usize, part: usize, values: &[f64]) -> f64 {
-        let Choice { known, leak, to, .. } = self.all[choice];
+        let SlotChoice { known, leak, to, .. } = self.all[choice];
         // A share of 0 of what is infinite is 0.
         if leak >= 1.0 { known[part] } else { known[part] + (1.0 - leak) * values[to as usize] }
     }
@@ -55,17 +55,17 @@ impl Choices {
     }
 
     /// The first choice of each node.
-    pub fn firsts(&self) -> Picked {
+    pub fn firsts(&self) -> ChoiceByNode {
         (0..self.first.len() - 1).map(|node| self.of(node).next().map(|choice| choice as u32)).collect()
     }
 }
 
 /// Which choice each node takes; none where there is none.
-pub(super) type Picked = Vec<Option<u32>>;
+pub(super) type ChoiceByNode = Vec<Option<u32>>;
 
 /// Finds the least values in a part and the choices that lead to them, from good first values; of nodes without a choice the value
 /// stays. `is_allowed` leaves choices out.
-pub(super) fn settle(choices: &Choices, part: usize, values: &mut [f64], is_allowed: &[bool]) -> Picked {
+pub(super) fn settle(choices: &SlotChoices, part: usize, values: &mut [f64], is_allowed: &[bool]) -> ChoiceByNode {
     let best = |node: usize, values: &[f64]| {
         let mut best: Option<(f64, u32)> = None;
         for choice in choices.of(node).filter(|&choice| is_allowed[choice]) {
@@ -76,7 +76,7 @@ pub(super) fn settle(choices: &Choices, part: usize, values: &mut [f64], is_allo
         }
         best
     };
-    let mut picked: Picked = (0..values.len()).map(|node| best(node, values).map(|(_, choice)| choice)).collect();
+    let mut picked: ChoiceByNode = (0..values.len()).map(|node| best(node, values).map(|(_, choice)| choice)).collect();
     for _ in 0..ROUNDS_MAX {
         evaluate(choices, part, &picked, values);
         let mut is_better = false;
@@ -95,7 +95,7 @@ pub(super) fn settle(choices: &Choices, part: usize, values: &mut [f64], is_allo
 }
 
 /// The values of nodes that each take one choice; of nodes without one the value stays.
-pub(super) fn evaluate(choices: &Choices, part: usize, picked: &Picked, values: &mut [f64]) {
+pub(super) fn evaluate(choices: &SlotChoices, part: usize, picked: &ChoiceByNode, values: &mut [f64]) {
     #[derive(Clone, Copy, PartialEq)]
     enum Mark {
         New,
@@ -104,7 +104,7 @@ pub(super) fn evaluate(choices: &Choices, part: usize, picked: &Picked, values: 
     }
     let mut marks: Vec<Mark> =
         picked.iter().map(|choice| if choice.is_some() { Mark::New } else { Mark::Done }).collect();
-    let mut chain: Vec<(usize, Choice)> = Vec::new();
+    let mut chain: Vec<(usize, SlotChoice)> = Vec::new();
     for start in 0..values.len() {
         let mut node = start;
         chain.clear();

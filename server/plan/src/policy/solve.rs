@@ -11,7 +11,7 @@ use tidemap_map::topology::{NOMINAL_MAX_SECS, NodeId, Topology};
 
 use super::{
     POLICY_STATES_MAX, PolicyAction, PolicyEntry, PolicyError, PolicyObjective, PolicyOptions, PolicyTable,
-    settle::{Choice, Choices, Picked, evaluate, settle},
+    settle::{ChoiceByNode, SlotChoice, SlotChoices, evaluate, settle},
 };
 use crate::route::{EdgeForecast, ForecastError, Forecasts, Network, check_forecast, expected_secs};
 
@@ -130,7 +130,7 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 
-    fn keep(&mut self, slot: usize, choices: &Choices, picked: &Picked, values: &[Vec<f64>; 3]) {
+    fn keep(&mut self, slot: usize, choices: &SlotChoices, picked: &ChoiceByNode, values: &[Vec<f64>; 3]) {
         let count = self.network.nodes.len();
         for node in 0..count {
             let action = match picked[node].map(|choice| choices.all[choice as usize].edge) {
@@ -166,9 +166,14 @@ impl<'a> Solver<'a> {
     }
 
     /// What there is to do at each node; edges that `is_taken` by index and start, and what has a finite worth.
-    fn choices(&self, slot: usize, open: &[Option<EdgeForecast>], is_taken: impl Fn(u32, usize) -> bool) -> Choices {
+    fn choices(
+        &self,
+        slot: usize,
+        open: &[Option<EdgeForecast>],
+        is_taken: impl Fn(u32, usize) -> bool,
+    ) -> SlotChoices {
         let count = self.network.nodes.len();
-        let mut choices = Choices { all: Vec::new(), first: vec![0] };
+        let mut choices = SlotChoices { all: Vec::new(), first: vec![0] };
         for node in 0..count {
             if node != self.target {
                 for edge in self.network.leaving(node) {
@@ -182,7 +187,7 @@ impl<'a> Solver<'a> {
                 let mut known = self.value(node, slot + 1);
                 if known[TIME].is_finite() && !self.is_last_for_ever(slot) {
                     known[TIME] += self.options.slot_secs;
-                    choices.all.push(Choice { known, leak: 1.0, to: node as u32, edge: WAIT });
+                    choices.all.push(SlotChoice { known, leak: 1.0, to: node as u32, edge: WAIT });
                 }
             }
             choices.first.push(choices.all.len() as u32);
@@ -195,7 +200,7 @@ impl<'a> Solver<'a> {
         self.options.objective == PolicyObjective::Time && slot + 1 == self.options.slots
     }
 
-    fn taken(&self, slot: usize, edge: usize, forecast: &EdgeForecast) -> Choice {
+    fn taken(&self, slot: usize, edge: usize, forecast: &EdgeForecast) -> SlotChoice {
         let &PolicyOptions { slot_secs, slots, recovery_secs, objective } = self.options;
         let (from, to) = (self.network.from(edge), self.network.to(edge));
         let EdgeForecast { success, duration_secs, .. } = *forecast;
@@ -223,7 +228,7 @@ impl<'a> Solver<'a> {
         let rest = success + failed;
         let leak = if share > 0.0 { (success * there.beyond + failed) / rest } else { 1.0 };
         let known = known.map(|known| known / rest);
-        Choice { known, leak: leak.clamp(f64::EPSILON, 1.0), to: to as u32, edge: edge as u32 }
+        SlotChoice { known, leak: leak.clamp(f64::EPSILON, 1.0), to: to as u32, edge: edge as u32 }
     }
 
     /// Adds the worth of landing at a node in later slots with a probability; returns how much of it lands in this one.

@@ -6,30 +6,30 @@
 //! overlap, so no way comes twice.
 
 use super::{
-    Forecasts, RouteError,
+    Forecasts, PlanRouteError,
     cost::Cost,
-    labels::{Found, Labels, Task},
+    labels::{EdgePath, Labels, Task},
 };
 
 /// A route with the step from which its deviations were not tried yet.
-struct Candidate {
-    found: Found,
+struct Deviation {
+    found: EdgePath,
     deviation: usize,
 }
 
 /// The best route and up to `count` next best ones, the best first.
 pub(super) fn next_best<F: Forecasts, U: FnMut() -> bool>(
     search: &mut Labels<F, U>,
-    best: Found,
+    best: EdgePath,
     (start, goal): (usize, usize),
     (departure_secs, latest_secs): (f64, f64),
     count: usize,
-) -> Result<Vec<Found>, RouteError> {
-    let mut found: Vec<Found> = Vec::new();
+) -> Result<Vec<EdgePath>, PlanRouteError> {
+    let mut found: Vec<EdgePath> = Vec::new();
     // Ascending by cost, then by edges.
-    let mut candidates = vec![Candidate { found: best, deviation: 0 }];
+    let mut candidates = vec![Deviation { found: best, deviation: 0 }];
     while found.len() <= count && !candidates.is_empty() {
-        let Candidate { found: route, deviation } = candidates.remove(0);
+        let Deviation { found: route, deviation } = candidates.remove(0);
         found.push(route.clone());
         if found.len() > count {
             break;
@@ -60,13 +60,13 @@ pub(super) fn next_best<F: Forecasts, U: FnMut() -> bool>(
                 let limit = candidates.get(wanted - 1).map_or(Cost::INFINITE, |candidate| candidate.found.cost);
                 let good = search.good(&task, limit)?;
                 if let Some(next) = search.best(&task, good, limit)? {
-                    let key = |found: &Found| (found.cost, found.edges.clone());
+                    let key = |found: &EdgePath| (found.cost, found.edges.clone());
                     let place = candidates.partition_point(|other| key(&other.found) <= key(&next));
-                    candidates.insert(place, Candidate { found: next, deviation: step });
+                    candidates.insert(place, Deviation { found: next, deviation: step });
                     candidates.truncate(wanted);
                 }
             }
-            let Some(traversal) = search.outlook.at(edge, at_secs)? else { break };
+            let Some(traversal) = search.cache.at(edge, at_secs)? else { break };
             is_passed[node] = true;
             at_secs += traversal.duration_secs;
             cost = cost.plus(traversal.cost);

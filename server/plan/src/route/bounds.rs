@@ -4,7 +4,7 @@
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
-use super::{ForecastError, Forecasts, cost::Cost, network::Network, outlook::Outlook};
+use super::{ForecastError, Forecasts, cost::Cost, forecast_cache::ForecastCache, network::Network};
 
 /// How far from the expected time an edge is sampled to either side, as a share of what a good way takes.
 const REACH: f64 = 0.25;
@@ -45,7 +45,7 @@ impl ToGo {
     /// Beyond `limit` bounds stay at it: a way from there is of no use.
     pub fn find<F: Forecasts>(
         network: &Network,
-        outlook: &mut Outlook<F>,
+        cache: &mut ForecastCache<F>,
         goal: usize,
         span: (f64, f64),
         source: Source,
@@ -71,11 +71,11 @@ impl ToGo {
             }
             for edge in network.arriving(node) {
                 let own = match source {
-                    Source::Known => outlook.known_least(edge, span.0, span.1),
-                    Source::Sampled(samples) => outlook.sampled_least(edge, span.0, span.1, samples)?,
+                    Source::Known => cache.known_least(edge, span.0, span.1),
+                    Source::Sampled(samples) => cache.sampled_least(edge, span.0, span.1, samples)?,
                     Source::About { samples, cost: good } => {
                         let (from_secs, to_secs) = about(span, share(cost, good));
-                        outlook.sampled_least(edge, from_secs, to_secs, samples)?
+                        cache.sampled_least(edge, from_secs, to_secs, samples)?
                     }
                 };
                 into[node] = into[node].least(own);

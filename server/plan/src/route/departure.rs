@@ -6,13 +6,13 @@ use tidemap_map::topology::{NodeId, Topology};
 use tidemap_model::models::Interval;
 
 use super::{
-    Bounds, Certainty, Forecasts, Route, RouteError, RouteOptions, Routes, When,
+    Bounds, Certainty, Forecasts, PlanRouteError, Route, RouteOptions, RoutePlan, When,
     bounds::{Source, ToGo},
     cost::{Cost, Costing},
     error::check,
-    labels::{Found, Labels, Marks, Task},
+    forecast_cache::ForecastCache,
+    labels::{EdgePath, Labels, Marks, Task},
     network::Network,
-    outlook::Outlook,
 };
 
 mod answer;
@@ -23,7 +23,7 @@ mod arrival;
 /// Where both nodes are the same, the route has no steps and a success of 1. See [`Forecasts`] for `forecasts`.
 ///
 /// # Errors
-/// [`RouteError`].
+/// [`PlanRouteError`].
 pub fn plan_routes(
     topology: &Topology,
     from: NodeId,
@@ -32,10 +32,10 @@ pub fn plan_routes(
     options: &RouteOptions,
     forecasts: &mut impl Forecasts,
     until: impl FnMut() -> bool,
-) -> Result<Routes, RouteError> {
+) -> Result<RoutePlan, PlanRouteError> {
     check(when, options)?;
     let network = Network::new(topology);
-    let index = |node: NodeId| network.index_of(node).ok_or(RouteError::UnknownNode(node.0));
+    let index = |node: NodeId| network.index_of(node).ok_or(PlanRouteError::UnknownNode(node.0));
     let (start, goal) = (index(from)?, index(to)?);
     if start == goal {
         let departure_secs = match when {
@@ -43,13 +43,13 @@ pub fn plan_routes(
             | When::DepartWithin { from_secs: secs, .. }
             | When::ArriveBy { by_secs: secs, .. } => secs,
         };
-        return Ok(Routes::standing(departure_secs));
+        return Ok(RoutePlan::standing(departure_secs));
     }
     Planner::new(&network, forecasts, until, start, goal, options).plan(when)
 }
 
-impl Routes {
-    fn standing(departure_secs: f64) -> Routes {
+impl RoutePlan {
+    fn standing(departure_secs: f64) -> RoutePlan {
         let route = Route {
             steps: Vec::new(),
             departure_secs,
@@ -59,7 +59,7 @@ impl Routes {
             success_interval: Interval { lower: 1.0, upper: 1.0 },
             cost: 0.0,
         };
-        Routes { routes: vec![route], certainty: Certainty::Proven, labels: 0, forecasts: 0 }
+        RoutePlan { routes: vec![route], certainty: Certainty::Proven, labels: 0, forecasts: 0 }
     }
 }
 
@@ -73,7 +73,7 @@ const AUTO_SAMPLES: u32 = 4;
 /// A question, with what is known of it so far.
 pub(super) struct Planner<'a, F, U> {
     network: &'a Network<'a>,
-    outlook: Outlook<'a, F>,
+    cache: ForecastCache<'a, F>,
     until: U,
     start: usize,
     goal: usize,
@@ -94,7 +94,7 @@ pub(super) struct Planner<'a, F, U> {
 /// The best way of a departure.
 struct Departure {
     secs: f64,
-    found: Found,
+    found: EdgePath,
     to_go: Option<ToGo>,
 }
 
@@ -109,11 +109,11 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
     ) -> Self {
         let &RouteOptions { objective, recovery_secs, failure_cost_secs, .. } = options;
         let costing = Costing { objective, recovery_secs, failure_cost_secs };
-        let outlook = Outlook::new(network, forecasts, costing, options.resolution_secs);
+        let cache = ForecastCache::new(network, forecasts, costing, options.resolution_secs);
         let (bounds, marks) = (options.bounds, Marks::default());
         Planner {
             network,
-            outlook,
+            cache,
             until,
             start,
             goal,
@@ -128,7 +128,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         }
     }
 
-    pub fn plan(mut self, when: When) -> Result<Routes, RouteError> {
+    pub fn plan(mut self, when: When) -> Result<RoutePlan, PlanRouteError> {
         let departure = match when {
             When::DepartAt(secs) => self.depart(secs, (secs, secs), Cost::INFINITE)?,
             When::DepartWithin { from_secs, to_secs, step_secs } => self.within(from_secs, to_secs, step_secs)?,
@@ -138,21 +138,21 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         self.answer(departure)
     }
 
-    fn nothing(&self, when: When) -> RouteError {
+    fn nothing(&self, when: When) -> PlanRouteError {
         let (from, to) = (self.network.nodes[self.start].0, self.network.nodes[self.goal].0);
         let horizon_secs = self.options.horizon_secs;
         match when {
-            _ if self.marks.cut_off || self.marks.stopped => RouteError::CutOff { labels: self.labels },
+            _ if self.marks.cut_off || self.marks.stopped => PlanRouteError::CutOff { labels: self.labels },
             When::ArriveBy { by_secs, earliest_secs } if self.is_late => {
-                RouteError::TooLate { earliest_secs: earliest_secs.max(by_secs - horizon_secs), by_secs }
+                PlanRouteError::TooLate { earliest_secs: earliest_secs.max(by_secs - horizon_secs), by_secs }
             }
-            _ if self.marks.too_long => RouteError::BeyondHorizon { from, to, horizon_secs },
-            _ => RouteError::Unreachable { from, to, closed: self.outlook.closed() },
+            _ if self.marks.too_long => PlanRouteError::BeyondHorizon { from, to, horizon_secs },
+            _ => PlanRouteError::Unreachable { from, to, closed: self.cache.closed() },
         }
     }
 
     /// The best way at a departure that costs less than `limit`; known bounds are taken over `departures`, first and last.
-    fn depart(&mut self, secs: f64, departures: (f64, f64), limit: Cost) -> Result<Option<Departure>, RouteError> {
+    fn depart(&mut self, secs: f64, departures: (f64, f64), limit: Cost) -> Result<Option<Departure>, PlanRouteError> {
         let options = self.options;
         match self.bounds {
             Bounds::Known => self.depart_known(secs, departures, limit, options.labels_max),
@@ -176,12 +176,12 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         departures: (f64, f64),
         limit: Cost,
         labels_max: usize,
-    ) -> Result<Option<Departure>, RouteError> {
+    ) -> Result<Option<Departure>, PlanRouteError> {
         let to_go = match self.known.take() {
             Some(to_go) => to_go,
             None => {
                 let span = (departures.0, departures.1 + self.options.horizon_secs);
-                ToGo::find(self.network, &mut self.outlook, self.goal, span, Source::Known, Cost::INFINITE)?
+                ToGo::find(self.network, &mut self.cache, self.goal, span, Source::Known, Cost::INFINITE)?
             }
         };
         let found = self.search(secs, &to_go, labels_max, |search, task| {
@@ -192,7 +192,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         Ok(found.map(|found| Departure { secs, found, to_go: None }))
     }
 
-    fn depart_sampled(&mut self, secs: f64, limit: Cost, samples: u32) -> Result<Option<Departure>, RouteError> {
+    fn depart_sampled(&mut self, secs: f64, limit: Cost, samples: u32) -> Result<Option<Departure>, PlanRouteError> {
         self.marks.latest_secs = secs;
         let (guide, span_before_secs) = match self.guide.take() {
             Some((to_go, span_secs)) => (to_go, Some(span_secs)),
@@ -209,7 +209,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         // Alternatives cost more than the best.
         let bounds_limit = if self.options.alternatives > 0 { Cost::INFINITE } else { worst };
         let (source, span) = (Source::Sampled(samples), (secs, secs + span_secs));
-        let mut to_go = ToGo::find(self.network, &mut self.outlook, self.goal, span, source, bounds_limit)?;
+        let mut to_go = ToGo::find(self.network, &mut self.cache, self.goal, span, source, bounds_limit)?;
         self.is_sampled = true;
         self.guide = Some((to_go.clone(), span_secs));
         let (labels_max, cut_off) = (self.options.labels_max, self.marks.cut_off);
@@ -218,9 +218,9 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         let mut found = self.search(secs, &to_go, few, |search, task| search.best(task, good, limit))?;
         if self.marks.cut_off {
             self.marks.cut_off = false;
-            if let Some(Found { edges, cost }) = &found {
+            if let Some(EdgePath { edges, cost }) = &found {
                 let (source, span) = (Source::About { samples, cost: *cost }, (secs, self.walk(secs, edges)?.1));
-                to_go = ToGo::find(self.network, &mut self.outlook, self.goal, span, source, bounds_limit)?;
+                to_go = ToGo::find(self.network, &mut self.cache, self.goal, span, source, bounds_limit)?;
             }
             found = self.search(secs, &to_go, labels_max, |search, task| search.best(task, found, limit))?;
         }
@@ -240,8 +240,8 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         secs: f64,
         to_go: &ToGo,
         mut labels_left: usize,
-        find: impl FnOnce(&mut Labels<'a, '_, F, U>, &Task) -> Result<T, RouteError>,
-    ) -> Result<T, RouteError> {
+        find: impl FnOnce(&mut Labels<'a, '_, F, U>, &Task) -> Result<T, PlanRouteError>,
+    ) -> Result<T, PlanRouteError> {
         let is_passed = vec![false; self.network.nodes.len()];
         let task = Task {
             before: &[],
@@ -255,11 +255,11 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
             join_secs: 0.0,
         };
         let counts = (&mut labels_left, &mut self.labels);
-        let mut search = Labels::new(self.network, &mut self.outlook, to_go, &mut self.until, counts, &mut self.marks);
+        let mut search = Labels::new(self.network, &mut self.cache, to_go, &mut self.until, counts, &mut self.marks);
         find(&mut search, &task)
     }
 
-    fn within(&mut self, from_secs: f64, to_secs: f64, step_secs: f64) -> Result<Option<Departure>, RouteError> {
+    fn within(&mut self, from_secs: f64, to_secs: f64, step_secs: f64) -> Result<Option<Departure>, PlanRouteError> {
         let mut best: Option<Departure> = None;
         let steps = ((to_secs - from_secs) / step_secs).floor() as usize;
         for step in 0..=steps {

@@ -8,7 +8,7 @@ use super::{
 
 /// Why there is no route.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum RouteError {
+pub enum PlanRouteError {
     /// The map has no such node.
     #[error("there is no node of number {0}")]
     UnknownNode(u32),
@@ -71,24 +71,24 @@ pub enum RouteError {
     Forecast(#[from] ForecastError),
 }
 
-fn range(what: &'static str, found: f64, holds: bool, expected: impl FnOnce() -> String) -> Result<(), RouteError> {
-    if holds { Ok(()) } else { Err(RouteError::Range { what, found, expected: expected() }) }
+fn range(what: &'static str, found: f64, holds: bool, expected: impl FnOnce() -> String) -> Result<(), PlanRouteError> {
+    if holds { Ok(()) } else { Err(PlanRouteError::Range { what, found, expected: expected() }) }
 }
 
-fn secs(what: &'static str, found: f64) -> Result<(), RouteError> {
+fn secs(what: &'static str, found: f64) -> Result<(), PlanRouteError> {
     range(what, found, (0.0..=TIME_MAX_SECS).contains(&found), || format!("0 to {TIME_MAX_SECS} s"))
 }
 
-fn positive(what: &'static str, found: f64) -> Result<(), RouteError> {
+fn positive(what: &'static str, found: f64) -> Result<(), PlanRouteError> {
     range(what, found, found > 0.0 && found <= TIME_MAX_SECS, || format!("above 0, at most {TIME_MAX_SECS} s"))
 }
 
-fn time(what: &'static str, found: f64) -> Result<(), RouteError> {
+fn time(what: &'static str, found: f64) -> Result<(), PlanRouteError> {
     range(what, found, found.abs() <= TIME_MAX_SECS, || format!("-{TIME_MAX_SECS} to {TIME_MAX_SECS} s"))
 }
 
 /// Refuses what has no answer.
-pub(super) fn check(when: When, options: &RouteOptions) -> Result<(), RouteError> {
+pub(super) fn check(when: When, options: &RouteOptions) -> Result<(), PlanRouteError> {
     match when {
         When::DepartAt(at_secs) => time("the departure", at_secs)?,
         When::DepartWithin { from_secs, to_secs, step_secs } => {
@@ -100,7 +100,7 @@ pub(super) fn check(when: When, options: &RouteOptions) -> Result<(), RouteError
             positive("the step between departures", step_secs)?;
             let found = ((to_secs - from_secs) / step_secs).floor() + 1.0;
             if found > DEPARTURES_MAX as f64 {
-                return Err(RouteError::TooManyDepartures { found });
+                return Err(PlanRouteError::TooManyDepartures { found });
             }
         }
         When::ArriveBy { by_secs, earliest_secs } => {

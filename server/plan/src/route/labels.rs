@@ -10,11 +10,11 @@ use std::{
     collections::{BinaryHeap, HashMap},
 };
 
-use super::{Forecasts, RouteError, bounds::ToGo, cost::Cost, network::Network, outlook::Outlook};
+use super::{Forecasts, PlanRouteError, bounds::ToGo, cost::Cost, forecast_cache::ForecastCache, network::Network};
 
 /// A way that was found, as indices of edges, with the cost of all of it.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Found {
+pub(super) struct EdgePath {
     pub edges: Vec<usize>,
     pub cost: Cost,
 }
@@ -77,7 +77,7 @@ const NONE: u32 = u32::MAX;
 /// Searches over one map with one set of bounds.
 pub(super) struct Labels<'a, 'b, F, U> {
     pub network: &'a Network<'a>,
-    pub outlook: &'b mut Outlook<'a, F>,
+    pub cache: &'b mut ForecastCache<'a, F>,
     pub to_go: &'b ToGo,
     pub until: &'b mut U,
     /// How many labels may still be made.
@@ -94,19 +94,19 @@ pub(super) struct Labels<'a, 'b, F, U> {
 impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
     pub fn new(
         network: &'a Network<'a>,
-        outlook: &'b mut Outlook<'a, F>,
+        cache: &'b mut ForecastCache<'a, F>,
         to_go: &'b ToGo,
         until: &'b mut U,
         (left, made): (&'b mut usize, &'b mut usize),
         marks: &'b mut Marks,
     ) -> Self {
         let stamps = vec![0; network.nodes.len()];
-        Labels { network, outlook, to_go, until, left, marks, made, labels: Vec::new(), stamps, stamp: 0 }
+        Labels { network, cache, to_go, until, left, marks, made, labels: Vec::new(), stamps, stamp: 0 }
     }
 
     /// A good way: of all ways to a node only the first that is come upon in the order of what they cost at least. `None` where
     /// that finds none, or none of at most `limit`.
-    pub fn good(&mut self, task: &Task, limit: Cost) -> Result<Option<Found>, RouteError> {
+    pub fn good(&mut self, task: &Task, limit: Cost) -> Result<Option<EdgePath>, PlanRouteError> {
         self.begin(task);
         let mut is_done = task.is_passed.to_vec();
         let mut best = vec![Cost::INFINITE; self.network.nodes.len()];
@@ -115,7 +115,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
             let label = self.labels[at as usize];
             let node = label.node as usize;
             if node == task.goal {
-                return Ok(Some(Found { edges: self.way(task, at), cost: label.cost }));
+                return Ok(Some(EdgePath { edges: self.way(task, at), cost: label.cost }));
             }
             if std::mem::replace(&mut is_done[node], true) {
                 continue;
@@ -142,7 +142,12 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
     }
 
     /// The best way that costs less than `limit` and than `known`; `known` where there is none.
-    pub fn best(&mut self, task: &Task, known: Option<Found>, limit: Cost) -> Result<Option<Found>, RouteError> {
+    pub fn best(
+        &mut self,
+        task: &Task,
+        known: Option<EdgePath>,
+        limit: Cost,
+    ) -> Result<Option<EdgePath>, PlanRouteError> {
         self.begin(task);
         let mut limit = known.as_ref().map_or(limit, |known| known.cost.min(limit));
         let mut found = known;
@@ -178,11 +183,11 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
                         limit = label.cost;
                         let mut edges = self.way(task, at);
                         edges.push(edge);
-                        found = Some(Found { edges, cost: label.cost });
+                        found = Some(EdgePath { edges, cost: label.cost });
                     }
                     continue;
                 }
-                let place = (to as u32, self.outlook.joined(label.at_secs, task.join_secs).to_bits());
+                let place = (to as u32, self.cache.joined(label.at_secs, task.join_secs).to_bits());
                 let head = places.get(&place).copied().unwrap_or(NONE);
                 if self.is_dominated(head, &label, at, limit) {
                     continue;
@@ -224,7 +229,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         at: u32,
         edge: usize,
         limit: Cost,
-    ) -> Result<Option<(Cost, Label)>, RouteError> {
+    ) -> Result<Option<(Cost, Label)>, PlanRouteError> {
         let label = self.labels[at as usize];
         let to = self.network.to(edge);
         let to_go = self.to_go.least[to];
@@ -232,7 +237,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         if to_go.first.is_infinite() || label.cost.plus(to_go).is_beyond(limit) {
             return Ok(None);
         }
-        let Some(traversal) = self.outlook.at(edge, label.at_secs)? else { return Ok(None) };
+        let Some(traversal) = self.cache.at(edge, label.at_secs)? else { return Ok(None) };
         let at_secs = label.at_secs + traversal.duration_secs;
         let cost = label.cost.plus(traversal.cost);
         let least = cost.plus(to_go);

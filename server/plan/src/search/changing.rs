@@ -8,11 +8,11 @@
 use tidemap_map::topology::{NodeId, Roads};
 
 use super::{
-    EXACT_GOALS_MAX, Effort, Goal, Options, SearchError,
+    EXACT_GOALS_MAX, Effort, Goal, SearchError, SearchOptions,
     order::order,
-    plan::Plan,
-    problem::Problem,
-    question::{Ordered, Question},
+    plan::SearchPlan,
+    problem::SearchProblem,
+    question::{GoalOrder, SearchQuestion},
 };
 
 /// Most goals of a search during which probabilities change: each change of the order costs as many predictions.
@@ -35,26 +35,27 @@ pub fn search_changing(
     start: NodeId,
     nodes: &[NodeId],
     probability: impl Fn(NodeId, f64) -> f64,
-    options: &Options,
+    options: &SearchOptions,
     mut until: impl FnMut() -> bool,
-) -> Result<Plan, SearchError> {
+) -> Result<SearchPlan, SearchError> {
     if nodes.len() > CHANGING_GOALS_MAX {
         return Err(SearchError::TooMany { found: nodes.len(), most: CHANGING_GOALS_MAX });
     }
     let at_start: Vec<Goal> = nodes.iter().map(|&node| Goal { node, probability: probability(node, 0.0) }).collect();
-    let mut question = Question::new(roads, start, &at_start, options)?;
+    let mut question = SearchQuestion::new(roads, start, &at_start, options)?;
     let exact = options.effort != Effort::Heuristic && question.goals.len() <= EXACT_GOALS_MAX;
 
-    let mut best: Option<(f64, Ordered)> = None;
+    let mut best: Option<(f64, GoalOrder)> = None;
     let goals: Vec<(usize, f64)> = question.goals.clone();
-    let mut problem = Problem::new(roads, question.start, &goals);
+    let mut problem = SearchProblem::new(roads, question.start, &goals);
     problem.fill_missing();
-    let weigh = |ordered: &Ordered| Weighed::of(roads, &problem, &goals, ordered, options.floor, &probability);
-    let mut replanned = Question { goals: question.goals.clone(), unreachable: Vec::new(), start: question.start };
+    let weigh = |ordered: &GoalOrder| WeighedWalk::of(roads, &problem, &goals, ordered, options.floor, &probability);
+    let mut replanned =
+        SearchQuestion { goals: question.goals.clone(), unreachable: Vec::new(), start: question.start };
     for _ in 0..=REPLANS {
         let mut ordered = order(roads, &replanned, options, exact, &mut until);
         // What is passed on the way is looked at then.
-        let plan = Plan::of(roads, &replanned, &ordered, options.floor);
+        let plan = SearchPlan::of(roads, &replanned, &ordered, options.floor);
         ordered.nodes = plan.steps.iter().filter_map(|step| roads.index_of(step.node)).collect();
         let weighed = weigh(&ordered)?;
         if best.as_ref().is_some_and(|(cost, _)| weighed.cost >= *cost) {
@@ -81,26 +82,26 @@ pub fn search_changing(
     }
     ordered.complete = false;
     ordered.lower_bound_secs = 0.0;
-    let mut plan = Plan::of(roads, &question, &ordered, options.floor);
+    let mut plan = SearchPlan::of(roads, &question, &ordered, options.floor);
     options.stop.apply(&mut plan);
     Ok(plan)
 }
 
 /// A walk, weighed by the probabilities at its arrivals.
-struct Weighed {
+struct WeighedWalk {
     cost: f64,
     probabilities: Vec<f64>,
 }
 
-impl Weighed {
+impl WeighedWalk {
     fn of(
         roads: &Roads,
-        problem: &Problem,
+        problem: &SearchProblem,
         goals: &[(usize, f64)],
-        ordered: &Ordered,
+        ordered: &GoalOrder,
         floor: f64,
         probability: impl Fn(NodeId, f64) -> f64,
-    ) -> Result<Weighed, SearchError> {
+    ) -> Result<WeighedWalk, SearchError> {
         let expected: f64 = goals.iter().map(|&(_, probability)| probability.max(floor)).sum();
         let (mut at, mut now_secs, mut missing, mut cost) = (problem.count, 0.0, 1.0_f64, 0.0);
         let mut probabilities = Vec::with_capacity(goals.len());
@@ -118,16 +119,16 @@ impl Weighed {
             probabilities.push(here);
             at = goal;
         }
-        Ok(Weighed { cost, probabilities })
+        Ok(WeighedWalk { cost, probabilities })
     }
 }
 
 /// Moves, exchanges and reverses while that lowers the cost, for so many walks at most.
 fn improve(
-    ordered: &mut Ordered,
+    ordered: &mut GoalOrder,
     mut cost: f64,
     walks: usize,
-    weigh: impl Fn(&Ordered) -> Result<f64, SearchError>,
+    weigh: impl Fn(&GoalOrder) -> Result<f64, SearchError>,
     mut until: impl FnMut() -> bool,
 ) -> Result<(), SearchError> {
     let count = ordered.nodes.len();

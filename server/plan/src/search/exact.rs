@@ -8,7 +8,7 @@
 use super::{
     machine::Machine,
     paths::Paths,
-    problem::{Goals, Passing, Problem},
+    problem::{Goals, Passing, SearchProblem},
 };
 
 /// Share of the cost by which a walk must be better to be looked for.
@@ -23,7 +23,7 @@ const PATHS: [(usize, u32, u32, usize); 3] =
 
 /// What was found.
 #[derive(Clone, Debug)]
-pub(super) struct Proven {
+pub(super) struct Proof {
     /// An order that is better than the one known before.
     pub order: Option<Vec<usize>>,
     /// No order costs less.
@@ -36,15 +36,15 @@ pub(super) struct Proven {
 
 /// A search whose goals are in the order of its machine.
 #[derive(Clone, Copy)]
-pub(super) struct Sorted<'a> {
-    pub problem: &'a Problem,
+pub(super) struct SortedProblem<'a> {
+    pub problem: &'a SearchProblem,
     pub passing: &'a Passing,
     pub machine: &'a Machine,
 }
 
-impl Sorted<'_> {
+impl SortedProblem<'_> {
     /// Searches for an order that costs less than a known one, as long as that takes little.
-    pub fn prove_quickly(self, known: f64, states_max: usize, until: impl FnMut() -> bool) -> Proven {
+    pub fn prove_quickly(self, known: f64, states_max: usize, until: impl FnMut() -> bool) -> Proof {
         if self.problem.count <= TABLE_GOALS_MAX {
             return table(self, known);
         }
@@ -54,7 +54,7 @@ impl Sorted<'_> {
     }
 
     /// Searches for an order that costs less than a known one, with dearer bounds. `states_max` counts on from `before`.
-    pub fn prove(self, known: f64, before: &Proven, states_max: usize, mut until: impl FnMut() -> bool) -> Proven {
+    pub fn prove(self, known: f64, before: &Proof, states_max: usize, mut until: impl FnMut() -> bool) -> Proof {
         let (mut lower_bound, mut states) = (before.lower_bound, before.states);
         let mut paths = Paths::new(self.problem, self.passing, PATHS[0].1);
         for (rounds, units, last_units, most) in PATHS {
@@ -75,13 +75,13 @@ impl Sorted<'_> {
                 return proven;
             }
         }
-        Proven { order: None, lower_bound: lower_bound.min(known), complete: false, states }
+        Proof { order: None, lower_bound: lower_bound.min(known), complete: false, states }
     }
 }
 
 /// Bounds, by the machine, of the rest of a walk after each goal of a set; yields them with the goal.
-struct AfterEach<'a> {
-    problem: &'a Problem,
+struct RestBounds<'a> {
+    problem: &'a SearchProblem,
     machine: &'a Machine,
     weight: f64,
     /// Bound of the set's goals by the machine, and its duration up to each.
@@ -91,8 +91,8 @@ struct AfterEach<'a> {
     weight_behind: f64,
 }
 
-impl<'a> AfterEach<'a> {
-    fn new(problem: &'a Problem, machine: &'a Machine, goals: Goals) -> AfterEach<'a> {
+impl<'a> RestBounds<'a> {
+    fn new(problem: &'a SearchProblem, machine: &'a Machine, goals: Goals) -> RestBounds<'a> {
         let (mut weight, mut cost, mut secs, mut rest) = (0.0, 0.0, 0.0, goals);
         while rest != 0 {
             let goal = rest.trailing_zeros() as usize;
@@ -101,11 +101,11 @@ impl<'a> AfterEach<'a> {
             secs += machine.arriving[goal] + machine.leaving[goal];
             rest &= rest - 1;
         }
-        AfterEach { problem, machine, weight, cost, left: goals, secs: 0.0, weight_behind: weight }
+        RestBounds { problem, machine, weight, cost, left: goals, secs: 0.0, weight_behind: weight }
     }
 }
 
-impl Iterator for AfterEach<'_> {
+impl Iterator for RestBounds<'_> {
     type Item = (usize, f64);
 
     #[inline]
@@ -125,7 +125,7 @@ impl Iterator for AfterEach<'_> {
 }
 
 /// For few goals: a table of all sets.
-fn table(Sorted { problem, passing, machine }: Sorted<'_>, known: f64) -> Proven {
+fn table(SortedProblem { problem, passing, machine }: SortedProblem<'_>, known: f64) -> Proof {
     let count = problem.count;
     let sets = 1_usize << count;
     let limit = known * (1.0 - SAME);
@@ -140,7 +140,7 @@ fn table(Sorted { problem, passing, machine }: Sorted<'_>, known: f64) -> Proven
             continue;
         }
         let left = ((sets - 1) & !set) as Goals;
-        let after = AfterEach::new(problem, machine, left);
+        let after = RestBounds::new(problem, machine, left);
         let weight = after.weight;
         after.for_each(|(goal, bound)| bounds[goal] = bound);
         let mut here = if set == 0 { 1 << count } else { u32::from(ends[set]) };
@@ -169,7 +169,7 @@ fn table(Sorted { problem, passing, machine }: Sorted<'_>, known: f64) -> Proven
     let last = &costs[(sets - 1) * count..];
     let best = (0..count).min_by(|&a, &b| last[a].total_cmp(&last[b]));
     let Some(mut at) = best.filter(|&at| last[at] < limit) else {
-        return Proven { order: None, lower_bound: known, complete: true, states };
+        return Proof { order: None, lower_bound: known, complete: true, states };
     };
     let lower_bound = last[at];
     let (mut set, mut order) = (sets - 1, Vec::with_capacity(count));
@@ -180,12 +180,12 @@ fn table(Sorted { problem, passing, machine }: Sorted<'_>, known: f64) -> Proven
         at = previous;
     }
     order.reverse();
-    Proven { order: Some(order), lower_bound, complete: true, states }
+    Proof { order: Some(order), lower_bound, complete: true, states }
 }
 
 /// A set of visited goals, where the walk stands, and what it costs.
 #[derive(Clone, Copy, Debug)]
-struct State {
+struct SearchState {
     visited: Goals,
     at: u32,
     cost: f64,
@@ -195,17 +195,17 @@ struct State {
 
 /// For more goals: only the states that may lead to a better walk, by size of the set.
 struct Layers<'a> {
-    search: Sorted<'a>,
+    search: SortedProblem<'a>,
     paths: Option<&'a Paths>,
     known: f64,
 }
 
 impl Layers<'_> {
-    fn search(&self, states_max: usize, mut until: impl FnMut() -> bool) -> Proven {
+    fn search(&self, states_max: usize, mut until: impl FnMut() -> bool) -> Proof {
         let count = self.search.problem.count;
         let all: Goals = (1 << count) - 1;
-        let mut layers = vec![vec![State { visited: 0, at: count as u32, cost: 0.0, bound: 0.0 }]];
-        let mut index = Index::default();
+        let mut layers = vec![vec![SearchState { visited: 0, at: count as u32, cost: 0.0, bound: 0.0 }]];
+        let mut index = StateIndex::default();
         let mut states = 1;
         for _ in 0..count {
             let mut next = Vec::new();
@@ -214,7 +214,7 @@ impl Layers<'_> {
             for (number, &state) in here.iter().enumerate() {
                 if states + next.len() > states_max || number % 256 == 255 && until() {
                     let lower_bound = here.iter().map(|state| state.bound).fold(self.known, f64::min);
-                    return Proven { order: None, lower_bound, complete: false, states: states + next.len() };
+                    return Proof { order: None, lower_bound, complete: false, states: states + next.len() };
                 }
                 self.go_on(state, all, &mut index, &mut next);
             }
@@ -224,14 +224,14 @@ impl Layers<'_> {
         let last = layers.last().and_then(|last| last.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)));
         let lower_bound = last.map_or(self.known, |last| last.cost);
         let order = last.map(|&last| self.trace(&layers, last));
-        Proven { order, lower_bound, complete: true, states }
+        Proof { order, lower_bound, complete: true, states }
     }
 
-    fn go_on(&self, state: State, all: Goals, index: &mut Index, next: &mut Vec<State>) {
+    fn go_on(&self, state: SearchState, all: Goals, index: &mut StateIndex, next: &mut Vec<SearchState>) {
         let left = all & !state.visited;
         let limit = self.known * (1.0 - SAME);
         let sums = self.paths.map(|paths| (paths, paths.sums(left)));
-        let after = AfterEach::new(self.search.problem, self.search.machine, left);
+        let after = RestBounds::new(self.search.problem, self.search.machine, left);
         let weight = after.weight;
         let row = self.search.problem.row(state.at as usize);
         for (to, machine_bound) in after {
@@ -244,7 +244,7 @@ impl Layers<'_> {
             if bound >= limit {
                 continue;
             }
-            let reached = State { visited: state.visited | 1 << to, at: to as u32, cost, bound };
+            let reached = SearchState { visited: state.visited | 1 << to, at: to as u32, cost, bound };
             match index.find_or_insert(next, reached) {
                 Some(other) if cost < other.cost => *other = reached,
                 _ => {}
@@ -252,12 +252,12 @@ impl Layers<'_> {
         }
     }
 
-    fn trace(&self, layers: &[Vec<State>], last: State) -> Vec<usize> {
+    fn trace(&self, layers: &[Vec<SearchState>], last: SearchState) -> Vec<usize> {
         let mut order = vec![last.at as usize];
         let mut state = last;
         for layer in layers[1..layers.len() - 1].iter().rev() {
             let visited = state.visited & !(1 << state.at);
-            let came = |from: &&State| {
+            let came = |from: &&SearchState| {
                 from.visited == visited
                     && self.search.passing.between(from.at as usize, state.at as usize) & !visited & !(1 << state.at)
                         == 0
@@ -267,7 +267,7 @@ impl Layers<'_> {
                 .map(|goal| self.search.problem.weight[goal])
                 .sum();
             let cost =
-                |from: &State| from.cost + self.search.problem.secs(from.at as usize, state.at as usize) * weight;
+                |from: &SearchState| from.cost + self.search.problem.secs(from.at as usize, state.at as usize) * weight;
             let from = layer.iter().filter(came).min_by(|a, b| cost(a).total_cmp(&cost(b)));
             if let Some(&from) = from {
                 order.push(from.at as usize);
@@ -281,24 +281,28 @@ impl Layers<'_> {
 
 /// Where in a layer each state lies: a table with open addresses.
 #[derive(Debug, Default)]
-struct Index {
+struct StateIndex {
     /// One more than the number of the state; 0 is free. The length is a power of two.
     slots: Vec<u32>,
 }
 
-impl Index {
+impl StateIndex {
     fn clear(&mut self) {
         self.slots.clear();
         self.slots.resize(1 << 10, 0);
     }
 
-    fn slot(&self, state: &State) -> usize {
+    fn slot(&self, state: &SearchState) -> usize {
         let key = state.visited.wrapping_mul(64).wrapping_add(u64::from(state.at));
         (key.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 20) as usize & (self.slots.len() - 1)
     }
 
     /// The state of the same set and goal, or else adds this one.
-    fn find_or_insert<'s>(&mut self, states: &'s mut Vec<State>, state: State) -> Option<&'s mut State> {
+    fn find_or_insert<'s>(
+        &mut self,
+        states: &'s mut Vec<SearchState>,
+        state: SearchState,
+    ) -> Option<&'s mut SearchState> {
         if (states.len() + 1) * 2 > self.slots.len() {
             self.grow(states);
         }
@@ -317,7 +321,7 @@ impl Index {
         }
     }
 
-    fn grow(&mut self, states: &[State]) {
+    fn grow(&mut self, states: &[SearchState]) {
         let length = self.slots.len() * 4;
         self.slots.clear();
         self.slots.resize(length, 0);

@@ -8,8 +8,8 @@
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
 use super::{
-    local::{Near, Walk},
-    problem::Problem,
+    local::{Neighbours, SearchWalk},
+    problem::SearchProblem,
 };
 
 /// Longest stretch that a disturbance exchanges.
@@ -23,9 +23,14 @@ const HOT: f64 = 3e-3;
 const COLD: f64 = 1e-4;
 
 /// An order of the goals that is good, after so many disturbances or when asked to stop.
-pub(super) fn iterate(problem: &Problem, rounds: usize, seed: u64, mut until: impl FnMut() -> bool) -> Vec<usize> {
-    let near = Near::new(problem, NEAR[1]);
-    let mut best = Walk::new(problem, &near, &greedy(problem));
+pub(super) fn iterate(
+    problem: &SearchProblem,
+    rounds: usize,
+    seed: u64,
+    mut until: impl FnMut() -> bool,
+) -> Vec<usize> {
+    let near = Neighbours::new(problem, NEAR[1]);
+    let mut best = SearchWalk::new(problem, &near, &greedy(problem));
     best.improve(&mut until);
     if problem.count < 3 {
         return best.order().to_vec();
@@ -60,7 +65,7 @@ pub(super) fn iterate(problem: &Problem, rounds: usize, seed: u64, mut until: im
     best.order().to_vec()
 }
 
-fn disturb(walk: &mut Walk<'_>, count: usize, random: &mut SmallRng) {
+fn disturb(walk: &mut SearchWalk<'_>, count: usize, random: &mut SmallRng) {
     let longest = DISTURBED_MAX.min(count / 2).max(1);
     let (first, second) = (random.random_range(1..=longest), random.random_range(1..=longest));
     let second = second.min(count - first);
@@ -69,7 +74,7 @@ fn disturb(walk: &mut Walk<'_>, count: usize, random: &mut SmallRng) {
 }
 
 /// Always on to the goal that gains most weight in a second.
-fn greedy(problem: &Problem) -> Vec<usize> {
+fn greedy(problem: &SearchProblem) -> Vec<usize> {
     let mut order = Vec::with_capacity(problem.count);
     let mut left: Vec<usize> = (0..problem.count).collect();
     let mut at = problem.count;

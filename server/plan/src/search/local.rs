@@ -5,7 +5,7 @@
 //! (Silva, Subramanian, Vidal, Ochi: A simple and effective metaheuristic for the Minimum Latency Problem, EJOR 2012).
 //! Invariant: a walk has each goal once, and its sums are those of its order.
 
-use super::problem::Problem;
+use super::problem::SearchProblem;
 
 /// Longest stretch that is moved elsewhere.
 const MOVED_MAX: usize = 3;
@@ -14,13 +14,13 @@ const GAIN_MIN: f64 = 1e-11;
 
 /// For each goal, and for the start, the goals that are reached from it soonest.
 #[derive(Clone, Debug)]
-pub(super) struct Near {
+pub(super) struct Neighbours {
     each: usize,
     goals: Vec<u32>,
 }
 
-impl Near {
-    pub fn new(problem: &Problem, most: usize) -> Near {
+impl Neighbours {
+    pub fn new(problem: &SearchProblem, most: usize) -> Neighbours {
         let each = most.min(problem.count.saturating_sub(1)).max(1);
         let mut goals = Vec::with_capacity((problem.count + 1) * each);
         let mut sorted: Vec<u32> = Vec::with_capacity(problem.count);
@@ -36,7 +36,7 @@ impl Near {
             sorted.sort_unstable_by(by_secs);
             goals.extend(sorted.iter().copied().chain(std::iter::repeat(0)).take(each));
         }
-        Near { each, goals }
+        Neighbours { each, goals }
     }
 
     fn of(&self, goal: usize) -> &[u32] {
@@ -54,7 +54,7 @@ struct Stretch {
 
 /// Sums up to a position of a walk.
 #[derive(Clone, Copy, Debug, Default)]
-struct Sums {
+struct PrefixSums {
     /// Arrival.
     secs: f64,
     weight: f64,
@@ -68,29 +68,29 @@ struct Sums {
 
 /// A walk: the start at position 0, then each goal.
 #[derive(Clone, Debug)]
-pub(super) struct Walk<'a> {
-    problem: &'a Problem,
-    near: &'a Near,
+pub(super) struct SearchWalk<'a> {
+    problem: &'a SearchProblem,
+    near: &'a Neighbours,
     /// How many of the nearest goals are looked at.
     reach: usize,
     goals: Vec<usize>,
     position: Vec<usize>,
-    sums: Vec<Sums>,
+    sums: Vec<PrefixSums>,
     /// Goals whose surroundings have changed since they were looked at.
     open: Vec<usize>,
     is_open: Vec<bool>,
     spare: Vec<usize>,
 }
 
-impl<'a> Walk<'a> {
-    pub fn new(problem: &'a Problem, near: &'a Near, order: &[usize]) -> Walk<'a> {
-        let mut walk = Walk {
+impl<'a> SearchWalk<'a> {
+    pub fn new(problem: &'a SearchProblem, near: &'a Neighbours, order: &[usize]) -> SearchWalk<'a> {
+        let mut walk = SearchWalk {
             problem,
             near,
             reach: usize::MAX,
             goals: std::iter::once(problem.count).chain(order.iter().copied()).collect(),
             position: vec![0; problem.count + 1],
-            sums: vec![Sums::default(); problem.count + 1],
+            sums: vec![PrefixSums::default(); problem.count + 1],
             open: Vec::with_capacity(problem.count + 1),
             is_open: vec![false; problem.count + 1],
             spare: Vec::new(),
@@ -118,7 +118,7 @@ impl<'a> Walk<'a> {
     }
 
     /// Takes another walk's order, all of its goals being looked at.
-    pub fn copy_from(&mut self, other: &Walk<'_>) {
+    pub fn copy_from(&mut self, other: &SearchWalk<'_>) {
         self.goals.clone_from(&other.goals);
         self.position.clone_from(&other.position);
         self.sums.clone_from(&other.sums);
@@ -132,7 +132,7 @@ impl<'a> Walk<'a> {
             let before = self.sums[at - 1];
             let secs = before.secs + self.problem.secs(previous, goal);
             let back_secs = if at == 1 { 0.0 } else { before.back_secs + self.problem.secs(goal, previous) };
-            self.sums[at] = Sums {
+            self.sums[at] = PrefixSums {
                 secs,
                 weight: before.weight + weight,
                 cost: before.cost + weight * secs,

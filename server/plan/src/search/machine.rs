@@ -5,7 +5,7 @@
 //! ascending by duration over weight. The shares are those of the dual of the assignment problem, or the least times of
 //! arriving, whichever bounds the whole search better. Invariant: never above the true cost.
 
-use super::problem::{Goals, Passing, Problem};
+use super::problem::{Goals, Passing, SearchProblem};
 
 /// Shares of each goal, and the order of Smith.
 #[derive(Clone, Debug)]
@@ -21,7 +21,7 @@ pub(super) struct Machine {
 }
 
 impl Machine {
-    pub fn new(problem: &Problem, passing: Option<&Passing>) -> Machine {
+    pub fn new(problem: &SearchProblem, passing: Option<&Passing>) -> Machine {
         let count = problem.count;
         let least = (0..count).map(|to| least_arrival(problem, passing, to)).collect();
         let plain = Machine::of(problem, vec![0.0; count], least);
@@ -33,7 +33,7 @@ impl Machine {
         if dual.root > plain.root { dual } else { plain }
     }
 
-    fn of(problem: &Problem, leaving: Vec<f64>, arriving: Vec<f64>) -> Machine {
+    fn of(problem: &SearchProblem, leaving: Vec<f64>, arriving: Vec<f64>) -> Machine {
         let count = problem.count;
         let mut order: Vec<usize> = (0..count).collect();
         let ratio = |goal: usize| (leaving[goal] + arriving[goal]) / problem.weight[goal];
@@ -49,7 +49,7 @@ impl Machine {
         Machine { leaving, arriving, order, root }
     }
 
-    /// The same shares after [`Problem::reordered`] by [`Machine::order`].
+    /// The same shares after [`SearchProblem::reordered`] by [`Machine::order`].
     pub fn sorted(&self) -> Machine {
         Machine {
             leaving: self.order.iter().map(|&goal| self.leaving[goal]).collect(),
@@ -61,7 +61,7 @@ impl Machine {
 }
 
 /// The least time in which a goal is reached from another or from the start.
-fn least_arrival(problem: &Problem, passing: Option<&Passing>, to: usize) -> f64 {
+fn least_arrival(problem: &SearchProblem, passing: Option<&Passing>, to: usize) -> f64 {
     let follows = |from: usize| from != to && passing.is_none_or(|passing| passing.may_follow(from, to, Goals::MAX));
     let from = (0..=problem.count).filter(|&from| follows(from));
     let least = from.map(|from| problem.secs(from, to)).fold(f64::INFINITY, f64::min);
@@ -69,7 +69,7 @@ fn least_arrival(problem: &Problem, passing: Option<&Passing>, to: usize) -> f64
 }
 
 /// Shares of the dual of the assignment problem (each goal is left once and reached once), by shortest augmenting paths.
-fn assignment_dual(problem: &Problem, passing: Option<&Passing>) -> (Vec<f64>, Vec<f64>) {
+fn assignment_dual(problem: &SearchProblem, passing: Option<&Passing>) -> (Vec<f64>, Vec<f64>) {
     let count = problem.count;
     let most = (0..count).flat_map(|from| problem.row(from)).copied().fold(0.0, f64::max);
     // Successions that no walk has cost much, and need no share to stay below.

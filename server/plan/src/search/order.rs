@@ -3,13 +3,13 @@
 use tidemap_map::topology::{NodeId, Roads};
 
 use super::{
-    EXACT_GOALS_MAX, Effort, Goal, Options, SearchError,
-    exact::{self, Sorted},
+    EXACT_GOALS_MAX, Effort, Goal, SearchError, SearchOptions,
+    exact::{self, SortedProblem},
     iterate::iterate,
     machine::Machine,
-    plan::Plan,
-    problem::{Passing, Problem},
-    question::{Ordered, Question},
+    plan::SearchPlan,
+    problem::{Passing, SearchProblem},
+    question::{GoalOrder, SearchQuestion},
 };
 
 /// Plans a search from a node. `until` is asked now and then whether to make do with what is found so far.
@@ -20,10 +20,10 @@ pub fn search(
     roads: &Roads,
     start: NodeId,
     goals: &[Goal],
-    options: &Options,
+    options: &SearchOptions,
     mut until: impl FnMut() -> bool,
-) -> Result<Plan, SearchError> {
-    let question = Question::new(roads, start, goals, options)?;
+) -> Result<SearchPlan, SearchError> {
+    let question = SearchQuestion::new(roads, start, goals, options)?;
     let exact = match options.effort {
         Effort::Auto => question.goals.len() <= EXACT_GOALS_MAX,
         Effort::Exact if question.goals.len() > EXACT_GOALS_MAX => {
@@ -33,7 +33,7 @@ pub fn search(
         Effort::Heuristic => false,
     };
     let ordered = order(roads, &question, options, exact, &mut until);
-    let mut plan = Plan::of(roads, &question, &ordered, options.floor);
+    let mut plan = SearchPlan::of(roads, &question, &ordered, options.floor);
     options.stop.apply(&mut plan);
     Ok(plan)
 }
@@ -41,11 +41,11 @@ pub fn search(
 /// Finds an order of a question's goals.
 pub(super) fn order(
     roads: &Roads,
-    question: &Question,
-    options: &Options,
+    question: &SearchQuestion,
+    options: &SearchOptions,
     exact: bool,
     mut until: impl FnMut() -> bool,
-) -> Ordered {
+) -> GoalOrder {
     let start = question.start;
     let count_of = |probability: f64| probability.max(options.floor);
     let sum: f64 = question.goals.iter().map(|&(_, probability)| count_of(probability)).sum();
@@ -54,7 +54,7 @@ pub(super) fn order(
     let at_once = |node: usize| node == start && roads.dwell_secs(node) == 0.0;
     let goals: Vec<(usize, f64)> = weighted.clone().filter(|&(node, _)| !at_once(node)).collect();
     let first = weighted.filter(|&(node, _)| at_once(node)).map(|(node, _)| node);
-    let mut problem = Problem::new(roads, start, &goals);
+    let mut problem = SearchProblem::new(roads, start, &goals);
     let has_traps = problem.fill_missing();
 
     let (count, rounds) = (problem.count, if exact { first_rounds(problem.count) } else { options.rounds_max });
@@ -70,7 +70,7 @@ pub(super) fn order(
         let sorted = problem.reordered(&machine.order);
         let passing = passing.reordered(&machine.order);
         let sorted_machine = machine.sorted();
-        let sorted = Sorted { problem: &sorted, passing: &passing, machine: &sorted_machine };
+        let sorted = SortedProblem { problem: &sorted, passing: &passing, machine: &sorted_machine };
         let mut proven = sorted.prove_quickly(known, options.states_max, &mut until);
         if !proven.complete {
             // The better the known walk, the less is looked at.
@@ -93,7 +93,7 @@ pub(super) fn order(
         (lower_bound_secs, complete) = (0.0, false);
     }
     let nodes = first.chain(found.iter().map(|&goal| goals[goal].0)).collect();
-    Ordered { nodes, lower_bound_secs, complete, states }
+    GoalOrder { nodes, lower_bound_secs, complete, states }
 }
 
 /// Disturbances, for each goal, before an exact search that takes longer.

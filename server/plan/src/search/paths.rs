@@ -7,17 +7,17 @@
 //! where they come twice, brings the bound close (subgradient method). Invariant: never above the true cost, whatever the
 //! rewards.
 
-use super::problem::{Goals, Passing, Problem};
+use super::problem::{Goals, Passing, SearchProblem};
 
 /// The cheapest path from a state on, and the cheapest whose first goal is another.
 #[derive(Clone, Copy, Debug)]
-struct Onward {
+struct PathStep {
     cost: f64,
     other_cost: f64,
     next: u32,
 }
 
-const NO_WAY: Onward = Onward { cost: f64::INFINITY, other_cost: f64::INFINITY, next: u32::MAX };
+const NO_WAY: PathStep = PathStep { cost: f64::INFINITY, other_cost: f64::INFINITY, next: u32::MAX };
 const NONE: u32 = u32::MAX;
 
 /// Bounds for each goal and number of units left.
@@ -32,14 +32,14 @@ pub(super) struct Paths {
     rewards: Vec<f64>,
     /// By to and from: time, or infinite where no walk has this succession.
     secs: Vec<f64>,
-    onward: Vec<Onward>,
+    onward: Vec<PathStep>,
     /// A bound of the whole search.
     pub root: f64,
 }
 
 impl Paths {
     /// Prepares bounds with about so many units for the whole weight.
-    pub fn new(problem: &Problem, passing: &Passing, units: u32) -> Paths {
+    pub fn new(problem: &SearchProblem, passing: &Passing, units: u32) -> Paths {
         let count = problem.count;
         let mut paths = Paths {
             count,
@@ -56,7 +56,7 @@ impl Paths {
     }
 
     /// Rounds the weights anew; the rewards stay.
-    pub fn set_units(&mut self, problem: &Problem, passing: &Passing, most: u32) {
+    pub fn set_units(&mut self, problem: &SearchProblem, passing: &Passing, most: u32) {
         let sum: f64 = problem.weight.iter().sum();
         let units_by = |unit: f64| problem.weight.iter().map(move |weight| (weight / unit * (1.0 + 1e-13)) as u32);
         // Of numbers of units the one that loses least; equal weights lose nothing with few.
@@ -101,7 +101,7 @@ impl Paths {
         self.onward.clear();
         self.onward.resize((self.total as usize + 1) * (count + 1), NO_WAY);
         for nothing_left in &mut self.onward[..=count] {
-            *nothing_left = Onward { cost: 0.0, other_cost: 0.0, next: NONE };
+            *nothing_left = PathStep { cost: 0.0, other_cost: 0.0, next: NONE };
         }
         for left in 1..=self.total {
             let charge = self.unit * f64::from(left);
@@ -153,7 +153,7 @@ impl Paths {
     }
 
     /// The first goal of the cheapest path that does not begin as the cheapest of all.
-    fn second(&self, left: u32, at: usize, onward: Onward) -> usize {
+    fn second(&self, left: u32, at: usize, onward: PathStep) -> usize {
         let charge = self.unit * f64::from(left);
         let fits = |to: usize| to != onward.next as usize && self.units[to] > 0 && self.units[to] <= left;
         let cost = |to: usize| {

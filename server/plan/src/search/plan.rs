@@ -6,13 +6,13 @@ use tidemap_map::topology::{NodeId, Roads, ShortestTimes};
 
 use super::{
     Goal,
-    question::{Ordered, Question},
-    stop::{Stop, Stopped},
+    question::{GoalOrder, SearchQuestion},
+    stop::{Stop, StopReason},
 };
 
 /// A look.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Step {
+pub struct SearchStep {
     /// Where.
     pub node: NodeId,
     /// When the robot is there, seconds after it leaves the start.
@@ -32,9 +32,9 @@ pub struct Passage {
 
 /// A planned search.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Plan {
+pub struct SearchPlan {
     /// Looks in their order; rooms that are passed on the way to others included.
-    pub steps: Vec<Step>,
+    pub steps: Vec<SearchStep>,
     /// All nodes on the way, the start first; one comes again when it is passed again.
     pub walk: Vec<Passage>,
     /// Time to find to expect, in seconds, given that who is looked for is at one of the steps (Waldo eq. 2, divided by the sum
@@ -49,16 +49,16 @@ pub struct Plan {
     /// Probability that the walk leaves: that of all goals that are no step, over that of all goals; 0 to 1.
     pub remains: f64,
     /// Why the walk ends before all goals are visited, if it does.
-    pub stopped: Option<Stopped>,
+    pub stopped: Option<StopReason>,
     /// States that the exact search looked at; 0 of a heuristic one.
     pub states: usize,
     /// The least that a goal counted.
     pub(super) floor: f64,
 }
 
-impl Plan {
+impl SearchPlan {
     /// Walks the order along shortest ways.
-    pub(super) fn of(roads: &Roads, question: &Question, ordered: &Ordered, floor: f64) -> Plan {
+    pub(super) fn of(roads: &Roads, question: &SearchQuestion, ordered: &GoalOrder, floor: f64) -> SearchPlan {
         let mut probability_at = vec![None; roads.len()];
         for &(node, probability) in &question.goals {
             probability_at[node] = Some(probability);
@@ -81,17 +81,17 @@ impl Plan {
                 walk.push(Passage { node: roads.node(stop.node), arrival_secs });
                 let passable = stop.node != goal && roads.dwell_secs(stop.node) == 0.0;
                 if let Some(probability) = probability_at[stop.node].filter(|_| passable) {
-                    steps.push(Step { node: roads.node(stop.node), arrival_secs, probability });
+                    steps.push(SearchStep { node: roads.node(stop.node), arrival_secs, probability });
                     probability_at[stop.node] = None;
                 }
             }
             now_secs += shortest.secs()[goal];
-            steps.push(Step { node: roads.node(goal), arrival_secs: now_secs, probability });
+            steps.push(SearchStep { node: roads.node(goal), arrival_secs: now_secs, probability });
             probability_at[goal] = None;
             now_secs += roads.dwell_secs(goal);
             at = goal;
         }
-        let mut plan = Plan {
+        let mut plan = SearchPlan {
             steps,
             walk,
             expected_secs: 0.0,
@@ -110,7 +110,7 @@ impl Plan {
 
     /// Recomputes what the steps amount to; `left` is the probability of goals that were steps before.
     pub(super) fn summarise(&mut self, left: f64) {
-        let counts = |step: &Step| step.probability.max(self.floor);
+        let counts = |step: &SearchStep| step.probability.max(self.floor);
         let sum: f64 = self.steps.iter().map(counts).sum();
         let cost: f64 = self.steps.iter().map(|step| counts(step) * step.arrival_secs).sum();
         self.expected_secs = if sum > 0.0 { cost / sum } else { 0.0 };
@@ -123,7 +123,7 @@ impl Plan {
 
 impl Stop {
     /// Cuts a plan.
-    pub(super) fn apply(&self, plan: &mut Plan) {
+    pub(super) fn apply(&self, plan: &mut SearchPlan) {
         let unlikely = self.remains_below.map_or(plan.steps.len(), |below| steps_until_unlikely(plan, below));
         let worth = self.cost_per_sec.map_or(plan.steps.len(), |cost| steps_worth_it(plan, cost));
         let in_time = self
@@ -134,9 +134,9 @@ impl Stop {
             return;
         }
         plan.stopped = Some(match kept {
-            kept if kept == unlikely => Stopped::Unlikely,
-            kept if kept == worth => Stopped::NotWorthIt,
-            _ => Stopped::OutOfTime,
+            kept if kept == unlikely => StopReason::Unlikely,
+            kept if kept == worth => StopReason::NotWorthIt,
+            _ => StopReason::OutOfTime,
         });
         let left = plan.steps[kept..].iter().map(|step| step.probability).sum();
         plan.steps.truncate(kept);
@@ -148,7 +148,7 @@ impl Stop {
 }
 
 /// How many steps are taken until less than this share remains.
-fn steps_until_unlikely(plan: &Plan, below: f64) -> usize {
+fn steps_until_unlikely(plan: &SearchPlan, below: f64) -> usize {
     let all = plan.steps.iter().map(|step| step.probability).sum::<f64>()
         + plan.unreachable.iter().map(|goal| goal.probability).sum::<f64>();
     let mut left = all;
@@ -163,7 +163,7 @@ fn steps_until_unlikely(plan: &Plan, below: f64) -> usize {
 }
 
 /// After how many steps the gain less the cost of the time to expect is greatest.
-fn steps_worth_it(plan: &Plan, cost_per_sec: f64) -> usize {
+fn steps_worth_it(plan: &SearchPlan, cost_per_sec: f64) -> usize {
     let sum: f64 = plan.steps.iter().map(|step| step.probability).sum();
     // More than one person may be there: then one of them is at the goals for sure.
     let scale = if sum > 1.0 { 1.0 / sum } else { 1.0 };

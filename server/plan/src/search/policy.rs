@@ -4,7 +4,7 @@
 
 /// A moment at which objects are likely enough to be there all together.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Joint {
+pub struct JointMoment {
     /// Which of the moments, counted from 0.
     pub index: usize,
     /// Probability that all are there.
@@ -37,7 +37,7 @@ pub fn anyone(probabilities: impl IntoIterator<Item = f64>) -> f64 {
 pub fn next_above<P: IntoIterator<Item = f64>>(
     series: impl IntoIterator<Item = P>,
     threshold: f64,
-) -> Result<Option<Joint>, PolicyError> {
+) -> Result<Option<JointMoment>, PolicyError> {
     if !(0.0..=1.0).contains(&threshold) {
         return Err(PolicyError::Threshold(threshold));
     }
@@ -50,7 +50,7 @@ pub fn next_above<P: IntoIterator<Item = f64>>(
             joint *= probability;
         }
         if joint > threshold {
-            return Ok(Some(Joint { index, probability: joint }));
+            return Ok(Some(JointMoment { index, probability: joint }));
         }
     }
     Ok(None)

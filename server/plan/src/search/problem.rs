@@ -11,7 +11,7 @@ pub(super) type Goals = u64;
 
 /// Goals 0 to `count`, and the start, which has the index `count`.
 #[derive(Clone, Debug)]
-pub(super) struct Problem {
+pub(super) struct SearchProblem {
     /// Number of goals, the start not among them.
     pub count: usize,
     /// How much each counts.
@@ -23,9 +23,9 @@ pub(super) struct Problem {
     pub passable: Vec<bool>,
 }
 
-impl Problem {
+impl SearchProblem {
     /// The search of goals, given as indices of nodes with their weights, from the node of an index.
-    pub fn new(roads: &Roads, start: usize, goals: &[(usize, f64)]) -> Problem {
+    pub fn new(roads: &Roads, start: usize, goals: &[(usize, f64)]) -> SearchProblem {
         let count = goals.len();
         let mut secs = vec![0.0; (count + 1) * (count + 1)];
         let mut shortest = ShortestTimes::default();
@@ -36,7 +36,7 @@ impl Problem {
                 *secs = dwell_secs + shortest.secs()[to];
             }
         }
-        Problem {
+        SearchProblem {
             count,
             weight: goals.iter().map(|&(_, weight)| weight).collect(),
             secs,
@@ -80,13 +80,13 @@ impl Problem {
     }
 
     /// The same search with its goals in another order.
-    pub fn reordered(&self, order: &[usize]) -> Problem {
+    pub fn reordered(&self, order: &[usize]) -> SearchProblem {
         let mut secs = Vec::with_capacity(self.secs.len());
         for from in order.iter().copied().chain([self.count]) {
             secs.extend(order.iter().map(|&to| self.secs(from, to)));
             secs.push(0.0);
         }
-        Problem {
+        SearchProblem {
             count: self.count,
             weight: order.iter().map(|&goal| self.weight[goal]).collect(),
             secs,
@@ -109,7 +109,7 @@ impl Passing {
     /// Times within this share of each other count as equal.
     const SAME: f64 = 1e-12;
 
-    pub fn new(problem: &Problem) -> Passing {
+    pub fn new(problem: &SearchProblem) -> Passing {
         let count = problem.count;
         let mut between = vec![0; (count + 1) * count];
         for via in (0..count).filter(|&via| problem.passable[via]) {
@@ -127,7 +127,7 @@ impl Passing {
     }
 
     /// Notes which goals no walk from the start can leave out on its way to another.
-    pub fn find_before(&mut self, problem: &Problem, roads: &Roads, start: usize, goals: &[(usize, f64)]) {
+    pub fn find_before(&mut self, problem: &SearchProblem, roads: &Roads, start: usize, goals: &[(usize, f64)]) {
         let mut shortest = ShortestTimes::default();
         for via in (0..self.count).filter(|&via| problem.passable[via]) {
             let closed = goals[via].0;
@@ -140,7 +140,7 @@ impl Passing {
         }
     }
 
-    /// The same after [`Problem::reordered`].
+    /// The same after [`SearchProblem::reordered`].
     pub fn reordered(&self, order: &[usize]) -> Passing {
         let mut place = [0_u32; Goals::BITS as usize];
         for (new, &old) in order.iter().enumerate() {

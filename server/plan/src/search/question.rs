@@ -2,10 +2,10 @@
 
 use tidemap_map::topology::{NodeId, Roads, ShortestTimes};
 
-use super::{EXACT_GOALS_MAX, Effort, GOALS_MAX, Goal, Options, SearchError};
+use super::{EXACT_GOALS_MAX, Effort, GOALS_MAX, Goal, SearchError, SearchOptions};
 
 /// A search with what was found of its order.
-pub(super) struct Ordered {
+pub(super) struct GoalOrder {
     /// Indices of nodes in the order of looking.
     pub(super) nodes: Vec<usize>,
     pub(super) lower_bound_secs: f64,
@@ -14,20 +14,20 @@ pub(super) struct Ordered {
 }
 
 /// A checked question: reachable goals with what they count.
-pub(super) struct Question {
+pub(super) struct SearchQuestion {
     pub(super) start: usize,
     /// Index of the node, probability as given.
     pub(super) goals: Vec<(usize, f64)>,
     pub(super) unreachable: Vec<Goal>,
 }
 
-impl Question {
+impl SearchQuestion {
     pub(super) fn new(
         roads: &Roads,
         start: NodeId,
         goals: &[Goal],
-        options: &Options,
-    ) -> Result<Question, SearchError> {
+        options: &SearchOptions,
+    ) -> Result<SearchQuestion, SearchError> {
         if goals.is_empty() {
             return Err(SearchError::NoGoals);
         }
@@ -64,6 +64,6 @@ impl Question {
         }
         let unreachable =
             unreachable.into_iter().map(|(node, probability)| Goal { node: roads.node(node), probability }).collect();
-        Ok(Question { start: start_index, goals, unreachable })
+        Ok(SearchQuestion { start: start_index, goals, unreachable })
     }
 }

@@ -16,7 +16,7 @@ pub struct Stop {
 
 /// Why a walk ends before all goals are visited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stopped {
+pub enum StopReason {
     /// What remains is below the limit.
     Unlikely,
     /// What remains is not worth the time.

@@ -7,7 +7,7 @@ mod plans;
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
 use super::{
-    problem::{Passing, Problem},
+    problem::{Passing, SearchProblem},
     *,
 };
 use crate::testkit::{Map, Shape};

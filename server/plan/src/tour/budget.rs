@@ -6,7 +6,7 @@ use super::order::Ways;
 
 /// What a tour costs, and may cost.
 #[derive(Debug)]
-pub(super) struct Budget<'a> {
+pub(super) struct TourBudget<'a> {
     pub ways: &'a Ways,
     /// Of each goal.
     pub values: &'a [f64],
@@ -18,7 +18,7 @@ pub(super) struct Budget<'a> {
     pub budget_secs: f64,
 }
 
-impl Budget<'_> {
+impl TourBudget<'_> {
     /// How long a drive takes, looking included.
     pub(super) fn duration_secs(&self, order: &[usize]) -> f64 {
         self.ways.length(order) * self.secs_m + order.len() as f64 * self.observation_secs

@@ -13,10 +13,10 @@ use std::{
 use rayon::prelude::*;
 use tidemap_map::grid::index::CellIndex;
 
-use super::question::{Candidate, Suppression};
+use super::question::{Suppression, TourCandidate};
 use crate::{
     travel::Column,
-    view::{Fan, Looker, Scene},
+    view::{Fan, Scene, ViewScorer},
 };
 
 /// Candidates that are looked from at once: a few, since the first may show that no other need be.
@@ -28,7 +28,7 @@ const KEPT_MAX: usize = 1 << 24;
 
 /// A candidate that was chosen.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Chosen {
+pub(super) struct TourGoal {
     pub candidate: usize,
     /// What it was expected to teach when it was chosen, suppression included, bits.
     pub bits: f64,
@@ -38,33 +38,33 @@ pub(super) struct Chosen {
 
 /// How much a candidate is worth, or at most.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Entry {
+struct GainBound {
     value: f64,
     is_exact: bool,
     candidate: usize,
 }
 
-impl Eq for Entry {}
+impl Eq for GainBound {}
 
-impl Ord for Entry {
+impl Ord for GainBound {
     /// The most valuable last; of equal ones those that may be worth less, so that they are looked from; then the first.
-    fn cmp(&self, other: &Entry) -> std::cmp::Ordering {
+    fn cmp(&self, other: &GainBound) -> std::cmp::Ordering {
         let by_value = self.value.total_cmp(&other.value);
         by_value.then(other.is_exact.cmp(&self.is_exact)).then(other.candidate.cmp(&self.candidate))
     }
 }
 
-impl PartialOrd for Entry {
-    fn partial_cmp(&self, other: &Entry) -> Option<std::cmp::Ordering> {
+impl PartialOrd for GainBound {
+    fn partial_cmp(&self, other: &GainBound) -> Option<std::cmp::Ordering> {
         Some(self.cmp(other))
     }
 }
 
 /// A choice among candidates.
-pub(super) struct Choice<'a> {
+pub(super) struct GoalSelection<'a> {
     scene: &'a Scene,
     fan: &'a Fan,
-    candidates: &'a [Candidate],
+    candidates: &'a [TourCandidate],
     suppression: Suppression,
     /// By place: cells that a chosen goal sees.
     covered: Vec<bool>,
@@ -72,23 +72,23 @@ pub(super) struct Choice<'a> {
     bits: Vec<f64>,
     /// By how much it is suppressed for its distance.
     factors: Vec<f64>,
-    /// The same as [`Chosen::seen`] of candidates that were looked from.
+    /// The same as [`TourGoal::seen`] of candidates that were looked from.
     seen: Vec<Option<Vec<u32>>>,
     kept: usize,
-    entries: BinaryHeap<Entry>,
-    lookers: Mutex<Vec<Looker>>,
+    entries: BinaryHeap<GainBound>,
+    lookers: Mutex<Vec<ViewScorer>>,
     looks: usize,
 }
 
-impl<'a> Choice<'a> {
+impl<'a> GoalSelection<'a> {
     pub(super) fn new(
         scene: &'a Scene,
         fan: &'a Fan,
-        candidates: &'a [Candidate],
+        candidates: &'a [TourCandidate],
         suppression: Suppression,
-    ) -> Choice<'a> {
+    ) -> GoalSelection<'a> {
         let bits = bounds(scene, fan, candidates);
-        let mut choice = Choice {
+        let mut choice = GoalSelection {
             scene,
             fan,
             candidates,
@@ -112,7 +112,7 @@ impl<'a> Choice<'a> {
     }
 
     /// The best so many goals, in the order of choice; fewer where no other teaches anything.
-    pub(super) fn choose(&mut self, goals: usize) -> Vec<Chosen> {
+    pub(super) fn choose(&mut self, goals: usize) -> Vec<TourGoal> {
         let mut chosen = Vec::new();
         while chosen.len() < goals {
             self.settle();
@@ -122,7 +122,7 @@ impl<'a> Choice<'a> {
                 self.looks += 1;
                 self.see(candidate)
             });
-            chosen.push(Chosen { candidate, bits: self.bits[candidate] * self.factors[candidate], seen });
+            chosen.push(TourGoal { candidate, bits: self.bits[candidate] * self.factors[candidate], seen });
             if let Some(goal) = chosen.last() {
                 self.suppress(goal);
             }
@@ -130,9 +130,9 @@ impl<'a> Choice<'a> {
         chosen
     }
 
-    fn entry(&self, candidate: usize, is_exact: bool) -> Entry {
+    fn entry(&self, candidate: usize, is_exact: bool) -> GainBound {
         let value = self.bits[candidate] * self.factors[candidate] * self.candidates[candidate].reachability;
-        Entry { value, is_exact, candidate }
+        GainBound { value, is_exact, candidate }
     }
 
     /// Looks from candidates until the best is known.
@@ -176,7 +176,7 @@ impl<'a> Choice<'a> {
     fn see(&self, candidate: usize) -> Vec<u32> {
         let lookers = || self.lookers.lock().unwrap_or_else(PoisonError::into_inner);
         let known = lookers().pop();
-        let mut looker = known.unwrap_or_else(|| Looker::new(self.fan));
+        let mut looker = known.unwrap_or_else(|| ViewScorer::new(self.fan));
         let mut seen = Vec::new();
         looker.each(self.scene, self.fan, self.candidates[candidate].cell, |place| {
             if self.scene.bits_at(place) > 0.0 {
@@ -189,8 +189,8 @@ impl<'a> Choice<'a> {
     }
 
     /// Lowers the values of the candidates around a goal.
-    fn suppress(&mut self, goal: &Chosen) {
-        let Candidate { cell, at_m, .. } = self.candidates[goal.candidate];
+    fn suppress(&mut self, goal: &TourGoal) {
+        let TourCandidate { cell, at_m, .. } = self.candidates[goal.candidate];
         let mut entries = std::mem::take(&mut self.entries).into_vec();
         match self.suppression {
             Suppression::Shared => {
@@ -219,7 +219,7 @@ impl<'a> Choice<'a> {
 }
 
 /// The most that each candidate can teach: the sum over the cells in its reach, a little more for what is rounded.
-fn bounds(scene: &Scene, fan: &Fan, candidates: &[Candidate]) -> Vec<f64> {
+fn bounds(scene: &Scene, fan: &Fan, candidates: &[TourCandidate]) -> Vec<f64> {
     let lattice = scene.lattice();
     let (region, [width, depth, _], reach) = (lattice.region(), lattice.size(), fan.reach());
     let Some(z) = candidates.first().map(|candidate| candidate.cell.z) else { return Vec::new() };
@@ -244,7 +244,7 @@ fn bounds(scene: &Scene, fan: &Fan, candidates: &[Candidate]) -> Vec<f64> {
             sums[at] = along + sums[at - width - 1];
         }
     }
-    let bound = |candidate: &Candidate| {
+    let bound = |candidate: &TourCandidate| {
         let Column { x, y } = candidate.column;
         let (left, right) = (x.saturating_sub(reach[0]), (x + reach[0] + 1).min(width));
         let (low, high) = (y.saturating_sub(reach[1]), (y + reach[1] + 1).min(depth));

@@ -12,7 +12,7 @@ use crate::{
 
 /// A place to look from.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Candidate {
+pub(super) struct TourCandidate {
     pub column: Column,
     pub cell: CellIndex,
     pub at_m: [f64; 2],
@@ -204,7 +204,7 @@ impl TourQuestion {
         from_start: &Distances,
         grid: &PredictedGrid,
         reachability: &Reachability,
-    ) -> Vec<Candidate> {
+    ) -> Vec<TourCandidate> {
         let lattice = scene.lattice();
         let [columns, rows] = self.points(grid);
         let spacing = self.spacing_m / lattice.resolution_m();
@@ -220,7 +220,7 @@ impl TourQuestion {
             let at_m = travel.centre_m(column);
             let cell: CellIndex = height(at_m).filter(|&cell| !scene.is_occupied(cell))?;
             let reachability = reachability.rate(at_m[0], at_m[1]).rate;
-            (reachability > 0.0).then_some(Candidate { column, cell, at_m, reachability })
+            (reachability > 0.0).then_some(TourCandidate { column, cell, at_m, reachability })
         };
         let columns = columns as usize;
         (0..rows as usize).flat_map(|row| (0..columns).filter_map(move |column| at(column, row))).collect()

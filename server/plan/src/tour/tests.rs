@@ -9,7 +9,7 @@ use super::*;
 use crate::{
     predicted::{Lattice, tests::spec},
     travel::{TravelOptions, tests::drawn},
-    view::{Looker, SceneOptions, Sensor},
+    view::{SceneOptions, Sensor, ViewScorer},
 };
 
 /// A room of cells of 10 cm with walls around it; `p` says how probably each is occupied.
@@ -153,7 +153,7 @@ fn a_tour_without_a_goal_says_why() {
     assert_eq!(told.no_tour, Some(NoTour::NothingReachable));
 
     let told = tour(&grid, &TourQuestion { budget_secs: Some(30.0), ..ask });
-    let Some(NoTour::Budget { budget_secs, least_secs }) = told.no_tour else { panic!("{told:?}") };
+    let Some(NoTour::TourBudget { budget_secs, least_secs }) = told.no_tour else { panic!("{told:?}") };
     assert!(budget_secs == 30.0 && least_secs > 60.0 && told.steps.is_empty());
 }
 
@@ -273,11 +273,11 @@ fn permutations(goals: &[usize], tell: &mut impl FnMut(&[usize])) {
 fn choose_plainly(
     scene: &Scene,
     fan: &Fan,
-    candidates: &[Candidate],
+    candidates: &[TourCandidate],
     how: Suppression,
     goals: usize,
 ) -> Vec<(usize, f64)> {
-    let mut looker = Looker::new(fan);
+    let mut looker = ViewScorer::new(fan);
     let mut covered: HashSet<CellIndex> = HashSet::new();
     let mut chosen: Vec<(usize, f64)> = Vec::new();
     while chosen.len() < goals {
@@ -336,11 +336,11 @@ proptest! {
             let reachability = f64::from(reach[number as usize]) / 3.0;
             if reachability > 0.0 && !scene.is_occupied(cell) {
                 let column = Column { x: x as usize, y: y as usize };
-                candidates.push(Candidate { column, cell, at_m: at(&grid, x, y), reachability });
+                candidates.push(TourCandidate { column, cell, at_m: at(&grid, x, y), reachability });
             }
         }
         let how = radius_m.map_or(Suppression::Shared, |radius_m| Suppression::Distance { radius_m });
-        let chosen = Choice::new(&scene, &fan, &candidates, how).choose(goals);
+        let chosen = GoalSelection::new(&scene, &fan, &candidates, how).choose(goals);
         let chosen: Vec<(usize, f64)> = chosen.iter().map(|goal| (goal.candidate, goal.bits)).collect();
         prop_assert_eq!(chosen, choose_plainly(&scene, &fan, &candidates, how, goals));
     }
@@ -378,7 +378,7 @@ proptest! {
         budget_secs in 0.0_f64..6.0,
     ) {
         let ways = ways(&numbers, 10, true);
-        let budget = Budget { ways: &ways, values: &values, secs_m: 1.0, observation_secs: 0.2, budget_secs };
+        let budget = TourBudget { ways: &ways, values: &values, secs_m: 1.0, observation_secs: 0.2, budget_secs };
         let order = budget.fit();
         prop_assert!(order.is_empty() || budget.duration_secs(&order) <= budget_secs);
         prop_assert_eq!(order.is_empty(), budget.least_secs() > budget_secs);

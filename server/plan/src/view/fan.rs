@@ -85,7 +85,7 @@ impl Fan {
 
     /// The tree of all ways, which are in ascending order.
     fn merge(paths: &[Vec<u8>], lattice: &Lattice, (sensor, yaw_rad): (Sensor, f64)) -> Fan {
-        let mut numbers = Numbers::new(paths, lattice.strides());
+        let mut numbers = CellNumbers::new(paths, lattice.strides());
         let mut nodes = vec![numbers.of([0; 3])];
         let mut skips = vec![0];
         // The way to the last node: its number and where it lies.
@@ -108,7 +108,7 @@ impl Fan {
         for (node, _) in way {
             skips[node] = nodes.len() as u32;
         }
-        let Numbers { offsets, reach, strides, .. } = numbers;
+        let CellNumbers { offsets, reach, strides, .. } = numbers;
         let reach = reach.map(|reach| reach as usize);
         let (size, resolution_m, rays) = (lattice.size(), lattice.resolution_m(), paths.len());
         Fan { nodes, skips, offsets, reach, size, strides, rays, sensor, resolution_m, yaw_rad }
@@ -184,15 +184,15 @@ fn path(direction: [f64; 3], range: f64, size: [usize; 3]) -> Vec<u8> {
     }
 }
 /// Numbers of cells, in the order in which they are met.
-struct Numbers {
+struct CellNumbers {
     strides: [usize; 3],
     reach: [i32; 3],
     known: Vec<u32>,
     offsets: Vec<i32>,
 }
 
-impl Numbers {
-    fn new(paths: &[Vec<u8>], strides: [usize; 3]) -> Numbers {
+impl CellNumbers {
+    fn new(paths: &[Vec<u8>], strides: [usize; 3]) -> CellNumbers {
         let mut reach = [0; 3];
         for path in paths {
             let mut at = [0_i32; 3];
@@ -200,7 +200,7 @@ impl Numbers {
             reach = std::array::from_fn(|axis| at[axis].max(reach[axis]));
         }
         let cells = reach.iter().map(|&reach| 2 * reach as usize + 1).product();
-        Numbers { strides, reach, known: vec![u32::MAX; cells], offsets: Vec::new() }
+        CellNumbers { strides, reach, known: vec![u32::MAX; cells], offsets: Vec::new() }
     }
 
     fn of(&mut self, at: [i32; 3]) -> u32 {

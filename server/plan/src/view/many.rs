@@ -11,7 +11,7 @@ use std::{
 
 use rayon::prelude::*;
 
-use super::{Fan, InvalidSensor, Sensor, TimedLooker, TimedScene, ViewError, Viewpoint};
+use super::{Fan, InvalidSensor, Sensor, TimedScene, TimedViewScorer, ViewError, Viewpoint};
 
 /// Viewpoints that are looked from between two rounds of telling.
 const ROUND: usize = 64;
@@ -20,15 +20,15 @@ const FANS: usize = 16;
 
 /// What a question may cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LookLimits {
+pub struct ViewLimits {
     /// Viewpoints x times x cells that the rays pass of one view where nothing is in their way.
     pub max_work: u64,
 }
 
-impl Default for LookLimits {
+impl Default for ViewLimits {
     /// 10^12: some minutes on two cores.
-    fn default() -> LookLimits {
-        LookLimits { max_work: 1_000_000_000_000 }
+    fn default() -> ViewLimits {
+        ViewLimits { max_work: 1_000_000_000_000 }
     }
 }
 
@@ -90,7 +90,7 @@ pub fn look_many(
     scene: &TimedScene,
     sensor: &Sensor,
     viewpoints: &[Viewpoint],
-    limits: LookLimits,
+    limits: ViewLimits,
     mut tell: impl FnMut(usize, Result<Vec<Option<f64>>, ViewError>) -> ControlFlow<()>,
 ) -> Result<(), TooMuchWork> {
     let fans = Fans { sensor, scene, known: Mutex::default() };
@@ -101,7 +101,7 @@ pub fn look_many(
         return Err(TooMuchWork::Work { views, times, work, max: limits.max_work });
     }
     for (round, viewpoints) in viewpoints.chunks(ROUND).enumerate() {
-        let look = |looker: &mut TimedLooker, at: &Viewpoint| {
+        let look = |looker: &mut TimedViewScorer, at: &Viewpoint| {
             let from = match scene.stand(sensor, at) {
                 Ok(from) => from,
                 Err(error) => return Ok(Err(error)),
@@ -109,7 +109,7 @@ pub fn look_many(
             Ok(Ok(looker.look(scene, fans.of(at.yaw_rad)?.as_ref(), from)))
         };
         let told: Vec<Result<_, InvalidSensor>> =
-            viewpoints.par_iter().map_init(|| TimedLooker::new(&first), look).collect();
+            viewpoints.par_iter().map_init(|| TimedViewScorer::new(&first), look).collect();
         for (number, told) in (round * ROUND..).zip(told) {
             if tell(number, told?).is_break() {
                 return Ok(());

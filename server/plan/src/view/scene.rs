@@ -75,7 +75,7 @@ pub struct Scene {
 
 /// What is seen from a place.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Seen {
+pub struct ViewGain {
     /// Information expected from it, bits.
     pub information_bits: f64,
     /// Cells seen, unknown ones and the viewpoint's own among them.
@@ -130,24 +130,24 @@ impl Scene {
 
 /// Looks into scenes from one viewpoint after the other; has the memory that one look needs.
 #[derive(Clone, Debug)]
-pub struct Looker {
+pub struct ViewScorer {
     /// Of each cell of the fan the number of the look that saw it last, twice, and one more if it is opaque.
     marks: Vec<u8>,
     look: u8,
 }
 
-impl Looker {
+impl ViewScorer {
     /// For the rays of a fan.
     #[must_use]
-    pub fn new(fan: &Fan) -> Looker {
-        Looker { marks: vec![0; fan.cells()], look: 0 }
+    pub fn new(fan: &Fan) -> ViewScorer {
+        ViewScorer { marks: vec![0; fan.cells()], look: 0 }
     }
 
     /// What is seen from the centre of a cell of the region, whether or not that is occupied; nothing from outside, and
     /// by rays that were made for a region of another size.
     #[must_use]
-    pub fn look(&mut self, scene: &Scene, fan: &Fan, from: CellIndex) -> Seen {
-        let mut seen = Seen::default();
+    pub fn look(&mut self, scene: &Scene, fan: &Fan, from: CellIndex) -> ViewGain {
+        let mut seen = ViewGain::default();
         self.each(scene, fan, from, |place| {
             seen.information_bits += scene.bits[place];
             seen.cells += 1;

@@ -115,7 +115,7 @@ type Told = Vec<(usize, Result<Vec<Option<f64>>, ViewError>)>;
 
 fn look_at_all(scene: &TimedScene, sensor: &Sensor, viewpoints: &[Viewpoint]) -> Told {
     let mut all = Vec::new();
-    let told = look_many(scene, sensor, viewpoints, LookLimits::default(), |number, told| {
+    let told = look_many(scene, sensor, viewpoints, ViewLimits::default(), |number, told| {
         all.push((number, told));
         ControlFlow::Continue(())
     });
@@ -161,7 +161,7 @@ proptest! {
         let grid = PredictedGrid::from_fn(Arc::clone(&lattice), free);
         let (scene, fan) = (scene(&grid), Fan::new(&sensor, &lattice, yaw).unwrap());
         let expected = oracle(&grid, &sensor, from, yaw);
-        let mut looker = Looker::new(&fan);
+        let mut looker = ViewScorer::new(&fan);
         for _ in 0..2 {
             let mut cells = looker.cells(&scene, &fan, from);
             cells.sort();
@@ -204,7 +204,7 @@ proptest! {
         let scenes: Vec<Scene> = (0..times).map(|time| scene(&day.at(time).unwrap())).collect();
         for ((number, told), at) in all.iter().zip(&viewpoints) {
             let fan = Fan::new(&sensor, &lattice, at.yaw_rad).unwrap();
-            let mut looker = Looker::new(&fan);
+            let mut looker = ViewScorer::new(&fan);
             for (time, scene) in scenes.iter().enumerate() {
                 let told = told.as_ref().ok().and_then(|told| told[time]);
                 match scene.stand(&sensor, at) {
@@ -231,7 +231,7 @@ fn a_wall_is_seen_and_nothing_behind_it() {
     let (lattice, grid) = hall();
     let sensor = Sensor { range_m: 2.0, ..Sensor::default() };
     let (scene, fan) = (scene(&grid), Fan::new(&sensor, &lattice, 0.0).unwrap());
-    let cells = Looker::new(&fan).cells(&scene, &fan, cell(5, 15, 0));
+    let cells = ViewScorer::new(&fan).cells(&scene, &fan, cell(5, 15, 0));
     assert!(cells.iter().any(|at| at.x == 10));
     assert!(cells.iter().all(|at| at.x <= 10));
     assert!(cells.contains(&cell(5, 15, 0)));
@@ -246,7 +246,7 @@ fn a_part_of_the_view_shows_a_part_of_the_cells() {
     let from = cell(5, 15, 0);
     let cells = |sensor: &Sensor, yaw: f64| {
         let fan = Fan::new(sensor, &lattice, yaw).unwrap();
-        let mut cells = Looker::new(&fan).cells(&scene, &fan, from);
+        let mut cells = ViewScorer::new(&fan).cells(&scene, &fan, from);
         cells.sort();
         cells
     };
@@ -275,7 +275,7 @@ fn a_bad_viewpoint_costs_the_others_nothing() {
     let numbers: Vec<usize> = all.iter().map(|(number, _)| *number).collect();
     assert_eq!(numbers, [0, 1, 2, 3, 4, 5, 6]);
     let fan = Fan::new(&sensor, &lattice, 0.0).unwrap();
-    let alone = Looker::new(&fan).look(&scene(&grid), &fan, cell(5, 15, 0)).information_bits;
+    let alone = ViewScorer::new(&fan).look(&scene(&grid), &fan, cell(5, 15, 0)).information_bits;
     assert!((all[0].1.as_ref().unwrap()[1].unwrap() - alone).abs() < 1e-9);
     assert!(matches!(all[1].1, Err(ViewError::NotFinite(_))));
     assert!(matches!(all[2].1, Err(ViewError::NotFinite(_))));
@@ -293,7 +293,7 @@ fn telling_can_be_ended() {
     let sensor = Sensor { range_m: 0.3, ..Sensor::default() };
     let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 9];
     let mut told = 0;
-    let answer = look_many(&timed, &sensor, &viewpoints, LookLimits::default(), |_, _| {
+    let answer = look_many(&timed, &sensor, &viewpoints, ViewLimits::default(), |_, _| {
         told += 1;
         if told == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
@@ -306,7 +306,7 @@ fn what_costs_too_much_is_refused_before_it_begins() {
     let day = PredictedTimes::from_fn(Arc::clone(&lattice), 4, |at, _| grid.probability(at)).unwrap();
     let timed = TimedScene::new(&day, &SceneOptions::default()).unwrap();
     let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 100];
-    let limits = LookLimits { max_work: 10_000 };
+    let limits = ViewLimits { max_work: 10_000 };
     let answer = look_many(&timed, &Sensor::default(), &viewpoints, limits, |_, _| unreachable!());
     assert!(answer.unwrap_err().to_string().starts_with("100 views at 4 times"));
 }

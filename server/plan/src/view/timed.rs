@@ -105,31 +105,31 @@ impl TimedScene {
 
 /// A cell that is seen at some of the times.
 #[derive(Clone, Copy, Debug)]
-struct Partly {
+struct PartialCell {
     place: usize,
     times: u128,
 }
 
 /// Looks into scenes of many times from one viewpoint after the other; has the memory that one look needs.
 #[derive(Clone, Debug)]
-pub struct TimedLooker {
+pub struct TimedViewScorer {
     /// Of each cell of the fan the number of the look that saw it last, times 256, and its flags; [`WHOLE`] where it is
     /// seen at all times.
     marks: Vec<u16>,
     look: u16,
     /// Place in `partly` of a cell seen at some times.
     slots: Vec<u32>,
-    partly: Vec<Partly>,
+    partly: Vec<PartialCell>,
     /// Ends of branches that are open at some times, and the times of what comes after.
     branches: Vec<(usize, u128)>,
 }
 
-impl TimedLooker {
+impl TimedViewScorer {
     /// For the rays of a fan.
     #[must_use]
-    pub fn new(fan: &Fan) -> TimedLooker {
+    pub fn new(fan: &Fan) -> TimedViewScorer {
         let (marks, slots) = (vec![0; fan.cells()], vec![0; fan.cells()]);
-        TimedLooker { marks, look: 0, slots, partly: Vec::new(), branches: Vec::new() }
+        TimedViewScorer { marks, look: 0, slots, partly: Vec::new(), branches: Vec::new() }
     }
 
     /// Information in bits that looking from the centre of a cell of the region is expected to give at each of the times;
@@ -195,7 +195,7 @@ impl TimedLooker {
                 } else {
                     flags |= PARTLY;
                     self.slots[cell] = self.partly.len() as u32;
-                    self.partly.push(Partly { place: place(), times });
+                    self.partly.push(PartialCell { place: place(), times });
                 }
                 self.marks[cell] = look | u16::from(flags);
             }
@@ -218,7 +218,7 @@ impl TimedLooker {
             }
         }
         self.branches.clear();
-        for &Partly { place, times } in &self.partly {
+        for &PartialCell { place, times } in &self.partly {
             let (row, is_fixed) =
                 if scene.flags[place] & VARIES == 0 { (None, scene.bits[place]) } else { (Some(row(place)), 0.0) };
             let mut rest = times;

@@ -3,7 +3,7 @@
 //! Invariant: each error has one gRPC code and one reason.
 
 use tidemap_map::topology::{RoadsError, TopologyError};
-use tidemap_plan::{policy::PolicyError, route::RouteError as PlanRouteError, search::SearchError};
+use tidemap_plan::{policy::PolicyError, route::PlanRouteError, search::SearchError};
 use tidemap_proto::convert::route::POLICY_CELLS_MAX;
 use tonic::Code;
 

@@ -13,7 +13,7 @@ use std::{
 use tidemap_map::{edge_forecast::EdgeForecast, topology::Edge};
 use tidemap_plan::{
     policy::solve_policy,
-    route::{RouteError as PlanRouteError, plan_routes, success_interval},
+    route::{PlanRouteError, plan_routes, success_interval},
 };
 use tidemap_proto::{
     convert::{

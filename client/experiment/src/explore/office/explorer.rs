@@ -29,7 +29,7 @@ use tidemap_plan::{
     predicted::{PredictOptions, PredictedGrid},
     tour::{Tour, TourQuestion, TourStep, plan_tour},
     travel::TravelGrid,
-    view::Looker,
+    view::ViewScorer,
 };
 
 use super::{
@@ -112,7 +112,7 @@ pub struct Explorer {
     last: Vec<Last>,
     /// By cell, whether it was seen since the round began.
     round: Vec<bool>,
-    looker: Looker,
+    looker: ViewScorer,
 }
 
 impl Explorer {
@@ -134,7 +134,7 @@ impl Explorer {
             reachability: Reachability::default(),
             last: vec![Last::Never; space.cells()],
             round: vec![false; space.cells()],
-            looker: Looker::new(&space.fan),
+            looker: ViewScorer::new(&space.fan),
         })
     }
 

@@ -22,7 +22,7 @@ const SECS_PER_SLOT: f64 = 86_400.0 / SLOTS_PER_DAY as f64;
 /// What days said about one slot: a day's value x there, its weight w, and the share c of the slot's neighbourhood that was
 /// seen, in `(0,1]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Sums {
+pub(super) struct DaySums {
     /// Σ w c over days.
     weight: f64,
     /// Σ (w c)².
@@ -35,7 +35,7 @@ pub(super) struct Sums {
     value_squared: f64,
 }
 
-impl Sums {
+impl DaySums {
     fn add(&mut self, weight: f64, seen: f64, value: f64) {
         let counts = weight * seen;
         self.weight += counts;
@@ -46,8 +46,8 @@ impl Sums {
     }
 
     /// Of the days of both.
-    pub(super) fn and(self, other: Sums) -> Sums {
-        Sums {
+    pub(super) fn and(self, other: DaySums) -> DaySums {
+        DaySums {
             weight: self.weight + other.weight,
             weight_squared: self.weight_squared + other.weight_squared,
             seen: self.seen + other.seen,
@@ -71,7 +71,7 @@ impl Sums {
         if self.weight > 0.0 { (self.value / self.weight).clamp(0.0, 1.0) } else { 0.0 }
     }
 
-    /// Sum of squared deviations from the mean over days, as if [`Sums::days`] days had been seen.
+    /// Sum of squared deviations from the mean over days, as if [`DaySums::days`] days had been seen.
     pub(super) fn deviations(self) -> f64 {
         if self.weight > 0.0 {
             let mean = self.value / self.weight;
@@ -81,14 +81,14 @@ impl Sums {
         }
     }
 
-    /// The degrees of freedom of [`Sums::deviations`].
+    /// The degrees of freedom of [`DaySums::deviations`].
     pub(super) fn freedom(self) -> f64 {
         (self.days() - self.share_seen()).max(0.0)
     }
 }
 
 /// The sums of one slot of the day, per day of the week, Monday first.
-pub(super) type WeekSums = [Sums; DAYS_OF_WEEK];
+pub(super) type WeekSums = [DaySums; DAYS_OF_WEEK];
 
 /// The sums of all slots of the day.
 pub(super) struct SlotSums {
@@ -100,7 +100,7 @@ pub(super) struct SlotSums {
 
 impl SlotSums {
     /// The sums over days, the newest of them of a date.
-    pub(super) fn of(days: impl Iterator<Item = Day>, newest: i32, options: CalibratedOptions) -> SlotSums {
+    pub(super) fn of(days: impl Iterator<Item = SlotDay>, newest: i32, options: CalibratedOptions) -> SlotSums {
         let empty = || vec![WeekSums::default(); SLOTS_PER_DAY];
         let mut sums = SlotSums { fine: empty(), broad: empty() };
         let (fine, broad) = (Kernel::new(options.smoothing_secs), Kernel::new(options.broad_smoothing_secs));
@@ -115,7 +115,7 @@ impl SlotSums {
 }
 
 /// One local day.
-pub(super) struct Day {
+pub(super) struct SlotDay {
     pub(super) date: LocalDay,
     /// Monday 0 to Sunday 6.
     pub(super) of_week: usize,
@@ -127,7 +127,10 @@ pub(super) struct Day {
 
 /// The days of the readings, ascending; `to_unit` brings values to `[0,1]`. Where clocks are set back over midnight a date may
 /// come in two pieces.
-pub(super) fn days<'a>(readings: Readings<'a>, to_unit: impl Fn(f64) -> f64 + 'a) -> impl Iterator<Item = Day> + 'a {
+pub(super) fn days<'a>(
+    readings: Readings<'a>,
+    to_unit: impl Fn(f64) -> f64 + 'a,
+) -> impl Iterator<Item = SlotDay> + 'a {
     let mut weights = readings.weights();
     readings.samples.chunk_by(|a, b| a.local_day() == b.local_day()).map(move |of_day| {
         let date = of_day[0].local_day();
@@ -145,7 +148,7 @@ pub(super) fn days<'a>(readings: Readings<'a>, to_unit: impl Fn(f64) -> f64 + 'a
             day_weight += weight;
         }
         let means = slots.map(|(weight, value)| (weight > 0.0).then(|| value / weight));
-        Day { date, of_week: day_of_week(date), weight: day_weight / of_day.len() as f64, means }
+        SlotDay { date, of_week: day_of_week(date), weight: day_weight / of_day.len() as f64, means }
     })
 }
 

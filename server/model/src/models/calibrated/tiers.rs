@@ -6,7 +6,7 @@
 //! Schadensätze", 1970). Invariant: every estimate is a weighted mean, so it lies in `[0,1]`.
 
 use super::CalibratedOptions;
-use super::slots::{DAYS_OF_WEEK, SLOTS_PER_DAY, SlotSums, Sums, WeekSums};
+use super::slots::{DAYS_OF_WEEK, DaySums, SLOTS_PER_DAY, SlotSums, WeekSums};
 
 /// The first day of the weekend.
 const SATURDAY: usize = 5;
@@ -15,7 +15,7 @@ const SATURDAY: usize = 5;
 type Profiles = Vec<Vec<f64>>;
 
 /// What one group's days said, per slot of the day.
-type GroupSums = Vec<Sums>;
+type GroupSums = Vec<DaySums>;
 
 /// The value to expect in each slot of the week, Monday first, in `[0,1]`.
 pub(super) fn profile(sums: &SlotSums, options: CalibratedOptions) -> Vec<f64> {
@@ -44,16 +44,16 @@ pub(super) fn profile(sums: &SlotSums, options: CalibratedOptions) -> Vec<f64> {
 
 /// The sums over some days of the week.
 fn group(sums: &[WeekSums], from: usize, to: usize) -> GroupSums {
-    sums.iter().map(|week| week[from..to].iter().fold(Sums::default(), |all, &day| all.and(day))).collect()
+    sums.iter().map(|week| week[from..to].iter().fold(DaySums::default(), |all, &day| all.and(day))).collect()
 }
 
-fn overall_mean(sums: &[Sums]) -> f64 {
+fn overall_mean(sums: &[DaySums]) -> f64 {
     let days: f64 = sums.iter().map(|slot| slot.days()).sum();
     sums.iter().map(|slot| slot.days() * slot.mean()).sum::<f64>() / days.max(f64::MIN_POSITIVE)
 }
 
 /// How much of the mean of all is owed to this part.
-fn share(part: Sums, all: Sums) -> f64 {
+fn share(part: DaySums, all: DaySums) -> f64 {
     if all.days() > 0.0 { (part.days() / all.days()).min(1.0) } else { 0.0 }
 }
 
@@ -116,7 +116,7 @@ fn refine(
 }
 
 /// (n x̄ + κ p)/(n + κ), κ = `alike`/`departure`, multiplied through so that neither being 0 is an exception.
-fn credible(sums: Sums, before: f64, alike: f64, departure: f64) -> f64 {
+fn credible(sums: DaySums, before: f64, alike: f64, departure: f64) -> f64 {
     let own = sums.days() * departure;
     let all = own + alike;
     // No days seen, or days that never differ and a tier that does not depart: both ends agree.

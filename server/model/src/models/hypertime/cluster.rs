@@ -52,7 +52,7 @@ pub(super) struct Cluster {
 }
 
 /// What a cluster says of a value when the rest is given.
-pub(super) struct Given {
+pub(super) struct Conditional {
     /// ln(weight · density of what is given).
     pub(super) log_share: f64,
     pub(super) mean: Vec<f64>,
@@ -161,12 +161,12 @@ impl Cluster {
     }
 
     /// What it says of the coordinates after those given.
-    pub(super) fn given(&self, coordinates: &[f64], circles: &[f64]) -> Given {
+    pub(super) fn given(&self, coordinates: &[f64], circles: &[f64]) -> Conditional {
         let given = coordinates.len();
         let mut solved = [0.0; COORDINATES_MAX];
         let (log_given, _) = self.solve(coordinates, given, &mut solved);
         let mut conditional =
-            Given { log_share: self.log_circles(circles) + log_given, mean: Vec::new(), factor: Vec::new() };
+            Conditional { log_share: self.log_circles(circles) + log_given, mean: Vec::new(), factor: Vec::new() };
         for index in given..self.parts.centre.len() {
             let row = row(&self.parts.factor, index);
             let shift: f64 = row[..given].iter().zip(&solved).map(|(factor, solved)| factor * solved).sum();

@@ -3,7 +3,7 @@
 //! Invariant: shares add up to 1, every answer is finite.
 
 use super::axis::{HypertimeAxis, standardised};
-use super::cluster::{Cluster, Given, HypertimeCluster, factorised};
+use super::cluster::{Cluster, Conditional, HypertimeCluster, factorised};
 use super::mixture::Mixture;
 
 /// The distribution p(a | x, t) of a value at a place and time (RA-L 2019 section III.C).
@@ -15,7 +15,7 @@ pub struct HypertimeDistribution {
 }
 
 impl HypertimeDistribution {
-    pub(super) fn new(shares: Vec<(f64, Given)>, axes: Vec<HypertimeAxis>) -> HypertimeDistribution {
+    pub(super) fn new(shares: Vec<(f64, Conditional)>, axes: Vec<HypertimeAxis>) -> HypertimeDistribution {
         let clusters = shares.into_iter().map(|(weight, given)| {
             Cluster::new(HypertimeCluster {
                 weight,

@@ -7,7 +7,7 @@ use super::axis::{HypertimeAxis, standardised};
 use super::cluster::COORDINATES_MAX;
 use super::conditional::HypertimeDistribution;
 use super::grow::{Extent, deal, grow, unit_weight};
-use super::joint::{Joint, Readable};
+use super::joint::{FieldPoint, FieldTraining};
 use super::mixture::Mixture;
 use super::week::{check_divisors, project, turn};
 use super::{HypertimeCluster, HypertimeMethod, HypertimeOptions};
@@ -85,18 +85,18 @@ impl HypertimeField {
         let location: Vec<HypertimeAxis> = (0..locations).map(|i| column(&|reading| reading.location[i])).collect();
         let value: Vec<HypertimeAxis> = (0..values).map(|i| column(&|reading| reading.value[i])).collect();
 
-        let kept = Readable::thinned(readings.len(), options.seed);
+        let kept = FieldPoint::thinned(readings.len(), options.seed);
         let civil: Vec<i64> = kept.iter().map(|&index| readings[index].moment.civil_nanos()).collect();
         let (folds_of, folds) = deal(&civil, options.seed);
         let unit = unit_weight(&civil, kept.iter().map(|&index| weights[index]).sum());
-        let readable = kept.iter().zip(civil).zip(folds_of).map(|((&index, civil_nanos), fold)| Readable {
+        let readable = kept.iter().zip(civil).zip(folds_of).map(|((&index, civil_nanos), fold)| FieldPoint {
             civil_nanos,
             fold,
             weight: weights[index],
             location: standardised(&readings[index].location, &location),
             value: standardised(&readings[index].value, &value),
         });
-        let joint = Joint { readings: readable.collect(), method: options.method, value: value.clone(), unit };
+        let joint = FieldTraining { readings: readable.collect(), method: options.method, value: value.clone(), unit };
         let times = readings.iter().map(|reading| reading.moment.utc_nanos);
         let (from, until) = times.fold((i64::MAX, i64::MIN), |(from, until), utc| (from.min(utc), until.max(utc)));
         let (divisors, mixture) = grow(&joint, &Extent { span_nanos: until.abs_diff(from), folds }, options);

@@ -74,12 +74,31 @@ impl<M> Attempt<M> {
     }
 }
 
+/// How well readings left out were predicted.
+#[derive(Default)]
+pub(super) struct HeldOutScore {
+    /// Sum of weight · squared error.
+    pub(super) squared: f64,
+    /// Sum of weight · log-likelihood.
+    pub(super) logs: f64,
+    /// Sum of weights.
+    pub(super) total: f64,
+    pub(super) residuals: Vec<Residuals>,
+}
+
+impl HeldOutScore {
+    pub(super) fn attempt<M>(self, model: M) -> Attempt<M> {
+        let (error, log_likelihood) = (self.squared / self.total, self.logs / self.total);
+        Attempt { model, error, log_likelihood, residuals: self.residuals }
+    }
+}
+
 /// Something that can be fitted with given circles.
-pub(super) trait Fit {
-    type Model;
+pub(super) trait Trainer {
+    type Product;
 
     /// Fits with these circles; the seed is for the start of the clustering.
-    fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<Self::Model>;
+    fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<Self::Product>;
 }
 
 /// What is fitted to: how long the readings span, and whether any can be left out.
@@ -90,7 +109,7 @@ pub(super) struct Extent {
 }
 
 /// Grows a model circle by circle.
-pub(super) fn grow<F: Fit>(fit: &F, extent: &Extent, options: &HypertimeOptions) -> F::Model {
+pub(super) fn grow<F: Trainer>(fit: &F, extent: &Extent, options: &HypertimeOptions) -> F::Product {
     let mut circles = Circles { all: Vec::new(), without: vec![Vec::new(); extent.folds] };
     let mut clusters = match options.method {
         HypertimeMethod::Em => options.clusters,
@@ -111,12 +130,12 @@ pub(super) fn grow<F: Fit>(fit: &F, extent: &Extent, options: &HypertimeOptions)
 }
 
 /// The best of several starts; with HyT-KM, of as many clusters as make the periods left in the error weaker (eq. 8).
-fn clustered<F: Fit>(
+fn clustered<F: Trainer>(
     fit: &F,
     circles: &Circles,
     clusters: &mut usize,
     options: &HypertimeOptions,
-) -> Attempt<F::Model> {
+) -> Attempt<F::Product> {
     let mut best = best_start(fit, circles, *clusters, options.seed);
     while options.method == HypertimeMethod::Km && *clusters < options.clusters {
         let next = best_start(fit, circles, *clusters + 1, options.seed);
@@ -129,7 +148,7 @@ fn clustered<F: Fit>(
     best
 }
 
-fn best_start<F: Fit>(fit: &F, circles: &Circles, clusters: usize, seed: u64) -> Attempt<F::Model> {
+fn best_start<F: Trainer>(fit: &F, circles: &Circles, clusters: usize, seed: u64) -> Attempt<F::Product> {
     let mut best = fit.attempt(circles, clusters, seed);
     let starts = match clusters {
         // The same from any start.

@@ -8,7 +8,7 @@ use rand::{Rng, SeedableRng};
 use super::HypertimeMethod;
 use super::axis::{HypertimeAxis, standardised};
 use super::conditional::HypertimeDistribution;
-use super::grow::{Attempt, Circles, Fit};
+use super::grow::{Attempt, Circles, HeldOutScore, Trainer};
 use super::mixture::Mixture;
 use super::seeding::Points;
 use super::week::{Residuals, project, slot, turn};
@@ -21,7 +21,7 @@ const FOLD_STEPS: usize = 10;
 const LOG_MAX: f64 = 20.0;
 
 /// A reading with standardised numbers.
-pub(super) struct Readable {
+pub(super) struct FieldPoint {
     pub(super) civil_nanos: i64,
     pub(super) fold: usize,
     /// Above 0.
@@ -30,7 +30,7 @@ pub(super) struct Readable {
     pub(super) value: Vec<f64>,
 }
 
-impl Readable {
+impl FieldPoint {
     /// Which of so many readings are kept: all, or one drawn from each of equal runs.
     pub(super) fn thinned(count: usize, seed: u64) -> Vec<usize> {
         if count <= READINGS_MAX {
@@ -43,15 +43,15 @@ impl Readable {
     }
 }
 
-pub(super) struct Joint {
-    pub(super) readings: Vec<Readable>,
+pub(super) struct FieldTraining {
+    pub(super) readings: Vec<FieldPoint>,
     pub(super) method: HypertimeMethod,
     pub(super) value: Vec<HypertimeAxis>,
     /// What independent readings weigh.
     pub(super) unit: f64,
 }
 
-impl Joint {
+impl FieldTraining {
     /// The readings in hypertime: location, circles where they are coordinates, value; then circles where they are not.
     fn points(&self, divisors: &[u32]) -> Points {
         let first = self.readings.first();
@@ -88,7 +88,7 @@ impl Joint {
     }
 
     /// Scores a fit without a fold on that fold.
-    fn score(&self, fitted: &Mixture, points: &Points, fold: usize, score: &mut Score) {
+    fn score(&self, fitted: &Mixture, points: &Points, fold: usize, score: &mut HeldOutScore) {
         let given = points.coordinates - self.value.len();
         let mut residuals = Residuals::new(self.value.len());
         for (reading, (numbers, weight)) in self.readings.iter().zip(points.iter()) {
@@ -111,22 +111,13 @@ impl Joint {
     }
 }
 
-/// How well readings left out were predicted.
-#[derive(Default)]
-struct Score {
-    squared: f64,
-    logs: f64,
-    total: f64,
-    residuals: Vec<Residuals>,
-}
-
-impl Fit for Joint {
-    type Model = (Vec<u32>, Mixture);
+impl Trainer for FieldTraining {
+    type Product = (Vec<u32>, Mixture);
 
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<(Vec<u32>, Mixture)> {
         let points = self.points(&circles.all);
         let mixture = Mixture::fit(&points, clusters, seed, FIRST_STEPS);
-        let mut score = Score::default();
+        let mut score = HeldOutScore::default();
         for (fold, divisors) in circles.without.iter().enumerate() {
             // From where the fit to all readings ended, so that its optimum is what is judged; of other circles, anew.
             if *divisors == circles.all {
@@ -139,7 +130,6 @@ impl Fit for Joint {
                 self.score(&fitted, &other, fold, &mut score);
             }
         }
-        let (error, log_likelihood) = (score.squared / score.total, score.logs / score.total);
-        Attempt { model: (circles.all.clone(), mixture), error, log_likelihood, residuals: score.residuals }
+        score.attempt((circles.all.clone(), mixture))
     }
 }

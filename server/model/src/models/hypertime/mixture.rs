@@ -5,7 +5,7 @@
 //! sound; a reading is an hour's worth here.
 //! Invariant: no cluster has no weight, and densities are finite.
 
-use super::cluster::{Cluster, Given, HypertimeCluster, VARIANCE_MIN, factorised};
+use super::cluster::{Cluster, Conditional, HypertimeCluster, VARIANCE_MIN, factorised};
 use super::concentration::concentration;
 use super::options::HypertimeOptions;
 use super::seeding::{Points, first_clusters, spread};
@@ -90,8 +90,8 @@ impl Mixture {
     }
 
     /// What each cluster says of the remaining coordinates, and its share of the answer.
-    pub(super) fn given(&self, coordinates: &[f64], circles: &[f64]) -> Vec<(f64, Given)> {
-        let conditionals: Vec<Given> =
+    pub(super) fn given(&self, coordinates: &[f64], circles: &[f64]) -> Vec<(f64, Conditional)> {
+        let conditionals: Vec<Conditional> =
             self.clusters.iter().map(|cluster| cluster.given(coordinates, circles)).collect();
         let mut shares: Vec<f64> = conditionals.iter().map(|given| given.log_share).collect();
         normalise(&mut shares);

@@ -4,7 +4,7 @@
 //! One factor between the two makes the mean prediction over the readings their mean, as γ does in eq. 3.
 //! Invariant: a prediction lies in `[0,1]`, and where nothing was observed it tends to the mean.
 
-use super::grow::{Attempt, Circles, Fit};
+use super::grow::{Attempt, Circles, HeldOutScore, Trainer};
 use super::mixture::Mixture;
 use super::seeding::Points;
 use super::week::{Residuals, SLOTS, check_divisors, project, slot_turn};
@@ -53,14 +53,14 @@ pub(super) struct Odds {
 
 /// Weights of readings by slot of the week: of 1, and of 0.
 #[derive(Clone, Debug)]
-pub(super) struct Counts {
+pub(super) struct SlotWeights {
     pub(super) ones: Vec<f64>,
     pub(super) zeros: Vec<f64>,
 }
 
-impl Counts {
-    pub(super) fn new() -> Counts {
-        Counts { ones: vec![0.0; SLOTS], zeros: vec![0.0; SLOTS] }
+impl SlotWeights {
+    pub(super) fn new() -> SlotWeights {
+        SlotWeights { ones: vec![0.0; SLOTS], zeros: vec![0.0; SLOTS] }
     }
 
     /// A value in `[0,1]` counts for both.
@@ -69,8 +69,8 @@ impl Counts {
         self.zeros[slot] += weight * (1.0 - value);
     }
 
-    fn combined<'a>(folds: impl Iterator<Item = &'a Counts>) -> Counts {
-        folds.fold(Counts::new(), |mut sum, counts| {
+    fn combined<'a>(folds: impl Iterator<Item = &'a SlotWeights>) -> SlotWeights {
+        folds.fold(SlotWeights::new(), |mut sum, counts| {
             sum.ones.iter_mut().zip(&counts.ones).for_each(|(sum, count)| *sum += count);
             sum.zeros.iter_mut().zip(&counts.zeros).for_each(|(sum, count)| *sum += count);
             sum
@@ -85,26 +85,26 @@ impl Counts {
 
 /// Readings of a probability, by fold.
 pub(super) struct Folds {
-    pub(super) folds: Vec<Counts>,
+    pub(super) folds: Vec<SlotWeights>,
     pub(super) method: HypertimeMethod,
     /// What independent readings weigh.
     pub(super) unit: f64,
 }
 
-impl Fit for Folds {
-    type Model = Odds;
+impl Trainer for Folds {
+    type Product = Odds;
 
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<Odds> {
-        let all = Counts::combined(self.folds.iter());
+        let all = SlotWeights::combined(self.folds.iter());
         let hypertime = Hypergrid::new(&circles.all);
         let fresh = |hypertime: &Hypergrid, weights: &[f64]| {
             Mixture::fit(&hypertime.points(weights, self.method, self.unit), clusters, seed, FIRST_STEPS)
         };
         let model = self.calibrated(&hypertime, &all, || (fresh(&hypertime, &all.ones), fresh(&hypertime, &all.zeros)));
-        let mut score = Score::default();
+        let mut score = HeldOutScore::default();
         for (index, (left_out, divisors)) in self.folds.iter().zip(&circles.without).enumerate() {
             let others = self.folds.iter().enumerate().filter(|(other, _)| *other != index);
-            let seen = Counts::combined(others.map(|(_, counts)| counts));
+            let seen = SlotWeights::combined(others.map(|(_, counts)| counts));
             // From where the fit to all readings ended, so that its optimum is what is judged; of other circles, anew.
             let again = |mixture: &Mixture, weights: &[f64]| {
                 let mut mixture = mixture.clone();
@@ -120,8 +120,7 @@ impl Fit for Folds {
                 score.add(&self.calibrated(&other, &seen, mixtures), &other, left_out);
             }
         }
-        let (error, log_likelihood) = (score.squared / score.total, score.logs / score.total);
-        Attempt { model, error, log_likelihood, residuals: score.residuals }
+        score.attempt(model)
     }
 }
 
@@ -130,7 +129,7 @@ impl Folds {
     fn calibrated(
         &self,
         hypertime: &Hypergrid,
-        counts: &Counts,
+        counts: &SlotWeights,
         mixtures: impl FnOnce() -> (Mixture, Mixture),
     ) -> Odds {
         let mean = counts.mean();
@@ -161,17 +160,8 @@ impl Folds {
     }
 }
 
-/// How well readings left out were predicted.
-#[derive(Default)]
-struct Score {
-    squared: f64,
-    logs: f64,
-    total: f64,
-    residuals: Vec<Residuals>,
-}
-
-impl Score {
-    fn add(&mut self, fitted: &Odds, hypertime: &Hypergrid, left_out: &Counts) {
+impl HeldOutScore {
+    fn add(&mut self, fitted: &Odds, hypertime: &Hypergrid, left_out: &SlotWeights) {
         let mut residuals = Residuals::new(1);
         for (slot, (&ones, &zeros)) in left_out.ones.iter().zip(&left_out.zeros).enumerate() {
             if ones + zeros > 0.0 {
@@ -229,7 +219,7 @@ fn shape(method: HypertimeMethod, periods: usize) -> (usize, usize) {
 
 impl Odds {
     /// ln of the factor with which the mean prediction over the readings is their mean; by bisection, as it only rises.
-    fn factor(&self, counts: &Counts, logs: &[(f64, f64)]) -> f64 {
+    fn factor(&self, counts: &SlotWeights, logs: &[(f64, f64)]) -> f64 {
         let (mut low, mut high) = (-20.0, 20.0);
         for _ in 0..50 {
             let middle = 0.5 * (low + high);

@@ -9,7 +9,7 @@ use crate::special::softplus;
 
 /// How much is borrowed where little was seen; found by rolling origin on ten weeks of one office door.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Borrowed {
+pub(super) struct IntervalPrior {
     /// The scatter of all hours counts as that of this many days of the hour itself.
     pub(super) scatter_days: f64,
     /// And not knowing at all, a mean of 1/2, as this many days.
@@ -18,7 +18,7 @@ pub(super) struct Borrowed {
     pub(super) end: f64,
 }
 
-pub(super) const BORROWED: Borrowed = Borrowed { scatter_days: 1.0, doubt_days: 1.0, end: 0.0001 };
+pub(super) const INTERVAL_PRIOR: IntervalPrior = IntervalPrior { scatter_days: 1.0, doubt_days: 1.0, end: 0.0001 };
 
 /// The scatter before anything was seen: that of the uniform distribution, with the weight of one day.
 const SCATTER_BEFORE: (f64, f64) = (1.0 / 3.0, 1.0);
@@ -30,10 +30,10 @@ const SCATTER_BEFORE: (f64, f64) = (1.0 / 3.0, 1.0);
 /// band widens as days grow few; where the hour was never seen it is `[0,1]`. `p` and `level` outside `[0,1]` count as the
 /// nearer end, a `p` that is NaN as never seen, a `level` that is NaN as 1.
 pub fn credible_interval(p: f64, hour: HourMoments, all: HourMoments, level: f64) -> Interval {
-    interval(p, hour, all, level, BORROWED)
+    interval(p, hour, all, level, INTERVAL_PRIOR)
 }
 
-pub(super) fn interval(p: f64, hour: HourMoments, all: HourMoments, level: f64, borrowed: Borrowed) -> Interval {
+pub(super) fn interval(p: f64, hour: HourMoments, all: HourMoments, level: f64, borrowed: IntervalPrior) -> Interval {
     let hour = hour.plausible();
     if p.is_nan() || hour.days <= 0.0 || level.is_nan() || level >= 1.0 {
         return Interval { lower: 0.0, upper: 1.0 };

@@ -17,7 +17,7 @@ const LOG_RATE_STEP: f64 = 0.5;
 
 /// How often the state stayed and changed over gaps of about the same length.
 #[derive(Clone, Copy, Debug, Default)]
-struct Counts {
+struct GapCounts {
     weight: f64,
     gap_secs_sum: f64,
     /// Weight of pairs that stayed 0, rose, fell and stayed 1.
@@ -30,7 +30,7 @@ struct Counts {
 /// What successive readings say about the rates.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Transitions {
-    by_gap: BTreeMap<i32, Counts>,
+    by_gap: BTreeMap<i32, GapCounts>,
 }
 
 impl Transitions {
@@ -66,7 +66,7 @@ impl Transitions {
     fn profile(&self, log_rate: f64) -> (f64, f64) {
         let rate = log_rate.exp();
         // Per gap the probability 1 - e^(-λΔ) that the reading before is forgotten; exact where it is tiny.
-        let gaps: Vec<(f64, Counts)> = self
+        let gaps: Vec<(f64, GapCounts)> = self
             .by_gap
             .values()
             .map(|counts| (-(-rate * counts.gap_secs_sum / counts.weight).exp_m1(), *counts))

@@ -16,14 +16,14 @@ const DEVIATION_MAX: f64 = 1.0;
 
 /// A Gaussian wrapped around the circle; in turns.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Wrapped {
+pub(super) struct WrappedGaussian {
     pub(super) weight: f64,
     /// From 0 to 1.
     pub(super) mean: f64,
     pub(super) deviation: f64,
 }
 
-impl Wrapped {
+impl WrappedGaussian {
     /// Turns either way beyond which the next image adds less than 4 deviations do.
     fn images(&self) -> i32 {
         if self.deviation < 0.06 { 0 } else { (4.0 * self.deviation + 0.5).ceil() as i32 }
@@ -57,7 +57,7 @@ impl Wrapped {
 
 /// The likeliest mixture found from several starts; `shares` are masses at equally spaced phases, not negative.
 /// None where there is no mass.
-pub(super) fn fit_wrapped(shares: &[f64], gaussians: usize, seed: u64) -> Vec<Wrapped> {
+pub(super) fn fit_wrapped(shares: &[f64], gaussians: usize, seed: u64) -> Vec<WrappedGaussian> {
     let mass: f64 = shares.iter().sum();
     let distinct = shares.iter().filter(|&&share| share > 0.0).count();
     if distinct == 0 || mass <= 0.0 {
@@ -65,11 +65,11 @@ pub(super) fn fit_wrapped(shares: &[f64], gaussians: usize, seed: u64) -> Vec<Wr
     }
     let (least, most) = shares.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), &share| (a.min(share), b.max(share)));
     if most - least <= most * 1e-12 {
-        return vec![Wrapped { weight: 1.0, mean: 0.5, deviation: DEVIATION_MAX }];
+        return vec![WrappedGaussian { weight: 1.0, mean: 0.5, deviation: DEVIATION_MAX }];
     }
     let gaussians = gaussians.clamp(1, distinct);
     let starts = if gaussians == 1 { 1 } else { STARTS };
-    let mut best: (f64, Vec<Wrapped>) = (f64::NEG_INFINITY, Vec::new());
+    let mut best: (f64, Vec<WrappedGaussian>) = (f64::NEG_INFINITY, Vec::new());
     for start in 0..starts {
         let mut rng = SmallRng::seed_from_u64(seed.wrapping_add(start));
         let means: Vec<f64> = (0..gaussians)
@@ -100,10 +100,12 @@ fn quantile(shares: &[f64], mass: f64, share: f64) -> f64 {
 }
 
 /// Log-likelihood per unit of mass, and the mixture.
-fn maximise(shares: &[f64], means: &[f64]) -> (f64, Vec<Wrapped>) {
+fn maximise(shares: &[f64], means: &[f64]) -> (f64, Vec<WrappedGaussian>) {
     let count = means.len() as f64;
-    let mut mixture: Vec<Wrapped> =
-        means.iter().map(|&mean| Wrapped { weight: 1.0 / count, mean, deviation: 0.25 / count.sqrt() }).collect();
+    let mut mixture: Vec<WrappedGaussian> = means
+        .iter()
+        .map(|&mean| WrappedGaussian { weight: 1.0 / count, mean, deviation: 0.25 / count.sqrt() })
+        .collect();
     let mut likelihood = f64::NEG_INFINITY;
     for _ in 0..STEPS_MAX {
         let before = likelihood;
@@ -116,7 +118,7 @@ fn maximise(shares: &[f64], means: &[f64]) -> (f64, Vec<Wrapped>) {
 }
 
 /// One step of both kinds; the likelihood is that of the mixture before it.
-fn step(shares: &[f64], mixture: &mut Vec<Wrapped>) -> f64 {
+fn step(shares: &[f64], mixture: &mut Vec<WrappedGaussian>) -> f64 {
     let mut moments = vec![[0.0_f64; 3]; mixture.len()];
     let mut here = vec![[0.0_f64; 3]; mixture.len()];
     let (mut mass, mut likelihood) = (0.0, 0.0);

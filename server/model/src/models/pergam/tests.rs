@@ -162,7 +162,7 @@ proptest! {
 
     #[test]
     fn a_wrapped_gaussian_is_a_density(mean in 0.0..1.0_f64, deviation in 0.001..1.0_f64) {
-        let gaussian = Wrapped { weight: 1.0, mean, deviation };
+        let gaussian = WrappedGaussian { weight: 1.0, mean, deviation };
         let steps = 20_000;
         let sum: f64 = (0..steps).map(|step| gaussian.density(f64::from(step) / f64::from(steps))).sum();
         prop_assert!((sum / f64::from(steps) - 1.0).abs() < 1e-3);

@@ -13,8 +13,8 @@ impl Presence {
                 Some(before) => self.stepped(before, slot.of_day),
                 None => self.initial.clone(),
             };
-            if let Some(look) = slot.look {
-                condition(&mut belief, look);
+            if let Some(observation) = slot.observation {
+                condition(&mut belief, observation);
             }
             beliefs.push(belief);
         }
@@ -69,8 +69,8 @@ impl Presence {
         let mut backward = vec![1.0; places];
         let mut joint = vec![0.0; size];
         for (slot, before) in self.history.iter().skip(1).zip(&forward).rev() {
-            if let Some(look) = slot.look {
-                condition(&mut backward, look);
+            if let Some(observation) = slot.observation {
+                condition(&mut backward, observation);
             }
             let rates = self.transitions_into(slot.of_day);
             let mut explained = Vec::with_capacity(places);

@@ -20,10 +20,10 @@ fn assert_close(found: &[f64], expected: &[f64]) {
 fn nothing_known_is_everywhere_alike() {
     let mut presence = model(4, 24);
     assert_close(presence.probabilities(), &[0.25; 4]);
-    presence.look(0, true);
+    presence.observe(0, true);
     assert_close(presence.probabilities(), &[0.25; 4]);
     presence.advance(0);
-    presence.look(4, true);
+    presence.observe(4, true);
     assert_close(presence.probabilities(), &[0.25; 4]);
 }
 
@@ -31,12 +31,12 @@ fn nothing_known_is_everywhere_alike() {
 fn a_look_into_one_place_tells_of_the_others() {
     let mut presence = model(4, 24);
     presence.advance(0);
-    presence.look(1, false);
+    presence.observe(1, false);
     assert_close(presence.probabilities(), &[1.0 / 3.0, 0.0, 1.0 / 3.0, 1.0 / 3.0]);
-    presence.look(2, true);
+    presence.observe(2, true);
     assert_close(presence.probabilities(), &[0.0, 0.0, 1.0, 0.0]);
     // What cannot be is believed when it is seen.
-    presence.look(2, false);
+    presence.observe(2, false);
     assert_close(presence.probabilities(), &[1.0 / 3.0, 1.0 / 3.0, 0.0, 1.0 / 3.0]);
 }
 
@@ -44,7 +44,7 @@ fn a_look_into_one_place_tells_of_the_others() {
 fn what_was_seen_fades_and_a_forecast_is_where_time_leads() {
     let mut presence = model(2, 24);
     presence.advance(5);
-    presence.look(0, true);
+    presence.observe(0, true);
     let ahead = presence.forecast([6, 7]);
     assert_close(&ahead[0], &[0.75, 0.25]);
     assert_close(&ahead[1], &[0.625, 0.375]);
@@ -65,8 +65,8 @@ fn enumerated_changes(model: &Presence) -> Vec<f64> {
         let mut weight = model.initial[path[0]];
         weight *= (1..slots).map(|slot| model.transitions[change(slot)]).product::<f64>();
         for (slot, &place) in model.history.iter().zip(&path) {
-            if let Some(look) = slot.look {
-                weight *= f64::from(u8::from((place == look.place) == look.there));
+            if let Some(observation) = slot.observation {
+                weight *= f64::from(u8::from((place == observation.place) == observation.there));
             }
         }
         total += weight;
@@ -82,10 +82,10 @@ proptest! {
         rounds in 0..3_usize,
     ) {
         let mut presence = model(3, 2);
-        for (slot, look) in looks.iter().enumerate() {
+        for (slot, observation) in looks.iter().enumerate() {
             presence.advance(slot % 2);
-            if let Some((place, there)) = *look {
-                presence.look(place, there);
+            if let Some((place, there)) = *observation {
+                presence.observe(place, there);
             }
         }
         // After learning, the rates are no longer those of the start.
@@ -103,8 +103,8 @@ proptest! {
         let mut presence = model(5, 24);
         for (slot, place, there, learn) in looks {
             presence.advance(slot);
-            presence.look(place, there);
-            presence.look(place.wrapping_add(1) % 5, there);
+            presence.observe(place, there);
+            presence.observe(place.wrapping_add(1) % 5, there);
             if learn {
                 presence.learn();
             }
@@ -137,7 +137,7 @@ fn habits_are_learned_from_one_look_at_a_time() {
         presence.advance(slot % 24);
         // Each place in turn, whoever is there.
         let place = (slot * 5 / 3) % 3;
-        presence.look(place, home(slot) == place);
+        presence.observe(place, home(slot) == place);
     }
     presence.learn();
     let ahead = presence.forecast(0..24);
@@ -151,7 +151,7 @@ fn the_oldest_is_forgotten_and_the_rest_still_known() {
     let mut presence = model(2, 24);
     for slot in 0..HISTORY_MAX + 100 {
         presence.advance(slot % 24);
-        presence.look(0, true);
+        presence.observe(0, true);
     }
     assert_eq!(presence.history.len(), HISTORY_MAX);
     assert_close(presence.probabilities(), &[1.0, 0.0]);

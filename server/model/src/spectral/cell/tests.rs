@@ -124,7 +124,7 @@ fn every_instruction_set_chooses_the_same() {
     let sums = CellSums { observations: 100, mean: 0.5, a: &a, b: &b, span_nanos: u64::MAX, levels: (0.2, 0.7) };
     for arch in crate::phasor::every_arch() {
         let mut strongest = Strongest::new();
-        arch.dispatch(Fit { sums: &sums, scale: 0.005, periodicities: &periodicities, strongest: &mut strongest });
+        arch.dispatch(CellFit { sums: &sums, scale: 0.005, periodicities: &periodicities, strongest: &mut strongest });
         let found = strongest.into_components();
         assert_eq!(found.len(), expected.components().len());
         for (found, expected) in found.iter().zip(expected.components()) {

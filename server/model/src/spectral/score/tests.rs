@@ -53,7 +53,7 @@ fn every_length_and_instruction_set_gives_the_errors_of_single_predictions() {
                     for with_wrong in [false, true] {
                         let mut sums = ScoreSums::default();
                         let (mean, values) = (model.mean(), &values[..]);
-                        arch.dispatch(Score { mean, terms, values, weights, with_wrong, sums: &mut sums });
+                        arch.dispatch(ScoreKernel { mean, terms, values, weights, with_wrong, sums: &mut sums });
                         if !with_wrong {
                             assert_eq!(sums.wrong, [0.0; ORDER_MAX + 1]);
                             sums.wrong = expected.wrong;

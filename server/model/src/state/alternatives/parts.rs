@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use super::{Alternatives, Errors, Fit, FitKind, FittedModel, HISTOGRAMS, ModelChoice};
+use super::{Alternatives, Errors, FitKind, FitRecord, FittedModel, HISTOGRAMS, ModelChoice};
 use crate::{
     FittedModelParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
     models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts},
@@ -71,7 +71,7 @@ impl Alternatives {
             supported: self.supported,
             days: self.days,
             since: self.since,
-            fits: self.fits.iter().flatten().map(Fit::to_parts).collect(),
+            fits: self.fits.iter().flatten().map(FitRecord::to_parts).collect(),
         }
     }
 
@@ -106,7 +106,7 @@ impl Alternatives {
             if place.is_some() {
                 return Err(InvalidParts::OutOfRange { field: "models of a kind", found: 2.0 });
             }
-            *place = Some(Fit { model: Arc::new(model), day: fit.day, error: fit.error_sum });
+            *place = Some(FitRecord { model: Arc::new(model), day: fit.day, error: fit.error_sum });
         }
         let fitted = |number: u8| {
             let kind = *FitKind::ALL.get(usize::from(number.checked_sub(FITTED)?))?;
@@ -137,7 +137,7 @@ impl Alternatives {
     }
 }
 
-impl Fit {
+impl FitRecord {
     fn to_parts(&self) -> FitParts {
         FitParts { model: self.model.to_parts(), day: self.day, error_sum: self.error }
     }

@@ -175,7 +175,7 @@ fn the_calibrated_model_is_chosen_where_it_predicts_best() {
         let today = samples(day..day + 1, office);
         let before = state.clone();
         let outcome = state.update(&Periodicities::default(), OrderCriterion::SquaredError, today.clone());
-        if let Some(Chosen::Fitted(model)) = before.chosen() {
+        if let Some(ActiveModel::Fitted(model)) = before.chosen() {
             assert!((outcome.squared_error_in_force - squared_error(model, &today)).abs() < 1e-9);
             in_force[0] += outcome.squared_error_in_force;
             in_force[1] += outcome.squared_errors[before.order()];

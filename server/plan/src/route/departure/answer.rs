@@ -6,23 +6,27 @@ use tidemap_map::topology::Edge;
 
 use super::{AUTO_LABELS, AUTO_SAMPLES, Departure, Planner};
 use crate::route::{
-    Bounds, Certainty, Forecasts, Route, RouteError, RouteStep, Routes,
+    Bounds, Certainty, Forecasts, PlanRouteError, Route, RoutePlan, RouteStep,
     alternatives::next_best,
     bounds::ToGo,
     chance::Chance,
     cost::Cost,
-    labels::{Found, Marks},
+    labels::{EdgePath, Marks},
 };
 
 impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
     /// The steps of a way, and when it ends.
-    pub(super) fn walk(&mut self, departure_secs: f64, edges: &[usize]) -> Result<(Vec<Walked<'a>>, f64), RouteError> {
+    pub(super) fn walk(
+        &mut self,
+        departure_secs: f64,
+        edges: &[usize],
+    ) -> Result<(Vec<RouteLeg<'a>>, f64), PlanRouteError> {
         let mut at_secs = departure_secs;
         let mut steps = Vec::with_capacity(edges.len());
         for &edge in edges {
             // It was open to the search.
-            let Some(traversal) = self.outlook.at(edge, at_secs)? else { continue };
-            steps.push(Walked {
+            let Some(traversal) = self.cache.at(edge, at_secs)? else { continue };
+            steps.push(RouteLeg {
                 edge: self.network.edges[edge],
                 start_secs: at_secs,
                 duration_secs: traversal.duration_secs,
@@ -35,7 +39,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         Ok((steps, at_secs))
     }
 
-    fn route(&mut self, departure_secs: f64, found: &Found) -> Result<Route, RouteError> {
+    fn route(&mut self, departure_secs: f64, found: &EdgePath) -> Result<Route, PlanRouteError> {
         let (walked, arrival_secs) = self.walk(departure_secs, &found.edges)?;
         let confidence = self.options.confidence;
         let chance = walked.iter().fold(Chance::CERTAIN, |all, step| all.and(step.chance));
@@ -45,13 +49,13 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
             expected_secs: walked.iter().map(|step| step.expected_secs).sum(),
             success: walked.iter().map(|step| step.success).product(),
             success_interval: chance.interval(confidence),
-            cost: self.outlook.costing.shown(found.cost),
+            cost: self.cache.costing.shown(found.cost),
             steps: walked.into_iter().map(|step| step.shown(confidence)).collect(),
         })
     }
 
     /// The best way of a departure with the next best ones. Where [`Bounds::Auto`] has few labels it samples after all.
-    fn alternatives(&mut self, departure: Departure) -> Result<Vec<Found>, RouteError> {
+    fn alternatives(&mut self, departure: Departure) -> Result<Vec<EdgePath>, PlanRouteError> {
         let Departure { secs, found, to_go } = departure;
         let to_go = to_go.or(self.known.take()).unwrap_or_else(|| ToGo::nothing(self.network));
         let (ends, span) = ((self.start, self.goal), (secs, secs + self.options.horizon_secs));
@@ -71,7 +75,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         self.search(secs, &to_go, labels_max, |search, _| next_best(search, again, ends, span, count))
     }
 
-    pub(super) fn answer(&mut self, departure: Departure) -> Result<Routes, RouteError> {
+    pub(super) fn answer(&mut self, departure: Departure) -> Result<RoutePlan, PlanRouteError> {
         let (secs, count) = (departure.secs, self.options.alternatives);
         let mut all = vec![departure.found.clone()];
         if count > 0 {
@@ -86,12 +90,12 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
             (true, Certainty::Proven),
         ];
         let certainty = certainty.into_iter().find(|found| found.0).map_or(Certainty::Proven, |found| found.1);
-        Ok(Routes { routes, certainty, labels: self.labels, forecasts: self.outlook.asked })
+        Ok(RoutePlan { routes, certainty, labels: self.labels, forecasts: self.cache.asked })
     }
 }
 
 /// An edge on a way, as it was forecast.
-pub(super) struct Walked<'a> {
+pub(super) struct RouteLeg<'a> {
     edge: &'a Edge,
     start_secs: f64,
     duration_secs: f64,
@@ -100,7 +104,7 @@ pub(super) struct Walked<'a> {
     chance: Chance,
 }
 
-impl Walked<'_> {
+impl RouteLeg<'_> {
     fn shown(&self, confidence: f64) -> RouteStep {
         RouteStep {
             edge: self.edge.id,

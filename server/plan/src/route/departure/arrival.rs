@@ -4,7 +4,7 @@
 
 use super::{Departure, Planner};
 use crate::route::{
-    Bounds, DEPARTURES_MAX, Forecasts, Objective, RouteError, bounds::Source, bounds::ToGo, cost::Cost,
+    Bounds, DEPARTURES_MAX, Forecasts, Objective, PlanRouteError, bounds::Source, bounds::ToGo, cost::Cost,
 };
 
 /// To which a departure is found, in seconds.
@@ -13,7 +13,7 @@ const STEP_MIN_SECS: f64 = 0.1;
 impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
     /// The last departure that is expected to arrive in time, of steps backwards, and then onwards from it: who leaves at D and
     /// takes E may as well try T - E, and what lies halfway where that is too late.
-    pub(super) fn arriving(&mut self, by_secs: f64, earliest_secs: f64) -> Result<Option<Departure>, RouteError> {
+    pub(super) fn arriving(&mut self, by_secs: f64, earliest_secs: f64) -> Result<Option<Departure>, PlanRouteError> {
         let first_secs = earliest_secs.max(by_secs - self.options.horizon_secs);
         if first_secs > by_secs {
             self.is_late = true;
@@ -53,7 +53,7 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
     }
 
     /// At least so long, on average, takes every way that ends at the last of some times; as sure as the bounds are.
-    fn least_secs(&mut self, (first_secs, by_secs): (f64, f64)) -> Result<f64, RouteError> {
+    fn least_secs(&mut self, (first_secs, by_secs): (f64, f64)) -> Result<f64, PlanRouteError> {
         let known = self.depart(by_secs, (first_secs, by_secs), Cost::INFINITE)?;
         self.is_late |= known.is_some();
         let (source, span) = match (self.bounds, known) {
@@ -65,9 +65,9 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
             (Bounds::Sampled(_), None) => return Ok(0.0),
             _ => (Source::Known, (first_secs, by_secs)),
         };
-        let objective = std::mem::replace(&mut self.outlook.costing.objective, Objective::Time);
-        let to_go = ToGo::find(self.network, &mut self.outlook, self.goal, span, source, Cost::INFINITE);
-        self.outlook.costing.objective = objective;
+        let objective = std::mem::replace(&mut self.cache.costing.objective, Objective::Time);
+        let to_go = ToGo::find(self.network, &mut self.cache, self.goal, span, source, Cost::INFINITE);
+        self.cache.costing.objective = objective;
         let least_secs = to_go?.least[self.start].first;
         Ok(if least_secs.is_finite() { least_secs } else { 0.0 })
     }
@@ -78,7 +78,7 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
         secs: f64,
         departures: (f64, f64),
         by_secs: f64,
-    ) -> Result<Option<(Departure, f64)>, RouteError> {
+    ) -> Result<Option<(Departure, f64)>, PlanRouteError> {
         let Some(departure) = self.depart(secs, departures, Cost::INFINITE)? else { return Ok(None) };
         let (steps, _) = self.walk(secs, &departure.found.edges)?;
         let spare_secs = by_secs - secs - steps.iter().map(|step| step.expected_secs).sum::<f64>();

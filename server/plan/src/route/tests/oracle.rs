@@ -95,7 +95,7 @@ fn question(seed: u64, random: &mut SmallRng) -> (World, NodeId, NodeId, RouteOp
 }
 
 #[track_caller]
-fn check(routes: &Routes, ways: &[Way], options: &RouteOptions, what: &str) {
+fn check(routes: &RoutePlan, ways: &[Way], options: &RouteOptions, what: &str) {
     assert_eq!(routes.routes.len(), ways.len().min(1 + options.alternatives), "{what}");
     assert_eq!(routes.certainty, Certainty::Proven, "{what}");
     for (rank, (route, way)) in routes.routes.iter().zip(ways).enumerate() {
@@ -137,7 +137,9 @@ fn routes_are_the_best_of_all_simple_ways_in_order() {
                     check(&routes, &ways, &options, &format!("seed {seed}, {how}"));
                     found += 1;
                 }
-                Err(RouteError::Unreachable { .. } | RouteError::BeyondHorizon { .. }) if ways.is_empty() => none += 1,
+                Err(PlanRouteError::Unreachable { .. } | PlanRouteError::BeyondHorizon { .. }) if ways.is_empty() => {
+                    none += 1
+                }
                 Err(error) => panic!("seed {seed}: {error}"),
             }
         }

@@ -8,7 +8,7 @@ fn sure(_: &tidemap_map::topology::Edge, _: f64) -> Option<EdgeForecast> {
     Some(EdgeForecast { success: 0.8, duration_secs: 10.0, evidence: 9.0 })
 }
 
-fn ask(when: When, options: &RouteOptions) -> Result<Routes, RouteError> {
+fn ask(when: When, options: &RouteOptions) -> Result<RoutePlan, PlanRouteError> {
     plan_routes(&street(4), NodeId(0), NodeId(3), when, options, &mut sure, || false)
 }
 
@@ -52,7 +52,7 @@ fn later_is_better_where_a_door_opens() {
     };
     let options = RouteOptions::default();
     let mut ask = |when| plan_routes(&street(4), NodeId(0), NodeId(3), when, &options, door, || false);
-    assert_eq!(ask(When::DepartAt(0.0)), Err(RouteError::Unreachable { from: 0, to: 3, closed: 1 }));
+    assert_eq!(ask(When::DepartAt(0.0)), Err(PlanRouteError::Unreachable { from: 0, to: 3, closed: 1 }));
     assert_eq!(ask(When::DepartAt(50.0)).unwrap().routes.len(), 1);
     let within = ask(When::DepartWithin { from_secs: 0.0, to_secs: 300.0, step_secs: 10.0 }).unwrap();
     assert_eq!(within.routes[0].departure_secs, 50.0);
@@ -66,7 +66,7 @@ fn an_arrival_is_met_as_late_as_can_be() {
     assert!((route.departure_secs - (1_000.0 - expected_secs)).abs() < 0.2, "{}", route.departure_secs);
     assert!(route.departure_secs + route.expected_secs <= 1_000.0 + 1e-9);
     let none = When::ArriveBy { by_secs: 50.0, earliest_secs: 0.0 };
-    let error = RouteError::TooLate { earliest_secs: 0.0, by_secs: 50.0 };
+    let error = PlanRouteError::TooLate { earliest_secs: 0.0, by_secs: 50.0 };
     assert_eq!(ask(none, &RouteOptions::default()), Err(error));
 }
 
@@ -74,17 +74,17 @@ fn an_arrival_is_met_as_late_as_can_be() {
 fn what_takes_too_long_is_told_from_what_cannot_be_reached() {
     let options = RouteOptions { horizon_secs: 29.0, ..RouteOptions::default() };
     let error = ask(When::DepartAt(0.0), &options).unwrap_err();
-    assert_eq!(error, RouteError::BeyondHorizon { from: 0, to: 3, horizon_secs: 29.0 });
+    assert_eq!(error, PlanRouteError::BeyondHorizon { from: 0, to: 3, horizon_secs: 29.0 });
     let mut closed = |_: &tidemap_map::topology::Edge, _: f64| None;
     let options = RouteOptions::default();
     let when = When::DepartAt(0.0);
     let error = plan_routes(&street(4), NodeId(0), NodeId(3), when, &options, &mut closed, || false).unwrap_err();
-    assert_eq!(error, RouteError::Unreachable { from: 0, to: 3, closed: 1 });
+    assert_eq!(error, PlanRouteError::Unreachable { from: 0, to: 3, closed: 1 });
     let when_by = When::ArriveBy { by_secs: 1_000.0, earliest_secs: 0.0 };
     let error = plan_routes(&street(4), NodeId(0), NodeId(3), when_by, &options, &mut closed, || false).unwrap_err();
-    assert_eq!(error, RouteError::Unreachable { from: 0, to: 3, closed: 1 });
+    assert_eq!(error, PlanRouteError::Unreachable { from: 0, to: 3, closed: 1 });
     let unknown = plan_routes(&street(4), NodeId(0), NodeId(9), when, &options, &mut sure, || false);
-    assert_eq!(unknown, Err(RouteError::UnknownNode(9)));
+    assert_eq!(unknown, Err(PlanRouteError::UnknownNode(9)));
 }
 
 #[test]
@@ -94,7 +94,7 @@ fn a_search_that_ends_early_says_so() {
     assert_eq!((routes.certainty, routes.routes[0].steps.len()), (Certainty::CutOff, 3));
     let when = When::DepartAt(0.0);
     let stopped = plan_routes(&street(4), NodeId(0), NodeId(3), when, &options, &mut sure, || true);
-    assert_eq!(stopped, Err(RouteError::CutOff { labels: 0 }));
+    assert_eq!(stopped, Err(PlanRouteError::CutOff { labels: 0 }));
 }
 
 #[test]
@@ -141,7 +141,7 @@ fn options_out_of_range_are_refused() {
     ];
     for options in bad {
         let found = ask(When::DepartAt(0.0), &options);
-        assert!(matches!(found, Err(RouteError::Range { .. })), "{options:?}: {found:?}");
+        assert!(matches!(found, Err(PlanRouteError::Range { .. })), "{options:?}: {found:?}");
     }
     for when in [
         When::DepartAt(nan),
@@ -150,10 +150,10 @@ fn options_out_of_range_are_refused() {
         When::DepartWithin { from_secs: 0.0, to_secs: 10.0, step_secs: 0.0 },
         When::ArriveBy { by_secs: nan, earliest_secs: 0.0 },
     ] {
-        assert!(matches!(ask(when, &base), Err(RouteError::Range { .. })), "{when:?}");
+        assert!(matches!(ask(when, &base), Err(PlanRouteError::Range { .. })), "{when:?}");
     }
     let many = When::DepartWithin { from_secs: 0.0, to_secs: 1_000.0, step_secs: 1.0 };
-    assert_eq!(ask(many, &base), Err(RouteError::TooManyDepartures { found: 1_001.0 }));
+    assert_eq!(ask(many, &base), Err(PlanRouteError::TooManyDepartures { found: 1_001.0 }));
 }
 
 #[test]

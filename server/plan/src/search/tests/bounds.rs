@@ -4,7 +4,7 @@ use super::*;
 use crate::search::{machine::Machine, paths::Paths, problem::Goals};
 
 /// What it costs to visit a set of goals from one of them that is reached already, by sets and goals; the first set is empty.
-fn costs_behind(problem: &Problem) -> Vec<f64> {
+fn costs_behind(problem: &SearchProblem) -> Vec<f64> {
     let count = problem.count;
     let mut costs = vec![0.0; (1 << count) * (count + 1)];
     for left in 1..1_usize << count {
@@ -53,7 +53,7 @@ fn no_bound_is_above_the_true_cost_of_any_state() {
             .skip(1)
             .map(|&(node, probability)| (node.0 as usize, probability.max(FLOOR) / 7.0))
             .collect();
-        let problem = Problem::new(&roads, 0, &goals);
+        let problem = SearchProblem::new(&roads, 0, &goals);
         let (count, costs) = (problem.count, costs_behind(&problem));
         let mut passing = Passing::new(&problem);
         passing.find_before(&problem, &roads, 0, &goals);

@@ -26,7 +26,7 @@ fn oracle(map: &Map, floor: f64) -> f64 {
     last.iter().copied().fold(f64::INFINITY, f64::min) / sum
 }
 
-fn check(map: &Map, options: &Options, what: &str) {
+fn check(map: &Map, options: &SearchOptions, what: &str) {
     let plan = search(&map.roads(), map.start(), &goals(map), options, || false).unwrap();
     let best = oracle(map, options.floor);
     assert!(plan.optimal, "{what}");
@@ -47,7 +47,7 @@ fn no_order_is_better_on_a_thousand_maps() {
         if seed % 5 == 0 {
             map = with_looks(map, seed);
         }
-        check(&map, &Options::default(), &format!("{shape:?} of {count}, seed {seed}"));
+        check(&map, &SearchOptions::default(), &format!("{shape:?} of {count}, seed {seed}"));
     }
 }
 
@@ -56,7 +56,7 @@ fn no_order_is_better_on_maps_of_fifteen_nodes() {
     for seed in 0..16 {
         let shape = SHAPES[seed as usize % 4];
         let map = Map::random(shape, 15, seed / 4 % 2 == 0, 10_000 + seed);
-        check(&map, &Options::default(), &format!("{shape:?} of 15, seed {seed}"));
+        check(&map, &SearchOptions::default(), &format!("{shape:?} of 15, seed {seed}"));
     }
 }
 
@@ -66,8 +66,8 @@ fn no_order_is_better_where_the_bound_by_paths_is_needed() {
     for seed in 0..6 {
         let map =
             Map::random([Shape::Complete, Shape::Random][seed as usize % 2], 18, seed / 2 % 2 == 0, 20_000 + seed);
-        check(&map, &Options::default(), &format!("seed {seed}"));
-        let plan = search(&map.roads(), map.start(), &goals(&map), &Options::default(), || false).unwrap();
+        check(&map, &SearchOptions::default(), &format!("seed {seed}"));
+        let plan = search(&map.roads(), map.start(), &goals(&map), &SearchOptions::default(), || false).unwrap();
         needed += usize::from(plan.states > 4_000);
     }
     assert!(needed > 0, "the first bound was enough for all");

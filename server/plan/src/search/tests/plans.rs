@@ -22,12 +22,16 @@ fn roads(topology: &Topology) -> Roads {
     Roads::new(topology, |edge| edge.extent.nominal_secs).unwrap()
 }
 
-fn plan(topology: &Topology, probabilities: &[(NodeId, f64)], options: &Options) -> Result<Plan, SearchError> {
+fn plan(
+    topology: &Topology,
+    probabilities: &[(NodeId, f64)],
+    options: &SearchOptions,
+) -> Result<SearchPlan, SearchError> {
     let goals: Vec<Goal> = probabilities.iter().map(|&(node, probability)| Goal { node, probability }).collect();
     search(&roads(topology), NodeId(0), &goals, options, || false)
 }
 
-fn steps(plan: &Plan) -> Vec<(u32, f64)> {
+fn steps(plan: &SearchPlan) -> Vec<(u32, f64)> {
     plan.steps.iter().map(|step| (step.node.0, step.arrival_secs)).collect()
 }
 
@@ -35,7 +39,7 @@ fn steps(plan: &Plan) -> Vec<(u32, f64)> {
 fn rooms_that_are_passed_are_looked_at_and_the_walk_tells_all_of_them() {
     let (flat, [hall, near, far, closet]) = flat();
     let likely = [(hall, 0.1), (near, 0.1), (far, 0.0), (closet, 0.8)];
-    let plan = plan(&flat, &likely, &Options::default()).unwrap();
+    let plan = plan(&flat, &likely, &SearchOptions::default()).unwrap();
     assert_eq!(steps(&plan), [(0, 0.0), (2, 20.0), (3, 22.0), (1, 49.0)]);
     let walk: Vec<(u32, f64)> = plan.walk.iter().map(|passage| (passage.node.0, passage.arrival_secs)).collect();
     assert_eq!(walk, [(0, 0.0), (2, 20.0), (3, 22.0), (2, 24.0), (0, 44.0), (1, 49.0)]);
@@ -47,9 +51,12 @@ fn rooms_that_are_passed_are_looked_at_and_the_walk_tells_all_of_them() {
 fn impossible_rooms_come_last_and_the_near_ones_of_them_first() {
     let (flat, [hall, near, far, closet]) = flat();
     let likely = [(hall, 0.0), (near, 0.0), (far, 1.0), (closet, 0.0)];
-    assert_eq!(steps(&plan(&flat, &likely, &Options::default()).unwrap()), [(0, 0.0), (2, 20.0), (3, 22.0), (1, 49.0)]);
+    assert_eq!(
+        steps(&plan(&flat, &likely, &SearchOptions::default()).unwrap()),
+        [(0, 0.0), (2, 20.0), (3, 22.0), (1, 49.0)]
+    );
     let nowhere = [(hall, 0.0), (near, 0.0), (far, 0.0), (closet, 0.0)];
-    let plan = plan(&flat, &nowhere, &Options::default()).unwrap();
+    let plan = plan(&flat, &nowhere, &SearchOptions::default()).unwrap();
     assert_eq!(steps(&plan), [(0, 0.0), (1, 5.0), (2, 30.0), (3, 32.0)]);
     assert_eq!(plan.remains, 0.0);
 }
@@ -59,7 +66,7 @@ fn a_room_whose_look_takes_long_is_passed_first_and_looked_at_later() {
     let (mut flat, [hall, _, far, closet]) = flat();
     flat.set_node(far, None, Some(100.0)).unwrap();
     let likely = [(hall, 0.0), (far, 0.1), (closet, 0.9)];
-    let plan = plan(&flat, &likely, &Options::default()).unwrap();
+    let plan = plan(&flat, &likely, &SearchOptions::default()).unwrap();
     assert_eq!(steps(&plan), [(0, 0.0), (3, 22.0), (2, 24.0)]);
     let passed: Vec<u32> = plan.walk.iter().map(|passage| passage.node.0).collect();
     assert_eq!(passed, [0, 2, 3, 2]);
@@ -69,9 +76,9 @@ fn a_room_whose_look_takes_long_is_passed_first_and_looked_at_later() {
 fn a_look_at_the_start_that_takes_time_may_come_later() {
     let (mut flat, [hall, near, ..]) = flat();
     flat.set_node(hall, None, Some(60.0)).unwrap();
-    let likely = plan(&flat, &[(hall, 0.1), (near, 0.9)], &Options::default()).unwrap();
+    let likely = plan(&flat, &[(hall, 0.1), (near, 0.9)], &SearchOptions::default()).unwrap();
     assert_eq!(steps(&likely), [(1, 5.0), (0, 10.0)]);
-    let unlikely = plan(&flat, &[(hall, 0.99), (near, 0.01)], &Options::default()).unwrap();
+    let unlikely = plan(&flat, &[(hall, 0.99), (near, 0.01)], &SearchOptions::default()).unwrap();
     assert_eq!(steps(&unlikely), [(0, 0.0), (1, 65.0)]);
 }
 
@@ -79,10 +86,10 @@ fn a_look_at_the_start_that_takes_time_may_come_later() {
 fn what_cannot_be_reached_is_reported() {
     let (mut flat, [_, near, far, closet]) = flat();
     let island = flat.add_node(StateName::new("island").unwrap(), None, None).unwrap();
-    let found = plan(&flat, &[(near, 0.3), (island, 0.1)], &Options::default()).unwrap();
+    let found = plan(&flat, &[(near, 0.3), (island, 0.1)], &SearchOptions::default()).unwrap();
     assert_eq!(found.unreachable, [Goal { node: island, probability: 0.1 }]);
     assert!((found.remains - 0.25).abs() < 1e-12 && found.optimal);
-    let none = plan(&flat, &[(island, 0.1)], &Options::default());
+    let none = plan(&flat, &[(island, 0.1)], &SearchOptions::default());
     assert_eq!(none, Err(SearchError::Unreachable { start: 0 }));
 
     // Into the closet leads a way, and none out of it; nor from the other trap.
@@ -90,7 +97,7 @@ fn what_cannot_be_reached_is_reported() {
     flat.remove_edge(back).unwrap();
     let out = flat.edge_between(near, NodeId(0), None).unwrap().id;
     flat.remove_edge(out).unwrap();
-    let trapped = plan(&flat, &[(near, 0.3), (far, 0.3), (closet, 0.2)], &Options::default()).unwrap();
+    let trapped = plan(&flat, &[(near, 0.3), (far, 0.3), (closet, 0.2)], &SearchOptions::default()).unwrap();
     assert_eq!(steps(&trapped), [(2, 20.0), (1, 45.0)]);
     assert_eq!(trapped.unreachable, [Goal { node: closet, probability: 0.2 }]);
     assert!(!trapped.optimal && (trapped.remains - 0.25).abs() < 1e-12);
@@ -99,21 +106,33 @@ fn what_cannot_be_reached_is_reported() {
 #[test]
 fn what_is_wrong_is_named() {
     let (flat, [hall, near, ..]) = flat();
-    let refused = |goals: &[(NodeId, f64)], options: Options| plan(&flat, goals, &options).unwrap_err();
-    assert_eq!(refused(&[], Options::default()), SearchError::NoGoals);
-    assert_eq!(refused(&[(NodeId(9), 0.1)], Options::default()), SearchError::UnknownNode(9));
-    assert_eq!(refused(&[(near, 0.1), (hall, 0.1), (near, 0.1)], Options::default()), SearchError::DuplicateGoal(1));
+    let refused = |goals: &[(NodeId, f64)], options: SearchOptions| plan(&flat, goals, &options).unwrap_err();
+    assert_eq!(refused(&[], SearchOptions::default()), SearchError::NoGoals);
+    assert_eq!(refused(&[(NodeId(9), 0.1)], SearchOptions::default()), SearchError::UnknownNode(9));
+    assert_eq!(
+        refused(&[(near, 0.1), (hall, 0.1), (near, 0.1)], SearchOptions::default()),
+        SearchError::DuplicateGoal(1)
+    );
     for bad in [-0.1, 1.1, f64::NAN, f64::INFINITY] {
-        assert!(matches!(refused(&[(near, bad)], Options::default()), SearchError::Probability { node: 1, .. }));
+        assert!(matches!(refused(&[(near, bad)], SearchOptions::default()), SearchError::Probability { node: 1, .. }));
         let stop = Stop { remains_below: Some(bad), ..Stop::default() };
-        assert!(matches!(refused(&[(near, 0.1)], Options { stop, ..Options::default() }), SearchError::Stop(_)));
+        assert!(matches!(
+            refused(&[(near, 0.1)], SearchOptions { stop, ..SearchOptions::default() }),
+            SearchError::Stop(_)
+        ));
     }
     for floor in [0.0, -1.0, 2.0, f64::NAN] {
-        assert!(matches!(refused(&[(near, 0.1)], Options { floor, ..Options::default() }), SearchError::Floor(_)));
+        assert!(matches!(
+            refused(&[(near, 0.1)], SearchOptions { floor, ..SearchOptions::default() }),
+            SearchError::Floor(_)
+        ));
     }
     for cost in [-1.0, f64::NAN, f64::INFINITY] {
         let stop = Stop { cost_per_sec: Some(cost), ..Stop::default() };
-        assert!(matches!(refused(&[(near, 0.1)], Options { stop, ..Options::default() }), SearchError::Stop(_)));
+        assert!(matches!(
+            refused(&[(near, 0.1)], SearchOptions { stop, ..SearchOptions::default() }),
+            SearchError::Stop(_)
+        ));
     }
 }
 
@@ -122,11 +141,11 @@ fn a_search_of_a_hundred_thousand_places_is_refused_before_anything_is_computed(
     let map = Map::random(Shape::Tree, 3_000, false, 1);
     let roads = map.roads();
     let many: Vec<Goal> = (0..100_000).map(|node| Goal { node: NodeId(node), probability: 0.1 }).collect();
-    let exact = Options { effort: Effort::Exact, ..Options::default() };
+    let exact = SearchOptions { effort: Effort::Exact, ..SearchOptions::default() };
     let refused = search(&roads, map.start(), &many, &exact, || false).unwrap_err();
     assert_eq!(refused, SearchError::TooManyForExact { found: 100_000 });
     assert!(refused.to_string().contains("at most 40"), "{refused}");
-    let refused = search(&roads, map.start(), &many, &Options::default(), || false).unwrap_err();
+    let refused = search(&roads, map.start(), &many, &SearchOptions::default(), || false).unwrap_err();
     assert_eq!(refused, SearchError::TooMany { found: 100_000, most: GOALS_MAX });
     // A few places of a large map are searched as always.
     let few = search(&roads, map.start(), &goals(&map)[2_990..], &exact, || false).unwrap();
@@ -138,7 +157,7 @@ fn a_search_that_is_cut_short_tells_how_good_it_is_at_least() {
     for shape in [Shape::Complete, Shape::Streets] {
         let map = Map::random(shape, 22, false, 77);
         let (roads, goals) = (map.roads(), goals(&map));
-        let best = search(&roads, map.start(), &goals, &Options::default(), || false).unwrap();
+        let best = search(&roads, map.start(), &goals, &SearchOptions::default(), || false).unwrap();
         assert!(best.optimal);
         let mut asked = 0;
         for limit in [0, 1, 20, 400] {
@@ -146,12 +165,12 @@ fn a_search_that_is_cut_short_tells_how_good_it_is_at_least() {
                 asked += 1;
                 asked > limit
             };
-            let cut = search(&roads, map.start(), &goals, &Options::default(), until).unwrap();
+            let cut = search(&roads, map.start(), &goals, &SearchOptions::default(), until).unwrap();
             assert_eq!(cut.steps.len(), 22);
             assert!(cut.lower_bound_secs > 0.0 && cut.lower_bound_secs <= best.expected_secs * (1.0 + 1e-9));
             assert!(cut.expected_secs >= best.expected_secs * (1.0 - 1e-9));
         }
-        let few = Options { states_max: 50, ..Options::default() };
+        let few = SearchOptions { states_max: 50, ..SearchOptions::default() };
         let few = search(&roads, map.start(), &goals, &few, || false).unwrap();
         assert!(!few.optimal && few.lower_bound_secs <= best.expected_secs && few.states <= 100, "{}", few.states);
     }
@@ -161,8 +180,8 @@ fn a_search_that_is_cut_short_tells_how_good_it_is_at_least() {
 fn a_large_map_is_searched_well_and_the_same_for_a_seed() {
     let map = Map::random(Shape::Complete, 120, false, 5);
     let (roads, goals) = (map.roads(), goals(&map));
-    let options = |rounds_max, seed| Options { rounds_max, seed, ..Options::default() };
-    let found = |options: Options| search(&roads, map.start(), &goals, &options, || false).unwrap();
+    let options = |rounds_max, seed| SearchOptions { rounds_max, seed, ..SearchOptions::default() };
+    let found = |options: SearchOptions| search(&roads, map.start(), &goals, &options, || false).unwrap();
     let (none, some, again) = (found(options(0, 1)), found(options(2_000, 1)), found(options(2_000, 1)));
     assert_eq!(some, again);
     assert!(some.expected_secs < 0.99 * none.expected_secs, "{} {}", some.expected_secs, none.expected_secs);
@@ -176,7 +195,7 @@ fn a_longer_search_is_never_worse_and_leaves_what_a_shorter_one_is_stuck_in() {
     let map = Map::random(Shape::Random, 100, false, 8);
     let (roads, goals) = (map.roads(), goals(&map));
     let found = |rounds_max, seed| {
-        let options = Options { rounds_max, seed, ..Options::default() };
+        let options = SearchOptions { rounds_max, seed, ..SearchOptions::default() };
         search(&roads, map.start(), &goals, &options, || false).unwrap().expected_secs
     };
     let better = (0..2).filter(|&seed| {
@@ -193,7 +212,7 @@ fn a_good_order_of_few_places_is_the_best() {
         let map = Map::random(shape, 22, false, seed);
         let (roads, goals) = (map.roads(), goals(&map));
         let found = |effort| {
-            let options = Options { effort, ..Options::default() };
+            let options = SearchOptions { effort, ..SearchOptions::default() };
             search(&roads, map.start(), &goals, &options, || false).unwrap()
         };
         let (best, good) = (found(Effort::Exact), found(Effort::Heuristic));
@@ -207,27 +226,27 @@ fn a_good_order_of_few_places_is_the_best() {
 fn a_search_ends_where_little_remains_or_it_is_not_worth_it() {
     let (flat, [hall, near, far, closet]) = flat();
     let likely = [(hall, 0.5), (near, 0.3), (far, 0.15), (closet, 0.05)];
-    let stopped = |stop: Stop| plan(&flat, &likely, &Options { stop, ..Options::default() }).unwrap();
+    let stopped = |stop: Stop| plan(&flat, &likely, &SearchOptions { stop, ..SearchOptions::default() }).unwrap();
     let unlikely = stopped(Stop { remains_below: Some(0.25), ..Stop::default() });
     assert_eq!(steps(&unlikely), [(0, 0.0), (1, 5.0)]);
     assert_eq!(unlikely.walk.len(), 2);
     assert!((unlikely.remains - 0.2).abs() < 1e-12);
-    assert_eq!(unlikely.stopped, Some(Stopped::Unlikely));
+    assert_eq!(unlikely.stopped, Some(StopReason::Unlikely));
     // To gain the last 0.2 takes 25 s and more; 0.3 at 5 s is worth it at a cost of 0.02 a second, 0.15 at 30 s is not.
     let dear = stopped(Stop { cost_per_sec: Some(0.05), ..Stop::default() });
-    assert_eq!((steps(&dear), dear.stopped), (vec![(0, 0.0), (1, 5.0)], Some(Stopped::NotWorthIt)));
+    assert_eq!((steps(&dear), dear.stopped), (vec![(0, 0.0), (1, 5.0)], Some(StopReason::NotWorthIt)));
     let cheap = stopped(Stop { cost_per_sec: Some(0.0), ..Stop::default() });
     assert_eq!((cheap.steps.len(), cheap.stopped), (4, None));
     let nothing = stopped(Stop { remains_below: Some(1.0), cost_per_sec: Some(1e9), within_secs: None });
     assert!(nothing.steps.len() <= 1);
     let brief = stopped(Stop { within_secs: Some(5.0), ..Stop::default() });
-    assert_eq!((steps(&brief), brief.stopped), (vec![(0, 0.0), (1, 5.0)], Some(Stopped::OutOfTime)));
+    assert_eq!((steps(&brief), brief.stopped), (vec![(0, 0.0), (1, 5.0)], Some(StopReason::OutOfTime)));
     let unhurried = stopped(Stop { within_secs: Some(1e6), ..Stop::default() });
     assert_eq!((unhurried.steps.len(), unhurried.stopped), (4, None));
     let never = plan(
         &flat,
         &likely,
-        &Options { stop: Stop { within_secs: Some(-1.0), ..Stop::default() }, ..Options::default() },
+        &SearchOptions { stop: Stop { within_secs: Some(-1.0), ..Stop::default() }, ..SearchOptions::default() },
     );
     assert_eq!(never, Err(SearchError::Stop(StopError::Within(-1.0))));
 }
@@ -255,11 +274,12 @@ fn a_room_that_fills_later_is_visited_later() {
         node if node == far => 0.5,
         _ => 0.0,
     };
-    let changing = search_changing(&roads(&flat), hall, &nodes, probability, &Options::default(), || false).unwrap();
+    let changing =
+        search_changing(&roads(&flat), hall, &nodes, probability, &SearchOptions::default(), || false).unwrap();
     assert_eq!(steps(&changing), [(0, 0.0), (2, 20.0), (1, 45.0)]);
     assert_eq!(changing.steps[2].probability, 1.0);
     assert!(!changing.optimal);
-    let invalid = search_changing(&roads(&flat), hall, &nodes, |_, secs| secs, &Options::default(), || false);
+    let invalid = search_changing(&roads(&flat), hall, &nodes, |_, secs| secs, &SearchOptions::default(), || false);
     assert!(matches!(invalid, Err(SearchError::Probability { .. })));
 }
 
@@ -270,9 +290,9 @@ fn probabilities_that_do_not_change_give_the_best_order() {
         let (roads, goals) = (map.roads(), goals(&map));
         let nodes: Vec<NodeId> = goals.iter().map(|goal| goal.node).collect();
         let probability = |node: NodeId, _| goals[node.0 as usize].probability;
-        let best = search(&roads, map.start(), &goals, &Options::default(), || false).unwrap();
+        let best = search(&roads, map.start(), &goals, &SearchOptions::default(), || false).unwrap();
         let changing =
-            search_changing(&roads, map.start(), &nodes, probability, &Options::default(), || false).unwrap();
+            search_changing(&roads, map.start(), &nodes, probability, &SearchOptions::default(), || false).unwrap();
         assert!((changing.expected_secs - best.expected_secs).abs() < 1e-4 * best.expected_secs, "seed {seed}");
     }
 }

@@ -163,10 +163,10 @@ fn places_beyond_all_measure_have_an_answer() {
 
 #[test]
 fn many_readings_are_thinned_evenly() {
-    let kept = super::super::joint::Readable::thinned(100_000, 5);
+    let kept = super::super::joint::FieldPoint::thinned(100_000, 5);
     assert_eq!(kept.len(), 4_000);
     for (run, &index) in kept.iter().enumerate() {
         assert!((run * 25..(run + 1) * 25).contains(&index), "{run}: {index}");
     }
-    assert_eq!(super::super::joint::Readable::thinned(3, 5), [0, 1, 2]);
+    assert_eq!(super::super::joint::FieldPoint::thinned(3, 5), [0, 1, 2]);
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::super::{
-    beta::{BORROWED, Borrowed, interval},
+    beta::{INTERVAL_PRIOR, IntervalPrior, interval},
     *,
 };
 use crate::models::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
@@ -116,13 +116,13 @@ impl Held {
 }
 
 /// By hour of the week: where the state varies, and elsewhere; then the same by hour of the day.
-type Score = [Held; 4];
+type DoorScore = [Held; 4];
 
 fn varies(mean: f64) -> bool {
     (0.05..=0.95).contains(&mean)
 }
 
-fn score(learnt: &Learnt, test: &[Sample], borrowed: Borrowed, scores: &mut Score) {
+fn score(learnt: &Learnt, test: &[Sample], borrowed: IntervalPrior, scores: &mut DoorScore) {
     for (hour, mean) in hourly_means(test) {
         // The civil time of the middle of the hour, as if it were UTC: a profile of the week knows no more.
         let p = learnt.model.predict(Moment { utc_nanos: hour * HOUR_NANOS + HOUR_NANOS / 2, offset_secs: 0 });
@@ -132,7 +132,7 @@ fn score(learnt: &Learnt, test: &[Sample], borrowed: Borrowed, scores: &mut Scor
     }
 }
 
-fn print(name: &str, scores: &Score) {
+fn print(name: &str, scores: &DoorScore) {
     for (by, pair) in ["hour of week", "hour of day"].iter().zip(scores.chunks(2)) {
         println!("{name}, by {by}: varying {}, else {}", pair[0].show(), pair[1].show());
     }
@@ -156,8 +156,8 @@ fn what_is_borrowed_comes_from_rolling_origin_on_the_training_weeks() {
     for end in [0.0, 0.0001, 0.001, 0.005, 0.02] {
         for scatter_days in [0.5, 1.0, 2.0, 4.0, 8.0] {
             for doubt_days in [0.5, 1.0, 2.0] {
-                let borrowed = Borrowed { scatter_days, doubt_days, end };
-                let mut scores = Score::default();
+                let borrowed = IntervalPrior { scatter_days, doubt_days, end };
+                let mut scores = DoorScore::default();
                 for (learnt, weeks) in &folds {
                     score(learnt, weeks, borrowed, &mut scores);
                 }
@@ -176,16 +176,16 @@ fn what_is_borrowed_comes_from_rolling_origin_on_the_training_weeks() {
         .min_by(|(_, a), (_, b)| a[0].width.total_cmp(&b[0].width))
         .unwrap();
     println!("chosen {chosen:?}");
-    assert_eq!(*chosen, BORROWED);
+    assert_eq!(*chosen, INTERVAL_PRIOR);
 }
 
 #[test]
 fn nine_in_ten_hold_on_weeks_that_had_no_part_in_the_choice() {
     let Some(folder) = recordings() else { return };
     let learnt = Learnt::from(&read(&folder, "train.csv"));
-    let mut scores = Score::default();
+    let mut scores = DoorScore::default();
     for name in ["week1.csv", "week2.csv", "week3.csv", "week4.csv"] {
-        score(&learnt, &read(&folder, name), BORROWED, &mut scores);
+        score(&learnt, &read(&folder, name), INTERVAL_PRIOR, &mut scores);
     }
     print("four weeks", &scores);
     let share = |held: Held| held.held / held.hours;

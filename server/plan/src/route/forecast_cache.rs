@@ -17,7 +17,7 @@ const KEPT_MAX: usize = 2_000_000;
 
 /// An edge, entered at a time.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Traversal {
+pub(super) struct EdgeCost {
     pub success: f64,
     pub evidence: f64,
     pub duration_secs: f64,
@@ -26,24 +26,24 @@ pub(super) struct Traversal {
 }
 
 /// What is known of edges at times.
-pub(super) struct Outlook<'a, F> {
+pub(super) struct ForecastCache<'a, F> {
     network: &'a Network<'a>,
     forecasts: &'a mut F,
     pub costing: Costing,
     resolution_secs: f64,
     /// Of each edge, ascending by time.
-    kept: Vec<Vec<(f64, Option<Traversal>)>>,
+    kept: Vec<Vec<(f64, Option<EdgeCost>)>>,
     kept_count: usize,
     is_closed: Vec<bool>,
     /// How often a forecast was asked for.
     pub asked: usize,
 }
 
-impl<'a, F: Forecasts> Outlook<'a, F> {
+impl<'a, F: Forecasts> ForecastCache<'a, F> {
     pub fn new(network: &'a Network<'a>, forecasts: &'a mut F, costing: Costing, resolution_secs: f64) -> Self {
         let count = network.edges.len();
         let (kept, is_closed) = (vec![Vec::new(); count], vec![false; count]);
-        Outlook { network, forecasts, costing, resolution_secs, kept, kept_count: 0, is_closed, asked: 0 }
+        ForecastCache { network, forecasts, costing, resolution_secs, kept, kept_count: 0, is_closed, asked: 0 }
     }
 
     /// Which times count as the same as this.
@@ -66,7 +66,7 @@ impl<'a, F: Forecasts> Outlook<'a, F> {
     }
 
     /// An edge entered at a time; `None` while it is closed.
-    pub fn at(&mut self, edge: usize, at_secs: f64) -> Result<Option<Traversal>, ForecastError> {
+    pub fn at(&mut self, edge: usize, at_secs: f64) -> Result<Option<EdgeCost>, ForecastError> {
         let at_secs = self.rounded(at_secs);
         let place = match self.kept[edge].binary_search_by(|kept| kept.0.total_cmp(&at_secs)) {
             Ok(place) => return Ok(self.kept[edge][place].1),
@@ -82,7 +82,7 @@ impl<'a, F: Forecasts> Outlook<'a, F> {
             Some(forecast) => {
                 check_forecast(&forecast, || self.network.edge_name(edge))?;
                 let (success, duration_secs) = (forecast.success, forecast.duration_secs);
-                Some(Traversal {
+                Some(EdgeCost {
                     success,
                     evidence: forecast.evidence,
                     duration_secs,

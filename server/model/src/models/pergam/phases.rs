@@ -15,13 +15,13 @@ pub(super) fn turn(civil_nanos: i64, period_nanos: i64) -> f64 {
 }
 
 /// The mean value in each phase: p' of Waldo eq. 6.
-pub(super) struct Folded {
+pub(super) struct PhaseMeans {
     means: Vec<f64>,
 }
 
-impl Folded {
+impl PhaseMeans {
     /// Folds at least one reading.
-    pub(super) fn new(readings: Readings<'_>, period_nanos: i64) -> Folded {
+    pub(super) fn new(readings: Readings<'_>, period_nanos: i64) -> PhaseMeans {
         let mut sums = vec![(0.0_f64, 0.0_f64); PHASES];
         for (sample, weight) in readings.samples.iter().zip(readings.weights()) {
             let phase = (turn(sample.civil_nanos(), period_nanos) * PHASES as f64) as usize;
@@ -30,7 +30,7 @@ impl Folded {
             *value_sum += weight * probability;
             *weight_sum += weight;
         }
-        Folded { means: interpolated(&sums) }
+        PhaseMeans { means: interpolated(&sums) }
     }
 
     /// The mean over the period, in `[0,1]`.
