@@ -6,7 +6,7 @@
 use tidemap_map::topology::{EdgeId, NodeId, Topology};
 use tidemap_plan::{
     policy::{PolicyAction, PolicyObjective, PolicyOptions, PolicyTable},
-    route::{Certainty, DEPARTURES_MAX, Objective, Route, RouteOptions, RouteStep, RoutePlan, When},
+    route::{Certainty, DEPARTURES_MAX, Objective, Route, RouteOptions, RoutePlan, RouteStep, When},
 };
 
 use super::{
