@@ -47,7 +47,7 @@ pub enum NoTour {
     NothingToLearn,
     /// No goal fits into the time.
     #[error("the time for the tour is {budget_secs} s, and the nearest goal alone takes {least_secs} s")]
-    TourBudget {
+    Budget {
         /// How long it may take, seconds.
         budget_secs: f64,
         /// How long it takes to the nearest chosen goal and to the end, looking included, seconds.
@@ -166,7 +166,7 @@ pub fn plan_tour_with(
     let order = budget.fit();
     if order.is_empty() {
         let (budget_secs, least_secs) = (budget.budget_secs, budget.least_secs());
-        return Ok(Tour::none(NoTour::TourBudget { budget_secs, least_secs }, candidates.len(), looks));
+        return Ok(Tour::none(NoTour::Budget { budget_secs, least_secs }, candidates.len(), looks));
     }
     let mut tour = told(&scene, &candidates, &chosen, &order, &budget);
     (tour.candidates, tour.looks) = (candidates.len(), looks);

@@ -153,7 +153,7 @@ fn a_tour_without_a_goal_says_why() {
     assert_eq!(told.no_tour, Some(NoTour::NothingReachable));
 
     let told = tour(&grid, &TourQuestion { budget_secs: Some(30.0), ..ask });
-    let Some(NoTour::TourBudget { budget_secs, least_secs }) = told.no_tour else { panic!("{told:?}") };
+    let Some(NoTour::Budget { budget_secs, least_secs }) = told.no_tour else { panic!("{told:?}") };
     assert!(budget_secs == 30.0 && least_secs > 60.0 && told.steps.is_empty());
 }
 

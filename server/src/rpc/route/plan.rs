@@ -12,13 +12,8 @@ use std::{
 
 use tidemap_map::{edge_forecast::EdgeForecast, topology::Edge};
 use tidemap_plan::{
-<<<<<<< HEAD
     policy::solve_policy,
     route::{PlanRouteError, plan_routes, success_interval},
-=======
-    policy::{PolicyAction, PolicyTable, solve_policy},
-    route::{PlanRouteError, Route, RoutePlan, plan_routes, success_interval},
->>>>>>> ddf6597 (Format the route replies)
 };
 use tidemap_proto::{
     convert::{
