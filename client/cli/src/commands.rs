@@ -57,7 +57,7 @@ const GLOBAL: &str = "Options of every command";
 /// A command whose arguments are valid one by one, but not together.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub struct UsageError(pub String);
+pub(crate) struct UsageError(pub(crate) String);
 
 /// A [`UsageError`] as the error of a command.
 fn usage(text: impl Into<String>) -> anyhow::Error {
@@ -70,7 +70,7 @@ fn usage(text: impl Into<String>) -> anyhow::Error {
 /// 15m, 1h, 7d.
 #[derive(Debug, Parser)]
 #[command(name = "tidemap", version, max_term_width = 110, arg_required_else_help = true)]
-pub struct CommandLine {
+pub(crate) struct CommandLine {
     /// Address of the daemon, HOST:PORT or http://HOST:PORT
     #[arg(long, global = true, help_heading = GLOBAL, display_order = 100, env = "TIDEMAP_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7435")]
     server: String,
@@ -201,29 +201,29 @@ enum Command {
 }
 
 /// What every command has at hand.
-pub struct Session {
+pub(crate) struct Session {
     /// The daemon.
-    pub client: Client,
+    pub(crate) client: Client,
     /// How results are written.
-    pub format: Format,
+    pub(crate) format: Format,
 }
 
 impl Session {
     /// Prints rows to stdout.
-    pub fn print(&self, columns: &[&str], rows: impl IntoIterator<Item = Vec<Cell>>) -> io::Result<()> {
+    pub(crate) fn print(&self, columns: &[&str], rows: impl IntoIterator<Item = Vec<Cell>>) -> io::Result<()> {
         let mut table = self.table(columns);
         rows.into_iter().try_for_each(|row| table.row(row))?;
         table.finish()
     }
 
     /// A result on stdout, for rows that come one by one.
-    pub fn table(&self, columns: &[&str]) -> TableWriter<BufWriter<Stdout>> {
+    pub(crate) fn table(&self, columns: &[&str]) -> TableWriter<BufWriter<Stdout>> {
         output::stdout(self.format, columns)
     }
 }
 
 /// Does what the command line says.
-pub async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
     if let Command::Demo(args) = &line.command {
         return demo::run(args).await;
     }

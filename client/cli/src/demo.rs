@@ -42,26 +42,26 @@ const TERMINATED: u8 = 143;
 
 /// Weeks of a simulated office through a daemon of its own, and a picture of what it learned.
 #[derive(Clone, Debug, clap::Args)]
-pub struct DemoArgs {
+pub(crate) struct DemoArgs {
     /// Weeks to observe before tomorrow is predicted.
     #[arg(long, value_name = "N", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..=52))]
-    pub weeks: u32,
+    pub(crate) weeks: u32,
     /// Another number gives other people's days, with the same routines.
     #[arg(long, value_name = "N", default_value_t = 1)]
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Leaves the daemon running afterwards, to be asked further.
     #[arg(long)]
-    pub keep: bool,
+    pub(crate) keep: bool,
     /// The daemon's program [default: tidemapd beside this program].
     #[arg(long, value_name = "PATH")]
-    pub daemon: Option<PathBuf>,
+    pub(crate) daemon: Option<PathBuf>,
 }
 
 /// Runs the demo; the exit status is that of a shell where a signal ended it.
 ///
 /// # Errors
 /// Where the daemon does not start, or does not answer as it should; the error holds the end of the daemon's log.
-pub async fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
     // Before the daemon starts, so that no signal can end the demo without it.
     let mut interrupt = signal(SignalKind::interrupt()).context("signals")?;
     let mut terminate = signal(SignalKind::terminate()).context("signals")?;

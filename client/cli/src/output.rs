@@ -8,12 +8,12 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use tidemap_formats::table::{Format, TableWriter};
 
 /// A table on a terminal, CSV otherwise.
-pub fn default_format() -> Format {
+pub(crate) fn default_format() -> Format {
     if io::stdout().is_terminal() { Format::Table } else { Format::Csv }
 }
 
 /// Reads `--output`.
-pub fn format_parser() -> impl TypedValueParser<Value = Format> {
+pub(crate) fn format_parser() -> impl TypedValueParser<Value = Format> {
     let values = [
         PossibleValue::new("table").help("Aligned columns, for people"),
         PossibleValue::new("json").help("An array of objects, one a line"),
@@ -27,6 +27,6 @@ pub fn format_parser() -> impl TypedValueParser<Value = Format> {
 }
 
 /// A result on stdout.
-pub fn stdout(format: Format, columns: &[&str]) -> TableWriter<BufWriter<io::Stdout>> {
+pub(crate) fn stdout(format: Format, columns: &[&str]) -> TableWriter<BufWriter<io::Stdout>> {
     TableWriter::new(format, columns, BufWriter::with_capacity(64 * 1024, io::stdout()))
 }

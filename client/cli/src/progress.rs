@@ -12,17 +12,17 @@ use indicatif::{ProgressBar, ProgressStyle};
 const TICK: Duration = Duration::from_millis(200);
 
 /// Says a line.
-pub fn status_line(line: &str) {
+pub(crate) fn status_line(line: &str) {
     let _ = writeln!(io::stderr().lock(), "{line}");
 }
 
 /// A bar, or nothing where stderr is no terminal.
 #[derive(Clone, Debug)]
-pub struct Bar(ProgressBar);
+pub(crate) struct Bar(ProgressBar);
 
 impl Bar {
     /// For bytes of a file; of a length that is not known where `total` is absent.
-    pub fn bytes(total: Option<u64>) -> Self {
+    pub(crate) fn bytes(total: Option<u64>) -> Self {
         match total {
             Some(total) => {
                 Self::with(ProgressBar::new(total), "{bar:32} {bytes}/{total_bytes} {bytes_per_sec} {eta} left  {msg}")
@@ -32,7 +32,7 @@ impl Bar {
     }
 
     /// For pieces of a job.
-    pub fn count(what: &'static str) -> Self {
+    pub(crate) fn count(what: &'static str) -> Self {
         let bar = Self::with(ProgressBar::new(0), "{bar:32} {pos}/{len} {msg}");
         bar.0.set_message(what);
         bar
@@ -48,23 +48,23 @@ impl Bar {
     }
 
     /// How far it is.
-    pub fn set(&self, position: u64) {
+    pub(crate) fn set(&self, position: u64) {
         self.0.set_position(position);
     }
 
     /// How far it is, of how much.
-    pub fn set_of(&self, position: u64, total: u64) {
+    pub(crate) fn set_of(&self, position: u64, total: u64) {
         self.0.set_length(total);
         self.0.set_position(position);
     }
 
     /// Says a line above the bar.
-    pub fn status_line(&self, line: &str) {
+    pub(crate) fn status_line(&self, line: &str) {
         self.0.suspend(|| status_line(line));
     }
 
     /// Takes the bar away.
-    pub fn clear(&self) {
+    pub(crate) fn clear(&self) {
         self.0.finish_and_clear();
     }
 }

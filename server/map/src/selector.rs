@@ -4,6 +4,8 @@ use std::{fmt, ops::RangeInclusive};
 
 use tidemap_model::{ModelChoice, ORDER_MAX, StateModel, models::HistogramCycle};
 
+use crate::time::format_duration;
+
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
 
@@ -92,28 +94,14 @@ impl fmt::Display for ModelKind {
             Self::Histogram { cycle: HistogramCycle::Week, bins } => write!(f, "histogram:week:{bins}"),
             Self::Histogram { cycle: HistogramCycle::WeekdayWeekend, bins } => write!(f, "histogram:weekend:{bins}"),
             Self::Pergam { gaussians, period_nanos: PERGAM_PERIOD_NANOS } => write!(f, "pergam:{gaussians}"),
-            Self::Pergam { gaussians, period_nanos } => write!(f, "pergam:{gaussians}:{}", Period(*period_nanos)),
+            Self::Pergam { gaussians, period_nanos } => {
+                write!(f, "pergam:{gaussians}:{}", format_duration(*period_nanos))
+            }
             Self::HypertimeEm { clusters } => write!(f, "hypertime-em:{clusters}"),
             Self::HypertimeKm { clusters } => write!(f, "hypertime-km:{clusters}"),
             Self::Poisson => f.write_str("poisson"),
             Self::Calibrated => f.write_str("calibrated"),
             Self::Uniform => f.write_str("uniform"),
-        }
-    }
-}
-
-/// A period in nanoseconds, in the greatest unit that divides it: 7d, 36h, 90s; as the command line writes durations.
-struct Period(i64);
-
-impl fmt::Display for Period {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let units = [("d", DAY_NANOS), ("h", 60 * MINUTE_NANOS), ("m", MINUTE_NANOS), ("s", 1_000_000_000)];
-        match units.into_iter().find(|(_, nanos)| self.0 % nanos == 0) {
-            Some((unit, nanos)) => write!(f, "{}{unit}", self.0 / nanos),
-            None => {
-                let text = format!("{}.{:09}", self.0 / 1_000_000_000, self.0 % 1_000_000_000);
-                write!(f, "{}s", text.trim_end_matches('0'))
-            }
         }
     }
 }

@@ -14,7 +14,7 @@ use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct AnomaliesArgs {
+pub(crate) struct AnomaliesArgs {
     /// Name of the map
     map: String,
     /// Name of the state, or cell/X/Y/Z; with --watch names of states, or none for all
@@ -43,7 +43,7 @@ fn confidence(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "a confidence is above 0.5 and at most 1, for example 0.99".to_owned())
 }
 
-pub async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitCode> {
     let AnomaliesArgs { map, states, confidence, from, to, model, watch } = args;
     let judgement = Judgement { confidence, model };
     if watch {

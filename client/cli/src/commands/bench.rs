@@ -22,7 +22,7 @@ use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
-pub enum BenchCommand {
+pub(crate) enum BenchCommand {
     /// How many observations become durable per second, and how long an update of them takes
     Observe(observe::ObserveBenchArgs),
     /// How long an observation takes to become durable, at a given rate
@@ -46,7 +46,7 @@ struct DaemonProcess {
 /// A row of figures with their names.
 type Figures = Vec<(&'static str, Cell)>;
 
-pub async fn run(session: &Session, command: &BenchCommand) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, command: &BenchCommand) -> anyhow::Result<ExitCode> {
     let client = &session.client;
     let unique = format!("{}-{}", clock::now_nanos() / 1_000_000_000, process::id());
     let (new_map, keep) = match command {

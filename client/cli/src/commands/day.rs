@@ -16,7 +16,7 @@ use super::{Session, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct DayArgs {
+pub(crate) struct DayArgs {
     /// Name of the map
     map: String,
     /// The local date, as 2016-03-21
@@ -100,7 +100,7 @@ async fn viewpoints(session: &Session, map: &str, apart_m: f64) -> anyhow::Resul
 
 const COLUMNS: [&str; 4] = ["slot", "start", "location", "information_bits"];
 
-pub async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
     let budget = match (args.explore, args.ratio) {
         (Some(slots), _) => Some(Budget::Visits(slots as usize)),
         (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Some(Budget::Ratio(ratio)),

@@ -24,7 +24,7 @@ use tidemap_formats::{
 };
 
 #[derive(Debug, Args)]
-pub struct EvaluateArgs {
+pub(crate) struct EvaluateArgs {
     /// Name of the map
     map: String,
     /// File with the columns time,state,value; - is stdin
@@ -88,7 +88,7 @@ fn missing(unavailable: &Unavailable) -> String {
     format!("{model} is left out of {}{and_more}: {reason}", states[..states.len() - more].join(", "))
 }
 
-pub async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::shown(&args.file);
     let Feed { mut rows, total_bytes, layout } = feed::open::<ObservationColumns>(&args.file)?;
     if layout.has_positions() {

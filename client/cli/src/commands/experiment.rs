@@ -25,7 +25,7 @@ use tidemap_formats::table::Format;
 
 #[derive(Debug, Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, subcommand_value_name = "KIND")]
-pub struct ExperimentArgs {
+pub(crate) struct ExperimentArgs {
     #[command(flatten)]
     compare: Option<CompareArgs>,
     #[command(subcommand)]
@@ -91,7 +91,7 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
     }
 }
 
-pub fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCode> {
     match (args.kind, args.compare) {
         (Some(ExperimentKind::Compare(args)), _) | (None, Some(args)) => compare(&args, format),
         (Some(ExperimentKind::Explore(args)), _) => explore(&args, format),

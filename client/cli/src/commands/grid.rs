@@ -5,7 +5,7 @@
 mod cell_masks;
 mod observe;
 mod place;
-pub mod predict;
+pub(crate) mod predict;
 mod scans;
 mod sensor;
 
@@ -17,7 +17,7 @@ use tidemap_client::maps::Grid;
 use super::Session;
 
 #[derive(Debug, Subcommand)]
-pub enum GridCommand {
+pub(crate) enum GridCommand {
     /// Sends scans from files, each exactly once
     ///
     /// By ending: .tms is a file of scans (see the README), which has its own times; .pcd and .ply are point clouds, each a
@@ -31,7 +31,7 @@ pub enum GridCommand {
     Predict(predict::GridPredictArgs),
 }
 
-pub async fn run(session: &Session, command: GridCommand) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, command: GridCommand) -> anyhow::Result<ExitCode> {
     match command {
         GridCommand::Observe(args) => observe::run(session, args).await,
         GridCommand::Predict(args) => predict::run(session, args).await,

@@ -14,7 +14,7 @@ use super::{Session, point::ViewArg, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct InfoArgs {
+pub(crate) struct InfoArgs {
     /// Name of the map
     map: String,
     /// When; several times with commas
@@ -37,7 +37,7 @@ pub struct InfoArgs {
 
 const COLUMNS: [&str; 4] = ["target", "entropy_bits", "information_bits", "time"];
 
-pub async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<ExitCode> {
     let InfoArgs { map, at, states, locations, views, model } = args;
     if states.is_empty() && locations.is_empty() && views.is_empty() {
         return Err(usage("name what to look at, with --state, --location or --view"));

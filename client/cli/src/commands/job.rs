@@ -15,7 +15,7 @@ use crate::progress::{Bar, status_line};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
-pub enum JobCommand {
+pub(crate) enum JobCommand {
     /// Lists the jobs that run and those that ended lately, newest first
     List,
     /// Waits until a job has ended
@@ -39,7 +39,7 @@ const COLUMNS: [&str; 11] = [
     "error",
 ];
 
-pub async fn run(session: &Session, command: &JobCommand) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, command: &JobCommand) -> anyhow::Result<ExitCode> {
     let jobs = match command {
         JobCommand::List => session.client.jobs().await?,
         JobCommand::Watch { id } => vec![watch(&session.client, *id).await?],
@@ -57,7 +57,7 @@ pub async fn run(session: &Session, command: &JobCommand) -> anyhow::Result<Exit
 }
 
 /// Follows a job to its end.
-pub async fn watch(client: &Client, id: u64) -> anyhow::Result<Job> {
+pub(crate) async fn watch(client: &Client, id: u64) -> anyhow::Result<Job> {
     let mut updates = client.watch_job(id).await?;
     let bar = Bar::count("states updated");
     let mut last = None;
@@ -80,7 +80,7 @@ fn at_end(id: u64, last: Option<Job>) -> anyhow::Result<Job> {
 }
 
 /// What went wrong with a job.
-pub fn failure(job: &Job) -> String {
+pub(crate) fn failure(job: &Job) -> String {
     format!("job {} of map {:?} failed: {}", job.id, job.map, job.error)
 }
 

@@ -12,7 +12,7 @@ use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
-pub enum LocationCommand {
+pub(crate) enum LocationCommand {
     /// Sets a location: states that are seen together; replaces the one of that name
     Set {
         /// Name of the map
@@ -42,7 +42,7 @@ pub enum LocationCommand {
 
 const COLUMNS: [&str; 4] = ["location", "x", "y", "states"];
 
-pub async fn run(session: &Session, command: LocationCommand) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, command: LocationCommand) -> anyhow::Result<ExitCode> {
     let locations = match command {
         LocationCommand::Set { map, location, states, position } => {
             let location = Location { name: location, states, position_m: position.map(|Point(at)| at) };

@@ -2,7 +2,7 @@
 //!
 //! Invariant: nothing is deleted without being asked for twice.
 
-pub mod grid_spec;
+pub(crate) mod grid_spec;
 
 use std::{process::ExitCode, str::FromStr};
 
@@ -18,7 +18,7 @@ use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
-pub enum MapCommand {
+pub(crate) enum MapCommand {
     /// Creates an empty map and shows it
     Create(Box<CreateArgs>),
     /// Lists all maps
@@ -48,7 +48,7 @@ pub enum MapCommand {
 
 /// A charger, or none.
 #[derive(Clone, Copy, Debug)]
-pub struct Charger(Option<[f64; 2]>);
+pub(crate) struct Charger(Option<[f64; 2]>);
 
 impl FromStr for Charger {
     type Err = String;
@@ -59,7 +59,7 @@ impl FromStr for Charger {
 }
 
 #[derive(Debug, Args)]
-pub struct CreateArgs {
+pub(crate) struct CreateArgs {
     /// Name of the map: a-z 0-9 _ -, at most 63
     name: String,
     /// Time zone by whose civil time people live there, for example Europe/London [default: UTC]
@@ -152,7 +152,7 @@ const MORE_COLUMNS: [&str; 12] = [
     "models",
 ];
 
-pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
     let client = &session.client;
     let all = matches!(command, MapCommand::List);
     let maps = match command {
@@ -192,7 +192,7 @@ pub async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitC
 }
 
 /// The map that was made, if it has the grid that it was to have: a daemon that does not know of grids passes over one.
-pub fn with_grid(made: Map, wanted: bool) -> anyhow::Result<Map> {
+pub(crate) fn with_grid(made: Map, wanted: bool) -> anyhow::Result<Map> {
     anyhow::ensure!(
         made.grid.is_some() || !wanted,
         "map {0:?} was created without its grid: the daemon is too old for grids. Delete the map, with tidemap map \

@@ -14,7 +14,7 @@ use super::Session;
 use tidemap_formats::table::{Cell, Format, object};
 
 #[derive(Debug, Subcommand)]
-pub enum ModelCommand {
+pub(crate) enum ModelCommand {
     /// Shows what was learned of a state: its mean, and its rhythms with the strongest first
     Show {
         /// Name of the map
@@ -24,7 +24,7 @@ pub enum ModelCommand {
     },
 }
 
-pub async fn run(session: &Session, command: &ModelCommand) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, command: &ModelCommand) -> anyhow::Result<ExitCode> {
     let ModelCommand::Show { map, state } = command;
     let model = session.client.describe_model(map, state).await?;
     match session.format {

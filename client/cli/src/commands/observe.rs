@@ -3,9 +3,9 @@
 //! Invariant: a row's number in its file is its sequence number. A file can be sent any number of times, in any number
 //! of pieces, and is learned once. The rows that the daemon has are compared with the file before anything is sent.
 
-pub mod feed;
-pub mod kinds;
-pub mod transfer;
+pub(crate) mod feed;
+pub(crate) mod kinds;
+pub(crate) mod transfer;
 
 use std::{
     path::{Path, PathBuf},
@@ -35,7 +35,7 @@ use tidemap_formats::{
 };
 
 #[derive(Debug, Args)]
-pub struct ObserveArgs {
+pub(crate) struct ObserveArgs {
     /// Name of the map
     map: String,
     /// File with the columns time,state,value, or time,state,x,y and optionally z of positions in metres; - is stdin
@@ -51,7 +51,7 @@ pub struct ObserveArgs {
 
 /// Who sends a file, and how.
 #[derive(Debug, Args)]
-pub struct SenderArgs {
+pub(crate) struct SenderArgs {
     /// Name of the producer [default: a name for this user and machine, generated once and kept]
     #[arg(long, value_name = "ID")]
     producer: Option<String>,
@@ -91,7 +91,7 @@ const LAST_FLUSH: Duration = Duration::from_secs(5);
 const NIGHT_PAUSE: Duration = Duration::from_millis(50);
 pub(super) const INTERRUPTED: u8 = 130;
 
-pub async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::shown(&args.file);
     let feed = feed::open::<ObservationColumns>(&args.file)?;
     let has_positions = feed.layout.has_positions();

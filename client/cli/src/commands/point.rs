@@ -6,15 +6,15 @@ use std::str::FromStr;
 
 /// x and y in the map's frame, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point(pub [f64; 2]);
+pub(crate) struct Point(pub(crate) [f64; 2]);
 
 /// A place to look from, and how far one sees from there.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ViewArg {
+pub(crate) struct ViewArg {
     /// x, y and z in the map's frame, metres.
-    pub at_m: [f64; 3],
+    pub(crate) at_m: [f64; 3],
     /// How far, metres.
-    pub range_m: Option<f64>,
+    pub(crate) range_m: Option<f64>,
 }
 
 fn numbers(text: &str) -> Option<Vec<f64>> {

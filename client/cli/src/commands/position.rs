@@ -13,7 +13,7 @@ use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct PositionArgs {
+pub(crate) struct PositionArgs {
     /// Name of the map
     map: String,
     /// Name of the vector
@@ -50,7 +50,7 @@ fn region(text: &str) -> Result<Region, String> {
     }
 }
 
-pub async fn run(session: &Session, args: PositionArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result<ExitCode> {
     if args.resolution.is_some_and(|edge| edge.is_nan() || edge <= 0.0) {
         return Err(usage("--resolution must be above 0"));
     }

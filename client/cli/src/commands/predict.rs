@@ -13,7 +13,7 @@ use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("when").required(true).args(["at", "times", "from"]))]
-pub struct PredictArgs {
+pub(crate) struct PredictArgs {
     /// Name of the map
     map: String,
     /// Names of the states; a vector stands for its axes, NAME/x and so on; a cell of the grid is cell/X/Y/Z
@@ -51,7 +51,7 @@ pub struct PredictArgs {
 const COLUMNS: [&str; 9] =
     ["time", "state", "probability", "lower", "upper", "entropy_bits", "order", "observations", "age_secs"];
 
-pub async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
     if args.order.is_some() && !args.model.kind.has_order() {
         return Err(usage(format!(
             "--order does not go with --model {}: only auto, spectral and uniform have one",

@@ -15,7 +15,7 @@ use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct PresenceArgs {
+pub(crate) struct PresenceArgs {
     /// Name of the map
     map: String,
     /// Times
@@ -30,7 +30,7 @@ pub struct PresenceArgs {
 }
 
 #[derive(Debug, Args)]
-pub struct JointArgs {
+pub(crate) struct JointArgs {
     /// Name of the map
     map: String,
     /// Names of the states, such as node/Kitchen/cup
@@ -56,7 +56,7 @@ pub struct JointArgs {
 const COLUMNS: [&str; 5] = ["time", "node", "probability", "share", "anybody"];
 const JOINT_COLUMNS: [&str; 2] = ["time", "probability"];
 
-pub async fn run(session: &Session, args: PresenceArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: PresenceArgs) -> anyhow::Result<ExitCode> {
     let PresenceArgs { map, at, object, model } = args;
     let presence = session.client.predict_presence(PresenceQuery { map, object, times_nanos: at, model }).await?;
     let mut table = session.table(&COLUMNS);
@@ -82,7 +82,7 @@ pub async fn run(session: &Session, args: PresenceArgs) -> anyhow::Result<ExitCo
     Ok(ExitCode::SUCCESS)
 }
 
-pub async fn joint(session: &Session, args: JointArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn joint(session: &Session, args: JointArgs) -> anyhow::Result<ExitCode> {
     let JointArgs { map, states, from, within, step, threshold, model } = args;
     let query = JointQuery { map, states, from_nanos: from, within_nanos: within, step_nanos: step, threshold, model };
     let joint = session.client.next_joint(query).await?;

@@ -12,7 +12,7 @@ use std::{
 use anyhow::Context as _;
 
 /// The producer of this user, from the configuration folder.
-pub fn of_user() -> anyhow::Result<String> {
+pub(crate) fn of_user() -> anyhow::Result<String> {
     let folder = |name: &str| env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let config = folder("XDG_CONFIG_HOME").or_else(|| folder("HOME").map(|home| home.join(".config")));
     let config = config.context("neither XDG_CONFIG_HOME nor HOME is set: say who observes with --producer")?;

@@ -10,7 +10,7 @@ use super::{Session, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct ReconstructArgs {
+pub(crate) struct ReconstructArgs {
     /// Name of the map
     map: String,
     /// Name of the state, or cell/X/Y/Z
@@ -23,7 +23,7 @@ pub struct ReconstructArgs {
     to: i64,
 }
 
-pub async fn run(session: &Session, args: &ReconstructArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: &ReconstructArgs) -> anyhow::Result<ExitCode> {
     let ReconstructArgs { map, state, from, to } = args;
     if from >= to {
         return Err(usage("--from must be before --to, which is not included"));

@@ -20,7 +20,7 @@ use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("when").required(true).args(["at", "arrive", "from_time"]))]
-pub struct RouteArgs {
+pub(crate) struct RouteArgs {
     /// Name of the map
     map: String,
     /// Name of the node where the robot is
@@ -85,7 +85,7 @@ enum ObjectiveArg {
 }
 
 #[derive(Debug, Args)]
-pub struct PolicyArgs {
+pub(crate) struct PolicyArgs {
     /// Name of the map
     map: String,
     /// Name of the node to reach
@@ -137,7 +137,7 @@ const COLUMNS: [&str; 12] = [
 ];
 const POLICY_COLUMNS: [&str; 6] = ["slot", "node", "next", "action", "expected_secs", "probability"];
 
-pub async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<ExitCode> {
     let when = match (args.at, args.arrive, args.from_time, args.until) {
         (Some(at), ..) => RouteTime::Depart(at),
         (None, Some(by), ..) => RouteTime::ArriveBy(by),
@@ -217,7 +217,7 @@ fn summary(number: usize, route: &Route, routes: usize) -> String {
     )
 }
 
-pub async fn policy(session: &Session, args: PolicyArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn policy(session: &Session, args: PolicyArgs) -> anyhow::Result<ExitCode> {
     let query = PolicyQuery {
         map: args.map,
         to: args.to,

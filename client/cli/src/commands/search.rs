@@ -18,7 +18,7 @@ use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct SearchArgs {
+pub(crate) struct SearchArgs {
     /// Name of the map
     map: String,
     /// Name of the node where the robot is
@@ -80,7 +80,7 @@ enum EffortArg {
 
 const COLUMNS: [&str; 5] = ["step", "node", "arrival_secs", "probability", "expected_secs"];
 
-pub async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<ExitCode> {
     files::check_picture(args.picture.as_deref())?;
     let query = SearchQuery {
         map: args.map.clone(),

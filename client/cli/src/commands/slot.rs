@@ -14,7 +14,7 @@ use super::{Session, times};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct SlotArgs {
+pub(crate) struct SlotArgs {
     /// Name of the map
     map: String,
     /// The middle of the slot
@@ -37,7 +37,7 @@ pub struct SlotArgs {
     seed: u64,
 }
 
-pub async fn run(session: &Session, args: SlotArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: SlotArgs) -> anyhow::Result<ExitCode> {
     let strategy = match (args.planned, args.monte_carlo) {
         (Some(planned), _) => SlotStrategy::Novelty { planned },
         (None, true) => SlotStrategy::MonteCarlo,

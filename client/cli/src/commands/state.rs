@@ -11,7 +11,7 @@ use super::{Session, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
-pub enum StateCommand {
+pub(crate) enum StateCommand {
     /// Lists the states of a map, in the order in which they were first seen
     List {
         /// Name of the map
@@ -46,7 +46,7 @@ fn cells(state: State) -> Vec<Cell> {
     ]
 }
 
-pub async fn run(session: &Session, command: StateCommand) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, command: StateCommand) -> anyhow::Result<ExitCode> {
     let map = match command {
         StateCommand::List { map } => map,
         StateCommand::Add { map, state, kind, dimensions } => {

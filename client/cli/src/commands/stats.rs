@@ -10,12 +10,12 @@ use super::Session;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct StatsArgs {
+pub(crate) struct StatsArgs {
     /// Name of the map [default: the whole daemon]
     map: Option<String>,
 }
 
-pub async fn run(session: &Session, args: &StatsArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: &StatsArgs) -> anyhow::Result<ExitCode> {
     let statistics = session.client.statistics(args.map.as_deref().unwrap_or("")).await?;
     let mut table = session.table(&["name", "value", "unit"]);
     for statistic in statistics {

@@ -14,17 +14,17 @@ use super::{UsageError, files};
 const STEPS_MAX: i64 = 10_000_000;
 
 /// A time, or `now`.
-pub fn time(text: &str) -> Result<i64, InvalidTime> {
+pub(crate) fn time(text: &str) -> Result<i64, InvalidTime> {
     if text == "now" { Ok(clock::now_nanos()) } else { parse_time(text) }
 }
 
 /// A duration.
-pub fn duration(text: &str) -> Result<i64, InvalidDuration> {
+pub(crate) fn duration(text: &str) -> Result<i64, InvalidDuration> {
     parse_duration(text)
 }
 
 /// A duration, or `0s`.
-pub fn duration_or_none(text: &str) -> Result<i64, InvalidDuration> {
+pub(crate) fn duration_or_none(text: &str) -> Result<i64, InvalidDuration> {
     match parse_duration(text) {
         Err(InvalidDuration::Zero(_)) => Ok(0),
         duration => duration,
@@ -32,7 +32,7 @@ pub fn duration_or_none(text: &str) -> Result<i64, InvalidDuration> {
 }
 
 /// Times from `from` in steps of `step`, up to but without `to`.
-pub fn steps(from: i64, to: i64, step: i64) -> Result<Vec<i64>, UsageError> {
+pub(crate) fn steps(from: i64, to: i64, step: i64) -> Result<Vec<i64>, UsageError> {
     if from >= to {
         return Err(UsageError("--from must be before --to, which is not included".to_owned()));
     }
@@ -45,7 +45,7 @@ pub fn steps(from: i64, to: i64, step: i64) -> Result<Vec<i64>, UsageError> {
 }
 
 /// The times of a file, one a line, or of its column `time` where it has a header; `-` is stdin.
-pub fn from_file(path: &Path) -> anyhow::Result<Vec<i64>> {
+pub(crate) fn from_file(path: &Path) -> anyhow::Result<Vec<i64>> {
     from_text(&files::read_text(path)?).with_context(|| path.display().to_string())
 }
 

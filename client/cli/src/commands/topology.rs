@@ -27,7 +27,7 @@ use tidemap_formats::{
 };
 
 #[derive(Debug, Subcommand)]
-pub enum TopologyCommand {
+pub(crate) enum TopologyCommand {
     /// Loads nodes and edges from a file, in place of those that are there; those of the same names keep their numbers
     ///
     /// A file that ends in .yaml or .yml is a ROS topological map. Any other has lines `node A`, `link A B SECONDS` (both
@@ -70,7 +70,7 @@ pub enum TopologyCommand {
 }
 
 #[derive(Debug, Args)]
-pub struct EdgeForecastArgs {
+pub(crate) struct EdgeForecastArgs {
     /// Name of the map
     map: String,
     /// The time
@@ -91,7 +91,7 @@ pub struct EdgeForecastArgs {
 }
 
 #[derive(Debug, Subcommand)]
-pub enum EditCommand {
+pub(crate) enum EditCommand {
     /// Adds a node
     AddNode(NodeArgs),
     /// Says where a node lies, and how long a look there takes
@@ -121,7 +121,7 @@ pub enum EditCommand {
 }
 
 #[derive(Debug, Args)]
-pub struct NodeArgs {
+pub(crate) struct NodeArgs {
     /// Name of the map
     map: String,
     /// Name of the node
@@ -138,7 +138,7 @@ pub struct NodeArgs {
 }
 
 #[derive(Debug, Args)]
-pub struct EndsArgs {
+pub(crate) struct EndsArgs {
     /// Name of the map
     map: String,
     /// Name of the node where it begins
@@ -154,7 +154,7 @@ pub struct EndsArgs {
 }
 
 #[derive(Debug, Args)]
-pub struct LinkArgs {
+pub(crate) struct LinkArgs {
     #[command(flatten)]
     ends: EndsArgs,
     /// What it nominally takes
@@ -220,7 +220,7 @@ fn read(path: &Path) -> anyhow::Result<Topology> {
 }
 
 /// The topology that a file describes.
-pub fn from_file(file: TopologyFile) -> Topology {
+pub(crate) fn from_file(file: TopologyFile) -> Topology {
     let node = |NodeEntry { name, pose }| Node { name, pose, ..Node::default() };
     let edge = |EdgeEntry { from, to, action, both_ways, length_m, nominal_secs }| {
         let ends = EdgeEnds { from, to, action, both_ways };
@@ -229,7 +229,7 @@ pub fn from_file(file: TopologyFile) -> Topology {
     Topology { nodes: file.nodes.into_iter().map(node).collect(), edges: file.edges.into_iter().map(edge).collect() }
 }
 
-pub async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<ExitCode> {
     let size = match command {
         TopologyCommand::Load { map, file, add } => {
             let topology = read(&file)?;

@@ -16,15 +16,15 @@ use tidemap_formats::topology_svg::{self, DrawnEdge, DrawnNode, TopologyPicture}
 
 /// What is drawn over the map.
 #[derive(Clone, Debug, Default)]
-pub struct Overlay {
+pub(crate) struct Overlay {
     /// Edges of a way: from, to, and by which action where that is known.
-    pub way: Vec<(String, String, Option<String>)>,
+    pub(crate) way: Vec<(String, String, Option<String>)>,
     /// Nodes in their order.
-    pub numbered: Vec<String>,
+    pub(crate) numbered: Vec<String>,
 }
 
 /// The map at a time.
-pub async fn draw(
+pub(crate) async fn draw(
     session: &Session,
     map: &str,
     time_nanos: i64,

@@ -15,7 +15,7 @@ use crate::progress::status_line;
 use tidemap_formats::{table::Cell, tour_svg};
 
 #[derive(Debug, Args)]
-pub struct TourArgs {
+pub(crate) struct TourArgs {
     /// Name of the map
     map: String,
     /// When it is driven
@@ -64,7 +64,7 @@ pub struct TourArgs {
 
 const COLUMNS: [&str; 6] = ["step", "x", "y", "information_bits", "reachability", "arrival_secs"];
 
-pub async fn run(session: &Session, args: TourArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: TourArgs) -> anyhow::Result<ExitCode> {
     check_for_cells(args.model)?;
     files::check_picture(args.picture.as_deref())?;
     let usual = Sensor::default();

@@ -23,7 +23,7 @@ use tidemap_formats::{
 const LABEL: &str = "traverse";
 
 #[derive(Debug, Args)]
-pub struct TraverseArgs {
+pub(crate) struct TraverseArgs {
     /// Name of the map
     map: String,
     /// File with the columns from,to,start,end,success and perhaps action and reason; - is stdin
@@ -75,7 +75,7 @@ impl TraverseArgs {
     }
 }
 
-pub async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Result<ExitCode> {
     if let Some(file) = &args.file {
         let feed = feed::open::<TraversalColumns>(file)?;
         return observe::send(session, args.options()?, feed, &feed::shown(file)).await;

@@ -13,7 +13,7 @@ use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct UpdateArgs {
+pub(crate) struct UpdateArgs {
     /// Name of the map
     map: String,
     /// Takes only observations before this time [default: all there are]
@@ -23,7 +23,7 @@ pub struct UpdateArgs {
 
 const COLUMNS: [&str; 7] = ["state", "order_before", "order", "mse_before", "mse", "observations", "scored"];
 
-pub async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCode> {
     let client = &session.client;
     let started = client.run_update(&args.map, args.until).await?;
     let ended = job::watch(client, started.id).await?;

@@ -9,7 +9,7 @@ use clap::{ArgAction, Args};
 use super::{Session, point::Point, times};
 
 #[derive(Debug, Args)]
-pub struct VisitArgs {
+pub(crate) struct VisitArgs {
     /// Name of the map
     map: String,
     /// Where the robot was sent, metres
@@ -23,7 +23,7 @@ pub struct VisitArgs {
     time: Option<i64>,
 }
 
-pub async fn run(session: &Session, args: &VisitArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: &VisitArgs) -> anyhow::Result<ExitCode> {
     let VisitArgs { map, at: Point(at_m), reached, time } = args;
     let (reachability, attempts) = session.client.report_visit(map, *at_m, *reached, *time).await?;
     let mut table = session.table(&["x", "y", "reachability", "attempts"]);

@@ -27,7 +27,7 @@ use crate::{commands::times, progress::status_line};
 use tidemap_formats::table::Cell;
 
 #[derive(Clone, Debug, Args)]
-pub struct GridArgs {
+pub(crate) struct GridArgs {
     /// Cells of the office, of 0.1 m
     #[arg(long, value_name = "N", default_value_t = 213_000)]
     cells: u32,

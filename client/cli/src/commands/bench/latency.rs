@@ -19,7 +19,7 @@ use super::{DaemonProcess, Figures, latencies::Latencies, machine::CpuTimes};
 use crate::progress::status_line;
 
 #[derive(Debug, Args)]
-pub struct LatencyArgs {
+pub(crate) struct LatencyArgs {
     /// Streams at a time
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     streams: u32,

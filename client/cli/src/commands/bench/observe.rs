@@ -17,7 +17,7 @@ use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
-pub struct ObserveBenchArgs {
+pub(crate) struct ObserveBenchArgs {
     /// Streams at a time
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     streams: u64,

@@ -21,7 +21,7 @@ use super::{
 use crate::progress::status_line;
 
 #[derive(Debug, Args)]
-pub struct PredictBenchArgs {
+pub(crate) struct PredictBenchArgs {
     /// States to predict
     #[arg(long, value_name = "N", default_value_t = 1_000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     states: u64,

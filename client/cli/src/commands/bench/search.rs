@@ -30,7 +30,7 @@ use crate::{
 use tidemap_formats::topology::read_lines;
 
 #[derive(Debug, Args)]
-pub struct SearchBenchArgs {
+pub(crate) struct SearchBenchArgs {
     /// Nodes to look at, in a tree
     #[arg(long, value_name = "N", default_value_t = 9, value_parser = clap::value_parser!(u64).range(2..=1_000))]
     nodes: u64,

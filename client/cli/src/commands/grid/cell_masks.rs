@@ -20,11 +20,11 @@ const OFF_MAX: f64 = 0.01;
 
 /// What a map is on a grid.
 #[derive(Debug)]
-pub struct GridMasks {
+pub(crate) struct GridMasks {
     /// Its tiles.
-    pub tiles: Vec<(TileIndex, TileMasks)>,
+    pub(crate) tiles: Vec<(TileIndex, TileMasks)>,
     /// What is worth knowing about how it was fitted in.
-    pub notice: Option<String>,
+    pub(crate) notice: Option<String>,
 }
 
 /// How the cells of a map lie in those of a grid.
@@ -143,7 +143,7 @@ fn row_bits(from: u32, to: u32) -> u64 {
 }
 
 /// The known cells of an OctoMap.
-pub fn of_octomap(map: &OctoMap, grid: &Grid) -> anyhow::Result<GridMasks> {
+pub(crate) fn of_octomap(map: &OctoMap, grid: &Grid) -> anyhow::Result<GridMasks> {
     let fit = CellFit::new(map.resolution_m, [0.0; 3], grid)?;
     let mut tiles = TileFill::new(grid);
     for leaf in &map.leaves {
@@ -155,7 +155,7 @@ pub fn of_octomap(map: &OctoMap, grid: &Grid) -> anyhow::Result<GridMasks> {
 }
 
 /// The known cells of a grid in the plane.
-pub fn of_plane(map: &nav2::Grid, grid: &Grid) -> anyhow::Result<GridMasks> {
+pub(crate) fn of_plane(map: &nav2::Grid, grid: &Grid) -> anyhow::Result<GridMasks> {
     let [x_m, y_m] = map.origin_m;
     let fit = CellFit::new(map.resolution_m, [x_m, y_m, grid.origin_m[2]], grid)?;
     let mut tiles = TileFill::new(grid);

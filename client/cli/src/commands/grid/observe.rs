@@ -24,7 +24,7 @@ use crate::{
 };
 
 #[derive(Debug, Args)]
-pub struct GridObserveArgs {
+pub(crate) struct GridObserveArgs {
     /// Name of the map
     map: String,
     /// Files; each is one scan, unless it ends in .tms
@@ -58,7 +58,7 @@ fn range(text: &str) -> Result<f32, String> {
     text.parse::<f32>().ok().filter(|range| range.is_finite() && *range >= 0.0).ok_or_else(right)
 }
 
-pub async fn run(session: &Session, args: GridObserveArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: GridObserveArgs) -> anyhow::Result<ExitCode> {
     let scan_options = scans::ScanOptions {
         at_nanos: args.at,
         every_nanos: args.every,

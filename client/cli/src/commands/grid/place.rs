@@ -13,7 +13,7 @@ use tidemap_client::{
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 
 /// A pose: `X,Y,Z,QX,QY,QZ,QW`, or `X,Y,Z` for a sensor that is not turned.
-pub fn pose(text: &str) -> Result<Pose, String> {
+pub(crate) fn pose(text: &str) -> Result<Pose, String> {
     let right = "a pose is X,Y,Z,QX,QY,QZ,QW: metres and a unit quaternion; or X,Y,Z, not turned";
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
     let numbers = numbers.ok().filter(|numbers| numbers.iter().all(|number| number.is_finite()));
@@ -33,14 +33,14 @@ pub fn pose(text: &str) -> Result<Pose, String> {
 
 /// A stretch along one axis, from one place up to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stretch {
+pub(crate) struct Stretch {
     from_m: f64,
     to_m: f64,
 }
 
 impl Stretch {
     /// From one place up to another that is beyond it.
-    pub fn new(from_m: f64, to_m: f64) -> Self {
+    pub(crate) fn new(from_m: f64, to_m: f64) -> Self {
         Self { from_m, to_m }
     }
 }
@@ -62,7 +62,7 @@ impl FromStr for Stretch {
 
 /// A rectangle of the plane: `X0:X1,Y0:Y1`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rectangle {
+pub(crate) struct Rectangle {
     x: Stretch,
     y: Stretch,
 }
@@ -79,7 +79,7 @@ impl FromStr for Rectangle {
 }
 
 /// The cells of a region: those that reach into it, of `all` where it says nothing of an axis.
-pub fn cells(grid: &Grid, all: &CellBox, rectangle: Option<Rectangle>, height: Option<Stretch>) -> CellBox {
+pub(crate) fn cells(grid: &Grid, all: &CellBox, rectangle: Option<Rectangle>, height: Option<Stretch>) -> CellBox {
     let mut cells = *all;
     let along = [rectangle.map(|rectangle| rectangle.x), rectangle.map(|rectangle| rectangle.y), height];
     for (axis, stretch) in along.into_iter().enumerate() {

@@ -21,7 +21,7 @@ use crate::{
 use tidemap_formats::{CELLS_MAX, MapPicture, PictureCell, cells_csv, nav2, ply, png, table::Cell};
 
 #[derive(Debug, Args)]
-pub struct GridPredictArgs {
+pub(crate) struct GridPredictArgs {
     /// Name of the map
     map: String,
     /// When
@@ -90,7 +90,7 @@ fn kind(path: &Path) -> Result<OutputKind, UsageError> {
     }
 }
 
-pub async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Result<ExitCode> {
     let kind = kind(&args.out)?;
     if args.order.is_some() && !args.model.kind.has_order() {
         let text = format!("--order does not go with --model {}: only auto and spectral have one", args.model);
@@ -164,7 +164,7 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
 }
 
 /// The cells of a map between two heights, metres; none where all are wanted or there are none.
-pub fn heights(map: &Map, from_m: f64, to_m: f64) -> Option<CellBox> {
+pub(crate) fn heights(map: &Map, from_m: f64, to_m: f64) -> Option<CellBox> {
     let grid = map.grid.as_ref().filter(|grid| !grid.is_flat)?;
     let bounds = map.grid_summary.as_ref()?.bounds.as_ref()?;
     Some(cells(grid, bounds, None, Some(Stretch::new(from_m, to_m))))
@@ -177,7 +177,7 @@ fn is_full(picture: &MapPicture) -> bool {
 }
 
 /// The region cell by cell, as files show it.
-pub fn picture(predicted: &PredictedGrid) -> MapPicture {
+pub(crate) fn picture(predicted: &PredictedGrid) -> MapPicture {
     let CellBox { min, max } = predicted.header.region;
     let grid = &predicted.header.grid;
     let size_cells = predicted.header.region.size();

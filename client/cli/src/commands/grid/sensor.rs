@@ -5,7 +5,7 @@
 use tidemap_client::observe::ProducerSensor;
 
 /// A sensor as the command line says it; what is not said is that of a sensor that is always right.
-pub fn sensor(text: &str) -> Result<ProducerSensor, String> {
+pub(crate) fn sensor(text: &str) -> Result<ProducerSensor, String> {
     let (mut hit, mut false_alarm) = (None, None);
     for part in text.split(',') {
         let (name, value) = part.split_once('=').unwrap_or((part, ""));

@@ -9,11 +9,11 @@ use tidemap_map::time::{format_duration, parse_duration};
 
 /// A grid as the command line says it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct GridSpec(pub Grid);
+pub(crate) struct GridSpec(pub(crate) Grid);
 
 /// A mistake in a grid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum InvalidGridSpec {
+pub(crate) enum InvalidGridSpec {
     /// No such part.
     #[error(
         "{0:?}: a grid has resolution=M, flat, origin=X:Y:Z, size=NXxNYxNZ or min=X:Y:Z and max=X:Y:Z, frame=NAME, \
@@ -152,7 +152,7 @@ fn extent(
 }
 
 /// A grid as the command line would say it.
-pub fn shown(grid: &Grid) -> String {
+pub(crate) fn shown(grid: &Grid) -> String {
     let triple = |[x, y, z]: [f64; 3]| format!("{x}:{y}:{z}");
     let cells = |[x, y, z]: [i32; 3]| format!("{x}:{y}:{z}");
     let mut text = format!("resolution={}", grid.resolution_m);
@@ -178,13 +178,13 @@ pub fn shown(grid: &Grid) -> String {
 }
 
 /// A box of cells, as `X0:X1,Y0:Y1,Z0:Z1`, the ends not included.
-pub fn shown_box(cells: &CellBox) -> String {
+pub(crate) fn shown_box(cells: &CellBox) -> String {
     let along = |axis: usize| format!("{}:{}", cells.min[axis], cells.max[axis]);
     format!("{},{},{}", along(0), along(1), along(2))
 }
 
 /// A retention: `none`, `forever` or a duration.
-pub fn retention(text: &str) -> Result<Retention, String> {
+pub(crate) fn retention(text: &str) -> Result<Retention, String> {
     match text {
         "none" => Ok(Retention::None),
         "forever" => Ok(Retention::Forever),
@@ -195,7 +195,7 @@ pub fn retention(text: &str) -> Result<Retention, String> {
 }
 
 /// As [`retention`] reads it.
-pub fn shown_retention(retention: Retention) -> String {
+pub(crate) fn shown_retention(retention: Retention) -> String {
     match retention {
         Retention::None => "none".to_owned(),
         Retention::Duration(nanos) => format_duration(nanos),

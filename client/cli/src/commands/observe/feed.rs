@@ -24,14 +24,14 @@ const REPORTED_MAX: u64 = 20;
 
 /// Rows that were read together.
 #[derive(Debug)]
-pub struct RowChunk<T = ObservationRow> {
-    pub rows: Vec<T>,
+pub(crate) struct RowChunk<T = ObservationRow> {
+    pub(crate) rows: Vec<T>,
     /// Line and text of a last line that was cut off.
-    pub torn: Option<(u64, String)>,
+    pub(crate) torn: Option<(u64, String)>,
     /// A last line that is a valid row, but has no line end.
-    pub unended: Option<u64>,
+    pub(crate) unended: Option<u64>,
     /// Bytes of the file read so far.
-    pub bytes: u64,
+    pub(crate) bytes: u64,
 }
 
 impl<T> Default for RowChunk<T> {
@@ -42,23 +42,23 @@ impl<T> Default for RowChunk<T> {
 
 /// A file that is being read.
 #[derive(Debug)]
-pub struct Feed<L: Layout = ObservationColumns> {
+pub(crate) struct Feed<L: Layout = ObservationColumns> {
     /// An error is the last entry.
-    pub rows: RowChunks<L::Row>,
+    pub(crate) rows: RowChunks<L::Row>,
     /// Size of the file; `None` for pipes.
-    pub total_bytes: Option<u64>,
-    pub layout: L,
+    pub(crate) total_bytes: Option<u64>,
+    pub(crate) layout: L,
 }
 
-pub type RowChunks<T> = mpsc::Receiver<Result<RowChunk<T>, RowError>>;
+pub(crate) type RowChunks<T> = mpsc::Receiver<Result<RowChunk<T>, RowError>>;
 
 /// Name of the file for messages.
-pub fn shown(path: &Path) -> String {
+pub(crate) fn shown(path: &Path) -> String {
     if path.as_os_str() == "-" { "stdin".to_owned() } else { path.display().to_string() }
 }
 
 /// Opens a file, or stdin if the path is `-`, and reads its header.
-pub fn open<L>(path: &Path) -> anyhow::Result<Feed<L>>
+pub(crate) fn open<L>(path: &Path) -> anyhow::Result<Feed<L>>
 where
     L: Layout<Row: Send> + Copy + Send + 'static,
 {
@@ -124,7 +124,7 @@ fn read<R: Read, L: Layout>(
 
 /// Reports invalid rows or scans: the first ones one by one, then the number of the others.
 #[derive(Debug)]
-pub struct RefusalReport {
+pub(crate) struct RefusalReport {
     bar: Bar,
     noun: &'static str,
     verb: &'static str,
@@ -135,11 +135,11 @@ pub struct RefusalReport {
 
 impl RefusalReport {
     /// `noun` and `verb` make the message: a "row" "is refused".
-    pub fn new(bar: Bar, noun: &'static str, verb: &'static str) -> Self {
+    pub(crate) fn new(bar: Bar, noun: &'static str, verb: &'static str) -> Self {
         Self { bar, noun, verb, wrong: 0, reported: 0, torn: false }
     }
 
-    pub fn refused(&mut self, number: u64, line: Option<u64>, why: &str) {
+    pub(crate) fn refused(&mut self, number: u64, line: Option<u64>, why: &str) {
         self.wrong += 1;
         if self.reported < REPORTED_MAX {
             self.reported += 1;
@@ -149,12 +149,12 @@ impl RefusalReport {
     }
 
     /// Counts refused rows whose details are lost.
-    pub fn count_refused(&mut self, rows: u64) {
+    pub(crate) fn count_refused(&mut self, rows: u64) {
         self.wrong += rows;
     }
 
     /// Reports a last line that has no line end.
-    pub fn last_line<T>(&mut self, chunk: &RowChunk<T>) {
+    pub(crate) fn last_line<T>(&mut self, chunk: &RowChunk<T>) {
         if let Some((line, text)) = &chunk.torn {
             self.torn = true;
             let why = "the input ends in it, without a line end";
@@ -166,12 +166,12 @@ impl RefusalReport {
     }
 
     /// Whether every row was valid.
-    pub fn is_clean(&self) -> bool {
+    pub(crate) fn is_clean(&self) -> bool {
         self.wrong == 0 && !self.torn
     }
 
     /// Reports the number of refusals that were not reported one by one.
-    pub fn conclude(&self) {
+    pub(crate) fn conclude(&self) {
         if self.wrong > self.reported {
             self.bar.status_line(&format!("and {} more {}s like these", self.wrong - self.reported, self.noun));
         }

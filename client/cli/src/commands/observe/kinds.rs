@@ -14,7 +14,7 @@ use tidemap_formats::observation_file::ObservationRow;
 const ASKED_MAX: usize = 10_000;
 
 /// What is known of the states of a map.
-pub struct Kinds {
+pub(crate) struct Kinds {
     client: Client,
     map: String,
     /// What was said of all states of the file.
@@ -24,12 +24,12 @@ pub struct Kinds {
 
 impl Kinds {
     /// Nothing known yet.
-    pub fn new(client: Client, map: String, said: Option<StateKind>) -> Self {
+    pub(crate) fn new(client: Client, map: String, said: Option<StateKind>) -> Self {
         Self { client, map, said, known: HashMap::new() }
     }
 
     /// What is wrong with a row, if anything is.
-    pub async fn wrong(&mut self, row: &ObservationRow) -> Option<String> {
+    pub(crate) async fn wrong(&mut self, row: &ObservationRow) -> Option<String> {
         if !row.is_read || row.position.is_some() {
             return row.wrong.clone();
         }

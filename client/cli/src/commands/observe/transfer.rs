@@ -18,7 +18,7 @@ use tidemap_formats::observation_file::{
 };
 
 /// A row that can be sent.
-pub trait Sendable {
+pub(crate) trait Sendable {
     fn at(&self) -> RowPlace;
     /// Adds the row to the checksum of the content.
     fn add_to(&self, crc: &mut ContentCrc);
@@ -75,7 +75,7 @@ fn report(row: &TraversalRow) -> Traversal {
 }
 
 /// Sends a file's rows or scans.
-pub trait Transfer {
+pub(crate) trait Transfer {
     /// Number of rows or scans that the daemon had at the start.
     fn sent_before(&self) -> u64;
     /// Sends everything and waits until it is durable.
@@ -85,7 +85,7 @@ pub trait Transfer {
 }
 
 /// How a transfer of rows or scans ended.
-pub enum TransferEnd {
+pub(crate) enum TransferEnd {
     /// Everything is durable.
     Whole,
     /// By Ctrl-C.
