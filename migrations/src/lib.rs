@@ -1,8 +1,8 @@
-//! The disk format: which one a data directory has, the frozen layouts of each, and the steps from one to the next.
+//! The disk formats: the format of a data directory, the frozen layout of each format, and the steps between them.
 //!
 //! Invariant: a layout that has been released never changes. A new format gets a new module beside [`v1`] and a
-//! [`plan::Step`] that leads to it, so that every data directory ever written can be opened. What a layout means is
-//! not known here; `tidemap-store` turns it into the types of the domain.
+//! [`plan::Step`] that leads to it, so that every data directory ever written can be opened. The meaning of a layout is
+//! not defined here; `tidemap-store` converts it to the types of the domain.
 
 pub mod manifest;
 pub mod plan;

@@ -1,6 +1,6 @@
-//! The file `MANIFEST`: which disk format a data directory has, and which store it is.
+//! The file `MANIFEST`: the disk format of a data directory and the identity of its store.
 //!
-//! It is text, so that anybody can read it:
+//! It is readable text:
 //!
 //! ```text
 //! tidemap store
@@ -10,7 +10,7 @@
 //! ```
 //!
 //! Invariant: in every format, past and future, the first line, the form of the second and that of the last are the
-//! same and the last covers everything before it, so that any version can tell "newer" from "damaged".
+//! same and the last covers everything before it, so any version can distinguish "newer" from "damaged".
 
 use std::{
     fs::{self, File},
@@ -24,10 +24,10 @@ pub const FILE_NAME: &str = "MANIFEST";
 pub const NEW_FILE_NAME: &str = "MANIFEST.new";
 
 const FIRST_LINE: &str = "tidemap store";
-/// Longer files are not manifests; nothing reads them into memory.
+/// Limit of the file's length; longer files are not read.
 const SIZE_MAX: u64 = 4096;
 
-/// What a data directory says about itself.
+/// The manifest of a data directory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Manifest {
     /// Its disk format.
@@ -42,7 +42,7 @@ pub enum ManifestError {
     /// The store's identity is not 16 bytes in hexadecimal.
     #[error("store id {0:?} is not valid: it must be 32 lower-case hexadecimal digits")]
     StoreId(String),
-    /// The file is not what was written.
+    /// The file is damaged.
     #[error(
         "{} is damaged: {reason}. Restore this file from a backup of the same data directory; do not write it by hand",
         .file.display()
@@ -83,7 +83,7 @@ pub fn is_store_id(id: &str) -> bool {
     id.len() == 32 && id.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
 
-/// Reads the manifest of a data directory; `None` where there is none. Changes nothing.
+/// Reads the manifest of a data directory; `None` if there is none. Changes nothing.
 ///
 /// # Errors
 /// [`ManifestError`]: damaged, too new, or not readable.
@@ -107,14 +107,14 @@ pub fn read(directory: &Path, supported: u32) -> Result<Option<Manifest>, Manife
     }
     let store_id = text.lines().nth(2).and_then(|line| line.strip_prefix("store ")).unwrap_or_default();
     let manifest = Manifest { format, store_id: store_id.to_owned() };
-    // Written again it must be the same to the byte, so that nothing else can hide in the file.
+    // Writing it again must give the same bytes, so that the file has no other content.
     if !is_store_id(store_id) || to_text(&manifest) != text {
-        return Err(damaged("it has other lines than it should"));
+        return Err(damaged("it has unexpected lines"));
     }
     Ok(Some(manifest))
 }
 
-/// Checks what all formats have in common.
+/// Checks the parts that all formats have in common.
 fn parse_format(text: &str) -> Result<u32, &'static str> {
     let body_length = text.rfind("crc32c ").ok_or("the checksum is missing")?;
     let (body, checksum) = text.split_at(body_length);
@@ -141,7 +141,7 @@ pub fn to_text(manifest: &Manifest) -> String {
     body + &checksum
 }
 
-/// Writes the manifest of a data directory: durable when this returns, and whole or absent at every moment before.
+/// Writes the manifest of a data directory: durable when this returns, and complete or absent at every moment before.
 ///
 /// # Errors
 /// [`ManifestError::StoreId`], or [`ManifestError::Io`].

@@ -1,27 +1,27 @@
-//! What to do with a data directory of a given format.
+//! How to bring a data directory from its format to the current one.
 //!
-//! Invariant: a plan only ever leads upwards, one format at a time, and never past [`FORMAT`](crate::FORMAT).
+//! Invariant: a plan only leads to newer formats, one at a time, and never past [`FORMAT`](crate::FORMAT).
 
 use std::{io, path::Path};
 
 /// One step from a format to the next.
 ///
-/// A step must be safe to run again after it was cut off at any point: it writes copies beside the old files, makes
+/// A step must be safe to run again after an interruption at any point: it writes copies beside the old files, makes
 /// them durable and renames them, and the manifest names the new format only afterwards.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
-    /// The format that the step starts from; it leads to the one after.
+    /// The format that the step starts from; it leads to the next one.
     pub from: u32,
-    /// What it does, for the log.
+    /// Description for the log.
     pub summary: &'static str,
-    /// Does it, in the data directory.
+    /// Runs the step in the data directory.
     pub run: fn(&Path) -> io::Result<()>,
 }
 
-/// Every step there is, ascending.
+/// All steps, ascending.
 pub const STEPS: &[Step] = &[Step {
     from: 1,
-    summary: "nothing changes in what is there; from here on there may be grids, which older versions cannot read",
+    summary: "existing files do not change; new maps may have grids, which older versions cannot read",
     run: |_| Ok(()),
 }];
 
@@ -32,21 +32,21 @@ pub enum Plan {
     Current,
     /// Run these steps in order, writing the manifest after each.
     Migrate(Vec<Step>),
-    /// Leave it alone: a newer version wrote it.
+    /// Change nothing: a newer version wrote it.
     TooNew {
         /// The format of the directory.
         found: u32,
         /// The newest that this version knows.
         supported: u32,
     },
-    /// Leave it alone: no step leads on from this format.
+    /// Change nothing: there is no step from this format.
     NoWay {
         /// The format that has no step.
         from: u32,
     },
 }
 
-/// The way from format `found` to format `supported` by `steps`.
+/// The plan from format `found` to format `supported` by `steps`.
 #[must_use]
 pub fn plan(found: u32, supported: u32, steps: &[Step]) -> Plan {
     if found > supported {

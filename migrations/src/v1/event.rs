@@ -1,11 +1,11 @@
 //! Payloads of the log's frames.
 //!
-//! A column holds one value per accepted observation, or a single value where all are equal:
+//! A column holds one value per accepted observation, or a single value if all are equal:
 //! - states: the numbers of the states as varints;
 //! - times: the differences from one time to the next in units of `time_unit_nanos`, as zigzag varints;
 //! - values: by [`ValueEncoding`].
 //!
-//! Invariant: the lengths of the columns follow from `count`, so that a column that was cut or lengthened is noticed.
+//! Invariant: the lengths of the columns follow from `count`, so a column that was cut or lengthened is detected.
 
 /// The values are bits, the first in the lowest bit of the first byte, padded with zero bits: 0.0 or 1.0.
 pub const VALUES_BITS: u32 = 0;
@@ -20,7 +20,7 @@ pub struct Observations {
     /// Number of the producer.
     #[prost(uint32, tag = "1")]
     pub producer: u32,
-    /// The producer's key, where this is its first record.
+    /// The producer's key, if this is its first record.
     #[prost(message, optional, tag = "2")]
     pub new_producer: Option<super::map::ProducerKey>,
     /// The producer's incarnation.
@@ -79,10 +79,8 @@ pub struct Observations {
 /// A state that appears for the first time.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct NewState {
-    /// Its number.
     #[prost(uint32, tag = "1")]
     pub id: u32,
-    /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
     /// Its kind: 0 probability; from format 2 on 1 continuous, 2 count, 3 a vector of 2
@@ -98,7 +96,7 @@ pub struct UpdateStart {
     /// Number of the generation.
     #[prost(uint64, tag = "1")]
     pub generation: u64,
-    /// Cut between folded in and pending.
+    /// The cut: earlier observations are learned, later ones are pending.
     #[prost(sint64, tag = "2")]
     pub cut_nanos: i64,
     /// 1 request, 2 midnight, 3 data time, 4 pending limit.

@@ -2,8 +2,8 @@
 //!
 //! A file is a header, records, and a trailer after which nothing follows. A record is its header and a payload.
 //!
-//! Invariant: the trailer holds the number of records and the CRC of every byte before it; a file without its trailer
-//! is not whole.
+//! Invariant: the trailer holds the number of records and the CRC of every byte before it; a file without a trailer
+//! is incomplete.
 
 use super::{FORMAT, u32_at, u64_at};
 
@@ -32,7 +32,6 @@ pub struct FileHeader {
 }
 
 impl FileHeader {
-    /// Its bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; FILE_HEADER_LENGTH] {
         let mut bytes = [0; FILE_HEADER_LENGTH];
@@ -45,7 +44,7 @@ impl FileHeader {
         bytes
     }
 
-    /// The header at the start of `bytes`, where it is there and whole.
+    /// The header at the start of `bytes`, if it is complete and valid.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<FileHeader> {
         let bytes = bytes.get(..FILE_HEADER_LENGTH)?;
@@ -80,7 +79,6 @@ pub struct RecordHeader {
 }
 
 impl RecordHeader {
-    /// Its bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; RECORD_HEADER_LENGTH] {
         let mut bytes = [0; RECORD_HEADER_LENGTH];
@@ -92,7 +90,7 @@ impl RecordHeader {
         bytes
     }
 
-    /// The header at the start of `bytes`, where it is there and whole.
+    /// The header at the start of `bytes`, if it is complete and valid.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<RecordHeader> {
         let bytes = bytes.get(..RECORD_HEADER_LENGTH)?;
@@ -122,7 +120,6 @@ pub struct Trailer {
 }
 
 impl Trailer {
-    /// Its bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; TRAILER_LENGTH] {
         let mut bytes = [0; TRAILER_LENGTH];
@@ -134,7 +131,7 @@ impl Trailer {
         bytes
     }
 
-    /// The trailer at the start of `bytes`, where it is there and whole.
+    /// The trailer at the start of `bytes`, if it is complete and valid.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<Trailer> {
         let bytes = bytes.get(..TRAILER_LENGTH)?;

@@ -8,7 +8,7 @@
 //! | `marks` | map u32, producer u32 | [`super::map::Producer`] |
 //!
 //! Numbers in keys are big-endian, so that they sort. A value is a version byte, the CRC-32C of everything else, and
-//! the payload; the CRC covers the tree's name and the key as well, so that a value in the wrong place is noticed.
+//! the payload; the CRC covers the tree's name and the key as well, so a value in the wrong place is detected.
 //!
 //! Invariant: no value is longer than 4 KB, because sled keeps long ones in files that it never syncs.
 
@@ -28,16 +28,16 @@ pub const CHUNK_LENGTH: usize = 3840;
 /// How far the index of a map goes.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Mark {
-    /// While it is set, records are being written and must not be believed.
+    /// While it is set, records are being written and must not be used.
     #[prost(bool, tag = "1")]
     pub dirty: bool,
     /// The snapshot that the records make up.
     #[prost(message, optional, tag = "2")]
     pub snapshot: Option<super::map::Snapshot>,
-    /// Number of records of the map, the mark excepted.
+    /// Number of records of the map, except the mark.
     #[prost(uint64, tag = "3")]
     pub records: u64,
-    /// Sum of [`fingerprint`] over all records of the map, the mark excepted.
+    /// Sum of [`fingerprint`] over all records of the map, except the mark.
     #[prost(fixed64, tag = "4")]
     pub fingerprint_sum: u64,
 }

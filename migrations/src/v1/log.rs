@@ -16,12 +16,12 @@ pub const SEGMENT_HEADER_LENGTH: usize = 32;
 pub const FRAME_HEADER_LENGTH: usize = 32;
 /// Version of the frame's payload.
 pub const FRAME_VERSION: u8 = 1;
-/// Most bytes of a payload; longer ones are neither written nor believed.
+/// Limit of a payload in bytes; longer ones are refused when written and when read.
 pub const PAYLOAD_MAX: usize = 16 << 20;
 /// Value of the first record's chain.
 pub const FIRST_CHAIN: u32 = 0;
 
-/// The byte that keeps zeros apart.
+/// The guard byte, which interrupts long runs of zeros.
 const GUARD: u8 = 0xA5;
 /// Payload bytes between two guards.
 const GUARD_SPACING: usize = 255;
@@ -38,7 +38,6 @@ pub struct SegmentHeader {
 }
 
 impl SegmentHeader {
-    /// Its bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; SEGMENT_HEADER_LENGTH] {
         let mut bytes = [0; SEGMENT_HEADER_LENGTH];
@@ -52,7 +51,7 @@ impl SegmentHeader {
         bytes
     }
 
-    /// The header at the start of `bytes`, where it is there and whole.
+    /// The header at the start of `bytes`, if it is complete and valid.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<SegmentHeader> {
         let bytes = bytes.get(..SEGMENT_HEADER_LENGTH)?;
@@ -86,8 +85,8 @@ pub struct FrameHeader {
     pub payload_length: u32,
     /// Number of the record, from 1.
     pub position: u64,
-    /// How many records before this one were written together with it. All before those were durable already, which
-    /// tells a tail that was torn from a durable record that was damaged.
+    /// How many records before this one were written together with it. All records before those were durable, which
+    /// distinguishes a torn tail from a damaged durable record.
     pub group_index: u32,
     /// Header CRC of the record before, [`FIRST_CHAIN`] for the first.
     pub chain: u32,
@@ -96,7 +95,6 @@ pub struct FrameHeader {
 }
 
 impl FrameHeader {
-    /// Its bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; FRAME_HEADER_LENGTH] {
         let mut bytes = [0; FRAME_HEADER_LENGTH];
@@ -112,7 +110,7 @@ impl FrameHeader {
         bytes
     }
 
-    /// The header at the start of `bytes`, where it is there and whole.
+    /// The header at the start of `bytes`, if it is complete and valid.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<FrameHeader> {
         let bytes = bytes.get(..FRAME_HEADER_LENGTH)?;
@@ -136,7 +134,7 @@ impl FrameHeader {
         })
     }
 
-    /// What the record after this one has as its chain.
+    /// The chain of the next record.
     #[must_use]
     pub fn next_chain(&self) -> u32 {
         u32_at(&self.encode(), 28)
@@ -170,7 +168,7 @@ pub fn guard(payload: &[u8]) -> Vec<u8> {
     body
 }
 
-/// The payload of a body; `None` where a guard is not in its place.
+/// The payload of a body; `None` if a guard is missing.
 #[must_use]
 pub fn unguard(body: &[u8]) -> Option<Vec<u8>> {
     let mut payload = Vec::with_capacity(body.len());

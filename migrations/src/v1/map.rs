@@ -1,23 +1,22 @@
-//! What a map is and what it holds after an update.
+//! A map: its fixed properties and its content after an update.
 //!
-//! Invariant: a double is kept as its bits (`fixed64`), so that what is read is what was written to the last bit.
+//! Invariant: a double is kept as its bits (`fixed64`), so that every bit is preserved.
 
 /// The fixed properties of a map.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct MapSpec {
-    /// Its name.
     #[prost(string, tag = "1")]
     pub name: String,
     /// IANA name of its time zone.
     #[prost(string, tag = "2")]
     pub zone: String,
-    /// Base period, where the periodicities are harmonics; 0 where they are a list.
+    /// Base period of the harmonics; 0 if the periodicities are a list.
     #[prost(sint64, tag = "3")]
     pub harmonics_base_nanos: i64,
-    /// Number of harmonics; 0 where they are a list.
+    /// Number of harmonics; 0 if the periodicities are a list.
     #[prost(uint32, tag = "4")]
     pub harmonics_count: u32,
-    /// Periods, where they are a list.
+    /// Periods, if the periodicities are a list.
     #[prost(sint64, repeated, tag = "5")]
     pub period_nanos: Vec<i64>,
     /// 1 squared error, 2 zero-one.
@@ -57,7 +56,6 @@ pub struct Snapshot {
 /// Whose sequence of observations.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct ProducerKey {
-    /// The producer.
     #[prost(string, tag = "1")]
     pub producer: String,
     /// One of its labels.
@@ -68,7 +66,6 @@ pub struct ProducerKey {
 /// How far a producer's sequence is durable.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Producer {
-    /// Its number.
     #[prost(uint32, tag = "1")]
     pub id: u32,
     /// Its key.
@@ -88,10 +85,8 @@ pub struct Producer {
 /// One state. In the index it has no `spectrum`; the chunks of that have keys of their own.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct State {
-    /// Its number.
     #[prost(uint32, tag = "1")]
     pub id: u32,
-    /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
     /// Its kind: 0 probability; from format 2 on as in [`super::event::NewState`].
@@ -132,7 +127,6 @@ pub struct State {
 /// The newest observation of a state.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct LastObservation {
-    /// Its time.
     #[prost(sint64, tag = "1")]
     pub nanos: i64,
     /// Its value.
@@ -166,7 +160,6 @@ pub struct Accumulator {
 /// A spectral model.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Spectral {
-    /// Mean.
     #[prost(fixed64, tag = "1")]
     pub mean_bits: u64,
     /// Number of observations it was fitted to.

@@ -4,7 +4,7 @@
 //! tiles in which it differs from the set before: the number of ranges of tile ids, and per range how many ids lie
 //! between it and the range before, and its length less 1. The set before the first of a message is empty.
 //!
-//! Invariant: the lengths of the columns follow from `count` and from the columns of counts, so that a column that was
+//! Invariant: the lengths of the columns follow from `count` and from the columns of counts, so a column that was
 //! cut or lengthened is noticed.
 
 /// Observations of one producer that became durable together: as in format 1, and the sensor of a new producer and
@@ -119,7 +119,7 @@ pub struct Scans {
     /// Offset of each run.
     #[prost(sint32, repeated, tag = "14")]
     pub offset_secs: Vec<i32>,
-    /// Where other tiles were seen than in the scan before: how many scans lie between this one and the last one that
+    /// If a scan has other tiles than the scan before: how many scans lie between this one and the last one that
     /// is named here, and the set of tiles.
     #[prost(bytes = "vec", tag = "15")]
     pub seen: Vec<u8>,

@@ -58,7 +58,7 @@ pub enum RecordKind {
     Update = 16,
     /// Of the file of an update; no longer written.
     DoneTile = 17,
-    /// [`super::site::Site`], after the last state where the snapshot has one.
+    /// [`super::site::Site`], after the last state, if the snapshot has one.
     Site = 18,
 }
 
@@ -95,7 +95,6 @@ pub struct RecordHeader {
 }
 
 impl RecordHeader {
-    /// Its bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; RECORD_HEADER_LENGTH] {
         let mut bytes = [0; RECORD_HEADER_LENGTH];
@@ -107,7 +106,7 @@ impl RecordHeader {
         bytes
     }
 
-    /// The header at the start of `bytes`, where it is there and whole.
+    /// The header at the start of `bytes`, if it is complete and valid.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<RecordHeader> {
         let bytes = bytes.get(..RECORD_HEADER_LENGTH)?;

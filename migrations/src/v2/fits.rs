@@ -1,8 +1,8 @@
 //! Models of a state that were fitted to its readings, apart from the calibrated one.
 //!
-//! Invariant: a list of numbers is as long as the model says, which whoever reads it checks.
+//! Invariant: a list of numbers has the length that the model requires; the reader checks that.
 
-/// The models of a state, each as it was last fitted; absent before its first fit.
+/// The models of a state as of their last fits; absent before the first fit.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Fits {
     /// The periodic mixture of Gaussians.
@@ -16,7 +16,7 @@ pub struct Fits {
     pub hypertime_km: Option<Hypertime>,
 }
 
-/// When a model was fitted, and how it has done.
+/// When a model was fitted, and its errors since.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Fit {
     /// The last local day that it was fitted to, in days since 1970-01-01.
@@ -36,7 +36,7 @@ pub struct Pergam {
     /// Its period.
     #[prost(sint64, tag = "2")]
     pub period_nanos: i64,
-    /// Of each Gaussian weight, mean and deviation, the latter two in seconds.
+    /// Weight, mean and standard deviation of each Gaussian, the latter two in seconds.
     #[prost(fixed64, repeated, tag = "3")]
     pub gaussians_bits: Vec<u64>,
 }
@@ -50,13 +50,13 @@ pub struct Hypertime {
     /// Its periods, as divisors of a week.
     #[prost(uint32, repeated, tag = "2")]
     pub week_divisors: Vec<u32>,
-    /// Of a probability: mean, background, ln of the factors of ones and of zeros. Else empty.
+    /// Of a probability: mean, background, ln of the factors of ones and of zeros. Otherwise empty.
     #[prost(fixed64, repeated, tag = "3")]
     pub odds_bits: Vec<u64>,
-    /// Of a value that is no probability: centre, scale, lowest and highest. Else empty.
+    /// Of a continuous value or a count: centre, scale, lowest and highest. Otherwise empty.
     #[prost(fixed64, repeated, tag = "4")]
     pub axis_bits: Vec<u64>,
-    /// Clusters of readings that are 1, or of values that are no probabilities.
+    /// Clusters of readings that are 1, or of continuous values or counts.
     #[prost(message, repeated, tag = "5")]
     pub clusters: Vec<Cluster>,
     /// Clusters of readings that are 0.

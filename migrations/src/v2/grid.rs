@@ -1,12 +1,12 @@
-//! A grid as it stands after an update, in a checkpoint.
+//! A grid after an update, in a checkpoint.
 //!
-//! A set of cells of a tile is 64 bytes, the first cell in the lowest bit of the first; no bytes stand for no cell. A
+//! A set of cells of a tile is 64 bytes, the first cell in the lowest bit of the first; an empty set has no bytes. A
 //! list of cells holds how many places lie between each and the one before, as varints. Sets of tiles are those of
 //! [`super::event`].
 //!
-//! Invariant: a double is kept as its bits, little-endian, so that what is read is what was written to the last bit.
+//! Invariant: a double is kept as its bits, little-endian, so that every bit is preserved.
 
-/// What a grid says about itself.
+/// The header of a grid.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Grid {
     /// Number of tiles.
@@ -18,7 +18,7 @@ pub struct Grid {
     /// Number of days.
     #[prost(uint32, tag = "3")]
     pub days: u32,
-    /// Number of scans ahead of their time.
+    /// Number of scans whose time is in the future.
     #[prost(uint32, tag = "4")]
     pub ahead: u32,
     /// Scans acknowledged.
@@ -30,21 +30,21 @@ pub struct Grid {
     /// The tiles of the last scan in the log: a set.
     #[prost(bytes = "vec", tag = "7")]
     pub last_seen: Vec<u8>,
-    /// When the first of the scans in `days` and `ahead` was received, or earlier, where there are any.
+    /// When the first of the scans in `days` and `ahead` was received, or earlier; absent if there are none.
     #[prost(sint64, optional, tag = "8")]
     pub received_nanos: Option<i64>,
 }
 
-/// A tile as the newest scans show it.
+/// The current state of a tile, after the newest scans.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Tile {
-    /// Where it is: x.
+    /// Index along x.
     #[prost(sint32, tag = "1")]
     pub x: i32,
-    /// Where it is: y.
+    /// Index along y.
     #[prost(sint32, tag = "2")]
     pub y: i32,
-    /// Where it is: z.
+    /// Index along z.
     #[prost(sint32, tag = "3")]
     pub z: i32,
     /// Cells observed by its last scan in the log.
@@ -65,7 +65,7 @@ pub struct Tile {
     /// Time of the newest scan.
     #[prost(sint64, tag = "9")]
     pub newest_nanos: i64,
-    /// Number of scans that were each newer than all before.
+    /// Number of scans that were newer than all scans before.
     #[prost(uint64, tag = "10")]
     pub scans: u64,
     /// Known cells that the newest scan did not observe: a list of cells, each with the time of its last observation
@@ -90,13 +90,13 @@ pub struct Tile {
     pub away_sensors: Vec<u8>,
 }
 
-/// What the generation says of a tile.
+/// The learned model of a tile.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct TileModel {
     /// Observation groups.
     #[prost(message, repeated, tag = "1")]
     pub groups: Vec<Group>,
-    /// Cells that were always read as occupied.
+    /// Cells whose readings were all occupied.
     #[prost(bytes = "vec", tag = "2")]
     pub always_occupied: Vec<u8>,
     /// Cells that have changed.
@@ -104,10 +104,9 @@ pub struct TileModel {
     pub cells: Vec<Cell>,
 }
 
-/// Cells that were observed at the same times.
+/// A group of cells that were observed at the same times.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Group {
-    /// The cells.
     #[prost(bytes = "vec", tag = "1")]
     pub cells: Vec<u8>,
     /// Observations of each.
@@ -131,13 +130,11 @@ pub struct Group {
 /// The model of a cell.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Cell {
-    /// Its place.
     #[prost(uint32, tag = "1")]
     pub cell: u32,
-    /// How often it was read as occupied.
+    /// Number of readings as occupied.
     #[prost(uint64, tag = "2")]
     pub occupied: u64,
-    /// Mean.
     #[prost(fixed64, tag = "3")]
     pub mean_bits: u64,
     /// Number of observations it was fitted to.
@@ -155,16 +152,16 @@ pub struct Cell {
     /// Last local day recorded in the errors, in days since 1970-01-01.
     #[prost(sint32, optional, tag = "8")]
     pub errors_last_day: Option<i32>,
-    /// Sum of β over the readings as occupied. Present where the groups have theirs.
+    /// Sum of β over the readings as occupied. Present if the groups have theirs.
     #[prost(fixed64, optional, tag = "9")]
     pub occupied_weight_bits: Option<u64>,
 }
 
-/// When cells of a tile were observed that have no sums for it. Follows the sums of a tile, where there are any, in the
-/// same record.
+/// Observation times of cells of a tile that have no sums for them. Follows the sums of a tile, if there are any, in
+/// the same record.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Sightings {
-    /// Days, in the order in which they were folded in.
+    /// Days, in the order in which they were learned.
     #[prost(message, repeated, tag = "1")]
     pub days: Vec<SeenDay>,
 }
@@ -181,14 +178,14 @@ pub struct SeenDay {
     /// Unit of the differences of times.
     #[prost(uint64, tag = "3")]
     pub time_unit_nanos: u64,
-    /// Column of differences of times, zigzag, modulo 2^64: `scans` - 1 of them, or one where all are equal.
+    /// Column of differences of times, zigzag, modulo 2^64: `scans` - 1 of them, or one if all are equal.
     #[prost(bytes = "vec", tag = "4")]
     pub times: Vec<u8>,
-    /// Cells observed alike, list by list: number of cells, the places that lie between each and the one before, number
-    /// of toggles, the scans that lie between each and the one before; all as varints.
+    /// Cells that were observed by the same scans, list by list: number of cells, the places that lie between each and
+    /// the one before, number of toggles, the scans that lie between each and the one before; all as varints.
     #[prost(bytes = "vec", tag = "5")]
     pub lists: Vec<u8>,
-    /// Lengths of the runs of scans of one sensor; none where all are of the map's own.
+    /// Lengths of the runs of scans of one sensor; empty if all are of the map's own.
     #[prost(uint32, repeated, tag = "6")]
     pub sensor_counts: Vec<u32>,
     /// Sensor of each run.
@@ -226,10 +223,10 @@ pub struct Day {
     /// Number of records of tiles that follow.
     #[prost(uint32, tag = "9")]
     pub tiles: u32,
-    /// One more than the greatest number of a tile for which there is room.
+    /// One more than the greatest number of a tile in the runs.
     #[prost(uint32, tag = "10")]
     pub tiles_end: u32,
-    /// Lengths of the runs of scans of one sensor; none where all are of the map's own.
+    /// Lengths of the runs of scans of one sensor; empty if all are of the map's own.
     #[prost(uint32, repeated, tag = "11")]
     pub sensor_counts: Vec<u32>,
     /// Sensor of each run.
@@ -240,10 +237,9 @@ pub struct Day {
 /// One tile on one day.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct DayTile {
-    /// Its number.
     #[prost(uint32, tag = "1")]
     pub tile: u32,
-    /// What was seen of it; absent where only models are known.
+    /// The observations; absent if only models are known.
     #[prost(message, optional, tag = "2")]
     pub scans: Option<DayTileScans>,
     /// Small models of cells, ascending: place u16, mean as a float, number of components u8, per component the index
@@ -252,7 +248,7 @@ pub struct DayTile {
     pub models: Vec<u8>,
 }
 
-/// What the scans of one day showed of a tile.
+/// The observations of a tile by the scans of one day.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct DayTileScans {
     /// Cells observed by the first scan.
@@ -266,16 +262,16 @@ pub struct DayTileScans {
     /// as varints. Of one scan, flips of observed bits come before those of occupied bits, each by place.
     #[prost(bytes = "vec", tag = "3")]
     pub flips: Vec<u8>,
-    /// Where the flips of one scan are in another order: all of them in theirs, and `flips` is empty. Per flip the
+    /// Used instead of `flips` if the flips of one scan have another order: all flips in that order. Per flip the
     /// number of scans since the flip before and the bit as above, as varints.
     #[prost(bytes = "vec", tag = "4")]
     pub flips_in_order: Vec<u8>,
-    /// What the last scan showed, where that is not the first with all flips.
+    /// The masks of the last scan, if they are not those of the first with all flips.
     #[prost(message, optional, tag = "5")]
     pub last: Option<Masks>,
 }
 
-/// What a scan showed of a tile.
+/// The observation of a tile by a scan.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Masks {
     /// Cells observed.
@@ -286,13 +282,11 @@ pub struct Masks {
     pub occupied: Vec<u8>,
 }
 
-/// A scan that waits because its time is too far ahead.
+/// A scan that waits because its time is too far in the future.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct AheadScan {
-    /// Its time.
     #[prost(sint64, tag = "1")]
     pub utc_nanos: i64,
-    /// Its UTC offset.
     #[prost(sint32, tag = "2")]
     pub offset_secs: i32,
     /// The numbers of its tiles, in their order.
@@ -301,7 +295,6 @@ pub struct AheadScan {
     /// Per tile the cells observed and the cells occupied, 64 bytes each.
     #[prost(bytes = "vec", tag = "4")]
     pub masks: Vec<u8>,
-    /// Its sensor.
     #[prost(uint32, tag = "5")]
     pub sensor: u32,
 }

@@ -1,12 +1,12 @@
-//! Exact observations of one generation, for recall.
+//! Exact observations of one generation.
 //!
-//! A history file is a file of records: the observations, a table of where they are, and [`End`]. A file of states has
+//! A history file is a file of records: the observations, a table of their offsets, and [`End`]. A file of states has
 //! [`StateSamples`], whose key in the table is the number of the state. A file of a grid has days as a checkpoint has
 //! them ([`super::grid::Day`], each followed by its [`super::grid::DayTile`]); the key of a day is its place in the
 //! file times 2^32, that of a tile 1 + its number more.
 //!
-//! Invariant: keys ascend, and the last 16 + [`END_LENGTH`] bytes before the trailer are the record [`End`], so that a
-//! part is found without reading the rest.
+//! Invariant: keys ascend, and the last 16 + [`END_LENGTH`] bytes before the trailer are the record [`End`], so a
+//! part can be found without reading the rest.
 
 use crate::v1::{u32_at, u64_at};
 
@@ -49,10 +49,9 @@ pub struct StateSamples {
     pub offset_secs: Vec<i32>,
 }
 
-/// Where something is: key u64, offset u64 of its first record in the file, number of records u32.
+/// An entry of the table: key u64, offset u64 of the first record in the file, number of records u32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// What.
     pub key: u64,
     /// Offset of its first record.
     pub offset: u64,
@@ -61,7 +60,6 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// Its bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; ENTRY_LENGTH] {
         let mut bytes = [0; ENTRY_LENGTH];
@@ -78,7 +76,7 @@ impl Entry {
     }
 }
 
-/// What a history file says about itself: offset of the table u64, entries u64, least time i64, greatest time i64, days
+/// The end of a history file: offset of the table u64, entries u64, smallest time i64, greatest time i64, days
 /// u64.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct End {
@@ -86,7 +84,7 @@ pub struct End {
     pub table: u64,
     /// Number of entries of the table.
     pub entries: u64,
-    /// Least time of the observations.
+    /// Smallest time of the observations.
     pub from_nanos: i64,
     /// Greatest time of the observations.
     pub to_nanos: i64,
@@ -95,7 +93,6 @@ pub struct End {
 }
 
 impl End {
-    /// Its bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; END_LENGTH] {
         let mut bytes = [0; END_LENGTH];

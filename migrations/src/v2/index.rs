@@ -7,24 +7,24 @@
 //!
 //! [`CHUNK_LENGTH`]: crate::v1::index::CHUNK_LENGTH
 //!
-//! Invariant: a mark of format 1 is one of these without a site, to the byte.
+//! Invariant: a mark of format 1 has the same bytes as one of these without a site.
 
-/// Stands in the keys of a site's chunks where a state's number would be.
+/// Replaces a state's number in the keys of a site's chunks.
 pub const SITE_ITEM: u32 = u32::MAX;
 
 /// How far the index of a map goes.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Mark {
-    /// While it is set, records are being written and must not be believed.
+    /// While it is set, records are being written and must not be used.
     #[prost(bool, tag = "1")]
     pub dirty: bool,
     /// The snapshot that the records make up.
     #[prost(message, optional, tag = "2")]
     pub snapshot: Option<super::map::Snapshot>,
-    /// Number of records of the map, the mark excepted.
+    /// Number of records of the map, except the mark.
     #[prost(uint64, tag = "3")]
     pub records: u64,
-    /// Sum of [`crate::v1::index::fingerprint`] over all records of the map, the mark excepted.
+    /// Sum of [`crate::v1::index::fingerprint`] over all records of the map, except the mark.
     #[prost(fixed64, tag = "4")]
     pub fingerprint_sum: u64,
 }

@@ -1,4 +1,4 @@
-//! Frames of the observation log: those of format 1, with more kinds.
+//! Frames of the observation log: those of format 1 and further kinds.
 //!
 //! Invariant: a frame of format 1 is the same to the byte.
 
@@ -17,7 +17,7 @@ pub enum FrameKind {
     UpdateStart = v1::log::FrameKind::UpdateStart as isize,
     /// [`super::event::Scans`].
     Scans = b'S' as isize,
-    /// [`v1::event::NewState`], of which nothing was observed yet.
+    /// [`v1::event::NewState`], which has no observations yet.
     AddState = b'K' as isize,
     /// [`super::site::SiteEdit`].
     EditSite = b'E' as isize,
@@ -41,7 +41,6 @@ pub struct FrameHeader {
 }
 
 impl FrameHeader {
-    /// Its bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; FRAME_HEADER_LENGTH] {
         let mut bytes = [0; FRAME_HEADER_LENGTH];
@@ -57,7 +56,7 @@ impl FrameHeader {
         bytes
     }
 
-    /// The header at the start of `bytes`, where it is there and whole.
+    /// The header at the start of `bytes`, if it is complete and valid.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<FrameHeader> {
         let bytes = bytes.get(..FRAME_HEADER_LENGTH)?;
@@ -84,7 +83,7 @@ impl FrameHeader {
         })
     }
 
-    /// What the record after this one has as its chain.
+    /// The chain of the next record.
     #[must_use]
     pub fn next_chain(&self) -> u32 {
         u32_at(&self.encode(), 28)

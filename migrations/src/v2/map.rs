@@ -1,24 +1,23 @@
-//! What a map is and its states: as in format 1, with a grid, with for how long exact observations are kept, and with
-//! what is known of a state apart from its spectrum.
+//! A map and its states: as in format 1, with a grid, the retention of exact observations, and
+//! the data of a state apart from its spectrum.
 //!
 //! Invariant: a message of format 1 reads as one of these whose further fields are absent.
 
 /// The fixed properties of a map.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct MapSpec {
-    /// Its name.
     #[prost(string, tag = "1")]
     pub name: String,
     /// IANA name of its time zone.
     #[prost(string, tag = "2")]
     pub zone: String,
-    /// Base period, where the periodicities are harmonics; 0 where they are a list.
+    /// Base period of the harmonics; 0 if the periodicities are a list.
     #[prost(sint64, tag = "3")]
     pub harmonics_base_nanos: i64,
-    /// Number of harmonics; 0 where they are a list.
+    /// Number of harmonics; 0 if the periodicities are a list.
     #[prost(uint32, tag = "4")]
     pub harmonics_count: u32,
-    /// Periods, where they are a list.
+    /// Periods, if the periodicities are a list.
     #[prost(sint64, repeated, tag = "5")]
     pub period_nanos: Vec<i64>,
     /// 1 squared error, 2 zero-one.
@@ -27,30 +26,30 @@ pub struct MapSpec {
     /// When it was created.
     #[prost(sint64, tag = "7")]
     pub created_nanos: i64,
-    /// How long exact observations of named states are kept; absent: for ever.
+    /// How long exact observations of named states are kept; absent: forever.
     #[prost(message, optional, tag = "8")]
     pub retention: Option<Retention>,
     /// The grid; absent: there is none.
     #[prost(message, optional, tag = "9")]
     pub grid: Option<GridSpec>,
-    /// Whether history files hold all that the map's retention asks for, so that the log's beginning may be deleted.
-    /// False for a map that was created under format 1, whose log is its history.
+    /// Whether history files hold all observations that the map's retention keeps, so that the log's beginning may be
+    /// deleted. False for a map that was created under format 1, whose log is its history.
     #[prost(bool, tag = "10")]
     pub history_complete: bool,
-    /// An observation that is this much older counts half; 0: all count alike.
+    /// The age difference after which an observation has half the weight; 0: all have the same weight.
     #[prost(sint64, tag = "11")]
     pub half_life_nanos: i64,
-    /// What a state answers of which nothing is known; absent: 0.5.
+    /// The prediction of an untrained state; absent: 0.5.
     #[prost(fixed64, optional, tag = "12")]
     pub prior_bits: Option<u64>,
-    /// What the nightly update chooses among besides the spectral model, a bit for each: 1 histograms, 2 the calibrated
-    /// model, 4 the periodic mixture of Gaussians, 8 warped hypertime by expectation-maximisation, 16 by k-means.
-    /// Absent: 3.
+    /// The models that the nightly update chooses among besides the spectral one, one bit each: 1 histograms, 2 the
+    /// calibrated model, 4 the periodic mixture of Gaussians, 8 warped hypertime by expectation-maximisation, 16 by
+    /// k-means. Absent: 3.
     #[prost(uint32, optional, tag = "13")]
     pub models: Option<u32>,
 }
 
-/// What a snapshot says about itself: as in format 1, and whether there is a site.
+/// The header of a snapshot: as in format 1, and whether a site follows.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Snapshot {
     /// Log position of the update's start.
@@ -74,12 +73,12 @@ pub struct Snapshot {
     /// Number of states.
     #[prost(uint32, tag = "7")]
     pub states: u32,
-    /// Whether the map was told anything about its site.
+    /// Whether a site follows.
     #[prost(bool, tag = "8")]
     pub has_site: bool,
 }
 
-/// The sensor of a producer, where it is not the map's own.
+/// The sensor of a producer, if it differs from the map's own.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Sensor {
     /// P(reads occupied | is occupied).
@@ -90,10 +89,9 @@ pub struct Sensor {
     pub false_alarm_bits: u64,
 }
 
-/// Whose sequence of observations: the key of format 1, and its sensor.
+/// A new producer: the key of format 1, and its sensor.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct NewProducer {
-    /// The producer.
     #[prost(string, tag = "1")]
     pub producer: String,
     /// One of its labels.
@@ -107,7 +105,6 @@ pub struct NewProducer {
 /// How far a producer's sequence is durable: as in format 1, and its sensor.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Producer {
-    /// Its number.
     #[prost(uint32, tag = "1")]
     pub id: u32,
     /// Its key.
@@ -185,10 +182,8 @@ pub struct CellBox {
 /// `hours` nor `profile` nor `fits`; the chunks of those have keys of their own.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct State {
-    /// Its number.
     #[prost(uint32, tag = "1")]
     pub id: u32,
-    /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
     /// Its kind: 0 probability, 1 continuous, 2 count.

@@ -16,7 +16,6 @@ pub struct Place {
 /// States that are seen together.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Location {
-    /// Its name.
     #[prost(string, tag = "1")]
     pub name: String,
     /// Numbers of the states, ascending.

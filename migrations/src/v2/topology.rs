@@ -20,10 +20,8 @@ pub struct Pose {
 /// A node; in an edit without number.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Node {
-    /// Its number.
     #[prost(uint32, tag = "1")]
     pub id: u32,
-    /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
     /// Where it lies.
@@ -37,7 +35,6 @@ pub struct Node {
 /// An edge between nodes by number.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Edge {
-    /// Its number.
     #[prost(uint32, tag = "1")]
     pub id: u32,
     /// Number of the node where it begins.

@@ -1,7 +1,7 @@
 //! Checkpoints: immutable files, each a whole map at one log position.
 //!
 //! Invariant: a checkpoint has its final name only when it is durable and has been read back. The newest good one and
-//! the log after it give the map; a damaged one is set aside, never used.
+//! the log after it restore the map. A damaged checkpoint is renamed and never used.
 
 use std::{
     io,
@@ -38,7 +38,7 @@ const SUFFIX: &str = ".tmc";
 const NEW_SUFFIX: &str = ".tmc.new";
 const DAMAGED_EXTENSION: &str = "damaged";
 
-/// A checkpoint that cannot be read, and why.
+/// A checkpoint that cannot be read, with the reason.
 pub(crate) struct DamagedCheckpoint {
     path: PathBuf,
     reason: String,
@@ -69,8 +69,8 @@ impl Checkpoints<'_> {
         Ok(names.iter().filter_map(|name| position(name)).collect())
     }
 
-    /// Writes a checkpoint and reads it back; durable when this returns. Keeps the newest `kept`. Gives the tiles of a
-    /// grid, to be read from there.
+    /// Writes a checkpoint and reads it back; durable when this returns. Keeps the newest `kept`. Returns the tiles of
+    /// a grid, to be read from there.
     pub(crate) fn save(
         &self,
         spec: &MapSpec,
@@ -92,7 +92,7 @@ impl Checkpoints<'_> {
                 .map_err(|reason| StoreError::NotReadBack { file: new_path.clone(), reason })
         });
         let tiles = verified.inspect_err(|_| {
-            // It takes space that may be short; if it stays, the next opening removes it.
+            // Frees the space now; if this fails, the next start removes the file.
             let _ = self.disk.remove(&new_path);
         })?;
         let path = self.path(snapshot.position);
@@ -180,7 +180,7 @@ impl Checkpoints<'_> {
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
         let message: v2::Snapshot = reader.record(RecordKind::Snapshot)?;
         if message.position != position || reader.header.position != position {
-            return Err("it is of another position than its name says".to_owned());
+            return Err("its position differs from its name".to_owned());
         }
         let producers = (0..message.producers as usize).map(|id| {
             let producer = reader.record(RecordKind::Producer)?;
@@ -206,7 +206,7 @@ impl Checkpoints<'_> {
         Ok(snapshot)
     }
 
-    /// The least log position from which any of the checkpoints replays; `None` where there are fewer than `count`, or
+    /// The smallest log position from which any of the checkpoints replays; `None` if there are fewer than `count`, or
     /// where one cannot say.
     pub(crate) fn replay_from(&self, count: usize) -> io::Result<Option<u64>> {
         let positions = self.positions()?;
@@ -221,7 +221,7 @@ impl Checkpoints<'_> {
     }
 
     /// The newest good checkpoint, and the damaged ones that are newer. Changes nothing.
-    /// Models and sums of a grid are in memory up to about `tile_bytes`.
+    /// At most about `tile_bytes` of a grid's models and sums are loaded into memory.
     pub(crate) fn load(
         &self,
         spec: &MapSpec,
@@ -238,7 +238,7 @@ impl Checkpoints<'_> {
         Ok((None, damaged))
     }
 
-    /// Renames a damaged checkpoint, for people to look at.
+    /// Renames a damaged checkpoint and keeps it for inspection.
     pub(crate) fn set_aside(&self, damaged: DamagedCheckpoint) -> Result<Report, OpenError> {
         let DamagedCheckpoint { path, reason } = damaged;
         let file = path.with_added_extension(DAMAGED_EXTENSION);
@@ -247,7 +247,7 @@ impl Checkpoints<'_> {
         Ok(Report::CheckpointSetAside { file, reason })
     }
 
-    /// Removes what an interrupted save has left, and what earlier builds noted of a killed update.
+    /// Removes files of an interrupted save, and journals of killed updates that earlier builds wrote.
     pub(crate) fn remove_leftovers(&self, reports: &mut Vec<Report>) -> Result<(), OpenError> {
         for name in self.disk.list(&self.folder).map_err(open_io(&self.folder))? {
             if name.ends_with(NEW_SUFFIX) || is_update_file(&name) {
@@ -268,7 +268,7 @@ impl Checkpoints<'_> {
     }
 }
 
-/// Whether a file is one in which earlier builds noted what an update had done.
+/// Whether a file is an update journal of an earlier build.
 fn is_update_file(name: &str) -> bool {
     let digits = name.strip_prefix("update-").and_then(|rest| rest.strip_suffix(".tmu"));
     digits.is_some_and(|digits| digits.len() == 20 && digits.bytes().all(|byte| byte.is_ascii_digit()))

@@ -1,8 +1,8 @@
-//! The one thread that writes: it groups everything that is queued, for all maps, into one write and one fdatasync per
+//! The only thread that writes logs. It groups all queued records, for all maps, into one write and one fdatasync per
 //! log and round.
 //!
-//! Invariant: a completion is called exactly once, in the order of the map's appends, and says `Ok` only when the
-//! record is durable. After an error that is not a full disk nothing is ever said `Ok` again.
+//! Invariant: each completion is called exactly once, in the order of the map's appends, and with `Ok` only when the
+//! record is durable. After any error but a full disk, no append succeeds until the process restarts.
 
 use std::{
     collections::BTreeMap,
@@ -21,9 +21,9 @@ mod sync_stats;
 pub use sync_stats::SyncStats;
 use sync_stats::SyncTimes;
 
-/// Most bytes of frames that wait; more make their appenders wait.
+/// Limit of the queue in bytes of frames; a full queue blocks the appending threads.
 const QUEUE_BYTES_MAX: usize = 32 << 20;
-/// Most records that wait.
+/// Limit of the queue in records.
 const QUEUE_RECORDS_MAX: usize = 65_536;
 
 /// One record to append.
@@ -41,7 +41,7 @@ struct Queue {
     is_closed: bool,
 }
 
-/// The queue of the committer, and what it has measured.
+/// The queue of the committer and its measurements.
 #[derive(Default)]
 pub(crate) struct Committer {
     /// Held for a push or a take, never while the disk works.
@@ -49,7 +49,7 @@ pub(crate) struct Committer {
     has_work: Condvar,
     has_room: Condvar,
     times: SyncTimes,
-    /// Set once, never taken back: after a failed fsync nobody knows what is on the disk.
+    /// Set once and never cleared: after a failed fsync the content of the disk is unknown.
     poison: OnceLock<AppendError>,
 }
 
@@ -61,7 +61,7 @@ struct Group {
 }
 
 impl Committer {
-    /// Why nothing is written any more, if that is so.
+    /// The error that stopped all writing, if there was one.
     pub(crate) fn poison(&self) -> Option<AppendError> {
         self.poison.get().cloned()
     }
@@ -78,7 +78,7 @@ impl Committer {
     pub(crate) fn push(&self, append: Append) -> Result<(), AppendError> {
         let bytes = append.event.frame_length();
         let mut queue = self.queue();
-        // One record always has room, however long it is.
+        // An empty queue accepts one record of any length.
         while !queue.is_closed
             && (queue.appends.len() >= QUEUE_RECORDS_MAX || (queue.bytes > 0 && queue.bytes + bytes > QUEUE_BYTES_MAX))
         {
@@ -94,7 +94,7 @@ impl Committer {
         Ok(())
     }
 
-    /// Nothing is queued any more; the thread ends when it has written what is queued.
+    /// Refuses new records; the thread ends when it has written the queue.
     pub(crate) fn close(&self) {
         self.queue().is_closed = true;
         self.has_work.notify_all();
@@ -121,7 +121,7 @@ impl Committer {
 
     /// The committer's thread.
     pub(crate) fn run(&self) {
-        // Should a completion panic, appenders must not wait for ever.
+        // If a completion panics, appending threads must not wait for ever.
         struct CloseAtEnd<'committer>(&'committer Committer);
         impl Drop for CloseAtEnd<'_> {
             fn drop(&mut self) {
@@ -134,13 +134,13 @@ impl Committer {
         }
     }
 
-    /// Takes what is queued, to commit it by hand.
+    /// Takes the queue, so that a test can commit it by hand.
     #[cfg(test)]
     pub(crate) fn take_now(&self) -> Vec<Append> {
         self.take_queued(&mut self.queue())
     }
 
-    /// One round.
+    /// Writes, syncs and completes one round of appends.
     pub(crate) fn commit(&self, appends: Vec<Append>) {
         let mut groups: BTreeMap<u32, Group> = BTreeMap::new();
         for append in appends {
@@ -154,14 +154,14 @@ impl Committer {
             group.events.push(append.event);
             group.dones.push(append.done);
         }
-        // All writes before the first fdatasync, so that the kernel can begin with the others meanwhile.
+        // All writes come before the first fdatasync, so that the kernel can start on the other files meanwhile.
         let written: Vec<Group> = groups.into_values().filter_map(|group| self.write(group)).collect();
         for group in written {
             self.sync(group);
         }
     }
 
-    /// Writes a group; `None` where that has failed.
+    /// Writes a group; `None` if that failed.
     fn write(&self, group: Group) -> Option<Group> {
         let result = match &mut *group.log.writer.lock().unwrap_or_else(PoisonError::into_inner) {
             _ if self.poison.get().is_some() => Err(AppendError::AfterFailure),
@@ -177,9 +177,9 @@ impl Committer {
         }
     }
 
-    /// Makes a group durable and says so.
+    /// Makes a group durable and completes it.
     fn sync(&self, group: Group) {
-        // A full round may hold other logs that cannot be trusted any more.
+        // Another log of this round may have failed.
         if let Some(error) = self.poison() {
             return self.fail(group, error);
         }
@@ -208,9 +208,9 @@ impl Committer {
         }
     }
 
-    /// Says that a group is not in the log. What depends on it fails too.
+    /// Completes a group with an error. Later appends to the same log fail too.
     fn fail(&self, group: Group, error: AppendError) {
-        // Before the first completion, which may make the writer try again.
+        // Set before the first completion, because a completion may make the writer try again.
         group.log.fail();
         let error = match error {
             AppendError::Poisoned { .. } => self.poison.get_or_init(|| error).clone(),

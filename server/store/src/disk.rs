@@ -1,6 +1,6 @@
-//! The few operations on files that logs, checkpoints and maps are made of.
+//! The few file operations that logs, checkpoints and maps need.
 //!
-//! Invariant: nothing here decides anything; what is durable when, follows from the calls alone, so that a simulated
+//! Invariant: nothing here decides anything. Which bytes are durable follows from the calls alone, so a simulated
 //! disk can take the place of the real one.
 
 use std::{
@@ -12,13 +12,13 @@ use std::{
 
 /// A disk.
 pub trait Disk: Send + Sync {
-    /// Creates a file, or empties one that is there, for appending.
+    /// Creates a file for appending; empties an existing one.
     fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
     /// Opens a file for appending.
     fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
     /// Opens a file for reading from its start.
     fn read(&self, file: &Path) -> io::Result<Box<dyn Read + Send>>;
-    /// Opens a file for reading anywhere in it. It can be read as long as it is open, whatever becomes of its name.
+    /// Opens a file for random access. It stays readable while it is open, even after it is deleted.
     fn read_anywhere(&self, file: &Path) -> io::Result<Box<dyn DiskReader>>;
     /// Length of a file.
     fn length(&self, file: &Path) -> io::Result<u64>;
@@ -32,7 +32,7 @@ pub trait Disk: Send + Sync {
     fn remove(&self, file: &Path) -> io::Result<()>;
     /// Removes everything in a folder, and the folder.
     fn remove_folder(&self, folder: &Path) -> io::Result<()>;
-    /// Makes names that were created, renamed or removed in a folder durable.
+    /// Makes the names in a folder durable: those created, renamed or removed since the last call.
     fn sync_folder(&self, folder: &Path) -> io::Result<()>;
 }
 
@@ -46,7 +46,7 @@ pub trait DiskFile: Send {
     fn sync(&mut self) -> io::Result<()>;
 }
 
-/// A file open for reading anywhere in it.
+/// A file open for random access.
 pub trait DiskReader: Send + Sync {
     /// Reads all of `bytes` at an offset.
     fn read_exact_at(&self, bytes: &mut [u8], offset: u64) -> io::Result<()>;
@@ -88,7 +88,7 @@ impl Disk for RealDisk {
     fn list(&self, folder: &Path) -> io::Result<Vec<String>> {
         let mut names = Vec::new();
         for entry in fs::read_dir(folder)? {
-            // A name that is no text is none of ours.
+            // The store gives no file a name that is not UTF-8.
             names.extend(entry?.file_name().into_string());
         }
         names.sort();
@@ -124,7 +124,7 @@ impl DiskReader for RealReader {
     }
 }
 
-/// Open in appending mode, so that every write goes to the end, wherever a truncation has put it.
+/// Open in append mode, so that every write goes to the end, also after a truncation.
 struct RealFile(File);
 
 impl DiskFile for RealFile {
@@ -137,7 +137,7 @@ impl DiskFile for RealFile {
     }
 
     fn sync(&mut self) -> io::Result<()> {
-        // The length is part of what fdatasync writes, the time of change is not.
+        // fdatasync writes the length of a file, but not its modification time.
         Ok(rustix::fs::fdatasync(&self.0)?)
     }
 }

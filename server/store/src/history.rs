@@ -1,4 +1,4 @@
-//! History: exact observations that updates have folded in, one file per generation for named states and one for the
+//! History: the exact observations that updates have learned, one file per generation for named states and one for the
 //! grid.
 //!
 //! Invariant: a file has its final name only when it is durable and has been read back. Files are written before the
@@ -38,7 +38,7 @@ use table::Table;
 const SUFFIX: &str = ".tmh";
 const NEW_SUFFIX: &str = ".tmh.new";
 
-/// What a history file is of.
+/// The two kinds of history files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Part {
     /// Named states.
@@ -79,8 +79,8 @@ pub struct HistorySizes {
     pub grid_bytes: u64,
 }
 
-/// The exact observations of one map, as far back as they are kept. Those of the newest generations are here once these
-/// have been saved.
+/// The exact observations of one map, as far back as they are kept. Those of a generation are readable once it
+/// has been saved.
 #[derive(Clone)]
 pub struct History {
     pub(crate) disk: Arc<dyn Disk>,
@@ -88,9 +88,9 @@ pub struct History {
     pub(crate) map: MapId,
     /// Generations from this one on are left out.
     pub(crate) before: u64,
-    /// No file is opened for more observations of a state than this.
+    /// Reading stops at the first file after this many observations of a state.
     pub(crate) enough: usize,
-    /// Whether there is a file for every update that folded something in.
+    /// Whether there is a file for every update that learned anything.
     pub(crate) is_complete: bool,
 }
 
@@ -105,7 +105,7 @@ impl History {
         self.folder.join(part.name(generation))
     }
 
-    /// Names in the folder; none where there is no folder.
+    /// Names in the folder; empty if there is no folder.
     fn names(&self) -> io::Result<Vec<String>> {
         match self.disk.list(&self.folder) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
@@ -132,21 +132,21 @@ impl History {
         HistoryError::Io { file: self.folder.clone(), source }
     }
 
-    /// The same without the generations from one on, which somebody else gives.
+    /// The same without generation `before` and later ones, which the caller reads elsewhere.
     #[must_use]
     pub fn before(self, generation: u64) -> History {
         History { before: generation, ..self }
     }
 
-    /// The same for a reader who takes no more than so many observations of a state: where there are more, it is given
-    /// some of them, and more than that.
+    /// The same for a caller that uses at most `enough` observations of a state. If there are more, reading stops
+    /// early: the caller gets more than `enough`, but not all.
     #[must_use]
     pub fn at_most(self, observations: usize) -> History {
         History { enough: observations, ..self }
     }
 
-    /// Whether the map's first update is in it already, unless it is older than what is kept. It is not for a map that
-    /// was created under format 1, of which updates before the migration left no files.
+    /// Whether the history begins with the map's first update, apart from what retention has deleted. `false` for a map
+    /// that was created under format 1: its updates before the migration wrote no files.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.is_complete
@@ -189,9 +189,9 @@ impl History {
         Ok(found)
     }
 
-    /// The days that have scans at times from `from_nanos` up to but not including `to_nanos`, one after the other, by
-    /// generation and day. Each is given whole, with what was seen of `tiles` only, or of all where there are none
-    /// given.
+    /// The days that have scans at times from `from_nanos` up to but not including `to_nanos`, one by one, by
+    /// generation and day. Each is a whole day, with the observations of `tiles` only, or of all tiles if `tiles` is
+    /// `None`.
     #[must_use]
     pub fn grid_days(&self, from_nanos: i64, to_nanos: i64, tiles: Option<Vec<TileId>>) -> GridDays {
         GridDays::new(self.clone(), from_nanos, to_nanos, tiles)
@@ -205,7 +205,7 @@ impl History {
         let mut sizes = HistorySizes::default();
         for name in self.names().map_err(|error| self.list_error(error))? {
             let Some((_, part)) = Part::of(&name) else { continue };
-            // One that is being deleted counts no more.
+            // A file may be deleted meanwhile.
             let Ok(bytes) = self.disk.length(&self.folder.join(&name)) else { continue };
             sizes.files += 1;
             match part {
@@ -225,7 +225,7 @@ impl History {
         }
     }
 
-    /// Writes the pieces that the map's retention asks for; durable when this returns.
+    /// Writes the parts that the map's retention keeps; durable when this returns.
     pub(crate) fn save(&self, spec: &MapSpec, pieces: &[Arc<HistoryPiece>]) -> Result<(), StoreError> {
         let keeps_states = spec.retention != Retention::None;
         let keeps_grid = spec.grid.as_ref().is_some_and(|grid| grid.retention != Retention::None);
@@ -257,7 +257,7 @@ impl History {
                 .map_err(|reason| StoreError::NotReadBack { file: new_path.clone(), reason })
         });
         if let Err(error) = verified {
-            // It takes space that may be short; if it stays, the next opening removes it.
+            // Frees the space now; if this fails, the next start removes the file.
             let _ = self.disk.remove(&new_path);
             return Err(error);
         }
@@ -268,7 +268,7 @@ impl History {
     fn create_folder(&self) -> io::Result<()> {
         match self.disk.create_folder(&self.folder) {
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),
-            // Also where it was there: its name may not be durable yet.
+            // Also if the folder existed: its name may not be durable yet.
             _ => self.disk.sync_folder(self.folder.parent().unwrap_or(Path::new("."))),
         }
     }
@@ -280,7 +280,7 @@ impl History {
             let Retention::Duration(nanos) = retention else { continue };
             let keep_from = newest_nanos.saturating_sub(nanos);
             for generation in self.generations(part).map_err(|error| self.list_error(error))? {
-                // A damaged file is left for people to look at.
+                // A damaged file stays for inspection.
                 let Ok(file) = self.open(generation, part) else { continue };
                 if file.to_nanos() < keep_from {
                     let path = self.path(generation, part);
@@ -291,7 +291,7 @@ impl History {
         Ok(())
     }
 
-    /// Removes what an interrupted save has left.
+    /// Removes files of an interrupted save.
     pub(crate) fn remove_leftovers(&self, reports: &mut Vec<Report>) -> Result<(), OpenError> {
         for name in self.names().map_err(open_io(&self.folder))? {
             if name.ends_with(NEW_SUFFIX) {

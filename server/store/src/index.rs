@@ -1,8 +1,8 @@
-//! The index: the newest snapshot of every map in sled, which only rewrites what has changed.
+//! The index: the newest snapshot of every map in sled. A save rewrites only the records that have changed.
 //!
-//! It is never the authority: a checkpoint holds the same, so whatever is wrong here is thrown away and written again.
-//! Nothing reads it while the store serves. Invariant: a map's mark is clean only when all its records are durable,
-//! and carries their number and a sum over them, so that a missing, stale or foreign record is noticed.
+//! A checkpoint holds the same data and has priority, so a damaged index is dropped and written again.
+//! The index is read only when a map is opened. Invariant: a map's mark is clean only when all its records are durable,
+//! and holds their number and a sum over them, so that a missing, stale or foreign record is detected.
 
 use std::{
     collections::BTreeMap,
@@ -20,7 +20,7 @@ mod save;
 
 use rows::Sum;
 
-/// What is wrong with an index that must be replaced as a whole.
+/// The reason why an index must be replaced as a whole.
 pub(crate) type Damage = String;
 
 /// The open database.
@@ -32,7 +32,7 @@ struct Trees {
     folder: PathBuf,
 }
 
-/// The records of a map as they are in the database: a sum per state and producer, and that of the site.
+/// The records of a map in the database: a sum for each state, for each producer and for the site.
 #[derive(Default)]
 struct KnownRows {
     states: Vec<Sum>,
@@ -40,13 +40,13 @@ struct KnownRows {
     site: Sum,
 }
 
-/// What the index holds of a map.
+/// The content of the index for a map.
 pub(crate) enum IndexContent {
-    /// It is not used for this map.
+    /// The index is not used for this map.
     Unused,
     /// Nothing.
     Nothing,
-    /// Records that were being written.
+    /// Records that were not completely written.
     Unfinished,
     /// A snapshot.
     Snapshot(Box<MapSnapshot>),
@@ -56,9 +56,9 @@ pub(crate) enum IndexContent {
 pub(crate) struct Index {
     folder: PathBuf,
     cache_bytes: u64,
-    /// `None` once it has failed: the store goes on without.
+    /// `None` after a failure: the store continues without it.
     trees: Option<Trees>,
-    /// Maps of which every record is known.
+    /// Maps whose records are all known.
     written: BTreeMap<u32, KnownRows>,
 }
 
@@ -66,7 +66,7 @@ impl Trees {
     fn open(folder: &Path, cache_bytes: u64) -> Result<Trees, Damage> {
         panics::catch(|| {
             folder::remove_unfinished_snapshots(folder).map_err(|error| error.to_string())?;
-            // Its own flusher only logs a failed fsync; every flush here is followed by our own.
+            // sled only logs a failed fsync of its own; here every flush is followed by an fsync of ours.
             let config = sled::Config::new().path(folder).cache_capacity(cache_bytes).flush_every_ms(None);
             let text = |error: sled::Error| error.to_string();
             let db = config.open().map_err(text)?;
@@ -90,7 +90,7 @@ impl Trees {
 }
 
 impl Index {
-    /// Opens the index; one that cannot be opened is set aside and an empty one created. The second value says so.
+    /// Opens the index. One that cannot be opened is renamed and an empty one created; the second value reports that.
     pub(crate) fn open(folder: PathBuf, cache_bytes: u64) -> (Index, Option<(PathBuf, Damage)>) {
         let mut index = Index { folder, cache_bytes, trees: None, written: BTreeMap::new() };
         match Trees::open(&index.folder, cache_bytes) {
@@ -106,18 +106,18 @@ impl Index {
         }
     }
 
-    /// No index at all, for a disk that is not a real one.
+    /// No index, for simulated disks.
     #[cfg(test)]
     pub(crate) fn none() -> Index {
         Index { folder: PathBuf::new(), cache_bytes: 0, trees: None, written: BTreeMap::new() }
     }
 
-    /// Whether there is one.
+    /// Whether the index is usable.
     pub(crate) fn is_available(&self) -> bool {
         self.trees.is_some()
     }
 
-    /// Sets the index aside and begins an empty one. Returns where the old one is.
+    /// Renames the index and creates an empty one. Returns the new path of the old one.
     pub(crate) fn replace(&mut self) -> Result<PathBuf, Damage> {
         self.give_up();
         let aside = folder::set_aside(&self.folder).map_err(|error| error.to_string())?;
@@ -126,15 +126,15 @@ impl Index {
         Ok(aside)
     }
 
-    /// Goes on without an index.
+    /// Continues without an index.
     fn give_up(&mut self) {
         self.written.clear();
         let trees = self.trees.take();
-        // Closing a damaged database can panic like anything else in it.
+        // Closing a damaged database can panic, like any of its calls.
         let _ = panics::catch(move || drop(trees));
     }
 
-    /// What there is of a map.
+    /// The records of a map.
     pub(crate) fn load(&mut self, map: u32, spec: &MapSpec) -> Result<IndexContent, Damage> {
         let Some(trees) = &self.trees else { return Ok(IndexContent::Nothing) };
         let (found, written) = panics::catch(|| load::load(trees, map, spec))??;
@@ -144,7 +144,7 @@ impl Index {
         Ok(found)
     }
 
-    /// Takes over a snapshot. An index that fails is given up; the checkpoint holds the same.
+    /// Saves a snapshot. An index that fails is dropped; the checkpoint holds the same data.
     pub(crate) fn save(&mut self, map: u32, snapshot: &MapSnapshot) {
         let Some(trees) = &self.trees else { return };
         let before = self.written.remove(&map);
@@ -159,7 +159,7 @@ impl Index {
         }
     }
 
-    /// Removes what there is of a map.
+    /// Removes the records of a map.
     pub(crate) fn purge(&mut self, map: u32) {
         self.written.remove(&map);
         let Some(trees) = &self.trees else { return };
@@ -185,7 +185,7 @@ pub(crate) fn is_present(folder: &Path) -> bool {
     fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some())
 }
 
-/// What tests look at.
+/// Access for tests.
 #[cfg(test)]
 pub(crate) mod tests_only {
     use tidemap_map::snapshot::MapSnapshot;

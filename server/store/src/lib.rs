@@ -1,8 +1,8 @@
-//! What is kept on the disk: the observation log, checkpoints, history files, and the sled index of models.
+//! The data on the disk: the observation log, checkpoints, history files, and the sled index of models.
 //!
-//! Way in: [`Store::open`], [`Store::open_map`], [`MapLog::append`], [`Store::save`], [`Store::history`].
+//! Entry points: [`Store::open`], [`Store::open_map`], [`MapLog::append`], [`Store::save`], [`Store::history`].
 //!
-//! Invariant: the log is the authority for all that the kept checkpoints do not cover: any one of these, or the index,
+//! Invariant: the log holds everything that the kept checkpoints do not cover. Any one checkpoint, or the index,
 //! can be lost or damaged and the map is still the same. A damaged log is refused, never shortened. Layouts are frozen
 //! in `tidemap-migrations`; this crate knows nothing of the wire and reads no wall clock.
 
@@ -31,6 +31,6 @@ pub use map_log::MapLog;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
 pub use store::{OpenedMap, Sizes, Source, Store, StoreOptions};
 
-/// Number of a map within its store, from 1, never reused; the name of its folder.
+/// Number of a map within its store, from 1, never reused; also the name of its folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct MapId(pub u32);

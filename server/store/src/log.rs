@@ -1,7 +1,7 @@
 //! The observation log of a map: segments of chained records, written by the store's committer.
 //!
-//! Invariant: a record is acknowledged only when it and all before it are durable. Its position is its number, from 1,
-//! without gaps.
+//! Invariant: a record is acknowledged only when it and all records before it are durable. Its position is its number,
+//! from 1, without gaps.
 
 use std::{
     path::{Path, PathBuf},
@@ -18,13 +18,13 @@ pub(crate) mod recovery;
 pub(crate) mod replay;
 pub(crate) mod writer;
 
-/// Called once with the record's position when it is durable, or with why it is not in the log.
+/// Called once: with the record's position when it is durable, or with the reason why it is not in the log.
 pub type Done = Box<dyn FnOnce(Result<u64, AppendError>) + Send>;
 
-/// What the committer and the map's handles share.
+/// The log of a map as the committer and the map's handles share it.
 pub(crate) struct Log {
     pub(crate) map: u32,
-    /// `None` once the map is deleted. Locked by the committer while it writes or syncs; nobody else writes.
+    /// `None` once the map is deleted. The committer holds the lock while it writes or syncs; nothing else writes.
     pub(crate) writer: Mutex<Option<LogWriter>>,
     /// Counts the attempts of the map's writer, from 1: appends of one epoch depend on each other.
     pub(crate) epoch: AtomicU64,
@@ -35,14 +35,14 @@ pub(crate) struct Log {
     pub(crate) progress: Mutex<Progress>,
 }
 
-/// Bytes of the log, for deciding when a checkpoint is due.
+/// Bytes of the log; they decide when a checkpoint is due.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Progress {
-    /// Bytes since the start of what was read when the log was opened.
+    /// Bytes since the position from which the log was read at opening.
     pub(crate) bytes: u64,
-    /// Of these, what the newest snapshot covers.
+    /// How many of these the newest snapshot covers.
     pub(crate) covered: u64,
-    /// Starts of updates that no snapshot covers yet: position, and bytes up to and with it.
+    /// Starts of updates that no snapshot covers yet: position, and bytes up to and including it.
     pub(crate) updates: Vec<(u64, u64)>,
 }
 
@@ -59,7 +59,7 @@ impl Log {
         }
     }
 
-    /// Whether appends of that epoch must fail, because one has failed already.
+    /// Whether appends of that epoch must fail because one has failed.
     pub(crate) fn has_failed(&self, epoch: u64) -> bool {
         epoch <= self.failed_epoch.load(Ordering::Acquire)
     }
@@ -69,17 +69,17 @@ impl Log {
         self.failed_epoch.store(self.epoch.load(Ordering::Acquire), Ordering::Release);
     }
 
-    /// Notes that records are durable.
+    /// Records that everything up to `end` is durable.
     pub(crate) fn advance(&self, end: u64, bytes: u64, updates: &[(u64, u64)]) {
         self.end.store(end, Ordering::Release);
-        // Held for a few instructions; the other holders are a save and a question for the length.
+        // Held for a few instructions; only a save and a query for the length also take it.
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         let before = progress.bytes;
         progress.bytes += bytes;
         progress.updates.extend(updates.iter().map(|&(position, bytes)| (position, before + bytes)));
     }
 
-    /// Notes that a snapshot covers everything up to a position.
+    /// Records that a snapshot covers everything up to a position.
     pub(crate) fn cover(&self, position: u64) {
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(&(_, bytes)) = progress.updates.iter().rev().find(|&&(start, _)| start <= position) {

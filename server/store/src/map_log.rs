@@ -1,4 +1,4 @@
-//! The log of a map as its writer sees it: what appends, and how far it is.
+//! The log of a map as its writer uses it: appends, and the position of the end.
 //!
 //! Invariant: after an append has failed, every later one fails until the caller has called [`MapLog::resume`].
 
@@ -50,7 +50,7 @@ impl MapLog {
         }
     }
 
-    /// Position of the last durable record; 0 where there is none.
+    /// Position of the last durable record; 0 if there is none.
     #[must_use]
     pub fn end(&self) -> u64 {
         self.log.end.load(Ordering::Acquire)

@@ -1,7 +1,7 @@
-//! The types of the domain as the records of the disk format, and back.
+//! Conversion of the domain's types to records of the disk format, and back.
 //!
-//! Invariant: what is written can be read: whatever could not be read back is refused before it is written, and what
-//! is read has passed the constructors of the domain again.
+//! Invariant: what is written can be read. A value that could not be read back is refused before it is written, and a
+//! value that is read has passed the constructors of the domain.
 
 mod alternatives;
 mod cells;
@@ -26,5 +26,5 @@ mod topology;
 mod traversal;
 mod varint;
 
-/// Why a record cannot be written, or is not believed.
+/// Why a record cannot be written, or is invalid.
 pub(crate) type Invalid = &'static str;

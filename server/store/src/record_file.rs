@@ -1,7 +1,7 @@
-//! Files of records: written once, whole or not at all, and never changed.
+//! Files of records: written once, completely or not at all, and never changed.
 //!
-//! Invariant: a file has its final name only when all of it is durable; what is read from its start is every record up
-//! to a trailer that fits, or an error.
+//! Invariant: a file has its final name only when all of it is durable. Reading from the start gives every record up
+//! to a valid trailer, or an error.
 
 use std::{
     io::{self, BufReader, Read},
@@ -75,7 +75,7 @@ impl RecordWriter {
         Ok(())
     }
 
-    /// Writes a long record in as many pieces as it needs.
+    /// Writes a long record in pieces.
     pub(crate) fn long(&mut self, kind: RecordKind, mut payload: &[u8]) -> io::Result<()> {
         while payload.len() > PIECE_MAX {
             let (piece, rest) = payload.split_at(PIECE_MAX);
@@ -85,7 +85,7 @@ impl RecordWriter {
         self.raw(kind, &[LAST], payload)
     }
 
-    /// Writes the trailer and makes the file durable, though not its name. Gives what the trailer says.
+    /// Writes the trailer and makes the file durable, but not its name. Returns the trailer.
     pub(crate) fn finish(mut self) -> io::Result<Trailer> {
         let trailer = Trailer { total_crc: self.total_crc, records: self.records };
         self.buffer.extend_from_slice(&trailer.encode());
@@ -98,9 +98,9 @@ impl RecordWriter {
 /// A file that is being read.
 pub(crate) struct RecordReader {
     reader: BufReader<Box<dyn Read + Send>>,
-    /// What the file says about itself.
+    /// The header of the file.
     pub(crate) header: FileHeader,
-    /// The header of the next record, where it has been read already.
+    /// The header of the next record, if it has been read.
     ahead: Option<RecordHeader>,
     offset: u64,
     total_crc: u32,
@@ -208,7 +208,7 @@ impl RecordReader {
         M::decode(&buffer[..]).map_err(|_| format!("record {record} is not a message"))
     }
 
-    /// Checks that all records have been read and that nothing follows. Gives what the trailer says.
+    /// Checks that all records have been read and that nothing follows. Returns the trailer.
     pub(crate) fn finish(mut self) -> Result<Trailer, String> {
         let mut bytes = [0; TRAILER_LENGTH];
         if self.ahead.is_some() {

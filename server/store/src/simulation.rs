@@ -1,4 +1,4 @@
-//! The store on a simulated disk that loses, tears and refuses: everything but the index, which is never the authority.
+//! The store on a simulated disk that loses, tears and refuses writes. The index is left out: it holds no unique data.
 //!
 //! Each run follows from its seed alone.
 

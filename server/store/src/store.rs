@@ -32,14 +32,14 @@ mod save;
 
 use lock::Lock;
 
-/// How a store is kept.
+/// Options of a store.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StoreOptions {
-    /// A log's segment that is this long is followed by a new one.
+    /// Length of a log's segment after which a new one is created.
     pub segment_bytes: u64,
     /// Memory that sled may use for the index.
     pub index_cache_bytes: u64,
-    /// Memory for the models and sums of each map's tiles, about; the tiles beyond are read from a checkpoint.
+    /// Approximate memory for the models and sums of each map's tiles; further tiles are read from a checkpoint.
     pub tile_cache_bytes: u64,
     /// How many checkpoints of a map are kept, at least 1.
     pub checkpoints_kept: usize,
@@ -59,7 +59,7 @@ impl Default for StoreOptions {
     }
 }
 
-/// A data directory, open. Clones are handles of the same store, which is closed with the last of them.
+/// An open data directory. Clones are handles of the same store; the last one closes it.
 #[derive(Clone)]
 pub struct Store {
     inner: Arc<OpenStore>,
@@ -77,13 +77,13 @@ struct OpenStore {
     options: StoreOptions,
     store_id: String,
     reports: Vec<Report>,
-    /// Held for a look-up, and while a map is created so that no two get the same number.
+    /// Held for a look-up, and while a map is created so that no two maps get the same number.
     maps: Mutex<Maps>,
-    /// Held while the index is read or written: by openings, saves and deletions, never by appends.
+    /// Held while the index is read or written: by opening, saving and deleting maps, never by appends.
     index: Mutex<Index>,
     committer: Arc<Committer>,
     thread: Mutex<Option<JoinHandle<()>>>,
-    /// Last, so that it is freed when everything else is closed.
+    /// The last field, so that it is released after everything else is closed.
     _lock: Option<Lock>,
 }
 
@@ -99,7 +99,7 @@ struct MapEntry {
     /// Whether history files replace the beginning of the log.
     history_complete: bool,
     log: Option<Arc<Log>>,
-    /// Held while the map is opened, saved or deleted: one of these at a time.
+    /// Held while the map is opened, saved or deleted.
     busy: Arc<Mutex<()>>,
 }
 
@@ -112,17 +112,17 @@ impl MapEntry {
 /// Where the snapshot of an opened map comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Source {
-    /// Nothing has happened to the map yet.
+    /// The map is new and empty.
     Empty,
     /// The index.
     Index,
     /// A checkpoint.
     Checkpoint,
-    /// There is none: the whole log is replayed.
+    /// There is no snapshot: the whole log is replayed.
     Log,
 }
 
-/// A map, open for appending.
+/// A map that is open for appending.
 pub struct OpenedMap {
     /// Its log.
     pub log: MapLog,
@@ -175,7 +175,7 @@ impl OpenStore {
     fn close(&self) {
         self.committer.close();
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        // A completion may hold the last handle: the thread cannot wait for itself.
+        // A completion may hold the last handle; the committer's thread cannot join itself.
         if let Some(thread) = thread.filter(|thread| thread.thread().id() != std::thread::current().id())
             && thread.join().is_err()
         {
@@ -192,7 +192,7 @@ impl Drop for OpenStore {
 }
 
 impl Store {
-    /// Identity of the store; another one after a restored backup was given a new one.
+    /// Identity of the store. A restored backup may be given a new one.
     #[must_use]
     pub fn store_id(&self) -> &str {
         &self.inner.store_id
@@ -210,37 +210,37 @@ impl Store {
         self.inner.maps().entries.iter().map(|(&map, entry)| (map, MapSpec::clone(&entry.spec))).collect()
     }
 
-    /// Creates a map; durable when this returns. Names are the caller's to keep apart.
+    /// Creates a map; durable when this returns. The caller makes sure that names are unique.
     ///
     /// # Errors
     /// [`StoreError`]; the map does not exist then.
     pub fn create_map(&self, spec: &MapSpec) -> Result<MapId, StoreError> {
         let mut maps = self.inner.maps();
         let map = MapId(maps.next);
-        // Not given again even if this fails: something may be left of it.
+        // The number is not used again even if this fails: part of the map may be left.
         maps.next += 1;
-        // A map whose folder somebody has moved away had the same number, and left its records.
+        // A map whose folder was moved away by hand may have had this number and left records in the index.
         self.inner.index().purge(map.0);
         catalogue::create(&*self.inner.disk, &self.inner.directory, map, spec)?;
         maps.entries.insert(map, MapEntry::new(spec.clone(), true));
         Ok(map)
     }
 
-    /// Deletes a map with all its data; durable when this returns. Its log accepts nothing any more.
+    /// Deletes a map with all its data; durable when this returns. Its log refuses appends afterwards.
     ///
     /// # Errors
-    /// [`StoreError`]. Where the map is gone from [`Self::maps`] afterwards, it may be there again after a power cut,
-    /// or only freeing its space has failed, which is done at the next start.
+    /// [`StoreError`]. If the map is no longer in [`Self::maps`] afterwards, either it may reappear after a power cut,
+    /// or only freeing its space failed, and the next start does that.
     pub fn delete_map(&self, map: MapId) -> Result<(), StoreError> {
         let inner = &*self.inner;
         let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
-        // Asked again: another deletion may have been first.
+        // Checked again: another deletion may have been first.
         if !inner.maps().entries.contains_key(&map) {
             return Err(StoreError::UnknownMap(map));
         }
         {
-            // The committer waits meanwhile: it must not begin a segment in a folder that has another name.
+            // Blocks the committer, which must not create a segment in a folder that has been renamed.
             let mut writer = entry.log.as_ref().map(|log| log.writer.lock().unwrap_or_else(PoisonError::into_inner));
             catalogue::mark_deleted(&*inner.disk, &inner.directory, map)?;
             if let Some(writer) = &mut writer {
@@ -256,7 +256,7 @@ impl Store {
         Ok(())
     }
 
-    /// Bytes that a map takes on the disk; 0 for what cannot be read.
+    /// Bytes of a map on the disk; folders that cannot be read count as 0.
     #[must_use]
     pub fn sizes(&self, map: MapId) -> Sizes {
         let inner = &*self.inner;
@@ -281,14 +281,14 @@ impl Store {
         Ok(History { is_complete, ..self.inner.history(map) })
     }
 
-    /// How long fdatasync of the logs has taken.
+    /// Durations of fdatasync calls on the logs.
     #[must_use]
     pub fn sync_stats(&self) -> SyncStats {
         self.inner.committer.sync_stats()
     }
 
-    /// Writes everything that is queued, and closes the logs and the index. Appends fail from now on. The directory is
-    /// free for another process when the last handle is gone.
+    /// Writes all queued records and closes the logs and the index. Later appends fail. The directory is
+    /// free for another process when the last handle is dropped.
     pub fn close(&self) {
         self.inner.close();
     }

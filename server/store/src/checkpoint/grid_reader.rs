@@ -1,7 +1,7 @@
 //! Reading a grid out of a checkpoint, record by record.
 //!
-//! TileReader are kept in memory until a number of bytes is used up; of the others it is kept where they are. Invariant:
-//! every record has been read and found sound, whether it is kept or not.
+//! Tiles are loaded into memory up to a limit in bytes; of the others only the offsets are kept. Invariant:
+//! every record has been read and checked, loaded or not.
 
 use std::sync::{Arc, Weak};
 
@@ -24,35 +24,35 @@ use crate::{
     record_file::RecordReader,
 };
 
-/// What is kept of a grid that is read.
+/// What a reader keeps of a grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Keep {
-    /// Nothing but where its tiles are: it is only checked.
+    /// Only the offsets of its tiles: the file is only checked.
     Places,
-    /// Everything, models and sums up to about this many bytes.
+    /// Everything; models and sums up to about this many bytes.
     UpTo(u64),
 }
 
 /// A grid that was read.
 pub(super) struct ReadGrid {
-    /// Where its tiles are.
+    /// Offsets of its tiles.
     pub(super) places: Places,
     /// Shared sums that are in memory, by number.
     pub(super) shared: Vec<Weak<PhasorSum>>,
-    /// The grid, with empty slots for the tiles that are not in memory; nothing of it where only places are kept.
+    /// The grid, with empty slots for the tiles that are not in memory; empty if only the offsets are kept.
     grid: GridSnapshot,
     /// The first tile that is not in memory.
     cold_from: usize,
 }
 
 impl ReadGrid {
-    /// The grid, with the tiles that are not in memory in a source.
+    /// The grid, whose tiles that are not in memory are read from `source`.
     pub(super) fn into_grid(self, source: &Arc<CheckpointTiles>) -> GridSnapshot {
         let mut grid = self.grid;
         for index in self.cold_from..grid.models.len() {
             let cold = || ColdTile {
                 source: Arc::clone(source) as Arc<dyn TileSource>,
-                // There are no more tiles than can be numbered.
+                // The number of tiles fits into 32 bits.
                 tile: TileId(index as u32),
             };
             grid.models[index] = ModelSlot::Cold(cold());
@@ -70,9 +70,9 @@ impl ReadGrid {
 struct TileReader<'reader> {
     reader: &'reader mut RecordReader,
     periodicities: &'reader Periodicities,
-    /// Bytes of models and sums that may still be kept.
+    /// Bytes of models and sums that may still be loaded.
     room: u64,
-    /// Shared sums in memory: all that come before the first tile that is not.
+    /// Shared sums in memory: all before the first tile that is not loaded.
     shared: Vec<Arc<PhasorSum>>,
     places: Places,
     buffer: Vec<u8>,
@@ -147,7 +147,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
 }
 
 impl TileReader<'_> {
-    /// The next tile, and its model and sums if they are kept.
+    /// The next tile, with its model and sums if they are loaded.
     fn tile(&mut self, may_have_model: bool) -> Result<(LiveTile, Option<(ModelSlot, SumsSlot)>), String> {
         while self.reader.next_kind()? == RecordKind::SharedSum {
             self.places.shared.push(self.reader.offset());
@@ -177,9 +177,9 @@ impl TileReader<'_> {
             return Err("the sums of a tile differ in number from its groups and cells".to_owned());
         }
         if sums.shared.iter().any(|&number| number as usize >= self.places.shared.len()) {
-            return Err("a shared sum is not there".to_owned());
+            return Err("a shared sum is missing".to_owned());
         }
-        // What fits is kept with all before it, so that every shared sum that it refers to is there.
+        // Tiles are loaded in order until the limit, so that every shared sum that they refer to is loaded.
         let shared: Option<Vec<Arc<PhasorSum>>> =
             sums.shared.iter().map(|&number| self.shared.get(number as usize).map(Arc::clone)).collect();
         let Some(shared) = shared.filter(|_| self.room > 0) else { return Ok((live, None)) };

@@ -1,7 +1,7 @@
 //! Writing a grid into a checkpoint, tile by tile.
 //!
-//! A sum that several tiles share is written once, before the first of them, and they refer to it. Tiles that are not
-//! in memory are copied from where they are, one at a time. Invariant: what could not be read back is refused.
+//! A sum that several tiles share is written once, before the first of them; the tiles refer to it. Tiles that are not
+//! in memory are copied from their file, one at a time. Invariant: a record that could not be read back is refused.
 
 use std::{
     collections::HashMap,
@@ -30,9 +30,9 @@ use crate::{
 /// Why a grid cannot be written.
 #[derive(Debug)]
 pub(crate) enum WriteError {
-    /// The disk says no.
+    /// The disk returned an error.
     Io(io::Error),
-    /// The grid could not be read back, or not all of it can be read.
+    /// The grid could not be read back, or part of it cannot be read now.
     Invalid(String),
 }
 
@@ -60,7 +60,7 @@ impl From<TileUnavailable> for WriteError {
     }
 }
 
-/// Writes a grid. Gives the shared sums that are in memory, by their number.
+/// Writes a grid. Returns the shared sums that are in memory, by number.
 pub(super) fn write(
     writer: &mut RecordWriter,
     grid: &GridSnapshot,
@@ -113,9 +113,9 @@ pub(super) fn write(
 pub(crate) struct Shared {
     /// By address. The weak references keep the addresses from being given to others.
     by_address: HashMap<usize, u32>,
-    /// Those that are not in memory: by address of their file and number there.
+    /// Sums that are not in memory: by the address of their file and their number in it.
     by_place: HashMap<(usize, u32), u32>,
-    /// By number; nothing where it is not in memory.
+    /// By number; empty if it is not in memory.
     in_memory: Vec<Weak<PhasorSum>>,
 }
 
@@ -136,7 +136,7 @@ pub(crate) struct TileWriter<'writer> {
 }
 
 impl<'writer> TileWriter<'writer> {
-    /// `shared`: what has been written to the file before.
+    /// `shared`: the sums that the file already has.
     pub(crate) fn new(
         writer: &'writer mut RecordWriter,
         periodicities: &'writer Periodicities,
@@ -150,7 +150,7 @@ impl<'writer> TileWriter<'writer> {
         self.writer.long(RecordKind::TileSums, &self.sums)
     }
 
-    /// Makes the records of a tile ready and writes the shared sums that are new with it. `false` where it has none.
+    /// Prepares the records of a tile and writes its new shared sums. `false` if the tile has no model.
     fn prepare(&mut self, model: &ModelSlot, sums: &SumsSlot) -> Result<bool, WriteError> {
         self.model.clear();
         self.sums.clear();

@@ -1,6 +1,6 @@
-//! Models of cold tiles that were asked for lately.
+//! Recently used models of tiles that are not in memory.
 //!
-//! Invariant: what is kept takes about as many bytes as allowed at most; the longest unused goes first.
+//! Invariant: the models take at most about the allowed bytes; the least recently used is dropped first.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -9,11 +9,11 @@ use std::{
 
 use tidemap_map::grid::{index::TileId, tile::TileModel};
 
-/// A few models, within a number of bytes.
+/// A few models, up to a limit in bytes.
 pub(super) struct ModelCache {
     bytes_max: usize,
     bytes: usize,
-    /// Counts the uses.
+    /// Number of uses so far.
     now: u64,
     models: HashMap<TileId, (u64, Arc<TileModel>)>,
     by_use: BTreeMap<u64, TileId>,

@@ -1,7 +1,7 @@
 //! Tiles that are not in memory, read one by one from the checkpoint that holds them.
 //!
-//! Invariant: the file stays open and never changes, so that a tile can be read as long as anybody refers to it,
-//! whatever becomes of the checkpoint's name. A sum that tiles share is shared by all that are in memory at the same
+//! Invariant: the file stays open and never changes, so a tile can be read as long as anything refers to it, even
+//! after the checkpoint was deleted. A sum that tiles share is loaded once for all tiles that are in memory at the same
 //! time.
 
 use std::{
@@ -28,14 +28,14 @@ use crate::{
 /// Bytes of models of cold tiles that are kept.
 const MODELS_BYTES: usize = 16 << 20;
 
-/// Where a tile's records are in the file; 0 where it has none.
+/// Offsets of a tile's records in the file; 0 if it has none.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct TilePlace {
     pub(crate) model: u64,
     pub(crate) sums: u64,
 }
 
-/// Where everything is in the file.
+/// Offsets of all records in the file.
 #[derive(Default)]
 pub(crate) struct Places {
     pub(crate) tiles: Vec<TilePlace>,
@@ -83,7 +83,7 @@ impl CheckpointTiles {
         self.places.tiles.get(tile.0 as usize).copied().unwrap_or_default()
     }
 
-    /// A tile's model as it is written; `None` where it has none.
+    /// A tile's model as bytes; `None` if it has none.
     pub(super) fn raw_model(&self, tile: TileId) -> Result<Option<Vec<u8>>, String> {
         match self.place(tile).model {
             0 => Ok(None),
@@ -91,7 +91,7 @@ impl CheckpointTiles {
         }
     }
 
-    /// A tile's sums as they are written; `None` where it has none.
+    /// A tile's sums as bytes; `None` if it has none.
     pub(super) fn raw_sums(&self, tile: TileId) -> Result<Option<Vec<u8>>, String> {
         match self.place(tile).sums {
             0 => Ok(None),
@@ -99,7 +99,7 @@ impl CheckpointTiles {
         }
     }
 
-    /// A shared sum as it is written.
+    /// A shared sum as bytes.
     pub(super) fn raw_shared(&self, number: u32) -> Result<Vec<u8>, String> {
         let offset = self.places.shared.get(number as usize).ok_or("a shared sum is not there")?;
         anywhere::long(&*self.file, RecordKind::SharedSum, *offset).map(|(bytes, _)| bytes)
@@ -113,7 +113,7 @@ impl CheckpointTiles {
         self.models.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A shared sum, where it is in memory.
+    /// A shared sum, if it is in memory.
     pub(super) fn shared_in_memory(&self, number: u32) -> Option<Arc<PhasorSum>> {
         self.shared().get(number as usize)?.upgrade()
     }
@@ -125,7 +125,7 @@ impl CheckpointTiles {
         let sum = Arc::new(tile_model::decode_shared(&self.raw_shared(number)?, &self.periodicities)?);
         let mut shared = self.shared();
         let Some(known) = shared.get_mut(number as usize) else { return Ok(sum) };
-        // Another reader may have been first.
+        // Another thread may have loaded it meanwhile.
         if let Some(known) = known.upgrade() {
             return Ok(known);
         }

@@ -1,6 +1,6 @@
 //! How long fdatasync takes on this disk.
 //!
-//! Invariant: memory does not grow: only the newest durations are kept.
+//! Invariant: only the newest durations are kept, so memory does not grow.
 
 use std::{
     sync::{Mutex, PoisonError},
@@ -24,7 +24,7 @@ pub struct SyncStats {
 /// The newest durations.
 #[derive(Default)]
 pub(super) struct SyncTimes(
-    /// Held for one entry, or for a copy of all: never while the disk works.
+    /// Held to add one entry or to copy all, never during disk access.
     Mutex<Ring>,
 );
 

@@ -1,6 +1,6 @@
-//! The days of a grid's history, one after the other.
+//! The days of a grid's history, one by one.
 //!
-//! Invariant: one day is in memory at a time, and of it only the tiles that were asked for.
+//! Invariant: one day is in memory at a time, with only the requested tiles.
 
 use std::vec::IntoIter;
 
@@ -53,7 +53,7 @@ impl GridDays {
                 },
             };
             self.current = None;
-            // Opened again for each day: a piece has few, and no file stays open between two calls.
+            // Opened again for each day: a file has few days, and no file stays open between two calls.
             let Some(file) = self.history.open_if_there(generation, Part::Grid)? else { continue };
             if !file.overlaps(self.from_nanos, self.to_nanos) || day >= file.end.days {
                 continue;
@@ -74,7 +74,7 @@ impl GridDays {
         Ok(self.generations.as_mut().and_then(Iterator::next))
     }
 
-    /// A day of a file, where it has scans in the range.
+    /// A day of a file, if it has scans in the range.
     fn read(&self, file: &HistoryFile, number: u64) -> Result<Option<HistoryDay>, HistoryError> {
         let damaged = |reason: &str| file.damaged(reason);
         let mut table = Table::new(file);

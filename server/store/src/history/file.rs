@@ -1,6 +1,6 @@
-//! One history file, open: what is in it, and single parts of it.
+//! One open history file: its table of contents and random access to its parts.
 //!
-//! Invariant: what is read has passed its checksum and is where the table says, or the error names the file.
+//! Invariant: a part that is read has passed its checksum and lies where the table says, or the error names the file.
 
 use std::{
     io,
@@ -21,7 +21,7 @@ use crate::{
     record_file::{RecordReader, anywhere},
 };
 
-/// A history file, open. It can be read even when it has been deleted meanwhile.
+/// An open history file. It stays readable after it was deleted.
 pub(super) struct HistoryFile {
     pub(super) file: Box<dyn DiskReader>,
     path: PathBuf,
@@ -64,7 +64,7 @@ impl HistoryFile {
     }
 }
 
-/// Reads a file back that was just written: its bytes are those that were written, and its records end as they should.
+/// Reads a new file back and checks that its bytes are those written, and that its records end correctly.
 pub(super) fn verify(disk: &dyn Disk, path: &Path, map: u32, generation: u64, trailer: Trailer) -> Result<(), String> {
     let mut reader = RecordReader::open(disk, path, HISTORY_MAGIC, map)?;
     if reader.header.position != generation {

@@ -1,6 +1,6 @@
 //! The observations of many states at once: each history file is opened once for all of them.
 //!
-//! Invariant: what is given of a state is what [`History::state`] gives of it.
+//! Invariant: the observations of a state are those that [`History::state`] returns.
 
 use tidemap_map::refit::WantedReadings;
 use tidemap_model::Sample;
@@ -8,7 +8,7 @@ use tidemap_model::Sample;
 use super::{History, Part, table::Table};
 use crate::error::HistoryError;
 
-/// The files of named states that a map has, with the times that each is of.
+/// The history files of named states of a map, with the times that each covers.
 #[derive(Clone, Debug)]
 pub struct StateFiles {
     history: History,
@@ -17,7 +17,7 @@ pub struct StateFiles {
 }
 
 impl History {
-    /// The files of named states, to be asked for many states. Those that are written later are not among them.
+    /// The files of named states, to read many states. Files that are written later are not included.
     ///
     /// # Errors
     /// [`HistoryError`] names the file that cannot be read.

@@ -1,4 +1,4 @@
-//! The table of a history file: where each state, day and tile is.
+//! The table of a history file: the offsets of its states, days and tiles.
 //!
 //! Invariant: one record of the table is in memory at a time.
 
@@ -75,7 +75,7 @@ impl<'file> Table<'file> {
 
     /// The entry of a key.
     pub(super) fn find(&mut self, key: u64) -> Result<Option<Entry>, HistoryError> {
-        // Often the next one asked for is in the same record.
+        // Keys are often looked up in order, so the next one is often in the same record.
         if let Some((_, entries)) = &self.chunk
             && let Ok(at) = entries.binary_search_by_key(&key, |entry| entry.key)
         {
@@ -85,7 +85,7 @@ impl<'file> Table<'file> {
         Ok(self.entry(number)?.filter(|entry| entry.key == key))
     }
 
-    /// Calls for each entry whose key lies from one up to another.
+    /// Calls `call` for each entry whose key lies from `from` up to but not including `to`.
     pub(super) fn each(
         &mut self,
         from: u64,
@@ -100,7 +100,7 @@ impl<'file> Table<'file> {
         Ok(())
     }
 
-    /// Gives the observations of a state in order of arrival.
+    /// Passes the observations of a state to `take`, in order of arrival.
     pub(super) fn samples(&mut self, id: StateId, mut take: impl FnMut(Sample)) -> Result<(), HistoryError> {
         let Some(entry) = self.find(u64::from(id.0))? else { return Ok(()) };
         let file = self.file;

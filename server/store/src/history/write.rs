@@ -1,6 +1,6 @@
 //! Writing a history file.
 //!
-//! Invariant: keys of the table ascend, and every observation is behind one of them.
+//! Invariant: the keys of the table ascend, and every observation belongs to one of them.
 
 use std::path::Path;
 
@@ -56,7 +56,7 @@ pub(super) fn tile_key(day: u64, tile: u32) -> u64 {
     (day << 32) + 1 + u64::from(tile)
 }
 
-/// Writes one part of a piece; durable when this returns, though not its name.
+/// Writes one part; the file is durable when this returns, its name is not.
 pub(super) fn write(
     disk: &dyn Disk,
     path: &Path,
@@ -88,7 +88,7 @@ pub(super) fn write(
     })
 }
 
-/// Least and greatest time of a part.
+/// The smallest and the greatest time of a part.
 fn bounds(piece: &HistoryPiece, part: Part) -> (i64, i64) {
     let states = piece.states.iter().flat_map(|(_, samples)| samples).map(|sample| sample.utc_nanos);
     let scans = piece.days.iter().flat_map(|day| &day.outliers.scans).map(|scan| scan.utc_nanos);
@@ -107,7 +107,7 @@ struct Out {
 }
 
 impl Out {
-    /// The next thing in the file has this key.
+    /// The next record of the file has this key.
     fn begin(&mut self, key: u64) -> Result<(), Invalid> {
         if self.entries.last().is_some_and(|before| before.key >= key) {
             return Err("states, days or tiles do not ascend");

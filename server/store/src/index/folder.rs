@@ -8,7 +8,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// A snapshot that sled was writing when it was killed keeps it from opening.
+/// Removes a snapshot that sled was writing when the process was killed: sled refuses to open with it.
 pub(super) fn remove_unfinished_snapshots(folder: &Path) -> io::Result<()> {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,

@@ -1,6 +1,6 @@
 //! Reading a map's snapshot from the index.
 //!
-//! Invariant: every record is checked by itself and all of them by number and sum before anything is believed.
+//! Invariant: each record is checked by itself, and all together by number and sum, before any is used.
 
 use prost::Message;
 use tidemap_map::spec::MapSpec;
@@ -22,7 +22,7 @@ fn payload<'value, M: Message + Default>(tree: &str, key: &[u8], value: &'value 
     M::decode(payload).map_err(|_| format!("a record in {tree} is not a message"))
 }
 
-/// The column of a state that the chunk of a key belongs to.
+/// The field of a state's message that the chunk with this key belongs to.
 fn column<'state>(message: &'state mut v2::State, key: &[u8]) -> Result<&'state mut Vec<u8>, &'static str> {
     const STRAY: &str = "a record in models belongs to nothing";
     let chunk = key.last_chunk::<2>().map_or(0, |&chunk| u16::from_be_bytes(chunk));
@@ -48,7 +48,7 @@ pub(super) fn load(trees: &Trees, map: u32, spec: &MapSpec) -> Result<(IndexCont
 
     let mut written = KnownRows::default();
     let mut producers = Vec::new();
-    // The mark itself has the prefix alone as its key.
+    // The key of the mark is the prefix alone.
     for entry in trees.marks.range(item_key(map, 0)..=item_key(map, u32::MAX)) {
         let (key, value) = entry.map_err(text)?;
         let message: v2::Producer = payload(MARKS, &key, &value)?;

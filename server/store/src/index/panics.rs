@@ -1,6 +1,6 @@
-//! sled panics where it meets damage: a panic in it is an error here.
+//! sled panics on damaged data; here such a panic becomes an error.
 //!
-//! Invariant: only panics inside [`catch`] are caught, and only their message is kept from the standard error.
+//! Invariant: only panics inside [`catch`] are caught, and only their messages are not printed on stderr.
 
 use std::{
     any::Any,
@@ -20,14 +20,14 @@ pub(super) fn catch<T>(action: impl FnOnce() -> T) -> Result<T, String> {
     INSTALL.call_once(|| {
         let previous = panic::take_hook();
         panic::set_hook(Box::new(move |info| {
-            // What is repaired is reported; a backtrace would look like a crash of the daemon.
+            // The caller reports the repair; a backtrace would look like a crash of the daemon.
             if !IS_QUIET.get() {
                 previous(info);
             }
         }));
     });
     IS_QUIET.set(true);
-    // Whoever gets the error drops everything that `action` has touched.
+    // The caller that gets the error drops everything that `action` has changed.
     let result = panic::catch_unwind(AssertUnwindSafe(action));
     IS_QUIET.set(false);
     result.map_err(|payload| message(&*payload))

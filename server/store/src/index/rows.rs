@@ -1,6 +1,6 @@
 //! The records of a snapshot as keys and values of the index.
 //!
-//! Invariant: the same state gives the same records, so that an unchanged one is not written again.
+//! Invariant: equal states give equal records, so an unchanged state is not written again.
 
 use prost::Message as _;
 use tidemap_map::{
@@ -14,7 +14,7 @@ use tidemap_migrations::{
 
 use crate::record::{site as record_site, snapshot as record};
 
-/// Which tree a record is in.
+/// The tree of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Tree {
     States,
@@ -56,7 +56,7 @@ pub(super) fn sum(rows: &[IndexRow]) -> Sum {
     sum
 }
 
-/// The records of a state: itself, and its spectrum, its hours, its calibrated profile and its other fits in chunks.
+/// The records of a state: one for the state, then its spectrum, hours, calibrated profile and other fits in chunks.
 pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<IndexRow> {
     let mut message = record::encode_state(id, state);
     let spectrum = std::mem::take(&mut message.spectrum);
@@ -76,7 +76,7 @@ pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<IndexRow
     std::iter::once(IndexRow { tree: Tree::States, key, value }).chain(chunks).collect()
 }
 
-/// The records of a site: none where nothing was ever told.
+/// The records of a site; none for an empty site.
 pub(super) fn of_site(map: u32, site: &Site) -> Vec<IndexRow> {
     let bytes = record_site::encode(site).map(|message| message.encode_to_vec()).unwrap_or_default();
     let chunk = |(chunk, bytes): (u16, &[u8])| {

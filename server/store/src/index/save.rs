@@ -15,12 +15,12 @@ use super::{
 };
 use crate::record::snapshot as record;
 
-/// Records in one batch of sled; larger ones hold its lock for long.
+/// Records in one batch of sled; larger batches hold its lock for too long.
 const BATCH_RECORDS: usize = 32;
 /// Bytes in one batch of sled.
 const BATCH_BYTES: usize = 64 << 10;
 
-/// Rows on their way into the trees.
+/// Rows that are collected for the trees.
 #[derive(Default)]
 struct Batches {
     states: sled::Batch,
@@ -68,7 +68,7 @@ fn set_mark(trees: &Trees, map: u32, mark: &Mark) -> Result<(), Damage> {
     trees.flush()
 }
 
-/// Removes all records of a map, the mark excepted.
+/// Removes all records of a map except the mark.
 fn clear(trees: &Trees, map: u32) -> Result<(), Damage> {
     let prefix = map_key(map);
     for tree in [&trees.states, &trees.models, &trees.marks] {
@@ -91,7 +91,7 @@ fn clear(trees: &Trees, map: u32) -> Result<(), Damage> {
     Ok(())
 }
 
-/// Writes what differs from `before`, or everything where that is not known.
+/// Writes the records that differ from `before`, or all records if `before` is unknown.
 pub(super) fn save(
     trees: &Trees,
     map: u32,
@@ -100,7 +100,7 @@ pub(super) fn save(
 ) -> Result<KnownRows, Damage> {
     set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
     let site = rows::of_site(map, &snapshot.site);
-    // States and producers are only ever added; anything else begins afresh.
+    // States and producers are only added; after any other change all records are written again.
     let before = before.filter(|before| {
         before.states.len() <= snapshot.states.len()
             && before.producers.len() <= snapshot.producers.len()
@@ -145,7 +145,7 @@ pub(super) fn save(
     Ok(before)
 }
 
-/// Removes what the models of a state had more chunks for than these; a spectrum only ever appears.
+/// Removes the chunks of a state's models that are not among `keys`. The chunks of a spectrum are never removed.
 fn remove_others(trees: &Trees, keys: &[Vec<u8>], map: u32, state: u32) -> Result<(), Damage> {
     let text = |error: sled::Error| error.to_string();
     for key in trees.models.range(chunk_key(map, state, HOURS_CHUNK)..=chunk_key(map, state, u16::MAX)).keys() {
@@ -157,7 +157,7 @@ fn remove_others(trees: &Trees, keys: &[Vec<u8>], map: u32, state: u32) -> Resul
     Ok(())
 }
 
-/// Writes the rows of one item where their sum is another than before. Gives whether it was there before, as another.
+/// Writes the rows of one item if their sum has changed. Returns whether the item existed before with another sum.
 fn write_changed(
     trees: &Trees,
     batches: &mut Batches,

@@ -1,6 +1,6 @@
-//! Records as frames in a segment: making them, finding the next one, and telling a torn tail from damage.
+//! Records as frames in a segment: writing them, reading the next one, and distinguishing a torn tail from damage.
 //!
-//! Invariant: a frame is believed only where its header, its body, its position and its chain are right.
+//! Invariant: a frame is used only if its header, its body, its position and its chain are valid.
 
 use tidemap_map::event::Event;
 use tidemap_migrations::{
@@ -10,7 +10,7 @@ use tidemap_migrations::{
 
 use crate::record::{self, Invalid};
 
-/// Disks write sectors of this length whole or not at all.
+/// Disks write a sector of this length completely or not at all.
 const SECTOR: usize = 512;
 
 /// An event, ready to be written once its position is known.
@@ -57,7 +57,7 @@ impl EncodedEvent {
     }
 }
 
-/// A place in a segment between two frames, and what the next frame must be.
+/// A point in a segment between two frames, with the position and chain that the next frame must have.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cursor {
     pub(crate) offset: usize,
@@ -65,7 +65,7 @@ pub(crate) struct Cursor {
     pub(crate) chain: u32,
 }
 
-/// A frame that was found where it should be.
+/// A valid frame.
 pub(crate) struct Frame<'segment> {
     pub(crate) header: FrameHeader,
     body: &'segment [u8],
@@ -82,15 +82,15 @@ impl Frame<'_> {
     }
 }
 
-/// A frame that is not as it was written.
+/// An invalid frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct BadFrame {
     pub(crate) reason: Invalid,
-    /// Part of it may never have reached the disk.
+    /// Whether part of it may never have reached the disk.
     pub(crate) is_unwritten: bool,
 }
 
-/// The frame at the cursor, which moves on behind it; `None` at the end of the segment.
+/// Reads the frame at the cursor and moves the cursor behind it; `None` at the end of the segment.
 pub(crate) fn next_frame<'segment>(
     segment: &'segment [u8],
     cursor: &mut Cursor,
@@ -124,8 +124,8 @@ pub(crate) fn next_frame<'segment>(
     Ok(Some(Frame { header, body }))
 }
 
-/// Whether a part of `start..end` that lies in one sector is all zeros; parts reach up to `limit`. Frames never look
-/// like that when they are written.
+/// Whether any part of `start..end` within one sector is all zeros; parts end at `limit`. Written frames never look
+/// like that.
 pub(crate) fn has_unwritten_sector(segment: &[u8], start: usize, end: usize, limit: usize) -> bool {
     let mut start = start;
     while start < end {
@@ -139,8 +139,8 @@ pub(crate) fn has_unwritten_sector(segment: &[u8], start: usize, end: usize, lim
     false
 }
 
-/// Whether a whole frame lies somewhere behind `offset` that was written when record `position` was durable already.
-/// Then what is at `offset` was acknowledged once.
+/// Whether a complete frame lies anywhere behind `offset` that was written after record `position` was durable.
+/// If so, the record at `offset` had been acknowledged.
 pub(crate) fn is_followed(segment: &[u8], offset: usize, position: u64) -> bool {
     (offset + 1..segment.len()).any(|start| {
         let rest = &segment[start..];

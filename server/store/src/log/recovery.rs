@@ -1,7 +1,7 @@
-//! Opening a log after anything may have happened.
+//! Opening a log after a crash or a power cut.
 //!
-//! Invariant: what is cut off had never been acknowledged; whatever might have been is refused with nothing changed.
-//! Every record that is left is made durable before anybody relies on it.
+//! Invariant: only bytes that were never acknowledged are cut off. If they may have been, the log is refused unchanged.
+//! Every remaining record is made durable before it is used.
 
 use std::path::{Path, PathBuf};
 
@@ -27,12 +27,12 @@ pub(crate) struct Recovered {
     pub(crate) reports: Vec<Report>,
 }
 
-/// What recovery starts from.
+/// What the checkpoints and the index require of a log.
 pub(crate) struct Expectation {
     pub(crate) map: u32,
     /// Records before this one are not needed.
     pub(crate) replay_from: u64,
-    /// A checkpoint or the index knows this record, so the log cannot end before it.
+    /// The last record that a checkpoint or the index knows; the log cannot end before it.
     pub(crate) known: u64,
 }
 
@@ -67,7 +67,7 @@ pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) ->
             return Err(corrupt(&file, 0, here.position, "the segment does not follow the one before it"));
         }
         here.offset = SEGMENT_HEADER_LENGTH;
-        // A segment is begun only when all before it is durable.
+        // A segment is created only when everything before it is durable.
         let may_be_torn = index + 1 == segments.len() && unfinished.is_none();
         if let Some(bytes) = read_segment(&file, &bytes, &mut here, may_be_torn, expected.known, &mut progress)? {
             torn = Some((file, bytes));
@@ -81,7 +81,7 @@ pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) ->
         return Err(corrupt(&newest, cursor.offset, cursor.position, reason));
     }
 
-    // Nothing has been changed up to here.
+    // Up to here nothing has been changed.
     if let Some(file) = unfinished {
         disk.remove(&file).map_err(open_io(&file))?;
         reports.push(Report::LeftoverRemoved { file });
@@ -91,15 +91,15 @@ pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) ->
         file.truncate(cursor.offset as u64).map_err(open_io(&newest))?;
         reports.push(Report::TornTail { file: torn_file, bytes });
     }
-    // Records may be here only because the machine was not switched off: they are about to be believed.
+    // Records may be in the page cache only; they are about to be used, so they must be durable.
     file.sync().map_err(open_io(&newest))?;
     disk.sync_folder(folder).map_err(open_io(folder))?;
     Ok(Recovered { segments, cursor, progress, reports })
 }
 
-/// The newest segment, where its header has never been written whole: it was about to be begun.
+/// The newest segment, if its header is incomplete because it was just being created.
 fn unfinished_segment(disk: &dyn Disk, folder: &Path, segments: &[u64]) -> Result<Option<PathBuf>, OpenError> {
-    // The first segment is durable before its map exists.
+    // The first segment of a map is durable before the map exists.
     let &[.., _, newest] = segments else { return Ok(None) };
     let file = segment_path(folder, newest);
     if disk.length(&file).map_err(open_io(&file))? > SEGMENT_HEADER_LENGTH as u64 {

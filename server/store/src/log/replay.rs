@@ -1,4 +1,4 @@
-//! Reading the events of a log again, one segment in memory at a time.
+//! Replaying the events of a log, with one segment in memory at a time.
 //!
 //! Invariant: events come in the order of their positions without a gap, or an error ends the replay.
 
@@ -25,9 +25,9 @@ pub struct Replay {
     file: PathBuf,
     bytes: Vec<u8>,
     cursor: Cursor,
-    /// Events before this one are passed over.
+    /// Position of the first event to return.
     from: u64,
-    /// The last one.
+    /// Position of the last event to return.
     end: u64,
     has_failed: bool,
 }
@@ -47,7 +47,7 @@ impl Replay {
         }
     }
 
-    /// How many events there are from the first to the last.
+    /// Number of events from the first to the last.
     #[must_use]
     pub fn records(&self) -> u64 {
         (self.end + 1).saturating_sub(self.from)
@@ -75,7 +75,7 @@ impl Replay {
     }
 
     fn next_event(&mut self) -> Result<Option<(u64, Event)>, OpenError> {
-        // Records after the end are being written meanwhile.
+        // Records after the end may be being written.
         while self.cursor.position <= self.end {
             let mut cursor = self.cursor;
             match next_frame(&self.bytes, &mut cursor) {

@@ -1,7 +1,7 @@
 //! Writing groups of records to the newest segment of a log.
 //!
-//! Invariant: the file holds good records up to `length` and, behind that, at most one group that is not durable yet.
-//! A group that cannot be written is cut off again; when even that fails, nothing is written any more.
+//! Invariant: the file holds valid records up to `length` and, behind that, at most one group that is not durable yet.
+//! A group that cannot be written is cut off again. If that fails too, nothing more is written.
 
 use std::{
     path::{Path, PathBuf},
@@ -38,7 +38,7 @@ pub(crate) struct LogWriter {
 }
 
 impl LogWriter {
-    /// Goes on behind the last record of a log.
+    /// Opens a log to append behind its last record.
     pub(crate) fn open(
         disk: &Arc<dyn Disk>,
         folder: PathBuf,
@@ -97,7 +97,7 @@ impl LogWriter {
                 Ok(())
             }
             Err(error) if is_disk_full(&error) => {
-                // Durable before the next group is written, so that bytes of both cannot mix on the disk.
+                // Synced before the next group is written, so that bytes of both cannot mix on the disk.
                 let cut = self.file.truncate(self.length).and_then(|()| self.file.sync());
                 Err(cut.map_or_else(|error| Self::poisoned(&self.path, &error), |()| AppendError::DiskFull))
             }
@@ -105,7 +105,7 @@ impl LogWriter {
         }
     }
 
-    /// Makes the group that was written durable. After an error it is not known what is on the disk.
+    /// Makes the written group durable. After an error the content of the disk is unknown.
     pub(crate) fn sync(&mut self) -> Result<(), AppendError> {
         self.file.sync().map_err(|error| Self::poisoned(&self.path, &error))?;
         if let Some((length, next_position, chain)) = self.written.take() {
@@ -114,12 +114,12 @@ impl LogWriter {
         Ok(())
     }
 
-    /// Begins the next segment. All records of this one are durable.
+    /// Creates the next segment. All records of the current one are durable.
     fn begin_segment(&mut self) -> Result<(), AppendError> {
         let header = SegmentHeader { map: self.map, first_position: self.next_position, chain: self.chain };
         let path = segment_path(&self.folder, self.next_position);
         let (file, length) = create_segment(&*self.disk, &path, &header).map_err(|error| {
-            // Nothing relies on the new file yet: an empty one is begun again, or removed when the log is opened.
+            // Nothing depends on the new file yet: it is created again, or removed when the log is opened.
             if is_disk_full(&error) { AppendError::DiskFull } else { Self::poisoned(&path, &error) }
         })?;
         self.disk.sync_folder(&self.folder).map_err(|error| Self::poisoned(&self.folder, &error))?;
@@ -129,7 +129,7 @@ impl LogWriter {
     }
 }
 
-/// Creates a segment that is durable itself, though not its name in the folder.
+/// Creates a segment; its content is durable afterwards, its name in the folder is not.
 fn create_segment(disk: &dyn Disk, path: &Path, header: &SegmentHeader) -> std::io::Result<(Box<dyn DiskFile>, u64)> {
     let mut file = disk.create(path)?;
     file.append(&header.encode())?;

@@ -1,6 +1,6 @@
-//! What is known of a state apart from its spectrum, as a message, and back.
+//! The training data and models of a state apart from its spectrum, as a message, and back.
 //!
-//! Invariant: every number comes back to the last bit; what is read has passed the constructors of the model again.
+//! Invariant: every number is read back bit by bit; a value that is read has passed the constructors of the model.
 
 use tidemap_migrations::{v1::map as v1, v2::map as v2};
 use tidemap_model::{
@@ -18,7 +18,7 @@ const DAYS: usize = 48 * 3;
 /// Slots of ten minutes of a week.
 const SLOTS: usize = 1008;
 
-/// `weight`: how much the observations count together, where that is not their number.
+/// `weight`: total weight of the observations, if it differs from their number.
 pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Alternatives {
     let parts = alternatives.to_parts();
     let mut hours = Vec::with_capacity((WEEK + DAYS) * 8);

@@ -1,6 +1,6 @@
 //! Sets and lists of the cells of a tile.
 //!
-//! Invariant: a place that is read lies within the tile, and a list ascends.
+//! Invariant: a cell that is read lies within the tile, and lists ascend.
 
 use tidemap_map::grid::{
     index::TILE_CELLS,
@@ -15,9 +15,9 @@ use super::{
 /// Bytes of a set that is not empty.
 pub(super) const MASK_LENGTH: usize = TILE_CELLS / 8;
 
-const CELL: Invalid = "a cell is not of its tile";
+const CELL: Invalid = "a cell is outside its tile";
 
-/// A set of cells; no bytes where it is empty.
+/// A set of cells; no bytes for an empty set.
 pub(super) fn encode_mask(mask: Mask) -> Vec<u8> {
     if mask.is_empty() { Vec::new() } else { mask.to_bytes().to_vec() }
 }
@@ -46,7 +46,7 @@ pub(super) struct CellsOut {
 }
 
 impl CellsOut {
-    /// Appends a place, as how many places lie between it and the one before.
+    /// Appends a cell, as the number of cells between it and the one before.
     pub(super) fn push(&mut self, cell: u16) -> Result<(), Invalid> {
         let cell = u64::from(cell);
         let gap = cell.checked_sub(self.next).filter(|_| cell < TILE_CELLS as u64);
@@ -67,7 +67,7 @@ impl CellsIn<'_> {
         CellsIn { bytes, next: 0 }
     }
 
-    /// The next place; `None` behind the last.
+    /// The next cell; `None` behind the last.
     pub(super) fn take(&mut self) -> Result<Option<u16>, Invalid> {
         if self.bytes.is_empty() {
             return Ok(None);
@@ -79,7 +79,7 @@ impl CellsIn<'_> {
     }
 }
 
-/// A place as it is written in full.
+/// The encoding of a cell by itself.
 pub(super) fn place(cell: u32) -> Result<u16, Invalid> {
     u16::try_from(cell).ok().filter(|&cell| usize::from(cell) < TILE_CELLS).ok_or(CELL)
 }

@@ -1,7 +1,7 @@
-//! Columns of a batch of observations: states, times and values, each packed by itself.
+//! Columns of a batch of observations: states, times and values, each encoded by itself.
 //!
-//! This runs for every observation, so each column is one pass over a slice. Invariant: a column is as long as its
-//! count says, or holds the one value that all have.
+//! This runs for every observation, so each column is one pass over a slice. Invariant: a column has as many items as
+//! its count, or a single one if all are equal.
 
 use tidemap_migrations::v1::event::{VALUES_BITS, VALUES_DOUBLES, VALUES_FLOATS};
 use tidemap_model::VALUE_MAX;
@@ -17,7 +17,7 @@ fn all_equal<T: PartialEq>(items: &[T]) -> bool {
     items.windows(2).all(|pair| pair[0] == pair[1])
 }
 
-/// Numbers as varints; one where all are equal.
+/// Numbers as varints; a single one if all are equal.
 pub(super) fn encode_numbers<T: Copy + PartialEq>(items: &[T], number: impl Fn(T) -> u64) -> Vec<u8> {
     let items = if all_equal(items) { &items[..items.len().min(1)] } else { items };
     let mut out = Vec::with_capacity(items.len() * 2 + 8);
@@ -27,7 +27,7 @@ pub(super) fn encode_numbers<T: Copy + PartialEq>(items: &[T], number: impl Fn(T
     out
 }
 
-/// Numbers as [`encode_numbers`] writes them; the caller bounds `count`.
+/// Reads what [`encode_numbers`] wrote; the caller limits `count`.
 pub(super) fn decode_numbers<T: Copy>(
     mut bytes: &[u8],
     count: usize,
@@ -72,7 +72,7 @@ fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
     a
 }
 
-/// The greatest number that divides all of them; 0 where all are 0.
+/// The greatest common divisor; 0 if all are 0.
 fn common_divisor(differences: &[i64]) -> u64 {
     let mut divisor = 0;
     for difference in differences {
@@ -84,7 +84,7 @@ fn common_divisor(differences: &[i64]) -> u64 {
     divisor
 }
 
-/// The greatest number that divides all of them; 1 where all are 0, or where it does not fit.
+/// The greatest common divisor; 1 if all are 0, or if it does not fit.
 pub(super) fn unit(differences: &[i64]) -> i64 {
     i64::try_from(common_divisor(differences)).unwrap_or(1).max(1)
 }
@@ -122,18 +122,18 @@ pub(super) fn decode_times(times: &Times<&Vec<u8>>, count: usize) -> Result<Vec<
 
 const RANGE: Invalid = "a value is not a number from -1e12 to 1e12";
 
-/// Whether a state of some kind may have the value; that its own kind allows it is for others to say.
+/// Whether a state of any kind may have the value. Callers check the state's own kind.
 fn is_value(value: &f64) -> bool {
     value.abs() <= VALUE_MAX
 }
 
-/// Values, in the smallest encoding that keeps every bit.
+/// Values, in the smallest lossless encoding.
 pub(super) fn encode_values(values: &[f64]) -> Result<(u32, Vec<u8>), Invalid> {
     const ONE: u64 = 1.0_f64.to_bits();
     if !values.iter().all(is_value) {
         return Err(RANGE);
     }
-    // By their bits, because a negative zero is not a zero bit.
+    // Compared by bits, because -0.0 equals 0.0.
     let is_same = values.windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits());
     if values.iter().all(|value| matches!(value.to_bits(), 0 | ONE)) {
         let values = if is_same && values.len() > 8 { &values[..1] } else { values };
@@ -177,7 +177,7 @@ fn decode_bits(bytes: &[u8], count: usize) -> Result<Vec<f64>, Invalid> {
     Ok(bytes.iter().flat_map(|&byte| (0..8).map(move |index| bit(byte, index))).take(count).collect())
 }
 
-/// Items of N bytes each; one where all are equal.
+/// Items of N bytes each; a single one if all are equal.
 fn fixed<const N: usize>(bytes: &[u8], count: usize, item: impl Fn([u8; N]) -> f64) -> Result<Vec<f64>, Invalid> {
     let (items, rest) = bytes.as_chunks::<N>();
     match items {

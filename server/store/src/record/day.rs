@@ -1,4 +1,4 @@
-//! The exact scans of one local day as records, and back: the day itself, and each of its tiles.
+//! The exact scans of one local day as records, and back: one record for the day, and one for each of its tiles.
 //!
 //! Flips are written cell by cell as differences of scan numbers (T-RO 2017, section III.B, calls this Δ-encoding): a
 //! cell flips rarely, so a difference takes a byte or two. Invariant: `decode(encode(day)) == day`, or `encode`
@@ -26,12 +26,12 @@ use super::{
 
 /// Bits of a tile: two per cell.
 const BITS: usize = 2 * TILE_CELLS;
-/// Most scans of one day; runs of equal ones take no room, so the payload's length does not bound them.
+/// Limit of scans of one day. Runs of equal scans take no space, so the payload's length does not limit them.
 const SCANS_MAX: usize = 1 << 26;
-/// Most tiles in all runs of presence of one day together.
+/// Limit of tiles in all presence runs of one day together.
 const SEEN_TILES_MAX: usize = 1 << 30;
 
-/// The day without its tiles, of which `tiles` records follow.
+/// The day without its tiles; `tiles` records of tiles follow it.
 pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<v2::Day, Invalid> {
     const MANY: Invalid = "a day has more scans or tiles than can be numbered";
     let nanos: Vec<i64> = day.scans.iter().map(|scan| scan.utc_nanos).collect();
@@ -75,12 +75,12 @@ pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<v2::Day, Invalid> {
     })
 }
 
-/// The day without its tiles, all of which are below `tiles_end` and so below `limit`. `keep` says which tiles the runs
-/// of presence keep.
+/// The day without its tiles. All tiles are below `tiles_end`, and so below `limit`. `keep` selects the tiles that the
+/// runs of presence keep.
 pub(crate) fn decode(message: &v2::Day, limit: u32, keep: impl Fn(TileId) -> bool) -> Result<GridDay, Invalid> {
     let count = message.scans as usize;
     if count > SCANS_MAX {
-        return Err("a day has more scans than there may be");
+        return Err("a day has more scans than the limit");
     }
     let times = columns::Times {
         first_nanos: message.first_time_nanos,
@@ -116,12 +116,12 @@ pub(crate) fn decode(message: &v2::Day, limit: u32, keep: impl Fn(TileId) -> boo
         return Err("the runs of a day are not as long as the day");
     }
     if message.tiles_end > limit {
-        return Err("a tile is not known");
+        return Err("a tile is unknown");
     }
     Ok(day)
 }
 
-/// What one day's scans showed of a tile.
+/// One day's observations of a tile.
 pub(crate) fn encode_tile(tile: &DayTile) -> Result<v2::DayTileScans, Invalid> {
     let key = |flip: &Flip| (flip.scan, flip.bit(), flip.cell());
     let is_ordered = tile.flips.is_sorted_by(|one, next| key(one) < key(next));
@@ -140,7 +140,7 @@ pub(crate) fn encode_tile(tile: &DayTile) -> Result<v2::DayTileScans, Invalid> {
     })
 }
 
-/// What a tile shows after all flips.
+/// The masks of a tile after all flips.
 fn flipped(first: TileMasks, flips: &[Flip]) -> Option<TileMasks> {
     let (mut observed, mut occupied) = (first.observed(), first.occupied());
     for flip in flips {
@@ -206,7 +206,7 @@ fn encode_in_order(flips: &[Flip]) -> Result<Vec<u8>, Invalid> {
     Ok(out)
 }
 
-/// The tile again; its flips are of scans below `scans`.
+/// Decodes a tile; its flips belong to scans below `scans`.
 pub(crate) fn decode_tile(message: &v2::DayTileScans, scans: u32) -> Result<DayTile, Invalid> {
     let first = decode_masks(&message.first_observed, &message.first_occupied)?;
     let mut flips = decode_by_bit(&message.flips, scans)?;
@@ -224,7 +224,7 @@ fn decode_by_bit(mut bytes: &[u8], scans: u32) -> Result<Vec<Flip>, Invalid> {
     while !bytes.is_empty() {
         let bit = next_bit.saturating_add(take_varint(&mut bytes)?);
         if bit >= BITS as u64 {
-            return Err("a cell is not of its tile");
+            return Err("a cell is outside its tile");
         }
         next_bit = bit + 1;
         let more = take_varint(&mut bytes)?;
@@ -232,7 +232,7 @@ fn decode_by_bit(mut bytes: &[u8], scans: u32) -> Result<Vec<Flip>, Invalid> {
         for _ in 0..=more {
             let scan = next.saturating_add(take_varint(&mut bytes)?);
             if scan >= u64::from(scans) {
-                return Err("a flip is of a scan that there is not");
+                return Err("a flip belongs to a scan that does not exist");
             }
             flips.push(flip_of(scan as u32, bit as usize));
             next = scan + 1;
@@ -250,14 +250,14 @@ fn decode_in_order(mut bytes: &[u8], scans: u32) -> Result<Vec<Flip>, Invalid> {
         scan = scan.saturating_add(take_varint(&mut bytes)?);
         let bit = take_varint(&mut bytes)?;
         if scan >= u64::from(scans) || bit >= BITS as u64 {
-            return Err("a flip is of a scan or a cell that there is not");
+            return Err("a flip belongs to a scan or a cell that does not exist");
         }
         flips.push(flip_of(scan as u32, bit as usize));
     }
     Ok(flips)
 }
 
-/// A scan that waits for its time.
+/// A scan whose time is in the future.
 pub(crate) fn encode_ahead(scan: &AheadScan) -> v2::AheadScan {
     let mut bytes = Vec::with_capacity(scan.tiles.len() * 2 * MASK_LENGTH);
     for (_, masks) in &scan.tiles {
@@ -273,7 +273,7 @@ pub(crate) fn encode_ahead(scan: &AheadScan) -> v2::AheadScan {
     }
 }
 
-/// The scan again; its tiles are below `limit`.
+/// Decodes a scan; its tiles are below `limit`.
 pub(crate) fn decode_ahead(message: &v2::AheadScan, limit: u32) -> Result<AheadScan, Invalid> {
     let (sets, rest) = message.masks.as_chunks::<MASK_LENGTH>();
     let (pairs, odd) = sets.as_chunks::<2>();
@@ -281,7 +281,7 @@ pub(crate) fn decode_ahead(message: &v2::AheadScan, limit: u32) -> Result<AheadS
         return Err("the tiles of a scan differ in number from their sets");
     }
     if message.tiles.iter().any(|&tile| tile >= limit) {
-        return Err("a tile is not known");
+        return Err("a tile is unknown");
     }
     let tile = |(&tile, [observed, occupied]): (&u32, &[[u8; MASK_LENGTH]; 2])| {
         Ok((TileId(tile), masks(Mask::from_bytes(observed), Mask::from_bytes(occupied))?))

@@ -19,11 +19,11 @@ use super::{
     scans, site, traversal,
 };
 
-/// Kinds of new states that are vectors; what a map makes of them are states of continuous values.
+/// Kinds of new vector states. The map stores a vector as states of continuous values, one per axis.
 const VECTOR_OF_TWO: u32 = 3;
 const VECTOR_OF_THREE: u32 = 4;
 
-/// Most observations in one event. Constant columns take no room, so the payload's length does not bound it.
+/// Limit of observations in one event. Constant columns take no space, so the payload's length does not limit it.
 const COUNT_MAX: usize = 1 << 20;
 
 /// The kind and the payload of an event.
@@ -82,7 +82,7 @@ fn decode_update_start(message: &v1::UpdateStart) -> Result<UpdateStart, Invalid
         2 => UpdateCause::Midnight,
         3 => UpdateCause::DataTime,
         4 => UpdateCause::PendingLimit,
-        _ => return Err("the cause of the update is not known"),
+        _ => return Err("the cause of the update is unknown"),
     };
     Ok(UpdateStart { generation: message.generation, cut_nanos: message.cut_nanos, cause })
 }
@@ -184,7 +184,7 @@ fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
         VECTOR_OF_THREE => StateShape::Vector(Dimensions::Three),
         kind => StateShape::Scalar(decode_kind(kind)?),
     };
-    // The axes of a vector come with it, and with it alone.
+    // Axes are created with their vector only.
     if name.as_axis().is_some() {
         return Err(NAME);
     }

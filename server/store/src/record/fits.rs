@@ -1,6 +1,6 @@
-//! The models of a state that were fitted to its readings, apart from the calibrated one, as bytes, and back.
+//! The models that were fitted to a state's readings, except the calibrated one, as bytes, and back.
 //!
-//! Invariant: every number comes back to the last bit. Whether the numbers make a model is for the model to say.
+//! Invariant: every number is read back bit by bit. The constructors of the models check the numbers.
 
 use prost::Message as _;
 use tidemap_migrations::v2::fits as v2;
@@ -16,7 +16,7 @@ use super::Invalid;
 
 const INVALID: Invalid = "the fitted models of a state are not valid";
 
-/// Empty where there is none.
+/// Empty if there is none.
 pub(crate) fn encode(fits: &[FitParts]) -> Vec<u8> {
     let mut message = v2::Fits::default();
     for parts in fits {
@@ -88,7 +88,7 @@ fn encode_hypertime(fit: Option<v2::Fit>, model: &HypertimeParts) -> (HypertimeM
             (odds.method, message)
         }
         HypertimeParts::Continuous(field) => {
-            // One of the value; such a model has no location.
+            // A model of the value only, without a location.
             let axes = field.value.iter().flat_map(|axis| [axis.centre, axis.scale, axis.low, axis.high]);
             let message = v2::Hypertime {
                 fit,

@@ -11,7 +11,7 @@ use tidemap_model::Sample;
 
 use super::{Invalid, cells::place, columns, offsets};
 
-/// Most observations in one record. Constant columns take no room, so the payload's length does not bound it.
+/// Limit of observations in one record. Constant columns take no space, so the payload's length does not limit it.
 pub(crate) const SAMPLES_MAX: usize = 1 << 20;
 
 pub(crate) fn encode_samples(state: StateId, samples: &[Sample]) -> Result<v2::StateSamples, Invalid> {

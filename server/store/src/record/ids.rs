@@ -1,6 +1,6 @@
-//! Names, kinds, producers and refusals: what the records of events, scans, snapshots and sites share.
+//! Names, kinds, producers and refusals, which several kinds of records contain.
 //!
-//! Invariant: what comes back is what went in, and has passed the constructors of the domain again.
+//! Invariant: decoding gives the encoded value, and it has passed the constructors of the domain.
 
 use tidemap_map::{
     event::StateKind,
@@ -55,7 +55,7 @@ pub(super) fn decode_new_producer(new: &v2_map::NewProducer) -> Result<NewProduc
     Ok(NewProducer { key: decode_producer_key(&key)?, sensor: sensors::decode(sensor.as_ref())? })
 }
 
-/// The name of a state as the map knows it: axes of vectors included.
+/// A stored name of a state; it may be an axis of a vector.
 pub(super) fn decode_state_name(name: &str) -> Result<StateName, Invalid> {
     StateName::stored(name).map_err(|_| "the name of a state is not valid")
 }
@@ -73,7 +73,7 @@ pub(super) fn decode_kind(kind: u32) -> Result<StateKind, Invalid> {
         0 => Ok(StateKind::Probability),
         1 => Ok(StateKind::Continuous),
         2 => Ok(StateKind::Count),
-        _ => Err("the kind of a state is not known"),
+        _ => Err("the kind of a state is unknown"),
     }
 }
 
@@ -108,6 +108,6 @@ fn decode_reason(reason: u32) -> Result<RefusalReason, Invalid> {
         10 => Ok(RefusalReason::TileLimit),
         11 => Ok(RefusalReason::Frame),
         12 => Ok(RefusalReason::Edge),
-        _ => Err("the reason of a refusal is not known"),
+        _ => Err("the reason of a refusal is unknown"),
     }
 }

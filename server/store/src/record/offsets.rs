@@ -1,6 +1,6 @@
 //! UTC offsets as runs of equal ones.
 //!
-//! Invariant: the lengths of the runs add up to the number of items; allocation follows that number.
+//! Invariant: the lengths of the runs add up to the number of items, which limits the allocation.
 
 use super::Invalid;
 

@@ -23,12 +23,12 @@ use super::{
     varint::{CUT, push_varint, take_varint, unzigzag, zigzag},
 };
 
-/// Most scans in one event.
+/// Limit of scans in one event.
 pub const SCANS_MAX: usize = 1 << 16;
-/// Most tiles in all sets of seen tiles of one event together.
+/// Limit of tiles in all sets of seen tiles of one event together.
 pub const SEEN_TILES_MAX: usize = 1 << 24;
 
-/// Most tiles of one event that are observed anew as a whole.
+/// Limit of tiles of one event that are first observed as a whole.
 pub const WHOLE_TILES_MAX: usize = 1 << 17;
 
 /// The observed bits that a scan flips.
@@ -46,7 +46,7 @@ impl ObservedFlips<'_> {
         }
         let mut others = Vec::new();
         for of_tile in flips.chunk_by(|one, other| one.tile() == other.tile()) {
-            // An ascending list of 512 cells of one tile is the whole tile; any other order is refused later.
+            // An ascending list of 512 cells of one tile is the whole tile; another order is refused later.
             match of_tile.first().filter(|_| of_tile.len() == TILE_CELLS && of_tile.is_sorted()) {
                 Some(first) => observed.whole.push(first.tile()),
                 None => others.extend_from_slice(of_tile),
@@ -68,7 +68,7 @@ fn encode_whole(scans: &[ObservedFlips<'_>]) -> Result<Vec<u8>, Invalid> {
     Ok(out)
 }
 
-/// The number of each scan that observes whole tiles anew, and those.
+/// The number of each scan that first observes whole tiles, and these tiles.
 fn decode_whole(mut bytes: &[u8], count: usize) -> Result<Vec<(usize, Vec<TileId>)>, Invalid> {
     let mut whole = Vec::new();
     let (mut next, mut room) = (0_usize, WHOLE_TILES_MAX);
@@ -76,7 +76,7 @@ fn decode_whole(mut bytes: &[u8], count: usize) -> Result<Vec<(usize, Vec<TileId
         let gap = usize::try_from(take_varint(&mut bytes)?).unwrap_or(usize::MAX);
         let scan = next.saturating_add(gap);
         if scan >= count {
-            return Err("more scans observe something anew than there are");
+            return Err("more scans observe whole tiles than the event has");
         }
         whole.push((scan, take_set(&mut bytes, &[], CellRef::TILES_MAX, &mut room)?));
         next = scan + 1;
@@ -103,7 +103,7 @@ pub(super) fn encode(event: &Scans) -> Result<v2::Scans, Invalid> {
     let (refused_sequences, refused_reasons) = encode_refused(&event.refused)?;
     let observed: Vec<ObservedFlips<'_>> = scans.iter().map(|scan| ObservedFlips::new(&scan.observed_flips)).collect();
     if observed.iter().map(|scan| scan.whole.len()).sum::<usize>() > WHOLE_TILES_MAX {
-        return Err("its scans observe more tiles anew than one record may hold");
+        return Err("its scans observe more whole tiles than one record may hold");
     }
     let nanos: Vec<i64> = scans.iter().map(|scan| scan.utc_nanos).collect();
     let times = columns::encode_times(&nanos)?;
@@ -241,7 +241,7 @@ fn decode_seen(mut bytes: &[u8], count: usize) -> Result<Vec<Option<Arc<[TileId]
     while !bytes.is_empty() {
         let gap = usize::try_from(take_varint(&mut bytes)?).unwrap_or(usize::MAX);
         let Some((scan, behind)) = rest.get_mut(gap..).and_then(<[_]>::split_first_mut) else {
-            return Err("more scans see something than there are");
+            return Err("more scans have tiles than the event has");
         };
         rest = behind;
         let set = take_set(&mut bytes, before.as_deref().unwrap_or_default(), CellRef::TILES_MAX, &mut room)?;

@@ -1,7 +1,7 @@
 //! Sensors of producers, and the numbers of the sensors of scans, and back.
 //!
-//! Invariant: where all are the map's own nothing is written. Numbers fit into a byte; whether a map has such a sensor
-//! is not known here.
+//! Invariant: nothing is written if all scans are of the map's own sensor. Numbers fit into a byte; whether a map has
+//! such a sensor is checked elsewhere.
 
 use tidemap_map::grid::sensors::{ProducerSensor, SensorId};
 use tidemap_migrations::v2::map as v2;
@@ -14,11 +14,11 @@ pub(super) fn encode(sensor: Option<ProducerSensor>) -> Option<v2::Sensor> {
     sensor.map(|sensor| v2::Sensor { hit_bits: sensor.hit.to_bits(), false_alarm_bits: sensor.false_alarm.to_bits() })
 }
 
-/// The sensor again; the map checks whether it can be one of its sensors.
+/// Decodes a sensor; the map checks whether it has such a sensor.
 pub(super) fn decode(message: Option<&v2::Sensor>) -> Result<Option<ProducerSensor>, Invalid> {
     let Some(message) = message else { return Ok(None) };
     let (hit, false_alarm) = (f64::from_bits(message.hit_bits), f64::from_bits(message.false_alarm_bits));
-    // Neither holds for what is not a number.
+    // NaN fails both comparisons.
     let is_sensor = (0.0..1.0).contains(&false_alarm) && hit > false_alarm && hit <= 1.0;
     if is_sensor { Ok(Some(ProducerSensor { hit, false_alarm })) } else { Err("the sensor of a producer is not valid") }
 }
@@ -47,14 +47,14 @@ pub(super) fn encode_runs(sensors: impl Iterator<Item = SensorId> + Clone) -> (V
     (counts, numbers)
 }
 
-/// One sensor per scan; nothing where all are the map's own.
+/// One sensor per scan; empty if all are the map's own.
 pub(super) fn decode_runs(counts: &[u32], numbers: &[u32], count: usize) -> Result<Option<Vec<SensorId>>, Invalid> {
     if counts.is_empty() && numbers.is_empty() {
         return Ok(None);
     }
     let total = counts.iter().map(|&count| u64::from(count)).sum::<u64>();
     if counts.len() != numbers.len() || total != count as u64 {
-        return Err("the sensors are not as many as the scans that they have made");
+        return Err("the number of sensors differs from the number of scans");
     }
     let mut sensors = Vec::with_capacity(count);
     for (&count, &of_run) in counts.iter().zip(numbers) {

@@ -1,6 +1,6 @@
 //! A site and its edits as messages, and back.
 //!
-//! Invariant: what comes back is what went in, to the last bit.
+//! Invariant: decoding gives the encoded value, bit by bit.
 
 use tidemap_map::{
     ids::StateId,
@@ -49,7 +49,7 @@ fn decode_attempts(message: &v2::Attempts) -> Result<(ReachabilityCell, Attempts
     Ok((cell, Attempts { count, reached, last_nanos: message.last_nanos }))
 }
 
-/// A site; `None` where nothing was ever told.
+/// A site; `None` for an empty one.
 pub(crate) fn encode(site: &Site) -> Option<v2::Site> {
     (!site.is_empty()).then(|| v2::Site {
         charger: site.charger_m().map(encode_place),
@@ -60,7 +60,7 @@ pub(crate) fn encode(site: &Site) -> Option<v2::Site> {
     })
 }
 
-/// The site of a map with so many states.
+/// The site of a map with `states` states.
 pub(crate) fn decode(message: &v2::Site, states: usize) -> Result<Site, String> {
     let mut site = Site::default();
     let mut apply = |edit| site.apply(&edit, states).map_err(|error| error.to_string());

@@ -1,7 +1,7 @@
-//! Producers, states and the snapshot's own numbers as records, and back.
+//! Producers, states and the counters of a snapshot as records, and back.
 //!
-//! A state's spectrum is kept apart, because it is by far the largest part: the index cuts it into chunks.
-//! Invariant: every number comes back to the last bit.
+//! A state's spectrum is encoded separately, because it is by far the largest part: the index cuts it into chunks.
+//! Invariant: every number is read back bit by bit.
 
 use std::{collections::HashSet, sync::Arc};
 
@@ -21,7 +21,7 @@ use super::{
     sensors,
 };
 
-/// The snapshot's own numbers. The counts must fit; [`check`] sees to that.
+/// The counters of a snapshot. The counts must fit; [`check`] makes sure of that.
 pub(crate) fn encode(snapshot: &MapSnapshot) -> v2::Snapshot {
     v2::Snapshot {
         position: snapshot.position,
@@ -44,7 +44,7 @@ pub(crate) fn check(snapshot: &MapSnapshot) -> Result<(), Invalid> {
     check_positions(&encode(snapshot))
 }
 
-/// Refuses vectors of which an axis is missing, out of its place or not a number, or that are called like another
+/// Refuses vectors with an axis that is missing, out of order or not continuous, or with the same name as another
 /// state.
 fn check_axes(states: &[StateSnapshot]) -> Result<(), Invalid> {
     let axis = |index: usize| states.get(index).and_then(|state| state.name.as_axis());
@@ -66,13 +66,13 @@ fn check_axes(states: &[StateSnapshot]) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Positions must let the replay begin where the log can.
+/// Positions must let the replay start at a position that the log has.
 pub(crate) fn check_positions(message: &v2::Snapshot) -> Result<(), Invalid> {
     let is_sound = message.replay_from <= message.position.saturating_add(1);
     if is_sound { Ok(()) } else { Err("replay_from is beyond position + 1") }
 }
 
-/// A snapshot from its numbers, its producers, its states and its site.
+/// A snapshot from its counters, its producers, its states and its site.
 pub(crate) fn decode(
     message: &v2::Snapshot,
     producers: Vec<ProducerMark>,
@@ -84,7 +84,7 @@ pub(crate) fn decode(
         return Err("states or producers are missing or too many");
     }
     if message.has_site == site.is_empty() {
-        return Err("the site is missing, or is there where none should be");
+        return Err("the site is missing or unexpected");
     }
     check_axes(&states)?;
     Ok(MapSnapshot {
@@ -138,7 +138,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot) -> v2::State {
         re_bits: component.gamma_re.to_bits(),
         im_bits: component.gamma_im.to_bits(),
     };
-    // Where all count alike their weight is their number.
+    // If all observations have weight 1, their weight is their number.
     let weight = Some(accumulator.weight).filter(|&weight| weight != accumulator.observations as f64);
     let known = state.model.alternatives().map(|known| alternatives::encode(known, weight));
     v2::State {

@@ -1,6 +1,6 @@
 //! A map's fixed properties as a record, and back.
 //!
-//! Invariant: `decode(encode(spec)) == spec`. A map of format 1 keeps its observations for ever and has no grid.
+//! Invariant: `decode(encode(spec)) == spec`. A map of format 1 keeps its observations forever and has no grid.
 
 use tidemap_map::{
     grid::{
@@ -13,7 +13,7 @@ use tidemap_map::{
 use tidemap_migrations::v2::map as v2;
 use tidemap_model::{EnabledModels, FitKind, OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 
-/// The prior of a map that says none.
+/// The prior of a map that sets none.
 const PRIOR: f64 = 0.5;
 
 /// The record of a map, and whether its history files replace the beginning of its log.
@@ -51,7 +51,7 @@ pub(crate) fn decode(message: v2::MapSpec) -> Result<MapSpec, String> {
     };
     Ok(MapSpec {
         name: MapName::new(&message.name).map_err(|error| error.to_string())?,
-        // A later version's database of zones may have renamed one, never this version's own.
+        // The zone is in this version's database, unless another version with a newer database wrote it.
         zone: Zone::named(&message.zone).map_err(|error| error.to_string())?,
         periodicities: periodicities.map_err(|error| error.to_string())?,
         criterion: match message.criterion {

@@ -1,6 +1,6 @@
-//! Tiles as the newest scans show them, as records, and back.
+//! The current state of tiles after the newest scans, as records, and back.
 //!
-//! Invariant: a tile that is written takes part in no run of like scans; what is read can be counted on without an
+//! Invariant: a tile that is written is in no run of equal scans; counts that are read can be added to without an
 //! overflow.
 
 use tidemap_map::grid::{
@@ -17,7 +17,7 @@ use super::{
     varint::{CUT, push_varint, take_varint, unzigzag, zigzag},
 };
 
-/// Counts beyond this are not believed, so that sums of two never overflow.
+/// Larger counts are refused, so that the sum of two never overflows.
 const COUNT_MAX: u64 = 1 << 61;
 
 pub(crate) fn encode(tile: &LiveTile, has_model: bool) -> Result<v2::Tile, Invalid> {

@@ -1,7 +1,7 @@
-//! What is learned of a tile: its models and its sums, as records, and back.
+//! The learned data of a tile: its models and its sums, as records, and back.
 //!
-//! Sums are by far the largest part, so they are copied in bulk. Invariant: every number comes back to the last bit;
-//! what is read has passed the constructors of the model again.
+//! Sums are by far the largest part, so they are copied in bulk. Invariant: every number is read back bit by bit;
+//! a value that is read has passed the constructors of the model.
 
 use std::sync::Arc;
 
@@ -27,9 +27,9 @@ use super::{
 
 /// Bytes of a component.
 const COMPONENT: usize = 20;
-/// In place of the number of a shared sum: there is none.
+/// Stands for the number of a shared sum that does not exist.
 const NO_SUM: u32 = u32::MAX;
-/// In the number of changed cells: weighted sums follow.
+/// Flag in the number of changed cells: weighted sums follow.
 const HAS_WEIGHTED: u32 = 1 << 31;
 
 pub(crate) fn encode(model: &TileModel) -> v2::TileModel {
@@ -96,9 +96,9 @@ pub(crate) fn decode(message: &v2::TileModel, periodicities: &Periodicities) -> 
     Ok(TileModel { groups, always_occupied: decode_mask(&message.always_occupied)?, cells, sensors })
 }
 
-/// What readings count; nothing where all are of the map's own sensor.
+/// Weights of readings; empty if all are of the map's own sensor.
 fn decode_weights(message: &v2::TileModel) -> Result<Option<SensorWeights>, Invalid> {
-    const PARTLY: Invalid = "what readings count is not known of all groups and cells of a tile, or is not finite";
+    const PARTLY: Invalid = "the weights of readings are missing for some groups or cells of a tile, or are not finite";
     let parts = || {
         let groups = message.groups.iter().flat_map(|group| [group.alpha_bits, group.beta_bits]);
         groups.chain(message.cells.iter().map(|cell| cell.occupied_weight_bits))
@@ -144,8 +144,8 @@ fn decode_component(bytes: &[u8; COMPONENT]) -> Component {
     Component { periodicity, gamma_re: eight(4), gamma_im: eight(12) }
 }
 
-/// The sums of a tile as bytes: how many, which shared sums, which weighted ones, the sums of the changed cells, and
-/// sightings. `shared`: the numbers of all that it shares, in their order.
+/// The sums of a tile as bytes: their number, the shared sums, the weighted ones, the sums of the changed cells, and
+/// sightings. `shared`: the numbers of its shared sums, in order.
 pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) -> Result<(), Invalid> {
     if shared.len() < sums.groups.len() {
         return Err("a shared sum has no number");
@@ -164,7 +164,7 @@ pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) ->
     Ok(())
 }
 
-/// How many sums there are, and which shared ones.
+/// The number of sums, and the numbers of the shared ones.
 fn push_head(
     out: &mut Vec<u8>,
     shared: &[u32],
@@ -185,19 +185,19 @@ fn push_head(
     }
 }
 
-/// The sums of a tile, still as bytes.
+/// The sums of a tile as bytes.
 pub(crate) struct EncodedSums<'bytes> {
-    /// Numbers of all the sums that it shares: one per group, then two per group that has weighted sums.
+    /// Numbers of its shared sums: one per group, then two per group that has weighted sums.
     pub(crate) shared: Vec<u32>,
     /// Number of groups.
     pub(crate) groups: usize,
-    /// Whether each group has weighted sums; `None` where none has.
+    /// Whether each group has weighted sums; `None` if none has.
     weighted: Option<Vec<bool>>,
     /// Sums of its changed cells.
     cells: &'bytes [u8],
     /// Its sightings.
     sightings: Sightings,
-    /// The same as bytes; none where there are none.
+    /// The same as bytes; empty if there are none.
     sightings_bytes: &'bytes [u8],
 }
 
@@ -248,7 +248,7 @@ impl EncodedSums<'_> {
         self.cells.len() / (16 * periodicities.len()).max(1)
     }
 
-    /// The sums, with the shared ones given.
+    /// Decodes the sums; `shared` are the shared ones.
     pub(crate) fn decode(
         &self,
         mut groups: Vec<Arc<PhasorSum>>,
@@ -270,7 +270,7 @@ impl EncodedSums<'_> {
         Ok(TileSums { groups, cells, sightings: self.sightings.clone(), sensors })
     }
 
-    /// The bytes again, with other numbers for the shared sums.
+    /// The same bytes with other numbers for the shared sums.
     pub(crate) fn encode_again(&self, shared: &[u32], periodicities: &Periodicities, out: &mut Vec<u8>) {
         let has_weighted = self.weighted.as_ref().map(|weighted| weighted.iter().copied());
         push_head(out, shared, self.groups, self.cells(periodicities), has_weighted);

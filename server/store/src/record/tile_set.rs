@@ -1,6 +1,6 @@
 //! Sets of tiles, each as the tiles in which it differs from the set before, in ranges of ids.
 //!
-//! A robot that moves on sees a few tiles more and a few less; one that stands sees the same.
+//! A moving robot sees a few new tiles and loses a few; a standing robot sees the same tiles.
 //! Invariant: a set ascends and holds no tile twice; a set that is read holds only tiles below the limit given.
 
 use tidemap_map::grid::index::TileId;
@@ -26,7 +26,7 @@ pub(crate) fn push_set(out: &mut Vec<u8>, before: &[TileId], set: &[TileId]) -> 
     Ok(())
 }
 
-/// The tiles that are in one of the sets alone, ascending.
+/// The tiles that are in exactly one of the sets, ascending.
 fn differences(mut one: &[TileId], mut other: &[TileId]) -> Vec<u32> {
     let mut found = Vec::new();
     loop {
@@ -62,15 +62,15 @@ fn ranges(numbers: Vec<u32>) -> Vec<(u32, u32)> {
     ranges
 }
 
-/// Takes a set off the front; its tiles are below `limit`. `room` is how many tiles may be kept in all, and becomes
-/// less.
+/// Reads a set from the front; its tiles are below `limit`. `room` is the number of tiles that may still be read; it
+/// is reduced.
 pub(crate) fn take_set(
     bytes: &mut &[u8],
     before: &[TileId],
     limit: u32,
     room: &mut usize,
 ) -> Result<Vec<TileId>, Invalid> {
-    const MANY: Invalid = "the sets of tiles are larger than they may be";
+    const MANY: Invalid = "the sets of tiles are larger than the limit";
     let ranges = take_varint(bytes)?;
     let mut set = Vec::with_capacity(before.len().min(*room));
     let mut before = before;
@@ -79,7 +79,7 @@ pub(crate) fn take_set(
         let first = end.checked_add(take_u32(bytes)?);
         let last = first.and_then(|first| first.checked_add(take_varint(bytes).ok()?.try_into().ok()?));
         let (Some(first), Some(last)) = (first, last.filter(|&last| last < limit)) else {
-            return Err("a tile is not known");
+            return Err("a tile is unknown");
         };
         let same = before.partition_point(|tile| tile.0 < first);
         if (last - first) as usize >= *room || set.len() + same + (last - first) as usize >= *room {

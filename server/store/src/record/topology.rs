@@ -1,6 +1,6 @@
 //! A topological map and its edits as messages, and back.
 //!
-//! Invariant: what comes back is what went in, to the last bit.
+//! Invariant: decoding gives the encoded value, bit by bit.
 
 use tidemap_map::{
     name::StateName,
@@ -66,7 +66,7 @@ fn decode_edge(message: &v2::Edge) -> Result<Edge, Invalid> {
     })
 }
 
-/// A topological map; `None` where none was ever told.
+/// A topological map; `None` if the map never had one.
 pub(super) fn encode(topology: &Topology) -> Option<v2::Topology> {
     let TopologyParts { next_node, next_edge, nodes, edges } = topology.to_parts();
     let node = |node: &Node| encode_node(node.id.0, &node.name, node.pose, node.dwell_secs);

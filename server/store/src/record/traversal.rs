@@ -1,6 +1,6 @@
 //! Failed traversals as messages, and back.
 //!
-//! Invariant: what comes back is what went in.
+//! Invariant: decoding gives the encoded value.
 
 use tidemap_map::{
     name::EdgeName,

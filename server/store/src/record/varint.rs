@@ -1,4 +1,4 @@
-//! Numbers in as few bytes as they need: seven bits a byte, the lowest first, the highest bit set where more follow.
+//! Variable-length numbers: seven bits a byte, the lowest first; the highest bit is set if more bytes follow.
 //!
 //! Invariant: reading never goes beyond the bytes given, and never panics.
 
@@ -16,7 +16,7 @@ pub(super) fn push_varint(out: &mut Vec<u8>, mut number: u64) {
     out.push(number as u8);
 }
 
-/// Takes a number off the front.
+/// Reads a number from the front.
 #[inline]
 pub(super) fn take_varint(bytes: &mut &[u8]) -> Result<u64, Invalid> {
     // Most numbers are differences below 16,384.
@@ -46,18 +46,18 @@ fn take_long_varint(bytes: &mut &[u8]) -> Result<u64, Invalid> {
     Err("a number in a column is too long")
 }
 
-/// Takes a number below 2^32 off the front.
+/// Reads a number below 2^32 from the front.
 #[inline]
 pub(super) fn take_u32(bytes: &mut &[u8]) -> Result<u32, Invalid> {
     u32::try_from(take_varint(bytes)?).map_err(|_| "a number in a column is too large")
 }
 
-/// A number of either sign as one without, small where it is near 0.
+/// A signed number as an unsigned one that is small if the number is near 0.
 pub(super) fn zigzag(number: i64) -> u64 {
     ((number << 1) ^ (number >> 63)) as u64
 }
 
-/// The number that [`zigzag`] was given.
+/// The inverse of [`zigzag`].
 pub(super) fn unzigzag(number: u64) -> i64 {
     (number >> 1) as i64 ^ -((number & 1) as i64)
 }

@@ -1,6 +1,6 @@
-//! Single records of a file, read where they are without reading the rest.
+//! Random access to single records of a file.
 //!
-//! Invariant: a record is believed only where its header, its kind and its checksum are right.
+//! Invariant: a record is used only if its header, its kind and its checksum are valid.
 
 use prost::Message;
 use tidemap_migrations::{

@@ -1,4 +1,4 @@
-//! Power cuts and kills at random moments: everything acknowledged is there, in order, once.
+//! Power cuts and kills at random moments: every acknowledged record is still there, in order, once.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 
@@ -18,7 +18,7 @@ fn run(seed: u64) -> (u64, u64) {
                 machine.restart(is_power_cut).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
             }
             5..=7 => {
-                // Something is under way when the process or the power ends: this call and all after it never happen.
+                // The process or the power ends during an operation: this call and all later ones do not happen.
                 // After a kill, names are there that a later power cut may take away again.
                 let call = machine.disk.calls() + random.random_range(0..6);
                 let kind = std::io::ErrorKind::Other;

@@ -1,7 +1,7 @@
 //! A disk in memory that knows what is durable and what is not.
 //!
-//! A power cut keeps of each file any mixture, sector by sector, of its content at the last sync and since, with any
-//! length in between; of each folder, any prefix of the changes of names since its last sync.
+//! After a power cut each file is a random mixture, sector by sector, of its content at the last sync and since, with
+//! any length in between. A folder keeps a random prefix of its changes of names since its last sync.
 
 use std::{
     collections::BTreeMap,
@@ -32,7 +32,7 @@ pub(super) struct Fault {
     /// The number of the call, from 0.
     pub(super) call: usize,
     pub(super) kind: io::ErrorKind,
-    /// All later calls that may fail so, too.
+    /// Whether all later calls that can fail like this fail too.
     pub(super) is_sticky: bool,
 }
 
@@ -52,7 +52,7 @@ fn latest<T>(versions: &[T]) -> &T {
 }
 
 impl DiskState {
-    /// Counts a call that changes the disk, and fails it if it is its turn.
+    /// Counts a call that changes the disk, and fails the one that was chosen.
     fn call(&mut self, may_be_full: bool) -> io::Result<()> {
         let call = self.calls;
         self.calls += 1;

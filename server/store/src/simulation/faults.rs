@@ -1,4 +1,4 @@
-//! A full disk or a failing one at every single call: nothing is acknowledged that is not there.
+//! A full disk or a failing one at every single call: every acknowledged record is on the disk.
 
 use std::{io::ErrorKind, sync::mpsc};
 
@@ -25,7 +25,7 @@ fn run(fault: Option<Fault>, goes_on: bool) -> (usize, Vec<AppendError>) {
             6 if step == 6 => machine.create_map(),
             _ => {
                 let failed = machine.append(&mut random);
-                // With a failed disk the process ends, and what was written may be found again.
+                // After a disk failure the process ends, and unacknowledged writes may be found again.
                 if !failed.iter().any(|error| matches!(error, AppendError::Poisoned { .. })) {
                     machine.roll_back();
                 }
@@ -35,7 +35,7 @@ fn run(fault: Option<Fault>, goes_on: bool) -> (usize, Vec<AppendError>) {
     }
     let calls = machine.disk.calls() - start;
     if goes_on {
-        // There is space again, without a restart.
+        // Space is freed without a restart.
         machine.disk.set_fault(None);
         machine.roll_back();
         assert_eq!(machine.append(&mut random), [], "{fault:?}");
@@ -95,7 +95,7 @@ fn what_depends_on_a_failed_append_fails_until_the_writer_resumes() {
     machine.disk.set_fault(Some(Fault { call, kind, is_sticky: false }));
     append(1).expect("queued");
     let first = machine.committer.take_now();
-    // Queued before anybody knows that the first fails, committed when there is space again.
+    // Queued before the first append fails, committed when there is space again.
     append(2).expect("queued");
     machine.committer.commit(first);
     assert_eq!(append(3), Err(AppendError::AfterFailure));

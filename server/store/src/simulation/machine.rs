@@ -1,4 +1,4 @@
-//! A machine with a simulated disk that runs a store by hand, one commit at a time, and knows what it was promised.
+//! A machine with a simulated disk that runs a store by hand, one commit at a time, and knows what was acknowledged.
 
 use std::{
     path::Path,
@@ -40,7 +40,7 @@ pub(super) struct Known {
     snapshots: Vec<MapSnapshot>,
     /// The grid as it was loaded, with tiles that are not in memory.
     loaded: Option<GridSnapshot>,
-    /// What saves were given to keep, and whether they have said that they did.
+    /// History given to saves, and whether the save succeeded.
     history: Vec<(Arc<HistoryPiece>, bool)>,
     /// Numbers the events, so that no two are equal.
     next: u64,
@@ -148,7 +148,7 @@ impl Machine {
         errors
     }
 
-    /// What the writers do after a failure: forget what was refused, and go on.
+    /// Like the writers after a failure: forgets what was refused, and continues.
     pub(super) fn roll_back(&mut self) {
         for known in &mut self.maps {
             known.attempted.clear();
@@ -224,7 +224,7 @@ impl Known {
         assert!(end >= self.acknowledged.len(), "acknowledged records are lost");
         let extra = end - self.acknowledged.len();
         assert!(extra <= self.attempted.len(), "there are more records than were appended");
-        // What was found is about to be believed, acknowledged or not; the rest has never been.
+        // Everything found counts from now on, acknowledged or not; the rest is lost for good.
         self.acknowledged.extend(self.attempted.drain(..extra));
         self.attempted.clear();
         let mut expected = from;

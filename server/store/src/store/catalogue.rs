@@ -1,7 +1,7 @@
-//! The folders of the maps: which there are, new ones, and those that are gone.
+//! The folders of the maps: listing, creating and deleting them.
 //!
-//! Invariant: a map's folder has its name only when everything in it is durable; a deleted map leaves an empty folder,
-//! so that its number is never given again.
+//! Invariant: a map's folder has its final name only when everything in it is durable. A deleted map leaves an empty
+//! folder, so that its number is never used again.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -27,7 +27,7 @@ use crate::{
 const NEW_SUFFIX: &str = ".new";
 const DELETED_SUFFIX: &str = ".deleted";
 
-/// What a map's own file says of it.
+/// The content of a map's MAP file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Catalogued {
     pub(super) spec: MapSpec,
@@ -38,9 +38,9 @@ pub(super) struct Catalogued {
 /// The maps of a store.
 pub(super) struct Catalogue {
     pub(super) maps: BTreeMap<MapId, Catalogued>,
-    /// Deleted maps of which something may be left.
+    /// Deleted maps, which may still have files.
     pub(super) deleted: BTreeSet<MapId>,
-    /// The next number to give.
+    /// The next unused number.
     pub(super) next: u32,
 }
 
@@ -78,14 +78,14 @@ fn map_number(name: &str) -> Option<MapId> {
     if is_number { name.parse().ok().filter(|&number| number > 0).map(MapId) } else { None }
 }
 
-/// Reads which maps there are, and removes what interrupted creations have left.
+/// Lists the maps, and removes leftovers of interrupted creations.
 pub(super) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>) -> Result<Catalogue, OpenError> {
     let folder = maps_folder(directory);
     let mut catalogue = Catalogue { maps: BTreeMap::new(), deleted: BTreeSet::new(), next: 1 };
     for name in disk.list(&folder).map_err(open_io(&folder))? {
         let path = folder.join(&name);
         if let Some(map) = name.strip_suffix(NEW_SUFFIX).and_then(map_number) {
-            // It was never named to anybody, so its number is free.
+            // The creation never succeeded, so its number is free.
             disk.remove_folder(&path).map_err(open_io(&path))?;
             reports.push(Report::LeftoverRemoved { file: path });
             catalogue.next = catalogue.next.max(map.0);
@@ -110,7 +110,7 @@ fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<Catalogued, Str
     Ok(Catalogued { spec: record::spec::decode(message)?, history_complete })
 }
 
-/// Creates a map's folder: durable when this returns, and whole or absent at every moment before.
+/// Creates a map's folder: durable when this returns, and complete or absent at every moment before.
 pub(super) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSpec) -> Result<(), StoreError> {
     let folder = map_folder(directory, map);
     let new_folder = with_suffix(&folder, NEW_SUFFIX);
@@ -132,14 +132,14 @@ pub(super) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         Err(reason) => Err(StoreError::NotReadBack { file: file.clone(), reason }),
     });
     if let Err(error) = written {
-        // It takes space that may be short; if it stays, the next opening removes it.
+        // Frees the space now; if this fails, the next start removes the folder.
         let _ = disk.remove_folder(&new_folder);
         return Err(error);
     }
     disk.rename(&new_folder, &folder).map_err(store_io(&folder))?;
     let maps = maps_folder(directory);
     disk.sync_folder(&maps).map_err(|error| {
-        // So that a map whose creation has failed does not appear at the next start.
+        // A map whose creation has failed must not appear at the next start.
         let _ = disk.rename(&folder, &new_folder);
         StoreError::from_io(maps, error)
     })
@@ -151,7 +151,7 @@ pub(super) fn mark_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Res
     disk.rename(&folder, &with_suffix(&folder, DELETED_SUFFIX)).map_err(store_io(&folder))
 }
 
-/// Removes what is left of a deleted map, its empty folder excepted. Says whether there was something.
+/// Removes the files of a deleted map but keeps its empty folder. Returns whether there were any.
 pub(super) fn empty_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> io::Result<bool> {
     let folder = with_suffix(&map_folder(directory, map), DELETED_SUFFIX);
     let names = disk.list(&folder)?;

@@ -1,7 +1,7 @@
 //! One process at a time: a lock on the file `LOCK`, which names its owner.
 //!
-//! Invariant: the kernel frees the lock when the process ends, however it ends; the number in the file is only for
-//! people.
+//! Invariant: the kernel frees the lock when the process ends, however it ends; the process number in the file is only
+//! for information.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -25,7 +25,7 @@ impl Lock {
     /// Takes the lock of a data directory.
     pub(super) fn take(directory: &Path) -> Result<Lock, OpenError> {
         let path = directory.join("LOCK");
-        // Not truncated: it is another's until the lock is held.
+        // Not truncated: until the lock is held, another process owns the file.
         let file = OpenOptions::new().create(true).truncate(false).read(true).write(true).open(&path);
         let mut file = file.map_err(open_io(&path))?;
         match flock(&file, FlockOperation::NonBlockingLockExclusive) {
@@ -36,7 +36,7 @@ impl Lock {
             }
             Err(error) => return Err(OpenError::Io { file: path, source: error.into() }),
         }
-        // Only for people: a full disk must not keep the daemon from starting, and the lock is held without it.
+        // Only for information: a full disk must not prevent the daemon from starting, and the lock is held anyway.
         let _ = file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id()));
         Ok(Lock { _file: file })
     }

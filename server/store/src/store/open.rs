@@ -27,7 +27,7 @@ use crate::{
     index::{Index, is_present},
 };
 
-/// What a store is put together from.
+/// The parts of a store.
 pub(crate) struct Parts {
     pub(crate) disk: Arc<dyn Disk>,
     pub(crate) directory: PathBuf,
@@ -36,12 +36,12 @@ pub(crate) struct Parts {
     pub(crate) index: Index,
     pub(crate) committer: Arc<Committer>,
     pub(crate) reports: Vec<Report>,
-    /// `None` for a disk that is not a real one.
+    /// `None` for a simulated disk.
     pub(crate) lock: Option<Lock>,
 }
 
 impl Store {
-    /// Opens a data directory, or makes one of a directory that is empty or does not exist.
+    /// Opens a data directory, or creates one if the directory is empty or does not exist.
     ///
     /// # Errors
     /// [`OpenError`]. A directory that is in use, of a newer format or without its manifest has not been changed.
@@ -65,7 +65,7 @@ impl Store {
             create_directory(directory).map_err(open_io(directory))?;
         }
         let lock = Lock::take(directory)?;
-        // Asked again: another process may have created or migrated it meanwhile.
+        // Checked again: another process may have created or migrated it meanwhile.
         let manifest = match manifest::read(directory, FORMAT)? {
             Some(manifest) => migrate(directory, manifest)?,
             None => {
@@ -78,7 +78,7 @@ impl Store {
         if !maps.exists() {
             fs::create_dir(&maps).map_err(open_io(&maps))?;
         }
-        // Also where it was here before: its name, and the manifest's, may not be durable yet.
+        // Also if it existed: its name, and that of the manifest, may not be durable yet.
         File::open(directory).and_then(|folder| folder.sync_all()).map_err(open_io(directory))?;
 
         let (index, damage) = Index::open(directory.join("index"), options.index_cache_bytes);
@@ -98,16 +98,16 @@ impl Store {
         Ok(store)
     }
 
-    /// A store on any disk, with no thread yet.
+    /// A store on any disk, without a thread yet.
     pub(crate) fn assemble(parts: Parts) -> Result<Store, OpenError> {
         let Parts { disk, directory, options, store_id, mut index, committer, mut reports, lock } = parts;
-        // Names may be here only because the machine was not switched off since they were given: from here on they are
-        // believed, so they have to be durable first.
+        // Names may be in the page cache only. From here on they are used,
+        // so they must be durable first.
         let maps_folder = catalogue::maps_folder(&directory);
         disk.sync_folder(&maps_folder).map_err(open_io(&maps_folder))?;
         let catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
         for &map in &catalogue.deleted {
-            // Whatever a deletion that was cut off has left.
+            // Leftovers of an interrupted deletion.
             if catalogue::empty_deleted(&*disk, &directory, map).map_err(open_io(&maps_folder))? {
                 index.purge(map.0);
             }

@@ -1,6 +1,6 @@
 //! Opening a map: the newest snapshot that can be trusted, and the log after it.
 //!
-//! Invariant: the log is read to its end and found sound before anything is repaired.
+//! Invariant: the log is read to its end and checked before anything is repaired.
 
 use std::{
     path::Path,
@@ -25,35 +25,35 @@ use crate::{
     map_log::MapLog,
 };
 
-/// The newest snapshot, and what is wrong elsewhere.
+/// The newest snapshot, and the damage found elsewhere.
 struct Newest {
     snapshot: Option<MapSnapshot>,
     source: Source,
-    /// The newest position that any checkpoint or the index names.
+    /// The newest position that a checkpoint or the index has.
     known: u64,
     damaged: Vec<DamagedCheckpoint>,
     index: IndexState,
 }
 
-/// What the index needs.
+/// The repair that the index needs.
 enum IndexState {
     /// Nothing.
     Good,
-    /// The map written again.
+    /// The map must be written again.
     Stale(&'static str),
-    /// To be replaced as a whole.
+    /// The index must be replaced as a whole.
     Damaged(String),
 }
 
 impl Store {
-    /// Opens a map: finds its newest snapshot, reads its log to the end, and repairs what an interruption has left.
+    /// Opens a map: finds its newest snapshot, reads its log to the end, and removes leftovers of an interruption.
     ///
     /// # Errors
     /// [`OpenError`]. The map's log has not been changed then.
     pub fn open_map(&self, map: MapId, spec: &MapSpec) -> Result<OpenedMap, OpenError> {
         let inner = &*self.inner;
         let entry = inner.maps().entries.get(&map).cloned().ok_or(OpenError::UnknownMap(map))?;
-        // From here on nobody else opens the map: recovery must not meet a log that is being written.
+        // Only one caller may open the map: recovery must not read a log that is being written.
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
         if inner.maps().entries.get(&map).ok_or(OpenError::UnknownMap(map))?.log.is_some() {
             return Err(OpenError::AlreadyOpen(map));
@@ -80,7 +80,8 @@ impl Store {
 }
 
 impl OpenStore {
-    /// Without any snapshot the log must be whole: the beginning of one that is not is nowhere but in checkpoints.
+    /// Without a snapshot the log must start at its first record, because a deleted beginning exists only in
+    /// checkpoints.
     fn check_beginning(&self, folder: &Path, newest: &Newest) -> Result<(), OpenError> {
         if newest.snapshot.is_some() {
             return Ok(());
@@ -109,7 +110,7 @@ impl OpenStore {
         let newest_name = names.last().copied().unwrap_or(0);
         let mut state = IndexState::Good;
         let mut indexed = None;
-        // The index has no room for grids.
+        // The index does not hold grids.
         let found = if spec.grid.is_some() { Ok(IndexContent::Unused) } else { self.index().load(map.0, spec) };
         match found {
             Ok(IndexContent::Unused) => {}
@@ -157,7 +158,7 @@ impl OpenStore {
         Ok((MapLog::new(log, Arc::clone(&self.committer)), replay, reports))
     }
 
-    /// Brings the index to the snapshot that is used. Whatever fails here only costs the index.
+    /// Updates the index to the snapshot in use. An error here only disables the index.
     fn repair_index(&self, map: MapId, snapshot: Option<&MapSnapshot>, state: IndexState, reports: &mut Vec<Report>) {
         let mut index = self.index();
         let reason = match state {

@@ -1,7 +1,7 @@
-//! Saving a map: its history, a checkpoint, the index; then whatever these make dispensable is deleted.
+//! Saving a map: its history, a checkpoint, the index; then everything that these replace is deleted.
 //!
-//! Invariant: at every moment the kept checkpoints, the log behind the oldest of them and the history files give the
-//! map with all that its retention asks for. The newest segment of a log is never deleted.
+//! Invariant: at every moment the kept checkpoints, the log after the oldest of them and the history files restore the
+//! map with all observations that its retention keeps. The newest segment of a log is never deleted.
 
 use std::{
     path::Path,
@@ -18,15 +18,16 @@ use crate::{
 };
 
 impl Store {
-    /// Writes the history of what the snapshot's updates have folded in, then a checkpoint, and takes the snapshot over
-    /// into the index. Durable when this returns. Appends go on meanwhile. What is not needed any more is deleted: old
-    /// checkpoints, history beyond the map's retention, and the log's segments that every kept checkpoint covers.
+    /// Writes the history of the observations that the snapshot's updates have learned, then a checkpoint, and the
+    /// snapshot to the index. Durable when this returns. Appends continue meanwhile. Files that are no longer needed
+    /// are deleted: old checkpoints, history beyond the map's retention, and the log's segments that every kept
+    /// checkpoint covers.
     ///
-    /// Gives, for a map with a grid, where its tiles can be read from instead of being kept in memory.
+    /// For a map with a grid, returns the tiles of the checkpoint, so that they need not stay in memory.
     ///
     /// # Errors
-    /// [`StoreError`]; what was saved before is still there. A failing index is no error: it is reported to the log
-    /// and rebuilt at the next start. Neither is a file that cannot be deleted, which is tried again at the next save.
+    /// [`StoreError`]; earlier saves are still valid. A failing index is not an error: it is logged
+    /// and rebuilt at the next start. A file that cannot be deleted is not an error either; the next save tries again.
     pub fn save(&self, map: MapId, snapshot: &MapSnapshot) -> Result<Option<Arc<dyn TileSource>>, StoreError> {
         let inner = &*self.inner;
         let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
@@ -48,7 +49,7 @@ impl Store {
 }
 
 impl OpenStore {
-    /// Deletes what is not needed any more.
+    /// Deletes files that are no longer needed.
     fn forget(&self, map: MapId, entry: &MapEntry, snapshot: &MapSnapshot) {
         if let Err(error) = self.history(map).forget(&entry.spec, snapshot.newest_nanos) {
             tracing::warn!(map = map.0, %error, "old history is not deleted; tried again at the next save");
@@ -62,17 +63,17 @@ impl OpenStore {
         }
     }
 
-    /// Deletes the segments that hold nothing that a kept checkpoint needs. As long as there are fewer checkpoints than
-    /// are kept, the log stays whole.
+    /// Deletes the segments that no kept checkpoint needs. While there are fewer checkpoints than
+    /// are kept, no segment is deleted.
     fn delete_segments(&self, map: MapId, log: &Log) -> std::io::Result<()> {
         let Some(replay_from) = self.checkpoints(map).replay_from(self.options.checkpoints_kept.max(1))? else {
             return Ok(());
         };
         let folder = catalogue::log_folder(&self.directory, map);
-        // A newer segment than this one may have a name already and be lost in a power cut all the same.
+        // A newer segment may already have a name and still be lost in a power cut.
         let newest = log.writer.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map_or(0, LogWriter::segment);
         let deletable = self.deletable(&folder, replay_from.min(newest))?;
-        // The oldest first, so that what is left never has a gap.
+        // The oldest first, so that the remaining segments never have a gap.
         for &first in &deletable {
             self.disk.remove(&segment_path(&folder, first))?;
         }
@@ -87,7 +88,7 @@ impl OpenStore {
     }
 }
 
-/// What tests look at.
+/// Access for tests.
 #[cfg(test)]
 mod tests_only {
     use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
