@@ -7,6 +7,7 @@ pub use tidemap_plan::{
     view::{Sensor, Viewpoint},
 };
 use tidemap_proto::convert::exploration::{budget_to_wire, sensor_to_wire, strategy_to_wire, viewpoint_to_wire};
+use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::convert::time::{duration, timestamp};
 use tidemap_proto::v1::{self, exploration_service_client::ExplorationServiceClient};
 
@@ -214,7 +215,7 @@ impl Client {
             times_nanos,
             states: targets.states,
             locations: targets.locations,
-            model: Some(model.to_wire()),
+            model: Some(selector_to_wire(model)),
             ..Default::default()
         };
         let answer = self.exploration_service().get_information(request).await;
@@ -248,7 +249,7 @@ impl Client {
             viewpoints: viewpoints.iter().map(viewpoint_to_wire).collect(),
             times_nanos,
             sensor: Some(sensor_to_wire(sensor)),
-            model: Some(model.to_wire()),
+            model: Some(selector_to_wire(model)),
             ..Default::default()
         };
         let answer = self.exploration_service().evaluate_views(request).await;
@@ -281,7 +282,7 @@ impl Client {
             start: query.start_m.map(point_to_wire),
             is_open: query.is_open,
             sensor: Some(sensor_to_wire(query.sensor)),
-            model: Some(query.model.to_wire()),
+            model: Some(selector_to_wire(query.model)),
             spacing_m: query.spacing_m.unwrap_or_default(),
             robot_radius_m: query.robot_radius_m,
             robot_height_m: query.robot_height_m.unwrap_or_default(),
@@ -319,7 +320,7 @@ impl Client {
             strategy: strategy_to_wire(query.strategy).into(),
             seed: query.seed,
             locations: query.locations,
-            model: Some(query.model.to_wire()),
+            model: Some(selector_to_wire(query.model)),
             certainty: None,
             exploration_weight: query.exploration_weight,
             task_states: query.task_states,
@@ -352,7 +353,7 @@ impl Client {
             strategy: strategy.into(),
             planned,
             locations: query.locations,
-            model: query.model.map(ModelSelector::to_wire),
+            model: query.model.map(selector_to_wire),
             certainty: None,
             seed: query.seed,
         };

@@ -5,7 +5,6 @@
 mod anomalies;
 mod evaluate;
 mod grid;
-mod model;
 mod positions;
 mod predict;
 mod reconstruct;
@@ -15,11 +14,13 @@ pub use evaluate::{Comparison, EvaluateOptions, Evaluation, Evaluator, Unavailab
 pub use grid::{
     CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedGrid, PredictedTile, TILE_EDGE,
 };
-pub use model::{Cycle, InvalidModel, ModelKind, ModelSelector, ORDER_MAX};
 pub use positions::{PositionForecast, PositionQuery, Positions, PositionsHeader};
 pub use predict::{PredictionRun, Predictions};
 pub use reconstruct::Reconstruction;
+pub use tidemap_map::selector::{InvalidModel, ModelKind, ModelSelector};
+pub use tidemap_model::ORDER_MAX;
 
+use tidemap_proto::convert::query::selector_from_wire;
 use tidemap_proto::convert::time::instant;
 use tidemap_proto::v1::{self, query_service_client::QueryServiceClient};
 
@@ -75,6 +76,11 @@ pub struct Component {
     pub phase_rad: f64,
 }
 
+/// The model that a reply names; a kind that this version does not know counts as `auto`.
+fn selector_of(model: Option<v1::ModelSelector>) -> ModelSelector {
+    selector_from_wire("model", model).unwrap_or_default()
+}
+
 impl Client {
     fn query_service(&self) -> QueryServiceClient<Connection> {
         QueryServiceClient::new(self.requests()).max_decoding_message_size(REPLY_BYTES_MAX)
@@ -106,11 +112,11 @@ impl Client {
             last_value: model.last_value,
             last_nanos: instant(model.last_time),
             first_nanos: instant(model.first_time),
-            chosen: ModelSelector::from_wire(model.chosen.unwrap_or_default()),
+            chosen: selector_of(model.chosen),
             model_errors: model
                 .model_errors
                 .into_iter()
-                .map(|error| (ModelSelector::from_wire(error.model.unwrap_or_default()), error.error_sum))
+                .map(|error| (selector_of(error.model), error.error_sum))
                 .collect(),
             change_date: Some(model.change_date).filter(|date| !date.is_empty()),
         })

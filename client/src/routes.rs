@@ -4,6 +4,7 @@
 
 use std::fmt;
 
+use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::convert::search::{effort_to_wire, stop_from_wire};
 use tidemap_proto::convert::time::{duration, timestamp};
 use tidemap_proto::v1::{
@@ -346,7 +347,7 @@ impl Client {
             remains_below: query.remains_below,
             cost_per_sec: query.cost_per_sec,
             for_arrival: query.for_arrival,
-            model: Some(query.model.to_wire()),
+            model: Some(selector_to_wire(query.model)),
             floor: query.floor,
             speed_m_per_s: query.speed_m_per_s.unwrap_or_default(),
             seed: query.seed,

@@ -4,6 +4,7 @@
 //! watched comes in the order in which the daemon applied it, and what was missed is told.
 
 pub use tidemap_map::anomaly::Anomaly;
+use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::v1;
 use tonic::Streaming;
 
@@ -73,7 +74,7 @@ impl Client {
             from_time: Some(timestamp(from_nanos)),
             to_time: Some(timestamp(to_nanos)),
             confidence: Some(judgement.confidence),
-            model: Some(judgement.model.to_wire()),
+            model: Some(selector_to_wire(judgement.model)),
         };
         let answer = self.query_service().find_anomalies(request).await.map_err(|status| self.error(&status))?;
         Ok(Anomalies { client: self.clone(), replies: answer.into_inner(), from_nanos, to_nanos })
@@ -95,7 +96,7 @@ impl Client {
             map: map.to_owned(),
             states,
             confidence: Some(judgement.confidence),
-            model: Some(judgement.model.to_wire()),
+            model: Some(selector_to_wire(judgement.model)),
         };
         let answer = self.query_service().watch_anomalies(request).await.map_err(|status| self.error(&status))?;
         Ok(AnomalyWatch { client: self.clone(), replies: answer.into_inner() })

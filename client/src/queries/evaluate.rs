@@ -4,12 +4,13 @@
 
 use std::collections::HashMap;
 
+use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::v1::{self, EvaluateStatesRequest, evaluate_states_request::Message};
 use tokio::{sync::mpsc, task::JoinHandle};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
-use super::ModelSelector;
+use super::{ModelSelector, selector_of};
 use crate::{
     connection::Client,
     error::Error,
@@ -84,7 +85,7 @@ impl Client {
     pub fn evaluate(&self, options: EvaluateOptions) -> Evaluator {
         let header = v1::EvaluateHeader {
             map: options.map,
-            models: options.models.into_iter().map(ModelSelector::to_wire).collect(),
+            models: options.models.into_iter().map(selector_to_wire).collect(),
             max_order: options.max_order,
         };
         let (requests, outgoing) = mpsc::channel(QUEUED_MESSAGES);
@@ -150,7 +151,7 @@ impl Evaluator {
         let answer = answer.await.map_err(|_| Error::Protocol("the comparison was interrupted"))?;
         let answer = answer.map_err(|status| client.error(&status))?;
         let unavailable = answer.unavailable.into_iter().map(|missing| Unavailable {
-            model: ModelSelector::from_wire(missing.model.unwrap_or_default()),
+            model: selector_of(missing.model),
             reason: missing.reason,
             states: missing.states,
         });
@@ -164,7 +165,7 @@ impl Evaluator {
 fn from_wire(evaluation: v1::Evaluation) -> Evaluation {
     Evaluation {
         state: evaluation.state,
-        model: ModelSelector::from_wire(evaluation.model.unwrap_or_default()),
+        model: selector_of(evaluation.model),
         observations: evaluation.observations,
         mean_squared_error: evaluation.mean_squared_error,
         error_rate: evaluation.error_rate,

@@ -5,6 +5,7 @@
 
 mod tile;
 
+use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::convert::time::timestamp;
 use tidemap_proto::v1::{self, predict_grid_response::Message};
 use tonic::Streaming;
@@ -98,7 +99,7 @@ impl GridQuery {
         v1::PredictGridRequest {
             map: self.map.clone(),
             time: Some(timestamp(self.time_nanos)),
-            model: Some(self.model.to_wire()),
+            model: Some(selector_to_wire(self.model)),
             region: self.region.map(CellBox::to_wire),
             project: self.is_projected,
             output: output.into(),

@@ -3,6 +3,7 @@
 //! Invariant: each time asked for is answered once, in order; cells lie in the region that the daemon has named. An answer
 //! that leaves out or reorders anything is an error, never a gap.
 
+use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::v1::{self, predict_positions_response::Message};
 use tonic::Streaming;
 
@@ -81,7 +82,7 @@ impl Client {
             map: map.to_owned(),
             state: state.to_owned(),
             times_nanos: query.times,
-            model: query.model.map(ModelSelector::to_wire),
+            model: query.model.map(selector_to_wire),
             region: query.region_m.map(|(low_m, high_m)| v1::PositionBox { low_m, high_m }),
             resolution_m: query.resolution_m.unwrap_or_default(),
             top: query.top.unwrap_or_default(),

@@ -5,6 +5,7 @@
 
 use std::ops::Range;
 
+use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::v1;
 use tonic::Streaming;
 
@@ -110,7 +111,7 @@ impl Predictions {
                 map: self.map.clone(),
                 states: self.states[piece.states.clone()].to_vec(),
                 times_nanos: self.times[piece.times.clone()].to_vec(),
-                model: Some(self.model.to_wire()),
+                model: Some(selector_to_wire(self.model)),
                 interval_level: self.interval_level,
             };
             let answer = self.client.query_service().predict_states(request).await;

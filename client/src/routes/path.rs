@@ -2,6 +2,7 @@
 //!
 //! Invariant: times are nanoseconds UTC, and each edge is told for when the robot reaches it.
 
+use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::convert::route::{certainty_from_wire, objective_to_wire};
 use tidemap_proto::convert::time::{duration, instant, timestamp};
 use tidemap_proto::v1::{self, plan_route_request};
@@ -259,7 +260,7 @@ impl Client {
             alternatives: query.alternatives,
             confidence: query.confidence,
             horizon: query.horizon_nanos.map(duration),
-            model: Some(query.model.to_wire()),
+            model: Some(selector_to_wire(query.model)),
             speed_m_per_s: query.speed_m_per_s.unwrap_or_default(),
             plan_within: query.plan_within_nanos.map(duration),
         };
@@ -284,7 +285,7 @@ impl Client {
             slot: query.slot_nanos.map(duration),
             objective: objective.into(),
             recovery_secs: query.recovery_secs,
-            model: Some(query.model.to_wire()),
+            model: Some(selector_to_wire(query.model)),
             speed_m_per_s: query.speed_m_per_s.unwrap_or_default(),
         };
         let told = self.route_service().plan_policy(request).await.map_err(|status| self.error(&status))?.into_inner();
@@ -310,7 +311,7 @@ impl Client {
         let request = v1::PredictEdgesRequest {
             map: map.to_owned(),
             time: Some(timestamp(time_nanos)),
-            model: Some(model.to_wire()),
+            model: Some(selector_to_wire(model)),
             speed_m_per_s: speed_m_per_s.unwrap_or_default(),
             confidence: None,
         };

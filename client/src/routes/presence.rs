@@ -2,6 +2,7 @@
 //!
 //! Invariant: probabilities and shares are in the order of the nodes.
 
+use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::convert::time::{duration, instant, timestamp};
 use tidemap_proto::v1;
 
@@ -84,7 +85,7 @@ impl Client {
     /// was observed.
     pub async fn predict_presence(&self, query: PresenceQuery) -> Result<Presence, Error> {
         let PresenceQuery { map, object, times_nanos, model } = query;
-        let request = v1::PredictPresenceRequest { map, object, times_nanos, model: Some(model.to_wire()) };
+        let request = v1::PredictPresenceRequest { map, object, times_nanos, model: Some(selector_to_wire(model)) };
         let answer = self.search_service().predict_presence(request).await.map_err(|status| self.error(&status))?;
         let told = answer.into_inner();
         let at = |at: v1::PresenceAt| {
@@ -111,7 +112,7 @@ impl Client {
             within: query.within_nanos.map(duration),
             step: query.step_nanos.map(duration),
             threshold: query.threshold,
-            model: Some(query.model.to_wire()),
+            model: Some(selector_to_wire(query.model)),
         };
         let answer = self.search_service().next_joint(request).await.map_err(|status| self.error(&status))?;
         let v1::NextJointResponse { time, probability, best_time } = answer.into_inner();

@@ -2,7 +2,7 @@
 
 use tidemap_map::{
     ids::StateId,
-    selector::{ModelKind, ModelSelector, PERGAM_PERIOD_NANOS, PERGAM_PERIODS},
+    selector::{CLUSTERS_MAX, GAUSSIANS_MAX, ModelKind, ModelSelector, PERGAM_PERIOD_NANOS, PERGAM_PERIODS},
     view::MapView,
 };
 use tidemap_model::{
@@ -15,11 +15,6 @@ use super::{
     time::{duration, nanos_from_duration, timestamp},
 };
 use crate::v1;
-
-/// Most Gaussians of a periodic mixture.
-const GAUSSIANS_MAX: u32 = 20;
-/// Most clusters of a warped hypertime.
-const CLUSTERS_MAX: u32 = 50;
 
 /// The model that a request names.
 ///

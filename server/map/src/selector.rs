@@ -6,6 +6,10 @@ use tidemap_model::{ModelChoice, ORDER_MAX, StateModel, models::HistogramCycle};
 
 use crate::time::format_duration;
 
+mod name;
+
+pub use name::{CLUSTERS_MAX, GAUSSIANS_MAX, InvalidModel};
+
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
 
@@ -103,6 +107,13 @@ impl fmt::Display for ModelKind {
             Self::Calibrated => f.write_str("calibrated"),
             Self::Uniform => f.write_str("uniform"),
         }
+    }
+}
+
+impl fmt::Display for ModelSelector {
+    /// As the command line names it; the order is not part of the name.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", self.kind, if self.persistence { "+persistence" } else { "" })
     }
 }
 

@@ -72,10 +72,7 @@ fn is_named(choices: &[ModelArg], model: ModelSelector) -> bool {
     choices.iter().any(|choice| match choice {
         ModelArg::All => false,
         // The daemon fills in what was left out.
-        ModelArg::One(named) => {
-            let parameter = named.parameter.or(model.parameter);
-            ModelSelector { parameter, order: model.order, ..*named } == model
-        }
+        ModelArg::One(named) => ModelSelector { order: model.order, ..*named } == model,
     })
 }
 

@@ -79,7 +79,7 @@ fn table(model: &ModelDescription) -> io::Result<()> {
         writeln!(io::stdout())?;
         let mut table = crate::output::stdout(Format::Table, &["model", "order", "recent_error", "used"]);
         for (tried, error) in &model.model_errors {
-            let used = (tried.kind, tried.cycle) == (model.chosen.kind, model.chosen.cycle);
+            let used = tried.kind == model.chosen.kind;
             table.row(vec![
                 Cell::Text(tried.to_string()),
                 Cell::maybe(tried.order),

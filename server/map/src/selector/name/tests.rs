@@ -1,4 +1,4 @@
-//! Models by their names: read, written, sent and refused.
+//! Models by their names: read, written and refused.
 
 use super::*;
 
@@ -9,11 +9,15 @@ fn models_are_named_as_on_the_command_line() {
         "mean",
         "latest",
         "persistence",
-        "histogram",
+        "histogram:48",
         "histogram:24",
         "histogram:week:168",
         "histogram:weekend:12+persistence",
-        "histogram:week",
+        "histogram:weekend:12",
+        "pergam:1:90m",
+        "pergam:20:25h",
+        "pergam:2:61s",
+        "pergam:2:366d",
         "spectral+persistence",
         "pergam:3",
         "pergam:3:7d",
@@ -23,39 +27,19 @@ fn models_are_named_as_on_the_command_line() {
         "uniform",
         "uniform+persistence",
         "hypertime-em:5",
-        "hypertime-km",
+        "hypertime-km:5",
         "poisson",
         "calibrated+persistence",
     ] {
         let model: ModelSelector = text.parse().expect(text);
         assert_eq!(model.to_string(), text);
-        assert_eq!(ModelSelector::from_wire(model.to_wire()), model);
     }
-}
-
-#[test]
-fn the_daemon_writes_names_as_they_are_read() {
-    for text in [
-        "auto",
-        "uniform",
-        "poisson",
-        "histogram:24",
-        "histogram:week:168",
-        "histogram:weekend:12",
-        "pergam:3",
-        "pergam:3:7d",
-        "pergam:1:90m",
-        "pergam:20:25h",
-        "pergam:2:61s",
-        "pergam:2:60.5s",
-        "pergam:2:366d",
-        "hypertime-km:5",
-    ] {
-        let model: ModelSelector = text.parse().expect(text);
-        let read = tidemap_proto::convert::query::selector_from_wire("model", Some(model.to_wire())).expect(text);
-        assert_eq!(read.kind.to_string(), text);
-        let back = tidemap_proto::convert::query::selector_to_wire(read);
-        assert_eq!(ModelSelector::from_wire(back), model);
+    for kind in ModelKind::ALL {
+        assert_eq!(kind.to_string().parse(), Ok(ModelSelector { kind, ..ModelSelector::default() }));
+        assert_eq!(kind.name().parse(), Ok(ModelSelector { kind, ..ModelSelector::default() }));
+    }
+    for (short, long) in [("histogram:week", "histogram:week:168"), ("histogram:day", "histogram:24")] {
+        assert_eq!(short.parse::<ModelSelector>(), long.parse());
     }
 }
 
@@ -81,8 +65,10 @@ fn what_is_wrong_with_a_name_is_told() {
     }
     assert_eq!(parsed("pergam:3:7d:7d"), Err(InvalidModel::NotANumber("pergam:3:7d:7d".to_owned())));
     assert_eq!(parsed("pergam:3:24h"), parsed("pergam:3"));
-    assert_eq!(parsed("pergam:3:1m").map(|model| model.period_nanos), Ok(Some(MINUTE_NANOS)));
-    assert_eq!(parsed("pergam:3:366d").map(|model| model.period_nanos), Ok(Some(366 * DAY_NANOS)));
+    for (text, period_nanos) in [("pergam:3:1m", 60_000_000_000), ("pergam:3:366d", 366 * 86_400_000_000_000)] {
+        let kind = ModelKind::Pergam { gaussians: 3, period_nanos };
+        assert_eq!(parsed(text).map(|model| model.kind), Ok(kind));
+    }
     assert_eq!(parsed("mean+x"), Err(InvalidModel::Suffix("mean+x".to_owned())));
     for (text, words) in [
         ("histogram:1441", "at most 1440 bins a day"),
