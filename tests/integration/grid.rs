@@ -54,7 +54,7 @@ async fn summary(daemon: &Daemon) -> GridSummary {
     daemon.client().map(MAP).await.expect("the map").grid_summary.expect("a grid")
 }
 
-fn model(kind: ModelKind, order: Option<u32>) -> ModelSelector {
+fn model(kind: ModelKind, order: Option<usize>) -> ModelSelector {
     ModelSelector { kind, order, ..ModelSelector::default() }
 }
 

@@ -286,7 +286,7 @@ impl World {
                 let selector = ModelSelector { kind, order, ..ModelSelector::default() };
                 let mut runs = client.predict(name, vec![state.clone()], times.clone(), selector);
                 let run = runs.next().await.expect("the state is there").expect("predictions");
-                let order = order.unwrap_or(model.order) as usize;
+                let order = order.unwrap_or(model.order as usize);
                 for (&nanos, &found) in times.iter().zip(&run.probabilities) {
                     let used = &components[..order.min(components.len())];
                     let expected = match kind {

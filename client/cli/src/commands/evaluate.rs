@@ -30,7 +30,7 @@ pub(crate) struct EvaluateArgs {
     /// File with the columns time,state,value; - is stdin
     file: PathBuf,
     /// Greatest order of the spectral model, 0 to 15 [default: 15]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     max_order: Option<u32>,
     /// Models, each optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS],
     /// histogram:week[:BINS], histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]],
@@ -115,7 +115,7 @@ pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result
         table.row(vec![
             Cell::Text(evaluation.state),
             Cell::Text(evaluation.model.to_string()),
-            Cell::maybe(evaluation.model.order),
+            Cell::maybe(evaluation.model.order.map(|order| order as u64)),
             evaluation.observations.into(),
             evaluation.mean_squared_error.into(),
             Cell::maybe(evaluation.error_rate),

@@ -82,7 +82,7 @@ fn table(model: &ModelDescription) -> io::Result<()> {
             let used = tried.kind == model.chosen.kind;
             table.row(vec![
                 Cell::Text(tried.to_string()),
-                Cell::maybe(tried.order),
+                Cell::maybe(tried.order.map(|order| order as u64)),
                 (*error).into(),
                 Cell::Flag(used),
             ])?;
@@ -137,7 +137,7 @@ fn json(model: &ModelDescription) -> io::Result<()> {
     let state = ("state", Cell::Text(model.state.clone()).json());
     let components = ("components", format!("[{}]", components.join(",")));
     let error = |(model, error): &(ModelSelector, f64)| {
-        let (name, order) = (Cell::Text(model.to_string()), Cell::maybe(model.order));
+        let (name, order) = (Cell::Text(model.to_string()), Cell::maybe(model.order.map(|order| order as u64)));
         let error: Cell = (*error).into();
         object([("model", name.json()), ("order", order.json()), ("recent_error", error.json())].into_iter())
     };

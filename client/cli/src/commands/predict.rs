@@ -35,7 +35,7 @@ pub(crate) struct PredictArgs {
     #[arg(long, value_name = "DURATION", value_parser = times::duration, requires = "from")]
     step: Option<i64>,
     /// Number of spectral components, 0 to 15 [default: what the last update chose]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
     /// Model, optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS], histogram:week[:BINS],
     /// histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]], hypertime-em[:CLUSTERS],
@@ -61,7 +61,7 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
     if args.states.iter().any(|state| state.starts_with("cell/")) {
         check_for_cells(args.model)?;
     }
-    let model = ModelSelector { order: args.order, ..args.model };
+    let model = ModelSelector { order: args.order.map(|order| order as usize), ..args.model };
     let times = match (args.at, args.times, args.from, args.to, args.step) {
         (Some(at), ..) => at,
         (None, Some(path), ..) => times::from_file(&path)?,

@@ -29,7 +29,7 @@ pub(crate) struct PredictBenchArgs {
     #[arg(long, value_name = "N", default_value_t = 1_000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     times: u32,
     /// Order of the spectral model
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: u32,
     #[command(flatten)]
     process: DaemonProcess,
@@ -58,7 +58,8 @@ pub(super) async fn run(client: &Client, map: &str, args: &PredictBenchArgs) -> 
     let states: Vec<String> = (0..args.states).map(|state| load.name(state)).collect();
     let future = START_NANOS + 5 * 7 * 24 * HOUR_NANOS;
     let times: Vec<i64> = (0..i64::from(args.times)).map(|i| future + i * 61 * NANOS_PER_SEC).collect();
-    let model = ModelSelector { kind: ModelKind::Spectral, order: Some(args.order), ..ModelSelector::default() };
+    let model =
+        ModelSelector { kind: ModelKind::Spectral, order: Some(args.order as usize), ..ModelSelector::default() };
 
     status_line("predicting");
     asked(client, map, &states, &times, model).await?;

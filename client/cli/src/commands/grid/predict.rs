@@ -31,7 +31,7 @@ pub(crate) struct GridPredictArgs {
     #[arg(long, value_name = "PATH")]
     out: PathBuf,
     /// Number of spectral components, 0 to 15 [default: what the last update chose]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(ORDER_MAX)))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
     /// Model: auto, mean, latest or spectral, each optionally with +persistence
     #[arg(long, value_name = "KIND", default_value = "auto")]
@@ -106,7 +106,7 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     let query = GridQuery {
         map: args.map.clone(),
         time_nanos: args.at,
-        model: ModelSelector { order: args.order, ..args.model },
+        model: ModelSelector { order: args.order.map(|order| order as usize), ..args.model },
         region: region(session, &args).await?,
         is_projected: args.project || matches!(kind, OutputKind::Pgm | OutputKind::Png),
         output: match args.threshold {

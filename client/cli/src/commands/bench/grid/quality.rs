@@ -44,8 +44,11 @@ pub(super) async fn estimation_errors(
         for truth in truths(&office, day, scans_a_day) {
             compared += truth.occupied.len() as u64;
             for ((order, _), wrong) in ORDERS.iter().zip(&mut wrong) {
-                let model =
-                    ModelSelector { kind: ModelKind::Spectral, order: Some(*order), ..ModelSelector::default() };
+                let model = ModelSelector {
+                    kind: ModelKind::Spectral,
+                    order: Some(*order as usize),
+                    ..ModelSelector::default()
+                };
                 let query =
                     GridQuery { map: map.to_owned(), time_nanos: truth.utc_nanos, model, ..GridQuery::default() };
                 let predicted = client.predict_grid(&query).await?.whole().await?;
