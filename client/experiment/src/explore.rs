@@ -1,12 +1,27 @@
-//! Exploration replayed: strategies that choose where to look, with models that learn from what was seen, in a world that
-//! was recorded whole.
+//! Exploration replayed: strategies choose which place to visit, models learn from the visits, in a world that was
+//! recorded completely.
 //!
-//! The protocol is that of RAS 2017 (Santos et al., "Spatio-temporal exploration strategies for long-term autonomy of mobile
-//! robots", Robotics and Autonomous Systems 88, sections 3 to 7): every place is a binary state and a location of its
-//! own; plans and models are remade at local midnight; a visit shows its place at the middle of its slot; all places are
-//! predicted for the middle of each slot, before what that slot's visit shows is known, and judged every minute; the
-//! place that is visited counts as known (eq. 2). Invariant: nothing is predicted by what comes later, and the same
-//! protocol gives the same figures, however many threads there are.
+//! The protocol is that of RAS 2017 (Santos et al., "Spatio-temporal exploration strategies for long-term autonomy of
+//! mobile robots", Robotics and Autonomous Systems 88, sections 3 to 7). Every place is a binary state and a location.
+//! Schedules and models are renewed at local midnight; persistence and short-term memory at every visit. A visit observes
+//! its place at the middle of its slot. All places are predicted for the middle of each slot, before the visit of that slot
+//! is known, and judged every minute; the visited place counts as known (eq. 2).
+//!
+//! A strategy may use the prediction for the current slot; that is used for the visited place alone, as in eq. 2. The
+//! presence model ([`tidemap_model::models::Presence`]) is the only model of all places together: a hidden Markov chain over
+//! places, because one person in one of ten rooms makes each visit informative about all of them. The best strategy with
+//! it, `online-error`, asks at each slot where the current prediction is most likely wrong, and whether later slots of the
+//! last days had more to gain than the remaining visits can pay for.
+//!
+//! - `protocol.rs`: YAML to [`ExploreProtocol`]; `place_recording.rs`: rows `FROM UNTIL PLACE` to a place for every minute;
+//! - `belief.rs`: the explorer's knowledge; its models are fitted at midnight (`belief/learner.rs`);
+//! - `replay.rs`: one run of a strategy with a model and a seed; runs are independent and parallel;
+//! - `report.rs`: results.csv, weeks.csv; `picture.rs`: exploration.svg.
+//!
+//! With the key `office` the world is a simulated office, see [`office`].
+//!
+//! Invariant: predictions use earlier observations only, and the same protocol gives the same figures for any number of
+//! threads.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -27,12 +42,15 @@ mod tests;
 pub use protocol::{PlacesProtocol, read};
 pub use report::{summary, write};
 
-use crate::place_recording::{PlaceRecording, RecordingError};
+use crate::{
+    place_recording::{PlaceRecording, RecordingError},
+    seed_mean::SeedMean,
+};
 use belief::BeliefModel;
 use office::OfficeProtocol;
 use replay::VisitStrategy;
 
-/// What a file wants explored.
+/// The protocol of an exploration.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ExploreProtocol {
     /// A recorded world of places.
@@ -46,86 +64,56 @@ const WEEK_DAYS: usize = 7;
 
 /// Why a world cannot be explored.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum ExploreError {
-    /// Its recording.
+    /// The recording is invalid.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// It has fewer weeks than are to be scored apart.
-    #[error("weeks {first} to {last} are to be scored apart, and the world has {found} whole weeks")]
-    Weeks {
-        /// First of them, from 1.
-        first: usize,
-        /// Last.
-        last: usize,
-        /// How many there are.
-        found: usize,
-    },
-    /// A model that cannot be fitted.
+    /// The recording has fewer weeks than the protocol scores separately.
+    #[error("weeks {first} to {last} are scored separately, and the world has {found} whole weeks")]
+    Weeks { first: usize, last: usize, found: usize },
+    /// A model cannot be fitted.
     #[error("model {model} cannot be fitted: {refused}")]
-    Fit {
-        /// Which.
-        model: String,
-        /// Why.
-        refused: CannotFit,
-    },
-    /// A plan that cannot be made.
+    Fit { model: String, refused: CannotFit },
+    /// A strategy fails.
     #[error("strategy {strategy}: {refused}")]
-    VisitStrategy {
-        /// Which strategy.
-        strategy: &'static str,
-        /// Why.
-        refused: StrategyError,
-    },
+    Strategy { strategy: &'static str, refused: StrategyError },
 }
 
-/// A strategy with a model, as they did over all seeds.
+/// The result of a strategy with a model over all seeds.
 #[derive(Clone, Debug)]
 pub struct StrategyResult {
     /// The strategy.
-    pub plan: VisitStrategy,
+    pub strategy: VisitStrategy,
     /// The model.
     pub model: BeliefModel,
-    /// Share of states that were wrong, 0 to 1: of each seed, of each day.
+    /// Share of wrong states, 0 to 1, of each seed, of each day.
     pub days: Vec<Vec<f64>>,
-    /// Visits a day, on average.
+    /// Mean number of visits in a day.
     pub visits_per_day: f64,
 }
 
-/// A mean over seeds.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
-    /// The mean.
-    pub mean: f64,
-    /// Its standard error; none of a single seed.
-    pub standard_error: Option<f64>,
-}
-
 impl StrategyResult {
-    /// The share of states that were wrong on average over the days of a range, over seeds.
-    pub fn error(&self, days: std::ops::Range<usize>) -> Estimate {
+    /// The mean share of wrong states over the days of a range.
+    pub fn error(&self, days: std::ops::Range<usize>) -> SeedMean {
         let of_seed = |seed: &Vec<f64>| {
             let days = seed.get(days.clone()).unwrap_or_default();
             days.iter().sum::<f64>() / days.len().max(1) as f64
         };
-        let errors: Vec<f64> = self.days.iter().map(of_seed).collect();
-        let count = errors.len().max(1) as f64;
-        let mean = errors.iter().sum::<f64>() / count;
-        let squares: f64 = errors.iter().map(|error| (error - mean).powi(2)).sum();
-        let standard_error = (errors.len() > 1).then(|| (squares / (count - 1.0) / count).sqrt());
-        Estimate { mean, standard_error }
+        SeedMean::of(&self.days.iter().map(of_seed).collect::<Vec<f64>>())
     }
 }
 
-/// What came of exploring.
+/// The results of an exploration.
 #[derive(Debug)]
 pub struct Exploration {
     /// Every strategy with every model, in the order of the protocol, strategy by strategy.
-    pub pairs: Vec<StrategyResult>,
+    pub results: Vec<StrategyResult>,
     /// Days of the world.
     pub days: usize,
 }
 
-/// Explores a world with every pair and seed; `progress` is told how many runs are done, of how many.
+/// Explores a world with every strategy, model and seed; `progress` receives the numbers of finished and of all runs.
 pub fn run(protocol: &PlacesProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Exploration, ExploreError> {
     let world = PlaceRecording::read(&protocol.world, protocol.slot_minutes)?;
     let weeks = world.days() / WEEK_DAYS;
@@ -140,24 +128,26 @@ fn explore(
     protocol: &PlacesProtocol,
     progress: &(impl Fn(u64, u64) + Sync),
 ) -> Result<Exploration, ExploreError> {
-    let pairs: Vec<(VisitStrategy, BeliefModel)> =
-        protocol.plans.iter().flat_map(|&plan| protocol.models.iter().map(move |&model| (plan, model))).collect();
-    let jobs: Vec<(VisitStrategy, BeliefModel, u64)> =
-        pairs.iter().flat_map(|&(plan, model)| (0..protocol.seeds).map(move |seed| (plan, model, seed))).collect();
-    let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
-    let runs = jobs
+    let (seeds, days) = (protocol.seeds as usize, world.days());
+    let pairs: Vec<(VisitStrategy, BeliefModel)> = protocol
+        .strategies
+        .iter()
+        .flat_map(|&strategy| protocol.models.iter().map(move |&model| (strategy, model)))
+        .collect();
+    let (done, total) = (AtomicU64::new(0), (pairs.len() * seeds) as u64);
+    let runs = (0..pairs.len() * seeds)
         .into_par_iter()
-        .map(|(plan, model, seed)| {
-            let run = replay::replay(world, protocol.exploration, plan, model, seed);
+        .map(|job| {
+            let (strategy, model) = pairs[job / seeds];
+            let run = replay::replay(world, protocol.exploration, strategy, model, (job % seeds) as u64);
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
             run
         })
         .collect::<Result<Vec<replay::Run>, ExploreError>>()?;
-    let seeds = (protocol.seeds as usize).max(1);
-    let of_pair = |(&(plan, model), runs): (&(VisitStrategy, BeliefModel), &[replay::Run])| {
+    let result = |(&(strategy, model), runs): (&(VisitStrategy, BeliefModel), &[replay::Run])| {
         let visits: u64 = runs.iter().map(|run| run.visits).sum();
-        let visits_per_day = visits as f64 / (runs.len() * world.days()).max(1) as f64;
-        StrategyResult { plan, model, days: runs.iter().map(|run| run.errors.clone()).collect(), visits_per_day }
+        let visits_per_day = visits as f64 / (runs.len() * days).max(1) as f64;
+        StrategyResult { strategy, model, days: runs.iter().map(|run| run.errors.clone()).collect(), visits_per_day }
     };
-    Ok(Exploration { pairs: pairs.iter().zip(runs.chunks(seeds)).map(of_pair).collect(), days: world.days() })
+    Ok(Exploration { results: pairs.iter().zip(runs.chunks(seeds.max(1))).map(result).collect(), days })
 }

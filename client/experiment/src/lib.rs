@@ -1,12 +1,26 @@
-//! Experiments: temporal models compared on recordings, by a protocol, without a daemon.
+//! Experiments without a daemon: models, explorers, searches and routes compared on recordings and in simulations.
 //!
-//! A protocol names data, models, how their parameters are tuned, and the baseline. Each model is fitted to each state by
-//! itself, with one choice of parameters for all states. Invariant: parameters are chosen on training data alone, a test
-//! set is predicted by what came before it, and the same files give the same results, however many threads there are.
+//! The crate's own modules compare temporal models of `tidemap-model` by a [`Protocol`], as `tidemap experiment compare`
+//! does. [`explore`], [`search`] and [`routes`] are the other kinds of experiments; protocols end in .yaml or .yml, so that
+//! a new kind never conflicts with a file's name.
+//!
+//! - `protocol.rs`: YAML to [`Protocol`], checked before data is read; each list of parameters spans parameter sets;
+//! - `data.rs`: files to readings by state; one invalid row stops the experiment;
+//! - `tuning.rs`: rolling origin on training data; the parameter set with the lowest mean error is chosen;
+//! - `score.rs`: the chosen sets on the test sets: errors by test set and by local day;
+//! - `paired.rs`: each model against the baseline: studentised bootstrap over days within test sets, fixed seed;
+//! - `report.rs`: results.csv, folds.csv, predictions.csv; `picture.rs`: comparison.svg.
+//!
+//! A [`ParameterSet`](parameter_set::ParameterSet) is a model kind with all its parameters. Models are fitted state by state,
+//! with one choice of parameters for all states; readings of all states have the same weight. Nothing is tested with fewer
+//! than five days more than test sets.
+//!
+//! Invariant: parameters are tuned on training data only, a test set is predicted from earlier data only, and the same files
+//! give the same results for any number of threads: jobs are independent and summed in order.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use tidemap_model::models::CannotFit;
+use tidemap_model::{Evaluation, models::CannotFit};
 
 mod data;
 pub mod explore;
@@ -19,6 +33,7 @@ mod report;
 pub mod routes;
 mod score;
 pub mod search;
+mod seed_mean;
 mod tuning;
 
 #[cfg(test)]
@@ -33,30 +48,24 @@ use parameter_set::ParameterSet;
 use score::TestScore;
 use tuning::{Fold, Trial};
 
-/// Why an experiment could not be run.
+/// Why an experiment fails.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum ExperimentError {
-    /// Its data.
+    /// The data is invalid.
     #[error(transparent)]
     Data(#[from] DataError),
-    /// Its folds do not fit the training data.
+    /// The folds do not fit the training data.
     #[error("tuning: the training data: {0}")]
     Folds(String),
-    /// A model that cannot be fitted.
+    /// A model cannot be fitted.
     #[error("model {model} cannot be fitted to state {state:?}: {refused}")]
-    Fit {
-        /// Which, with its parameters.
-        model: String,
-        /// To which state.
-        state: String,
-        /// Why.
-        refused: CannotFit,
-    },
+    Fit { model: String, state: String, refused: CannotFit },
 }
 
 impl ExperimentError {
-    fn fit(label: &str, candidate: &ParameterSet, state: &str, refused: CannotFit) -> Self {
-        let model = match candidate.shown() {
+    fn fit(label: &str, set: &ParameterSet, state: &str, refused: CannotFit) -> Self {
+        let model = match set.shown() {
             "" => label.to_owned(),
             shown => format!("{label} ({shown})"),
         };
@@ -64,21 +73,21 @@ impl ExperimentError {
     }
 }
 
-/// A model as it was compared.
+/// The result of a model.
 #[derive(Clone, Debug)]
 pub struct ModelResult {
-    /// What it is called.
+    /// Its name in results.
     pub label: String,
-    /// Its parameters, with those that were chosen.
+    /// Its parameters, as chosen.
     pub parameters: String,
-    /// How it did.
+    /// Its errors.
     pub score: TestScore,
-    /// To the baseline; none of the baseline itself.
+    /// The difference to the baseline; none for the baseline itself.
     pub difference: Option<Difference>,
 }
 
 impl ModelResult {
-    /// What the test says: `better`, `worse` or `no difference`; `baseline` of the baseline, none where nothing was tested.
+    /// The outcome of the test: `better`, `worse` or `no difference`; `baseline` for the baseline, none without a test.
     pub fn verdict(&self, significance: f64) -> Option<&'static str> {
         let Some(difference) = self.difference else { return Some("baseline") };
         let test = difference.test?;
@@ -90,48 +99,48 @@ impl ModelResult {
     }
 }
 
-/// What came of an experiment.
+/// The results of an experiment.
 #[derive(Debug)]
 pub struct Comparison {
     /// The models, in the order of the protocol.
     pub models: Vec<ModelResult>,
-    /// The folds that parameters were chosen on.
+    /// The folds on which parameters were tuned.
     pub folds: Vec<Fold>,
-    /// How every candidate did on them.
-    pub trials: Vec<Trial>,
+    /// The scores of every parameter set on the folds.
+    pub trials: Vec<Trial<Evaluation>>,
     /// The data.
     pub data: Data,
 }
 
-/// Runs an experiment; `progress` is told how many pieces of work are done, of how many.
+/// Runs an experiment; `progress` receives the numbers of finished and of all jobs.
 pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Comparison, ExperimentError> {
     let data = Data::read(protocol)?;
+    let (models, kind) = (&protocol.models, protocol.kind);
     let folds = protocol.tuning.map(|tuning| tuning::folds(&data, tuning)).transpose()?.unwrap_or_default();
-    let candidates: usize = protocol.models.iter().map(|model| model.candidates.len()).sum();
-    let total = (candidates * folds.len() + protocol.models.len() * data.states.len()) as u64;
+    let sets: Vec<(usize, usize)> = models.iter().enumerate().flat_map(tuning::sets_of).collect();
+    let total = (sets.len() * folds.len() + models.len() * data.states.len()) as u64;
     let done = AtomicU64::new(0);
     let step = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
 
-    let trials = if folds.is_empty() {
-        Vec::new()
-    } else {
-        tuning::tune(&data, &protocol.models, &folds, protocol.kind, &step)?
+    let trial = |model: usize, set: usize, fold: usize| {
+        let errors = tuning::fold_errors(&data, &models[model].label, &models[model].sets[set], folds[fold], kind);
+        step();
+        errors
     };
-    let chosen = |model: usize| trials.iter().find(|trial| trial.model == model && trial.chosen);
-    let models: Vec<(&str, &ParameterSet)> = (0..)
-        .zip(&protocol.models)
-        .filter_map(|(index, model)| {
-            // Without tuning there is one candidate.
-            let candidate = model.candidates.get(chosen(index).map_or(0, |trial| trial.candidate))?;
-            Some((model.label.as_str(), candidate))
-        })
+    // Without folds each model has a single parameter set.
+    let sets = if folds.is_empty() { Vec::new() } else { sets };
+    let trials = tuning::tune(sets, folds.len(), trial, Evaluation::mse)?;
+    let models: Vec<(&str, &ParameterSet)> = models
+        .iter()
+        .enumerate()
+        .map(|(index, model)| (model.label.as_str(), &model.sets[tuning::chosen(&trials, index)]))
         .collect();
-    let scores = score::score(&data, &models, protocol.refit, protocol.kind, &step)?;
+    let scores = score::score(&data, &models, protocol.refit, kind, &step)?;
     let baseline = scores.get(protocol.baseline).map_or_else(Vec::new, |score| score.days.clone());
-    let compared = models.iter().zip(scores).enumerate().map(|(index, (&(label, candidate), score))| {
+    let results = models.iter().zip(scores).enumerate().map(|(index, (&(label, set), score))| {
         let difference =
             (index != protocol.baseline).then(|| paired::difference(&score.days, &baseline, protocol.significance));
-        ModelResult { label: label.to_owned(), parameters: candidate.shown().to_owned(), score, difference }
+        ModelResult { label: label.to_owned(), parameters: set.shown().to_owned(), score, difference }
     });
-    Ok(Comparison { models: compared.collect(), folds, trials, data })
+    Ok(Comparison { models: results.collect(), folds, trials, data })
 }

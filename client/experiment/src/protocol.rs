@@ -1,12 +1,9 @@
-//! The protocol of an experiment: which data, which models, tuned how, and compared with what.
+//! The protocol of a comparison of models: data, models, tuning and baseline.
 //!
-//! Invariant: a protocol that was read makes sense by itself: every model can be fitted, every list can be tuned, labels
-//! are unique. Whether its files exist is for the reading of data to say. Paths are relative to the protocol's file.
+//! Invariant: a protocol that was read is consistent in itself: every model can be fitted, every list can be tuned, labels
+//! are unique. The files it names may be missing. Paths are relative to the protocol's file.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use tidemap_map::time::parse_duration;
 use tidemap_model::Zone;
@@ -22,20 +19,21 @@ pub use error::ProtocolError;
 pub use model_entry::ModelEntry;
 
 use super::parameter_set::ValueKind;
-use raw::{RawProtocol, RawTuning, Word, Words};
+use raw::{ProtocolFile, RawProtocol, RawTuning, Word, Words, from_yaml, parsed, required, whole};
 
-/// Longest protocol; a long one has a hundred lines.
-pub(super) const FILE_BYTES_MAX: u64 = 1024 * 1024;
-/// Most folds; each is a fit of every candidate.
+/// The meaning of the key `out`.
+pub(super) const OUT: &str = "the folder that results are written to";
+
+/// Maximum number of folds; each fits every parameter set once.
 const FOLDS_MAX: usize = 1000;
 
-/// How rows are laid out.
+/// The layout of data files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RowFormat {
     /// Columns time, state and value, with a header.
     #[default]
     Csv,
-    /// `time value`, of one state, without a header.
+    /// `time value`, for one state, without a header.
     Pairs,
 }
 
@@ -45,30 +43,28 @@ pub enum Refit {
     /// Once, on the training data.
     #[default]
     Never,
-    /// Before each test set, on all that came before.
+    /// Before each test set, on all earlier data.
     Each,
 }
 
-/// Rolling origin: the last folds of the training data are predicted, each from what is before it.
+/// Rolling origin: the last folds of the training data are predicted, each from the data before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tuning {
-    /// How many.
+    /// Number of folds.
     pub folds: usize,
-    /// How long each is.
+    /// Length of each.
     pub fold_nanos: i64,
 }
 
-/// Which predictions are written.
+/// The predictions that are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Predictions {
-    /// Those of every reading.
+    /// One for every reading.
     #[default]
     All,
-    /// Those of the first reading of each interval.
-    Every {
-        /// Its length.
-        nanos: i64,
-    },
+    /// One for the first reading of each interval of `nanos`.
+    #[allow(missing_docs, reason = "see the variant")]
+    Every { nanos: i64 },
     /// None.
     Off,
 }
@@ -76,40 +72,39 @@ pub enum Predictions {
 /// A test set.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TestFile {
-    /// What it is called in results.
+    /// Its name in results.
     pub label: String,
-    /// Its file.
     pub path: PathBuf,
 }
 
-/// What a protocol says.
+/// The protocol of a comparison of models.
 #[derive(Debug)]
 pub struct Protocol {
-    /// Of the experiment.
+    /// Name of the experiment.
     pub name: String,
-    /// By whose clocks people live.
+    /// The time zone of the recordings.
     pub zone: Zone,
-    /// What the values are.
+    /// The kind of the values.
     pub kind: ValueKind,
-    /// How the files are laid out.
+    /// The layout of the files.
     pub format: RowFormat,
-    /// The states to compare models on; all where empty.
+    /// The states on which models are compared; empty: all.
     pub states: Vec<String>,
     /// Files of training data, at least one.
     pub train: Vec<PathBuf>,
-    /// Test sets, at least one, in order of time.
+    /// Test sets, at least one, in temporal order.
     pub test: Vec<TestFile>,
     /// When models are fitted again.
     pub refit: Refit,
     /// The models, at least one.
     pub models: Vec<ModelEntry>,
-    /// How parameters are chosen.
+    /// Tuning of parameters.
     pub tuning: Option<Tuning>,
-    /// The model that all are compared with; an index of `models`.
+    /// Index in `models` of the model with which all others are compared.
     pub baseline: usize,
-    /// Level of the tests; intervals hold one less this.
+    /// Significance level of the tests; intervals have the confidence 1 - `significance`.
     pub significance: f64,
-    /// Which predictions are written.
+    /// The predictions that are written.
     pub predictions: Predictions,
     /// Folder of the results.
     pub out: PathBuf,
@@ -118,23 +113,17 @@ pub struct Protocol {
 /// Reads a protocol.
 ///
 /// # Errors
-/// [`ProtocolError`], with line, key, what was found and what would be right.
+/// [`ProtocolError`], with line, key, the value found and the values allowed.
 pub fn read(path: &Path) -> Result<Protocol, ProtocolError> {
-    let length = fs::metadata(path)?.len();
-    if length > FILE_BYTES_MAX {
-        return Err(ProtocolError::TooLong { found: length, most: FILE_BYTES_MAX });
-    }
-    let stem = path.file_stem().map_or_else(|| "experiment".into(), |stem| stem.to_string_lossy());
-    let folder = path.parent().unwrap_or_else(|| Path::new(""));
-    parse(&fs::read_to_string(path)?, &stem, folder)
+    let file = ProtocolFile::read(path)?;
+    parse(&file.text, &file.name, &file.folder)
 }
 
-/// Makes a protocol of a text; `name` is used where it says none.
+/// Parses a protocol; `name` is its name if the text has none.
 pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, ProtocolError> {
-    let written: RawProtocol = serde_saphyr::from_str(text).map_err(|error| ProtocolError::yaml(&error))?;
-    let right = "an IANA time zone by which people live there, such as Europe/London or UTC";
-    let zone = needed(written.zone, "zone", right)?;
-    let zone = Zone::named(&zone.text).map_err(|_| ProtocolError::value("zone", &zone, right))?;
+    let written: RawProtocol = from_yaml(text)?;
+    let right = "the IANA time zone of the recordings, such as Europe/London or UTC";
+    let zone = parsed(&required(written.zone, "zone", right)?, "zone", right, |text| Zone::named(text).ok())?;
     let kind = choice(
         written.kind,
         "kind",
@@ -146,10 +135,7 @@ pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, Protocol
     let test = labelled(paths(written.test, "test", folder)?);
     let refit = choice(written.refit, "refit", &[("never", Refit::Never), ("each", Refit::Each)])?;
     let tuning = written.tuning.map(tuning).transpose()?;
-    let models = match written.models {
-        Some(models) if !models.is_empty() => model_entry::read(&models, kind, tuning.is_some())?,
-        _ => return Err(ProtocolError::missing("models", "a list of models, such as [mean, spectral]")),
-    };
+    let models = model_entry::read(written.models, kind, tuning.is_some())?;
     let baseline = match written.baseline {
         Some(word) => models.iter().position(|model| model.label == word.text).ok_or_else(|| {
             let labels: Vec<&str> = models.iter().map(|model| model.label.as_str()).collect();
@@ -158,22 +144,20 @@ pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, Protocol
         None => 0,
     };
     let significance = match written.significance {
-        Some(word) => number_within(&word, 1e-3, 0.5)
-            .ok_or_else(|| ProtocolError::value("significance", &word, "a number from 0.001 to 0.5, such as 0.05"))?,
+        Some(word) => parsed(&word, "significance", "a number from 0.001 to 0.5, such as 0.05", |text| {
+            text.parse().ok().filter(|number| (1e-3..=0.5).contains(number))
+        })?,
         None => 0.05,
     };
     let predictions = match written.predictions.as_ref().map(|word| (word, word.text.as_str())) {
         None | Some((_, "all")) => Predictions::All,
         Some((_, "off")) => Predictions::Off,
-        Some((word, text)) => Predictions::Every {
-            nanos: parse_duration(text)
-                .map_err(|_| ProtocolError::value("predictions", word, "all, off, or a duration such as 5m"))?,
-        },
+        Some((word, _)) => {
+            let right = "all, off, or a duration such as 5m";
+            Predictions::Every { nanos: parsed(word, "predictions", right, |text| parse_duration(text).ok())? }
+        }
     };
-    let out = needed(written.out, "out", "the folder that results are written to")?;
-    if out.text.is_empty() {
-        return Err(ProtocolError::value("out", &out, "the folder that results are written to"));
-    }
+    let out = required(written.out, "out", OUT)?;
     Ok(Protocol {
         name: written.name.map_or_else(|| name.to_owned(), |word| word.text),
         zone,
@@ -192,26 +176,17 @@ pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, Protocol
     })
 }
 
-fn needed(word: Option<Word>, key: &'static str, right: &'static str) -> Result<Word, ProtocolError> {
-    word.ok_or_else(|| ProtocolError::missing(key, right))
-}
-
-/// One of several words; the default where nothing is written.
+/// One of several words; the default if the key is missing.
 fn choice<T: Copy + Default>(
     word: Option<Word>,
     key: &'static str,
     choices: &[(&'static str, T)],
 ) -> Result<T, ProtocolError> {
     let Some(word) = word else { return Ok(T::default()) };
-    let chosen = choices.iter().find(|(name, _)| *name == word.text);
-    chosen.map(|(_, choice)| *choice).ok_or_else(|| {
-        let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
-        ProtocolError::value(key, &word, &format!("one of: {}", names.join(", ")))
+    let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
+    parsed(&word, key, &format!("one of: {}", names.join(", ")), |text| {
+        choices.iter().find(|(name, _)| *name == text).map(|(_, choice)| *choice)
     })
-}
-
-fn number_within(word: &Word, least: f64, most: f64) -> Option<f64> {
-    word.text.parse().ok().filter(|number| (least..=most).contains(number))
 }
 
 fn states(written: Option<Words>, format: RowFormat) -> Result<Vec<String>, ProtocolError> {
@@ -246,7 +221,7 @@ fn paths(written: Option<Words>, key: &'static str, folder: &Path) -> Result<Vec
     Ok(paths)
 }
 
-/// Test sets are called as their files are, with a number where two are called alike.
+/// Test sets have the names of their files, numbered where two names are equal.
 fn labelled(paths: Vec<(Word, PathBuf)>) -> Vec<TestFile> {
     let mut tests: Vec<TestFile> = Vec::with_capacity(paths.len());
     for (word, path) in paths {
@@ -260,12 +235,7 @@ fn labelled(paths: Vec<(Word, PathBuf)>) -> Vec<TestFile> {
 }
 
 pub(super) fn tuning(written: RawTuning) -> Result<Tuning, ProtocolError> {
-    let RawTuning { folds: written_folds, fold: written_fold } = written;
-    let folds = written_folds.text.parse().ok().filter(|folds| (1..=FOLDS_MAX).contains(folds));
-    let folds = folds.ok_or_else(|| {
-        ProtocolError::value("folds", &written_folds, &format!("a whole number from 1 to {FOLDS_MAX}"))
-    })?;
-    let fold_nanos = parse_duration(&written_fold.text)
-        .map_err(|_| ProtocolError::value("fold", &written_fold, "a duration such as 1d or 7d"))?;
+    let folds = whole(&written.folds, "folds", 1..=FOLDS_MAX)?;
+    let fold_nanos = parsed(&written.fold, "fold", "a duration such as 1d or 7d", |text| parse_duration(text).ok())?;
     Ok(Tuning { folds, fold_nanos })
 }

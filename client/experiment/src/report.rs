@@ -1,6 +1,6 @@
-//! What an experiment writes: the comparison, every prediction, every trial of the tuning, and a picture.
+//! The output of an experiment: the comparison, every prediction, every trial of the tuning, and a picture.
 //!
-//! Invariant: the table on stdout and `results.csv` are the same table; a file that is written is written whole.
+//! Invariant: the table on stdout and `results.csv` are the same.
 
 use std::{
     fs,
@@ -14,10 +14,10 @@ use tidemap_model::Evaluation;
 use super::{Comparison, ModelResult, Protocol, parameter_set::ValueKind, picture, protocol::Predictions};
 use tidemap_formats::table::{Cell, Format, TableWriter};
 
-/// Writes the comparison, a row per model.
+/// Writes the comparison, a row for each model.
 ///
-/// Columns: model, parameters, mse and error_rate (means over test sets), mse of each test set, then the difference of mse
-/// to the baseline with the ends of its interval and its p-value, and a verdict: better, worse, or no difference.
+/// Columns: model, parameters, mse and error_rate (means over test sets), mse of each test set, the difference of mse to
+/// the baseline with its interval and p-value, and a verdict: better, worse, or no difference.
 pub fn summary<W: Write>(protocol: &Protocol, outcome: &Comparison, format: Format, writer: W) -> io::Result<()> {
     let mut columns = ["model", "parameters", "mse", "error_rate"].map(str::to_owned).to_vec();
     columns.extend(protocol.test.iter().map(|test| format!("mse_{}", test.label)));
@@ -30,13 +30,13 @@ pub fn summary<W: Write>(protocol: &Protocol, outcome: &Comparison, format: Form
 }
 
 fn row(protocol: &Protocol, model: &ModelResult) -> Vec<Cell> {
-    // A side of 0.5 means nothing for a speed or a count.
-    let has_sides = protocol.kind == ValueKind::Probability;
+    // An error rate has no meaning for a speed or a count.
+    let has_rate = protocol.kind == ValueKind::Probability;
     let mut cells = vec![
         Cell::Text(model.label.clone()),
         Cell::Text(model.parameters.clone()),
         model.score.mse().into(),
-        Cell::maybe(has_sides.then(|| model.score.error_rate())),
+        Cell::maybe(has_rate.then(|| model.score.error_rate())),
     ];
     cells.extend(model.score.sets.iter().map(|set| Cell::from(set.mse())));
     let mean = model.difference.map(|difference| difference.mean);
@@ -76,7 +76,7 @@ pub(super) fn file(
     written().with_context(|| path.display().to_string())
 }
 
-/// Every candidate's error on every fold.
+/// The error of every parameter set on every fold.
 fn trials<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
     let columns = ["model", "parameters", "fold", "from", "until", "observations", "mse", "mean_mse", "chosen"];
     let mut table = TableWriter::new(Format::Csv, &columns, writer);
@@ -85,27 +85,27 @@ fn trials<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io:
         for (number, (fold, errors)) in (1_u64..).zip(outcome.folds.iter().zip(&trial.folds)) {
             table.row(vec![
                 Cell::Text(model.label.clone()),
-                model.candidates[trial.candidate].shown().into(),
+                model.sets[trial.set].shown().into(),
                 number.into(),
                 Cell::Secs(fold.from_nanos),
                 Cell::Secs(fold.until_nanos),
                 errors.observations.into(),
                 Evaluation::mse(errors).into(),
-                trial.error().into(),
-                Cell::Flag(trial.chosen),
+                trial.error.into(),
+                Cell::Flag(trial.is_chosen),
             ])?;
         }
     }
     table.finish()
 }
 
-/// What was predicted and what was, by test set, by time, by state.
+/// The predictions and the observed values, by test set, by time, by state.
 fn predictions<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
     let mut columns = ["time", "state", "value"].map(str::to_owned).to_vec();
     columns.extend(outcome.models.iter().map(|model| model.label.clone()));
     let mut table = TableWriter::new(Format::Csv, &columns, writer);
     for (set, test) in outcome.data.tests.iter().enumerate() {
-        let mut shown: Vec<(i64, usize, usize)> = Vec::new();
+        let mut readings: Vec<(i64, usize, usize)> = Vec::new();
         for (state, samples) in test.samples.iter().enumerate() {
             let mut interval = None;
             for (at, sample) in samples.iter().enumerate() {
@@ -116,11 +116,11 @@ fn predictions<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -
                     }
                     interval = own;
                 }
-                shown.push((sample.utc_nanos, state, at));
+                readings.push((sample.utc_nanos, state, at));
             }
         }
-        shown.sort_unstable();
-        for (time, state, at) in shown {
+        readings.sort_unstable();
+        for (time, state, at) in readings {
             let value = test.samples[state][at].value;
             let mut cells = vec![Cell::Secs(time), outcome.data.states[state].as_str().into(), value.into()];
             cells.extend(outcome.models.iter().map(|model| Cell::from(model.score.predictions[set][state][at])));

@@ -1,11 +1,19 @@
-//! Searches replayed: how long a robot looks for a person, by what it has learned of where she is when.
+//! Searches replayed: how long a robot takes to find a person, by what it has learned about where the person is when.
 //!
-//! The protocol is that of "Waldo" (Krajník, Kulich, Mudrová, Ambrus, Duckett, "Where's Waldo at time t?", ICRA 2015, section
-//! VII): the presence in each place is a binary state, read every minute; models learn the first days, and are asked at every
-//! minute of the others with somebody there. The robot walks the order of the least expected time from its start; who is
-//! looked for stays where she is, and is found when the robot first comes there. Invariant: nothing that is asked for was
-//! learned, parameters are chosen on the days that are learned alone, and the same files give the same figures, however many
-//! threads there are.
+//! The protocol is that of "Waldo" (Krajník, Kulich, Mudrová, Ambrus, Duckett, "Where's Waldo at time t?", ICRA 2015,
+//! section VII): the presence in each place is a binary state, observed every minute. Models learn the first days and are
+//! asked for every later minute in which the person is at a node. The robot visits the nodes in the order of least expected
+//! time from its start; the person stays in place, and is found when the robot first arrives there. The last row of the
+//! results is an oracle that knows the person's position.
+//!
+//! - `protocol.rs`: YAML to [`SearchProtocol`]; `recorded_world.rs`: topology and recording to a node for every minute;
+//! - `simulate.rs`: fits models, plans a search for every minute, and computes when the robot arrives at the person;
+//! - `report.rs`: results.csv, folds.csv.
+//!
+//! Parameters are tuned on the mean time until the person is found in the folds, each predicted from the data before it.
+//!
+//! Invariant: no prediction uses the minute it is for or later ones, parameters are tuned on training days only, and the
+//! same files give the same figures for any number of threads.
 
 use std::{
     ops::Range,
@@ -27,163 +35,99 @@ mod tests;
 pub use protocol::{SearchProtocol, read};
 pub use report::{summary, write};
 
-use crate::place_recording::{DAY_MINUTES, RecordingError};
+use crate::{
+    place_recording::{DAY_MINUTES, RecordingError},
+    tuning::{self, Trial},
+};
 use recorded_world::RecordedWorld;
 use simulate::FindTimes;
 
-/// Why searches could not be replayed.
+/// Why searches cannot be replayed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum ReplayError {
-    /// Where the person was.
+    /// The recording is invalid.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The map of the places.
+    /// The topological map is invalid.
     #[error("{0}")]
     Topology(String),
-    /// There is nothing to ask for.
-    #[error("{learned} days are to be learned, and the world has {found} whole days: nothing is left to ask for")]
-    Days {
-        /// Days to learn.
-        learned: usize,
-        /// Days there are.
-        found: usize,
-    },
-    /// Nobody is there to be found.
+    /// All days are training data.
+    #[error("{learned} days are training data, and the world has {found} whole days: nothing is left to search")]
+    Days { learned: usize, found: usize },
+    /// The person is never at a node.
     #[error("in minutes {from} to {until} nobody is at any node of the topology")]
-    Nobody {
-        /// First minute asked for.
-        from: usize,
-        /// The one behind the last.
-        until: usize,
-    },
-    /// A model that cannot be fitted.
+    Nobody { from: usize, until: usize },
+    /// A model cannot be fitted.
     #[error("model {model} cannot be fitted to place {place:?}: {refused}")]
-    Fit {
-        /// Which, with its parameters.
-        model: String,
-        /// To which place.
-        place: String,
-        /// Why.
-        refused: CannotFit,
-    },
-    /// A search that cannot be planned.
+    Fit { model: String, place: String, refused: CannotFit },
+    /// A search cannot be planned.
     #[error("a search cannot be planned: {0}")]
     Search(#[from] SearchError),
 }
 
-/// How one candidate of a model did on the days that are learned.
-#[derive(Clone, Debug)]
-pub struct SearchTrial {
-    /// Index of the model.
-    pub model: usize,
-    /// Index of the candidate among the model's.
-    pub candidate: usize,
-    /// Mean time until found, in seconds, of each fold.
-    pub folds: Vec<f64>,
-    /// Whether it was chosen.
-    pub chosen: bool,
-}
-
-impl SearchTrial {
-    /// The mean over folds.
-    pub fn mean_secs(&self) -> f64 {
-        self.folds.iter().sum::<f64>() / self.folds.len().max(1) as f64
-    }
-}
-
-/// How a model did.
+/// The result of a model.
 #[derive(Clone, Debug)]
 pub struct SearchResult {
-    /// What it is called.
+    /// Its name in results.
     pub label: String,
-    /// Its parameters, with those that were chosen.
+    /// Its parameters, as chosen.
     pub parameters: String,
-    /// When the person was found.
-    pub found: FindTimes,
+    /// The times until the person was found.
+    pub times: FindTimes,
 }
 
-/// What came of the searches.
+/// The results of all models.
 #[derive(Debug)]
 pub struct SearchComparison {
-    /// The models, in the order of the protocol, then who knows where the person is.
+    /// The models, in the order of the protocol, then the oracle.
     pub rows: Vec<SearchResult>,
-    /// Every candidate where there is more than one.
-    pub trials: Vec<SearchTrial>,
+    /// All parameter sets of models with more than one; their folds are mean times in seconds.
+    pub trials: Vec<Trial<f64>>,
 }
 
-/// What the last row is called: the search of who knows where the person is.
+/// The name of the oracle, which knows the person's position.
 const OMNISCIENT: &str = "omniscient";
 
-/// Searches with every model; `progress` is told how many pieces of work are done, of how many.
+/// Searches with every model; `progress` receives the numbers of finished and of all jobs.
 pub fn run(protocol: &SearchProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<SearchComparison, ReplayError> {
     let world = RecordedWorld::read(protocol)?;
     let (learned, minutes) = (protocol.train_minutes, world.minutes());
     if learned >= minutes {
-        let day = DAY_MINUTES;
-        return Err(ReplayError::Days { learned: learned / day, found: minutes / day });
+        return Err(ReplayError::Days { learned: learned / DAY_MINUTES, found: minutes / DAY_MINUTES });
     }
-    replay(&world, protocol, progress)
-}
-
-fn replay(
-    world: &RecordedWorld,
-    protocol: &SearchProtocol,
-    progress: &(impl Fn(u64, u64) + Sync),
-) -> Result<SearchComparison, ReplayError> {
-    let (learned, minutes) = (protocol.train_minutes, world.minutes());
     let folds = folds(protocol);
-    let tuned = |model: usize| protocol.models[model].candidates.len() > 1;
-    let candidates: Vec<(usize, usize)> = (0..protocol.models.len())
-        .filter(|&model| tuned(model))
-        .flat_map(|model| (0..protocol.models[model].candidates.len()).map(move |candidate| (model, candidate)))
-        .collect();
-    let (done, total) = (AtomicU64::new(0), (candidates.len() * folds.len() + protocol.models.len() + 1) as u64);
+    let tuned = protocol.models.iter().enumerate().filter(|(_, model)| model.sets.len() > 1);
+    let sets: Vec<(usize, usize)> = tuned.flat_map(tuning::sets_of).collect();
+    let (done, total) = (AtomicU64::new(0), (sets.len() * folds.len() + protocol.models.len() + 1) as u64);
     let step = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-    let asked = |model: usize, candidate: usize, learned: usize, asked: Range<usize>| {
-        let found = simulate::by_model(world, &protocol.models[model], candidate, learned, asked);
+    let times = |model: usize, set: usize, learned: usize, minutes: Range<usize>| {
+        let times = simulate::by_model(&world, &protocol.models[model], set, learned, minutes);
         step();
-        found
+        times
     };
-    let jobs: Vec<(usize, usize, &Range<usize>)> = candidates
-        .iter()
-        .flat_map(|&(model, candidate)| folds.iter().map(move |fold| (model, candidate, fold)))
-        .collect();
-    let means = jobs
-        .into_par_iter()
-        .map(|(model, candidate, fold)| Ok(asked(model, candidate, fold.start, fold.clone())?.mean_secs()))
-        .collect::<Result<Vec<f64>, ReplayError>>()?;
-    let mut trials: Vec<SearchTrial> = candidates
-        .into_iter()
-        .zip(means.chunks(folds.len().max(1)))
-        .map(|((model, candidate), folds)| SearchTrial { model, candidate, folds: folds.to_vec(), chosen: false })
-        .collect();
-    for of_model in trials.chunk_by_mut(|a, b| a.model == b.model) {
-        // Of equal ones the first.
-        if let Some(best) = of_model.iter_mut().min_by(|a, b| a.mean_secs().total_cmp(&b.mean_secs())) {
-            best.chosen = true;
-        }
-    }
-    let chosen = |model: usize| {
-        trials.iter().find(|trial| trial.model == model && trial.chosen).map_or(0, |trial| trial.candidate)
+    let mean_secs = |model: usize, set: usize, fold: usize| {
+        Ok::<_, ReplayError>(times(model, set, folds[fold].start, folds[fold].clone())?.mean_secs())
     };
-    let mut rows = (0..protocol.models.len())
-        .into_par_iter()
-        .map(|model| {
-            let (entry, candidate) = (&protocol.models[model], chosen(model));
-            let found = asked(model, candidate, learned, learned..minutes)?;
-            let parameters = entry.candidates[candidate].shown().to_owned();
-            Ok(SearchResult { label: entry.label.clone(), parameters, found })
+    let trials = tuning::tune(sets, folds.len(), mean_secs, |&secs| secs)?;
+    let mut rows = protocol
+        .models
+        .par_iter()
+        .enumerate()
+        .map(|(index, model)| {
+            let set = tuning::chosen(&trials, index);
+            let times = times(index, set, learned, learned..minutes)?;
+            Ok(SearchResult { label: model.label.clone(), parameters: model.sets[set].shown().to_owned(), times })
         })
         .collect::<Result<Vec<SearchResult>, ReplayError>>()?;
-    let found = simulate::by_truth(world, learned..minutes)?;
+    let times = simulate::by_truth(&world, learned..minutes)?;
     step();
-    rows.push(SearchResult { label: OMNISCIENT.to_owned(), parameters: String::new(), found });
+    rows.push(SearchResult { label: OMNISCIENT.to_owned(), parameters: String::new(), times });
     Ok(SearchComparison { rows, trials })
 }
 
-/// The last minutes that are learned, in pieces, each of which is asked for by what is before it.
+/// The last training minutes in folds, each predicted from the minutes before it.
 fn folds(protocol: &SearchProtocol) -> Vec<Range<usize>> {
-    let fold = protocol.fold_minutes;
-    let until = protocol.train_minutes;
+    let (fold, until) = (protocol.fold_minutes, protocol.train_minutes);
     (0..protocol.folds).rev().map(|behind| until - (behind + 1) * fold..until - behind * fold).collect()
 }

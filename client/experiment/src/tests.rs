@@ -76,9 +76,9 @@ fn mse(outcome: &Comparison, label: &str) -> f64 {
 
 /// What the tuning decided and by which errors.
 fn tuned(outcome: &Comparison) -> Vec<(String, bool, Vec<f64>)> {
-    let of_trial = |trial: &Trial| {
+    let of_trial = |trial: &Trial<Evaluation>| {
         let errors = trial.folds.iter().map(|fold| fold.mse()).collect();
-        (format!("{} {}", trial.model, trial.candidate), trial.chosen, errors)
+        (format!("{} {}", trial.model, trial.set), trial.is_chosen, errors)
     };
     outcome.trials.iter().map(of_trial).collect()
 }

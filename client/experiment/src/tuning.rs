@@ -1,9 +1,9 @@
-//! Choosing parameters by rolling origin, on training data alone.
+//! Tuning of parameters by rolling origin, on training data only.
 //!
-//! The last folds of the training data are predicted one after another, each by models fitted to all that is before it; of
-//! the candidates the one with the lowest mean error over the folds is taken (L. Tashman, "Out-of-sample tests of
-//! forecasting accuracy", IJF 2000). Invariant: nothing here sees a test set; every candidate is scored on the same
-//! readings.
+//! The last folds of the training data are predicted one after another, each by models fitted to all data before it. The
+//! parameter set with the lowest mean error over the folds is chosen; ties: the first (L. Tashman, "Out-of-sample tests of
+//! forecasting accuracy", IJF 2000).
+//! Invariant: tuning has no access to test sets; every parameter set is scored on the same readings.
 
 use rayon::prelude::*;
 use tidemap_map::time::{format_duration, format_rfc3339};
@@ -16,36 +16,65 @@ use super::{
     protocol::{ModelEntry, Tuning},
 };
 
-/// A stretch of the training data that is predicted from what is before it: after `from`, up to and with `until`.
+/// A part of the training data that is predicted from the data before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fold {
-    /// Readings up to here are learned: UTC, nanoseconds since 1970.
+    /// Readings up to and including this time are training data: nanoseconds UTC.
     pub from_nanos: i64,
     /// The last time of the fold.
     pub until_nanos: i64,
 }
 
-/// How one candidate did.
+/// The scores of one parameter set.
 #[derive(Clone, Debug)]
-pub struct Trial {
+pub struct Trial<F> {
     /// Index of the model.
     pub model: usize,
-    /// Index of the candidate among the model's.
-    pub candidate: usize,
-    /// Its errors, fold by fold.
-    pub folds: Vec<Evaluation>,
+    /// Index of the parameter set among those of the model.
+    pub set: usize,
+    /// Its score on each fold.
+    pub folds: Vec<F>,
+    /// The mean error over the folds.
+    pub error: f64,
     /// Whether it was chosen.
-    pub chosen: bool,
+    pub is_chosen: bool,
 }
 
-impl Trial {
-    /// The mean over folds of the mean squared error.
-    pub fn error(&self) -> f64 {
-        self.folds.iter().map(Evaluation::mse).sum::<f64>() / self.folds.len().max(1) as f64
+/// Scores parameter sets, given by model and set, on every fold, and chooses one for each model.
+pub fn tune<F: Clone + Send, E: Send>(
+    sets: Vec<(usize, usize)>,
+    folds: usize,
+    score: impl Fn(usize, usize, usize) -> Result<F, E> + Sync,
+    error: impl Fn(&F) -> f64,
+) -> Result<Vec<Trial<F>>, E> {
+    let scores = (0..sets.len() * folds)
+        .into_par_iter()
+        .map(|job| score(sets[job / folds].0, sets[job / folds].1, job % folds))
+        .collect::<Result<Vec<F>, E>>()?;
+    let trial = |((model, set), folds): ((usize, usize), &[F])| {
+        let error = folds.iter().map(&error).sum::<f64>() / folds.len().max(1) as f64;
+        Trial { model, set, folds: folds.to_vec(), error, is_chosen: false }
+    };
+    let mut trials: Vec<Trial<F>> = sets.into_iter().zip(scores.chunks(folds.max(1))).map(trial).collect();
+    for of_model in trials.chunk_by_mut(|a, b| a.model == b.model) {
+        if let Some(best) = of_model.iter_mut().min_by(|a, b| a.error.total_cmp(&b.error)) {
+            best.is_chosen = true;
+        }
     }
+    Ok(trials)
 }
 
-/// The folds, which end with the training data.
+/// The chosen parameter set of a model; the first if there was no tuning.
+pub fn chosen<F>(trials: &[Trial<F>], model: usize) -> usize {
+    trials.iter().find(|trial| trial.model == model && trial.is_chosen).map_or(0, |trial| trial.set)
+}
+
+/// All parameter sets of a model.
+pub fn sets_of((model, entry): (usize, &ModelEntry)) -> impl Iterator<Item = (usize, usize)> + use<> {
+    (0..entry.sets.len()).map(move |set| (model, set))
+}
+
+/// The folds, the last of which ends with the training data.
 pub fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, ExperimentError> {
     let Some((first, last)) = data.train_extent() else {
         return Err(ExperimentError::Folds("there is none".to_owned()));
@@ -71,7 +100,7 @@ pub fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, ExperimentError> 
         if !data.train.iter().any(|samples| !split(samples, *fold).1.is_empty() && !split(samples, *fold).0.is_empty())
         {
             return Err(ExperimentError::Folds(format!(
-                "fold {number}, from {} to {}, has no readings of a state that was seen before: use longer folds, or fewer",
+                "fold {number}, from {} to {}, has no readings of a state with earlier readings: use longer folds, or fewer",
                 format_rfc3339(fold.from_nanos),
                 format_rfc3339(fold.until_nanos)
             )));
@@ -80,66 +109,29 @@ pub fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, ExperimentError> 
     Ok(folds)
 }
 
-/// What is learned, and what is predicted.
+/// The training data of a fold, and the readings to predict.
 fn split(samples: &[Sample], fold: Fold) -> (&[Sample], &[Sample]) {
     let from = samples.partition_point(|sample| sample.utc_nanos <= fold.from_nanos);
     let until = samples.partition_point(|sample| sample.utc_nanos <= fold.until_nanos);
     (&samples[..from], &samples[from..until])
 }
 
-/// Scores every candidate on every fold, and chooses.
-pub fn tune(
-    data: &Data,
-    models: &[ModelEntry],
-    folds: &[Fold],
-    kind: ValueKind,
-    step: &(impl Fn() + Sync),
-) -> Result<Vec<Trial>, ExperimentError> {
-    let each_fold = |model: usize, candidate: usize| (0..folds.len()).map(move |fold| (model, candidate, fold));
-    let each_candidate = |model: usize| (0..models[model].candidates.len()).map(move |candidate| (model, candidate));
-    let all: Vec<(usize, usize)> = (0..models.len()).flat_map(each_candidate).collect();
-    let jobs: Vec<(usize, usize, usize)> =
-        all.iter().flat_map(|&(model, candidate)| each_fold(model, candidate)).collect();
-    let errors = jobs
-        .into_par_iter()
-        .map(|(model, candidate, fold)| {
-            let (label, tried) = (&models[model].label, &models[model].candidates[candidate]);
-            let errors = fold_errors(data, label, tried, folds[fold], kind);
-            step();
-            errors
-        })
-        .collect::<Result<Vec<Evaluation>, ExperimentError>>()?;
-    let mut trials: Vec<Trial> = all
-        .into_iter()
-        .zip(errors.chunks(folds.len().max(1)))
-        .map(|((model, candidate), folds)| Trial { model, candidate, folds: folds.to_vec(), chosen: false })
-        .collect();
-    for of_model in trials.chunk_by_mut(|a, b| a.model == b.model) {
-        // Of equal ones the first.
-        if let Some(best) = of_model.iter_mut().min_by(|a, b| a.error().total_cmp(&b.error())) {
-            best.chosen = true;
-        }
-    }
-    Ok(trials)
-}
-
-/// The errors of one candidate on one fold, all states together. A state that was not seen before the fold is left out.
-fn fold_errors(
+/// The errors of one parameter set on one fold, all states together. States without training data are left out.
+pub fn fold_errors(
     data: &Data,
     label: &str,
-    candidate: &ParameterSet,
+    set: &ParameterSet,
     fold: Fold,
     kind: ValueKind,
 ) -> Result<Evaluation, ExperimentError> {
     let mut errors = Evaluation::default();
     for (state, samples) in data.states.iter().zip(&data.train) {
-        let (learned, ahead) = split(samples, fold);
-        if learned.is_empty() || ahead.is_empty() {
+        let (train, test) = split(samples, fold);
+        if train.is_empty() || test.is_empty() {
             continue;
         }
-        let model =
-            candidate.fit(learned, kind).map_err(|refused| ExperimentError::fit(label, candidate, state, refused))?;
-        for sample in ahead {
+        let model = set.fit(train, kind).map_err(|refused| ExperimentError::fit(label, set, state, refused))?;
+        for sample in test {
             errors.add(model.predict(sample.moment()), sample.value);
         }
     }

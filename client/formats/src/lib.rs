@@ -20,6 +20,7 @@ pub mod ply;
 pub mod png;
 mod points;
 mod scalar;
+pub mod svg;
 pub mod table;
 mod text;
 pub mod topology;

@@ -10,9 +10,11 @@ mod lzf;
 #[cfg(test)]
 mod tests;
 
+use nalgebra::Isometry3;
+
 use super::{
     error::{FilePlace, FormatError},
-    points::{PointFile, Pose},
+    points::PointFile,
     scalar::Endian,
     text::Lines,
 };
@@ -33,7 +35,7 @@ pub fn read(bytes: &[u8]) -> Result<PointFile, FormatError> {
 }
 
 /// Where the sensor was, of a file or its first bytes; none where the header does not say.
-pub fn read_pose(bytes: &[u8]) -> Result<Option<Pose>, FormatError> {
+pub fn read_pose(bytes: &[u8]) -> Result<Option<Isometry3<f64>>, FormatError> {
     Ok(header::read(bytes, &mut Lines::new(bytes))?.pose)
 }
 
@@ -45,7 +47,7 @@ fn ascii(header: &PcdHeader, mut lines: Lines<'_>) -> Result<PointFile, FormatEr
     if needs > room {
         return Err(FormatError::cut_off(lines.at(), format!("data of {} points", header.points), needs, room));
     }
-    let mut file = PointFile::with_room(header.points, header.pose);
+    let mut file = PointFile::with_capacity(header.points, header.pose);
     let mut taken = 0;
     while let Some(line) = lines.next_full()? {
         if taken == header.points {
@@ -86,7 +88,7 @@ fn binary(header: &PcdHeader, lines: &Lines<'_>) -> Result<PointFile, FormatErro
     }
     let (data, behind) = data.split_at(usize::try_from(needs).unwrap_or(data.len()));
     only_padding(behind, lines.at() + needs)?;
-    let mut file = PointFile::with_room(header.points, header.pose);
+    let mut file = PointFile::with_capacity(header.points, header.pose);
     for bytes in data.chunks_exact(row.bytes) {
         file.push(std::array::from_fn(|axis| row.scalar[axis].read(bytes, row.byte[axis], Endian::Little)));
     }
@@ -125,7 +127,7 @@ fn compressed(header: &PcdHeader, lines: &Lines<'_>) -> Result<PointFile, Format
         ));
     }
     let data = lzf::unpack(data, usize::try_from(unpacked).unwrap_or(0), at + 8)?;
-    let mut file = PointFile::with_room(header.points, header.pose);
+    let mut file = PointFile::with_capacity(header.points, header.pose);
     let points = usize::try_from(header.points).unwrap_or(0);
     for index in 0..points {
         file.push(std::array::from_fn(|axis| {

@@ -56,7 +56,7 @@ fn room_for(element: &Element, least_bytes: u64, at: u64, room: u64, file: &mut 
         return Err(FormatError::cut_off(at, what, needs, room));
     }
     if element.points.is_some() {
-        *file = PointFile::with_room(element.count, None);
+        *file = PointFile::with_capacity(element.count, None);
     }
     Ok(())
 }

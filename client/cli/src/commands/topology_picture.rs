@@ -12,7 +12,7 @@ use tidemap_map::time::format_rfc3339;
 use tonic::Code;
 
 use super::Session;
-use tidemap_formats::topology_svg::{self, DrawnEdge, DrawnNode, TopologyPicture};
+use tidemap_formats::topology_svg::{self, PictureEdge, PictureNode, TopologyPicture};
 
 /// What is drawn over the map.
 #[derive(Clone, Debug, Default)]
@@ -47,25 +47,25 @@ pub(crate) async fn draw(
     let index: HashMap<&str, usize> =
         topology.nodes.iter().enumerate().map(|(index, node)| (node.name.as_str(), index)).collect();
     let step = |name: &str| overlay.numbered.iter().position(|other| other == name).map(|place| place + 1);
-    let nodes = topology.nodes.iter().map(|node| DrawnNode {
+    let nodes = topology.nodes.iter().map(|node| PictureNode {
         name: node.name.clone(),
         at_m: node.pose.map(|[x, y, _]| [x, y]),
         probability: likely.get(node.name.as_str()).copied(),
         step: step(&node.name),
     });
-    let is_on_way = |edge: &EdgeEnds| {
+    let is_on_path = |edge: &EdgeEnds| {
         let is_it = |(from, to, action): &(String, String, Option<String>)| {
             *from == edge.from && *to == edge.to && action.as_ref().is_none_or(|action| *action == edge.action)
         };
         overlay.way.iter().any(is_it)
     };
     let drawn = edges.iter().filter_map(|edge| {
-        Some(DrawnEdge {
+        Some(PictureEdge {
             from: *index.get(edge.edge.from.as_str())?,
             to: *index.get(edge.edge.to.as_str())?,
             length: edge.duration_secs,
             success: (edge.reports > 0).then_some(edge.success),
-            is_on_way: is_on_way(&edge.edge),
+            is_on_path: is_on_path(&edge.edge),
         })
     });
     let picture = TopologyPicture {

@@ -1,6 +1,6 @@
 //! One run: a strategy with a model and a seed, from the first day to the last.
 //!
-//! Invariant: no strategy makes more visits a day than it is allowed; all that need whole numbers make exactly as many.
+//! Invariant: no strategy makes more visits in a day than its budget; strategies that schedule ahead use the whole budget.
 
 use tidemap_plan::{
     location::{expected_errors, information_bits, surprise_bits},
@@ -13,10 +13,10 @@ use super::{
 };
 use crate::place_recording::PlaceRecording;
 
-/// Gains that differ by less are equal but for rounding.
+/// Gains that differ by less are considered equal.
 const NEAR_TIE: f64 = 1e-9;
 
-/// A way to choose where to look.
+/// A strategy that chooses the place to visit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VisitStrategy {
     /// All places in turn.
@@ -25,13 +25,13 @@ pub enum VisitStrategy {
     Random,
     /// The day's highest entropies.
     Greedy,
-    /// By chance, in proportion to entropy.
+    /// Drawn in proportion to entropy.
     MonteCarlo,
-    /// The same, changed where the short-term memory contradicts the model.
+    /// As Monte Carlo, but changed where the short-term memory contradicts the model.
     NoveltyDriven,
-    /// At each slot the highest entropy of then.
+    /// At each slot the place with the highest entropy.
     Online,
-    /// At each slot the place whose guess is likeliest to be wrong then; of equal ones the likeliest place.
+    /// At each slot the place whose predicted state is most likely wrong; ties: the most likely place.
     OnlineError,
 }
 
@@ -47,7 +47,7 @@ impl VisitStrategy {
         VisitStrategy::OnlineError,
     ];
 
-    /// As people write it.
+    /// Its name in protocols.
     pub fn name(self) -> &'static str {
         match self {
             VisitStrategy::RoundRobin => "round-robin",
@@ -60,7 +60,7 @@ impl VisitStrategy {
         }
     }
 
-    /// How a day is scheduled ahead; none where it is not.
+    /// The strategy that schedules a day ahead; none if visits are chosen slot by slot.
     fn ahead(self, visited: u64) -> Option<Strategy> {
         match self {
             VisitStrategy::RoundRobin => Some(Strategy::RoundRobin { visited }),
@@ -72,12 +72,12 @@ impl VisitStrategy {
     }
 }
 
-/// What came of one run.
+/// The result of one run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
-    /// Share of states that were wrong, 0 to 1, by day (RAS 2017, eq. 2).
+    /// Share of wrong states, 0 to 1, by day (RAS 2017, eq. 2).
     pub errors: Vec<f64>,
-    /// Visits made.
+    /// Number of visits.
     pub visits: u64,
 }
 
@@ -85,28 +85,28 @@ pub struct Run {
 pub fn replay(
     world: &PlaceRecording,
     exploration: f64,
-    plan: VisitStrategy,
+    strategy: VisitStrategy,
     model: BeliefModel,
     seed: u64,
 ) -> Result<Run, ExploreError> {
     let cannot_fit = |refused| ExploreError::Fit { model: model.name(), refused };
-    let cannot_plan = |refused: StrategyError| ExploreError::VisitStrategy { strategy: plan.name(), refused };
+    let cannot_plan = |refused: StrategyError| ExploreError::Strategy { strategy: strategy.name(), refused };
     let (places, per_day) = (world.places.len(), world.slots());
     let slots = Slots { per_day, nanos: world.slot_minutes as i64 * 60_000_000_000 };
-    let mut belief = Belief::new(model, places, slots, plan == VisitStrategy::NoveltyDriven).map_err(cannot_fit)?;
+    let mut belief = Belief::new(model, places, slots, strategy == VisitStrategy::NoveltyDriven).map_err(cannot_fit)?;
     let allowed = Budget::Ratio(exploration).visits(per_day).map_err(cannot_plan)?;
     let mut allowance = Allowance::new(per_day, allowed).map_err(cannot_plan)?;
     let mut run = Run { errors: Vec::with_capacity(world.days()), visits: 0 };
     for day in 0..world.days() {
         let first = day * per_day;
         belief.midnight(first).map_err(cannot_fit)?;
-        let schedule = match plan.ahead(run.visits) {
-            Some(strategy) => {
+        let schedule = match strategy.ahead(run.visits) {
+            Some(ahead_by) => {
                 let ahead = belief.ahead(first);
                 let entropy = |slot: usize, place: usize| information_bits([ahead[slot][place]]);
                 let gains = Gains::of(per_day, places, entropy).map_err(cannot_plan)?;
                 let budget = Budget::Visits(allowed);
-                strategy::schedule(strategy, &gains, budget, mixed(seed, first)).map_err(cannot_plan)?
+                strategy::schedule(ahead_by, &gains, budget, mixed(seed, first)).map_err(cannot_plan)?
             }
             None => vec![None; per_day],
         };
@@ -114,7 +114,7 @@ pub fn replay(
         for (slot, planned) in (first..).zip(schedule) {
             belief.enter(slot);
             let p = belief.now();
-            let visit = visit(plan, planned, &p, &belief, &mut allowance, mixed(seed, slot));
+            let visit = visit(strategy, planned, &p, &belief, &mut allowance, mixed(seed, slot));
             wrong += errors(world.slot(slot), &p, visit);
             if let Some(place) = visit {
                 run.visits += 1;
@@ -126,16 +126,16 @@ pub fn replay(
     Ok(run)
 }
 
-/// Where to look in the slot that is, given what was planned for it.
+/// The place to visit in the current slot; `planned` is the place scheduled ahead.
 fn visit(
-    plan: VisitStrategy,
+    strategy: VisitStrategy,
     planned: Option<usize>,
     p: &[f64],
     belief: &Belief,
     allowance: &mut Allowance,
     seed: u64,
 ) -> Option<usize> {
-    match plan {
+    match strategy {
         VisitStrategy::RoundRobin | VisitStrategy::Random | VisitStrategy::Greedy | VisitStrategy::MonteCarlo => {
             planned
         }
@@ -145,10 +145,10 @@ fn visit(
             planned.map(|planned| strategy::novel(expected.iter().zip(p).map(worth)).unwrap_or(planned))
         }
         VisitStrategy::Online | VisitStrategy::OnlineError => {
-            // Of two that are as unsure, such as 0.7 and 0.3 of the only two places in question, a look at the likelier
-            // tells more minutes of the slot: wherever somebody goes, it is from there.
+            // Of two equally uncertain places, such as 0.7 and 0.3 for the only two possible places, a visit to the likelier
+            // one settles more minutes of the slot, because the person leaves from there.
             let errors = |p: f64| expected_errors([p]) + NEAR_TIE * p;
-            let gain = |&p: &f64| if plan == VisitStrategy::Online { information_bits([p]) } else { errors(p) };
+            let gain = |&p: &f64| if strategy == VisitStrategy::Online { information_bits([p]) } else { errors(p) };
             let gains: Vec<f64> = p.iter().map(gain).collect();
             let (place, gain) = strategy::best(&gains, seed)?;
             allowance.grant(gain).then_some(place)
@@ -156,8 +156,8 @@ fn visit(
     }
 }
 
-/// States that were wrong over the minutes of a slot (RAS 2017, eq. 1 and 2). A state of which nothing is known, p = 0.5,
-/// counts as off: one person is in one of ten rooms.
+/// Number of wrong states over the minutes of a slot (RAS 2017, eq. 1 and 2). An unknown state, p = 0.5, counts as off:
+/// one person is in one of ten rooms.
 fn errors(minutes: &[u8], p: &[f64], visit: Option<usize>) -> u64 {
     let mut wrong = 0;
     for &there in minutes {
@@ -169,7 +169,7 @@ fn errors(minutes: &[u8], p: &[f64], visit: Option<usize>) -> u64 {
     wrong
 }
 
-/// A seed of its own for each slot (the finaliser of splitmix64; G. Steele et al., OOPSLA 2014).
+/// A different seed for each slot (the finaliser of splitmix64; G. Steele et al., OOPSLA 2014).
 fn mixed(seed: u64, slot: usize) -> u64 {
     let mut mixed = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(slot as u64).wrapping_add(1);
     mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -1,4 +1,4 @@
-//! What an exploration writes: a row per pair, the error of every week, and a picture.
+//! What an exploration writes: a row per result, the error of every week, and a picture.
 //!
 //! Invariant: the table on stdout and `results.csv` are the same table; errors are in percent of all states.
 
@@ -11,7 +11,7 @@ use super::{Exploration, PlacesProtocol, WEEK_DAYS, picture};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, TableWriter};
 
-/// Writes a row per pair.
+/// Writes a row per result.
 ///
 /// Columns: strategy, model, error_percent over the whole world and its standard error over seeds, the same of the weeks
 /// that are scored apart where there are such, and visits_per_day.
@@ -28,15 +28,15 @@ pub fn summary<W: Write>(
     }
     columns.push("visits_per_day".to_owned());
     let mut table = TableWriter::new(format, &columns, writer);
-    for pair in &outcome.pairs {
-        let mut cells = vec![Cell::from(pair.plan.name()), Cell::Text(pair.model.name())];
+    for result in &outcome.results {
+        let mut cells = vec![Cell::from(result.strategy.name()), Cell::Text(result.model.name())];
         let apart = protocol.weeks.map(|(first, last)| (first - 1) * WEEK_DAYS..last * WEEK_DAYS);
         for days in std::iter::once(0..outcome.days).chain(apart) {
-            let error = pair.error(days);
+            let error = result.error(days);
             cells.push((100.0 * error.mean).into());
             cells.push(Cell::maybe(error.standard_error.map(|error| 100.0 * error)));
         }
-        cells.push(pair.visits_per_day.into());
+        cells.push(result.visits_per_day.into());
         table.row(cells)?;
     }
     table.finish()
@@ -49,16 +49,16 @@ pub fn write(protocol: &PlacesProtocol, outcome: &Exploration, folder: &Path) ->
     file(folder, "exploration.svg", |writer| writer.write_all(picture::draw(protocol, outcome).as_bytes()))
 }
 
-/// Every pair's error in every week; the last week may be short.
+/// Every result's error in every week; the last week may be short.
 fn weeks<W: Write>(outcome: &Exploration, writer: W) -> io::Result<()> {
     let mut table =
         TableWriter::new(Format::Csv, &["strategy", "model", "week", "error_percent", "standard_error"], writer);
-    for pair in &outcome.pairs {
+    for result in &outcome.results {
         for (week, from) in (1_u64..).zip((0..outcome.days).step_by(WEEK_DAYS)) {
-            let error = pair.error(from..outcome.days.min(from + WEEK_DAYS));
+            let error = result.error(from..outcome.days.min(from + WEEK_DAYS));
             table.row(vec![
-                Cell::from(pair.plan.name()),
-                Cell::Text(pair.model.name()),
+                Cell::from(result.strategy.name()),
+                Cell::Text(result.model.name()),
                 week.into(),
                 (100.0 * error.mean).into(),
                 Cell::maybe(error.standard_error.map(|error| 100.0 * error)),

@@ -42,9 +42,9 @@ fn regular(days: usize) -> PlaceRecording {
     PlaceRecording::parse(&rows, 30).unwrap()
 }
 
-fn error(outcome: &Exploration, plan: VisitStrategy, model: &str, days: std::ops::Range<usize>) -> f64 {
-    let pair = outcome.pairs.iter().find(|pair| pair.plan == plan && pair.model.name() == model);
-    100.0 * pair.unwrap_or_else(|| panic!("{} {model}", plan.name())).error(days).mean
+fn error(outcome: &Exploration, strategy: VisitStrategy, model: &str, days: std::ops::Range<usize>) -> f64 {
+    let result = outcome.results.iter().find(|result| result.strategy == strategy && result.model.name() == model);
+    100.0 * result.unwrap_or_else(|| panic!("{} {model}", strategy.name())).error(days).mean
 }
 
 #[test]
@@ -52,7 +52,7 @@ fn a_protocol_is_read_and_has_defaults() {
     let read = protocol(PROTOCOL);
     assert_eq!((read.world, read.out), (PathBuf::from("lab/flat.txt"), PathBuf::from("lab/results")));
     assert_eq!((read.slot_minutes, read.seeds, read.weeks), (30, 3, Some((2, 3))));
-    assert_eq!(read.plans, [VisitStrategy::RoundRobin, VisitStrategy::OnlineError]);
+    assert_eq!(read.strategies, [VisitStrategy::RoundRobin, VisitStrategy::OnlineError]);
     assert_eq!(read.models[1], BeliefModel::Each { kind: LearnerKind::Spectral, blend: Blend::Persistence });
     let least = protocol("world: w\nstrategies: greedy\nmodels: presence\nout: o\n");
     assert_eq!((least.name.as_str(), least.slot_minutes, least.seeds, least.weeks), ("stem", 10, 5, None));
@@ -71,7 +71,7 @@ fn what_a_protocol_says_wrongly_is_named() {
         ("slot: 30m", "slot: 2d", "line 3: slot is \"2d\""),
         ("exploration: 0.25", "exploration: 1.5", "line 4: exploration is \"1.5\""),
         ("exploration: 0.25", "exploration: .nan", "line 4: exploration is"),
-        ("seeds: 3", "seeds: 0", "line 5: seeds is \"0\": it has to be a number of runs from 1 to 1000"),
+        ("seeds: 3", "seeds: 0", "line 5: seeds is \"0\": it has to be a whole number from 1 to 1000"),
         ("weeks: [2, 3]", "weeks: [3, 2]", "line 6: weeks is \"2\": it has to be the first and the last week"),
         ("weeks: [2, 3]", "weeks: [0, 2]", "line 6: weeks is \"0\""),
         ("weeks: [2, 3]", "weeks: 2", "line 6: weeks is \"2\""),
@@ -129,9 +129,9 @@ fn of_a_regular_life_all_but_the_surprise_is_learned() {
     assert!(late(VisitStrategy::RoundRobin, "presence") > 10.0);
     let best = late(VisitStrategy::OnlineError, "presence");
     assert!(best < 5.0, "{best}");
-    for pair in &outcome.pairs {
-        assert!((pair.visits_per_day - 12.0).abs() < 1e-12, "{}", pair.visits_per_day);
-        assert_eq!((pair.days.len(), pair.days[0].len()), (3, 28));
+    for result in &outcome.results {
+        assert!((result.visits_per_day - 12.0).abs() < 1e-12, "{}", result.visits_per_day);
+        assert_eq!((result.days.len(), result.days[0].len()), (3, 28));
     }
 }
 
@@ -140,8 +140,8 @@ fn nothing_is_known_before_it_is_seen() {
     // Without a visit a state is not believed to be on: one place of four is wrong in every minute, forever.
     let text = PROTOCOL.replace("exploration: 0.25", "exploration: 0");
     let outcome = explore(&regular(21), &protocol(&text), &|_, _| ()).unwrap();
-    for pair in &outcome.pairs {
-        assert!((pair.error(0..21).mean - 0.25).abs() < 1e-12, "{} {:?}", pair.model.name(), pair.error(0..21));
+    for result in &outcome.results {
+        assert!((result.error(0..21).mean - 0.25).abs() < 1e-12, "{} {:?}", result.model.name(), result.error(0..21));
     }
     // What comes later changes nothing before.
     let all = "round-robin, random, greedy, monte-carlo, novelty-driven, online, online-error";
@@ -152,7 +152,7 @@ fn nothing_is_known_before_it_is_seen() {
         .replace("seeds: 3", "seeds: 1");
     let (short, long) = (regular(7), regular(9));
     let run = |world: &PlaceRecording| explore(world, &protocol(&text), &|_, _| ()).unwrap();
-    for (short, long) in run(&short).pairs.iter().zip(run(&long).pairs) {
+    for (short, long) in run(&short).results.iter().zip(run(&long).results) {
         assert_eq!(short.days[0], long.days[0][..7]);
     }
 }
@@ -160,7 +160,7 @@ fn nothing_is_known_before_it_is_seen() {
 #[test]
 fn a_seed_repeats_and_another_differs() {
     let text = PROTOCOL.replace("round-robin, online-error", "monte-carlo").replace("mean, spectral+persistence, ", "");
-    let run = || explore(&regular(5), &protocol(&text), &|_, _| ()).unwrap().pairs.remove(0);
+    let run = || explore(&regular(5), &protocol(&text), &|_, _| ()).unwrap().results.remove(0);
     let (first, again) = (run(), run());
     assert_eq!(first.days, again.days);
     assert_ne!(first.days[0], first.days[1]);

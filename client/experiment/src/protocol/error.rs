@@ -1,62 +1,37 @@
-//! What can be wrong with a protocol.
+//! Why a protocol is refused.
 //!
-//! Invariant: a message names line and key, what was found, and what would be right.
+//! Invariant: a message names line and key, the value found, and the values allowed.
 
 use std::io;
 
 use super::raw::Word;
 
-/// Why a protocol was refused.
+/// Why a protocol is refused.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum ProtocolError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// It is no protocol.
+    /// The file is too long for a protocol.
     #[error("the file has {found} bytes, and a protocol has at most {most}; is it a file of data?")]
-    TooLong {
-        /// Its length.
-        found: u64,
-        /// The most.
-        most: u64,
-    },
-    /// It is not YAML, or has a key or a shape that no protocol has.
+    TooLong { found: u64, most: u64 },
+    /// The file is not YAML, or has unknown keys.
     #[error("{0}")]
     Yaml(String),
-    /// A key that has to be there.
+    /// A required key is missing.
     #[error("key {key} is missing: write {right}")]
-    Missing {
-        /// Which.
-        key: &'static str,
-        /// What would be right.
-        right: String,
-    },
-    /// A value that may not be.
+    Missing { key: &'static str, right: String },
+    /// A value is not allowed.
     #[error("line {line}: {key} is {found:?}: it has to be {right}")]
-    Value {
-        /// Of the value, from 1.
-        line: u64,
-        /// Which key.
-        key: String,
-        /// What was written.
-        found: String,
-        /// What would be right.
-        right: String,
-    },
-    /// A model with parameters that do not go together, or a list that nothing chooses from.
+    Value { line: u64, key: String, found: String, right: String },
+    /// The parameters of a model exclude each other, or a list of values has no tuning to choose from it.
     #[error("line {line}: model {model}: {wrong}")]
-    Model {
-        /// Of the model or its parameter, from 1.
-        line: u64,
-        /// Which model.
-        model: String,
-        /// What is wrong, and what would be right.
-        wrong: String,
-    },
+    Model { line: u64, model: String, wrong: String },
 }
 
 impl ProtocolError {
-    /// From the parser, which says the line itself.
+    /// An error of the YAML parser, which names the line itself.
     pub(crate) fn yaml(error: &serde_saphyr::Error) -> Self {
         let message = error.without_snippet().to_string();
         Self::Yaml(message.trim_start_matches("error: ").lines().collect::<Vec<_>>().join(" "))
@@ -75,7 +50,7 @@ impl ProtocolError {
         Self::Model { line, model: model.text.clone(), wrong: wrong.into() }
     }
 
-    /// Whether the file is there and says something wrong, in contrast to one that cannot be read.
+    /// Whether the file could be read, so that the error is in its content.
     pub fn is_misuse(&self) -> bool {
         !matches!(self, Self::Io(_))
     }

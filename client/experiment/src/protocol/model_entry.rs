@@ -1,7 +1,7 @@
-//! The models of a protocol, each with the candidates that its lists of parameters span.
+//! The models of a protocol, each with the parameter sets that its lists of values span.
 //!
-//! Invariant: a entry has at least one candidate, and more than one only where the protocol tunes; candidates come in
-//! the order written, the last parameter changing first.
+//! Invariant: an entry has at least one parameter set, and several only if the protocol tunes. Sets are in the order of
+//! the lists; the last parameter changes fastest.
 
 use super::{
     super::parameter_set::{CandidateKind, ParameterSet, ValueKind, WrongParameter, parameter_names},
@@ -9,28 +9,35 @@ use super::{
     raw::{RawModel, Word, Words},
 };
 
-/// Most candidates of one model.
-const CANDIDATES_MAX: usize = 10_000;
-/// The parameter that is no parameter of a model but what it is called.
+/// Maximum number of parameter sets of one model.
+const PARAMETER_SETS_MAX: usize = 10_000;
+/// The key that sets the display name of a model; not a model parameter.
 const NAME: &str = "name";
 
-/// A model that is compared.
+/// A model of a comparison.
 #[derive(Clone, Debug)]
 pub struct ModelEntry {
-    /// What it is called in results: its kind, or the name that was given to it.
+    /// Its name in results: that of its kind, unless the protocol sets another.
     pub label: String,
-    /// What it may be; tuning chooses one.
-    pub candidates: Vec<ParameterSet>,
+    /// Its parameter sets; tuning chooses one.
+    pub sets: Vec<ParameterSet>,
 }
 
 /// Reads the models.
-pub(crate) fn read(models: &[RawModel], values: ValueKind, tunes: bool) -> Result<Vec<ModelEntry>, ProtocolError> {
+pub(crate) fn read(
+    models: Option<Vec<RawModel>>,
+    values: ValueKind,
+    tunes: bool,
+) -> Result<Vec<ModelEntry>, ProtocolError> {
+    let models = models.filter(|models| !models.is_empty());
+    let models =
+        models.ok_or_else(|| ProtocolError::missing("models", "a list of models, such as [mean, spectral]"))?;
     let mut entries: Vec<ModelEntry> = Vec::with_capacity(models.len());
-    for model in models {
+    for model in &models {
         let entry = entry(model, values, tunes)?;
         if entries.iter().any(|other| other.label == entry.label) {
             let wrong = format!(
-                "two models are called {:?}: give one a name of its own, as in {}: {{name: other}}",
+                "two models have the name {:?}: set another name, as in {}: {{name: other}}",
                 entry.label, model.kind.text
             );
             return Err(ProtocolError::model(model.kind.line, &model.kind, wrong));
@@ -71,11 +78,9 @@ fn entry(model: &RawModel, values: ValueKind, tunes: bool) -> Result<ModelEntry,
         }
         axes.push((name, values));
     }
-    let candidates = combinations(written, &axes)?
-        .into_iter()
-        .map(|chosen| candidate(kind, written, &chosen))
-        .collect::<Result<_, _>>()?;
-    Ok(ModelEntry { label, candidates })
+    let sets = combinations(written, &axes)?;
+    let sets = sets.iter().map(|chosen| parameter_set(kind, written, chosen)).collect::<Result<_, _>>()?;
+    Ok(ModelEntry { label, sets })
 }
 
 fn name(values: &Words) -> Result<String, ProtocolError> {
@@ -101,11 +106,11 @@ fn parameter_named(kind: CandidateKind, model: &Word, parameter: &Word) -> Resul
 
 type Combination<'a> = Vec<(&'static str, &'a Word)>;
 
-/// Every way to choose a value of each parameter.
+/// All combinations of one value for each parameter.
 fn combinations<'a>(model: &Word, axes: &[(&'static str, &'a Words)]) -> Result<Vec<Combination<'a>>, ProtocolError> {
     let count = axes.iter().try_fold(1, |count: usize, (_, values)| count.checked_mul(values.words.len()));
-    if count.is_none_or(|count| count > CANDIDATES_MAX) {
-        let wrong = format!("its lists span more than {CANDIDATES_MAX} combinations: shorten them");
+    if count.is_none_or(|count| count > PARAMETER_SETS_MAX) {
+        let wrong = format!("its lists span more than {PARAMETER_SETS_MAX} combinations: shorten them");
         return Err(ProtocolError::model(model.line, model, wrong));
     }
     let mut chosen: Vec<Combination<'a>> = vec![Vec::new()];
@@ -116,7 +121,7 @@ fn combinations<'a>(model: &Word, axes: &[(&'static str, &'a Words)]) -> Result<
     Ok(chosen)
 }
 
-fn candidate(
+fn parameter_set(
     kind: CandidateKind,
     model: &Word,
     chosen: &[(&'static str, &Word)],

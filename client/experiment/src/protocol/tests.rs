@@ -64,7 +64,7 @@ fn everything_of_a_protocol_is_read() {
     let models: Vec<(&str, Vec<&str>)> = protocol
         .models
         .iter()
-        .map(|model| (&*model.label, model.candidates.iter().map(|candidate| candidate.shown()).collect()))
+        .map(|model| (&*model.label, model.sets.iter().map(|set| set.shown()).collect()))
         .collect();
     let histograms = ["bins=12 cycle=day", "bins=12 cycle=week", "bins=24 cycle=day", "bins=24 cycle=week"].to_vec();
     assert_eq!(
@@ -185,7 +185,7 @@ fn missing_keys_are_named() {
 fn two_models_of_one_name_are_refused() {
     assert_eq!(
         refused_with("  - calibrated:", "  - mean"),
-        "line 11: model mean: two models are called \"mean\": give one a name of its own, as in mean: {name: other}"
+        "line 11: model mean: two models have the name \"mean\": set another name, as in mean: {name: other}"
     );
 }
 

@@ -1,11 +1,8 @@
-//! Whom to look for, where, and by which models, as a file says.
+//! The protocol of searches: map, recording, models and tuning.
 //!
-//! Invariant: a protocol that was read can be run on every world that is long enough. Paths are relative to its file.
+//! Invariant: a protocol that was read can be run on every recording that is long enough. Paths are relative to its file.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
@@ -14,32 +11,32 @@ use crate::{
     parameter_set::ValueKind,
     place_recording::DAY_MINUTES,
     protocol::{
-        FILE_BYTES_MAX, ModelEntry, ProtocolError, model_entry,
-        raw::{RawModel, RawTuning, Word},
+        ModelEntry, OUT, ProtocolError, model_entry,
+        raw::{ProtocolFile, RawModel, RawTuning, Word, from_yaml, parsed, required, whole},
         tuning,
     },
 };
 
 const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
-/// Most days to learn: ten years.
+/// Maximum number of training days: ten years.
 const TRAIN_DAYS_MAX: usize = 3_660;
 
-/// What a protocol says.
+/// The protocol of searches.
 #[derive(Debug)]
 pub struct SearchProtocol {
-    /// The places and ways.
+    /// The file of the topological map.
     pub topology: PathBuf,
-    /// Where the person was.
+    /// The file of the recording.
     pub world: PathBuf,
     /// The first local midnight, nanoseconds since 1970-01-01T00:00 local.
     pub first_nanos: i64,
     /// Name of the node where the robot starts.
     pub start: String,
-    /// Minutes that are learned, from the first on; whole days.
+    /// Minutes of training data from the start of the recording; whole days.
     pub train_minutes: usize,
-    /// Pieces of what is learned that parameters are chosen on; 0: none are chosen.
+    /// Folds of the training data on which parameters are tuned; 0: no tuning.
     pub folds: usize,
-    /// Minutes of each.
+    /// Length of a fold.
     pub fold_minutes: usize,
     /// The models, at least one.
     pub models: Vec<ModelEntry>,
@@ -64,41 +61,31 @@ struct RawSearchProtocol {
 /// Reads a protocol.
 ///
 /// # Errors
-/// [`ProtocolError`], with line, key, what was found and what would be right.
+/// [`ProtocolError`], with line, key, the value found and the values allowed.
 pub fn read(path: &Path) -> Result<SearchProtocol, ProtocolError> {
-    let length = fs::metadata(path)?.len();
-    if length > FILE_BYTES_MAX {
-        return Err(ProtocolError::TooLong { found: length, most: FILE_BYTES_MAX });
-    }
-    let folder = path.parent().unwrap_or_else(|| Path::new(""));
-    parse(&fs::read_to_string(path)?, folder)
+    let file = ProtocolFile::read(path)?;
+    parse(&file.text, &file.folder)
 }
 
-/// Makes a protocol of a text.
+/// Parses a protocol.
 pub fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, ProtocolError> {
-    let written: RawSearchProtocol = serde_saphyr::from_str(text).map_err(|error| ProtocolError::yaml(&error))?;
-    let topology = filled(written.topology, "topology", "the file of nodes and links, as `topology load` reads it")?;
-    let world = filled(written.world, "world", "the file of the world, with rows of FROM UNTIL PLACE in minutes")?;
-    let first_day = filled(written.first_day, "first_day", "the date that the world begins with, as 2010-11-04")?;
-    let first_nanos = midnight_nanos(&first_day.text)
-        .filter(|nanos| nanos.abs() < i64::MAX / 2)
-        .ok_or_else(|| ProtocolError::value("first_day", &first_day, "a date such as 2010-11-04"))?;
-    let start = filled(written.start, "start", "the name of the node where the robot starts")?;
-    let days = filled(written.train_days, "train_days", "how many days are learned before the first search, as 28")?;
-    let train_days = days.text.parse().ok().filter(|days| (1..=TRAIN_DAYS_MAX).contains(days));
-    let train_days: usize = train_days.ok_or_else(|| {
-        ProtocolError::value("train_days", &days, &format!("a whole number of days from 1 to {TRAIN_DAYS_MAX}"))
+    let written: RawSearchProtocol = from_yaml(text)?;
+    let topology = required(written.topology, "topology", "the file of nodes and links, as `topology load` reads it")?;
+    let world = required(written.world, "world", "the file of the world, with rows of FROM UNTIL PLACE in minutes")?;
+    let first_day = required(written.first_day, "first_day", "the first date of the recording, such as 2010-11-04")?;
+    let first_nanos = parsed(&first_day, "first_day", "a date such as 2010-11-04", |text| {
+        midnight_nanos(text).filter(|nanos| nanos.abs() < i64::MAX / 2)
     })?;
-    let train_minutes = train_days * DAY_MINUTES;
+    let start = required(written.start, "start", "the name of the node where the robot starts")?;
+    let days =
+        required(written.train_days, "train_days", "the number of training days before the first search, such as 28")?;
+    let train_minutes = whole(&days, "train_days", 1..=TRAIN_DAYS_MAX)? * DAY_MINUTES;
     let (folds, fold_minutes) = match written.tuning {
         None => (0, 0),
-        Some(written) => chosen_on(written, train_minutes)?,
+        Some(written) => folds_of(written, train_minutes)?,
     };
-    let models = match written.models {
-        Some(models) if !models.is_empty() => model_entry::read(&models, ValueKind::Probability, folds > 0)?,
-        _ => return Err(ProtocolError::missing("models", "a list of models, such as [mean, spectral]")),
-    };
-    let out = filled(written.out, "out", "the folder that results are written to")?;
+    let models = model_entry::read(written.models, ValueKind::Probability, folds > 0)?;
+    let out = required(written.out, "out", OUT)?;
     Ok(SearchProtocol {
         topology: folder.join(topology.text),
         world: folder.join(world.text),
@@ -112,16 +99,8 @@ pub fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, ProtocolError>
     })
 }
 
-fn filled(word: Option<Word>, key: &'static str, right: &str) -> Result<Word, ProtocolError> {
-    match word {
-        Some(word) if word.text.is_empty() => Err(ProtocolError::value(key, &word, right)),
-        Some(word) => Ok(word),
-        None => Err(ProtocolError::missing(key, right)),
-    }
-}
-
-/// How many folds of how many minutes, of which some minutes are left to learn before the first.
-fn chosen_on(written: RawTuning, train_minutes: usize) -> Result<(usize, usize), ProtocolError> {
+/// Number of folds and minutes of each; some training data must be left before the first.
+fn folds_of(written: RawTuning, train_minutes: usize) -> Result<(usize, usize), ProtocolError> {
     let fold = written.fold.clone();
     let tuning = tuning(written)?;
     let wrong = |right: &str| ProtocolError::value("fold", &fold, right);
@@ -130,7 +109,7 @@ fn chosen_on(written: RawTuning, train_minutes: usize) -> Result<(usize, usize),
     }
     let fold_minutes = usize::try_from(tuning.fold_nanos / MINUTE_NANOS).unwrap_or(usize::MAX);
     if fold_minutes.checked_mul(tuning.folds).is_none_or(|all| all >= train_minutes) {
-        return Err(wrong("so short that all folds are less than train_days: before the first something is learned"));
+        return Err(wrong("so short that all folds are less than train_days, to leave training data before the first"));
     }
     Ok((tuning.folds, fold_minutes))
 }

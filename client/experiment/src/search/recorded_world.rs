@@ -1,10 +1,10 @@
-//! Places with the ways between them, and where the person was in every minute.
+//! A topological map, and the node where the person was in every minute.
 //!
-//! Invariant: every node can be reached from the start; a minute's place is a node, or none where the world's place is not in
-//! the topology.
+//! Invariant: every node is reachable from the start; a minute has no node if the recorded place is not in the topology.
 
 use std::fs;
 
+use tidemap_formats::topology::{TopologyFile, read_lines, read_yaml};
 use tidemap_map::{
     name::StateName,
     topology::{Extent, NodeId, Roads, ShortestTimes, Topology},
@@ -13,22 +13,21 @@ use tidemap_model::{Sample, models::Moment};
 
 use super::{ReplayError, SearchProtocol};
 use crate::place_recording::{DAY_MINUTES, PlaceRecording};
-use tidemap_formats::topology::{TopologyFile, read_lines, read_yaml};
 
-/// How fast the robot drives where an edge has a length alone, in metres per second: as the service without being told.
-const SPEED_M_PER_SEC: f64 = 0.5;
+/// The robot's speed on edges that have a length only: the default of the service.
+const SPEED_M_PER_S: f64 = 0.5;
 const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 
-/// Where is looked, and for whom.
+/// The recorded world of searches.
 #[derive(Debug)]
 pub struct RecordedWorld {
     /// Names of the nodes.
     pub names: Vec<String>,
-    /// The ways.
+    /// Travel times along the edges.
     pub roads: Roads,
     /// Where the robot starts.
     pub start: NodeId,
-    /// Index of the node where the person is, by minute; `None`: nowhere that is looked at.
+    /// Index of the node where the person is, by minute; none: at no node.
     rooms: Vec<Option<usize>>,
     /// The first local midnight, nanoseconds since 1970-01-01T00:00 local.
     first_nanos: i64,
@@ -49,7 +48,7 @@ impl RecordedWorld {
         RecordedWorld::new(&written, &world, protocol).map_err(wrong)
     }
 
-    /// Puts places and persons together.
+    /// Combines topology and recording.
     pub fn new(
         written: &TopologyFile,
         world: &PlaceRecording,
@@ -58,7 +57,7 @@ impl RecordedWorld {
         let topology = topology(written)?;
         let names: Vec<String> = written.nodes.iter().map(|node| node.name.clone()).collect();
         let start = topology.node_named(&protocol.start).map_err(|error| format!("start: {error}"))?.id;
-        let roads = Roads::new(&topology, |edge| Some(edge.extent.secs_at(SPEED_M_PER_SEC)))
+        let roads = Roads::new(&topology, |edge| Some(edge.extent.secs_at(SPEED_M_PER_S)))
             .map_err(|error| error.to_string())?;
         let mut shortest = ShortestTimes::default();
         let index = roads.index_of(start).unwrap_or_default();
@@ -78,23 +77,23 @@ impl RecordedWorld {
         Ok(RecordedWorld { names, roads, start, rooms, first_nanos: protocol.first_nanos })
     }
 
-    /// How many minutes there are.
+    /// Number of minutes.
     pub fn minutes(&self) -> usize {
         self.rooms.len()
     }
 
-    /// Where the person is in a minute: the index of the node.
+    /// Index of the node where the person is in a minute.
     pub fn room(&self, minute: usize) -> Option<usize> {
         self.rooms.get(minute).copied().flatten()
     }
 
-    /// When a minute begins.
+    /// The start of a minute.
     pub fn moment(&self, minute: usize) -> Moment {
-        // A world has ten years of minutes at most.
+        // A recording has at most ten years of minutes.
         Moment { utc_nanos: self.first_nanos + minute as i64 * MINUTE_NANOS, offset_secs: 0 }
     }
 
-    /// Whether the person was at a node, in every minute before one.
+    /// Whether the person was at a node, for every minute before `until`.
     pub fn samples(&self, node: usize, until: usize) -> Vec<Sample> {
         let sample = |minute: usize| Sample {
             utc_nanos: self.moment(minute).utc_nanos,
@@ -105,7 +104,7 @@ impl RecordedWorld {
     }
 }
 
-/// A topology as a file says.
+/// The topology of a file.
 fn topology(written: &TopologyFile) -> Result<Topology, String> {
     let mut topology = Topology::new();
     let name = |text: &str| StateName::new(text).map_err(|error| format!("node {text:?}: {error}"));
@@ -126,7 +125,7 @@ fn topology(written: &TopologyFile) -> Result<Topology, String> {
     Ok(topology)
 }
 
-/// The local midnight that a date begins with, in nanoseconds since 1970-01-01T00:00 local; `None` where it is none.
+/// The local midnight at which a date starts, in nanoseconds since 1970-01-01T00:00 local; none if `date` is no date.
 pub fn midnight_nanos(date: &str) -> Option<i64> {
     let date: jiff::civil::Date = date.parse().ok()?;
     let timestamp = date.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp();

@@ -1,6 +1,6 @@
-//! What searches write: a row per model, and every candidate that was tried.
+//! The output of searches: a row for each model, and every trial of the tuning.
 //!
-//! Invariant: the table on stdout and `results.csv` are the same table.
+//! Invariant: the table on stdout and `results.csv` are the same.
 
 use std::{
     io::{self, Write},
@@ -11,10 +11,10 @@ use super::{SearchComparison, SearchProtocol};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, TableWriter};
 
-/// Writes a row per model.
+/// Writes a row for each model.
 ///
-/// Columns: model, parameters, searches, then when the person was found: mean, median, quartiles and the time within which nine
-/// of ten searches end.
+/// Columns: model, parameters, number of searches, then the time until the person is found: mean, median, quartiles and
+/// 90th percentile.
 pub fn summary<W: Write>(outcome: &SearchComparison, format: Format, writer: W) -> io::Result<()> {
     let columns = [
         "model",
@@ -31,10 +31,10 @@ pub fn summary<W: Write>(outcome: &SearchComparison, format: Format, writer: W) 
         let mut cells = vec![
             Cell::Text(row.label.clone()),
             Cell::Text(row.parameters.clone()),
-            (row.found.count() as u64).into(),
-            row.found.mean_secs().into(),
+            (row.times.count() as u64).into(),
+            row.times.mean_secs().into(),
         ];
-        cells.extend([0.5, 0.25, 0.75, 0.9].map(|share| Cell::from(row.found.quantile_secs(share))));
+        cells.extend([0.5, 0.25, 0.75, 0.9].map(|share| Cell::from(row.times.quantile_secs(share))));
         table.row(cells)?;
     }
     table.finish()
@@ -49,7 +49,7 @@ pub fn write(protocol: &SearchProtocol, outcome: &SearchComparison, folder: &Pat
     file(folder, "folds.csv", |writer| trials(protocol, outcome, writer))
 }
 
-/// Every candidate on every fold.
+/// Every parameter set on every fold.
 fn trials<W: Write>(protocol: &SearchProtocol, outcome: &SearchComparison, writer: W) -> io::Result<()> {
     let columns = ["model", "parameters", "fold", "mean_secs", "mean_of_folds_secs", "chosen"];
     let mut table = TableWriter::new(Format::Csv, &columns, writer);
@@ -58,11 +58,11 @@ fn trials<W: Write>(protocol: &SearchProtocol, outcome: &SearchComparison, write
         for (number, &mean_secs) in (1_u64..).zip(&trial.folds) {
             table.row(vec![
                 Cell::Text(model.label.clone()),
-                model.candidates[trial.candidate].shown().into(),
+                model.sets[trial.set].shown().into(),
                 number.into(),
                 mean_secs.into(),
-                trial.mean_secs().into(),
-                Cell::Flag(trial.chosen),
+                trial.error.into(),
+                Cell::Flag(trial.is_chosen),
             ])?;
         }
     }

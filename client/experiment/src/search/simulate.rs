@@ -1,6 +1,6 @@
-//! The searches themselves: for each minute a walk by what is expected then, and when it comes to where the person is.
+//! The searches: for every minute a plan by the predicted presence, and the time at which it reaches the person.
 //!
-//! Invariant: equal expectations give the same walk, so that it is planned once where they follow one another.
+//! Invariant: consecutive minutes with equal predictions share one plan.
 
 use std::ops::Range;
 
@@ -13,10 +13,10 @@ use crate::{
     protocol::ModelEntry,
 };
 
-/// Minutes that are searched one after another by one thread.
-const PIECE: usize = 1440;
+/// Consecutive minutes that one job searches.
+const JOB_MINUTES: usize = 1440;
 
-/// When the person was found.
+/// The times until the person was found.
 #[derive(Clone, Debug, Default)]
 pub struct FindTimes {
     /// Seconds after the robot left its start, ascending.
@@ -24,22 +24,17 @@ pub struct FindTimes {
 }
 
 impl FindTimes {
-    fn of(mut secs: Vec<f64>) -> FindTimes {
-        secs.sort_by(f64::total_cmp);
-        FindTimes { secs }
-    }
-
-    /// How many searches there were.
+    /// Number of searches.
     pub fn count(&self) -> usize {
         self.secs.len()
     }
 
-    /// The mean, in seconds.
+    /// The mean.
     pub fn mean_secs(&self) -> f64 {
         self.secs.iter().sum::<f64>() / self.secs.len().max(1) as f64
     }
 
-    /// The time within which a share of the searches, 0 to 1, has found her: 0.5 is the median, of two middle ones the later.
+    /// A quantile; `share` is 0.5 for the median. Between two values: the later.
     pub fn quantile_secs(&self, share: f64) -> f64 {
         let last = self.secs.len().saturating_sub(1);
         let at = (share * self.secs.len() as f64) as usize;
@@ -47,29 +42,28 @@ impl FindTimes {
     }
 }
 
-/// Searches of some minutes by a candidate of a model that has learned all before the minute `learned`.
+/// Searches in the given minutes by a parameter set of a model that is trained on all minutes before `train_minutes`.
 pub fn by_model(
     world: &RecordedWorld,
     entry: &ModelEntry,
-    candidate: usize,
-    learned: usize,
+    set: usize,
+    train_minutes: usize,
     minutes: Range<usize>,
 ) -> Result<FindTimes, ReplayError> {
-    let chosen = &entry.candidates[candidate];
+    let set = &entry.sets[set];
     let models = (0..world.names.len())
         .into_par_iter()
         .map(|node| {
-            chosen.fit(&world.samples(node, learned), ValueKind::Probability).map_err(|refused| {
-                let model = format!("{} {}", entry.label, chosen.shown());
-                let (model, place) = (model.trim_end().to_owned(), world.names[node].clone());
-                ReplayError::Fit { model, place, refused }
+            set.fit(&world.samples(node, train_minutes), ValueKind::Probability).map_err(|refused| {
+                let model = format!("{} {}", entry.label, set.shown()).trim_end().to_owned();
+                ReplayError::Fit { model, place: world.names[node].clone(), refused }
             })
         })
         .collect::<Result<Vec<FittedModel>, ReplayError>>()?;
     find(world, minutes, |node, minute| models[node].predict(world.moment(minute)))
 }
 
-/// Searches by who knows where the person is.
+/// Searches by an oracle that knows where the person is.
 pub fn by_truth(world: &RecordedWorld, minutes: Range<usize>) -> Result<FindTimes, ReplayError> {
     find(world, minutes, |node, minute| f64::from(u8::from(world.room(minute) == Some(node))))
 }
@@ -77,40 +71,40 @@ pub fn by_truth(world: &RecordedWorld, minutes: Range<usize>) -> Result<FindTime
 fn find(
     world: &RecordedWorld,
     minutes: Range<usize>,
-    expect: impl Fn(usize, usize) -> f64 + Sync,
+    predict: impl Fn(usize, usize) -> f64 + Sync,
 ) -> Result<FindTimes, ReplayError> {
-    let pieces: Vec<Range<usize>> =
-        minutes.clone().step_by(PIECE).map(|from| from..minutes.end.min(from + PIECE)).collect();
-    let found = pieces
+    let starts: Vec<usize> = minutes.clone().step_by(JOB_MINUTES).collect();
+    let mut secs = starts
         .into_par_iter()
-        .map(|piece| {
-            let mut found = Vec::with_capacity(piece.len());
+        .map(|start| {
+            let mut secs = Vec::with_capacity(JOB_MINUTES);
             let mut last: (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
-            for minute in piece {
+            for minute in start..minutes.end.min(start + JOB_MINUTES) {
                 let Some(room) = world.room(minute) else { continue };
-                let expected: Vec<f64> =
-                    (0..world.names.len()).map(|node| expect(node, minute).clamp(0.0, 1.0)).collect();
-                if expected != last.0 {
-                    last = (expected.clone(), arrivals(world, &expected)?);
+                let predicted: Vec<f64> =
+                    (0..world.names.len()).map(|node| predict(node, minute).clamp(0.0, 1.0)).collect();
+                if predicted != last.0 {
+                    last = (predicted.clone(), arrivals(world, &predicted)?);
                 }
-                found.push(last.1[room]);
+                secs.push(last.1[room]);
             }
-            Ok(found)
+            Ok(secs)
         })
         .collect::<Result<Vec<Vec<f64>>, SearchError>>()?
         .concat();
-    if found.is_empty() {
+    if secs.is_empty() {
         return Err(ReplayError::Nobody { from: minutes.start, until: minutes.end });
     }
-    Ok(FindTimes::of(found))
+    secs.sort_by(f64::total_cmp);
+    Ok(FindTimes { secs })
 }
 
-/// When the robot comes to each node, in seconds after it left its start.
-fn arrivals(world: &RecordedWorld, expected: &[f64]) -> Result<Vec<f64>, SearchError> {
+/// When the robot arrives at each node, in seconds after it left its start.
+fn arrivals(world: &RecordedWorld, predicted: &[f64]) -> Result<Vec<f64>, SearchError> {
     let goal = |(index, &probability): (usize, &f64)| Goal { node: world.roads.node(index), probability };
-    let goals: Vec<Goal> = expected.iter().enumerate().map(goal).collect();
+    let goals: Vec<Goal> = predicted.iter().enumerate().map(goal).collect();
     let plan = search(&world.roads, world.start, &goals, &SearchOptions::default(), || false)?;
-    let mut arrivals = vec![f64::INFINITY; expected.len()];
+    let mut arrivals = vec![f64::INFINITY; predicted.len()];
     for step in &plan.steps {
         if let Some(index) = world.roads.index_of(step.node) {
             arrivals[index] = step.arrival_secs;

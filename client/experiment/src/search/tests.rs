@@ -52,7 +52,7 @@ fn searched(protocol: &str, rooms: &str, world: &str) -> Result<SearchComparison
 }
 
 fn mean_secs(outcome: &SearchComparison, label: &str) -> f64 {
-    outcome.rows.iter().find(|row| row.label == label).unwrap().found.mean_secs()
+    outcome.rows.iter().find(|row| row.label == label).unwrap().times.mean_secs()
 }
 
 #[test]
@@ -66,8 +66,8 @@ fn who_knows_her_hours_finds_her_as_fast_as_who_knows_where_she_is() {
     let shares = (8.0 * 20.0 + 6.0 * 5.0) / 14.0;
     assert!((mean_secs(&outcome, "mean") - shares).abs() < 1e-9);
     let row = &outcome.rows[0];
-    assert_eq!((row.label.as_str(), row.found.count()), ("mean", 7 * 14 * 60));
-    assert_eq!([0.0, 0.4, 0.5, 1.0].map(|share| row.found.quantile_secs(share)), [5.0, 5.0, 20.0, 20.0]);
+    assert_eq!((row.label.as_str(), row.times.count()), ("mean", 7 * 14 * 60));
+    assert_eq!([0.0, 0.4, 0.5, 1.0].map(|share| row.times.quantile_secs(share)), [5.0, 5.0, 20.0, 20.0]);
     assert!(outcome.trials.is_empty());
 }
 
@@ -77,7 +77,7 @@ fn parameters_are_chosen_on_the_days_that_are_learned_alone() {
     let chosen = |cellar_from| {
         let outcome = searched(&protocol, ROOMS, &world(21, cellar_from)).unwrap();
         let trials: Vec<(Vec<f64>, bool)> =
-            outcome.trials.iter().map(|trial| (trial.folds.clone(), trial.chosen)).collect();
+            outcome.trials.iter().map(|trial| (trial.folds.clone(), trial.is_chosen)).collect();
         (outcome.rows[0].parameters.clone(), trials, mean_secs(&outcome, "histogram"))
     };
     let (parameters, trials, secs) = chosen(99);
@@ -139,13 +139,13 @@ fn what_cannot_be_searched_is_refused_with_what_would_be_right() {
         ("train_days: 14", "train_days: 21"),
         ROOMS,
         &fine,
-        "21 days are to be learned, and the world has 21 whole",
+        "21 days are training data, and the world has 21 whole",
     );
     refused(
         ("train_days: 14", "train_days: 0"),
         ROOMS,
         &fine,
-        "train_days is \"0\": it has to be a whole number of days",
+        "train_days is \"0\": it has to be a whole number from 1 to 3660",
     );
     refused(("first_day: 2024-01-01", "first_day: Monday"), ROOMS, &fine, "a date such as 2010-11-04");
     refused(("start: hall", "start: attic"), ROOMS, &fine, "attic");
@@ -185,7 +185,7 @@ fn of_the_recorded_flat_the_published_times_are_found() {
     let outcome = run(&protocol, &|_, _| ()).unwrap();
     assert_eq!(outcome.rows.len(), published.len());
     for (label, mean, median, near) in published {
-        let found = &outcome.rows.iter().find(|row| row.label == label).unwrap().found;
+        let found = &outcome.rows.iter().find(|row| row.label == label).unwrap().times;
         let (found_mean, found_median) = (found.mean_secs(), found.quantile_secs(0.5));
         println!("{label}: mean {found_mean:.2} s, median {found_median} s of {} searches", found.count());
         assert_eq!(found.count(), 33_403);

@@ -6,10 +6,11 @@
 
 use std::collections::HashMap;
 
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+
 use super::super::{
     POINTS_MAX,
     error::{FilePlace, FormatError, shown_start},
-    points::Pose,
     scalar::Scalar,
     text::{Line, Lines},
 };
@@ -26,7 +27,7 @@ pub struct PcdHeader<'a> {
     /// The number of points.
     pub points: u64,
     /// Where the sensor was.
-    pub pose: Option<Pose>,
+    pub pose: Option<Isometry3<f64>>,
     /// What follows.
     pub data: Data,
 }
@@ -208,7 +209,7 @@ fn points(width: Line<'_>, height: Line<'_>, points: Option<Line<'_>>) -> Result
 }
 
 /// The sensor's pose; none where it is the one that writers put there when they know none.
-fn pose(line: Line<'_>) -> Result<Option<Pose>, FormatError> {
+fn pose(line: Line<'_>) -> Result<Option<Isometry3<f64>>, FormatError> {
     const RIGHT: &str = "seven finite numbers: tx ty tz qw qx qy qz";
     let mut numbers = [0.0_f64; 7];
     let mut words = line.words().skip(1);
@@ -222,10 +223,11 @@ fn pose(line: Line<'_>) -> Result<Option<Pose>, FormatError> {
     if numbers == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0] {
         return Ok(None);
     }
-    let norm = [qw, qx, qy, qz].iter().map(|part| part * part).sum::<f64>().sqrt();
+    let quaternion = Quaternion::new(qw, qx, qy, qz);
+    let norm = quaternion.norm();
     if !(0.99..=1.01).contains(&norm) {
         let right = "1: the last four numbers are a unit quaternion, qw qx qy qz";
         return Err(FormatError::value(line.place(), "the length of VIEWPOINT's quaternion", norm, right));
     }
-    Ok(Some(Pose { position_m: [x, y, z], quaternion_xyzw: [qx, qy, qz, qw].map(|part| part / norm) }))
+    Ok(Some(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_quaternion(quaternion))))
 }

@@ -96,8 +96,8 @@ fn compressed_data_is_unpacked() -> Result<(), FormatError> {
 fn the_viewpoint_is_the_pose() -> Result<(), FormatError> {
     let posed = ascii_file().replace("VIEWPOINT 0 0 0 1 0 0 0", "VIEWPOINT 1 -2 3.5 0.6 0 0.8 0");
     let pose = read(posed.as_bytes())?.pose;
-    assert_eq!(pose.map(|pose| pose.position_m), Some([1.0, -2.0, 3.5]));
-    assert_eq!(pose.map(|pose| pose.quaternion_xyzw), Some([0.0, 0.8, 0.0, 0.6]));
+    assert_eq!(pose.map(|pose| pose.translation.vector.into()), Some([1.0, -2.0, 3.5]));
+    assert_eq!(pose.map(|pose| pose.rotation.coords.into()), Some([0.0, 0.8, 0.0, 0.6]));
     let moved = ascii_file().replace("VIEWPOINT 0 0 0", "VIEWPOINT 0 0 1");
     assert!(read(moved.as_bytes())?.pose.is_some());
     let absent = ascii_file().replace("VIEWPOINT 0 0 0 1 0 0 0\n", "");

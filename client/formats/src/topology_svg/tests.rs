@@ -1,42 +1,42 @@
-//! What is drawn where.
+//! The positions, labels and colours of drawings.
 
 use super::*;
 
-fn node(name: &str, at_m: Option<[f64; 2]>, probability: Option<f64>) -> DrawnNode {
-    DrawnNode { name: name.to_owned(), at_m, probability, step: None }
+fn node(name: &str, at_m: Option<[f64; 2]>, probability: Option<f64>) -> PictureNode {
+    PictureNode { name: name.to_owned(), at_m, probability, step: None }
 }
 
-fn edge(from: usize, to: usize, success: Option<f64>) -> DrawnEdge {
-    DrawnEdge { from, to, length: 10.0, success, is_on_way: false }
+fn edge(from: usize, to: usize, success: Option<f64>) -> PictureEdge {
+    PictureEdge { from, to, length: 10.0, success, is_on_path: false }
 }
 
 #[test]
-fn nodes_lie_where_the_map_says_and_show_their_probability() -> Result<(), TopologyPictureError> {
+fn nodes_are_drawn_at_their_positions_with_their_probabilities() -> Result<(), TopologyPictureError> {
     let nodes = vec![
         node("a<b>&\"c\"", Some([0.0, 0.0]), Some(0.25)),
         node("north", Some([0.0, 10.0]), None),
-        DrawnNode { step: Some(3), ..node("east", Some([10.0, 0.0]), Some(1.0)) },
+        PictureNode { step: Some(3), ..node("east", Some([10.0, 0.0]), Some(1.0)) },
     ];
-    let way = DrawnEdge { is_on_way: true, ..edge(0, 2, Some(0.5)) };
-    let picture = TopologyPicture { title: "at <noon>".to_owned(), nodes, edges: vec![edge(0, 1, Some(0.9)), way] };
+    let route = PictureEdge { is_on_path: true, ..edge(0, 2, Some(0.5)) };
+    let picture = TopologyPicture { title: "at <noon>".to_owned(), nodes, edges: vec![edge(0, 1, Some(0.9)), route] };
     let svg = write(&picture)?;
     assert_eq!((svg.matches("<circle").count(), svg.matches("<line").count()), (3, 2));
-    assert!(svg.contains("a&lt;b&gt;&amp;\"c\"") && svg.contains("at &lt;noon&gt;"));
+    assert!(svg.contains("a&lt;b&gt;&amp;&quot;c&quot;") && svg.contains("at &lt;noon&gt;"));
     assert!(
         svg.contains("cx=\"70.0\" cy=\"970.0\"") && svg.contains("cx=\"70.0\" cy=\"70.0\""),
         "north is above: {svg}"
     );
     assert!(svg.contains(">25</text>") && svg.contains(">3</text>") && svg.contains("east 100%"));
-    assert!(svg.contains(&format!("stroke=\"{WAY}\" stroke-width=\"4\"")));
+    assert!(svg.contains(&format!("stroke=\"{PATH}\" stroke-width=\"4\"")));
     assert_eq!(svg, write(&picture)?, "the same bytes");
     Ok(())
 }
 
 #[test]
-fn what_has_no_place_is_laid_out_with_near_ones_near() -> Result<(), TopologyPictureError> {
-    // A chain of five, each way told in one direction or both, and a node apart.
-    let nodes: Vec<DrawnNode> = (0..6).map(|i| node(&i.to_string(), None, None)).collect();
-    let edges: Vec<DrawnEdge> = (0..4).map(|i| edge(i, i + 1, None)).chain([edge(3, 2, None)]).collect();
+fn nodes_without_positions_are_laid_out_with_connected_ones_close() -> Result<(), TopologyPictureError> {
+    // A chain of five, with edges in one direction or both, and an unconnected node.
+    let nodes: Vec<PictureNode> = (0..6).map(|i| node(&i.to_string(), None, None)).collect();
+    let edges: Vec<PictureEdge> = (0..4).map(|i| edge(i, i + 1, None)).chain([edge(3, 2, None)]).collect();
     let places = layout::places(&nodes, &edges)?;
     let far = |a: usize, b: usize| (places[a][0] - places[b][0]).hypot(places[a][1] - places[b][1]);
     for i in 0..4 {
@@ -47,9 +47,9 @@ fn what_has_no_place_is_laid_out_with_near_ones_near() -> Result<(), TopologyPic
 }
 
 #[test]
-fn what_cannot_be_drawn_is_said() {
+fn maps_that_cannot_be_drawn_are_refused() {
     assert_eq!(write(&TopologyPicture::default()), Err(TopologyPictureError::Empty));
-    let nodes: Vec<DrawnNode> = (0..401).map(|i| node(&i.to_string(), None, None)).collect();
+    let nodes: Vec<PictureNode> = (0..401).map(|i| node(&i.to_string(), None, None)).collect();
     let picture = TopologyPicture { nodes, ..TopologyPicture::default() };
     assert_eq!(write(&picture), Err(TopologyPictureError::TooMany { without: 401, nodes: 401 }));
     let one = TopologyPicture { nodes: vec![node("alone", None, None)], ..TopologyPicture::default() };

@@ -167,7 +167,9 @@ fn one_scan(file: &Path, kind: FileKind, given: &ScanOptions, grid: &Grid, bar: 
 }
 
 fn cloud(points: PointFile, given: &ScanOptions) -> anyhow::Result<Scan> {
-    let own = points.pose.map(|pose| Pose { position_m: pose.position_m, quaternion_xyzw: pose.quaternion_xyzw });
+    let own = points
+        .pose
+        .map(|pose| Pose { position_m: pose.translation.vector.into(), quaternion_xyzw: pose.rotation.coords.into() });
     let pose = given.pose.or(own).context("the file does not say where the sensor was: say it with --pose")?;
     Ok(Scan::Cloud(PointCloud {
         pose,

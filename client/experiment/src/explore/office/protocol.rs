@@ -1,8 +1,8 @@
-//! How an office is explored, as a file says.
+//! The protocol of an exploration of a simulated office.
 //!
 //! Invariant: a protocol that was read can be run.
 
-use std::path::PathBuf;
+use std::{ops::RangeInclusive, path::PathBuf};
 
 use serde::Deserialize;
 use tidemap_map::time::parse_duration;
@@ -10,23 +10,26 @@ use tidemap_plan::tour::GOALS_MAX;
 use tidemap_sim::ExploredOffice;
 
 use super::{ExplorerKind, space::DAY_NANOS};
-use crate::{ProtocolError, protocol::raw::Word};
+use crate::{
+    ProtocolError,
+    protocol::raw::{Word, parsed, whole},
+};
 
-/// Most days.
+/// Maximum number of days.
 const DAYS_MAX: usize = 60;
-/// Slots when nothing is said (RA-L 2016, section IV.A).
+/// Default length of a slot (RA-L 2016, section IV.A).
 const SLOT_NANOS: i64 = tidemap_plan::day::SLOT_NANOS;
-/// The shortest slot: two goals fit.
+/// Minimum length of a slot: two goals fit.
 const SLOT_MIN_NANOS: i64 = 300_000_000_000;
 
-/// What a protocol says.
+/// The protocol of an exploration of a simulated office.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OfficeProtocol {
-    /// Of the experiment.
+    /// Name of the experiment.
     pub name: String,
     /// Days of exploration, at least 1.
     pub days: usize,
-    /// Tours a day of each explorer, at most as many as slots.
+    /// Tours of each explorer in a day, at most one for each slot.
     pub tours: usize,
     /// Goals of a tour.
     pub goals: usize,
@@ -34,9 +37,9 @@ pub struct OfficeProtocol {
     pub rooms: usize,
     /// Length of a slot, which divides the day.
     pub slot_nanos: i64,
-    /// How many times everything is done, with seeds from 0 on.
+    /// Number of runs, with seeds from 0 on.
     pub seeds: u64,
-    /// Who explores; the first is what the others are compared with.
+    /// The explorers; the first is the baseline.
     pub explorers: Vec<ExplorerKind>,
     /// Folder of the results.
     pub out: PathBuf,
@@ -61,12 +64,13 @@ pub struct RawOffice {
 }
 
 impl RawOffice {
-    /// Makes a protocol of it.
+    /// The protocol, with defaults for missing keys.
     pub fn parse(self, name: String, seeds: u64, out: PathBuf) -> Result<OfficeProtocol, ProtocolError> {
         let slot_nanos = self.slot.map_or(Ok(SLOT_NANOS), |word| {
-            let divides = |nanos: &i64| *nanos >= SLOT_MIN_NANOS && DAY_NANOS % nanos == 0;
-            let nanos = parse_duration(&word.text).ok().filter(divides);
-            nanos.ok_or_else(|| ProtocolError::value("slot", &word, "at least 5m, and a part of the day, such as 15m"))
+            parsed(&word, "slot", "at least 5m, and a divisor of the day, such as 15m", |text| {
+                let divides = |nanos: &i64| *nanos >= SLOT_MIN_NANOS && DAY_NANOS % nanos == 0;
+                parse_duration(text).ok().filter(divides)
+            })
         })?;
         let slots = (DAY_NANOS / slot_nanos) as usize;
         let goals_max = GOALS_MAX.min((slot_nanos / 120_000_000_000) as usize);
@@ -87,11 +91,8 @@ impl RawOffice {
 fn number(
     key: &'static str,
     word: Option<Word>,
-    usual: usize,
-    right: std::ops::RangeInclusive<usize>,
+    default: usize,
+    range: RangeInclusive<usize>,
 ) -> Result<usize, ProtocolError> {
-    let Some(word) = word else { return Ok(usual) };
-    let found = word.text.parse().ok().filter(|number| right.contains(number));
-    let right = || format!("a whole number from {} to {}", right.start(), right.end());
-    found.ok_or_else(|| ProtocolError::value(key, &word, &right()))
+    word.map_or(Ok(default), |word| whole(&word, key, range))
 }
