@@ -191,7 +191,7 @@ fn weeks_that_the_world_does_not_have_are_refused() {
     std::fs::write(&world, "0 1440 a\n1440 14400 b\n").unwrap();
     let wanted = PlacesProtocol { world, ..protocol(PROTOCOL) };
     let refused = run(&wanted, &|_, _| ()).unwrap_err().to_string();
-    assert_eq!(refused, "weeks 2 to 3 are to be scored apart, and the world has 1 whole weeks");
+    assert_eq!(refused, "weeks 2 to 3 are scored separately, and the world has 1 whole weeks");
     let missing = PlacesProtocol { world: folder.path().join("none.txt"), ..wanted };
     assert!(run(&missing, &|_, _| ()).unwrap_err().to_string().contains("none.txt cannot be read"));
 }

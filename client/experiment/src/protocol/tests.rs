@@ -148,7 +148,7 @@ fn a_list_that_nothing_chooses_from_is_refused() {
 #[test]
 fn wrong_values_are_named_with_their_lines() {
     for (line, other, begins) in [
-        ("zone: Europe/London", "zone: Mars/Base", "line 2: zone is \"Mars/Base\": it has to be an IANA time zone"),
+        ("zone: Europe/London", "zone: Mars/Base", "line 2: zone is \"Mars/Base\": it has to be the IANA time zone"),
         ("refit: each", "refit: daily", "line 5: refit is \"daily\": it has to be one of: never, each"),
         ("folds: 4", "folds: 0", "line 12: folds is \"0\": it has to be a whole number"),
         ("fold: 7d", "fold: week", "line 12: fold is \"week\": it has to be a duration"),
@@ -171,7 +171,7 @@ fn wrong_values_are_named_with_their_lines() {
 #[test]
 fn missing_keys_are_named() {
     for (line, begins) in [
-        ("zone: Europe/London\n", "key zone is missing: write an IANA time zone"),
+        ("zone: Europe/London\n", "key zone is missing: write the IANA time zone"),
         ("train: [data/train.csv]\n", "key train is missing: write a list of files"),
         ("test: [week1.csv, more/week1.csv, week2.csv]\n", "key test is missing: write a list of files"),
         ("out: results\n", "key out is missing: write the folder"),
