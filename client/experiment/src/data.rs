@@ -1,7 +1,7 @@
 //! The recordings of an experiment, by state and ascending by time.
 //!
-//! Invariant: every row of every file was read, or the experiment does not run; no test set begins before the training data
-//! ends, nor, where models learn test sets, before the one before it ends.
+//! Invariant: every row of every file was read, or the experiment does not run; no test set begins before the training
+//! data ends, nor, where models learn test sets, before the one before it ends.
 
 use std::{
     fs::File,

@@ -3,17 +3,18 @@
 //!
 //! The protocol is that of RAS 2017 (Santos et al., "Spatio-temporal exploration strategies for long-term autonomy of
 //! mobile robots", Robotics and Autonomous Systems 88, sections 3 to 7). Every place is a binary state and a location.
-//! Schedules and models are renewed at local midnight; persistence and short-term memory at every visit. A visit observes
-//! its place at the middle of its slot. All places are predicted for the middle of each slot, before the visit of that slot
-//! is known, and judged every minute; the visited place counts as known (eq. 2).
+//! Schedules and models are renewed at local midnight; persistence and short-term memory at every visit. A visit
+//! observes its place at the middle of its slot. All places are predicted for the middle of each slot, before the visit
+//! of that slot is known, and judged every minute; the visited place counts as known (eq. 2).
 //!
 //! A strategy may use the prediction for the current slot; that is used for the visited place alone, as in eq. 2. The
-//! presence model ([`tidemap_model::models::Presence`]) is the only model of all places together: a hidden Markov chain over
-//! places, because one person in one of ten rooms makes each visit informative about all of them. The best strategy with
-//! it, `online-error`, asks at each slot where the current prediction is most likely wrong, and whether later slots of the
-//! last days had more to gain than the remaining visits can pay for.
+//! presence model ([`tidemap_model::models::Presence`]) is the only model of all places together: a hidden Markov chain
+//! over places, because one person in one of ten rooms makes each visit informative about all of them. The best
+//! strategy with it, `online-error`, asks at each slot where the current prediction is most likely wrong, and whether
+//! later slots of the last days had more to gain than the remaining visits can pay for.
 //!
-//! - `protocol.rs`: YAML to [`ExploreProtocol`]; `place_recording.rs`: rows `FROM UNTIL PLACE` to a place for every minute;
+//! - `protocol.rs`: YAML to [`ExploreProtocol`]; `place_recording.rs`: rows `FROM UNTIL PLACE` to a place for every
+//!   minute;
 //! - `belief.rs`: the explorer's knowledge; its models are fitted at midnight (`belief/learner.rs`);
 //! - `replay.rs`: one run of a strategy with a model and a seed; runs are independent and parallel;
 //! - `report.rs`: results.csv, weeks.csv; `picture.rs`: exploration.svg.

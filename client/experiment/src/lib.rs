@@ -1,8 +1,8 @@
 //! Experiments without a daemon: models, explorers, searches and routes compared on recordings and in simulations.
 //!
-//! The crate's own modules compare temporal models of `tidemap-model` by a [`Protocol`], as `tidemap experiment compare`
-//! does. [`explore`], [`search`] and [`routes`] are the other kinds of experiments; protocols end in .yaml or .yml, so that
-//! a new kind never conflicts with a file's name.
+//! The crate's own modules compare temporal models of `tidemap-model` by a [`Protocol`], as `tidemap experiment
+//! compare` does. [`explore`], [`search`] and [`routes`] are the other kinds of experiments; protocols end in .yaml or
+//! .yml, so that a new kind never conflicts with a file's name.
 //!
 //! - `protocol.rs`: YAML to [`Protocol`], checked before data is read; each list of parameters spans parameter sets;
 //! - `data.rs`: files to readings by state; one invalid row stops the experiment;
@@ -11,12 +11,12 @@
 //! - `paired.rs`: each model against the baseline: studentised bootstrap over days within test sets, fixed seed;
 //! - `report.rs`: results.csv, folds.csv, predictions.csv; `picture.rs`: comparison.svg.
 //!
-//! A [`ParameterSet`](parameter_set::ParameterSet) is a model kind with all its parameters. Models are fitted state by state,
-//! with one choice of parameters for all states; readings of all states have the same weight. Nothing is tested with fewer
-//! than five days more than test sets.
+//! A [`ParameterSet`](parameter_set::ParameterSet) is a model kind with all its parameters. Models are fitted state by
+//! state, with one choice of parameters for all states; readings of all states have the same weight. Nothing is tested
+//! with fewer than five days more than test sets.
 //!
-//! Invariant: parameters are tuned on training data only, a test set is predicted from earlier data only, and the same files
-//! give the same results for any number of threads: jobs are independent and summed in order.
+//! Invariant: parameters are tuned on training data only, a test set is predicted from earlier data only, and the same
+//! files give the same results for any number of threads: jobs are independent and summed in order.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -3,8 +3,9 @@
 //! Readings minutes apart err together, so readings are no sample; days nearly are. Both models are scored on the same
 //! days, and days are drawn with replacement within each test set: a block bootstrap of the paired differences,
 //! studentised, because few days with a skewed distribution would otherwise seem to say more than they do (B. Efron and
-//! R. Tibshirani, "An Introduction to the Bootstrap", 1993, section 12.5; symmetric as in P. Hall, "On symmetric bootstrap
-//! confidence intervals", 1988). A Wilcoxon test would ask about the median day, while what is reported is the mean.
+//! R. Tibshirani, "An Introduction to the Bootstrap", 1993, section 12.5; symmetric as in P. Hall, "On symmetric
+//! bootstrap confidence intervals", 1988). A Wilcoxon test would ask about the median day, while what is reported is
+//! the mean.
 //!
 //! Invariant: the same days give the same answer, whatever else is compared: the seed is fixed.
 
@@ -52,8 +53,8 @@ pub fn difference(model: &[DayErrors], baseline: &[DayErrors], significance: f64
     paired(&sets(model, baseline), significance, DRAWS)
 }
 
-/// How often a mean difference as large would be found, either way, if there were none, of differences that are each a sample
-/// of their own. `None` where there are too few.
+/// How often a mean difference as large would be found, either way, if there were none, of differences that are each a
+/// sample of their own. `None` where there are too few.
 pub fn p_value(differences: &[f64]) -> Option<f64> {
     let set: Vec<PairedDay> = differences.iter().map(|&squared| PairedDay { squared, readings: 1.0 }).collect();
     paired(&[set], 0.05, DRAWS).test.map(|test| test.p_value)

@@ -1,8 +1,8 @@
 //! A model with all its parameters, ready to be fitted to readings.
 //!
-//! This is where the experiment meets the temporal models: the names are those of the command line, the parameters those
-//! that a protocol may write. Invariant: a candidate that was made can be fitted to any readings whose values suit it; a
-//! parameter outside its range is refused before data is read.
+//! This is where the experiment meets the temporal models: the names are those of the command line, the parameters
+//! those that a protocol may write. Invariant: a candidate that was made can be fitted to any readings whose values
+//! suit it; a parameter outside its range is refused before data is read.
 
 use tidemap_map::time::{format_duration, parse_duration};
 use tidemap_model::{

@@ -1,7 +1,7 @@
 //! A recorded world: where somebody was in every minute.
 //!
-//! A row is `FROM UNTIL PLACE`: minutes, UNTIL not included, from the first local midnight on. Invariant: every minute of
-//! every day has exactly one place, and days are whole; what follows the last whole day is left out.
+//! A row is `FROM UNTIL PLACE`: minutes, UNTIL not included, from the first local midnight on. Invariant: every minute
+//! of every day has exactly one place, and days are whole; what follows the last whole day is left out.
 
 use std::{
     fs, io,

@@ -1,7 +1,7 @@
 //! The protocol of a comparison of models: data, models, tuning and baseline.
 //!
-//! Invariant: a protocol that was read is consistent in itself: every model can be fitted, every list can be tuned, labels
-//! are unique. The files it names may be missing. Paths are relative to the protocol's file.
+//! Invariant: a protocol that was read is consistent in itself: every model can be fitted, every list can be tuned,
+//! labels are unique. The files it names may be missing. Paths are relative to the protocol's file.
 
 use std::path::{Path, PathBuf};
 

@@ -16,8 +16,8 @@ use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Writes the comparison, a row for each model.
 ///
-/// Columns: model, parameters, mse and error_rate (means over test sets), mse of each test set, the difference of mse to
-/// the baseline with its interval and p-value, and a verdict: better, worse, or no difference.
+/// Columns: model, parameters, mse and error_rate (means over test sets), mse of each test set, the difference of mse
+/// to the baseline with its interval and p-value, and a verdict: better, worse, or no difference.
 pub fn summary<W: Write>(protocol: &Protocol, outcome: &Comparison, format: Format, writer: W) -> io::Result<()> {
     let mut columns = ["model", "parameters", "mse", "error_rate"].map(str::to_owned).to_vec();
     columns.extend(protocol.test.iter().map(|test| format!("mse_{}", test.label)));

@@ -1,14 +1,15 @@
-//! Routes that get better: robots in a simulated building, one of which follows the routes that tidemap plans on what it
-//! learned of the ways that it drove.
+//! Routes that get better: robots in a simulated building, one of which follows the routes that tidemap plans on what
+//! it learned of the ways that it drove.
 //!
 //! Everything runs in one process, with the parts that a daemon has: traversals become the states of edges in a
-//! [`LiveMap`](tidemap_map::live_map::LiveMap), models are learned at midnight, [`EdgeForecasts`](tidemap_map::edge_forecast::EdgeForecasts)
-//! says what is to be expected of the ways, and [`plan_routes`](tidemap_plan::route::plan_routes) plans. Compared are
-//! failed traversals by week. The trend of a robot is the slope of a straight line through its weeks (least squares), one
-//! for each seed; whether slopes differ from 0 is tested over the seeds, either way.
+//! [`LiveMap`](tidemap_map::live_map::LiveMap), models are learned at midnight,
+//! [`EdgeForecasts`](tidemap_map::edge_forecast::EdgeForecasts) says what is to be expected of the ways, and
+//! [`plan_routes`](tidemap_plan::route::plan_routes) plans. Compared are failed traversals by week. The trend of a
+//! robot is the slope of a straight line through its weeks (least squares), one for each seed; whether slopes differ
+//! from 0 is tested over the seeds, either way.
 //!
-//! Invariant: nothing is planned on what comes later, and the same question gives the same figures, however many threads
-//! there are.
+//! Invariant: nothing is planned on what comes later, and the same question gives the same figures, however many
+//! threads there are.
 
 use std::{
     ops::Range,

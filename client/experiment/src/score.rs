@@ -1,7 +1,7 @@
 //! Scoring the models that were chosen on the test sets.
 //!
-//! Invariant: a reading is predicted by a model that has seen nothing of its test set, nor of a later one; the days of all
-//! models are the same days in the same order.
+//! Invariant: a reading is predicted by a model that has seen nothing of its test set, nor of a later one; the days of
+//! all models are the same days in the same order.
 
 use rayon::prelude::*;
 use tidemap_model::{Evaluation, LocalDay, Sample};

@@ -1,19 +1,20 @@
 //! Searches replayed: how long a robot takes to find a person, by what it has learned about where the person is when.
 //!
 //! The protocol is that of "Waldo" (Krajník, Kulich, Mudrová, Ambrus, Duckett, "Where's Waldo at time t?", ICRA 2015,
-//! section VII): the presence in each place is a binary state, observed every minute. Models learn the first days and are
-//! asked for every later minute in which the person is at a node. The robot visits the nodes in the order of least expected
-//! time from its start; the person stays in place, and is found when the robot first arrives there. The last row of the
-//! results is an oracle that knows the person's position.
+//! section VII): the presence in each place is a binary state, observed every minute. Models learn the first days and
+//! are asked for every later minute in which the person is at a node. The robot visits the nodes in the order of least
+//! expected time from its start; the person stays in place, and is found when the robot first arrives there. The last
+//! row of the results is an oracle that knows the person's position.
 //!
 //! - `protocol.rs`: YAML to [`SearchProtocol`]; `recorded_world.rs`: topology and recording to a node for every minute;
 //! - `simulate.rs`: fits models, plans a search for every minute, and computes when the robot arrives at the person;
 //! - `report.rs`: results.csv, folds.csv.
 //!
-//! Parameters are tuned on the mean time until the person is found in the folds, each predicted from the data before it.
+//! Parameters are tuned on the mean time until the person is found in the folds, each predicted from the data before
+//! it.
 //!
-//! Invariant: no prediction uses the minute it is for or later ones, parameters are tuned on training days only, and the
-//! same files give the same figures for any number of threads.
+//! Invariant: no prediction uses the minute it is for or later ones, parameters are tuned on training days only, and
+//! the same files give the same figures for any number of threads.
 
 use std::{
     ops::Range,

@@ -2,8 +2,8 @@
 //! they are positions. Files of [`traversals`] are read alike.
 //!
 //! Invariant: the n-th row of a file has the number n, whether it can be read or not, and the same row always gives the
-//! same observation; only so can an interrupted transfer go on where it was. No more than one line is in memory. Once the
-//! file has ended it is not read again, whatever is appended meanwhile.
+//! same observation; only so can an interrupted transfer go on where it was. No more than one line is in memory. Once
+//! the file has ended it is not read again, whatever is appended meanwhile.
 
 mod fields;
 pub mod traversals;
@@ -124,8 +124,8 @@ pub struct ObservationRow {
     /// Value; NaN, which no daemon accepts, where anything of the row could not be read. One that is out of range is
     /// kept as it is: what is sent, and its checksum, is what the file says.
     pub value: f64,
-    /// The position in a file of positions, where there is no value; as there, its coordinates are NaN where anything of the
-    /// row could not be read.
+    /// The position in a file of positions, where there is no value; as there, its coordinates are NaN where anything
+    /// of the row could not be read.
     pub position: Option<Position>,
     /// What could not be read, or why it is no observation of a probability.
     pub wrong: Option<String>,
@@ -271,8 +271,8 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
     }
 }
 
-/// Reads a line into the buffer, without its end, and gives the bytes read; `None` at the end. Of a line that is too long,
-/// only the beginning is kept.
+/// Reads a line into the buffer, without its end, and gives the bytes read; `None` at the end. Of a line that is too
+/// long, only the beginning is kept.
 fn read_line(reader: &mut impl BufRead, buffer: &mut Vec<u8>) -> io::Result<(Option<LineEnd>, u64)> {
     buffer.clear();
     let mut bytes = 0;
@@ -376,8 +376,8 @@ impl ObservationColumns {
         self.dimensions.is_some()
     }
 
-    /// Fills in what can be read; the value last, so that it stays NaN where anything else is wrong. Gives what is wrong
-    /// with a row that can be read but that no daemon accepts.
+    /// Fills in what can be read; the value last, so that it stays NaN where anything else is wrong. Gives what is
+    /// wrong with a row that can be read but that no daemon accepts.
     fn fill(&self, line: &[u8], row: &mut ObservationRow) -> Result<Option<String>, String> {
         let ObservationColumns { time, state, value, axes, dimensions, count } = *self;
         let fields = fields(line, count)?;

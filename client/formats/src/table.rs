@@ -133,8 +133,8 @@ impl<W: Write> TableWriter<W> {
         Self { format, columns, writer, rows: 0, waiting: Vec::new(), live: false }
     }
 
-    /// A result whose rows come one by one, each written when it comes; the header at once. A table is not laid out as a
-    /// whole then, and in JSON each row ends its line.
+    /// A result whose rows come one by one, each written when it comes; the header at once. A table is not laid out as
+    /// a whole then, and in JSON each row ends its line.
     pub fn live(mut self) -> io::Result<Self> {
         self.live = true;
         match self.format {

@@ -1,6 +1,7 @@
 //! Files of topological maps: lines of nodes and links, and the YAML of ROS topological maps.
 //!
-//! Invariant: an error names the line or the node that is wrong. Whether the nodes of a link exist is the daemon's to say.
+//! Invariant: an error names the line or the node that is wrong. Whether the nodes of a link exist is the daemon's to
+//! say.
 
 use std::collections::HashMap;
 
@@ -157,8 +158,8 @@ struct YamlEdge {
     duration: Option<f64>,
 }
 
-/// Reads the YAML of a ROS topological map: a list of `node`s with `name`, `pose` and `edges`. An edge is as long as its ends
-/// are apart, and takes its `duration` in seconds where it has one.
+/// Reads the YAML of a ROS topological map: a list of `node`s with `name`, `pose` and `edges`. An edge is as long as
+/// its ends are apart, and takes its `duration` in seconds where it has one.
 pub fn read_yaml(text: &str) -> Result<TopologyFile, TopologyFileError> {
     let written: Vec<YamlItem> =
         serde_saphyr::from_str(text).map_err(|error| TopologyFileError::Yaml(error.to_string()))?;

@@ -1,8 +1,8 @@
-//! A topological map at a time as SVG: where the person is likely to be, which edges are likely passable, and a route or a
-//! search.
+//! A topological map at a time as SVG: where the person is likely to be, which edges are likely passable, and a route
+//! or a search.
 //!
-//! Nodes are drawn at their positions in the map; if any node has none, all are laid out so that connected nodes are close
-//! to each other. Nodes and edges with an unknown probability are grey.
+//! Nodes are drawn at their positions in the map; if any node has none, all are laid out so that connected nodes are
+//! close to each other. Nodes and edges with an unknown probability are grey.
 //! Invariant: the same map gives the same bytes; y points upwards as in the map.
 
 use std::collections::HashMap;

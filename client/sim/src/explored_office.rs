@@ -1,10 +1,11 @@
 //! A small office for exploration experiments: an occupancy grid with walls, rooms on both sides of a corridor, and
 //! things that move with the daily routines of people, like the simulated office of RA-L 2016, section IV.C (Santos et
-//! al., "Spatio-temporal exploration strategies"): people, chairs, laptops and doors, twenty of them in an office of four
-//! rooms a side.
+//! al., "Spatio-temporal exploration strategies"): people, chairs, laptops and doors, twenty of them in an office of
+//! four rooms a side.
 //!
-//! All days are working days of 86,400 s, counted from day 0. Every person has habitual times of arrival, meeting, lunch
-//! and departure. Each day differs from the habit by minutes; people take short breaks at any time and are seldom absent.
+//! All days are working days of 86,400 s, counted from day 0. Every person has habitual times of arrival, meeting,
+//! lunch and departure. Each day differs from the habit by minutes; people take short breaks at any time and are seldom
+//! absent.
 //!
 //! Invariant: pure. The value of a cell at a time depends on the seed, the number of rooms and that time only.
 

@@ -1,6 +1,6 @@
 //! Simulated offices for the demo, the benchmarks and the tests. [`Office`] has doors and rooms, people with daily and
-//! weekly routines on local civil time, and robots that stop irregularly. [`GridOffice`] is a stream of occupancy grids,
-//! [`ExploredOffice`] a small floor for exploration experiments.
+//! weekly routines on local civil time, and robots that stop irregularly. [`GridOffice`] is a stream of occupancy
+//! grids, [`ExploredOffice`] a small floor for exploration experiments.
 //!
 //! Invariant: pure. No I/O, no clock; the seed is an argument, and the truth at a time depends on the seed, the zone
 //! and that time only, so that queries can come in any order. Draws may change with the version of this crate.

@@ -1,6 +1,7 @@
 //! What is known of the places, by a model that learns from visits.
 //!
-//! Invariant: a probability for a slot rests on what was seen before it is asked for, and on the model of the last midnight.
+//! Invariant: a probability for a slot rests on what was seen before it is asked for, and on the model of the last
+//! midnight.
 
 use tidemap_model::{
     Sample,
@@ -31,11 +32,11 @@ pub enum BeliefModel {
 pub enum Blend {
     /// Not at all.
     None,
-    /// As maps do it: by the mean time between changes (T-RO 2017, eq. 12 and 13), which takes a state that was seen alike
-    /// twice for one that did not change in between.
+    /// As maps do it: by the mean time between changes (T-RO 2017, eq. 12 and 13), which takes a state that was seen
+    /// alike twice for one that did not change in between.
     Persistence,
-    /// By the rates of the short-term memory's chain, which allow for changes that were not seen: RAS 2017, eq. 6 with the
-    /// model's p(t) for the chain's constant.
+    /// By the rates of the short-term memory's chain, which allow for changes that were not seen: RAS 2017, eq. 6 with
+    /// the model's p(t) for the chain's constant.
     Memory,
 }
 

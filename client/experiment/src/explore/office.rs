@@ -1,12 +1,12 @@
 //! A simulated office explored, with and without time, as in RA-L 2016, section IV.C (Santos et al., "Spatio-temporal
 //! exploration strategies for long-term autonomy").
 //!
-//! Explorers go on so many tours a day, each with its own map of the same office, the same sensor, and the same first day.
-//! Spatial-only exploration plans on its last map, at even distances of time; spatio-temporal exploration plans on what its
-//! map predicts for the time of the tour, in slots drawn in proportion to what their tours are expected to tell. What each
-//! expects of all cells that anybody has seen is compared with the truth in the middle of every slot, before that slot's
-//! tours. Invariant: nothing is predicted by what comes later, and the same protocol gives the same figures, however many
-//! threads there are.
+//! Explorers go on so many tours a day, each with its own map of the same office, the same sensor, and the same first
+//! day. Spatial-only exploration plans on its last map, at even distances of time; spatio-temporal exploration plans on
+//! what its map predicts for the time of the tour, in slots drawn in proportion to what their tours are expected to
+//! tell. What each expects of all cells that anybody has seen is compared with the truth in the middle of every slot,
+//! before that slot's tours. Invariant: nothing is predicted by what comes later, and the same protocol gives the same
+//! figures, however many threads there are.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -1,6 +1,7 @@
 //! One run: a strategy with a model and a seed, from the first day to the last.
 //!
-//! Invariant: no strategy makes more visits in a day than its budget; strategies that schedule ahead use the whole budget.
+//! Invariant: no strategy makes more visits in a day than its budget; strategies that schedule ahead use the whole
+//! budget.
 
 use tidemap_plan::{
     location::{expected_errors, information_bits, surprise_bits},
@@ -145,8 +146,8 @@ fn visit(
             planned.map(|planned| strategy::novel(expected.iter().zip(p).map(worth)).unwrap_or(planned))
         }
         VisitStrategy::Online | VisitStrategy::OnlineError => {
-            // Of two equally uncertain places, such as 0.7 and 0.3 for the only two possible places, a visit to the likelier
-            // one settles more minutes of the slot, because the person leaves from there.
+            // Of two equally uncertain places, such as 0.7 and 0.3 for the only two possible places, a visit to the
+            // likelier one settles more minutes of the slot, because the person leaves from there.
             let errors = |p: f64| expected_errors([p]) + NEAR_TIE * p;
             let gain = |&p: &f64| if strategy == VisitStrategy::Online { information_bits([p]) } else { errors(p) };
             let gains: Vec<f64> = p.iter().map(gain).collect();

@@ -13,8 +13,8 @@ use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Writes a row per result.
 ///
-/// Columns: strategy, model, error_percent over the whole world and its standard error over seeds, the same of the weeks
-/// that are scored apart where there are such, and visits_per_day.
+/// Columns: strategy, model, error_percent over the whole world and its standard error over seeds, the same of the
+/// weeks that are scored apart where there are such, and visits_per_day.
 pub fn summary<W: Write>(
     protocol: &PlacesProtocol,
     outcome: &Exploration,

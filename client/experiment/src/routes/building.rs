@@ -1,5 +1,5 @@
-//! A simulated building to be driven through: two corridors with rooms, a safety door between them that is shut at night,
-//! and a piece of corridor in front of the canteen that people block at noon. There is a longer way around each.
+//! A simulated building to be driven through: two corridors with rooms, a safety door between them that is shut at
+//! night, and a piece of corridor in front of the canteen that people block at noon. There is a longer way around each.
 //!
 //! ```text
 //!   dock          lab1            lab2    store
@@ -13,8 +13,8 @@
 //!        office1           kitchen    office2          through the kitchen it is 34 m instead of 12 m
 //! ```
 //!
-//! Invariant: what an edge is like at a time depends on the seed, the edge and that time only, so that all robots with one
-//! seed meet the same world. Both directions of an edge are alike.
+//! Invariant: what an edge is like at a time depends on the seed, the edge and that time only, so that all robots with
+//! one seed meet the same world. Both directions of an edge are alike.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
@@ -178,8 +178,8 @@ impl Building {
         Attempt { secs: drive_secs + if reason.is_some() { RECOVERY_SECS } else { 0.0 }, reason }
     }
 
-    /// How likely an edge is passed at a time, and how long that takes on average, in seconds: what nobody in the building
-    /// can know better.
+    /// How likely an edge is passed at a time, and how long that takes on average, in seconds: what nobody in the
+    /// building can know better.
     pub fn truth(&self, edge: &Edge, secs: f64) -> (f64, f64) {
         let (link, obstacle) = self.link(edge);
         let open = match obstacle {

@@ -1,7 +1,7 @@
 //! The map of a robot that learns: what it reports goes in as a daemon would take it in, and updates run at midnight.
 //!
-//! Invariant: what it expects of edges rests on the reports of days that have ended, and, where it is asked to, on the last
-//! report of each edge.
+//! Invariant: what it expects of edges rests on the reports of days that have ended, and, where it is asked to, on the
+//! last report of each edge.
 
 use std::sync::{Arc, atomic::AtomicU64};
 

@@ -13,10 +13,10 @@ use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Writes a row per robot.
 ///
-/// Columns: robot; failures a week in the first week, in the last, and on average over the later half of the weeks; those of
-/// the later half as a share of the shortest ways'; slope (failures a week that the weeks rise by), its p_value over seeds
-/// (two-sided), and in how many seeds it falls; the same slope and p_value without the first week; failures and seconds a
-/// task in the later half.
+/// Columns: robot; failures a week in the first week, in the last, and on average over the later half of the weeks;
+/// those of the later half as a share of the shortest ways'; slope (failures a week that the weeks rise by), its
+/// p_value over seeds (two-sided), and in how many seeds it falls; the same slope and p_value without the first week;
+/// failures and seconds a task in the later half.
 pub fn summary<W: Write>(outcome: &RouteComparison, format: Format, writer: W) -> io::Result<()> {
     let late = outcome.late();
     let columns = [

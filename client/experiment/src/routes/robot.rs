@@ -1,7 +1,7 @@
 //! A robot that is sent from place to place, day and night, for weeks.
 //!
-//! Invariant: all robots with one seed have the same tasks and meet the same world. They differ in how they choose a way,
-//! and in nothing else: an edge that has failed is not tried again in the same task, unless no other way is left.
+//! Invariant: all robots with one seed have the same tasks and meet the same world. They differ in how they choose a
+//! way, and in nothing else: an edge that has failed is not tried again in the same task, unless no other way is left.
 
 use rand::Rng as _;
 use tidemap_map::{
@@ -178,7 +178,8 @@ impl RouteRobot<'_> {
         }
     }
 
-    /// The best route as `PlanRoute` gives it where nothing else is asked, the likeliest to succeed, or the soonest one.
+    /// The best route as `PlanRoute` gives it where nothing else is asked, the likeliest to succeed, or the soonest
+    /// one.
     fn planned(
         &self,
         goal: NodeId,

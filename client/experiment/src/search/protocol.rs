@@ -1,6 +1,7 @@
 //! The protocol of searches: map, recording, models and tuning.
 //!
-//! Invariant: a protocol that was read can be run on every recording that is long enough. Paths are relative to its file.
+//! Invariant: a protocol that was read can be run on every recording that is long enough. Paths are relative to its
+//! file.
 
 use std::path::{Path, PathBuf};
 

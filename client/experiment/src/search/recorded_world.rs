@@ -1,6 +1,7 @@
 //! A topological map, and the node where the person was in every minute.
 //!
-//! Invariant: every node is reachable from the start; a minute has no node if the recorded place is not in the topology.
+//! Invariant: every node is reachable from the start; a minute has no node if the recorded place is not in the
+//! topology.
 
 use std::fs;
 

@@ -58,8 +58,8 @@ fn mean_secs(outcome: &SearchComparison, label: &str) -> f64 {
 #[test]
 fn who_knows_her_hours_finds_her_as_fast_as_who_knows_where_she_is() {
     let outcome = searched(PROTOCOL, ROOMS, &world(21, 99)).unwrap();
-    // Eight hours in bed and six in the kitchen; nobody is looked for while she is out. Knowing shares alone, the kitchen is
-    // first: it gains 6/5 in a second, the bed 8/10; the bed follows after 5 + 15 s.
+    // Eight hours in bed and six in the kitchen; nobody is looked for while she is out. Knowing shares alone, the
+    // kitchen is first: it gains 6/5 in a second, the bed 8/10; the bed follows after 5 + 15 s.
     let best = (8.0 * 10.0 + 6.0 * 5.0) / 14.0;
     assert!((mean_secs(&outcome, "omniscient") - best).abs() < 1e-9);
     assert!((mean_secs(&outcome, "histogram") - best).abs() < 1e-9);

@@ -54,8 +54,8 @@ pub fn places(nodes: &[PictureNode], edges: &[PictureEdge]) -> Result<Vec<[f64; 
     Ok(places)
 }
 
-/// Lengths of the shortest paths between all nodes in either direction, divided by the mean length of an edge. Unconnected
-/// nodes get 1.2 times the largest of them.
+/// Lengths of the shortest paths between all nodes in either direction, divided by the mean length of an edge.
+/// Unconnected nodes get 1.2 times the largest of them.
 fn distances(count: usize, edges: &[PictureEdge]) -> Vec<f64> {
     let has_length = |edge: &&PictureEdge| edge.length > 0.0 && edge.length.is_finite();
     let lengths: Vec<f64> = edges.iter().filter(has_length).map(|edge| edge.length).collect();

@@ -1,9 +1,9 @@
 //! An explorer: its map, what it saw, and where it goes.
 //!
-//! Where the prediction leaves too little to learn for a full tour, the explorer goes round: it looks again at what it has
-//! not seen since this round began, and begins the next round when all is seen. Spatial-only exploration, whose last map
-//! is certain of all that it has seen, does little else once the office is known. Invariant: a cell is told to the map as
-//! it was seen, at the time at which it was seen.
+//! Where the prediction leaves too little to learn for a full tour, the explorer goes round: it looks again at what it
+//! has not seen since this round began, and begins the next round when all is seen. Spatial-only exploration, whose
+//! last map is certain of all that it has seen, does little else once the office is known. Invariant: a cell is told to
+//! the map as it was seen, at the time at which it was seen.
 
 use std::{
     collections::HashMap,

@@ -13,10 +13,10 @@ use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Writes a row per day and explorer.
 ///
-/// Columns: day, explorer, error_percent (mean over slots and seeds), difference_percent to the first explorer, p_value of
-/// that (the median over seeds of a paired test over the day's slots), seeds_better and seeds_worse (with p below 0.05),
-/// changes_per_tour and changes (cells seen in another state than before), discovered (cells seen for the first time),
-/// tours, tours_8_to_18.
+/// Columns: day, explorer, error_percent (mean over slots and seeds), difference_percent to the first explorer, p_value
+/// of that (the median over seeds of a paired test over the day's slots), seeds_better and seeds_worse (with p below
+/// 0.05), changes_per_tour and changes (cells seen in another state than before), discovered (cells seen for the first
+/// time), tours, tours_8_to_18.
 pub fn summary<W: Write>(
     protocol: &OfficeProtocol,
     outcome: &OfficeExploration,

@@ -53,8 +53,8 @@ fn what_a_protocol_says_wrongly_is_named() {
     }
 }
 
-/// As in RA-L 2016, figure 6, the spatio-temporal model knows least on the first day, and errs less every day. In an office
-/// of two people it does not beat the last map yet; the example protocol is tested below.
+/// As in RA-L 2016, figure 6, the spatio-temporal model knows least on the first day, and errs less every day. In an
+/// office of two people it does not beat the last map yet; the example protocol is tested below.
 #[test]
 fn the_first_day_is_the_same_for_all_and_the_model_errs_less_every_day() {
     let protocol = protocol();
