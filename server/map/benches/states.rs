@@ -11,14 +11,13 @@ use std::{
 
 use tidemap_map::{
     event::{Event, NewState, Observations, OffsetRun, StateKind, UpdateCause},
-    grid::spec::Retention,
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
     refit::{REFIT_NANOS, StateReadings, WantedReadings},
     spec::MapSpec,
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
+use tidemap_model::Sample;
 
 const STATES: u32 = 10_000;
 const MINUTE: i64 = 60_000_000_000;
@@ -105,18 +104,7 @@ fn update(map: &mut LiveMap, pool: &rayon::ThreadPool, day: i64, readings: Optio
 }
 
 fn main() {
-    let spec = MapSpec {
-        name: MapName::new("bench").expect("valid"),
-        zone: Zone::utc(),
-        periodicities: Periodicities::default(),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
-        grid: None,
-    };
+    let spec = MapSpec::new(MapName::new("bench").expect("valid"));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let mut map = LiveMap::new(Arc::new(spec));
     // After twelve weeks, of which this map has seen the last.

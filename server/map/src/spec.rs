@@ -37,6 +37,24 @@ pub struct MapSpec {
 }
 
 impl MapSpec {
+    /// A map with the defaults of the daemon: UTC, no grid, no half-life, history kept forever. Change fields as
+    /// `MapSpec { zone, ..MapSpec::new(name) }`.
+    #[must_use]
+    pub fn new(name: MapName) -> MapSpec {
+        MapSpec {
+            name,
+            zone: Zone::utc(),
+            periodicities: Periodicities::default(),
+            criterion: OrderCriterion::SquaredError,
+            created_nanos: 0,
+            half_life_nanos: None,
+            prior: 0.5,
+            retention: Retention::Forever,
+            models: EnabledModels::default(),
+            grid: None,
+        }
+    }
+
     /// How its states are updated.
     #[must_use]
     pub fn update_rules(&self) -> UpdateRules {

@@ -2,8 +2,7 @@
 
 use std::{path::Path, time::Duration};
 
-use tidemap_map::grid::spec::Retention;
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
+use tidemap_model::Zone;
 use tidemap_store::{Store, StoreOptions};
 
 use super::*;
@@ -32,16 +31,8 @@ fn catalog(store: Store) -> Result<Catalog, CatalogError> {
 
 fn spec() -> MapSpec {
     MapSpec {
-        name: MapName::new("office").expect("valid"),
         zone: Zone::named("Europe/London").expect("known"),
-        periodicities: Periodicities::default(),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
-        grid: None,
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     }
 }
 

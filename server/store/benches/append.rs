@@ -11,12 +11,10 @@ use std::{
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use tidemap_map::{
     event::{Event, Observations, OffsetRun},
-    grid::spec::Retention,
     ids::{ProducerId, StateId},
     name::MapName,
     spec::MapSpec,
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_store::{AppendError, MapLog, Store, StoreOptions};
 
 /// Observations in a batch.
@@ -71,18 +69,7 @@ fn benches(criterion: &mut Criterion) {
     let directory = tempfile::tempdir().expect("temporary directory");
     let options = StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() };
     let store = Store::open(directory.path(), options).expect("opens");
-    let spec = MapSpec {
-        name: MapName::new("bench").expect("valid"),
-        zone: Zone::utc(),
-        periodicities: Periodicities::default(),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
-        grid: None,
-    };
+    let spec = MapSpec::new(MapName::new("bench").expect("valid"));
     let map = store.create_map(&spec).expect("creates");
     let log = store.open_map(map, &spec).expect("opens").log;
     let mut group = criterion.benchmark_group("append batches of 4096 observations");

@@ -19,7 +19,7 @@ use tidemap_map::{
     snapshot::MapSnapshot,
     spec::MapSpec,
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
+use tidemap_model::Periodicities;
 use tidemap_store::{AppendError, MapId, MapLog, OpenedMap, Store, StoreOptions};
 
 const SCANS: u64 = 17_200;
@@ -32,15 +32,7 @@ const START_NANOS: i64 = 1_700_006_400_000_000_000;
 
 fn spec() -> MapSpec {
     MapSpec {
-        name: MapName::new("bench").expect("valid"),
-        zone: Zone::utc(),
         periodicities: Periodicities::harmonics(604_800_000_000_000, 168).expect("valid"),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
             is_flat: false,
@@ -50,6 +42,7 @@ fn spec() -> MapSpec {
             sensor: SensorNoise::default(),
             retention: Retention::Forever,
         }),
+        ..MapSpec::new(MapName::new("bench").expect("valid"))
     }
 }
 

@@ -6,7 +6,6 @@ use std::{sync::Arc, time::Instant};
 
 use tidemap_map::{
     event::{Event, UpdateCause},
-    grid::spec::Retention,
     history::HistoryPiece,
     ids::StateId,
     live_map::LiveMap,
@@ -15,7 +14,7 @@ use tidemap_map::{
     snapshot::MapSnapshot,
     spec::MapSpec,
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
+use tidemap_model::Sample;
 use tidemap_store::{MapId, Store, StoreOptions};
 
 const STATES: u32 = 1_000;
@@ -38,18 +37,7 @@ fn piece(night: i64) -> Arc<HistoryPiece> {
 }
 
 fn main() {
-    let spec = MapSpec {
-        name: MapName::new("bench").expect("valid"),
-        zone: Zone::utc(),
-        periodicities: Periodicities::default(),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
-        grid: None,
-    };
+    let spec = MapSpec::new(MapName::new("bench").expect("valid"));
     let folder = tempfile::tempdir().expect("temporary folder");
     let options = StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() };
     let store = Store::open(folder.path(), options).expect("a store");

@@ -8,7 +8,6 @@ use std::sync::{Arc, atomic::AtomicU64};
 use tidemap_map::{
     edge_forecast::EdgeForecasts,
     event::{Event, NewState, Observations, OffsetRun, UpdateCause},
-    grid::spec::Retention,
     history::HistoryPiece,
     ids::{ProducerId, StateId},
     live_map::LiveMap,
@@ -19,7 +18,7 @@ use tidemap_map::{
     topology::Topology,
     traversal::Traversal,
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
+use tidemap_model::Sample;
 
 use super::{
     RoutesError, START_NANOS,
@@ -64,16 +63,8 @@ impl Learner {
     pub fn new(persistence: bool) -> Result<Self, RoutesError> {
         let setting = |error: &dyn std::fmt::Display| RoutesError::Setting(error.to_string());
         let spec = MapSpec {
-            name: MapName::new("building").map_err(|error| setting(&error))?,
-            zone: Zone::utc(),
-            periodicities: Periodicities::default(),
-            criterion: OrderCriterion::SquaredError,
             created_nanos: START_NANOS,
-            half_life_nanos: None,
-            prior: 0.5,
-            retention: Retention::Forever,
-            models: EnabledModels::default(),
-            grid: None,
+            ..MapSpec::new(MapName::new("building").map_err(|error| setting(&error))?)
         };
         let mut map = LiveMap::new(Arc::new(spec));
         let load = building::load().map_err(|error| setting(&error))?;

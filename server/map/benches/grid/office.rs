@@ -19,7 +19,6 @@ use tidemap_map::{
     spec::MapSpec,
     update::UpdateWork,
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 
 pub const DAY_NANOS: i64 = 86_400_000_000_000;
 pub const TILES: usize = 416;
@@ -33,15 +32,7 @@ pub const FLIPS: usize = CELLS * CHANGES;
 /// A map with a grid.
 pub fn spec(retention: Retention) -> Arc<MapSpec> {
     Arc::new(MapSpec {
-        name: MapName::new("office").expect("valid"),
-        zone: Zone::utc(),
-        periodicities: Periodicities::default(),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
         retention: Retention::None,
-        models: EnabledModels::default(),
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
             is_flat: false,
@@ -51,6 +42,7 @@ pub fn spec(retention: Retention) -> Arc<MapSpec> {
             sensor: SensorNoise::default(),
             retention,
         }),
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     })
 }
 

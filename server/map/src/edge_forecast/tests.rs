@@ -3,12 +3,11 @@
 use std::sync::{Arc, atomic::AtomicU64};
 
 use proptest::prelude::*;
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
+use tidemap_model::{Periodicities, Sample};
 
 use super::*;
 use crate::{
     event::{Event, NewState, Observations, OffsetRun, UpdateCause},
-    grid::spec::Retention,
     ids::ProducerId,
     live_map::LiveMap,
     name::{EdgeName, MapName, ProducerKey, StateName},
@@ -89,16 +88,8 @@ fn a_changed_length_keeps_the_speed() {
 /// A map of which nothing is known.
 fn empty() -> LiveMap {
     LiveMap::new(Arc::new(MapSpec {
-        name: MapName::new("office").expect("valid"),
-        zone: Zone::utc(),
         periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
-        grid: None,
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     }))
 }
 

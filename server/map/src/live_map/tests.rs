@@ -3,13 +3,12 @@
 use std::sync::atomic::AtomicU64;
 
 use proptest::prelude::*;
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
+use tidemap_model::Periodicities;
 
 use super::*;
 use crate::{
     MAX_AHEAD_NANOS,
     event::{NewState, Observations, OffsetRun, StateKind, UpdateCause},
-    grid::spec::Retention,
     name::{MapName, StateName},
 };
 
@@ -23,16 +22,8 @@ const NOW: i64 = 1000 * HOUR;
 
 fn spec() -> Arc<MapSpec> {
     Arc::new(MapSpec {
-        name: MapName::new("office").expect("valid"),
-        zone: Zone::utc(),
         periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
-        grid: None,
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     })
 }
 

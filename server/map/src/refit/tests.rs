@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, sync::Mutex};
 
 use tidemap_model::{
-    EnabledModels, OrderCriterion, Periodicities, Zone,
+    EnabledModels, Periodicities,
     models::{Calibrated, CalibratedOptions},
 };
 
@@ -38,16 +38,9 @@ impl StateReadings for Kept {
 
 fn spec(retention: Retention) -> MapSpec {
     MapSpec {
-        name: MapName::new("office").expect("valid"),
-        zone: Zone::utc(),
         periodicities: Periodicities::harmonics(DAY, 4).expect("valid"),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
         retention,
-        models: EnabledModels::default(),
-        grid: None,
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     }
 }
 

@@ -17,7 +17,7 @@ use tidemap_map::{
     spec::MapSpec,
     view::MapView,
 };
-use tidemap_model::{InstantPhasors, OrderCriterion, Periodicities, Zone};
+use tidemap_model::{InstantPhasors, Zone};
 
 use super::*;
 
@@ -37,16 +37,10 @@ pub(crate) fn spec(is_flat: bool) -> GridSpec {
 
 fn map_spec(grid: Option<GridSpec>) -> Arc<MapSpec> {
     Arc::new(MapSpec {
-        name: MapName::new("room").unwrap(),
         zone: Zone::named("Europe/London").unwrap(),
-        periodicities: Periodicities::default(),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        models: tidemap_model::EnabledModels::default(),
         retention: Retention::None,
         grid,
+        ..MapSpec::new(MapName::new("room").unwrap())
     })
 }
 

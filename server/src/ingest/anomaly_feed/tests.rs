@@ -8,23 +8,14 @@ use tidemap_map::{
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tokio::sync::broadcast::error::TryRecvError;
 
 use super::*;
 
 fn map() -> LiveMap {
     LiveMap::new(Arc::new(MapSpec {
-        name: MapName::new("office").expect("valid"),
-        zone: Zone::named("UTC").expect("known"),
-        periodicities: Periodicities::default(),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
         retention: Retention::None,
-        models: EnabledModels::default(),
-        grid: None,
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     }))
 }
 

@@ -44,7 +44,7 @@ mod tests {
         name::{MapName, ProducerKey},
         spec::MapSpec,
     };
-    use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
+    use tidemap_model::Zone;
     use tokio::sync::{mpsc, oneshot};
 
     use super::{super::SessionLimits, *};
@@ -62,16 +62,10 @@ mod tests {
             retention: Retention::None,
         };
         LiveMap::new(Arc::new(MapSpec {
-            name: MapName::new("office").expect("valid"),
             zone: Zone::named("Europe/London").expect("known"),
-            periodicities: Periodicities::default(),
-            criterion: OrderCriterion::SquaredError,
-            created_nanos: 0,
-            half_life_nanos: None,
-            prior: 0.5,
             retention: Retention::None,
-            models: EnabledModels::default(),
             grid: has_grid.then_some(grid),
+            ..MapSpec::new(MapName::new("office").expect("valid"))
         }))
     }
 

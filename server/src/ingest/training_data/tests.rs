@@ -3,10 +3,8 @@
 use std::path::Path;
 
 use tidemap_map::{
-    event::UpdateCause, grid::spec::Retention, ids::StateId, live_map::LiveMap, name::MapName, snapshot::MapSnapshot,
-    spec::MapSpec,
+    event::UpdateCause, ids::StateId, live_map::LiveMap, name::MapName, snapshot::MapSnapshot, spec::MapSpec,
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
 use tidemap_store::{MapId, Store, StoreOptions};
 
 use super::*;
@@ -14,18 +12,7 @@ use super::*;
 const HOUR: i64 = 3_600_000_000_000;
 
 fn spec() -> MapSpec {
-    MapSpec {
-        name: MapName::new("office").expect("valid"),
-        zone: Zone::utc(),
-        periodicities: Periodicities::default(),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
-        grid: None,
-    }
+    MapSpec::new(MapName::new("office").expect("valid"))
 }
 
 /// What six updates have folded in: two states, with equal times and some that came late.

@@ -11,7 +11,7 @@ use tidemap_map::{
     ids::RefusalReason,
     name::{MapName, ProducerKey, StateName},
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
+use tidemap_model::Zone;
 use tidemap_store::StoreOptions;
 use tokio::sync::{Semaphore, mpsc as events};
 
@@ -85,16 +85,9 @@ async fn create_with(bench: &Bench, grid: Option<GridSpec>) -> Arc<MapHandle> {
 
 pub(super) fn spec_with(grid: Option<GridSpec>) -> MapSpec {
     MapSpec {
-        name: MapName::new("office").expect("valid"),
         zone: Zone::named("Europe/London").expect("known"),
-        periodicities: Periodicities::default(),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
         grid,
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     }
 }
 

@@ -12,7 +12,7 @@ use tidemap_map::{
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
+use tidemap_model::Zone;
 use tidemap_proto::{
     convert::{
         scans::{ScanLimits, TileTable, batch, split},
@@ -85,16 +85,10 @@ impl Bench {
             retention,
         });
         let spec = MapSpec {
-            name: MapName::new("office").expect("valid"),
             zone: Zone::named("Europe/London").expect("known"),
-            periodicities: Periodicities::default(),
-            criterion: OrderCriterion::SquaredError,
-            created_nanos: 0,
-            half_life_nanos: None,
-            prior: 0.5,
             retention,
-            models: EnabledModels::default(),
             grid,
+            ..MapSpec::new(MapName::new("office").expect("valid"))
         };
         catalog.create(spec).await.expect("created");
         Self::of(catalog)

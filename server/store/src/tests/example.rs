@@ -9,7 +9,6 @@ use std::{
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
     event::{Event, NewState, Observations, OffsetRun, StateKind, UpdateCause, UpdateStart},
-    grid::spec::Retention,
     ids::{ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
@@ -17,8 +16,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    EnabledModels, FitKind, FittedModel, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities,
-    Persistence, PersistenceParts, Sample, SpectralModel, StateModel, UpdateRules, Zone, models::Readings,
+    EnabledModels, FitKind, FittedModel, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
+    PersistenceParts, Sample, SpectralModel, StateModel, UpdateRules, Zone, models::Readings,
 };
 
 use crate::{AppendError, MapId, MapLog, OpenError, OpenedMap, Source, Store, StoreOptions};
@@ -32,16 +31,10 @@ pub(crate) fn options() -> StoreOptions {
 
 pub(crate) fn spec(name: &str) -> MapSpec {
     MapSpec {
-        name: MapName::new(name).expect("valid"),
         zone: Zone::named("Europe/Prague").expect("known"),
         periodicities: Periodicities::harmonics(24 * HOUR_NANOS, 130).expect("valid"),
-        criterion: OrderCriterion::SquaredError,
         created_nanos: 1_700_000_000_000_000_000,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
-        grid: None,
+        ..MapSpec::new(MapName::new(name).expect("valid"))
     }
 }
 

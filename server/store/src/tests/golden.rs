@@ -9,15 +9,14 @@ use std::{
 
 use tidemap_map::{
     event::{Event, NewState, Observations, OffsetRun, StateKind, UpdateCause, UpdateStart},
-    grid::spec::Retention,
     ids::{ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey, StateName},
     snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
     spec::MapSpec,
 };
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Component, EnabledModels, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts,
-    Periodicities, Persistence, PersistenceParts, SpectralModel, StateModel, Zone,
+    Accumulator, AccumulatorParts, Component, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities,
+    Persistence, PersistenceParts, SpectralModel, StateModel, Zone,
 };
 
 use super::example::{append, content, copy, options};
@@ -36,16 +35,11 @@ fn golden() -> PathBuf {
 
 fn spec() -> MapSpec {
     MapSpec {
-        name: MapName::new("office").expect("valid"),
         zone: Zone::named("Europe/Prague").expect("known"),
         periodicities: Periodicities::list(vec![604_800_000_000_000, 86_400_000_000_000]).expect("valid"),
         criterion: OrderCriterion::ZeroOne,
         created_nanos: 1_700_000_000_123_456_789,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
-        grid: None,
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     }
 }
 

@@ -29,8 +29,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Component, EnabledModels, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, PhasorSum,
-    Sample, SpectralModel, Zone,
+    Component, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, PhasorSum, Sample,
+    SpectralModel, Zone,
 };
 
 use super::example::{append, content, copy, options};
@@ -51,15 +51,10 @@ fn golden() -> PathBuf {
 
 fn spec() -> MapSpec {
     MapSpec {
-        name: MapName::new("office").expect("valid"),
         zone: Zone::named("Europe/Prague").expect("known"),
         periodicities: Periodicities::list(vec![604_800_000_000_000, 86_400_000_000_000]).expect("valid"),
         criterion: OrderCriterion::ZeroOne,
         created_nanos: 1_700_000_000_123_456_789,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
             is_flat: true,
@@ -69,6 +64,7 @@ fn spec() -> MapSpec {
             sensor: SensorNoise { hit: 0.9, false_alarm: 0.05, prior: 0.3 },
             retention: Retention::Duration(31 * 86_400_000_000_000),
         }),
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     }
 }
 

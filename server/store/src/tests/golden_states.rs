@@ -15,9 +15,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, EnabledModels, FitParts,
-    FittedModelParts, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
-    PersistenceParts, SpectralModel, StateModel, Zone,
+    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, FitParts, FittedModelParts, LocalDay,
+    OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, SpectralModel, StateModel, Zone,
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
 };
 
@@ -37,16 +36,13 @@ fn golden() -> PathBuf {
 
 pub(super) fn spec() -> MapSpec {
     MapSpec {
-        name: MapName::new("office").expect("valid"),
         zone: Zone::named("Europe/Prague").expect("known"),
         periodicities: Periodicities::list(vec![604_800_000_000_000, 86_400_000_000_000]).expect("valid"),
-        criterion: OrderCriterion::SquaredError,
         created_nanos: 1_700_000_000_123_456_789,
         half_life_nanos: Some(30 * 86_400_000_000_000),
         prior: 0.25,
         retention: Retention::Duration(90 * 86_400_000_000_000),
-        models: EnabledModels::default(),
-        grid: None,
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     }
 }
 

@@ -6,7 +6,7 @@ use proptest::{collection::vec, option, prelude::*};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
     event::{Dimensions, Event, NewState, Observations, OffsetRun, StateKind, StateShape, UpdateCause, UpdateStart},
-    grid::{sensors::ProducerSensor, spec::Retention},
+    grid::sensors::ProducerSensor,
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::{EdgeName, MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
@@ -328,21 +328,10 @@ proptest! {
         } else {
             Periodicities::harmonics(base, count)
         };
-        let spec = MapSpec {
-            name: MapName::new("a-b_0").expect("valid"),
-            zone: Zone::named(if is_list { "UTC" } else { "America/New_York" }).expect("known"),
-            periodicities: periodicities.expect("valid"),
-            criterion: if is_list { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError },
-            created_nanos: base,
-            half_life_nanos: None,
-            prior: 0.5,
-            retention: Retention::Forever,
-            models: fits.into_iter().fold(
+        let spec = MapSpec { zone: Zone::named(if is_list { "UTC" } else { "America/New_York" }).expect("known"), periodicities: periodicities.expect("valid"), criterion: if is_list { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError }, created_nanos: base, models: fits.into_iter().fold(
                 EnabledModels::SPECTRAL.with_histograms(histograms),
                 EnabledModels::with_fit,
-            ),
-            grid: None,
-        };
+            ), ..MapSpec::new(MapName::new("a-b_0").expect("valid")) };
         prop_assert_eq!(record::spec::decode(record::spec::encode(&spec, is_list)), Ok(spec));
     }
 }

@@ -12,7 +12,7 @@ use tidemap_map::{
     name::MapName,
     spec::MapSpec,
 };
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Zone};
+use tidemap_model::{Periodicities, Zone};
 use tidemap_plan::{
     predicted::{CELLS_MAX, Lattice, PredictedGrid},
     tour::TourQuestion,
@@ -73,16 +73,12 @@ impl<'a> Space<'a> {
         };
         let lattice = Arc::new(Lattice::new(&grid, extent, CELLS_MAX)?);
         let spec = Arc::new(MapSpec {
-            name: MapName::new("office").map_err(|error| setting(&error))?,
             zone: Zone::named("UTC").map_err(|error| setting(&error))?,
             periodicities: Periodicities::harmonics(DAY_NANOS, HARMONICS).map_err(|error| setting(&error))?,
-            criterion: OrderCriterion::SquaredError,
             created_nanos: START_NANOS,
-            half_life_nanos: None,
-            prior: 0.5,
-            models: EnabledModels::default(),
             retention: Retention::None,
             grid: Some(grid),
+            ..MapSpec::new(MapName::new("office").map_err(|error| setting(&error))?)
         });
         // 360° x 90° within 4 m; two minutes at each goal, the drive included (RA-L, sections III.E and H).
         let sensor = Sensor { horizontal_fov_rad: TAU, ..Sensor::default() };

@@ -3,7 +3,7 @@
 use std::{collections::HashMap, sync::Arc};
 
 use proptest::prelude::*;
-use tidemap_model::{Component, EnabledModels, OrderCriterion, OrderErrors, Periodicities, SpectralModel, Zone};
+use tidemap_model::{Component, OrderErrors, Periodicities, SpectralModel, Zone};
 
 use super::*;
 use crate::{
@@ -74,16 +74,11 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat
         retention: Retention::None,
     };
     let spec = MapSpec {
-        name: MapName::new("office").expect("valid"),
         zone: Zone::named("Europe/London").expect("known"),
         periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),
-        criterion: OrderCriterion::SquaredError,
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
         retention: Retention::None,
-        models: EnabledModels::default(),
         grid: Some(grid.clone()),
+        ..MapSpec::new(MapName::new("office").expect("valid"))
     };
     let mut sensors = Sensors::new(sensor);
     for (hit, false_alarm) in [(0.7, 0.2), (0.99, 0.4)].into_iter().take(others) {

@@ -4,7 +4,7 @@
 
 use std::sync::{Arc, atomic::AtomicU64};
 
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Sample, Zone};
+use tidemap_model::{OrderCriterion, Periodicities, Sample, Zone};
 
 use super::robot::{Robot, SENSORS, Seen, random};
 use super::{
@@ -63,19 +63,12 @@ pub fn spec(rng: &mut u64) -> MapSpec {
     };
     let is_noisy = sensor != SensorNoise::default();
     MapSpec {
-        name: MapName::new("world").expect("valid"),
         zone: Zone::named("Europe/London").expect("known"),
         periodicities: match random(rng, 4) {
             0 => Periodicities::list(vec![5 * HOUR, 24 * HOUR, 70_000 * SECOND]).expect("valid"),
             _ => Periodicities::harmonics(36 * HOUR, 20).expect("valid"),
-        },
-        // Without noise predictions of exactly 0.5 occur, whose side is a matter of rounding.
+        }, // Without noise predictions of exactly 0.5 occur, whose side is a matter of rounding.
         criterion: if is_noisy && random(rng, 2) == 0 { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError },
-        created_nanos: 0,
-        half_life_nanos: None,
-        prior: 0.5,
-        retention: Retention::Forever,
-        models: EnabledModels::default(),
         grid: Some(GridSpec {
             frame_id: "map".to_owned(),
             is_flat: false,
@@ -85,6 +78,7 @@ pub fn spec(rng: &mut u64) -> MapSpec {
             sensor,
             retention: Retention::Forever,
         }),
+        ..MapSpec::new(MapName::new("world").expect("valid"))
     }
 }
 
