@@ -13,7 +13,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use tidemap_map::{
     grid::{
         index::{CellBox, CellIndex},
-        spec::{GridSpec, Retention, SensorNoise},
+        spec::GridSpec,
     },
     reachability::Reachability,
 };
@@ -29,15 +29,7 @@ use crate::office::{Office, SIZE, TIMES};
 mod office;
 
 fn lattice(size: [i32; 3]) -> Arc<Lattice> {
-    let spec = GridSpec {
-        frame_id: "map".to_owned(),
-        is_flat: false,
-        resolution_m: 0.1,
-        origin_m: [0.0; 3],
-        extent: None,
-        sensor: SensorNoise::default(),
-        retention: Retention::None,
-    };
+    let spec = GridSpec::new(0.1);
     let region = CellBox { min: CellIndex::default(), max: CellIndex { x: size[0], y: size[1], z: size[2] } };
     Arc::new(Lattice::new(&spec, region, 1 << 24).expect("small"))
 }

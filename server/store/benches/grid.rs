@@ -11,7 +11,7 @@ use tidemap_map::{
     grid::{
         index::{TileId, TileIndex},
         scan::{CellRef, LoggedScan, Scans},
-        spec::{GridSpec, Retention, SensorNoise},
+        spec::{GridSpec, Retention},
     },
     ids::ProducerId,
     live_map::LiveMap,
@@ -33,15 +33,7 @@ const START_NANOS: i64 = 1_700_006_400_000_000_000;
 fn spec() -> MapSpec {
     MapSpec {
         periodicities: Periodicities::harmonics(604_800_000_000_000, 168).expect("valid"),
-        grid: Some(GridSpec {
-            frame_id: "map".to_owned(),
-            is_flat: false,
-            resolution_m: 0.1,
-            origin_m: [0.0; 3],
-            extent: None,
-            sensor: SensorNoise::default(),
-            retention: Retention::Forever,
-        }),
+        grid: Some(GridSpec { retention: Retention::Forever, ..GridSpec::new(0.1) }),
         ..MapSpec::new(MapName::new("bench").expect("valid"))
     }
 }

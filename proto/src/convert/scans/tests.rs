@@ -4,7 +4,7 @@ use tidemap_map::grid::{
     index::{CellBox, CellIndex, TileIndex},
     mask::{Mask, TileMasks},
     raycast::Rays,
-    spec::{GridSpec, Retention, SensorNoise},
+    spec::GridSpec,
 };
 
 use super::*;
@@ -16,15 +16,7 @@ mod round_trip;
 const LIMITS: ScanLimits = ScanLimits { batch_scans: 64, points: 100, tiles: 1000 };
 
 fn spec(is_flat: bool) -> GridSpec {
-    GridSpec {
-        frame_id: "map".to_owned(),
-        is_flat,
-        resolution_m: 0.1,
-        origin_m: [0.0; 3],
-        extent: None,
-        sensor: SensorNoise::default(),
-        retention: Retention::None,
-    }
+    GridSpec { is_flat, ..GridSpec::new(0.1) }
 }
 
 fn decoder(spec: &GridSpec) -> ScanDecoder {

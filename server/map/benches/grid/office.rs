@@ -11,7 +11,7 @@ use tidemap_map::{
         front::{Front, SentScan, StreamTiles},
         index::TileIndex,
         scan::Scans,
-        spec::{GridSpec, Retention, SensorNoise},
+        spec::{GridSpec, Retention},
     },
     ids::ProducerId,
     live_map::LiveMap,
@@ -33,15 +33,7 @@ pub const FLIPS: usize = CELLS * CHANGES;
 pub fn spec(retention: Retention) -> Arc<MapSpec> {
     Arc::new(MapSpec {
         retention: Retention::None,
-        grid: Some(GridSpec {
-            frame_id: "map".to_owned(),
-            is_flat: false,
-            resolution_m: 0.1,
-            origin_m: [0.0; 3],
-            extent: None,
-            sensor: SensorNoise::default(),
-            retention,
-        }),
+        grid: Some(GridSpec { retention, ..GridSpec::new(0.1) }),
         ..MapSpec::new(MapName::new("office").expect("valid"))
     })
 }

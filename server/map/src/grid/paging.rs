@@ -179,7 +179,7 @@ fn bytes_of(model: &ModelSlot, sums: Option<&SumsSlot>, shared: &mut HashSet<*co
 mod tests {
     use super::*;
     use crate::grid::{
-        spec::{GridSpec, Retention, SensorNoise},
+        spec::{GridSpec, Retention},
         tile::TileUnavailable,
     };
 
@@ -203,15 +203,7 @@ mod tests {
 
     #[test]
     fn no_save_but_the_newest_is_kept_open() {
-        let spec = GridSpec {
-            frame_id: "map".to_owned(),
-            is_flat: false,
-            resolution_m: 0.1,
-            origin_m: [0.0; 3],
-            extent: None,
-            sensor: SensorNoise::default(),
-            retention: Retention::Forever,
-        };
+        let spec = GridSpec { retention: Retention::Forever, ..GridSpec::new(0.1) };
         let mut grid = LiveGrid::new(Arc::new(spec));
         let (old, new): (Arc<dyn TileSource>, Arc<dyn TileSource>) = (Arc::new(Empty), Arc::new(Empty));
         let cold = |tile| ColdTile { source: Arc::clone(&old), tile: TileId(tile) };

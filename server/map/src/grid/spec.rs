@@ -97,6 +97,20 @@ pub enum InvalidGrid {
 }
 
 impl GridSpec {
+    /// A grid in frame `map`, in three dimensions and without an extent, of a sensor that is always right, without history.
+    #[must_use]
+    pub fn new(resolution_m: f64) -> GridSpec {
+        GridSpec {
+            frame_id: "map".to_owned(),
+            is_flat: false,
+            resolution_m,
+            origin_m: [0.0; 3],
+            extent: None,
+            sensor: SensorNoise::default(),
+            retention: Retention::None,
+        }
+    }
+
     /// Checks every field.
     ///
     /// # Errors

@@ -8,7 +8,7 @@ use tidemap_map::{
         front::{Front, SentScan, StreamTiles},
         index::{CellBox, CellIndex, TileIndex},
         scan::Scans,
-        spec::{GridSpec, Retention, SensorNoise},
+        spec::{GridSpec, Retention},
     },
     ids::ProducerId,
     live_map::LiveMap,
@@ -24,15 +24,7 @@ use super::*;
 const HOUR: i64 = 3_600_000_000_000;
 
 pub(crate) fn spec(is_flat: bool) -> GridSpec {
-    GridSpec {
-        frame_id: "map".to_owned(),
-        is_flat,
-        resolution_m: 0.1,
-        origin_m: [0.7, -0.3, 0.2],
-        extent: None,
-        sensor: SensorNoise::default(),
-        retention: Retention::None,
-    }
+    GridSpec { is_flat, origin_m: [0.7, -0.3, 0.2], ..GridSpec::new(0.1) }
 }
 
 fn map_spec(grid: Option<GridSpec>) -> Arc<MapSpec> {

@@ -1,6 +1,5 @@
 //! Observations and scans as a stream sends them: what is taken, skipped, refused, and what ends the stream.
 
-use tidemap_map::grid::spec::{Retention, SensorNoise};
 use tidemap_proto::{
     convert::columns::encode,
     v1::{self, PointCloud, Scan, scan::Content},
@@ -162,15 +161,7 @@ fn names_alone_are_handed_over_without_observations() {
 }
 
 fn wide() -> GridSpec {
-    GridSpec {
-        frame_id: "map".to_owned(),
-        is_flat: false,
-        resolution_m: 1.0,
-        origin_m: [0.0; 3],
-        extent: None,
-        sensor: SensorNoise::default(),
-        retention: Retention::None,
-    }
+    GridSpec::new(1.0)
 }
 
 fn clouds(first: u64, points: &[f32], count: usize) -> v1::ScanBatch {

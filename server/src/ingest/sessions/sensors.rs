@@ -52,15 +52,7 @@ mod tests {
     const OWN: SensorNoise = SensorNoise { hit: 0.9, false_alarm: 0.1, prior: 0.5 };
 
     fn map(has_grid: bool) -> LiveMap {
-        let grid = GridSpec {
-            frame_id: "map".to_owned(),
-            is_flat: false,
-            resolution_m: 0.1,
-            origin_m: [0.0; 3],
-            extent: None,
-            sensor: OWN,
-            retention: Retention::None,
-        };
+        let grid = GridSpec { sensor: OWN, ..GridSpec::new(0.1) };
         LiveMap::new(Arc::new(MapSpec {
             zone: Zone::named("Europe/London").expect("known"),
             retention: Retention::None,

@@ -7,7 +7,7 @@ use tidemap_map::{
     grid::{
         index::TileIndex,
         mask::{Mask, TileMasks},
-        spec::{GridSpec, Retention, SensorNoise},
+        spec::{GridSpec, Retention},
     },
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
@@ -75,15 +75,7 @@ impl Bench {
     /// A new map `office`.
     async fn new(dir: &Path, retention: Retention, grid: Option<Retention>) -> Self {
         let catalog = Self::open(dir);
-        let grid = grid.map(|retention| GridSpec {
-            frame_id: "map".to_owned(),
-            is_flat: false,
-            resolution_m: 0.1,
-            origin_m: [0.0; 3],
-            extent: None,
-            sensor: SensorNoise::default(),
-            retention,
-        });
+        let grid = grid.map(|retention| GridSpec { retention, ..GridSpec::new(0.1) });
         let spec = MapSpec {
             zone: Zone::named("Europe/London").expect("known"),
             retention,

@@ -56,13 +56,12 @@ fn spec() -> MapSpec {
         criterion: OrderCriterion::ZeroOne,
         created_nanos: 1_700_000_000_123_456_789,
         grid: Some(GridSpec {
-            frame_id: "map".to_owned(),
             is_flat: true,
-            resolution_m: 0.05,
             origin_m: [-1.5, 0.0, 0.1],
             extent: Some(CellBox { min: CellIndex { x: -80, y: 0, z: 0 }, max: CellIndex { x: 800, y: 640, z: 1 } }),
             sensor: SensorNoise { hit: 0.9, false_alarm: 0.05, prior: 0.3 },
             retention: Retention::Duration(31 * 86_400_000_000_000),
+            ..GridSpec::new(0.05)
         }),
         ..MapSpec::new(MapName::new("office").expect("valid"))
     }

@@ -38,13 +38,10 @@ pub(crate) fn spec(name: &str) -> MapSpec {
     MapSpec {
         periodicities: Periodicities::list(vec![7 * DAY_NANOS, DAY_NANOS, DAY_NANOS / 2]).expect("valid"),
         grid: Some(GridSpec {
-            frame_id: "map".to_owned(),
-            is_flat: false,
-            resolution_m: 0.1,
             origin_m: [-1.5, 0.0, 0.25],
-            extent: None,
             sensor: SensorNoise { hit: 0.9, false_alarm: 0.05, prior: 0.3 },
             retention: Retention::Forever,
+            ..GridSpec::new(0.1)
         }),
         ..example::spec(name)
     }

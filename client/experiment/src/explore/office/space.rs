@@ -7,7 +7,7 @@ use std::{f64::consts::TAU, sync::Arc};
 use tidemap_map::{
     grid::{
         index::{CellBox, CellIndex},
-        spec::{GridSpec, Retention, SensorNoise},
+        spec::{GridSpec, Retention},
     },
     name::MapName,
     spec::MapSpec,
@@ -62,15 +62,7 @@ impl<'a> Space<'a> {
         let setting = |error: &dyn std::fmt::Display| OfficeError::Setting(error.to_string());
         let [x, y, z] = office.size().map(|cells| cells as i32);
         let extent = CellBox { min: CellIndex::default(), max: CellIndex { x, y, z } };
-        let grid = GridSpec {
-            frame_id: "map".to_owned(),
-            is_flat: false,
-            resolution_m: ExploredOffice::CELL_M,
-            origin_m: [0.0; 3],
-            extent: Some(extent),
-            sensor: SensorNoise::default(),
-            retention: Retention::None,
-        };
+        let grid = GridSpec { extent: Some(extent), ..GridSpec::new(ExploredOffice::CELL_M) };
         let lattice = Arc::new(Lattice::new(&grid, extent, CELLS_MAX)?);
         let spec = Arc::new(MapSpec {
             zone: Zone::named("UTC").map_err(|error| setting(&error))?,

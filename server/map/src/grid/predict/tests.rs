@@ -64,15 +64,7 @@ fn tile() -> impl Strategy<Value = Tile> {
 
 /// A view of a map with these tiles.
 fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat: bool) -> MapView {
-    let grid = GridSpec {
-        frame_id: "map".to_owned(),
-        is_flat,
-        resolution_m: 0.1,
-        origin_m: [0.0; 3],
-        extent: None,
-        sensor,
-        retention: Retention::None,
-    };
+    let grid = GridSpec { is_flat, sensor, ..GridSpec::new(0.1) };
     let spec = MapSpec {
         zone: Zone::named("Europe/London").expect("known"),
         periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),

@@ -5,23 +5,12 @@ use std::collections::BTreeSet;
 use proptest::prelude::*;
 
 use super::*;
-use crate::grid::{
-    index::{CellBox, CellIndex, TILE_EDGE, TILE_LIMIT},
-    spec::{Retention, SensorNoise},
-};
+use crate::grid::index::{CellBox, CellIndex, TILE_EDGE, TILE_LIMIT};
 
 const LIMITS: CastLimits = CastLimits { ray_cells: 100_000, cells: 10_000_000, tiles: 100_000 };
 
 fn spec(is_flat: bool, extent: Option<CellBox>) -> GridSpec {
-    GridSpec {
-        frame_id: "map".to_owned(),
-        is_flat,
-        resolution_m: 0.5,
-        origin_m: [-1.0, 0.25, 3.0],
-        extent,
-        sensor: SensorNoise::default(),
-        retention: Retention::None,
-    }
+    GridSpec { is_flat, origin_m: [-1.0, 0.25, 3.0], extent, ..GridSpec::new(0.5) }
 }
 
 fn unit() -> GridSpec {

@@ -69,15 +69,7 @@ pub fn spec(rng: &mut u64) -> MapSpec {
             _ => Periodicities::harmonics(36 * HOUR, 20).expect("valid"),
         }, // Without noise predictions of exactly 0.5 occur, whose side is a matter of rounding.
         criterion: if is_noisy && random(rng, 2) == 0 { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError },
-        grid: Some(GridSpec {
-            frame_id: "map".to_owned(),
-            is_flat: false,
-            resolution_m: 0.1,
-            origin_m: [0.0; 3],
-            extent: None,
-            sensor,
-            retention: Retention::Forever,
-        }),
+        grid: Some(GridSpec { sensor, retention: Retention::Forever, ..GridSpec::new(0.1) }),
         ..MapSpec::new(MapName::new("world").expect("valid"))
     }
 }

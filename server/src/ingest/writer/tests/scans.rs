@@ -3,7 +3,6 @@
 use tidemap_map::grid::{
     index::{CellIndex, TileIndex},
     mask::{Mask, TileMasks},
-    spec::SensorNoise,
 };
 use tidemap_proto::{
     convert::scans::{ScanLimits, TileTable, batch, content_crc, split},
@@ -18,15 +17,7 @@ const LIMITS: IntakeLimits =
     IntakeLimits { batch: 100, table: 10, scans: ScanLimits { batch_scans: 100, points: 5000, tiles: 30 } };
 
 pub(super) fn grid() -> GridSpec {
-    GridSpec {
-        frame_id: "map".to_owned(),
-        is_flat: false,
-        resolution_m: 1.0,
-        origin_m: [0.0; 3],
-        extent: None,
-        sensor: SensorNoise::default(),
-        retention: Retention::Forever,
-    }
+    GridSpec { retention: Retention::Forever, ..GridSpec::new(1.0) }
 }
 
 pub(super) fn masks(observed: &[u16], occupied: &[u16]) -> TileMasks {

@@ -2,24 +2,13 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use tidemap_map::grid::{
-    index::{CellBox, CellIndex},
-    spec::{Retention, SensorNoise},
-};
+use tidemap_map::grid::index::{CellBox, CellIndex};
 use tidemap_proto::v1;
 
 use super::*;
 
 fn spec(extent: Option<CellBox>) -> GridSpec {
-    GridSpec {
-        frame_id: "map".to_owned(),
-        is_flat: false,
-        resolution_m: 0.5,
-        origin_m: [0.0; 3],
-        extent,
-        sensor: SensorNoise::default(),
-        retention: Retention::None,
-    }
+    GridSpec { extent, ..GridSpec::new(0.5) }
 }
 
 #[test]
