@@ -16,11 +16,13 @@ mod replay;
 pub mod retry;
 pub mod scan;
 pub mod scan_stream;
+mod shared;
 mod traversal;
 pub mod window;
 
-pub use producer::{Phase, Producer, ProducerOptions, Progress};
+pub use producer::Producer;
 pub use replay::Replay;
+pub use shared::{Phase, ProducerOptions, Progress};
 pub use traversal::Traversal;
 
 /// Tiles of a grid, and the table by which scans of them are sent as differences.

@@ -18,10 +18,10 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, Streaming};
 
 use super::{
-    ProducerError, Refusal,
-    outgoing::{Limits, Outgoing},
-    producer::{Phase, Shared},
+    Phase, ProducerError, Refusal,
+    outgoing::{MessageLimits, Outgoing},
     retry::Outage,
+    shared::Shared,
     window::Window,
 };
 use crate::{
@@ -225,7 +225,7 @@ impl Link {
             progress.store_id.clone_from(&welcome.store_id);
             progress.unreported += unreported;
         });
-        Ok(Outgoing::new(Limits::of(welcome), self.shared.options.kind))
+        Ok(Outgoing::new(MessageLimits::of(welcome), self.shared.options.kind))
     }
 
     fn acknowledge(&mut self, ack: Ack) -> Result<(), End> {

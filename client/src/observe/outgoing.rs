@@ -12,8 +12,8 @@ use tidemap_proto::v1::{
 
 use super::{
     columns::{BatchLimits, Entry, StreamTable, fitting, pack},
-    producer::State,
     scan_stream::{ScanLimits, ScanStream},
+    shared::SharedState,
     traversal::wire_bytes,
     window::Window,
 };
@@ -24,12 +24,12 @@ const REQUEST_BYTES_EXTRA: usize = 16;
 
 /// What the daemon takes in one message.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Limits {
+pub(super) struct MessageLimits {
     observations: BatchLimits,
     scans: ScanLimits,
 }
 
-impl Limits {
+impl MessageLimits {
     pub(super) fn of(welcome: &Welcome) -> Self {
         let limit = |limit: u32| usize::try_from(limit).unwrap_or(usize::MAX).max(1);
         let bytes = limit(welcome.max_message_bytes).saturating_sub(REQUEST_BYTES_EXTRA).max(1);
@@ -42,7 +42,7 @@ impl Limits {
 
 #[derive(Debug)]
 pub(super) struct Outgoing {
-    limits: Limits,
+    limits: MessageLimits,
     names: StreamTable,
     /// What the stream says of its names.
     kind: Option<StateKind>,
@@ -54,13 +54,13 @@ pub(super) struct Outgoing {
 
 impl Outgoing {
     /// A new connection.
-    pub(super) fn new(limits: Limits, kind: Option<StateKind>) -> Self {
+    pub(super) fn new(limits: MessageLimits, kind: Option<StateKind>) -> Self {
         Self { limits, names: StreamTable::default(), kind, scans: None, parts: VecDeque::new() }
     }
 
     /// Whether there is a message to send now.
-    pub(super) fn is_ready(&self, state: &State) -> bool {
-        let Limits { observations, scans } = self.limits;
+    pub(super) fn is_ready(&self, state: &SharedState) -> bool {
+        let MessageLimits { observations, scans } = self.limits;
         !self.parts.is_empty()
             || state.window.as_ref().is_some_and(|window| {
                 window.to_send(observations.observations, state.urgent).next().is_some()
@@ -70,7 +70,7 @@ impl Outgoing {
     }
 
     /// The next message; what is in it counts as sent.
-    pub(super) fn next(&mut self, state: &mut State) -> Option<ObserveRequest> {
+    pub(super) fn next(&mut self, state: &mut SharedState) -> Option<ObserveRequest> {
         let urgent = state.urgent;
         let window = state.window.as_mut()?;
         let message = match self.parts.pop_front() {
@@ -161,8 +161,8 @@ mod tests {
             window.push_traversal(Traversal::default());
         }
         window.push("door", 9, 0.0);
-        let mut state = State { window: Some(window), urgent: 13, closing: false, refusals: Vec::new() };
-        let mut outgoing = Outgoing::new(Limits::of(&welcome), None);
+        let mut state = SharedState { window: Some(window), urgent: 13, closing: false, refusals: Vec::new() };
+        let mut outgoing = Outgoing::new(MessageLimits::of(&welcome), None);
         let mut sent = Vec::new();
         while outgoing.is_ready(&state) {
             let message = outgoing.next(&mut state).and_then(|request| request.message);

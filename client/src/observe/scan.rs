@@ -2,34 +2,13 @@
 //!
 //! Invariant: a scan is sent as it was given; whether it makes sense on the map is the daemon's to say.
 
+pub use tidemap_map::grid::raycast::Pose;
 use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
+use tidemap_proto::convert::grid::pose_to_wire;
 use tidemap_proto::v1::{self, scan::Content};
 
 /// Bytes that a scan takes on the wire beside its points, masks and flips, at most.
 const FRAME_BYTES: usize = 256;
-
-/// The transform map_from_sensor.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
-    /// Metres.
-    pub position_m: [f64; 3],
-    /// Unit quaternion, its scalar part last.
-    pub quaternion_xyzw: [f64; 4],
-}
-
-impl Default for Pose {
-    /// At the map's origin, unturned.
-    fn default() -> Self {
-        Self { position_m: [0.0; 3], quaternion_xyzw: [0.0, 0.0, 0.0, 1.0] }
-    }
-}
-
-impl Pose {
-    fn to_wire(self) -> v1::Pose {
-        let ([x_m, y_m, z_m], [qx, qy, qz, qw]) = (self.position_m, self.quaternion_xyzw);
-        v1::Pose { x_m, y_m, z_m, qx, qy, qz, qw }
-    }
-}
 
 /// Points in the sensor's frame, ray-cast by the daemon.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -79,7 +58,7 @@ pub enum Scan {
 impl From<PointCloud> for v1::PointCloud {
     fn from(cloud: PointCloud) -> Self {
         Self {
-            pose: Some(cloud.pose.to_wire()),
+            pose: Some(pose_to_wire(&cloud.pose)),
             frame_id: cloud.frame_id,
             xyz_m: cloud.xyz_m,
             min_range_m: cloud.min_range_m,
@@ -91,7 +70,7 @@ impl From<PointCloud> for v1::PointCloud {
 impl From<RangeScan> for v1::RangeScan {
     fn from(scan: RangeScan) -> Self {
         Self {
-            pose: Some(scan.pose.to_wire()),
+            pose: Some(pose_to_wire(&scan.pose)),
             frame_id: scan.frame_id,
             angle_min_rad: scan.angle_min_rad,
             angle_increment_rad: scan.angle_increment_rad,

@@ -134,6 +134,13 @@ pub fn retention_to_wire(retention: Retention) -> v1::Retention {
     v1::Retention { keep: Some(keep) }
 }
 
+/// A pose for the wire.
+#[must_use]
+pub fn pose_to_wire(pose: &Pose) -> v1::Pose {
+    let ([x_m, y_m, z_m], [qx, qy, qz, qw]) = (pose.position_m, pose.quaternion_xyzw);
+    v1::Pose { x_m, y_m, z_m, qx, qy, qz, qw }
+}
+
 /// A pose; without one the sensor is at the map's origin, unturned.
 ///
 /// # Errors
