@@ -29,6 +29,7 @@
 //! assert!(open > 0.95);
 //! ```
 #![forbid(unsafe_code)]
+#![warn(unreachable_pub)]
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod accumulator;
@@ -50,7 +51,7 @@ mod state;
 
 pub use accumulator::{Accumulator, AccumulatorParts};
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
-pub use entropy::{INFORMATION_CERTAINTY, entropy_bits, information_gain_bits};
+pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
 pub use kind::{StateKind, VALUE_MAX};
 pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};

@@ -35,10 +35,8 @@ pub use mean::{Mean, MeanParts};
 pub use pergam::{Pergam, PergamGaussian, PergamOptions, PergamParts};
 pub use poisson::{COUNT_BIN_NANOS, PoissonSpectral, PoissonSpectralParts};
 pub use presence::{Presence, PresenceOptions};
-pub use support::{
-    DependenceSums, OrderGains, OrderGainsParts, effective_observations, effective_observations_of_values,
-    supported_order, supported_order_of_values,
-};
+pub use support::{DependenceSums, OrderGains, OrderGainsParts, effective_observations, supported_order};
+pub(crate) use support::{effective_observations_of_values, supported_order_of_values};
 pub use uniform::{UniformSpectral, UniformSpectralParts};
 
 use crate::{Sample, civil::NANOS_PER_SEC};

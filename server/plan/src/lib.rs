@@ -3,6 +3,7 @@
 //! Invariant: no I/O, no clock, no hidden randomness (a seed is an argument). Information is in bits. What a question may
 //! cost is bounded before it is answered, and told where it would cost more.
 #![forbid(unsafe_code)]
+#![warn(unreachable_pub)]
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod day;

@@ -21,7 +21,7 @@ pub use self::solve::solve_policy;
 use crate::route::ForecastError;
 
 /// Most states, nodes times slots, of a policy.
-pub const POLICY_STATES_MAX: usize = 2_000_000;
+pub(crate) const POLICY_STATES_MAX: usize = 2_000_000;
 
 /// What a policy is best at.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

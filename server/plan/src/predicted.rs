@@ -24,7 +24,7 @@ pub use times::{PredictedGrid, PredictedTimes};
 /// The most cells of a region, unless said otherwise.
 pub const CELLS_MAX: u64 = 1 << 24;
 /// The most values of cells that differ between times, times counted each, unless said otherwise.
-pub const VALUES_MAX: u64 = 1 << 26;
+pub(crate) const VALUES_MAX: u64 = 1 << 26;
 
 /// Which model predicts, and what.
 #[derive(Clone, Copy, Debug, PartialEq)]

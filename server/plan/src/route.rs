@@ -40,13 +40,13 @@ use tidemap_map::topology::{EdgeId, NOMINAL_MAX_SECS, NodeId};
 use tidemap_model::models::Interval;
 
 /// Most alternatives beside the best route.
-pub const ALTERNATIVES_MAX: usize = 10;
+pub(crate) const ALTERNATIVES_MAX: usize = 10;
 /// Most departures that are tried for one answer.
 pub const DEPARTURES_MAX: usize = 1_000;
 /// Most times at which an edge is sampled for [`Bounds::Sampled`].
 pub const SAMPLES_MAX: u32 = 100;
 /// Largest time of a question, in seconds to either side of its reference time: as long as edges may be.
-pub const TIME_MAX_SECS: f64 = NOMINAL_MAX_SECS;
+pub(crate) const TIME_MAX_SECS: f64 = NOMINAL_MAX_SECS;
 
 /// What the best route is best at.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -34,7 +34,7 @@ pub const EXACT_GOALS_MAX: usize = 40;
 /// Most goals of a search.
 pub const GOALS_MAX: usize = 5_000;
 /// The least probability that a goal counts with by default.
-pub const FLOOR: f64 = 1e-6;
+pub(crate) const FLOOR: f64 = 1e-6;
 
 /// A place to look at.
 #[derive(Clone, Copy, Debug, PartialEq)]

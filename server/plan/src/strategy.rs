@@ -17,17 +17,17 @@ pub use gains::Gains;
 pub use schedule::{best, choose, novel, schedule};
 
 /// The most slots times places of one plan.
-pub const GAINS_MAX: usize = 4_000_000;
+pub(crate) const GAINS_MAX: usize = 4_000_000;
 /// The largest gain of one visit, in bits.
-pub const GAIN_MAX: f64 = 1e12;
+pub(crate) const GAIN_MAX: f64 = 1e12;
 /// What every place is worth at least when places are drawn: ι of RAS 2017, eq. 11, which is 0.02 nats, in bits. So places
 /// are visited even when the model is certain of them.
-pub const IOTA_BITS: f64 = 0.02 * std::f64::consts::LOG2_E;
+pub(crate) const IOTA_BITS: f64 = 0.02 * std::f64::consts::LOG2_E;
 
 /// A visit is changed for another where that would tell at least so many times what the model expects of it: "I' ≫ I" of
 /// RAS 2017, section 5.1. With a model that is sure (p = 0.05) it takes a short-term expectation above 0.25; one that
 /// is at 0.2 is never that surprised.
-pub const NOVELTY_FACTOR: f64 = 4.0;
+pub(crate) const NOVELTY_FACTOR: f64 = 4.0;
 
 /// How visits are scheduled for a day ahead.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

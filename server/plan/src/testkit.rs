@@ -9,7 +9,7 @@ use tidemap_map::{
 
 /// Kinds of maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shape {
+pub(crate) enum Shape {
     /// Each node hangs on an earlier one.
     Tree,
     /// A grid of streets of which a third is closed, as far as it stays connected.
@@ -22,25 +22,25 @@ pub enum Shape {
 
 /// A map and what is looked for in it, from node 0.
 #[derive(Clone, Debug)]
-pub struct Map {
-    pub topology: Topology,
+pub(crate) struct Map {
+    pub(crate) topology: Topology,
     /// Nodes with probabilities.
-    pub goals: Vec<(NodeId, f64)>,
+    pub(crate) goals: Vec<(NodeId, f64)>,
 }
 
 impl Map {
     /// Where the search begins.
-    pub fn start(&self) -> NodeId {
+    pub(crate) fn start(&self) -> NodeId {
         NodeId(0)
     }
 
     /// The map with its nominal times.
-    pub fn roads(&self) -> Roads {
+    pub(crate) fn roads(&self) -> Roads {
         Roads::new(&self.topology, |edge| Some(edge.extent.secs_at(1.0))).unwrap()
     }
 
     /// A map of so many nodes. Whole times and weights have many ties.
-    pub fn random(shape: Shape, count: usize, whole: bool, seed: u64) -> Map {
+    pub(crate) fn random(shape: Shape, count: usize, whole: bool, seed: u64) -> Map {
         let mut random = SmallRng::seed_from_u64(seed);
         let mut topology = Topology::new();
         let nodes: Vec<NodeId> = (0..count)

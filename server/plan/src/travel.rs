@@ -202,7 +202,7 @@ impl TravelGrid {
 
     /// Centre of a column of the region in the map's frame, x and y in metres.
     #[must_use]
-    pub fn centre_m(&self, column: Column) -> [f64; 2] {
+    pub(crate) fn centre_m(&self, column: Column) -> [f64; 2] {
         let lowest = self.lattice.region().min;
         let cell = CellIndex { x: lowest.x + column.x as i32, y: lowest.y + column.y as i32, z: lowest.z };
         let [x_m, y_m, _] = self.lattice.centre_m(cell);
@@ -211,7 +211,7 @@ impl TravelGrid {
 
     /// Whether the middle of the robot can be there; outside the region it cannot.
     #[must_use]
-    pub fn is_passable(&self, column: Column) -> bool {
+    pub(crate) fn is_passable(&self, column: Column) -> bool {
         let [width, depth] = self.size;
         column.x < width && column.y < depth && self.passable[column.y * width + column.x]
     }

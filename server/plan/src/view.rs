@@ -29,7 +29,7 @@ pub use timed::{TimedScene, TimedViewScorer};
 /// The most cells that the rays of a sensor may pass all together, those that several pass counted for each.
 pub const RAY_CELLS_MAX: f64 = 3e7;
 /// The longest range in cells.
-pub const RANGE_CELLS_MAX: f64 = 4096.0;
+pub(crate) const RANGE_CELLS_MAX: f64 = 4096.0;
 
 /// How a robot looks around.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -112,7 +112,7 @@ impl Sensor {
 
     /// Whether it looks all around.
     #[must_use]
-    pub fn is_all_around(&self) -> bool {
+    pub(crate) fn is_all_around(&self) -> bool {
         self.horizontal_fov_rad >= std::f64::consts::TAU
     }
 }

@@ -101,7 +101,7 @@ impl ChangeAlarm {
     }
 
     /// Whether the alarm rings.
-    pub fn is_ringing(&self) -> bool {
+    pub(crate) fn is_ringing(&self) -> bool {
         self.parts.rang.is_some()
     }
 

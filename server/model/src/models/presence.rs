@@ -41,7 +41,7 @@ impl PresenceOptions {
     /// The most places.
     pub const PLACES_MAX: usize = 64;
     /// The most slots of a day: minutes.
-    pub const SLOTS_MAX: usize = 1440;
+    pub(crate) const SLOTS_MAX: usize = 1440;
 
     /// For so many places and slots: habits are smoothed over an hour, and shrunk with a weight of five slots.
     pub fn new(places: usize, slots_per_day: usize) -> PresenceOptions {

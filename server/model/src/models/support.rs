@@ -73,7 +73,7 @@ fn effective(sums: &DependenceSums, forgotten: impl Fn(f64) -> f64) -> f64 {
 ///
 /// Neighbours with a normal distribution and the correlation ρ differ by E|Δs| = 2σ√((1 - ρ)/π), so 1 - ρ is
 /// π/4·(E|Δs|/σ)².
-pub fn effective_observations_of_values(sums: &DependenceSums, variance: f64) -> f64 {
+pub(crate) fn effective_observations_of_values(sums: &DependenceSums, variance: f64) -> f64 {
     effective(sums, |change| std::f64::consts::FRAC_PI_4 * change * change / variance)
 }
 
@@ -90,7 +90,7 @@ pub fn supported_order(model: &SpectralModel, periodicities: &Periodicities, eff
 }
 
 /// [`supported_order`] of values that have this variance.
-pub fn supported_order_of_values(
+pub(crate) fn supported_order_of_values(
     model: &SpectralModel,
     periodicities: &Periodicities,
     effective_observations: f64,

@@ -87,7 +87,7 @@ impl EnabledModels {
     }
 
     /// Whether models of that kind are tried.
-    pub fn has_fit(self, kind: FitKind) -> bool {
+    pub(crate) fn has_fit(self, kind: FitKind) -> bool {
         self.fits[kind.index()]
     }
 

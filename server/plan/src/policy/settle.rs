@@ -34,19 +34,19 @@ pub(super) struct SlotChoices {
 }
 
 impl SlotChoices {
-    pub fn of(&self, node: usize) -> std::ops::Range<usize> {
+    pub(super) fn of(&self, node: usize) -> std::ops::Range<usize> {
         self.first[node] as usize..self.first[node + 1] as usize
     }
 
     /// What a choice is worth in a part.
-    pub fn worth(&self, choice: usize, part: usize, values: &[f64]) -> f64 {
+    pub(super) fn worth(&self, choice: usize, part: usize, values: &[f64]) -> f64 {
         let SlotChoice { known, leak, to, .. } = self.all[choice];
         // A share of 0 of what is infinite is 0.
         if leak >= 1.0 { known[part] } else { known[part] + (1.0 - leak) * values[to as usize] }
     }
 
     /// Leaves out the choices of each node that are worse than its value by more than `tie` of it.
-    pub fn narrow(&self, part: usize, values: &[f64], tie: impl Fn(f64) -> f64, is_best: &mut [bool]) {
+    pub(super) fn narrow(&self, part: usize, values: &[f64], tie: impl Fn(f64) -> f64, is_best: &mut [bool]) {
         for (node, &value) in values.iter().enumerate() {
             for choice in self.of(node) {
                 is_best[choice] &= self.worth(choice, part, values) <= value + tie(value);
@@ -55,7 +55,7 @@ impl SlotChoices {
     }
 
     /// The first choice of each node.
-    pub fn firsts(&self) -> ChoiceByNode {
+    pub(crate) fn firsts(&self) -> ChoiceByNode {
         (0..self.first.len() - 1).map(|node| self.of(node).next().map(|choice| choice as u32)).collect()
     }
 }

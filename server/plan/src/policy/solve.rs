@@ -84,14 +84,14 @@ pub(super) struct Solver<'a> {
 }
 
 impl<'a> Solver<'a> {
-    pub fn new(network: &'a Network<'a>, target: usize, options: &'a PolicyOptions) -> Solver<'a> {
+    pub(super) fn new(network: &'a Network<'a>, target: usize, options: &'a PolicyOptions) -> Solver<'a> {
         let nothing = PolicyEntry { action: PolicyAction::Nothing, expected_secs: f64::INFINITY, reach: 0.0 };
         let states = network.nodes.len() * options.slots;
         Solver { network, target, options, entries: vec![nothing; states], attempts: vec![0.0; states] }
     }
 
     /// Solves a slot, those after it being solved.
-    pub fn solve(&mut self, slot: usize, forecasts: &mut impl Forecasts) -> Result<(), ForecastError> {
+    pub(super) fn solve(&mut self, slot: usize, forecasts: &mut impl Forecasts) -> Result<(), ForecastError> {
         let at_secs = (slot as f64 + 0.5) * self.options.slot_secs;
         let mut open: Vec<Option<EdgeForecast>> = Vec::with_capacity(self.network.edges.len());
         for (index, edge) in self.network.edges.iter().enumerate() {

@@ -147,7 +147,7 @@ impl Lattice {
 
     /// Centre of a cell in the map's frame, metres.
     #[must_use]
-    pub fn centre_m(&self, cell: CellIndex) -> [f64; 3] {
+    pub(crate) fn centre_m(&self, cell: CellIndex) -> [f64; 3] {
         let along = |axis: usize, index: i32| self.origin_m[axis] + (f64::from(index) + 0.5) * self.resolution_m;
         [along(0, cell.x), along(1, cell.y), along(2, cell.z)]
     }

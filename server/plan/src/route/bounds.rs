@@ -35,7 +35,7 @@ pub(super) struct ToGo {
 
 impl ToGo {
     /// Nothing is known.
-    pub fn nothing(network: &Network) -> ToGo {
+    pub(super) fn nothing(network: &Network) -> ToGo {
         ToGo { least: vec![Cost::ZERO; network.nodes.len()], into: vec![Cost::ZERO; network.nodes.len()] }
     }
 
@@ -43,7 +43,7 @@ impl ToGo {
     /// than their sum is worse whatever its second part, and otherwise every edge of it has its least first part.
     ///
     /// Beyond `limit` bounds stay at it: a way from there is of no use.
-    pub fn find<F: Forecasts>(
+    pub(super) fn find<F: Forecasts>(
         network: &Network,
         cache: &mut ForecastCache<F>,
         goal: usize,
@@ -90,7 +90,7 @@ impl ToGo {
     }
 
     /// At least so much is paid by who leaves for a node and goes from there to the goal.
-    pub fn through(&self, node: usize) -> Cost {
+    pub(super) fn through(&self, node: usize) -> Cost {
         self.into[node].plus(self.least[node])
     }
 }

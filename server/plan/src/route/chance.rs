@@ -29,21 +29,21 @@ pub(super) struct Chance {
 }
 
 impl Chance {
-    pub const CERTAIN: Chance = Chance { log_mean: 0.0, log_spread: 0.0 };
+    pub(crate) const CERTAIN: Chance = Chance { log_mean: 0.0, log_spread: 0.0 };
 
     /// Beta(mean · evidence, (1 - mean) · evidence).
-    pub fn new(mean: f64, evidence: f64) -> Chance {
+    pub(super) fn new(mean: f64, evidence: f64) -> Chance {
         Chance { log_mean: mean.ln(), log_spread: ((1.0 - mean) / (mean * (evidence + 1.0))).ln_1p() }
     }
 
     /// Of both, which do not depend on each other: the means of products are the products of means.
-    pub fn and(self, other: Chance) -> Chance {
+    pub(super) fn and(self, other: Chance) -> Chance {
         Chance { log_mean: self.log_mean + other.log_mean, log_spread: self.log_spread + other.log_spread }
     }
 
     /// The interval with equal tails that holds `confidence` of the Beta distribution with these two moments, and the mean. A
     /// chance of 1 is certain.
-    pub fn interval(self, confidence: f64) -> Interval {
+    pub(super) fn interval(self, confidence: f64) -> Interval {
         let mean = self.log_mean.exp();
         if mean >= 1.0 {
             return Interval { lower: 1.0, upper: 1.0 };

@@ -33,21 +33,21 @@ impl PartialOrd for Cost {
 }
 
 impl Cost {
-    pub const ZERO: Cost = Cost { first: 0.0, then: 0.0 };
-    pub const INFINITE: Cost = Cost { first: f64::INFINITY, then: f64::INFINITY };
+    pub(super) const ZERO: Cost = Cost { first: 0.0, then: 0.0 };
+    pub(crate) const INFINITE: Cost = Cost { first: f64::INFINITY, then: f64::INFINITY };
 
-    pub fn plus(self, other: Cost) -> Cost {
+    pub(super) fn plus(self, other: Cost) -> Cost {
         Cost { first: self.first + other.first, then: self.then + other.then }
     }
 
     /// The lesser of both parts, each by itself: a lower bound of both in either order.
-    pub fn least(self, other: Cost) -> Cost {
+    pub(super) fn least(self, other: Cost) -> Cost {
         Cost { first: self.first.min(other.first), then: self.then.min(other.then) }
     }
 
     /// Whether a lower bound shows that nothing at or below `limit` is left; sums in another order may differ in their last
     /// digits.
-    pub fn is_beyond(self, limit: Cost) -> bool {
+    pub(super) fn is_beyond(self, limit: Cost) -> bool {
         let above = |found: f64, most: f64| found > most * (1.0 + 1e-12);
         above(self.first, limit.first) || (self.first == limit.first && above(self.then, limit.then))
     }
@@ -63,7 +63,7 @@ pub(super) struct Costing {
 
 impl Costing {
     /// Least for the greatest success and the shortest duration.
-    pub fn cost(&self, success: f64, duration_secs: f64) -> Cost {
+    pub(super) fn cost(&self, success: f64, duration_secs: f64) -> Cost {
         let secs = expected_secs(success, duration_secs, self.recovery_secs);
         // Adding 0 makes -0 a 0.
         let doubt = -success.ln() + 0.0;
@@ -77,7 +77,7 @@ impl Costing {
     }
 
     /// The number that a user sees.
-    pub fn shown(&self, cost: Cost) -> f64 {
+    pub(super) fn shown(&self, cost: Cost) -> f64 {
         if self.objective == Objective::Success { cost.first * LOG_STEP } else { cost.first }
     }
 }

@@ -99,7 +99,7 @@ struct Departure {
 }
 
 impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
-    pub fn new(
+    pub(super) fn new(
         network: &'a Network<'a>,
         forecasts: &'a mut F,
         until: U,
@@ -128,7 +128,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         }
     }
 
-    pub fn plan(mut self, when: When) -> Result<RoutePlan, PlanRouteError> {
+    pub(super) fn plan(mut self, when: When) -> Result<RoutePlan, PlanRouteError> {
         let departure = match when {
             When::DepartAt(secs) => self.depart(secs, (secs, secs), Cost::INFINITE)?,
             When::DepartWithin { from_secs, to_secs, step_secs } => self.within(from_secs, to_secs, step_secs)?,

@@ -40,14 +40,14 @@ pub(super) struct ForecastCache<'a, F> {
 }
 
 impl<'a, F: Forecasts> ForecastCache<'a, F> {
-    pub fn new(network: &'a Network<'a>, forecasts: &'a mut F, costing: Costing, resolution_secs: f64) -> Self {
+    pub(super) fn new(network: &'a Network<'a>, forecasts: &'a mut F, costing: Costing, resolution_secs: f64) -> Self {
         let count = network.edges.len();
         let (kept, is_closed) = (vec![Vec::new(); count], vec![false; count]);
         ForecastCache { network, forecasts, costing, resolution_secs, kept, kept_count: 0, is_closed, asked: 0 }
     }
 
     /// Which times count as the same as this.
-    pub fn rounded(&self, at_secs: f64) -> f64 {
+    pub(super) fn rounded(&self, at_secs: f64) -> f64 {
         // Adding 0 makes -0 a 0.
         if self.resolution_secs > 0.0 {
             (at_secs / self.resolution_secs).round() * self.resolution_secs + 0.0
@@ -57,7 +57,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
     }
 
     /// Which arrivals count as the same as this.
-    pub fn joined(&self, at_secs: f64, join_secs: f64) -> f64 {
+    pub(super) fn joined(&self, at_secs: f64, join_secs: f64) -> f64 {
         if join_secs > self.resolution_secs {
             (at_secs / join_secs).round() * join_secs + 0.0
         } else {
@@ -66,7 +66,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
     }
 
     /// An edge entered at a time; `None` while it is closed.
-    pub fn at(&mut self, edge: usize, at_secs: f64) -> Result<Option<EdgeCost>, ForecastError> {
+    pub(super) fn at(&mut self, edge: usize, at_secs: f64) -> Result<Option<EdgeCost>, ForecastError> {
         let at_secs = self.rounded(at_secs);
         let place = match self.kept[edge].binary_search_by(|kept| kept.0.total_cmp(&at_secs)) {
             Ok(place) => return Ok(self.kept[edge][place].1),
@@ -103,7 +103,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
     }
 
     /// What an edge costs at least at any time of a span, as far as that is known for certain.
-    pub fn known_least(&mut self, edge: usize, from_secs: f64, to_secs: f64) -> Cost {
+    pub(crate) fn known_least(&mut self, edge: usize, from_secs: f64, to_secs: f64) -> Cost {
         let best = self.forecasts.best(self.network.edges[edge], from_secs, to_secs);
         let success = best.map(|best| best.success).filter(|success| *success > 0.0 && *success < 1.0).unwrap_or(1.0);
         let duration = best.map(|best| best.duration_secs).filter(|secs| (0.0..=NOMINAL_MAX_SECS).contains(secs));
@@ -112,7 +112,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
 
     /// The least that an edge costs at about so many times from before a span to its end or after; infinite where it is closed at
     /// all of them. The times are whole multiples of a power of two, so that spans nearby share them.
-    pub fn sampled_least(
+    pub(crate) fn sampled_least(
         &mut self,
         edge: usize,
         from_secs: f64,
@@ -133,7 +133,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
     }
 
     /// Edges that were closed at a time at which they were asked for.
-    pub fn closed(&self) -> usize {
+    pub(super) fn closed(&self) -> usize {
         self.is_closed.iter().filter(|closed| **closed).count()
     }
 }

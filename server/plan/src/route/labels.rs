@@ -92,7 +92,7 @@ pub(super) struct Labels<'a, 'b, F, U> {
 }
 
 impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
-    pub fn new(
+    pub(super) fn new(
         network: &'a Network<'a>,
         cache: &'b mut ForecastCache<'a, F>,
         to_go: &'b ToGo,
@@ -106,7 +106,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
 
     /// A good way: of all ways to a node only the first that is come upon in the order of what they cost at least. `None` where
     /// that finds none, or none of at most `limit`.
-    pub fn good(&mut self, task: &Task, limit: Cost) -> Result<Option<EdgePath>, PlanRouteError> {
+    pub(super) fn good(&mut self, task: &Task, limit: Cost) -> Result<Option<EdgePath>, PlanRouteError> {
         self.begin(task);
         let mut is_done = task.is_passed.to_vec();
         let mut best = vec![Cost::INFINITE; self.network.nodes.len()];
@@ -142,7 +142,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
     }
 
     /// The best way that costs less than `limit` and than `known`; `known` where there is none.
-    pub fn best(
+    pub(super) fn best(
         &mut self,
         task: &Task,
         known: Option<EdgePath>,

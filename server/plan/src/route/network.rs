@@ -20,7 +20,7 @@ pub(crate) struct Network<'a> {
 }
 
 impl<'a> Network<'a> {
-    pub fn new(topology: &'a Topology) -> Network<'a> {
+    pub(crate) fn new(topology: &'a Topology) -> Network<'a> {
         let nodes: Vec<NodeId> = topology.nodes().map(|node| node.id).collect();
         // Both ends exist: the map's invariant.
         let index = |node: NodeId| nodes.binary_search(&node).ok().map(|index| index as u32);
@@ -38,30 +38,30 @@ impl<'a> Network<'a> {
         Network { topology, nodes, edges, ends, first, into, into_first }
     }
 
-    pub fn index_of(&self, node: NodeId) -> Option<usize> {
+    pub(crate) fn index_of(&self, node: NodeId) -> Option<usize> {
         self.nodes.binary_search(&node).ok()
     }
 
     /// Indices of the edges that begin at a node.
-    pub fn leaving(&self, node: usize) -> std::ops::Range<usize> {
+    pub(crate) fn leaving(&self, node: usize) -> std::ops::Range<usize> {
         self.first[node] as usize..self.first[node + 1] as usize
     }
 
     /// Indices of the edges that end at a node.
-    pub fn arriving(&self, node: usize) -> impl Iterator<Item = usize> {
+    pub(crate) fn arriving(&self, node: usize) -> impl Iterator<Item = usize> {
         let range = self.into_first[node] as usize..self.into_first[node + 1] as usize;
         self.into[range].iter().map(|&edge| edge as usize)
     }
 
-    pub fn to(&self, edge: usize) -> usize {
+    pub(crate) fn to(&self, edge: usize) -> usize {
         self.ends[edge].1 as usize
     }
 
-    pub fn from(&self, edge: usize) -> usize {
+    pub(crate) fn from(&self, edge: usize) -> usize {
         self.ends[edge].0 as usize
     }
 
-    pub fn edge_name(&self, edge: usize) -> String {
+    pub(crate) fn edge_name(&self, edge: usize) -> String {
         self.topology.edge_name(self.edges[edge])
     }
 }

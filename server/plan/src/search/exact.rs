@@ -44,7 +44,7 @@ pub(super) struct SortedProblem<'a> {
 
 impl SortedProblem<'_> {
     /// Searches for an order that costs less than a known one, as long as that takes little.
-    pub fn prove_quickly(self, known: f64, states_max: usize, until: impl FnMut() -> bool) -> Proof {
+    pub(crate) fn prove_quickly(self, known: f64, states_max: usize, until: impl FnMut() -> bool) -> Proof {
         if self.problem.count <= TABLE_GOALS_MAX {
             return table(self, known);
         }
@@ -54,7 +54,7 @@ impl SortedProblem<'_> {
     }
 
     /// Searches for an order that costs less than a known one, with dearer bounds. `states_max` counts on from `before`.
-    pub fn prove(self, known: f64, before: &Proof, states_max: usize, mut until: impl FnMut() -> bool) -> Proof {
+    pub(super) fn prove(self, known: f64, before: &Proof, states_max: usize, mut until: impl FnMut() -> bool) -> Proof {
         let (mut lower_bound, mut states) = (before.lower_bound, before.states);
         let mut paths = Paths::new(self.problem, self.passing, PATHS[0].1);
         for (rounds, units, last_units, most) in PATHS {

@@ -20,7 +20,7 @@ pub(super) struct Neighbours {
 }
 
 impl Neighbours {
-    pub fn new(problem: &SearchProblem, most: usize) -> Neighbours {
+    pub(super) fn new(problem: &SearchProblem, most: usize) -> Neighbours {
         let each = most.min(problem.count.saturating_sub(1)).max(1);
         let mut goals = Vec::with_capacity((problem.count + 1) * each);
         let mut sorted: Vec<u32> = Vec::with_capacity(problem.count);
@@ -83,7 +83,7 @@ pub(super) struct SearchWalk<'a> {
 }
 
 impl<'a> SearchWalk<'a> {
-    pub fn new(problem: &'a SearchProblem, near: &'a Neighbours, order: &[usize]) -> SearchWalk<'a> {
+    pub(super) fn new(problem: &'a SearchProblem, near: &'a Neighbours, order: &[usize]) -> SearchWalk<'a> {
         let mut walk = SearchWalk {
             problem,
             near,
@@ -103,22 +103,22 @@ impl<'a> SearchWalk<'a> {
     }
 
     /// From now on at most so many of the nearest goals are looked at.
-    pub fn look_at(&mut self, reach: usize) {
+    pub(crate) fn look_at(&mut self, reach: usize) {
         self.reach = reach;
     }
 
     /// The goals in order.
-    pub fn order(&self) -> &[usize] {
+    pub(super) fn order(&self) -> &[usize] {
         &self.goals[1..]
     }
 
     /// The expected time.
-    pub fn cost(&self) -> f64 {
+    pub(super) fn cost(&self) -> f64 {
         self.sums[self.problem.count].cost
     }
 
     /// Takes another walk's order, all of its goals being looked at.
-    pub fn copy_from(&mut self, other: &SearchWalk<'_>) {
+    pub(crate) fn copy_from(&mut self, other: &SearchWalk<'_>) {
         self.goals.clone_from(&other.goals);
         self.position.clone_from(&other.position);
         self.sums.clone_from(&other.sums);
@@ -199,7 +199,7 @@ impl<'a> SearchWalk<'a> {
     }
 
     /// Exchanges two neighbouring stretches, whatever it costs: positions `from` to `middle`, and behind it to `to`.
-    pub fn exchange(&mut self, from: usize, middle: usize, to: usize) {
+    pub(super) fn exchange(&mut self, from: usize, middle: usize, to: usize) {
         let first = Stretch { first: from, last: middle, back: false };
         let second = Stretch { first: middle + 1, last: to, back: false };
         self.apply(from, to, &[second, first]);
@@ -207,7 +207,7 @@ impl<'a> SearchWalk<'a> {
 
     /// Applies changes that lower the cost until there is none at any goal whose surroundings have changed, or until asked
     /// to stop.
-    pub fn improve(&mut self, mut until: impl FnMut() -> bool) {
+    pub(super) fn improve(&mut self, mut until: impl FnMut() -> bool) {
         let mut looked = 0_u32;
         while let Some(goal) = self.open.pop() {
             self.is_open[goal] = false;

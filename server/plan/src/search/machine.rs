@@ -21,7 +21,7 @@ pub(super) struct Machine {
 }
 
 impl Machine {
-    pub fn new(problem: &SearchProblem, passing: Option<&Passing>) -> Machine {
+    pub(super) fn new(problem: &SearchProblem, passing: Option<&Passing>) -> Machine {
         let count = problem.count;
         let least = (0..count).map(|to| least_arrival(problem, passing, to)).collect();
         let plain = Machine::of(problem, vec![0.0; count], least);
@@ -50,7 +50,7 @@ impl Machine {
     }
 
     /// The same shares after [`SearchProblem::reordered`] by [`Machine::order`].
-    pub fn sorted(&self) -> Machine {
+    pub(super) fn sorted(&self) -> Machine {
         Machine {
             leaving: self.order.iter().map(|&goal| self.leaving[goal]).collect(),
             arriving: self.order.iter().map(|&goal| self.arriving[goal]).collect(),

@@ -39,7 +39,7 @@ pub(super) struct Paths {
 
 impl Paths {
     /// Prepares bounds with about so many units for the whole weight.
-    pub fn new(problem: &SearchProblem, passing: &Passing, units: u32) -> Paths {
+    pub(super) fn new(problem: &SearchProblem, passing: &Passing, units: u32) -> Paths {
         let count = problem.count;
         let mut paths = Paths {
             count,
@@ -56,7 +56,7 @@ impl Paths {
     }
 
     /// Rounds the weights anew; the rewards stay.
-    pub fn set_units(&mut self, problem: &SearchProblem, passing: &Passing, most: u32) {
+    pub(crate) fn set_units(&mut self, problem: &SearchProblem, passing: &Passing, most: u32) {
         let sum: f64 = problem.weight.iter().sum();
         let units_by = |unit: f64| problem.weight.iter().map(move |weight| (weight / unit * (1.0 + 1e-13)) as u32);
         // Of numbers of units the one that loses least; equal weights lose nothing with few.
@@ -166,7 +166,7 @@ impl Paths {
 
     /// Changes the rewards so many times, towards a known cost; keeps those of the best bound, and computes the bounds for
     /// them. Stops when asked.
-    pub fn improve(&mut self, rounds: usize, cost: f64, mut until: impl FnMut() -> bool) {
+    pub(super) fn improve(&mut self, rounds: usize, cost: f64, mut until: impl FnMut() -> bool) {
         let (mut best, mut best_rewards) = (f64::NEG_INFINITY, self.rewards.clone());
         let (mut pace, mut idle) = (1.0, 0);
         for _ in 0..rounds {
@@ -203,7 +203,7 @@ impl Paths {
 
     /// Units and rewards of a set of goals.
     #[inline]
-    pub fn sums(&self, mut goals: Goals) -> (u32, f64) {
+    pub(super) fn sums(&self, mut goals: Goals) -> (u32, f64) {
         let (mut units, mut rewards) = (0, 0.0);
         while goals != 0 {
             let goal = goals.trailing_zeros() as usize;
@@ -216,7 +216,7 @@ impl Paths {
 
     /// A bound of what it costs to go on to a goal's successors, given the set that contains it with its sums.
     #[inline]
-    pub fn behind(&self, goals: Goals, (units, rewards): (u32, f64), goal: usize) -> f64 {
+    pub(super) fn behind(&self, goals: Goals, (units, rewards): (u32, f64), goal: usize) -> f64 {
         let left = units - self.units[goal];
         let onward = self.onward[left as usize * (self.count + 1) + goal];
         // A path that begins with a goal visited already cannot be the walk's.

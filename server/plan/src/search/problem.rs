@@ -25,7 +25,7 @@ pub(super) struct SearchProblem {
 
 impl SearchProblem {
     /// The search of goals, given as indices of nodes with their weights, from the node of an index.
-    pub fn new(roads: &Roads, start: usize, goals: &[(usize, f64)]) -> SearchProblem {
+    pub(super) fn new(roads: &Roads, start: usize, goals: &[(usize, f64)]) -> SearchProblem {
         let count = goals.len();
         let mut secs = vec![0.0; (count + 1) * (count + 1)];
         let mut shortest = ShortestTimes::default();
@@ -46,7 +46,7 @@ impl SearchProblem {
 
     /// Puts a long time where no way leads, longer than any walk of ways that are there. Says whether there was such a place:
     /// a goal that leads nowhere back.
-    pub fn fill_missing(&mut self) -> bool {
+    pub(crate) fn fill_missing(&mut self) -> bool {
         let most = self.secs.iter().copied().filter(|secs| secs.is_finite()).fold(1.0, f64::max);
         let mut missing = false;
         for secs in self.secs.iter_mut().filter(|secs| secs.is_infinite()) {
@@ -58,18 +58,18 @@ impl SearchProblem {
 
     /// Seconds from one arrival to the next.
     #[inline]
-    pub fn secs(&self, from: usize, to: usize) -> f64 {
+    pub(super) fn secs(&self, from: usize, to: usize) -> f64 {
         self.secs[from * (self.count + 1) + to]
     }
 
     /// Seconds from one arrival to those at all goals.
     #[inline]
-    pub fn row(&self, from: usize) -> &[f64] {
+    pub(super) fn row(&self, from: usize) -> &[f64] {
         &self.secs[from * (self.count + 1)..][..self.count]
     }
 
     /// Sum over the goals, in this order, of weight times arrival: the expected time (eq. 2).
-    pub fn expected_secs(&self, order: &[usize]) -> f64 {
+    pub(super) fn expected_secs(&self, order: &[usize]) -> f64 {
         let (mut at, mut now_secs, mut expected_secs) = (self.count, 0.0, 0.0);
         for &goal in order {
             now_secs += self.secs(at, goal);
@@ -80,7 +80,7 @@ impl SearchProblem {
     }
 
     /// The same search with its goals in another order.
-    pub fn reordered(&self, order: &[usize]) -> SearchProblem {
+    pub(crate) fn reordered(&self, order: &[usize]) -> SearchProblem {
         let mut secs = Vec::with_capacity(self.secs.len());
         for from in order.iter().copied().chain([self.count]) {
             secs.extend(order.iter().map(|&to| self.secs(from, to)));
@@ -109,7 +109,7 @@ impl Passing {
     /// Times within this share of each other count as equal.
     const SAME: f64 = 1e-12;
 
-    pub fn new(problem: &SearchProblem) -> Passing {
+    pub(super) fn new(problem: &SearchProblem) -> Passing {
         let count = problem.count;
         let mut between = vec![0; (count + 1) * count];
         for via in (0..count).filter(|&via| problem.passable[via]) {
@@ -127,7 +127,7 @@ impl Passing {
     }
 
     /// Notes which goals no walk from the start can leave out on its way to another.
-    pub fn find_before(&mut self, problem: &SearchProblem, roads: &Roads, start: usize, goals: &[(usize, f64)]) {
+    pub(crate) fn find_before(&mut self, problem: &SearchProblem, roads: &Roads, start: usize, goals: &[(usize, f64)]) {
         let mut shortest = ShortestTimes::default();
         for via in (0..self.count).filter(|&via| problem.passable[via]) {
             let closed = goals[via].0;
@@ -141,7 +141,7 @@ impl Passing {
     }
 
     /// The same after [`SearchProblem::reordered`].
-    pub fn reordered(&self, order: &[usize]) -> Passing {
+    pub(crate) fn reordered(&self, order: &[usize]) -> Passing {
         let mut place = [0_u32; Goals::BITS as usize];
         for (new, &old) in order.iter().enumerate() {
             place[old] = new as u32;
@@ -167,12 +167,12 @@ impl Passing {
 
     /// Goals that are visited on the way from one, or from the start, to another.
     #[inline]
-    pub fn between(&self, from: usize, to: usize) -> Goals {
+    pub(super) fn between(&self, from: usize, to: usize) -> Goals {
         self.between[from * self.count + to]
     }
 
     /// Whether some walk may visit `to` next after `from`, looking only at goals in `among`.
-    pub fn may_follow(&self, from: usize, to: usize, among: Goals) -> bool {
+    pub(crate) fn may_follow(&self, from: usize, to: usize, among: Goals) -> bool {
         if from == to {
             return false;
         }

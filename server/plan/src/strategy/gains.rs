@@ -40,7 +40,7 @@ impl Gains {
     ///
     /// # Errors
     /// As [`Gains::of`].
-    pub fn check_size(slots: usize, places: usize) -> Result<(), StrategyError> {
+    pub(crate) fn check_size(slots: usize, places: usize) -> Result<(), StrategyError> {
         if slots == 0 {
             return Err(StrategyError::NoSlots);
         }

@@ -94,11 +94,9 @@ impl HeldOutScore {
 }
 
 /// Something that can be fitted with given circles.
-pub(super) trait Trainer {
-    type Product;
-
+pub(super) trait Trainer<M> {
     /// Fits with these circles; the seed is for the start of the clustering.
-    fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<Self::Product>;
+    fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<M>;
 }
 
 /// What is fitted to: how long the readings span, and whether any can be left out.
@@ -109,7 +107,7 @@ pub(super) struct Extent {
 }
 
 /// Grows a model circle by circle.
-pub(super) fn grow<F: Trainer>(fit: &F, extent: &Extent, options: &HypertimeOptions) -> F::Product {
+pub(super) fn grow<M, F: Trainer<M>>(fit: &F, extent: &Extent, options: &HypertimeOptions) -> M {
     let mut circles = Circles { all: Vec::new(), without: vec![Vec::new(); extent.folds] };
     let mut clusters = match options.method {
         HypertimeMethod::Em => options.clusters,
@@ -130,12 +128,12 @@ pub(super) fn grow<F: Trainer>(fit: &F, extent: &Extent, options: &HypertimeOpti
 }
 
 /// The best of several starts; with HyT-KM, of as many clusters as make the periods left in the error weaker (eq. 8).
-fn clustered<F: Trainer>(
+fn clustered<M, F: Trainer<M>>(
     fit: &F,
     circles: &Circles,
     clusters: &mut usize,
     options: &HypertimeOptions,
-) -> Attempt<F::Product> {
+) -> Attempt<M> {
     let mut best = best_start(fit, circles, *clusters, options.seed);
     while options.method == HypertimeMethod::Km && *clusters < options.clusters {
         let next = best_start(fit, circles, *clusters + 1, options.seed);
@@ -148,7 +146,7 @@ fn clustered<F: Trainer>(
     best
 }
 
-fn best_start<F: Trainer>(fit: &F, circles: &Circles, clusters: usize, seed: u64) -> Attempt<F::Product> {
+fn best_start<M, F: Trainer<M>>(fit: &F, circles: &Circles, clusters: usize, seed: u64) -> Attempt<M> {
     let mut best = fit.attempt(circles, clusters, seed);
     let starts = match clusters {
         // The same from any start.

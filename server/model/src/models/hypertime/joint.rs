@@ -111,9 +111,7 @@ impl FieldTraining {
     }
 }
 
-impl Trainer for FieldTraining {
-    type Product = (Vec<u32>, Mixture);
-
+impl Trainer<(Vec<u32>, Mixture)> for FieldTraining {
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<(Vec<u32>, Mixture)> {
         let points = self.points(&circles.all);
         let mixture = Mixture::fit(&points, clusters, seed, FIRST_STEPS);

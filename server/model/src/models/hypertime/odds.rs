@@ -91,9 +91,7 @@ pub(super) struct Folds {
     pub(super) unit: f64,
 }
 
-impl Trainer for Folds {
-    type Product = Odds;
-
+impl Trainer<Odds> for Folds {
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<Odds> {
         let all = SlotWeights::combined(self.folds.iter());
         let hypertime = Hypergrid::new(&circles.all);

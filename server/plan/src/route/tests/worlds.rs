@@ -10,15 +10,15 @@ use super::*;
 
 /// A map and what is forecast of its edges: an entry for each edge and stretch of time, over and over.
 #[derive(Clone, Debug)]
-pub struct World {
-    pub topology: Topology,
-    pub stretch_secs: f64,
-    pub forecasts: Vec<Vec<Option<EdgeForecast>>>,
+pub(crate) struct World {
+    pub(crate) topology: Topology,
+    pub(crate) stretch_secs: f64,
+    pub(crate) forecasts: Vec<Vec<Option<EdgeForecast>>>,
 }
 
 impl World {
     /// Up to eight nodes, some edges beside each other, some closed at times. Whole numbers make ties.
-    pub fn random(seed: u64) -> World {
+    pub(crate) fn random(seed: u64) -> World {
         let mut random = SmallRng::seed_from_u64(seed);
         let count = random.random_range(2..=8);
         let whole = seed.is_multiple_of(3);
@@ -48,14 +48,14 @@ impl World {
         World { topology, stretch_secs: random.random_range(5.0..50.0), forecasts }
     }
 
-    pub fn at(&self, edge: &Edge, at_secs: f64) -> Option<EdgeForecast> {
+    pub(crate) fn at(&self, edge: &Edge, at_secs: f64) -> Option<EdgeForecast> {
         let stretches = &self.forecasts[edge.id.0 as usize];
         stretches[(at_secs / self.stretch_secs).floor().rem_euclid(stretches.len() as f64) as usize]
     }
 }
 
 /// Two nodes to four, joined one after another both ways, all edges alike.
-pub fn street(count: usize) -> Topology {
+pub(crate) fn street(count: usize) -> Topology {
     let mut topology = Topology::new();
     let nodes: Vec<NodeId> = (0..count)
         .map(|node| topology.add_node(StateName::new(&format!("n{node}")).unwrap(), None, None).unwrap())
@@ -67,7 +67,7 @@ pub fn street(count: usize) -> Topology {
 }
 
 /// Knows how good each edge can be.
-pub struct Knowing<'a>(pub &'a World);
+pub(crate) struct Knowing<'a>(pub(crate) &'a World);
 
 impl Forecasts for Knowing<'_> {
     fn at(&mut self, edge: &Edge, at_secs: f64) -> Option<EdgeForecast> {
