@@ -24,7 +24,7 @@ const HISTORY_BYTES: usize = 64 << 20;
 
 /// Why a map is not created or deleted.
 #[derive(Debug, thiserror::Error)]
-pub enum CatalogError {
+pub(crate) enum CatalogError {
     /// The name is taken.
     #[error("map {:?} exists already", .0.as_str())]
     Exists(MapName),
@@ -87,7 +87,7 @@ mod tests;
 
 /// All maps, by name. Clones are handles of the same maps.
 #[derive(Clone, Debug)]
-pub struct Catalog {
+pub(crate) struct Catalog {
     context: Context,
     max_maps: usize,
     maps: Arc<ArcSwap<ByName>>,
@@ -100,7 +100,7 @@ impl Catalog {
     ///
     /// # Errors
     /// The first map that cannot be opened, with what is wrong; two maps of the same name.
-    pub fn open(context: Context, max_maps: usize) -> Result<Self, CatalogError> {
+    pub(crate) fn open(context: Context, max_maps: usize) -> Result<Self, CatalogError> {
         let stored = context.store.maps();
         let mut ids = BTreeMap::new();
         for (second, spec) in &stored {
@@ -121,20 +121,20 @@ impl Catalog {
     ///
     /// # Errors
     /// [`CatalogError::Unknown`].
-    pub fn get(&self, name: &str) -> Result<Arc<MapHandle>, CatalogError> {
+    pub(crate) fn get(&self, name: &str) -> Result<Arc<MapHandle>, CatalogError> {
         let name_checked = MapName::new(name).map_err(|_| CatalogError::Unknown(shortened(name)))?;
         self.maps.load().get(&name_checked).cloned().ok_or_else(|| CatalogError::Unknown(shortened(name)))
     }
 
     /// All maps, by name.
     #[must_use]
-    pub fn all(&self) -> Arc<ByName> {
+    pub(crate) fn all(&self) -> Arc<ByName> {
         self.maps.load_full()
     }
 
     /// What the writers share.
     #[must_use]
-    pub fn context(&self) -> &Context {
+    pub(crate) fn context(&self) -> &Context {
         &self.context
     }
 
@@ -142,7 +142,7 @@ impl Catalog {
     ///
     /// # Errors
     /// See [`CatalogError`].
-    pub async fn create(&self, spec: MapSpec) -> Result<Arc<MapHandle>, CatalogError> {
+    pub(crate) async fn create(&self, spec: MapSpec) -> Result<Arc<MapHandle>, CatalogError> {
         let this = self.clone();
         ended(tokio::spawn(async move { this.create_now(spec).await })).await
     }
@@ -182,7 +182,7 @@ impl Catalog {
     ///
     /// # Errors
     /// See [`CatalogError`].
-    pub async fn delete(&self, name: &str) -> Result<(), CatalogError> {
+    pub(crate) async fn delete(&self, name: &str) -> Result<(), CatalogError> {
         let (this, name) = (self.clone(), name.to_owned());
         ended(tokio::spawn(async move { this.delete_now(&name).await })).await
     }
@@ -214,7 +214,7 @@ impl Catalog {
     }
 
     /// Stops all writers; what is in flight is made durable and acknowledged first.
-    pub async fn stop(&self) {
+    pub(crate) async fn stop(&self) {
         let mut open = self.changing.lock().await;
         *open = false;
         let maps = self.all();

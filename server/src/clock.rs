@@ -5,14 +5,14 @@
 use std::{fmt, time::SystemTime};
 
 /// Tells the time of day.
-pub trait Clock: fmt::Debug + Send + Sync {
+pub(crate) trait Clock: fmt::Debug + Send + Sync {
     /// Nanoseconds since 1970-01-01T00:00:00Z.
     fn now_nanos(&self) -> i64;
 }
 
 /// The machine's clock.
 #[derive(Clone, Copy, Debug)]
-pub struct SystemClock;
+pub(crate) struct SystemClock;
 
 impl Clock for SystemClock {
     #[expect(clippy::disallowed_methods, reason = "the one reader of the wall clock")]

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 /// Every option is also a key of the config file and an environment variable: --data-dir, data_dir, TIDEMAP_DATA_DIR.
 #[derive(Debug, Default, Parser, Serialize)]
 #[command(name = "tidemapd", version)]
-pub struct Flags {
+pub(crate) struct Flags {
     /// Config file (TOML).
     #[arg(long, value_name = "FILE", env = "TIDEMAP_CONFIG")]
     #[serde(skip)]
@@ -55,7 +55,7 @@ pub struct Flags {
 /// Form of the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
-pub enum LogFormat {
+pub(crate) enum LogFormat {
     /// Lines for people.
     Text,
     /// One JSON object a line.
@@ -65,7 +65,7 @@ pub enum LogFormat {
 /// All settings; the keys of the config file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// Folder of all data.
     pub data_dir: PathBuf,
     /// Address of the gRPC port.
@@ -181,7 +181,7 @@ impl Settings {
     ///
     /// # Errors
     /// A file that is missing or malformed, an unknown key, a value out of range: with the name of the key.
-    pub fn load(flags: &Flags) -> anyhow::Result<Self> {
+    pub(crate) fn load(flags: &Flags) -> anyhow::Result<Self> {
         let defaults = Self::default();
         let mut figment = Figment::from(Serialized::defaults(&defaults));
         if let Some(path) = &flags.config {
@@ -260,7 +260,7 @@ impl Settings {
 
     /// Threads of updates.
     #[must_use]
-    pub fn update_threads(&self) -> usize {
+    pub(crate) fn update_threads(&self) -> usize {
         match self.update_threads {
             0 => std::thread::available_parallelism().map_or(1, |n| n.get().div_ceil(2)),
             threads => threads,

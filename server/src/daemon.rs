@@ -33,7 +33,7 @@ const CLOSE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Why the daemon ended; each kind has its exit status.
 #[derive(Debug, thiserror::Error)]
-pub enum DaemonError {
+pub(crate) enum DaemonError {
     /// Another daemon holds the data folder.
     #[error("{0}")]
     Locked(String),
@@ -59,7 +59,7 @@ pub enum DaemonError {
 impl DaemonError {
     /// Exit status after sysexits.h.
     #[must_use]
-    pub fn exit_status(&self) -> u8 {
+    pub(crate) fn exit_status(&self) -> u8 {
         match self {
             Self::Locked(_) => 73,
             Self::Data(_) => 65,
@@ -105,7 +105,7 @@ fn random_id() -> anyhow::Result<String> {
 ///
 /// # Errors
 /// See [`DaemonError`].
-pub async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), DaemonError> {
+pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), DaemonError> {
     let metrics = telemetry::start_metrics()?;
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(anyhow::Error::from)?;

@@ -21,7 +21,7 @@ const TIMES_PER_BLOCK: usize = 1024;
 
 /// What answers for a state where a model has to be fitted to its readings.
 #[derive(Clone, Debug)]
-pub enum AnswerSource {
+pub(crate) enum AnswerSource {
     /// The fitted model.
     Fitted(Arc<CachedModel>),
     /// There is no such model, for this reason.
@@ -30,7 +30,7 @@ pub enum AnswerSource {
 
 /// ErrorSums of errors per state and model.
 #[derive(Debug)]
-pub struct Evaluator {
+pub(crate) struct Evaluator {
     view: Arc<MapView>,
     /// One per row of a state: kinds without an order of their own are spread over all orders.
     rows: Vec<ModelSelector>,
@@ -51,7 +51,7 @@ struct ErrorSums {
 impl Evaluator {
     /// Compares these models. A spectral model without an order stands for the orders 0..=`max_order`.
     #[must_use]
-    pub fn new(view: Arc<MapView>, models: Vec<ModelSelector>, max_order: usize) -> Self {
+    pub(crate) fn new(view: Arc<MapView>, models: Vec<ModelSelector>, max_order: usize) -> Self {
         let mut rows = Vec::new();
         for model in models {
             if model.kind == ModelKind::Spectral && model.order.is_none() {
@@ -65,24 +65,24 @@ impl Evaluator {
 
     /// ErrorSums kept for each state.
     #[must_use]
-    pub fn sums_per_state(&self) -> usize {
+    pub(crate) fn sums_per_state(&self) -> usize {
         self.rows.len()
     }
 
     /// The kind of each row that needs a model fitted to the readings of a state, in order.
-    pub fn kinds_to_fit(&self) -> impl Iterator<Item = ModelKind> + use<> {
+    pub(crate) fn kinds_to_fit(&self) -> impl Iterator<Item = ModelKind> + use<> {
         let kinds: Vec<_> = self.rows.iter().map(|row| row.kind).filter(|kind| kind.needs_readings()).collect();
         kinds.into_iter()
     }
 
     /// Whether there is nothing of this state yet.
     #[must_use]
-    pub fn is_new(&self, id: StateId) -> bool {
+    pub(crate) fn is_new(&self, id: StateId) -> bool {
         !self.sums.contains_key(&id)
     }
 
     /// That there is no model, for this reason.
-    pub fn nothing(&mut self, reason: &str) -> AnswerSource {
+    pub(crate) fn nothing(&mut self, reason: &str) -> AnswerSource {
         let known = self.reasons.get(reason).cloned();
         AnswerSource::Nothing(known.unwrap_or_else(|| {
             let reason: Arc<str> = reason.into();
@@ -92,7 +92,7 @@ impl Evaluator {
     }
 
     /// Begins with a state: who answers, for each of [`Evaluator::kinds_to_fit`]. Has no effect on a state that there is.
-    pub fn begin(&mut self, id: StateId, fitted: impl IntoIterator<Item = AnswerSource>) {
+    pub(crate) fn begin(&mut self, id: StateId, fitted: impl IntoIterator<Item = AnswerSource>) {
         if let Entry::Vacant(entry) = self.sums.entry(id) {
             let mut fitted = fitted.into_iter();
             let answering = self.rows.iter().map(|row| if row.kind.needs_readings() { fitted.next() } else { None });
@@ -105,7 +105,7 @@ impl Evaluator {
     }
 
     /// Adds observations, grouped by state; `order` lists the states, with all of which was begun.
-    pub fn add(&mut self, order: &[StateId], by_state: &HashMap<StateId, Vec<Sample>>) {
+    pub(crate) fn add(&mut self, order: &[StateId], by_state: &HashMap<StateId, Vec<Sample>>) {
         for id in order {
             let (Some(samples), Some(sums)) = (by_state.get(id), self.sums.get_mut(id)) else { continue };
             for block in samples.chunks(TIMES_PER_BLOCK) {
@@ -131,7 +131,7 @@ impl Evaluator {
     }
 
     /// The rows: name of the state, model with its order, sums.
-    pub fn rows(&self) -> impl Iterator<Item = (&str, ModelSelector, &Evaluation)> {
+    pub(crate) fn rows(&self) -> impl Iterator<Item = (&str, ModelSelector, &Evaluation)> {
         self.all().filter(|(.., answering, _)| !matches!(answering, Some(AnswerSource::Nothing(_)))).map(
             |(id, row, _, errors)| {
                 let order = Some(row.order_for(self.view.model(id))).filter(|_| row.kind.has_order());
@@ -142,7 +142,7 @@ impl Evaluator {
 
     /// The rows that there are not: model, why, and names of the states, by model.
     #[must_use]
-    pub fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<&str>)> {
+    pub(crate) fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<&str>)> {
         let mut found: Vec<(ModelSelector, &str, Vec<&str>)> = Vec::new();
         let mut places = HashMap::new();
         for (id, row, answering, _) in self.all() {

@@ -16,7 +16,7 @@ const INDEX: &str = "tidemapd\n\n/healthz  the process lives\n/readyz   requests
 ///
 /// # Errors
 /// The listener failed.
-pub async fn serve(
+pub(crate) async fn serve(
     listener: TcpListener,
     catalog: Arc<Catalog>,
     metrics: PrometheusHandle,

@@ -4,13 +4,13 @@
 //! Invariant: nothing is acknowledged before the log has it on disk, and every observation is applied once, in the
 //! order of the log.
 
-pub mod anomaly_feed;
-pub mod ending;
-pub mod handle;
-pub mod intake;
-pub mod protocol;
+pub(crate) mod anomaly_feed;
+pub(crate) mod ending;
+pub(crate) mod handle;
+pub(crate) mod intake;
+pub(crate) mod protocol;
 mod sessions;
-pub mod tile_totals;
+pub(crate) mod tile_totals;
 mod training_data;
 mod update_schedule;
-pub mod writer;
+pub(crate) mod writer;

@@ -19,7 +19,7 @@ const JOBS_KEPT: usize = 1000;
 
 /// How far a job is.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Phase {
+pub(crate) enum Phase {
     /// Waits for another job of the same map.
     Waiting,
     /// Runs since.
@@ -33,14 +33,14 @@ pub enum Phase {
 impl Phase {
     /// Whether the job has ended.
     #[must_use]
-    pub fn has_ended(&self) -> bool {
+    pub(crate) fn has_ended(&self) -> bool {
         matches!(self, Self::Done(_) | Self::Failed(..))
     }
 }
 
 /// A job as it stands.
 #[derive(Clone, Debug, PartialEq)]
-pub struct JobStatus {
+pub(crate) struct JobStatus {
     /// How far it is.
     pub phase: Phase,
     /// States and tiles with observations to fold in.
@@ -53,7 +53,7 @@ pub struct JobStatus {
 
 /// An update.
 #[derive(Debug)]
-pub struct UpdateJob {
+pub(crate) struct UpdateJob {
     /// Identity.
     pub id: u64,
     /// Map that it updates.
@@ -71,7 +71,7 @@ pub struct UpdateJob {
 
 /// What an update did.
 #[derive(Clone, Debug, Default)]
-pub struct Report {
+pub(crate) struct Report {
     /// To the cells of the grid, all together.
     pub cells: Option<GridOutcome>,
     /// To each state that had observations.
@@ -81,24 +81,24 @@ pub struct Report {
 impl UpdateJob {
     /// The job as it stands.
     #[must_use]
-    pub fn status(&self) -> JobStatus {
+    pub(crate) fn status(&self) -> JobStatus {
         self.status.borrow().clone()
     }
 
     /// Whether the job has ended.
     #[must_use]
-    pub fn has_ended(&self) -> bool {
+    pub(crate) fn has_ended(&self) -> bool {
         self.status.borrow().phase.has_ended()
     }
 
     /// Follows the job.
     #[must_use]
-    pub fn watch(&self) -> watch::Receiver<JobStatus> {
+    pub(crate) fn watch(&self) -> watch::Receiver<JobStatus> {
         self.status.subscribe()
     }
 
     /// The job runs.
-    pub fn start(&self, states_total: u64, observations: u64) {
+    pub(crate) fn start(&self, states_total: u64, observations: u64) {
         self.status.send_modify(|status| {
             status.phase = Phase::Running(Instant::now());
             status.states_total = states_total;
@@ -107,7 +107,7 @@ impl UpdateJob {
     }
 
     /// The job ended.
-    pub fn end(&self, result: Result<(u64, i64), String>) {
+    pub(crate) fn end(&self, result: Result<(u64, i64), String>) {
         self.status.send_modify(|status| {
             let elapsed = match status.phase {
                 Phase::Running(since) => since.elapsed(),
@@ -125,14 +125,14 @@ impl UpdateJob {
 
     /// What the update did; `None` where a later update has ended since.
     #[must_use]
-    pub fn report(&self) -> Option<Arc<Report>> {
+    pub(crate) fn report(&self) -> Option<Arc<Report>> {
         self.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
 /// All jobs of the daemon.
 #[derive(Debug, Default)]
-pub struct Jobs {
+pub(crate) struct Jobs {
     next_id: AtomicU64,
     // A lock, because jobs come from all maps; held only to push or copy pointers.
     jobs: Mutex<VecDeque<Arc<UpdateJob>>>,
@@ -140,7 +140,7 @@ pub struct Jobs {
 
 impl Jobs {
     /// A new job, waiting.
-    pub fn create(&self, map: MapName, cause: UpdateCause, created_nanos: i64) -> Arc<UpdateJob> {
+    pub(crate) fn create(&self, map: MapName, cause: UpdateCause, created_nanos: i64) -> Arc<UpdateJob> {
         let (status, _) =
             watch::channel(JobStatus { phase: Phase::Waiting, states_total: 0, observations: 0, published: None });
         let job = Arc::new(UpdateJob {
@@ -164,7 +164,7 @@ impl Jobs {
     }
 
     /// Keeps the report of a job and drops that of the map's update before.
-    pub fn set_report(&self, job: &UpdateJob, report: Report) {
+    pub(crate) fn set_report(&self, job: &UpdateJob, report: Report) {
         for other in self.list().iter().filter(|other| other.map == job.map && other.id != job.id) {
             *other.report.lock().unwrap_or_else(PoisonError::into_inner) = None;
         }
@@ -173,13 +173,13 @@ impl Jobs {
 
     /// All jobs known, newest first.
     #[must_use]
-    pub fn list(&self) -> Vec<Arc<UpdateJob>> {
+    pub(crate) fn list(&self) -> Vec<Arc<UpdateJob>> {
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 
     /// The job of this identity.
     #[must_use]
-    pub fn get(&self, id: u64) -> Option<Arc<UpdateJob>> {
+    pub(crate) fn get(&self, id: u64) -> Option<Arc<UpdateJob>> {
         self.list().into_iter().find(|job| job.id == id)
     }
 }

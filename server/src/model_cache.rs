@@ -19,13 +19,13 @@ mod unavailable;
 #[cfg(test)]
 mod tests;
 
-pub use fitted::CachedModel;
-pub use positions::PositionModel;
-pub use unavailable::ModelUnavailable;
+pub(crate) use fitted::CachedModel;
+pub(crate) use positions::PositionModel;
+pub(crate) use unavailable::ModelUnavailable;
 
 /// Which model, of what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct ModelKey {
+pub(crate) struct ModelKey {
     /// The map.
     pub map: MapId,
     /// It knows what the updates up to this one have folded in.
@@ -41,7 +41,7 @@ type CacheSlot<T> = Arc<OnceCell<Arc<T>>>;
 
 /// The fitted models of all maps: those of states, or those of positions.
 #[derive(Debug)]
-pub struct ModelCache<T = CachedModel> {
+pub(crate) struct ModelCache<T = CachedModel> {
     max: usize,
     // A lock, because asking for a model changes when it was last used; held to look it up, never to fit.
     entries: Mutex<CacheEntries<T>>,
@@ -59,7 +59,7 @@ struct CacheEntries<T> {
 impl<T> ModelCache<T> {
     /// Keeps at most so many models, at least one; those that are being fitted come on top.
     #[must_use]
-    pub fn new(max: usize) -> Self {
+    pub(crate) fn new(max: usize) -> Self {
         let max = max.clamp(1, Semaphore::MAX_PERMITS);
         Self {
             max,
@@ -70,7 +70,7 @@ impl<T> ModelCache<T> {
 
     /// The model, if it is kept.
     #[must_use]
-    pub fn get(&self, key: &ModelKey) -> Option<Arc<T>> {
+    pub(crate) fn get(&self, key: &ModelKey) -> Option<Arc<T>> {
         self.with_entries(|entries| entries.used(key)?.get().cloned())
     }
 
@@ -78,7 +78,11 @@ impl<T> ModelCache<T> {
     ///
     /// # Errors
     /// What `fit` ends with. Others who wait for the model then fit it themselves.
-    pub async fn get_or_fit<E>(&self, key: ModelKey, fit: impl Future<Output = Result<T, E>>) -> Result<Arc<T>, E> {
+    pub(crate) async fn get_or_fit<E>(
+        &self,
+        key: ModelKey,
+        fit: impl Future<Output = Result<T, E>>,
+    ) -> Result<Arc<T>, E> {
         let slot = self.with_entries(|entries| entries.slot(key, self.max));
         let fitted = slot.get_or_try_init(|| async { fit.await.map(Arc::new) }).await.cloned();
         if fitted.is_err() {
@@ -90,19 +94,19 @@ impl<T> ModelCache<T> {
     /// Leave to hold so many models, kept or not, for as long as a request lasts; `None` where all requests together would
     /// hold more than may be kept.
     #[must_use]
-    pub fn reserve(&self, models: usize) -> Option<OwnedSemaphorePermit> {
+    pub(crate) fn reserve(&self, models: usize) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.reserved).try_acquire_many_owned(u32::try_from(models).ok()?).ok()
     }
 
     /// How many models requests have leave to hold.
     #[must_use]
-    pub fn reserved(&self) -> usize {
+    pub(crate) fn reserved(&self) -> usize {
         self.max.saturating_sub(self.reserved.available_permits())
     }
 
     /// Most models that are kept, and most that requests hold.
     #[must_use]
-    pub fn max(&self) -> usize {
+    pub(crate) fn max(&self) -> usize {
         self.max
     }
 

@@ -2,14 +2,14 @@
 //!
 //! Invariant: no decision about maps is taken here, and every error becomes a status in [`status`] and nowhere else.
 
-pub mod exploration;
-pub mod maintenance;
-pub mod map;
-pub mod observation;
-pub mod query;
-pub mod route;
-pub mod serve;
-pub mod status;
+pub(crate) mod exploration;
+pub(crate) mod maintenance;
+pub(crate) mod map;
+pub(crate) mod observation;
+pub(crate) mod query;
+pub(crate) mod route;
+pub(crate) mod serve;
+pub(crate) mod status;
 
 mod acks;
 mod lookup;

@@ -8,11 +8,11 @@ use tidemap_store::Sizes;
 use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
 /// Name, value, unit.
-pub type Counter = (&'static str, f64, &'static str);
+pub(crate) type Counter = (&'static str, f64, &'static str);
 
 /// Counters of one map.
 #[must_use]
-pub fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
+pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
     let view = handle.view();
     let sizes = catalog.context().store.sizes(handle.id);
     let mut rows = vec![
@@ -31,7 +31,7 @@ pub fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
 
 /// Counters of the daemon.
 #[must_use]
-pub fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
+pub(crate) fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
     let maps = catalog.all();
     let mut rows = vec![("maps", maps.len() as f64, "")];
     let mut sums = [

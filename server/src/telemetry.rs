@@ -12,7 +12,7 @@ use crate::config::LogFormat;
 ///
 /// # Errors
 /// A filter that cannot be read.
-pub fn start_logs(format: LogFormat, level: &str) -> anyhow::Result<()> {
+pub(crate) fn start_logs(format: LogFormat, level: &str) -> anyhow::Result<()> {
     let filter = EnvFilter::try_new(level).with_context(|| format!("setting log_level is {level:?}"))?;
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false);
     match format {
@@ -26,7 +26,7 @@ pub fn start_logs(format: LogFormat, level: &str) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// Metrics were set up before.
-pub fn start_metrics() -> anyhow::Result<PrometheusHandle> {
+pub(crate) fn start_metrics() -> anyhow::Result<PrometheusHandle> {
     let handle = PrometheusBuilder::new().install_recorder()?;
     metrics::describe_counter!("tidemap_observations_total", "Observations acknowledged since the start");
     metrics::describe_counter!("tidemap_refused_total", "Observations refused since the start");

@@ -20,7 +20,7 @@ const GENERATIONS: usize = 2;
 
 /// Observations that were applied one after the other.
 #[derive(Debug, Default)]
-pub struct FeedPiece {
+pub(crate) struct FeedPiece {
     /// The models that were in force; gone where two updates have ended since.
     pub models: Weak<MapView>,
     /// How many observations were told before.
@@ -35,7 +35,7 @@ pub struct FeedPiece {
 
 /// What watchers are told.
 #[derive(Debug)]
-pub enum FeedMessage {
+pub(crate) enum FeedMessage {
     /// Observations were applied.
     Applied(FeedPiece),
     /// The map stops.
@@ -43,11 +43,11 @@ pub enum FeedMessage {
 }
 
 /// What watchers hear.
-pub type FeedReceiver = broadcast::Receiver<Arc<FeedMessage>>;
+pub(crate) type FeedReceiver = broadcast::Receiver<Arc<FeedMessage>>;
 
 /// The writer's end.
 #[derive(Debug)]
-pub struct AnomalyFeed {
+pub(crate) struct AnomalyFeed {
     sender: broadcast::Sender<Arc<FeedMessage>>,
     /// FeedPiece, and not yet public.
     waiting: Vec<FeedPiece>,
@@ -66,12 +66,12 @@ impl Default for AnomalyFeed {
 impl AnomalyFeed {
     /// Another one who watches, and how many observations were told before. What was applied and is not public yet comes too,
     /// where somebody else watched.
-    pub fn listen(&self) -> (FeedReceiver, u64) {
+    pub(crate) fn listen(&self) -> (FeedReceiver, u64) {
         (self.sender.subscribe(), self.told)
     }
 
     /// Takes note of observations that were applied.
-    pub fn applied(&mut self, observations: &Observations) {
+    pub(crate) fn applied(&mut self, observations: &Observations) {
         if self.sender.receiver_count() == 0 {
             return;
         }
@@ -88,7 +88,7 @@ impl AnomalyFeed {
     }
 
     /// Tells what was applied, once this view shows it.
-    pub fn tell(&mut self, view: &MapView) {
+    pub(crate) fn tell(&mut self, view: &MapView) {
         let waiting = std::mem::take(&mut self.waiting);
         if self.sender.receiver_count() == 0 {
             return self.models.clear();
@@ -110,7 +110,7 @@ impl AnomalyFeed {
     }
 
     /// Tells that the map stops.
-    pub fn end(&self, ending: Ending) {
+    pub(crate) fn end(&self, ending: Ending) {
         // Where nobody watches, nobody has to be told.
         let _ = self.sender.send(Arc::new(FeedMessage::End(ending)));
     }

@@ -6,13 +6,13 @@ use tidemap_store::AppendError;
 
 /// Whether the daemon must stop, because the content of the disk is unknown.
 #[must_use]
-pub fn is_fatal(error: &AppendError) -> bool {
+pub(crate) fn is_fatal(error: &AppendError) -> bool {
     !matches!(error, AppendError::DiskFull | AppendError::AfterFailure)
 }
 
 /// Why the server ends a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Ending {
+pub(crate) enum Ending {
     /// The daemon stops.
     Shutdown,
     /// Another stream of the key took over.

@@ -17,7 +17,7 @@ use super::{ending::Ending, protocol::Command, tile_totals::TileTotals};
 
 /// A map, as everybody but its writer sees it.
 #[derive(Debug)]
-pub struct MapHandle {
+pub(crate) struct MapHandle {
     /// Its number in the store.
     pub id: MapId,
     /// Its fixed properties.
@@ -33,7 +33,7 @@ pub struct MapHandle {
 impl MapHandle {
     /// The handle of a map whose writer publishes to `view`, listens to `commands` and sets `saturated` and `tile_bytes`.
     #[must_use]
-    pub fn new(
+    pub(crate) fn new(
         id: MapId,
         spec: Arc<MapSpec>,
         view: Arc<ArcSwap<MapView>>,
@@ -46,13 +46,13 @@ impl MapHandle {
 
     /// What models and sums of tiles take in memory, in bytes, about.
     #[must_use]
-    pub fn tile_bytes(&self) -> u64 {
+    pub(crate) fn tile_bytes(&self) -> u64 {
         self.tile_bytes.load(Ordering::Relaxed)
     }
 
     /// What the generation in force has learned of the tiles. Reads those that are not in memory, once a generation.
     #[must_use]
-    pub fn tile_totals(&self) -> TileTotals {
+    pub(crate) fn tile_totals(&self) -> TileTotals {
         let view = self.view();
         let known = *self.tile_totals.lock().unwrap_or_else(PoisonError::into_inner);
         match known {
@@ -67,24 +67,24 @@ impl MapHandle {
 
     /// The map as it stands; never waits.
     #[must_use]
-    pub fn view(&self) -> Arc<MapView> {
+    pub(crate) fn view(&self) -> Arc<MapView> {
         self.view.load_full()
     }
 
     /// Sends the writer a command. `false`: the writer has stopped.
     #[must_use]
-    pub fn send(&self, command: Command) -> bool {
+    pub(crate) fn send(&self, command: Command) -> bool {
         self.commands.send(command).is_ok()
     }
 
     /// Whether streams should wait, because updates do not keep up.
     #[must_use]
-    pub fn saturated(&self) -> watch::Receiver<bool> {
+    pub(crate) fn saturated(&self) -> watch::Receiver<bool> {
         self.saturated.clone()
     }
 
     /// Stops the writer, once everything in flight is answered.
-    pub async fn stop(&self, ending: Ending) {
+    pub(crate) async fn stop(&self, ending: Ending) {
         let (done, stopped) = oneshot::channel();
         if self.send(Command::Stop { ending, done }) {
             // An error means that the writer is gone already.

@@ -37,7 +37,7 @@ const TABLE_BYTES_LEAST: usize = 1 << 20;
 
 /// Why a message ends its stream.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum IntakeError {
+pub(crate) enum IntakeError {
     /// The message is malformed.
     #[error(transparent)]
     Invalid(#[from] InvalidField),
@@ -65,7 +65,7 @@ impl From<ScanError> for IntakeError {
 
 /// What one stream may send.
 #[derive(Clone, Copy, Debug)]
-pub struct IntakeLimits {
+pub(crate) struct IntakeLimits {
     /// Observations of one message.
     pub batch: usize,
     /// Names of the stream.
@@ -106,7 +106,7 @@ impl TableEntry {
 
 /// One stream's table of names, sequence and running CRC.
 #[derive(Debug)]
-pub struct Intake {
+pub(crate) struct Intake {
     table: Vec<TableEntry>,
     table_bytes: usize,
     next_sequence: u64,
@@ -121,7 +121,7 @@ pub struct Intake {
 impl Intake {
     /// A stream of which everything up to `durable_sequence`, with this CRC, was taken, for a map with this grid.
     #[must_use]
-    pub fn new(durable_sequence: u64, content_crc: u32, limits: IntakeLimits, grid: Option<&GridSpec>) -> Self {
+    pub(crate) fn new(durable_sequence: u64, content_crc: u32, limits: IntakeLimits, grid: Option<&GridSpec>) -> Self {
         Self {
             table: Vec::new(),
             table_bytes: 0,
@@ -136,7 +136,7 @@ impl Intake {
 
     /// Memory of what the stream's scans refer to, in bytes, about: its table of tiles and an unfinished scan.
     #[must_use]
-    pub fn held_bytes(&self) -> usize {
+    pub(crate) fn held_bytes(&self) -> usize {
         self.scans.held_bytes()
     }
 
@@ -144,7 +144,7 @@ impl Intake {
     ///
     /// # Errors
     /// What ends the stream; nothing of the message was taken.
-    pub fn take(&mut self, message: v1::ObservationBatch) -> Result<Option<ObservationBatch>, IntakeError> {
+    pub(crate) fn take(&mut self, message: v1::ObservationBatch) -> Result<Option<ObservationBatch>, IntakeError> {
         let first = message.first_sequence;
         self.check_sequence(first)?;
         self.check_no_open_scan("batch", "observations")?;

@@ -30,11 +30,11 @@ use crate::jobs::UpdateJob;
 
 /// A stream, as its map's writer knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct SessionId(pub u64);
+pub(crate) struct SessionId(pub u64);
 
 /// A producer introduces itself.
 #[derive(Debug)]
-pub struct Hello {
+pub(crate) struct Hello {
     /// Whose sequence.
     pub key: ProducerKey,
     /// 0: a new incarnation is wanted.
@@ -51,7 +51,7 @@ pub struct Hello {
 
 /// A stream that was accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Welcome {
+pub(crate) struct Welcome {
     /// The stream.
     pub session: SessionId,
     /// Its incarnation.
@@ -64,7 +64,7 @@ pub struct Welcome {
 
 /// Why a stream is not accepted.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum HelloError {
+pub(crate) enum HelloError {
     /// Another stream of the key is open.
     #[error(
         "producer {:?} already streams to this map with label {:?}: stop that stream first, or use another producer \
@@ -116,7 +116,7 @@ pub enum HelloError {
 
 /// An observation that was refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RefusedObservation {
+pub(crate) struct RefusedObservation {
     /// Its sequence number.
     pub sequence: u64,
     /// Why, to act on.
@@ -127,7 +127,7 @@ pub struct RefusedObservation {
 
 /// A name of a stream's table.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NewName {
+pub(crate) struct NewName {
     /// The name.
     pub name: StateName,
     /// What it is said to be.
@@ -143,7 +143,7 @@ impl From<StateName> for NewName {
 
 /// Checked observations of one message, with their states as indices into the stream's table.
 #[derive(Debug, Default)]
-pub struct ObservationBatch {
+pub(crate) struct ObservationBatch {
     /// First sequence number that is new.
     pub first_sequence: u64,
     /// Last sequence number.
@@ -170,7 +170,7 @@ pub struct ObservationBatch {
 
 /// Which of a stream's two tables of tiles a scan refers to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ScanOrigin {
+pub(crate) enum ScanOrigin {
     /// The table that the client extends.
     #[default]
     Stream,
@@ -180,7 +180,7 @@ pub enum ScanOrigin {
 
 /// A checked scan of a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct CheckedScan {
+pub(crate) struct CheckedScan {
     /// Its sequence number.
     pub sequence: u64,
     /// Running CRC up to it.
@@ -208,7 +208,7 @@ impl Default for CheckedScan {
 
 /// Checked scans of one message, or some of them.
 #[derive(Debug, Default)]
-pub struct ScanBatch {
+pub(crate) struct ScanBatch {
     /// First sequence number that is new.
     pub first_sequence: u64,
     /// Last sequence number; less than the first where nothing is new.
@@ -227,7 +227,7 @@ pub struct ScanBatch {
 
 /// Checked traversals of one message.
 #[derive(Debug, Default)]
-pub struct TraversalBatch {
+pub(crate) struct TraversalBatch {
     /// First sequence number that is new.
     pub first_sequence: u64,
     /// Last sequence number; not less than the first.
@@ -241,14 +241,14 @@ pub struct TraversalBatch {
 }
 
 /// Room in the buffers of a stream and of all streams, given back when it is dropped.
-pub type BufferBudget = [OwnedSemaphorePermit; 2];
+pub(crate) type BufferBudget = [OwnedSemaphorePermit; 2];
 
 /// What a save has kept, and where its tiles can be read from, where the map has a grid.
-pub type SavedGrid = Option<(Arc<dyn TileSource>, SavedTiles)>;
+pub(crate) type SavedGrid = Option<(Arc<dyn TileSource>, SavedTiles)>;
 
 /// What a writer tells a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum SessionEvent {
+pub(crate) enum SessionEvent {
     /// Everything up to the sequence number is durable.
     Ack {
         /// That number.
@@ -262,7 +262,7 @@ pub enum SessionEvent {
 
 /// A state to add.
 #[derive(Debug)]
-pub struct AddState {
+pub(crate) struct AddState {
     /// Its name.
     pub name: StateName,
     /// What it is to be.
@@ -273,7 +273,7 @@ pub struct AddState {
 
 /// Why a state is not added.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum AddStateError {
+pub(crate) enum AddStateError {
     /// It is there, and of another kind.
     #[error("state {name:?} exists and is a {found}, not a {asked}: the kind of a state never changes", name = .name.as_str(), found = .found.name(), asked = .asked.name())]
     OtherKind {
@@ -300,7 +300,7 @@ pub enum AddStateError {
 
 /// A change of what is known of the place.
 #[derive(Debug)]
-pub struct EditSite {
+pub(crate) struct EditSite {
     /// What changes.
     pub edit: SiteEdit,
     /// The answer, when it is durable and shown.
@@ -309,7 +309,7 @@ pub struct EditSite {
 
 /// Why the site is not changed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum EditSiteError {
+pub(crate) enum EditSiteError {
     /// It cannot be changed so.
     #[error(transparent)]
     Invalid(#[from] InvalidEdit),
@@ -323,7 +323,7 @@ pub enum EditSiteError {
 
 /// What a stream hands to its map's writer, with its room in the buffers until it is durable and applied.
 #[derive(Debug)]
-pub enum Handover {
+pub(crate) enum Handover {
     /// Checked observations.
     Observations(ObservationBatch, BufferBudget),
     /// Checked scans.
@@ -339,7 +339,7 @@ pub enum Handover {
 
 /// A request for what was observed and is not in the store's history yet.
 #[derive(Debug)]
-pub struct ReadHistory {
+pub(crate) struct ReadHistory {
     /// The state or cell.
     pub subject: Subject,
     /// First instant, nanoseconds UTC.
@@ -354,7 +354,7 @@ pub struct ReadHistory {
 
 /// The observations that are not in the store's history yet.
 #[derive(Debug)]
-pub struct HistoryTail {
+pub(crate) struct HistoryTail {
     /// Those that no update has learned.
     pub pending: Vec<Reading>,
     /// Those that updates have learned and no save has stored.
@@ -367,7 +367,7 @@ pub struct HistoryTail {
 
 /// A command to a writer.
 #[derive(Debug)]
-pub enum Command {
+pub(crate) enum Command {
     /// Open a stream.
     Hello(Hello),
     /// Take what a stream hands over.

@@ -34,7 +34,7 @@ use states::{StateAllocator, StreamState};
 
 /// An event of a stream, to be appended to the log.
 #[derive(Debug)]
-pub struct StreamEvent {
+pub(super) struct StreamEvent {
     /// The event.
     pub event: Event,
     /// Its refused observations or scans.
@@ -76,7 +76,7 @@ impl Columns {
 
 /// A stream.
 #[derive(Debug)]
-pub struct Session {
+pub(super) struct Session {
     key: ProducerKey,
     producer: Option<ProducerId>,
     /// The sensor of all its scans; `None`: the map's own.
@@ -147,7 +147,7 @@ impl Session {
 
 /// How much the streams of a map may add to it.
 #[derive(Clone, Copy, Debug)]
-pub struct SessionLimits {
+pub(super) struct SessionLimits {
     /// States of the map.
     pub states: usize,
     /// Producer keys of the map.
@@ -160,7 +160,7 @@ pub struct SessionLimits {
 
 /// All streams of a map.
 #[derive(Debug)]
-pub struct Sessions {
+pub(super) struct Sessions {
     next_id: u64,
     sessions: BTreeMap<SessionId, Session>,
     open_by_key: HashMap<ProducerKey, SessionId>,
@@ -181,7 +181,7 @@ pub struct Sessions {
 }
 
 impl Sessions {
-    pub fn new(offsets: OffsetCache, limits: SessionLimits) -> Self {
+    pub(super) fn new(offsets: OffsetCache, limits: SessionLimits) -> Self {
         Self {
             next_id: 1,
             sessions: BTreeMap::new(),
@@ -200,7 +200,7 @@ impl Sessions {
 
     /// Opens a stream, superseding an open one of the same key where the hello may. `Ok(None)`: batches of the key are
     /// still in flight; ask again when they are answered.
-    pub fn open(&mut self, hello: &Hello, map: &LiveMap) -> Result<Option<Welcome>, HelloError> {
+    pub(super) fn open(&mut self, hello: &Hello, map: &LiveMap) -> Result<Option<Welcome>, HelloError> {
         let mark = map.producer(&hello.key);
         let open = self.open_by_key.get(&hello.key).and_then(|id| self.sessions.get(id));
         let seen = mark.map_or(0, |(_, mark)| mark.incarnation);
@@ -256,7 +256,7 @@ impl Sessions {
 
     /// Turns a batch into an event, with refusals added where the map may not have more states. `None` where the
     /// stream is closed, or nothing is to be logged.
-    pub fn observation_event(
+    pub(super) fn observation_event(
         &mut self,
         id: SessionId,
         batch: ObservationBatch,
@@ -319,7 +319,7 @@ impl Sessions {
     }
 
     /// Observations or scans of the stream were applied to the map. `tiles_ahead`: what of them waits for its time.
-    pub fn applied(&mut self, id: SessionId, event: &Event, tiles_ahead: u64) {
+    pub(super) fn applied(&mut self, id: SessionId, event: &Event, tiles_ahead: u64) {
         self.tiles_ahead = self.tiles_ahead.saturating_sub(tiles_ahead);
         // A time that is not plausible yet does not close the days before it.
         let (is_first, newest) = match event {
@@ -350,7 +350,7 @@ impl Sessions {
     }
 
     /// A batch of the stream could not be logged: the stream ends.
-    pub fn failed(&mut self, id: SessionId, ending: &Ending) {
+    pub(super) fn failed(&mut self, id: SessionId, ending: &Ending) {
         if let Some(session) = self.sessions.get_mut(&id) {
             session.in_flight -= 1;
         }
@@ -359,7 +359,7 @@ impl Sessions {
     }
 
     /// All batches in flight have failed: what they would have added is gone.
-    pub fn roll_back(&mut self) {
+    pub(super) fn roll_back(&mut self) {
         self.states_in_flight.clear();
         self.renames_in_flight.clear();
         self.producers_in_flight = 0;
@@ -372,7 +372,7 @@ impl Sessions {
     }
 
     /// Ends an open stream and says why.
-    pub fn end(&mut self, id: SessionId, ending: &Ending) {
+    pub(super) fn end(&mut self, id: SessionId, ending: &Ending) {
         if let Some(session) = self.sessions.get_mut(&id).filter(|session| session.open) {
             session.tell(SessionEvent::End(ending.clone()));
         }
@@ -381,31 +381,31 @@ impl Sessions {
     }
 
     /// The open stream of a key.
-    pub fn open_of(&self, key: &ProducerKey) -> Option<SessionId> {
+    pub(super) fn open_of(&self, key: &ProducerKey) -> Option<SessionId> {
         self.open_by_key.get(key).copied()
     }
 
     /// Tells a stream something, while it is open or has batches in flight.
-    pub fn tell(&self, id: SessionId, event: SessionEvent) {
+    pub(super) fn tell(&self, id: SessionId, event: SessionEvent) {
         if let Some(session) = self.sessions.get(&id) {
             session.tell(event);
         }
     }
 
     /// Streams that were ended although they had announced data time, since the last call.
-    pub fn take_broken(&mut self) -> Vec<(ProducerKey, i64)> {
+    pub(super) fn take_broken(&mut self) -> Vec<(ProducerKey, i64)> {
         std::mem::take(&mut self.broken)
     }
 
     /// Ends all streams.
-    pub fn end_all(&mut self, ending: &Ending) {
+    pub(super) fn end_all(&mut self, ending: &Ending) {
         for id in self.sessions.keys().copied().collect::<Vec<_>>() {
             self.end(id, ending);
         }
     }
 
     /// The stream takes no more batches. Gives its key and data time where it had announced data time.
-    pub fn leave(&mut self, id: SessionId) -> Option<(ProducerKey, i64)> {
+    pub(super) fn leave(&mut self, id: SessionId) -> Option<(ProducerKey, i64)> {
         let session = self.sessions.get_mut(&id)?;
         if session.open {
             session.open = false;
@@ -423,7 +423,7 @@ impl Sessions {
     }
 
     /// Streams that announced data time, with how far their data has come.
-    pub fn data_times(&self) -> impl Iterator<Item = (&ProducerKey, i64)> {
+    pub(super) fn data_times(&self) -> impl Iterator<Item = (&ProducerKey, i64)> {
         self.sessions.values().filter_map(|session| session.data_time.map(|reached| (&session.key, reached)))
     }
 }

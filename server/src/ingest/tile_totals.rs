@@ -16,7 +16,7 @@ const MASK_BYTES: u64 = 128;
 
 /// What a generation has learned of the tiles of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct TileTotals {
+pub(crate) struct TileTotals {
     /// Cells that were read as both free and occupied.
     pub changed_cells: u64,
     /// Bytes of all that predictions need.
@@ -26,7 +26,7 @@ pub struct TileTotals {
 impl TileTotals {
     /// Counts the tiles of a view. One that cannot be read counts as one without changes.
     #[must_use]
-    pub fn of(view: &MapView) -> TileTotals {
+    pub(crate) fn of(view: &MapView) -> TileTotals {
         let mut totals = TileTotals::default();
         let Some(grid) = view.grid() else { return totals };
         for index in 0..u32::try_from(grid.tiles()).unwrap_or(u32::MAX) {

@@ -18,7 +18,7 @@ mod tests;
 
 /// What the updates before one have folded in.
 #[derive(Debug)]
-pub struct TrainingData {
+pub(super) struct TrainingData {
     /// The generations that are not in `unsaved`.
     stored: History,
     /// Its files, once they have been asked for.
@@ -31,7 +31,7 @@ impl TrainingData {
     /// What the updates before `generation` have folded in. `unsaved`: all that no save has kept yet; what is older is in
     /// files.
     #[must_use]
-    pub fn before(generation: u64, history: History, mut unsaved: Vec<Arc<HistoryPiece>>) -> Self {
+    pub(super) fn before(generation: u64, history: History, mut unsaved: Vec<Arc<HistoryPiece>>) -> Self {
         unsaved.retain(|piece| piece.generation < generation);
         unsaved.sort_by_key(|piece| piece.generation);
         unsaved.dedup_by_key(|piece| piece.generation);

@@ -31,7 +31,7 @@ const WAITING_MAX: usize = 16;
 
 /// An update that waits.
 #[derive(Debug)]
-pub struct DueUpdate {
+pub(super) struct DueUpdate {
     pub until_nanos: Option<i64>,
     pub cause: UpdateCause,
     pub job: Arc<UpdateJob>,
@@ -39,7 +39,7 @@ pub struct DueUpdate {
 
 /// The updates of one map that wait, and what makes new ones due.
 #[derive(Debug)]
-pub struct UpdateSchedule {
+pub(super) struct UpdateSchedule {
     map: MapName,
     jobs: Arc<Jobs>,
     queue: VecDeque<DueUpdate>,
@@ -52,7 +52,7 @@ pub struct UpdateSchedule {
 }
 
 impl UpdateSchedule {
-    pub fn new(map: MapName, jobs: Arc<Jobs>, limits: PendingLimits) -> Self {
+    pub(super) fn new(map: MapName, jobs: Arc<Jobs>, limits: PendingLimits) -> Self {
         Self {
             map,
             jobs,
@@ -65,7 +65,7 @@ impl UpdateSchedule {
     }
 
     /// Lines an update up; one too many fails at once.
-    pub fn push(&mut self, update: DueUpdate) {
+    pub(super) fn push(&mut self, update: DueUpdate) {
         if self.queue.len() < WAITING_MAX {
             self.queue.push_back(update);
         } else {
@@ -74,7 +74,7 @@ impl UpdateSchedule {
     }
 
     /// The log could not take the start of an update: what made it due still holds.
-    pub fn failed(&mut self, cause: UpdateCause) {
+    pub(super) fn failed(&mut self, cause: UpdateCause) {
         match cause {
             UpdateCause::Midnight => self.clock_midnight_nanos = i64::MIN,
             UpdateCause::DataTime => self.data_midnight_nanos = i64::MIN,
@@ -83,35 +83,35 @@ impl UpdateSchedule {
     }
 
     /// Whether an update waits.
-    pub fn is_waited_for(&self) -> bool {
+    pub(super) fn is_waited_for(&self) -> bool {
         !self.queue.is_empty()
     }
 
     /// The next update to run.
-    pub fn pop(&mut self) -> Option<DueUpdate> {
+    pub(super) fn pop(&mut self) -> Option<DueUpdate> {
         self.queue.pop_front()
     }
 
     /// Fails all that wait.
-    pub fn fail_all(&mut self, error: &str) {
+    pub(super) fn fail_all(&mut self, error: &str) {
         for update in self.queue.drain(..) {
             update.job.end(Err(error.to_owned()));
         }
     }
 
     /// A stream that had announced data time broke.
-    pub fn stream_broke(&mut self, key: ProducerKey, reached: i64) {
+    pub(super) fn stream_broke(&mut self, key: ProducerKey, reached: i64) {
         self.broken.insert(key, (reached, Instant::now() + ANNOUNCEMENT_KEPT));
     }
 
     /// A stream of the key opened, or ended on purpose.
-    pub fn stream_settled(&mut self, key: &ProducerKey) {
+    pub(super) fn stream_settled(&mut self, key: &ProducerKey) {
         self.broken.remove(key);
     }
 
     /// Lines up what the clock or the amount of pending observations has made due. Not while an update is on its way
     /// into the log: what it takes still looks pending.
-    pub fn look(&mut self, map: &LiveMap, now_nanos: i64) {
+    pub(super) fn look(&mut self, map: &LiveMap, now_nanos: i64) {
         self.look_at_clock(map, now_nanos);
         self.look_at_pending(map, now_nanos);
     }
@@ -128,7 +128,7 @@ impl UpdateSchedule {
 
     /// Lines up what imported data has made due: a midnight that every announcing stream has passed. To be asked before
     /// such a stream ends, because its say ends with it.
-    pub fn look_at_data(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
+    pub(super) fn look_at_data(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
         let now = Instant::now();
         self.broken.retain(|_, (_, until)| *until > now);
         let open = sessions.data_times().map(|(_, reached)| reached);

@@ -52,7 +52,7 @@ use update_run::Updates;
 
 /// What a writer needs from the daemon.
 #[derive(Clone, Debug)]
-pub struct Context {
+pub(crate) struct Context {
     /// The store.
     pub store: Arc<Store>,
     /// All jobs.
@@ -80,7 +80,7 @@ pub struct Context {
 ///
 /// # Errors
 /// The thread cannot be started.
-pub fn start(
+pub(crate) fn start(
     context: Context,
     id: MapId,
     map: LiveMap,

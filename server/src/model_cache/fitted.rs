@@ -25,7 +25,7 @@ const SEED: u64 = 0;
 
 /// A model that was fitted to the readings of a state.
 #[derive(Clone, Debug)]
-pub enum CachedModel {
+pub(crate) enum CachedModel {
     /// There are no readings: what is answered of a state of which nothing was learned.
     Unlearned,
     /// Persistence alone.
@@ -50,7 +50,7 @@ impl CachedModel {
     ///
     /// # Errors
     /// [`CannotFit`] where a parameter is outside its range or the readings are not those of such a model.
-    pub fn fit(kind: ModelKind, of: StateKind, samples: &[Sample], spec: &MapSpec) -> Result<Self, CannotFit> {
+    pub(crate) fn fit(kind: ModelKind, of: StateKind, samples: &[Sample], spec: &MapSpec) -> Result<Self, CannotFit> {
         if samples.is_empty() {
             return Ok(Self::Unlearned);
         }
@@ -86,7 +86,7 @@ impl CachedModel {
 
     /// Probability that the state is 1, or the value to expect, at each of the moments, written to `out`, which is as long as these.
     /// A model that recalls what it does not explain ([`CachedModel::Uniform`]) answers 0 or 1 there, as it was observed.
-    pub fn predict_into(
+    pub(crate) fn predict_into(
         &self,
         view: &MapView,
         id: StateId,
@@ -98,7 +98,7 @@ impl CachedModel {
     }
 
     /// The same by what the model explains alone, for observations to be judged by it.
-    pub fn expect_into(
+    pub(crate) fn expect_into(
         &self,
         view: &MapView,
         id: StateId,
@@ -149,7 +149,7 @@ fn from_newest(mut chain: MarkovChain, view: &MapView, id: StateId) -> MarkovCha
 
 /// The count to expect of a reading, from a model of the counts of bins.
 #[derive(Clone, Debug)]
-pub struct CountModel {
+pub(crate) struct CountModel {
     bins: PoissonSpectral,
     readings_per_bin: f64,
 }

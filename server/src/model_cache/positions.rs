@@ -16,7 +16,7 @@ const SEED: u64 = 0;
 
 /// A model that was fitted to the positions of a vector.
 #[derive(Clone, Debug)]
-pub struct PositionModel {
+pub(crate) struct PositionModel {
     field: HypertimeField,
     low_m: Vec<f64>,
     high_m: Vec<f64>,
@@ -26,7 +26,7 @@ pub struct PositionModel {
 impl PositionModel {
     /// The options of a kind that such a model can be of; `None` of any other.
     #[must_use]
-    pub fn options(kind: ModelKind) -> Option<HypertimeOptions> {
+    pub(crate) fn options(kind: ModelKind) -> Option<HypertimeOptions> {
         let (method, clusters) = match kind {
             ModelKind::HypertimeEm { clusters } => (HypertimeMethod::Em, clusters),
             ModelKind::HypertimeKm { clusters } => (HypertimeMethod::Km, clusters),
@@ -40,7 +40,11 @@ impl PositionModel {
     /// # Errors
     /// [`CannotFit`] where an option is outside its range, there is no reading, or the axes do not have readings of the
     /// same times.
-    pub fn fit(options: &HypertimeOptions, axes: &[impl AsRef<[Sample]>], spec: &MapSpec) -> Result<Self, CannotFit> {
+    pub(crate) fn fit(
+        options: &HypertimeOptions,
+        axes: &[impl AsRef<[Sample]>],
+        spec: &MapSpec,
+    ) -> Result<Self, CannotFit> {
         let Some(first) = axes.first().map(AsRef::as_ref) else { return Err(CannotFit::NoReadings) };
         let times = || first.iter().map(|sample| sample.utc_nanos);
         let is_whole = Dimensions::of(axes.len()).is_some();
@@ -69,19 +73,19 @@ impl PositionModel {
 
     /// Number of positions that it was fitted to.
     #[must_use]
-    pub fn positions(&self) -> u64 {
+    pub(crate) fn positions(&self) -> u64 {
         self.positions
     }
 
     /// The least and the greatest coordinates of these, in metres by axis.
     #[must_use]
-    pub fn bounds_m(&self) -> (&[f64], &[f64]) {
+    pub(crate) fn bounds_m(&self) -> (&[f64], &[f64]) {
         (&self.low_m, &self.high_m)
     }
 
     /// Where it is at a moment; `None` where that cannot be told.
     #[must_use]
-    pub fn at(&self, at: Moment) -> Option<HypertimeDistribution> {
+    pub(crate) fn at(&self, at: Moment) -> Option<HypertimeDistribution> {
         self.field.distribution(at, &[])
     }
 }

@@ -7,7 +7,7 @@ use tidemap_model::models::CannotFit;
 
 /// Why a model cannot answer for a state.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum ModelUnavailable {
+pub(crate) enum ModelUnavailable {
     /// The map keeps nothing to fit it to.
     #[error("it has to be fitted to observations, and the map, created with --retention none, keeps none")]
     NotKept,

@@ -11,7 +11,7 @@ const REFUSALS_MAX: usize = 1000;
 
 /// The messages that acknowledge up to `durable`, where up to `before` was acknowledged: all but the last leave the
 /// number as it was, so that a client which hears some of them only does not take the others' observations for accepted.
-pub fn acks(before: u64, durable: u64, refused: Vec<RefusedObservation>) -> impl Iterator<Item = v1::Ack> {
+pub(super) fn acks(before: u64, durable: u64, refused: Vec<RefusedObservation>) -> impl Iterator<Item = v1::Ack> {
     let mut left = refused.len();
     let mut refused = refused.into_iter();
     let mut is_first = true;

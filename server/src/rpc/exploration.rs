@@ -37,7 +37,7 @@ const GRID_TIMES_MAX: u64 = 2_000;
 
 /// Most of what plans may ask for.
 #[derive(Clone, Copy, Debug)]
-pub struct PlanLimits {
+pub(crate) struct PlanLimits {
     /// Predictions of one request.
     pub predictions: u64,
     /// Cells of a grid that are held for one request.
@@ -48,7 +48,7 @@ pub struct PlanLimits {
 
 /// The service.
 #[derive(Debug)]
-pub struct Explorations {
+pub(crate) struct Explorations {
     catalog: Arc<Catalog>,
     limits: PlanLimits,
     fitting: Arc<ModelFitter>,
@@ -58,7 +58,7 @@ pub struct Explorations {
 impl Explorations {
     /// Plans within these limits; models are fitted where questions have theirs fitted.
     #[must_use]
-    pub fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits) -> Self {
+    pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits) -> Self {
         // A plan keeps all processors busy; more than a few at once only wait for each other.
         Self { catalog, limits, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
     }

@@ -28,7 +28,7 @@ const WATCH_INTERVAL: Duration = Duration::from_millis(100);
 
 /// The service.
 #[derive(Debug)]
-pub struct Maintenance {
+pub(crate) struct Maintenance {
     /// The maps.
     pub catalog: Arc<Catalog>,
 }

@@ -32,7 +32,7 @@ use crate::{
 
 /// The service.
 #[derive(Debug)]
-pub struct Maps {
+pub(crate) struct Maps {
     /// The maps.
     pub catalog: Arc<Catalog>,
 }

@@ -63,7 +63,7 @@ const NAME_BYTES: usize = 64;
 
 /// Limits of streams.
 #[derive(Clone, Copy, Debug)]
-pub struct StreamLimits {
+pub(crate) struct StreamLimits {
     /// What a stream may send.
     pub intake: IntakeLimits,
     /// Most bytes of one message.
@@ -76,7 +76,7 @@ pub struct StreamLimits {
 
 /// The service.
 #[derive(Debug)]
-pub struct Observations {
+pub(crate) struct Observations {
     /// The maps.
     pub catalog: Arc<Catalog>,
     /// Limits of a stream.

@@ -6,7 +6,7 @@ use tidemap_proto::convert::InvalidField;
 ///
 /// # Errors
 /// A page size above `max`, or a token that did not come from a reply.
-pub fn page(
+pub(super) fn page(
     len: usize,
     page_size: u32,
     default: usize,

@@ -32,7 +32,7 @@ const STATES_MAX: usize = 10_000;
 
 /// The service.
 #[derive(Debug)]
-pub struct Queries {
+pub(crate) struct Queries {
     catalog: Arc<Catalog>,
     max_predictions: u64,
     max_batch: usize,
@@ -45,7 +45,7 @@ pub struct Queries {
 
 /// Most of what questions may ask for.
 #[derive(Clone, Copy, Debug)]
-pub struct QueryLimits {
+pub(crate) struct QueryLimits {
     /// Predictions of one request.
     pub predictions: u64,
     /// Observations of one message.
@@ -61,7 +61,7 @@ pub struct QueryLimits {
 impl Queries {
     /// Answers within these limits.
     #[must_use]
-    pub fn new(catalog: Arc<Catalog>, limits: QueryLimits) -> Self {
+    pub(crate) fn new(catalog: Arc<Catalog>, limits: QueryLimits) -> Self {
         let fitting = Arc::new(ModelFitter::new(Arc::clone(&catalog), limits.fitted_models, limits.fit_readings));
         let (max_predictions, max_batch) = (limits.predictions, limits.batch);
         Self {

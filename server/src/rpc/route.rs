@@ -37,7 +37,7 @@ mod search;
 
 /// The service.
 #[derive(Debug)]
-pub struct Routes {
+pub(crate) struct Routes {
     catalog: Arc<Catalog>,
     /// Most predictions of one request.
     predictions: u64,
@@ -48,7 +48,7 @@ pub struct Routes {
 impl Routes {
     /// Plans with so many predictions at most; models are fitted where questions have theirs fitted.
     #[must_use]
-    pub fn new(catalog: Arc<Catalog>, queries: &Queries, predictions: u64) -> Self {
+    pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, predictions: u64) -> Self {
         Self { catalog, predictions, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
     }
 

@@ -47,7 +47,7 @@ const MESSAGE_OVERHEAD: usize = 4096;
 ///
 /// # Errors
 /// The transport failed.
-pub async fn serve(
+pub(crate) async fn serve(
     listener: TcpListener,
     catalog: Arc<Catalog>,
     settings: &Settings,

@@ -34,7 +34,7 @@ const NAMES_SHOWN: usize = 10;
 
 /// Everything that a request can end with, other than its reply.
 #[derive(Debug, thiserror::Error)]
-pub enum RpcError {
+pub(crate) enum RpcError {
     /// A field is wrong.
     #[error(transparent)]
     Field(#[from] InvalidField),

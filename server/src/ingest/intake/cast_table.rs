@@ -25,12 +25,12 @@ pub(super) struct CastScan {
 }
 
 impl CastTable {
-    pub fn new(max_tiles: usize) -> CastTable {
+    pub(super) fn new(max_tiles: usize) -> CastTable {
         CastTable { max_tiles, ids: HashMap::new(), masks: Vec::new(), seen: Arc::from([]) }
     }
 
     /// What a scan that shows these tiles changes.
-    pub fn show(&mut self, utc_nanos: i64, tiles: &[(TileIndex, TileMasks)]) -> CastScan {
+    pub(super) fn show(&mut self, utc_nanos: i64, tiles: &[(TileIndex, TileMasks)]) -> CastScan {
         let unknown = tiles.iter().filter(|(index, _)| !self.ids.contains_key(index)).count();
         let restarts = self.masks.len() + unknown > self.max_tiles;
         if restarts {

@@ -65,7 +65,7 @@ pub(super) struct ScanIntake {
 }
 
 impl ScanIntake {
-    pub fn new(grid: Option<&GridSpec>, limits: ScanLimits) -> ScanIntake {
+    pub(super) fn new(grid: Option<&GridSpec>, limits: ScanLimits) -> ScanIntake {
         ScanIntake {
             spec: grid.cloned(),
             decoder: ScanDecoder::new(grid, limits),
@@ -79,11 +79,11 @@ impl ScanIntake {
         }
     }
 
-    pub fn held_bytes(&self) -> usize {
+    pub(super) fn held_bytes(&self) -> usize {
         self.decoder.held_bytes()
     }
 
-    pub fn open_sequence(&self) -> Option<u64> {
+    pub(super) fn open_sequence(&self) -> Option<u64> {
         self.decoder.open_sequence()
     }
 
@@ -133,7 +133,7 @@ impl Intake {
     ///
     /// # Errors
     /// What ends the stream.
-    pub fn begin_scans(&mut self, message: v1::ScanBatch) -> Result<bool, IntakeError> {
+    pub(crate) fn begin_scans(&mut self, message: v1::ScanBatch) -> Result<bool, IntakeError> {
         let first = message.first_sequence;
         self.check_sequence(first)?;
         last_sequence(first, message.scans.len())?;
@@ -167,7 +167,7 @@ impl Intake {
     ///
     /// # Errors
     /// What ends the stream.
-    pub fn next_scans(&mut self) -> Result<Option<ScanBatch>, IntakeError> {
+    pub(crate) fn next_scans(&mut self) -> Result<Option<ScanBatch>, IntakeError> {
         let new_tiles = std::mem::take(&mut self.scans.new_tiles);
         let mut batch = ScanBatch { first_sequence: self.next_sequence, new_tiles, ..ScanBatch::default() };
         batch.bytes = 4 * SCAN_BYTES + batch.new_tiles.len() * SCAN_BYTES;

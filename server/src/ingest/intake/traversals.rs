@@ -23,7 +23,10 @@ impl Intake {
     ///
     /// # Errors
     /// What ends the stream; nothing of the message was taken.
-    pub fn take_traversals(&mut self, message: &v1::TraversalBatch) -> Result<Option<TraversalBatch>, IntakeError> {
+    pub(crate) fn take_traversals(
+        &mut self,
+        message: &v1::TraversalBatch,
+    ) -> Result<Option<TraversalBatch>, IntakeError> {
         let v1::TraversalBatch { first_sequence: first, traversals } = message;
         self.check_sequence(*first)?;
         self.check_no_open_scan("traversals", "traversals")?;

@@ -58,7 +58,7 @@ impl Portion {
 impl Sessions {
     /// Turns scans into events with their refusals, some added where the map may not have more tiles. None where the
     /// stream is closed, or nothing is to be logged.
-    pub fn scan_events(&mut self, id: SessionId, batch: ScanBatch, map: &LiveMap, now: i64) -> Vec<StreamEvent> {
+    pub(crate) fn scan_events(&mut self, id: SessionId, batch: ScanBatch, map: &LiveMap, now: i64) -> Vec<StreamEvent> {
         let ScanBatch { first_sequence, last_sequence, content_crc, new_tiles, scans, mut refused, .. } = batch;
         let Some(mut session) = self.sessions.remove(&id) else { return Vec::new() };
         let mut portions: Vec<(Portion, u64, u32)> = Vec::new();

@@ -154,7 +154,7 @@ impl StateAllocator<'_> {
 
 impl Sessions {
     /// The event that adds a state; `None` where the map has it, of that kind.
-    pub fn add_state(
+    pub(crate) fn add_state(
         &mut self,
         name: &StateName,
         shape: StateShape,
@@ -180,7 +180,7 @@ impl Sessions {
     ///
     /// # Errors
     /// A name that cannot be, or that another state has; then none is kept.
-    pub fn keep_names(&mut self, edit: &SiteEdit, map: &LiveMap) -> Result<(), InvalidEdit> {
+    pub(crate) fn keep_names(&mut self, edit: &SiteEdit, map: &LiveMap) -> Result<(), InvalidEdit> {
         let in_flight = self.states_in_flight.iter().map(|(name, known)| (*known, name));
         let known = map.names().map(|(id, name)| ((id, map.kind(id).unwrap_or_default()), name));
         let renamed: Vec<_> = renamed_states(edit, known.chain(in_flight));
@@ -200,12 +200,12 @@ impl Sessions {
     }
 
     /// What was renamed has its new name, or keeps its old one.
-    pub fn renamed(&mut self) {
+    pub(crate) fn renamed(&mut self) {
         self.renames_in_flight.clear();
     }
 
     /// A state that was added is applied to the map.
-    pub fn state_added(&mut self, new: &NewState) {
+    pub(crate) fn state_added(&mut self, new: &NewState) {
         for (_, name, _) in new.states() {
             self.states_in_flight.remove(&name);
         }

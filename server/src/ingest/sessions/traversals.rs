@@ -16,7 +16,7 @@ use super::{
 impl Sessions {
     /// Turns traversals into an event, with refusals added where there is no such edge, or the map may not have more
     /// states. `None` where the stream is closed.
-    pub fn traversal_event(
+    pub(crate) fn traversal_event(
         &mut self,
         id: SessionId,
         batch: TraversalBatch,

@@ -110,7 +110,7 @@ impl Context {
     ///
     /// # Errors
     /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
-    pub fn run_update(
+    pub(crate) fn run_update(
         &self,
         id: MapId,
         map: &MapName,

@@ -13,7 +13,7 @@ use tonic::Code;
 
 /// Why there is no plan.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum PlanError {
+pub(crate) enum PlanError {
     /// The grid cannot be predicted.
     #[error(transparent)]
     Predict(#[from] PredictError),

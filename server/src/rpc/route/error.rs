@@ -9,7 +9,7 @@ use tonic::Code;
 
 /// Why there is no walk.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum RouteError {
+pub(crate) enum RouteError {
     /// The map has no nodes.
     #[error("map {0:?} has no nodes: load a topological map, with `tidemap topology load`")]
     NoNodes(String),

@@ -24,7 +24,7 @@ pub(super) struct RayCells {
 }
 
 impl RayCells {
-    pub fn new(spec: &GridSpec) -> RayCells {
+    pub(super) fn new(spec: &GridSpec) -> RayCells {
         // A ray passes as many borders along each axis as it is long there, and one more.
         let per_metre = 3f64.sqrt() / spec.resolution_m;
         let across = spec.allowed().size().iter().fold(1u64, |sum, size| sum.saturating_add(*size));
@@ -37,7 +37,7 @@ impl RayCells {
     }
 
     /// Of a part of a scan as sent. Its limits may be those of another part.
-    pub fn of_part(&self, part: &Content) -> u64 {
+    pub(super) fn of_part(&self, part: &Content) -> u64 {
         match part {
             Content::Cloud(cloud) => self.of(points(&cloud.xyz_m), f64::INFINITY),
             Content::Ranges(scan) => self.of(numbers(&scan.ranges_m), f64::INFINITY),
@@ -46,7 +46,7 @@ impl RayCells {
     }
 
     /// Of a scan that one message has as a whole.
-    pub fn of_content(&self, content: &Content) -> u64 {
+    pub(super) fn of_content(&self, content: &Content) -> u64 {
         let bound = |max: f32| if max > 0.0 { f64::from(max) } else { f64::INFINITY };
         match content {
             Content::Cloud(cloud) => self.of(points(&cloud.xyz_m), bound(cloud.max_range_m)),
@@ -56,7 +56,7 @@ impl RayCells {
     }
 
     /// Of readings that are to be cast.
-    pub fn of_readings(&self, readings: &Readings) -> u64 {
+    pub(super) fn of_readings(&self, readings: &Readings) -> u64 {
         let max = readings.max_range_m.map_or(f64::INFINITY, f64::from);
         match &readings.rays {
             Rays::Points(xyz) => self.of(points(xyz), max),
