@@ -1,15 +1,16 @@
-//! Routes that get better: robots in a simulated building, one of which follows the routes that tidemap plans on what
-//! it learned of the ways that it drove.
+//! Routes that improve: robots in a simulated building, some of which follow the routes that tidemap plans from what it
+//! learned about the edges they travelled.
 //!
-//! Everything runs in one process, with the parts that a daemon has: traversals become the states of edges in a
-//! [`LiveMap`](tidemap_map::live_map::LiveMap), models are learned at midnight,
-//! [`EdgeForecasts`](tidemap_map::edge_forecast::EdgeForecasts) says what is to be expected of the ways, and
-//! [`plan_routes`](tidemap_plan::route::plan_routes) plans. Compared are failed traversals by week. The trend of a
-//! robot is the slope of a straight line through its weeks (least squares), one for each seed; whether slopes differ
-//! from 0 is tested over the seeds, either way.
+//! Everything runs in one process, with the parts of a daemon: traversals become the states of edges in a
+//! [`LiveMap`](tidemap_map::live_map::LiveMap) of each robot, models are learned at midnight, the map's forecasts of edges
+//! feed [`plan_routes`](tidemap_plan::route::plan_routes). Robots are compared by failed traversals a week. The trend of a
+//! robot is the slope of a straight line through its weeks (least squares), one for each seed; a two-sided test over the
+//! seeds tells whether slopes differ from 0.
 //!
-//! Invariant: nothing is planned on what comes later, and the same question gives the same figures, however many
-//! threads there are.
+//! - `building.rs`: the world; `learner.rs`: a robot's map; `robot.rs`: tasks and paths;
+//! - `report.rs`: results.csv, weeks.csv; `picture.rs`: routes.svg.
+//!
+//! Invariant: plans use earlier observations only, and the same protocol gives the same figures for any number of threads.
 
 use std::{
     ops::Range,
@@ -20,7 +21,7 @@ use rayon::prelude::*;
 use tidemap_map::{grid::tile::TileUnavailable, live_map::InconsistentEvent};
 use tidemap_plan::route::PlanRouteError;
 
-use super::paired;
+use crate::{paired, seed_mean::SeedMean};
 
 mod building;
 mod learner;
@@ -39,80 +40,66 @@ const WEEK_DAYS: usize = 7;
 /// Midnight before the first day, which is a Monday: 2025-01-06 UTC.
 const START_NANOS: i64 = 20_094 * 86_400_000_000_000;
 
-/// What is to be run.
+/// The protocol of a comparison of robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RoutesProtocol {
-    /// Buildings with another luck each, 1 or more.
+    /// Number of buildings with different random events, at least 1.
     pub seeds: u64,
     /// The first seed; the others follow.
     pub first_seed: u64,
-    /// Weeks of each, 2 or more.
+    /// Weeks of each run, at least 2.
     pub weeks: usize,
-    /// Tasks of a day.
+    /// Tasks in a day.
     pub tasks: usize,
 }
 
-/// Why robots could not be sent around.
+/// Why a comparison of robots fails.
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub enum RoutesError {
-    /// A map that was not told what it can know.
+    /// An event does not fit the map.
     Map(#[from] InconsistentEvent),
-    /// A map that could not be read.
+    /// The map cannot be read.
     Tile(#[from] TileUnavailable),
-    /// A route.
-    Route(#[from] PlanRouteError),
-    /// The building.
+    /// A route cannot be planned.
+    Route(#[from] RouteError),
+    /// The building is inconsistent.
     #[error("{0}")]
     Setting(String),
 }
 
-/// A robot, as it did with all seeds.
-#[derive(Clone, Debug)]
-pub struct RobotCourse {
-    /// How it chose its ways.
-    pub kind: RobotKind,
-    /// Of each seed, of each week.
-    pub seeds: Vec<Vec<Week>>,
-}
-
-/// A mean over seeds.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
-    /// The mean.
-    pub mean: f64,
-    /// Its standard error; none of a single seed.
-    pub standard_error: Option<f64>,
-}
-
-impl Estimate {
-    fn of(values: &[f64]) -> Estimate {
-        let count = values.len().max(1) as f64;
-        let mean = values.iter().sum::<f64>() / count;
-        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-        let standard_error = (values.len() > 1).then(|| (squares / (count - 1.0) / count).sqrt());
-        Estimate { mean, standard_error }
+impl RoutesError {
+    fn setting(error: impl std::fmt::Display) -> Self {
+        Self::Setting(error.to_string())
     }
 }
 
+/// The course of a robot with all seeds.
+#[derive(Clone, Debug)]
+pub struct RobotCourse {
+    /// How the robot chooses its path.
+    pub kind: RobotKind,
+    /// The weeks of each seed.
+    pub seeds: Vec<Vec<Week>>,
+}
+
 impl RobotCourse {
-    /// Failed traversals a week, over the weeks of a range, counted from 0.
-    pub fn failures(&self, weeks: Range<usize>) -> Estimate {
+    /// Failed traversals in a week, over the weeks of a range, counted from 0.
+    pub fn failures(&self, weeks: Range<usize>) -> SeedMean {
         self.over(weeks, |weeks| weeks.iter().map(|week| week.failures as f64).sum::<f64>() / weeks.len().max(1) as f64)
     }
 
     /// Failed traversals a task.
-    pub fn failures_per_task(&self, weeks: Range<usize>) -> Estimate {
+    pub fn failures_per_task(&self, weeks: Range<usize>) -> SeedMean {
         self.over(weeks, |weeks| per_task(weeks, |week| week.failures as f64))
     }
 
     /// Seconds a task.
-    pub fn secs_per_task(&self, weeks: Range<usize>) -> Estimate {
+    pub fn secs_per_task(&self, weeks: Range<usize>) -> SeedMean {
         self.over(weeks, |weeks| per_task(weeks, |week| week.secs))
     }
 
-    /// By how many failures a week its weeks rise, of each seed: the slope of a straight line (least squares), over the
-    /// weeks of a range.
+    /// The slope of a straight line (least squares) through the weeks of a range, in failures a week, for each seed.
     pub fn slopes(&self, weeks: Range<usize>) -> Vec<f64> {
         let slope = |seed: &Vec<Week>| {
             let weeks = seed.get(weeks.clone()).unwrap_or_default();
@@ -128,9 +115,9 @@ impl RobotCourse {
         self.seeds.iter().map(slope).collect()
     }
 
-    fn over(&self, weeks: Range<usize>, of: impl Fn(&[Week]) -> f64) -> Estimate {
+    fn over(&self, weeks: Range<usize>, of: impl Fn(&[Week]) -> f64) -> SeedMean {
         let of_seed = |seed: &Vec<Week>| of(seed.get(weeks.clone()).unwrap_or_default());
-        Estimate::of(&self.seeds.iter().map(of_seed).collect::<Vec<f64>>())
+        SeedMean::of(&self.seeds.iter().map(of_seed).collect::<Vec<f64>>())
     }
 }
 
@@ -139,23 +126,23 @@ fn per_task(weeks: &[Week], of: impl Fn(&Week) -> f64) -> f64 {
     weeks.iter().map(of).sum::<f64>() / tasks.max(1) as f64
 }
 
-/// What came of it.
+/// The results of all robots.
 #[derive(Clone, Debug)]
 pub struct RouteComparison {
     /// The robots, in the order of [`RobotKind::ALL`].
     pub courses: Vec<RobotCourse>,
-    /// Weeks that they were on their way.
+    /// Number of weeks.
     pub weeks: usize,
 }
 
 /// The trend of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trend {
-    /// Failures a week that its weeks rise by, mean over seeds.
+    /// Slope of the failures over the weeks, mean over seeds.
     pub slope: f64,
-    /// How often slopes so far from 0 would be found, either way, if there were no trend; none of less than six seeds.
+    /// Two-sided p-value of the slopes over seeds; none with fewer than six seeds.
     pub p_value: Option<f64>,
-    /// Seeds in which it falls.
+    /// Number of seeds with a negative slope.
     pub falling: usize,
 }
 
@@ -165,26 +152,26 @@ impl RouteComparison {
         self.weeks / 2..self.weeks
     }
 
-    /// How a robot's failures develop over the weeks of a range.
+    /// The trend of a robot's failures over the weeks of a range.
     pub fn trend(&self, course: &RobotCourse, weeks: Range<usize>) -> Trend {
         let slopes = course.slopes(weeks);
         Trend {
-            slope: Estimate::of(&slopes).mean,
+            slope: SeedMean::of(&slopes).mean,
             p_value: paired::p_value(&slopes),
             falling: slopes.iter().filter(|&&slope| slope < 0.0).count(),
         }
     }
 
-    /// The failures of a robot's later weeks as a share of those of the robot that takes the shortest ways.
+    /// The failures of a robot's later weeks, divided by those of the robot that takes the shortest paths.
     pub fn of_shortest(&self, course: &RobotCourse) -> f64 {
         let baseline = self.courses.first().map_or(0.0, |first| first.failures(self.late()).mean);
         course.failures(self.late()).mean / baseline
     }
 }
 
-/// Sends all robots around; `progress` is told how many runs are done, of how many.
+/// Runs all robots; `progress` receives the numbers of finished and of all runs.
 pub fn run(protocol: &RoutesProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<RouteComparison, RoutesError> {
-    // The quick ones last, so that no thread is left with a long one at the end.
+    // Fast robots last, so that no thread is left with a slow one at the end.
     let jobs: Vec<(RobotKind, u64)> = RobotKind::ALL
         .into_iter()
         .rev()

@@ -1,5 +1,5 @@
-//! A simulated building to be driven through: two corridors with rooms, a safety door between them that is shut at
-//! night, and a piece of corridor in front of the canteen that people block at noon. There is a longer way around each.
+//! A simulated building: two corridors with rooms, a safety door between them that is shut at night, and a part of a
+//! corridor in front of the canteen that people block at noon. Each obstacle has a longer detour.
 //!
 //! ```text
 //!   dock          lab1            lab2    store
@@ -13,8 +13,8 @@
 //!        office1           kitchen    office2          through the kitchen it is 34 m instead of 12 m
 //! ```
 //!
-//! Invariant: what an edge is like at a time depends on the seed, the edge and that time only, so that all robots with
-//! one seed meet the same world. Both directions of an edge are alike.
+//! Invariant: the condition of an edge at a time depends on the seed, the edge and that time only, so that all robots with
+//! one seed meet the same world. Both directions of an edge are equal.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
@@ -26,24 +26,24 @@ use super::DAY_SECS;
 
 /// Hour of a day, in seconds.
 const HOUR: f64 = 3_600.0;
-/// How fast the robot drives where nobody is in its way, metres a second.
-pub const SPEED_M_PER_SEC: f64 = 0.6;
-/// What a failed attempt costs beside its time, seconds.
+/// The robot's speed without obstacles.
+pub const SPEED_M_PER_S: f64 = 0.6;
+/// Additional time of a failed attempt.
 pub const RECOVERY_SECS: f64 = 60.0;
-/// The safety door is open between these times of every day.
+/// The safety door is open between these times of every day, in seconds.
 const DOOR_OPEN: std::ops::Range<f64> = 6.5 * HOUR..20.0 * HOUR;
-/// People stand in front of the canteen between these times of a weekday.
+/// People stand in front of the canteen between these times of a weekday, in seconds.
 const NOON: std::ops::Range<f64> = 11.5 * HOUR..13.5 * HOUR;
-/// How likely they are in the way then, drawn anew for each quarter of an hour.
+/// Probability that they block the corridor, drawn for each quarter of an hour.
 const BLOCKED: f64 = 0.8;
 const QUARTER_SECS: f64 = 900.0;
-/// Any other attempt fails with a probability between these, another one for each edge, drawn anew for each minute.
+/// Any other attempt fails with a probability in this range, which is fixed for each edge; drawn for each minute.
 const MISHAP: std::ops::Range<f64> = 0.01..0.02;
 const MINUTE_SECS: f64 = 60.0;
-/// On weekdays corridors are crowded then, and robots slower by this factor.
+/// On weekdays corridors are crowded at these times, and robots slower by [`CROWDED_FACTOR`].
 const CROWDED: [std::ops::Range<f64>; 3] = [8.0 * HOUR..9.5 * HOUR, 12.0 * HOUR..13.0 * HOUR, 16.5 * HOUR..18.0 * HOUR];
 const CROWDED_FACTOR: f64 = 0.7;
-/// Speeds differ from their mean by at most this share, drawn anew for each minute.
+/// Speeds differ from their mean by at most this share, drawn for each minute.
 const SPREAD: f64 = 0.15;
 
 /// Nodes with their coordinates in metres.
@@ -70,7 +70,7 @@ const NODES: [(&str, [f64; 2]); 21] = [
     ("office1", [12.0, -6.0]),
     ("office2", [48.0, -6.0]),
 ];
-/// Links: each is an edge either way, as long as its ends lie apart.
+/// Links: each is an edge in both directions, as long as the distance of its ends.
 const LINKS: [(&str, &str); 23] = [
     DOOR,
     CANTEEN,
@@ -99,7 +99,7 @@ const LINKS: [(&str, &str); 23] = [
 const DOOR: (&str, &str) = ("s2", "n2");
 const CANTEEN: (&str, &str) = ("s3", "s4");
 
-/// What draws are about.
+/// The subject of a draw.
 #[derive(Clone, Copy)]
 enum DrawSubject {
     Mishap,
@@ -108,7 +108,7 @@ enum DrawSubject {
     Speed,
 }
 
-/// What keeps robots from passing an edge.
+/// An obstacle on an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Obstacle {
     Door,
@@ -122,16 +122,16 @@ pub struct Building {
     topology: Topology,
 }
 
-/// How an attempt to travel an edge ends.
+/// The result of an attempt to traverse an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Attempt {
-    /// How long it takes, seconds, recovery included.
+    /// Its duration, including recovery.
     pub secs: f64,
-    /// Why it fails; none where it succeeds.
+    /// Why it fails; none: it succeeds.
     pub reason: Option<&'static str>,
 }
 
-/// How the map is told of the building.
+/// The edit that loads the building into a map.
 pub fn load() -> Result<TopologyEdit, InvalidName> {
     let node = |&(name, [x_m, y_m]): &(&str, [f64; 2])| {
         Ok(NewNode { name: StateName::new(name)?, pose: Some(Pose { x_m, y_m, yaw_rad: 0.0 }), dwell_secs: None })
@@ -150,7 +150,7 @@ pub fn load() -> Result<TopologyEdit, InvalidName> {
 }
 
 impl Building {
-    /// The building whose map this is, as [`load`] has it, with the luck of a seed.
+    /// The building of a map that [`load`] made, with the random events of a seed.
     pub fn new(seed: u64, topology: Topology) -> Self {
         Self { seed, topology }
     }
@@ -160,7 +160,7 @@ impl Building {
         &self.topology
     }
 
-    /// Tries to travel an edge; `secs`: when, since midnight before the first Monday.
+    /// Tries to traverse an edge at a time, in seconds since midnight before the first Monday.
     pub fn attempt(&self, edge: &Edge, secs: f64) -> Attempt {
         let (link, obstacle) = self.link(edge);
         let spread = 1.0 + SPREAD * (2.0 * self.draw(DrawSubject::Speed, link, secs / MINUTE_SECS) - 1.0);
@@ -178,8 +178,7 @@ impl Building {
         Attempt { secs: drive_secs + if reason.is_some() { RECOVERY_SECS } else { 0.0 }, reason }
     }
 
-    /// How likely an edge is passed at a time, and how long that takes on average, in seconds: what nobody in the
-    /// building can know better.
+    /// The true probability of a successful traversal at a time, and its mean duration in seconds.
     pub fn truth(&self, edge: &Edge, secs: f64) -> (f64, f64) {
         let (link, obstacle) = self.link(edge);
         let open = match obstacle {
@@ -228,7 +227,7 @@ fn length_m(edge: &Edge) -> f64 {
 
 fn usual_speed(secs: f64) -> f64 {
     let is_crowded = is_weekday(secs) && CROWDED.iter().any(|hours| hours.contains(&secs.rem_euclid(DAY_SECS)));
-    if is_crowded { SPEED_M_PER_SEC * CROWDED_FACTOR } else { SPEED_M_PER_SEC }
+    if is_crowded { SPEED_M_PER_S * CROWDED_FACTOR } else { SPEED_M_PER_S }
 }
 
 fn is_weekday(secs: f64) -> bool {
