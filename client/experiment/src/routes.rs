@@ -2,15 +2,16 @@
 //! learned about the edges they travelled.
 //!
 //! Everything runs in one process, with the parts of a daemon: traversals become the states of edges in a
-//! [`LiveMap`](tidemap_map::live_map::LiveMap) of each robot, models are learned at midnight, the map's forecasts of edges
-//! feed [`plan_routes`](tidemap_plan::route::plan_routes). Robots are compared by failed traversals a week. The trend of a
-//! robot is the slope of a straight line through its weeks (least squares), one for each seed; a two-sided test over the
-//! seeds tells whether slopes differ from 0.
+//! [`LiveMap`](tidemap_map::live_map::LiveMap) of each robot, models are learned at midnight, the map's forecasts of
+//! edges feed [`plan_routes`](tidemap_plan::route::plan_routes). Robots are compared by failed traversals a week. The
+//! trend of a robot is the slope of a straight line through its weeks (least squares), one for each seed; a two-sided
+//! test over the seeds tells whether slopes differ from 0.
 //!
 //! - `building.rs`: the world; `learner.rs`: a robot's map; `robot.rs`: tasks and paths;
 //! - `report.rs`: results.csv, weeks.csv; `picture.rs`: routes.svg.
 //!
-//! Invariant: plans use earlier observations only, and the same protocol gives the same figures for any number of threads.
+//! Invariant: plans use earlier observations only, and the same protocol gives the same figures for any number of
+//! threads.
 
 use std::{
     ops::Range,
@@ -62,7 +63,7 @@ pub enum RoutesError {
     /// The map cannot be read.
     Tile(#[from] TileUnavailable),
     /// A route cannot be planned.
-    Route(#[from] RouteError),
+    Route(#[from] PlanRouteError),
     /// The building is inconsistent.
     #[error("{0}")]
     Setting(String),

@@ -1,12 +1,26 @@
-//! A simulated office explored, with and without time, as in RA-L 2016, section IV.C (Santos et al., "Spatio-temporal
-//! exploration strategies for long-term autonomy").
+//! A simulated office explored with and without a temporal model, as in RA-L 2016, section IV.C (Santos et al.,
+//! "Spatio-temporal exploration strategies for long-term autonomy").
 //!
-//! Explorers go on so many tours a day, each with its own map of the same office, the same sensor, and the same first
-//! day. Spatial-only exploration plans on its last map, at even distances of time; spatio-temporal exploration plans on
-//! what its map predicts for the time of the tour, in slots drawn in proportion to what their tours are expected to
-//! tell. What each expects of all cells that anybody has seen is compared with the truth in the middle of every slot,
-//! before that slot's tours. Invariant: nothing is predicted by what comes later, and the same protocol gives the same
-//! figures, however many threads there are.
+//! Each explorer goes on a number of tours a day, with its own map of the same office, the same sensor and the same
+//! first day. Spatial-only exploration plans on its last map, at regular times. Spatio-temporal exploration plans on
+//! the predictions of its map for the time of the tour, in slots drawn in proportion to the expected information of
+//! their tours. In the middle of every slot, before its tours, the predictions of each explorer are compared with the
+//! truth, over all cells that any explorer has seen. The world is [`tidemap_sim::ExploredOffice`]: the truth of every
+//! cell at every time is a function of the seed.
+//!
+//! - `protocol.rs`: YAML to [`OfficeProtocol`]; `space.rs`: the office as lattice, truth and scene;
+//! - `explorer.rs`: a map in this process ([`LiveMap`](tidemap_map::live_map::LiveMap)) with its tours and
+//!   observations;
+//! - `run.rs`: slot by slot: first all explorers are judged, then the tours take place; updates at midnight;
+//! - `report.rs`: results.csv, slots.csv; `picture.rs`: exploration.svg.
+//!
+//! A tour is planned by `plan_tour` on the explorer's prediction; an observation is `Looker::cells` on the truth, and
+//! becomes one scan. A last map is certain of all cells that it has seen, so its tours end when the office is known;
+//! unused goals of a plan go to cells that were not seen since a round began. The slots of the first day are random and
+//! equal for all; regular times would make periods of 24 h / i and 24 h / (24 - i) look the same.
+//!
+//! Invariant: predictions use earlier observations only, and the same protocol gives the same figures for any number of
+//! threads.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -32,65 +46,71 @@ pub use protocol::OfficeProtocol;
 pub(super) use protocol::RawOffice;
 pub use report::{summary, write};
 
-/// Why an office could not be explored.
+/// Why an office cannot be explored.
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub enum OfficeError {
-    /// A map that was not told what it can know.
+    /// An event does not fit the map.
     Map(#[from] InconsistentEvent),
-    /// A map that could not be read.
+    /// The map cannot be read.
     Tile(#[from] TileUnavailable),
-    /// A prediction.
+    /// A prediction fails.
     Predict(#[from] PredictError),
-    /// A tour.
+    /// A tour cannot be planned.
     Tour(#[from] TourError),
-    /// A schedule.
+    /// A schedule fails.
     Strategy(#[from] StrategyError),
-    /// A day.
+    /// A day has no slots.
     Day(#[from] DayError),
-    /// Properties of the maps.
+    /// The office and its map are inconsistent.
     #[error("{0}")]
     Setting(String),
 }
 
-/// What an explorer did in a run.
+impl OfficeError {
+    fn setting(error: impl std::fmt::Display) -> Self {
+        Self::Setting(error.to_string())
+    }
+}
+
+/// The course of an explorer in a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ExplorerCourse {
-    /// Of each slot from the first, the share of cells that it expects wrongly, 0 to 1; none before anything was seen.
+    /// The share of wrongly predicted cells, 0 to 1, in each slot; none before any observation.
     pub errors: Vec<Option<f64>>,
-    /// Of each day, cells seen in another state than this explorer had seen them in before.
+    /// Cells that this explorer saw changed, for each day.
     pub changes: Vec<u64>,
-    /// Of each day, cells that this explorer had never seen before.
+    /// Cells that this explorer saw for the first time, for each day.
     pub discovered: Vec<u64>,
-    /// Of each day, tours that looked from at least one goal.
+    /// Tours with at least one observation, for each day.
     pub tours: Vec<u64>,
-    /// Of each day, tours from eight to six.
+    /// Those of the tours from 8:00 to 18:00, for each day.
     pub tours_by_day: Vec<u64>,
 }
 
-/// What came of exploring.
+/// The results of all runs.
 #[derive(Debug)]
 pub struct OfficeExploration {
     /// By seed, then by explorer, in the order of the protocol.
     pub runs: Vec<Vec<ExplorerCourse>>,
 }
 
-/// An explorer on a day, over all seeds.
+/// The figures of an explorer on a day, over all seeds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DayFigures {
-    /// From 1.
+    /// The day, from 1.
     pub day: usize,
-    /// Which.
+    /// The explorer.
     pub kind: ExplorerKind,
     /// Mean error over slots and seeds, 0 to 1.
     pub error: f64,
-    /// The same less that of the first explorer.
+    /// The error minus that of the first explorer.
     pub difference: f64,
-    /// Of each seed the p-value of that difference over the slots of the day; none of the first explorer.
+    /// For each seed, the p-value of that difference over the slots of the day; empty for the first explorer.
     pub p_values: Vec<f64>,
-    /// Seeds with a difference below 0 and a p-value below 0.05.
+    /// Number of seeds with a significant difference below 0.
     pub better: usize,
-    /// Seeds with one above 0 and such a p-value.
+    /// Number of seeds with a significant difference above 0.
     pub worse: usize,
     /// Changed cells seen in a tour, mean over seeds.
     pub changes_per_tour: f64,
@@ -100,14 +120,14 @@ pub struct DayFigures {
     pub discovered: f64,
     /// Tours, mean over seeds.
     pub tours: f64,
-    /// Tours from eight to six, mean over seeds.
+    /// Tours from 8:00 to 18:00, mean over seeds.
     pub tours_by_day: f64,
 }
 
-/// Differences below this p-value count.
+/// Differences with a lower p-value are significant.
 const SIGNIFICANCE: f64 = 0.05;
 
-/// Explores the office with every seed; `progress` is told how many days are done, of how many.
+/// Explores the office with every seed; `progress` receives the numbers of finished and of all days.
 pub fn run(protocol: &OfficeProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<OfficeExploration, OfficeError> {
     let (done, total) = (AtomicU64::new(0), protocol.seeds * protocol.days as u64);
     let day_done = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
@@ -169,7 +189,7 @@ impl OfficeExploration {
         }
     }
 
-    /// The mean error over seeds in a slot, from the first; none before anything was seen.
+    /// The mean error over seeds in a slot; none before any observation.
     pub fn error_at(&self, index: usize, slot: usize) -> Option<f64> {
         let errors: Vec<f64> =
             self.runs.iter().filter_map(|run| run.get(index)?.errors.get(slot).copied().flatten()).collect();

@@ -1,6 +1,6 @@
-//! What an exploration writes: a row per result, the error of every week, and a picture.
+//! The output of an exploration: a row for each strategy and model, the error of every week, and a picture.
 //!
-//! Invariant: the table on stdout and `results.csv` are the same table; errors are in percent of all states.
+//! Invariant: the table on stdout and `results.csv` are the same; errors are in percent of all states.
 
 use std::{
     io::{self, Write},
@@ -11,10 +11,10 @@ use super::{Exploration, PlacesProtocol, WEEK_DAYS, picture};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, TableWriter};
 
-/// Writes a row per result.
+/// Writes a row for each strategy and model.
 ///
-/// Columns: strategy, model, error_percent over the whole world and its standard error over seeds, the same of the
-/// weeks that are scored apart where there are such, and visits_per_day.
+/// Columns: strategy, model, error_percent over the whole world and its standard error over seeds, the same for the
+/// weeks that are scored separately, and visits_per_day.
 pub fn summary<W: Write>(
     protocol: &PlacesProtocol,
     outcome: &Exploration,
@@ -49,7 +49,7 @@ pub fn write(protocol: &PlacesProtocol, outcome: &Exploration, folder: &Path) ->
     file(folder, "exploration.svg", |writer| writer.write_all(picture::draw(protocol, outcome).as_bytes()))
 }
 
-/// Every result's error in every week; the last week may be short.
+/// The error of every week; the last week may be short.
 fn weeks<W: Write>(outcome: &Exploration, writer: W) -> io::Result<()> {
     let mut table =
         TableWriter::new(Format::Csv, &["strategy", "model", "week", "error_percent", "standard_error"], writer);

@@ -13,8 +13,8 @@
 //!        office1           kitchen    office2          through the kitchen it is 34 m instead of 12 m
 //! ```
 //!
-//! Invariant: the condition of an edge at a time depends on the seed, the edge and that time only, so that all robots with
-//! one seed meet the same world. Both directions of an edge are equal.
+//! Invariant: the condition of an edge at a time depends on the seed, the edge and that time only, so that all robots
+//! with one seed meet the same world. Both directions of an edge are equal.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
@@ -193,7 +193,7 @@ impl Building {
         MISHAP.start + (MISHAP.end - MISHAP.start) * self.draw(DrawSubject::Mishap, link, 0.0)
     }
 
-    /// A number for both directions of an edge, and what may be in the way there.
+    /// A number that both directions of an edge share, and the obstacle on them.
     fn link(&self, edge: &Edge) -> (u64, Option<Obstacle>) {
         let link = u64::from(edge.from.0.min(edge.to.0)) << 32 | u64::from(edge.from.0.max(edge.to.0));
         let name = |id| self.topology.node(id).map_or("", |node| node.name.as_str());
@@ -209,15 +209,15 @@ impl Building {
         (link, obstacle)
     }
 
-    /// A number in [0, 1), another one for each slot of time, given in slots.
-    fn draw(&self, topic: DrawSubject, link: u64, slot: f64) -> f64 {
-        draw(self.seed, [topic as u64, link, slot.max(0.0) as u64]).random()
+    /// A number in [0, 1) that is constant during each slot of time.
+    fn draw(&self, subject: DrawSubject, link: u64, slot: f64) -> f64 {
+        draw(self.seed, [subject as u64, link, slot.max(0.0) as u64]).random()
     }
 }
 
-/// A generator for what a few numbers are about.
-pub fn draw(seed: u64, about: [u64; 3]) -> SmallRng {
-    let key = about.into_iter().fold(seed, |key, part| SmallRng::seed_from_u64(key ^ part).random());
+/// A generator for each combination of numbers.
+pub fn draw(seed: u64, key: [u64; 3]) -> SmallRng {
+    let key = key.into_iter().fold(seed, |key, part| SmallRng::seed_from_u64(key ^ part).random());
     SmallRng::seed_from_u64(key)
 }
 

@@ -1,7 +1,7 @@
-//! The map of a robot that learns: what it reports goes in as a daemon would take it in, and updates run at midnight.
+//! The map of a learning robot: it applies the robot's reports as a daemon does, and is updated at midnight.
 //!
-//! Invariant: what it expects of edges rests on the reports of days that have ended, and, where it is asked to, on the
-//! last report of each edge.
+//! Invariant: forecasts of edges use the reports of days that have ended, and, with persistence, the last report of
+//! each edge.
 
 use std::sync::{Arc, atomic::AtomicU64};
 
@@ -22,24 +22,24 @@ use tidemap_model::Sample;
 
 use super::{
     RoutesError, START_NANOS,
-    building::{self, SPEED_M_PER_SEC},
+    building::{self, SPEED_M_PER_S},
 };
 
-/// A map that is told of traversals.
+/// A map that learns from traversals.
 #[derive(Debug)]
 pub struct Learner {
     map: LiveMap,
     sequence: u64,
-    known: Pieces,
+    history: History,
     persistence: bool,
     edges: EdgeForecasts,
 }
 
-/// What updates have folded in, as history files would have it.
+/// The readings of earlier updates, as history files contain them.
 #[derive(Clone, Debug, Default)]
-struct Pieces(Vec<Arc<HistoryPiece>>);
+struct History(Vec<Arc<HistoryPiece>>);
 
-impl StateReadings for Pieces {
+impl StateReadings for History {
     fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
         let of = |wanted: &WantedReadings| {
             let of_state = |piece: &Arc<HistoryPiece>| {
@@ -59,36 +59,35 @@ impl StateReadings for Pieces {
 }
 
 impl Learner {
-    /// One that knows the building and nothing else; all properties of its map are those that a map has by default.
+    /// An untrained map of the building, with default properties.
     pub fn new(persistence: bool) -> Result<Self, RoutesError> {
-        let setting = |error: &dyn std::fmt::Display| RoutesError::Setting(error.to_string());
         let spec = MapSpec {
             created_nanos: START_NANOS,
-            ..MapSpec::new(MapName::new("building").map_err(|error| setting(&error))?)
+            ..MapSpec::new(MapName::new("building").map_err(RoutesError::setting)?)
         };
         let mut map = LiveMap::new(Arc::new(spec));
-        let load = building::load().map_err(|error| setting(&error))?;
+        let load = building::load().map_err(RoutesError::setting)?;
         map.apply(1, &Event::EditSite(SiteEdit::Topology(load)))?;
-        let edges = EdgeForecasts::new(Arc::new(map.publish()), SPEED_M_PER_SEC, persistence);
-        Ok(Self { map, sequence: 0, known: Pieces::default(), persistence, edges })
+        let edges = EdgeForecasts::new(Arc::new(map.publish()), SPEED_M_PER_S, persistence);
+        Ok(Self { map, sequence: 0, history: History::default(), persistence, edges })
     }
 
-    /// The building as its map has it.
+    /// The topology of the building.
     pub fn topology(&self) -> &Topology {
         self.map.site().topology()
     }
 
-    /// What it expects.
+    /// The forecasts of its edges.
     pub fn edges(&self) -> &EdgeForecasts {
         &self.edges
     }
 
-    /// Takes in what was driven, at least one traversal, at the time at which the last of them ended.
-    pub fn report(&mut self, driven: &[Traversal]) -> Result<(), RoutesError> {
-        let Some(last) = driven.last() else { return Ok(()) };
-        let key = ProducerKey::new("robot", "").map_err(|error| RoutesError::Setting(error.to_string()))?;
+    /// Applies traversals, received when the last of them ended.
+    pub fn report(&mut self, traversals: &[Traversal]) -> Result<(), RoutesError> {
+        let Some(last) = traversals.last() else { return Ok(()) };
+        let key = ProducerKey::new("robot", "").map_err(RoutesError::setting)?;
         let first_sequence = self.sequence + 1;
-        self.sequence += driven.len() as u64;
+        self.sequence += traversals.len() as u64;
         let mut event = Observations {
             producer: ProducerId(0),
             new_producer: (first_sequence == 1).then(|| key.into()),
@@ -103,12 +102,11 @@ impl Learner {
             values: Vec::new(),
             offsets: Vec::new(),
             refused: Vec::new(),
-            failures: driven.iter().filter_map(Traversal::failure).collect(),
+            failures: traversals.iter().filter_map(Traversal::failure).collect(),
         };
-        for traversal in driven {
-            let setting = |error: &dyn std::fmt::Display| RoutesError::Setting(error.to_string());
-            let edge = self.topology().edge_named(&traversal.edge).map_err(|error| setting(&error))?;
-            for (what, value) in traversal.samples(edge.extent).map_err(|error| setting(&error))? {
+        for traversal in traversals {
+            let edge = self.topology().edge_named(&traversal.edge).map_err(RoutesError::setting)?;
+            for (what, value) in traversal.samples(edge.extent).map_err(RoutesError::setting)? {
                 let name = traversal.edge.state(what);
                 let fresh = || event.new_states.iter().find(|new| new.name == name).map(|new| new.id);
                 let id = match self.map.find(name.as_str()).or_else(fresh) {
@@ -127,24 +125,24 @@ impl Learner {
         event.offsets.push(OffsetRun { count: event.states.len() as u32, offset_secs: 0 });
         self.map.apply(self.map.position() + 1, &Event::Observations(event))?;
         if self.persistence {
-            self.look();
+            self.refresh();
         }
         Ok(())
     }
 
-    /// Folds in all that was driven before midnight.
+    /// Learns all traversals before midnight.
     pub fn midnight(&mut self, nanos: i64) -> Result<(), RoutesError> {
         let start = self.map.plan_update(Some(nanos), nanos, UpdateCause::Midnight);
         let work = self.map.apply(self.map.position() + 1, &Event::UpdateStart(start))?;
         if let Some(work) = work {
-            let learned = work.with_readings(Arc::new(self.known.clone())).run(&AtomicU64::new(0))?;
-            self.known.0.extend(self.map.finish_update(learned).history);
+            let learned = work.with_readings(Arc::new(self.history.clone())).run(&AtomicU64::new(0))?;
+            self.history.0.extend(self.map.finish_update(learned).history);
         }
-        self.look();
+        self.refresh();
         Ok(())
     }
 
-    fn look(&mut self) {
-        self.edges = EdgeForecasts::new(Arc::new(self.map.publish()), SPEED_M_PER_SEC, self.persistence);
+    fn refresh(&mut self) {
+        self.edges = EdgeForecasts::new(Arc::new(self.map.publish()), SPEED_M_PER_S, self.persistence);
     }
 }

@@ -1,6 +1,6 @@
-//! What the robots' experiment writes: a row per robot, every week of each, and a picture.
+//! The output of a comparison of robots: a row for each robot, a row for each of its weeks, and a picture.
 //!
-//! Invariant: the table on stdout and `results.csv` are the same table.
+//! Invariant: the table on stdout and `results.csv` are the same.
 
 use std::{
     io::{self, Write},
@@ -11,11 +11,11 @@ use super::{RouteComparison, picture};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, TableWriter};
 
-/// Writes a row per robot.
+/// Writes a row for each robot.
 ///
 /// Columns: robot; failures a week in the first week, in the last, and on average over the later half of the weeks;
-/// those of the later half as a share of the shortest ways'; slope (failures a week that the weeks rise by), its
-/// p_value over seeds (two-sided), and in how many seeds it falls; the same slope and p_value without the first week;
+/// those of the later half divided by those of the shortest paths; slope of the failures over the weeks, its two-sided
+/// p_value over seeds, and the number of seeds with a negative slope; slope and p_value without the first week;
 /// failures and seconds a task in the later half.
 pub fn summary<W: Write>(outcome: &RouteComparison, format: Format, writer: W) -> io::Result<()> {
     let late = outcome.late();
@@ -62,7 +62,7 @@ pub fn write(outcome: &RouteComparison, folder: &Path) -> anyhow::Result<()> {
     file(folder, "routes.svg", |writer| writer.write_all(picture::draw(outcome).as_bytes()))
 }
 
-/// Every robot in every week, mean over seeds.
+/// A row for each robot and week, mean over seeds.
 fn weeks<W: Write>(outcome: &RouteComparison, writer: W) -> io::Result<()> {
     let columns = ["robot", "week", "failures", "standard_error", "failures_per_task", "secs_per_task"];
     let mut table = TableWriter::new(Format::Csv, &columns, writer);

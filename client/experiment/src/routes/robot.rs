@@ -1,7 +1,7 @@
-//! A robot that is sent from place to place, day and night, for weeks.
+//! A robot that drives from place to place, day and night, for weeks.
 //!
-//! Invariant: all robots with one seed have the same tasks and meet the same world. They differ in how they choose a
-//! way, and in nothing else: an edge that has failed is not tried again in the same task, unless no other way is left.
+//! Invariant: all robots with one seed have the same tasks and meet the same world. They differ only in how they choose
+//! a path. An edge that failed is not tried again in the same task unless there is no other path.
 
 use rand::Rng as _;
 use tidemap_map::{
@@ -16,28 +16,28 @@ use super::{
     learner::Learner,
 };
 
-/// Least chance that an edge is passed by what is true, so that a way through a shut door is still a way.
+/// Minimum of the oracle's probability of success, so that a path through a shut door remains a path.
 const TRUE_SUCCESS_MIN: f64 = 1e-6;
-/// As how many reports the truth counts; only intervals depend on it.
+/// Number of reports that the truth counts as; only intervals depend on it.
 const TRUE_EVIDENCE: f64 = 1e6;
 
-/// How a robot chooses its way.
+/// How a robot chooses its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RobotKind {
-    /// The shortest way, whatever happened there.
+    /// The shortest path, whatever happened there.
     Shortest,
-    /// The route that tidemap plans on what it learned until last midnight.
+    /// The route that tidemap plans from what it learned until last midnight.
     Tidemap,
-    /// The same, with the last report of each edge, for as long as that counts.
+    /// As [`Tidemap`](Self::Tidemap), with the last report of each edge while it is recent.
     TidemapPersistence,
-    /// The route of the least expected time, failures included, on what was learned until last midnight.
+    /// The route with the least expected time, including failures, from what was learned until last midnight.
     TidemapTime,
-    /// The route that tidemap plans on the true probabilities: nobody can do better but by luck.
+    /// The route that tidemap plans from the true probabilities: no robot can do better except by luck.
     Oracle,
 }
 
 impl RobotKind {
-    /// All of them, the one that the others are compared with first.
+    /// All kinds, the baseline first.
     pub const ALL: [RobotKind; 5] = [
         RobotKind::Shortest,
         RobotKind::Tidemap,
@@ -46,7 +46,7 @@ impl RobotKind {
         RobotKind::Oracle,
     ];
 
-    /// As people write it.
+    /// Its name in results.
     pub fn name(self) -> &'static str {
         match self {
             RobotKind::Shortest => "shortest",
@@ -58,18 +58,18 @@ impl RobotKind {
     }
 }
 
-/// What a robot did in a week.
+/// The totals of a robot's week.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Week {
-    /// Tasks that began in it.
+    /// Tasks that started in the week.
     pub tasks: u64,
-    /// Traversals that failed in these.
+    /// Failed traversals of these tasks.
     pub failures: u64,
-    /// How long these took, seconds.
+    /// Total duration of these tasks.
     pub secs: f64,
 }
 
-/// A robot on its way.
+/// A robot that drives.
 struct RouteRobot<'a> {
     kind: RobotKind,
     building: &'a Building,
@@ -79,12 +79,12 @@ struct RouteRobot<'a> {
     now_secs: f64,
 }
 
-/// Sends a robot of a kind around for some weeks.
+/// Lets a robot drive for all weeks of the protocol.
 pub fn run(kind: RobotKind, seed: u64, protocol: &RoutesProtocol) -> Result<Vec<Week>, RoutesError> {
     let learner = Learner::new(kind == RobotKind::TidemapPersistence)?;
     let building = Building::new(seed, learner.topology().clone());
     let nodes: Vec<NodeId> = building.topology().nodes().map(|node| node.id).collect();
-    let start = building.topology().node_named("dock").map_err(|error| RoutesError::Setting(error.to_string()))?.id;
+    let start = building.topology().node_named("dock").map_err(RoutesError::setting)?.id;
     let mut robot = RouteRobot { kind, building: &building, learner, at: start, now_secs: 0.0 };
     let mut weeks = vec![Week::default(); protocol.weeks];
     for day in 0..protocol.weeks * WEEK_DAYS {
@@ -95,7 +95,7 @@ pub fn run(kind: RobotKind, seed: u64, protocol: &RoutesProtocol) -> Result<Vec<
         let mut times: Vec<f64> = (0..protocol.tasks).map(|_| random.random_range(0.0..DAY_SECS)).collect();
         times.sort_by(f64::total_cmp);
         for time in times {
-            // A robot ends each task where all others do, so that the next one is the same for all.
+            // All robots end each task at its goal, so the next task is the same for all.
             let others: Vec<NodeId> = nodes.iter().copied().filter(|&node| node != robot.at).collect();
             let goal = others[random.random_range(0..others.len())];
             robot.now_secs = robot.now_secs.max(day as f64 * DAY_SECS + time);
@@ -117,28 +117,27 @@ impl RobotKind {
 }
 
 impl RouteRobot<'_> {
-    /// Drives to a node, and tells how many traversals failed on the way.
+    /// Drives to a node, and returns the number of failed traversals.
     fn go(&mut self, goal: NodeId) -> Result<u64, RoutesError> {
         let topology = self.building.topology();
         let mut shunned: Vec<EdgeId> = Vec::new();
         let mut failures = 0;
-        let setting = |error: &dyn std::fmt::Display| RoutesError::Setting(error.to_string());
         while self.at != goal {
             let route = match self.route(goal, &shunned)? {
                 Some(route) => route,
                 None => {
                     shunned.clear();
-                    self.route(goal, &shunned)?.ok_or_else(|| RoutesError::Setting("no way to a node".to_owned()))?
+                    self.route(goal, &shunned)?.ok_or_else(|| RoutesError::Setting("no path to a node".to_owned()))?
                 }
             };
             let mut driven = Vec::with_capacity(route.len());
             for id in route {
-                let edge = topology.edge(id).map_err(|error| setting(&error))?;
+                let edge = topology.edge(id).map_err(RoutesError::setting)?;
                 let attempt = self.building.attempt(edge, self.now_secs);
                 let start_nanos = nanos(self.now_secs);
                 self.now_secs += attempt.secs;
                 driven.push(Traversal {
-                    edge: topology.edge_in_words(edge).map_err(|error| setting(&error))?,
+                    edge: topology.edge_in_words(edge).map_err(RoutesError::setting)?,
                     start_nanos,
                     end_nanos: nanos(self.now_secs),
                     success: attempt.reason.is_none(),
@@ -158,7 +157,7 @@ impl RouteRobot<'_> {
         Ok(failures)
     }
 
-    /// The edges to a node, without those that are shunned; none where there is no other way.
+    /// The edges of a path to a node that avoids the shunned edges; none if there is no such path.
     fn route(&self, goal: NodeId, shunned: &[EdgeId]) -> Result<Option<Vec<EdgeId>>, RoutesError> {
         let is_open = |edge: &Edge| !shunned.contains(&edge.id);
         let now_secs = self.now_secs;
@@ -178,8 +177,8 @@ impl RouteRobot<'_> {
         }
     }
 
-    /// The best route as `PlanRoute` gives it where nothing else is asked, the likeliest to succeed, or the soonest
-    /// one.
+    /// The best route as `PlanRoute` returns it by default: the most likely to succeed, or for
+    /// [`RobotKind::TidemapTime`] the fastest.
     fn planned(
         &self,
         goal: NodeId,
@@ -201,8 +200,7 @@ impl RouteRobot<'_> {
     fn shortest(&self, goal: NodeId, is_open: impl Fn(&Edge) -> bool) -> Result<Option<Vec<EdgeId>>, RoutesError> {
         let topology = self.building.topology();
         let length = |edge: &Edge| edge.extent.length_m.filter(|_| is_open(edge));
-        let setting = |error: &dyn std::fmt::Display| RoutesError::Setting(error.to_string());
-        let roads = Roads::new(topology, length).map_err(|error| setting(&error))?;
+        let roads = Roads::new(topology, length).map_err(RoutesError::setting)?;
         let (Some(from), Some(to)) = (roads.index_of(self.at), roads.index_of(goal)) else { return Ok(None) };
         let mut shortest = ShortestTimes::default();
         shortest.between(&roads, from, to);

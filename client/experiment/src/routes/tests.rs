@@ -1,4 +1,4 @@
-//! The building is what its words say, and a robot that learns fails less often in it.
+//! The building has the documented obstacles, and a robot that learns fails less often in it.
 
 use tidemap_map::topology::{Edge, Topology};
 

@@ -1,9 +1,9 @@
-//! An explorer: its map, what it saw, and where it goes.
+//! An explorer: its map, its observations and its tours.
 //!
-//! Where the prediction leaves too little to learn for a full tour, the explorer goes round: it looks again at what it
-//! has not seen since this round began, and begins the next round when all is seen. Spatial-only exploration, whose
-//! last map is certain of all that it has seen, does little else once the office is known. Invariant: a cell is told to
-//! the map as it was seen, at the time at which it was seen.
+//! If the prediction leaves too little information for a full tour, the explorer makes a round: it visits the cells
+//! that it has not seen since the round started, and starts the next round when it has seen all. Spatial-only
+//! exploration, whose last map is certain of all cells that it has seen, does little else once the office is known.
+//! Invariant: an observation enters the map unchanged, with the time at which it was made.
 
 use std::{
     collections::HashMap,
@@ -37,28 +37,28 @@ use super::{
     space::{Space, Truth},
 };
 
-/// Tiles of a map.
+/// Maximum number of tiles of a map.
 const TILES_MAX: usize = 1 << 20;
-/// What a round takes a cell for that it has not seen: as unsure as can be, on the side of what was seen last.
+/// Distance from 0.5 of the probability of cells not seen in this round: almost unknown, on the side of the last value.
 const UNSURE: f32 = 0.01;
 
-/// How an explorer expects, and when it goes.
+/// How an explorer predicts and schedules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExplorerKind {
-    /// By the last map, at even distances of time.
+    /// By the last map, at regular times.
     Spatial,
-    /// By the spatio-temporal model, when much is to be learned.
+    /// By the spatio-temporal model, in the slots with the most expected information.
     Temporal,
-    /// The same, drawn towards what was seen last.
+    /// As [`Temporal`](Self::Temporal), blended with the last observation.
     TemporalPersistence,
 }
 
 impl ExplorerKind {
-    /// All of them.
+    /// All kinds, the baseline first.
     pub const ALL: [ExplorerKind; 3] =
         [ExplorerKind::Spatial, ExplorerKind::Temporal, ExplorerKind::TemporalPersistence];
 
-    /// As people write it.
+    /// Its name in results.
     pub fn name(self) -> &'static str {
         match self {
             ExplorerKind::Spatial => "spatial",
@@ -77,28 +77,28 @@ impl ExplorerKind {
     }
 }
 
-/// How a cell was seen last.
+/// The last observation of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Last {
+enum LastValue {
     Never,
     Free,
     Occupied,
 }
 
-/// What an explorer learned on a tour.
+/// The result of a tour.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Findings {
-    /// Goals from which it looked.
-    pub looks: u64,
-    /// Cells that had changed.
+    /// Number of observations.
+    pub scans: u64,
+    /// Number of changed cells.
     pub changes: u64,
-    /// Cells never seen before.
+    /// Number of cells seen for the first time.
     pub discovered: u64,
 }
 
-/// An explorer.
+/// An explorer with its map.
 pub struct Explorer {
-    /// What it goes by.
+    /// How it predicts and schedules.
     pub kind: ExplorerKind,
     map: LiveMap,
     view: MapView,
@@ -109,17 +109,17 @@ pub struct Explorer {
     shown: Vec<TileMasks>,
     scans: u64,
     reachability: Reachability,
-    last: Vec<Last>,
-    /// By cell, whether it was seen since the round began.
+    last: Vec<LastValue>,
+    /// Whether each cell was seen since the round started.
     round: Vec<bool>,
     looker: ViewScorer,
 }
 
 impl Explorer {
-    /// One that knows nothing.
+    /// An explorer with an untrained map.
     pub fn new(kind: ExplorerKind, space: &Space) -> Result<Self, OfficeError> {
         let mut map = LiveMap::new(Arc::clone(space.spec()));
-        let grid = map.grid().ok_or_else(|| OfficeError::Setting("the map has no grid".to_owned()))?;
+        let grid = map.grid().ok_or_else(|| OfficeError::setting("the map has no grid"))?;
         let front = Front::new(grid);
         let view = map.publish();
         Ok(Self {
@@ -132,18 +132,18 @@ impl Explorer {
             shown: Vec::new(),
             scans: 0,
             reachability: Reachability::default(),
-            last: vec![Last::Never; space.cells()],
+            last: vec![LastValue::Never; space.cells()],
             round: vec![false; space.cells()],
             looker: ViewScorer::new(&space.fan),
         })
     }
 
-    /// Whether it has seen a cell, by its number.
+    /// Whether it has seen the cell with this number.
     pub fn has_seen(&self, cell: usize) -> bool {
-        self.last[cell] != Last::Never
+        self.last[cell] != LastValue::Never
     }
 
-    /// What it expects of all cells at a time, nanoseconds UTC.
+    /// Its prediction of all cells at a time, nanoseconds UTC.
     pub fn predict(&self, utc_nanos: i64) -> Result<PredictedGrid, OfficeError> {
         self.predict_by(self.kind, utc_nanos)
     }
@@ -153,12 +153,12 @@ impl Explorer {
         Ok(PredictedGrid::new(&self.view, utc_nanos, &options)?)
     }
 
-    /// The tour that promises most at a time, on what is expected of that time.
-    pub fn promise(&self, space: &Space, utc_nanos: i64) -> Result<Tour, OfficeError> {
+    /// The best tour at a time, planned on the prediction for that time.
+    pub fn best_tour(&self, space: &Space, utc_nanos: i64) -> Result<Tour, OfficeError> {
         Ok(plan_tour(&self.predict(utc_nanos)?, &self.reachability, &space.question)?)
     }
 
-    /// Goes on a tour that begins at a time; `kind` is what is planned by, `middle_nanos` the time that is predicted.
+    /// Goes on a tour that starts at a time, planned by the prediction of `kind` for `middle_nanos`.
     pub fn tour(
         &mut self,
         space: &Space,
@@ -168,29 +168,28 @@ impl Explorer {
     ) -> Result<Findings, OfficeError> {
         let mut findings = Findings::default();
         if self.scans == 0 {
-            // Nobody can be sent anywhere before anything is known: a look from the charger.
+            // No goal can be planned on an empty map, so the first observation is made at the charger.
             let charger = self.charger(space)?;
-            self.look(space, &space.truth(start_nanos)?, charger, start_nanos, &mut findings)?;
+            self.observe(space, &space.truth(start_nanos)?, charger, start_nanos, &mut findings)?;
         }
         let steps = self.plan(space, kind, middle_nanos)?;
         let truth = space.truth(start_nanos)?;
-        let setting = |error: &dyn std::fmt::Display| OfficeError::Setting(error.to_string());
-        let travel = TravelGrid::new(&truth.grid, &space.question.travel).map_err(|error| setting(&error))?;
+        let travel = TravelGrid::new(&truth.grid, &space.question.travel).map_err(OfficeError::setting)?;
         let [x_m, y_m] = space.question.start_m;
         let Some((start, _)) = travel.nearest(x_m, y_m, space.question.start_tolerance_m) else { return Ok(findings) };
-        let ways = travel.distances(start);
+        let paths = travel.distances(start);
         for (index, step) in steps.iter().enumerate() {
             // Two minutes for each goal (RA-L, section III.E).
             let at_nanos = start_nanos + (index as i64 + 1) * 120_000_000_000;
-            let is_way = travel.column_at(step.x_m, step.y_m).is_some_and(|column| ways.to(column).is_some());
+            let is_reachable = travel.column_at(step.x_m, step.y_m).is_some_and(|column| paths.to(column).is_some());
             let cell = space.lattice().cell_at([step.x_m, step.y_m, space.question.sensor.height_m]);
             let truth = space.truth(at_nanos)?;
-            let goal = cell.filter(|&cell| is_way && !truth.scene.is_occupied(cell));
+            let goal = cell.filter(|&cell| is_reachable && !truth.scene.is_occupied(cell));
             // Goals lie within the grid, so that they can be reported.
             let reported = self.reachability.report(step.x_m, step.y_m, goal.is_some(), at_nanos);
-            reported.map_err(|error| setting(&error))?;
+            reported.map_err(OfficeError::setting)?;
             if let Some(goal) = goal {
-                self.look(space, &truth, goal, at_nanos, &mut findings)?;
+                self.observe(space, &truth, goal, at_nanos, &mut findings)?;
             }
         }
         self.view = self.map.publish();
@@ -200,10 +199,10 @@ impl Explorer {
     fn charger(&self, space: &Space) -> Result<CellIndex, OfficeError> {
         let [x_m, y_m] = space.question.start_m;
         let cell = space.lattice().cell_at([x_m, y_m, space.question.sensor.height_m]);
-        cell.ok_or_else(|| OfficeError::Setting("the charger lies outside the office".to_owned()))
+        cell.ok_or_else(|| OfficeError::setting("the charger lies outside the office"))
     }
 
-    /// Goals for a time: by what is expected of it, then by going round.
+    /// Goals for a time: by its prediction, then cells not seen in this round.
     fn plan(&mut self, space: &Space, kind: ExplorerKind, utc_nanos: i64) -> Result<Vec<TourStep>, OfficeError> {
         self.view = self.map.publish();
         let expected = self.predict_by(kind, utc_nanos)?;
@@ -223,14 +222,14 @@ impl Explorer {
         Ok(steps)
     }
 
-    /// The last map, unsure of what was not seen since the round began.
+    /// The last map, almost unknown where a cell was not seen since the round started.
     fn unseen_this_round(&self, space: &Space) -> PredictedGrid {
         PredictedGrid::from_fn(Arc::clone(space.lattice()), |cell| {
             let number = space.number(cell);
             let (is_occupied, is_seen) = match self.last[number] {
-                Last::Never => return None,
-                Last::Free => (false, self.round[number]),
-                Last::Occupied => (true, self.round[number]),
+                LastValue::Never => return None,
+                LastValue::Free => (false, self.round[number]),
+                LastValue::Occupied => (true, self.round[number]),
             };
             Some(match (is_occupied, is_seen) {
                 (false, true) => 0.0,
@@ -241,8 +240,8 @@ impl Explorer {
         })
     }
 
-    /// Looks around from a cell, and tells the map.
-    fn look(
+    /// Observes the cells visible from a cell, and adds them to the map.
+    fn observe(
         &mut self,
         space: &Space,
         truth: &Truth,
@@ -253,29 +252,29 @@ impl Explorer {
         let mut tiles: HashMap<TileIndex, (Mask, Mask)> = HashMap::new();
         for cell in self.looker.cells(&truth.scene, &space.fan, from) {
             let number = space.number(cell);
-            let now = if truth.is_occupied(number) { Last::Occupied } else { Last::Free };
+            let now = if truth.is_occupied(number) { LastValue::Occupied } else { LastValue::Free };
             let before = std::mem::replace(&mut self.last[number], now);
-            findings.discovered += u64::from(before == Last::Never);
-            findings.changes += u64::from(before != Last::Never && before != now);
+            findings.discovered += u64::from(before == LastValue::Never);
+            findings.changes += u64::from(before != LastValue::Never && before != now);
             self.round[number] = true;
             let (tile, place) = cell.tile();
             let (observed, occupied) = tiles.entry(tile).or_insert((Mask::EMPTY, Mask::EMPTY));
             observed.insert(place);
-            if now == Last::Occupied {
+            if now == LastValue::Occupied {
                 occupied.insert(place);
             }
         }
-        findings.looks += 1;
+        findings.scans += 1;
         let mut tiles: Vec<(TileIndex, TileMasks)> = tiles
             .into_iter()
             .map(|(tile, (observed, occupied))| (tile, TileMasks::clipped(observed, occupied)))
             .collect();
         tiles.sort_unstable_by_key(|&(tile, _)| tile);
-        self.tell(utc_nanos, &tiles)
+        self.add_scan(utc_nanos, &tiles)
     }
 
-    /// Tells the map what a look showed.
-    fn tell(&mut self, utc_nanos: i64, tiles: &[(TileIndex, TileMasks)]) -> Result<(), OfficeError> {
+    /// Adds an observation to the map as a scan.
+    fn add_scan(&mut self, utc_nanos: i64, tiles: &[(TileIndex, TileMasks)]) -> Result<(), OfficeError> {
         let mut sent: Vec<(u32, TileMasks)> = Vec::with_capacity(tiles.len());
         for &(tile, masks) in tiles {
             let slot = *self.slots.entry(tile).or_insert_with(|| {
@@ -295,14 +294,13 @@ impl Explorer {
             occupied_flips.extend((shown.occupied() ^ masks.occupied()).cells().map(at));
         }
         let scan = SentScan { utc_nanos, seen, observed_flips, occupied_flips };
-        let setting = |why: &str| OfficeError::Setting(why.to_owned());
-        let grid = self.map.grid().ok_or_else(|| setting("the map has no grid"))?;
+        let grid = self.map.grid().ok_or_else(|| OfficeError::setting("the map has no grid"))?;
         let taken = self.front.take(grid, 1, &mut self.source, &scan, 0, TILES_MAX);
-        let taken = taken.map_err(|_| setting("the office has too many tiles"))?;
+        let taken = taken.map_err(|_| OfficeError::setting("the office has too many tiles"))?;
         let new_producer = (self.scans == 0)
             .then(|| ProducerKey::new("robot", "").map(NewProducer::from))
             .transpose()
-            .map_err(|error| setting(&error.to_string()))?;
+            .map_err(OfficeError::setting)?;
         self.scans += 1;
         let scans = Scans {
             producer: ProducerId(0),
@@ -320,7 +318,7 @@ impl Explorer {
         Ok(())
     }
 
-    /// Folds in what was seen before a midnight.
+    /// Learns all observations before a midnight.
     pub fn midnight(&mut self, utc_nanos: i64) -> Result<(), OfficeError> {
         let start = self.map.plan_update(Some(utc_nanos), utc_nanos, UpdateCause::Midnight);
         if let Some(work) = self.map.apply(self.map.position() + 1, &Event::UpdateStart(start))? {

@@ -1,6 +1,6 @@
-//! What the exploration of an office writes: a row per day and explorer, the error of every slot, and a picture.
+//! The output of an exploration of an office: a row for each day and explorer, the error in every slot, and a picture.
 //!
-//! Invariant: the table on stdout and `results.csv` are the same table; errors are in percent of the cells seen so far.
+//! Invariant: the table on stdout and `results.csv` are the same; errors are in percent of the cells seen so far.
 
 use std::{
     io::{self, Write},
@@ -11,12 +11,12 @@ use super::{OfficeExploration, OfficeProtocol, picture};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, TableWriter};
 
-/// Writes a row per day and explorer.
+/// Writes a row for each day and explorer.
 ///
-/// Columns: day, explorer, error_percent (mean over slots and seeds), difference_percent to the first explorer, p_value
-/// of that (the median over seeds of a paired test over the day's slots), seeds_better and seeds_worse (with p below
-/// 0.05), changes_per_tour and changes (cells seen in another state than before), discovered (cells seen for the first
-/// time), tours, tours_8_to_18.
+/// Columns: day, explorer, error_percent (mean over slots and seeds), difference_percent to the first explorer, its
+/// p_value (the median over seeds of a paired test over the day's slots), seeds_better and seeds_worse (with p below
+/// 0.05), changes_per_tour and changes (cells seen changed), discovered (cells seen for the first time), tours,
+/// tours_8_to_18.
 pub fn summary<W: Write>(
     protocol: &OfficeProtocol,
     outcome: &OfficeExploration,
@@ -59,7 +59,7 @@ pub fn summary<W: Write>(
     table.finish()
 }
 
-/// The upper of the two middle ones of an even number.
+/// The median; for an even count, the upper of the two middle values.
 fn median(numbers: &[f64]) -> Option<f64> {
     let mut sorted = numbers.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -73,7 +73,7 @@ pub fn write(protocol: &OfficeProtocol, outcome: &OfficeExploration, folder: &Pa
     file(folder, "exploration.svg", |writer| writer.write_all(picture::draw(protocol, outcome).as_bytes()))
 }
 
-/// Every explorer's error in every slot, mean over seeds.
+/// The error of every explorer in every slot, mean over seeds.
 fn slots<W: Write>(protocol: &OfficeProtocol, outcome: &OfficeExploration, writer: W) -> io::Result<()> {
     let mut table = TableWriter::new(Format::Csv, &["explorer", "day", "slot", "error_percent"], writer);
     let per_day = protocol.slots();

@@ -1,6 +1,6 @@
 //! One run: all explorers in one office, from the first day to the last.
 //!
-//! Invariant: of each slot, first everybody is judged, then whoever has a tour in it goes.
+//! Invariant: in each slot, all explorers are judged before any tour takes place.
 
 use tidemap_model::LocalDay;
 use tidemap_plan::{
@@ -16,11 +16,11 @@ use super::{
     space::{DAY_NANOS, START_NANOS, Space},
 };
 
-/// Hours between which an office is awake: tours in between are counted.
-const AWAKE_HOURS: std::ops::Range<i64> = 8..18;
+/// Working hours: tours during them are counted separately.
+const WORKING_HOURS: std::ops::Range<i64> = 8..18;
 const HOUR_NANOS: i64 = 3_600_000_000_000;
 
-/// Explores an office once; `day_done` is told of each day.
+/// Explores an office once; `day_done` is called after each day.
 pub fn explore(
     protocol: &OfficeProtocol,
     office: &ExploredOffice,
@@ -57,12 +57,12 @@ pub fn explore(
                 if schedule.get(slot).copied().flatten().is_none() {
                     continue;
                 }
-                let found = explorer.tour(&space, *kind, start_nanos, middle_nanos)?;
-                let is_awake = AWAKE_HOURS.contains(&((middle_nanos - midnight_nanos) / HOUR_NANOS));
-                course.changes[day] += found.changes;
-                course.discovered[day] += found.discovered;
-                course.tours[day] += u64::from(found.looks > 0);
-                course.tours_by_day[day] += u64::from(found.looks > 0 && is_awake);
+                let findings = explorer.tour(&space, *kind, start_nanos, middle_nanos)?;
+                let is_working = WORKING_HOURS.contains(&((middle_nanos - midnight_nanos) / HOUR_NANOS));
+                course.changes[day] += findings.changes;
+                course.discovered[day] += findings.discovered;
+                course.tours[day] += u64::from(findings.scans > 0);
+                course.tours_by_day[day] += u64::from(findings.scans > 0 && is_working);
             }
         }
         day_done();
@@ -70,7 +70,7 @@ pub fn explore(
     Ok(courses)
 }
 
-/// In which slots of a day an explorer goes.
+/// The slots of a day in which an explorer goes on a tour.
 fn schedule(
     protocol: &OfficeProtocol,
     space: &Space,
@@ -82,27 +82,27 @@ fn schedule(
     let count = slots.count();
     let budget = Budget::Visits(protocol.tours.min(count));
     let even = || Gains::of(count, 1, |_, _| 1.0);
-    // The first day is the same for all: nobody has anything to predict by. Tours at even hours would show periods of
-    // 24 h / i and 24 h / (24 - i) alike.
+    // The first day is the same for all, because no map is trained yet. Tours at regular times would make periods of
+    // 24 h / i and 24 h / (24 - i) look the same.
     let Some(kind) = kind else { return Ok(strategy::schedule(Strategy::Random, &even()?, budget, seed)?) };
     if kind == ExplorerKind::Spatial {
         return Ok(strategy::schedule(Strategy::RoundRobin { visited: 0 }, &even()?, budget, seed)?);
     }
     // E_G of each slot (RA-L, sections III.E and F).
     let bits = (0..count)
-        .map(|slot| Ok(explorer.promise(space, slots.middle_nanos(slot))?.expected_bits))
+        .map(|slot| Ok(explorer.best_tour(space, slots.middle_nanos(slot))?.expected_bits))
         .collect::<Result<Vec<f64>, OfficeError>>()?;
     Ok(strategy::schedule(Strategy::MonteCarlo, &Gains::of(count, 1, |slot, _| bits[slot])?, budget, seed)?)
 }
 
-/// The share of cells that each explorer expects wrongly, among those that anybody has seen.
+/// The share of cells that each explorer predicts wrongly, among those that any explorer has seen.
 fn judge(space: &Space, explorers: &[Explorer], utc_nanos: i64) -> Result<Vec<Option<f64>>, OfficeError> {
     let truth = space.occupied(utc_nanos);
     let seen: Vec<usize> =
         (0..space.cells()).filter(|&cell| explorers.iter().any(|explorer| explorer.has_seen(cell))).collect();
     let wrong = |grid: &PredictedGrid| {
-        let expects = |cell: usize| grid.probability(space.cell(cell)).is_some_and(|p| p > 0.5);
-        seen.iter().filter(|&&cell| expects(cell) != truth[cell]).count()
+        let is_occupied = |cell: usize| grid.probability(space.cell(cell)).is_some_and(|p| p > 0.5);
+        seen.iter().filter(|&&cell| is_occupied(cell) != truth[cell]).count()
     };
     let of = |explorer: &Explorer| {
         let grid = explorer.predict(utc_nanos)?;

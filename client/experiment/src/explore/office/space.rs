@@ -1,6 +1,6 @@
-//! The office as a grid: where its cells are, and what is there at a time.
+//! The office as a grid: its cells, and the truth at a time.
 //!
-//! Invariant: cells are numbered as [`ExploredOffice::occupied`] does.
+//! Invariant: cells are numbered as in [`ExploredOffice::occupied`].
 
 use std::{f64::consts::TAU, sync::Arc};
 
@@ -34,62 +34,61 @@ pub struct Space<'a> {
     office: &'a ExploredOffice,
     lattice: Arc<Lattice>,
     spec: Arc<MapSpec>,
-    /// What is asked of a tour.
+    /// The parameters of every tour.
     pub question: TourQuestion,
     /// The rays of the sensor.
     pub fan: Fan,
 }
 
-/// What is where at a time.
+/// The true state of the office at a time.
 pub struct Truth {
     cells: Vec<bool>,
-    /// The same as a certain prediction.
+    /// The truth as a certain prediction.
     pub grid: PredictedGrid,
-    /// The same to be looked into.
+    /// The truth as a scene for the sensor.
     pub scene: Scene,
 }
 
 impl Truth {
-    /// Whether a cell, by its number, is occupied.
+    /// Whether the cell with this number is occupied.
     pub fn is_occupied(&self, cell: usize) -> bool {
         self.cells[cell]
     }
 }
 
 impl<'a> Space<'a> {
-    /// An office as a grid, for tours of so many goals.
+    /// An office as a grid, for tours with this number of goals.
     pub fn new(office: &'a ExploredOffice, goals: usize) -> Result<Self, OfficeError> {
-        let setting = |error: &dyn std::fmt::Display| OfficeError::Setting(error.to_string());
         let [x, y, z] = office.size().map(|cells| cells as i32);
         let extent = CellBox { min: CellIndex::default(), max: CellIndex { x, y, z } };
         let grid = GridSpec { extent: Some(extent), ..GridSpec::new(ExploredOffice::CELL_M) };
         let lattice = Arc::new(Lattice::new(&grid, extent, CELLS_MAX)?);
         let spec = Arc::new(MapSpec {
-            zone: Zone::named("UTC").map_err(|error| setting(&error))?,
-            periodicities: Periodicities::harmonics(DAY_NANOS, HARMONICS).map_err(|error| setting(&error))?,
+            zone: Zone::named("UTC").map_err(OfficeError::setting)?,
+            periodicities: Periodicities::harmonics(DAY_NANOS, HARMONICS).map_err(OfficeError::setting)?,
             created_nanos: START_NANOS,
             retention: Retention::None,
             grid: Some(grid),
-            ..MapSpec::new(MapName::new("office").map_err(|error| setting(&error))?)
+            ..MapSpec::new(MapName::new("office").map_err(OfficeError::setting)?)
         });
         // 360° x 90° within 4 m; two minutes at each goal, the drive included (RA-L, sections III.E and H).
         let sensor = Sensor { horizontal_fov_rad: TAU, ..Sensor::default() };
         let question = TourQuestion { start_m: office.charger_m(), goals, sensor, ..TourQuestion::default() };
-        let fan = Fan::new(&question.sensor, &lattice, 0.0).map_err(|error| setting(&error))?;
+        let fan = Fan::new(&question.sensor, &lattice, 0.0).map_err(OfficeError::setting)?;
         Ok(Self { office, lattice, spec, question, fan })
     }
 
-    /// What the maps of explorers are.
+    /// The specification of the explorers' maps.
     pub fn spec(&self) -> &Arc<MapSpec> {
         &self.spec
     }
 
-    /// Where the cells are.
+    /// The lattice of the cells.
     pub fn lattice(&self) -> &Arc<Lattice> {
         &self.lattice
     }
 
-    /// How many cells there are.
+    /// Number of cells.
     pub fn cells(&self) -> usize {
         self.office.size().iter().product()
     }
@@ -100,22 +99,22 @@ impl<'a> Space<'a> {
         (cell.z as usize * depth + cell.y as usize) * width + cell.x as usize
     }
 
-    /// The cell of a number.
+    /// The cell with a number.
     pub fn cell(&self, number: usize) -> CellIndex {
         let [width, depth, _] = self.office.size();
         CellIndex { x: (number % width) as i32, y: (number / width % depth) as i32, z: (number / width / depth) as i32 }
     }
 
-    /// What is where at a time, nanoseconds UTC.
+    /// The truth at a time, nanoseconds UTC.
     pub fn truth(&self, utc_nanos: i64) -> Result<Truth, OfficeError> {
         let cells = self.occupied(utc_nanos);
         let occupied = |cell| Some(f32::from(u8::from(cells[self.number(cell)])));
         let grid = PredictedGrid::from_fn(Arc::clone(&self.lattice), occupied);
-        let scene = Scene::new(&grid, &self.question.scene).map_err(|error| OfficeError::Setting(error.to_string()))?;
+        let scene = Scene::new(&grid, &self.question.scene).map_err(OfficeError::setting)?;
         Ok(Truth { cells, grid, scene })
     }
 
-    /// Which cells are occupied at a time, nanoseconds UTC, by number.
+    /// Whether each cell is occupied at a time, nanoseconds UTC, by number.
     pub fn occupied(&self, utc_nanos: i64) -> Vec<bool> {
         self.office.occupied((utc_nanos - START_NANOS) / 1_000_000_000)
     }
