@@ -10,12 +10,9 @@ use std::{
 };
 
 use tidemap_map::time::{format_rfc3339, parse_time};
-use tidemap_model::{OffsetCache, Sample};
+use tidemap_model::{OffsetCache, Sample, StateKind};
 
-use super::{
-    parameter_set::ValueKind,
-    protocol::{Protocol, Refit, RowFormat},
-};
+use super::protocol::{Protocol, Refit, RowFormat};
 use tidemap_formats::observation_file::{RowError, RowItem, RowReader};
 
 /// Name of the state of files without names.
@@ -205,7 +202,7 @@ fn sort(samples: &mut [Vec<Sample>]) {
 struct Reader<'a> {
     key: &'static str,
     format: RowFormat,
-    kind: ValueKind,
+    kind: StateKind,
     asked: &'a [String],
     offsets: OffsetCache,
 }
@@ -256,7 +253,7 @@ impl Reader<'_> {
                 }
             };
             // What is only out of the range of a probability may suit another kind.
-            let refused = row.wrong.filter(|_| self.kind == ValueKind::Probability || !row.value.is_finite());
+            let refused = row.wrong.filter(|_| self.kind == StateKind::Probability || !row.value.is_finite());
             if let Some(refused) = refused {
                 return Err(wrong(row.line, refused));
             }
@@ -301,11 +298,11 @@ impl Reader<'_> {
 
     fn sample(&mut self, utc_nanos: i64, value: f64) -> Result<Sample, String> {
         let (suits, right) = match self.kind {
-            ValueKind::Probability => {
+            StateKind::Probability => {
                 ((0.0..=1.0).contains(&value), "between 0 and 1; for other values write kind: continuous or count")
             }
-            ValueKind::Continuous => (value.is_finite(), "a finite number"),
-            ValueKind::Count => {
+            StateKind::Continuous => (value.is_finite(), "a finite number"),
+            StateKind::Count => {
                 (value.is_finite() && value >= 0.0, "a count from 0; for other values write kind: continuous")
             }
         };

@@ -1,12 +1,12 @@
-//! A model with all its parameters, ready to be fitted to readings.
+//! A model kind with all its parameters, ready to be fitted.
 //!
-//! This is where the experiment meets the temporal models: the names are those of the command line, the parameters
-//! those that a protocol may write. Invariant: a candidate that was made can be fitted to any readings whose values
-//! suit it; a parameter outside its range is refused before data is read.
+//! Names of models and parameters are those of the command line and the protocols.
+//! Invariant: a parameter set can be fitted to any readings in the model's range of values; a parameter out of range is
+//! refused before data is read.
 
 use tidemap_map::time::{format_duration, parse_duration};
 use tidemap_model::{
-    Accumulator, ORDER_MAX, Periodicities, Sample, SpectralModel,
+    Accumulator, ORDER_MAX, Periodicities, Sample, SpectralModel, StateKind,
     models::{
         COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle,
         HistogramSettings, Hypertime, HypertimeMethod, HypertimeOptions, Latest, MarkovChain, Mean, Moment, Pergam,
@@ -14,22 +14,10 @@ use tidemap_model::{
     },
 };
 
-/// What the values of the states are.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ValueKind {
-    /// 0, 1 or between.
-    #[default]
-    Probability,
-    /// Any finite number.
-    Continuous,
-    /// A number of events, 0 or more; a reading is the count of one interval.
-    Count,
-}
-
-/// A model that was fitted.
+/// A fitted model.
 pub type FittedModel = Box<dyn TemporalModel + Send + Sync>;
 
-/// A kind of model with its parameters.
+/// A kind of model with all its parameters.
 #[derive(Clone, Debug)]
 pub struct ParameterSet {
     shown: String,
@@ -50,25 +38,21 @@ enum Settings {
     Calibrated,
 }
 
-/// A parameter whose value is wrong, or that does not go with the others.
+/// Why the parameters of a model are invalid.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum WrongParameter {
-    /// Its value cannot be read, or is outside its range.
+    /// A value cannot be read, or is out of range.
     #[error("{name} has to be {right}")]
-    Value {
-        /// Which.
-        name: &'static str,
-        /// What would be right.
-        right: String,
-    },
-    /// The parameters do not go together.
+    Value { name: &'static str, right: String },
+    /// The parameters exclude each other.
     #[error("{0}")]
     Together(String),
 }
 
-/// The kinds of model that can be compared: those of the command line but `auto`, which is a daemon's choice.
+/// The kinds of models that can be compared: all kinds of the command line except `auto`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CandidateKind {
+pub enum ComparableKind {
     Mean,
     Latest,
     Persistence,
@@ -82,41 +66,28 @@ pub enum CandidateKind {
     Calibrated,
 }
 
-impl CandidateKind {
-    /// With their names, in the order of the command line's.
-    pub const ALL: [(Self, &str); 11] = [
-        (Self::Mean, "mean"),
-        (Self::Latest, "latest"),
-        (Self::Persistence, "persistence"),
-        (Self::Histogram, "histogram"),
-        (Self::Spectral, "spectral"),
-        (Self::Uniform, "uniform"),
-        (Self::Pergam, "pergam"),
-        (Self::HypertimeEm, "hypertime-em"),
-        (Self::HypertimeKm, "hypertime-km"),
-        (Self::Poisson, "poisson"),
-        (Self::Calibrated, "calibrated"),
+impl ComparableKind {
+    /// All kinds with their names and parameters, in the order of the command line.
+    pub const ALL: [(Self, &str, &[&str]); 11] = [
+        (Self::Mean, "mean", &[]),
+        (Self::Latest, "latest", &[]),
+        (Self::Persistence, "persistence", &[]),
+        (Self::Histogram, "histogram", &["bins", "cycle", "smoothing_bins", "prior_readings"]),
+        (Self::Spectral, "spectral", &["order", "period_base", "period_count"]),
+        (Self::Uniform, "uniform", &["order"]),
+        (Self::Pergam, "pergam", &["gaussians", "period", "seed"]),
+        (Self::HypertimeEm, "hypertime-em", &["clusters", "seed"]),
+        (Self::HypertimeKm, "hypertime-km", &["clusters", "seed"]),
+        (Self::Poisson, "poisson", &["bin", "period_base", "period_count"]),
+        (Self::Calibrated, "calibrated", &[]),
     ];
 }
 
-/// The parameters that a kind has.
-pub fn parameter_names(kind: CandidateKind) -> &'static [&'static str] {
-    match kind {
-        CandidateKind::Mean | CandidateKind::Latest | CandidateKind::Persistence | CandidateKind::Calibrated => &[],
-        CandidateKind::Histogram => &["bins", "cycle", "smoothing_bins", "prior_readings"],
-        CandidateKind::Spectral => &["order", "period_base", "period_count"],
-        CandidateKind::Uniform => &["order"],
-        CandidateKind::Pergam => &["gaussians", "period", "seed"],
-        CandidateKind::HypertimeEm | CandidateKind::HypertimeKm => &["clusters", "seed"],
-        CandidateKind::Poisson => &["bin", "period_base", "period_count"],
-    }
-}
-
-/// Parameters by name, as written.
+/// Parameters by name, as texts of the protocol.
 struct ParameterTexts<'a>(&'a [(&'static str, &'a str)]);
 
 impl ParameterTexts<'_> {
-    /// The value of a parameter, or its default.
+    /// The value of a parameter, or its default if the protocol has none.
     fn get<T>(
         &self,
         name: &'static str,
@@ -124,9 +95,9 @@ impl ParameterTexts<'_> {
         right: &str,
         read: impl FnOnce(&str) -> Option<T>,
     ) -> Result<T, WrongParameter> {
-        let written = self.0.iter().find(|(given, _)| *given == name).map(|(_, text)| *text);
+        let text = self.0.iter().find(|(other, _)| *other == name).map(|(_, text)| *text);
         let wrong = || WrongParameter::Value { name, right: right.to_owned() };
-        written.map_or(Ok(default), |text| read(text).ok_or_else(wrong))
+        text.map_or(Ok(default), |text| read(text).ok_or_else(wrong))
     }
 
     fn whole(&self, name: &'static str, default: usize, right: &str) -> Result<usize, WrongParameter> {
@@ -165,17 +136,17 @@ impl ParameterTexts<'_> {
 }
 
 impl ParameterSet {
-    /// The kind with the parameters given, of those that [`parameter_names`] lists, and defaults for the rest.
+    /// A kind with some of the parameters that [`ComparableKind::ALL`] lists, and defaults for the others.
     ///
     /// # Errors
-    /// [`WrongParameter`] where a value cannot be read or the model refuses it.
-    pub fn new(kind: CandidateKind, parameters: &[(&'static str, &str)]) -> Result<Self, WrongParameter> {
+    /// [`WrongParameter`] if a value cannot be read or the model refuses it.
+    pub fn new(kind: ComparableKind, parameters: &[(&'static str, &str)]) -> Result<Self, WrongParameter> {
         let given = ParameterTexts(parameters);
         let settings = match kind {
-            CandidateKind::Mean => Settings::Mean,
-            CandidateKind::Latest => Settings::Latest,
-            CandidateKind::Persistence => Settings::Persistence,
-            CandidateKind::Histogram => {
+            ComparableKind::Mean => Settings::Mean,
+            ComparableKind::Latest => Settings::Latest,
+            ComparableKind::Persistence => Settings::Persistence,
+            ComparableKind::Histogram => {
                 let cycle = given.get("cycle", HistogramCycle::Day, "day, week or weekend", |text| match text {
                     "day" => Some(HistogramCycle::Day),
                     "week" => Some(HistogramCycle::Week),
@@ -189,11 +160,11 @@ impl ParameterSet {
                     prior_readings: given.number("prior_readings", HISTOGRAM_PRIOR_READINGS, "a number from 0")?,
                 })
             }
-            CandidateKind::Spectral => {
+            ComparableKind::Spectral => {
                 Settings::Spectral { order: given.order()?, periodicities: given.periodicities()? }
             }
-            CandidateKind::Uniform => Settings::Uniform { order: given.order()? },
-            CandidateKind::Pergam => {
+            ComparableKind::Uniform => Settings::Uniform { order: given.order()? },
+            ComparableKind::Pergam => {
                 let usual = PergamOptions::default();
                 Settings::Pergam(PergamOptions {
                     gaussians: given.whole("gaussians", usual.gaussians, "a whole number from 1 to 20")?,
@@ -201,47 +172,47 @@ impl ParameterSet {
                     seed: given.seed()?,
                 })
             }
-            CandidateKind::HypertimeEm | CandidateKind::HypertimeKm => {
+            ComparableKind::HypertimeEm | ComparableKind::HypertimeKm => {
                 let usual = HypertimeOptions::default();
-                let is_em = kind == CandidateKind::HypertimeEm;
+                let is_em = kind == ComparableKind::HypertimeEm;
                 Settings::Hypertime(HypertimeOptions {
                     method: if is_em { HypertimeMethod::Em } else { HypertimeMethod::Km },
                     clusters: given.whole("clusters", usual.clusters, "a whole number from 1 to 50")?,
                     seed: given.seed()?,
                 })
             }
-            CandidateKind::Poisson => Settings::Poisson {
+            ComparableKind::Poisson => Settings::Poisson {
                 periodicities: given.periodicities()?,
                 bin_nanos: given.duration("bin", COUNT_BIN_NANOS)?,
             },
-            CandidateKind::Calibrated => Settings::Calibrated,
+            ComparableKind::Calibrated => Settings::Calibrated,
         };
         let shown: Vec<String> = parameters.iter().map(|(name, text)| format!("{name}={text}")).collect();
-        let candidate = Self { shown: shown.join(" "), settings };
-        if matches!(candidate.settings, Settings::Uniform { .. }) {
-            // One reading has no interval.
-            return Ok(candidate);
+        let set = Self { shown: shown.join(" "), settings };
+        if matches!(set.settings, Settings::Uniform { .. }) {
+            // It needs two readings.
+            return Ok(set);
         }
-        // The models know their ranges; one reading is enough to be told.
+        // Fitting one reading makes the model check its parameters.
         let reading = [Sample { utc_nanos: 0, offset_secs: 0, value: 0.5 }];
-        match candidate.fit(&reading, ValueKind::Probability) {
+        match set.fit(&reading, StateKind::Probability) {
             Err(refused @ (CannotFit::Parameter { .. } | CannotFit::Irregular { .. })) => {
                 Err(WrongParameter::Together(refused.to_string()))
             }
-            Ok(_) | Err(CannotFit::NoReadings) => Ok(candidate),
+            Ok(_) | Err(CannotFit::NoReadings) => Ok(set),
         }
     }
 
-    /// The parameters that were given, as `bins=24 cycle=day`.
+    /// The parameters of the protocol, such as `bins=24 cycle=day`.
     pub fn shown(&self) -> &str {
         &self.shown
     }
 
-    /// Fits it to the readings of one state, ascending by time.
+    /// Fits the model to the readings of one state, ascending by time.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings or a value does not suit the model.
-    pub fn fit(&self, samples: &[Sample], kind: ValueKind) -> Result<FittedModel, CannotFit> {
+    /// [`CannotFit`] without readings, or if a value is out of the model's range.
+    pub fn fit(&self, samples: &[Sample], kind: StateKind) -> Result<FittedModel, CannotFit> {
         let readings = Readings::new(samples);
         Ok(match &self.settings {
             Settings::Mean => Box::new(Mean::fit(readings)?),
@@ -257,7 +228,7 @@ impl ParameterSet {
                 check_probabilities(samples)?;
                 Box::new(Pergam::fit(readings, options)?)
             }
-            Settings::Hypertime(options) if kind == ValueKind::Probability => {
+            Settings::Hypertime(options) if kind == StateKind::Probability => {
                 Box::new(Hypertime::fit(readings, options)?)
             }
             Settings::Hypertime(options) => Box::new(Hypertime::fit_continuous(readings, options)?),
@@ -279,7 +250,7 @@ fn check_probabilities(samples: &[Sample]) -> Result<(), CannotFit> {
     }
 }
 
-/// The spectral model at one order, among its periodicities.
+/// The spectral model with a fixed order.
 struct Spectral {
     model: SpectralModel,
     order: usize,

@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use tidemap_map::time::parse_duration;
-use tidemap_model::Zone;
+use tidemap_model::{StateKind, Zone};
 
 mod error;
 pub(super) mod model_entry;
@@ -18,7 +18,6 @@ mod tests;
 pub use error::ProtocolError;
 pub use model_entry::ModelEntry;
 
-use super::parameter_set::ValueKind;
 use raw::{ProtocolFile, RawProtocol, RawTuning, Word, Words, from_yaml, parsed, required, whole};
 
 /// The meaning of the key `out`.
@@ -85,7 +84,7 @@ pub struct Protocol {
     /// The time zone of the recordings.
     pub zone: Zone,
     /// The kind of the values.
-    pub kind: ValueKind,
+    pub kind: StateKind,
     /// The layout of the files.
     pub format: RowFormat,
     /// The states on which models are compared; empty: all.
@@ -124,11 +123,7 @@ pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, Protocol
     let written: RawProtocol = from_yaml(text)?;
     let right = "the IANA time zone of the recordings, such as Europe/London or UTC";
     let zone = parsed(&required(written.zone, "zone", right)?, "zone", right, |text| Zone::named(text).ok())?;
-    let kind = choice(
-        written.kind,
-        "kind",
-        &[("probability", ValueKind::Probability), ("continuous", ValueKind::Continuous), ("count", ValueKind::Count)],
-    )?;
+    let kind = choice(written.kind, "kind", &StateKind::ALL.map(|kind| (kind.name(), kind)))?;
     let format = choice(written.format, "format", &[("csv", RowFormat::Csv), ("pairs", RowFormat::Pairs)])?;
     let states = states(written.states, format)?;
     let train = paths(written.train, "train", folder)?.into_iter().map(|(_, path)| path).collect();

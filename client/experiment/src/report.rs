@@ -9,9 +9,9 @@ use std::{
 };
 
 use anyhow::Context as _;
-use tidemap_model::Evaluation;
+use tidemap_model::{Evaluation, StateKind};
 
-use super::{Comparison, ModelResult, Protocol, parameter_set::ValueKind, picture, protocol::Predictions};
+use super::{Comparison, ModelResult, Protocol, picture, protocol::Predictions};
 use tidemap_formats::table::{Cell, Format, TableWriter};
 
 /// Writes the comparison, a row for each model.
@@ -31,7 +31,7 @@ pub fn summary<W: Write>(protocol: &Protocol, outcome: &Comparison, format: Form
 
 fn row(protocol: &Protocol, model: &ModelResult) -> Vec<Cell> {
     // An error rate has no meaning for a speed or a count.
-    let has_rate = protocol.kind == ValueKind::Probability;
+    let has_rate = protocol.kind == StateKind::Probability;
     let mut cells = vec![
         Cell::Text(model.label.clone()),
         Cell::Text(model.parameters.clone()),

@@ -1,37 +1,32 @@
-//! Scoring the models that were chosen on the test sets.
+//! Scores of the tuned models on the test sets.
 //!
-//! Invariant: a reading is predicted by a model that has seen nothing of its test set, nor of a later one; the days of
-//! all models are the same days in the same order.
+//! Invariant: the model that predicts a reading is trained on neither its test set nor a later one; all models have the
+//! same days in the same order.
 
 use rayon::prelude::*;
-use tidemap_model::{Evaluation, LocalDay, Sample};
+use tidemap_model::{Evaluation, LocalDay, Sample, StateKind};
 
-use super::{
-    ExperimentError,
-    data::Data,
-    parameter_set::{ParameterSet, ValueKind},
-    protocol::Refit,
-};
+use super::{ExperimentError, data::Data, parameter_set::ParameterSet, protocol::Refit};
 
 /// The errors of one local day of a test set, all states together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DayErrors {
     /// Index of the test set.
     pub set: usize,
-    /// Which day.
+    /// The local day.
     pub day: LocalDay,
-    /// Its errors.
+    /// The errors of its readings.
     pub errors: Evaluation,
 }
 
-/// How a model did.
+/// The score of a model.
 #[derive(Clone, Debug)]
 pub struct TestScore {
     /// Errors of each test set.
     pub sets: Vec<Evaluation>,
     /// Errors of each day, by test set, then by date.
     pub days: Vec<DayErrors>,
-    /// What was predicted: by test set, by state, in the order of the readings.
+    /// The predictions: by test set, by state, in the order of the readings.
     pub predictions: Vec<Vec<Vec<f64>>>,
 }
 
@@ -57,7 +52,7 @@ pub fn score(
     data: &Data,
     models: &[(&str, &ParameterSet)],
     refit: Refit,
-    kind: ValueKind,
+    kind: StateKind,
     step: &(impl Fn() + Sync),
 ) -> Result<Vec<TestScore>, ExperimentError> {
     let jobs: Vec<(usize, usize)> =
@@ -65,9 +60,9 @@ pub fn score(
     let predictions = jobs
         .into_par_iter()
         .map(|(model, state)| {
-            let (label, candidate) = models[model];
-            let predictions = predict(data, state, candidate, refit, kind)
-                .map_err(|refused| ExperimentError::fit(label, candidate, &data.states[state], refused));
+            let (label, set) = models[model];
+            let predictions = predict(data, state, set, refit, kind)
+                .map_err(|refused| ExperimentError::fit(label, set, &data.states[state], refused));
             step();
             predictions
         })
@@ -79,25 +74,25 @@ pub fn score(
 fn predict(
     data: &Data,
     state: usize,
-    candidate: &ParameterSet,
+    set: &ParameterSet,
     refit: Refit,
-    kind: ValueKind,
+    kind: StateKind,
 ) -> Result<Vec<Vec<f64>>, tidemap_model::models::CannotFit> {
     let mut known: Vec<Sample> = data.train[state].clone();
-    let mut model = candidate.fit(&known, kind)?;
+    let mut model = set.fit(&known, kind)?;
     let mut predictions = Vec::with_capacity(data.tests.len());
-    for (set, test) in data.tests.iter().enumerate() {
+    for (index, test) in data.tests.iter().enumerate() {
         let samples = &test.samples[state];
         predictions.push(samples.iter().map(|sample| model.predict(sample.moment())).collect());
-        if refit == Refit::Each && set + 1 < data.tests.len() && !samples.is_empty() {
+        if refit == Refit::Each && index + 1 < data.tests.len() && !samples.is_empty() {
             known.extend_from_slice(samples);
-            model = candidate.fit(&known, kind)?;
+            model = set.fit(&known, kind)?;
         }
     }
     Ok(predictions)
 }
 
-/// Adds up the errors of one model; `predictions` by state, then by test set.
+/// Sums the errors of one model; `predictions` are by state, then by test set.
 fn tally(data: &Data, predictions: &[Vec<Vec<f64>>]) -> TestScore {
     let mut score = TestScore { sets: Vec::new(), days: Vec::new(), predictions: Vec::new() };
     for (set, test) in data.tests.iter().enumerate() {

@@ -7,12 +7,12 @@
 
 use rayon::prelude::*;
 use tidemap_map::time::{format_duration, format_rfc3339};
-use tidemap_model::{Evaluation, Sample};
+use tidemap_model::{Evaluation, Sample, StateKind};
 
 use super::{
     ExperimentError,
     data::Data,
-    parameter_set::{ParameterSet, ValueKind},
+    parameter_set::ParameterSet,
     protocol::{ModelEntry, Tuning},
 };
 
@@ -122,7 +122,7 @@ pub fn fold_errors(
     label: &str,
     set: &ParameterSet,
     fold: Fold,
-    kind: ValueKind,
+    kind: StateKind,
 ) -> Result<Evaluation, ExperimentError> {
     let mut errors = Evaluation::default();
     for (state, samples) in data.states.iter().zip(&data.train) {

@@ -3,8 +3,10 @@
 //! Invariant: an entry has at least one parameter set, and several only if the protocol tunes. Sets are in the order of
 //! the lists; the last parameter changes fastest.
 
+use tidemap_model::StateKind;
+
 use super::{
-    super::parameter_set::{CandidateKind, ParameterSet, ValueKind, WrongParameter, parameter_names},
+    super::parameter_set::{ComparableKind, ParameterSet, WrongParameter},
     error::ProtocolError,
     raw::{RawModel, Word, Words},
 };
@@ -26,7 +28,7 @@ pub struct ModelEntry {
 /// Reads the models.
 pub(crate) fn read(
     models: Option<Vec<RawModel>>,
-    values: ValueKind,
+    values: StateKind,
     tunes: bool,
 ) -> Result<Vec<ModelEntry>, ProtocolError> {
     let models = models.filter(|models| !models.is_empty());
@@ -47,13 +49,14 @@ pub(crate) fn read(
     Ok(entries)
 }
 
-fn entry(model: &RawModel, values: ValueKind, tunes: bool) -> Result<ModelEntry, ProtocolError> {
+fn entry(model: &RawModel, values: StateKind, tunes: bool) -> Result<ModelEntry, ProtocolError> {
     let written = &model.kind;
-    let (kind, _) = CandidateKind::ALL.into_iter().find(|(_, name)| *name == written.text).ok_or_else(|| {
-        let names = CandidateKind::ALL.map(|(_, name)| name);
+    let known = ComparableKind::ALL.into_iter().find(|(_, name, _)| *name == written.text);
+    let (kind, _, names) = known.ok_or_else(|| {
+        let names = ComparableKind::ALL.map(|(_, name, _)| name);
         ProtocolError::value("model", written, &format!("one of: {}", names.join(", ")))
     })?;
-    if kind == CandidateKind::Poisson && values != ValueKind::Count {
+    if kind == ComparableKind::Poisson && values != StateKind::Count {
         let wrong = "it is a model of counts: write kind: count, or leave it out";
         return Err(ProtocolError::model(written.line, written, wrong));
     }
@@ -64,7 +67,7 @@ fn entry(model: &RawModel, values: ValueKind, tunes: bool) -> Result<ModelEntry,
             label = name(values)?;
             continue;
         }
-        let name = parameter_named(kind, written, parameter)?;
+        let name = parameter_named(names, written, parameter)?;
         if values.words.is_empty() {
             let wrong = format!("{name} is an empty list: write a value, or several to choose from");
             return Err(ProtocolError::model(values.line, written, wrong));
@@ -93,8 +96,11 @@ fn name(values: &Words) -> Result<String, ProtocolError> {
     }
 }
 
-fn parameter_named(kind: CandidateKind, model: &Word, parameter: &Word) -> Result<&'static str, ProtocolError> {
-    let names = parameter_names(kind);
+fn parameter_named(
+    names: &'static [&'static str],
+    model: &Word,
+    parameter: &Word,
+) -> Result<&'static str, ProtocolError> {
     names.iter().find(|name| **name == parameter.text).copied().ok_or_else(|| {
         let has = match names {
             [] => format!("it has none but {NAME}"),
@@ -122,7 +128,7 @@ fn combinations<'a>(model: &Word, axes: &[(&'static str, &'a Words)]) -> Result<
 }
 
 fn parameter_set(
-    kind: CandidateKind,
+    kind: ComparableKind,
     model: &Word,
     chosen: &[(&'static str, &Word)],
 ) -> Result<ParameterSet, ProtocolError> {

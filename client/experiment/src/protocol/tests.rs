@@ -83,7 +83,7 @@ fn what_may_be_left_out_has_a_default() {
     let protocol =
         parsed("zone: UTC\ntrain: a.csv\ntest: b.csv\nmodels: [mean, spectral]\npredictions: off\nout: o").unwrap();
     assert_eq!(protocol.name, "stem");
-    assert_eq!((protocol.kind, protocol.format), (ValueKind::Probability, RowFormat::Csv));
+    assert_eq!((protocol.kind, protocol.format), (StateKind::Probability, RowFormat::Csv));
     assert_eq!((protocol.refit, protocol.tuning), (Refit::Never, None));
     assert_eq!((protocol.baseline, protocol.significance), (0, 0.05));
     assert_eq!(protocol.predictions, Predictions::Off);

@@ -6,10 +6,10 @@
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
+use tidemap_model::StateKind;
 
 use super::recorded_world::midnight_nanos;
 use crate::{
-    parameter_set::ValueKind,
     place_recording::DAY_MINUTES,
     protocol::{
         ModelEntry, OUT, ProtocolError, model_entry,
@@ -85,7 +85,7 @@ pub fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, ProtocolError>
         None => (0, 0),
         Some(written) => folds_of(written, train_minutes)?,
     };
-    let models = model_entry::read(written.models, ValueKind::Probability, folds > 0)?;
+    let models = model_entry::read(written.models, StateKind::Probability, folds > 0)?;
     let out = required(written.out, "out", OUT)?;
     Ok(SearchProtocol {
         topology: folder.join(topology.text),

@@ -5,13 +5,11 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
+use tidemap_model::StateKind;
 use tidemap_plan::search::{Goal, SearchError, SearchOptions, search};
 
 use super::{RecordedWorld, ReplayError};
-use crate::{
-    parameter_set::{FittedModel, ValueKind},
-    protocol::ModelEntry,
-};
+use crate::{parameter_set::FittedModel, protocol::ModelEntry};
 
 /// Consecutive minutes that one job searches.
 const JOB_MINUTES: usize = 1440;
@@ -54,7 +52,7 @@ pub fn by_model(
     let models = (0..world.names.len())
         .into_par_iter()
         .map(|node| {
-            set.fit(&world.samples(node, train_minutes), ValueKind::Probability).map_err(|refused| {
+            set.fit(&world.samples(node, train_minutes), StateKind::Probability).map_err(|refused| {
                 let model = format!("{} {}", entry.label, set.shown()).trim_end().to_owned();
                 ReplayError::Fit { model, place: world.names[node].clone(), refused }
             })
