@@ -1,9 +1,9 @@
-//! The wall clock. Invariant: nothing else in the client reads it; how long something took is measured with
-//! `std::time::Instant`, which nobody can set.
+//! The wall clock. Invariant: only this file reads it; durations are measured with `std::time::Instant`, which cannot be
+//! set.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Now, in nanoseconds since 1970-01-01T00:00:00Z; 0 on a machine whose clock stands before that.
+/// The current time, in nanoseconds since 1970-01-01T00:00:00Z; 0 if the clock is set before that.
 #[must_use]
 #[expect(clippy::disallowed_methods, reason = "the one reader of the wall clock")]
 pub fn now_nanos() -> i64 {

@@ -1,6 +1,6 @@
-//! The commands: what they are called, what they take, and the way to each.
+//! The commands: their names and arguments, and their dispatch.
 //!
-//! Invariant: names, columns and meaning of what is here stay as they are; scripts rely on them.
+//! Invariant: names, columns and meanings of commands never change; scripts rely on them.
 
 mod anomalies;
 mod bench;
@@ -77,7 +77,7 @@ pub(crate) struct CommandLine {
     /// File that holds the token to present to the daemon
     #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// How results are written [default: table on a terminal, csv otherwise]
+    /// Format of the results [default: table on a terminal, csv otherwise]
     #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, value_name = "FORMAT", value_parser = format_parser())]
     output: Option<Format>,
     #[command(subcommand)]
@@ -94,93 +94,94 @@ enum Command {
     State(state::StateCommand),
     /// Sends the observations of a file, each exactly once
     ///
-    /// The file has a header and the columns time, state and value, in any order; a value is 0, 1 or anything between.
-    /// With x and y, and perhaps z, in place of value, its rows are positions in metres.
-    /// The same producer and label again continue where it was, and a file that differs from what was sent is refused.
-    /// The exit status is 0 only where nothing was refused.
+    /// The file has a header and the columns time, state and value, in any order; a value is between 0 and 1. With columns
+    /// x, y and optionally z in place of value, the rows are positions in metres. The same producer and label continue
+    /// where they stopped; a file that differs from what was sent is refused. The exit status is 0 only if no row was
+    /// refused.
     Observe(observe::ObserveArgs),
-    /// Runs the nightly update now and shows what it did to each state
+    /// Runs the nightly update now and shows the result for each state
     Update(update::UpdateArgs),
     /// Predicts states at any time, past or future
     ///
-    /// Rows come by state as named, then by time as asked. Say when with --at, --times, or --from, --to and --step; the
-    /// time of --to is not included. age_secs is the time since the newest observation.
+    /// Rows are in the order of the states, then of the times. Give the times with --at, --times, or --from, --to and
+    /// --step; the time of --to is not included. age_secs is the time since the newest observation.
     Predict(predict::PredictArgs),
     /// Predicts where something will be, as probabilities of places
     ///
-    /// Rows are cells of space, by their middles, the most probable first; what lies outside of them and the position to
-    /// expect go to stderr. The state is a vector, observed with columns x and y.
+    /// Rows are cells of space, given by their centres, the most probable first. The expected position and the probability
+    /// outside of the region go to stderr. The state is a vector, observed with columns x and y.
     Position(position::PositionArgs),
     /// Sends scans of an occupancy grid, and writes maps of any time
     #[command(subcommand)]
     Grid(grid::GridCommand),
-    /// Shows what was observed of a state, exactly, where the map keeps its history
+    /// Shows the exact observations of a state, if the map keeps its history
     Reconstruct(reconstruct::ReconstructArgs),
     /// Shows the observations of a state that the model did not expect, or waits for them with --watch
     ///
-    /// An observation is shown where the model says the contrary with the confidence: a value below 0.5 where the
-    /// probability is at least C, and another where it is at most 1 - C. It needs the map's history; --watch does not.
+    /// An observation is an anomaly if the model predicted the opposite with the given confidence: a value below 0.5 when
+    /// the probability is at least C, or a value of 0.5 or more when it is at most 1 - C. The map must keep its history,
+    /// except for --watch.
     Anomalies(anomalies::AnomaliesArgs),
-    /// Compares predictions with the observations of a file, which are not learned
+    /// Compares predictions with the observations of a file; the map does not learn them
     Evaluate(evaluate::EvaluateArgs),
-    /// Shows what was learned
+    /// Shows trained models
     #[command(subcommand)]
     Model(model::ModelCommand),
-    /// Shows what observing states, locations or a place's surroundings would teach, in bits
+    /// Shows the information gain of observing states, locations or the surroundings of a place, in bits
     ///
-    /// entropy_bits is how unsure the prediction is; it is empty for a view, which tells the information alone.
+    /// entropy_bits is the uncertainty of the prediction; it is empty for a view, which has an information gain only.
     Info(info::InfoArgs),
-    /// Sets, lists and deletes locations: states that are seen together
+    /// Sets, lists and deletes locations: states that are observed together
     #[command(subcommand)]
     Location(location::LocationCommand),
-    /// Reports whether a robot reached a place that it was sent to
+    /// Reports whether a robot reached its goal
     Visit(visit::VisitArgs),
-    /// Plans one exploration run over the grid: where to look, in driving order
+    /// Plans one exploration tour over the grid: viewpoints in driving order
     Tour(tour::TourArgs),
     /// Plans which slots of a day to explore, and where
     ///
-    /// An empty location is a slot to rest, or for other tasks.
+    /// A slot with an empty location is free, for rest or other tasks.
     Day(day::DayArgs),
-    /// Loads, shows and changes topological maps: nodes, and the ways between them
+    /// Loads, shows and changes topological maps: nodes, and the edges between them
     #[command(subcommand)]
     Topology(topology::TopologyCommand),
-    /// Reports traversals of edges of the topological map, from a file, each exactly once, or a single one
+    /// Reports traversals of edges of the topological map: those of a file, each exactly once, or a single one
     ///
-    /// The file has a header and the columns from, to, start, end and success, in any order, and perhaps action and reason;
-    /// success is true or false. The map learns how likely an edge is passed, as state edge/FROM/TO, and how fast, as
-    /// speed/FROM/TO in metres a second or, of an edge without a length, pace/FROM/TO next to its nominal time; /ACTION
-    /// follows where there is one. The same producer and label again continue where they were, as for observe. The exit
-    /// status is 0 only where nothing was refused.
+    /// The file has a header and the columns from, to, start, end and success, in any order, and optionally action and
+    /// reason; success is true or false. The map learns the probability of success as state edge/FROM/TO, and the speed as
+    /// state speed/FROM/TO in metres per second. For an edge without a length it learns pace/FROM/TO, the nominal time
+    /// divided by the actual time. For an edge with an action, /ACTION is appended. The same producer and label continue
+    /// where they stopped, as for observe. The exit status is 0 only if no row was refused.
     Traverse(traverse::TraverseArgs),
-    /// Plans where to look first for somebody, over the topological map
+    /// Plans the order in which to search the nodes of the topological map for a target
     ///
-    /// How likely it is to find somebody at a node is predicted from the state of the same name. Places that are passed on
-    /// the way to others are looked at too. expected_secs is the time to find to expect, the same in each row.
+    /// The probability of finding the target at a node is predicted from the state of the same name. Nodes on the way are
+    /// searched too. expected_secs is the expected time until the target is found, the same in each row.
     Search(search::SearchArgs),
-    /// Plans the way from one node of the topological map to another, for a time
+    /// Plans a route from one node of the topological map to another, for a time
     ///
-    /// Each edge is predicted for when the robot reaches it. probability is how likely it is passed, from lower to upper with
-    /// probability --interval; reports is how often it was reported. expected_secs is of the whole route, failed attempts and
-    /// recovery included.
+    /// Each edge is predicted for the time when the robot reaches it. probability is its probability of success, with an
+    /// interval from lower to upper; reports is the number of its reports. expected_secs is the expected time of the whole
+    /// route, with failed attempts and recovery.
     Route(route::RouteArgs),
-    /// Tells what to do at each node in each slot of time so as to reach a node, also after failures
+    /// Plans the action at each node in each time slot that leads to a goal, also after failures
     ///
-    /// action is take, wait, nothing (which is done here helps any more) or arrived; probability is to be there before the
-    /// last slot ends.
+    /// action is take, wait, nothing (the goal cannot be reached any more) or arrived; probability is the probability of
+    /// arriving before the last slot ends.
     Policy(route::PolicyArgs),
-    /// Shows how likely somebody, or something, is at each node of the topological map
+    /// Predicts the presence of a person or object at each node of the topological map
     ///
-    /// share is the probability over the sum of all nodes', for one that is known to be at one of them; anybody is how likely
-    /// anybody is anywhere.
+    /// share assumes that the target is at exactly one of the nodes: the probability divided by the sum over all nodes.
+    /// anybody is the probability of a presence at any node.
     Presence(presence::PresenceArgs),
-    /// Tells when states are next likely to be 1 all at once, such as several objects in their places
+    /// Finds the next time when all of several states are likely 1, such as several objects in their places
     ///
-    /// No row where that is at no time.
+    /// Prints no row if there is no such time.
     Joint(presence::JointArgs),
-    /// Chooses where to look in the slot that begins now, for what is known now
+    /// Chooses the location to observe in the current slot, by current knowledge
     ///
-    /// By default the most uncertain location, with what was seen last counted. With --planned the one that a plan of the day
-    /// has, unless something unexpected was seen elsewhere lately.
+    /// By default the most uncertain location, given the last observations. With --planned the location of the day's plan,
+    /// unless something unexpected was observed elsewhere lately.
     Slot(slot::SlotArgs),
     /// Lists and watches jobs
     #[command(subcommand)]
@@ -189,22 +190,20 @@ enum Command {
     Stats(stats::StatsArgs),
     /// Compares temporal models on recordings, by a protocol, without a daemon
     ///
-    /// A protocol is a YAML file: training and test data, models with their parameters, how lists of parameters are tuned
-    /// on the training data, and the model that the others are compared with. The comparison goes to stdout; tables,
-    /// predictions and a picture go to the folder that the protocol names.
+    /// A protocol is a YAML file: training and test data, models with their parameters, the tuning of parameter lists on the
+    /// training data, and the baseline model. The comparison goes to stdout; tables, predictions and a picture go to the
+    /// folder that the protocol names.
     Experiment(experiment::ExperimentArgs),
     /// Measures a running daemon under load
     #[command(subcommand)]
     Bench(bench::BenchCommand),
-    /// Shows what tidemap does, with a daemon of its own and a simulated office
+    /// Shows how tidemap works, with its own daemon and a simulated office
     Demo(demo::DemoArgs),
 }
 
-/// What every command has at hand.
+/// The context of a command.
 pub(crate) struct Session {
-    /// The daemon.
     pub(crate) client: Client,
-    /// How results are written.
     pub(crate) format: Format,
 }
 
@@ -222,7 +221,7 @@ impl Session {
     }
 }
 
-/// Does what the command line says.
+/// Runs a command.
 pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
     if let Command::Demo(args) = &line.command {
         return demo::run(args).await;
@@ -267,7 +266,7 @@ pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Job(command) => job::run(&session, &command).await,
         Command::Stats(args) => stats::run(&session, &args).await,
         Command::Bench(command) => bench::run(&session, &command).await,
-        // Done above.
+        // Handled above.
         Command::Demo(_) | Command::Experiment(_) => Ok(ExitCode::SUCCESS),
     }
 }

@@ -1,8 +1,8 @@
-//! `tidemap demo`: a daemon of its own, a simulated office, weeks of robots' observations through the real API, and a
-//! picture of what was learned from them.
+//! `tidemap demo`: weeks of robots' observations in a simulated office, sent through the real API to a new daemon, and a
+//! picture of its predictions.
 //!
-//! Invariant: nothing here is made up. Predictions come from the daemon, which sees only what the robots saw; the truth
-//! beside them comes from the simulation. Daemon and folder are gone afterwards, also after an error or Ctrl-C.
+//! Invariant: predictions come from the daemon, which receives only the robots' observations; the truth comes from the
+//! simulation. The daemon and its folder are removed at the end, also after an error or Ctrl-C.
 
 mod calendar;
 mod daemon;
@@ -29,40 +29,39 @@ use self::{calendar::Calendar, daemon::Daemon, feed::Robots};
 
 /// Name of the demo's map.
 const MAP: &str = "office";
-/// By whose clocks the simulated people live.
+/// Time zone of the simulated people.
 const ZONE: &str = "Europe/London";
-/// States whose forecasts are shown: two habits of the day, one of the week, chance, and a constant.
+/// States whose forecasts are shown: two daily habits, a weekly one, a random one, and a constant.
 const SHOWN: [&str; 5] = ["office-1-door", "meeting-room", "kitchen", "storage-door", "corridor-door"];
-/// Those shown again on a day off.
+/// States that are shown again for a day off.
 const SHOWN_ON_DAY_OFF: [&str; 2] = ["office-1-door", "kitchen"];
 
-/// Exit statuses after a signal: 128 and its number.
+/// Exit status after a signal: 128 plus its number.
 const INTERRUPTED: u8 = 130;
 const TERMINATED: u8 = 143;
 
-/// Weeks of a simulated office through a daemon of its own, and a picture of what it learned.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct DemoArgs {
-    /// Weeks to observe before tomorrow is predicted.
+    /// Weeks to observe before the prediction
     #[arg(long, value_name = "N", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..=52))]
     pub(crate) weeks: u32,
-    /// Another number gives other people's days, with the same routines.
+    /// Seed of the people's days; their routines stay the same
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Leaves the daemon running afterwards, to be asked further.
+    /// Leaves the daemon running afterwards
     #[arg(long)]
     pub(crate) keep: bool,
-    /// The daemon's program [default: tidemapd beside this program].
+    /// The daemon's program [default: tidemapd beside this program]
     #[arg(long, value_name = "PATH")]
     pub(crate) daemon: Option<PathBuf>,
 }
 
-/// Runs the demo; the exit status is that of a shell where a signal ended it.
+/// Runs the demo; after a signal the exit status is that of a shell.
 ///
 /// # Errors
-/// Where the daemon does not start, or does not answer as it should; the error holds the end of the daemon's log.
+/// The daemon does not start, or fails; the error holds the end of the daemon's log.
 pub(crate) async fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
-    // Before the daemon starts, so that no signal can end the demo without it.
+    // Registered before the daemon starts, so that no signal can end the demo alone.
     let mut interrupt = signal(SignalKind::interrupt()).context("signals")?;
     let mut terminate = signal(SignalKind::terminate()).context("signals")?;
     let daemon = Daemon::start(args.daemon.as_deref())?;
@@ -85,7 +84,7 @@ pub(crate) async fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
 
 fn stopped(daemon: Daemon, status: u8) -> ExitCode {
     drop(daemon);
-    eprintln!("stopped; the daemon was ended and its folder removed");
+    eprintln!("stopped; the daemon is stopped and its folder removed");
     ExitCode::from(status)
 }
 
@@ -113,7 +112,7 @@ async fn learn(args: &DemoArgs, address: &str) -> anyhow::Result<()> {
         robots.drive(&office, until).await?;
         nights::passed(&client, calendar.midnight_before(robots.seen_until())).await?;
         if week == args.weeks {
-            // Later data would close the last night; there is none.
+            // No later data triggers the last update.
             nights::close(&client, until).await?;
         }
         let forecasts = forecast::all(&client, &office, &calendar.samples(until)).await?;
@@ -134,7 +133,7 @@ async fn learn(args: &DemoArgs, address: &str) -> anyhow::Result<()> {
     print(report::lesson())
 }
 
-/// Writes to stdout at once: a reader that has gone away is an error, not a panic.
+/// Writes to stdout and flushes; a closed stdout is an error, not a panic.
 fn print(text: &str) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
     stdout.write_all(text.as_bytes())?;

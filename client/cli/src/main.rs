@@ -1,7 +1,7 @@
 //! `tidemap`, the command line.
 //!
-//! Invariant: results go to stdout, everything else to stderr. The exit status is 0 where all was done, 1 where
-//! something failed or was refused, 2 where the command makes no sense, 130 after Ctrl-C.
+//! Invariant: results go to stdout, everything else to stderr. The exit status is 0 after success, 1 after a failure or a
+//! refusal, 2 after a usage error, 130 after Ctrl-C.
 
 mod commands;
 mod demo;
@@ -21,12 +21,12 @@ fn main() -> ExitCode {
         Err(error) => return failed(&anyhow::Error::new(error).context("the runtime cannot start")),
     };
     let code = runtime.block_on(commands::run(command_line)).unwrap_or_else(|error| failed(&error));
-    // A thread may still wait for stdin; it need not be waited for.
+    // A thread may still wait for stdin; do not wait for it.
     runtime.shutdown_background();
     code
 }
 
-/// Says what went wrong, in one line. A reader of stdout that has gone away has what it wanted, and needs no word.
+/// Reports an error in one line. A closed stdout is no error: its reader has stopped reading on purpose.
 fn failed(error: &anyhow::Error) -> ExitCode {
     let broken_pipe = |cause: &(dyn std::error::Error + 'static)| {
         cause.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)

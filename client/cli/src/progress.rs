@@ -1,6 +1,6 @@
-//! What is said on stderr while something runs: notices, and bars where stderr is a terminal.
+//! Status lines on stderr, and progress bars if stderr is a terminal.
 //!
-//! Invariant: nothing here can fail; a stderr that is closed loses its notices and stops nothing.
+//! Invariant: nothing here can fail; if stderr is closed, its lines are lost and the command continues.
 
 use std::{
     io::{self, Write as _},
@@ -11,17 +11,17 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 const TICK: Duration = Duration::from_millis(200);
 
-/// Says a line.
+/// Prints a line to stderr.
 pub(crate) fn status_line(line: &str) {
     let _ = writeln!(io::stderr().lock(), "{line}");
 }
 
-/// A bar, or nothing where stderr is no terminal.
+/// A progress bar; hidden if stderr is not a terminal.
 #[derive(Clone, Debug)]
 pub(crate) struct Bar(ProgressBar);
 
 impl Bar {
-    /// For bytes of a file; of a length that is not known where `total` is absent.
+    /// Counts the bytes of a file; `total` is `None` if its length is unknown.
     pub(crate) fn bytes(total: Option<u64>) -> Self {
         match total {
             Some(total) => {
@@ -31,7 +31,7 @@ impl Bar {
         }
     }
 
-    /// For pieces of a job.
+    /// Counts the parts of a job.
     pub(crate) fn count(what: &'static str) -> Self {
         let bar = Self::with(ProgressBar::new(0), "{bar:32} {pos}/{len} {msg}");
         bar.0.set_message(what);
@@ -39,7 +39,7 @@ impl Bar {
     }
 
     fn with(bar: ProgressBar, template: &str) -> Self {
-        // The templates are constants; one that did not parse would leave the plain style.
+        // The templates are constants; an invalid one would leave the plain style.
         if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
         }
@@ -47,23 +47,21 @@ impl Bar {
         Self(bar)
     }
 
-    /// How far it is.
     pub(crate) fn set(&self, position: u64) {
         self.0.set_position(position);
     }
 
-    /// How far it is, of how much.
     pub(crate) fn set_of(&self, position: u64, total: u64) {
         self.0.set_length(total);
         self.0.set_position(position);
     }
 
-    /// Says a line above the bar.
+    /// Prints a line above the bar.
     pub(crate) fn status_line(&self, line: &str) {
         self.0.suspend(|| status_line(line));
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub(crate) fn clear(&self) {
         self.0.finish_and_clear();
     }

@@ -1,7 +1,8 @@
-//! Times and durations as people and files write them, and back.
+//! Times and durations as text.
 //!
-//! Invariant: a time is i64 nanoseconds UTC since 1970, at least 0. Text becomes a time, and a time text, by decimal
-//! arithmetic and never through a float, so that nothing is lost on the way.
+//! Invariant: a time is i64 nanoseconds UTC since 1970, at least 0. Times are read and written with decimal arithmetic, never
+//! with floats, so that every digit is kept. RFC 3339 is read by jiff. Durations are read here: jiff's parser has no
+//! fractions of days and weeks and no exponents.
 
 mod decimal;
 
@@ -10,41 +11,41 @@ use decimal::{Decimal, InvalidDecimal};
 /// Nanoseconds in a second.
 pub const NANOS_PER_SEC: i64 = 1_000_000_000;
 
-/// Why a text is not a time.
+/// Why a text is not a valid time.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidTime {
     /// Neither a number nor RFC 3339.
     #[error("{0:?} is not a time: use Unix seconds such as 1458518400.5, or RFC 3339 such as 2016-03-21T00:00:00Z")]
     Malformed(String),
-    /// A civil time whose place on earth is not known.
-    #[error("{0:?} does not say its time zone: add Z for UTC, or an offset such as +01:00")]
+    /// A civil time without a time zone.
+    #[error("{0:?} has no time zone: add Z for UTC, or an offset such as +01:00")]
     NoOffset(String),
     /// Before 1970.
     #[error("{0:?} is before 1970: times are counted from 1970-01-01T00:00:00Z")]
     TooEarly(String),
-    /// Beyond what i64 nanoseconds hold.
-    #[error("{0:?} is beyond 2262-04-11T23:47:16Z, the last time that is kept{hint}", hint = magnitude_hint(.0))]
+    /// Not representable as i64 nanoseconds.
+    #[error("{0:?} is after 2262-04-11T23:47:16Z, the latest possible time{hint}", hint = magnitude_hint(.0))]
     TooLate(String),
-    /// Digits below a nanosecond.
-    #[error("{0:?} is finer than a nanosecond: at most 9 digits after the point")]
+    /// More precise than a nanosecond.
+    #[error("{0:?} is more precise than a nanosecond: use at most 9 digits after the point")]
     TooFine(String),
 }
 
-/// Why a text is not a duration.
+/// Why a text is not a valid duration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidDuration {
     /// Not a number with a unit.
     #[error("{0:?} is not a duration: use a number and a unit, such as 90s, 15m, 1h or 7d")]
     Malformed(String),
-    /// Nothing, or less than a nanosecond.
-    #[error("{0:?} is not a duration: it must be longer than nothing")]
+    /// Not above 0.
+    #[error("{0:?} is not a duration: it has to be above 0")]
     Zero(String),
-    /// Longer than i64 nanoseconds.
+    /// Not representable as i64 nanoseconds.
     #[error("{0:?} is too long: at most 292 years (106751d)")]
     TooLong(String),
 }
 
-/// Times in milli-, micro- or nanoseconds are the usual reason for a time that is far too late.
+/// A hint for times that were probably given in milliseconds, microseconds or nanoseconds.
 fn magnitude_hint(text: &str) -> &'static str {
     match text.bytes().take_while(u8::is_ascii_digit).count() {
         13 => "; in milliseconds? times are in seconds",
@@ -91,7 +92,7 @@ fn parse_rfc3339(text: &str) -> Result<i64, InvalidTime> {
     i64::try_from(nanos).map_err(|_| InvalidTime::TooLate(shown(text)))
 }
 
-/// Unix seconds in the shortest form that is exact: `1458518400`, `1458518400.25`.
+/// Unix seconds in the shortest exact form: `1458518400`, `1458518400.25`.
 #[must_use]
 pub fn format_secs(nanos: i64) -> String {
     let sign = if nanos < 0 { "-" } else { "" };
@@ -137,7 +138,7 @@ pub fn parse_duration(text: &str) -> Result<i64, InvalidDuration> {
     if decimal.negative {
         return Err(malformed());
     }
-    // The unit's factor of ten goes into the scale, so that 0.0000000001d is still read exactly.
+    // Multiplied before scaling, so that 0.0000000001d is read exactly.
     let product = decimal.digits.checked_mul(i128::from(unit_nanos)).ok_or(InvalidDuration::TooLong(shown(text)))?;
     Decimal { digits: product, ..decimal }.scaled(0).map_err(|why| match why {
         InvalidDecimal::TooLarge => InvalidDuration::TooLong(shown(text)),
@@ -145,7 +146,7 @@ pub fn parse_duration(text: &str) -> Result<i64, InvalidDuration> {
     })
 }
 
-/// A duration in the greatest unit that divides it: `7d`, `36h`, `90s`, `0.5s`.
+/// A duration in the largest unit that divides it: `7d`, `36h`, `90s`, `0.5s`.
 #[must_use]
 pub fn format_duration(nanos: i64) -> String {
     let unit = UNITS[1..4].iter().find(|(_, unit_nanos)| nanos != 0 && nanos % unit_nanos == 0);

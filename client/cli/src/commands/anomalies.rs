@@ -1,7 +1,7 @@
 //! `tidemap anomalies`.
 //!
-//! Invariant: each row is an observation and what the model said of its time. What is watched is written and flushed as
-//! soon as it is known, until somebody interrupts it.
+//! Invariant: each row is an observation and the model's prediction for its time. With --watch, each row is written and
+//! flushed as soon as it arrives, until the command is interrupted.
 
 use std::process::ExitCode;
 
@@ -17,23 +17,23 @@ use tidemap_formats::table::Cell;
 pub(crate) struct AnomaliesArgs {
     /// Name of the map
     map: String,
-    /// Name of the state, or cell/X/Y/Z; with --watch names of states, or none for all
+    /// Name of the state, or cell/X/Y/Z; with --watch several names, or none for all states
     #[arg(value_name = "STATE")]
     states: Vec<String>,
-    /// How sure the model has to be of the contrary, above 0.5 and at most 1; of a state that is no probability, that a single
-    /// value lies within an interval
+    /// How sure the model has to be of the opposite value, above 0.5 and at most 1. For other kinds of states: the
+    /// confidence of the interval that a value has to lie outside of
     #[arg(long, value_name = "C", default_value_t = Judgement::default().confidence, value_parser = confidence)]
     confidence: f64,
     /// First time
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "to")]
     from: Option<i64>,
-    /// Time before which the observations end
+    /// End of the times, not included
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
     to: Option<i64>,
-    /// Model that judges: those of predict, but not latest and persistence; with --watch auto, mean or spectral
+    /// Model: those of predict except latest and persistence; with --watch auto, mean or spectral
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// Shows what is not expected as it comes, until interrupted
+    /// Shows anomalies as they occur, until interrupted
     #[arg(long, conflicts_with_all = ["from", "to"])]
     watch: bool,
 }
@@ -51,10 +51,10 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
         return watched(session, watch).await;
     }
     let (Some(from), Some(to)) = (from, to) else {
-        return Err(usage("say when, with --from and --to, or --watch what is to come"));
+        return Err(usage("give the times with --from and --to, or wait for anomalies with --watch"));
     };
     let [state] = states.as_slice() else {
-        return Err(usage("name one state; several can only be watched, with --watch"));
+        return Err(usage("name one state; several states need --watch"));
     };
     if from >= to {
         return Err(usage("--from must be before --to, which is not included"));

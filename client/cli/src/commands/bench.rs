@@ -1,7 +1,7 @@
-//! `tidemap bench`: load and speed of a running daemon.
+//! `tidemap bench`: measures the speed of a running daemon.
 //!
-//! Invariant: works through the same calls as everybody else, on a map of its own that is deleted afterwards, and puts
-//! the disk's own speed beside each figure, without which figures of two machines cannot be compared.
+//! Invariant: a benchmark uses the public calls, on its own map that is deleted afterwards. Each result includes the speed
+//! of the daemon's disk, because figures of two machines cannot be compared without it.
 
 mod grid;
 mod latencies;
@@ -23,27 +23,27 @@ use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum BenchCommand {
-    /// How many observations become durable per second, and how long an update of them takes
+    /// Measures how many observations become durable per second, and how long their update takes
     Observe(observe::ObserveBenchArgs),
-    /// How long an observation takes to become durable, at a given rate
+    /// Measures the latency until an observation is durable, at a given rate
     Latency(latency::LatencyArgs),
-    /// How many predictions are answered per second
+    /// Measures the predictions per second
     Predict(predict::PredictBenchArgs),
-    /// How long the planning of a search takes, from request to answer
+    /// Measures the latency of planning a search
     Search(search::SearchBenchArgs),
-    /// How fast months of scans of a whole office are learned, with an update every night
+    /// Measures how fast months of scans of a whole office are learned, with an update every night
     Grid(grid::GridArgs),
 }
 
-/// Which process to account for.
+/// The daemon's process.
 #[derive(Clone, Copy, Debug, Args)]
 struct DaemonProcess {
-    /// The daemon's process, for its CPU time [default: the one tidemapd that runs here, if it is one]
+    /// Process ID of the daemon, to measure its CPU time [default: the only tidemapd on this machine]
     #[arg(long, value_name = "PID")]
     daemon_pid: Option<u32>,
 }
 
-/// A row of figures with their names.
+/// Figures and their names.
 type Figures = Vec<(&'static str, Cell)>;
 
 pub(crate) async fn run(session: &Session, command: &BenchCommand) -> anyhow::Result<ExitCode> {
@@ -85,7 +85,7 @@ async fn measure(client: &Client, map: &str, command: &BenchCommand) -> anyhow::
     Ok(figures)
 }
 
-/// Runs an update to its end.
+/// Runs an update and waits for its end.
 async fn updated(client: &Client, map: &str) -> anyhow::Result<Job> {
     status_line("updating");
     let started = client.run_update(map, None).await?;

@@ -1,6 +1,6 @@
 //! `tidemap day`.
 //!
-//! Invariant: a row per slot of the local day, in order; an empty location is a slot to rest.
+//! Invariant: one row per slot of the local day, in order; a free slot has an empty location.
 
 use std::process::ExitCode;
 
@@ -19,22 +19,22 @@ use tidemap_formats::table::Cell;
 pub(crate) struct DayArgs {
     /// Name of the map
     map: String,
-    /// The local date, as 2016-03-21
+    /// Local date, such as 2016-03-21
     #[arg(long, value_name = "YYYY-MM-DD")]
     date: String,
     /// Length of a slot
     #[arg(long, value_name = "DURATION", value_parser = times::duration, default_value = "15m")]
     slot: i64,
-    /// So many slots to explore [default: a quarter of them]
+    /// Number of slots to explore [default: a quarter of all]
     #[arg(long, value_name = "N", conflicts_with = "ratio")]
     explore: Option<u32>,
     /// Share of the slots to explore, above 0 and at most 1
     #[arg(long, value_name = "E")]
     ratio: Option<f64>,
-    /// How slots and locations are chosen
+    /// Strategy that chooses slots and locations
     #[arg(long, value_name = "STRATEGY", default_value = "monte-carlo")]
     strategy: StrategyArg,
-    /// Seed of what is random
+    /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// Locations to choose from [default: all; where the map has none, every state is one]
@@ -43,47 +43,48 @@ pub(crate) struct DayArgs {
     /// Model: those of predict, each optionally with +persistence
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// Looks into the grid instead, from places so many metres apart all over it; a location is then X,Y
+    /// Explores the grid from viewpoints with this spacing, in metres; a location is then X,Y
     #[arg(long, value_name = "M", value_parser = spacing, conflicts_with = "locations")]
     views: Option<f64>,
-    /// Between exploring (1) and doing what a task profits from (0)
+    /// Weight between exploration (1) and benefit to a task (0)
     #[arg(long, value_name = "W", requires = "task_states")]
     exploration_weight: Option<f64>,
-    /// States that the task profits from, one per location and in their order
+    /// States that the task depends on, one per location and in their order
     #[arg(long = "task-state", value_name = "STATE", num_args = 1.., requires = "exploration_weight")]
     task_states: Vec<String>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum StrategyArg {
-    /// At random, in proportion to the information expected
+    /// At random, in proportion to the expected information
     MonteCarlo,
     /// The slots and locations with the most information
     Greedy,
     /// All locations in turn
     RoundRobin,
-    /// All locations alike, at random
+    /// At random, all locations alike
     Random,
 }
 
-/// Most places to look from; more are refused before anything is asked.
+/// Maximum number of viewpoints; a request for more is refused before it is sent.
 const VIEWS_MAX: f64 = 100_000.0;
 
 fn spacing(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|metres: &f64| *metres > 0.0 && metres.is_finite());
-    number.ok_or_else(|| format!("{text:?} is not a distance: write metres above 0, as 1.5"))
+    number.ok_or_else(|| format!("{text:?} is not a distance: use metres above 0, such as 1.5"))
 }
 
-/// Places all over a map's grid, so far apart.
+/// Viewpoints all over a map's grid, `apart_m` metres apart.
 async fn viewpoints(session: &Session, map: &str, apart_m: f64) -> anyhow::Result<Vec<Viewpoint>> {
     let Map { grid, grid_summary, .. } = session.client.map(map).await?;
-    let grid = grid.with_context(|| format!("map {map:?} has no grid to look into"))?;
+    let grid = grid.with_context(|| format!("map {map:?} has no grid"))?;
     let bounds = grid_summary.and_then(|summary| summary.bounds);
-    let bounds = bounds.with_context(|| format!("nothing was observed of the grid of map {map:?} yet"))?;
+    let bounds = bounds.with_context(|| format!("the grid of map {map:?} has no observations yet"))?;
     let cells = |axis: usize| f64::from(bounds.max[axis] - bounds.min[axis]);
     let count = |axis: usize| (cells(axis) * grid.resolution_m / apart_m).floor().max(1.0);
     if count(0) * count(1) > VIEWS_MAX {
-        let text = format!("--views {apart_m}: that are {:.0} places, more than {VIEWS_MAX}", count(0) * count(1));
+        let text =
+            format!("--views {apart_m} makes {:.0} viewpoints: at most {VIEWS_MAX} are allowed", count(0) * count(1));
         return Err(usage(text));
     }
     let along = |axis: usize, number: u32| {
@@ -104,7 +105,7 @@ pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<Exit
     let budget = match (args.explore, args.ratio) {
         (Some(slots), _) => Some(Budget::Visits(slots as usize)),
         (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Some(Budget::Ratio(ratio)),
-        (None, Some(ratio)) => return Err(usage(format!("--ratio {ratio}: it is above 0 and at most 1"))),
+        (None, Some(ratio)) => return Err(usage(format!("--ratio {ratio}: it has to be above 0 and at most 1"))),
         (None, None) => None,
     };
     let viewpoints = match args.views {

@@ -1,6 +1,6 @@
 //! `tidemap evaluate`.
 //!
-//! Invariant: rows that cannot be read are left out and said so; nothing of the file is learned.
+//! Invariant: invalid rows are left out and reported; the map learns nothing from the file.
 
 use std::{path::PathBuf, process::ExitCode, str::FromStr};
 
@@ -29,17 +29,17 @@ pub(crate) struct EvaluateArgs {
     map: String,
     /// File with the columns time,state,value; - is stdin
     file: PathBuf,
-    /// Greatest order of the spectral model, 0 to 15 [default: 15]
+    /// Maximum order of the spectral model, 0 to 15 [default: 15]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     max_order: Option<u32>,
     /// Models, each optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS],
     /// histogram:week[:BINS], histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]],
-    /// hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson, calibrated; or all, for each kind without it
+    /// hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson, calibrated; or all, for every kind without +persistence
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', default_value = "spectral")]
     models: Vec<ModelArg>,
 }
 
-/// A model, or all of them.
+/// A model, or all models.
 #[derive(Clone, Debug)]
 enum ModelArg {
     All,
@@ -61,22 +61,22 @@ fn selected(choices: &[ModelArg]) -> Vec<ModelSelector> {
             ModelArg::All => ModelKind::ALL.map(|kind| ModelSelector { kind, ..ModelSelector::default() }).to_vec(),
             ModelArg::One(model) => vec![*model],
         };
-        // Naming a model twice asks for it once.
+        // A model that is named twice is evaluated once.
         models.extend(chosen.into_iter().filter(|model| !models.contains(model)).collect::<Vec<_>>());
     }
     models
 }
 
-/// Whether this model was asked for by its name, and not as one of all.
+/// Whether the user named this model, not only `all`.
 fn is_named(choices: &[ModelArg], model: ModelSelector) -> bool {
     choices.iter().any(|choice| match choice {
         ModelArg::All => false,
-        // The daemon fills in what was left out.
+        // The daemon fills in omitted parameters.
         ModelArg::One(named) => ModelSelector { order: model.order, ..*named } == model,
     })
 }
 
-/// What to say of a model that is missing.
+/// The message about a model that is left out.
 fn missing(unavailable: &Unavailable) -> String {
     const SHOWN: usize = 5;
     let Unavailable { model, reason, states } = unavailable;
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_named_is_told_from_what_is_one_of_all() {
+    fn named_models_are_distinguished_from_those_of_all() {
         let model: ModelSelector = "pergam:3".parse().expect("a model");
         for (texts, named) in [
             (["all"], false),

@@ -1,6 +1,6 @@
 //! `tidemap grid`: scans of an occupancy grid in, maps of any time out.
 //!
-//! Invariant: what a file is, its ending says; nothing is guessed from its content.
+//! Invariant: the ending of a file's name determines its format; the content is never guessed.
 
 mod cell_masks;
 mod observe;
@@ -20,14 +20,14 @@ use super::Session;
 pub(crate) enum GridCommand {
     /// Sends scans from files, each exactly once
     ///
-    /// By ending: .tms is a file of scans (see the README), which has its own times; .pcd and .ply are point clouds, each a
-    /// scan, ray-cast from --pose; .bt and .ot (OctoMap) and .yaml or .pgm (Nav2) are maps, whose known cells count as
-    /// observed at that time. The same producer and label again continue where they were; scans that differ from what was
-    /// sent are refused.
+    /// The ending gives the format: .tms is a file of scans with their own times (see the README); .pcd and .ply are point
+    /// clouds, each one scan, ray-cast from --pose; .bt and .ot (OctoMap) and .yaml or .pgm (Nav2) are maps, whose known
+    /// cells count as observed at that time. The same producer and label continue where they stopped; scans that differ
+    /// from what was sent are refused.
     Observe(observe::GridObserveArgs),
     /// Writes the map at any time, past or future, to a file
     ///
-    /// By ending of --out: .pgm (with a .yaml beside it, for Nav2), .png, .csv or .ply.
+    /// The ending of --out gives the format: .pgm (with a .yaml beside it, for Nav2), .png, .csv or .ply.
     Predict(predict::GridPredictArgs),
 }
 
@@ -38,15 +38,14 @@ pub(crate) async fn run(session: &Session, command: GridCommand) -> anyhow::Resu
     }
 }
 
-/// The grid of a map, and the observations of single cells that it holds.
+/// The grid of a map, and the number of its cell observations.
 async fn grid_of(session: &Session, map: &str) -> anyhow::Result<(Grid, u64)> {
     let map = session.client.map(map).await?;
     let cells = map.grid_summary.map_or(0, |summary| summary.cell_observations);
     match map.grid {
         Some(grid) => Ok((grid, cells)),
-        None => anyhow::bail!(
-            "map {:?} has no grid: a map gets one when it is created, as with --grid resolution=0.1",
-            map.name
-        ),
+        None => {
+            anyhow::bail!("map {:?} has no grid: create a map with one, for example --grid resolution=0.1", map.name)
+        }
     }
 }

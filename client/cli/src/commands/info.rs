@@ -1,6 +1,6 @@
 //! `tidemap info`.
 //!
-//! Invariant: a row per target and time, by target and then by time.
+//! Invariant: one row per target and time, by target and then by time.
 
 use std::process::ExitCode;
 
@@ -17,16 +17,16 @@ use tidemap_formats::table::Cell;
 pub(crate) struct InfoArgs {
     /// Name of the map
     map: String,
-    /// When; several times with commas
+    /// Times, separated by commas
     #[arg(long, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',', required = true)]
     at: Vec<i64>,
     /// States that are probabilities, or cells cell/X/Y/Z
     #[arg(long = "state", value_name = "STATE", num_args = 1..)]
     states: Vec<String>,
-    /// Locations: the sum over their states
+    /// Locations; the information of a location is the sum over its states
     #[arg(long = "location", value_name = "LOCATION", num_args = 1..)]
     locations: Vec<String>,
-    /// A look from a place, metres, with a range of 4 where none is given; may be repeated
+    /// An observation of the grid from a viewpoint, metres; the default range is 4; may be repeated
     #[arg(long = "view", value_name = "X,Y,Z[,RANGE]", allow_hyphen_values = true,
           conflicts_with_all = ["states", "locations"])]
     views: Vec<ViewArg>,
@@ -40,7 +40,7 @@ const COLUMNS: [&str; 4] = ["target", "entropy_bits", "information_bits", "time"
 pub(crate) async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<ExitCode> {
     let InfoArgs { map, at, states, locations, views, model } = args;
     if states.is_empty() && locations.is_empty() && views.is_empty() {
-        return Err(usage("name what to look at, with --state, --location or --view"));
+        return Err(usage("name targets with --state, --location or --view"));
     }
     let mut rows = Vec::new();
     if views.is_empty() {
@@ -52,7 +52,7 @@ pub(crate) async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<Exi
             }));
         }
     }
-    // Views of one range share a question.
+    // Views of the same range share a request.
     for group in views.chunk_by(|one, next| one.range_m == next.range_m) {
         let viewpoints: Vec<Viewpoint> = group
             .iter()

@@ -1,6 +1,6 @@
 //! `tidemap job`.
 //!
-//! Invariant: a job that is watched goes on in the daemon, whether it is watched or not.
+//! Invariant: watching a job does not affect it; the job continues in the daemon if the watch ends.
 
 use std::process::ExitCode;
 
@@ -16,7 +16,7 @@ use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum JobCommand {
-    /// Lists the jobs that run and those that ended lately, newest first
+    /// Lists running and recently ended jobs, newest first
     List,
     /// Waits until a job has ended
     Watch {
@@ -56,7 +56,7 @@ pub(crate) async fn run(session: &Session, command: &JobCommand) -> anyhow::Resu
     Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-/// Follows a job to its end.
+/// Watches a job until it ends.
 pub(crate) async fn watch(client: &Client, id: u64) -> anyhow::Result<Job> {
     let mut updates = client.watch_job(id).await?;
     let bar = Bar::count("states updated");
@@ -73,13 +73,13 @@ pub(crate) async fn watch(client: &Client, id: u64) -> anyhow::Result<Job> {
     at_end(id, last)
 }
 
-/// What was last heard of a job, where that was its end: a daemon that stops ends its watches in the middle.
+/// The last state of a job, if the job has ended; a daemon that stops ends its watches early.
 fn at_end(id: u64, last: Option<Job>) -> anyhow::Result<Job> {
     last.filter(Job::has_ended)
         .ok_or_else(|| anyhow::anyhow!("the daemon ended the watch of job {id} before the job ended"))
 }
 
-/// What went wrong with a job.
+/// The error of a failed job.
 pub(crate) fn failure(job: &Job) -> String {
     format!("job {} of map {:?} failed: {}", job.id, job.map, job.error)
 }

@@ -1,6 +1,6 @@
 //! `tidemap location`.
 //!
-//! Invariant: what was set is durable; names come in order.
+//! Invariant: a change is durable when the command ends; locations are listed by name.
 
 use std::process::ExitCode;
 
@@ -13,7 +13,7 @@ use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum LocationCommand {
-    /// Sets a location: states that are seen together; replaces the one of that name
+    /// Sets a location: states that are observed together; replaces a location of that name
     Set {
         /// Name of the map
         map: String,
@@ -22,7 +22,7 @@ pub(crate) enum LocationCommand {
         /// Names of its states
         #[arg(required = true, value_name = "STATE")]
         states: Vec<String>,
-        /// Where the robot stands to see them, metres
+        /// Position from which the robot observes them, metres
         #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
         position: Option<Point>,
     },

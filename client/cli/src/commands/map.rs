@@ -1,6 +1,6 @@
 //! `tidemap map`.
 //!
-//! Invariant: nothing is deleted without being asked for twice.
+//! Invariant: nothing is deleted without --yes.
 
 pub(crate) mod grid_spec;
 
@@ -28,25 +28,25 @@ pub(crate) enum MapCommand {
         /// Name of the map
         name: String,
     },
-    /// Sets where the robot rests
+    /// Sets the position of the robot's charger
     Set {
         /// Name of the map
         name: String,
-        /// Where the robot rests and charges, metres; none: nowhere in particular
+        /// Position where the robot rests and charges, metres; `none` clears it
         #[arg(long, value_name = "X,Y|none", allow_hyphen_values = true)]
         charger: Charger,
     },
-    /// Deletes a map with all it holds, for good
+    /// Deletes a map and all its data permanently
     Delete {
         /// Name of the map
         name: String,
-        /// Really
+        /// Confirms the deletion
         #[arg(long)]
         yes: bool,
     },
 }
 
-/// A charger, or none.
+/// Position of a charger, or none.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Charger(Option<[f64; 2]>);
 
@@ -62,10 +62,10 @@ impl FromStr for Charger {
 pub(crate) struct CreateArgs {
     /// Name of the map: a-z 0-9 _ -, at most 63
     name: String,
-    /// Time zone by whose civil time people live there, for example Europe/London [default: UTC]
+    /// Time zone of the place, for example Europe/London [default: UTC]
     #[arg(long, value_name = "IANA")]
     time_zone: Option<String>,
-    /// Longest period; candidates are this divided by 1, 2, 3, ... [default: 7d]
+    /// Longest candidate period; the others are this divided by 2, 3, ... [default: 7d]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     period_base: Option<i64>,
     /// Number of candidate periods [default: 168]
@@ -75,28 +75,28 @@ pub(crate) struct CreateArgs {
     #[arg(long, value_name = "DURATION,…", value_parser = times::duration, value_delimiter = ',',
           conflicts_with_all = ["period_base", "period_count"])]
     periods: Option<Vec<i64>>,
-    /// How the orders of the spectral model are compared
+    /// Criterion by which the order of the spectral model is chosen
     #[arg(long, value_name = "CRITERION", default_value = "squared-error")]
     order_criterion: Criterion,
-    /// How long exact observations of named states are kept for recall: none, forever or a duration [default: forever]
+    /// How long the history of exact observations of named states is kept: none, forever or a duration [default: forever]
     #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention)]
     retention: Option<Retention>,
     /// An occupancy grid: resolution=M[,flat][,origin=X:Y:Z][,size=NXxNYxNZ or min=X:Y:Z,max=X:Y:Z][,frame=NAME]
-    /// [,hit=P][,false-alarm=P][,prior=P], metres for resolution and origin, cells for the others [default: none]
+    /// [,hit=P][,false-alarm=P][,prior=P]; resolution and origin in metres, the others in cells [default: none]
     #[arg(long, value_name = "SPEC")]
     grid: Option<GridSpec>,
-    /// How long the exact readings of the grid are kept for recall: none, forever or a duration [default: none]
+    /// How long the history of exact cell observations is kept: none, forever or a duration [default: none]
     #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention, requires = "grid")]
     grid_retention: Option<Retention>,
-    /// Age at which an observation of a named state counts half, so that an old routine is unlearned; cells of a grid forget
-    /// nothing [default: never]
+    /// Age at which the weight of an observation of a named state is one half, so that old routines are forgotten; grid
+    /// cells forget nothing [default: never]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     half_life: Option<i64>,
-    /// What a named state answers of which nothing was learned, 0 to 1 [default: 0.5]
+    /// Prediction of a named state with no learned data, 0 to 1 [default: 0.5]
     #[arg(long, value_name = "P")]
     prior: Option<f64>,
-    /// What the nightly update of a named state chooses among: spectral, histogram, calibrated, pergam, hypertime-em,
-    /// hypertime-km, or all; spectral always is among them [default: spectral,histogram,calibrated]
+    /// Models among which the nightly update chooses for each named state: spectral, histogram, calibrated, pergam,
+    /// hypertime-em, hypertime-km, or all; spectral is always included [default: spectral,histogram,calibrated]
     #[arg(long, value_name = "MODEL,…", value_parser = candidates, value_delimiter = ',')]
     models: Option<Vec<Candidates>>,
 }
@@ -114,9 +114,9 @@ fn candidates(text: &str) -> Result<Candidates, InvalidCandidate> {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Criterion {
-    /// By the squared difference between value and prediction
+    /// Mean squared difference between value and prediction
     SquaredError,
-    /// By the share of values on the other side of 0.5 than their prediction
+    /// Share of values on the other side of 0.5 than their prediction
     ZeroOne,
 }
 
@@ -136,7 +136,7 @@ const COLUMNS: [&str; 11] = [
     "updated_until",
     "scans",
 ];
-/// Of a map that is shown by itself.
+/// Additional columns of a single map.
 const MORE_COLUMNS: [&str; 12] = [
     "retention",
     "grid",
@@ -160,7 +160,7 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
             let wanted = new_map(*args);
             let has_grid = wanted.grid.is_some();
             if has_grid && wanted.half_life_nanos.is_some() {
-                status_line("the half-life is of named states: cells of the grid forget nothing");
+                status_line("the half-life applies to named states only: grid cells forget nothing");
             }
             vec![with_grid(client.create_map(wanted).await?, has_grid)?]
         }
@@ -191,7 +191,7 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
     Ok(ExitCode::SUCCESS)
 }
 
-/// The map that was made, if it has the grid that it was to have: a daemon that does not know of grids passes over one.
+/// Checks that a new map has its grid: a daemon that does not support grids ignores the field.
 pub(crate) fn with_grid(made: Map, wanted: bool) -> anyhow::Result<Map> {
     anyhow::ensure!(
         made.grid.is_some() || !wanted,

@@ -1,6 +1,6 @@
 //! `tidemap model`.
 //!
-//! Invariant: what was learned is shown as the daemon has it; only the table adds words for people.
+//! Invariant: values are shown as the daemon sends them; only the table adds explanations.
 
 use std::{
     io::{self, Write as _},
@@ -15,7 +15,7 @@ use tidemap_formats::table::{Cell, Format, object};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum ModelCommand {
-    /// Shows what was learned of a state: its mean, and its rhythms with the strongest first
+    /// Shows the models of a state: its mean, and its periodic components with the strongest first
     Show {
         /// Name of the map
         map: String,
@@ -70,10 +70,7 @@ fn table(model: &ModelDescription) -> io::Result<()> {
     table.row(vec![state, model.mean.into(), model.folded_observations.into(), model.order.into(), chosen])?;
     table.finish()?;
     if let Some(date) = &model.change_date {
-        writeln!(
-            io::stdout(),
-            "\nThe routine seems to have changed: since about {date} predictions are worse than before."
-        )?;
+        writeln!(io::stdout(), "\nThe routine seems to have changed: predictions have been worse since about {date}.")?;
     }
     if !model.model_errors.is_empty() {
         writeln!(io::stdout())?;
@@ -92,7 +89,7 @@ fn table(model: &ModelDescription) -> io::Result<()> {
     if model.components.is_empty() {
         return writeln!(
             io::stdout(),
-            "\nNo rhythm was found: it takes changes observed over at least one period, and an update."
+            "\nNo periodic component was found: this takes observed changes over at least one period, and an update."
         );
     }
     writeln!(io::stdout())?;
@@ -105,9 +102,8 @@ fn table(model: &ModelDescription) -> io::Result<()> {
     table.finish()
 }
 
-/// One table for programs: what holds for the state is repeated with each component, and has a row of its own where
-/// there is none. The model in force and the recent errors of all that were tried come after the components' columns, so
-/// that neither rows nor columns are others than they were.
+/// One table for programs, a row per component. The columns of the state are repeated in each row; a state without
+/// components has one row. The model in use and the recent errors of all models are the last columns.
 fn csv(model: &ModelDescription) -> io::Result<()> {
     let summary = summary(model);
     let columns = ["period_secs", "amplitude", "phase_rad", "used", "model", "recent_errors"];
@@ -146,7 +142,7 @@ fn json(model: &ModelDescription) -> io::Result<()> {
     writeln!(io::stdout(), "{}", object([state].into_iter().chain(summary).chain([components, errors])))
 }
 
-/// A period as people say it: `7 d`, `24 h`, `45 min`.
+/// A period for people: `7 d`, `24 h`, `45 min`.
 fn words(secs: f64) -> String {
     let (value, unit) = match secs {
         secs if secs > 36.0 * 3600.0 => (secs / 86_400.0, "d"),
@@ -163,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn periods_are_said_as_people_say_them() {
+    fn periods_are_readable() {
         for (secs, text) in [
             (604_800.0, "7 d"),
             (302_400.0, "3.5 d"),

@@ -8,12 +8,11 @@ use std::str::FromStr;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Point(pub(crate) [f64; 2]);
 
-/// A place to look from, and how far one sees from there.
+/// A viewpoint and its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ViewArg {
     /// x, y and z in the map's frame, metres.
     pub(crate) at_m: [f64; 3],
-    /// How far, metres.
     pub(crate) range_m: Option<f64>,
 }
 
@@ -27,7 +26,7 @@ impl FromStr for Point {
     fn from_str(text: &str) -> Result<Self, String> {
         match numbers(text).as_deref() {
             Some(&[x, y]) => Ok(Self([x, y])),
-            _ => Err(format!("{text:?} is not a point: write X,Y in metres, as 1.5,-2")),
+            _ => Err(format!("{text:?} is not a point: use X,Y in metres, such as 1.5,-2")),
         }
     }
 }
@@ -39,7 +38,7 @@ impl FromStr for ViewArg {
         match numbers(text).as_deref() {
             Some(&[x, y, z]) => Ok(Self { at_m: [x, y, z], range_m: None }),
             Some(&[x, y, z, range]) if range > 0.0 => Ok(Self { at_m: [x, y, z], range_m: Some(range) }),
-            _ => Err(format!("{text:?} is not a view: write X,Y,Z or X,Y,Z,RANGE in metres, as 1.5,-2,1.2,4")),
+            _ => Err(format!("{text:?} is not a view: use X,Y,Z or X,Y,Z,RANGE in metres, such as 1.5,-2,1.2,4")),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! `tidemap position`.
 //!
-//! Invariant: rows come by time as asked, of each time the most probable cell first; what is printed of a time beside its
-//! cells goes to stderr.
+//! Invariant: rows are in the order of the times, the most probable cell of each time first; the summary of a time goes to
+//! stderr.
 
 use std::process::ExitCode;
 
@@ -24,13 +24,13 @@ pub(crate) struct PositionArgs {
     /// Model: hypertime-em[:CLUSTERS] or hypertime-km[:CLUSTERS]
     #[arg(long, value_name = "KIND", default_value = "hypertime-em:3")]
     model: ModelSelector,
-    /// Edge of a cell in metres [default: a 64th of the region's longest side, of three coordinates a 24th]
+    /// Edge of a cell in metres [default: 1/64 of the region's longest side, or 1/24 for three coordinates]
     #[arg(long, value_name = "M")]
     resolution: Option<f64>,
-    /// What is told: lower and upper corner in metres [default: where it was observed, and a margin]
+    /// Region to predict: lower and upper corner in metres [default: the observed region with a margin]
     #[arg(long, value_name = "X,Y[,Z]:X,Y[,Z]", value_parser = region, allow_hyphen_values = true)]
     region: Option<Region>,
-    /// Cells of each time, the most probable ones; 0 for all
+    /// Number of cells per time, the most probable ones; 0 for all
     #[arg(long, value_name = "N", default_value_t = 10)]
     top: u32,
 }
@@ -46,7 +46,9 @@ fn region(text: &str) -> Result<Region, String> {
     let corners = text.split_once(':').and_then(|(low, high)| Some((corner(low)?, corner(high)?)));
     match corners {
         Some((low_m, high_m)) if low_m.len() == high_m.len() => Ok(Region { low_m, high_m }),
-        _ => Err(format!("{text:?} is no region: write two corners with as many coordinates, like 0,0:10,5")),
+        _ => Err(format!(
+            "{text:?} is not a region: use two corners with the same number of coordinates, such as 0,0:10,5"
+        )),
     }
 }
 
@@ -82,13 +84,13 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
     Ok(ExitCode::SUCCESS)
 }
 
-/// What there is to say of a time beside its cells.
+/// The summary of a time.
 fn summary(header: &PositionsHeader, forecast: &PositionForecast, time: i64) -> String {
     const NANOS_PER_SEC: i64 = 1_000_000_000;
     let expected: Vec<String> = forecast.expected_m.iter().map(|coordinate| format!("{coordinate:.3}")).collect();
     let age = header.last_nanos.map(|last| time.saturating_sub(last) / NANOS_PER_SEC);
     format!(
-        "{}: expected at {} m, outside of the region with {:.4}; by {} positions, the last {} s before",
+        "{}: expected at {} m, outside of the region with {:.4}; from {} positions, the last {} s before",
         time / NANOS_PER_SEC,
         expected.join(", "),
         forecast.outside,

@@ -1,6 +1,6 @@
 //! `tidemap predict`.
 //!
-//! Invariant: rows come by state as named, then by time as asked; each is written as soon as it is known.
+//! Invariant: rows are in the order of the states, then of the times; each is written as soon as it arrives.
 
 use std::{borrow::Cow, path::PathBuf, process::ExitCode};
 
@@ -16,10 +16,10 @@ use tidemap_formats::table::Cell;
 pub(crate) struct PredictArgs {
     /// Name of the map
     map: String,
-    /// Names of the states; a vector stands for its axes, NAME/x and so on; a cell of the grid is cell/X/Y/Z
+    /// Names of the states; a vector gives one row per axis, NAME/x and so on; a cell of the grid is cell/X/Y/Z
     #[arg(required = true, value_name = "STATE")]
     states: Vec<String>,
-    /// Times
+    /// Times, separated by commas
     #[arg(long, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',')]
     at: Option<Vec<i64>>,
     /// File of times, one a line or in a column `time`; - is stdin
@@ -28,10 +28,10 @@ pub(crate) struct PredictArgs {
     /// First time
     #[arg(long, value_name = "TIME", value_parser = times::time, requires_all = ["to", "step"])]
     from: Option<i64>,
-    /// Time before which the times end
+    /// End of the times, not included
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
     to: Option<i64>,
-    /// Distance of the times
+    /// Step between the times
     #[arg(long, value_name = "DURATION", value_parser = times::duration, requires = "from")]
     step: Option<i64>,
     /// Number of spectral components, 0 to 15 [default: what the last update chose]
@@ -42,8 +42,8 @@ pub(crate) struct PredictArgs {
     /// hypertime-km[:CLUSTERS], poisson, calibrated; cells have auto, mean, latest and spectral
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// Probability with which the interval from lower to upper holds the mean over the hour around the time, 0 (no
-    /// interval) or more and below 1
+    /// Confidence of the interval from lower to upper for the mean over the hour around the time: 0 (no interval) or more,
+    /// and below 1
     #[arg(long, value_name = "P", default_value_t = 0.9)]
     interval: f64,
 }
@@ -66,7 +66,7 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
         (Some(at), ..) => at,
         (None, Some(path), ..) => times::from_file(&path)?,
         (None, None, Some(from), Some(to), Some(step)) => times::steps(from, to, step)?,
-        _ => return Err(usage("say when: --at, --times, or --from with --to and --step")),
+        _ => return Err(usage("give the times with --at, --times, or --from with --to and --step")),
     };
     let mut predictions = session.client.predict(&args.map, args.states, times, model).with_intervals(args.interval);
     let mut table = session.table(&COLUMNS);
@@ -84,12 +84,12 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
     Ok(ExitCode::SUCCESS)
 }
 
-/// Refuses a model that cells of a grid do not have.
+/// Refuses a model that grid cells do not support.
 pub(super) fn check_for_cells(model: ModelSelector) -> Result<(), UsageError> {
     if model.kind.is_for_cells() {
         return Ok(());
     }
-    Err(UsageError(format!("cells have no model {model}: use auto, mean, latest or spectral")))
+    Err(UsageError(format!("cells do not support model {model}: use auto, mean, latest or spectral")))
 }
 
 fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl Iterator<Item = Vec<Cell>> + 'a {

@@ -1,6 +1,7 @@
-//! `tidemap presence` and `tidemap joint`: who is where at a time, and when several states are likely 1 all at once.
+//! `tidemap presence` and `tidemap joint`: the presence of a target at each node, and the next time when all of several
+//! states are likely 1.
 //!
-//! Invariant: rows come by time as asked, then by node, the likeliest first; nodes that were never observed go to stderr.
+//! Invariant: rows are in the order of the times, the most probable node first; nodes without observations go to stderr.
 
 use std::process::ExitCode;
 
@@ -18,10 +19,10 @@ use tidemap_formats::table::Cell;
 pub(crate) struct PresenceArgs {
     /// Name of the map
     map: String,
-    /// Times
+    /// Times, separated by commas
     #[arg(long, required = true, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',')]
     at: Vec<i64>,
-    /// Who or what, by the states node/NODE/KIND [default: the states called like the nodes]
+    /// Kind of target, by the states node/NODE/KIND [default: the states named like the nodes]
     #[arg(long, value_name = "KIND", default_value = "", hide_default_value = true)]
     object: String,
     /// Model, as in `predict`
@@ -36,16 +37,16 @@ pub(crate) struct JointArgs {
     /// Names of the states, such as node/Kitchen/cup
     #[arg(required = true, value_name = "STATE")]
     states: Vec<String>,
-    /// The first time that counts
+    /// Start of the search
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     from: i64,
-    /// How far to look ahead [default: 7d]
+    /// Length of the search [default: 7d]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     within: Option<i64>,
-    /// Distance of the times that are looked at [default: 10m]
+    /// Step between the times that are checked [default: 10m]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     step: Option<i64>,
-    /// What the product of the probabilities has to exceed, 0 to 1 [default: 0.5]
+    /// Minimum product of the probabilities, 0 to 1 [default: 0.5]
     #[arg(long, value_name = "P", allow_hyphen_values = true)]
     threshold: Option<f64>,
     /// Model, as in `predict`

@@ -1,6 +1,6 @@
-//! Who this machine's user is to a daemon, where nothing else was said.
+//! The default producer of this user and machine.
 //!
-//! Invariant: made once and kept; two runs that make it at the same time end up with the same one.
+//! Invariant: the name is generated once and kept; two commands that generate it at the same time get the same name.
 
 use std::{
     env, fs,
@@ -15,9 +15,9 @@ use anyhow::Context as _;
 pub(crate) fn of_user() -> anyhow::Result<String> {
     let folder = |name: &str| env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let config = folder("XDG_CONFIG_HOME").or_else(|| folder("HOME").map(|home| home.join(".config")));
-    let config = config.context("neither XDG_CONFIG_HOME nor HOME is set: say who observes with --producer")?;
+    let config = config.context("neither XDG_CONFIG_HOME nor HOME is set: name the producer with --producer")?;
     let path = config.join("tidemap").join("producer");
-    kept(&path).with_context(|| format!("{}; say who observes with --producer", path.display()))
+    kept(&path).with_context(|| format!("{}; name the producer with --producer", path.display()))
 }
 
 fn kept(path: &Path) -> anyhow::Result<String> {
@@ -48,7 +48,7 @@ fn read(path: &Path) -> anyhow::Result<Option<String>> {
     Ok(Some(id.to_owned()))
 }
 
-/// The machine's name, for people, and something random, because machines are cloned.
+/// The host's name, for people, and random digits, because machines are cloned.
 fn fresh() -> String {
     let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let host: String =
@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_made_once_and_kept() -> anyhow::Result<()> {
+    fn it_is_generated_once_and_kept() -> anyhow::Result<()> {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("deep").join("producer");
         let first = kept(&path)?;

@@ -1,6 +1,6 @@
 //! `tidemap reconstruct`.
 //!
-//! Invariant: observations are shown as they were made, one a row, by time; each is written as soon as it is known.
+//! Invariant: the exact observations, one per row, in the order of their times; each is written as soon as it arrives.
 
 use std::process::ExitCode;
 
@@ -18,7 +18,7 @@ pub(crate) struct ReconstructArgs {
     /// First time
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     from: i64,
-    /// Time before which the observations end
+    /// End of the times, not included
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     to: i64,
 }

@@ -1,6 +1,7 @@
-//! `tidemap route` and `tidemap policy`: the way from one node to another at a time, and what to do after a failure.
+//! `tidemap route` and `tidemap policy`: routes from one node to another for a time, and the actions after failures.
 //!
-//! Invariant: rows come by route from the best, then by step; how sure it is that none is better goes to stderr.
+//! Invariant: rows are in the order of the routes, the best first, then of their steps; the proof of optimality goes to
+//! stderr.
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -25,62 +26,62 @@ pub(crate) struct RouteArgs {
     map: String,
     /// Name of the node where the robot is
     from: String,
-    /// Name of the node where it wants to be
+    /// Name of the goal node
     to: String,
-    /// When it leaves
+    /// Time of departure
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: Option<i64>,
-    /// When it has to be there; it leaves as late as it can
+    /// Latest time of arrival; the robot departs as late as possible
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     arrive: Option<i64>,
-    /// First of the departures among which the best is chosen
+    /// First departure to consider
     #[arg(long = "from", value_name = "TIME", value_parser = times::time, requires = "until")]
     from_time: Option<i64>,
-    /// Last of them
+    /// Last departure to consider
     #[arg(long = "to", value_name = "TIME", value_parser = times::time, requires = "from_time")]
     until: Option<i64>,
-    /// Their distance [default: 60s, or as much more as makes a thousand]
+    /// Step between the departures [default: 60s, or longer for more than 1,000 departures]
     #[arg(long, value_name = "DURATION", value_parser = times::duration, requires = "from_time")]
     step: Option<i64>,
-    /// What the route is best at
+    /// Objective of the route
     #[arg(long, value_name = "WHAT", default_value = "success")]
     objective: ObjectiveArg,
-    /// Between time (0) and success (1), with --objective blend
+    /// Weight between time (0) and success (1), with --objective blend
     #[arg(long, value_name = "W", default_value_t = 0.5, allow_hyphen_values = true)]
     doubt: f64,
-    /// What a failed attempt costs beside its own time, seconds [default: 60]
+    /// Time to recover from a failed attempt, seconds [default: 60]
     #[arg(long, value_name = "SECONDS", allow_hyphen_values = true)]
     recovery: Option<f64>,
-    /// What a failure costs, seconds, with --objective blend [default: 600]
+    /// Cost of a failure, seconds, with --objective blend [default: 600]
     #[arg(long, value_name = "SECONDS", allow_hyphen_values = true)]
     failure_cost: Option<f64>,
-    /// How many next best routes to tell, at most 10
+    /// Number of alternative routes, at most 10
     #[arg(long, value_name = "N", default_value_t = 0)]
     alternatives: u32,
-    /// How likely lower to upper holds the probability [default: 0.9]
+    /// Confidence of the interval from lower to upper [default: 0.9]
     #[arg(long, value_name = "P", allow_hyphen_values = true)]
     interval: Option<f64>,
-    /// No route takes longer [default: 1d]
+    /// Maximum duration of a route [default: 1d]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     horizon: Option<i64>,
-    /// Model, as in `predict`; with +persistence an edge that has just failed counts as unlikely for a while
+    /// Model, as in `predict`; with +persistence an edge that has just failed is unlikely for a while
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// How fast the robot drives where nothing is known, metres a second [default: 0.5]
+    /// Speed on edges without data, metres per second [default: 0.5]
     #[arg(long, value_name = "M/S", allow_hyphen_values = true)]
     speed: Option<f64>,
-    /// Draws the map with the route, as SVG
+    /// Draws the map with the route as SVG
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum ObjectiveArg {
-    /// The greatest chance that nothing fails
+    /// Maximum probability that nothing fails
     Success,
-    /// The least expected time, failures and recovery included
+    /// Minimum expected time, with failures and recovery
     Time,
-    /// Between them, by --doubt
+    /// A blend of both, by --doubt
     Blend,
 }
 
@@ -90,34 +91,34 @@ pub(crate) struct PolicyArgs {
     map: String,
     /// Name of the node to reach
     to: String,
-    /// When it begins
+    /// Start of the policy
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: i64,
-    /// How far it looks ahead [default: 1d]
+    /// Horizon of the policy [default: 1d]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     horizon: Option<i64>,
-    /// How long a slot is [default: 15m]
+    /// Length of a slot [default: 15m]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     slot: Option<i64>,
-    /// What the policy is best at
+    /// Objective of the policy
     #[arg(long, value_name = "WHAT", default_value = "success")]
     objective: PolicyObjectiveArg,
-    /// What a failed attempt costs beside its own time, seconds [default: 60]
+    /// Time to recover from a failed attempt, seconds [default: 60]
     #[arg(long, value_name = "SECONDS", allow_hyphen_values = true)]
     recovery: Option<f64>,
     /// Model, as in `predict`
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// How fast the robot drives where nothing is known, metres a second [default: 0.5]
+    /// Speed on edges without data, metres per second [default: 0.5]
     #[arg(long, value_name = "M/S", allow_hyphen_values = true)]
     speed: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum PolicyObjectiveArg {
-    /// To be there before the last slot ends
+    /// Maximum probability of arriving before the last slot ends
     Success,
-    /// The least expected time
+    /// Minimum expected time
     Time,
 }
 
@@ -144,7 +145,7 @@ pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<Ex
         (None, None, Some(from_nanos), Some(to_nanos)) => {
             RouteTime::DepartWithin { from_nanos, to_nanos, step_nanos: args.step }
         }
-        _ => return Err(usage("say when: --at, --arrive, or --from with --to")),
+        _ => return Err(usage("give the time with --at, --arrive, or --from with --to")),
     };
     files::check_picture(args.picture.as_deref())?;
     let query = RouteQuery {
@@ -188,9 +189,11 @@ pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<Ex
     }
     status_line(match certainty {
         Certainty::Proven => "no route is better",
-        Certainty::WithinResolution => "no route is better, but for ways that arrive within a second of each other",
-        Certainty::Sampled => "no route is better by edges predicted at a few times; that is no proof",
-        Certainty::CutOff => "the time was up: there may be better routes",
+        Certainty::WithinResolution => {
+            "no route is better, except that routes that arrive within the same second were not compared"
+        }
+        Certainty::Sampled => "no better route was found; edges were predicted at few times, so this is no proof",
+        Certainty::CutOff => "the time limit was reached: there may be better routes",
     });
     if let (Some(path), Some(best)) = (&args.picture, routes.first()) {
         let way = best.steps.iter().map(|step| step.edge.clone());
@@ -209,7 +212,7 @@ fn summary(number: usize, route: &Route, routes: usize) -> String {
     let secs = (route.arrival_nanos - route.departure_nanos) as f64 / 1e9;
     let which = if routes > 1 { format!("route {number}: ") } else { String::new() };
     format!(
-        "{which}passes with probability {:.3} ({lower:.3} to {upper:.3}); {secs:.1} s if all goes well, {:.1} s to expect; \
+        "{which}passes with probability {:.3} ({lower:.3} to {upper:.3}); {secs:.1} s without failures, {:.1} s expected; \
          departure {}",
         route.success,
         route.expected_secs,

@@ -1,6 +1,6 @@
 //! `tidemap search`.
 //!
-//! Invariant: rows come in the order of looking; what is not looked at, and why, goes to stderr.
+//! Invariant: rows are in the order of the search; nodes that are left out, and the reason, go to stderr.
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -24,55 +24,55 @@ pub(crate) struct SearchArgs {
     /// Name of the node where the robot is
     #[arg(long, value_name = "NODE")]
     start: String,
-    /// When it starts
+    /// Start of the search
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: i64,
-    /// Whom or what to look for, by the states node/NODE/KIND [default: the states called like the nodes]
+    /// Kind of target, by the states node/NODE/KIND [default: the states named like the nodes]
     #[arg(long, value_name = "KIND", default_value = "", hide_default_value = true)]
     object: String,
-    /// How long the search may take; places that do not fit are left out
+    /// Maximum duration of the search; nodes that do not fit are left out
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     budget: Option<i64>,
-    /// How hard to look for the best order
+    /// Method that chooses the order
     #[arg(long, value_name = "EFFORT", default_value = "auto")]
     effort: EffortArg,
-    /// How long to look for it, at most 60s [default: 2s]
+    /// Time limit of the planning, at most 60s [default: 2s]
     #[arg(long, value_name = "DURATION", value_parser = times::duration_or_none)]
     plan_within: Option<i64>,
-    /// Stops once less than this share of the probability remains, 0 to 1
+    /// Stops when less than this share of the probability remains, 0 to 1
     #[arg(long, value_name = "P", allow_hyphen_values = true)]
     remains_below: Option<f64>,
-    /// Stops where it is not worth the time any more: what a second costs, in units of what finding is worth
+    /// Stops when the search is not worth its time: the cost of a second, relative to the value of finding the target
     #[arg(long, value_name = "COST", allow_hyphen_values = true)]
     cost_per_second: Option<f64>,
-    /// Each place counts as predicted for the robot's arrival there
+    /// Predicts each node for the robot's arrival there
     #[arg(long)]
     for_arrival: bool,
     /// Model, as in `predict`
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// What a place counts at least [default: 1e-6]
+    /// Minimum probability of a node [default: 1e-6]
     #[arg(long, value_name = "P", allow_hyphen_values = true)]
     floor: Option<f64>,
-    /// How fast the robot drives where an edge has a length alone, metres a second [default: 0.5]
+    /// Speed on edges that have a length only, metres per second [default: 0.5]
     #[arg(long, value_name = "M/S", allow_hyphen_values = true)]
     speed: Option<f64>,
-    /// Seed of what is random
+    /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Edges take as long as their reports say, as in `topology predict`, rather than what the map's maker told
+    /// Uses the durations learned from reports, as in `topology predict`, instead of those of the loaded map
     #[arg(long)]
     as_travelled: bool,
-    /// Draws the map with the walk, as SVG
+    /// Draws the map with the search route as SVG
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum EffortArg {
-    /// The best order of up to 40 places, a good one of more
+    /// The best order for up to 40 nodes, a good one for more
     Auto,
-    /// The best order; more places are refused
+    /// The best order; more than 40 nodes are refused
     Exact,
     /// A good order
     Heuristic,
@@ -126,15 +126,15 @@ pub(crate) async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<E
     Ok(ExitCode::SUCCESS)
 }
 
-/// What there is to say of a search beside its steps.
+/// The summary of a search.
 fn summary(search: &Search) -> Vec<String> {
     let Search { expected_secs, lower_bound_secs, remains, .. } = search;
     let proof = if search.optimal {
         "no order is better".to_owned()
     } else {
-        format!("no order is below {lower_bound_secs:.1} s")
+        format!("no order is faster than {lower_bound_secs:.1} s")
     };
-    let mut lines = vec![format!("{expected_secs:.1} s to expect; {proof}")];
+    let mut lines = vec![format!("{expected_secs:.1} s expected; {proof}")];
     lines.extend(search.stop.map(|stop| {
         let why = match stop {
             StopReason::Unlikely => "little remains",

@@ -1,6 +1,6 @@
 //! `tidemap slot`.
 //!
-//! Invariant: one row, the location to look at.
+//! Invariant: one row, the location to observe.
 
 use std::process::ExitCode;
 
@@ -17,13 +17,13 @@ use tidemap_formats::table::Cell;
 pub(crate) struct SlotArgs {
     /// Name of the map
     map: String,
-    /// The middle of the slot
+    /// Middle of the slot
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: i64,
-    /// The location that the day's plan has: it is kept unless something unexpected was seen elsewhere lately
+    /// Location of the day's plan: kept unless something unexpected was observed elsewhere lately
     #[arg(long, value_name = "LOCATION", conflicts_with = "monte_carlo")]
     planned: Option<String>,
-    /// At random, in proportion to the information expected now, instead of the most uncertain location
+    /// Chooses at random, in proportion to the expected information, instead of the most uncertain location
     #[arg(long)]
     monte_carlo: bool,
     /// Locations to choose from [default: all; where the map has none, every state is one]
@@ -32,7 +32,7 @@ pub(crate) struct SlotArgs {
     /// Model: those of predict [default: auto+persistence, with --planned auto]
     #[arg(long, value_name = "KIND")]
     model: Option<ModelSelector>,
-    /// Seed of what is random
+    /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
 }

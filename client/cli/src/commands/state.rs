@@ -1,6 +1,6 @@
 //! `tidemap state`.
 //!
-//! Invariant: states come in the order in which they were first seen, page by page; what was added is durable.
+//! Invariant: states are listed in the order of their first observation, page by page; an added state is durable.
 
 use std::process::ExitCode;
 
@@ -12,22 +12,21 @@ use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum StateCommand {
-    /// Lists the states of a map, in the order in which they were first seen
+    /// Lists the states of a map, in the order of their first observation
     List {
         /// Name of the map
         map: String,
     },
-    /// Adds a state before anything is observed of it, so that its values mean what they are to mean
+    /// Adds a state before its first observation, to set its kind
     Add {
         /// Name of the map
         map: String,
         /// Name of the state
         state: String,
-        /// What its values mean: probability (0 to 1), continuous (any number), count (0, 1, 2, …) or vector
-        /// (a position)
+        /// Kind of its values: probability (0 to 1), continuous (any number), count (0, 1, 2, …) or vector (a position)
         #[arg(long, value_name = "KIND", default_value = "probability")]
         kind: StateKind,
-        /// How many coordinates a vector has, 2 or 3
+        /// Number of coordinates of a vector, 2 or 3
         #[arg(long, value_name = "N", required_if_eq("kind", "vector"), value_parser = clap::value_parser!(u32).range(2..=3))]
         dimensions: Option<u32>,
     },

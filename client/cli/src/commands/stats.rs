@@ -1,6 +1,6 @@
 //! `tidemap stats`.
 //!
-//! Invariant: counters are shown as the daemon names them.
+//! Invariant: counters have the names that the daemon gives them.
 
 use std::process::ExitCode;
 

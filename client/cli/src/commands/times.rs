@@ -1,6 +1,6 @@
-//! Times and durations as arguments, and lists of them.
+//! Times, durations and lists of times as arguments.
 //!
-//! Invariant: `now` is read from the clock once, when the command line is.
+//! Invariant: the clock is read once for each `now`, when the command line is parsed.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use tidemap_map::time::{InvalidDuration, InvalidTime, parse_duration, parse_time
 
 use super::{UsageError, files};
 
-/// Most times of one `--from --to --step`.
+/// Maximum number of times of one `--from --to --step`.
 const STEPS_MAX: i64 = 10_000_000;
 
 /// A time, or `now`.
@@ -31,7 +31,7 @@ pub(crate) fn duration_or_none(text: &str) -> Result<i64, InvalidDuration> {
     }
 }
 
-/// Times from `from` in steps of `step`, up to but without `to`.
+/// Times from `from` to `to` in steps of `step`; `to` is not included.
 pub(crate) fn steps(from: i64, to: i64, step: i64) -> Result<Vec<i64>, UsageError> {
     if from >= to {
         return Err(UsageError("--from must be before --to, which is not included".to_owned()));
@@ -44,7 +44,7 @@ pub(crate) fn steps(from: i64, to: i64, step: i64) -> Result<Vec<i64>, UsageErro
     Ok(std::iter::successors(Some(from), |time| time.checked_add(step)).take_while(|&time| time < to).collect())
 }
 
-/// The times of a file, one a line, or of its column `time` where it has a header; `-` is stdin.
+/// The times of a file: one per line, or the column `time` if it has a header; `-` is stdin.
 pub(crate) fn from_file(path: &Path) -> anyhow::Result<Vec<i64>> {
     from_text(&files::read_text(path)?).with_context(|| path.display().to_string())
 }
@@ -62,7 +62,7 @@ fn from_text(text: &str) -> anyhow::Result<Vec<i64>> {
         let field = if header.is_some() { line.split(',').nth(column).unwrap_or("") } else { line };
         times.push(parse_time(field.trim()).with_context(|| format!("line {number}"))?);
     }
-    anyhow::ensure!(!times.is_empty(), "it holds no times: write one a line");
+    anyhow::ensure!(!times.is_empty(), "it has no times: write one per line");
     Ok(times)
 }
 

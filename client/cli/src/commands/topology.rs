@@ -1,6 +1,6 @@
 //! `tidemap topology`.
 //!
-//! Invariant: a file is loaded whole or not at all; what was changed is durable.
+//! Invariant: a file is loaded completely or not at all; a change is durable when the command ends.
 
 use std::{
     io,
@@ -28,41 +28,41 @@ use tidemap_formats::{
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum TopologyCommand {
-    /// Loads nodes and edges from a file, in place of those that are there; those of the same names keep their numbers
+    /// Replaces the nodes and edges with those of a file; those with the same names keep their numbers
     ///
-    /// A file that ends in .yaml or .yml is a ROS topological map. Any other has lines `node A`, `link A B SECONDS` (both
-    /// ways) and `edge A B SECONDS` (one way); - is stdin.
+    /// A file that ends in .yaml or .yml is a ROS topological map. Any other file has lines `node A`, `link A B SECONDS`
+    /// (both ways) and `edge A B SECONDS` (one way); - is stdin.
     Load {
         /// Name of the map
         map: String,
-        /// The file
+        /// File to load
         file: PathBuf,
-        /// Adds to the nodes and edges that are there
+        /// Adds to the existing nodes and edges
         #[arg(long)]
         add: bool,
     },
-    /// Shows the nodes, or the edges
+    /// Shows the nodes or the edges
     Show {
         /// Name of the map
         map: String,
-        /// Shows the edges, each direction as one
+        /// Shows the edges, one row per direction
         #[arg(long)]
         edges: bool,
     },
-    /// Lists the traversals that failed, the newest first; the map keeps 1,000
+    /// Lists failed traversals, the newest first; the map keeps 1,000
     Failures {
         /// Name of the map
         map: String,
-        /// How many at most [default: all that are kept]
+        /// Maximum number [default: all that are kept]
         #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
         limit: Option<u32>,
-        /// Those of one edge alone
+        /// Failures of this edge only
         #[arg(long, value_name = "FROM/TO[/ACTION]", value_parser = edge_of)]
         edge: Option<EdgeEnds>,
     },
-    /// Shows how likely each edge is passed at a time, and how long it takes
+    /// Predicts the probability of success and the duration of each edge at a time
     ///
-    /// reports is how often an edge was reported; where that is 0, the row is what edges of the map usually are.
+    /// reports is the number of reports of the edge; an edge without reports gets the average of the map's edges.
     Predict(EdgeForecastArgs),
     /// Changes one node or edge
     #[command(subcommand)]
@@ -73,19 +73,19 @@ pub(crate) enum TopologyCommand {
 pub(crate) struct EdgeForecastArgs {
     /// Name of the map
     map: String,
-    /// The time
+    /// Time of the prediction
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: i64,
     /// Model, as in `predict`
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// How fast the robot drives where nothing is known, metres a second [default: 0.5]
+    /// Speed on edges without data, metres per second [default: 0.5]
     #[arg(long, value_name = "M/S", allow_hyphen_values = true)]
     speed: Option<f64>,
-    /// Draws the map as SVG, with who is likely where
+    /// Draws the map with the presence at each node as SVG
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
-    /// Who or what is drawn at nodes, by the states node/NODE/KIND [default: the states called like the nodes]
+    /// Kind of target to draw, by the states node/NODE/KIND [default: the states named like the nodes]
     #[arg(long, value_name = "KIND", default_value = "", hide_default_value = true)]
     object: String,
 }
@@ -94,29 +94,29 @@ pub(crate) struct EdgeForecastArgs {
 pub(crate) enum EditCommand {
     /// Adds a node
     AddNode(NodeArgs),
-    /// Says where a node lies, and how long a look there takes
+    /// Sets the position of a node, and the time to observe it
     SetNode(NodeArgs),
-    /// Removes a node, and all edges at it
+    /// Removes a node and all its edges
     RemoveNode {
         /// Name of the map
         map: String,
         /// Name of the node
         node: String,
     },
-    /// Renames a node; its states go with it
+    /// Renames a node and its states
     RenameNode {
         /// Name of the map
         map: String,
-        /// Its name so far
+        /// Current name
         from: String,
-        /// Its new name
+        /// New name
         to: String,
     },
-    /// Adds an edge both ways
+    /// Adds an edge in both directions
     Link(LinkArgs),
-    /// Gives an edge, both ways, another time or length
+    /// Changes the time or length of an edge in both directions
     SetLink(LinkArgs),
-    /// Removes an edge, both ways
+    /// Removes an edge in both directions
     Unlink(EndsArgs),
 }
 
@@ -126,13 +126,13 @@ pub(crate) struct NodeArgs {
     map: String,
     /// Name of the node
     node: String,
-    /// Where it lies, metres
+    /// Its position, metres
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
     position: Option<Point>,
     /// Its heading, radians from the x axis
     #[arg(long, value_name = "RAD", allow_hyphen_values = true, default_value_t = 0.0, requires = "position")]
     yaw: f64,
-    /// How long a look there takes, seconds
+    /// Time to observe it, seconds
     #[arg(long, value_name = "SECONDS", allow_hyphen_values = true)]
     dwell: Option<f64>,
 }
@@ -145,10 +145,10 @@ pub(crate) struct EndsArgs {
     from: String,
     /// Name of the node where it ends
     to: String,
-    /// How it is travelled [default: as usual]
+    /// Action of the robot on the edge [default: none]
     #[arg(long, default_value = "", hide_default_value = true)]
     action: String,
-    /// Not the way back
+    /// Only from the first node to the second
     #[arg(long)]
     one_way: bool,
 }
@@ -157,7 +157,7 @@ pub(crate) struct EndsArgs {
 pub(crate) struct LinkArgs {
     #[command(flatten)]
     ends: EndsArgs,
-    /// What it nominally takes
+    /// Its nominal time, seconds
     #[arg(allow_hyphen_values = true, required_unless_present = "length")]
     seconds: Option<f64>,
     /// Its length, metres
@@ -205,13 +205,13 @@ impl EditCommand {
 
 /// An edge by its name.
 fn edge_of(text: &str) -> Result<EdgeEnds, String> {
-    let edge = EdgeName::parse(text).map_err(|_| format!("{text:?} is no edge: write FROM/TO or FROM/TO/ACTION"))?;
+    let edge = EdgeName::parse(text).map_err(|_| format!("{text:?} is not an edge: use FROM/TO or FROM/TO/ACTION"))?;
     let action = edge.action.map_or_else(String::new, |action| action.as_str().to_owned());
     let (from, to) = (edge.from.as_str().to_owned(), edge.to.as_str().to_owned());
     Ok(EdgeEnds { from, to, action, both_ways: false })
 }
 
-/// Reads a file, by its ending.
+/// Reads a file in the format of its ending.
 fn read(path: &Path) -> anyhow::Result<Topology> {
     let text = files::read_text(path)?;
     let is_yaml = matches!(files::ending(path).as_deref(), Some("yaml" | "yml"));
@@ -234,7 +234,7 @@ pub(crate) async fn run(session: &Session, command: TopologyCommand) -> anyhow::
         TopologyCommand::Load { map, file, add } => {
             let topology = read(&file)?;
             if topology.nodes.is_empty() && !add {
-                return Err(usage(format!("{}: it holds no nodes: write a line `node NAME` for each", file.display())));
+                return Err(usage(format!("{}: it has no nodes: write a line `node NAME` for each", file.display())));
             }
             session.client.load_topology(&map, &topology, add).await?
         }

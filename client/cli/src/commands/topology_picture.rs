@@ -1,6 +1,6 @@
-//! Pictures of the topological map at a time: who is likely where, which ways are likely open.
+//! Pictures of the topological map at a time: the presence at its nodes, and the success of its edges.
 //!
-//! Invariant: what was never observed is grey; a map that nobody was ever looked for in is drawn all the same.
+//! Invariant: nodes and edges without observations are grey; a map without any presence data is drawn anyway.
 
 use std::collections::HashMap;
 
@@ -14,16 +14,16 @@ use tonic::Code;
 use super::Session;
 use tidemap_formats::topology_svg::{self, PictureEdge, PictureNode, TopologyPicture};
 
-/// What is drawn over the map.
+/// A route drawn over the map.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Overlay {
-    /// Edges of a way: from, to, and by which action where that is known.
+    /// Edges of the route: from, to, and the action if it is known.
     pub(crate) way: Vec<(String, String, Option<String>)>,
-    /// Nodes in their order.
+    /// Nodes to number, in their order.
     pub(crate) numbered: Vec<String>,
 }
 
-/// The map at a time.
+/// Draws the map at a time.
 pub(crate) async fn draw(
     session: &Session,
     map: &str,

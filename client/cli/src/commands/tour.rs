@@ -1,6 +1,6 @@
 //! `tidemap tour`.
 //!
-//! Invariant: goals come in driving order; a tour without goals says why.
+//! Invariant: goals are in driving order; for a tour without goals the reason is reported.
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -18,28 +18,28 @@ use tidemap_formats::{table::Cell, tour_svg};
 pub(crate) struct TourArgs {
     /// Name of the map
     map: String,
-    /// When it is driven
+    /// Time of the tour
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: i64,
-    /// Goals, at most
+    /// Maximum number of goals
     #[arg(long, value_name = "N", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..=100))]
     count: u32,
-    /// Where the robot starts and returns to, metres [default: the map's charger]
+    /// Position where the robot starts and to which it returns, metres [default: the map's charger]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
     start: Option<Point>,
-    /// The robot stays at its last goal
+    /// The robot does not return from its last goal
     #[arg(long)]
     open: bool,
-    /// How long the tour may take, return included
+    /// Maximum duration of the tour, including the return
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     budget: Option<i64>,
-    /// How far the robot sees, metres [default: 4]
+    /// Range of the robot's sensor, metres [default: 4]
     #[arg(long, value_name = "M")]
     range: Option<f64>,
-    /// Height of its sensor, metres [default: 1.7]
+    /// Height of the sensor, metres [default: 1.7]
     #[arg(long, value_name = "M", allow_hyphen_values = true)]
     sensor_height: Option<f64>,
-    /// Distance between the places to choose from, metres [default: 1]
+    /// Distance between candidate goals, metres [default: 1]
     #[arg(long, value_name = "M")]
     spacing: Option<f64>,
     /// Radius of the robot, metres [default: 0.3]
@@ -48,16 +48,16 @@ pub(crate) struct TourArgs {
     /// Height of the robot, metres [default: 1.8]
     #[arg(long, value_name = "M")]
     robot_height: Option<f64>,
-    /// How fast it drives, metres a second [default: 0.5]
+    /// Speed of the robot, metres per second [default: 0.5]
     #[arg(long, value_name = "M/S")]
     speed: Option<f64>,
-    /// How long it looks at each goal [default: 60s]
+    /// Time to observe at each goal [default: 60s]
     #[arg(long, value_name = "DURATION", value_parser = times::duration_or_none)]
     observing: Option<i64>,
     /// Model of the grid: auto, mean, latest or spectral, each optionally with +persistence
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// Draws the tour over the predicted map, as SVG
+    /// Draws the tour over the predicted map as SVG
     #[arg(long, value_name = "FILE.svg")]
     picture: Option<PathBuf>,
 }
@@ -115,7 +115,7 @@ pub(crate) async fn run(session: &Session, args: TourArgs) -> anyhow::Result<Exi
     Ok(ExitCode::SUCCESS)
 }
 
-/// The tour over the map that is predicted for its time.
+/// Draws the tour over the map predicted for its time.
 async fn draw(session: &Session, query: &TourQuery, tour: &Tour) -> anyhow::Result<String> {
     let map = session.client.map(&query.map).await?;
     let start = query.start_m.or(map.charger_m);

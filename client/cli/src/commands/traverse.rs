@@ -19,14 +19,14 @@ use tidemap_formats::{
     table::Cell,
 };
 
-/// Label of reports without a file.
+/// Default label of single reports.
 const LABEL: &str = "traverse";
 
 #[derive(Debug, Args)]
 pub(crate) struct TraverseArgs {
     /// Name of the map
     map: String,
-    /// File with the columns from,to,start,end,success and perhaps action and reason; - is stdin
+    /// File with the columns from,to,start,end,success and optionally action and reason; - is stdin
     #[arg(required_unless_present = "from", conflicts_with_all = ["from", "to", "action", "start", "end", "success", "reason"])]
     file: Option<PathBuf>,
     /// Without a file: name of the node where the edge begins
@@ -35,19 +35,19 @@ pub(crate) struct TraverseArgs {
     /// Name of the node where it ends
     #[arg(long, value_name = "NODE", requires = "from")]
     to: Option<String>,
-    /// By which action it was travelled [default: as usual]
+    /// Action of the robot on the edge [default: none]
     #[arg(long, value_name = "ACTION", requires = "from")]
     action: Option<String>,
-    /// When the robot set out
+    /// When the robot started
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
     start: Option<i64>,
     /// When it arrived or gave up, within a day
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
     end: Option<i64>,
-    /// Whether it arrived
+    /// Whether the robot arrived
     #[arg(long, value_name = "true|false", value_parser = parse_success, requires = "from")]
     success: Option<bool>,
-    /// Why it did not, at most 200 characters
+    /// Reason of a failure, at most 200 characters
     #[arg(long, value_name = "TEXT", requires = "from")]
     reason: Option<String>,
     #[command(flatten)]

@@ -1,6 +1,6 @@
 //! `tidemap update`.
 //!
-//! Invariant: what is shown is the report of the job that this command started.
+//! Invariant: the report is that of the job that this command started.
 
 use std::process::ExitCode;
 
@@ -16,7 +16,7 @@ use tidemap_formats::table::Cell;
 pub(crate) struct UpdateArgs {
     /// Name of the map
     map: String,
-    /// Takes only observations before this time [default: all there are]
+    /// Learns only observations before this time [default: all]
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     until: Option<i64>,
 }
@@ -36,7 +36,7 @@ pub(crate) async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<
         let page = client.update_report(started.id, &page_token).await;
         if page.as_ref().is_err_and(|error| error.code() == Some(Code::NotFound)) {
             status_line(&format!(
-                "the update is done, but another one followed at once: `tidemap job list` shows job {}",
+                "the update is done, but another one followed immediately: `tidemap job list` shows job {}",
                 started.id
             ));
             break;
@@ -58,7 +58,7 @@ pub(crate) async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<
     }
     table.finish()?;
     if states == 0 && ended.observations == 0 {
-        status_line(&format!("map {:?} has no observations to fold in", args.map));
+        status_line(&format!("map {:?} has no observations to learn", args.map));
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -1,6 +1,6 @@
 //! `tidemap visit`.
 //!
-//! Invariant: a visit that was reported is durable.
+//! Invariant: the report is durable when the command ends.
 
 use std::process::ExitCode;
 
@@ -12,13 +12,13 @@ use super::{Session, point::Point, times};
 pub(crate) struct VisitArgs {
     /// Name of the map
     map: String,
-    /// Where the robot was sent, metres
+    /// Goal of the robot, metres
     #[arg(value_name = "X,Y", allow_hyphen_values = true)]
     at: Point,
-    /// Whether it got there
+    /// Whether the robot reached it
     #[arg(long, value_name = "true|false", action = ArgAction::Set)]
     reached: bool,
-    /// When [default: now]
+    /// Time of the visit [default: now]
     #[arg(long = "at", value_name = "TIME", value_parser = times::time)]
     time: Option<i64>,
 }

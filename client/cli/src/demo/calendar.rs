@@ -1,7 +1,7 @@
-//! The days of the demo.
+//! The dates of the demo.
 //!
-//! Invariant: fixed dates, so that a seed always shows the same picture. All are past, because a daemon keeps what is
-//! from the future waiting; they hold a change to summer time (30 March), and "tomorrow" is a working day.
+//! Invariant: dates are fixed, so that a seed always shows the same picture. They are in the past, because a daemon delays
+//! data from the future; they include a change to summer time (30 March), and "tomorrow" is a working day.
 
 use anyhow::Context as _;
 use jiff::{
@@ -15,7 +15,7 @@ const TOMORROW: Date = date(2025, 4, 15);
 /// A day off after it.
 const SATURDAY: Date = date(2025, 4, 19);
 
-/// The weeks observed, and the days predicted.
+/// The observed weeks, and the predicted days.
 pub(super) struct Calendar {
     zone: TimeZone,
     weeks: u32,
@@ -27,7 +27,7 @@ impl Calendar {
         Ok(Self { zone, weeks })
     }
 
-    /// Where the observations start, in nanoseconds UTC.
+    /// Start of the observations, in nanoseconds UTC.
     pub(super) fn start(&self) -> i64 {
         self.week_end(0)
     }
@@ -38,7 +38,7 @@ impl Calendar {
         self.midnight(TOMORROW.saturating_sub(Span::new().weeks(weeks)))
     }
 
-    /// The first instant of the local date on which a time lies, both in nanoseconds UTC.
+    /// Start of the local date of a time, both in nanoseconds UTC.
     pub(super) fn midnight_before(&self, utc_nanos: i64) -> i64 {
         self.midnight(self.local_date(utc_nanos))
     }
@@ -48,7 +48,7 @@ impl Calendar {
         [TOMORROW, SATURDAY].map(|day| (day.strftime("%A %-d %B %Y").to_string(), self.samples(self.midnight(day))))
     }
 
-    /// The last local date before an instant in nanoseconds UTC, for people.
+    /// The last local date before a time in nanoseconds UTC, as text.
     pub(super) fn last_day(&self, utc_nanos: i64) -> String {
         self.local_date(utc_nanos - 1).strftime("%a %-d %b").to_string()
     }

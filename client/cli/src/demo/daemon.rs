@@ -1,6 +1,6 @@
-//! A daemon of the demo's own: started in a temporary folder, on ports that are free, and ended with it.
+//! The daemon of the demo, in a temporary folder and on free ports.
 //!
-//! Invariant: unless it is kept on purpose, neither the process nor the folder outlives this value.
+//! Invariant: neither the process nor the folder outlives [`Daemon`], unless `keep` is called.
 
 use std::{
     env, fs,
@@ -19,7 +19,7 @@ use tempfile::TempDir;
 
 const START_TIMEOUT: Duration = Duration::from_secs(30);
 const STOP_TIMEOUT: Duration = Duration::from_secs(10);
-/// Lines of the daemon's log that are shown when it fails.
+/// Number of log lines in an error.
 const LOG_LINES: usize = 8;
 
 /// A running `tidemapd`.
@@ -29,14 +29,14 @@ pub(super) struct Daemon {
     address: String,
 }
 
-/// A daemon that was kept.
+/// A daemon that continues after the demo.
 pub(super) struct KeptDaemon {
     pub(super) pid: u32,
     pub(super) folder: PathBuf,
 }
 
 impl Daemon {
-    /// Starts `program`, or the `tidemapd` beside the running executable, and waits until it is ready.
+    /// Starts `program`, or the `tidemapd` beside this executable, and waits until it is ready.
     pub(super) fn start(program: Option<&Path>) -> anyhow::Result<Self> {
         let program = program.map_or_else(beside, |path| Ok(path.to_path_buf()))?;
         let folder = tempfile::Builder::new().prefix("tidemap-demo-").tempdir().context("no temporary folder")?;
@@ -45,20 +45,20 @@ impl Daemon {
             .arg("--data-dir")
             .arg(folder.path().join("data"))
             .args(["--listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0"])
-            // Settings of a real daemon on this machine are not meant for this one.
+            // Settings of another daemon on this machine do not apply.
             .env_clear()
             .envs(env::vars_os().filter(|(key, _)| !key.to_string_lossy().starts_with("TIDEMAP_")))
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(log)
-            // Ctrl-C is for the demo, which then ends the daemon.
+            // Ctrl-C reaches the demo only, which then stops the daemon.
             .process_group(0)
             .spawn()
             .map_err(|error| match error.kind() {
                 ErrorKind::NotFound => anyhow!("{} does not exist; name the daemon with --daemon", program.display()),
                 _ => anyhow!("{} cannot be started: {error}", program.display()),
             })?;
-        // From here on, dropping ends the process.
+        // From here on, drop stops the process.
         let mut daemon = Self { child, folder: Some(folder), address: String::new() };
         daemon.address = daemon.wait_until_ready()?;
         Ok(daemon)
@@ -69,7 +69,7 @@ impl Daemon {
         &self.address
     }
 
-    /// Leaves the daemon running, with its folder.
+    /// Leaves the daemon and its folder.
     pub(super) fn keep(mut self) -> KeptDaemon {
         let folder = self.folder.take().map(TempDir::keep).unwrap_or_default();
         KeptDaemon { pid: self.child.id(), folder }
@@ -78,7 +78,7 @@ impl Daemon {
     fn wait_until_ready(&mut self) -> anyhow::Result<String> {
         let stdout = self.child.stdout.take().context("the daemon has no stdout")?;
         let (sender, lines) = mpsc::channel();
-        // A thread, because a pipe cannot be waited for with a time limit. It ends with the pipe.
+        // A thread, because reading from a pipe has no time limit. It ends with the pipe.
         thread::spawn(move || {
             for line in BufReader::new(stdout).lines().map_while(Result::ok) {
                 if sender.send(line).is_err() {
@@ -124,7 +124,7 @@ impl Daemon {
                 thread::sleep(Duration::from_millis(10));
             }
         }
-        // It does not listen: nothing in its folder is worth waiting for.
+        // It does not stop; its folder is removed anyway.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -132,7 +132,7 @@ impl Daemon {
 
 impl Drop for Daemon {
     fn drop(&mut self) {
-        // Without a folder it was kept.
+        // A kept daemon has no folder here.
         if self.folder.is_some() {
             self.stop();
         }

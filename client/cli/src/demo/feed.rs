@@ -1,6 +1,6 @@
-//! The robots: each its own producer, all streaming at once.
+//! The robots: one producer each, all sending concurrently.
 //!
-//! Invariant: what a robot hands over here is what it saw in the simulation, in time order.
+//! Invariant: a robot sends its observations of the simulation in time order.
 
 use anyhow::Context as _;
 use tidemap_client::{
@@ -12,7 +12,7 @@ use tokio::task::JoinSet;
 
 use super::MAP;
 
-/// The robots, and how far they are.
+/// The robots, and the time that they have reached.
 pub(super) struct Robots {
     robots: Vec<Robot>,
     until_nanos: i64,
@@ -26,11 +26,11 @@ struct Robot {
 }
 
 impl Robots {
-    /// One stream per robot; they start to drive at `start_nanos` UTC.
+    /// Opens a stream per robot; the robots start at `start_nanos` UTC.
     pub(super) async fn open(client: &Client, office: &Office, start_nanos: i64) -> anyhow::Result<Self> {
         let mut robots = Vec::new();
         for (index, name) in office.robots().into_iter().enumerate() {
-            // The update then runs whenever all robots' data has passed a midnight.
+            // The update runs when the data of all robots has passed midnight.
             let options = ProducerOptions { nightly: true, ..ProducerOptions::new(name, "", MAP) };
             let producer = Producer::open(client, options).await.with_context(|| name.to_owned())?;
             robots.push(Robot { index, producer, seen_until_nanos: start_nanos });
@@ -38,7 +38,7 @@ impl Robots {
         Ok(Self { robots, until_nanos: start_nanos })
     }
 
-    /// Lets all robots drive until a time in nanoseconds UTC, and waits until what they saw is durable.
+    /// Drives all robots until a time in nanoseconds UTC, and waits until their observations are durable.
     pub(super) async fn drive(&mut self, office: &Office, until_nanos: i64) -> anyhow::Result<()> {
         let mut driving = JoinSet::new();
         for mut robot in self.robots.drain(..) {
@@ -56,12 +56,12 @@ impl Robots {
         Ok(())
     }
 
-    /// Observations acknowledged so far.
+    /// Number of acknowledged observations.
     pub(super) fn sent(&self) -> u64 {
         self.robots.iter().map(|robot| robot.producer.progress().durable_sequence).sum()
     }
 
-    /// Up to when all robots have sent data, in nanoseconds UTC.
+    /// The time up to which all robots have sent data, in nanoseconds UTC.
     pub(super) fn seen_until(&self) -> i64 {
         self.robots.iter().map(|robot| robot.seen_until_nanos).min().unwrap_or(self.until_nanos)
     }
@@ -70,7 +70,7 @@ impl Robots {
 impl Robot {
     async fn drive(&mut self, office: &Office, from_nanos: i64, until_nanos: i64) -> anyhow::Result<()> {
         let states = office.states();
-        // A day at a time: the iterator is not held across the waiting.
+        // A day at a time, so that the iterator is not held across an await.
         const DAY_NANOS: i64 = 24 * 3600 * 1_000_000_000;
         let mut from = from_nanos;
         while from < until_nanos {

@@ -1,6 +1,6 @@
-//! What the daemon expects of a day, beside what the simulation has in store.
+//! The daemon's forecasts of a day, and the truth of the simulation.
 //!
-//! Invariant: the truth is looked up after the prediction was made and is never sent anywhere.
+//! Invariant: the truth is computed after the prediction and is never sent.
 
 use tidemap_client::{
     Client,
@@ -14,11 +14,11 @@ use super::MAP;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Forecast {
     pub(super) state: &'static str,
-    /// Observations that it rests on.
+    /// Number of observations behind the forecast.
     pub(super) observations: u64,
-    /// Probabilities by the model in force.
+    /// Probabilities of the chosen model.
     pub(super) predicted: Vec<f64>,
-    /// Probabilities by the plain mean.
+    /// Probabilities of the mean.
     pub(super) plain: Vec<f64>,
     pub(super) truth: Vec<f64>,
 }
@@ -29,19 +29,19 @@ impl Forecast {
         mean_squared(&self.predicted, &self.truth)
     }
 
-    /// Mean squared error of the plain mean.
+    /// Mean squared error of the mean model.
     pub(super) fn plain_error(&self) -> f64 {
         mean_squared(&self.plain, &self.truth)
     }
 }
 
-/// Mean errors over several states: of the predictions, and of the plain mean.
+/// Mean errors over several states: of the predictions, and of the mean model.
 pub(super) fn errors(forecasts: &[Forecast]) -> (f64, f64) {
     let mean = |error: fn(&Forecast) -> f64| forecasts.iter().map(error).sum::<f64>() / forecasts.len().max(1) as f64;
     (mean(Forecast::error), mean(Forecast::plain_error))
 }
 
-/// Forecasts of all states of the office, in its order, at times in nanoseconds UTC.
+/// Forecasts of all states of the office, in their order, at times in nanoseconds UTC.
 pub(super) async fn all(client: &Client, office: &Office, times_nanos: &[i64]) -> anyhow::Result<Vec<Forecast>> {
     let mut forecasts: Vec<Forecast> = office.states().iter().map(|&state| Forecast::empty(state)).collect();
     for kind in [ModelKind::Auto, ModelKind::Mean] {

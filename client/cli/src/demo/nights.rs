@@ -1,6 +1,6 @@
 //! Waiting for the nightly updates.
 //!
-//! Invariant: what is predicted afterwards rests on everything before the midnight waited for.
+//! Invariant: later predictions come from all observations before the midnight.
 
 use std::time::{Duration, Instant};
 
@@ -9,11 +9,10 @@ use tidemap_client::{Client, updates::JobState};
 
 use super::MAP;
 
-/// Nights that take longer than this do not come.
 const TIMEOUT: Duration = Duration::from_secs(60);
 const POLL: Duration = Duration::from_millis(20);
 
-/// Waits until the updates that data time starts have folded in everything before `cut_nanos` UTC.
+/// Waits until the automatic updates have learned everything before `cut_nanos` UTC.
 pub(super) async fn passed(client: &Client, cut_nanos: i64) -> anyhow::Result<()> {
     let deadline = Instant::now() + TIMEOUT;
     loop {
@@ -28,7 +27,7 @@ pub(super) async fn passed(client: &Client, cut_nanos: i64) -> anyhow::Result<()
     }
 }
 
-/// Has everything before `until_nanos` UTC folded in: the last night, which no later data closes.
+/// Runs an update up to `until_nanos` UTC: no later data triggers the last update.
 pub(super) async fn close(client: &Client, until_nanos: i64) -> anyhow::Result<()> {
     let mut job = client.run_update(MAP, Some(until_nanos)).await?;
     let mut watch = client.watch_job(job.id).await?;

@@ -1,21 +1,20 @@
-//! Pictures of a day in a terminal: probability as bars, truth beneath, hours beneath that.
+//! Pictures of a day as text: the probabilities as bars, with the truth and the hours below.
 //!
-//! Invariant: pure text without colour, at most 100 columns wide, the same on a terminal and in a file.
+//! Invariant: plain text without colour, at most 100 columns wide.
 
 use std::fmt::Write as _;
 
-/// Columns of an hour.
 const HOUR_COLUMNS: usize = 3;
-/// Columns of a day; one stands for 20 minutes.
+/// Columns of a day; a column is 20 minutes.
 pub(super) const DAY_COLUMNS: usize = 24 * HOUR_COLUMNS;
-/// Width of what stands left of a picture.
+/// Width of the labels left of a picture.
 const MARGIN: usize = 12;
-/// Rows of the bars of a prediction.
+/// Height of the bars, in rows.
 const ROWS: usize = 2;
 
 const BARS: [char; 9] = [' ', '▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// Bars of a prediction, over the truth. Both hold samples at even distances over one day, in [0, 1].
+/// The bars of a prediction above the truth. Both are evenly spaced samples over one day, within [0, 1].
 pub(super) fn day(predicted: &[f64], truth: &[f64]) -> String {
     let mut text = String::new();
     for (row, label) in [(1, "predicted"), (0, "")] {
@@ -27,7 +26,7 @@ pub(super) fn day(predicted: &[f64], truth: &[f64]) -> String {
     text
 }
 
-/// The hours beneath a day.
+/// The line of the hours.
 pub(super) fn hours() -> String {
     let mut line = String::new();
     for hour in (0..24).step_by(3) {
@@ -38,7 +37,7 @@ pub(super) fn hours() -> String {
     text
 }
 
-/// Means of the samples of each column.
+/// The mean of the samples of each column.
 fn columns(samples: &[f64]) -> Vec<f64> {
     let edge = |column: usize| column * samples.len() / DAY_COLUMNS;
     (0..DAY_COLUMNS)
@@ -49,15 +48,15 @@ fn columns(samples: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// The piece of a bar that lies in a row, counted from below. The lowest row always shows its ground line, so that a
-/// probability of 0 is seen as one.
+/// The part of a bar in a row, counted from below. The lowest row always shows at least a line, so that a probability of
+/// 0 is visible.
 fn bar(value: f64, row: usize) -> char {
     let eighths = (value.clamp(0.0, 1.0) * (8 * ROWS) as f64).round() as usize;
     let piece = eighths.saturating_sub(8 * row).min(8);
     BARS[if row == 0 { piece.max(1) } else { piece }]
 }
 
-/// For how much of a column the state was 1.
+/// The mark for the share of a column in which the state is 1.
 fn mark(share: f64) -> char {
     match share {
         share if share >= 0.75 => '█',

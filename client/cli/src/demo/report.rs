@@ -1,6 +1,6 @@
-//! What the demo says.
+//! The texts of the demo.
 //!
-//! Invariant: pure text, at most 100 columns wide, for somebody who has never heard of tidemap.
+//! Invariant: plain text, at most 100 columns wide, for readers who are new to tidemap.
 
 use std::{
     fmt::{self, Write as _},
@@ -14,10 +14,10 @@ use super::{
     picture, words,
 };
 
-/// Components whose periods are said; more are counted.
-const COMPONENTS_SAID: usize = 4;
+/// Number of components whose periods are listed; the others are counted.
+const COMPONENTS_LISTED: usize = 4;
 
-/// Before the first week.
+/// The text before the first week.
 pub(super) fn opening(weeks: u32, robots: &[&str], states: usize, address: &str) -> Result<String, fmt::Error> {
     let mut text = String::new();
     writeln!(text, "tidemap demo: {weeks} weeks in a simulated office\n")?;
@@ -35,7 +35,7 @@ pub(super) fn opening(weeks: u32, robots: &[&str], states: usize, address: &str)
     Ok(text)
 }
 
-/// After a week.
+/// The line after each week.
 pub(super) fn week(week: u32, last_day: &str, observations: u64, forecasts: &[Forecast]) -> Result<String, fmt::Error> {
     let (error, plain) = errors(forecasts);
     let mut text = String::new();
@@ -48,7 +48,7 @@ pub(super) fn week(week: u32, last_day: &str, observations: u64, forecasts: &[Fo
     Ok(text)
 }
 
-/// A working day, with what was learned of each state.
+/// The forecast of a working day, with the model of each state.
 pub(super) fn tomorrow(day: &str, shown: &[(Forecast, ModelDescription)]) -> Result<String, fmt::Error> {
     let mut text = String::new();
     writeln!(text, "\nTomorrow, {day}, as tidemap expects it, and as it turned out\n")?;
@@ -68,7 +68,7 @@ pub(super) fn tomorrow(day: &str, shown: &[(Forecast, ModelDescription)]) -> Res
     Ok(text)
 }
 
-/// A day off, for contrast.
+/// The forecast of a day off.
 pub(super) fn day_off(day: &str, forecasts: &[Forecast], shown: &[&str]) -> Result<String, fmt::Error> {
     let (error, plain) = errors(forecasts);
     let mut text = String::new();
@@ -82,7 +82,7 @@ pub(super) fn day_off(day: &str, forecasts: &[Forecast], shown: &[&str]) -> Resu
     Ok(text)
 }
 
-/// What the pictures mean.
+/// The legend of the pictures.
 pub(super) fn lesson() -> &'static str {
     "What you see
   predicted   how probable it is that the door is open, or the room occupied: full bar 1, line 0
@@ -97,7 +97,7 @@ pub(super) fn lesson() -> &'static str {
 "
 }
 
-/// At the end, where the daemon is gone.
+/// The last text, after the daemon is removed.
 pub(super) fn ended(program: &str) -> Result<String, fmt::Error> {
     let mut text =
         String::from("\nThe daemon has been stopped and its data removed. To ask it things yourself, type\n\n");
@@ -106,7 +106,7 @@ pub(super) fn ended(program: &str) -> Result<String, fmt::Error> {
     Ok(text)
 }
 
-/// At the end, where the daemon was kept.
+/// The last text, if the daemon is kept.
 pub(super) fn kept(program: &str, address: &str, pid: u32, folder: &Path) -> Result<String, fmt::Error> {
     let mut text = String::from("\nThe daemon is still running. Ask it:\n\n");
     writeln!(text, "  export TIDEMAP_SERVER=http://{address}")?;
@@ -123,7 +123,7 @@ pub(super) fn kept(program: &str, address: &str, pid: u32, folder: &Path) -> Res
     Ok(text)
 }
 
-/// The model that predictions are made by.
+/// The chosen model.
 fn chosen(model: &ModelDescription) -> String {
     match model.chosen.kind {
         ModelKind::Spectral => format!("spectral of order {}", model.order),
@@ -131,21 +131,21 @@ fn chosen(model: &ModelDescription) -> String {
     }
 }
 
-/// The periods that the spectral model has.
+/// The periodic components of the spectral model.
 fn rhythms(model: &ModelDescription) -> String {
     let used = model.components.len().min(model.order as usize);
     if used == 0 {
         return format!("rhythms: none that would help; the mean is {:.2}", model.mean);
     }
-    let said: Vec<String> = model.components[..used.min(COMPONENTS_SAID)]
+    let listed: Vec<String> = model.components[..used.min(COMPONENTS_LISTED)]
         .iter()
         .map(|component| format!("{} ±{:.2}", words::period(component.period_secs), component.amplitude))
         .collect();
-    let more = match used.saturating_sub(COMPONENTS_SAID) {
+    let more = match used.saturating_sub(COMPONENTS_LISTED) {
         0 => String::new(),
         more => format!(", and {more} more"),
     };
-    format!("rhythms: {}{more}, around a mean of {:.2}", said.join(", "), model.mean)
+    format!("rhythms: {}{more}, around a mean of {:.2}", listed.join(", "), model.mean)
 }
 
 #[cfg(test)]

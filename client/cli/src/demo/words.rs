@@ -1,11 +1,11 @@
-//! Numbers as people say them.
+//! Numbers as text for people.
 //!
-//! Invariant: pure.
+//! Invariant: pure functions.
 
 /// A period: "24 h", "7 d", "3.5 d", "45 min".
 pub(super) fn period(secs: f64) -> String {
     const HOUR_SECS: f64 = 3600.0;
-    // A rhythm of a day is called by its hours, longer ones by their days.
+    // Periods up to 36 hours are in hours, longer ones in days.
     let (value, unit) = match secs {
         secs if secs > 36.0 * HOUR_SECS => (secs / (24.0 * HOUR_SECS), "d"),
         secs if secs >= HOUR_SECS => (secs / HOUR_SECS, "h"),
@@ -14,13 +14,13 @@ pub(super) fn period(secs: f64) -> String {
     format!("{} {unit}", decimal(value))
 }
 
-/// With one digit after the point, unless it is 0.
+/// One digit after the decimal point, unless it is 0.
 fn decimal(value: f64) -> String {
     let text = format!("{value:.1}");
     text.strip_suffix(".0").map_or(text.clone(), str::to_owned)
 }
 
-/// With a comma between thousands.
+/// A number with commas between thousands.
 pub(super) fn count(number: u64) -> String {
     let digits = number.to_string();
     let mut text = String::new();
@@ -33,7 +33,7 @@ pub(super) fn count(number: u64) -> String {
     text
 }
 
-/// How a forecast compares with the plain mean, both as mean squared errors.
+/// Compares the mean squared errors of a forecast and of the mean model.
 pub(super) fn comparison(error: f64, mean_error: f64) -> String {
     const ALIKE: f64 = 0.05;
     if mean_error < 1e-3 && error < 1e-3 {
@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn periods_are_said_as_people_say_them() {
+    fn periods_are_readable() {
         let hour = 3600.0;
         for (secs, words) in [
             (7.0 * 24.0 * hour, "7 d"),

@@ -1,6 +1,6 @@
 //! Decimal numbers without floats.
 //!
-//! Invariant: what is read is exactly what was written, or refused.
+//! Invariant: a number is read exactly or refused.
 
 /// `digits` · 10^`exponent`, negated where `negative`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,11 +19,11 @@ pub(super) enum InvalidDecimal {
     TooFine,
 }
 
-/// More digits than this are not a time or a duration that anybody means.
+/// Maximum number of significant digits; more are never meant as a time or a duration.
 const DIGITS_MAX: usize = 30;
 
 impl Decimal {
-    /// Reads `12`, `-1.5`, `1.4585184e9`; spreadsheets and numerical programs write the last form.
+    /// Reads `12`, `-1.5`, and `1.4585184e9` as written by spreadsheets and numerical programs.
     pub(super) fn parse(text: &str) -> Result<Self, InvalidDecimal> {
         let (negative, rest) = match text.as_bytes().first() {
             Some(b'-') => (true, &text[1..]),
@@ -52,7 +52,7 @@ impl Decimal {
         Ok(Self { negative, digits, exponent: exponent - fraction_digits })
     }
 
-    /// The number times 10^`power`, where that is a whole number that fits; the sign is not looked at.
+    /// The number times 10^`power`, if that is an integer that fits in i64; ignores the sign.
     pub(super) fn scaled(self, power: i32) -> Result<i64, InvalidDecimal> {
         let mut digits = self.digits;
         if digits == 0 {

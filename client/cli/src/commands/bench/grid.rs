@@ -1,7 +1,8 @@
-//! `tidemap bench grid`: months of scans of a whole office, as fast as the daemon takes them.
+//! `tidemap bench grid`: sends months of scans of a whole office as fast as the daemon accepts them.
 //!
-//! Invariant: the scans are made before the clock starts, and are sent as they stand in the file; what is measured is the
-//! daemon. Updates run as midnights of the data pass, those that pass while one runs joined into one, and count.
+//! Invariant: the scans are recorded before the clock starts and are sent unchanged from the file, so that only the daemon
+//! is measured. Updates run whenever the data passes midnight; midnights that pass during an update are joined to one.
+//! Updates are part of the measured time.
 
 mod feed;
 mod office;
@@ -28,49 +29,49 @@ use tidemap_formats::table::Cell;
 
 #[derive(Clone, Debug, Args)]
 pub(crate) struct GridArgs {
-    /// Cells of the office, of 0.1 m
+    /// Cells of the office, with edges of 0.1 m
     #[arg(long, value_name = "N", default_value_t = 213_000)]
     cells: u32,
-    /// Scans a day
+    /// Scans per day
     #[arg(long, value_name = "N", default_value_t = 17_200)]
     scans_per_day: u32,
     /// Days
     #[arg(long, value_name = "N", default_value_t = 112, value_parser = clap::value_parser!(u32).range(1..=3650))]
     days: u32,
-    /// Cells that change
+    /// Number of cells that change
     #[arg(long, value_name = "N", default_value_t = 15_000)]
     changing_cells: u32,
-    /// How often each of them changes in a day, in the mean
+    /// Mean number of changes of each of them per day
     #[arg(long, value_name = "X", default_value_t = 40.0)]
     changes_per_day: f64,
-    /// Parts of the office that the sensor sees in turn; 1: it sees everything in each scan
+    /// Number of parts of the office that the sensor observes in turn; with 1 each scan shows everything
     #[arg(long, value_name = "N", default_value_t = 1)]
     views: u32,
-    /// Scans of one part before the next
+    /// Consecutive scans of one part
     #[arg(long, value_name = "N", default_value_t = 1)]
     dwell_scans: u32,
-    /// Another seed makes another office
+    /// Seed of the office
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// File of scans: sent as it is where it exists, else made and kept [default: a temporary one]. Of one that exists
-    /// --cells, --days and the others that say what the office is like are used by --compare only, and have to be those
-    /// that it was made with
+    /// File of scans: an existing file is sent unchanged, else the file is recorded and kept [default: a temporary file].
+    /// With an existing file, the options that describe the office are used by --compare only, and have to be those that
+    /// the file was recorded with
     #[arg(long, value_name = "PATH")]
     file: Option<PathBuf>,
-    /// Predicts the whole grid again and again meanwhile, and times it
+    /// Predicts the whole grid repeatedly during the run, and measures the latency
     #[arg(long)]
     probe: bool,
-    /// Pause between two such predictions
+    /// Pause between these predictions
     #[arg(long, value_name = "DURATION", default_value = "1s", value_parser = times::duration)]
     probe_pause: i64,
-    /// Compares orders 0 to 5 with the office afterwards, at this many scans of each day: the estimation error over the
-    /// changing cells
+    /// Afterwards compares orders 0 to 5 with the office at this number of scans per day, and reports the estimation
+    /// error over the changing cells
     #[arg(long, value_name = "N", default_value_t = 0)]
     compare: u32,
-    /// How long the exact readings are kept: none, forever, or a duration
+    /// How long the history of exact cell observations is kept: none, forever or a duration
     #[arg(long, value_name = "RETENTION", default_value = "none", value_parser = crate::commands::map::grid_spec::retention)]
     retention: tidemap_client::maps::Retention,
-    /// Keeps the map
+    /// Does not delete the map
     #[arg(long)]
     keep: bool,
     #[command(flatten)]
@@ -78,12 +79,12 @@ pub(crate) struct GridArgs {
 }
 
 impl GridArgs {
-    /// Whether there is such an office, where one is needed.
+    /// Checks the options of the office, if they are needed.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         if self.compare > 0 || self.existing().is_none() { office::make(self).map(drop) } else { Ok(()) }
     }
 
-    /// The file to send as it is.
+    /// The existing file to send.
     fn existing(&self) -> Option<&PathBuf> {
         self.file.as_ref().filter(|path| path.exists())
     }
@@ -92,7 +93,7 @@ impl GridArgs {
         self.keep
     }
 
-    /// The map that the scans are for.
+    /// The map of the scans.
     pub(super) fn new_map(&self, name: String) -> NewMap {
         let grid = Grid { resolution_m: office::RESOLUTION_M, retention: Some(self.retention), ..Grid::default() };
         NewMap { name, time_zone: Some(office::ZONE.to_owned()), grid: Some(grid), ..NewMap::default() }
@@ -105,25 +106,25 @@ pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::
     let recorded = if args.existing().is_some() {
         let recorded = RecordedScans::inspect(&path)?;
         status_line(&format!(
-            "sending {} as it is: --days, --cells, --scans-per-day and what else the office is like are not used for it",
+            "sending {} unchanged: --days, --cells, --scans-per-day and the other options that describe the office are ignored",
             path.display()
         ));
         anyhow::ensure!(
             args.compare == 0 || recorded.matches(args)?,
-            "{} is not of the office that the options describe: --compare takes the options that it was made with",
+            "{} does not match the options of the office: --compare needs the options that the file was recorded with",
             path.display()
         );
         Some(recorded)
     } else {
         let began = Instant::now();
-        status_line(&format!("making {} days of scans in {}", args.days, path.display()));
+        status_line(&format!("recording {} days of scans to {}", args.days, path.display()));
         let (of, to) = (args.clone(), path.clone());
         let bytes = tokio::task::spawn_blocking(move || office::write(&to, &of)).await??;
-        status_line(&format!("{bytes} bytes in {:.1} s, which do not count", began.elapsed().as_secs_f64()));
+        status_line(&format!("{bytes} bytes in {:.1} s, which are not measured", began.elapsed().as_secs_f64()));
         None
     };
     status_line(&format!(
-        "sending to map {map}; updates as midnights of the data pass; those that pass while one runs are joined"
+        "sending to map {map}; updates run whenever the data passes midnight; midnights during an update are joined"
     ));
     let updates = UpdateTimes::watch(client, map);
     let pause = Duration::from_nanos(args.probe_pause.unsigned_abs());
@@ -169,7 +170,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::
         figures.push((name, figure(name)));
     }
     if args.compare > 0 {
-        // Whole days of what was sent.
+        // The whole days that were sent.
         let args = GridArgs { days: days.map_or(args.days, |days| days as u32), ..args.clone() };
         figures.extend(quality::estimation_errors(client, map, &args, args.compare).await?);
     }

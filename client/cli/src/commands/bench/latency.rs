@@ -1,7 +1,7 @@
 //! `tidemap bench latency`.
 //!
-//! Invariant: observations are due at fixed times, whether earlier ones were acknowledged or not, and are timed from
-//! when they were due; a daemon that stalls cannot hide it by holding up its load.
+//! Invariant: observations are due at fixed times, whether or not earlier ones are acknowledged, and latencies count from
+//! the due times; a stalled daemon cannot hide by delaying its load.
 
 use std::{
     collections::VecDeque,
@@ -20,13 +20,13 @@ use crate::progress::status_line;
 
 #[derive(Debug, Args)]
 pub(crate) struct LatencyArgs {
-    /// Streams at a time
+    /// Number of concurrent streams
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     streams: u32,
-    /// Observations a second, of all streams together
+    /// Observations per second over all streams
     #[arg(long, value_name = "N", default_value_t = 5_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     rate: u32,
-    /// How long
+    /// Duration in seconds
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=86_400))]
     secs: u64,
     #[command(flatten)]
@@ -46,7 +46,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &LatencyArgs) -> anyho
     let mut running: JoinSet<_> = (0..)
         .zip(producers)
         .map(|(stream, producer)| {
-            // The streams take turns within a period.
+            // The streams are spread over a period.
             let first = began + period.mul_f64(f64::from(stream) / f64::from(args.streams));
             timed(producer, format!("door-{stream}"), first, end, period)
         })
@@ -69,7 +69,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &LatencyArgs) -> anyho
     Ok(figures)
 }
 
-/// Sends an observation each period and times the acknowledgements, in microseconds.
+/// Sends an observation each period and measures the latency of its acknowledgement.
 async fn timed(
     mut producer: Producer,
     state: String,

@@ -1,7 +1,7 @@
-//! Streams that send as fast as the daemon takes.
+//! Streams that send observations as fast as the daemon accepts them.
 //!
-//! Invariant: messages are those that any client sends, packed by the same code; only the bookkeeping for broken
-//! connections is left out, because a connection that breaks ends the measurement.
+//! Invariant: the messages are those of any client, packed by the same code. There is no recovery: a broken connection ends
+//! the measurement.
 
 use std::{
     sync::Arc,
@@ -21,24 +21,24 @@ use tokio::{sync::mpsc, task::JoinSet};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
 
-/// Observations under way on a stream, as in a producer's window.
-const UNDER_WAY_MAX: u64 = 65_536;
+/// Maximum number of unacknowledged observations of a stream, as in a producer's window.
+const IN_FLIGHT_MAX: u64 = 65_536;
 
-/// What to send.
+/// The observations to send.
 #[derive(Clone, Debug)]
 pub(super) struct Load {
     pub(super) map: String,
     pub(super) streams: u64,
     pub(super) states: u64,
     pub(super) name_chars: usize,
-    /// Of all streams together.
+    /// Over all streams.
     pub(super) observations: u64,
     pub(super) batch: u64,
-    /// The observation of a number from 0 to `observations` - 1.
+    /// Generates the observation of a number below `observations`.
     pub(super) observation: fn(&Load, u64) -> Entry,
 }
 
-/// What it took.
+/// The result of sending a load.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FeedRate {
     /// From the first batch to the last acknowledgement.
@@ -47,7 +47,7 @@ pub(super) struct FeedRate {
 }
 
 impl Load {
-    /// Sends everything and waits until it is durable.
+    /// Sends all observations and waits until they are durable.
     pub(super) async fn send(&self, client: &Client) -> anyhow::Result<FeedRate> {
         let names: Arc<[Box<str>]> = (0..self.states).map(|state| self.name(state).into()).collect();
         let mut opening = JoinSet::new();
@@ -76,11 +76,11 @@ impl Load {
 struct Stream {
     load: Load,
     names: Arc<[Box<str>]>,
-    /// This stream sends the observations of this number and every `streams`-th after it.
+    /// Number of the first observation of this stream; the next ones are `streams` apart.
     index: u64,
     requests: mpsc::Sender<ObserveRequest>,
     replies: Streaming<ObserveResponse>,
-    /// Keeps the place on the connection.
+    /// Reserves the stream's place on the connection.
     _place: tidemap_client::connection::StreamPlace,
 }
 
@@ -103,14 +103,14 @@ impl Stream {
         Ok(Self { load, names, index, requests, replies, _place: place })
     }
 
-    /// Sends this stream's share; gives the number of observations that were refused.
+    /// Sends the observations of this stream; returns the number of refusals.
     async fn run(mut self) -> anyhow::Result<u64> {
         let Load { streams, observations, batch, .. } = self.load;
         let share = observations / streams + u64::from(self.index < observations % streams);
         let (mut sent, mut durable, mut refused) = (0, 0, 0);
         let mut table = StreamTable::default();
         while durable < share {
-            let room = sent < share && sent - durable < UNDER_WAY_MAX;
+            let room = sent < share && sent - durable < IN_FLIGHT_MAX;
             tokio::select! {
                 Ok(permit) = self.requests.reserve(), if room => {
                     let count = batch.min(share - sent);
@@ -139,7 +139,7 @@ impl Stream {
     }
 }
 
-/// Bits that look random, the same for the same number (the finaliser of splitmix64).
+/// Pseudo-random bits that depend on the number only (the finaliser of splitmix64).
 pub(super) fn scrambled(number: u64) -> u64 {
     let mut bits = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
     bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

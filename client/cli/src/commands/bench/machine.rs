@@ -1,6 +1,6 @@
-//! What the machine did meanwhile: CPU time of processes, and the speed of the daemon's disk.
+//! CPU times of processes, and the speed of the daemon's disk.
 //!
-//! Invariant: what cannot be found is left empty, never guessed.
+//! Invariant: a value that cannot be read is empty, never guessed.
 
 use std::fs;
 
@@ -9,10 +9,10 @@ use tidemap_client::Client;
 use super::{DaemonProcess, Figures};
 use tidemap_formats::table::Cell;
 
-/// Unit of the times in `/proc/PID/stat`, fixed at 100 a second for programs on Linux.
+/// Unit of the times in `/proc/PID/stat`: always 100 per second on Linux.
 const TICKS_PER_SEC: f64 = 100.0;
 
-/// CPU time of this process and of the daemon at one instant.
+/// CPU times of this process and of the daemon.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CpuTimes {
     feeder: Option<f64>,
@@ -35,7 +35,7 @@ impl CpuTimes {
         since(self.daemon, earlier.daemon)
     }
 
-    /// Most memory that the daemon had at any time since its start.
+    /// Peak memory of the daemon since its start.
     pub(super) fn daemon_peak_bytes(process: DaemonProcess) -> Cell {
         let daemon = process.daemon_pid.or_else(only_daemon);
         Cell::maybe(daemon.and_then(peak_bytes))
@@ -49,21 +49,21 @@ fn since(now: Option<f64>, earlier: Option<f64>) -> Cell {
 /// User and system time of a process.
 fn cpu_secs(pid: &str) -> Option<f64> {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    // The name, in parentheses, may hold anything; the 12th and 13th field after it are the times.
+    // The name is in parentheses and may contain anything; the times are the 12th and 13th fields after it.
     let (_, fields) = stat.rsplit_once(')')?;
     let mut times = fields.split_whitespace().skip(11);
     let mut ticks = || times.next()?.parse::<u64>().ok();
     Some((ticks()? + ticks()?) as f64 / TICKS_PER_SEC)
 }
 
-/// Peak of the memory of a process that was in use.
+/// Peak resident memory of a process.
 fn peak_bytes(pid: u32) -> Option<u64> {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
     let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     Some(peak.split_whitespace().next()?.parse::<u64>().ok()? * 1024)
 }
 
-/// The daemon, where one and only one runs on this machine.
+/// The daemon's process, if exactly one runs on this machine.
 fn only_daemon() -> Option<u32> {
     let processes = fs::read_dir("/proc").ok()?.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
     let mut daemons = processes.filter(|pid: &u32| {
@@ -73,7 +73,7 @@ fn only_daemon() -> Option<u32> {
     daemons.next().is_none().then_some(daemon)
 }
 
-/// How long the daemon's disk takes to make something durable.
+/// Latencies of the daemon's disk.
 pub(super) async fn disk(client: &Client) -> Result<Figures, tidemap_client::Error> {
     let statistics = client.statistics("").await?;
     let value = |name: &str| Cell::maybe(statistics.iter().find(|statistic| statistic.name == name).map(|s| s.value));

@@ -1,7 +1,6 @@
 //! `tidemap bench observe`.
 //!
-//! Invariant: no two observations have the same time, and half the values are 1, so that nothing is saved by
-//! likeness.
+//! Invariant: all times differ, and half of the values are 1, so that the data does not compress.
 
 use clap::Args;
 use tidemap_client::{Client, observe::columns::Entry};
@@ -18,19 +17,19 @@ use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
 pub(crate) struct ObserveBenchArgs {
-    /// Streams at a time
+    /// Number of concurrent streams
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     streams: u64,
-    /// States of the map
+    /// Number of states
     #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     states: u64,
-    /// Characters of a state's name
+    /// Length of a state's name, in characters
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u8).range(9..=128))]
     name_chars: u8,
-    /// Observations in all
+    /// Number of observations
     #[arg(long, value_name = "N", default_value_t = 20_000_000, value_parser = clap::value_parser!(u64).range(1..=10_000_000_000))]
     observations: u64,
-    /// Observations in a message
+    /// Observations per message
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u64).range(1..))]
     batch: u64,
     #[command(flatten)]
@@ -39,7 +38,7 @@ pub(crate) struct ObserveBenchArgs {
 
 /// 2020-01-01T00:00:00Z.
 const START_NANOS: i64 = 1_577_836_800 * NANOS_PER_SEC;
-/// Distance of two observations: 20 million take a month.
+/// Time between two observations: 20 million take a month.
 const STEP_NANOS: i64 = NANOS_PER_SEC / 8;
 const MICRO_NANOS: i64 = 1_000;
 
@@ -55,17 +54,17 @@ pub(super) async fn run(client: &Client, map: &str, args: &ObserveBenchArgs) -> 
     };
     status_line(&format!("sending {} observations on {} streams to map {map}", args.observations, args.streams));
     let before = CpuTimes::now(args.process);
-    let taken = load.send(client).await?;
+    let rate = load.send(client).await?;
     let sent = CpuTimes::now(args.process);
     let job = updated(client, map).await?;
     let after = CpuTimes::now(args.process);
-    let secs = taken.elapsed.as_secs_f64();
+    let secs = rate.elapsed.as_secs_f64();
     Ok(vec![
         ("streams", args.streams.into()),
         ("states", args.states.into()),
         ("observations", args.observations.into()),
         ("batch", args.batch.into()),
-        ("refused", taken.refused.into()),
+        ("refused", rate.refused.into()),
         ("secs", secs.into()),
         ("observations_per_sec", (args.observations as f64 / secs).round().into()),
         ("feeder_cpu_secs", sent.feeder_since(before)),
@@ -76,7 +75,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &ObserveBenchArgs) -> 
     ])
 }
 
-/// Times in order, a bit irregular; states and values as if drawn.
+/// Times in order with some jitter; pseudo-random states and values.
 fn observation(load: &Load, number: u64) -> Entry {
     let bits = scrambled(number);
     let jitter = i64::try_from(bits % 120_000).unwrap_or(0) * MICRO_NANOS;

@@ -1,6 +1,6 @@
 //! `tidemap bench predict`.
 //!
-//! Invariant: the states that answer were trained on weeks of data with a rhythm, so that their models have components.
+//! Invariant: the states are trained on weeks of periodic data, so that their models have components.
 
 use std::time::{Duration, Instant};
 
@@ -62,11 +62,11 @@ pub(super) async fn run(client: &Client, map: &str, args: &PredictBenchArgs) -> 
         ModelSelector { kind: ModelKind::Spectral, order: Some(args.order as usize), ..ModelSelector::default() };
 
     status_line("predicting");
-    asked(client, map, &states, &times, model).await?;
+    request(client, map, &states, &times, model).await?;
     let before = CpuTimes::now(args.process);
     let (began, mut rounds) = (Instant::now(), 0_u64);
     while rounds == 0 || began.elapsed() < MEASURED {
-        asked(client, map, &states, &times, model).await?;
+        request(client, map, &states, &times, model).await?;
         rounds += 1;
     }
     let secs = began.elapsed().as_secs_f64();
@@ -85,8 +85,8 @@ pub(super) async fn run(client: &Client, map: &str, args: &PredictBenchArgs) -> 
     ])
 }
 
-/// Asks for everything once and looks at the answers only to count them.
-async fn asked(
+/// Requests all predictions once, and counts them.
+async fn request(
     client: &Client,
     map: &str,
     states: &[String],
@@ -98,11 +98,11 @@ async fn asked(
     while let Some(run) = predictions.next().await? {
         count += run.probabilities.len();
     }
-    anyhow::ensure!(count == states.len() * times.len(), "{count} predictions came");
+    anyhow::ensure!(count == states.len() * times.len(), "the daemon sent {count} predictions");
     Ok(())
 }
 
-/// Every state once an hour: 1 during the day with some exceptions, on working days more than at the weekend.
+/// Each state once per hour: 1 during the day with exceptions, and less often at weekends.
 fn observation(load: &Load, number: u64) -> Entry {
     let (state, hour) = (number % load.states, number / load.states);
     let (of_day, day) = (hour % 24, hour / 24 % 7);

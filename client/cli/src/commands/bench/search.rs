@@ -1,7 +1,7 @@
 //! `tidemap bench search`.
 //!
-//! Invariant: the nodes were observed for weeks with a rhythm, and every request asks for another minute, so that no answer is
-//! one that was given before.
+//! Invariant: the nodes have weeks of periodic observations, and every request is for another minute, so that no answer is
+//! cached.
 
 use std::{path::PathBuf, time::Instant};
 
@@ -31,19 +31,19 @@ use tidemap_formats::topology::read_lines;
 
 #[derive(Debug, Args)]
 pub(crate) struct SearchBenchArgs {
-    /// Nodes to look at, in a tree
+    /// Number of nodes, in a tree
     #[arg(long, value_name = "N", default_value_t = 9, value_parser = clap::value_parser!(u64).range(2..=1_000))]
     nodes: u64,
-    /// A topology of lines as `topology load` takes it, in place of the tree; its nodes get other names
+    /// A topology in the line format of `topology load`, in place of the tree; its nodes are renamed
     #[arg(long, value_name = "FILE", conflicts_with = "nodes")]
     topology: Option<PathBuf>,
     /// Number of the node where the robot starts, from 0
     #[arg(long, value_name = "N", default_value_t = 0)]
     start: usize,
-    /// Searches to ask for
+    /// Number of requests
     #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     requests: u32,
-    /// How many ask at a time, each one after another
+    /// Number of concurrent requests
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000))]
     concurrent: u32,
     /// Model, as in `predict`
@@ -94,7 +94,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &SearchBenchArgs) -> a
         ..SearchQuery::default()
     };
     status_line("searching");
-    // What is made once is made.
+    // Warm up: some results are computed once.
     for number in 0..100 {
         client.plan_search(query(number)).await?;
     }
@@ -103,7 +103,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &SearchBenchArgs) -> a
     let mut running = JoinSet::new();
     for first in 0..args.concurrent {
         let queries: Vec<SearchQuery> = (first..args.requests).step_by(args.concurrent as usize).map(query).collect();
-        running.spawn(asked(client.clone(), queries));
+        running.spawn(request(client.clone(), queries));
     }
     let mut answers = Latencies::new()?;
     while let Some(one) = running.join_next().await {
@@ -123,20 +123,20 @@ pub(super) async fn run(client: &Client, map: &str, args: &SearchBenchArgs) -> a
     Ok(figures)
 }
 
-/// Asks one after another, and times each answer in microseconds.
-async fn asked(client: Client, queries: Vec<SearchQuery>) -> anyhow::Result<Latencies> {
+/// Sends the requests one after another, and measures their latencies.
+async fn request(client: Client, queries: Vec<SearchQuery>) -> anyhow::Result<Latencies> {
     let mut answers = Latencies::new()?;
     for query in queries {
         let began = Instant::now();
         let search = client.plan_search(query).await?;
         let took = began.elapsed();
-        anyhow::ensure!(!search.steps.is_empty(), "a search came without steps");
+        anyhow::ensure!(!search.steps.is_empty(), "the daemon planned a search without steps");
         answers.record(took)?;
     }
     Ok(answers)
 }
 
-/// A tree whose nodes have three branches each, 10 to 26 s long.
+/// A tree with three branches per node, of 10 to 26 s each.
 fn tree(nodes: u64) -> Topology {
     let node = |number: u64| Node { name: number.to_string(), ..Node::default() };
     let edge = |number: u64| {
@@ -147,7 +147,7 @@ fn tree(nodes: u64) -> Topology {
     Topology { nodes: (0..nodes).map(node).collect(), edges: (1..nodes).map(edge).collect() }
 }
 
-/// The same with nodes called as the states of a load are.
+/// The topology with nodes named like the states of the load.
 fn renamed(shape: &Topology, load: &Load) -> anyhow::Result<Topology> {
     let renamed = |name: &str| {
         let found = (0..).zip(&shape.nodes).find(|(_, node)| node.name == name);
@@ -163,7 +163,7 @@ fn renamed(shape: &Topology, load: &Load) -> anyhow::Result<Topology> {
     Ok(topology)
 }
 
-/// Somebody who keeps to a day, with exceptions: every node has 1 when she is there.
+/// A target with a daily routine and exceptions: the state of a node is 1 while the target is there.
 fn observation(load: &Load, number: u64) -> Entry {
     let (state, reading) = (number % load.states, number / load.states);
     let (hour, day) = (reading % 144 / 6, reading / 144 % 7);

@@ -1,7 +1,7 @@
-//! Maps that others made, as masks of a grid's cells.
+//! Imported maps (OctoMap, Nav2) as masks of a grid's cells.
 //!
-//! Invariant: what a map does not know is not observed; where two of its parts meet in a cell, occupied wins. Memory is
-//! bounded by a number of tiles that is checked before they are made.
+//! Invariant: unknown space counts as not observed; if two parts of a map share a cell, occupied wins. The number of tiles
+//! is checked before they are allocated.
 
 use std::collections::HashMap;
 
@@ -12,27 +12,26 @@ use tidemap_client::{
 
 use tidemap_formats::{nav2, octomap::OctoMap};
 
-/// Most tiles that one map may fill: 33 million cells.
+/// Maximum number of tiles of one map: 33 million cells.
 const TILES_MAX: u64 = 1 << 16;
 const EDGE: i32 = 8;
-/// By how much of a cell a map may be off without a word about it.
+/// Maximum misalignment without a notice, in cells.
 const OFF_MAX: f64 = 0.01;
 
-/// What a map is on a grid.
+/// The masks of a map's cells.
 #[derive(Debug)]
 pub(crate) struct GridMasks {
-    /// Its tiles.
     pub(crate) tiles: Vec<(TileIndex, TileMasks)>,
-    /// What is worth knowing about how it was fitted in.
+    /// A notice about the alignment, if there is one.
     pub(crate) notice: Option<String>,
 }
 
-/// How the cells of a map lie in those of a grid.
+/// The alignment of a map's cells with those of the grid.
 #[derive(Clone, Copy, Debug)]
 struct CellFit {
-    /// Cells of the grid along one of the map.
+    /// Grid cells per map cell along an axis.
     times: i64,
-    /// Cell of the grid where the map's cell (0, 0, 0) begins.
+    /// Grid cell where the map's cell (0, 0, 0) begins.
     offset: [i64; 3],
     off_cells: f64,
 }
@@ -43,7 +42,7 @@ impl CellFit {
         let times = ratio.round();
         anyhow::ensure!(
             times >= 1.0 && (ratio - times).abs() < 1e-6 * times,
-            "its cells are {resolution_m} m wide and those of the grid {} m: they have to be as wide, or a whole multiple",
+            "its cells are {resolution_m} m wide and those of the grid {} m: they have to be equal, or a whole multiple",
             grid.resolution_m
         );
         let exact: [f64; 3] = std::array::from_fn(|axis| (origin_m[axis] - grid.origin_m[axis]) / grid.resolution_m);
@@ -51,7 +50,7 @@ impl CellFit {
         Ok(Self { times: times as i64, offset: exact.map(|exact| exact.round() as i64), off_cells: off })
     }
 
-    /// The cells of the grid that some cells of the map cover.
+    /// The grid cells that a box of map cells covers.
     fn cells(&self, min: [i64; 3], size: [i64; 3]) -> ([i64; 3], [i64; 3]) {
         let from: [i64; 3] = std::array::from_fn(|axis| self.offset[axis] + min[axis] * self.times);
         (from, std::array::from_fn(|axis| from[axis] + size[axis] * self.times))
@@ -65,12 +64,12 @@ impl CellFit {
     }
 }
 
-/// TileFill that are being filled.
+/// The tiles that are filled from a map.
 #[derive(Debug)]
 struct TileFill {
     /// Observed and occupied cells.
     tiles: HashMap<TileIndex, [Mask; 2]>,
-    /// The cells that there may be.
+    /// The box of the allowed cells.
     allowed: ([i64; 3], [i64; 3]),
 }
 
@@ -99,7 +98,7 @@ impl TileFill {
         let count: i128 = (0..3).map(|axis| i128::from(last[axis] - first[axis] + 1)).product();
         anyhow::ensure!(
             count <= i128::from(TILES_MAX) && self.tiles.len() as u64 <= TILES_MAX,
-            "it fills more than {TILES_MAX} tiles of 8x8x8 cells: cut it to the part that matters, or give the grid a size"
+            "it fills more than {TILES_MAX} tiles of 8x8x8 cells: cut the map to the relevant part, or give the grid a size"
         );
         for z in first[2]..=last[2] {
             for y in first[1]..=last[1] {
@@ -115,7 +114,7 @@ impl TileFill {
         let edge = i64::from(EDGE);
         let from: [u32; 3] = std::array::from_fn(|axis| (min[axis] - tile[axis] * edge).clamp(0, edge) as u32);
         let to: [u32; 3] = std::array::from_fn(|axis| (max[axis] - tile[axis] * edge).clamp(0, edge) as u32);
-        // Within `allowed`, a tile's index is far below what i32 holds.
+        // Within `allowed`, tile indices fit in i32.
         let [x, y, z] = tile.map(|index| index as i32);
         let [observed, taken] = self.tiles.entry(TileIndex { x, y, z }).or_default();
         let row = row_bits(from[0], to[0]);
@@ -131,13 +130,13 @@ impl TileFill {
     fn into_seen(self) -> Vec<(TileIndex, TileMasks)> {
         let seen = |(tile, [observed, occupied]): (_, [Mask; 2])| (tile, TileMasks::clipped(observed, occupied));
         let mut tiles: Vec<_> = self.tiles.into_iter().map(seen).collect();
-        // Always the same order, so that the same map always makes the same scan.
+        // A fixed order, so that the same map always makes the same scan.
         tiles.sort_unstable_by_key(|(tile, _)| (tile.z, tile.y, tile.x));
         tiles
     }
 }
 
-/// Bits from one up to another, of 8.
+/// Bits `from..to` of a row of 8.
 fn row_bits(from: u32, to: u32) -> u64 {
     ((1_u64 << to) - 1) & !((1_u64 << from) - 1)
 }
@@ -154,12 +153,12 @@ pub(crate) fn of_octomap(map: &OctoMap, grid: &Grid) -> anyhow::Result<GridMasks
     Ok(GridMasks { tiles: tiles.into_seen(), notice: fit.notice(also) })
 }
 
-/// The known cells of a grid in the plane.
+/// The known cells of a 2D grid.
 pub(crate) fn of_plane(map: &nav2::Grid, grid: &Grid) -> anyhow::Result<GridMasks> {
     let [x_m, y_m] = map.origin_m;
     let fit = CellFit::new(map.resolution_m, [x_m, y_m, grid.origin_m[2]], grid)?;
     let mut tiles = TileFill::new(grid);
-    // A map in the plane is one layer of the grid, however wide its cells.
+    // A 2D map is one layer of the grid, whatever the size of its cells.
     tiles.allowed.0[2] = tiles.allowed.0[2].max(0);
     tiles.allowed.1[2] = tiles.allowed.1[2].min(1);
     let width = i64::from(map.size_cells[0]).max(1);
@@ -168,7 +167,7 @@ pub(crate) fn of_plane(map: &nav2::Grid, grid: &Grid) -> anyhow::Result<GridMask
             tiles.fill(fit.cells([index % width, index / width, 0], [1; 3]), occupied)?;
         }
     }
-    let also = (!grid.is_flat).then_some("the map is flat: its cells are those of the layer z = 0");
+    let also = (!grid.is_flat).then_some("the map is flat: its cells become the layer z = 0");
     Ok(GridMasks { tiles: tiles.into_seen(), notice: fit.notice(also) })
 }
 

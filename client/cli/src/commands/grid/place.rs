@@ -1,6 +1,6 @@
-//! Places on the command line: poses and boxes, in metres.
+//! Poses and regions on the command line, in metres.
 //!
-//! Invariant: what comes out is finite, ordered, and a pose's quaternion has length 1; a mistake names the value.
+//! Invariant: all numbers are finite, minima are below maxima, quaternions have length 1; an error names the value.
 
 use std::str::FromStr;
 
@@ -9,12 +9,12 @@ use tidemap_client::{
     observe::scan::Pose,
 };
 
-/// How far the length of a quaternion may be from 1.
+/// Tolerance of a quaternion's length.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 
-/// A pose: `X,Y,Z,QX,QY,QZ,QW`, or `X,Y,Z` for a sensor that is not turned.
+/// A pose: `X,Y,Z,QX,QY,QZ,QW`, or `X,Y,Z` without rotation.
 pub(crate) fn pose(text: &str) -> Result<Pose, String> {
-    let right = "a pose is X,Y,Z,QX,QY,QZ,QW: metres and a unit quaternion; or X,Y,Z, not turned";
+    let right = "a pose is X,Y,Z,QX,QY,QZ,QW: metres and a unit quaternion; or X,Y,Z without rotation";
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
     let numbers = numbers.ok().filter(|numbers| numbers.iter().all(|number| number.is_finite()));
     match numbers.as_deref() {
@@ -31,7 +31,7 @@ pub(crate) fn pose(text: &str) -> Result<Pose, String> {
     }
 }
 
-/// A stretch along one axis, from one place up to another.
+/// An interval along one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stretch {
     from_m: f64,
@@ -39,7 +39,7 @@ pub(crate) struct Stretch {
 }
 
 impl Stretch {
-    /// From one place up to another that is beyond it.
+    /// `from_m` has to be below `to_m`.
     pub(crate) fn new(from_m: f64, to_m: f64) -> Self {
         Self { from_m, to_m }
     }
@@ -49,7 +49,8 @@ impl FromStr for Stretch {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let right = || format!("{text:?}: a stretch is MIN:MAX in metres, the first below the second, such as 0.5:1.8");
+        let right =
+            || format!("{text:?}: an interval is MIN:MAX in metres, the first below the second, such as 0.5:1.8");
         let (from, to) = text.split_once(':').ok_or_else(right)?;
         match (from.trim().parse::<f64>(), to.trim().parse::<f64>()) {
             (Ok(from_m), Ok(to_m)) if from_m < to_m && from_m.is_finite() && to_m.is_finite() => {
@@ -78,16 +79,16 @@ impl FromStr for Rectangle {
     }
 }
 
-/// The cells of a region: those that reach into it, of `all` where it says nothing of an axis.
+/// The cells that overlap a region; all cells of `all` along axes without limits.
 pub(crate) fn cells(grid: &Grid, all: &CellBox, rectangle: Option<Rectangle>, height: Option<Stretch>) -> CellBox {
     let mut cells = *all;
     let along = [rectangle.map(|rectangle| rectangle.x), rectangle.map(|rectangle| rectangle.y), height];
     for (axis, stretch) in along.into_iter().enumerate() {
         let Some(Stretch { from_m, to_m }) = stretch else { continue };
-        // A boundary on a cell's edge is the edge's, whatever the last digit says.
+        // A boundary next to a cell's edge is meant as that edge; the last digit is rounding.
         let index = |metres: f64| (metres - grid.origin_m[axis]) / grid.resolution_m;
         let snapped = |index: f64| if (index - index.round()).abs() < 1e-6 { index.round() } else { index };
-        // What is beyond i32 saturates, and is then beyond any grid.
+        // Values beyond i32 saturate, and are then outside of any grid.
         cells.min[axis] = snapped(index(from_m)).floor() as i32;
         cells.max[axis] = snapped(index(to_m)).ceil() as i32;
     }

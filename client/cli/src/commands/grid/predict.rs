@@ -1,6 +1,6 @@
 //! `tidemap grid predict`.
 //!
-//! Invariant: a file is written whole or not at all; unknown cells stay unknown.
+//! Invariant: a file is written only after the whole prediction has arrived; unknown cells stay unknown.
 
 use std::{
     path::{Path, PathBuf},
@@ -24,7 +24,7 @@ use tidemap_formats::{CELLS_MAX, MapPicture, PictureCell, cells_csv, nav2, ply, 
 pub(crate) struct GridPredictArgs {
     /// Name of the map
     map: String,
-    /// When
+    /// Time of the prediction
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: i64,
     /// File to write: .pgm (with a .yaml beside it), .png, .csv or .ply
@@ -36,22 +36,22 @@ pub(crate) struct GridPredictArgs {
     /// Model: auto, mean, latest or spectral, each optionally with +persistence
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// Only cells between two heights, metres
+    /// Only cells between these heights, metres
     #[arg(long, value_name = "MIN:MAX", allow_hyphen_values = true)]
     z: Option<Stretch>,
-    /// Only cells of a rectangle, metres
+    /// Only cells in this rectangle, metres
     #[arg(long, value_name = "X0:X1,Y0:Y1", allow_hyphen_values = true)]
     region: Option<Rectangle>,
-    /// One layer, in which a column is its most probable cell; always so for .pgm and .png
+    /// Projects the cells to one layer: each column becomes its most probable cell; always done for .pgm and .png
     #[arg(long)]
     project: bool,
-    /// Entropy in bits instead of probability: how unsure the prediction is
+    /// Writes the entropy in bits instead of the probability
     #[arg(long, conflicts_with = "threshold")]
     entropy: bool,
-    /// 1 where the probability is at least this, else 0
+    /// Writes 1 if the probability is at least this, else 0
     #[arg(long, value_name = "P", value_parser = threshold)]
     threshold: Option<f64>,
-    /// How a .pgm file says probabilities [default: trinary, of entropy raw]
+    /// Encoding of probabilities in a .pgm file [default: trinary, or raw for entropies]
     #[arg(long, value_name = "MODE")]
     pgm_mode: Option<PgmMode>,
 }
@@ -117,18 +117,18 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     };
     let predicted = session.client.predict_grid(&query).await?;
     let region = predicted.header().region;
-    anyhow::ensure!(region.cells() > 0, "map {:?} has no cells there yet: nothing was observed", args.map);
+    anyhow::ensure!(region.cells() > 0, "map {:?} has no observed cells in the region", args.map);
     let cells = region.cells();
     anyhow::ensure!(
         cells <= u128::from(CELLS_MAX),
-        "that are {cells} cells and a file takes at most {CELLS_MAX}: ask for a part, with --region or --z"
+        "the region has {cells} cells, and a file takes at most {CELLS_MAX}: choose a part with --region or --z"
     );
     let predicted = predicted.whole().await?;
     let picture = picture(&predicted);
     write(kind, &picture, &args)?;
     let is_picture = matches!(kind, OutputKind::Pgm | OutputKind::Png);
     if is_picture && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
-        status_line("every column is occupied at some height: ask for heights with --z MIN:MAX");
+        status_line("every column is occupied at some height: choose heights with --z MIN:MAX");
     }
     let count = |wanted: fn(&PictureCell) -> bool| picture.cells.iter().filter(|cell| wanted(cell)).count() as u64;
     let mut table = session.table(&["out", "cells", "known", "changing", "generation"]);
@@ -143,7 +143,7 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     Ok(ExitCode::SUCCESS)
 }
 
-/// The cells asked for; none where all are.
+/// The requested cells; `None` for all.
 async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Option<CellBox>> {
     if args.region.is_none() && args.z.is_none() {
         return Ok(None);
@@ -153,7 +153,7 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
     if grid.is_flat && args.z.is_some() {
         return Err(usage(format!("--z: the grid of map {:?} is flat, it has one layer", args.map)));
     }
-    // Where nothing was observed yet the answer is empty, whatever the region.
+    // Without observations the prediction is empty, whatever the region.
     let Some(bounds) = map.grid_summary.and_then(|summary| summary.bounds) else { return Ok(None) };
     let region = cells(&grid, &bounds, args.region, args.z);
     Ok(Some(if grid.is_flat {
@@ -163,7 +163,7 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
     }))
 }
 
-/// The cells of a map between two heights, metres; none where all are wanted or there are none.
+/// The cells of a map between two heights, metres; `None` for a flat or an empty grid.
 pub(crate) fn heights(map: &Map, from_m: f64, to_m: f64) -> Option<CellBox> {
     let grid = map.grid.as_ref().filter(|grid| !grid.is_flat)?;
     let bounds = map.grid_summary.as_ref()?.bounds.as_ref()?;

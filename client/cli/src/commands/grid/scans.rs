@@ -1,7 +1,7 @@
 //! The scans of files, read on a thread of their own.
 //!
-//! Invariant: scans come in the order of their numbers, 1, 2, 3, ...; little is read ahead. A file that is cut off gives
-//! its whole scans, then the error.
+//! Invariant: scans are in the order of their numbers, 1, 2, 3, ...; the memory for scans read ahead is bounded. A truncated
+//! file gives its complete scans, then the error.
 
 mod plan;
 
@@ -30,26 +30,25 @@ use tidemap_formats::{PointFile, nav2, octomap, pcd, ply};
 const BUFFER_BYTES: usize = 256 * 1024;
 const CHUNKS_AHEAD: usize = 2;
 
-/// A scan with its time.
 #[derive(Debug)]
 pub(super) enum ScanInput {
-    /// As a file of scans has it.
+    /// From a file of scans.
     Wire(FileScan),
-    /// Made of a file.
+    /// From a point cloud or a map.
     Masks { time_nanos: i64, scan: Scan },
 }
 
-/// Scans that were read together, and how far the reading is.
+/// Scans that were read together, and the position of the reader.
 #[derive(Debug)]
 pub(super) struct ScanChunk {
     pub(super) scans: Vec<ScanInput>,
-    /// Bytes of the file of scans, or number of files.
+    /// Bytes of the file of scans, or the number of files.
     pub(super) position: u64,
 }
 
 pub(super) type ScanChunks = mpsc::Receiver<anyhow::Result<ScanChunk>>;
 
-/// Opens files; gives their scans and a bar for them.
+/// Starts to read the files; returns their scans and a progress bar.
 pub(super) fn open(plan: ScanPlan, grid: &Grid) -> anyhow::Result<(ScanChunks, Bar)> {
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     let (each, given) = match plan {
@@ -89,7 +88,7 @@ fn scan_file(file: &Path) -> anyhow::Result<(ScanFile<BufReader<File>>, Option<u
     Ok((ScanFile::new(BufReader::with_capacity(BUFFER_BYTES, open))?, total))
 }
 
-/// Whether the cells of a file of scans are those of the grid.
+/// Checks that a file of scans has the cells of the grid.
 fn fits(header: &ScanFileHeader, grid: &Grid) -> anyhow::Result<()> {
     let ScanFileHeader { resolution_m, frame_id, origin_m } = header;
     let resolution = grid.resolution_m;
@@ -132,7 +131,7 @@ fn send_scans(
     }
 }
 
-/// "Every cell was observed" means one layer in a flat grid: says so in full.
+/// Writes out the observed layer of a flat grid, where "every cell was observed" means one layer.
 fn spell_out_layers(scan: &mut FileScan) {
     if let Some(Content::Tiles(tiles)) = &mut scan.scan.content
         && tiles.observed.is_empty()
@@ -142,7 +141,7 @@ fn spell_out_layers(scan: &mut FileScan) {
     }
 }
 
-/// The scan that a file makes.
+/// Reads a file as one scan.
 fn one_scan(file: &Path, kind: FileKind, given: &ScanOptions, grid: &Grid, bar: &Bar) -> anyhow::Result<Scan> {
     let tiles = |on: GridMasks| {
         if let Some(notice) = on.notice {
@@ -152,7 +151,7 @@ fn one_scan(file: &Path, kind: FileKind, given: &ScanOptions, grid: &Grid, bar: 
     };
     let some_finite = |points: PointFile| {
         if points.points.is_empty() && points.not_finite > 0 {
-            let text = format!("none of its points is finite: {} are left out", points.not_finite);
+            let text = format!("it has no finite points: {} points are left out", points.not_finite);
             bar.status_line(&format!("{}: {text}", file.display()));
         }
         points
@@ -170,7 +169,7 @@ fn cloud(points: PointFile, given: &ScanOptions) -> anyhow::Result<Scan> {
     let own = points
         .pose
         .map(|pose| Pose { position_m: pose.translation.vector.into(), quaternion_xyzw: pose.rotation.coords.into() });
-    let pose = given.pose.or(own).context("the file does not say where the sensor was: say it with --pose")?;
+    let pose = given.pose.or(own).context("the file has no sensor pose: give one with --pose")?;
     Ok(Scan::Cloud(PointCloud {
         pose,
         frame_id: String::new(),
@@ -180,15 +179,15 @@ fn cloud(points: PointFile, given: &ScanOptions) -> anyhow::Result<Scan> {
     }))
 }
 
-/// A grid in the plane from its YAML file, or from its image with the YAML file of the same name beside it. An error
-/// names a file where it is not the given one.
+/// A 2D grid from its YAML file, or from its image with the YAML file of the same name beside it. An error names the
+/// file if it is not `file`.
 fn plane(file: &Path) -> anyhow::Result<nav2::Grid> {
     let (settings, image_path) = plane_files(file)?;
     let read = || Ok(nav2::read(&settings, &fs::read(&image_path)?)?);
     of_file(read(), &image_path, file)
 }
 
-/// What is to be read of such a grid: its settings, and where its image is.
+/// The settings of a 2D grid, and the path of its image.
 fn plane_files(file: &Path) -> anyhow::Result<(nav2::GridSettings, PathBuf)> {
     let is_image = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("pgm"));
     let settings_path = if is_image { file.with_extension("yaml") } else { file.to_path_buf() };
@@ -202,7 +201,7 @@ fn plane_files(file: &Path) -> anyhow::Result<(nav2::GridSettings, PathBuf)> {
     Ok((settings, image_path))
 }
 
-/// Names the file that was read, where it is another than the given one, which is named in any case.
+/// Names the file in an error, unless it is the given file, which the caller names.
 fn of_file<T>(read: anyhow::Result<T>, path: &Path, given: &Path) -> anyhow::Result<T> {
     if path == given { read } else { read.with_context(|| path.display().to_string()) }
 }

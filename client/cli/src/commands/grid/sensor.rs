@@ -1,10 +1,10 @@
 //! A sensor on the command line: `hit=0.9,false-alarm=0.05`.
 //!
-//! Invariant: a mistake names the part that is wrong and what would be right.
+//! Invariant: an error names the invalid part and the correct form.
 
 use tidemap_client::observe::ProducerSensor;
 
-/// A sensor as the command line says it; what is not said is that of a sensor that is always right.
+/// Parses a sensor; omitted values are those of a perfect sensor.
 pub(crate) fn sensor(text: &str) -> Result<ProducerSensor, String> {
     let (mut hit, mut false_alarm) = (None, None);
     for part in text.split(',') {
@@ -17,7 +17,7 @@ pub(crate) fn sensor(text: &str) -> Result<ProducerSensor, String> {
         let number = value.trim().parse::<f64>().ok().filter(|number| (0.0..=1.0).contains(number));
         let number = number.ok_or_else(|| format!("{name}={}: has to be a number from 0 to 1", value.trim()))?;
         if known.replace(number).is_some() {
-            return Err(format!("{name} is said twice"));
+            return Err(format!("{name} is given twice"));
         }
     }
     let sensor = ProducerSensor { hit: hit.unwrap_or(1.0), false_alarm: false_alarm.unwrap_or(0.0) };
@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_said_is_always_right() {
+    fn omitted_values_are_those_of_a_perfect_sensor() {
         assert_eq!(sensor("hit=0.9,false-alarm=0.05"), Ok(ProducerSensor { hit: 0.9, false_alarm: 0.05 }));
         assert_eq!(sensor("false-alarm=0.05"), Ok(ProducerSensor { hit: 1.0, false_alarm: 0.05 }));
         assert_eq!(sensor("hit=0.9"), Ok(ProducerSensor { hit: 0.9, false_alarm: 0.0 }));
@@ -44,7 +44,7 @@ mod tests {
             ("hit=NaN", "hit=NaN"),
             ("hit", "hit="),
             ("hit=1.2", "from 0 to 1"),
-            ("hit=0.9,hit=0.8", "hit is said twice"),
+            ("hit=0.9,hit=0.8", "hit is given twice"),
             ("hit=0.3,false-alarm=0.4", "above false-alarm"),
             ("false-alarm=1", "above false-alarm"),
         ] {

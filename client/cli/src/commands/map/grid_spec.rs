@@ -1,42 +1,30 @@
 //! A grid on the command line: `resolution=0.1,origin=-5:-5:0,size=100x80x20,frame=map`.
 //!
-//! Invariant: what is not said is left to the daemon; a mistake names the part that is wrong and what would be right.
+//! Invariant: the daemon chooses omitted values; an error names the invalid part and the correct form.
 
 use std::{fmt::Write as _, str::FromStr};
 
 use tidemap_client::maps::{CellBox, Grid, Retention, SensorNoise};
 use tidemap_map::time::{format_duration, parse_duration};
 
-/// A grid as the command line says it.
+/// A grid, parsed from the command line.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct GridSpec(pub(crate) Grid);
 
-/// A mistake in a grid.
+/// An invalid grid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum InvalidGridSpec {
-    /// No such part.
     #[error(
         "{0:?}: a grid has resolution=M, flat, origin=X:Y:Z, size=NXxNYxNZ or min=X:Y:Z and max=X:Y:Z, frame=NAME, \
          hit=P, false-alarm=P and prior=P, with commas between"
     )]
     Unknown(String),
-    /// A part twice.
-    #[error("{0} is said twice")]
+    #[error("{0} is given twice")]
     Twice(&'static str),
-    /// No resolution.
-    #[error("resolution is missing: say the edge of a cell in metres, such as resolution=0.1")]
+    #[error("resolution is missing: give the edge of a cell in metres, such as resolution=0.1")]
     NoResolution,
-    /// Not what it has to be.
     #[error("{key}={value}: {right}")]
-    Value {
-        /// Which part.
-        key: &'static str,
-        /// Its value.
-        value: String,
-        /// What would be right.
-        right: &'static str,
-    },
-    /// Parts that do not go together.
+    Value { key: &'static str, value: String, right: &'static str },
     #[error("{0}")]
     Together(&'static str),
 }
@@ -44,7 +32,7 @@ pub(crate) enum InvalidGridSpec {
 const RESOLUTION: &str = "has to be the edge of a cell in metres, above 0, such as 0.1";
 const METRES: &str = "has to be metres, as X:Y:Z such as -5:-5:0";
 const CELLS: &str = "has to be whole cells, as X:Y:Z such as -50:-50:0";
-const SIZE: &str = "has to be cells along each axis, as 100x80x20, or 100x80 of a flat grid";
+const SIZE: &str = "has to be cells along each axis, such as 100x80x20, or 100x80 for a flat grid";
 const PROBABILITY: &str = "has to be a number from 0 to 1";
 const KEYS: [&str; 10] = ["resolution", "flat", "origin", "size", "min", "max", "frame", "hit", "false-alarm", "prior"];
 
@@ -105,7 +93,7 @@ fn wrong(key: &'static str, value: &str, right: &'static str) -> InvalidGridSpec
     InvalidGridSpec::Value { key, value: value.to_owned(), right }
 }
 
-/// Two or three numbers; a third that is missing is `usual`.
+/// Two or three numbers; the default of the third is `usual`.
 fn triple<T: FromStr + Copy>(
     key: &'static str,
     text: &str,
@@ -143,15 +131,15 @@ fn extent(
         }
         (None, Some(min), Some(max)) => {
             let cells = CellBox { min: triple("min", min, ':', 0, CELLS)?, max: triple("max", max, ':', 1, CELLS)? };
-            let unordered = InvalidGridSpec::Together("max has to be above min along each axis: it is not included");
+            let unordered = InvalidGridSpec::Together("max has to be above min along each axis, and is not included");
             if is_box(&cells) { Ok(Some(cells)) } else { Err(unordered) }
         }
-        (Some(_), ..) => Err(InvalidGridSpec::Together("say either size, or min and max: not both")),
-        _ => Err(InvalidGridSpec::Together("min and max go together: say both, in cells")),
+        (Some(_), ..) => Err(InvalidGridSpec::Together("give either size, or min and max, not both")),
+        _ => Err(InvalidGridSpec::Together("min and max go together: give both, in cells")),
     }
 }
 
-/// A grid as the command line would say it.
+/// A grid in the notation of the command line.
 pub(crate) fn shown(grid: &Grid) -> String {
     let triple = |[x, y, z]: [f64; 3]| format!("{x}:{y}:{z}");
     let cells = |[x, y, z]: [i32; 3]| format!("{x}:{y}:{z}");
@@ -177,7 +165,7 @@ pub(crate) fn shown(grid: &Grid) -> String {
     text
 }
 
-/// A box of cells, as `X0:X1,Y0:Y1,Z0:Z1`, the ends not included.
+/// A box of cells, as `X0:X1,Y0:Y1,Z0:Z1`; the ends are not included.
 pub(crate) fn shown_box(cells: &CellBox) -> String {
     let along = |axis: usize| format!("{}:{}", cells.min[axis], cells.max[axis]);
     format!("{},{},{}", along(0), along(1), along(2))
@@ -194,7 +182,7 @@ pub(crate) fn retention(text: &str) -> Result<Retention, String> {
     }
 }
 
-/// As [`retention`] reads it.
+/// A retention in the notation of [`retention`].
 pub(crate) fn shown_retention(retention: Retention) -> String {
     match retention {
         Retention::None => "none".to_owned(),
@@ -234,7 +222,7 @@ mod tests {
         for (text, words) in [
             ("flat", "resolution is missing"),
             ("resolution=wide", "resolution=wide"),
-            ("resolution=1,resolution=2", "resolution is said twice"),
+            ("resolution=1,resolution=2", "resolution is given twice"),
             ("resolution=1,colour=red", "\"colour=red\""),
             ("resolution=1,flat=yes", "\"flat=yes\""),
             ("resolution", "\"resolution\""),

@@ -73,8 +73,8 @@ where
     let mut rows =
         RowReader::<_, L>::open(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
     if stdin {
-        // Whoever writes to a pipe may be killed in the middle of a line. A file that lacks its last line end was more
-        // likely saved that way.
+        // The writer of a pipe may be killed in the middle of a line. A file without its last line end was probably saved
+        // that way.
         rows = rows.lines_must_end();
     }
     if !rows.ignored().is_empty() {
@@ -86,7 +86,7 @@ where
     Ok(Feed { rows: receiver, total_bytes, layout })
 }
 
-/// Reads until the end, an error, or until nobody wants more.
+/// Reads until the end, an error, or until the receiver is closed.
 fn read<R: Read, L: Layout>(
     mut rows: RowReader<BufReader<R>, L>,
     sender: &mpsc::Sender<Result<RowChunk<L::Row>, RowError>>,

@@ -1,7 +1,7 @@
-//! What the values of a file's states may be.
+//! The kinds of the states of a file, to find invalid values before the daemon refuses them.
 //!
-//! Invariant: a row is called wrong only where no daemon would accept it; where that is not known, the daemon is left to
-//! say. Files of probabilities and of positions ask for nothing.
+//! Invariant: a row is reported as invalid only if every daemon would refuse it. Files of probabilities and of positions
+//! cause no requests.
 
 use std::collections::HashMap;
 
@@ -10,42 +10,41 @@ use tonic::Code;
 
 use tidemap_formats::observation_file::ObservationRow;
 
-/// States that are asked for, at most: a file of garbage must not become as many requests.
+/// Maximum number of states whose kind is requested: an invalid file must not cause a request per row.
 const ASKED_MAX: usize = 10_000;
 
-/// What is known of the states of a map.
+/// The known kinds of the states of a map.
 pub(crate) struct Kinds {
     client: Client,
     map: String,
-    /// What was said of all states of the file.
-    said: Option<StateKind>,
+    /// The kind that the user gave for all states of the file.
+    given: Option<StateKind>,
     known: HashMap<String, StateKind>,
 }
 
 impl Kinds {
-    /// Nothing known yet.
-    pub(crate) fn new(client: Client, map: String, said: Option<StateKind>) -> Self {
-        Self { client, map, said, known: HashMap::new() }
+    pub(crate) fn new(client: Client, map: String, given: Option<StateKind>) -> Self {
+        Self { client, map, given, known: HashMap::new() }
     }
 
-    /// What is wrong with a row, if anything is.
+    /// Why a row is invalid, if it is.
     pub(crate) async fn wrong(&mut self, row: &ObservationRow) -> Option<String> {
         if !row.is_read || row.position.is_some() {
             return row.wrong.clone();
         }
-        let kind = match self.said {
+        let kind = match self.given {
             Some(kind) => kind,
             None if row.wrong.is_none() => return None,
             None => self.kind(&row.state).await?,
         };
         match kind.invalid_reason(row.value) {
-            // In the words of the file.
+            // The reader's message quotes the file.
             Some(_) if kind == StateKind::Probability => row.wrong.clone(),
             invalid_reason => invalid_reason.map(|expected| format!("value {} is not {expected}", row.value)),
         }
     }
 
-    /// The kind of a state; `None` where it cannot be had.
+    /// The kind of a state; `None` if it is unknown.
     async fn kind(&mut self, state: &str) -> Option<StateKind> {
         if let Some(&kind) = self.known.get(state) {
             return Some(kind);
@@ -55,7 +54,7 @@ impl Kinds {
         }
         let kind = match self.client.describe_model(&self.map, state).await {
             Ok(model) => model.kind,
-            // It would be new.
+            // A new state.
             Err(error) if error.code() == Some(Code::NotFound) => StateKind::default(),
             Err(_) => return None,
         };

@@ -1,7 +1,7 @@
-//! A file of scans sent over one stream, its batches as they stand in the file.
+//! Sends a file of scans over one stream, with the batches of the file unchanged.
 //!
-//! Invariant: no batch is decoded here; the daemon gets the same bytes as from any producer's first connection. A
-//! connection that breaks ends the measurement.
+//! Invariant: batches are not decoded; the daemon receives the same bytes as from a producer's first connection. A broken
+//! connection ends the measurement.
 
 use std::{fs::File, io::BufReader, path::Path, thread};
 
@@ -27,7 +27,6 @@ const BATCHES_AHEAD: usize = 4;
 /// Field `scans` of `ObserveRequest`, of type bytes.
 const SCANS_TAG: u8 = 3 << 3 | 2;
 
-/// What was sent.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FeedTotals {
     pub(super) scans: u64,
@@ -35,7 +34,7 @@ pub(super) struct FeedTotals {
     pub(super) bytes: u64,
 }
 
-/// Encoded requests out, replies in.
+/// A codec that sends encoded requests and decodes replies.
 #[derive(Clone, Copy, Debug, Default)]
 struct Raw;
 
@@ -73,7 +72,7 @@ impl Decoder for Raw {
     }
 }
 
-/// Sends a file and waits until all of it is durable and the stream has ended.
+/// Sends a file and waits until it is durable and the stream has ended.
 pub(super) async fn send(client: &Client, map: &str, path: &Path) -> anyhow::Result<FeedTotals> {
     let shown = path.display().to_string();
     let open = File::open(path).with_context(|| shown.clone())?;
@@ -123,7 +122,7 @@ pub(super) async fn send(client: &Client, map: &str, path: &Path) -> anyhow::Res
     Ok(FeedTotals { scans, refused, bytes: total })
 }
 
-/// Reads batches until the end; gives the number of scans.
+/// Reads and queues the batches; returns the number of scans.
 fn read(
     mut file: ScanFile<BufReader<File>>,
     requests: &mpsc::Sender<Bytes>,

@@ -1,7 +1,7 @@
 //! The simulated office as a file of scans.
 //!
-//! Invariant: the same options make the same file; a tile is told whole when it is seen for the first time, and by what
-//! has changed from then on.
+//! Invariant: the same options make the same file. The first scan of a tile holds its whole mask, later scans only its
+//! changes.
 
 use std::{
     fs::File,
@@ -20,12 +20,10 @@ use tidemap_sim::{GridOffice, GridOfficeError, GridOfficeOptions, GridScan, Grid
 use super::GridArgs;
 use crate::{commands::usage, progress::Bar};
 
-/// Time zone of the office.
 pub(super) const ZONE: &str = "Europe/London";
-/// Edge of its cells.
 pub(super) const RESOLUTION_M: f64 = 0.1;
 
-/// The office of the options.
+/// The office that the options describe.
 pub(super) fn make(args: &GridArgs) -> anyhow::Result<GridOffice> {
     let office = GridOffice::new(&GridOfficeOptions {
         seed: args.seed,
@@ -41,7 +39,7 @@ pub(super) fn make(args: &GridArgs) -> anyhow::Result<GridOffice> {
     office.map_err(|error| match error {
         GridOfficeError::OutOfRange { option, allowed, given } => {
             let option = option.replace('_', "-");
-            usage(format!("--{option} {given}: it has to be {allowed} here"))
+            usage(format!("--{option} {given}: it has to be {allowed}"))
         }
         GridOfficeError::TooQuiet { asked, least } => {
             let text = format!("--changes-per-day {asked}: the routines of this office alone make {least:.1}");
@@ -51,7 +49,7 @@ pub(super) fn make(args: &GridArgs) -> anyhow::Result<GridOffice> {
     })
 }
 
-/// Writes the file; gives its length. A file that is not whole does not get its name.
+/// Writes the file and returns its length. An incomplete file keeps the ending .part.
 pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
     let office = make(args)?;
     let mut unfinished = path.as_os_str().to_owned();
@@ -63,7 +61,7 @@ pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
     let mut writer = ScanFileWriter::new(BufWriter::new(file), &header).with_context(shown)?;
     let mut scans = WireScans::new(&office);
     let mut stream = GridStream::new(&office, args.days);
-    let (bar, total) = (Bar::count("scans made"), u64::from(args.days) * u64::from(args.scans_per_day));
+    let (bar, total) = (Bar::count("scans recorded"), u64::from(args.days) * u64::from(args.scans_per_day));
     let mut made = 0_u64;
     while let Some(scan) = stream.next() {
         let (new_tiles, wire) = scans.wire(&scan);
@@ -79,7 +77,7 @@ pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
     Ok(bytes)
 }
 
-/// Turns scans of the office into those of the wire.
+/// Converts scans of the office to scans of the wire.
 pub(super) struct WireScans<'a> {
     office: &'a GridOffice,
     shown: Vec<bool>,
@@ -91,7 +89,7 @@ impl<'a> WireScans<'a> {
         Self { office, shown: Vec::new(), view: None }
     }
 
-    /// The scan, and the tiles that are new to the table.
+    /// The converted scan, and the tiles that are new to the stream's table.
     pub(super) fn wire(&mut self, scan: &GridScan<'_>) -> (Vec<i32>, Scan) {
         let mut tiles = TileScan::default();
         let mut new_tiles = Vec::new();
@@ -106,7 +104,7 @@ impl<'a> WireScans<'a> {
                 self.shown.resize(view + 1, false);
             }
             if !std::mem::replace(&mut self.shown[view], true) {
-                // All observed; whole masks say what is occupied, which is less than one flip for each cell of it.
+                // Everything is observed; whole masks of the occupied cells are smaller than one flip per cell.
                 tiles.masked = slots.to_vec();
                 tiles.occupied = occupied_masks(slots, scan.occupied_flips);
             }
@@ -122,7 +120,7 @@ impl<'a> WireScans<'a> {
     }
 }
 
-/// The masks of slots of which these cells are occupied, both ascending.
+/// The masks of slots with these occupied cells; both are ascending.
 fn occupied_masks(slots: &[u32], occupied: &[u32]) -> Vec<u8> {
     let mut masks = vec![0; slots.len() * MASK_BYTES];
     let mut cells = occupied.iter().peekable();

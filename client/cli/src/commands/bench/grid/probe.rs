@@ -1,6 +1,6 @@
-//! Predictions of the whole grid while it is fed.
+//! Predicts the whole grid repeatedly while it receives scans.
 //!
-//! Invariant: a prediction counts from the question to its last tile; those of an empty grid do not count.
+//! Invariant: a latency is from the request to the last tile; predictions of an empty grid do not count.
 
 use std::time::{Duration, Instant};
 
@@ -46,7 +46,7 @@ impl Probe {
         Self { stop, task }
     }
 
-    /// Ends after the prediction under way.
+    /// Ends after the current prediction.
     pub(super) async fn ended(self) -> anyhow::Result<Figures> {
         let _ = self.stop.send(());
         let latencies = self.task.await??;

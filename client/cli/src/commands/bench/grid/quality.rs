@@ -1,6 +1,6 @@
-//! How well what was learned tells the states that it was learned from: T-RO 2017, section VI.B.
+//! The estimation error of the models on their training data (T-RO 2017, section VI.B).
 //!
-//! Invariant: the office itself is the truth; a cell that changes counts, the others do not.
+//! Invariant: the simulated office is the ground truth; only cells that change count.
 
 use tidemap_client::{
     Client,
@@ -12,7 +12,7 @@ use super::{Figures, GridArgs, office};
 use crate::progress::{Bar, status_line};
 use tidemap_formats::table::Cell;
 
-/// Orders compared: static, and those of the paper.
+/// The compared orders: the static model, and those of the paper.
 const ORDERS: [(u32, &str); 6] = [
     (0, "error_percent_order_0"),
     (1, "error_percent_order_1"),
@@ -22,7 +22,7 @@ const ORDERS: [(u32, &str); 6] = [
     (5, "error_percent_order_5"),
 ];
 
-/// What the changing cells were at one scan, in their order.
+/// The true states of the changing cells at one scan, in their order.
 struct Truth {
     utc_nanos: i64,
     occupied: Vec<bool>,
@@ -83,7 +83,7 @@ fn truths(office: &GridOffice, day: u32, scans_a_day: u32) -> Vec<Truth> {
     truths
 }
 
-/// How many changing cells are on the other side of 0.5 than predicted.
+/// The number of changing cells on the other side of 0.5 than their prediction.
 fn differing(office: &GridOffice, truth: &Truth, predicted: &PredictedGrid) -> u64 {
     let by_place: std::collections::HashMap<[i32; 3], usize> =
         predicted.tiles.iter().enumerate().map(|(number, tile)| (tile.place, number)).collect();

@@ -1,6 +1,6 @@
-//! A file of scans that was made before.
+//! An existing file of scans.
 //!
-//! Invariant: what it holds is read from the file itself; options are only compared with it.
+//! Invariant: its content is read from the file; options are only compared with it.
 
 use std::{
     fs::File,
@@ -18,10 +18,10 @@ use super::{GridArgs, office};
 const BUFFER_BYTES: usize = 1 << 20;
 const DAY_NANOS: f64 = 86_400e9;
 
-/// How often in a day all cells are compared.
-const LOOKS_PER_DAY: u32 = 24;
+/// Full comparisons of all cells per day.
+const COMPARISONS_PER_DAY: u32 = 24;
 
-/// A file, and how far apart its scans are.
+/// A file and its rate of scans.
 #[derive(Debug)]
 pub(super) struct RecordedScans {
     path: PathBuf,
@@ -43,19 +43,19 @@ impl RecordedScans {
         Ok(Self { path: path.to_path_buf(), scans_per_day })
     }
 
-    /// How many scans it has a day; none of fewer than two scans.
+    /// Scans per day; `None` if the file has fewer than two scans.
     pub(super) fn scans_per_day(&self) -> Option<f64> {
         self.scans_per_day
     }
 
-    /// Whether its first day is that of the file that the options make.
+    /// Whether its first day matches the options.
     pub(super) fn matches(&self, args: &GridArgs) -> anyhow::Result<bool> {
         let shown = || self.path.display().to_string();
         let office = office::make(args)?;
         let (mut stream, mut made) = (GridStream::new(&office, 1), office::WireScans::new(&office));
         let (mut found, mut right) = (TileTable::default(), TileTable::default());
         let mut file = open(&self.path).with_context(shown)?;
-        let look = u64::from((args.scans_per_day / LOOKS_PER_DAY).max(1));
+        let comparison_every = u64::from((args.scans_per_day / COMPARISONS_PER_DAY).max(1));
         while let Some(scans) = file.next_scans().with_context(shown)? {
             for of_file in scans {
                 let Some(scan) = stream.next() else { return Ok(true) };
@@ -65,8 +65,9 @@ impl RecordedScans {
                 let (new_tiles, wire) = made.wire(&scan);
                 show(&mut right, &new_tiles, wire.content.as_ref())?;
                 show(&mut found, &of_file.new_tiles, of_file.scan.content.as_ref()).with_context(shown)?;
-                let is_look = of_file.number % look == 1 % look;
-                if is_look && (found.tiles() != right.tiles() || !found.picture().all().eq(right.picture().all())) {
+                let is_comparison = of_file.number % comparison_every == 1 % comparison_every;
+                if is_comparison && (found.tiles() != right.tiles() || !found.picture().all().eq(right.picture().all()))
+                {
                     return Ok(false);
                 }
             }

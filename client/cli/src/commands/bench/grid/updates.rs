@@ -1,25 +1,25 @@
-//! The updates of a map while it is fed.
+//! The durations of a map's updates.
 //!
-//! Invariant: each update counts once, by the daemon's own measure of how long it ran.
+//! Invariant: each update counts once, with the duration that the daemon reports.
 
 use std::{collections::BTreeMap, time::Duration};
 
 use tidemap_client::{Client, updates::JobState};
 use tokio::task::JoinHandle;
 
-/// The daemon forgets jobs that ended long ago; looks come far closer than that.
+/// Pause between two requests for the jobs; the daemon keeps ended jobs much longer.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// Follows the updates of a map.
+/// Watches the updates of a map.
 #[derive(Debug)]
 pub(super) struct UpdateTimes {
     map: String,
-    /// Seconds of each, by the job's number.
+    /// Seconds of each update, by the job's number.
     seen: tokio::sync::watch::Receiver<BTreeMap<u64, f64>>,
     task: JoinHandle<()>,
 }
 
-/// How long updates ran.
+/// Durations of updates, in seconds.
 #[derive(Clone, Debug)]
 pub(super) struct UpdateSecs(Vec<f64>);
 
@@ -38,7 +38,7 @@ impl UpdateTimes {
         Self { map: map.to_owned(), seen, task }
     }
 
-    /// Looks once more.
+    /// Ends the watch after one last request.
     pub(super) async fn ended(self, client: &Client) -> anyhow::Result<UpdateSecs> {
         self.task.abort();
         let mut all = self.seen.borrow().clone();

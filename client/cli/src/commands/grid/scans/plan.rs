@@ -1,7 +1,7 @@
-//! What files are to be sent, and whether that makes sense.
+//! The plan for sending files as scans, with its checks.
 //!
-//! Invariant: of a plan every file is there, every scan has its time, every point cloud a pose, and every option says
-//! something about some file. It is made before the daemon is told anything.
+//! Invariant: in a plan every file exists, every scan has a time, every point cloud has a pose, and every option applies to a
+//! file. The plan is complete before the daemon is contacted.
 
 use std::{
     fs::File,
@@ -16,10 +16,10 @@ use super::plane_files;
 use crate::commands::{UsageError, files, usage};
 use tidemap_formats::pcd;
 
-/// Within so many bytes the header of a point cloud ends.
+/// Maximum length of a point cloud's header, in bytes.
 const HEADER_BYTES: u64 = 64 * 1024;
 
-/// What else than the files says what the scans are.
+/// The options that describe the scans.
 #[derive(Clone, Debug)]
 pub(in crate::commands::grid) struct ScanOptions {
     pub(in crate::commands::grid) at_nanos: Option<i64>,
@@ -29,7 +29,7 @@ pub(in crate::commands::grid) struct ScanOptions {
     pub(in crate::commands::grid) max_range_m: Option<f32>,
 }
 
-/// What the ending of a file says.
+/// The format of a file, by its ending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::commands::grid) enum FileKind {
     Scans,
@@ -39,21 +39,21 @@ pub(in crate::commands::grid) enum FileKind {
     Plane,
 }
 
-/// What is to be sent.
+/// The files to send.
 #[derive(Debug)]
 pub(in crate::commands::grid) enum ScanPlan {
     /// A file of scans.
     Scans(PathBuf),
-    /// Files that are a scan each, with their times.
+    /// Files of one scan each, with their times.
     Each(Vec<(PathBuf, FileKind, i64)>, ScanOptions),
 }
 
-/// What to do with files.
+/// Plans how to send files.
 pub(in crate::commands::grid) fn plan(files: &[PathBuf], given: &ScanOptions) -> anyhow::Result<ScanPlan> {
     let kinds = files.iter().map(|file| kind(file)).collect::<Result<Vec<FileKind>, UsageError>>()?;
     if kinds.contains(&FileKind::Scans) {
         let [file] = files else {
-            return Err(usage("a .tms file is sent by itself: one a command"));
+            return Err(usage("a .tms file is sent alone: give one file per command"));
         };
         if given.at_nanos.is_some() || given.every_nanos.is_some() || given.has_sensor() {
             let text = "a .tms file has its own times, poses and ranges: leave out --at, --every, --pose, --min-range \
@@ -72,14 +72,14 @@ pub(in crate::commands::grid) fn plan(files: &[PathBuf], given: &ScanOptions) ->
 }
 
 impl ScanOptions {
-    /// Whether anything is said of a sensor.
+    /// Whether an option describes the sensor.
     fn has_sensor(&self) -> bool {
         self.pose.is_some() || self.min_range_m.is_some() || self.max_range_m.is_some()
     }
 
     fn check_ranges(&self) -> Result<(), UsageError> {
         match (self.min_range_m, self.max_range_m) {
-            // A longest range of 0 is none.
+            // A maximum range of 0 means no limit.
             (Some(min), Some(max)) if max > 0.0 && min > max => {
                 Err(UsageError(format!("--min-range {min} is above --max-range {max}: no point would be left")))
             }
@@ -96,32 +96,32 @@ fn kind(path: &Path) -> Result<FileKind, UsageError> {
         Some("bt" | "ot") => Ok(FileKind::OctoMap),
         Some("yaml" | "yml" | "pgm") => Ok(FileKind::Plane),
         _ => Err(UsageError(format!(
-            "{}: its ending does not say what it is: use .tms, .pcd, .ply, .bt, .ot, .yaml or .pgm",
+            "{}: unknown ending: use .tms, .pcd, .ply, .bt, .ot, .yaml or .pgm",
             path.display()
         ))),
     }
 }
 
-/// A time for each file.
+/// The time of each file.
 fn times(given: &ScanOptions, files: usize) -> anyhow::Result<Vec<i64>> {
-    let at = given.at_nanos.ok_or_else(|| UsageError("say when the scan was made, with --at".to_owned()))?;
+    let at = given.at_nanos.ok_or_else(|| UsageError("give the time of the scan with --at".to_owned()))?;
     let every = match given.every_nanos {
         Some(every) => every,
         None if files == 1 => 0,
         None => {
-            return Err(usage(format!("{files} files are as many scans: say how far apart they are, with --every")));
+            return Err(usage(format!("{files} files are {files} scans: give the time between them with --every")));
         }
     };
     let time = |index: i64| every.checked_mul(index).and_then(|after| at.checked_add(after));
     let times = (0..).take(files).map(time).collect::<Option<Vec<i64>>>();
-    times.ok_or_else(|| usage("--at and --every lead beyond the year 2262"))
+    times.ok_or_else(|| usage("--at and --every lead past the year 2262"))
 }
 
-/// Whether a file is there, and what is said of the sensor goes with it.
+/// Checks that a file exists and that the sensor options fit it.
 fn check(file: &Path, kind: FileKind, given: &ScanOptions) -> anyhow::Result<()> {
     let shown = || file.display().to_string();
     if matches!(kind, FileKind::OctoMap | FileKind::Plane) && given.has_sensor() {
-        let text = "it is a map and not a scan of a sensor: leave out --pose, --min-range and --max-range";
+        let text = "it is a map, not a sensor scan: leave out --pose, --min-range and --max-range";
         return Err(usage(format!("{}: {text}", file.display())));
     }
     let open = File::open(file).with_context(shown)?;
@@ -129,7 +129,7 @@ fn check(file: &Path, kind: FileKind, given: &ScanOptions) -> anyhow::Result<()>
         FileKind::Pcd if given.pose.is_none() => {
             let mut start = Vec::new();
             open.take(HEADER_BYTES).read_to_end(&mut start).with_context(shown)?;
-            // What is wrong with the file is told when it is read.
+            // Errors in the file are reported when it is read.
             pcd::read_pose(&start).map_or(true, |pose| pose.is_some())
         }
         FileKind::Ply => given.pose.is_some(),
@@ -143,7 +143,7 @@ fn check(file: &Path, kind: FileKind, given: &ScanOptions) -> anyhow::Result<()>
     if has_pose {
         return Ok(());
     }
-    let text = "the file does not say where the sensor was: say it with --pose";
+    let text = "the file has no sensor pose: give one with --pose";
     Err(usage(format!("{}: {text}", file.display())))
 }
 
