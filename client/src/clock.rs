@@ -1,5 +1,5 @@
-//! The wall clock. Invariant: only this file reads it; durations are measured with `std::time::Instant`, which cannot be
-//! set.
+//! The wall clock. Invariant: only this file reads it; durations are measured with `std::time::Instant`, which cannot
+//! be set.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 

@@ -94,10 +94,10 @@ enum Command {
     State(state::StateCommand),
     /// Sends the observations of a file, each exactly once
     ///
-    /// The file has a header and the columns time, state and value, in any order; a value is between 0 and 1. With columns
-    /// x, y and optionally z in place of value, the rows are positions in metres. The same producer and label continue
-    /// where they stopped; a file that differs from what was sent is refused. The exit status is 0 only if no row was
-    /// refused.
+    /// The file has a header and the columns time, state and value, in any order; a value is between 0 and 1. With
+    /// columns x, y and optionally z in place of value, the rows are positions in metres. The same producer and label
+    /// continue where they stopped; a file that differs from what was sent is refused. The exit status is 0 only if no
+    /// row was refused.
     Observe(observe::ObserveArgs),
     /// Runs the nightly update now and shows the result for each state
     Update(update::UpdateArgs),
@@ -108,8 +108,8 @@ enum Command {
     Predict(predict::PredictArgs),
     /// Predicts where something will be, as probabilities of places
     ///
-    /// Rows are cells of space, given by their centres, the most probable first. The expected position and the probability
-    /// outside of the region go to stderr. The state is a vector, observed with columns x and y.
+    /// Rows are cells of space, given by their centres, the most probable first. The expected position and the
+    /// probability outside of the region go to stderr. The state is a vector, observed with columns x and y.
     Position(position::PositionArgs),
     /// Sends scans of an occupancy grid, and writes maps of any time
     #[command(subcommand)]
@@ -118,9 +118,9 @@ enum Command {
     Reconstruct(reconstruct::ReconstructArgs),
     /// Shows the observations of a state that the model did not expect, or waits for them with --watch
     ///
-    /// An observation is an anomaly if the model predicted the opposite with the given confidence: a value below 0.5 when
-    /// the probability is at least C, or a value of 0.5 or more when it is at most 1 - C. The map must keep its history,
-    /// except for --watch.
+    /// An observation is an anomaly if the model predicted the opposite with the given confidence: a value below 0.5
+    /// when the probability is at least C, or a value of 0.5 or more when it is at most 1 - C. The map must keep its
+    /// history, except for --watch.
     Anomalies(anomalies::AnomaliesArgs),
     /// Compares predictions with the observations of a file; the map does not learn them
     Evaluate(evaluate::EvaluateArgs),
@@ -148,26 +148,26 @@ enum Command {
     /// Reports traversals of edges of the topological map: those of a file, each exactly once, or a single one
     ///
     /// The file has a header and the columns from, to, start, end and success, in any order, and optionally action and
-    /// reason; success is true or false. The map learns the probability of success as state edge/FROM/TO, and the speed as
-    /// state speed/FROM/TO in metres per second. For an edge without a length it learns pace/FROM/TO, the nominal time
-    /// divided by the actual time. For an edge with an action, /ACTION is appended. The same producer and label continue
-    /// where they stopped, as for observe. The exit status is 0 only if no row was refused.
+    /// reason; success is true or false. The map learns the probability of success as state edge/FROM/TO, and the speed
+    /// as state speed/FROM/TO in metres per second. For an edge without a length it learns pace/FROM/TO, the nominal
+    /// time divided by the actual time. For an edge with an action, /ACTION is appended. The same producer and label
+    /// continue where they stopped, as for observe. The exit status is 0 only if no row was refused.
     Traverse(traverse::TraverseArgs),
     /// Plans the order in which to search the nodes of the topological map for a target
     ///
-    /// The probability of finding the target at a node is predicted from the state of the same name. Nodes on the way are
-    /// searched too. expected_secs is the expected time until the target is found, the same in each row.
+    /// The probability of finding the target at a node is predicted from the state of the same name. Nodes on the way
+    /// are searched too. expected_secs is the expected time until the target is found, the same in each row.
     Search(search::SearchArgs),
     /// Plans a route from one node of the topological map to another, for a time
     ///
-    /// Each edge is predicted for the time when the robot reaches it. probability is its probability of success, with an
-    /// interval from lower to upper; reports is the number of its reports. expected_secs is the expected time of the whole
-    /// route, with failed attempts and recovery.
+    /// Each edge is predicted for the time when the robot reaches it. probability is its probability of success, with
+    /// an interval from lower to upper; reports is the number of its reports. expected_secs is the expected time of the
+    /// whole route, with failed attempts and recovery.
     Route(route::RouteArgs),
     /// Plans the action at each node in each time slot that leads to a goal, also after failures
     ///
-    /// action is take, wait, nothing (the goal cannot be reached any more) or arrived; probability is the probability of
-    /// arriving before the last slot ends.
+    /// action is take, wait, nothing (the goal cannot be reached any more) or arrived; probability is the probability
+    /// of arriving before the last slot ends.
     Policy(route::PolicyArgs),
     /// Predicts the presence of a person or object at each node of the topological map
     ///
@@ -180,8 +180,8 @@ enum Command {
     Joint(presence::JointArgs),
     /// Chooses the location to observe in the current slot, by current knowledge
     ///
-    /// By default the most uncertain location, given the last observations. With --planned the location of the day's plan,
-    /// unless something unexpected was observed elsewhere lately.
+    /// By default the most uncertain location, given the last observations. With --planned the location of the day's
+    /// plan, unless something unexpected was observed elsewhere lately.
     Slot(slot::SlotArgs),
     /// Lists and watches jobs
     #[command(subcommand)]
@@ -190,9 +190,9 @@ enum Command {
     Stats(stats::StatsArgs),
     /// Compares temporal models on recordings, by a protocol, without a daemon
     ///
-    /// A protocol is a YAML file: training and test data, models with their parameters, the tuning of parameter lists on the
-    /// training data, and the baseline model. The comparison goes to stdout; tables, predictions and a picture go to the
-    /// folder that the protocol names.
+    /// A protocol is a YAML file: training and test data, models with their parameters, the tuning of parameter lists
+    /// on the training data, and the baseline model. The comparison goes to stdout; tables, predictions and a picture
+    /// go to the folder that the protocol names.
     Experiment(experiment::ExperimentArgs),
     /// Measures a running daemon under load
     #[command(subcommand)]

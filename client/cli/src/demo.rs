@@ -1,5 +1,5 @@
-//! `tidemap demo`: weeks of robots' observations in a simulated office, sent through the real API to a new daemon, and a
-//! picture of its predictions.
+//! `tidemap demo`: weeks of robots' observations in a simulated office, sent through the real API to a new daemon, and
+//! a picture of its predictions.
 //!
 //! Invariant: predictions come from the daemon, which receives only the robots' observations; the truth comes from the
 //! simulation. The daemon and its folder are removed at the end, also after an error or Ctrl-C.

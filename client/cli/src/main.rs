@@ -1,7 +1,7 @@
 //! `tidemap`, the command line.
 //!
-//! Invariant: results go to stdout, everything else to stderr. The exit status is 0 after success, 1 after a failure or a
-//! refusal, 2 after a usage error, 130 after Ctrl-C.
+//! Invariant: results go to stdout, everything else to stderr. The exit status is 0 after success, 1 after a failure or
+//! a refusal, 2 after a usage error, 130 after Ctrl-C.
 
 mod commands;
 mod demo;

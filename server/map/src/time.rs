@@ -1,8 +1,8 @@
 //! Times and durations as text.
 //!
-//! Invariant: a time is i64 nanoseconds UTC since 1970, at least 0. Times are read and written with decimal arithmetic, never
-//! with floats, so that every digit is kept. RFC 3339 is read by jiff. Durations are read here: jiff's parser has no
-//! fractions of days and weeks and no exponents.
+//! Invariant: a time is i64 nanoseconds UTC since 1970, at least 0. Times are read and written with decimal arithmetic,
+//! never with floats, so that every digit is kept. RFC 3339 is read by jiff. Durations are read here: jiff's parser has
+//! no fractions of days and weeks and no exponents.
 
 mod decimal;
 

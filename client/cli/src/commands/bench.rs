@@ -1,7 +1,7 @@
 //! `tidemap bench`: measures the speed of a running daemon.
 //!
-//! Invariant: a benchmark uses the public calls, on its own map that is deleted afterwards. Each result includes the speed
-//! of the daemon's disk, because figures of two machines cannot be compared without it.
+//! Invariant: a benchmark uses the public calls, on its own map that is deleted afterwards. Each result includes the
+//! speed of the daemon's disk, because figures of two machines cannot be compared without it.
 
 mod grid;
 mod latencies;

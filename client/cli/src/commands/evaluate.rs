@@ -34,7 +34,8 @@ pub(crate) struct EvaluateArgs {
     max_order: Option<u32>,
     /// Models, each optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS],
     /// histogram:week[:BINS], histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]],
-    /// hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson, calibrated; or all, for every kind without +persistence
+    /// hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson, calibrated; or all, for every kind without
+    /// +persistence
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', default_value = "spectral")]
     models: Vec<ModelArg>,
 }

@@ -20,10 +20,10 @@ use super::Session;
 pub(crate) enum GridCommand {
     /// Sends scans from files, each exactly once
     ///
-    /// The ending gives the format: .tms is a file of scans with their own times (see the README); .pcd and .ply are point
-    /// clouds, each one scan, ray-cast from --pose; .bt and .ot (OctoMap) and .yaml or .pgm (Nav2) are maps, whose known
-    /// cells count as observed at that time. The same producer and label continue where they stopped; scans that differ
-    /// from what was sent are refused.
+    /// The ending gives the format: .tms is a file of scans with their own times (see the README); .pcd and .ply are
+    /// point clouds, each one scan, ray-cast from --pose; .bt and .ot (OctoMap) and .yaml or .pgm (Nav2) are maps,
+    /// whose known cells count as observed at that time. The same producer and label continue where they stopped; scans
+    /// that differ from what was sent are refused.
     Observe(observe::GridObserveArgs),
     /// Writes the map at any time, past or future, to a file
     ///

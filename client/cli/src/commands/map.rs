@@ -78,7 +78,8 @@ pub(crate) struct CreateArgs {
     /// Criterion by which the order of the spectral model is chosen
     #[arg(long, value_name = "CRITERION", default_value = "squared-error")]
     order_criterion: Criterion,
-    /// How long the history of exact observations of named states is kept: none, forever or a duration [default: forever]
+    /// How long the history of exact observations of named states is kept: none, forever or a duration [default:
+    /// forever]
     #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention)]
     retention: Option<Retention>,
     /// An occupancy grid: resolution=M[,flat][,origin=X:Y:Z][,size=NXxNYxNZ or min=X:Y:Z,max=X:Y:Z][,frame=NAME]

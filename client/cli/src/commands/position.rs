@@ -1,7 +1,7 @@
 //! `tidemap position`.
 //!
-//! Invariant: rows are in the order of the times, the most probable cell of each time first; the summary of a time goes to
-//! stderr.
+//! Invariant: rows are in the order of the times, the most probable cell of each time first; the summary of a time goes
+//! to stderr.
 
 use std::process::ExitCode;
 

@@ -42,8 +42,8 @@ pub(crate) struct PredictArgs {
     /// hypertime-km[:CLUSTERS], poisson, calibrated; cells have auto, mean, latest and spectral
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// Confidence of the interval from lower to upper for the mean over the hour around the time: 0 (no interval) or more,
-    /// and below 1
+    /// Confidence of the interval from lower to upper for the mean over the hour around the time: 0 (no interval) or
+    /// more, and below 1
     #[arg(long, value_name = "P", default_value_t = 0.9)]
     interval: f64,
 }

@@ -1,7 +1,8 @@
 //! `tidemap presence` and `tidemap joint`: the presence of a target at each node, and the next time when all of several
 //! states are likely 1.
 //!
-//! Invariant: rows are in the order of the times, the most probable node first; nodes without observations go to stderr.
+//! Invariant: rows are in the order of the times, the most probable node first; nodes without observations go to
+//! stderr.
 
 use std::process::ExitCode;
 

@@ -30,8 +30,8 @@ use tidemap_formats::{
 pub(crate) enum TopologyCommand {
     /// Replaces the nodes and edges with those of a file; those with the same names keep their numbers
     ///
-    /// A file that ends in .yaml or .yml is a ROS topological map. Any other file has lines `node A`, `link A B SECONDS`
-    /// (both ways) and `edge A B SECONDS` (one way); - is stdin.
+    /// A file that ends in .yaml or .yml is a ROS topological map. Any other file has lines `node A`, `link A B
+    /// SECONDS` (both ways) and `edge A B SECONDS` (one way); - is stdin.
     Load {
         /// Name of the map
         map: String,

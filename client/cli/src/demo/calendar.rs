@@ -1,7 +1,7 @@
 //! The dates of the demo.
 //!
-//! Invariant: dates are fixed, so that a seed always shows the same picture. They are in the past, because a daemon delays
-//! data from the future; they include a change to summer time (30 March), and "tomorrow" is a working day.
+//! Invariant: dates are fixed, so that a seed always shows the same picture. They are in the past, because a daemon
+//! delays data from the future; they include a change to summer time (30 March), and "tomorrow" is a working day.
 
 use anyhow::Context as _;
 use jiff::{

@@ -48,8 +48,8 @@ fn columns(samples: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// The part of a bar in a row, counted from below. The lowest row always shows at least a line, so that a probability of
-/// 0 is visible.
+/// The part of a bar in a row, counted from below. The lowest row always shows at least a line, so that a probability
+/// of 0 is visible.
 fn bar(value: f64, row: usize) -> char {
     let eighths = (value.clamp(0.0, 1.0) * (8 * ROWS) as f64).round() as usize;
     let piece = eighths.saturating_sub(8 * row).min(8);

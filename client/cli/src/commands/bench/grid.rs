@@ -1,8 +1,8 @@
 //! `tidemap bench grid`: sends months of scans of a whole office as fast as the daemon accepts them.
 //!
-//! Invariant: the scans are recorded before the clock starts and are sent unchanged from the file, so that only the daemon
-//! is measured. Updates run whenever the data passes midnight; midnights that pass during an update are joined to one.
-//! Updates are part of the measured time.
+//! Invariant: the scans are recorded before the clock starts and are sent unchanged from the file, so that only the
+//! daemon is measured. Updates run whenever the data passes midnight; midnights that pass during an update are joined
+//! to one. Updates are part of the measured time.
 
 mod feed;
 mod office;
@@ -53,9 +53,9 @@ pub(crate) struct GridArgs {
     /// Seed of the office
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// File of scans: an existing file is sent unchanged, else the file is recorded and kept [default: a temporary file].
-    /// With an existing file, the options that describe the office are used by --compare only, and have to be those that
-    /// the file was recorded with
+    /// File of scans: an existing file is sent unchanged, else the file is recorded and kept [default: a temporary
+    /// file]. With an existing file, the options that describe the office are used by --compare only, and have to be
+    /// those that the file was recorded with
     #[arg(long, value_name = "PATH")]
     file: Option<PathBuf>,
     /// Predicts the whole grid repeatedly during the run, and measures the latency

@@ -1,7 +1,7 @@
 //! `tidemap bench latency`.
 //!
-//! Invariant: observations are due at fixed times, whether or not earlier ones are acknowledged, and latencies count from
-//! the due times; a stalled daemon cannot hide by delaying its load.
+//! Invariant: observations are due at fixed times, whether or not earlier ones are acknowledged, and latencies count
+//! from the due times; a stalled daemon cannot hide by delaying its load.
 
 use std::{
     collections::VecDeque,

@@ -1,7 +1,7 @@
 //! `tidemap bench search`.
 //!
-//! Invariant: the nodes have weeks of periodic observations, and every request is for another minute, so that no answer is
-//! cached.
+//! Invariant: the nodes have weeks of periodic observations, and every request is for another minute, so that no answer
+//! is cached.
 
 use std::{path::PathBuf, time::Instant};
 

@@ -1,7 +1,7 @@
 //! Imported maps (OctoMap, Nav2) as masks of a grid's cells.
 //!
-//! Invariant: unknown space counts as not observed; if two parts of a map share a cell, occupied wins. The number of tiles
-//! is checked before they are allocated.
+//! Invariant: unknown space counts as not observed; if two parts of a map share a cell, occupied wins. The number of
+//! tiles is checked before they are allocated.
 
 use std::collections::HashMap;
 

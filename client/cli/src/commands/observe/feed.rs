@@ -73,8 +73,8 @@ where
     let mut rows =
         RowReader::<_, L>::open(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
     if stdin {
-        // The writer of a pipe may be killed in the middle of a line. A file without its last line end was probably saved
-        // that way.
+        // The writer of a pipe may be killed in the middle of a line. A file without its last line end was probably
+        // saved that way.
         rows = rows.lines_must_end();
     }
     if !rows.ignored().is_empty() {

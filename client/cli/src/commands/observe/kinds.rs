@@ -1,7 +1,7 @@
 //! The kinds of the states of a file, to find invalid values before the daemon refuses them.
 //!
-//! Invariant: a row is reported as invalid only if every daemon would refuse it. Files of probabilities and of positions
-//! cause no requests.
+//! Invariant: a row is reported as invalid only if every daemon would refuse it. Files of probabilities and of
+//! positions cause no requests.
 
 use std::collections::HashMap;
 

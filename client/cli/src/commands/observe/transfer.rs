@@ -216,7 +216,8 @@ impl<T: Sendable> RowTransfer<T> {
         self.lines.range(..=number).next_back().map(|(_, ahead)| number + ahead)
     }
 
-    /// Takes the refusals that have arrived. A row that was found invalid here is already reported, with a better reason.
+    /// Takes the refusals that have arrived. A row that was found invalid here is already reported, with a better
+    /// reason.
     fn collect(&mut self) {
         // Read before the refusals, so that the refusals of all these rows have arrived.
         let progress = self.producer.progress();

@@ -1,7 +1,7 @@
 //! Sends a file of scans over one stream, with the batches of the file unchanged.
 //!
-//! Invariant: batches are not decoded; the daemon receives the same bytes as from a producer's first connection. A broken
-//! connection ends the measurement.
+//! Invariant: batches are not decoded; the daemon receives the same bytes as from a producer's first connection. A
+//! broken connection ends the measurement.
 
 use std::{fs::File, io::BufReader, path::Path, thread};
 

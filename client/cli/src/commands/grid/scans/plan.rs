@@ -1,7 +1,7 @@
 //! The plan for sending files as scans, with its checks.
 //!
-//! Invariant: in a plan every file exists, every scan has a time, every point cloud has a pose, and every option applies to a
-//! file. The plan is complete before the daemon is contacted.
+//! Invariant: in a plan every file exists, every scan has a time, every point cloud has a pose, and every option
+//! applies to a file. The plan is complete before the daemon is contacted.
 
 use std::{
     fs::File,
