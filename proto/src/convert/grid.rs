@@ -2,9 +2,9 @@
 //!
 //! Invariant: a specification that comes out of [`grid_from_wire`] has passed `GridSpec::check`.
 
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use tidemap_map::grid::{
     index::{CellBox, CellIndex},
-    raycast::Pose,
     spec::{GridSpec, InvalidGrid, Retention, SensorNoise},
     view::GridView,
 };
@@ -145,20 +145,20 @@ pub fn pose_to_wire(pose: &Pose) -> v1::Pose {
 ///
 /// # Errors
 /// A number that is not finite, or a quaternion whose length is not 1.
-pub fn pose_from_wire(field: &str, wire: Option<v1::Pose>) -> Result<Pose, InvalidField> {
-    let wire = wire.unwrap_or_default();
-    let position_m = [wire.x_m, wire.y_m, wire.z_m];
-    let quaternion = [wire.qx, wire.qy, wire.qz, wire.qw];
-    if let Some(wrong) = position_m.iter().chain(&quaternion).find(|number| !number.is_finite()) {
+pub fn pose_from_wire(field: &str, wire: Option<v1::Pose>) -> Result<Isometry3<f64>, InvalidField> {
+    let v1::Pose { x_m, y_m, z_m, qx, qy, qz, qw } = wire.unwrap_or_default();
+    let quaternion = Quaternion::new(qw, qx, qy, qz);
+    if let Some(wrong) = [x_m, y_m, z_m, qx, qy, qz, qw].iter().find(|number| !number.is_finite()) {
         return Err(InvalidField::new(field, format!("{wrong} is not a finite number")));
     }
-    if quaternion == [0.0; 4] {
-        return Ok(Pose { position_m, ..Pose::default() });
-    }
-    let length = quaternion.iter().map(|part| part * part).sum::<f64>().sqrt();
-    if (length - 1.0).abs() > QUATERNION_TOLERANCE {
-        let text = format!("the quaternion {quaternion:?} has length {length:.4}: it must be 1 within 0.001");
+    let length = quaternion.norm();
+    let rotation = if quaternion == Quaternion::default() {
+        UnitQuaternion::identity()
+    } else if (length - 1.0).abs() <= QUATERNION_TOLERANCE {
+        UnitQuaternion::from_quaternion(quaternion)
+    } else {
+        let text = format!("the quaternion {:?} has length {length:.4}: it must be 1 within 0.001", [qx, qy, qz, qw]);
         return Err(InvalidField::new(field, text));
-    }
-    Ok(Pose { position_m, quaternion_xyzw: quaternion.map(|part| part / length) })
+    };
+    Ok(Isometry3::from_parts(Translation3::new(x_m, y_m, z_m), rotation))
 }

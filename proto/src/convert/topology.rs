@@ -4,7 +4,7 @@
 
 use tidemap_map::{
     name::StateName,
-    topology::{Edge, EdgeEnds, Extent, NewEdge, NewNode, NodeId, Pose, Topology, TopologyEdit},
+    topology::{Edge, EdgeEnds, Extent, NewEdge, NewNode, NodeId, NodePose, Topology, TopologyEdit},
 };
 
 use super::InvalidField;
@@ -16,7 +16,7 @@ fn name(field: &str, name: &str) -> Result<StateName, InvalidField> {
 
 fn node_from_wire(field: &str, wire: &v1::TopologyNode) -> Result<NewNode, InvalidField> {
     let v1::TopologyNode { name: text, pose, dwell_secs, .. } = wire;
-    let pose = pose.map(|v1::NodePose { x_m, y_m, yaw_rad }| Pose { x_m, y_m, yaw_rad });
+    let pose = pose.map(|v1::NodePose { x_m, y_m, yaw_rad }| NodePose { x_m, y_m, yaw_rad });
     Ok(NewNode { name: name(&format!("{field}.name"), text)?, pose, dwell_secs: *dwell_secs })
 }
 
@@ -76,7 +76,7 @@ pub fn edit_from_wire(edit: Option<&v1::edit_topology_request::Edit>) -> Result<
 pub fn topology_to_wire(topology: &Topology) -> v1::GetTopologyResponse {
     let nodes = topology.nodes().map(|node| v1::TopologyNode {
         name: node.name.as_str().to_owned(),
-        pose: node.pose.map(|Pose { x_m, y_m, yaw_rad }| v1::NodePose { x_m, y_m, yaw_rad }),
+        pose: node.pose.map(|NodePose { x_m, y_m, yaw_rad }| v1::NodePose { x_m, y_m, yaw_rad }),
         dwell_secs: node.dwell_secs,
         id: node.id.0,
     });

@@ -37,7 +37,7 @@ pub struct EdgeId(pub u32);
 
 /// Where a node lies in the frame of its map.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
+pub struct NodePose {
     /// Metres along the first axis.
     pub x_m: f64,
     /// Metres along the second axis.
@@ -54,7 +54,7 @@ pub struct Node {
     /// Its name, unique in the map.
     pub name: StateName,
     /// Where it lies, if that is known.
-    pub pose: Option<Pose>,
+    pub pose: Option<NodePose>,
     /// How long a visit takes once the robot is there, in seconds, 0 to [`NOMINAL_MAX_SECS`]; `None` if that is not said.
     pub dwell_secs: Option<f64>,
 }
@@ -143,7 +143,7 @@ impl Topology {
     pub fn add_node(
         &mut self,
         name: StateName,
-        pose: Option<Pose>,
+        pose: Option<NodePose>,
         dwell_secs: Option<f64>,
     ) -> Result<NodeId, TopologyError> {
         let id = NodeId(self.next_node);
@@ -187,7 +187,12 @@ impl Topology {
     ///
     /// # Errors
     /// [`TopologyError`] where the node is unknown or a number is out of range.
-    pub fn set_node(&mut self, id: NodeId, pose: Option<Pose>, dwell_secs: Option<f64>) -> Result<(), TopologyError> {
+    pub fn set_node(
+        &mut self,
+        id: NodeId,
+        pose: Option<NodePose>,
+        dwell_secs: Option<f64>,
+    ) -> Result<(), TopologyError> {
         let node = self.nodes.get_mut(&id).ok_or(TopologyError::UnknownNodeId(id.0))?;
         check_visit(&node.name, pose, dwell_secs)?;
         (node.pose, node.dwell_secs) = (pose, dwell_secs);
@@ -307,7 +312,7 @@ impl Topology {
     }
 }
 
-fn check_visit(name: &StateName, pose: Option<Pose>, dwell_secs: Option<f64>) -> Result<(), TopologyError> {
+fn check_visit(name: &StateName, pose: Option<NodePose>, dwell_secs: Option<f64>) -> Result<(), TopologyError> {
     if let Some(found) = dwell_secs.filter(|secs| !(0.0..=NOMINAL_MAX_SECS).contains(secs)) {
         return Err(TopologyError::Dwell { node: name.to_string(), found });
     }

@@ -19,7 +19,7 @@
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
     name::{InvalidName, StateName},
-    topology::{Edge, Extent, NewEdge, NewNode, Pose, Topology, TopologyEdit},
+    topology::{Edge, Extent, NewEdge, NewNode, NodePose, Topology, TopologyEdit},
 };
 
 use super::DAY_SECS;
@@ -134,7 +134,7 @@ pub struct Attempt {
 /// The edit that loads the building into a map.
 pub fn load() -> Result<TopologyEdit, InvalidName> {
     let node = |&(name, [x_m, y_m]): &(&str, [f64; 2])| {
-        Ok(NewNode { name: StateName::new(name)?, pose: Some(Pose { x_m, y_m, yaw_rad: 0.0 }), dwell_secs: None })
+        Ok(NewNode { name: StateName::new(name)?, pose: Some(NodePose { x_m, y_m, yaw_rad: 0.0 }), dwell_secs: None })
     };
     let place = |name: &str| NODES.iter().find(|(other, _)| *other == name).map_or([0.0; 2], |(_, place)| *place);
     let link = |&(a, b): &(&str, &str)| {

@@ -3,9 +3,10 @@
 //! Invariant: readings that leave here have a pose with a unit quaternion, in the map's frame, ranges that make sense,
 //! and a finite reading at least.
 
+use nalgebra::Isometry3;
 use tidemap_map::{
     grid::{
-        raycast::{Pose, Rays, Readings},
+        raycast::{Rays, Readings},
         spec::GridSpec,
     },
     ids::RefusalReason,
@@ -58,7 +59,7 @@ pub(super) fn ranges(spec: &GridSpec, scan: v1::RangeScan) -> Result<Readings, S
     Ok(Readings { pose, min_range_m, max_range_m: Some(max_range_m), rays })
 }
 
-fn posed(spec: &GridSpec, frame_id: &str, pose: Option<v1::Pose>) -> Result<Pose, ScanRefusal> {
+fn posed(spec: &GridSpec, frame_id: &str, pose: Option<v1::Pose>) -> Result<Isometry3<f64>, ScanRefusal> {
     if !frame_id.is_empty() && frame_id != spec.frame_id {
         let frame_id: String = frame_id.chars().take(FRAME_SHOWN).collect();
         let own: String = spec.frame_id.chars().take(FRAME_SHOWN).collect();

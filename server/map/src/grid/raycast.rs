@@ -6,6 +6,8 @@
 //! Invariant: rays are traversed exactly (Amanatides and Woo 1987), cell by cell, by a number of steps that is known
 //! before the first; what a scan costs is bounded by its [`CastLimits`] and told in [`CastError`].
 
+use nalgebra::{Isometry3, Vector3};
+
 use super::{
     index::TileIndex,
     mask::{Mask, TileMasks},
@@ -18,34 +20,6 @@ mod tests;
 mod walk;
 
 use walk::Walk;
-
-/// A transform map_from_sensor.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
-    /// Metres; finite.
-    pub position_m: [f64; 3],
-    /// x, y, z, w; of length 1.
-    pub quaternion_xyzw: [f64; 4],
-}
-
-impl Default for Pose {
-    /// At the map's origin, unturned.
-    fn default() -> Pose {
-        Pose { position_m: [0.0; 3], quaternion_xyzw: [0.0, 0.0, 0.0, 1.0] }
-    }
-}
-
-impl Pose {
-    /// The rotation as a matrix, row by row.
-    fn rotation(&self) -> [[f64; 3]; 3] {
-        let [x, y, z, w] = self.quaternion_xyzw;
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    }
-}
 
 /// Readings in the sensor's frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,8 +40,8 @@ pub enum Rays {
 /// One scan of a range sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Readings {
-    /// Where the sensor was.
-    pub pose: Pose,
+    /// The transform map_from_sensor, in metres; finite.
+    pub pose: Isometry3<f64>,
     /// Nearer readings are left out; at least 0.
     pub min_range_m: f32,
     /// Farther readings only say that the way is free up to this range. `None`: there is no such range.
@@ -124,9 +98,9 @@ pub fn cast(
     readings: &Readings,
     limits: CastLimits,
 ) -> Result<Vec<(TileIndex, TileMasks)>, CastError> {
-    let mut walk = Walk::new(spec, readings.pose.position_m, limits);
-    let rotation = readings.pose.rotation();
-    let turn = |[x, y, z]: [f64; 3]| rotation.map(|row| row[0] * x + row[1] * y + row[2] * z);
+    let mut walk = Walk::new(spec, readings.pose.translation.vector.into(), limits);
+    let rotation = readings.pose.rotation.to_rotation_matrix();
+    let turn = |point: [f64; 3]| <[f64; 3]>::from(rotation * Vector3::from(point));
     let min = f64::from(readings.min_range_m);
     let max = readings.max_range_m.map_or(f64::INFINITY, f64::from);
     match &readings.rays {

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Edge, EdgeId, Extent, Node, NodeId, Pose, Topology, TopologyError, TopologyParts};
+use super::{Edge, EdgeId, Extent, Node, NodeId, NodePose, Topology, TopologyError, TopologyParts};
 use crate::name::StateName;
 
 /// A node that is to be.
@@ -14,7 +14,7 @@ pub struct NewNode {
     /// Its name.
     pub name: StateName,
     /// Where it lies, if that is known.
-    pub pose: Option<Pose>,
+    pub pose: Option<NodePose>,
     /// How long a visit takes, in seconds, if that is said.
     pub dwell_secs: Option<f64>,
 }

@@ -56,7 +56,7 @@ fn what_is_wrong_is_named() {
     for bad in [-1.0, f64::NAN, f64::INFINITY] {
         assert!(matches!(flat.set_node(hall, None, Some(bad)), Err(TopologyError::Dwell { .. })), "{bad}");
     }
-    let pose = Pose { x_m: f64::NAN, y_m: 0.0, yaw_rad: 0.0 };
+    let pose = NodePose { x_m: f64::NAN, y_m: 0.0, yaw_rad: 0.0 };
     assert!(matches!(flat.add_node(name("attic"), Some(pose), None), Err(TopologyError::Pose { .. })));
     assert!(matches!(flat.link(kitchen, hall, Extent::secs(1.0)), Err(TopologyError::DuplicateEdge(_))));
     assert!(matches!(flat.rename_node(kitchen, name("hall")), Err(TopologyError::DuplicateNode(_))));

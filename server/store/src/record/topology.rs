@@ -5,24 +5,24 @@
 use tidemap_map::{
     name::StateName,
     topology::{
-        Edge, EdgeEnds, EdgeId, Extent, NewEdge, NewNode, Node, NodeId, Pose, Topology, TopologyEdit, TopologyParts,
+        Edge, EdgeEnds, EdgeId, Extent, NewEdge, NewNode, Node, NodeId, NodePose, Topology, TopologyEdit, TopologyParts,
     },
 };
 use tidemap_migrations::v2::topology as v2;
 
 use super::{Invalid, ids::decode_state_name};
 
-fn encode_pose(pose: Pose) -> v2::Pose {
+fn encode_pose(pose: NodePose) -> v2::Pose {
     let [x_bits, y_bits, yaw_bits] = [pose.x_m, pose.y_m, pose.yaw_rad].map(f64::to_bits);
     v2::Pose { x_bits, y_bits, yaw_bits }
 }
 
-fn decode_pose(message: v2::Pose) -> Pose {
+fn decode_pose(message: v2::Pose) -> NodePose {
     let [x_m, y_m, yaw_rad] = [message.x_bits, message.y_bits, message.yaw_bits].map(f64::from_bits);
-    Pose { x_m, y_m, yaw_rad }
+    NodePose { x_m, y_m, yaw_rad }
 }
 
-fn encode_node(id: u32, name: &StateName, pose: Option<Pose>, dwell_secs: Option<f64>) -> v2::Node {
+fn encode_node(id: u32, name: &StateName, pose: Option<NodePose>, dwell_secs: Option<f64>) -> v2::Node {
     let name = name.as_str().to_owned();
     v2::Node { id, name, pose: pose.map(encode_pose), dwell_bits: dwell_secs.map(f64::to_bits) }
 }

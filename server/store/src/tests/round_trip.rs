@@ -12,7 +12,7 @@ use tidemap_map::{
     site::{Location, Site, SiteEdit},
     snapshot::StateSnapshot,
     spec::MapSpec,
-    topology::{EdgeEnds, Extent, NewEdge, NewNode, Pose, TopologyEdit},
+    topology::{EdgeEnds, Extent, NewEdge, NewNode, NodePose, TopologyEdit},
     traversal::{EdgeFailure, kept_reason},
 };
 use tidemap_migrations::v2::log::FrameKind;
@@ -164,7 +164,7 @@ fn topology_edit() -> impl Strategy<Value = TopologyEdit> {
     let name = || "[a-zü ]{1,20}".prop_map(|name| StateName::new(&name).expect("valid"));
     let pose = option::of([-1e7..=1e7, -1e7..=1e7, -4.0..=4.0]);
     let node = (name(), pose, option::of(0.0..1e9)).prop_map(|(name, pose, dwell_secs)| {
-        let pose = pose.map(|[x_m, y_m, yaw_rad]| Pose { x_m, y_m, yaw_rad });
+        let pose = pose.map(|[x_m, y_m, yaw_rad]| NodePose { x_m, y_m, yaw_rad });
         NewNode { name, pose, dwell_secs }
     });
     let ends = (name(), name(), option::of(name()), any::<bool>()).prop_map(|(from, to, action, both_ways)| EdgeEnds {
@@ -193,7 +193,7 @@ fn a_topological_map_comes_back_with_its_numbers() {
     let name = |text: &str| StateName::new(text).expect("valid");
     let mut site = Site::default();
     let mut edit = |edit| site.apply(&SiteEdit::Topology(edit), 0).expect("valid");
-    let pose = Some(Pose { x_m: -1.5, y_m: 2.0, yaw_rad: 0.25 });
+    let pose = Some(NodePose { x_m: -1.5, y_m: 2.0, yaw_rad: 0.25 });
     let node = |text: &str, pose| NewNode { name: name(text), pose, dwell_secs: pose.map(|_| 3.5) };
     let link = |from: &str, to: &str, extent| NewEdge { ends: EdgeEnds::link(name(from), name(to)), extent };
     edit(TopologyEdit::Load {

@@ -17,11 +17,11 @@ fn unit() -> GridSpec {
     GridSpec { resolution_m: 1.0, origin_m: [0.0; 3], ..spec(false, None) }
 }
 
-fn at(position_m: [f64; 3]) -> Pose {
-    Pose { position_m, ..Pose::default() }
+fn at([x, y, z]: [f64; 3]) -> Isometry3<f64> {
+    Isometry3::translation(x, y, z)
 }
 
-fn points(pose: Pose, points: &[[f32; 3]]) -> Readings {
+fn points(pose: Isometry3<f64>, points: &[[f32; 3]]) -> Readings {
     Readings { pose, min_range_m: 0.0, max_range_m: None, rays: Rays::Points(points.concat()) }
 }
 
@@ -96,11 +96,12 @@ fn ranges_bound_what_is_believed() {
 
 #[test]
 fn a_pose_turns_the_rays() {
-    let half = std::f64::consts::FRAC_1_SQRT_2;
-    let pose = Pose { position_m: [0.5; 3], quaternion_xyzw: [0.0, 0.0, half, half] };
+    let quarter = std::f64::consts::FRAC_PI_2;
+    let turned = |axis: Vector3<f64>| Isometry3::new(Vector3::repeat(0.5), axis * quarter);
+    let pose = turned(Vector3::z());
     let (_, occupied) = cast_cells(&unit(), &points(pose, &[[3.0, 1.0, 0.0]]));
     assert_eq!(occupied, line(&[(-1, 3, 0)]));
-    let pose = Pose { position_m: [0.5; 3], quaternion_xyzw: [0.0, half, 0.0, half] };
+    let pose = turned(Vector3::y());
     let (_, occupied) = cast_cells(&unit(), &points(pose, &[[3.0, 0.0, 0.0]]));
     assert_eq!(occupied, line(&[(0, 0, -3)]));
 }
@@ -135,7 +136,7 @@ fn limits_are_told() {
     assert_eq!(with(500, 503, 63), Err(CastError::RayTooLong { ray: 1, cells: 501, max: 500 }));
     assert_eq!(with(501, 502, 63), Err(CastError::TooManyCells { max: 502 }));
     assert_eq!(with(501, 503, 62), Err(CastError::TooManyTiles { max: 62 }));
-    let nothing = points(Pose::default(), &[[f32::INFINITY, 0.0, 0.0]]);
+    let nothing = points(Isometry3::identity(), &[[f32::INFINITY, 0.0, 0.0]]);
     assert_eq!(cast(&unit(), &nothing, LIMITS), Ok(Vec::new()));
 }
 
