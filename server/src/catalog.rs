@@ -25,57 +25,27 @@ const HISTORY_BYTES: usize = 64 << 20;
 /// Why a map is not created or deleted.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CatalogError {
-    /// The name is taken.
     #[error("map {:?} exists already", .0.as_str())]
     Exists(MapName),
-    /// There is no such map.
     #[error("map {:?} does not exist", .0)]
     Unknown(String),
-    /// As many maps as allowed.
     #[error("there are {max} maps, as many as setting max_maps allows")]
-    TooMany {
-        /// The limit.
-        max: usize,
-    },
-    /// The store could not do it.
+    TooMany { max: usize },
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The new map could not be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// The log holds what this map cannot have written.
     #[error("the log of map {map} is not its own: {reason}. Restore the folder of this map from a backup")]
-    Inconsistent {
-        /// The map.
-        map: MapName,
-        /// What does not fit.
-        reason: String,
-    },
-    /// Two maps have the same name.
+    Inconsistent { map: MapName, reason: String },
     #[error(
         "maps {} and {} are both named {:?}. Move the folder of one of them out of the data folder",
         first.0, second.0, name.as_str()
     )]
-    Duplicate {
-        /// The name.
-        name: MapName,
-        /// One of them.
-        first: MapId,
-        /// The other.
-        second: MapId,
-    },
-    /// An update that the log repeats cannot read what it learns from.
+    Duplicate { name: MapName, first: MapId, second: MapId },
     #[error("map {map}: {source}. Restore the folder of this map from a backup")]
-    Tile {
-        /// The map.
-        map: MapName,
-        /// What cannot be read.
-        source: TileUnavailable,
-    },
-    /// No thread for the map.
+    Tile { map: MapName, source: TileUnavailable },
     #[error("no thread for the map: {0}")]
     Thread(#[from] std::io::Error),
-    /// The daemon stops.
     #[error("the daemon is stopping")]
     Stopping,
 }

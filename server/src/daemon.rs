@@ -34,24 +34,14 @@ const CLOSE_WITHIN: Duration = Duration::from_secs(10);
 /// Why the daemon ended; each kind has its exit status.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum DaemonError {
-    /// Another daemon holds the data folder.
     #[error("{0}")]
     Locked(String),
-    /// The data cannot be opened.
     #[error("{0}")]
     Data(String),
-    /// A port cannot be opened.
     #[error("cannot listen on {address}: {source}")]
-    Listen {
-        /// The address asked for.
-        address: String,
-        /// Why not.
-        source: std::io::Error,
-    },
-    /// Storage failed while running.
+    Listen { address: String, source: std::io::Error },
     #[error("storage failed, and nothing after the last acknowledgement was kept: {0}")]
     Storage(String),
-    /// Anything else.
     #[error("{0:#}")]
     Other(#[from] anyhow::Error),
 }

@@ -38,20 +38,12 @@ const TABLE_BYTES_LEAST: usize = 1 << 20;
 /// Why a message ends its stream.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum IntakeError {
-    /// The message is malformed.
     #[error(transparent)]
     Invalid(#[from] InvalidField),
-    /// The message, or the stream with it, is over a limit.
     #[error(transparent)]
     Limit(#[from] OverLimit),
-    /// A sequence number leaps.
     #[error("first_sequence {got} leaves a gap: {expected} is the next sequence number of this stream")]
-    OutOfSequence {
-        /// The one sent.
-        got: u64,
-        /// The one expected.
-        expected: u64,
-    },
+    OutOfSequence { got: u64, expected: u64 },
 }
 
 impl From<ScanError> for IntakeError {

@@ -65,51 +65,26 @@ pub(crate) struct Welcome {
 /// Why a stream is not accepted.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum HelloError {
-    /// Another stream of the key is open.
     #[error(
         "producer {:?} already streams to this map with label {:?}: stop that stream first, or use another producer \
          or label", .0.producer(), .0.label()
     )]
     AlreadyStreaming(ProducerKey),
-    /// A newer incarnation was seen.
     #[error("incarnation {got} of producer {:?} is fenced: incarnation {current} was seen", key.producer())]
-    Fenced {
-        /// Whose.
-        key: ProducerKey,
-        /// The one presented.
-        got: u64,
-        /// The highest seen.
-        current: u64,
-    },
-    /// No more producer keys.
+    Fenced { key: ProducerKey, got: u64, current: u64 },
     #[error("the map has {max} producer keys, as many as setting max_producers_per_map allows")]
-    TooManyProducers {
-        /// The limit.
-        max: usize,
-    },
-    /// The sensor cannot be one of the map's.
+    TooManyProducers { max: usize },
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),
-    /// A sensor was announced to a map without a grid.
     #[error("the map has no grid: a sensor has nothing to observe there")]
     SensorWithoutGrid,
-    /// The key has another sensor.
     #[error(
         "producer {:?} has a sensor of {fixed} with label {:?} since its first observation, and announces {announced}: \
          announce the same or none, or use another label", key.producer(), key.label()
     )]
-    OtherSensor {
-        /// Whose.
-        key: ProducerKey,
-        /// What it has.
-        fixed: ProducerSensor,
-        /// What it announces.
-        announced: ProducerSensor,
-    },
-    /// The log cannot be written now.
+    OtherSensor { key: ProducerKey, fixed: ProducerSensor, announced: ProducerSensor },
     #[error(transparent)]
     Storage(#[from] AppendError),
-    /// The daemon stops or the map is deleted.
     #[error("the map is closing")]
     Closing,
 }
@@ -274,26 +249,12 @@ pub(crate) struct AddState {
 /// Why a state is not added.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum AddStateError {
-    /// It is there, and of another kind.
     #[error("state {name:?} exists and is a {found}, not a {asked}: the kind of a state never changes", name = .name.as_str(), found = .found.name(), asked = .asked.name())]
-    OtherKind {
-        /// Its name.
-        name: StateName,
-        /// What it is.
-        found: StateShape,
-        /// What was asked for.
-        asked: StateShape,
-    },
-    /// No more states.
+    OtherKind { name: StateName, found: StateShape, asked: StateShape },
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]
-    TooMany {
-        /// The limit.
-        max: usize,
-    },
-    /// The log cannot be written now.
+    TooMany { max: usize },
     #[error(transparent)]
     Storage(#[from] AppendError),
-    /// The daemon stops or the map is deleted.
     #[error("the map is closing")]
     Closing,
 }
@@ -310,13 +271,10 @@ pub(crate) struct EditSite {
 /// Why the site is not changed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum EditSiteError {
-    /// It cannot be changed so.
     #[error(transparent)]
     Invalid(#[from] InvalidEdit),
-    /// The log cannot be written now.
     #[error(transparent)]
     Storage(#[from] AppendError),
-    /// The daemon stops or the map is deleted.
     #[error("the map is closing")]
     Closing,
 }

@@ -35,144 +35,60 @@ const NAMES_SHOWN: usize = 10;
 /// Everything that a request can end with, other than its reply.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum RpcError {
-    /// A field is wrong.
     #[error(transparent)]
     Field(#[from] InvalidField),
-    /// A map or the catalogue.
     #[error(transparent)]
     Catalog(#[from] CatalogError),
-    /// There is no map of that name.
     #[error("map {name:?} does not exist; {}", known_names(.known, "maps"))]
-    UnknownMap {
-        /// The name asked for.
-        name: String,
-        /// Names that exist.
-        known: Vec<String>,
-    },
-    /// There is no state of that name.
+    UnknownMap { name: String, known: Vec<String> },
     #[error("state {name:?} does not exist in map {map:?}; {}", known_names(.known, "states"))]
-    UnknownState {
-        /// The map.
-        map: String,
-        /// The name asked for.
-        name: String,
-        /// Names that exist.
-        known: Vec<String>,
-    },
-    /// The name is that of a vector, and the question is of one number.
+    UnknownState { map: String, name: String, known: Vec<String> },
     #[error("state {name:?} of map {map:?} is a {}: ask of its axes, {}", .shape.name(), .axes.join(", "))]
-    IsVector {
-        /// The map.
-        map: String,
-        /// The name asked for.
-        name: String,
-        /// What it is.
-        shape: StateShape,
-        /// Names of its axes.
-        axes: Vec<String>,
-    },
-    /// The map has no grid.
+    IsVector { map: String, name: String, shape: StateShape, axes: Vec<String> },
     #[error("map {map:?} has no grid: create a map with one, with option --grid")]
-    NoGrid {
-        /// The map.
-        map: String,
-    },
-    /// The cell was never observed.
+    NoGrid { map: String },
     #[error("{name} of map {map:?} was never observed")]
-    UnknownCell {
-        /// The map.
-        map: String,
-        /// The cell's name.
-        name: String,
-    },
-    /// A part of the grid cannot be read.
+    UnknownCell { map: String, name: String },
     #[error(transparent)]
     Tile(#[from] TileUnavailable),
-    /// The map does not keep what was asked for.
     #[error("map {map:?} keeps no history of {what}: create it with {option}")]
-    NoHistory {
-        /// The map.
-        map: String,
-        /// What there is no history of.
-        what: &'static str,
-        /// What a map that keeps it is created with.
-        option: &'static str,
-    },
-    /// There is no such model of the state.
+    NoHistory { map: String, what: &'static str, option: &'static str },
     #[error("model {model} of state {state:?} in map {map:?}: {reason}")]
-    ModelUnavailable {
-        /// The model.
-        model: ModelKind,
-        /// The map.
-        map: String,
-        /// The state.
-        state: String,
-        /// Why not.
-        reason: ModelUnavailable,
-    },
-    /// All of it is older than what is kept.
+    ModelUnavailable { model: ModelKind, map: String, state: String, reason: ModelUnavailable },
     #[error("{name} of map {map:?}: nothing from before {} is kept any more", shown_time(*.kept_from_nanos))]
-    BeyondHistory {
-        /// The map.
-        map: String,
-        /// The state or cell.
-        name: String,
-        /// What is older is gone, nanoseconds UTC.
-        kept_from_nanos: i64,
-    },
-    /// History cannot be read.
+    BeyondHistory { map: String, name: String, kept_from_nanos: i64 },
     #[error(transparent)]
     History(#[from] HistoryError),
-    /// An update has what was asked for, and does not end.
     #[error("an update has the observations of that time and has not ended within {0} seconds: ask again")]
     Updating(u64),
-    /// There is no such job.
     #[error("job {0} is not known: it is long past, or the daemon was restarted since")]
     UnknownJob(u64),
-    /// The job has no report.
     #[error("job {0} has no report: it has not ended well, or a later update of the same map replaced it")]
     NoReport(u64),
-    /// More than is allowed.
     #[error(transparent)]
     Limit(#[from] OverLimit),
-    /// A state was not added.
     #[error(transparent)]
     AddState(#[from] AddStateError),
-    /// The site was not changed.
     #[error(transparent)]
     EditSite(#[from] EditSiteError),
-    /// There is no plan.
     #[error(transparent)]
     Plan(#[from] PlanError),
-    /// There is no walk.
     #[error(transparent)]
     Route(#[from] RouteError),
-    /// A stream was not accepted.
     #[error(transparent)]
     Hello(#[from] HelloError),
-    /// A message ended its stream.
     #[error(transparent)]
     Intake(#[from] IntakeError),
-    /// The server ends a stream.
     #[error("{}", ending_text(.0))]
     Ended(Ending),
-    /// Too many requests of this kind run.
     #[error(
         "{max} requests for predictions run, as many as may at once, and none ended within {secs} seconds: ask again"
     )]
-    Busy {
-        /// How many may run.
-        max: usize,
-        /// How long this one waited.
-        secs: u64,
-    },
-    /// The client does not read its replies.
+    Busy { max: usize, secs: u64 },
     #[error("the stream's replies were not read for {0} seconds")]
     SlowReader(u64),
-    /// The connection broke; the client does not hear this.
     #[error("the connection broke")]
     Broken,
-    /// The daemon stops.
     #[error("the daemon is stopping; connect again later")]
     Stopping,
 }

@@ -14,22 +14,16 @@ use tonic::Code;
 /// Why there is no plan.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum PlanError {
-    /// The grid cannot be predicted.
     #[error(transparent)]
     Predict(#[from] PredictError),
-    /// The question about a tour is none.
     #[error(transparent)]
     Tour(#[from] TourError),
-    /// Too many views, or no sensor.
     #[error(transparent)]
     Look(#[from] TooMuchWork),
-    /// No day can be planned so.
     #[error(transparent)]
     Day(#[from] DayError),
-    /// A threshold is none.
     #[error(transparent)]
     Threshold(#[from] InvalidThreshold),
-    /// Nobody knows where the robot starts.
     #[error(
         "the map has no charger, and no start was given: give one, or set the charger with `tidemap map set --charger`"
     )]

@@ -10,95 +10,37 @@ use tonic::Code;
 /// Why there is no walk.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum RouteError {
-    /// The map has no nodes.
     #[error("map {0:?} has no nodes: load a topological map, with `tidemap topology load`")]
     NoNodes(String),
-    /// A node is not known.
     #[error("there is no node {name:?}; nodes here: {known}")]
-    UnknownNode {
-        /// The name, shortened.
-        name: String,
-        /// Some that there are.
-        known: String,
-    },
-    /// Nothing is known of any node.
+    UnknownNode { name: String, known: String },
     #[error(
         "nothing was observed at any node of map {map:?}: observe states like {example:?}, 1 where somebody is, else 0"
     )]
-    NothingObserved {
-        /// The map.
-        map: String,
-        /// Name of a state that would be asked.
-        example: String,
-    },
-    /// Nobody is expected.
+    NothingObserved { map: String, example: String },
     #[error("nobody is to be found: each of the {0} nodes that were observed has a probability of 0 at that time")]
     Nobody(usize),
-    /// No way leads to anybody.
     #[error("from node {start:?} no way leads to any of the {goals} nodes that were observed")]
-    Unreachable {
-        /// Where the search begins.
-        start: String,
-        /// How many places there are.
-        goals: usize,
-    },
-    /// No way leads there.
+    Unreachable { start: String, goals: usize },
     #[error("no way leads from node {from:?} to node {to:?}")]
-    NoWay {
-        /// Where the route begins.
-        from: String,
-        /// Where it would end.
-        to: String,
-    },
-    /// All ways take too long.
+    NoWay { from: String, to: String },
     #[error("no way from node {from:?} to node {to:?} takes at most {horizon_secs} s: raise the horizon")]
-    TooLong {
-        /// Where the route begins.
-        from: String,
-        /// Where it would end.
-        to: String,
-        /// The longest that was allowed.
-        horizon_secs: f64,
-    },
-    /// No departure is early enough.
+    TooLong { from: String, to: String, horizon_secs: f64 },
     #[error(
         "no departure from node {from:?} is expected to arrive at node {to:?} by {by_nanos} ns: arrive later, or raise the \
          horizon"
     )]
-    TooLate {
-        /// Where the route begins.
-        from: String,
-        /// Where it would end.
-        to: String,
-        /// The latest arrival, nanoseconds UTC.
-        by_nanos: i64,
-    },
-    /// A route that is none.
+    TooLate { from: String, to: String, by_nanos: i64 },
     #[error(transparent)]
     Plan(PlanRouteError),
-    /// A policy that is none.
     #[error(transparent)]
     Policy(#[from] PolicyError),
-    /// A policy would be too large for an answer.
     #[error("{nodes} nodes in {slots} slots: at most {POLICY_CELLS_MAX} of both together; take fewer, wider slots")]
-    PolicyTooLarge {
-        /// Nodes of the map.
-        nodes: usize,
-        /// Slots.
-        slots: usize,
-    },
-    /// Too many edges for an answer.
+    PolicyTooLarge { nodes: usize, slots: usize },
     #[error("the map has {found} edges: at most {most} are told of at once")]
-    TooManyEdges {
-        /// How many there are.
-        found: usize,
-        /// How many may be.
-        most: usize,
-    },
-    /// The edges have no times.
+    TooManyEdges { found: usize, most: usize },
     #[error(transparent)]
     Roads(#[from] RoadsError),
-    /// The search is none, or too large.
     #[error(transparent)]
     Search(#[from] SearchError),
 }
