@@ -1,7 +1,7 @@
 //! The maps that the daemon serves.
 //!
-//! Invariant: looking a map up never waits. Creating and deleting maps happens one at a time, and a map that is listed
-//! is durable. A change that was begun is brought to its end, also where nobody waits for it any more.
+//! Invariant: looking a map up never waits. Maps are created and deleted one at a time, and a listed map is durable. A
+//! change that has begun is completed even if its caller is gone.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -19,7 +19,7 @@ use crate::ingest::{
     writer::{Context, start},
 };
 
-/// History of updates that are run again at the start is saved when it takes this much memory.
+/// History of updates that are repeated at the start is saved when it takes this much memory.
 const HISTORY_BYTES: usize = 64 << 20;
 
 /// Why a map is not created or deleted.
@@ -55,21 +55,21 @@ type ByName = BTreeMap<MapName, Arc<MapHandle>>;
 #[cfg(test)]
 mod tests;
 
-/// All maps, by name. Clones are handles of the same maps.
+/// All maps, by name. Clones are handles to the same maps.
 #[derive(Clone, Debug)]
 pub(crate) struct Catalog {
     context: Context,
     max_maps: usize,
     maps: Arc<ArcSwap<ByName>>,
-    // One change at a time; readers use `maps` and never take it. `false`: stopped.
+    // One change at a time; readers use `maps` and never take this lock. `false`: stopped.
     changing: Arc<tokio::sync::Mutex<bool>>,
 }
 
 impl Catalog {
-    /// Opens every map that the store holds.
+    /// Opens all maps of the store.
     ///
     /// # Errors
-    /// The first map that cannot be opened, with what is wrong; two maps of the same name.
+    /// The first map that cannot be opened, and why; two maps of the same name.
     pub(crate) fn open(context: Context, max_maps: usize) -> Result<Self, CatalogError> {
         let stored = context.store.maps();
         let mut ids = BTreeMap::new();
@@ -102,13 +102,13 @@ impl Catalog {
         self.maps.load_full()
     }
 
-    /// What the writers share.
+    /// The context that all writers share.
     #[must_use]
     pub(crate) fn context(&self) -> &Context {
         &self.context
     }
 
-    /// Creates a map; it is durable when this returns. Goes on where the caller does not wait.
+    /// Creates a map; it is durable when this returns. Continues if the caller is dropped.
     ///
     /// # Errors
     /// See [`CatalogError`].
@@ -134,7 +134,7 @@ impl Catalog {
         let handle = ended(tokio::task::spawn_blocking(move || {
             let id = context.store.create_map(&spec)?;
             open_map(&context, id, spec).inspect_err(|_| {
-                // Not listed, it could be neither used nor deleted, and would take its name at the next start.
+                // An unlisted map could be neither used nor deleted, and would take its name at the next start.
                 if let Err(error) = context.store.delete_map(id) {
                     warn!(id = id.0, %error, "a map that could not be opened is left over");
                 }
@@ -147,8 +147,8 @@ impl Catalog {
         Ok(handle)
     }
 
-    /// Deletes a map for good. Goes on where the caller does not wait. Where the store fails, the map is still listed,
-    /// but takes no observations, and deleting it can be tried again.
+    /// Deletes a map for good. Continues if the caller is dropped. If the store fails, the map is still listed, but
+    /// takes no observations; deleting it can be tried again.
     ///
     /// # Errors
     /// See [`CatalogError`].
@@ -174,7 +174,7 @@ impl Catalog {
             Ok(()) => info!(map = name, id = id.0, "map deleted"),
             Err(error) => {
                 warn!(map = name, id = id.0, %error, "map not deleted in order");
-                // Nothing else has changed the listing meanwhile.
+                // No other change of the listing can have happened meanwhile.
                 if self.context.store.maps().iter().any(|(stored, _)| *stored == id) {
                     self.maps.store(before);
                 }
@@ -183,7 +183,7 @@ impl Catalog {
         deleted
     }
 
-    /// Stops all writers; what is in flight is made durable and acknowledged first.
+    /// Stops all writers; what is in flight becomes durable and is acknowledged first.
     pub(crate) async fn stop(&self) {
         let mut open = self.changing.lock().await;
         *open = false;
@@ -212,8 +212,8 @@ async fn ended<T>(task: tokio::task::JoinHandle<Result<T, CatalogError>>) -> Res
     }
 }
 
-/// Brings a map back from its newest snapshot and the log after it, and starts its writer. The last update that the log
-/// has begun may be one that was cut off: the writer runs it again while the map is served from the generation before.
+/// Restores a map from its newest snapshot and the log after it, and starts its writer. The last update in the log may
+/// have been cut off: the writer repeats it while the map is served from the generation before.
 fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle>, CatalogError> {
     let opened = context.store.open_map(id, &spec)?;
     for report in &opened.reports {
@@ -229,7 +229,8 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
     };
     let mut replayed = 0u64;
     let mut repeated = UpdateReplay { context, id, spec: &spec, unsaved: None, save_above: HISTORY_BYTES };
-    // The last update that the log has begun. Only what follows tells whether it ended; until then it may be long.
+    // The last update that the log has begun. It may take long, so that it is run here only if another event shows that
+    // it ended.
     let mut begun: Option<UpdateWork> = None;
     for entry in opened.replay {
         let (position, event) = entry?;
@@ -255,7 +256,7 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
     Ok(start(context.clone(), id, map, opened.log, unsaved, begun)?)
 }
 
-/// Updates that are run again at the start because others followed them, and what they have left to be saved.
+/// Repeats updates at the start because others followed them, and holds what is not saved of them.
 struct UpdateReplay<'a> {
     context: &'a Context,
     id: MapId,
@@ -271,7 +272,7 @@ impl UpdateReplay<'_> {
         let result = self.context.run_update(self.id, &self.spec.name, work, kept, &done);
         let result = result.map_err(|source| CatalogError::Tile { map: self.spec.name.clone(), source })?;
         let mut snapshot = map.finish_update(result);
-        // Of the snapshots before only their history is not in this one.
+        // Only the history of the older snapshots is not in this one.
         let mut history = self.unsaved.take().map_or(Vec::new(), |older| older.history);
         history.append(&mut snapshot.history);
         snapshot.history = history;
@@ -281,13 +282,13 @@ impl UpdateReplay<'_> {
             return Ok(());
         }
         self.unsaved = save_or_keep(self.context, self.id, snapshot);
-        // One that was not saved is tried again when there is as much history again.
+        // A snapshot that was not saved is tried again when there is as much history again.
         self.save_above = HISTORY_BYTES + if self.unsaved.is_some() { bytes } else { 0 };
         Ok(())
     }
 }
 
-/// Saves a snapshot; gives it back where that fails, because the log has everything that it holds.
+/// Saves a snapshot; gives it back if that fails, because the log has everything in it.
 fn save_or_keep(context: &Context, id: MapId, snapshot: MapSnapshot) -> Option<MapSnapshot> {
     match context.store.save(id, &snapshot) {
         Ok(_) => None,

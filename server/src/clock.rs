@@ -1,6 +1,6 @@
 //! The daemon's clocks. The only place that reads the wall clock.
 //!
-//! Invariant: everything else is told the time, so that tests can set it.
+//! Invariant: all other code gets the time from here, so that tests can set it.
 
 use std::{fmt, time::SystemTime};
 

@@ -1,6 +1,6 @@
-//! Settings: defaults, then the config file, then `TIDEMAP_…` in the environment, then flags.
+//! Settings: defaults, then the config file, then `TIDEMAP_…` in the environment, then flags; the later win.
 //!
-//! Invariant: settings that leave here are complete and checked; an unknown key in the file is an error that names it.
+//! Invariant: loaded settings are complete and checked; an unknown key in the file is an error that names it.
 
 use std::{
     net::{IpAddr, SocketAddr},
@@ -37,22 +37,22 @@ pub(crate) struct Flags {
     #[arg(long, value_name = "HOST:PORT")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub http_listen: Option<String>,
-    /// Listen beyond this machine although connections are neither encrypted nor authenticated: everybody who reaches
-    /// the port can read, write and delete all maps.
+    /// Listen on other addresses than this machine's, although connections are neither encrypted nor authenticated:
+    /// everybody who reaches the port can read, write and delete all maps.
     #[arg(long)]
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub allow_insecure_remote: bool,
-    /// Form of the log on stderr: text or json [default: text].
+    /// Format of the log on stderr: text or json [default: text].
     #[arg(long, value_name = "FORM")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub log_format: Option<LogFormat>,
-    /// Which log lines: error, warn, info, debug, trace, or a filter such as tidemapd=debug [default: info].
+    /// Log filter: error, warn, info, debug, trace, or a filter such as tidemapd=debug [default: info].
     #[arg(long, value_name = "FILTER")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub log_level: Option<String>,
 }
 
-/// Form of the log.
+/// Format of the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum LogFormat {
@@ -72,68 +72,69 @@ pub(crate) struct Settings {
     pub listen: String,
     /// Address of the HTTP port for health and metrics.
     pub http_listen: String,
-    /// Listen beyond this machine without encryption and authentication.
+    /// Listen on other addresses than this machine's, without encryption and authentication.
     pub allow_insecure_remote: bool,
-    /// Form of the log.
+    /// Format of the log.
     pub log_format: LogFormat,
     /// Filter of the log.
     pub log_level: String,
-    /// Most maps.
+    /// Maximum number of maps.
     pub max_maps: usize,
-    /// Most states of a map. A state takes up to 16 bytes per candidate periodicity twice over: 5.4 KB by default.
+    /// Maximum number of states of a map. A state takes up to 32 bytes per candidate periodicity: 5.4 KB by default.
     pub max_states_per_map: usize,
-    /// Most tiles of the occupancy grid of a map: 8x8x8 cells each, 8x8 in a flat grid.
+    /// Maximum number of tiles of a map's occupancy grid: 8x8x8 cells each, 8x8 in a flat grid.
     pub max_tiles_per_map: usize,
-    /// Most producer keys (producer and label) of a map.
+    /// Maximum number of producer keys (producer and label) of a map.
     pub max_producers_per_map: usize,
-    /// Most observations of one message.
+    /// Maximum number of observations of one message.
     pub max_batch_observations: usize,
-    /// Most scans of one message.
+    /// Maximum number of scans of one message.
     pub max_batch_scans: usize,
-    /// Most points or rays of one scan. Those of a scan that spans messages wait in memory, 12 bytes each.
+    /// Maximum number of points or rays of one scan. A scan that spans messages waits in memory, with 12 bytes per
+    /// point.
     pub max_scan_points: usize,
-    /// Most tiles of one scan, and of one stream's table of tiles. A tile of the table takes about 350 bytes.
+    /// Maximum number of tiles of one scan, and of one stream's table of tiles. A tile of the table takes about 350
+    /// bytes.
     pub max_scan_tiles: usize,
-    /// Most bytes of one message.
+    /// Maximum size of one message, in bytes.
     pub max_message_bytes: usize,
-    /// Most bytes of one stream that are taken in and not yet durable.
+    /// Maximum size of what one stream has sent and is not durable yet, in bytes.
     pub max_stream_buffer_bytes: usize,
-    /// Most bytes of all streams that are taken in and not yet durable.
+    /// Maximum size of what all streams have sent and is not durable yet, in bytes.
     pub max_buffer_bytes: usize,
-    /// Most bytes of the tables of tiles and unfinished scans of all streams.
+    /// Maximum size of the tile tables and unfinished scans of all streams, in bytes.
     pub max_stream_tables_bytes: usize,
-    /// Most streams of observations at once.
+    /// Maximum number of open streams of observations.
     pub max_streams: usize,
-    /// Pending observations of a map above which an update runs early; above twice as many, those of a running
-    /// update included, streams wait. An observation takes 24 to 48 bytes.
+    /// An update runs early when a map has more pending observations than this. At twice as many, including those of a
+    /// running update, streams wait. An observation takes 24 to 48 bytes.
     pub max_pending_observations: u64,
-    /// The same for the grid of a map, in changes: cells that read otherwise than in the scan before, and scans. A change
-    /// takes 8 to 16 bytes.
+    /// The same for the grid of a map, in changes: scans, and cells that differ from the scan before. A change takes 8
+    /// to 16 bytes.
     pub max_pending_changes: u64,
-    /// Most predictions (states times times) of one request.
+    /// Maximum number of predictions (states × times) of one request.
     pub max_predictions: u64,
-    /// Most fitted models that are kept, those of all maps together, and most that evaluations hold at once: models that
-    /// are fitted when they are asked for. One takes 100 bytes to 10 KB; a histogram takes 16 bytes a bin.
+    /// Maximum number of fitted models in the cache, all maps together, and maximum number that evaluations hold at
+    /// once. A model takes 100 bytes to 10 KB; a histogram takes 16 bytes per bin.
     pub max_fitted_models: usize,
-    /// Most observations that a model is fitted to. A fit takes some 100 bytes of each while it runs.
+    /// Maximum number of observations that a model is fitted to. A fit takes some 100 bytes for each while it runs.
     pub max_fit_readings: u64,
-    /// Most watches of anomalies at once. A map that is watched keeps what its watchers have not read yet, 5 MB at most, and
-    /// for them the models of the generation before the one in force.
+    /// Maximum number of open watches of anomalies. A watched map keeps what its watchers have not read yet, at most 5
+    /// MB, and the models of the previous generation.
     pub max_watches: usize,
-    /// Most cells of a grid that are held for one plan. A cell takes 20 bytes or so while it is made.
+    /// Maximum number of grid cells of one plan. A cell takes about 20 bytes while the plan is made.
     pub max_plan_cells: u64,
-    /// Most work of looking from viewpoints in one request: viewpoints times times times cells that the rays of one view
-    /// pass.
+    /// Maximum work of views in one request: viewpoints × times × cells that the rays of one view pass.
     pub max_view_work: u64,
-    /// Threads of updates, all maps together; 0: half the processors, at least one.
+    /// Number of update threads, all maps together; 0: half the processors, at least one.
     pub update_threads: usize,
-    /// Size at which a segment of the log is closed and the next one begun.
+    /// Size at which a log segment is closed and the next one begun, in bytes.
     pub segment_bytes: u64,
-    /// Cache of the index.
+    /// Size of the index cache, in bytes.
     pub index_cache_bytes: u64,
-    /// Checkpoints kept of each map.
+    /// Number of checkpoints that are kept of each map.
     pub checkpoints_kept: usize,
-    /// Memory for what is learned of the tiles of a map, in bytes. Tiles beyond it are read from the newest checkpoint.
+    /// Memory for the learned models of a map's tiles, in bytes. Other tiles are read from the newest checkpoint.
     pub tile_cache_bytes: u64,
 }
 
@@ -180,7 +181,7 @@ impl Settings {
     /// Merges all sources and checks the result.
     ///
     /// # Errors
-    /// A file that is missing or malformed, an unknown key, a value out of range: with the name of the key.
+    /// A missing or malformed file, an unknown key, or a value out of range; the error names the key.
     pub(crate) fn load(flags: &Flags) -> anyhow::Result<Self> {
         let defaults = Self::default();
         let mut figment = Figment::from(Serialized::defaults(&defaults));
@@ -258,7 +259,7 @@ impl Settings {
         Ok(())
     }
 
-    /// Threads of updates.
+    /// The number of update threads.
     #[must_use]
     pub(crate) fn update_threads(&self) -> usize {
         match self.update_threads {

@@ -1,7 +1,7 @@
-//! Wiring: opens the store, starts the maps and the ports, and stops them in order.
+//! Opens the store, starts the maps and the ports, and stops them in order.
 //!
-//! Invariant: the line `listening …` is printed when requests are served, not before. A stop acknowledges what is in
-//! flight, closes the store and ends, whatever clients and the disk do: each step has its deadline.
+//! Invariant: the line `listening …` is printed only when requests are served. A stop acknowledges what is in flight,
+//! closes the store and ends, whatever clients and the disk do: each step has its deadline.
 
 use std::{io::Write as _, sync::Arc, time::Duration};
 
@@ -24,14 +24,14 @@ use crate::{
     rpc, telemetry,
 };
 
-/// How long connections have to close after their streams were told goodbye.
+/// Time for connections to close after their streams got a goodbye.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
-/// How long the maps have to make durable what is in flight.
+/// Time for the maps to make durable what is in flight.
 const MAPS_STOP_WITHIN: Duration = Duration::from_secs(10);
-/// How long the store has to close.
+/// Time for the store to close.
 const CLOSE_WITHIN: Duration = Duration::from_secs(10);
 
-/// Why the daemon ended; each kind has its exit status.
+/// Why the daemon ended; each error has its exit status.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum DaemonError {
     #[error("{0}")]
@@ -47,7 +47,7 @@ pub(crate) enum DaemonError {
 }
 
 impl DaemonError {
-    /// Exit status after sysexits.h.
+    /// Exit status as in sysexits.h.
     #[must_use]
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
@@ -63,7 +63,7 @@ impl DaemonError {
 impl From<CatalogError> for DaemonError {
     fn from(error: CatalogError) -> Self {
         match error {
-            // The data is well; the machine is not.
+            // The data is sound; the machine lacks resources.
             CatalogError::Thread(_) => Self::Other(error.into()),
             _ => Self::Data(error.to_string()),
         }
@@ -91,7 +91,7 @@ fn random_id() -> anyhow::Result<String> {
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Runs the daemon on a disk until it is told to stop.
+/// Runs the daemon on a disk until it is stopped.
 ///
 /// # Errors
 /// See [`DaemonError`].
@@ -137,12 +137,12 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let http = listen(&settings.http_listen).await?;
     let (grpc_address, http_address) =
         (grpc.local_addr().map_err(anyhow::Error::from)?, http.local_addr().map_err(anyhow::Error::from)?);
-    // A channel and not a notification: a port that begins to wait late still learns of it.
+    // A channel and not a notification: a port that starts to wait late still sees the stop.
     let (stop_ports, ports_stopping) = watch::channel(false);
     let wait = || {
         let mut stopping = ports_stopping.clone();
         async move {
-            // An error means that the sender is gone: that is a stop as well.
+            // An error means that the sender is gone, which is a stop as well.
             let _ = stopping.wait_for(|stop| *stop).await;
         }
     };
@@ -176,7 +176,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         let _ = (&mut grpc_task).await;
         let _ = (&mut http_task).await;
     };
-    // Both tasks may be over already; a client that keeps its connection open does not keep the daemon.
+    // Both tasks may have ended already. A client that keeps its connection open does not keep the daemon running.
     if result.is_ok() && tokio::time::timeout(STOP_WITHIN, closed).await.is_err() {
         info!("connections still open are cut");
     }
@@ -184,12 +184,12 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     result
 }
 
-/// Closes the store. In a thread of its own: the runtime's may all wait for a disk that hangs.
+/// Closes the store, in a thread of its own, because all threads of the runtime may wait for a disk that hangs.
 async fn close(store: Arc<Store>) {
     let (done, closed) = oneshot::channel();
     let thread = std::thread::Builder::new().name("close".to_owned()).spawn(move || {
         store.close();
-        // Nobody waits any more where it took too long.
+        // After the deadline nobody waits.
         let _ = done.send(());
     });
     if let Err(error) = thread {

@@ -1,6 +1,6 @@
-//! How well models tell given observations, which are not learned.
+//! Compares the predictions of models with observations that are not learned.
 //!
-//! Invariant: sums only, so that any number of observations needs a fixed amount of memory per state and model.
+//! Invariant: only sums are kept, so that memory does not depend on the number of observations.
 
 use std::{
     collections::{HashMap, HashSet, hash_map::Entry},
@@ -19,7 +19,7 @@ use crate::model_cache::CachedModel;
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 1024;
 
-/// What answers for a state where a model has to be fitted to its readings.
+/// What predicts a state where a model must be fitted to its readings.
 #[derive(Clone, Debug)]
 pub(crate) enum AnswerSource {
     /// The fitted model.
@@ -28,11 +28,11 @@ pub(crate) enum AnswerSource {
     Nothing(Arc<str>),
 }
 
-/// ErrorSums of errors per state and model.
+/// Sums of errors per state and model.
 #[derive(Debug)]
 pub(crate) struct Evaluator {
     view: Arc<MapView>,
-    /// One per row of a state: kinds without an order of their own are spread over all orders.
+    /// One per row of a state: models without an order of their own stand for all orders.
     rows: Vec<ModelSelector>,
     states: Vec<StateId>,
     /// Why there are no models: many states share few reasons.
@@ -40,10 +40,10 @@ pub(crate) struct Evaluator {
     sums: HashMap<StateId, ErrorSums>,
 }
 
-/// What is known of one state, each as long as the rows.
+/// The sums of one state, each as long as the rows.
 #[derive(Debug)]
 struct ErrorSums {
-    /// Who answers, where it is not the view.
+    /// What predicts, if not the view.
     answering: Vec<Option<AnswerSource>>,
     errors: Vec<Evaluation>,
 }
@@ -63,25 +63,25 @@ impl Evaluator {
         Self { view, rows, states: Vec::new(), reasons: HashSet::new(), sums: HashMap::new() }
     }
 
-    /// ErrorSums kept for each state.
+    /// Number of sums that are kept for each state.
     #[must_use]
     pub(crate) fn sums_per_state(&self) -> usize {
         self.rows.len()
     }
 
-    /// The kind of each row that needs a model fitted to the readings of a state, in order.
+    /// The model kind of each row that is fitted to the readings of a state, in order.
     pub(crate) fn kinds_to_fit(&self) -> impl Iterator<Item = ModelKind> + use<> {
         let kinds: Vec<_> = self.rows.iter().map(|row| row.kind).filter(|kind| kind.needs_readings()).collect();
         kinds.into_iter()
     }
 
-    /// Whether there is nothing of this state yet.
+    /// Whether the state has no sums yet.
     #[must_use]
     pub(crate) fn is_new(&self, id: StateId) -> bool {
         !self.sums.contains_key(&id)
     }
 
-    /// That there is no model, for this reason.
+    /// An answer source without a model, for this reason.
     pub(crate) fn nothing(&mut self, reason: &str) -> AnswerSource {
         let known = self.reasons.get(reason).cloned();
         AnswerSource::Nothing(known.unwrap_or_else(|| {
@@ -91,7 +91,8 @@ impl Evaluator {
         }))
     }
 
-    /// Begins with a state: who answers, for each of [`Evaluator::kinds_to_fit`]. Has no effect on a state that there is.
+    /// Adds a state with its answer sources, one for each of [`Evaluator::kinds_to_fit`]. No effect if the state is
+    /// known.
     pub(crate) fn begin(&mut self, id: StateId, fitted: impl IntoIterator<Item = AnswerSource>) {
         if let Entry::Vacant(entry) = self.sums.entry(id) {
             let mut fitted = fitted.into_iter();
@@ -104,7 +105,7 @@ impl Evaluator {
         }
     }
 
-    /// Adds observations, grouped by state; `order` lists the states, with all of which was begun.
+    /// Adds observations, grouped by state; `order` lists the states, which must be known.
     pub(crate) fn add(&mut self, order: &[StateId], by_state: &HashMap<StateId, Vec<Sample>>) {
         for id in order {
             let (Some(samples), Some(sums)) = (by_state.get(id), self.sums.get_mut(id)) else { continue };
@@ -140,7 +141,7 @@ impl Evaluator {
         )
     }
 
-    /// The rows that there are not: model, why, and names of the states, by model.
+    /// The missing rows, by model: model, reason, and names of the states.
     #[must_use]
     pub(crate) fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<&str>)> {
         let mut found: Vec<(ModelSelector, &str, Vec<&str>)> = Vec::new();
@@ -160,7 +161,7 @@ impl Evaluator {
         found
     }
 
-    /// All rows by state, whether there is one who answers or not.
+    /// All rows by state, with or without a model.
     fn all(&self) -> impl Iterator<Item = (StateId, &ModelSelector, &Option<AnswerSource>, &Evaluation)> {
         let of_state = |&id: &StateId| self.sums.get(&id).map(|sums| (id, sums));
         self.states.iter().filter_map(of_state).flat_map(|(id, sums)| {

@@ -1,6 +1,6 @@
-//! The HTTP port: health and metrics, without a key.
+//! The HTTP port: health and metrics, without authentication.
 //!
-//! Invariant: nothing here tells what is in a map, and nothing here changes one.
+//! Invariant: nothing here reveals the content of a map, and nothing here changes a map.
 
 use std::{future::Future, sync::Arc};
 

@@ -1,8 +1,8 @@
-//! The way of an observation from a decoded message to the map: intake checks it, the map's single writer orders it,
+//! The path of an observation from a decoded message to the map: intake checks it, the map's single writer orders it,
 //! logs it and applies it.
 //!
-//! Invariant: nothing is acknowledged before the log has it on disk, and every observation is applied once, in the
-//! order of the log.
+//! Invariant: nothing is acknowledged before it is on disk, and every observation is applied exactly once, in the order
+//! of the log.
 
 pub(crate) mod anomaly_feed;
 pub(crate) mod ending;

@@ -1,7 +1,7 @@
-//! Updates as jobs that can be listed, watched and reported on.
+//! Updates as jobs that can be listed, watched and reported.
 //!
-//! Invariant: a job only moves forward, waiting, running, ended. Old jobs are forgotten; a report is kept for the last
-//! update of each map only.
+//! Invariant: a job only moves forward: waiting, running, ended. Old jobs are forgotten; only the last update of each
+//! map keeps its report.
 
 use std::{
     collections::VecDeque,
@@ -17,16 +17,16 @@ use tokio::sync::watch;
 
 const JOBS_KEPT: usize = 1000;
 
-/// How far a job is.
+/// The progress of a job.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Phase {
     /// Waits for another job of the same map.
     Waiting,
-    /// Runs since.
+    /// Runs since this instant.
     Running(Instant),
-    /// Ended well, after.
+    /// Ended successfully, after this time.
     Done(Duration),
-    /// Ended with an error, after.
+    /// Failed, after this time.
     Failed(Duration, String),
 }
 
@@ -38,29 +38,25 @@ impl Phase {
     }
 }
 
-/// A job as it stands.
+/// The status of a job.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct JobStatus {
-    /// How far it is.
     pub phase: Phase,
-    /// States and tiles with observations to fold in.
+    /// States and tiles with observations to learn.
     pub states_total: u64,
-    /// Observations and scans to fold in.
+    /// Observations and scans to learn.
     pub observations: u64,
-    /// What it publishes: generation and cut.
+    /// The published generation and its cut.
     pub published: Option<(u64, i64)>,
 }
 
 /// An update.
 #[derive(Debug)]
 pub(crate) struct UpdateJob {
-    /// Identity.
     pub id: u64,
-    /// Map that it updates.
     pub map: MapName,
-    /// What started it.
     pub cause: UpdateCause,
-    /// When it was asked for, nanoseconds UTC.
+    /// When it was requested, nanoseconds UTC.
     pub created_nanos: i64,
     /// States and tiles done so far.
     pub states_done: AtomicU64,
@@ -69,17 +65,17 @@ pub(crate) struct UpdateJob {
     report: Mutex<Option<Arc<Report>>>,
 }
 
-/// What an update did.
+/// The result of an update.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Report {
-    /// To the cells of the grid, all together.
+    /// For all cells of the grid together.
     pub cells: Option<GridOutcome>,
-    /// To each state that had observations.
+    /// For each state that had observations.
     pub states: Vec<StateOutcome>,
 }
 
 impl UpdateJob {
-    /// The job as it stands.
+    /// The current status.
     #[must_use]
     pub(crate) fn status(&self) -> JobStatus {
         self.status.borrow().clone()
@@ -97,7 +93,7 @@ impl UpdateJob {
         self.status.subscribe()
     }
 
-    /// The job runs.
+    /// Marks the job as running.
     pub(crate) fn start(&self, states_total: u64, observations: u64) {
         self.status.send_modify(|status| {
             status.phase = Phase::Running(Instant::now());
@@ -106,7 +102,7 @@ impl UpdateJob {
         });
     }
 
-    /// The job ended.
+    /// Ends the job.
     pub(crate) fn end(&self, result: Result<(u64, i64), String>) {
         self.status.send_modify(|status| {
             let elapsed = match status.phase {
@@ -123,7 +119,7 @@ impl UpdateJob {
         });
     }
 
-    /// What the update did; `None` where a later update has ended since.
+    /// The result of the update; `None` if a later update has ended since.
     #[must_use]
     pub(crate) fn report(&self) -> Option<Arc<Report>> {
         self.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
@@ -139,7 +135,7 @@ pub(crate) struct Jobs {
 }
 
 impl Jobs {
-    /// A new job, waiting.
+    /// Adds a waiting job.
     pub(crate) fn create(&self, map: MapName, cause: UpdateCause, created_nanos: i64) -> Arc<UpdateJob> {
         let (status, _) =
             watch::channel(JobStatus { phase: Phase::Waiting, states_total: 0, observations: 0, published: None });
@@ -163,7 +159,7 @@ impl Jobs {
         job
     }
 
-    /// Keeps the report of a job and drops that of the map's update before.
+    /// Stores the report of a job and drops that of the map's previous update.
     pub(crate) fn set_report(&self, job: &UpdateJob, report: Report) {
         for other in self.list().iter().filter(|other| other.map == job.map && other.id != job.id) {
             *other.report.lock().unwrap_or_else(PoisonError::into_inner) = None;
@@ -177,7 +173,6 @@ impl Jobs {
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 
-    /// The job of this identity.
     #[must_use]
     pub(crate) fn get(&self, id: u64) -> Option<Arc<UpdateJob>> {
         self.list().into_iter().find(|job| job.id == id)

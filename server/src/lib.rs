@@ -1,8 +1,8 @@
-//! `tidemapd`, the map service that learns when things change. A library with one door, [`run`], so that a test can
-//! start the same daemon on another disk; the program is `main.rs`.
+//! `tidemapd`, the map service that learns when things change. The library has one entry point, [`run`], so that a test
+//! can start the same daemon on another disk; the program is `main.rs`.
 //!
-//! Invariant: every way out has its exit status: 0 stopped as asked, 2 wrong usage, 65 the data cannot be used, 69 a
-//! port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70 anything else.
+//! Invariant: every way out has its exit status: 0 stopped as requested, 2 wrong usage, 65 the data cannot be used, 69
+//! a port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70 anything else.
 
 mod catalog;
 mod clock;
@@ -24,7 +24,7 @@ use tidemap_store::disk::Disk;
 
 use crate::config::{Flags, Settings};
 
-/// The whole daemon: reads the command line and the settings, runs until it is told to stop, and returns the exit
+/// Runs the whole daemon: reads the command line and the settings, serves until it is stopped, and returns the exit
 /// status. Everything that must survive a power cut goes through `disk`.
 #[must_use]
 pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
@@ -50,7 +50,7 @@ pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
         }
     };
     let result = runtime.block_on(daemon::run(settings, disk));
-    // An update that still runs is not waited for: the log repeats it at the next start.
+    // A running update is not waited for: the next start repeats it from the log.
     runtime.shutdown_background();
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,7 +1,8 @@
-//! Models that are fitted to the readings of a state when they are asked for, and kept for the next question.
+//! Models that are fitted to the readings of a state on request, and kept for the next request.
 //!
-//! Invariant: a model is kept under the generation whose readings it was fitted to, so that it never answers for another.
-//! Those who ask for the same model at once share one fit, and no lock is held meanwhile. A fit that failed is not kept.
+//! Invariant: a model is kept under the generation whose readings it was fitted to, so that it never answers for
+//! another. Concurrent requests for the same model share one fit, and no lock is held meanwhile. A fit that failed is
+//! not kept.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -23,27 +24,26 @@ pub(crate) use fitted::CachedModel;
 pub(crate) use positions::PositionModel;
 pub(crate) use unavailable::ModelUnavailable;
 
-/// Which model, of what.
+/// Identifies a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ModelKey {
-    /// The map.
     pub map: MapId,
-    /// It knows what the updates up to this one have folded in.
+    /// The model has learned the updates up to this one.
     pub generation: u64,
-    /// The state; of positions the first axis.
+    /// The state; for positions the first axis.
     pub state: StateId,
-    /// The kind, with its parameters.
+    /// The model, with its parameters.
     pub kind: ModelKind,
 }
 
-/// A model, once it has been fitted.
+/// A model, after it has been fitted.
 type CacheSlot<T> = Arc<OnceCell<Arc<T>>>;
 
 /// The fitted models of all maps: those of states, or those of positions.
 #[derive(Debug)]
 pub(crate) struct ModelCache<T = CachedModel> {
     max: usize,
-    // A lock, because asking for a model changes when it was last used; held to look it up, never to fit.
+    // A lock, because a lookup changes when a model was last used; never held during a fit.
     entries: Mutex<CacheEntries<T>>,
     reserved: Arc<Semaphore>,
 }
@@ -51,13 +51,13 @@ pub(crate) struct ModelCache<T = CachedModel> {
 #[derive(Debug)]
 struct CacheEntries<T> {
     slots: HashMap<ModelKey, (CacheSlot<T>, u64)>,
-    /// The same keys by when they were last used, oldest first.
+    /// The same keys by their last use, oldest first.
     by_use: BTreeMap<u64, ModelKey>,
     uses: u64,
 }
 
 impl<T> ModelCache<T> {
-    /// Keeps at most so many models, at least one; those that are being fitted come on top.
+    /// Keeps at most `max` models, at least one, besides those that are being fitted.
     #[must_use]
     pub(crate) fn new(max: usize) -> Self {
         let max = max.clamp(1, Semaphore::MAX_PERMITS);
@@ -74,10 +74,10 @@ impl<T> ModelCache<T> {
         self.with_entries(|entries| entries.used(key)?.get().cloned())
     }
 
-    /// The model: the one that is kept, or the one that somebody is fitting now, or what `fit` gives.
+    /// The model: from the cache, from a fit that is running, or from `fit`.
     ///
     /// # Errors
-    /// What `fit` ends with. Others who wait for the model then fit it themselves.
+    /// The error of `fit`. Other requests that wait for the model then fit it themselves.
     pub(crate) async fn get_or_fit<E>(
         &self,
         key: ModelKey,
@@ -91,20 +91,20 @@ impl<T> ModelCache<T> {
         fitted
     }
 
-    /// Leave to hold so many models, kept or not, for as long as a request lasts; `None` where all requests together would
-    /// hold more than may be kept.
+    /// Reserves capacity for this many models, cached or not, for the duration of a request; `None` if all requests
+    /// together would hold more than the maximum.
     #[must_use]
     pub(crate) fn reserve(&self, models: usize) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.reserved).try_acquire_many_owned(u32::try_from(models).ok()?).ok()
     }
 
-    /// How many models requests have leave to hold.
+    /// How many models requests have reserved.
     #[must_use]
     pub(crate) fn reserved(&self) -> usize {
         self.max.saturating_sub(self.reserved.available_permits())
     }
 
-    /// Most models that are kept, and most that requests hold.
+    /// Maximum number of models that are cached, and that requests reserve.
     #[must_use]
     pub(crate) fn max(&self) -> usize {
         self.max
@@ -116,7 +116,7 @@ impl<T> ModelCache<T> {
 }
 
 impl<T> CacheEntries<T> {
-    /// A slot that there is, which is now the last used.
+    /// An existing slot, which becomes the last used.
     fn used(&mut self, key: &ModelKey) -> Option<CacheSlot<T>> {
         let (slot, last_use) = self.slots.get_mut(key)?;
         self.uses += 1;
@@ -126,7 +126,7 @@ impl<T> CacheEntries<T> {
         Some(Arc::clone(slot))
     }
 
-    /// The slot of a key, which is now the last used; others go where there is no room for it.
+    /// The slot of a key, which becomes the last used; the least recently used ones go if there is no room for it.
     fn slot(&mut self, key: ModelKey, max: usize) -> CacheSlot<T> {
         if let Some(slot) = self.used(&key) {
             return slot;
@@ -146,12 +146,12 @@ impl<T> CacheEntries<T> {
         slot
     }
 
-    /// Whether somebody waits for the model: were its slot given away, the next one who asks would fit it again.
+    /// Whether a request waits for the model: if its slot were removed, the next request would fit it again.
     fn is_in_flight(&self, key: &ModelKey) -> bool {
         self.slots.get(key).is_some_and(|(slot, _)| !slot.initialized() && Arc::strong_count(slot) > 1)
     }
 
-    /// Gives up a slot that has no model.
+    /// Removes a slot that has no model.
     fn forget(&mut self, key: &ModelKey, slot: &CacheSlot<T>) {
         let is_empty = |(kept, _): &(CacheSlot<T>, u64)| Arc::ptr_eq(kept, slot) && !kept.initialized();
         if self.slots.get(key).is_some_and(is_empty)

@@ -1,6 +1,6 @@
 //! Counters of a map and of the daemon.
 //!
-//! Invariant: names are never reused for something else; new ones are added at the end.
+//! Invariant: a name never changes its meaning; new names are added at the end.
 
 use tidemap_map::grid::index::TileId;
 use tidemap_store::Sizes;
@@ -69,12 +69,12 @@ fn of_storage(catalog: &Catalog) -> [Counter; 3] {
     ]
 }
 
-/// Bits observed for each bit kept (T-RO 2017, eq. 16); 0 where nothing is kept.
+/// Bits observed per bit stored (T-RO 2017, eq. 16); 0 if nothing is stored.
 fn ratio(observed_bits: u64, kept_bytes: u64) -> f64 {
     if kept_bytes == 0 { 0.0 } else { observed_bits as f64 / (8.0 * kept_bytes as f64) }
 }
 
-/// Counters of the grid of a map, and its compression; 0 if it has no grid.
+/// Counters of the grid of a map, and its compression; 0 if the map has no grid.
 fn of_grid(catalog: &Catalog, handle: &MapHandle, sizes: &Sizes) -> Vec<Counter> {
     let view = handle.view();
     let totals = handle.tile_totals();

@@ -1,6 +1,6 @@
 //! Logs and metrics of the process.
 //!
-//! Invariant: logs go to stderr, because stdout is for the line that says where the daemon listens.
+//! Invariant: logs go to stderr; stdout is for the line that names the ports.
 
 use anyhow::Context as _;
 use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
@@ -8,10 +8,10 @@ use tracing_subscriber::EnvFilter;
 
 use crate::config::LogFormat;
 
-/// Sets logging up for the whole process.
+/// Starts logging for the whole process.
 ///
 /// # Errors
-/// A filter that cannot be read.
+/// A filter that cannot be parsed.
 pub(crate) fn start_logs(format: LogFormat, level: &str) -> anyhow::Result<()> {
     let filter = EnvFilter::try_new(level).with_context(|| format!("setting log_level is {level:?}"))?;
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false);
@@ -22,10 +22,10 @@ pub(crate) fn start_logs(format: LogFormat, level: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Sets metrics up for the whole process.
+/// Starts metrics for the whole process.
 ///
 /// # Errors
-/// Metrics were set up before.
+/// Metrics were started before.
 pub(crate) fn start_metrics() -> anyhow::Result<PrometheusHandle> {
     let handle = PrometheusBuilder::new().install_recorder()?;
     metrics::describe_counter!("tidemap_observations_total", "Observations acknowledged since the start");

@@ -1,8 +1,7 @@
-//! What a writer tells those who watch: observations as they are applied, with the models in force.
+//! Publishes observations as they are applied, with the models in force, to those who watch for anomalies.
 //!
-//! Invariant: telling never waits, and costs nothing while nobody watches. What is told is dropped when all have read it,
-//! and of what somebody has not read there is a bounded number of pieces, which keep no models alive: the writer does,
-//! those of two generations.
+//! Invariant: publishing never waits, and costs nothing without watchers. A piece is dropped when all have read it; a
+//! bounded number of unread pieces is kept. Pieces keep no models alive: the writer keeps those of two generations.
 
 use std::sync::{Arc, Weak};
 
@@ -11,19 +10,19 @@ use tokio::sync::broadcast;
 
 use super::ending::Ending;
 
-/// Most observations of one piece.
+/// Maximum number of observations of one piece.
 const PIECE: usize = 4096;
-/// Most pieces that wait for a watcher: 5 MB.
+/// Maximum number of pieces that wait for a watcher: 5 MB.
 const PIECES: usize = 64;
-/// Generations whose models are kept for those who have not judged yet: the one in force and the one before.
+/// Generations whose models are kept for watchers: the one in force and the one before.
 const GENERATIONS: usize = 2;
 
-/// Observations that were applied one after the other.
+/// Observations that were applied one after another.
 #[derive(Debug, Default)]
 pub(crate) struct FeedPiece {
-    /// The models that were in force; gone where two updates have ended since.
+    /// The models that were in force; gone after two more updates.
     pub models: Weak<MapView>,
-    /// How many observations were told before.
+    /// Number of observations sent before this piece.
     pub before: u64,
     /// Per observation: the state.
     pub states: Vec<StateId>,
@@ -33,27 +32,26 @@ pub(crate) struct FeedPiece {
     pub values: Vec<f64>,
 }
 
-/// What watchers are told.
+/// A message to the watchers.
 #[derive(Debug)]
 pub(crate) enum FeedMessage {
-    /// Observations were applied.
     Applied(FeedPiece),
     /// The map stops.
     End(Ending),
 }
 
-/// What watchers hear.
+/// The watcher's end.
 pub(crate) type FeedReceiver = broadcast::Receiver<Arc<FeedMessage>>;
 
 /// The writer's end.
 #[derive(Debug)]
 pub(crate) struct AnomalyFeed {
     sender: broadcast::Sender<Arc<FeedMessage>>,
-    /// FeedPiece, and not yet public.
+    /// Applied, and not public yet.
     waiting: Vec<FeedPiece>,
-    /// Observations told so far.
+    /// Number of observations sent so far.
     told: u64,
-    /// Models that may still be judged by, oldest first.
+    /// The models that watchers may still need, oldest first.
     models: Vec<Arc<MapView>>,
 }
 
@@ -64,13 +62,13 @@ impl Default for AnomalyFeed {
 }
 
 impl AnomalyFeed {
-    /// Another one who watches, and how many observations were told before. What was applied and is not public yet comes too,
-    /// where somebody else watched.
+    /// Subscribes a watcher; gives the receiver, and the number of observations sent before. If others watched already,
+    /// observations that are applied and not public yet come too.
     pub(crate) fn listen(&self) -> (FeedReceiver, u64) {
         (self.sender.subscribe(), self.told)
     }
 
-    /// Takes note of observations that were applied.
+    /// Collects observations that were applied.
     pub(crate) fn applied(&mut self, observations: &Observations) {
         if self.sender.receiver_count() == 0 {
             return;
@@ -87,7 +85,7 @@ impl AnomalyFeed {
         }
     }
 
-    /// Tells what was applied, once this view shows it.
+    /// Sends what was collected, after this view has been published.
     pub(crate) fn tell(&mut self, view: &MapView) {
         let waiting = std::mem::take(&mut self.waiting);
         if self.sender.receiver_count() == 0 {
@@ -104,14 +102,14 @@ impl AnomalyFeed {
             piece.models = self.models.last().map_or_else(Weak::new, Arc::downgrade);
             piece.before = self.told;
             self.told += piece.states.len() as u64;
-            // They may all have left just now.
+            // All watchers may have just left.
             let _ = self.sender.send(Arc::new(FeedMessage::Applied(piece)));
         }
     }
 
-    /// Tells that the map stops.
+    /// Tells the watchers that the map stops.
     pub(crate) fn end(&self, ending: Ending) {
-        // Where nobody watches, nobody has to be told.
+        // There may be no watcher.
         let _ = self.sender.send(Arc::new(FeedMessage::End(ending)));
     }
 }

@@ -1,6 +1,6 @@
-//! A map, as everybody but its writer sees it.
+//! The handle of a map, for everybody except its writer.
 //!
-//! Invariant: reading never waits, and nothing here changes a map except by a command to its writer.
+//! Invariant: reading never waits, and the map changes only by commands to its writer.
 
 use std::sync::{
     Arc, Mutex, PoisonError,
@@ -15,7 +15,7 @@ use tokio::sync::{oneshot, watch};
 
 use super::{ending::Ending, protocol::Command, tile_totals::TileTotals};
 
-/// A map, as everybody but its writer sees it.
+/// The handle of a map.
 #[derive(Debug)]
 pub(crate) struct MapHandle {
     /// Its number in the store.
@@ -26,12 +26,12 @@ pub(crate) struct MapHandle {
     commands: mpsc::Sender<Command>,
     saturated: watch::Receiver<bool>,
     tile_bytes: Arc<AtomicU64>,
-    // A lock, because the totals of a generation are counted once; held to copy them, not to count.
+    // A lock, because the totals of a generation are counted once; held to copy them, not while counting.
     tile_totals: Mutex<Option<(u64, TileTotals)>>,
 }
 
 impl MapHandle {
-    /// The handle of a map whose writer publishes to `view`, listens to `commands` and sets `saturated` and `tile_bytes`.
+    /// The handle of a map whose writer publishes to `view`, receives `commands` and sets `saturated` and `tile_bytes`.
     #[must_use]
     pub(crate) fn new(
         id: MapId,
@@ -44,13 +44,13 @@ impl MapHandle {
         Self { id, spec, view, commands, saturated, tile_bytes, tile_totals: Mutex::new(None) }
     }
 
-    /// What models and sums of tiles take in memory, in bytes, about.
+    /// Memory of the models and sums of tiles, in bytes, about.
     #[must_use]
     pub(crate) fn tile_bytes(&self) -> u64 {
         self.tile_bytes.load(Ordering::Relaxed)
     }
 
-    /// What the generation in force has learned of the tiles. Reads those that are not in memory, once a generation.
+    /// What the generation in force has learned of the tiles. Reads tiles that are not in memory once per generation.
     #[must_use]
     pub(crate) fn tile_totals(&self) -> TileTotals {
         let view = self.view();
@@ -65,7 +65,7 @@ impl MapHandle {
         }
     }
 
-    /// The map as it stands; never waits.
+    /// The current view; never waits.
     #[must_use]
     pub(crate) fn view(&self) -> Arc<MapView> {
         self.view.load_full()
@@ -83,11 +83,11 @@ impl MapHandle {
         self.saturated.clone()
     }
 
-    /// Stops the writer, once everything in flight is answered.
+    /// Stops the writer, after everything in flight is answered.
     pub(crate) async fn stop(&self, ending: Ending) {
         let (done, stopped) = oneshot::channel();
         if self.send(Command::Stop { ending, done }) {
-            // An error means that the writer is gone already.
+            // An error means that the writer has already gone.
             let _ = stopped.await;
         }
     }

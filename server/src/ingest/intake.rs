@@ -1,8 +1,9 @@
-//! Checks the observations, scans and traversals of one stream, in the stream's own task, before its map's writer sees them.
+//! Checks the observations, scans and traversals of one stream, in the stream's own task, before the map's writer gets
+//! them.
 //!
-//! Invariant: sequence numbers go up by one; what was taken before is skipped, a gap ends the stream. An observation
-//! that is wrong is refused by itself and uses up its number. Of a name without a kind, what its values may be is for the
-//! map's writer to say, which knows the state.
+//! Invariant: sequence numbers go up by one; what was taken before is skipped, a gap ends the stream. An invalid
+//! observation is refused by itself and uses up its number. If a name has no declared kind, the map's writer checks its
+//! values, because it knows the state.
 
 use tidemap_map::{
     event::{Dimensions, Position, StateKind, StateShape},
@@ -29,10 +30,10 @@ mod traversals;
 use scans::ScanIntake;
 
 const DETAIL_CHARS_MAX: usize = 200;
-/// Bytes of a stream's table per name that it may hold: the longest name of ASCII characters. Names that are not valid
-/// are kept too, for the CRC, and are as long as a message allows.
+/// Bytes of a stream's table per name: the longest name of ASCII characters. Invalid names are kept too, for the CRC,
+/// and may be as long as a message.
 const TABLE_BYTES_PER_NAME: usize = 128;
-/// Bytes that a table may take however few names it may hold.
+/// Bytes that a table may take even if it may hold only few names.
 const TABLE_BYTES_LEAST: usize = 1 << 20;
 
 /// Why a message ends its stream.
@@ -70,12 +71,12 @@ pub(crate) struct IntakeLimits {
 struct TableEntry {
     raw: String,
     refusal: Option<String>,
-    /// What the stream said of it.
+    /// The declared shape.
     shape: Option<StateShape>,
 }
 
 impl TableEntry {
-    /// Whether the state may have the position, or the value where there is none, as far as is known here.
+    /// Whether the state may have the position, or the value if there is no position, as far as is known here.
     fn may_have(&self, value: f64, position: Option<Position>) -> bool {
         match position {
             Some(position) => position.invalid_coordinate().is_none(),
@@ -83,7 +84,7 @@ impl TableEntry {
         }
     }
 
-    /// What its values have to be, as far as is known here.
+    /// The kind that its values must have, as far as is known here.
     fn expected_kind(&self) -> StateKind {
         self.shape.map_or(StateKind::Continuous, StateShape::kind)
     }
@@ -96,7 +97,7 @@ impl TableEntry {
     }
 }
 
-/// One stream's table of names, sequence and running CRC.
+/// The names, sequence and running CRC of one stream.
 #[derive(Debug)]
 pub(crate) struct Intake {
     table: Vec<TableEntry>,
@@ -111,7 +112,7 @@ pub(crate) struct Intake {
 }
 
 impl Intake {
-    /// A stream of which everything up to `durable_sequence`, with this CRC, was taken, for a map with this grid.
+    /// A stream of which everything up to `durable_sequence` was taken, with this CRC, for a map with this grid.
     #[must_use]
     pub(crate) fn new(durable_sequence: u64, content_crc: u32, limits: IntakeLimits, grid: Option<&GridSpec>) -> Self {
         Self {
@@ -126,7 +127,7 @@ impl Intake {
         }
     }
 
-    /// Memory of what the stream's scans refer to, in bytes, about: its table of tiles and an unfinished scan.
+    /// Memory of the stream's table of tiles and its unfinished scan, in bytes, about.
     #[must_use]
     pub(crate) fn held_bytes(&self) -> usize {
         self.scans.held_bytes()
@@ -135,7 +136,7 @@ impl Intake {
     /// Checks a message. `None`: nothing of it is new.
     ///
     /// # Errors
-    /// What ends the stream; nothing of the message was taken.
+    /// Errors that end the stream; nothing of the message was taken.
     pub(crate) fn take(&mut self, message: v1::ObservationBatch) -> Result<Option<ObservationBatch>, IntakeError> {
         let first = message.first_sequence;
         self.check_sequence(first)?;
@@ -172,7 +173,7 @@ impl Intake {
         Ok(())
     }
 
-    /// A scan that is spread over messages has no others in between.
+    /// Between the parts of a scan no other data may come.
     fn check_no_open_scan(&self, field: &str, what: &str) -> Result<(), InvalidField> {
         match self.scans.open_sequence() {
             Some(open) => {
@@ -215,7 +216,7 @@ impl Intake {
         checked
     }
 
-    /// The positions of a message, by the stream's table.
+    /// The positions of a message, according to the stream's table.
     fn positions(&self, columns: &DecodedColumns, coordinates: &[f64]) -> Result<Vec<(u32, Position)>, IntakeError> {
         if !self.has_vectors && coordinates.is_empty() {
             return Ok(Vec::new());
@@ -298,7 +299,7 @@ fn shortened(detail: &str) -> String {
     detail.chars().take(DETAIL_CHARS_MAX).collect()
 }
 
-/// That a state of that kind cannot have the value.
+/// A refusal: a state of that kind cannot have the value.
 pub(super) fn refuse_value(value: f64, kind: StateKind) -> (RefusalReason, String) {
     (RefusalReason::Value, format!("value {value} is not {}", kind.expected()))
 }

@@ -1,7 +1,7 @@
-//! What passes between a stream, the writer of its map and the committer of the log.
+//! The messages between a stream, the writer of its map and the committer of the log.
 //!
-//! Invariant: all of it is bounded: a batch holds a permit for its bytes until it is durable and applied, and what goes
-//! back to a stream is bounded by what it sent.
+//! Invariant: everything is bounded: a batch holds its buffer budget until it is durable and applied, and the messages
+//! back to a stream are bounded by what it sent.
 
 use std::sync::Arc;
 
@@ -28,41 +28,36 @@ use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 use super::{anomaly_feed::FeedReceiver, ending::Ending};
 use crate::jobs::UpdateJob;
 
-/// A stream, as its map's writer knows it.
+/// The number of a stream at its map's writer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(crate) struct SessionId(pub u64);
 
-/// A producer introduces itself.
+/// A producer opens a stream.
 #[derive(Debug)]
 pub(crate) struct Hello {
-    /// Whose sequence.
     pub key: ProducerKey,
-    /// 0: a new incarnation is wanted.
+    /// 0: a new incarnation is requested.
     pub incarnation: u64,
-    /// Whether data time is announced.
+    /// Whether the stream announces data time.
     pub nightly: bool,
-    /// The sensor that is announced.
+    /// The announced sensor.
     pub sensor: Option<ProducerSensor>,
-    /// Where the writer's messages to the stream go.
+    /// The channel of messages back to the stream.
     pub events: mpsc::UnboundedSender<SessionEvent>,
-    /// The answer.
     pub reply: oneshot::Sender<Result<Welcome, HelloError>>,
 }
 
-/// A stream that was accepted.
+/// The answer to an accepted stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Welcome {
-    /// The stream.
     pub session: SessionId,
-    /// Its incarnation.
     pub incarnation: u64,
-    /// Everything up to this one is durable.
+    /// Everything up to this sequence number is durable.
     pub durable_sequence: u64,
-    /// Running CRC over it.
+    /// Running CRC up to it.
     pub content_crc: u32,
 }
 
-/// Why a stream is not accepted.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum HelloError {
     #[error(
@@ -89,28 +84,26 @@ pub(crate) enum HelloError {
     Closing,
 }
 
-/// An observation that was refused.
+/// A refused observation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct RefusedObservation {
-    /// Its sequence number.
     pub sequence: u64,
-    /// Why, to act on.
+    /// The reason for programs.
     pub reason: RefusalReason,
-    /// Why, to read.
+    /// The reason for people.
     pub detail: String,
 }
 
 /// A name of a stream's table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct NewName {
-    /// The name.
     pub name: StateName,
-    /// What it is said to be.
+    /// Its declared shape.
     pub shape: Option<StateShape>,
 }
 
 impl From<StateName> for NewName {
-    /// A name of which nothing is said.
+    /// A name without a declared shape.
     fn from(name: StateName) -> Self {
         Self { name, shape: None }
     }
@@ -121,25 +114,25 @@ impl From<StateName> for NewName {
 pub(crate) struct ObservationBatch {
     /// First sequence number that is new.
     pub first_sequence: u64,
-    /// Last sequence number.
+    /// Last sequence number; less than the first if nothing is new.
     pub last_sequence: u64,
     /// Running CRC up to it.
     pub content_crc: u32,
-    /// Names added to the stream's table since the last batch; an invalid one keeps its place.
+    /// Names added to the stream's table since the last batch; an invalid name keeps its index.
     pub new_names: Vec<Option<NewName>>,
-    /// Per accepted observation: sequence number minus `first_sequence`. Empty where all were accepted.
+    /// Per accepted observation: sequence number minus `first_sequence`. Empty if all were accepted.
     pub kept: Vec<u32>,
     /// Per accepted observation: index into the stream's table; its name is valid.
     pub table_indices: Vec<u32>,
     /// Per accepted observation: nanoseconds UTC.
     pub times_nanos: Vec<i64>,
-    /// Per accepted observation: a value that some kind of state may have, and the named kind where one was named; of a
-    /// position 0.
+    /// Per accepted observation: a value that the declared kind allows, or any kind if none is declared; 0 for a
+    /// position.
     pub values: Vec<f64>,
-    /// The positions, each with the place of its observation among the accepted ones, ascending; each is one that a vector
-    /// may have, and of as many coordinates as its name is said to have.
+    /// The positions, ascending, each with the index of its observation among the accepted ones, and with the declared
+    /// number of coordinates.
     pub positions: Vec<(u32, Position)>,
-    /// The others.
+    /// The refused observations.
     pub refused: Vec<RefusedObservation>,
 }
 
@@ -149,26 +142,23 @@ pub(crate) enum ScanOrigin {
     /// The table that the client extends.
     #[default]
     Stream,
-    /// That of the scans which the server has cast for it.
+    /// The table of the scans that the server has ray-cast.
     Cast,
 }
 
-/// A checked scan of a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct CheckedScan {
-    /// Its sequence number.
     pub sequence: u64,
     /// Running CRC up to it.
     pub content_crc: u32,
-    /// What its slots refer to.
+    /// The table that its slots refer to.
     pub origin: ScanOrigin,
-    /// Whether it is to be logged. The others are only remembered, because later ones refer to them.
+    /// Whether it is logged. Other scans are only remembered, because later ones refer to them.
     pub is_taken: bool,
-    /// What it shows.
     pub scan: SentScan,
-    /// Tiles added to its table before it.
+    /// Tiles added to the table before this scan.
     pub new_tiles: Vec<TileIndex>,
-    /// Whether its table begins anew before that.
+    /// Whether the table restarts before that.
     pub restarts: bool,
 }
 
@@ -186,17 +176,17 @@ impl Default for CheckedScan {
 pub(crate) struct ScanBatch {
     /// First sequence number that is new.
     pub first_sequence: u64,
-    /// Last sequence number; less than the first where nothing is new.
+    /// Last sequence number; less than the first if nothing is new.
     pub last_sequence: u64,
     /// Running CRC up to it.
     pub content_crc: u32,
     /// Tiles added to the client's table before the scans.
     pub new_tiles: Vec<TileIndex>,
-    /// The scans, in their order.
+    /// The scans, in order.
     pub scans: Vec<CheckedScan>,
-    /// Those of them that are new and refused.
+    /// The refused scans among the new ones.
     pub refused: Vec<RefusedObservation>,
-    /// Memory that it takes, about.
+    /// Memory of the batch, about.
     pub bytes: usize,
 }
 
@@ -209,26 +199,25 @@ pub(crate) struct TraversalBatch {
     pub last_sequence: u64,
     /// Running CRC up to it.
     pub content_crc: u32,
-    /// Those that may be taken, with their sequence numbers. Whether there are such edges is for the map's writer to say.
+    /// The valid traversals with their sequence numbers. The map's writer checks whether the edges exist.
     pub traversals: Vec<(u64, Traversal)>,
-    /// The others.
+    /// The refused traversals.
     pub refused: Vec<RefusedObservation>,
 }
 
-/// Room in the buffers of a stream and of all streams, given back when it is dropped.
+/// Room in the buffers of a stream and of all streams; dropping it gives it back.
 pub(crate) type BufferBudget = [OwnedSemaphorePermit; 2];
 
-/// What a save has kept, and where its tiles can be read from, where the map has a grid.
+/// The tiles that a save has stored, and where to read them, if the map has a grid.
 pub(crate) type SavedGrid = Option<(Arc<dyn TileSource>, SavedTiles)>;
 
-/// What a writer tells a stream.
+/// A message from a writer to a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum SessionEvent {
     /// Everything up to the sequence number is durable.
     Ack {
-        /// That number.
         durable_sequence: u64,
-        /// RefusedObservation since the last one.
+        /// Refused since the last acknowledgement.
         refused: Vec<RefusedObservation>,
     },
     /// The stream ends.
@@ -238,15 +227,12 @@ pub(crate) enum SessionEvent {
 /// A state to add.
 #[derive(Debug)]
 pub(crate) struct AddState {
-    /// Its name.
     pub name: StateName,
-    /// What it is to be.
     pub shape: StateShape,
-    /// The answer, when it is durable and shown.
+    /// The answer, after the state is durable and published.
     pub reply: oneshot::Sender<Result<(), AddStateError>>,
 }
 
-/// Why a state is not added.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum AddStateError {
     #[error("state {name:?} exists and is a {found}, not a {asked}: the kind of a state never changes", name = .name.as_str(), found = .found.name(), asked = .asked.name())]
@@ -259,16 +245,14 @@ pub(crate) enum AddStateError {
     Closing,
 }
 
-/// A change of what is known of the place.
+/// An edit of the site.
 #[derive(Debug)]
 pub(crate) struct EditSite {
-    /// What changes.
     pub edit: SiteEdit,
-    /// The answer, when it is durable and shown.
+    /// The answer, after the edit is durable and published.
     pub reply: oneshot::Sender<Result<(), EditSiteError>>,
 }
 
-/// Why the site is not changed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum EditSiteError {
     #[error(transparent)]
@@ -329,35 +313,23 @@ pub(crate) enum Command {
     /// Open a stream.
     Hello(Hello),
     /// Take what a stream hands over.
-    HandOver {
-        /// The stream.
-        session: SessionId,
-        /// What it hands over.
-        what: Handover,
-    },
+    HandOver { session: SessionId, what: Handover },
     /// Update the map.
     Update {
-        /// Fold in what is older; `None`: all there is.
+        /// Learn observations before this time; `None`: all.
         until_nanos: Option<i64>,
-        /// Why.
         cause: UpdateCause,
-        /// The job.
         job: Arc<UpdateJob>,
     },
-    /// The committer answers the oldest append that is not answered.
+    /// The committer has answered the oldest append.
     Committed(Result<u64, AppendError>),
-    /// The update that was out is back; `Err` where it failed.
-    UpdateDone {
-        /// The job.
-        job: Arc<UpdateJob>,
-        /// What it learned.
-        result: Result<Box<UpdateResult>, String>,
-    },
-    /// The store has, or has not, saved a snapshot.
+    /// The running update has ended; `Err`: it failed.
+    UpdateDone { job: Arc<UpdateJob>, result: Result<Box<UpdateResult>, String> },
+    /// A save has ended; `Err`: it failed, and gives the snapshot back.
     Saved(Result<SavedGrid, (String, MapSnapshot)>),
     /// Add a state.
     AddState(AddState),
-    /// Change what is known of the place.
+    /// Edit the site.
     EditSite(EditSite),
     /// Return what is not in the store's history yet.
     ReadHistory(ReadHistory),
@@ -365,9 +337,9 @@ pub(crate) enum Command {
     Watch(oneshot::Sender<(FeedReceiver, u64)>),
     /// End all streams and stop.
     Stop {
-        /// What to tell the streams.
+        /// The reason for the streams.
         ending: Ending,
-        /// Told when everything is done.
+        /// Answered when the writer has stopped.
         done: oneshot::Sender<()>,
     },
 }

@@ -1,7 +1,7 @@
-//! The open streams of one map, and what their batches will have added to the map once they are durable.
+//! The open streams of one map, and what their batches in flight will add to the map.
 //!
 //! Invariant: at most one stream of a key accepts batches. A stream with batches in flight is remembered until the last
-//! of them is answered, and no other stream of its key opens before that, so that none of them can be taken twice.
+//! of them is answered, and no other stream of its key opens before that, so that no batch can be taken twice.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -35,15 +35,14 @@ use states::{StateAllocator, StreamState};
 /// An event of a stream, to be appended to the log.
 #[derive(Debug)]
 pub(super) struct StreamEvent {
-    /// The event.
     pub event: Event,
     /// Its refused observations or scans.
     pub refused: Vec<RefusedObservation>,
-    /// Tiles of those of its scans whose time is too far ahead.
+    /// Tiles of its scans that wait because their time is in the future.
     pub tiles_ahead: u64,
 }
 
-/// The messages that an event covers: the first and the last sequence number, and the running CRC up to the last.
+/// The range of an event: the first and the last sequence number, and the running CRC up to the last.
 #[derive(Clone, Copy)]
 struct Span {
     first: u64,
@@ -74,27 +73,26 @@ impl Columns {
     }
 }
 
-/// A stream.
 #[derive(Debug)]
 pub(super) struct Session {
     key: ProducerKey,
     producer: Option<ProducerId>,
-    /// The sensor of all its scans; `None`: the map's own.
+    /// The sensor of all its scans; `None`: the map's default.
     sensor: Option<ProducerSensor>,
     incarnation: u64,
     events: mpsc::UnboundedSender<SessionEvent>,
     table: Vec<StreamState>,
-    /// What it has shown by scans: those that it sent as tiles, and those that were cast for it.
+    /// What its scans have shown: the tiles that it sent, and those that were ray-cast for it.
     shown: StreamTiles,
     cast: StreamTiles,
     in_flight: usize,
     open: bool,
-    /// Whether data time is announced, and how far the data has come, nanoseconds UTC.
+    /// If the stream announces data time: the greatest time so far, nanoseconds UTC.
     data_time: Option<i64>,
 }
 
 impl Session {
-    /// Whose observations these are, with what is new where nothing of the key is durable or in flight.
+    /// The producer of the observations; a new one if nothing of the key is durable or in flight.
     fn producer(&mut self, map: &LiveMap, in_flight: &mut usize) -> (ProducerId, Option<NewProducer>) {
         if let Some(producer) = self.producer {
             return (producer, None);
@@ -138,21 +136,21 @@ impl Session {
         StreamEvent { event, refused, tiles_ahead: 0 }
     }
 
-    /// Tells the stream something; one that is gone does not mind.
+    /// Sends the stream a message, if it is still there.
     fn tell(&self, event: SessionEvent) {
-        // The receiver is gone when the client is: then there is nobody to tell.
+        // The receiver is gone when the client is: nobody needs the message.
         let _ = self.events.send(event);
     }
 }
 
-/// How much the streams of a map may add to it.
+/// Limits of what the streams of a map add to it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SessionLimits {
     /// States of the map.
     pub states: usize,
     /// Producer keys of the map.
     pub producers: usize,
-    /// Observations, or tiles of scans, that wait because their time is too far ahead.
+    /// Observations, or tiles of scans, that wait because their time is in the future.
     pub ahead: u64,
     /// Tiles of the map.
     pub tiles: usize,
@@ -165,17 +163,17 @@ pub(super) struct Sessions {
     sessions: BTreeMap<SessionId, Session>,
     open_by_key: HashMap<ProducerKey, SessionId>,
     states_in_flight: HashMap<StateName, (StateId, StateKind)>,
-    /// New names on their way, of states that have others still.
+    /// New names in flight, of states that still have their old names.
     renames_in_flight: HashMap<StateName, (StateId, StateKind)>,
     producers_in_flight: usize,
-    /// Highest incarnation handed out to keys of which nothing is durable yet.
+    /// The highest incarnation given to keys that have nothing durable yet.
     issued: HashMap<ProducerKey, u64>,
-    /// Streams that had announced data time and did not end it themselves, with how far their data had come.
+    /// Streams that announced data time and broke, with the greatest time of their data.
     broken: Vec<(ProducerKey, i64)>,
     offsets: OffsetCache,
-    /// The map's tiles as they will be when all that is in flight is applied; `None` until a scan comes.
+    /// The map's tiles after everything in flight is applied; `None` until a scan comes.
     front: Option<Front>,
-    /// Tiles of scans in flight whose time is too far ahead.
+    /// Tiles of scans in flight that wait because their time is in the future.
     tiles_ahead: u64,
     limits: SessionLimits,
 }
@@ -198,8 +196,8 @@ impl Sessions {
         }
     }
 
-    /// Opens a stream, superseding an open one of the same key where the hello may. `Ok(None)`: batches of the key are
-    /// still in flight; ask again when they are answered.
+    /// Opens a stream, which replaces an open one of the same key if the hello allows that. `Ok(None)`: batches of the
+    /// key are still in flight; ask again when they are answered.
     pub(super) fn open(&mut self, hello: &Hello, map: &LiveMap) -> Result<Option<Welcome>, HelloError> {
         let mark = map.producer(&hello.key);
         let open = self.open_by_key.get(&hello.key).and_then(|id| self.sessions.get(id));
@@ -254,8 +252,8 @@ impl Sessions {
         Ok(Some(Welcome { session: id, incarnation, durable_sequence, content_crc }))
     }
 
-    /// Turns a batch into an event, with refusals added where the map may not have more states. `None` where the
-    /// stream is closed, or nothing is to be logged.
+    /// Converts a batch to an event; adds refusals if the map has no room for more states. `None`: the stream is
+    /// closed, or there is nothing to log.
     pub(super) fn observation_event(
         &mut self,
         id: SessionId,
@@ -318,10 +316,10 @@ impl Sessions {
         Some(session.observations(map, &mut self.producers_in_flight, now, span, columns, refused))
     }
 
-    /// Observations or scans of the stream were applied to the map. `tiles_ahead`: what of them waits for its time.
+    /// An event of the stream was applied to the map. `tiles_ahead`: its tiles that wait for their time.
     pub(super) fn applied(&mut self, id: SessionId, event: &Event, tiles_ahead: u64) {
         self.tiles_ahead = self.tiles_ahead.saturating_sub(tiles_ahead);
-        // A time that is not plausible yet does not close the days before it.
+        // A time in the future does not close the days before it.
         let (is_first, newest) = match event {
             Event::Observations(event) => {
                 for (_, name, _) in event.new_states.iter().flat_map(NewState::states) {
@@ -349,7 +347,7 @@ impl Sessions {
         self.forget(id);
     }
 
-    /// A batch of the stream could not be logged: the stream ends.
+    /// An event of the stream could not be logged: the stream ends.
     pub(super) fn failed(&mut self, id: SessionId, ending: &Ending) {
         if let Some(session) = self.sessions.get_mut(&id) {
             session.in_flight -= 1;
@@ -358,7 +356,7 @@ impl Sessions {
         self.forget(id);
     }
 
-    /// All batches in flight have failed: what they would have added is gone.
+    /// All batches in flight have failed: forgets what they would have added.
     pub(super) fn roll_back(&mut self) {
         self.states_in_flight.clear();
         self.renames_in_flight.clear();
@@ -371,7 +369,7 @@ impl Sessions {
         }
     }
 
-    /// Ends an open stream and says why.
+    /// Ends an open stream and reports why.
     pub(super) fn end(&mut self, id: SessionId, ending: &Ending) {
         if let Some(session) = self.sessions.get_mut(&id).filter(|session| session.open) {
             session.tell(SessionEvent::End(ending.clone()));
@@ -385,14 +383,14 @@ impl Sessions {
         self.open_by_key.get(key).copied()
     }
 
-    /// Tells a stream something, while it is open or has batches in flight.
+    /// Sends a message to a stream that is open or has batches in flight.
     pub(super) fn tell(&self, id: SessionId, event: SessionEvent) {
         if let Some(session) = self.sessions.get(&id) {
             session.tell(event);
         }
     }
 
-    /// Streams that were ended although they had announced data time, since the last call.
+    /// Streams that announced data time and were ended by the server, since the last call.
     pub(super) fn take_broken(&mut self) -> Vec<(ProducerKey, i64)> {
         std::mem::take(&mut self.broken)
     }
@@ -404,7 +402,7 @@ impl Sessions {
         }
     }
 
-    /// The stream takes no more batches. Gives its key and data time where it had announced data time.
+    /// Closes the stream. Gives its key and data time if it announced data time.
     pub(super) fn leave(&mut self, id: SessionId) -> Option<(ProducerKey, i64)> {
         let session = self.sessions.get_mut(&id)?;
         if session.open {
@@ -422,13 +420,13 @@ impl Sessions {
         }
     }
 
-    /// Streams that announced data time, with how far their data has come.
+    /// Streams that announce data time, with the greatest time of their data.
     pub(super) fn data_times(&self) -> impl Iterator<Item = (&ProducerKey, i64)> {
         self.sessions.values().filter_map(|session| session.data_time.map(|reached| (&session.key, reached)))
     }
 }
 
-/// That an observation has to wait for its time, and may not, because as many wait as may.
+/// The refusal of an observation whose time is in the future, when no more may wait.
 fn too_far_ahead(time_nanos: i64, most: u64) -> String {
     format!(
         "time {time_nanos} ns is more than 5 minutes ahead of the server's clock, and {most} observations wait for their \

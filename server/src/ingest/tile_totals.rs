@@ -19,12 +19,12 @@ const MASK_BYTES: u64 = 128;
 pub(crate) struct TileTotals {
     /// Cells that were read as both free and occupied.
     pub changed_cells: u64,
-    /// Bytes of all that predictions need.
+    /// Bytes that predictions need.
     pub model_bytes: u64,
 }
 
 impl TileTotals {
-    /// Counts the tiles of a view. One that cannot be read counts as one without changes.
+    /// Counts the tiles of a view. An unreadable tile counts as one without changes.
     #[must_use]
     pub(crate) fn of(view: &MapView) -> TileTotals {
         let mut totals = TileTotals::default();

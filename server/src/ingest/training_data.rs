@@ -1,8 +1,8 @@
-//! What updates have folded in of named states, from history files and from what no save has kept yet, for the update that
-//! fits models to it.
+//! The training data of named states for an update that fits models: from history files, and from history that no save
+//! has stored yet.
 //!
-//! Invariant: each reading is given once, and the same ones in the same order whether they are in files or not: so an update
-//! that is run again after a crash fits the same models.
+//! Invariant: each reading comes once, and in the same order whether it is in a file or not, so that an update that is
+//! repeated after a crash fits the same models.
 
 use std::sync::{Arc, OnceLock};
 
@@ -16,26 +16,26 @@ use tidemap_store::{History, StateFiles};
 #[cfg(test)]
 mod tests;
 
-/// What the updates before one have folded in.
+/// The readings that earlier updates have learned.
 #[derive(Debug)]
 pub(super) struct TrainingData {
     /// The generations that are not in `unsaved`.
     stored: History,
-    /// Its files, once they have been asked for.
+    /// Its files, opened at the first request.
     files: OnceLock<Result<StateFiles, String>>,
     /// Ascending by generation.
     unsaved: Vec<Arc<HistoryPiece>>,
 }
 
 impl TrainingData {
-    /// What the updates before `generation` have folded in. `unsaved`: all that no save has kept yet; what is older is in
-    /// files.
+    /// The readings that updates before `generation` have learned. `unsaved`: history that no save has stored; the rest
+    /// is in files.
     #[must_use]
     pub(super) fn before(generation: u64, history: History, mut unsaved: Vec<Arc<HistoryPiece>>) -> Self {
         unsaved.retain(|piece| piece.generation < generation);
         unsaved.sort_by_key(|piece| piece.generation);
         unsaved.dedup_by_key(|piece| piece.generation);
-        // A save that is running or has failed may have written some of the others already.
+        // A running or failed save may have written some of the others already.
         let stored_before = unsaved.first().map_or(generation, |piece| piece.generation);
         Self { stored: history.before(stored_before), files: OnceLock::new(), unsaved }
     }
@@ -52,7 +52,7 @@ impl StateReadings for TrainingData {
                 let samples = at.and_then(|at| piece.states.get(at)).map_or(&[][..], |(_, samples)| samples);
                 found.extend(samples.iter().filter(|sample| sample.utc_nanos >= wanted.from_nanos));
             }
-            // Stable: of equal times those of earlier updates come first.
+            // Stable: ties keep the order of the updates.
             found.sort_by_key(|sample| sample.utc_nanos);
         }
         Ok(found)

@@ -1,8 +1,8 @@
-//! When a map's update runs: on request, at the local midnight of the clock, at the local midnight of imported data, or
+//! When a map is updated: on request, at the local midnight of the clock, at the local midnight of imported data, or
 //! when too much is pending.
 //!
-//! Invariant: one update at a time, and a bounded number that wait. What becomes due while an update of the same cause
-//! waits joins it, because an update steps through each local day that it meets.
+//! Invariant: one update runs at a time, and a bounded number wait. What becomes due while an update of the same cause
+//! waits joins it, because an update steps through each local day of its observations.
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -20,16 +20,15 @@ use tidemap_map::{
 use super::sessions::Sessions;
 use crate::jobs::{Jobs, UpdateJob};
 
-/// How long a producer whose stream broke keeps its say in when a day of imported data closes.
+/// A producer whose stream broke still counts for this long when a day of imported data closes.
 const ANNOUNCEMENT_KEPT: Duration = Duration::from_secs(60);
 
-/// What is pending from just after the last cut on may in truth be later: an update of it is tried this often.
+/// Pending times just after the last cut are lower bounds: an update of them is tried this often.
 const UNSURE_NANOS: i64 = 60_000_000_000;
 
-/// Most updates that wait.
+/// Maximum number of waiting updates.
 const WAITING_MAX: usize = 16;
 
-/// An update that waits.
 #[derive(Debug)]
 pub(super) struct DueUpdate {
     pub until_nanos: Option<i64>,
@@ -37,16 +36,17 @@ pub(super) struct DueUpdate {
     pub job: Arc<UpdateJob>,
 }
 
-/// The updates of one map that wait, and what makes new ones due.
+/// The waiting updates of one map, and what makes new ones due.
 #[derive(Debug)]
 pub(super) struct UpdateSchedule {
     map: MapName,
     jobs: Arc<Jobs>,
     queue: VecDeque<DueUpdate>,
-    /// Producers that announced data time and whose stream broke.
+    /// Producers that announced data time and whose stream broke: the greatest time of their data, and until when they
+    /// count.
     broken: HashMap<ProducerKey, (i64, Instant)>,
     data_midnight_nanos: i64,
-    /// The last midnight of the clock for which an update was due.
+    /// The last midnight of the clock that made an update due.
     clock_midnight_nanos: i64,
     limits: PendingLimits,
 }
@@ -64,7 +64,7 @@ impl UpdateSchedule {
         }
     }
 
-    /// Lines an update up; one too many fails at once.
+    /// Adds an update; one too many fails at once.
     pub(super) fn push(&mut self, update: DueUpdate) {
         if self.queue.len() < WAITING_MAX {
             self.queue.push_back(update);
@@ -73,7 +73,7 @@ impl UpdateSchedule {
         }
     }
 
-    /// The log could not take the start of an update: what made it due still holds.
+    /// The log did not accept the start of an update: what made it due still holds.
     pub(super) fn failed(&mut self, cause: UpdateCause) {
         match cause {
             UpdateCause::Midnight => self.clock_midnight_nanos = i64::MIN,
@@ -92,14 +92,14 @@ impl UpdateSchedule {
         self.queue.pop_front()
     }
 
-    /// Fails all that wait.
+    /// Fails all waiting updates.
     pub(super) fn fail_all(&mut self, error: &str) {
         for update in self.queue.drain(..) {
             update.job.end(Err(error.to_owned()));
         }
     }
 
-    /// A stream that had announced data time broke.
+    /// A stream that announced data time broke.
     pub(super) fn stream_broke(&mut self, key: ProducerKey, reached: i64) {
         self.broken.insert(key, (reached, Instant::now() + ANNOUNCEMENT_KEPT));
     }
@@ -109,8 +109,8 @@ impl UpdateSchedule {
         self.broken.remove(key);
     }
 
-    /// Lines up what the clock or the amount of pending observations has made due. Not while an update is on its way
-    /// into the log: what it takes still looks pending.
+    /// Adds what the clock or the number of pending observations has made due. Not while the start of an update is in
+    /// flight, because its observations still look pending.
     pub(super) fn look(&mut self, map: &LiveMap, now_nanos: i64) {
         self.look_at_clock(map, now_nanos);
         self.look_at_pending(map, now_nanos);
@@ -118,7 +118,7 @@ impl UpdateSchedule {
 
     fn due(&mut self, until_nanos: Option<i64>, cause: UpdateCause, now_nanos: i64) {
         if let Some(waiting) = self.queue.iter_mut().find(|update| update.cause == cause) {
-            // Only midnights join: none of them is open-ended.
+            // Only midnights join, and they have an end time.
             waiting.until_nanos = waiting.until_nanos.max(until_nanos);
             return;
         }
@@ -126,8 +126,8 @@ impl UpdateSchedule {
         self.queue.push_back(DueUpdate { until_nanos, cause, job });
     }
 
-    /// Lines up what imported data has made due: a midnight that every announcing stream has passed. To be asked before
-    /// such a stream ends, because its say ends with it.
+    /// Adds what imported data has made due: a midnight that all announcing streams have passed. Call it before such a
+    /// stream ends, because a stream that has ended no longer counts.
     pub(super) fn look_at_data(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
         let now = Instant::now();
         self.broken.retain(|_, (_, until)| *until > now);
@@ -166,7 +166,7 @@ impl UpdateSchedule {
         if map.pending_load(self.limits, false) <= 1.0 || map.is_updating() || !self.queue.is_empty() {
             return;
         }
-        // What is later than a cut may be, the clock having been set back, has to wait: no update could take it.
+        // If the clock was set back, observations may be later than any cut: no update could take them yet.
         let latest = now_nanos.saturating_add(MAX_AHEAD_NANOS);
         let may_take = |oldest: i64| {
             let unsure = if oldest == map.cut_nanos() { UNSURE_NANOS } else { 0 };
@@ -175,7 +175,7 @@ impl UpdateSchedule {
         if !map.pending_since_nanos().is_some_and(may_take) {
             return;
         }
-        // Whole days first: a model is then scored on days that it has not seen a part of.
+        // Whole days first: a model is then validated on days of which it has seen nothing.
         let zone = &map.spec().zone;
         let midnight = zone.midnight_nanos(zone.day_of(map.newest_nanos()));
         let whole_days =

@@ -32,9 +32,9 @@ use super::{
 };
 use crate::{clock::Clock, jobs::Jobs};
 
-/// How often the writer looks at the clock when nothing else happens.
+/// The writer checks the clock at least this often.
 const TICK: Duration = Duration::from_secs(1);
-/// Commands handled between two publications, at most.
+/// Maximum number of commands handled between two publications.
 const BURST: usize = 512;
 mod appends;
 mod backlog;
@@ -53,29 +53,25 @@ use update_run::Updates;
 /// What a writer needs from the daemon.
 #[derive(Clone, Debug)]
 pub(crate) struct Context {
-    /// The store.
     pub store: Arc<Store>,
-    /// All jobs.
     pub jobs: Arc<Jobs>,
-    /// The clock.
     pub clock: Arc<dyn Clock>,
-    /// Threads of updates.
     pub update_pool: Arc<rayon::ThreadPool>,
-    /// Told when storage has failed for good.
+    /// Receives a message when storage has failed for good.
     pub fatal: tokio::sync::mpsc::UnboundedSender<String>,
-    /// Most states of a map.
+    /// Maximum number of states of a map.
     pub max_states: usize,
-    /// Most producer keys of a map.
+    /// Maximum number of producer keys of a map.
     pub max_producers: usize,
     /// Pending observations above which an update runs early.
     pub max_pending: PendingLimits,
-    /// Most tiles of a map.
+    /// Maximum number of tiles of a map.
     pub max_tiles: usize,
-    /// Memory for what is learned of a map's tiles, in bytes.
+    /// Memory for the learned models of a map's tiles, in bytes.
     pub tile_cache_bytes: u64,
 }
 
-/// Starts the writer of a map that was restored. `unsaved`: what an update that was run for that has left to be saved.
+/// Starts the writer of a restored map. `unsaved`: the unsaved result of updates that were repeated during the start.
 /// `begun`: an update that the log has begun, and that may have been cut off.
 ///
 /// # Errors
@@ -93,14 +89,14 @@ pub(crate) fn start(
     std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
         let fatal = writer.context.fatal.clone();
         if catch_unwind(AssertUnwindSafe(|| writer.run(&inbox))).is_err() {
-            // A map without a writer is no service. The log has what was acknowledged.
+            // Without its writer a map is not served. The log has everything that was acknowledged.
             drop(fatal.send("the writer of a map panicked; this is a defect of tidemap".to_owned()));
         }
     })?;
     Ok(Arc::new(handle))
 }
 
-/// A writer that does not run yet, where its commands come from, and its handle.
+/// A writer that does not run yet, the receiver of its commands, and its handle.
 fn build(
     context: Context,
     id: MapId,
@@ -145,7 +141,7 @@ fn build(
     (writer, inbox, handle)
 }
 
-/// What a stream is told with the next view.
+/// The acknowledgement that a stream gets with the next view.
 #[derive(Default)]
 struct PendingAck {
     durable_sequence: u64,
@@ -315,7 +311,7 @@ impl Writer {
             None => (Ending::Shutdown, None),
         };
         let reason = if ending == Ending::MapDeleted { "the map was deleted" } else { "the daemon is stopping" };
-        // What came in after the stop is answered, not done.
+        // Commands after the stop are answered, not executed.
         for command in inbox.try_iter() {
             match command {
                 Command::Hello(hello) => self.backlog.wait_hello(hello),
@@ -327,19 +323,19 @@ impl Writer {
         self.feed.end(ending.clone());
         self.updates.fail_all(reason);
         for hello in self.backlog.take_hellos() {
-            // The client is gone if it does not want the answer.
+            // The client may be gone.
             let _ = hello.reply.send(Err(HelloError::Closing));
         }
-        // History whose snapshot was dropped belongs to an update that is given up: the log gives both back.
+        // History without its snapshot belongs to an update that is abandoned: the log has both.
         if let Some(snapshot) = self.saves.take_unsaved().filter(|_| ending != Ending::MapDeleted)
             && let Err(error) = self.context.store.save(self.id, &snapshot)
         {
             warn!(map = %self.map.spec().name, %error, "checkpoint not saved; the log keeps everything");
         }
-        // The store too is let go of before who waits for the stop goes on.
+        // The store too is released before the caller of the stop continues.
         drop(self);
         if let Some(done) = done {
-            // The stop was not waited for.
+            // The caller may not wait.
             let _ = done.send(());
         }
     }

@@ -1,6 +1,7 @@
-//! One fitted model, of whatever kind.
+//! One fitted model of any kind.
 //!
-//! Invariant: a prediction lies in the bounds of the state's kind; a state of which nothing was learned answers as with every other model.
+//! Invariant: a prediction is within the bounds of the state's kind. An untrained state has the same prediction as with
+//! any other model.
 
 use std::collections::HashSet;
 
@@ -20,13 +21,13 @@ use tidemap_model::{
     },
 };
 
-/// What random starts of a fit are drawn from: the same readings give the same model.
+/// Seed of the random starts of a fit: the same readings give the same model.
 const SEED: u64 = 0;
 
 /// A model that was fitted to the readings of a state.
 #[derive(Clone, Debug)]
 pub(crate) enum CachedModel {
-    /// There are no readings: what is answered of a state of which nothing was learned.
+    /// There are no readings: the prediction of an untrained state.
     Unlearned,
     /// Persistence alone.
     MarkovChain(MarkovChain),
@@ -40,16 +41,16 @@ pub(crate) enum CachedModel {
     Poisson(Box<CountModel>),
     /// Rhythms of day and week.
     Calibrated(Calibrated),
-    /// The spectrum of regular readings and its outliers: of the highest order, which answers for every lower one.
+    /// The spectrum of regular readings and its outliers, at the highest order, which answers for all lower ones.
     Uniform(Box<UniformSpectral>),
 }
 
 impl CachedModel {
-    /// ModelCache a model of this kind to the readings of a state of a map, ascending by time, whose values are `of` that kind. Kinds that need none
-    /// ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
+    /// Fits a model to the readings of a state, ascending by time, whose values are `of` that kind. Models that need no
+    /// readings ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
     ///
     /// # Errors
-    /// [`CannotFit`] where a parameter is outside its range or the readings are not those of such a model.
+    /// [`CannotFit`] if a parameter is out of range or the model does not support the readings.
     pub(crate) fn fit(kind: ModelKind, of: StateKind, samples: &[Sample], spec: &MapSpec) -> Result<Self, CannotFit> {
         if samples.is_empty() {
             return Ok(Self::Unlearned);
@@ -84,8 +85,8 @@ impl CachedModel {
         }
     }
 
-    /// Probability that the state is 1, or the value to expect, at each of the moments, written to `out`, which is as long as these.
-    /// A model that recalls what it does not explain ([`CachedModel::Uniform`]) answers 0 or 1 there, as it was observed.
+    /// Probability that the state is 1, or the forecast, at each of the moments, written to `out`, which has their
+    /// length. A model that stores its outliers ([`CachedModel::Uniform`]) answers 0 or 1 there, as observed.
     pub(crate) fn predict_into(
         &self,
         view: &MapView,
@@ -97,7 +98,7 @@ impl CachedModel {
         self.answer(view, id, moments, selector, true, out);
     }
 
-    /// The same by what the model explains alone, for observations to be judged by it.
+    /// The same without stored outliers, to judge observations.
     pub(crate) fn expect_into(
         &self,
         view: &MapView,
@@ -122,7 +123,7 @@ impl CachedModel {
         let model: &dyn TemporalModel = match self {
             Self::Unlearned => &Constant(view.model(id).spectral().mean()),
             Self::MarkovChain(chain) => {
-                // It starts from the newest value, which changes as soon as that is acknowledged; its rates do not.
+                // Starts from the newest value, which changes as soon as it is acknowledged; the rates do not change.
                 latest = from_newest(*chain, view, id);
                 &latest
             }
@@ -147,7 +148,7 @@ fn from_newest(mut chain: MarkovChain, view: &MapView, id: StateId) -> MarkovCha
     chain
 }
 
-/// The count to expect of a reading, from a model of the counts of bins.
+/// The forecast count of a reading, from a model of counts per bin.
 #[derive(Clone, Debug)]
 pub(crate) struct CountModel {
     bins: PoissonSpectral,
@@ -183,7 +184,7 @@ impl TemporalModel for Uniform<'_> {
     }
 }
 
-/// The same at any moment.
+/// The same value at all moments.
 struct Constant(f64);
 
 impl TemporalModel for Constant {

@@ -1,6 +1,6 @@
-//! Where something is at a time: the distribution over positions of a vector, by warped hypertime.
+//! The distribution over positions of a vector at a time, by warped hypertime.
 //!
-//! Invariant: a model is fitted to at least one position, and all that it is asked for is finite.
+//! Invariant: a model is fitted to at least one position, and its results are finite.
 
 use tidemap_map::{event::Dimensions, selector::ModelKind, spec::MapSpec};
 use tidemap_model::{
@@ -11,7 +11,7 @@ use tidemap_model::{
     },
 };
 
-/// What random starts of a fit are drawn from: the same positions give the same model.
+/// Seed of the random starts of a fit: the same positions give the same model.
 const SEED: u64 = 0;
 
 /// A model that was fitted to the positions of a vector.
@@ -24,7 +24,7 @@ pub(crate) struct PositionModel {
 }
 
 impl PositionModel {
-    /// The options of a kind that such a model can be of; `None` of any other.
+    /// The options of a model kind that supports positions; `None` for other kinds.
     #[must_use]
     pub(crate) fn options(kind: ModelKind) -> Option<HypertimeOptions> {
         let (method, clusters) = match kind {
@@ -35,11 +35,11 @@ impl PositionModel {
         Some(HypertimeOptions { method, clusters: clusters as usize, seed: SEED })
     }
 
-    /// ModelCache a model to the readings of all axes of a vector of a map, each ascending by time.
+    /// Fits a model to the readings of all axes of a vector, each ascending by time.
     ///
     /// # Errors
-    /// [`CannotFit`] where an option is outside its range, there is no reading, or the axes do not have readings of the
-    /// same times.
+    /// [`CannotFit`] if an option is out of range, there is no reading, or the axes do not have readings at the same
+    /// times.
     pub(crate) fn fit(
         options: &HypertimeOptions,
         axes: &[impl AsRef<[Sample]>],
@@ -83,7 +83,7 @@ impl PositionModel {
         (&self.low_m, &self.high_m)
     }
 
-    /// Where it is at a moment; `None` where that cannot be told.
+    /// The distribution at a moment; `None` if it is undefined.
     #[must_use]
     pub(crate) fn at(&self, at: Moment) -> Option<HypertimeDistribution> {
         self.field.distribution(at, &[])

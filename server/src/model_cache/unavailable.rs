@@ -8,20 +8,20 @@ use tidemap_model::models::CannotFit;
 /// Why a model cannot answer for a state.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ModelUnavailable {
-    #[error("it has to be fitted to observations, and the map, created with --retention none, keeps none")]
+    #[error("it must be fitted to observations, and the map, created with --retention none, keeps none")]
     NotKept,
-    #[error("it has to be fitted to observations, and the map keeps those of this state no more: see --retention")]
+    #[error("it must be fitted to observations, and the map no longer keeps those of this state: see --retention")]
     Forgotten,
     #[error(
-        "it has to be fitted to all {folded} observations that updates have folded in, and the map, which is older than \
-         its history, keeps {kept} of them"
+        "it must be fitted to all {total} observations that updates have learned, and the map, which is older than its \
+         history, keeps {kept} of them"
     )]
-    Incomplete { folded: u64, kept: u64 },
+    Incomplete { total: u64, kept: u64 },
     #[error("it would be fitted to {got} observations or more, and setting max_fit_readings allows {max}")]
     TooMany { got: u64, max: u64 },
     #[error("it is a model of {expected}, and the state is a {found}", found = .found.name())]
     OtherKind { expected: &'static str, found: StateKind },
-    #[error("no update has folded in any observation of it yet: see tidemap update")]
+    #[error("no update has learned any observation of it yet: see tidemap update")]
     Unlearned,
     #[error("{0}")]
     CannotFit(#[from] CannotFit),

@@ -1,16 +1,16 @@
-//! Acknowledgements in messages that every client takes.
+//! Acknowledgements in messages that every client accepts.
 //!
-//! Invariant: what is refused below a durable sequence number is told before or with that number, never after it.
+//! Invariant: a refusal is sent before or with an acknowledgement of its sequence number, never after it.
 
 use tidemap_proto::{convert::map::refusal_to_wire, v1};
 
 use crate::ingest::protocol::RefusedObservation;
 
-/// Most refusals of one message: less than 1 MB, where clients take 4 MiB.
+/// Maximum number of refusals of one message: less than 1 MB; clients accept 4 MiB.
 const REFUSALS_MAX: usize = 1000;
 
-/// The messages that acknowledge up to `durable`, where up to `before` was acknowledged: all but the last leave the
-/// number as it was, so that a client which hears some of them only does not take the others' observations for accepted.
+/// The messages that acknowledge up to `durable`, after `before`. All but the last repeat the old number, so that a
+/// client which receives only some of them does not take refused observations for accepted.
 pub(super) fn acks(before: u64, durable: u64, refused: Vec<RefusedObservation>) -> impl Iterator<Item = v1::Ack> {
     let mut left = refused.len();
     let mut refused = refused.into_iter();

@@ -1,7 +1,7 @@
-//! `ExplorationService`: what looking would teach, and plans of where and when to look.
+//! `ExplorationService`: the expected information of observations, and plans of where and when to observe.
 //!
-//! Invariant: a request is answered from one view, off the async threads. What it costs is checked before any of it is
-//! computed, and plans take permits of their own, so that predictions do not wait for them.
+//! Invariant: a request is answered from one view, off the async threads. Its cost is checked before anything is
+//! computed, and plans have permits of their own, so that predictions do not wait for them.
 
 use std::sync::Arc;
 
@@ -31,18 +31,18 @@ mod slot;
 mod tour;
 mod views;
 
-/// Most times at which a grid is looked into in one request. The phasors of all are held at once, 33 KB a time where a map
-/// has as many periodicities as there may be.
+/// Maximum number of times at which one request looks at a grid. The phasors of all are held at once: 33 KB per time
+/// with the maximum number of periodicities.
 const GRID_TIMES_MAX: u64 = 2_000;
 
-/// Most of what plans may ask for.
+/// Limits of plans.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlanLimits {
     /// Predictions of one request.
     pub predictions: u64,
-    /// Cells of a grid that are held for one request.
+    /// Cells of a grid of one request.
     pub cells: u64,
-    /// Viewpoints x times x cells that the rays of one view pass, of one request.
+    /// Viewpoints × times × cells that the rays of one view pass, of one request.
     pub view_work: u64,
 }
 
@@ -56,14 +56,14 @@ pub(crate) struct Explorations {
 }
 
 impl Explorations {
-    /// Plans within these limits; models are fitted where questions have theirs fitted.
+    /// Plans within these limits; models are fitted by the fitter of `queries`.
     #[must_use]
     pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits) -> Self {
-        // A plan keeps all processors busy; more than a few at once only wait for each other.
+        // A plan keeps all processors busy; more at once only wait for each other.
         Self { catalog, limits, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
     }
 
-    /// The same, for work that goes on by itself.
+    /// A copy for work that continues by itself.
     fn share(&self) -> Explorations {
         Self {
             catalog: Arc::clone(&self.catalog),
@@ -77,12 +77,11 @@ impl Explorations {
         PredictOptions { max_cells: self.limits.cells, ..PredictOptions::default() }
     }
 
-    /// What predicting takes.
     fn predict_context(&self) -> PredictContext<'_> {
         PredictContext { fitting: &self.fitting, permits: &self.permits, predictions: self.limits.predictions }
     }
 
-    /// Refuses more times than a grid is predicted for at once.
+    /// Checks the number of times of a grid.
     fn check_grid_times(times_nanos: &[i64]) -> Result<(), RpcError> {
         check_limit("times", times_nanos.len() as u64, GRID_TIMES_MAX, "one request about a grid")
     }

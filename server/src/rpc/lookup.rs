@@ -1,6 +1,6 @@
-//! What the names in a request refer to: maps, states and cells.
+//! Looks up what the names in a request refer to: maps, states and cells.
 //!
-//! Invariant: an unknown name is an error that lists some known ones.
+//! Invariant: the error for an unknown name lists some known ones.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ use crate::{
     ingest::handle::MapHandle,
 };
 
-/// The map of this name, or an error that lists those that exist.
+/// The map of this name, or an error that lists the existing ones.
 pub(super) fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
     catalog.get(name).map_err(|error| match error {
         CatalogError::Unknown(name) => {
@@ -29,7 +29,7 @@ pub(super) fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, 
     })
 }
 
-/// The state of this name, or an error that lists some that exist, or the axes of a vector.
+/// The state of this name, or an error that lists some existing ones, or the axes of a vector.
 pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError> {
     if let Some(id) = view.find(name) {
         return Ok(id);
@@ -46,12 +46,12 @@ pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError
     })
 }
 
-/// The cell of a name, where it is one.
+/// The cell of a name; `None` if it is not a cell's.
 pub(super) fn cell_of(field: &str, name: &str) -> Result<Option<CellIndex>, RpcError> {
     CellIndex::from_name(name).transpose().map_err(|error| InvalidField::new(field, error).into())
 }
 
-/// What is known of a cell.
+/// The description of a cell.
 pub(super) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellDescription, RpcError> {
     let map = || view.spec().name.as_str().to_owned();
     let grid = view.grid().ok_or_else(|| RpcError::NoGrid { map: map() })?;

@@ -23,13 +23,11 @@ use crate::{
     statistics,
 };
 
-/// How often a watched job's progress is told.
+/// Interval of the progress reports of a watched job.
 const WATCH_INTERVAL: Duration = Duration::from_millis(100);
 
-/// The service.
 #[derive(Debug)]
 pub(crate) struct Maintenance {
-    /// The maps.
     pub catalog: Arc<Catalog>,
 }
 
@@ -62,9 +60,9 @@ fn job_to_wire(job: &UpdateJob) -> v1::Job {
     }
 }
 
-/// The row of all cells of the grid: the most frequent orders, and the errors with each cell's own.
+/// The row of all cells of the grid: the most frequent orders, and the errors with each cell's own order.
 fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
-    // Of equally many the lower order.
+    // Ties: the lower order.
     let most = |cells_by_order: &[u64]| {
         let orders = cells_by_order.iter().enumerate().rev();
         let order = orders.max_by_key(|(_, cells)| **cells).map_or(0, |(order, _)| order);
@@ -157,7 +155,7 @@ impl MaintenanceService for Maintenance {
                 if ended {
                     return;
                 }
-                // Either the phase changes or some more states are done.
+                // Either the phase changes or more states are done.
                 let _ = tokio::time::timeout(WATCH_INTERVAL, status.changed()).await;
                 if replies.is_closed() {
                     return;

@@ -1,4 +1,4 @@
-//! `MapService`: creates, lists and deletes maps, adds states, and takes what a map is told about its site.
+//! `MapService`: creates, lists and deletes maps, adds states, and edits a map's site.
 
 use std::sync::Arc;
 
@@ -30,14 +30,12 @@ use crate::{
     rpc::lookup::{find_map, find_state},
 };
 
-/// The service.
 #[derive(Debug)]
 pub(crate) struct Maps {
-    /// The maps.
     pub catalog: Arc<Catalog>,
 }
 
-/// Changes a map's site; durable and shown when this returns.
+/// Edits a map's site; durable and published when this returns.
 pub(super) async fn edit_site(handle: &MapHandle, edit: SiteEdit) -> Result<(), RpcError> {
     let (reply, answer) = oneshot::channel();
     let edit = EditSite { edit, reply };

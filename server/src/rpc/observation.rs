@@ -1,8 +1,8 @@
 //! `ObservationService`: a stream of observations in, acknowledgements out.
 //!
-//! Invariant: what is taken from a stream and not yet durable is bounded per stream and in all, because room is taken
-//! before the next message is read. The work of a stream is in its own task: a client that goes away drops nothing that
-//! was handed to the writer.
+//! Invariant: what a stream has sent and is not durable yet is bounded, per stream and in total, because room is
+//! reserved before the next message is read. A stream has its own task: nothing that was handed to the writer is lost
+//! when a client goes away.
 
 use std::{
     sync::{
@@ -44,54 +44,51 @@ use crate::{
     rpc::lookup::find_map,
 };
 
-/// A stream says hello within this time.
+/// A stream must say hello within this time.
 const HELLO_WITHIN: Duration = Duration::from_secs(10);
-/// A client reads its replies within this time.
+/// A client must read its replies within this time.
 const READ_WITHIN: Duration = Duration::from_secs(30);
-/// A stream is told that the server is saturated after waiting this long.
+/// After waiting this long, a stream is told that the map is saturated.
 const BUSY_AFTER: Duration = Duration::from_secs(1);
 /// Replies that wait for the client.
 const REPLIES_AHEAD: usize = 16;
 /// Memory of a decoded observation, in bytes.
 const OBSERVATION_BYTES: usize = 24;
-/// Memory of a position beside that: its coordinates, and an observation of each axis.
+/// Additional memory of a position: its coordinates, and an observation of each axis.
 const POSITION_BYTES: usize = 112;
 /// Memory of a refused observation with its reason, in bytes, about.
 const REFUSED_BYTES: usize = 300;
-/// Memory of a name beside its text, in bytes, about.
+/// Memory of a name besides its text, in bytes, about.
 const NAME_BYTES: usize = 64;
 
 /// Limits of streams.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct StreamLimits {
-    /// What a stream may send.
+    /// Limits of what a stream sends.
     pub intake: IntakeLimits,
-    /// Most bytes of one message.
+    /// Maximum size of one message, in bytes.
     pub max_message_bytes: usize,
-    /// Most bytes of one stream that are not yet durable.
+    /// Maximum size of what one stream has sent and is not durable yet, in bytes.
     pub max_stream_buffer: usize,
-    /// Most streams.
+    /// Maximum number of streams.
     pub max_streams: usize,
 }
 
-/// The service.
 #[derive(Debug)]
 pub(crate) struct Observations {
-    /// The maps.
     pub catalog: Arc<Catalog>,
-    /// Limits of a stream.
     pub limits: StreamLimits,
     /// Room for all streams together, in bytes.
     pub buffers: Arc<Semaphore>,
     /// Room for the tables of tiles and the unfinished scans of all streams together, in units of 1 KiB.
     pub tables: Arc<Semaphore>,
-    /// Open streams.
+    /// Number of open streams.
     pub streams: Arc<AtomicUsize>,
-    /// Turns true when the daemon stops.
+    /// Becomes true when the daemon stops.
     pub stopping: watch::Receiver<bool>,
 }
 
-/// Counts a stream while it lives.
+/// Counts a stream during its life.
 struct StreamCount(Arc<AtomicUsize>);
 
 impl Drop for StreamCount {
@@ -122,7 +119,7 @@ impl ObservationService for Observations {
             let result = open_and_serve(catalog, limits, room, stopping, request.into_inner(), &replies).await;
             if let Err(error) = result {
                 debug!(%error, "stream ended");
-                // A client that is gone does not hear why.
+                // The client may be gone.
                 let _ = tokio::time::timeout(READ_WITHIN, replies.send(Err(error.into()))).await;
             }
             drop(counted);
@@ -142,14 +139,14 @@ async fn reply(replies: &Replies, message: Down) -> Result<(), RpcError> {
     }
 }
 
-/// What an error in place of a message means.
+/// The error of a message that could not be read.
 fn unread(status: &Status, limits: &StreamLimits) -> RpcError {
     match status.code() {
         Code::OutOfRange => {
             let (what, max) = ("bytes of one message", limits.max_message_bytes as u64);
             OverLimit { what, got: None, max, setting: "setting max_message_bytes" }.into()
         }
-        // With a source it is the connection's error, and not the message's.
+        // With a source it is the connection's error, not the message's.
         Code::Internal | Code::InvalidArgument if std::error::Error::source(status).is_none() => {
             InvalidField::new("message", status.message()).into()
         }
@@ -161,17 +158,17 @@ fn unread(status: &Status, limits: &StreamLimits) -> RpcError {
 }
 
 fn key(hello: &v1::Hello) -> Result<ProducerKey, InvalidField> {
-    // One after the other, to say which of the two it is.
+    // One after the other, to name the invalid field.
     ProducerKey::new(&hello.producer, "").map_err(|error| InvalidField::new("hello.producer", error))?;
     ProducerKey::new(&hello.producer, &hello.label).map_err(|error| InvalidField::new("hello.label", error))
 }
 
-/// A sensor with what is not said; the map's writer checks it.
+/// A sensor, with defaults; the map's writer checks it.
 fn sensor(wire: &v1::ProducerSensor) -> ProducerSensor {
     ProducerSensor { hit: wire.hit.unwrap_or(1.0), false_alarm: wire.false_alarm.unwrap_or(0.0) }
 }
 
-/// Memory that a batch takes until it is durable, about.
+/// Memory of a batch until it is durable, about.
 fn bytes_of(batch: &ObservationBatch) -> usize {
     let names =
         batch.new_names.iter().map(|name| NAME_BYTES + name.as_ref().map_or(0, |name| name.name.as_str().len()));
@@ -181,8 +178,8 @@ fn bytes_of(batch: &ObservationBatch) -> usize {
         + names.sum::<usize>()
 }
 
-/// Memory that traversals take until they are durable, about: as they are, as observations with the names of their states,
-/// and as failures.
+/// Memory of traversals until they are durable, about: as they are, as observations with the names of their states, and
+/// as failures.
 fn bytes_of_traversals(batch: &TraversalBatch) -> usize {
     let texts = |traversal: &Traversal| 3 * traversal.edge.to_string().len() + 2 * traversal.reason.len();
     let each = |(_, traversal): &(u64, Traversal)| {
@@ -260,7 +257,7 @@ async fn open_and_serve(
 struct Stream<'a> {
     handle: Arc<MapHandle>,
     opened: Welcome,
-    /// Away while it works in another thread.
+    /// Taken out while it works in another thread.
     intake: Option<Intake>,
     limits: StreamLimits,
     buffers: Arc<Semaphore>,
@@ -310,7 +307,7 @@ impl Stream<'_> {
                         let text = "after the Hello a message must be a batch, of observations, scans or traversals";
                         return Err(InvalidField::new("message", text).into());
                     }
-                    // The producer has sent all: what is in flight is acknowledged before the stream ends.
+                    // The producer has sent everything: what is in flight is acknowledged before the stream ends.
                     Ok(None) => return self.drain().await,
                     Err(status) => return Err(unread(&status, &self.limits)),
                 },
@@ -328,7 +325,7 @@ impl Stream<'_> {
         let budget = self.budget(bytes_of(&batch)).await?;
         self.handed_over = batch.last_sequence;
         self.hand_over(Handover::Observations(batch, budget))?;
-        // The writer does not answer for names.
+        // The writer does not acknowledge names.
         if only_names { self.say_durable().await } else { Ok(()) }
     }
 
@@ -342,7 +339,7 @@ impl Stream<'_> {
             self.handed_over = batch.last_sequence;
             self.hand_over(Handover::Scans(batch, budget))?;
         }
-        // The writer does not answer for tiles, nor for what was taken before; a scan that goes on waits for its end.
+        // The writer acknowledges neither tiles nor what was taken before; an unfinished scan waits for its end.
         if is_any_new { Ok(()) } else { self.say_durable().await }
     }
 
@@ -353,8 +350,8 @@ impl Stream<'_> {
         self.hand_over(Handover::Traversals(batch, budget))
     }
 
-    /// Takes room for what the stream's scans refer to, for as long as the stream lives. Waiting for it could go on for
-    /// ever, because it is other streams that have it.
+    /// Reserves room for the tiles that the stream's scans refer to, for the life of the stream. It does not wait,
+    /// because other streams may hold the room for ever.
     fn hold_tables(&mut self) -> Result<(), RpcError> {
         let wanted = u32::try_from(self.intake()?.held_bytes().div_ceil(1024)).unwrap_or(u32::MAX);
         let held = self.held.as_ref().map_or(0, |held| u32::try_from(held.num_permits()).unwrap_or(u32::MAX));
@@ -374,7 +371,7 @@ impl Stream<'_> {
         Ok(())
     }
 
-    /// The next scans of the message, from a thread of its own where rays are to be cast.
+    /// The next scans of the message, from a blocking thread if rays are cast.
     async fn next_scans(&mut self, is_much_work: bool) -> Result<Option<ScanBatch>, RpcError> {
         if !is_much_work {
             return Ok(self.intake()?.next_scans()?);
@@ -397,20 +394,20 @@ impl Stream<'_> {
         }
     }
 
-    /// Room for what is handed over; what is larger than all the room of a stream takes all of it.
+    /// Reserves room for a batch; one that is larger than the whole room of a stream reserves all of it.
     async fn budget(&mut self, bytes: usize) -> Result<BufferBudget, RpcError> {
         let bytes = bytes.min(self.limits.max_stream_buffer);
         let own = self.room(&Arc::clone(&self.own_buffer), bytes).await?;
         Ok([own, self.room(&Arc::clone(&self.buffers), bytes).await?])
     }
 
-    /// Answers a message in which no observation was new.
+    /// Answers a message without new observations.
     async fn say_durable(&self) -> Result<(), RpcError> {
         let ack = v1::Ack { durable_sequence: self.durable, refused: Vec::new() };
         reply(self.replies, Down::Ack(ack)).await
     }
 
-    /// Waits for room, and passes acknowledgements on meanwhile: they are what makes room.
+    /// Waits for room, and forwards acknowledgements meanwhile, because they free room.
     async fn room(&mut self, semaphore: &Arc<Semaphore>, bytes: usize) -> Result<OwnedSemaphorePermit, RpcError> {
         let acquire = Arc::clone(semaphore).acquire_many_owned(u32::try_from(bytes).unwrap_or(u32::MAX));
         tokio::pin!(acquire);
@@ -455,7 +452,7 @@ impl Stream<'_> {
             _ => v1::GoodbyeReason::Invalid,
         };
         let goodbye = v1::Goodbye { reason: reason.into(), durable_sequence: self.durable, detail: error.to_string() };
-        // The status that follows says the same; a client that is gone hears neither.
+        // The status that follows says the same; the client may be gone.
         let _ = reply(self.replies, Down::Goodbye(goodbye)).await;
     }
 }

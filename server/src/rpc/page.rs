@@ -2,10 +2,10 @@
 
 use tidemap_proto::convert::InvalidField;
 
-/// Where a page begins and ends in a list of `len` entries, and the token of the next one.
+/// The range of a page in a list of `len` entries, and the token of the next page.
 ///
 /// # Errors
-/// A page size above `max`, or a token that did not come from a reply.
+/// A page size above `max`, or an invalid token.
 pub(super) fn page(
     len: usize,
     page_size: u32,

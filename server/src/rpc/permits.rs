@@ -22,12 +22,12 @@ pub(super) struct Permits {
 
 impl Default for Permits {
     fn default() -> Self {
-        // Twice the processors: some wait for their readers.
+        // Twice the processors, because some requests wait for their readers.
         Self::new(PERMITS_MIN.max(2 * processors()))
     }
 }
 
-/// Processors of the machine.
+/// Number of processors of the machine.
 pub(super) fn processors() -> usize {
     std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
 }

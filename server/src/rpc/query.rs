@@ -1,7 +1,7 @@
-//! `QueryService`: questions to an immutable view, and to what is kept of the past.
+//! `QueryService`: questions about an immutable view, and about the past.
 //!
-//! Invariant: a request is answered from one view, off the async threads, in pieces that wait for the reader, and for a
-//! bounded time. Only so many requests look up and compute at once; the others wait for them.
+//! Invariant: a request is answered from one view, off the async threads, in pieces that wait for the reader for a
+//! bounded time. A bounded number of requests compute at once; the others wait.
 
 use std::sync::Arc;
 
@@ -27,30 +27,29 @@ mod tests;
 use fitting::ModelFitter;
 use watch::Watches;
 
-/// Most states of one request.
+/// Maximum number of states of one request.
 const STATES_MAX: usize = 10_000;
 
-/// The service.
 #[derive(Debug)]
 pub(crate) struct Queries {
     catalog: Arc<Catalog>,
     max_predictions: u64,
     max_batch: usize,
     permits: Permits,
-    /// Permits to ask about the past. They are others: who has one may wait for an update, and predictions go on meanwhile.
+    /// Permits to read the past. They are separate, because their holder may wait for an update.
     past_permits: Permits,
     fitting: Arc<ModelFitter>,
     watches: Watches,
 }
 
-/// Most of what questions may ask for.
+/// Limits of questions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct QueryLimits {
     /// Predictions of one request.
     pub predictions: u64,
     /// Observations of one message.
     pub batch: usize,
-    /// CachedModel models that are kept.
+    /// Fitted models in the cache.
     pub fitted_models: usize,
     /// Readings that a model is fitted to.
     pub fit_readings: u64,
@@ -75,7 +74,7 @@ impl Queries {
         }
     }
 
-    /// What fits models, for others who need them too.
+    /// The fitter of models, for other services.
     pub(super) fn fitting(&self) -> Arc<ModelFitter> {
         Arc::clone(&self.fitting)
     }

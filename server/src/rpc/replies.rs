@@ -1,8 +1,7 @@
 //! Replies that are computed off the async threads and wait for their reader.
 //!
-//! Invariant: only so many requests compute at once, and a reader is waited for a bounded time, all its replies
-//! together. What ends early ends with
-//! an error, never as if it were all.
+//! Invariant: a reader is waited for a bounded time, all its replies together. Replies that end early end with an
+//! error, so that a part is never taken for the whole.
 
 use std::time::{Duration, Instant};
 
@@ -14,29 +13,29 @@ use super::status::RpcError;
 
 /// Replies computed ahead of the reader.
 const REPLIES_AHEAD: usize = 8;
-/// A reader is waited for so long, all its replies together.
+/// The time to read all replies.
 const READ_WITHIN: Duration = Duration::from_secs(30);
 
 /// A stream of replies.
 pub(super) type Replies<T> = ReceiverStream<Result<T, Status>>;
 
-/// Where computed replies go.
+/// Sends computed replies.
 #[derive(Clone, Debug)]
 pub(super) struct ReplySink<T>(mpsc::Sender<Result<T, RpcError>>);
 
 impl<T> ReplySink<T> {
-    /// Hands a reply over, once there is room. `false`: nobody wants any more.
+    /// Sends a reply when there is room. `false`: the client is gone.
     pub(super) fn send(&self, reply: T) -> bool {
         self.0.blocking_send(Ok(reply)).is_ok()
     }
 
-    /// Ends when nobody wants any more.
+    /// Ends when the client is gone.
     pub(super) async fn closed(&self) {
         self.0.closed().await;
     }
 }
 
-/// The replies that `work` computes, in a thread where it may wait. The permits are given back when it has ended.
+/// The replies that `work` computes in a blocking thread. The permits are held until it ends.
 pub(super) fn compute_replies<T: Send + 'static>(
     permits: impl Send + 'static,
     work: impl FnOnce(&ReplySink<T>) -> Result<(), RpcError> + Send + 'static,
@@ -50,7 +49,7 @@ pub(super) fn compute_replies<T: Send + 'static>(
     })
 }
 
-/// The replies that `work` sends, which waits for others now and then, and takes its permits itself.
+/// The replies that async `work` sends; it takes its permits itself.
 pub(super) fn stream_replies<T: Send + 'static, W>(work: impl FnOnce(ReplySink<T>) -> W) -> Replies<T>
 where
     W: Future<Output = Result<(), RpcError>> + Send + 'static,
@@ -60,7 +59,7 @@ where
     let work = work(ReplySink(sink.clone()));
     let work = tokio::spawn(async move {
         if let Err(error) = work.await {
-            // Where nobody wants it, it is not needed.
+            // The client may be gone.
             let _ = sink.send(Err(error)).await;
         }
     });
@@ -74,14 +73,14 @@ where
     ReceiverStream::new(stream)
 }
 
-/// Hands replies to the reader until all are sent, or the reader is gone or too slow, which the last reply says. Whether
-/// all were sent.
+/// Passes replies to the reader until all are sent, the reader is gone, or it is too slow, which the last reply says.
+/// Gives whether all were sent.
 async fn pass_on<T>(
     mut ready: mpsc::Receiver<Result<T, RpcError>>,
     replies: &mpsc::Sender<Result<T, Status>>,
     read_within: Duration,
 ) -> bool {
-    // Its place is taken now: there is none when the reader is slow.
+    // Reserved now: when the reader is slow, there is no room for the last reply.
     let Ok(last_word) = replies.clone().reserve_owned().await else { return false };
     let mut left = read_within;
     while let Some(reply) = ready.recv().await {
@@ -112,7 +111,7 @@ mod tests {
         let passing = tokio::spawn(async move { pass_on(ready, &replies, Duration::from_millis(20)).await });
         while sink.send(Ok(7)).await.is_ok() {}
         assert!(!passing.await.expect("no panic"));
-        // What was sent before is still read, and then why there is no more.
+        // Earlier replies are still read, then the reason of the end.
         assert!(stream.recv().await.expect("a reply").is_ok());
         assert!(stream.recv().await.expect("a reply").is_ok());
         let end = stream.recv().await.expect("an error").expect_err("too slow");
@@ -126,7 +125,7 @@ mod tests {
         let (replies, mut stream) = mpsc::channel(2);
         let passing = tokio::spawn(async move { pass_on(ready, &replies, Duration::from_millis(50)).await });
         let computing = tokio::spawn(async move { while sink.send(Ok(7)).await.is_ok() {} });
-        // Each one is waited for less long than there is time for all.
+        // Each reply is in time, but not all of them together.
         let mut end = None;
         while let Some(reply) = stream.recv().await {
             end = reply.err();

@@ -1,7 +1,7 @@
 //! `TopologyService`, `RouteService` and `SearchService`: the topological map, and plans over it.
 //!
-//! Invariant: a change is durable and shown when it is answered. A plan is made from one view, off the async threads, with
-//! permits of its own, and ends at its deadline or when nobody waits for it any more.
+//! Invariant: an edit is durable and published when it is answered. A plan is made from one view, off the async
+//! threads, with its own permits, and ends at its deadline or when its client is gone.
 
 use std::sync::Arc;
 
@@ -35,18 +35,17 @@ mod plan;
 mod presence;
 mod search;
 
-/// The service.
 #[derive(Debug)]
 pub(crate) struct Routes {
     catalog: Arc<Catalog>,
-    /// Most predictions of one request.
+    /// Maximum number of predictions of one request.
     predictions: u64,
     fitting: Arc<ModelFitter>,
     permits: Permits,
 }
 
 impl Routes {
-    /// Plans with so many predictions at most; models are fitted where questions have theirs fitted.
+    /// Plans within this limit; models are fitted by the fitter of `queries`.
     #[must_use]
     pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, predictions: u64) -> Self {
         Self { catalog, predictions, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
@@ -56,7 +55,7 @@ impl Routes {
         PredictContext { fitting: &self.fitting, permits: &self.permits, predictions: self.predictions }
     }
 
-    /// Does what may take long off the async threads, with a permit.
+    /// Runs work on a blocking thread, with a permit.
     async fn run_blocking<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, RpcError> {
         let permit = self.permits.take().await?;
         let work = move || {
@@ -66,7 +65,7 @@ impl Routes {
         tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)
     }
 
-    /// Changes a map's topological map. Numbers of nodes and edges that it has then.
+    /// Edits a map's topology. Gives the numbers of nodes and edges after that.
     async fn edit(&self, map: &str, edit: TopologyEdit) -> Result<(u32, u32), RpcError> {
         let handle = find_map(&self.catalog, map)?;
         edit_site(&handle, SiteEdit::Topology(edit)).await?;

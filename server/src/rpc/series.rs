@@ -1,6 +1,6 @@
-//! Probabilities of states at times, by whichever model.
+//! Probabilities of states at times, by any model.
 //!
-//! Invariant: a row per state, as long as the times; every number in [0, 1].
+//! Invariant: a row per state, with one probability per time, in [0, 1].
 
 use std::sync::Arc;
 
@@ -19,21 +19,19 @@ use crate::{ingest::handle::MapHandle, model_cache::CachedModel};
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;
 
-/// What predicting for a plan takes.
+/// What a prediction for a plan needs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PredictContext<'a> {
-    /// ModelCache models to readings.
     pub fitting: &'a Arc<ModelFitter>,
-    /// Permits to compute.
     pub permits: &'a Permits,
-    /// Most predictions of one request.
+    /// Maximum number of predictions of one request.
     pub predictions: u64,
 }
 
-/// A state that is a probability, as entropies and plans need.
+/// Checks that a state is a probability, as entropies and plans need. `field` names the field of the request.
 ///
 /// # Errors
-/// Its values are no probabilities. `field` names what asked for it.
+/// The state has another kind.
 pub(super) fn check_kind(view: &MapView, id: StateId, field: &str) -> Result<(), RpcError> {
     let kind = view.kind(id);
     if kind == StateKind::Probability {
@@ -47,7 +45,7 @@ pub(super) fn check_kind(view: &MapView, id: StateId, field: &str) -> Result<(),
 /// Probabilities that the states are 1 at the times.
 ///
 /// # Errors
-/// There are more predictions than may be, or a model cannot be fitted.
+/// Too many predictions, or a model cannot be fitted.
 pub(super) async fn predict_series(
     context: PredictContext<'_>,
     handle: &Arc<MapHandle>,
@@ -99,7 +97,7 @@ pub(super) struct Predictor {
     view: Arc<MapView>,
     states: Vec<StateId>,
     selector: ModelSelector,
-    /// Models that were fitted to readings, one per state; empty where none has to be.
+    /// Fitted models, one per state; empty if none is needed.
     fitted: Vec<Arc<CachedModel>>,
 }
 
@@ -131,7 +129,7 @@ impl Predictor {
         self.at_moments(index, &self.view.moments(&[time_nanos]), None)
     }
 
-    /// The same at the first of times that are ready.
+    /// The same at the first of prepared times.
     pub(super) fn at_prepared(&self, index: usize, times: &PreparedTimes) -> f64 {
         self.at_moments(index, times.moments(), Some(times))
     }

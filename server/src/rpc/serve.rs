@@ -1,6 +1,6 @@
-//! The gRPC port: which services are there, and the limits of connections.
+//! The gRPC port: its services, and the limits of connections.
 //!
-//! Invariant: every RPC of `tidemap.v1` is served here; reflection only where everybody who can connect is local.
+//! Invariant: every RPC of `tidemap.v1` is served here; reflection only if all clients are local.
 
 use std::{
     future::Future,
@@ -32,13 +32,13 @@ use super::{
 };
 use crate::{catalog::Catalog, config::Settings, ingest::intake::IntakeLimits};
 
-/// Bytes of a request other than observations: 100,000 times and thousands of names fit.
+/// Maximum size of a request without observations: 100,000 times and thousands of names fit.
 const REQUEST_BYTES: usize = 1 << 20;
-/// Bytes of a topological map, which is loaded whole; the log takes it as one record of 16 MiB at most.
+/// Maximum size of a topological map, which is loaded whole; the log takes it as one record of at most 16 MiB.
 const TOPOLOGY_BYTES: usize = 12 << 20;
-/// Most requests of one connection at once.
+/// Maximum number of concurrent requests of one connection.
 const STREAMS_PER_CONNECTION: u32 = 64;
-/// Bytes of a stream that are on their way and not read yet.
+/// Bytes of a stream that are sent and not read yet.
 const STREAM_WINDOW: u32 = 256 * 1024;
 /// Room around the columns of a message.
 const MESSAGE_OVERHEAD: usize = 4096;
@@ -102,7 +102,7 @@ pub(crate) async fn serve(
     Server::builder()
         .max_concurrent_streams(STREAMS_PER_CONNECTION)
         .initial_stream_window_size(STREAM_WINDOW)
-        // Streams of a saturated map are not read for long; however many they are, the others of the connection go on.
+        // Streams of a saturated map are not read for long; the other streams of the connection continue.
         .initial_connection_window_size(STREAM_WINDOW * STREAMS_PER_CONNECTION)
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(10)))

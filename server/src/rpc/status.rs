@@ -1,6 +1,6 @@
-//! Errors as gRPC statuses with `google.rpc` details: the one place where a status is made.
+//! Errors as gRPC statuses with `google.rpc` details: the only place where a status is made.
 //!
-//! Invariant: the message names what was wrong, with which value, and what to do; programs read code and details.
+//! Invariant: the message says what is wrong, with which value, and what to do; programs read code and details.
 
 use std::collections::HashMap;
 
@@ -32,7 +32,7 @@ use crate::{
 const DOMAIN: &str = "tidemap";
 const NAMES_SHOWN: usize = 10;
 
-/// Everything that a request can end with, other than its reply.
+/// All errors that a request can end with.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum RpcError {
     #[error(transparent)]
@@ -102,7 +102,7 @@ fn known_names(known: &[String], what: &str) -> String {
     format!("{what} here: {shown}{more}")
 }
 
-/// Seconds since 1970: what a time zone makes of them is the client's to say.
+/// Seconds since 1970, because the client chooses the time zone.
 fn shown_time(nanos: i64) -> String {
     format!("{} s after 1970-01-01T00:00:00Z", nanos.div_euclid(1_000_000_000))
 }

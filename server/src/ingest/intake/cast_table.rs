@@ -1,6 +1,6 @@
-//! The tiles of the scans that the server itself casts for one stream: like a stream's own table, but for readings.
+//! The table of tiles of the scans that the server ray-casts for one stream, like a stream's own table.
 //!
-//! Invariant: the table never holds more tiles than it may; where a scan would need more, it begins anew.
+//! Invariant: the table never exceeds its limit; if a scan would need more, it restarts.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -14,13 +14,13 @@ pub(super) struct CastTable {
     seen: Arc<[u32]>,
 }
 
-/// A cast scan as the writer is to see it.
+/// A ray-cast scan for the writer.
 #[derive(Debug)]
 pub(super) struct CastScan {
     pub scan: SentScan,
     /// Tiles that are new in the table.
     pub new_tiles: Vec<TileIndex>,
-    /// Whether the table began anew before them.
+    /// Whether the table restarted before them.
     pub restarts: bool,
 }
 
@@ -29,7 +29,7 @@ impl CastTable {
         CastTable { max_tiles, ids: HashMap::new(), masks: Vec::new(), seen: Arc::from([]) }
     }
 
-    /// What a scan that shows these tiles changes.
+    /// The changes of a scan that shows these tiles.
     pub(super) fn show(&mut self, utc_nanos: i64, tiles: &[(TileIndex, TileMasks)]) -> CastScan {
         let unknown = tiles.iter().filter(|(index, _)| !self.ids.contains_key(index)).count();
         let restarts = self.masks.len() + unknown > self.max_tiles;

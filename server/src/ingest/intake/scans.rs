@@ -1,8 +1,8 @@
-//! The scans of one stream: decoded, cast where they are readings, and handed over in batches.
+//! The scans of one stream: decoded, ray-cast if they are readings, and handed over in batches.
 //!
-//! Invariant: a batch is about as large as [`BATCH_BYTES`] and as much work as [`BATCH_CELLS`], or holds a single
-//! scan, however much a message unpacks to. What is cast lies within the cells that the grid may have.
-//! Scans that were taken before are handed over too, only to be remembered: later ones refer to them.
+//! Invariant: a batch has about [`BATCH_BYTES`] and [`BATCH_CELLS`], or holds a single scan, however much a message
+//! unpacks to. Ray-cast tiles lie within the extent of the grid. Scans that were taken before are handed over too,
+//! because later ones refer to them; they are not logged again.
 
 use std::sync::Arc;
 
@@ -30,37 +30,37 @@ mod effort;
 
 use effort::RayCells;
 
-/// Memory of a batch at which it is handed over.
+/// A batch with this much memory is handed over.
 const BATCH_BYTES: usize = 256 << 10;
-/// Memory of a scan beside its flips, about.
+/// Memory of a scan besides its flips, about.
 const SCAN_BYTES: usize = 160;
 /// Memory of a refusal, about.
 const REFUSED_BYTES: usize = 300;
-/// Cells that one ray may pass.
+/// Maximum number of cells that one ray passes.
 const RAY_CELLS_MAX: u64 = 100_000;
-/// Cells that the rays of one scan may pass.
+/// Maximum number of cells that the rays of one scan pass.
 const CAST_CELLS_MAX: u64 = 200_000_000;
-/// Cells of a batch's rays at which it is handed over.
+/// A batch whose rays pass this many cells is handed over.
 const BATCH_CELLS: u64 = 20_000_000;
-/// Cells that the rays of a message may pass for casting them to be work for a stream's task.
+/// A message whose rays pass more cells than this is ray-cast off the async threads.
 const CELLS_AT_ONCE: u64 = 20_000;
 
-/// What a stream has shown by scans.
+/// The state of a stream's scans.
 #[derive(Debug)]
 pub(super) struct ScanIntake {
     spec: Option<GridSpec>,
     decoder: ScanDecoder,
     cast_table: CastTable,
     limits: ScanLimits,
-    /// What the message at hand adds to the stream's table, until it is handed over.
+    /// Tiles that the current message adds to the stream's table, until they are handed over.
     new_tiles: Vec<TileIndex>,
-    /// What rays cost; `None` where there is no grid to cast into.
+    /// The cost of rays; `None` without a grid.
     ray_cells: Option<RayCells>,
-    /// Cells of a scan that goes on.
+    /// Cells of an unfinished scan.
     open_cells: u64,
-    /// Whether casting the message at hand is much work.
+    /// Whether ray-casting the current message is expensive.
     is_much_work: bool,
-    /// What the batch before saw, shared by scans that saw the same.
+    /// The tiles that the previous batch saw, shared by scans that saw the same.
     seen: Option<Arc<[u32]>>,
 }
 
@@ -87,7 +87,7 @@ impl ScanIntake {
         self.decoder.open_sequence()
     }
 
-    /// What readings say of the grid, as flips against the scans that were cast before.
+    /// Ray-casts readings; the result is flips against the last ray-cast scan.
     fn cast(&mut self, utc_nanos: i64, readings: &Readings) -> Result<super::cast_table::CastScan, ScanRefusal> {
         let limits = CastLimits { ray_cells: RAY_CELLS_MAX, cells: CAST_CELLS_MAX, tiles: self.limits.tiles };
         let tiles = self.spec.as_ref().map_or(Ok(Vec::new()), |spec| {
@@ -104,7 +104,7 @@ impl ScanIntake {
     }
 }
 
-/// Leaves out what the grid may not have, whatever was cast.
+/// Removes what lies outside of the grid.
 fn cut(spec: &GridSpec, tiles: &mut Vec<(TileIndex, TileMasks)>) {
     let allowed = spec.allowed();
     tiles.retain_mut(|(index, masks)| {
@@ -128,11 +128,11 @@ fn refusal(reason: RefusalReason, detail: String) -> ScanRefusal {
 }
 
 impl Intake {
-    /// Begins a message of scans; they are to be taken out with [`Intake::next_scans`] before the next message. Says
-    /// whether that is much work.
+    /// Begins a message of scans; take them with [`Intake::next_scans`] before the next message. Gives whether
+    /// ray-casting them is expensive.
     ///
     /// # Errors
-    /// What ends the stream.
+    /// Errors that end the stream.
     pub(crate) fn begin_scans(&mut self, message: v1::ScanBatch) -> Result<bool, IntakeError> {
         let first = message.first_sequence;
         self.check_sequence(first)?;
@@ -157,16 +157,16 @@ impl Intake {
         self.scans.is_much_work = all > CELLS_AT_ONCE;
         self.scans.new_tiles = self.scans.decoder.begin(message)?;
         if self.scans.spec.is_none() {
-            // Without a grid nothing of them is handed over, and nobody else is to remember the tiles.
+            // Without a grid no scans are handed over, so that nobody needs the tiles.
             self.scans.new_tiles = Vec::new();
         }
         Ok(self.scans.is_much_work)
     }
 
-    /// The next scans of the message; `None` where all are out. Waits for a permit where that is much work.
+    /// The next scans of the message; `None` after the last. Waits for a permit if ray-casting is expensive.
     ///
     /// # Errors
-    /// What ends the stream.
+    /// Errors that end the stream.
     pub(crate) fn next_scans(&mut self) -> Result<Option<ScanBatch>, IntakeError> {
         let new_tiles = std::mem::take(&mut self.scans.new_tiles);
         let mut batch = ScanBatch { first_sequence: self.next_sequence, new_tiles, ..ScanBatch::default() };
@@ -185,7 +185,7 @@ impl Intake {
         Ok((!is_empty).then_some(batch))
     }
 
-    /// Takes one scan; says how many cells its rays pass, about.
+    /// Takes one scan; gives how many cells its rays pass, about.
     fn take_scan(&mut self, decoded: DecodedScan, batch: &mut ScanBatch) -> u64 {
         let DecodedScan { sequence, utc_nanos, digest, content, mut refusal } = decoded;
         let is_new = sequence == self.next_sequence;
@@ -221,7 +221,7 @@ impl Intake {
             batch.bytes += 4 * (scan.observed_flips.len() + scan.occupied_flips.len());
             batch.bytes += SCAN_BYTES * taken.new_tiles.len();
             if self.scans.seen.as_ref().is_none_or(|seen| !Arc::ptr_eq(seen, &scan.seen)) {
-                // Once as slots, once as tiles of the map.
+                // Counted twice: as slots, and as tiles of the map.
                 batch.bytes += 8 * scan.seen.len();
                 self.scans.seen = Some(Arc::clone(&scan.seen));
             }

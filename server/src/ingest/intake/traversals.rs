@@ -1,6 +1,6 @@
 //! The traversals of one stream.
 //!
-//! Invariant: as for observations; whether the map has an edge is for its writer to say, which knows the topology.
+//! Invariant: as for observations. Whether the map has an edge is checked by its writer, which knows the topology.
 
 use tidemap_proto::{
     convert::{
@@ -15,14 +15,14 @@ use super::{
     Intake, IntakeError, last_sequence, shortened,
 };
 
-/// Observations that a traversal counts as: that it succeeded, and how fast it was.
+/// Observations per traversal: its success, and its speed.
 const OBSERVATIONS_EACH: usize = 2;
 
 impl Intake {
     /// Checks a message of traversals. `None`: nothing of it is new.
     ///
     /// # Errors
-    /// What ends the stream; nothing of the message was taken.
+    /// Errors that end the stream; nothing of the message was taken.
     pub(crate) fn take_traversals(
         &mut self,
         message: &v1::TraversalBatch,

@@ -1,7 +1,7 @@
-//! Scans of streams turned into events: flips against the last scan of each tile in the order of the log.
+//! Converts scans to events: flips against the last scan of each tile in the order of the log.
 //!
-//! Invariant: an event is one that the log takes, at most 16 MiB, whatever streams show each other; scans of one batch
-//! are spread over several where that needs it, in their order.
+//! Invariant: an event is at most 16 MiB, which the log accepts, whatever the streams show; the scans of one batch are
+//! spread over several events if needed, in their order.
 
 use tidemap_map::{
     MAX_AHEAD_NANOS,
@@ -20,17 +20,17 @@ use super::{
     Columns, Session, Sessions, Span, StreamEvent,
 };
 
-/// Bits that one scan may flip, those of tiles that are observed anew as a whole not counted: 2 bytes each, as near to
-/// each other as so many are.
+/// Maximum number of bits that one scan flips, without those of tiles that are observed again as a whole: 2 bytes each,
+/// because that many are close to each other.
 const FLIPS_MAX: u64 = 8_000_000;
-/// Bits that the scans of one event flip before another is begun: 5 bytes each, however far they are apart.
+/// An event whose scans flip this many bits is complete: 5 bytes each, however far apart they are.
 const EVENT_FLIPS: u64 = 1_000_000;
-/// Tiles that the scans of one event see, taken together, before another is begun.
+/// An event whose scans see this many tiles in total is complete.
 const EVENT_TILES: u64 = 500_000;
-/// Tiles of a scan that cannot flip more bits than it may.
+/// A scan of fewer tiles cannot exceed [`FLIPS_MAX`].
 const TILES_UNCOUNTED: usize = (FLIPS_MAX / 1024) as usize;
 
-/// What goes into one event.
+/// The content of one event.
 #[derive(Default)]
 struct Portion {
     scans: Vec<LoggedScan>,
@@ -56,8 +56,8 @@ impl Portion {
 }
 
 impl Sessions {
-    /// Turns scans into events with their refusals, some added where the map may not have more tiles. None where the
-    /// stream is closed, or nothing is to be logged.
+    /// Converts scans to events; adds refusals if the map has no room for more tiles. Empty: the stream is closed, or
+    /// there is nothing to log.
     pub(crate) fn scan_events(&mut self, id: SessionId, batch: ScanBatch, map: &LiveMap, now: i64) -> Vec<StreamEvent> {
         let ScanBatch { first_sequence, last_sequence, content_crc, new_tiles, scans, mut refused, .. } = batch;
         let Some(mut session) = self.sessions.remove(&id) else { return Vec::new() };
@@ -118,8 +118,8 @@ impl Sessions {
         events
     }
 
-    /// Takes one scan: what the log is to hold of it, and how many tiles that wait for their time; nothing where it is
-    /// only to be remembered.
+    /// Takes one scan; gives what to log, and how many of its tiles wait for their time; `None` if it is only
+    /// remembered.
     fn take(
         &mut self,
         id: SessionId,

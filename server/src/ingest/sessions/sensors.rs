@@ -1,7 +1,7 @@
-//! Which sensor a stream's scans are of.
+//! The sensor of a stream's scans.
 //!
-//! Invariant: a key has the sensor that its first event says, for ever. What is announced and not durable yet is counted
-//! with what is, so that no event has a sensor for which the map has no number left.
+//! Invariant: a key keeps the sensor of its first event. Announced sensors that are not durable yet are counted too, so
+//! that the map always has a number for the sensor of an event.
 
 use tidemap_map::{grid::sensors::ProducerSensor, live_map::LiveMap};
 
@@ -11,13 +11,13 @@ use super::{
 };
 
 impl Sessions {
-    /// The sensor that the key of a hello has, or is to have; `None`: the map's own.
+    /// The sensor that the key of a hello has or gets; `None`: the map's default.
     pub(super) fn sensor(&self, hello: &Hello, map: &LiveMap) -> Result<Option<ProducerSensor>, HelloError> {
         let fixed = map.producer(&hello.key).map(|(_, mark)| mark.sensor);
         let Some(announced) = hello.sensor else { return Ok(fixed.flatten()) };
         let grid = map.grid().ok_or(HelloError::SensorWithoutGrid)?;
         let Some(fixed) = fixed else {
-            // Those that others have announced, and that may become durable before this one.
+            // Announced by others, and possibly durable before this one.
             let others = self.sessions.values().filter_map(|session| session.sensor);
             return Ok(grid.may_have(announced, others)?);
         };

@@ -1,7 +1,7 @@
-//! Which states a map will have once all that is in flight is applied, and of what kind.
+//! The states of a map, with their kinds, after everything in flight is applied.
 //!
-//! Invariant: a state in flight has its number and its kind for good: whoever names it next gets the same. A vector is in
-//! flight as all its axes.
+//! Invariant: a state in flight keeps its number and its kind: the next stream that names it gets the same. A vector is
+//! in flight as all its axes.
 
 use std::collections::HashMap;
 
@@ -21,23 +21,23 @@ use super::{
     Sessions,
 };
 
-/// Why an observation is refused, to act on and to read.
+/// Why an observation is refused, for programs and for people.
 pub(super) type Refusal = (RefusalReason, String);
 
-/// A name of a stream's table.
+/// The state of a name of a stream's table.
 #[derive(Debug)]
 pub(super) enum StreamState {
-    /// A state of the map, or of a batch in flight; of a vector its first axis.
+    /// A state of the map, or of a batch in flight; for a vector its first axis.
     State(StateId, StateShape),
-    /// A state that is not what the stream said: what it is, and what was said.
+    /// A state whose shape differs from the declared one: its shape, and the declared one.
     OtherShape(StateName, StateShape, Option<StateShape>),
     /// A name that no observation has used yet.
     Unused(NewName),
-    /// A name that is not valid; intake refuses its observations.
+    /// An invalid name; intake refuses its observations.
     Invalid,
 }
 
-/// The states that there are, and how many there may be.
+/// Allocates states, up to a limit.
 pub(super) struct StateAllocator<'a> {
     pub(super) map: &'a LiveMap,
     pub(super) in_flight: &'a mut HashMap<StateName, (StateId, StateKind)>,
@@ -46,8 +46,8 @@ pub(super) struct StateAllocator<'a> {
 }
 
 impl StreamState {
-    /// The state of an observation with this value, or the first axis of one with a position; it may be new. `Err(None)`:
-    /// it is refused already.
+    /// The state of an observation with this value, or the first axis if it has a position; it may be new. `Err(None)`:
+    /// intake has refused it already.
     pub(super) fn state_for(
         &mut self,
         value: f64,
@@ -59,7 +59,7 @@ impl StreamState {
             *self = used(name, value, allocator, new_states)?;
         }
         match self {
-            // Intake gives a position where a vector was said, and then only.
+            // Intake passes a position only if a vector was declared.
             StreamState::State(state, StateShape::Vector(_)) if is_position => Ok(*state),
             StreamState::State(state, StateShape::Scalar(kind)) if !is_position && kind.allows(value) => Ok(*state),
             StreamState::State(_, shape) => Err(Some(refuse_value(value, shape.kind()))),
@@ -69,7 +69,7 @@ impl StreamState {
     }
 }
 
-/// What becomes of a name at its first observation.
+/// Looks the name up at its first observation.
 fn used(
     NewName { name, shape: said }: &NewName,
     value: f64,
@@ -78,12 +78,12 @@ fn used(
 ) -> Result<StreamState, Refusal> {
     let shape = said.unwrap_or_default();
     match known_state(allocator.map, allocator.in_flight, allocator.renames, name) {
-        // Of a name of which nothing is said there are values.
+        // A name without a declared shape has values.
         Some((state, found)) if *said == Some(found) || (said.is_none() && is_scalar(found)) => {
             Ok(StreamState::State(state, found))
         }
         Some((_, found)) => Ok(StreamState::OtherShape(name.clone(), found, *said)),
-        // A value that no such state may have does not make one. Positions are those that a vector may have.
+        // An invalid value does not create a state. Intake has checked positions.
         None if is_scalar(shape) && !shape.kind().allows(value) => Err(refuse_value(value, shape.kind())),
         None => match allocator.add(name, shape) {
             Some(new) => {
@@ -97,7 +97,7 @@ fn used(
 }
 
 impl StateAllocator<'_> {
-    /// The states of these names and kinds; those that there are not yet are new. All of them, or none.
+    /// The states of these names and kinds; missing ones are allocated. All of them, or none.
     pub(super) fn states_for(
         &mut self,
         wanted: &[(StateName, StateKind)],
@@ -130,7 +130,7 @@ impl StateAllocator<'_> {
         Ok(states)
     }
 
-    /// That there is no allocator for a state.
+    /// The refusal of a state beyond the limit.
     fn is_full(&self, name: &StateName) -> Refusal {
         let name = name.as_str().chars().take(60).collect::<String>();
         let text = format!(
@@ -140,7 +140,7 @@ impl StateAllocator<'_> {
         (RefusalReason::StateLimit, text)
     }
 
-    /// A state, or all axes of a vector, which are in flight from now on; `None` where there is no allocator for them.
+    /// Allocates a state, or all axes of a vector; `None` if the limit allows no more.
     fn add(&mut self, name: &StateName, shape: StateShape) -> Option<NewState> {
         let next = self.map.states() + self.in_flight.len();
         if next.saturating_add(shape.states()) > self.max {
@@ -153,7 +153,7 @@ impl StateAllocator<'_> {
 }
 
 impl Sessions {
-    /// The event that adds a state; `None` where the map has it, of that kind.
+    /// The event that adds a state; `None` if the map has it with that shape.
     pub(crate) fn add_state(
         &mut self,
         name: &StateName,
@@ -176,10 +176,10 @@ impl Sessions {
         }
     }
 
-    /// Keeps the names that an edit will give to states for these states, until [`Sessions::renamed`]; those in flight count.
+    /// Reserves the names that an edit will give to states, until [`Sessions::renamed`], including states in flight.
     ///
     /// # Errors
-    /// A name that cannot be, or that another state has; then none is kept.
+    /// A name that is invalid, or that another state has; then none is reserved.
     pub(crate) fn keep_names(&mut self, edit: &SiteEdit, map: &LiveMap) -> Result<(), InvalidEdit> {
         let in_flight = self.states_in_flight.iter().map(|(name, known)| (*known, name));
         let known = map.names().map(|(id, name)| ((id, map.kind(id).unwrap_or_default()), name));
@@ -199,12 +199,12 @@ impl Sessions {
         Ok(())
     }
 
-    /// What was renamed has its new name, or keeps its old one.
+    /// The edit was applied, or has failed.
     pub(crate) fn renamed(&mut self) {
         self.renames_in_flight.clear();
     }
 
-    /// A state that was added is applied to the map.
+    /// An added state was applied to the map.
     pub(crate) fn state_added(&mut self, new: &NewState) {
         for (_, name, _) in new.states() {
             self.states_in_flight.remove(&name);
@@ -212,7 +212,7 @@ impl Sessions {
     }
 }
 
-/// A state of the map, or of an event in flight; of a vector its first axis.
+/// A state of the map, or of an event in flight; for a vector its first axis.
 fn known_state(
     map: &LiveMap,
     in_flight: &HashMap<StateName, (StateId, StateKind)>,
@@ -238,7 +238,7 @@ fn is_scalar(shape: StateShape) -> bool {
     matches!(shape, StateShape::Scalar(_))
 }
 
-/// That a stream has said of a state that it is something else than it is.
+/// The refusal of a state whose shape differs from the declared one.
 fn other_shape(name: &StateName, found: StateShape, said: Option<StateShape>) -> Refusal {
     let name = name.as_str().chars().take(60).collect::<String>();
     let said = said.map_or("single value", StateShape::name);

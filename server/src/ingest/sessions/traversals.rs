@@ -1,7 +1,7 @@
-//! Traversals of edges as observations of the edges' states.
+//! Converts traversals of edges to observations of the edges' states.
 //!
-//! Invariant: a traversal is taken whole or not at all: with all of its observations, in one event. What it says depends on
-//! the topology as it is applied; the writer makes no event of traversals while a change of it is on its way into the log.
+//! Invariant: a traversal is taken with all of its observations, in one event, or not at all. Its meaning depends on
+//! the topology; the writer makes no event of traversals while an edit of the topology is in flight.
 
 use tidemap_map::{MAX_AHEAD_NANOS, ids::RefusalReason, live_map::LiveMap, traversal::Traversal};
 use tidemap_proto::convert::traversals::{refusal_of, unknown_edge};
@@ -14,8 +14,8 @@ use super::{
 };
 
 impl Sessions {
-    /// Turns traversals into an event, with refusals added where there is no such edge, or the map may not have more
-    /// states. `None` where the stream is closed.
+    /// Converts traversals to an event; adds refusals if an edge does not exist or the map has no room for more states.
+    /// `None`: the stream is closed.
     pub(crate) fn traversal_event(
         &mut self,
         id: SessionId,

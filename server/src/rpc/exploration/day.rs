@@ -1,6 +1,6 @@
 //! `PlanDay`: which slots of a day to explore, and where.
 //!
-//! Invariant: what a slot promises is predicted for its middle; a plan has a row per slot of the local day.
+//! Invariant: the information of a slot is predicted for its middle; a plan has a row per slot of the local day.
 
 use std::{ops::ControlFlow, sync::Arc};
 
@@ -31,7 +31,7 @@ use crate::rpc::{
     status::RpcError,
 };
 
-/// Most locations of one request.
+/// Maximum number of locations of one request.
 const LOCATIONS_MAX: usize = 10_000;
 
 /// The locations to choose from, by name, with their states.
@@ -121,7 +121,7 @@ pub(super) async fn plan_day(
     Ok(day_to_wire(&rows, &names))
 }
 
-/// From where, with what and by which model the grid is looked into.
+/// The viewpoints, sensor, scene and model of the views.
 struct Looks {
     viewpoints: Vec<Viewpoint>,
     sensor: Sensor,
@@ -129,7 +129,7 @@ struct Looks {
     selector: ModelSelector,
 }
 
-/// What each viewpoint is expected to teach in each slot, times how probably it is reached.
+/// The expected information of each viewpoint in each slot, times the probability of reaching it.
 async fn view_gains(
     explorations: &Explorations,
     view: &Arc<MapView>,
@@ -161,7 +161,7 @@ async fn view_gains(
     Ok(tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)??)
 }
 
-/// What each location is expected to teach in each slot. `rows` has the states of the locations one after the other.
+/// The expected information of each location in each slot. `rows` has the states of the locations one after the other.
 fn gains(
     rows: &[Vec<f64>],
     counts: &[usize],

@@ -11,7 +11,6 @@ use tidemap_plan::{
 };
 use tonic::Code;
 
-/// Why there is no plan.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum PlanError {
     #[error(transparent)]

@@ -1,4 +1,4 @@
-//! `GetInformation`: the entropy of states, locations and regions, and what observing them would teach.
+//! `GetInformation`: the entropy of states, locations and regions, and the expected information of an observation.
 //!
 //! Invariant: replies come in the order of states, locations, region; each has a number per time.
 
@@ -30,10 +30,10 @@ use crate::{
     },
 };
 
-/// Most targets of one request.
+/// Maximum number of targets of one request.
 const TARGETS_MAX: usize = 10_000;
 
-/// What is asked about.
+/// The subject of a request.
 enum Target {
     States(Vec<StateId>),
     Cell(Box<CellDescription>),
@@ -58,7 +58,7 @@ fn reply(target: &str, rows: &[Vec<f64>], times: usize, certainty: Certainty) ->
     }
 }
 
-/// What all cells of a region teach that were ever observed.
+/// The information of all observed cells of a region.
 fn of_region(
     view: &MapView,
     times_nanos: &[i64],

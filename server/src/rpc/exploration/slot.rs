@@ -1,6 +1,6 @@
-//! `PlanSlot`: where to look in the slot that begins now.
+//! `PlanSlot`: where to observe in the slot that begins now.
 //!
-//! Invariant: the location is one of those asked about, and all that decides is of one view.
+//! Invariant: the location is one of the given ones, and the decision is based on one view.
 
 use tidemap_map::{
     ids::StateId,
@@ -77,7 +77,7 @@ pub(super) async fn plan_slot(
     })
 }
 
-/// The probabilities of each location's states. `rows` has one of each state, location by location.
+/// The probabilities of each location's states. `rows` has one for each state, location by location.
 fn split(rows: &[Vec<f64>], by_location: &[Vec<StateId>]) -> Vec<Vec<f64>> {
     let mut rest = rows.iter().flatten().copied();
     by_location.iter().map(|states| rest.by_ref().take(states.len()).collect()).collect()

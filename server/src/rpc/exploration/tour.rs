@@ -1,6 +1,6 @@
 //! `PlanTour`: goals for one exploration run.
 //!
-//! Invariant: the tour, and the reachability it counts with, are of one view.
+//! Invariant: the tour and the reachability are of one view.
 
 use tidemap_plan::{
     predicted::{PredictOptions, PredictedGrid},

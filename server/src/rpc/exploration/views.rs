@@ -1,6 +1,6 @@
-//! `EvaluateViews`: what a sensor would see from many places at many times.
+//! `EvaluateViews`: what a sensor is expected to see from viewpoints at several times.
 //!
-//! Invariant: a reply per viewpoint, in their order; one that cannot be stood on spoils no other.
+//! Invariant: a reply per viewpoint, in their order; an unusable viewpoint does not affect the others.
 
 use std::ops::ControlFlow;
 

@@ -1,6 +1,6 @@
-//! `FindAnomalies`: what was observed and not expected.
+//! `FindAnomalies`: the unexpected observations of an interval.
 //!
-//! Invariant: each observation of the interval is judged once, by one view's model and at its own time.
+//! Invariant: each observation of the interval is judged once, by one view's model at its own time.
 
 use std::sync::Arc;
 
@@ -38,13 +38,13 @@ use crate::{
 /// Observations that are judged at once, and of one reply: their phasors take some 10 MB at 168 periodicities.
 const READINGS_PER_REPLY: usize = 4096;
 
-/// Who says what was to be expected.
+/// The model that observations are judged by.
 enum Judge {
-    /// A model that the view has of a state.
+    /// The view's model of a state.
     State(StateId),
-    /// One that was fitted to the state's readings.
+    /// A model that was fitted to the state's readings.
     Fitted(StateId, Arc<CachedModel>),
-    /// A model that the view has of a cell.
+    /// The view's model of a cell.
     Cell(Box<CellDescription>),
 }
 
@@ -60,7 +60,7 @@ impl Judge {
         expected
     }
 
-    /// Those of the readings that were not expected.
+    /// The unexpected readings.
     fn unexpected(
         &self,
         view: &MapView,
@@ -92,7 +92,7 @@ pub(super) async fn find_anomalies(
     if cell.is_some() {
         check_for_cells("model", selector)?;
     }
-    // Before the permits to look up are taken: a fit has permits of its own, and may last.
+    // Before the permits to look up are taken: a fit has its own permits, and may take long.
     let fitted = if selector.kind.needs_readings() {
         let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), find_state(&view, &name)?);
         Some(queries.fitting.fitted(&learned, selector.kind).await?)
@@ -113,7 +113,7 @@ pub(super) async fn find_anomalies(
                 reply.values.push(value);
                 reply.probabilities.push(probability);
             }
-            // An empty one too: that somebody still listens is known only from what is taken.
+            // An empty reply too, because only sending shows whether the client still listens.
             if !sink.send(reply) {
                 break;
             }

@@ -1,6 +1,6 @@
 //! `EvaluateStates`: compares predictions with observations, which are not learned.
 //!
-//! Invariant: memory is bounded by the number of states and models, not by that of observations.
+//! Invariant: memory depends on the number of states and models, not on that of observations.
 
 use std::{
     collections::{HashMap, hash_map::Entry},
@@ -33,7 +33,7 @@ use crate::{
     },
 };
 
-/// Most sums of errors of one evaluation, one per state, model and order: 24 MB, and a reply that can be sent.
+/// Maximum number of error sums of one evaluation, one per state, model and order: 24 MB, which fits into a reply.
 const SUMS_MAX: usize = 1_000_000;
 
 pub(super) async fn evaluate_states(

@@ -26,23 +26,23 @@ use crate::{
 
 mod positions;
 
-/// ModelCache models, or finds them.
+/// Fits models, or takes them from the cache.
 #[derive(Debug)]
 pub(in crate::rpc) struct ModelFitter {
     catalog: Arc<Catalog>,
     models: ModelCache,
-    /// As many models of positions.
+    /// The same for models of positions.
     positions: ModelCache<PositionModel>,
-    /// Permits to gather readings and fit. They are others than those to predict.
+    /// Permits to gather readings and to fit, separate from those to predict.
     permits: Permits,
-    /// The same for kinds whose fit may take seconds: none of the others waits for these.
+    /// Permits for models whose fit may take seconds, so that other fits do not wait for them.
     slow_permits: Permits,
-    /// Permits to have several models of a state fitted: whoever has one holds the readings from the first to the last.
+    /// Permits to fit several models of a state: the holder keeps the readings from the first to the last fit.
     comparing_permits: Permits,
     max_readings: u64,
 }
 
-/// A state as one view knows it, and the readings that the view's updates have folded in, once they are gathered.
+/// A state of one view, and the readings that the view's updates have learned, after they are gathered.
 #[derive(Debug)]
 pub(in crate::rpc) struct LearnedState {
     handle: Arc<MapHandle>,
@@ -56,7 +56,7 @@ impl LearnedState {
         Arc::new(Self { handle, view, id, samples: OnceCell::new() })
     }
 
-    fn folded(&self) -> u64 {
+    fn observations(&self) -> u64 {
         self.view.model(self.id).accumulator().observations()
     }
 
@@ -71,9 +71,9 @@ impl LearnedState {
 }
 
 impl ModelFitter {
-    /// Keeps at most so many models, and fits one to at most so many readings.
+    /// Limits the cache to `max_fitted` models, and a fit to `max_readings` readings.
     pub(super) fn new(catalog: Arc<Catalog>, max_fitted: usize, max_readings: u64) -> Self {
-        // Half of the processors stay free for everybody else.
+        // The other half of the processors stays free.
         let slow_permits = Permits::new((processors() / 2).max(1));
         let (permits, comparing_permits) = (Permits::default(), Permits::default());
         Self {
@@ -90,7 +90,7 @@ impl ModelFitter {
     /// Several models of a state, each as [`ModelFitter::fitted`] gives it, from readings that are gathered once.
     ///
     /// # Errors
-    /// Where the readings cannot be read, or no permit came up in time.
+    /// The readings cannot be read, or no permit was free in time.
     pub(super) async fn all_fitted(
         self: &Arc<Self>,
         learned: &Arc<LearnedState>,
@@ -112,10 +112,10 @@ impl ModelFitter {
         Ok(models)
     }
 
-    /// The model of a state: the one that is kept, or else one that is fitted now.
+    /// The model of a state, from the cache or fitted now.
     ///
     /// # Errors
-    /// [`RpcError::ModelUnavailable`] where there can be no such model; others where the readings cannot be read.
+    /// [`RpcError::ModelUnavailable`] if there can be no such model; others if the readings cannot be read.
     pub(in crate::rpc) async fn fitted(
         self: &Arc<Self>,
         learned: &Arc<LearnedState>,
@@ -127,19 +127,19 @@ impl ModelFitter {
         if let Some(fitted) = self.models.get(&key) {
             return Ok(fitted);
         }
-        if learned.folded() == 0 {
+        if learned.observations() == 0 {
             return Ok(Arc::new(CachedModel::Unlearned));
         }
         let (this, learned) = (Arc::clone(self), Arc::clone(learned));
-        // A task of its own: where this request goes away, others may wait for the same model.
+        // A task of its own: if this request is dropped, others may wait for the same model.
         let task = tokio::spawn(async move { this.models.get_or_fit(key, this.fit(&learned, kind)).await });
         task.await.map_err(|_| RpcError::Stopping)?
     }
 
-    /// Leave to hold so many models for as long as a request lasts.
+    /// Reserves capacity for `models` models for the duration of a request.
     ///
     /// # Errors
-    /// [`RpcError::Limit`] where all requests would hold more than may be kept.
+    /// [`RpcError::Limit`] if all requests together would hold more than the cache may.
     pub(super) fn reserve(&self, models: usize) -> Result<OwnedSemaphorePermit, RpcError> {
         self.models.reserve(models).ok_or_else(|| {
             let (what, setting) = ("fitted models that evaluations hold", "setting max_fitted_models");
@@ -148,7 +148,7 @@ impl ModelFitter {
         })
     }
 
-    /// What can be told without looking at any reading.
+    /// Checks what is known without reading any observation.
     fn check(&self, learned: &LearnedState, kind: ModelKind) -> Result<(), RpcError> {
         let retention = retention(&learned.handle.spec, Subject::State(learned.id));
         let retention = retention.ok_or_else(|| learned.unavailable(kind, ModelUnavailable::NotKept))?;
@@ -165,8 +165,8 @@ impl ModelFitter {
         if let Some(expected) = expected {
             return Err(learned.unavailable(kind, ModelUnavailable::OtherKind { expected, found }));
         }
-        // With another retention some may be kept no more.
-        let (got, max) = (learned.folded(), self.max_readings);
+        // With a shorter retention fewer observations may be left.
+        let (got, max) = (learned.observations(), self.max_readings);
         if retention == Retention::Forever && got > max {
             return Err(learned.unavailable(kind, ModelUnavailable::TooMany { got, max }));
         }
@@ -187,11 +187,11 @@ impl ModelFitter {
         fitted.map_err(|error| learned.unavailable(kind, error))
     }
 
-    /// What the view's updates have folded in of a state, ascending by time.
+    /// The readings of a state that the view's updates have learned, ascending by time.
     async fn gather(&self, learned: &Arc<LearnedState>, kind: ModelKind) -> Result<Arc<[Sample]>, RpcError> {
         let subject = Subject::State(learned.id);
         let enough = usize::try_from(self.max_readings).unwrap_or(usize::MAX);
-        // Nothing of what no update has taken, and no waiting for an update that runs.
+        // Without pending observations, and without waiting for a running update.
         let mut tail = read(&learned.handle, &ReadingsQuery { subject, within_nanos: 0..0, enough }).await?;
         let generation = learned.view.generation();
         // An update may have ended since the view was taken.
@@ -202,11 +202,11 @@ impl ModelFitter {
         let is_complete = history.is_complete();
         let wanted = ReadingsQuery { subject, within_nanos: i64::MIN..i64::MAX, enough };
         let learned = Arc::clone(learned);
-        let (max, folded) = (self.max_readings, learned.folded());
+        let (max, total) = (self.max_readings, learned.observations());
         let gather = move || {
             let readings = gather(&history, &learned.handle.spec, tail, &wanted)?;
             let is_forever = retention(&learned.handle.spec, subject) == Some(Retention::Forever);
-            match lacking((readings.len() as u64, folded, max), is_forever && !is_complete) {
+            match lacking((readings.len() as u64, total, max), is_forever && !is_complete) {
                 Some(reason) => Err(learned.unavailable(kind, reason)),
                 None => {
                     let mut make = learned.view.sample_maker();
@@ -218,12 +218,12 @@ impl ModelFitter {
     }
 }
 
-/// Why a model cannot be fitted to so many readings that are kept of those that were folded in, where `max` are allowed.
-/// `lost_some`: of some that should be kept there never was any history.
-fn lacking((kept, folded, max): (u64, u64, u64), lost_some: bool) -> Option<ModelUnavailable> {
+/// Why a model cannot be fitted to `kept` of `total` learned readings, if `max` are allowed. `lost_some`: some readings
+/// that should be kept never had a history.
+fn lacking((kept, total, max): (u64, u64, u64), lost_some: bool) -> Option<ModelUnavailable> {
     match kept {
         _ if kept > max => Some(ModelUnavailable::TooMany { got: kept, max }),
-        _ if lost_some && kept < folded => Some(ModelUnavailable::Incomplete { folded, kept }),
+        _ if lost_some && kept < total => Some(ModelUnavailable::Incomplete { total, kept }),
         0 => Some(ModelUnavailable::Forgotten),
         _ => None,
     }
@@ -238,8 +238,8 @@ mod tests {
         assert_eq!(lacking((5, 5, 5), false), None);
         assert_eq!(lacking((5, 5, 5), true), None, "of this state nothing was lost");
         assert_eq!(lacking((4, 5, 5), false), None, "the rest is older than what is kept");
-        assert_eq!(lacking((4, 5, 5), true), Some(ModelUnavailable::Incomplete { folded: 5, kept: 4 }));
-        assert_eq!(lacking((0, 5, 5), true), Some(ModelUnavailable::Incomplete { folded: 5, kept: 0 }));
+        assert_eq!(lacking((4, 5, 5), true), Some(ModelUnavailable::Incomplete { total: 5, kept: 4 }));
+        assert_eq!(lacking((0, 5, 5), true), Some(ModelUnavailable::Incomplete { total: 5, kept: 0 }));
         assert_eq!(lacking((0, 5, 5), false), Some(ModelUnavailable::Forgotten));
         assert_eq!(lacking((6, 9, 5), false), Some(ModelUnavailable::TooMany { got: 6, max: 5 }));
     }

@@ -1,6 +1,6 @@
 //! `PredictGrid`: a grid, or a part of it, at one time.
 //!
-//! Invariant: the whole answer is from one view. What it costs is known, told and checked before any of it is computed.
+//! Invariant: the whole answer is from one view. Its cost is reported and checked before anything is computed.
 
 use std::sync::Arc;
 
@@ -34,7 +34,7 @@ pub(super) async fn predict_grid(
     let no_grid = || RpcError::NoGrid { map: view.spec().name.as_str().to_owned() };
     view.grid().ok_or_else(no_grid)?;
     let permit = queries.permits.take().await?;
-    // Every tile of a map may have to be looked at. The permit lasts as long as that, even if nobody waits any more.
+    // This may look at every tile of the map. The permit is held until it ends, even if the client is gone.
     let for_selection = Arc::clone(&view);
     let select = move || (permit, for_selection.grid().map(|grid| grid.select(&question)));
     let (permit, selection) = tokio::task::spawn_blocking(select).await.map_err(|_| RpcError::Stopping)?;
@@ -43,7 +43,7 @@ pub(super) async fn predict_grid(
     let header = v1::PredictGridResponse { message: Some(Message::Header(header)) };
     if request.estimate_only {
         let (reply, replies) = mpsc::channel(1);
-        // There is room for one, and the reader is still here.
+        // The channel has room for one reply, and the reader is still here.
         let _ = reply.try_send(Ok(header));
         return Ok(ReceiverStream::new(replies));
     }
@@ -56,7 +56,7 @@ pub(super) async fn predict_grid(
     }))
 }
 
-/// Computes the pages until all are taken or nobody takes them.
+/// Computes the pages until all are sent or the client is gone.
 fn predict(
     view: &MapView,
     question: &GridQuestion,

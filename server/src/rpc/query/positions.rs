@@ -1,7 +1,7 @@
 //! `PredictPositions`: where something will be, as probabilities of the cells of a region.
 //!
-//! Invariant: the cells of a time and what lies outside of them sum up to 1; how many cells there will be is checked
-//! before anything is fitted or computed, but for a region that follows from the observations.
+//! Invariant: the probabilities of the cells of a time and of everything outside sum up to 1. The number of cells is
+//! checked before anything is fitted or computed, except for a region that follows from the observations.
 
 use std::sync::Arc;
 
@@ -30,16 +30,16 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// Most cells of one time: 24 MB.
+/// Maximum number of cells of one time: 24 MB.
 const CELLS_MAX: u64 = 1_000_000;
 /// Cells of one reply.
 const CELLS_PER_REPLY: usize = 65_536;
-/// Cells along the longest side of a region, unless a resolution is asked for.
+/// Cells along the longest side of a region, if no resolution is given.
 const CELLS_FLAT: f64 = 64.0;
 const CELLS_DEEP: f64 = 24.0;
-/// What is told beyond the observations on each side, as a share of their longest side.
+/// Margin of the observations on each side, as a share of their longest side.
 const MARGIN: f64 = 0.1;
-/// Longest side of a region of observations that are all of one place, metres.
+/// Longest side of a region whose observations are all at one place, metres.
 const ONE_PLACE_M: f64 = 1.0;
 
 /// Cells that cover a region.
@@ -51,22 +51,22 @@ struct Cells {
 }
 
 impl Cells {
-    /// Cells of a region, with the usual edge where none is asked for.
+    /// Cells of a region, with the default edge if none is given.
     fn of(low_m: &[f64], high_m: &[f64], edge_m: Option<f64>) -> Self {
         let sides: Vec<f64> = low_m.iter().zip(high_m).map(|(low, high)| high - low).collect();
         let longest = sides.iter().copied().fold(0.0, f64::max);
         let usual = if sides.len() > 2 { CELLS_DEEP } else { CELLS_FLAT };
         let edge_m = edge_m.unwrap_or(longest / usual);
-        // A share of a cell is rounding.
+        // A fraction of a cell this small is rounding.
         let count = |side: f64| (side / edge_m - 1e-9).ceil().max(1.0) as usize;
         Self { low_m: low_m.to_vec(), edge_m, counts: sides.into_iter().map(count).collect() }
     }
 
-    /// Those of the region of observations, with a margin.
+    /// The cells of the region of observations, with a margin.
     fn around(low_m: &[f64], high_m: &[f64], edge_m: Option<f64>) -> Self {
         let longest = low_m.iter().zip(high_m).map(|(low, high)| high - low).fold(0.0, f64::max);
         let greatest = low_m.iter().chain(high_m).fold(0.0_f64, |greatest, number| greatest.max(number.abs()));
-        // Never so little that it is lost beside the coordinates.
+        // Large enough not to be lost beside the coordinates.
         let longest = if longest > (1e-9 * greatest).max(1e-9) { longest } else { ONE_PLACE_M.max(1e-6 * greatest) };
         let margin = (MARGIN * longest).max(edge_m.unwrap_or(0.0));
         let low: Vec<f64> = low_m.iter().map(|low| low - margin).collect();
@@ -124,7 +124,7 @@ pub(super) async fn predict_positions(
     }))
 }
 
-/// The first axis of a vector, and how many there are.
+/// The first axis of a vector, and its number of axes.
 fn find_vector(view: &MapView, name: &str) -> Result<(StateId, Dimensions), RpcError> {
     match view.shape(name) {
         Some((first, StateShape::Vector(dimensions))) => Ok((first, dimensions)),
@@ -132,7 +132,7 @@ fn find_vector(view: &MapView, name: &str) -> Result<(StateId, Dimensions), RpcE
             let text = format!("{name:?} is a {} state, and only a vector has positions", shape.name());
             Err(InvalidField::new("state", text).into())
         }
-        // The error of a name that there is not.
+        // The error of an unknown name.
         None => find_state(view, name).map(|first| (first, Dimensions::Two)),
     }
 }
@@ -153,7 +153,7 @@ fn model_of(wire: Option<v1::ModelSelector>) -> Result<ModelKind, RpcError> {
     Ok(selector.kind)
 }
 
-/// The edge of a cell that was asked for.
+/// The given edge of a cell.
 fn edge_of(resolution_m: f64) -> Result<Option<f64>, RpcError> {
     match resolution_m {
         0.0 => Ok(None),
@@ -198,7 +198,7 @@ fn header(view: &MapView, first: StateId, model: &PositionModel, cells: &Cells) 
     v1::PredictPositionsResponse { message: Some(Message::Header(header)) }
 }
 
-/// Computes and sends the cells of each time, until nobody wants any more.
+/// Computes and sends the cells of each time, until the client is gone.
 fn tell(
     model: &PositionModel,
     cells: &Cells,
@@ -216,7 +216,7 @@ fn tell(
         found.truncate(top);
         let mut expected_m = at.mean();
         let mut outside = (1.0 - inside).clamp(0.0, 1.0);
-        // At least one piece, also where all lies outside.
+        // At least one piece, even if everything lies outside.
         let mut rest = found.as_slice();
         loop {
             let (piece, others) = rest.split_at(rest.len().min(CELLS_PER_REPLY));

@@ -1,7 +1,6 @@
-//! The exact observations of a state or a cell, gathered from wherever they are.
+//! The exact observations of a state or a cell, from history files, unsaved history and pending observations.
 //!
-//! Invariant: each observation is given once, whether it has been saved or not; ascending by time, of equal times in the
-//! order in which updates took them.
+//! Invariant: each observation comes once, saved or not; ascending by time, ties in the order of the updates.
 
 use std::{ops::Range, time::Duration};
 
@@ -22,21 +21,20 @@ use crate::{
     rpc::status::RpcError,
 };
 
-/// A running update that has what was asked for is waited for so long.
+/// How long to wait for a running update that has the observations.
 const UPDATE_WITHIN: Duration = Duration::from_secs(30);
 
-/// What is asked for.
+/// A question for readings.
 #[derive(Clone, Debug)]
 pub(super) struct ReadingsQuery {
-    /// Of which state or cell.
     pub subject: Subject,
     /// From the first instant up to but not including the last, nanoseconds UTC.
     pub within_nanos: Range<i64>,
-    /// Where there are more readings than this, no more are looked for.
+    /// Gathering stops after more readings than this.
     pub enough: usize,
 }
 
-/// How long a map keeps what is asked for; `None`: not at all.
+/// The retention of the subject's readings; `None`: none are kept.
 pub(super) fn retention(spec: &MapSpec, subject: Subject) -> Option<Retention> {
     let retention = match subject {
         Subject::State(_) => spec.retention,
@@ -45,7 +43,7 @@ pub(super) fn retention(spec: &MapSpec, subject: Subject) -> Option<Retention> {
     (retention != Retention::None).then_some(retention)
 }
 
-/// What the writer of a map knows of it: what has not been saved yet, and what no update has taken.
+/// The writer's part: pending observations, and history that is not saved.
 pub(super) async fn read(handle: &MapHandle, wanted: &ReadingsQuery) -> Result<HistoryTail, RpcError> {
     let (reply, tail) = oneshot::channel();
     let stopped = || RpcError::Ended(Ending::Shutdown);
@@ -53,7 +51,7 @@ pub(super) async fn read(handle: &MapHandle, wanted: &ReadingsQuery) -> Result<H
         subject: wanted.subject,
         from_nanos: wanted.within_nanos.start,
         to_nanos: wanted.within_nanos.end,
-        // One more than is enough says that there are too many.
+        // One more than enough shows that there are too many.
         at_most: wanted.enough.saturating_add(1),
         reply,
     };
@@ -66,7 +64,7 @@ pub(super) async fn read(handle: &MapHandle, wanted: &ReadingsQuery) -> Result<H
     }
 }
 
-/// The readings; where there are more than enough, some of them, and more than that, in no order.
+/// The readings; if there are more than `enough`, some of them, more than `enough`, unordered.
 pub(super) fn gather(
     history: &History,
     spec: &MapSpec,

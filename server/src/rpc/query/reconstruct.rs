@@ -1,7 +1,6 @@
-//! `Reconstruct`: what was observed, exactly.
+//! `Reconstruct`: the exact observations of the past.
 //!
-//! Invariant: each acknowledged observation of the interval is told once, whether an update has folded it in or not and
-//! whether that has been saved or not.
+//! Invariant: each acknowledged observation of the interval is sent once, learned or pending, saved or not.
 
 use std::{ops::Range, sync::Arc};
 
@@ -51,7 +50,7 @@ pub(super) async fn reconstruct(
     }))
 }
 
-/// What is asked of the past.
+/// A question about the past.
 #[derive(Clone, Debug)]
 pub(super) struct PastQuery {
     /// Name of a state or cell.
@@ -60,7 +59,7 @@ pub(super) struct PastQuery {
     pub(super) within_nanos: Range<i64>,
 }
 
-/// What gives the readings that were asked for, in a thread where it may wait, and the permits to hold meanwhile.
+/// A function that gathers the readings in a blocking thread, and the permits to hold meanwhile.
 pub(super) async fn past(
     queries: &Queries,
     handle: &Arc<MapHandle>,
@@ -118,7 +117,7 @@ async fn find_subject(view: &Arc<MapView>, name: &str) -> Result<Subject, RpcErr
     tile.map(|tile| Subject::Cell(tile, place)).ok_or_else(unknown)
 }
 
-/// How long the map keeps what is asked for.
+/// The retention of the subject.
 fn retention(spec: &MapSpec, subject: Subject) -> Result<Retention, RpcError> {
     let (what, option) = match subject {
         Subject::State(_) => ("states", "--retention"),
@@ -128,7 +127,7 @@ fn retention(spec: &MapSpec, subject: Subject) -> Result<Retention, RpcError> {
     readings::retention(spec, subject).ok_or_else(no_history)
 }
 
-/// The first update that left its observations of named states, and the greatest time of these.
+/// The first update that stored its observations of named states, and their greatest time.
 fn first_of_states(history: &History, tail: &HistoryTail) -> Result<Option<(u64, i64)>, RpcError> {
     let of_piece = |piece: &Arc<HistoryPiece>| {
         let samples = piece.states.iter().flat_map(|(_, samples)| samples);
@@ -138,8 +137,8 @@ fn first_of_states(history: &History, tail: &HistoryTail) -> Result<Option<(u64,
     Ok(history.first_of_states()?.or_else(unsaved))
 }
 
-/// From when on everything is kept of a map whose first updates may have left nothing; `None` where none was without.
-/// What those had folded in is older than the observations of the first that left its own, or than the last cut.
+/// The time from which everything is kept, if the first updates of the map stored no history; `None` if all did. What
+/// those updates learned is older than the observations of the first update with history, or than the last cut.
 fn kept_from(first: Option<(u64, i64)>, cut_nanos: Option<i64>) -> Option<i64> {
     match first {
         Some((0 | 1, _)) => None,

@@ -1,7 +1,7 @@
-//! Predictions of states and cells at many times, and what was learned of one.
+//! `PredictStates` and `DescribeModel`: predictions of states and cells at many times, and the model of one.
 //!
-//! Invariant: replies come by state, then by time. Where all times are one block, its phasors are computed once and
-//! shared by all states and cells. Who predicts by a model that there is does not wait for one that is being fitted.
+//! Invariant: replies come by state, then by time. If all times are one block, its phasors are computed once for all
+//! states and cells. Requests for existing models do not wait for a fit.
 
 use std::{ops::Range, sync::Arc};
 
@@ -42,14 +42,14 @@ use crate::{
 /// Times whose phasors are held at once: some 10 MB at 168 periodicities.
 const TIMES_PER_BLOCK: usize = 4096;
 
-/// Which of the names of a request: its index, and of a vector the axis, 1 for x.
+/// A name of a request: its index, and for a vector the axis, 1 for x.
 #[derive(Clone, Copy, Debug)]
 struct StateAxis {
     state_index: usize,
     axis: u32,
 }
 
-/// The names of a request, each vector as its axes.
+/// The names of a request, each vector replaced by its axes.
 fn by_axis(view: &MapView, names: Vec<String>) -> (Vec<StateAxis>, Vec<String>) {
     let mut places = Vec::with_capacity(names.len());
     let mut all = Vec::with_capacity(names.len());
@@ -70,13 +70,13 @@ fn by_axis(view: &MapView, names: Vec<String>) -> (Vec<StateAxis>, Vec<String>) 
     (places, all)
 }
 
-/// What a name stands for.
+/// The subject of a name.
 enum StateOrCell {
     State(StateId),
     Cell(CellIndex, Box<CellDescription>),
 }
 
-/// What names stand for, and the permit again. `field` gives the name of the field of each.
+/// The subjects of names, and the permit again. `field` gives the name of the field of each.
 async fn find_all(
     view: &Arc<MapView>,
     permit: OwnedSemaphorePermit,
@@ -93,7 +93,7 @@ async fn find_all(
         let named = names.iter().enumerate().map(find).collect::<Result<_, RpcError>>()?;
         Ok((named, permit))
     };
-    // A cell may have to be read from the disk. The permit lasts as long as that, even if nobody waits any more.
+    // A cell may have to be read from the disk. The permit is held until then, even if the client is gone.
     if any_cell { tokio::task::spawn_blocking(find).await.map_err(|_| RpcError::Stopping)? } else { find() }
 }
 
@@ -145,8 +145,8 @@ pub(super) async fn predict_states(
     }))
 }
 
-/// Predicts by models that are fitted to the states' readings, one state after the other. Others predict while a model is
-/// being fitted.
+/// Predicts by models that are fitted to the states' readings, one state after the other. The permit is free during a
+/// fit.
 fn predict_fitted(
     queries: &Queries,
     handle: Arc<MapHandle>,
@@ -178,7 +178,7 @@ fn predict_fitted(
     })
 }
 
-/// Predicts one state by a fitted model. `false`: nobody wants any more.
+/// Predicts one state by a fitted model. `false`: the client is gone.
 fn predict_one(
     view: &MapView,
     (place, id): (StateAxis, StateId),
@@ -203,7 +203,7 @@ fn predict_one(
     })
 }
 
-/// Computes the replies until all are taken or nobody takes them.
+/// Computes the replies until all are sent or the client is gone.
 fn predict(
     view: &MapView,
     named: &[(StateAxis, StateOrCell)],
@@ -255,12 +255,12 @@ fn predict(
     }
 }
 
-/// Times by block.
+/// Blocks of times.
 fn blocks(times: usize) -> Vec<Range<usize>> {
     (0..times).step_by(TIMES_PER_BLOCK).map(|start| start..times.min(start + TIMES_PER_BLOCK)).collect()
 }
 
-/// What else a reply says of a state: its kind, the order of its model, its observations and what was seen last.
+/// The other facts of a reply: the state's kind, the order of its model, its observations and its last value.
 struct About {
     kind: StateKind,
     order: usize,

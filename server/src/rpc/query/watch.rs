@@ -1,7 +1,7 @@
-//! `WatchAnomalies`: what is observed and not expected, as it comes.
+//! `WatchAnomalies`: unexpected observations, as they arrive.
 //!
-//! Invariant: nothing that a watcher does or leaves undone slows the writer, and what waits for one is bounded: what it
-//! does not take in time is counted as missed. Judging has permits of its own, which leave processors to everybody else.
+//! Invariant: a watcher never slows the writer, and a bounded number of observations wait for it: what it does not read
+//! in time is counted as missed. Judging has its own permits, which leave processors free.
 
 use std::{collections::HashSet, sync::Arc, time::Duration};
 
@@ -43,12 +43,12 @@ use crate::{
 const REPLIES_AHEAD: usize = 2;
 /// Anomalies of one reply.
 const ANOMALIES_PER_REPLY: usize = 1024;
-/// A reply is waited for so long to be taken. Longer than elsewhere: a watch is for people, who stop and read.
+/// A reply waits this long for its reader. Longer than elsewhere, because people watch, and pause.
 const READ_WITHIN: Duration = Duration::from_secs(300);
 
 type Sender = mpsc::Sender<Result<v1::WatchAnomaliesResponse, Status>>;
 
-/// Room for watches.
+/// Limits of watches.
 #[derive(Debug)]
 pub(super) struct Watches {
     places: Arc<Semaphore>,
@@ -57,7 +57,7 @@ pub(super) struct Watches {
 }
 
 impl Watches {
-    /// So many at once.
+    /// At most `max` at once.
     pub(super) fn new(max: usize) -> Self {
         let max = max.min(Semaphore::MAX_PERMITS);
         let permits = Arc::new(Semaphore::new((processors() / 2).max(1)));
@@ -90,7 +90,7 @@ pub(super) async fn watch_anomalies(
     let permits = Arc::clone(&queries.watches.permits);
     let watch = Watch { handle, watched, confidence, selector, permits, told, missed: 0 };
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD + 1);
-    // Its place is taken now: there is none when the reader is slow.
+    // Reserved now: when the reader is slow, there is no room for the last reply.
     let last_word = replies.clone().try_reserve_owned().map_err(|_| RpcError::Stopping)?;
     tokio::spawn(async move {
         let _place = place;
@@ -101,7 +101,7 @@ pub(super) async fn watch_anomalies(
     Ok(ReceiverStream::new(stream))
 }
 
-/// The states that are watched; `None`: all, those that are yet to come included.
+/// The watched states; `None`: all, including future ones.
 fn watched(view: &MapView, names: &[String]) -> Result<Option<HashSet<StateId>>, RpcError> {
     let find = |(i, name): (usize, &String)| match CellIndex::from_name(name) {
         Some(_) => {
@@ -114,7 +114,7 @@ fn watched(view: &MapView, names: &[String]) -> Result<Option<HashSet<StateId>>,
     Ok((!states.is_empty()).then_some(states))
 }
 
-/// What was observed of which state.
+/// A reading of a state.
 type StateReading = (StateId, Reading);
 
 struct Watch {
@@ -123,14 +123,14 @@ struct Watch {
     confidence: Confidence,
     selector: ModelSelector,
     permits: Arc<Semaphore>,
-    /// How many observations were told before the next.
+    /// Number of observations before the next piece.
     told: u64,
-    /// Those of them that were not judged since the last reply.
+    /// Observations that were not judged since the last reply.
     missed: u64,
 }
 
 impl Watch {
-    /// Tells anomalies until nobody listens any more, which is no error, or there is nothing more to tell.
+    /// Sends anomalies until the client leaves, which is no error, or the map stops.
     async fn run(mut self, mut listening: FeedReceiver, replies: &Sender) -> Result<(), RpcError> {
         loop {
             let told = tokio::select! {
@@ -142,7 +142,7 @@ impl Watch {
                     FeedMessage::Applied(applied) => self.judge(applied).await?,
                     FeedMessage::End(ending) => return Err(RpcError::Ended(ending.clone())),
                 },
-                // The next piece says how many observations these were.
+                // The next piece has the number of missed observations.
                 Err(RecvError::Lagged(_)) => continue,
                 Err(RecvError::Closed) => return Err(RpcError::Stopping),
             };
@@ -152,7 +152,7 @@ impl Watch {
         }
     }
 
-    /// The anomalies among observations that were applied, in their order.
+    /// The anomalies among applied observations, in their order.
     async fn judge(&mut self, applied: &FeedPiece) -> Result<Vec<(StateId, Anomaly)>, RpcError> {
         let count = applied.states.len() as u64;
         self.missed += applied.before.saturating_sub(self.told);
@@ -174,14 +174,14 @@ impl Watch {
         tokio::task::spawn_blocking(judge).await.map_err(|_| RpcError::Stopping)
     }
 
-    /// The observations of the states that are watched.
+    /// The observations of the watched states.
     fn observed(&self, applied: &FeedPiece) -> Vec<StateReading> {
         let is_watched = |state: &StateId| self.watched.as_ref().is_none_or(|watched| watched.contains(state));
         let readings = applied.times_nanos.iter().copied().zip(applied.values.iter().copied());
         applied.states.iter().copied().zip(readings).filter(|(state, _)| is_watched(state)).collect()
     }
 
-    /// Tells anomalies, and how many observations were missed. `false`: nobody listens any more.
+    /// Sends anomalies, and the number of missed observations. `false`: the client is gone.
     async fn reply(&mut self, found: &[(StateId, Anomaly)], replies: &Sender) -> Result<bool, RpcError> {
         let mut pieces: Vec<_> = found.chunks(ANOMALIES_PER_REPLY).collect();
         if pieces.is_empty() && self.missed > 0 {
@@ -212,7 +212,7 @@ impl Watch {
     }
 }
 
-/// The anomalies among observations of several states, in their order. Those of a state are judged together.
+/// The anomalies among observations of several states, in their order. The observations of a state are judged together.
 fn unexpected(
     models: &MapView,
     observed: &[StateReading],

@@ -1,7 +1,7 @@
-//! What is to be expected of the edges of a map at any time, for routes, policies and whoever asks.
+//! Forecasts of the edges of a map at any time, for routes and policies.
 //!
-//! Invariant: all of it is of one view. Success is predicted by the model that was asked for, speeds by the one that the last
-//! update chose.
+//! Invariant: all forecasts are of one view. Success is predicted by the requested model, speeds by the model that the
+//! last update chose.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -22,10 +22,10 @@ use crate::{
 };
 use tidemap_proto::convert::route::later;
 
-/// The edges of a map, ready to be asked for any time.
+/// The edges of a map, ready for forecasts.
 pub(super) struct Edges {
     edges: EdgeForecasts,
-    /// Place of each edge's success among the states of the predictor.
+    /// Index of each edge's success among the states of the predictor.
     places: HashMap<StateId, usize>,
     predictor: Predictor,
 }
@@ -49,7 +49,7 @@ impl Edges {
         Ok(Edges { edges, places, predictor })
     }
 
-    /// What is to be expected of an edge at a time in nanoseconds UTC.
+    /// The forecast of an edge at a time in nanoseconds UTC.
     pub(super) fn forecast(&self, edge: &Edge, time_nanos: i64) -> EdgeForecast {
         let success = |id: StateId, times: &PreparedTimes| {
             self.places.get(&id).map_or(f64::NAN, |&place| self.predictor.at_prepared(place, times))
@@ -57,13 +57,13 @@ impl Edges {
         self.edges.forecast_with(edge, time_nanos, success)
     }
 
-    /// How often an edge was reported.
+    /// Number of reports of an edge.
     pub(super) fn reports(&self, edge: EdgeId) -> u64 {
         self.edges.reports(edge)
     }
 }
 
-/// Edges as a plan asks for them, in seconds after a reference time in nanoseconds UTC.
+/// The forecasts for a planner, in seconds after a reference time in nanoseconds UTC.
 pub(super) struct Ahead<'a> {
     pub(super) edges: &'a Edges,
     pub(super) reference_nanos: i64,

@@ -7,7 +7,6 @@ use tidemap_plan::{policy::PolicyError, route::PlanRouteError, search::SearchErr
 use tidemap_proto::convert::route::POLICY_CELLS_MAX;
 use tonic::Code;
 
-/// Why there is no walk.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum RouteError {
     #[error("map {0:?} has no nodes: load a topological map, with `tidemap topology load`")]
@@ -72,7 +71,7 @@ impl RouteError {
     }
 }
 
-/// Code and reason of an edit that is refused.
+/// Code and reason of a refused edit.
 pub(in crate::rpc) fn refusal_of(error: &TopologyError) -> (Code, &'static str) {
     match error {
         TopologyError::UnknownNode(_) | TopologyError::UnknownNodeId(_) => (Code::NotFound, "UNKNOWN_NODE"),

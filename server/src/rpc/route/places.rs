@@ -1,6 +1,6 @@
-//! Nodes and the states that tell who is at them.
+//! Nodes, and the states that say whether the target is there.
 //!
-//! Invariant: a place is a node whose state was observed, and is a probability.
+//! Invariant: a place is a node whose state was observed and is a probability.
 
 use std::sync::Arc;
 
@@ -15,17 +15,17 @@ use tidemap_proto::convert::InvalidField;
 use super::{Routes, error::RouteError};
 use crate::rpc::status::RpcError;
 
-/// Nodes that a message names.
+/// Maximum number of nodes in a message.
 const NODES_SHOWN: usize = 10;
-/// Nodes without observations that a reply names.
+/// Maximum number of unobserved nodes in a reply.
 const UNOBSERVED_SHOWN: usize = 1_000;
 
-/// Name of the state that tells whether who is looked for is at a node.
+/// Name of the state that says whether the target is at a node.
 pub(super) fn state_at(node: &str, object: &str) -> String {
     if object.is_empty() { node.to_owned() } else { format!("node/{node}/{object}") }
 }
 
-/// A node, or an error that names some that there are.
+/// A node, or an error that lists some existing ones.
 pub(super) fn find_node(map: &str, topology: &Topology, name: &str) -> Result<NodeId, RouteError> {
     if topology.nodes().len() == 0 {
         return Err(RouteError::NoNodes(map.to_owned()));
@@ -37,7 +37,7 @@ pub(super) fn find_node(map: &str, topology: &Topology, name: &str) -> Result<No
     })
 }
 
-/// Nodes to look at with the states that tell who is there, and those of which nothing was observed.
+/// The nodes to search with their states, and those without observations.
 #[derive(Default)]
 pub(super) struct Places {
     pub(super) nodes: Vec<NodeId>,
@@ -73,10 +73,10 @@ impl Places {
         Ok(places)
     }
 
-    /// The places for who or what is called `object`; empty for the default kind.
+    /// The places of `object`; empty for the default kind.
     ///
     /// # Errors
-    /// There are none, or one's state is no probability, or there is no such kind.
+    /// There are none, a state is not a probability, or `object` is invalid.
     pub(super) async fn asked(
         routes: &Routes,
         map: &str,

@@ -1,6 +1,6 @@
-//! `PlanRoute`, `PlanPolicy` and `PredictEdges`: the ways of a map at a time.
+//! `PlanRoute`, `PlanPolicy` and `PredictEdges`: routes, policies and edge forecasts.
 //!
-//! Invariant: each edge is predicted for when the robot reaches it, and everything of an answer is of one view.
+//! Invariant: each edge is predicted for the time when the robot reaches it, and an answer is of one view.
 
 use std::{
     sync::{
@@ -38,7 +38,7 @@ use super::{
 };
 use crate::rpc::{lookup::find_map, status::RpcError};
 
-/// Most edges that are told of at once.
+/// Maximum number of edges of a reply.
 const EDGES_TOLD_MAX: usize = 100_000;
 
 pub(super) async fn plan_route(
@@ -72,7 +72,7 @@ pub(super) async fn plan_route(
     Ok(routes.run_blocking(work).await??)
 }
 
-/// A planner's refusal in the words of who asked: names for numbers.
+/// Replaces the node numbers in a planner's error by names.
 fn with_node_names(error: PlanRouteError, (from, to): (String, String), reference_nanos: i64) -> RouteError {
     match error {
         PlanRouteError::Unreachable { .. } => RouteError::NoWay { from, to },

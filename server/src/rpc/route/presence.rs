@@ -1,6 +1,6 @@
-//! `PredictPresence` and `NextJoint`: who is where, and when several are likely all at once.
+//! `PredictPresence` and `NextJoint`: where the target is, and when several states are 1 at once.
 //!
-//! Invariant: persons, objects and nodes count as independent; a share is of what is expected at all nodes together.
+//! Invariant: persons, objects and nodes are independent; a share is relative to the sum over all nodes.
 
 use tidemap_plan::search::{anyone, next_above};
 use tidemap_proto::{
@@ -77,7 +77,7 @@ pub(super) async fn next_joint(
         states.push(id);
     }
     let mut best = (times[0], -1.0);
-    // Later blocks need not be predicted where an earlier one passes the threshold.
+    // Later blocks are predicted only if no earlier one passes the threshold.
     for block in times.chunks(TIMES_PER_BLOCK) {
         let rows = predict_series(routes.predict_context(), &handle, &view, (states.clone(), block.to_vec()), selector)
             .await?;

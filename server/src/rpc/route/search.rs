@@ -1,6 +1,6 @@
-//! `PlanSearch`: where to look first for somebody.
+//! `PlanSearch`: in which order to search the nodes for the target.
 //!
-//! Invariant: a goal is a node whose state was observed; the probabilities, the nodes and the ways are of one view.
+//! Invariant: a goal is a node whose state was observed; the probabilities, the nodes and the routes are of one view.
 
 use std::{
     sync::{
@@ -38,7 +38,7 @@ use crate::rpc::{
     status::RpcError,
 };
 
-/// Tells work that nobody waits for it any more, when dropped.
+/// Cancels work when it is dropped.
 pub(super) struct CancelOnDrop(pub(super) Arc<AtomicBool>);
 
 impl Drop for CancelOnDrop {
@@ -47,7 +47,7 @@ impl Drop for CancelOnDrop {
     }
 }
 
-/// What a search may ask for, before anything is predicted for it.
+/// Checks the number of goals before anything is predicted.
 fn check_count(found: usize, effort: Effort, for_arrival: bool) -> Result<(), SearchError> {
     if effort == Effort::Exact && found > EXACT_GOALS_MAX {
         return Err(SearchError::TooManyForExact { found });

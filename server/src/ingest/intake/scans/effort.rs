@@ -1,7 +1,7 @@
-//! What casting rays takes, told before it is done, and the permits in which it is done.
+//! The cost of ray-casting, estimated in advance, and the permits for expensive casts.
 //!
-//! Invariant: no more casts that are much work run at a time than there are processors, in all streams together; those
-//! that wait get their permits in the order in which they asked.
+//! Invariant: at most as many expensive casts run at a time as there are processors, in all streams together; waiting
+//! casts get their permits in order.
 
 use std::sync::{Condvar, LazyLock, Mutex, MutexGuard, PoisonError};
 
@@ -16,7 +16,7 @@ use super::RAY_CELLS_MAX;
 #[cfg(test)]
 mod tests;
 
-/// Cells that rays pass at most, looked up by range alone.
+/// An upper bound of the cells that rays pass, from their ranges alone.
 #[derive(Debug)]
 pub(super) struct RayCells {
     per_metre: f64,
@@ -25,18 +25,18 @@ pub(super) struct RayCells {
 
 impl RayCells {
     pub(super) fn new(spec: &GridSpec) -> RayCells {
-        // A ray passes as many borders along each axis as it is long there, and one more.
+        // Along each axis a ray passes one border per cell length, and one more.
         let per_metre = 3f64.sqrt() / spec.resolution_m;
         let across = spec.allowed().size().iter().fold(1u64, |sum, size| sum.saturating_add(*size));
         RayCells { per_metre, most: across.min(RAY_CELLS_MAX) as f64 }
     }
 
     fn of(&self, ranges: impl Iterator<Item = f64>, max_range_m: f64) -> u64 {
-        // What is not a number is no reading, and what is below 0 is none that is believed.
+        // NaN is no reading, and negative ranges are ignored.
         ranges.map(|range| (range.min(max_range_m).max(0.0) * self.per_metre + 4.0).min(self.most)).sum::<f64>() as u64
     }
 
-    /// Of a part of a scan as sent. Its limits may be those of another part.
+    /// Of a part of a scan as sent. The limits may be in another part.
     pub(super) fn of_part(&self, part: &Content) -> u64 {
         match part {
             Content::Cloud(cloud) => self.of(points(&cloud.xyz_m), f64::INFINITY),
@@ -45,7 +45,7 @@ impl RayCells {
         }
     }
 
-    /// Of a scan that one message has as a whole.
+    /// Of a scan that is complete in one message.
     pub(super) fn of_content(&self, content: &Content) -> u64 {
         let bound = |max: f32| if max > 0.0 { f64::from(max) } else { f64::INFINITY };
         match content {
@@ -55,7 +55,7 @@ impl RayCells {
         }
     }
 
-    /// Of readings that are to be cast.
+    /// Of readings that will be ray-cast.
     pub(super) fn of_readings(&self, readings: &Readings) -> u64 {
         let max = readings.max_range_m.map_or(f64::INFINITY, f64::from);
         match &readings.rays {
@@ -76,11 +76,11 @@ fn numbers(ranges_m: &[f32]) -> impl Iterator<Item = f64> + '_ {
     ranges_m.iter().map(|&range| f64::from(range)).filter(|range| !range.is_nan())
 }
 
-/// CastPermits of all streams of the process.
+/// The permits of the process, for all streams.
 static PERMITS: LazyLock<CastPermits> =
     LazyLock::new(|| CastPermits::new(std::thread::available_parallelism().map_or(1, std::num::NonZero::get)));
 
-/// Waits for a permit at casting; it ends when what is given is dropped. Not to be called where tasks run.
+/// Waits for a permit; dropping it gives it back. Do not call on async threads.
 pub(super) fn permit() -> CastPermit<'static> {
     PERMITS.take()
 }
@@ -94,12 +94,12 @@ struct CastPermits {
 #[derive(Debug)]
 struct Queue {
     free: usize,
-    /// The number of the one that asks next, and of the one that is served next.
+    /// The number of the next cast that asks, and of the next that is served.
     next: u64,
     first: u64,
 }
 
-/// A permit that is being had.
+/// A permit for one expensive cast.
 #[derive(Debug)]
 pub(super) struct CastPermit<'a>(&'a CastPermits);
 
@@ -122,7 +122,7 @@ impl CastPermits {
         queue.free -= 1;
         queue.first += 1;
         drop(queue);
-        // There may be room for the next one too.
+        // There may be a permit for the next one too.
         self.moved.notify_all();
         CastPermit(self)
     }

@@ -1,6 +1,6 @@
-//! Models of positions, fitted as those of states are.
+//! Models of positions, fitted like those of states.
 //!
-//! Invariant: all axes are gathered as one view knows them, so that each position is whole.
+//! Invariant: all axes are gathered from one view, so that each position is complete.
 
 use std::sync::Arc;
 
@@ -14,10 +14,10 @@ use crate::{
 };
 
 impl ModelFitter {
-    /// The model of a vector, of which these are all axes: the one that is kept, or else one that is fitted now.
+    /// The model of a vector with these axes, from the cache or fitted now.
     ///
     /// # Errors
-    /// [`RpcError::ModelUnavailable`] where there can be no such model; others where the readings cannot be read.
+    /// [`RpcError::ModelUnavailable`] if there can be no such model; others if the readings cannot be read.
     pub(in crate::rpc::query) async fn position_model(
         self: &Arc<Self>,
         axes: Vec<Arc<LearnedState>>,
@@ -25,7 +25,7 @@ impl ModelFitter {
     ) -> Result<Arc<PositionModel>, RpcError> {
         let first = axes.first().ok_or(RpcError::Stopping)?;
         self.check(first, kind)?;
-        if first.folded() == 0 {
+        if first.observations() == 0 {
             return Err(first.unavailable(kind, ModelUnavailable::Unlearned));
         }
         let (map, generation, state) = (first.handle.id, first.view.generation(), first.id);
@@ -34,7 +34,7 @@ impl ModelFitter {
             return Ok(model);
         }
         let this = Arc::clone(self);
-        // A task of its own: where this request goes away, others may wait for the same model.
+        // A task of its own: if this request is dropped, others may wait for the same model.
         let task = tokio::spawn(async move { this.positions.get_or_fit(key, this.fit_positions(&axes, kind)).await });
         task.await.map_err(|_| RpcError::Stopping)?
     }
