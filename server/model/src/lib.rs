@@ -72,35 +72,29 @@ pub const ORDER_MAX: usize = 15;
 
 /// Why stored parts were refused: they cannot have come from this crate's `to_parts`.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidParts {
     /// A spectrum has an entry per candidate periodicity, or none where nothing was observed.
     #[error("the spectrum has {found} entries, expected {expected}")]
     SpectrumLength {
-        /// Entries that the periodicities and the number of observations ask for.
         expected: usize,
-        /// Entries found.
         found: usize,
     },
     /// A number is not finite, or outside the range that its meaning allows.
     #[error("{field} is {found}, outside its range")]
     OutOfRange {
-        /// The field in question.
         field: &'static str,
-        /// Its value.
         found: f64,
     },
     /// The first observation is later than the last.
     #[error("the first observation, {first_nanos} ns, is later than the last, {last_nanos} ns")]
     TimesReversed {
-        /// UTC, nanoseconds since 1970.
         first_nanos: i64,
-        /// UTC, nanoseconds since 1970.
         last_nanos: i64,
     },
     /// More components or a higher order than [`ORDER_MAX`].
     #[error("order {found} is above {ORDER_MAX}")]
     OrderTooHigh {
-        /// The order or number of components found.
         found: usize,
     },
 }

@@ -102,6 +102,7 @@ impl<'a> Readings<'a> {
 
 /// Why a model could not be fitted.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum CannotFit {
     /// There are no readings.
     #[error("there are no observations to fit it to")]
@@ -109,11 +110,8 @@ pub enum CannotFit {
     /// A parameter is outside its range.
     #[error("{parameter} is {found}, expected {expected}")]
     Parameter {
-        /// The parameter.
         parameter: &'static str,
-        /// Its value.
         found: f64,
-        /// What would be right.
         expected: &'static str,
     },
     /// The readings are not regular, and the model needs them to be.
@@ -122,11 +120,8 @@ pub enum CannotFit {
          the one at {at_secs} (Unix seconds) comes {after_secs} s after the one before; spectral needs no regular ones"
     )]
     Irregular {
-        /// The median of the time between readings, in seconds.
         interval_secs: f64,
-        /// When the first reading was made that is not at its time, in seconds since 1970.
         at_secs: f64,
-        /// How long after the one before, in seconds.
         after_secs: f64,
     },
 }

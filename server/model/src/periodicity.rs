@@ -37,31 +37,26 @@ pub enum PeriodicityDefinition {
 
 /// Why periodicities were refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidPeriodicities {
     /// Too few or too many.
     #[error("{found} periodicities, expected 1 to {COUNT_MAX}")]
     Count {
-        /// How many were given.
         found: usize,
     },
     /// A period, or for harmonics the shortest one, is too short or too long.
     #[error("periodicity {index} has a period of {} s, expected 1 s to {} s (100 years)",
         *period_nanos as f64 / 1e9, PERIOD_MAX_NANOS / NANOS_PER_SEC)]
     Period {
-        /// Index of the periodicity, from 0.
         index: usize,
-        /// Its period in nanoseconds, rounded down.
         period_nanos: i64,
     },
     /// Two periods are equal.
     #[error("periodicities {first} and {second} both have a period of {} s, expected no two equal",
         *period_nanos as f64 / 1e9)]
     Repeated {
-        /// Index of one, from 0.
         first: usize,
-        /// Index of the other.
         second: usize,
-        /// The period of both in nanoseconds.
         period_nanos: i64,
     },
 }

@@ -17,19 +17,17 @@ const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 
 /// Why a day cannot be planned.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum DayError {
     /// Slots that suit no day.
     #[error("a slot of {} s does not suit a day of {} h: use one from 60 s to the day", secs(*slot_nanos), secs(*day_nanos) / 3600.0)]
     Slot {
-        /// Length of a slot asked for.
         slot_nanos: i64,
-        /// Length of the day.
         day_nanos: i64,
     },
     /// A date that the zone's clocks skipped, or outside what can be told.
     #[error("{day} has no hours in this time zone")]
     NoSuchDay {
-        /// The date.
         day: LocalDay,
     },
     /// No schedule can be made.

@@ -132,6 +132,7 @@ impl PolicyTable {
 
 /// Why there is no policy.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum PolicyError {
     /// The map has no such node.
     #[error("there is no node of number {0}")]
@@ -139,27 +140,20 @@ pub enum PolicyError {
     /// A number of the question is out of range.
     #[error("{what} is {found}: expected {expected}")]
     Range {
-        /// Which.
         what: &'static str,
-        /// What was given.
         found: f64,
-        /// What would be right.
         expected: String,
     },
     /// More states than are solved for.
     #[error("{nodes} nodes in {slots} slots: at most {POLICY_STATES_MAX} of both together; take fewer, wider slots")]
     TooManyStates {
-        /// Nodes of the map.
         nodes: usize,
-        /// Slots.
         slots: usize,
     },
     /// It was told to stop.
     #[error("the policy was stopped with {left} of {slots} slots left; allow it more, or take fewer slots")]
     Stopped {
-        /// Slots that were not solved.
         left: usize,
-        /// Slots of the question.
         slots: usize,
     },
     /// A forecast is out of range.

@@ -52,6 +52,7 @@ impl Default for PredictOptions {
 
 /// Why a grid is not predicted.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum PredictError {
     /// The map has named states alone.
     #[error("the map has no grid")]
@@ -65,9 +66,7 @@ pub enum PredictError {
     /// The region is too large.
     #[error("the region takes {cells} cells with its border, and may take {max}: ask for a smaller region")]
     TooManyCells {
-        /// How many it has.
         cells: u128,
-        /// How many it may.
         max: u64,
     },
     /// Too many cells change, at too many times.
@@ -75,9 +74,7 @@ pub enum PredictError {
         "the cells that change take more than {max} values at {times} times: ask for fewer times or a smaller region"
     )]
     TooManyValues {
-        /// Times asked for.
         times: usize,
-        /// How many values there may be.
         max: u64,
     },
     /// The grid's own properties are wrong.

@@ -92,6 +92,7 @@ impl Default for SearchOptions {
 
 /// Why there is no plan.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum SearchError {
     /// Nothing to look at.
     #[error("there is nowhere to look: give at least one node with a probability")]
@@ -105,9 +106,7 @@ pub enum SearchError {
     /// A probability is none.
     #[error("the probability at node number {node} is {found}: expected 0 to 1")]
     Probability {
-        /// The node.
         node: u32,
-        /// What was given.
         found: f64,
     },
     /// The floor is no probability, or 0.
@@ -121,21 +120,17 @@ pub enum SearchError {
         "the best order of {found} places was asked for: at most {EXACT_GOALS_MAX} are possible; ask for a good one"
     )]
     TooManyForExact {
-        /// Reachable goals.
         found: usize,
     },
     /// More goals than are searched.
     #[error("a search of {found} places: at most {most} are possible; leave out unlikely ones")]
     TooMany {
-        /// Goals.
         found: usize,
-        /// How many may be.
         most: usize,
     },
     /// No goal can be reached.
     #[error("none of the places can be reached from node number {start}")]
     Unreachable {
-        /// Where the search begins.
         start: u32,
     },
 }

@@ -58,6 +58,7 @@ pub enum Budget {
 
 /// Why no schedule can be made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum StrategyError {
     /// Nothing to schedule.
     #[error("there are no slots: a schedule needs at least one")]
@@ -68,47 +69,36 @@ pub enum StrategyError {
     /// More than is worked out at once.
     #[error("{slots} slots times {places} places is more than {GAINS_MAX}: use longer slots or fewer places")]
     TooMany {
-        /// Slots.
         slots: usize,
-        /// Places.
         places: usize,
     },
     /// A gain that is none.
     #[error("the gain of place {place} in slot {slot} is {found}, expected a number from 0 to {GAIN_MAX:e}")]
     Gain {
-        /// In which slot.
         slot: usize,
-        /// Of which place.
         place: usize,
-        /// Its gain; NaN where it was a probability outside 0 to 1.
         found: f64,
     },
     /// A ratio outside its range.
     #[error("the exploration ratio is {found}, expected a number from 0 to 1")]
     Ratio {
-        /// What was given.
         found: f64,
     },
     /// More visits than slots.
     #[error("{visits} visits do not fit into {slots} slots: ask for at most {slots}")]
     Budget {
-        /// Asked for.
         visits: usize,
-        /// There are.
         slots: usize,
     },
     /// A weight outside its range.
     #[error("the weight of exploration is {found}, expected a number from 0 to 1")]
     Weight {
-        /// What was given.
         found: f64,
     },
     /// Two matrices that do not belong together.
     #[error("gains have {} slots and {} places, the task's {} and {}", expected.0, expected.1, found.0, found.1)]
     Sizes {
-        /// Slots and places of the gains.
         expected: (usize, usize),
-        /// Of the task.
         found: (usize, usize),
     },
 }

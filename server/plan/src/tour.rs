@@ -32,11 +32,11 @@ pub use question::{GOALS_MAX, Suppression, TourEnd, TourError, TourQuestion};
 
 /// Why a tour has no goal.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum NoTour {
     /// The robot cannot be where it is, nor near enough.
     #[error("nothing within {tolerance_m} m of the start is free for the robot")]
     StartBlocked {
-        /// How far was looked, metres.
         tolerance_m: f64,
     },
     /// No candidate can be driven to and looked from.
@@ -48,9 +48,7 @@ pub enum NoTour {
     /// No goal fits into the time.
     #[error("the time for the tour is {budget_secs} s, and the nearest goal alone takes {least_secs} s")]
     Budget {
-        /// How long it may take, seconds.
         budget_secs: f64,
-        /// How long it takes to the nearest chosen goal and to the end, looking included, seconds.
         least_secs: f64,
     },
 }

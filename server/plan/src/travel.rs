@@ -44,29 +44,24 @@ impl Default for TravelOptions {
 
 /// Why nobody can be told where a robot can drive.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidTravel {
     /// The heights are no range.
     #[error("heights {min_m} to {max_m} m: both must be finite, and the second above the first")]
     Heights {
-        /// Lower end, metres.
         min_m: f64,
-        /// Upper end, metres.
         max_m: f64,
     },
     /// No cell of the region lies at these heights.
     #[error("no cell of the region lies at heights from {min_m} to {max_m} m")]
     NoCell {
-        /// Lower end, metres.
         min_m: f64,
-        /// Upper end, metres.
         max_m: f64,
     },
     /// The radius is no length that makes sense.
     #[error("radius {radius_m} m: it must be between 0 and {max_m} m on this grid")]
     Radius {
-        /// The radius.
         radius_m: f64,
-        /// The largest that there may be.
         max_m: f64,
     },
     /// The threshold is no probability.

@@ -58,13 +58,12 @@ impl Default for Sensor {
 
 /// Why a sensor is none.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidSensor {
     /// The range is not a length that makes sense.
     #[error("range {range_m} m: it must be above 0 and at most {max_m} m on this grid")]
     Range {
-        /// The range.
         range_m: f64,
-        /// The longest that there may be.
         max_m: f64,
     },
     /// The field of view is too narrow, or not a number.
@@ -81,9 +80,7 @@ pub enum InvalidSensor {
         "the rays of this sensor would pass {cells:.0} cells, and may pass {max:.0}: shorten its range or narrow its view"
     )]
     TooFine {
-        /// How many they would pass, about.
         cells: f64,
-        /// How many they may.
         max: f64,
     },
 }
@@ -133,6 +130,7 @@ pub struct Viewpoint {
 
 /// Why nobody can look from a place.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum ViewError {
     /// A coordinate or the yaw is not a number.
     #[error("viewpoint ({}, {}, {:?}) m with yaw {} rad: its numbers must be finite", .0.x_m, .0.y_m, .0.z_m, .0.yaw_rad)]
@@ -140,21 +138,15 @@ pub enum ViewError {
     /// The place lies outside the region that is predicted.
     #[error("viewpoint ({x_m}, {y_m}, {z_m}) m lies outside the region of interest")]
     Outside {
-        /// In the map's frame, metres.
         x_m: f64,
-        /// In the map's frame, metres.
         y_m: f64,
-        /// In the map's frame, metres.
         z_m: f64,
     },
     /// The place is probably occupied.
     #[error("viewpoint ({x_m}, {y_m}) m lies in cell ({}, {}, {}), which is probably occupied", .cell.x, .cell.y, .cell.z)]
     Occupied {
-        /// In the map's frame, metres.
         x_m: f64,
-        /// In the map's frame, metres.
         y_m: f64,
-        /// The cell.
         cell: CellIndex,
     },
 }

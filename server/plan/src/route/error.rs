@@ -8,6 +8,7 @@ use super::{
 
 /// Why there is no route.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum PlanRouteError {
     /// The map has no such node.
     #[error("there is no node of number {0}")]
@@ -17,21 +18,15 @@ pub enum PlanRouteError {
         "no way leads from node number {from} to node number {to}; {closed} edges were closed when they were reached"
     )]
     Unreachable {
-        /// Where the route begins.
         from: u32,
-        /// Where it would end.
         to: u32,
-        /// Edges that had no forecast at a time at which they could have been entered.
         closed: usize,
     },
     /// All ways take too long.
     #[error("no way from node number {from} to node number {to} takes at most {horizon_secs} s; raise the horizon")]
     BeyondHorizon {
-        /// Where the route begins.
         from: u32,
-        /// Where it would end.
         to: u32,
-        /// The longest that was allowed, in seconds.
         horizon_secs: f64,
     },
     /// No departure is early enough.
@@ -39,31 +34,24 @@ pub enum PlanRouteError {
         "no departure from {earliest_secs} s on is expected to arrive by {by_secs} s; allow an earlier one, or arrive later"
     )]
     TooLate {
-        /// The earliest departure, in seconds after the reference time.
         earliest_secs: f64,
-        /// The latest arrival.
         by_secs: f64,
     },
     /// The search ended before it had found a way.
     #[error("the search was stopped after {labels} partial routes and had found no way; allow it more")]
     CutOff {
-        /// Partial routes that were looked at.
         labels: usize,
     },
     /// A number of the question is out of range.
     #[error("{what} is {found}: expected {expected}")]
     Range {
-        /// Which.
         what: &'static str,
-        /// What was given.
         found: f64,
-        /// What would be right.
         expected: String,
     },
     /// More departures than are tried.
     #[error("{found} departures: at most {DEPARTURES_MAX} are tried; take wider steps")]
     TooManyDepartures {
-        /// How many there would be.
         found: f64,
     },
     /// A forecast is out of range.

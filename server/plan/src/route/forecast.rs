@@ -38,31 +38,26 @@ impl<F: FnMut(&Edge, f64) -> Option<EdgeForecast>> Forecasts for F {
 
 /// Why a forecast is not used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum ForecastError {
     /// A success is no probability that could be waited for.
     #[error(
         "edge {edge} succeeds with probability {found}: expected {SUCCESS_MIN} to 1; one that never does is to be closed"
     )]
     Success {
-        /// Names of both ends.
         edge: String,
-        /// What was forecast.
         found: f64,
     },
     /// A duration is no time.
     #[error("edge {edge} would take {found} s: expected above 0 s, at most {NOMINAL_MAX_SECS} s")]
     Duration {
-        /// Names of both ends.
         edge: String,
-        /// What was forecast, in seconds.
         found: f64,
     },
     /// The evidence is none.
     #[error("the success of edge {edge} is worth {found} observations: expected above 0")]
     Evidence {
-        /// Names of both ends.
         edge: String,
-        /// What was given.
         found: f64,
     },
 }

@@ -104,25 +104,20 @@ impl Default for TourQuestion {
 
 /// Why a question about a tour is refused.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum TourError {
     /// A number makes no sense.
     #[error("{what} {value}: it must be {right}")]
     Number {
-        /// What it is.
         what: &'static str,
-        /// Its value.
         value: f64,
-        /// What would be right.
         right: &'static str,
     },
     /// The start lies outside the region that is predicted.
     #[error("start ({x_m}, {y_m}) m lies outside the region of interest, or the sensor at {z_m} m does")]
     Outside {
-        /// In the map's frame, metres.
         x_m: f64,
-        /// In the map's frame, metres.
         y_m: f64,
-        /// Height of the sensor in the map's frame, metres.
         z_m: f64,
     },
     /// The grid of candidates is too fine for its region.
@@ -130,11 +125,8 @@ pub enum TourError {
         "candidates {spacing_m} m apart are {candidates:.0}, and may be {max}: set them farther apart or ask for a smaller region"
     )]
     TooManyCandidates {
-        /// Their distance.
         spacing_m: f64,
-        /// How many there are.
         candidates: f64,
-        /// How many there may be.
         max: usize,
     },
     /// The sensor is none.

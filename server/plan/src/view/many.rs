@@ -34,19 +34,16 @@ impl Default for ViewLimits {
 
 /// Why many looks are not taken.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
 pub enum TooMuchWork {
     /// They would cost too much.
     #[error(
         "{views} views at {times} times pass {work} cells, and may pass {max}: ask for fewer views or times, or a shorter range"
     )]
     Work {
-        /// Viewpoints.
         views: usize,
-        /// Times.
         times: usize,
-        /// What it would cost.
         work: u128,
-        /// What it may.
         max: u64,
     },
     /// The sensor is none.
