@@ -1,8 +1,8 @@
 //! The sums over a state's observations from which its spectral model follows.
 //!
-//! n, S = Σ s, Σ s², A_k = Σ s·e^(-jω_k t), B_k = Σ e^(-jω_k t) (design after T-RO eq. 11, which keeps
-//! running means instead). Invariant: sums commute, so γ_k does not depend on order or batching
-//! beyond 1e-9; the spectrum is empty exactly when nothing was observed.
+//! n, S = Σ s, Σ s², A_k = Σ s·e^(-jω_k t), B_k = Σ e^(-jω_k t) (design after T-RO eq. 11, which keeps running means
+//! instead). Invariant: sums commute, so γ_k does not depend on order or batching beyond 1e-9; the spectrum is empty if
+//! and only if there are no observations.
 
 use pulp::Arch;
 
@@ -15,7 +15,7 @@ use fold::CHUNK;
 #[cfg(test)]
 mod tests;
 
-/// All observations together never count less than this.
+/// The total weight never falls below this.
 const WEIGHT_MIN: f64 = 1e-9;
 
 /// Sums over the observations of one state.
@@ -30,9 +30,9 @@ pub struct Accumulator {
 pub struct AccumulatorParts {
     /// Number of observations n.
     pub observations: u64,
-    /// How much they count together: n, or less where older ones count less.
+    /// Total weight: n, or less with forgetting.
     pub weight: f64,
-    /// Sum of values S, each as much as it counts, like all sums here.
+    /// Sum of values S, weighted like all sums here.
     pub sum: f64,
     /// Sum of squared values.
     pub sum_squares: f64,
@@ -45,12 +45,12 @@ pub struct AccumulatorParts {
 }
 
 impl Accumulator {
-    /// No observations yet, of a probability.
+    /// Empty sums of a probability.
     pub fn new(_periodicities: &Periodicities) -> Accumulator {
         Accumulator::of_kind(StateKind::Probability)
     }
 
-    /// No observations yet, of a state of that kind.
+    /// Empty sums of a state of the given kind.
     pub fn of_kind(kind: StateKind) -> Accumulator {
         Accumulator { kind, parts: AccumulatorParts::default() }
     }
@@ -65,12 +65,12 @@ impl Accumulator {
         self.parts.observations
     }
 
-    /// How much the observations count together: n, or less where older ones count less.
+    /// Total weight of the observations: n, or less with forgetting.
     pub fn weight(&self) -> f64 {
         self.parts.weight
     }
 
-    /// Mean value μ = S/n; where nothing was observed 0.5 of a probability, else 0.
+    /// Mean value μ = S/n. Without observations 0.5 for a probability, else 0.
     pub fn mean(&self) -> f64 {
         if self.parts.observations == 0 {
             return self.kind.unlearned();
@@ -107,8 +107,7 @@ impl Accumulator {
         &self.parts.spectrum
     }
 
-    /// Folds observations in, in any order and batching. The periodicities must be those that the
-    /// accumulator began with.
+    /// Adds observations, in any order and batching. The periodicities must be the same in every call.
     pub fn add(&mut self, periodicities: &Periodicities, samples: &[Sample]) {
         let parts = &mut self.parts;
         if let (0, Some(sample)) = (parts.observations, samples.first()) {
@@ -117,7 +116,7 @@ impl Accumulator {
         }
         let arch = Arch::new();
         for chunk in samples.chunks(CHUNK) {
-            // Sums of a chunk first: a long sum then takes far fewer roundings.
+            // Each chunk is summed on its own first: a long sum then has far fewer roundings.
             let (mut sum, mut sum_squares) = (0.0, 0.0);
             for sample in chunk {
                 sum += sample.value;
@@ -133,11 +132,11 @@ impl Accumulator {
         }
     }
 
-    /// Makes all that was folded in so far count `factor` times as much, above 0 and at most 1: forgetting. Their number
-    /// and their span stay.
+    /// Forgetting: multiplies the weight of all data learned so far by `factor`, above 0 and at most 1. Number and span
+    /// of the observations stay.
     pub(crate) fn fade(&mut self, factor: f64) {
         let parts = &mut self.parts;
-        // Never so little that nothing is left to divide by.
+        // A weight of 0 could not be divided by.
         let factor = factor.clamp(0.0, 1.0).max(WEIGHT_MIN / parts.weight.max(WEIGHT_MIN));
         parts.weight *= factor;
         parts.sum *= factor;
@@ -147,7 +146,7 @@ impl Accumulator {
         }
     }
 
-    /// Folds in what another has folded in.
+    /// Adds the sums of another accumulator.
     pub(crate) fn merge(&mut self, other: &Accumulator) {
         if self.parts.observations == 0 {
             self.parts = other.parts.clone();
@@ -168,12 +167,12 @@ impl Accumulator {
         }
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> AccumulatorParts {
         self.parts.clone()
     }
 
-    /// An accumulator of a probability from what was stored.
+    /// The accumulator of a probability from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where the spectrum does not fit the periodicities or a number is outside its range.
@@ -181,7 +180,7 @@ impl Accumulator {
         Accumulator::from_parts_of(StateKind::Probability, periodicities, parts)
     }
 
-    /// An accumulator of a state of that kind from what was stored.
+    /// The accumulator of a state of the given kind from stored parts.
     ///
     /// # Errors
     /// As [`Accumulator::from_parts`].

@@ -31,7 +31,7 @@ impl LocalDay {
     /// The date written as `YYYY-MM-DD`; `None` where there is no such date.
     pub fn parse(text: &str) -> Option<LocalDay> {
         let date: jiff::civil::Date = text.parse().ok()?;
-        // Nothing but the date, in one spelling.
+        // Only the date, in one spelling.
         let day = i32::try_from(date.duration_since(jiff::civil::date(1970, 1, 1)).as_secs() / SECS_PER_DAY).ok()?;
         Some(LocalDay(day)).filter(|day| day.to_string() == text)
     }
@@ -58,7 +58,7 @@ impl fmt::Display for LocalDay {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("unknown time zone {name:?}; expected an IANA name such as Europe/London")]
 pub struct UnknownZone {
-    /// The name that was asked for.
+    /// The requested name.
     pub name: String,
 }
 
@@ -134,8 +134,8 @@ impl Zone {
         self.rules.preceding(after).next().map(|change| change.timestamp().as_second())
     }
 
-    /// A cache that answers [`Zone::offset_secs`] in constant time while the moments asked for lie
-    /// between the same two changes of offset.
+    /// A cache that returns [`Zone::offset_secs`] in constant time while the moments lie between the same two changes
+    /// of offset.
     pub fn offset_cache(&self) -> OffsetCache {
         OffsetCache { zone: self.clone(), from_nanos: 0, until_nanos: 0, offset_secs: 0 }
     }

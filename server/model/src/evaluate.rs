@@ -23,28 +23,27 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
-    /// Counts one observation and what was predicted for it. Of values that are no probabilities the squared error alone
-    /// means something.
+    /// Counts one observation and its prediction. For values that are not probabilities only the squared error is
+    /// meaningful.
     pub fn add(&mut self, predicted: f64, value: f64) {
         self.observations += 1;
         self.squared_error += (predicted - value) * (predicted - value);
         self.wrong += u64::from((predicted >= 0.5) != (value >= 0.5));
     }
 
-    /// Mean squared error, in the square of the value's unit, of probabilities 0 to 1; 0 where there are no
-    /// observations.
+    /// Mean squared error in the squared unit of the value (0 to 1 for probabilities); 0 without observations.
     pub fn mse(&self) -> f64 {
         self.squared_error / self.observations.max(1) as f64
     }
 
-    /// Share of wrong predictions, 0 to 1; 0 where there are no observations.
+    /// Share of wrong predictions, 0 to 1; 0 without observations.
     pub fn error_rate(&self) -> f64 {
         self.wrong as f64 / self.observations.max(1) as f64
     }
 }
 
 /// The errors of a model of a probability on samples, one [`Evaluation`] per order 0..=`max_order`; orders above
-/// [`ORDER_MAX`] are left out.
+/// [`ORDER_MAX`] are omitted.
 pub fn evaluate(
     model: &SpectralModel,
     periodicities: &Periodicities,
@@ -60,7 +59,8 @@ pub fn evaluate(
     (0..=max_order.min(ORDER_MAX)).map(of_order).collect()
 }
 
-/// The errors of every order, summed over the samples; of a state that is no probability, nothing is counted as wrong.
+/// The errors of every order, summed over the samples; for a state that is not a probability, nothing is counted as
+/// wrong.
 pub(crate) fn score_samples(
     kind: StateKind,
     model: &SpectralModel,

@@ -1,4 +1,4 @@
-//! What the value of a state means, and so which values it may have.
+//! The kinds of states: what a value means, and which values are allowed.
 //!
 //! Invariant: the values of every kind are finite and lie in its bounds, so that no sum over them overflows.
 
@@ -7,7 +7,7 @@ use std::ops::RangeInclusive;
 #[cfg(test)]
 mod tests;
 
-/// The largest magnitude of a value that is no probability.
+/// The largest magnitude of a value that is not a probability.
 pub const VALUE_MAX: f64 = 1e12;
 
 /// What the value of a state means. It is fixed when the state is created. A position
@@ -24,10 +24,10 @@ pub enum StateKind {
 }
 
 impl StateKind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [StateKind; 3] = [StateKind::Probability, StateKind::Continuous, StateKind::Count];
 
-    /// As people write it.
+    /// The name in commands and messages.
     pub fn name(self) -> &'static str {
         match self {
             StateKind::Probability => "probability",
@@ -36,7 +36,7 @@ impl StateKind {
         }
     }
 
-    /// What observations and predictions lie in; predictions of counts are means, and need not be whole.
+    /// The bounds of observations and predictions. Predictions of counts are means and need not be whole numbers.
     pub fn bounds(self) -> RangeInclusive<f64> {
         match self {
             StateKind::Probability => 0.0..=1.0,
@@ -45,12 +45,12 @@ impl StateKind {
         }
     }
 
-    /// Whether an observation may have this value; NaN and infinities never may.
+    /// Whether an observation may have this value; never NaN or infinite.
     pub fn allows(self, value: f64) -> bool {
         self.bounds().contains(&value) && (self != StateKind::Count || value.fract() == 0.0)
     }
 
-    /// What [`StateKind::allows`], in words: "… is not" goes before it.
+    /// What [`StateKind::allows`], in words, for a message that ends "… is not".
     pub fn expected(self) -> &'static str {
         match self {
             StateKind::Probability => "between 0 and 1",
@@ -59,13 +59,13 @@ impl StateKind {
         }
     }
 
-    /// The nearest number in the bounds; of NaN what is answered where nothing was learned.
+    /// The nearest number in the bounds; for NaN the prediction of an untrained state.
     pub fn saturate(self, value: f64) -> f64 {
         let bounds = self.bounds();
         if value.is_nan() { self.unlearned() } else { value.clamp(*bounds.start(), *bounds.end()) }
     }
 
-    /// What is answered where nothing was learned: 0.5 of a probability, else 0.
+    /// The prediction of an untrained state: 0.5 for a probability, else 0.
     pub fn unlearned(self) -> f64 {
         if self == StateKind::Probability { 0.5 } else { 0.0 }
     }

@@ -1,10 +1,10 @@
 //! Temporal models of one state: at which times it has which value.
 //!
-//! The models are FreMEn, Frequency Map Enhancement: Krajník et al., "FreMEn: Frequency Map
-//! Enhancement for Long-Term Mobile Robot Autonomy in Changing Environments", T-RO 2017 ("T-RO"), and
-//! Santos et al., "Lifelong Information-Driven Exploration to Complete and Refine 4-D Spatio-Temporal
-//! Maps", RA-L 2016 ("RA-L"). A state is anything with a value over time, a probability or, by its [`StateKind`],
-//! another number: a door, a cell, an edge, the speed of people at a place. This crate knows nothing of where a state is, of other states, of files or of the network.
+//! The models are FreMEn, Frequency Map Enhancement: Krajník et al., "FreMEn: Frequency Map Enhancement for Long-Term
+//! Mobile Robot Autonomy in Changing Environments", T-RO 2017 ("T-RO"), and Santos et al., "Lifelong Information-Driven
+//! Exploration to Complete and Refine 4-D Spatio-Temporal Maps", RA-L 2016 ("RA-L"). A state is anything with a value
+//! over time, a probability or, by its [`StateKind`], another number: a door, a cell, an edge, the speed of people at a
+//! place. This crate knows nothing of where a state is, of other states, of files or of the network.
 //!
 //! Invariants: no I/O, no clock, no randomness; a sum over observations does not depend on their
 //! order or on how they were batched (to 1e-9); every prediction lies in the bounds of its state's kind, `[0,1]` of a
@@ -76,27 +76,16 @@ pub const ORDER_MAX: usize = 15;
 pub enum InvalidParts {
     /// A spectrum has an entry per candidate periodicity, or none where nothing was observed.
     #[error("the spectrum has {found} entries, expected {expected}")]
-    SpectrumLength {
-        expected: usize,
-        found: usize,
-    },
+    SpectrumLength { expected: usize, found: usize },
     /// A number is not finite, or outside the range that its meaning allows.
     #[error("{field} is {found}, outside its range")]
-    OutOfRange {
-        field: &'static str,
-        found: f64,
-    },
+    OutOfRange { field: &'static str, found: f64 },
     /// The first observation is later than the last.
     #[error("the first observation, {first_nanos} ns, is later than the last, {last_nanos} ns")]
-    TimesReversed {
-        first_nanos: i64,
-        last_nanos: i64,
-    },
+    TimesReversed { first_nanos: i64, last_nanos: i64 },
     /// More components or a higher order than [`ORDER_MAX`].
     #[error("order {found} is above {ORDER_MAX}")]
-    OrderTooHigh {
-        found: usize,
-    },
+    OrderTooHigh { found: usize },
 }
 
 impl InvalidParts {

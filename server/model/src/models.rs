@@ -1,7 +1,7 @@
 //! The temporal models of one state, behind one small interface.
 //!
-//! Each model is fitted to the readings of one state and answers what to expect at a moment. Which of them predicts best is
-//! for held-out error to say. Invariant: whatever the readings, a prediction is finite.
+//! Each model is fitted to the readings of one state and predicts its value at a moment. The held-out error decides
+//! which of them is used. Invariant: for all readings, a prediction is finite.
 
 mod alarm;
 mod calibrated;
@@ -41,7 +41,7 @@ pub use uniform::{UniformSpectral, UniformSpectralParts};
 
 use crate::{Sample, civil::NANOS_PER_SEC};
 
-/// A moment, with the local time that people lived by.
+/// A moment with its local time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Moment {
     /// UTC, nanoseconds since 1970.
@@ -58,7 +58,7 @@ impl Moment {
 }
 
 impl Sample {
-    /// When it was made.
+    /// The moment of the observation.
     pub fn moment(&self) -> Moment {
         Moment { utc_nanos: self.utc_nanos, offset_secs: self.offset_secs }
     }
@@ -66,33 +66,33 @@ impl Sample {
 
 /// The interface of all temporal models.
 pub trait TemporalModel {
-    /// The value to expect at a moment: of a state that is a probability or binary a probability, in `[0,1]`.
+    /// The predicted value at a moment; for a probability or a binary state it is in `[0,1]`.
     fn predict(&self, at: Moment) -> f64;
 }
 
-/// What a model is fitted to: the readings of one state.
+/// The training data of a model: the readings of one state.
 #[derive(Clone, Copy, Debug)]
 pub struct Readings<'a> {
     /// Ascending by UTC time, values finite; equal times may occur.
     pub samples: &'a [Sample],
-    /// A reading that is this much older than the newest counts half, in seconds; `None`: all count alike.
+    /// A reading that is this many seconds older than the newest counts half; `None`: all have equal weight.
     pub half_life_secs: Option<f64>,
 }
 
 impl<'a> Readings<'a> {
-    /// Readings that all count alike.
+    /// Readings of equal weight.
     pub fn new(samples: &'a [Sample]) -> Readings<'a> {
         Readings { samples, half_life_secs: None }
     }
 
-    /// How much each reading counts, in `(0,1]`, in the order of the samples: 0.5^(age / half-life), the newest 1.
+    /// The weight of each reading, in `(0,1]`, in the order of the samples: 0.5^(age / half-life), the newest 1.
     pub fn weights(self) -> impl Iterator<Item = f64> + use<'a> {
         let newest_nanos = self.samples.last().map_or(0, |sample| sample.utc_nanos);
         let half_life_secs = self.half_life_secs;
         self.samples.iter().map(move |sample| match half_life_secs {
             Some(half_life_secs) if half_life_secs > 0.0 => {
                 let age_secs = newest_nanos.abs_diff(sample.utc_nanos) as f64 / 1e9;
-                // Not 0, however old: an only reading still says something.
+                // Above 0 for any age: a single reading still counts.
                 0.5_f64.powf(age_secs / half_life_secs).max(f64::MIN_POSITIVE)
             }
             _ => 1.0,
@@ -109,19 +109,11 @@ pub enum CannotFit {
     NoReadings,
     /// A parameter is outside its range.
     #[error("{parameter} is {found}, expected {expected}")]
-    Parameter {
-        parameter: &'static str,
-        found: f64,
-        expected: &'static str,
-    },
+    Parameter { parameter: &'static str, found: f64, expected: &'static str },
     /// The readings are not regular, and the model needs them to be.
     #[error(
         "it needs regular observations, none missing, each within 1 % of its time: these are {interval_secs} s apart, but \
          the one at {at_secs} (Unix seconds) comes {after_secs} s after the one before; spectral needs no regular ones"
     )]
-    Irregular {
-        interval_secs: f64,
-        at_secs: f64,
-        after_secs: f64,
-    },
+    Irregular { interval_secs: f64, at_secs: f64, after_secs: f64 },
 }

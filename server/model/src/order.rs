@@ -1,16 +1,16 @@
 //! Choosing the model order: how well each order has predicted what was observed after it was fitted.
 //!
-//! T-RO section IV.B, with memory: a day's errors fade by 7 % a day, so that neither one odd day nor
-//! the distant past decides. Invariant: the error sums are finite and not negative.
+//! T-RO section IV.B, with memory: a day's errors fade by 7 % a day, so that neither one unusual day nor the distant
+//! past decides. Invariant: the error sums are finite and not negative.
 
 use crate::{InvalidParts, LocalDay, ORDER_MAX};
 
 #[cfg(test)]
 mod tests;
 
-/// What a day's errors keep per local day that passes.
+/// The share of a day's errors that remains after each further local day.
 pub(crate) const KEPT_PER_DAY: f64 = 0.93;
-/// A lower order wins where its error exceeds the lowest by no more than this factor.
+/// A lower order is preferred if its error exceeds the lowest by at most this factor.
 const NEAR_TIE: f64 = 1.001;
 
 /// Which error of a prediction counts when the order is chosen.
@@ -39,8 +39,8 @@ pub struct OrderErrorsParts {
 }
 
 impl OrderErrors {
-    /// Takes in the summed errors of a day's observations per order, after older errors have faded by
-    /// 0.93 for each local day since. A day no later than the last adds without fading.
+    /// Adds the summed errors of a day's observations per order, after older errors have faded by 0.93 for each local
+    /// day since. A day that is not later than the last one is added without fading.
     pub fn record(&mut self, day: LocalDay, errors: &[f64; ORDER_MAX + 1]) {
         let last_day = self.parts.last_day.unwrap_or(day);
         let elapsed_days = (i64::from(day.0) - i64::from(last_day.0)).max(0);
@@ -51,12 +51,12 @@ impl OrderErrors {
         self.parts.last_day = Some(day.max(last_day));
     }
 
-    /// Makes what was recorded so far count less.
+    /// Forgetting: lowers the weight of the errors recorded so far.
     pub(crate) fn fade(&mut self, factor: f64) {
         self.parts.sums.iter_mut().for_each(|sum| *sum *= factor);
     }
 
-    /// The order with the lowest error; the lowest of those within 0.1 % of it.
+    /// The lowest order whose error is within 0.1 % of the lowest error.
     pub fn best(&self) -> usize {
         let lowest = self.parts.sums.iter().copied().fold(f64::INFINITY, f64::min);
         self.parts.sums.iter().position(|&sum| sum <= lowest * NEAR_TIE).unwrap_or(0)
@@ -72,12 +72,12 @@ impl OrderErrors {
         self.parts.last_day
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> OrderErrorsParts {
         self.parts
     }
 
-    /// Errors from what was stored.
+    /// Errors from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where a sum is negative or not finite.

@@ -1,8 +1,8 @@
 //! Candidate periodicities Ω: the periods that a model looks for, and the phase of a time in each.
 //!
-//! A time is reduced modulo a period in integer nanoseconds before it becomes f64: at today's dates
-//! f64 seconds would step by 2e-7 s and harmonics would multiply the fault.
-//! Invariant: 1..=2048 periods of 1 s to 100 years, no two equal.
+//! A time is reduced modulo a period in integer nanoseconds before it becomes f64: at today's dates f64 seconds have a
+//! resolution of 2e-7 s, and harmonics would multiply this error. Invariant: 1..=2048 periods of 1 s to 100 years, no
+//! two equal.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ const PERIOD_MAX_NANOS: i64 = 36_525 * 86_400 * NANOS_PER_SEC;
 const WEEK_NANOS: i64 = 7 * 86_400 * NANOS_PER_SEC;
 const WEEK_HARMONICS: u32 = 168;
 
-/// How candidate periodicities were given.
+/// How candidate periodicities are defined.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PeriodicityDefinition {
     /// The periods base/1, base/2, … base/count; T-RO section III.C.
@@ -35,30 +35,21 @@ pub enum PeriodicityDefinition {
     },
 }
 
-/// Why periodicities were refused.
+/// Why periodicities are invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidPeriodicities {
     /// Too few or too many.
     #[error("{found} periodicities, expected 1 to {COUNT_MAX}")]
-    Count {
-        found: usize,
-    },
+    Count { found: usize },
     /// A period, or for harmonics the shortest one, is too short or too long.
     #[error("periodicity {index} has a period of {} s, expected 1 s to {} s (100 years)",
         *period_nanos as f64 / 1e9, PERIOD_MAX_NANOS / NANOS_PER_SEC)]
-    Period {
-        index: usize,
-        period_nanos: i64,
-    },
+    Period { index: usize, period_nanos: i64 },
     /// Two periods are equal.
     #[error("periodicities {first} and {second} both have a period of {} s, expected no two equal",
         *period_nanos as f64 / 1e9)]
-    Repeated {
-        first: usize,
-        second: usize,
-        period_nanos: i64,
-    },
+    Repeated { first: usize, second: usize, period_nanos: i64 },
 }
 
 /// Candidate periodicities Ω. Cheap to clone.
@@ -73,7 +64,7 @@ struct PeriodicityTable {
     cycles: Cycles,
 }
 
-/// What the kernels run on.
+/// The representation that the kernels use.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Cycles {
     /// Periodicity k turns k + 1 times as fast as the base.
@@ -124,12 +115,12 @@ impl Periodicities {
         Periodicities { inner: Arc::new(inner) }
     }
 
-    /// How the periodicities were given; enough to make them again.
+    /// The definition; enough to create them again.
     pub fn definition(&self) -> &PeriodicityDefinition {
         &self.inner.definition
     }
 
-    /// How many there are, 1..=2048.
+    /// Number of periodicities, 1..=2048.
     pub fn len(&self) -> usize {
         match &self.inner.cycles {
             Cycles::Harmonics { count, .. } => *count,
@@ -230,7 +221,7 @@ impl Cycle {
         let quotient = ((u128::from(magnitude) * u128::from(self.reciprocal)) >> 64) as u64;
         let estimate = magnitude - quotient * self.period;
         let remainder = if estimate >= self.period { estimate - self.period } else { estimate };
-        // Nearest turn, so that times just before a full turn keep their precision.
+        // Reduced to the nearest turn, so that times just before a full turn keep their precision.
         let centred =
             if remainder > self.period / 2 { remainder as i64 - self.period as i64 } else { remainder as i64 };
         let turns = centred as f64 * self.turns_per_nano;

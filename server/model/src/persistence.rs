@@ -1,4 +1,4 @@
-//! Persistence: how long a state tends to keep its value, and what the last observation still says.
+//! Persistence: how long a state tends to keep its value, and how much the last observation still matters.
 //!
 //! Unlike the spectral model it depends on the order of arrival: only observations newer than the
 //! last one count. Invariant: 1/τ is finite and not negative, and the last value is one that the state's kind allows.
@@ -8,7 +8,7 @@ use crate::{InvalidParts, StateKind};
 #[cfg(test)]
 mod tests;
 
-/// τ before anything was observed, which keeps the weight of one pair of observations.
+/// The prior of τ, with the weight of one pair of observations.
 const PRIOR_TAU_SECS: f64 = 3600.0;
 
 /// The persistence model of one state, T-RO section III.D.
@@ -29,8 +29,8 @@ pub struct PersistenceParts {
 }
 
 impl Persistence {
-    /// Takes in an observation with a value that the state's kind allows; one that is not newer than the last changes
-    /// nothing (T-RO eq. 12).
+    /// Learns an observation whose value the state's kind allows. An observation that is not newer than the last one
+    /// changes nothing (T-RO eq. 12).
     pub fn observe(&mut self, utc_nanos: i64, value: f64) {
         if let Some((last_nanos, last_value)) = self.parts.last {
             if utc_nanos <= last_nanos {
@@ -54,15 +54,15 @@ impl Persistence {
     }
 
     /// [`Persistence::tau_secs`] of a state whose values change by `change` rather than by 1, such as from one standard
-    /// deviation below their mean to one above it: changes count in units of it. One that is not above 0 and finite
-    /// counts as 1.
+    /// deviation below their mean to one above it: changes are measured in units of `change`. A `change` that is not
+    /// above 0 and finite counts as 1.
     pub fn tau_secs_of(&self, change: f64) -> f64 {
         let change = if change > 0.0 && change.is_finite() { change } else { 1.0 };
         (1.0 + self.parts.pairs as f64) / (1.0 / PRIOR_TAU_SECS + self.parts.change_rate_sum / change)
     }
 
-    /// The long-term prediction `p` for a time, drawn towards the last observed value by how recent it
-    /// is (T-RO eq. 13). For a time before the last observation it is `p`.
+    /// The long-term prediction `p` for a time, shrunk towards the last observed value by how recent it is (T-RO eq.
+    /// 13). For a time before the last observation the result is `p`.
     pub fn blend(&self, p: f64, utc_nanos: i64) -> f64 {
         self.blend_of(1.0, p, utc_nanos)
     }
@@ -78,12 +78,12 @@ impl Persistence {
         }
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> PersistenceParts {
         self.parts
     }
 
-    /// A model of a probability from what was stored.
+    /// The model of a probability from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range.
@@ -91,7 +91,7 @@ impl Persistence {
         Persistence::from_parts_of(StateKind::Probability, parts)
     }
 
-    /// A model of a state of that kind from what was stored.
+    /// The model of a state of the given kind from stored parts.
     ///
     /// # Errors
     /// As [`Persistence::from_parts`].

@@ -1,4 +1,4 @@
-//! Phasors e^(jωt) of many times, computed once and shared by every state that is predicted at them.
+//! Phasors e^(jωt) of many times, computed once and shared by all states that are predicted at these times.
 //!
 //! Layout: one row per periodicity, one entry per time, cosine and sine apart, so that kernels run
 //! with one time per lane. Invariant: entries are within 1e-11 of the exact cosine and sine.
@@ -28,7 +28,7 @@ pub struct PhasorTable {
     civil_nanos: Vec<i64>,
     /// The periodicities held, ascending.
     held: Vec<u32>,
-    /// A row per periodicity held.
+    /// One row per periodicity held.
     cos: AlignedRows,
     sin: AlignedRows,
 }
@@ -49,8 +49,8 @@ impl PhasorTable {
         table
     }
 
-    /// Phasors in the chosen periodicities alone, in any order. A periodicity that does not exist gets
-    /// phasors of 0, so that it adds nothing to any sum.
+    /// Phasors in the chosen periodicities alone, in any order. A periodicity that does not exist gets phasors of 0,
+    /// which add nothing to any sum.
     pub fn only(periodicities: &Periodicities, civil_nanos: &[i64], chosen: &[u32]) -> PhasorTable {
         let mut held = chosen.to_vec();
         held.sort_unstable();
@@ -71,7 +71,7 @@ impl PhasorTable {
         }
     }
 
-    /// Fills each row on its own, one sincos an entry.
+    /// Fills each row independently, with one sincos per entry.
     fn fill_rows(&mut self) {
         let mut turns = vec![0.0; self.civil_nanos.len()];
         if let Cycles::Harmonics { base, .. } = self.periodicities.cycles() {
@@ -115,7 +115,7 @@ impl PhasorTable {
     /// Cosines and sines of all times in periodicity `k`, counted from 0; `None` where it is not held.
     #[inline]
     pub fn row(&self, k: u32) -> Option<(&[f64], &[f64])> {
-        // In a complete table, and wherever else it can, the row is the index.
+        // In a complete table the row is the index.
         let row = match self.held.get(k as usize) {
             Some(&held) if held == k => Some(k as usize),
             _ => self.held.binary_search(&k).ok(),
@@ -199,8 +199,8 @@ impl WithSimd for FillRow<'_> {
     }
 }
 
-/// Cosine and sine of a multiple of each phase. A function, since a closure might not be inlined and
-/// would then be compiled without the vector instructions.
+/// Cosine and sine of a multiple of each phase. This is a function because a closure might not be inlined, and would
+/// then be compiled without vector instructions.
 #[inline(always)]
 fn multiple<S: Simd>(simd: S, factor: S::f64s, turns: S::f64s) -> (S::f64s, S::f64s) {
     unit_phasor(simd, nearest_turn(simd, simd.mul_f64s(factor, turns)))

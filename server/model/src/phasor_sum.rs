@@ -36,7 +36,7 @@ impl PhasorSum {
         PhasorSum { parts: vec![0.0; 2 * periodicities.len()].into_boxed_slice() }
     }
 
-    /// A sum from what was stored.
+    /// A sum from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] unless there are two finite numbers per periodicity.
@@ -61,7 +61,7 @@ impl PhasorSum {
         self.parts.split_at(self.parts.len() / 2)
     }
 
-    /// Memory held, in bytes.
+    /// Memory, in bytes.
     pub fn bytes(&self) -> usize {
         size_of::<PhasorSum>() + size_of_val(&*self.parts)
     }
@@ -76,7 +76,7 @@ impl PhasorSum {
         Arch::new().dispatch(AddRow { sum: &mut self.parts, row });
     }
 
-    /// Takes a row of the same layout away. Where the row is shorter than the sum, the rest stays.
+    /// Subtracts a row of the same layout. Where the row is shorter than the sum, the rest stays.
     pub fn subtract_row(&mut self, row: &[f64]) {
         Arch::new().dispatch(SubtractRow { sum: &mut self.parts, row });
     }
@@ -167,7 +167,7 @@ impl WithSimd for AddDifference<'_> {
 pub struct RunningSums {
     /// Number of periodicities K.
     periodicities: usize,
-    /// Times in the chunk; there is a row more.
+    /// Times in the chunk; there is one row more.
     times: usize,
     rows: AlignedRows,
 }
@@ -179,20 +179,20 @@ impl RunningSums {
         RunningSums { periodicities, times: 0, rows: AlignedRows::zeros(1, 2 * periodicities) }
     }
 
-    /// Begins again from zeros, before the first time.
+    /// Resets to zeros, before the first time.
     pub fn reset(&mut self) {
         self.times = 0;
         self.rows.row_mut(0).fill(0.0);
     }
 
-    /// Moves on to the next chunk of times: its row 0 is the last row there was, and each time of the
-    /// table gives one more. A periodicity that the table does not hold stays as it was.
+    /// Continues with the next chunk of times: its row 0 is the last row of the previous chunk, and each time of the
+    /// table adds one row. A periodicity that the table does not hold keeps its sum.
     pub fn extend_chunk(&mut self, phasors: &PhasorTable) {
         self.extend::<false>(phasors, &[]);
     }
 
-    /// As [`RunningSums::extend_chunk`], each time counting as much as its weight: row i becomes Σ w·e^(-jω_k t). The
-    /// weights are finite, of either sign, one per time; times beyond them count as 0.
+    /// As [`RunningSums::extend_chunk`] with weights: row i becomes Σ w·e^(-jω_k t). The weights are finite, of either
+    /// sign, one per time; missing weights are 0.
     pub fn extend_weighted(&mut self, phasors: &PhasorTable, weights: &[f64]) {
         self.extend::<true>(phasors, weights);
     }
@@ -206,7 +206,7 @@ impl RunningSums {
         self.rows.row_mut(0).copy_from_slice(&last);
         let (cos, sin): (Vec<_>, Vec<_>) =
             (0..self.periodicities).map(|k| phasors.row(k as u32).unwrap_or_default()).unzip();
-        // Few rows at a time, so that those written to are all within reach of one translation cache.
+        // Few rows at a time, so that all written rows fit into the translation cache (TLB).
         for at in (0..self.times).step_by(STRIP) {
             let strip = at..self.times.min(at + STRIP);
             for (group, (cos, sin)) in cos.chunks(TILE).zip(sin.chunks(TILE)).enumerate() {
@@ -276,7 +276,7 @@ impl RunningSums {
         self.times == 0
     }
 
-    /// Memory held, in bytes.
+    /// Memory, in bytes.
     pub fn bytes(&self) -> usize {
         size_of::<RunningSums>() + self.rows.bytes()
     }

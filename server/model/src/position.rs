@@ -1,7 +1,7 @@
 //! Positions: values that have two or three coordinates.
 //!
-//! Invariant: a position has as many coordinates as its dimensions say. Whether an observation may have it is asked with
-//! [`Position::invalid_coordinate`], for what is wrong comes from outside.
+//! Invariant: a position has as many coordinates as its dimensions say. [`Position::invalid_coordinate`] checks the
+//! values, because they come from outside.
 
 use crate::StateKind;
 
@@ -18,15 +18,15 @@ pub enum Dimensions {
 }
 
 impl Dimensions {
-    /// Both of them.
+    /// Both dimensions.
     pub const ALL: [Dimensions; 2] = [Dimensions::Two, Dimensions::Three];
 
-    /// So many; `None` where that is neither 2 nor 3.
+    /// The dimensions of a number of coordinates; `None` unless it is 2 or 3.
     pub fn of(count: usize) -> Option<Dimensions> {
         Self::ALL.into_iter().find(|dimensions| dimensions.count() == count)
     }
 
-    /// How many: 2 or 3.
+    /// The number of coordinates: 2 or 3.
     pub fn count(self) -> usize {
         match self {
             Dimensions::Two => 2,
@@ -49,12 +49,12 @@ impl Dimensions {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Position {
     dimensions: Dimensions,
-    /// Those beyond the dimensions are 0.
+    /// Coordinates beyond the dimensions are 0.
     coordinates: [f64; 3],
 }
 
 impl Position {
-    /// The position with these coordinates; `None` where they are neither 2 nor 3.
+    /// The position with these coordinates; `None` unless there are 2 or 3.
     pub fn of(coordinates: &[f64]) -> Option<Position> {
         let dimensions = Dimensions::of(coordinates.len())?;
         let mut all = [0.0; 3];
@@ -62,7 +62,7 @@ impl Position {
         Some(Position { dimensions, coordinates: all })
     }
 
-    /// How many coordinates it has.
+    /// The number of coordinates.
     pub fn dimensions(self) -> Dimensions {
         self.dimensions
     }
@@ -72,8 +72,8 @@ impl Position {
         &self.coordinates[..self.dimensions.count()]
     }
 
-    /// The first coordinate that no observation may have, with the name of its axis: one that is not finite, or of a
-    /// magnitude above [`crate::VALUE_MAX`].
+    /// The first invalid coordinate with the name of its axis: not finite, or of a magnitude above
+    /// [`crate::VALUE_MAX`].
     pub fn invalid_coordinate(&self) -> Option<(&'static str, f64)> {
         let mut axes = AXES.into_iter().zip(self.coordinates().iter().copied());
         axes.find(|(_, coordinate)| !StateKind::Continuous.allows(*coordinate))

@@ -1,4 +1,4 @@
-//! One observation of one state, as the models take it.
+//! One observation of one state, the input of the models.
 //!
 //! Invariant: the caller guarantees a value that the state's kind allows; nothing here checks it again.
 
@@ -8,12 +8,11 @@ use crate::civil::NANOS_PER_SEC;
 /// One observation of a state's value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// When it was made: UTC, nanoseconds since 1970.
+    /// Time of the observation: UTC, nanoseconds since 1970.
     pub utc_nanos: i64,
     /// The UTC offset of the map's zone that was used when it was logged, in seconds, east positive.
     pub offset_secs: i32,
-    /// What was seen: in `[0,1]` of a probability, else what the state's [`crate::StateKind`] allows; guaranteed by the
-    /// caller.
+    /// The observed value, which the state's [`crate::StateKind`] allows; guaranteed by the caller.
     pub value: f64,
 }
 

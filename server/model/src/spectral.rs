@@ -25,7 +25,7 @@ use sweep::{Predict, Term};
 #[cfg(test)]
 mod tests;
 
-/// When a state has which value, as mean and components. By default never updated: 0.5 at all times.
+/// A state over time as mean and components. By default untrained: 0.5 at all times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpectralModel {
     mean: f64,
@@ -40,9 +40,9 @@ impl Default for SpectralModel {
 }
 
 impl SpectralModel {
-    /// The model of what was accumulated: its mean and the [`ORDER_MAX`] strongest components, of
-    /// equal ones the lower index first. A periodicity is eligible where the observed span (last less
-    /// first, UTC) holds 0.99 of its period; components of 0 are left out.
+    /// The model of an accumulator: its mean and the [`ORDER_MAX`] strongest components, ties: the lower index first. A
+    /// periodicity is eligible where the observed span (last less first, UTC) holds 0.99 of its period; components of 0
+    /// are left out.
     pub fn fit(accumulator: &Accumulator, periodicities: &Periodicities) -> SpectralModel {
         let (mean, observations) = (accumulator.mean(), accumulator.observations());
         let per_observation = if observations == 0 { 1.0 } else { 1.0 / accumulator.weight() };
@@ -60,7 +60,7 @@ impl SpectralModel {
         SpectralModel { mean, observations, components }
     }
 
-    /// A model from what was stored: mean in `[0,1]`, components strongest first.
+    /// A model from stored parts: mean in `[0,1]`, components strongest first.
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range or there are too many components.
@@ -68,7 +68,7 @@ impl SpectralModel {
         SpectralModel::from_parts_of(StateKind::Probability, mean, observations, components)
     }
 
-    /// A model of a state of that kind from what was stored: mean in its bounds, components strongest first.
+    /// A model of a state of the given kind from stored parts: mean in its bounds, components strongest first.
     ///
     /// # Errors
     /// As [`SpectralModel::from_parts`].
@@ -97,7 +97,7 @@ impl SpectralModel {
         self.mean
     }
 
-    /// Number of observations that the model rests on.
+    /// Number of observations that the model was fitted to.
     pub fn observations(&self) -> u64 {
         self.observations
     }
@@ -122,7 +122,7 @@ impl SpectralModel {
     fn sum(&self, periodicities: &Periodicities, order: usize, civil_nanos: i64) -> f64 {
         let mut p = self.mean;
         for component in self.leading(order) {
-            // A periodicity that these periodicities do not have adds nothing.
+            // A periodicity that does not exist here adds nothing.
             if let Some(turns) = periodicities.turns(component.periodicity as usize, civil_nanos) {
                 let (sin, cos) = (std::f64::consts::TAU * turns).sin_cos();
                 p += 2.0 * (component.gamma_re * cos - component.gamma_im * sin);
@@ -131,9 +131,9 @@ impl SpectralModel {
         p
     }
 
-    /// [`SpectralModel::predict`] at each time of a table, into the first `phasors.len()` places of
-    /// `out`; where `out` is shorter, for the first times only. Fast where the table holds the
-    /// components' periodicities, correct in any case.
+    /// [`SpectralModel::predict`] at each time of a table, into the first `phasors.len()` places of `out`; where `out`
+    /// is shorter, for the first times only. Fast if the table holds the components' periodicities, correct in any
+    /// case.
     pub fn predict_into(&self, order: usize, phasors: &PhasorTable, out: &mut [f64]) {
         let mut terms = [Term::default(); ORDER_MAX];
         match self.terms(order, phasors, &mut terms) {
@@ -146,7 +146,7 @@ impl SpectralModel {
         }
     }
 
-    /// What the kernels need of the leading components; `None` where the table does not hold one.
+    /// The leading components in the form that the kernels need; `None` if the table lacks one.
     fn terms<'a, 'b>(
         &self,
         order: usize,

@@ -1,11 +1,10 @@
-//! One state's whole long-term model, and the step that updates it.
+//! The long-term model of one state, and its update.
 //!
-//! An update goes through local days: first each order is scored on what the day brought, from the
-//! model as it was before, then the day is folded in (T-RO section IV.B). So the score is of
-//! predictions, never of data the model has seen. Invariant: the result of an update does not depend
-//! on how it was batched, as long as no local day is split and batches come in order of time; data
-//! older than the last observation folded in is never scored. What is given between updates, models that were fitted
-//! to readings ([`StateModel::refitted`]), has a say from the next day on.
+//! An update goes through the local days: first it scores each order on the observations of the day with the model of
+//! the day before, then the model learns the day (T-RO section IV.B). So scores are of predictions, never of training
+//! data. Invariant: the result of an update does not depend on how it was batched, as long as no local day is split and
+//! batches come in order of time; data older than the last learned observation is never scored. Models that are fitted
+//! to readings between updates ([`StateModel::refitted`]) take part from the next day on.
 
 use crate::SpectralModel;
 use crate::evaluate::score_samples;
@@ -30,18 +29,18 @@ pub struct StateModel {
     spectral: SpectralModel,
     order: usize,
     errors: OrderErrors,
-    /// Absent where nothing was folded in.
+    /// `None` while the state is untrained.
     alternatives: Option<Box<Alternatives>>,
 }
 
-/// What an update did.
+/// The outcome of an update.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct UpdateOutcome {
-    /// The order before.
+    /// The order before the update.
     pub order_before: usize,
-    /// The order now.
+    /// The order after the update.
     pub order: usize,
-    /// Observations folded in.
+    /// Observations learned.
     pub observations: u64,
     /// Of these, observations that were predicted first and scored.
     pub scored: u64,
@@ -52,25 +51,25 @@ pub struct UpdateOutcome {
 }
 
 impl StateModel {
-    /// A probability of which nothing is known.
+    /// An untrained probability.
     pub fn new(_periodicities: &Periodicities) -> StateModel {
         StateModel::of_kind(StateKind::Probability)
     }
 
-    /// A state of that kind of which nothing is known. It answers 0.5 where it is a probability, else 0.
+    /// An untrained state of the given kind. It predicts 0.5 for a probability, else 0.
     pub fn of_kind(kind: StateKind) -> StateModel {
         let accumulator = Accumulator::of_kind(kind);
         let spectral = SpectralModel::from_parts_of(kind, kind.unlearned(), 0, Vec::new()).unwrap_or_default();
         StateModel { accumulator, spectral, order: 0, errors: OrderErrors::default(), alternatives: None }
     }
 
-    /// A probability of which nothing is known but what to expect of such states, in `[0,1]`; 0.5 where it is not.
+    /// An untrained probability with a prior in `[0,1]`; a prior outside of it counts as 0.5.
     pub fn with_prior(periodicities: &Periodicities, prior: f64) -> StateModel {
         let spectral = SpectralModel::from_parts(prior, 0, Vec::new()).unwrap_or_default();
         StateModel { spectral, ..StateModel::new(periodicities) }
     }
 
-    /// A state from what was stored.
+    /// A state from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where the order is above [`ORDER_MAX`].
@@ -86,13 +85,13 @@ impl StateModel {
         Ok(StateModel { accumulator, spectral, order, errors, alternatives: None })
     }
 
-    /// The same with what was stored apart from its spectrum.
+    /// Adds the stored alternatives.
     #[must_use]
     pub fn with_alternatives(self, alternatives: Alternatives) -> StateModel {
         StateModel { alternatives: Some(Box::new(alternatives)), ..self }
     }
 
-    /// What is known apart from the spectrum; `None` where nothing was folded in since it is kept.
+    /// The alternatives to the spectral model; `None` while the state is untrained.
     pub fn alternatives(&self) -> Option<&Alternatives> {
         self.alternatives.as_deref()
     }
@@ -102,20 +101,20 @@ impl StateModel {
         self.alternatives.as_ref().map_or(ModelChoice::Spectral, |alternatives| alternatives.choice())
     }
 
-    /// The model in force; `None` where it is the spectral one.
+    /// The model in force; `None` if it is the spectral one.
     pub fn chosen(&self) -> Option<ActiveModel<'_>> {
         self.alternatives.as_ref()?.chosen()
     }
 
-    /// Whether the model of that kind is to be fitted again: when seven local days were observed, seven local days after
-    /// its last fit, and when the change alarm has rung since. Never where such states have no such model.
+    /// Whether a refit of the model of this kind is due: after seven observed local days, seven local days after its
+    /// last fit, and after a change alarm. Never for a kind that such states do not support.
     pub fn is_fit_due(&self, kind: FitKind) -> bool {
         kind.is_for(self.kind()) && self.alternatives.as_ref().is_some_and(|alternatives| alternatives.is_fit_due(kind))
     }
 
-    /// The same with a model that was fitted to the state's readings up to a local day, that day included, in place of the
-    /// last one of its kind. It is scored on what is folded in from now on, and may come into force then. A state into which
-    /// nothing was folded takes none, nor one of a kind that such states do not have.
+    /// The same with a model that was fitted to the state's readings up to a local day, that day included, in place of
+    /// the last one of its kind. It is scored on the days learned from now on, and may then come into force. An
+    /// untrained state takes no fit, nor does a state take a kind that it does not support.
     #[must_use]
     pub fn refitted(mut self, model: impl Into<FittedModel>, day: LocalDay) -> StateModel {
         let (model, of) = (model.into(), self.kind());
@@ -130,15 +129,15 @@ impl StateModel {
         self.accumulator.kind()
     }
 
-    /// The change of value by which persistence measures changes, above 0: 1 of a probability; of other kinds two standard
-    /// deviations of what was folded in, which is how far a state apart lies that has two values equally often. 1 where
-    /// that is not known.
+    /// The change of value by which persistence measures changes, above 0: 1 of a probability; for other kinds two
+    /// standard deviations of the training data, which is the distance of the values of a state that has two values
+    /// equally often. 1 if unknown.
     pub fn usual_change(&self) -> f64 {
         let width = 2.0 * self.accumulator.variance().sqrt();
         if self.kind() != StateKind::Probability && width > 0.0 { width } else { 1.0 }
     }
 
-    /// The sums over all observations folded in.
+    /// The sums over all learned observations.
     pub fn accumulator(&self) -> &Accumulator {
         &self.accumulator
     }
@@ -148,8 +147,8 @@ impl StateModel {
         &self.spectral
     }
 
-    /// The order to predict with, 0..=[`ORDER_MAX`]: the one that has predicted best, or fewer where noise would show
-    /// components as strong.
+    /// The order to predict with, 0..=[`ORDER_MAX`]: the one that has predicted best, limited to the supported
+    /// components.
     pub fn order(&self) -> usize {
         let supported = self.alternatives.as_ref().map_or(ORDER_MAX, |known| known.supported_order());
         self.order.min(supported)
@@ -165,13 +164,12 @@ impl StateModel {
         &self.errors
     }
 
-    /// Takes in observations, day by local day: scores those newer than the last one folded in before
-    /// that day with every order and every enabled model, chooses, folds the day in and refits; models that were fitted to
-    /// readings stay as they are.
+    /// Learns observations, local day by local day: scores those newer than the last learned one with every order and
+    /// every enabled model, chooses, learns the day and refits the spectral model. Models fitted to readings stay as
+    /// they are.
     ///
-    /// A local day that is split over two updates is scored in two parts, the second against the model
-    /// that has seen the first. With a half-life, what is folded in on a day counts by its age in whole local days, late
-    /// data too.
+    /// A local day that is split over two updates is scored in two parts, the second against the model that has seen
+    /// the first. With a half-life, data is weighted by its age in whole local days, late data too.
     pub fn update(
         &mut self,
         periodicities: &Periodicities,
@@ -180,7 +178,7 @@ impl StateModel {
     ) -> UpdateOutcome {
         let mut rules = rules.into();
         if self.kind() != StateKind::Probability {
-            // Such values have no two sides of 0.5.
+            // The zero-one error is defined for probabilities only.
             rules.criterion = OrderCriterion::SquaredError;
         }
         if !samples.is_sorted_by_key(|sample| sample.utc_nanos) {
@@ -190,12 +188,12 @@ impl StateModel {
         let mut rest = samples.as_slice();
         while let Some(first) = rest.first() {
             let day = first.local_day();
-            // Clocks set back over midnight return to a date that has already ended: no new day.
+            // Clocks set back over midnight return to a date that has already ended: this is not a new day.
             let length = rest.iter().position(|sample| sample.local_day() > day).unwrap_or(rest.len());
             let (of_day, later) = rest.split_at(length);
             self.score_day(periodicities, rules, day, of_day, &mut outcome);
             self.fold_in(periodicities, rules, day, of_day);
-            // Refitted each day: the next is scored by what was known before it.
+            // Refitted each day, so that the next day is scored with the knowledge before it.
             self.spectral = SpectralModel::fit(&self.accumulator, periodicities);
             if let Some(alternatives) = &mut self.alternatives {
                 alternatives.support(&self.spectral, periodicities, &self.accumulator);
@@ -207,7 +205,7 @@ impl StateModel {
         outcome
     }
 
-    /// Folds a day in, with each observation's say by its age in local days.
+    /// Learns a day, each observation weighted by its age in local days.
     fn fold_in(&mut self, periodicities: &Periodicities, rules: UpdateRules, day: LocalDay, of_day: &[Sample]) {
         let alternatives = self.alternatives.get_or_insert_with(|| Box::new(Alternatives::new(rules.models)));
         let Some(half_life_days) = rules.half_life_days else {
@@ -231,7 +229,7 @@ impl StateModel {
         }
     }
 
-    /// Scores the samples of a day that are newer than all before it, and chooses.
+    /// Scores the samples of a day that are newer than all earlier ones, and chooses.
     fn score_day(
         &mut self,
         periodicities: &Periodicities,

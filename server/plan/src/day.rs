@@ -21,15 +21,10 @@ const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 pub enum DayError {
     /// Slots that suit no day.
     #[error("a slot of {} s does not suit a day of {} h: use one from 60 s to the day", secs(*slot_nanos), secs(*day_nanos) / 3600.0)]
-    Slot {
-        slot_nanos: i64,
-        day_nanos: i64,
-    },
+    Slot { slot_nanos: i64, day_nanos: i64 },
     /// A date that the zone's clocks skipped, or outside what can be told.
     #[error("{day} has no hours in this time zone")]
-    NoSuchDay {
-        day: LocalDay,
-    },
+    NoSuchDay { day: LocalDay },
     /// No schedule can be made.
     #[error(transparent)]
     Strategy(#[from] StrategyError),

@@ -139,23 +139,13 @@ pub enum PolicyError {
     UnknownNode(u32),
     /// A number of the question is out of range.
     #[error("{what} is {found}: expected {expected}")]
-    Range {
-        what: &'static str,
-        found: f64,
-        expected: String,
-    },
+    Range { what: &'static str, found: f64, expected: String },
     /// More states than are solved for.
     #[error("{nodes} nodes in {slots} slots: at most {POLICY_STATES_MAX} of both together; take fewer, wider slots")]
-    TooManyStates {
-        nodes: usize,
-        slots: usize,
-    },
+    TooManyStates { nodes: usize, slots: usize },
     /// It was told to stop.
     #[error("the policy was stopped with {left} of {slots} slots left; allow it more, or take fewer slots")]
-    Stopped {
-        left: usize,
-        slots: usize,
-    },
+    Stopped { left: usize, slots: usize },
     /// A forecast is out of range.
     #[error(transparent)]
     Forecast(#[from] ForecastError),

@@ -65,18 +65,12 @@ pub enum PredictError {
     NoTime,
     /// The region is too large.
     #[error("the region takes {cells} cells with its border, and may take {max}: ask for a smaller region")]
-    TooManyCells {
-        cells: u128,
-        max: u64,
-    },
+    TooManyCells { cells: u128, max: u64 },
     /// Too many cells change, at too many times.
     #[error(
         "the cells that change take more than {max} values at {times} times: ask for fewer times or a smaller region"
     )]
-    TooManyValues {
-        times: usize,
-        max: u64,
-    },
+    TooManyValues { times: usize, max: u64 },
     /// The grid's own properties are wrong.
     #[error(transparent)]
     Grid(#[from] InvalidGrid),

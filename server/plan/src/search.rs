@@ -105,10 +105,7 @@ pub enum SearchError {
     DuplicateGoal(u32),
     /// A probability is none.
     #[error("the probability at node number {node} is {found}: expected 0 to 1")]
-    Probability {
-        node: u32,
-        found: f64,
-    },
+    Probability { node: u32, found: f64 },
     /// The floor is no probability, or 0.
     #[error("the least probability of a goal is {0}: expected above 0, at most 1")]
     Floor(f64),
@@ -119,20 +116,13 @@ pub enum SearchError {
     #[error(
         "the best order of {found} places was asked for: at most {EXACT_GOALS_MAX} are possible; ask for a good one"
     )]
-    TooManyForExact {
-        found: usize,
-    },
+    TooManyForExact { found: usize },
     /// More goals than are searched.
     #[error("a search of {found} places: at most {most} are possible; leave out unlikely ones")]
-    TooMany {
-        found: usize,
-        most: usize,
-    },
+    TooMany { found: usize, most: usize },
     /// No goal can be reached.
     #[error("none of the places can be reached from node number {start}")]
-    Unreachable {
-        start: u32,
-    },
+    Unreachable { start: u32 },
 }
 
 #[cfg(test)]

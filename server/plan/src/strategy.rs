@@ -68,39 +68,22 @@ pub enum StrategyError {
     NoPlaces,
     /// More than is worked out at once.
     #[error("{slots} slots times {places} places is more than {GAINS_MAX}: use longer slots or fewer places")]
-    TooMany {
-        slots: usize,
-        places: usize,
-    },
+    TooMany { slots: usize, places: usize },
     /// A gain that is none.
     #[error("the gain of place {place} in slot {slot} is {found}, expected a number from 0 to {GAIN_MAX:e}")]
-    Gain {
-        slot: usize,
-        place: usize,
-        found: f64,
-    },
+    Gain { slot: usize, place: usize, found: f64 },
     /// A ratio outside its range.
     #[error("the exploration ratio is {found}, expected a number from 0 to 1")]
-    Ratio {
-        found: f64,
-    },
+    Ratio { found: f64 },
     /// More visits than slots.
     #[error("{visits} visits do not fit into {slots} slots: ask for at most {slots}")]
-    Budget {
-        visits: usize,
-        slots: usize,
-    },
+    Budget { visits: usize, slots: usize },
     /// A weight outside its range.
     #[error("the weight of exploration is {found}, expected a number from 0 to 1")]
-    Weight {
-        found: f64,
-    },
+    Weight { found: f64 },
     /// Two matrices that do not belong together.
     #[error("gains have {} slots and {} places, the task's {} and {}", expected.0, expected.1, found.0, found.1)]
-    Sizes {
-        expected: (usize, usize),
-        found: (usize, usize),
-    },
+    Sizes { expected: (usize, usize), found: (usize, usize) },
 }
 
 impl Budget {

@@ -36,9 +36,7 @@ pub use question::{GOALS_MAX, Suppression, TourEnd, TourError, TourQuestion};
 pub enum NoTour {
     /// The robot cannot be where it is, nor near enough.
     #[error("nothing within {tolerance_m} m of the start is free for the robot")]
-    StartBlocked {
-        tolerance_m: f64,
-    },
+    StartBlocked { tolerance_m: f64 },
     /// No candidate can be driven to and looked from.
     #[error("no place on the candidates' grid can be driven to and looked from")]
     NothingReachable,
@@ -47,10 +45,7 @@ pub enum NoTour {
     NothingToLearn,
     /// No goal fits into the time.
     #[error("the time for the tour is {budget_secs} s, and the nearest goal alone takes {least_secs} s")]
-    Budget {
-        budget_secs: f64,
-        least_secs: f64,
-    },
+    Budget { budget_secs: f64, least_secs: f64 },
 }
 
 /// A goal of a tour.

@@ -48,22 +48,13 @@ impl Default for TravelOptions {
 pub enum InvalidTravel {
     /// The heights are no range.
     #[error("heights {min_m} to {max_m} m: both must be finite, and the second above the first")]
-    Heights {
-        min_m: f64,
-        max_m: f64,
-    },
+    Heights { min_m: f64, max_m: f64 },
     /// No cell of the region lies at these heights.
     #[error("no cell of the region lies at heights from {min_m} to {max_m} m")]
-    NoCell {
-        min_m: f64,
-        max_m: f64,
-    },
+    NoCell { min_m: f64, max_m: f64 },
     /// The radius is no length that makes sense.
     #[error("radius {radius_m} m: it must be between 0 and {max_m} m on this grid")]
-    Radius {
-        radius_m: f64,
-        max_m: f64,
-    },
+    Radius { radius_m: f64, max_m: f64 },
     /// The threshold is no probability.
     #[error("threshold {0}: it must be between 0 and 1")]
     Threshold(f64),

@@ -62,10 +62,7 @@ impl Default for Sensor {
 pub enum InvalidSensor {
     /// The range is not a length that makes sense.
     #[error("range {range_m} m: it must be above 0 and at most {max_m} m on this grid")]
-    Range {
-        range_m: f64,
-        max_m: f64,
-    },
+    Range { range_m: f64, max_m: f64 },
     /// The field of view is too narrow, or not a number.
     #[error("horizontal field of view {0} rad: it must be above 0; 2π is all around")]
     HorizontalFov(f64),
@@ -79,10 +76,7 @@ pub enum InvalidSensor {
     #[error(
         "the rays of this sensor would pass {cells:.0} cells, and may pass {max:.0}: shorten its range or narrow its view"
     )]
-    TooFine {
-        cells: f64,
-        max: f64,
-    },
+    TooFine { cells: f64, max: f64 },
 }
 
 impl Sensor {
@@ -137,18 +131,10 @@ pub enum ViewError {
     NotFinite(Viewpoint),
     /// The place lies outside the region that is predicted.
     #[error("viewpoint ({x_m}, {y_m}, {z_m}) m lies outside the region of interest")]
-    Outside {
-        x_m: f64,
-        y_m: f64,
-        z_m: f64,
-    },
+    Outside { x_m: f64, y_m: f64, z_m: f64 },
     /// The place is probably occupied.
     #[error("viewpoint ({x_m}, {y_m}) m lies in cell ({}, {}, {}), which is probably occupied", .cell.x, .cell.y, .cell.z)]
-    Occupied {
-        x_m: f64,
-        y_m: f64,
-        cell: CellIndex,
-    },
+    Occupied { x_m: f64, y_m: f64, cell: CellIndex },
 }
 
 impl Viewpoint {

@@ -1,4 +1,4 @@
-//! The kernel that folds a chunk of observations into A_k and B_k: one observation per lane.
+//! The kernel that adds a chunk of observations to A_k and B_k: one observation per lane.
 //!
 //! Harmonics run by recurrence over k with four vectors of observations side by side; the sums stay
 //! in lanes and are added up once per chunk. Values of 0 cost what others do: a multiply-add is
@@ -10,7 +10,7 @@ use crate::Sample;
 use crate::periodicity::{Cycle, Cycles};
 use crate::phasor::{BLOCK, GROUP, Wheels, unit_phasor};
 
-/// Observations that are folded in at a time; their phasors and values stay in cache.
+/// Observations added at a time; their phasors and values stay in cache.
 pub(super) const CHUNK: usize = 1024;
 
 /// Adds at most [`CHUNK`] samples to the spectrum.

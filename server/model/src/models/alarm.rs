@@ -1,27 +1,27 @@
 //! The change alarm: rings when a model's recent errors depart from their history.
 //!
 //! A one-sided cumulative sum (E. S. Page, "Continuous Inspection Schemes", Biometrika 1954) of each day's error, in
-//! standard deviations above what such days had. Fewer errors than usual never ring it. Invariant: the sum is finite and
-//! not negative, and once the alarm rings it rings until it is reset.
+//! standard deviations above the usual error of such days. Lower errors than usual never ring it. Invariant: the sum is
+//! finite and not negative, and once the alarm rings it rings until it is reset.
 
 use crate::{InvalidParts, LocalDay};
 
 #[cfg(test)]
 mod tests;
 
-/// How many days the history reaches back: older days fade with this time constant.
+/// The time constant, in days, with which older days fade.
 const MEMORY_DAYS: f64 = 60.0;
-/// Days before the alarm can ring: a standard deviation of fewer is too unsure.
+/// Days before the alarm can ring: a standard deviation of fewer is too uncertain.
 const DAYS_MIN: f64 = 14.0;
 /// Days of a kind (weekday, weekend) before one of that kind can add to the sum.
 const DAYS_OF_KIND_MIN: f64 = 4.0;
 /// A day adds its standard score less this to the sum …
 const SLACK: f64 = 0.75;
-/// … but no score above this: one odd day, however odd, is not a change of routine.
+/// … but no score above this: a single unusual day is not a change of routine.
 const SCORE_MAX: f64 = 3.5;
-/// The sum at which the alarm rings: at the least four odd days.
+/// The sum at which the alarm rings: at least four unusual days.
 const THRESHOLD: f64 = 8.5;
-/// Root mean squared errors are not told apart more finely than this.
+/// Root mean squared errors that differ by less than this count as equal.
 const DEVIATION_MIN: f64 = 0.02;
 /// While the standard deviation rests on n days it may be too low; it is widened by 1 + this/n.
 const WIDENING_DAYS: f64 = 3.0;
@@ -41,7 +41,7 @@ pub struct ChangeAlarmParts {
     pub typical_observations: f64,
     /// The cumulative sum, in standard deviations, at least 0.
     pub sum: f64,
-    /// The last local day taken in.
+    /// The last local day added.
     pub last_day: Option<LocalDay>,
     /// The day on which the alarm rang, if it rings.
     pub rang: Option<LocalDay>,
@@ -59,14 +59,14 @@ pub struct DayErrors {
 }
 
 impl ChangeAlarm {
-    /// Takes in a local day: the mean squared error of `observations` predictions that were made before the day was
-    /// learnt. Returns whether the alarm rings.
+    /// Adds a local day: the mean squared error of `observations` predictions made before the day was learned. Returns
+    /// whether the alarm rings.
     ///
-    /// The error is that of a state in `[0,1]`; of others divide it by the variance of the values first. Its root is
-    /// compared with the history of days of its kind, weekdays or weekend, so that easy weekends are no change; both
-    /// kinds share the larger of their standard deviations. A day with fewer observations than usual counts less. The
-    /// first 14 days cannot ring. A day without observations, not after the last one, or with an error that is negative
-    /// or not finite changes nothing.
+    /// The error is that of a state in `[0,1]`; for others divide it by the variance of the values first. Its root is
+    /// compared with the history of days of its kind, weekdays or weekend, so that weekends that are easier to predict
+    /// are not a change; both kinds share the larger of their standard deviations. A day with fewer observations than
+    /// usual counts less. The first 14 days cannot ring. A day without observations, not after the last one, or with an
+    /// error that is negative or not finite changes nothing.
     pub fn observe(&mut self, day: LocalDay, mse: f64, observations: u64) -> bool {
         let is_new = self.parts.last_day.is_none_or(|last_day| day > last_day);
         if is_new && observations > 0 && mse.is_finite() && mse >= 0.0 {
@@ -88,14 +88,14 @@ impl ChangeAlarm {
         let mut score = 0.0;
         if all_days >= DAYS_MIN && history.days >= DAYS_OF_KIND_MIN {
             score = ((error - history.mean) / deviation).min(SCORE_MAX);
-            // Weighted as a whole: the error of a day of few observations varies more in the same proportion, and so the
-            // sum climbs to the threshold by chance as rarely as on full days.
+            // Weighted as a whole: the error of a day of few observations varies more in the same proportion, and so
+            // the sum climbs to the threshold by chance as rarely as on full days.
             parts.sum = (parts.sum + weight * (score - SLACK)).max(0.0);
         }
         if parts.rang.is_none() && parts.sum > THRESHOLD {
             parts.rang = Some(day);
         }
-        // What is far above the history enters it as the most that still scores.
+        // An error far above the history enters it as the highest error that still scores.
         let error = if score >= SCORE_MAX { history.mean + SCORE_MAX * deviation } else { error };
         history.add(error, weight);
     }
@@ -111,17 +111,17 @@ impl ChangeAlarm {
     }
 
     /// Silences the alarm and begins a new history: what was usual before the change no longer counts. Days up to the
-    /// last one taken in stay closed.
+    /// last one added stay closed.
     pub fn reset(&mut self) {
         self.parts = ChangeAlarmParts { last_day: self.parts.last_day, ..ChangeAlarmParts::default() };
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> ChangeAlarmParts {
         self.parts
     }
 
-    /// An alarm from what was stored.
+    /// An alarm from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is negative or not finite.
@@ -138,7 +138,7 @@ impl ChangeAlarm {
 }
 
 impl DayErrors {
-    /// Takes in a day's error; fades the others by how much it counts.
+    /// Adds a day's error; fades the others by its weight.
     fn add(&mut self, error: f64, weight: f64) {
         self.days = (self.days + weight).min(MEMORY_DAYS);
         let share = (weight / self.days).min(1.0);
@@ -149,7 +149,7 @@ impl DayErrors {
     }
 }
 
-/// The standard deviation that a day's error is measured by: of the kind that varies more.
+/// The standard deviation by which a day's error is measured: that of the kind of day that varies more.
 fn deviation(kinds: &[DayErrors; 2]) -> f64 {
     let widened = |kind: &DayErrors| kind.variance.sqrt() * (1.0 + WIDENING_DAYS / kind.days.max(1.0));
     kinds.iter().filter(|kind| kind.days >= DAYS_OF_KIND_MIN).map(widened).fold(DEVIATION_MIN, f64::max)

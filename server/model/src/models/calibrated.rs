@@ -1,10 +1,11 @@
 //! The calibrated model: a profile of the week that is only as detailed as the observations justify.
 //!
-//! The profile is refined in tiers, each drawn towards the one before: the mean, the day broadly smoothed, the day, the kind of
-//! day (Monday to Friday, or weekend), the day of the week. How far a tier departs from the one before is decided by
-//! credibility (H. Bühlmann, "Experience rating and credibility", ASTIN Bulletin 4, 1967): by comparing how much days that
-//! should be alike differ with how much the finer profile differs from the coarser. A state without a weekly
-//! rhythm thus gets none, and pure noise gets its mean. Later days count more, so that the level follows the last weeks.
+//! The profile is refined in tiers, each shrunk towards the one before: the mean, the day broadly smoothed, the day,
+//! the kind of day (Monday to Friday, or weekend), the day of the week. How far a tier departs from the one before is
+//! decided by credibility (H. Bühlmann, "Experience rating and credibility", ASTIN Bulletin 4, 1967): by comparing how
+//! much days that should be alike differ with how much the finer profile differs from the coarser. So a state without a
+//! weekly rhythm gets none, and pure noise gets its mean. Later days count more, so that the level follows the last
+//! weeks.
 //!
 //! Invariant: a prediction lies between the lowest and the highest reading that it was fitted to.
 
@@ -26,7 +27,7 @@ mod tests;
 /// Slots of ten minutes in a week, from Monday 00:00 local.
 const SLOTS_PER_WEEK: usize = SLOTS_PER_DAY * DAYS_OF_WEEK;
 
-/// What a [`Calibrated`] model consists of, to be stored.
+/// What a [`Calibrated`] model consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibratedParts {
     /// Number of readings that it was fitted to, at least 1.
@@ -35,8 +36,8 @@ pub struct CalibratedParts {
     pub lowest: f64,
     /// The highest reading.
     pub highest: f64,
-    /// The value to expect in each slot of ten minutes of the week, from Monday 00:00 local: 1,008 of them, each between the
-    /// lowest and the highest reading.
+    /// The predicted value in each slot of ten minutes of the week, from Monday 00:00 local: 1,008 of them, each
+    /// between the lowest and the highest reading.
     pub profile: Vec<f64>,
 }
 
@@ -47,8 +48,8 @@ pub struct Calibrated {
 }
 
 impl Calibrated {
-    /// Fits it to the readings of one state, in time proportional to their number; readings that are not finite are left
-    /// out. A half-life of the readings comes on top of the options' memory.
+    /// Fits it to the readings of one state, in time proportional to their number; readings that are not finite are
+    /// ignored. A half-life of the readings applies in addition to the memory of the options.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings or an option is outside its range.
@@ -62,7 +63,7 @@ impl Calibrated {
         if observations == 0 {
             return Err(CannotFit::NoReadings);
         }
-        // Everything is fitted in units of the range; halves, because the range itself may overflow.
+        // Values are scaled to the range; computed in halves, because the range itself may overflow.
         let half_range = highest / 2.0 - lowest / 2.0;
         let newest = readings.samples.last().map_or(0, |sample| sample.local_day().0);
         let profile = if half_range > 0.0 {
@@ -80,15 +81,15 @@ impl Calibrated {
         self.parts.observations
     }
 
-    /// What it consists of.
+    /// Its parts, for storage.
     pub fn to_parts(&self) -> CalibratedParts {
         self.parts.clone()
     }
 
-    /// The model from what was stored.
+    /// The model from stored parts.
     ///
     /// # Errors
-    /// [`InvalidParts`] where the profile has another length than 1,008, a number is not finite, or one is not between the
+    /// [`InvalidParts`] if the length of the profile is not 1,008, a number is not finite, or one is not between the
     /// lowest and the highest reading.
     pub fn from_parts(parts: CalibratedParts) -> Result<Calibrated, InvalidParts> {
         if parts.profile.len() != SLOTS_PER_WEEK {
@@ -107,7 +108,7 @@ impl Calibrated {
 }
 
 impl TemporalModel for Calibrated {
-    /// Between the middles of two slots the profile is straight.
+    /// Between the middles of two slots the profile is linear.
     fn predict(&self, at: Moment) -> f64 {
         const NANOS_PER_SLOT: i64 = 86_400 * NANOS_PER_SEC / SLOTS_PER_DAY as i64;
         const NANOS_PER_WEEK: i64 = NANOS_PER_SLOT * SLOTS_PER_WEEK as i64;
@@ -122,7 +123,7 @@ impl TemporalModel for Calibrated {
     }
 }
 
-/// The number at a share of the way, never beyond the two ends, whatever rounding does.
+/// Linear interpolation that never leaves the two ends, whatever the rounding.
 fn between(from: f64, to: f64, share: f64) -> f64 {
     let found = from * (1.0 - share) + to * share;
     found.clamp(from.min(to), from.max(to))

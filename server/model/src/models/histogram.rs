@@ -1,8 +1,8 @@
-//! A histogram over the day or the week: each interval of the cycle has the mean of what was read in it.
+//! A histogram over the day or the week: each bin of the cycle has the mean of the readings in it.
 //!
-//! The Hist_n of RA-L 2019, section IV ("divides each day into n intervals and predicts the given variable as an average
-//! in a relevant time of a day"), over local civil time, so that it keeps to the clock that people live by.
-//! Invariant: every answer is finite and lies between the lowest and the highest reading.
+//! The Hist_n of RA-L 2019, section IV ("divides each day into n intervals and predicts the given variable as an
+//! average in a relevant time of a day"), over local civil time. Invariant: every prediction is finite and lies between
+//! the lowest and the highest reading.
 
 use super::mean::{RunningMean, check_values};
 use super::{CannotFit, Moment, Readings, TemporalModel};
@@ -19,20 +19,20 @@ pub use hours::{HourSpread, HourTable, HourTableParts};
 #[cfg(test)]
 mod tests;
 
-/// The overall mean counts in every bin as this many readings by default.
+/// The default weight of the overall mean in every bin, in readings.
 pub const HISTOGRAM_PRIOR_READINGS: f64 = 1.0;
 
-/// How a [`Histogram`] is to be made.
+/// The settings of a [`Histogram`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HistogramSettings {
-    /// What repeats.
+    /// The cycle.
     pub cycle: HistogramCycle,
     /// Bins of the cycle, 1 to [`HistogramCycle::max_bins`]; of weekday and weekend, bins of each of the two days.
     pub bins: usize,
-    /// Standard deviation of the circular Gaussian kernel that bins are smoothed with, in bins, 0 (none) to a quarter of
-    /// `bins`. Bins of a weekday and of a weekend day are never mixed.
+    /// Standard deviation of the circular Gaussian kernel that bins are smoothed with, in bins, 0 (none) to a quarter
+    /// of `bins`. Bins of a weekday and of a weekend day are never mixed.
     pub smoothing_bins: f64,
-    /// How many readings the overall mean counts as in every bin, 0 to 1e9: bins with little data shrink towards it.
+    /// The weight of the overall mean in every bin, in readings, 0 to 1e9: bins with little data shrink towards it.
     pub prior_readings: f64,
 }
 
@@ -72,17 +72,18 @@ pub struct Histogram {
 /// What a [`Histogram`] consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HistogramParts {
-    /// What repeats.
+    /// The cycle.
     pub cycle: HistogramCycle,
-    /// The answer of each bin in order of time; of weekday and weekend first the weekday's bins, then the weekend's.
+    /// The prediction of each bin in order of time; for weekday and weekend first the weekday's bins, then the
+    /// weekend's.
     pub values: Vec<f64>,
     /// The weight of the readings in each bin, before smoothing; as long as `values`.
     pub weights: Vec<f64>,
 }
 
 impl Histogram {
-    /// The mean of the readings in each bin, shrunk towards the mean of all: (Σwv + κμ)/(Σw + κ) with
-    /// κ = `prior_readings`. A bin without readings answers the mean of all.
+    /// The mean of the readings in each bin, shrunk towards the mean of all: (Σwv + κμ)/(Σw + κ) with κ =
+    /// `prior_readings`. A bin without readings predicts the mean of all.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings, a value is not finite, or a setting is outside its range.
@@ -110,7 +111,7 @@ impl Histogram {
         Histogram { parts: HistogramParts { cycle: settings.cycle, values, weights } }
     }
 
-    /// What repeats.
+    /// The cycle.
     pub fn cycle(&self) -> HistogramCycle {
         self.parts.cycle
     }
@@ -120,7 +121,7 @@ impl Histogram {
         self.parts.values.len() / self.parts.cycle.runs()
     }
 
-    /// The weight of the readings in the bin of a moment; 0 where the answer is the mean of all readings.
+    /// The weight of the readings in the bin of a moment; 0 if the prediction is the mean of all readings.
     pub fn weight(&self, at: Moment) -> f64 {
         self.parts.weights.get(self.bin(at)).copied().unwrap_or(0.0)
     }
@@ -129,12 +130,12 @@ impl Histogram {
         self.parts.cycle.bin(self.bins(), at.civil_nanos())
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> HistogramParts {
         self.parts.clone()
     }
 
-    /// A model from what was stored.
+    /// A model from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where the number of bins does not fit the cycle or a number is outside its range.
@@ -160,14 +161,14 @@ impl TemporalModel for Histogram {
     }
 }
 
-/// The answer of a bin with this weight and mean value, drawn towards the mean of all.
+/// The prediction of a bin with this weight and mean value, shrunk towards the mean of all.
 fn shrunk((weight, value): (f64, f64), mean: f64, prior_readings: f64) -> f64 {
     if weight <= 0.0 {
         return mean;
     }
     let total = weight + prior_readings;
     let between = value * (weight / total) + mean * (prior_readings / total);
-    // Rounding must not lead out of what was read.
+    // Rounding must not leave the range of the readings.
     between.clamp(value.min(mean), value.max(mean))
 }
 

@@ -1,11 +1,11 @@
-//! Warped hypertime: time wound onto circles, one for each period found, and clusters over them.
+//! Warped hypertime: time is mapped onto circles, one for each period found, and clustered there.
 //!
-//! Krajník et al., "Warped Hypertime Representations for Long-term Autonomy of Mobile Robots", RA-L 2019 ("RA-L
-//! 2019"), section III. Readings get a cosine and a sine for each period, mixtures are fitted to what comes of it,
-//! and the periodicity that the error still has gives the next period. HyT-EM fits Gaussians over the circles' plane
-//! coordinates, HyT-KM starts from k-means, keeps to the cosine distance on circles, and finds the number of clusters
-//! itself. What this departs from in the paper is said at [`Hypertime::fit`].
-//! Invariant: at most five periods and 50 clusters; every prediction is finite, that of a probability in `[0,1]`.
+//! Krajník et al., "Warped Hypertime Representations for Long-term Autonomy of Mobile Robots", RA-L 2019 ("RA-L 2019"),
+//! section III. Each reading gets a cosine and a sine for each period, mixtures are fitted to these points, and the
+//! strongest period left in the error is the next one. HyT-EM fits Gaussians over the circles' plane coordinates,
+//! HyT-KM starts from k-means, keeps to the cosine distance on circles, and finds the number of clusters itself.
+//! [`Hypertime::fit`] lists the departures from the paper. Invariant: at most five periods and 50 clusters; every
+//! prediction is finite, that of a probability in `[0,1]`.
 
 use super::{CannotFit, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
@@ -36,12 +36,12 @@ pub use options::{HypertimeMethod, HypertimeOptions};
 #[cfg(test)]
 mod tests;
 
-/// What a [`Hypertime`] consists of, to be stored.
+/// What a [`Hypertime`] consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub enum HypertimeParts {
-    /// Of a probability.
+    /// For a probability.
     Probability(HypertimeOddsParts),
-    /// Of any other number.
+    /// For any other number.
     Continuous(HypertimeFieldParts),
 }
 
@@ -58,8 +58,8 @@ enum HypertimeKind {
 }
 
 impl Hypertime {
-    /// Fits the model of a probability; values outside `[0,1]` count as the nearer end. Readings are summed by slot
-    /// of the week, of five minutes, so that years of them take little longer than weeks.
+    /// Fits the model of a probability; values outside `[0,1]` count as the nearer end. Readings are summed by slots of
+    /// the week of five minutes, so that years of readings take little longer than weeks.
     ///
     /// Departures from RA-L 2019: the error that periods are searched in, and that stops the growth (eq. 6), is that of
     /// readings left out, a quarter of the days at a time (of the hours, where there are fewer than four days), and a
@@ -101,8 +101,8 @@ impl Hypertime {
         Ok(Hypertime { shape: HypertimeKind::Continuous(field) })
     }
 
-    /// The distribution p(a | t) at a moment of a value that is not a probability; `None` of a probability, where the
-    /// prediction says it all.
+    /// The distribution p(a | t) at a moment of a value that is not a probability; `None` for a probability, which the
+    /// prediction describes fully.
     pub fn distribution(&self, at: Moment) -> Option<HypertimeDistribution> {
         match &self.shape {
             HypertimeKind::Probability(_) => None,
@@ -119,7 +119,7 @@ impl Hypertime {
         divisors.iter().map(|&divisor| week::WEEK_NANOS as f64 / f64::from(divisor) / 1e9).collect()
     }
 
-    /// How its clusters were found.
+    /// The method of clustering.
     pub fn method(&self) -> HypertimeMethod {
         match &self.shape {
             HypertimeKind::Probability(odds) => odds.method(),
@@ -127,7 +127,7 @@ impl Hypertime {
         }
     }
 
-    /// What the model consists of; a model made of it again predicts the same.
+    /// The parts of the model; a model built from them predicts the same.
     pub fn to_parts(&self) -> HypertimeParts {
         match &self.shape {
             HypertimeKind::Probability(odds) => HypertimeParts::Probability(odds.to_parts()),
@@ -135,11 +135,11 @@ impl Hypertime {
         }
     }
 
-    /// The model that was stored.
+    /// The model from stored parts.
     ///
     /// # Errors
-    /// [`InvalidParts`] where numbers are outside their range, lists have not the right length, or a continuous model
-    /// has a location or more than one number as its value.
+    /// [`InvalidParts`] if numbers are outside their range, lists have the wrong length, or a continuous model has a
+    /// location or more than one number as its value.
     pub fn from_parts(parts: &HypertimeParts) -> Result<Hypertime, InvalidParts> {
         let shape = match parts {
             HypertimeParts::Probability(odds) => HypertimeKind::Probability(Odds::from_parts(odds)?),
@@ -158,7 +158,7 @@ impl TemporalModel for Hypertime {
     fn predict(&self, at: Moment) -> f64 {
         match &self.shape {
             HypertimeKind::Probability(odds) => odds.at(week::turn(at.civil_nanos())),
-            // A model without location and with one number always answers.
+            // A model without location and with one number always predicts.
             HypertimeKind::Continuous(field) => {
                 field.mean(at, &[]).and_then(|mean| mean.first().copied()).unwrap_or(0.0)
             }

@@ -1,11 +1,10 @@
-//! Credible intervals: how far from the prediction the state may well be.
+//! Credible intervals of predictions.
 //!
 //! The interval of a moment is the band in which the mean of the state over the hour around it lies with a given
-//! probability. Single readings of a door are 0 or 1 and need no band; what differs from day to day, and what a plan has to
-//! reckon with, is how much of the hour it is open. The hour's mean is taken to follow a Beta distribution whose mean
-//! is the prediction and whose variance is that between days, as recorded for this hour of the day; where few days
-//! were seen, both are drawn towards what is known of all hours, and to not knowing.
-//! Invariant: 0 ≤ lower ≤ p ≤ upper ≤ 1.
+//! probability. Single readings of a door are 0 or 1 and need no band; what differs from day to day, and matters for a
+//! plan, is the share of the hour in which it is open. The hour's mean is taken to follow a Beta distribution whose
+//! mean is the prediction and whose variance is that between days, as recorded for this hour of the day. With few days,
+//! both are shrunk towards all hours and towards the prior. Invariant: 0 ≤ lower ≤ p ≤ upper ≤ 1.
 
 use super::HourSpread;
 
@@ -35,16 +34,16 @@ impl Interval {
         self.upper - self.lower
     }
 
-    /// Whether a value lies in it; NaN never does.
+    /// Whether a value lies in the band; never for NaN.
     pub fn contains(self, value: f64) -> bool {
         (self.lower..=self.upper).contains(&value)
     }
 }
 
-/// What single days said about the mean of one hour of the day, as sums over days.
+/// The means of one hour of the day on single days, as sums over days.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HourMoments {
-    /// Number of days on which the hour was seen; forgetting makes fractions. 0 where it never was.
+    /// Number of days on which the hour was observed; fractional with forgetting. 0 if it never was.
     pub days: f64,
     /// Sum of the hour's means on these days, each in `[0,1]`.
     pub sum: f64,
@@ -53,7 +52,7 @@ pub struct HourMoments {
 }
 
 impl HourMoments {
-    /// Of the days of both.
+    /// The sums over the days of both.
     #[must_use]
     pub fn and(self, other: HourMoments) -> HourMoments {
         HourMoments {
@@ -63,7 +62,7 @@ impl HourMoments {
         }
     }
 
-    /// Variance between the hour's means on these days, at least 0, finite; 0 where fewer than two were seen. Of values of any
+    /// Variance between the hour's means on these days, at least 0, finite; 0 with fewer than two. For values of any
     /// kind.
     #[must_use]
     pub fn variance(self) -> f64 {
@@ -74,7 +73,7 @@ impl HourMoments {
         if variance.is_finite() { variance.max(0.0) } else { 0.0 }
     }
 
-    /// The same with numbers that cannot have come from hourly means in `[0,1]` brought back to what can.
+    /// The same, limited to values that hourly means in `[0,1]` can have.
     fn plausible(self) -> HourMoments {
         let number = |found: f64, most: f64| if found > 0.0 { found.min(most) } else { 0.0 };
         let days = number(self.days, 1e12);
@@ -83,8 +82,9 @@ impl HourMoments {
         HourMoments { days, sum, sum_of_squares: number(self.sum_of_squares, sum).max(least) }
     }
 
-    /// How much of the largest possible variance for its mean there is between days, in `[0,1]`, with what weight in days:
-    /// 1 where hours are all or nothing, 0 where all days are alike. An hour that is nearly always 0, or 1, says little.
+    /// The variance between days as a share of the largest possible one for the mean, in `[0,1]`, and its weight in
+    /// days: 1 where hours are all or nothing, 0 where all days are alike. An hour that is nearly always 0, or 1, has
+    /// little weight.
     fn scatter(self) -> (f64, f64) {
         let HourMoments { days, sum, sum_of_squares } = self.plausible();
         if days <= 1.0 {
@@ -92,7 +92,7 @@ impl HourMoments {
         }
         let mean = sum / days;
         let variance = (sum_of_squares - sum * mean).max(0.0) / (days - 1.0);
-        // The mean's own variance is missing from m(1 - m).
+        // m(1 - m) lacks the variance of the mean itself.
         let largest = mean * (1.0 - mean) + variance / days;
         if largest <= 0.0 {
             (0.0, 0.0)

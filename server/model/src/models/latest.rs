@@ -1,6 +1,6 @@
-//! The latest value: what was seen last is what will be seen.
+//! The latest value: predicts the value of the newest reading.
 //!
-//! The map that robots have by default: it remembers one reading. Invariant: the answer is a reading.
+//! The map that robots have by default: it remembers one reading. Invariant: the prediction is a reading.
 
 use super::mean::check_values;
 use super::{CannotFit, Moment, Readings, TemporalModel};
@@ -11,8 +11,8 @@ mod tests;
 
 /// The newest reading's value from the first reading on, and the first reading's value before it.
 ///
-/// It keeps two readings, not all: between them too it answers the newest (RAS 2017, section 4.3: maps that "reflect
-/// the latest state measurements").
+/// It keeps two readings only: between them it also predicts the newest (RAS 2017, section 4.3: maps that "reflect the
+/// latest state measurements").
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latest {
     parts: LatestParts,
@@ -21,18 +21,18 @@ pub struct Latest {
 /// What a [`Latest`] consists of, for storage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LatestParts {
-    /// When the first reading was made: UTC, nanoseconds since 1970.
+    /// Time of the first reading: UTC, nanoseconds since 1970.
     pub first_nanos: i64,
     /// Its value, finite.
     pub first_value: f64,
-    /// When the newest reading was made: UTC, nanoseconds since 1970.
+    /// Time of the newest reading: UTC, nanoseconds since 1970.
     pub last_nanos: i64,
     /// Its value, finite.
     pub last_value: f64,
 }
 
 impl Latest {
-    /// The first and the newest of the readings; of several at the newest time the last.
+    /// Keeps the first and the newest reading; of several at the newest time the last.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings or a value is not finite.
@@ -51,19 +51,19 @@ impl Latest {
         })
     }
 
-    /// Takes a reading in as the newest; one that is older than the newest, or not finite, changes nothing.
+    /// Replaces the newest reading; one that is older than the newest, or not finite, changes nothing.
     pub fn observe(&mut self, utc_nanos: i64, value: f64) {
         if utc_nanos >= self.parts.last_nanos && value.is_finite() {
             (self.parts.last_nanos, self.parts.last_value) = (utc_nanos, value);
         }
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> LatestParts {
         self.parts
     }
 
-    /// A model from what was stored.
+    /// A model from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where a value is not finite or the first reading is later than the newest.

@@ -1,7 +1,7 @@
 //! Persistence alone: a state that is 0 or 1 and changes at constant rates, predicted from its newest reading.
 //!
-//! The continuous-time Markov chain of RAS 2017, section 4.2. It knows no time of the day, so far from the newest
-//! reading it answers a constant. Invariant: both rates are positive and finite, every answer lies in `[0,1]`.
+//! The continuous-time Markov chain of RAS 2017, section 4.2. It ignores the time of day, so far from the newest
+//! reading it predicts a constant. Invariant: both rates are positive and finite, every prediction lies in `[0,1]`.
 
 use super::mean::check_values;
 use super::{CannotFit, Moment, Readings, TemporalModel};
@@ -13,7 +13,7 @@ use likelihood::Transitions;
 #[cfg(test)]
 mod tests;
 
-/// Rates are within this of one change per 300 years and one per nanosecond, whatever was read.
+/// The limits of rates: one change per 300 years and one per nanosecond.
 const RATE_RANGE: std::ops::RangeInclusive<f64> = 1e-12..=1e10;
 
 /// The two-state continuous-time Markov chain of a state (RAS 2017, eq. 5 and 6).
@@ -31,7 +31,7 @@ pub struct MarkovChainParts {
     pub rise_per_sec: f64,
     /// β: changes from 1 to 0 per second of being 1; above 0.
     pub fall_per_sec: f64,
-    /// When the newest reading was made: UTC, nanoseconds since 1970.
+    /// Time of the newest reading: UTC, nanoseconds since 1970.
     pub last_nanos: i64,
     /// Its value, in `[0,1]`.
     pub last_value: f64,
@@ -40,13 +40,13 @@ pub struct MarkovChainParts {
 impl MarkovChain {
     /// The rates that make the readings most likely, whatever the gaps between them.
     ///
-    /// Of two successive readings s and s' in `[0,1]` with a gap Δ, max(0, s'-s) counts as a rise, max(0, s-s') as a
-    /// fall and the rest as staying, so that an unsure but steady state does not seem to change. The likelihood is that
-    /// of the chain seen at both ends of Δ: changes that were missed in between are allowed for, and a gap of years says
-    /// only how often the state is 1. Readings at the same time as one before say nothing about rates. A prior of half a
-    /// rise and half a fall in an hour at each value (a mean time between changes of the order of the persistence
-    /// model's hour) keeps both rates above 0 where the state was never seen to change. Gaps within 2 % of each other
-    /// count as one gap of their mean length: the likelihood depends on such differences in second order only.
+    /// For two successive readings s and s' in `[0,1]` with a gap Δ, max(0, s'-s) counts as a rise, max(0, s-s') as a
+    /// fall and the rest as staying, so that an uncertain but steady state does not seem to change. The likelihood is
+    /// that of the chain seen at both ends of Δ: it allows for changes that were missed in between, and a gap of years
+    /// only tells how often the state is 1. Readings with equal times say nothing about rates. A prior of half a rise
+    /// and half a fall in an hour at each value (a mean time between changes of the order of the persistence model's
+    /// hour) keeps both rates above 0 if no change was observed. Gaps within 2 % of each other count as one gap of
+    /// their mean length: the likelihood depends on such differences in second order only.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings or a value is outside `[0,1]`.
@@ -70,30 +70,30 @@ impl MarkovChain {
         })
     }
 
-    /// Takes a reading in as the newest, without changing the rates; one that is older than the newest, or outside
-    /// `[0,1]`, changes nothing.
+    /// Replaces the newest reading without changing the rates; one that is older than the newest, or outside `[0,1]`,
+    /// changes nothing.
     pub fn observe(&mut self, utc_nanos: i64, value: f64) {
         if utc_nanos >= self.parts.last_nanos && (0.0..=1.0).contains(&value) {
             (self.parts.last_nanos, self.parts.last_value) = (utc_nanos, value);
         }
     }
 
-    /// π: how often the state is 1 in the long run, above 0 and below 1.
+    /// π: the share of time in which the state is 1 in the long run, above 0 and below 1.
     pub fn stationary(&self) -> f64 {
         self.parts.rise_per_sec / (self.parts.rise_per_sec + self.parts.fall_per_sec)
     }
 
-    /// 1/(α+β): after this many seconds a reading's say has fallen to 1/e.
+    /// 1/(α+β): after this many seconds the influence of a reading has fallen to 1/e.
     pub fn memory_secs(&self) -> f64 {
         1.0 / (self.parts.rise_per_sec + self.parts.fall_per_sec)
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> MarkovChainParts {
         self.parts
     }
 
-    /// A model from what was stored.
+    /// A model from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where a rate is not positive and finite or the value is outside `[0,1]`.
@@ -106,7 +106,7 @@ impl MarkovChain {
 }
 
 impl TemporalModel for MarkovChain {
-    /// Forwards from the newest reading; before it the stationary probability.
+    /// After the newest reading by the chain; before it the stationary probability.
     fn predict(&self, at: Moment) -> f64 {
         let stationary = self.stationary();
         if at.utc_nanos < self.parts.last_nanos {

@@ -1,6 +1,6 @@
-//! The mean of all readings: the "long-term memory" of RAS 2017 section 4.3.1, and the yardstick of every other model.
+//! The mean of all readings: the "long-term memory" of RAS 2017 section 4.3.1, and the baseline of every other model.
 //!
-//! Invariant: the answer is the same at all times and lies between the lowest and the highest reading.
+//! Invariant: the prediction is the same at all times and lies between the lowest and the highest reading.
 
 use super::{CannotFit, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
@@ -22,7 +22,7 @@ pub struct MeanParts {
 }
 
 impl Mean {
-    /// The mean of the readings, each counted as [`Readings::weights`] says.
+    /// The mean of the readings with the weights of [`Readings::weights`].
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings or a value is not finite.
@@ -40,12 +40,12 @@ impl Mean {
         self.parts.mean
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> MeanParts {
         self.parts
     }
 
-    /// A model from what was stored.
+    /// A model from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where the mean is not finite.
@@ -61,7 +61,7 @@ impl TemporalModel for Mean {
     }
 }
 
-/// A weighted mean that no finite values can make overflow.
+/// A weighted mean that does not overflow for finite values.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct RunningMean {
     pub(super) mean: f64,
@@ -80,7 +80,7 @@ impl RunningMean {
         (self.lowest, self.highest) = (self.lowest.min(value), self.highest.max(value));
         self.weight += weight;
         let share = weight / self.weight;
-        // A difference of huge values would overflow. Rounding must not lead out of what was read.
+        // A difference of huge values would overflow. Rounding must not leave the range of the readings.
         self.mean = (self.mean * (1.0 - share) + value * share).clamp(self.lowest, self.highest);
     }
 }

@@ -1,10 +1,9 @@
-//! Periodic Gaussian mixture: what happens at its own time of day, every day.
+//! Periodic Gaussian mixture: events at fixed times of the period, such as a day.
 //!
 //! PerGaM of Krajník et al., "Where's Waldo at time t?", ICRA 2015 ("Waldo"), section IV.B: the readings are folded
-//! into one period (eq. 6) and a mixture of Gaussians is fitted to what they make of it (eq. 7). The Gaussians are
-//! wrapped here, so that 23:59 is next to 0:01. It can show several short events, but one period alone, which must be
-//! known.
-//! Invariant: at most [`PergamOptions::GAUSSIANS_MAX`], widths positive; a prediction lies in `[0,1]`.
+//! into one period (eq. 6) and a mixture of Gaussians is fitted to their mean values (eq. 7). The Gaussians are wrapped
+//! here, so that 23:59 is next to 0:01. It can represent several short events, but only one period, which must be
+//! known. Invariant: at most [`PergamOptions::GAUSSIANS_MAX`], widths positive; a prediction lies in `[0,1]`.
 
 use super::{CannotFit, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
@@ -26,17 +25,16 @@ const PERIOD_MAX_NANOS: i64 = 36_525 * DAY_NANOS;
 /// How a periodic Gaussian mixture is fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PergamOptions {
-    /// How many Gaussians, from 1 to [`PergamOptions::GAUSSIANS_MAX`]; fewer where the readings have fewer distinct
-    /// phases.
+    /// Number of Gaussians, 1 to [`PergamOptions::GAUSSIANS_MAX`]; fewer where the readings have fewer distinct phases.
     pub gaussians: usize,
     /// The period, in nanoseconds of local civil time, from 1 s to 100 years.
     pub period_nanos: i64,
-    /// What the starting points of the fit are drawn from.
+    /// Seed of the starting points of the fit.
     pub seed: u64,
 }
 
 impl PergamOptions {
-    /// The most Gaussians that may be asked for.
+    /// The maximum number of Gaussians.
     pub const GAUSSIANS_MAX: usize = 20;
 }
 
@@ -50,20 +48,20 @@ impl Default for PergamOptions {
 /// One Gaussian of a [`Pergam`], in plain numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PergamGaussian {
-    /// What it adds to the probability on average over a period, in `[0,1]`: w_j/τ of Waldo eq. 7.
+    /// Its mean contribution to the probability over a period, in `[0,1]`: w_j/τ of Waldo eq. 7.
     pub weight: f64,
-    /// Where it is in the period, μ_j, in seconds from the start, from 0 to the period.
+    /// Its position in the period, μ_j, in seconds from the start, from 0 to the period.
     pub mean_secs: f64,
-    /// How wide it is, σ_j, in seconds; above 0, at most the period.
+    /// Its width, σ_j, in seconds; above 0, at most the period.
     pub deviation_secs: f64,
 }
 
-/// What a [`Pergam`] consists of, to be stored.
+/// What a [`Pergam`] consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PergamParts {
     /// The period τ, in nanoseconds.
     pub period_nanos: i64,
-    /// Its Gaussians; none where the state was never on.
+    /// Its Gaussians; none if the state was never on.
     pub gaussians: Vec<PergamGaussian>,
 }
 
@@ -77,7 +75,7 @@ pub struct Pergam {
 
 impl Pergam {
     /// The mixture that expectation-maximisation finds, the likeliest of several seeded starts. Phases are taken to a
-    /// 1,440th of the period; one that was never observed takes a value between those of its observed neighbours.
+    /// 1,440th of the period; one that was never observed is interpolated between its observed neighbours.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings or an option is outside its range.
@@ -99,7 +97,7 @@ impl Pergam {
         Ok(Pergam::of(PergamParts { period_nanos: options.period_nanos, gaussians: gaussians.collect() }))
     }
 
-    /// What is stored is what decides, so that a model made of it again predicts the same to the last bit.
+    /// Built from its stored parts, so that a model that is read back predicts the same to the last bit.
     fn of(parts: PergamParts) -> Pergam {
         let period_secs = parts.period_nanos as f64 / 1e9;
         let wrapped = parts.gaussians.iter().map(|gaussian| WrappedGaussian {
@@ -110,7 +108,7 @@ impl Pergam {
         Pergam { wrapped: wrapped.collect(), parts }
     }
 
-    /// The model that was stored.
+    /// The model from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where there are too many Gaussians or a number is outside its range.
@@ -119,7 +117,7 @@ impl Pergam {
         InvalidParts::check("period_secs", period_secs, 1.0..=PERIOD_MAX_NANOS as f64 / 1e9)?;
         InvalidParts::check("gaussians", parts.gaussians.len() as f64, 0.0..=PergamOptions::GAUSSIANS_MAX as f64)?;
         for gaussian in &parts.gaussians {
-            // Leave room for rounding.
+            // Room for rounding.
             InvalidParts::check("weight", gaussian.weight, 0.0..=1.01)?;
             InvalidParts::check("mean_secs", gaussian.mean_secs, 0.0..=period_secs)?;
             InvalidParts::check("deviation_secs", gaussian.deviation_secs, period_secs * 1e-6..=period_secs * 1.01)?;
@@ -127,7 +125,7 @@ impl Pergam {
         Ok(Pergam::of(parts.clone()))
     }
 
-    /// What the model consists of; a model made of it again is the same to the last bit.
+    /// The parts of the model; a model built from them is the same to the last bit.
     pub fn to_parts(&self) -> PergamParts {
         self.parts.clone()
     }

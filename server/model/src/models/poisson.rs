@@ -1,4 +1,4 @@
-//! The Poisson-spectral model of counts: how many events to expect in an interval, with a rate that has rhythms.
+//! The Poisson-spectral model of counts: the expected number of events in an interval, with a periodic rate.
 //!
 //! After Jovan et al., "A Poisson-Spectral Model for Modelling the Spatio-Temporal Patterns in Human Data", IROS 2016:
 //! counts per interval are Poisson with a rate under a Gamma prior, and the rate is a mean and its strongest periodic
@@ -23,12 +23,12 @@ const BIN_NANOS_RANGE: std::ops::RangeInclusive<i64> = 1_000_000_000..=400 * 86_
 const PRIOR_EVENTS: f64 = 0.5;
 /// … in one bin.
 const PRIOR_BINS: f64 = 1.0;
-/// A bin is taken to count no more than this.
+/// The maximum count of a bin.
 const COUNT_MAX: f64 = 1e12;
-/// A lower order wins where the log-likelihood lacks no more than this of the highest: ln 20. Among the strongest of many
-/// candidates, noise alone gains a nat or two on held-out days quite often.
+/// A lower order is preferred if its log-likelihood is within this of the highest: ln 20. Among the strongest of many
+/// candidates, noise alone often gains a nat or two on held-out days.
 const NEAR_TIE_NATS: f64 = 3.0;
-/// With fewer days there is nothing to hold out.
+/// With fewer days no days are held out.
 const DAYS_MIN: usize = 4;
 
 /// Events per bin as a mean and periodic components.
@@ -38,7 +38,7 @@ pub struct PoissonSpectral {
     parts: PoissonSpectralParts,
 }
 
-/// What a [`PoissonSpectral`] consists of, for storage; the periodicities are stored by whoever has them.
+/// What a [`PoissonSpectral`] consists of, for storage; the caller stores the periodicities.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoissonSpectralParts {
     /// Length of a bin in nanoseconds, a second to 400 days.
@@ -52,14 +52,14 @@ pub struct PoissonSpectralParts {
 }
 
 impl PoissonSpectral {
-    /// Fits counts: the values of all readings in a bin are added up, a bin without a reading was not observed (so a
-    /// counter that saw nobody has to say 0). Bins are of local civil time and begin with 1970.
+    /// Fits counts: the values of all readings in a bin are added up, a bin without a reading counts as unobserved (so
+    /// a counter that saw nobody must report 0). Bins are of local civil time, from 1970.
     ///
-    /// The mean is that of the Gamma posterior, (½ + Σ counts)/(1 + bins), so that a count that was always 0 has a small
-    /// positive rate. The rate is never below what one time of the day has where it never counted anything, ½/(1 + days),
-    /// nor is that above the mean. The order, 0..=[`ORDER_MAX`], is the one with the highest Poisson log-likelihood on
-    /// the last quarter of the days, when fitted to those before, or the lowest of those that are not 20 times less
-    /// likely; with fewer than four days it is 0.
+    /// The mean is that of the Gamma posterior, (½ + Σ counts)/(1 + bins), so that a count that was always 0 has a
+    /// small positive rate. The rate is at least ½/(1 + days), the rate of a time of day without any count, but this
+    /// floor is at most the mean. The order, 0..=[`ORDER_MAX`], is the one with the highest Poisson log-likelihood on
+    /// the last quarter of the days, when fitted to those before, or the lowest that is at most 20 times less likely;
+    /// with fewer than four days it is 0.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings, a value is not in 0..=1e12, or the bin is outside its range.
@@ -78,7 +78,7 @@ impl PoissonSpectral {
         Ok(PoissonSpectral::of_bins(&bins, periodicities, bin_nanos, order))
     }
 
-    /// The model of that order.
+    /// The model of the given order.
     fn of_bins(bins: &[Bin], periodicities: &Periodicities, bin_nanos: i64, order: usize) -> PoissonSpectral {
         let weight: f64 = bins.iter().map(|bin| bin.weight).sum();
         let events: f64 = bins.iter().map(|bin| bin.weight * bin.count).sum();
@@ -93,7 +93,7 @@ impl PoissonSpectral {
         }
     }
 
-    /// The count of a bin to expect by the first `order` components.
+    /// The expected count of a bin by the first `order` components.
     fn count(&self, order: usize, civil_nanos: i64) -> f64 {
         let mut count = self.parts.mean;
         for component in self.parts.components.iter().take(order) {
@@ -105,7 +105,7 @@ impl PoissonSpectral {
         count.max(self.parts.floor)
     }
 
-    /// Events per second to expect around a moment; above 0.
+    /// Expected events per second around a moment; above 0.
     pub fn rate_per_sec(&self, at: Moment) -> f64 {
         self.predict(at) / (self.parts.bin_nanos as f64 / 1e9)
     }
@@ -120,12 +120,12 @@ impl PoissonSpectral {
         self.parts.bin_nanos
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> PoissonSpectralParts {
         self.parts.clone()
     }
 
-    /// A model from what was stored and the periodicities that it was fitted with.
+    /// A model from stored parts and the periodicities that it was fitted with.
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range or there are too many components.
@@ -156,7 +156,7 @@ impl PoissonSpectral {
 }
 
 impl TemporalModel for PoissonSpectral {
-    /// The count to expect in a bin around a moment; above 0.
+    /// The expected count of the bin around a moment; above 0.
     fn predict(&self, at: Moment) -> f64 {
         self.count(ORDER_MAX, at.civil_nanos())
     }
@@ -181,7 +181,7 @@ fn day_runs(bins: &[Bin]) -> impl Iterator<Item = &[Bin]> {
     bins.chunk_by(move |a, b| day(a) == day(b))
 }
 
-/// The order that predicts the last quarter of the days best from those before; the lowest of the near ones.
+/// The order that predicts the last quarter of the days best from those before; on a near tie the lowest.
 fn best_order(bins: &[Bin], periodicities: &Periodicities, bin_nanos: i64) -> usize {
     let days: Vec<&[Bin]> = day_runs(bins).collect();
     if days.len() < DAYS_MIN {

@@ -1,12 +1,12 @@
-//! Presence: in which one of several places somebody, or something, is now.
+//! Presence: the place, out of several, where a person or an object is now.
 //!
-//! Models of single states know nothing of each other. Where exactly one of them is on at a time, as with one person in the
-//! rooms of a flat, a look into one room tells of the others too: who is in the kitchen is not in the bedroom, and who is
-//! not in the kitchen is likelier to be in the bedroom. This model is a hidden Markov chain over the places, in steps of a
-//! slot of the day, whose rates of change depend on the time of the day. It is learned from looks into one place at a time
-//! by expectation-maximisation (L. Baum et al., "A maximization technique occurring in the statistical analysis of
-//! probabilistic functions of Markov chains", 1970).
-//! Invariant: the probabilities of all places are in `[0,1]` and sum to 1 (to 1e-9); what is kept is bounded.
+//! Models of single states know nothing of each other. Where exactly one of them is on at a time, as with one person in
+//! the rooms of a flat, a look into one room tells of the others too: who is in the kitchen is not in the bedroom, and
+//! who is not in the kitchen is likelier to be in the bedroom. This model is a hidden Markov chain over the places, in
+//! steps of a slot of the day, whose rates of change depend on the time of the day. It is learned from looks into one
+//! place at a time by expectation-maximisation (L. Baum et al., "A maximization technique occurring in the statistical
+//! analysis of probabilistic functions of Markov chains", 1970). Invariant: the probabilities of all places are in
+//! `[0,1]` and sum to 1 (to 1e-9); what is kept is bounded.
 
 use std::collections::VecDeque;
 
@@ -17,33 +17,35 @@ mod learning;
 #[cfg(test)]
 mod tests;
 
-/// Slots of history that are kept at most; older ones are forgotten. A year of slots of ten minutes, and a half.
+/// Maximum slots of history; older ones are forgotten. One and a half years of slots of ten minutes.
 const HISTORY_MAX: usize = 80_000;
 
-/// How a [`Presence`] is made.
+/// The options of a [`Presence`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PresenceOptions {
     /// Number of places, 2 to [`PresenceOptions::PLACES_MAX`].
     pub places: usize,
     /// Slots of a day, 1 to [`PresenceOptions::SLOTS_MAX`].
     pub slots_per_day: usize,
-    /// Standard deviation of the circular Gaussian over the time of day with which changes seen at one time of day speak for
-    /// others, in slots, 0 to a quarter of the slots of a day.
+    /// Standard deviation of the circular Gaussian that smooths the rates of change over the time of day, in slots, 0
+    /// to a quarter of the slots of a day.
     pub smoothing_slots: f64,
-    /// How many slots in a place the changes of all times of day count as at each time of day, above 0 to 1e6; and
-    /// the prior of those in turn.
+    /// The weight, in slots, of the rates over all times of day as prior of each time of day, and of the prior of these
+    /// rates; above 0 to 1e6.
     pub prior_slots: f64,
-    /// Steps of expectation-maximisation each time that it learns, 1 to 100; each goes on from what was learned before.
+    /// Steps of expectation-maximisation in each call of [`Presence::learn`], 1 to 100; each continues from the
+    /// previous result.
     pub steps: usize,
 }
 
 impl PresenceOptions {
-    /// The most places.
+    /// The maximum number of places.
     pub const PLACES_MAX: usize = 64;
-    /// The most slots of a day: minutes.
+    /// The maximum number of slots of a day: minutes.
     pub(crate) const SLOTS_MAX: usize = 1440;
 
-    /// For so many places and slots: habits are smoothed over an hour, and shrunk with a weight of five slots.
+    /// Defaults for the given numbers of places and slots: rates are smoothed over an hour, and shrunk with a weight of
+    /// five slots.
     pub fn new(places: usize, slots_per_day: usize) -> PresenceOptions {
         PresenceOptions {
             places,
@@ -75,38 +77,38 @@ impl PresenceOptions {
     }
 }
 
-/// One look into one place.
+/// One observation of one place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct PresenceObservation {
     place: usize,
     there: bool,
 }
 
-/// A slot that has passed, or is passing.
+/// A past slot or the present one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct PresenceSlot {
     of_day: usize,
     observation: Option<PresenceObservation>,
 }
 
-/// Where somebody is, by looks into one place at a time; see the module's head.
+/// The place of a person or object, from observations of one place at a time; see the module's head.
 ///
-/// Time goes on slot by slot: [`Presence::advance`], then at most one [`Presence::observe`]. [`Presence::learn`] takes what
-/// was seen so far into the rates of change; between two calls they stay as they are.
+/// Time advances slot by slot: [`Presence::advance`], then at most one [`Presence::observe`]. [`Presence::learn`]
+/// learns the rates of change from all observations so far; between two calls the rates are constant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Presence {
     options: PresenceOptions,
     /// By slot of the day: the probability, for each place of the slot before, of each place.
     transitions: Vec<f64>,
     history: VecDeque<PresenceSlot>,
-    /// Where it is in the first slot that is kept, before that slot's look.
+    /// The probabilities in the first slot that is kept, before its observation.
     initial: Vec<f64>,
-    /// Where it is in the present slot.
+    /// The probabilities in the present slot.
     belief: Vec<f64>,
 }
 
 impl Presence {
-    /// Of which nothing is known: every place is as likely, and to stay is as likely as to leave.
+    /// An untrained model: all places are equally likely, and staying is as likely as leaving.
     ///
     /// # Errors
     /// [`CannotFit`] where an option is outside its range.
@@ -125,8 +127,8 @@ impl Presence {
         Ok(Presence { options, transitions, history: VecDeque::new(), initial, belief })
     }
 
-    /// Goes on to the next slot, which is that one of its day; a number beyond the day counts on from its start. A day may
-    /// have slots that come twice or are left out, as where the clocks change.
+    /// Advances to the next slot, `slot_of_day`; numbers beyond the day wrap around. A day may repeat or skip slots, as
+    /// when the clocks change.
     pub fn advance(&mut self, slot_of_day: usize) {
         let of_day = slot_of_day % self.options.slots_per_day;
         if !self.history.is_empty() {
@@ -138,8 +140,8 @@ impl Presence {
         }
     }
 
-    /// Takes in a look into one place in the present slot; a second look in one slot is taken in, but only the last is
-    /// learned from. A look at a place that there is not, or before the first slot, changes nothing.
+    /// Adds an observation of one place in the present slot. A second one in the same slot updates the probabilities,
+    /// but only the last is learned. An unknown place, or an observation before the first slot, changes nothing.
     pub fn observe(&mut self, place: usize, there: bool) {
         if place >= self.options.places {
             return;
@@ -151,12 +153,13 @@ impl Presence {
         }
     }
 
-    /// How likely each place is in the present slot, by all looks so far.
+    /// The probability of each place in the present slot, by all observations so far.
     pub fn probabilities(&self) -> &[f64] {
         &self.belief
     }
 
-    /// How likely each place is in each of the slots that follow, for their numbers in their days, without further looks.
+    /// The probability of each place in each of the following slots, given by their numbers in the day, without further
+    /// observations.
     pub fn forecast(&self, slots_of_day: impl IntoIterator<Item = usize>) -> Vec<Vec<f64>> {
         let mut belief = self.belief.clone();
         let on = |slot: usize| {
@@ -166,8 +169,8 @@ impl Presence {
         slots_of_day.into_iter().map(on).collect()
     }
 
-    /// Learns the rates of change from all looks that are kept, and tells by them anew where it is now. Takes time
-    /// proportional to the slots kept, times the square of the number of places.
+    /// Learns the rates of change from all kept observations, and recomputes the present probabilities. Takes time
+    /// proportional to the number of kept slots times the square of the number of places.
     pub fn learn(&mut self) {
         for _ in 0..self.options.steps {
             self.improve();
@@ -194,7 +197,7 @@ impl Presence {
         next
     }
 
-    /// What the oldest slot says stays, as where it is in the next.
+    /// The information of the oldest slot is kept in the initial probabilities of the next.
     fn forget_first(&mut self) {
         if let Some(slot) = self.history.pop_front() {
             if let Some(observation) = slot.observation {
@@ -207,7 +210,7 @@ impl Presence {
     }
 }
 
-/// The probabilities given a look. One that contradicts them leaves what it says alone.
+/// The probabilities given an observation. One that contradicts them replaces them.
 fn condition(belief: &mut [f64], observation: PresenceObservation) {
     for (place, p) in belief.iter_mut().enumerate() {
         if (place == observation.place) != observation.there {

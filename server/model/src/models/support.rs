@@ -1,8 +1,8 @@
-//! How many components of a spectral model the observations support, and which are what noise would show as well.
+//! The number of components of a spectral model that the observations support.
 //!
-//! Of 168 candidates the strongest is never 0. Two independent judgements: how likely noise alone is to have such a peak
-//! in its periodogram, and whether predictions gained by it day after day. Invariant: more observations that say the same
-//! never lower what is supported; nothing here is NaN.
+//! The strongest of 168 candidates is never 0, even for noise. There are two independent tests: how likely noise alone
+//! has such a peak in its periodogram, and whether predictions improved by it day after day. Invariant: more
+//! observations of the same kind never lower the number; no result is NaN.
 
 use crate::{Periodicities, SpectralModel};
 
@@ -12,10 +12,11 @@ pub use gains::{OrderGains, OrderGainsParts};
 #[cfg(test)]
 mod tests;
 
-/// A component counts where noise alone would show one as strong, at any of the candidate periods, less often than this.
+/// A component is supported if noise alone shows one as strong, at any candidate period, with less than this
+/// probability.
 const FALSE_ALARM: f64 = 0.01;
 
-/// What is known of how much successive readings depend on each other; all of it from sums that are kept anyway.
+/// How much successive readings depend on each other, from sums that are kept anyway.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DependenceSums {
     /// Number of pairs of successive readings: [`PersistenceParts::pairs`](crate::PersistenceParts::pairs).
@@ -27,24 +28,22 @@ pub struct DependenceSums {
     pub span_secs: f64,
     /// Mean value, in `[0,1]`: [`Accumulator::mean`](crate::Accumulator::mean).
     pub mean: f64,
-    /// How many single hours held a reading: [`HourTable::observed_hours`](super::HourTable::observed_hours). `None`:
-    /// not known; then readings are taken to be spread over the span, and visits that each bring many readings seem to say
-    /// more than they do.
+    /// Number of single hours with a reading: [`HourTable::observed_hours`](super::HourTable::observed_hours). `None`:
+    /// unknown; then readings count as spread over the span, and visits with many readings each are overrated.
     pub observed_hours: Option<f64>,
 }
 
-/// How many independent readings the readings are worth, from 1 to their number.
+/// The number of independent readings that the readings are equivalent to, from 1 to their number.
 ///
-/// Readings of a state that changes slowly repeat each other. With a correlation ρ of neighbours that fades exponentially
-/// (the state as a two-state Markov chain, RAS 2017 section 4.2), the mean of N readings, and any slow component of their
-/// spectrum, vary as those of N(1 - ρ)/(1 + ρ) independent ones (G. V. Bayley and J. M. Hammersley, "The 'Effective'
-/// Number of Independent Observations in an Autocorrelated Time Series", 1946). Of the chain E|Δs| = 2μ(1-μ)(1 - ρ), so
-/// 1 - ρ is the mean rate of change times the mean time between readings, over 2μ(1-μ). A rhythm of the state itself makes
-/// neighbours more alike, and values between 0 and 1 vary less than 2μ(1-μ) allows: both lower the number, which errs on
-/// the side of caution.
+/// Readings of a state that changes slowly repeat each other. With a correlation ρ of neighbours that fades
+/// exponentially (the state as a two-state Markov chain, RAS 2017 section 4.2), the mean of N readings, and any slow
+/// component of their spectrum, vary as those of N(1 - ρ)/(1 + ρ) independent ones (G. V. Bayley and J. M. Hammersley,
+/// "The 'Effective' Number of Independent Observations in an Autocorrelated Time Series", 1946). Of the chain E|Δs| =
+/// 2μ(1-μ)(1 - ρ), so 1 - ρ is the mean rate of change times the mean time between readings, over 2μ(1-μ). A rhythm of
+/// the state itself makes neighbours more alike, and values between 0 and 1 vary less than 2μ(1-μ) allows: both lower
+/// the number, which is conservative.
 ///
-/// Where hours are known, readings of hours that were watched count by the time watched rather than by the span, but at
-/// least one an hour.
+/// If hours are known, the observed time counts instead of the span, with at least one reading an hour.
 pub fn effective_observations(sums: &DependenceSums) -> f64 {
     let most_change = 2.0 * sums.mean * (1.0 - sums.mean);
     effective(sums, |change| if most_change > 0.0 { change / most_change } else { 0.0 })
@@ -65,11 +64,11 @@ fn effective(sums: &DependenceSums, forgotten: impl Fn(f64) -> f64) -> f64 {
         _ => over(sums.span_secs),
     };
     let readings = sums.pairs as f64 + 1.0;
-    // NaN, from sums that are none, says nothing.
+    // NaN, from invalid sums, supports nothing.
     if number.is_nan() { 1.0 } else { number.clamp(1.0, readings) }
 }
 
-/// [`effective_observations`] of values that are no probabilities and have this variance; the mean is not looked at.
+/// [`effective_observations`] of values that are not probabilities, with the given variance; the mean is not used.
 ///
 /// Neighbours with a normal distribution and the correlation ρ differ by E|Δs| = 2σ√((1 - ρ)/π), so 1 - ρ is
 /// π/4·(E|Δs|/σ)².
@@ -77,19 +76,19 @@ pub(crate) fn effective_observations_of_values(sums: &DependenceSums, variance: 
     effective(sums, |change| std::f64::consts::FRAC_PI_4 * change * change / variance)
 }
 
-/// How many of a model's strongest components are supported, 0..=[`ORDER_MAX`](crate::ORDER_MAX).
+/// The number of a model's strongest components that are supported, 0..=[`ORDER_MAX`](crate::ORDER_MAX).
 ///
 /// Of n independent readings with variance v, |γ|²n/v is exponentially distributed with mean 1, so that noise shows a
 /// peak of z or more among K candidates with probability 1 - (1 - e^-z)^K (J. D. Scargle, "Studies in Astronomical Time
-/// Series Analysis II", ApJ 1982, section III). Components are judged in turn, each against the variance that the ones
-/// before leave of μ(1-μ), the most that values in `[0,1]` can have; the first that noise would show with 1 % or more ends
-/// it. To predict with no more than this is to predict with `order.min(supported)`.
+/// Series Analysis II", ApJ 1982, section III). Components are tested in turn, each against the variance that the
+/// previous ones leave of μ(1-μ), the largest variance of values in `[0,1]`; the first that noise shows with a
+/// probability of 1 % or more ends the test. To use supported components only, predict with `order.min(supported)`.
 pub fn supported_order(model: &SpectralModel, periodicities: &Periodicities, effective_observations: f64) -> usize {
     let variance = model.mean() * (1.0 - model.mean());
     supported_order_of_values(model, periodicities, effective_observations, variance)
 }
 
-/// [`supported_order`] of values that have this variance.
+/// [`supported_order`] of values with the given variance.
 pub(crate) fn supported_order_of_values(
     model: &SpectralModel,
     periodicities: &Periodicities,
@@ -104,7 +103,7 @@ pub(crate) fn supported_order_of_values(
         let peak = power * effective_observations / variance;
         // 1 - (1 - e^-z)^K, exact where e^-z is tiny.
         let false_alarm = -(candidates * (-(-peak).exp()).ln_1p()).exp_m1();
-        // Where components overlap they can explain more than there is; NaN supports nothing.
+        // Overlapping components can explain more than the whole variance; NaN supports nothing.
         if variance <= 0.0 || false_alarm.is_nan() || false_alarm >= FALSE_ALARM {
             break;
         }

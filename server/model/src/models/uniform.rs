@@ -1,8 +1,8 @@
 //! The uniform variant of FreMEn: a regularly sampled binary state as the strongest components of its Fourier transform
-//! and the set of outliers that they miss, from which every state can be had back exactly.
+//! and the set of outliers that they miss, from which every state can be reconstructed exactly.
 //!
-//! T-RO section III.B. The spectral model of the crate needs neither regular samples nor a transform of all of them; this
-//! one keeps history. Invariant: `reconstruct` gives what was fitted and appended, whatever the order.
+//! T-RO section III.B. The crate's spectral model needs neither regular samples nor a transform of all of them; this
+//! one stores the history. Invariant: `reconstruct` returns exactly the fitted and appended states, for any order.
 
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
@@ -19,49 +19,49 @@ use regular::{STEPS_MAX, off_time, regular};
 #[cfg(test)]
 mod tests;
 
-/// A probability this little below 0.5 counts as 0.5: where components meet there exactly, as those of a square wave do,
-/// machines that round the last digit differently must agree.
+/// A probability within this below 0.5 counts as 0.5: components of a square wave meet there exactly, and machines that
+/// round the last digit differently must agree.
 const TIE: f64 = 1e-9;
-/// Components weaker than this are what rounding leaves of 0.
+/// Weaker components are rounding errors.
 const GAMMA_MIN: f64 = 1e-12;
 /// A regularly sampled binary state (T-RO, section III.B).
 ///
-/// Time is counted in steps: reading i was made i intervals (UTC) after the first. What is predicted for a moment follows
-/// the local clock, so that a model fitted in winter keeps its hours in summer.
+/// Time is counted in steps: reading i was made i intervals (UTC) after the first. Predictions follow the local clock,
+/// so that a model fitted in winter keeps its hours in summer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UniformSpectral {
     parts: UniformSpectralParts,
-    /// The outlier set decoded: the steps at which the estimate starts and stops to differ from the state, ascending.
+    /// The outlier set decoded: the steps at which the estimate starts and stops differing from the state, ascending.
     outliers: Vec<u32>,
 }
 
 /// What a [`UniformSpectral`] consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UniformSpectralParts {
-    /// When the first reading was made: UTC, nanoseconds since 1970.
+    /// Time of the first reading: UTC, nanoseconds since 1970.
     pub first_nanos: i64,
     /// The UTC offset of the map's zone then, in seconds, east positive.
     pub offset_secs: i32,
     /// Time between readings, in nanoseconds, at least 1.
     pub interval_nanos: i64,
-    /// Readings that the spectrum was made of, at least 2: component k turns k times in that many steps.
+    /// Number of readings that the spectrum was fitted to, at least 2: component k turns k times in that many steps.
     pub fitted_steps: u32,
-    /// Readings held, at least `fitted_steps`.
+    /// Number of stored readings, at least `fitted_steps`.
     pub steps: u32,
-    /// Mean of the readings that the spectrum was made of, in `[0,1]`.
+    /// Mean of the readings that the spectrum was fitted to, in `[0,1]`.
     pub mean: f64,
-    /// The components P, strongest first, at most [`ORDER_MAX`]: index k from 1 to half of `fitted_steps`, phase 0 at the
-    /// first reading.
+    /// The components P, strongest first, at most [`ORDER_MAX`]: index k from 1 to half of `fitted_steps`, phase 0 at
+    /// the first reading.
     pub components: Vec<Component>,
-    /// The outlier set O, Δ-encoded: from step 0 on, the number of steps to where the estimate p ≥ 0.5 starts to differ from
-    /// the state, from there to where it stops, and so on; 7 bits a byte, the lowest first, the top bit set where more
-    /// follow.
+    /// The outlier set O, Δ-encoded: from step 0 on, the number of steps to where the estimate p ≥ 0.5 starts differing
+    /// from the state, from there to where it stops, and so on; 7 bits a byte, the lowest first, the top bit set where
+    /// more follow.
     pub outlier_gaps: Vec<u8>,
 }
 
 impl UniformSpectral {
-    /// The `order` strongest components of the readings' Fourier transform, and the outliers that they leave. Of the
-    /// readings all count alike.
+    /// The `order` strongest components of the readings' Fourier transform, and the outliers that they leave. All
+    /// readings have equal weight.
     ///
     /// # Errors
     /// [`CannotFit`] where there are fewer than two readings, a value is neither 0 nor 1, or the order is above
@@ -84,7 +84,7 @@ impl UniformSpectral {
         UniformSpectral::of_states(&header, &states, order)
     }
 
-    /// The model of all states held, with another order: the update of T-RO III.B.3. Nothing is lost by it.
+    /// The model of all stored states with another order: the update of T-RO III.B.3. It loses no information.
     ///
     /// # Errors
     /// [`CannotFit`] where the order is above [`ORDER_MAX`].
@@ -113,8 +113,8 @@ impl UniformSpectral {
         Ok(model)
     }
 
-    /// Takes in the next reading, without changing the spectrum (T-RO eq. 8): where the prediction starts or stops to
-    /// differ from the state, the outlier set grows.
+    /// Appends the next reading without changing the spectrum (T-RO eq. 8): where the prediction starts or stops
+    /// differing from the state, the outlier set grows.
     ///
     /// # Errors
     /// [`CannotFit`] where the value is neither 0 nor 1 or the time is not one interval after the last reading's.
@@ -144,7 +144,7 @@ impl UniformSpectral {
         self.parts.steps = step + 1;
     }
 
-    /// Every state held, in order: s(t) = (p(t) ≥ 0.5) ⊕ (t ∈ O), T-RO eq. 7.
+    /// All stored states, in order: s(t) = (p(t) ≥ 0.5) ⊕ (t ∈ O), T-RO eq. 7.
     pub fn reconstruct(&self) -> Vec<bool> {
         let mut outliers = self.outliers.iter().peekable();
         let mut is_outlier = false;
@@ -163,7 +163,8 @@ impl UniformSpectral {
         (step < self.parts.steps).then(|| self.estimate(step) != (changes % 2 == 1))
     }
 
-    /// The share of the states held that the spectrum alone gives wrongly, 0 to 1: the estimation error of T-RO eq. 15.
+    /// The share of stored states that the spectrum alone predicts wrongly, 0 to 1: the estimation error of T-RO eq.
+    /// 15.
     pub fn estimation_error(&self) -> f64 {
         let ends = self.outliers.chunks(2).map(|run| {
             let until = run.get(1).copied().unwrap_or(self.parts.steps);
@@ -175,15 +176,14 @@ impl UniformSpectral {
     /// The compression ratio r = m/z of T-RO eq. 16 for one state: m readings would take one bit each, z is the size of
     /// what is stored, in bits. Lossless with the outlier set, lossy without it.
     ///
-    /// Stored are the numbers of [`UniformSpectralParts`] at their own sizes: 288 bits, 160 a component and
-    /// the bytes of the outlier set.
+    /// The size is that of [`UniformSpectralParts`]: 288 bits, 160 a component and the bytes of the outlier set.
     pub fn compression_ratio(&self, with_outliers: bool) -> f64 {
         let outlier_bits = if with_outliers { 8 * self.parts.outlier_gaps.len() } else { 0 };
         let bits = 64 + 32 + 64 + 32 + 32 + 64 + 160 * self.parts.components.len() + outlier_bits;
         f64::from(self.parts.steps) / bits as f64
     }
 
-    /// Mean of the readings that the spectrum was made of, in `[0,1]`.
+    /// Mean of the readings that the spectrum was fitted to, in `[0,1]`.
     pub fn mean(&self) -> f64 {
         self.parts.mean
     }
@@ -193,17 +193,17 @@ impl UniformSpectral {
         &self.parts.components
     }
 
-    /// The steps at which the prediction starts and stops to differ from the state.
+    /// The steps at which the prediction starts and stops differing from the state.
     pub fn outliers(&self) -> &[u32] {
         &self.outliers
     }
 
-    /// Number of states held.
+    /// Number of stored states.
     pub fn steps(&self) -> u32 {
         self.parts.steps
     }
 
-    /// p(t) by the mean and the `order` strongest components alone; all of them where there are fewer.
+    /// p(t) by the mean and the `order` strongest components, or all if there are fewer.
     pub fn predict_at_order(&self, order: usize, at: Moment) -> f64 {
         let parts = &self.parts;
         let first = Moment { utc_nanos: parts.first_nanos, offset_secs: parts.offset_secs };
@@ -213,9 +213,9 @@ impl UniformSpectral {
         self.probability(order, |k| (elapsed_nanos * i128::from(k) % span_nanos) as f64 / span_nanos as f64)
     }
 
-    /// What was observed, where that is an outlier of the model of this order: the reading nearest to the moment, half an
-    /// interval away at most, is on the other side of 0.5 than what the spectrum gives for it. `None` elsewhere, and beyond
-    /// the readings held.
+    /// The observed value, if it is an outlier of the model of this order: the reading nearest to the moment, at most
+    /// half an interval away, is on the other side of 0.5 than the prediction of the spectrum. `None` otherwise, and
+    /// beyond the stored readings.
     pub fn outlier_at(&self, order: usize, at: Moment) -> Option<bool> {
         let interval_nanos = i128::from(self.parts.interval_nanos);
         let elapsed_nanos = i128::from(at.utc_nanos) - i128::from(self.parts.first_nanos);
@@ -231,7 +231,7 @@ impl UniformSpectral {
 
     fn estimate_at_order(&self, order: usize, step: u32) -> bool {
         let fitted = u64::from(self.parts.fitted_steps);
-        // k·step modulo the span in integers, so that a step far on has the phase that it had when it was encoded.
+        // k·step modulo the span in integers, so that a late step has the same phase as when it was encoded.
         let turns = |k: u32| (u64::from(k) * u64::from(step) % fitted) as f64 / fitted as f64;
         self.probability(order, turns) >= 0.5 - TIE
     }
@@ -249,12 +249,12 @@ impl UniformSpectral {
         p.clamp(0.0, 1.0)
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> UniformSpectralParts {
         self.parts.clone()
     }
 
-    /// A model from what was stored.
+    /// A model from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range or there are too many components.
@@ -277,7 +277,7 @@ impl UniformSpectral {
 }
 
 impl TemporalModel for UniformSpectral {
-    /// p(t) by the spectrum alone, continued periodically before and after what was fitted (T-RO eq. 10).
+    /// p(t) by the spectrum alone, continued periodically before and after the fitted readings (T-RO eq. 10).
     fn predict(&self, at: Moment) -> f64 {
         self.predict_at_order(ORDER_MAX, at)
     }
@@ -287,7 +287,7 @@ impl TemporalModel for UniformSpectral {
 fn binary(sample: &Sample) -> Result<bool, CannotFit> {
     let (parameter, found, expected) = ("a reading's value", sample.value, "0 or 1");
     let distance = |state: f64| (found - state).abs();
-    // NaN is far from both.
+    // NaN is neither.
     if distance(1.0) <= f64::EPSILON {
         Ok(true)
     } else if distance(0.0) <= f64::EPSILON {
@@ -297,7 +297,7 @@ fn binary(sample: &Sample) -> Result<bool, CannotFit> {
     }
 }
 
-/// Mean and strongest components of the transform, of equal ones the slower first.
+/// Mean and strongest components of the transform, ties: the slower first.
 fn strongest(states: &[bool], order: usize) -> Result<(f64, Vec<Component>), CannotFit> {
     let transform = RealFftPlanner::<f64>::new().plan_fft_forward(states.len());
     let mut values: Vec<f64> = states.iter().map(|&state| f64::from(u8::from(state))).collect();
@@ -314,7 +314,7 @@ fn strongest(states: &[bool], order: usize) -> Result<(f64, Vec<Component>), Can
     };
     let mut components: Vec<Component> = spectrum.iter().enumerate().skip(1).map(component).collect();
     components.retain(|component| component.amplitude() > 2.0 * GAMMA_MIN);
-    // Stable, so that equal ones stay in the order of their index.
+    // A stable sort keeps ties in the order of their index.
     components.sort_by(|a, b| b.amplitude().total_cmp(&a.amplitude()));
     components.truncate(order);
     Ok((mean, components))

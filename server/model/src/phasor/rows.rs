@@ -1,7 +1,7 @@
-//! Rows of numbers that vector kernels read as fast as the cache gives them.
+//! Rows of numbers aligned to cache lines, for vector kernels.
 //!
-//! Invariant: each row begins at a cache line, so that no vector lies across two, and a row takes an
-//! odd number of lines, so that equal places of many rows do not compete for the same few in cache.
+//! Invariant: each row begins at a cache line, so that no vector lies across two, and a row takes an odd number of
+//! lines, so that the same positions of many rows do not compete for the same cache sets.
 
 /// Numbers of a cache line, which is 64 bytes.
 const LINE: usize = 8;
@@ -30,7 +30,7 @@ impl AlignedRows {
         (self.entries.len() - (LINE - 1)) / self.stride
     }
 
-    /// Memory held behind this, in bytes.
+    /// Heap memory, in bytes.
     pub(crate) fn bytes(&self) -> usize {
         self.entries.capacity() * size_of::<f64>()
     }

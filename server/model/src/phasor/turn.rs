@@ -31,7 +31,7 @@ const COS: [f64; 8] = [
     1.0 / 20_922_789_888_000.0,
 ];
 
-/// A phase less its nearest whole turn, for phases below 2^51 turns.
+/// A phase minus its nearest whole turn, for phases below 2^51 turns.
 #[inline(always)]
 pub(crate) fn nearest_turn<S: Simd>(simd: S, turns: S::f64s) -> S::f64s {
     let round = simd.splat_f64s(ROUND);

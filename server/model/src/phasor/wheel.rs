@@ -20,7 +20,7 @@ pub(crate) struct Wheels<S: Simd> {
     base: [(S::f64s, S::f64s); GROUP],
     /// e^(j·64θ)
     stride: [(S::f64s, S::f64s); GROUP],
-    /// e^(jkθ) with k the last harmonic before the block; 0 in lanes without a phase.
+    /// e^(jkθ), where k is the last harmonic before the block; 0 in lanes without a phase.
     start: [(S::f64s, S::f64s); GROUP],
 }
 
@@ -34,8 +34,8 @@ pub(crate) struct Spin<S: Simd> {
 }
 
 impl<S: Simd> Wheels<S> {
-    /// Wheels for at most [`GROUP`] vectors of phases in turns, before harmonic 1. In lanes without a
-    /// phase every harmonic is 0.
+    /// Wheels for at most [`GROUP`] vectors of phases in turns, positioned before harmonic 1. In lanes without a phase
+    /// every harmonic is 0.
     #[inline(always)]
     pub(crate) fn new(simd: S, turns: &[f64]) -> Wheels<S> {
         let zero = (simd.splat_f64s(0.0), simd.splat_f64s(0.0));

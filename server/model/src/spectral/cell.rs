@@ -34,8 +34,8 @@ pub struct CellSums<'a> {
 }
 
 impl SpectralModel {
-    /// The model of a state of two values, by the rules of [`SpectralModel::fit`]. The sums must be over
-    /// the same periodicities. Where nothing was observed, the model that was never updated.
+    /// The model of a state of two values, by the rules of [`SpectralModel::fit`]. The sums must be over the same
+    /// periodicities. Without observations, the untrained model.
     pub fn fit_sums(sums: CellSums<'_>, periodicities: &Periodicities) -> SpectralModel {
         if sums.observations == 0 {
             return SpectralModel::default();

@@ -1,7 +1,6 @@
 //! The components of a spectral model, and the choice of the strongest of a spectrum.
 //!
-//! Invariant: what was kept is in descending order of power; of equal powers, the one offered first
-//! comes first.
+//! Invariant: the kept components are in descending order of power; ties: the one offered first comes first.
 
 use crate::ORDER_MAX;
 
@@ -17,7 +16,7 @@ pub struct Component {
 }
 
 impl Component {
-    /// How far the value swings either way: 2|γ_k|.
+    /// The amplitude 2|γ_k|.
     pub fn amplitude(&self) -> f64 {
         2.0 * self.gamma_re.hypot(self.gamma_im)
     }
@@ -48,7 +47,7 @@ impl Strongest {
         self.powers[ORDER_MAX - 1]
     }
 
-    /// Keeps a component if it is strong enough. To be offered in ascending order of periodicity.
+    /// Keeps a component if it is strong enough. Components must be offered in ascending order of periodicity.
     #[inline]
     pub(super) fn offer(&mut self, power: f64, component: Component) {
         if power > self.to_beat() {
@@ -64,7 +63,7 @@ impl Strongest {
         }
     }
 
-    /// What was kept, strongest first.
+    /// The kept components, strongest first.
     pub(super) fn into_components(self) -> Vec<Component> {
         self.components[..self.count].to_vec()
     }

@@ -1,4 +1,4 @@
-//! Predicting many states at one time: a cell of a map costs its few terms and no trigonometry.
+//! Predicting many states at one time: a cell of a map costs a few multiplications and no trigonometry.
 //!
 //! Invariant: predictions are those of [`SpectralModel::predict`], bit by bit.
 
@@ -40,7 +40,7 @@ impl SpectralModel {
     pub fn predict_at(&self, order: usize, phasors: &InstantPhasors) -> f64 {
         let mut p = self.mean;
         for component in self.leading(order) {
-            // A periodicity that these phasors do not have adds nothing.
+            // A periodicity that does not exist here adds nothing.
             if let Some((cos, sin)) = phasors.phasors.get(component.periodicity as usize) {
                 p += 2.0 * (component.gamma_re * cos - component.gamma_im * sin);
             }

@@ -1,10 +1,10 @@
 //! Scores every order of a model in one pass over a table of phasors: one time per lane.
 //!
-//! An order's prediction is the one below plus one term. What is carried from order to order is
-//! prediction less value, so that saturating the prediction to `[0,1]` is keeping the error between
-//! -value and 1 - value, and leaving a time out is keeping its error between 0 and 0.
+//! An order's prediction is the one below plus one term. The value carried from order to order is prediction minus
+//! value, so that saturating the prediction to `[0,1]` is keeping the error between -value and 1 - value, and omitting
+//! a time is keeping its error between 0 and 0.
 //!
-//! Invariant: a time that is left out adds nothing to any sum.
+//! Invariant: an omitted time adds nothing to any sum.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -29,11 +29,10 @@ pub struct ScoreSums {
 }
 
 impl SpectralModel {
-    /// Adds the errors of every order 0..=[`ORDER_MAX`] at predicting `values`, each in `[0,1]`, at the
-    /// times of the table. Times of weight 0 are left out, others count once; without weights, all
-    /// count. Where `values` or `weights` are shorter than the table, for the first times only. `wrong`
-    /// is counted only if asked for. Fast where the table holds the model's periodicities, correct in
-    /// any case.
+    /// Adds the errors of every order 0..=[`ORDER_MAX`] at predicting `values`, each in `[0,1]`, at the times of the
+    /// table. Times of weight 0 are omitted, others count once; without weights, all count. Where `values` or `weights`
+    /// are shorter than the table, for the first times only. `wrong` is counted only if requested. Fast where the table
+    /// holds the model's periodicities, correct in any case.
     pub fn score_run_values(
         &self,
         phasors: &PhasorTable,
@@ -105,7 +104,7 @@ impl ScoreKernel<'_, '_> {
             at += S::F64_LANES;
         }
         if at < times {
-            // The last vector is padded with times that are left out.
+            // The last vector is padded with omitted times.
             let padded_values = padded(&self.values[at..]);
             let padded_weights = padded(self.weights.map_or(&ONES[..times - at], |weights| &weights[at..]));
             let mut rows = [([0.0; LANES_MAX], [0.0; LANES_MAX]); ORDER_MAX];

@@ -1,17 +1,18 @@
-//! Predictions and errors of states of any kind; those that are no probabilities keep to the bounds of their kind.
+//! Predictions and errors of states of any kind.
 //!
-//! Probabilities go to the kernels that saturate to `[0,1]`. Invariant: an answer lies in the bounds of the kind.
+//! Probabilities use the kernels that saturate to `[0,1]`; other kinds use plain loops and the bounds of the kind.
+//! Invariant: a prediction lies in the bounds of the kind.
 
 use super::{SpectralModel, sweep::Term};
 use crate::{ORDER_MAX, Periodicities, PhasorTable, StateKind};
 
 impl SpectralModel {
-    /// [`SpectralModel::predict`] of a state of that kind.
+    /// [`SpectralModel::predict`] for a state of the given kind.
     pub fn predict_value(&self, kind: StateKind, periodicities: &Periodicities, order: usize, civil_nanos: i64) -> f64 {
         kind.saturate(self.sum(periodicities, order, civil_nanos))
     }
 
-    /// [`SpectralModel::predict_into`] of a state of that kind.
+    /// [`SpectralModel::predict_into`] for a state of the given kind.
     pub fn predict_values_into(&self, kind: StateKind, order: usize, phasors: &PhasorTable, out: &mut [f64]) {
         if kind == StateKind::Probability {
             return self.predict_into(order, phasors, out);
@@ -37,8 +38,8 @@ impl SpectralModel {
         }
     }
 
-    /// Adds the squared errors of every order 0..=[`ORDER_MAX`] at predicting values of a state of that kind at the times
-    /// of the table, which holds the components' periodicities.
+    /// Adds the squared errors of every order 0..=[`ORDER_MAX`] at predicting values of a state of that kind at the
+    /// times of the table, which holds the components' periodicities.
     pub(crate) fn score_values(
         &self,
         kind: StateKind,

@@ -1,10 +1,10 @@
-//! What may predict a state better than its spectrum: histograms and models that are fitted to readings, and the choice
-//! among all, by held-out error.
+//! Alternatives to the spectral model: histograms and models that are fitted to readings, and the choice among all by
+//! held-out error.
 //!
-//! Each is scored on what a local day brought before the day is folded in, as the orders of the spectral model are, with
-//! the same fading (T-RO section IV.B). Histograms are made of what was folded in; the others are fitted outside, to the
-//! readings themselves, and given from time to time. Invariant: the errors of all are over the same observations, so that
-//! they can be compared, and no model is scored on what it was fitted to.
+//! Each is scored on a local day before the day is learned, as the orders of the spectral model are, with the same
+//! fading (T-RO section IV.B). Histograms follow from sums of the training data; the others are fitted outside, to the
+//! readings themselves, and handed in from time to time. Invariant: the errors of all are over the same observations,
+//! so that they can be compared, and no model is scored on what it was fitted to.
 
 use std::sync::Arc;
 
@@ -25,7 +25,7 @@ mod tests;
 
 pub use parts::{AlternativesParts, FitParts};
 
-/// A model that was fitted to readings, as it last was.
+/// The last fit of a model to readings.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FitRecord {
     /// Shared: it is a large part of a state, and most updates leave it as it is.
@@ -57,23 +57,23 @@ impl From<OrderCriterion> for UpdateRules {
 pub const HISTOGRAMS: [(HistogramCycle, usize); 3] =
     [(HistogramCycle::Day, 24), (HistogramCycle::WeekdayWeekend, 24), (HistogramCycle::Week, 168)];
 
-/// Another model than the one in force is chosen only where its error is lower than that one's by this factor: what was
-/// chosen by a hair today would be dropped by a hair tomorrow.
+/// Hysteresis: another model is chosen only if its error is lower than that of the model in force by this factor.
 const CLEARLY_LOWER: f64 = 0.95;
 
-/// An alarm rings for so many days; then what it rang for is history.
+/// Days for which an alarm rings; then the change counts as history.
 const ALARM_DAYS: i32 = 28;
 
-/// The days that have rung the alarm belong to the new routine: at the least so many before the day on which it rang.
+/// The days that have triggered the alarm belong to the new routine: at least this many before the day on which it
+/// rang.
 const RINGING_DAYS: i32 = 3;
 
-/// What errors of the time before a change of routine keep: as if they were twenty days older.
+/// The factor on errors from before a change of routine: as if they were twenty days older.
 const KEPT_AT_CHANGE: f64 = 0.25;
 
-/// Errors are not told apart more finely than this share of the squared values.
+/// Errors that differ by less than this share of the squared values are equal.
 const ROUNDING: f64 = 1e-20;
 
-/// Models are fitted to readings first when so many local days were observed, and again so many local days later.
+/// Models are fitted to readings first after this many observed local days, and again every this many local days.
 const REFIT_DAYS: u32 = 7;
 
 /// The model that predicts a state best so far.
@@ -84,14 +84,14 @@ pub enum ModelChoice {
     Spectral,
     /// The histogram of that number in [`HISTOGRAMS`].
     Histogram(u8),
-    /// A model that was fitted to readings, as it last was.
+    /// The last fit of a model to readings.
     Fitted(FitKind),
 }
 
-/// The model in force, where it is not the spectral one.
+/// The model in force, if it is not the spectral one.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ActiveModel<'a> {
-    /// A histogram of what was folded in.
+    /// A histogram of the training data.
     Histogram(Histogram),
     /// A model that was fitted to readings.
     Fitted(&'a FittedModel),
@@ -106,17 +106,17 @@ impl TemporalModel for ActiveModel<'_> {
     }
 }
 
-/// What is known of a state apart from its spectrum.
+/// The alternatives to the spectral model of a state, with their errors.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Alternatives {
     hours: HourTable,
     parts: Errors,
     alarm: ChangeAlarm,
-    /// How the readings that were folded in follow each other.
+    /// Persistence of the learned readings.
     succession: Persistence,
-    /// Components that noise would not show as well.
+    /// Number of supported components.
     supported: u8,
-    /// Local days folded in, those that came late not counted.
+    /// Local days learned, without late ones.
     days: u32,
     /// The first local day of the present routine, as far as the alarm tells.
     since: Option<LocalDay>,
@@ -162,7 +162,7 @@ impl DayError {
 }
 
 impl Alternatives {
-    /// What was read in each hour of the week.
+    /// The readings by hour of the week.
     pub fn hours(&self) -> &HourTable {
         &self.hours
     }
@@ -172,7 +172,7 @@ impl Alternatives {
         self.parts.choice
     }
 
-    /// Nothing known yet, where these are tried.
+    /// Untrained alternatives with these models enabled.
     pub(super) fn new(models: EnabledModels) -> Alternatives {
         let parts = Errors { histograms: models.histograms.then(Default::default), ..Errors::default() };
         Alternatives { parts, ..Alternatives::default() }
@@ -188,12 +188,12 @@ impl Alternatives {
         std::iter::once((ModelChoice::Spectral, self.parts.spectral)).chain(histograms).chain(fits)
     }
 
-    /// The model of that kind and the last local day that it was fitted to; `None` before its first fit.
+    /// The model of the given kind and the last local day that it was fitted to; `None` before its first fit.
     pub fn fit(&self, kind: FitKind) -> Option<(&FittedModel, LocalDay)> {
         self.fits[kind.index()].as_ref().map(|fit| (&*fit.model, fit.day))
     }
 
-    /// The model in force, where it is not the spectral one.
+    /// The model in force, if it is not the spectral one.
     pub(super) fn chosen(&self) -> Option<ActiveModel<'_>> {
         match self.parts.choice {
             ModelChoice::Spectral => None,
@@ -202,7 +202,7 @@ impl Alternatives {
         }
     }
 
-    /// Whether the model of that kind is to be fitted again.
+    /// Whether a refit of the model of the given kind is due.
     pub(super) fn is_fit_due(&self, kind: FitKind) -> bool {
         let Some(folded) = self.parts.folded_day else { return false };
         match &self.fits[kind.index()] {
@@ -214,14 +214,14 @@ impl Alternatives {
         }
     }
 
-    /// Takes a fresh fit, which is scored from the next day on; what earlier ones of its kind were scored stays.
+    /// Takes a new fit, which is scored from the next day on; the errors of earlier fits of its kind stay.
     pub(super) fn refit(&mut self, model: FittedModel, day: LocalDay) {
         let fit = &mut self.fits[model.kind().index()];
         let error = fit.as_ref().and_then(|fit| fit.error);
         *fit = Some(FitRecord { model: Arc::new(model), day, error });
     }
 
-    /// What is not to be tried has no errors, and is not in force.
+    /// Removes models that are not enabled.
     fn restrict(&mut self, models: EnabledModels) {
         self.parts.histograms = self.parts.histograms.filter(|_| models.histograms);
         for (kind, fit) in FitKind::ALL.into_iter().zip(&mut self.fits) {
@@ -242,7 +242,7 @@ impl Alternatives {
         &self.alarm
     }
 
-    /// How many components of the spectral model are such as noise would not show as well.
+    /// Number of supported components of the spectral model.
     pub fn supported_order(&self) -> usize {
         usize::from(self.supported)
     }
@@ -253,10 +253,10 @@ impl Alternatives {
         self.hours.histogram(cycle, bins)
     }
 
-    /// Scores the enabled models on a day's newer samples and chooses. `spectral_day`: the error by the criterion of the
-    /// order that is now best; `spectral_sum`: its faded sum, the day included; `spectral_squared`: the squared error of the
-    /// order that was in force, and the squared error of a day that the alarm takes for 1: the variance of values that are
-    /// no probabilities. Gives the squared error of the model that was in force.
+    /// Scores the enabled models on a day's newer samples and chooses. `spectral_day`: the error by the criterion of
+    /// the order that is now best; `spectral_sum`: its faded sum, the day included; `spectral_squared`: the squared
+    /// error of the order that was in force, and the squared error of a day that the alarm takes for 1: the variance of
+    /// values that are no probabilities. Gives the squared error of the model that was in force.
     pub(super) fn score(
         &mut self,
         day: LocalDay,
@@ -284,8 +284,8 @@ impl Alternatives {
         self.watch(day, squared_in_force / newer.len().max(1) as f64 / unit, newer.len() as u64);
         let elapsed_days = self.parts.last_day.map(|last| (i64::from(day.0) - i64::from(last.0)).max(0));
         let kept = elapsed_days.map(|days| KEPT_PER_DAY.powf(days as f64));
-        // The spectral model may have been scored for long: the histograms begin with what it has, and fitted models with
-        // what the model in force has, which they then have to beat from the same start.
+        // The spectral model may have been scored for long: the histograms begin with what it has, and fitted models
+        // with what the model in force has, which they then have to beat from the same start.
         let before_spectral = spectral_sum - spectral_day;
         let faded = |sum: f64| kept.map(|kept| sum * kept);
         let sum_in_force = match self.parts.choice {
@@ -320,8 +320,7 @@ impl Alternatives {
         }
     }
 
-    /// Makes the errors recorded so far count less: they are of another routine, and must not hold back what predicts the
-    /// new one. Gives what they were multiplied with.
+    /// Lowers the weight of the errors recorded so far, because they are of another routine. Returns the factor.
     pub(super) fn discount_errors(&mut self) -> f64 {
         self.parts.spectral *= KEPT_AT_CHANGE;
         self.parts.histograms.iter_mut().flatten().for_each(|sum| *sum *= KEPT_AT_CHANGE);
@@ -352,12 +351,12 @@ impl Alternatives {
         self.parts.choice = best;
     }
 
-    /// The last local day that was folded in.
+    /// The last learned local day.
     pub fn folded_day(&self) -> Option<LocalDay> {
         self.parts.folded_day
     }
 
-    /// Folds a day in. What it holds must not be split over two calls within an hour, or days seem to differ more.
+    /// Learns a day. A call must not split an hour, or days would seem to differ more.
     pub(super) fn add(&mut self, day: LocalDay, samples: &[Sample]) {
         self.hours.add(samples);
         for sample in samples {
@@ -369,7 +368,7 @@ impl Alternatives {
         }
     }
 
-    /// Judges which components of a new fit are supported.
+    /// Determines which components of a new fit are supported.
     pub(super) fn support(&mut self, model: &SpectralModel, periodicities: &Periodicities, folded: &Accumulator) {
         let succession = self.succession.to_parts();
         let sums = DependenceSums {
@@ -379,7 +378,7 @@ impl Alternatives {
             mean: folded.mean(),
             observed_hours: Some(self.hours.observed_hours()),
         };
-        // What is forgotten supports nothing.
+        // Forgotten data supports nothing.
         let remembered = folded.weight() / (folded.observations() as f64).max(1.0);
         let supported = match folded.kind() {
             StateKind::Probability => supported_order(model, periodicities, effective_observations(&sums) * remembered),
@@ -393,7 +392,7 @@ impl Alternatives {
         self.supported = supported as u8;
     }
 
-    /// Folds an older day in, which counts `factor` times as much as it would today.
+    /// Learns an older day with the weight `factor`; a day of today has 1.
     pub(super) fn add_late(&mut self, samples: &[Sample], factor: f64) {
         let mut late = HourTable::default();
         late.add(samples);
@@ -401,7 +400,7 @@ impl Alternatives {
         self.hours.merge(&late);
     }
 
-    /// Makes what was folded in so far count less.
+    /// Forgetting: lowers the weight of all data learned so far.
     pub(super) fn fade(&mut self, factor: f64) {
         self.hours.scale(factor);
     }

@@ -1,6 +1,6 @@
-//! Models that are fitted to the readings of a state outside its update: which kinds there are, and one of any kind.
+//! Models that are fitted to the readings of a state outside its update: their kinds, and a model of any kind.
 //!
-//! Invariant: a model is of one kind, and what it is put together from is what it was taken to pieces.
+//! Invariant: a stored model reads back as the same model.
 
 use crate::{
     InvalidParts, StateKind,
@@ -14,7 +14,7 @@ use crate::{
 const GAUSSIANS: usize = 3;
 /// Clusters of a warped hypertime.
 const CLUSTERS: usize = 3;
-/// What random starts of a fit are drawn from: the same readings give the same model.
+/// Seed of the random starts of a fit: the same readings give the same model.
 const SEED: u64 = 0;
 
 /// A kind of model that is fitted to the readings themselves, with the one setting in which it is tried.
@@ -31,15 +31,15 @@ pub enum FitKind {
 }
 
 impl FitKind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [FitKind; 4] = [FitKind::Calibrated, FitKind::Pergam, FitKind::HypertimeEm, FitKind::HypertimeKm];
 
-    /// Whether states of that kind have it.
+    /// Whether states of the given kind support it.
     pub fn is_for(self, of: StateKind) -> bool {
         self != FitKind::Pergam || of == StateKind::Probability
     }
 
-    /// Its place in [`FitKind::ALL`].
+    /// Its index in [`FitKind::ALL`].
     pub(super) fn index(self) -> usize {
         self as usize
     }
@@ -54,7 +54,7 @@ pub struct EnabledModels {
 }
 
 impl Default for EnabledModels {
-    /// Histograms and the calibrated model: what costs little.
+    /// Histograms and the calibrated model, which are cheap.
     fn default() -> EnabledModels {
         EnabledModels { histograms: true, ..EnabledModels::SPECTRAL }.with_fit(FitKind::Calibrated)
     }
@@ -64,7 +64,7 @@ impl EnabledModels {
     /// The spectral model alone.
     pub const SPECTRAL: EnabledModels = EnabledModels { histograms: false, fits: [false; FitKind::ALL.len()] };
 
-    /// All there are.
+    /// All models.
     pub const ALL: EnabledModels = EnabledModels { histograms: true, fits: [true; FitKind::ALL.len()] };
 
     /// The same with or without histograms.
@@ -73,7 +73,7 @@ impl EnabledModels {
         EnabledModels { histograms, ..self }
     }
 
-    /// The same with models of that kind.
+    /// The same with models of the given kind.
     #[must_use]
     pub fn with_fit(mut self, kind: FitKind) -> EnabledModels {
         self.fits[kind.index()] = true;
@@ -86,7 +86,7 @@ impl EnabledModels {
         EnabledModels { fits: [false; FitKind::ALL.len()], ..self }
     }
 
-    /// Whether models of that kind are tried.
+    /// Whether models of the given kind are enabled.
     pub(crate) fn has_fit(self, kind: FitKind) -> bool {
         self.fits[kind.index()]
     }
@@ -120,10 +120,10 @@ pub enum FittedModelParts {
 }
 
 impl FittedModel {
-    /// Fits a model of this kind to readings of a state whose values are `of` that kind.
+    /// Fits a model of this kind to readings of a state of kind `of`.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings, or such a state does not have such a model.
+    /// [`CannotFit`] where there are no readings, or states of that kind do not support the model.
     pub fn fit(kind: FitKind, of: StateKind, readings: Readings<'_>) -> Result<FittedModel, CannotFit> {
         let hypertime = |method| {
             let options = HypertimeOptions { method, clusters: CLUSTERS, seed: SEED };
@@ -156,7 +156,7 @@ impl FittedModel {
         }
     }
 
-    /// What it consists of.
+    /// Its parts, for storage.
     pub fn to_parts(&self) -> FittedModelParts {
         match self {
             Self::Calibrated(model) => FittedModelParts::Calibrated(model.to_parts()),
@@ -165,10 +165,10 @@ impl FittedModel {
         }
     }
 
-    /// The model of a state of that kind from what was stored.
+    /// The model of a state of the given kind from stored parts.
     ///
     /// # Errors
-    /// [`InvalidParts`] where a number is outside its range, or such a state does not have such a model.
+    /// [`InvalidParts`] where a number is outside its range, or states of that kind do not support the model.
     pub fn from_parts_of(of: StateKind, parts: FittedModelParts) -> Result<FittedModel, InvalidParts> {
         let is_probability = of == StateKind::Probability;
         let is_fitting = match &parts {

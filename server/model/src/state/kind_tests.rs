@@ -120,8 +120,8 @@ fn parts_come_back_and_only_as_what_they_are() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// The same numbers in another unit, from another zero, are learned alike; and so are those of a probability, but for
-    /// predictions that saturate.
+    /// The same numbers in another unit, from another zero, are learned alike; and so are those of a probability, but
+    /// for predictions that saturate.
     #[test]
     fn the_unit_does_not_matter(seed in any::<u64>(), scale in 1e-3..1e6_f64, shift in -5.0..5.0_f64) {
         let periodicities = Periodicities::default();

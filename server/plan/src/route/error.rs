@@ -17,43 +17,24 @@ pub enum PlanRouteError {
     #[error(
         "no way leads from node number {from} to node number {to}; {closed} edges were closed when they were reached"
     )]
-    Unreachable {
-        from: u32,
-        to: u32,
-        closed: usize,
-    },
+    Unreachable { from: u32, to: u32, closed: usize },
     /// All ways take too long.
     #[error("no way from node number {from} to node number {to} takes at most {horizon_secs} s; raise the horizon")]
-    BeyondHorizon {
-        from: u32,
-        to: u32,
-        horizon_secs: f64,
-    },
+    BeyondHorizon { from: u32, to: u32, horizon_secs: f64 },
     /// No departure is early enough.
     #[error(
         "no departure from {earliest_secs} s on is expected to arrive by {by_secs} s; allow an earlier one, or arrive later"
     )]
-    TooLate {
-        earliest_secs: f64,
-        by_secs: f64,
-    },
+    TooLate { earliest_secs: f64, by_secs: f64 },
     /// The search ended before it had found a way.
     #[error("the search was stopped after {labels} partial routes and had found no way; allow it more")]
-    CutOff {
-        labels: usize,
-    },
+    CutOff { labels: usize },
     /// A number of the question is out of range.
     #[error("{what} is {found}: expected {expected}")]
-    Range {
-        what: &'static str,
-        found: f64,
-        expected: String,
-    },
+    Range { what: &'static str, found: f64, expected: String },
     /// More departures than are tried.
     #[error("{found} departures: at most {DEPARTURES_MAX} are tried; take wider steps")]
-    TooManyDepartures {
-        found: f64,
-    },
+    TooManyDepartures { found: f64 },
     /// A forecast is out of range.
     #[error(transparent)]
     Forecast(#[from] ForecastError),

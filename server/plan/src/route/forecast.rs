@@ -44,22 +44,13 @@ pub enum ForecastError {
     #[error(
         "edge {edge} succeeds with probability {found}: expected {SUCCESS_MIN} to 1; one that never does is to be closed"
     )]
-    Success {
-        edge: String,
-        found: f64,
-    },
+    Success { edge: String, found: f64 },
     /// A duration is no time.
     #[error("edge {edge} would take {found} s: expected above 0 s, at most {NOMINAL_MAX_SECS} s")]
-    Duration {
-        edge: String,
-        found: f64,
-    },
+    Duration { edge: String, found: f64 },
     /// The evidence is none.
     #[error("the success of edge {edge} is worth {found} observations: expected above 0")]
-    Evidence {
-        edge: String,
-        found: f64,
-    },
+    Evidence { edge: String, found: f64 },
 }
 
 /// Checks that a forecast lies in range; `name` gives the edge's name for the error.

@@ -108,27 +108,15 @@ impl Default for TourQuestion {
 pub enum TourError {
     /// A number makes no sense.
     #[error("{what} {value}: it must be {right}")]
-    Number {
-        what: &'static str,
-        value: f64,
-        right: &'static str,
-    },
+    Number { what: &'static str, value: f64, right: &'static str },
     /// The start lies outside the region that is predicted.
     #[error("start ({x_m}, {y_m}) m lies outside the region of interest, or the sensor at {z_m} m does")]
-    Outside {
-        x_m: f64,
-        y_m: f64,
-        z_m: f64,
-    },
+    Outside { x_m: f64, y_m: f64, z_m: f64 },
     /// The grid of candidates is too fine for its region.
     #[error(
         "candidates {spacing_m} m apart are {candidates:.0}, and may be {max}: set them farther apart or ask for a smaller region"
     )]
-    TooManyCandidates {
-        spacing_m: f64,
-        candidates: f64,
-        max: usize,
-    },
+    TooManyCandidates { spacing_m: f64, candidates: f64, max: usize },
     /// The sensor is none.
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),

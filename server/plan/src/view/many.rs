@@ -40,12 +40,7 @@ pub enum TooMuchWork {
     #[error(
         "{views} views at {times} times pass {work} cells, and may pass {max}: ask for fewer views or times, or a shorter range"
     )]
-    Work {
-        views: usize,
-        times: usize,
-        work: u128,
-        max: u64,
-    },
+    Work { views: usize, times: usize, work: u128, max: u64 },
     /// The sensor is none.
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),

@@ -50,7 +50,8 @@ fn a_year_without_a_change_rings_for_at_most_five_of_a_hundred() {
 
 #[test]
 fn a_change_of_routine_rings_within_a_week() {
-    // A robot expects nine to five; from some day on people work at night. Each day differs by a share of wrong minutes.
+    // A robot expects nine to five; from some day on people work at night. Each day differs by a share of wrong
+    // minutes.
     for seed in 0..100 {
         let mut random = SmallRng::seed_from_u64(seed);
         let mut alarm = ChangeAlarm::default();

@@ -1,7 +1,7 @@
-//! Readings reduced to sums per day of the week and slot of ten minutes, over days.
+//! Readings summed per day of the week and slot of ten minutes, over days.
 //!
-//! A day counts once in a slot however often it was looked at there: readings minutes apart say the same thing
-//! again. Invariant: values have been brought to `[0,1]`, so every mean lies there.
+//! A day counts once in a slot, whatever its number of readings there: readings minutes apart repeat each other.
+//! Invariant: values are scaled to `[0,1]`, so every mean lies there.
 
 use super::options::CalibratedOptions;
 use crate::civil::NANOS_PER_SEC;
@@ -19,8 +19,8 @@ pub(super) const SLOTS_PER_DAY: usize = 144;
 pub(super) const DAYS_OF_WEEK: usize = 7;
 const SECS_PER_SLOT: f64 = 86_400.0 / SLOTS_PER_DAY as f64;
 
-/// What days said about one slot: a day's value x there, its weight w, and the share c of the slot's neighbourhood that was
-/// seen, in `(0,1]`.
+/// Sums over the days of one slot: a day's value x there, its weight w, and the observed share c of the slot's
+/// neighbourhood, in `(0,1]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct DaySums {
     /// Σ w c over days.
@@ -45,7 +45,7 @@ impl DaySums {
         self.value_squared += counts * value * value;
     }
 
-    /// Of the days of both.
+    /// The sums over the days of both.
     pub(super) fn and(self, other: DaySums) -> DaySums {
         DaySums {
             weight: self.weight + other.weight,
@@ -56,22 +56,22 @@ impl DaySums {
         }
     }
 
-    /// The number of days of equal weight, wholly seen, that would say as much: (Σ w c)²/Σ w² c, 0 where none was seen.
+    /// The equivalent number of fully observed days of equal weight: (Σ w c)²/Σ w² c, 0 without days.
     pub(super) fn days(self) -> f64 {
         if self.weight > 0.0 { self.weight * self.weight / self.seen } else { 0.0 }
     }
 
-    /// The share of a day that each of them says, in `[0,1]`: days that all were seen in part say the less.
+    /// The mean observed share of a day, in `[0,1]`.
     pub(super) fn share_seen(self) -> f64 {
         if self.weight > 0.0 { self.weight_squared / self.seen } else { 0.0 }
     }
 
-    /// Weighted mean over days; 0 where none was seen.
+    /// Weighted mean over days; 0 without days.
     pub(super) fn mean(self) -> f64 {
         if self.weight > 0.0 { (self.value / self.weight).clamp(0.0, 1.0) } else { 0.0 }
     }
 
-    /// Sum of squared deviations from the mean over days, as if [`DaySums::days`] days had been seen.
+    /// Sum of squared deviations from the mean over days, for [`DaySums::days`] days.
     pub(super) fn deviations(self) -> f64 {
         if self.weight > 0.0 {
             let mean = self.value / self.weight;
@@ -92,9 +92,9 @@ pub(super) type WeekSums = [DaySums; DAYS_OF_WEEK];
 
 /// The sums of all slots of the day.
 pub(super) struct SlotSums {
-    /// Each day smoothed a little.
+    /// Each day, lightly smoothed.
     pub(super) fine: Vec<WeekSums>,
-    /// Each day smoothed broadly.
+    /// Each day, broadly smoothed.
     pub(super) broad: Vec<WeekSums>,
 }
 
@@ -119,14 +119,14 @@ pub(super) struct SlotDay {
     pub(super) date: LocalDay,
     /// Monday 0 to Sunday 6.
     pub(super) of_week: usize,
-    /// How much its readings count, on average, in `(0,1]`.
+    /// The mean weight of its readings, in `(0,1]`.
     pub(super) weight: f64,
-    /// The mean value in each slot that was seen.
+    /// The mean value in each observed slot.
     pub(super) means: [Option<f64>; SLOTS_PER_DAY],
 }
 
-/// The days of the readings, ascending; `to_unit` brings values to `[0,1]`. Where clocks are set back over midnight a date may
-/// come in two pieces.
+/// The days of the readings, ascending; `to_unit` scales values to `[0,1]`. Where clocks are set back over midnight a
+/// date may come in two pieces.
 pub(super) fn days<'a>(
     readings: Readings<'a>,
     to_unit: impl Fn(f64) -> f64 + 'a,
@@ -137,7 +137,7 @@ pub(super) fn days<'a>(
         let mut slots = [(0.0, 0.0); SLOTS_PER_DAY];
         let mut day_weight = 0.0;
         for (sample, weight) in of_day.iter().zip(&mut weights) {
-            // Clear of the smallest numbers, whose squares would vanish.
+            // Not too small, because squares would underflow.
             let weight = f64::max(weight, 1e-100);
             if !sample.value.is_finite() {
                 continue;
@@ -176,8 +176,8 @@ impl Kernel {
         kernel
     }
 
-    /// For each slot the weighted sum of the numbers around it. One weight after the other over all slots, so that slots
-    /// lie side by side in vectors.
+    /// For each slot the weighted sum of the numbers around it. Goes through the weights one by one over all slots, so
+    /// that the loop vectorises over slots.
     fn over(&self, numbers: &[f64; SLOTS_PER_DAY]) -> [f64; SLOTS_PER_DAY] {
         let reach = self.weights.len() / 2;
         let mut padded = [0.0; 3 * SLOTS_PER_DAY];
@@ -191,7 +191,7 @@ impl Kernel {
         sums
     }
 
-    /// Hands on each slot's local mean and how much of its neighbourhood within the day was seen, in `(0,1]`.
+    /// Passes on each slot's local mean and the observed share of its neighbourhood within the day, in `(0,1]`.
     fn smooth(&self, means: &[Option<f64>; SLOTS_PER_DAY], mut each: impl FnMut(usize, f64, f64)) {
         let seen = self.over(&means.map(|mean| f64::from(u8::from(mean.is_some()))));
         let value = self.over(&means.map(|mean| mean.unwrap_or(0.0)));

@@ -1,5 +1,5 @@
-//! Simulated truths and odd input: a routine is found, where there is none the mean is as good as kept, and whatever the
-//! readings the answer lies among them.
+//! Simulated truths and odd input: a routine is found, where there is none the mean is as good as kept, and whatever
+//! the readings the answer lies among them.
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;

@@ -1,9 +1,10 @@
-//! The profile of the week in tiers, each drawn towards the one before by credibility.
+//! The profile of the week in tiers, each shrunk towards the one before by credibility.
 //!
-//! A tier's estimate from n days, x̄, and the tier before, p, are combined as (n x̄ + κ p)/(n + κ), κ = caution · s²/a: s² how much
-//! days differ that the tier holds to be alike, a how much its true profile differs from the tier before,
-//! both estimated by moments over all slots (Bühlmann 1967; with unequal weights, Bühlmann and Straub, "Glaubwürdigkeit für
-//! Schadensätze", 1970). Invariant: every estimate is a weighted mean, so it lies in `[0,1]`.
+//! A tier's estimate from n days, x̄, and the tier before, p, are combined as (n x̄ + κ p)/(n + κ), κ = caution · s²/a.
+//! Here s² is the variance between days that the tier treats as alike, and a the squared difference of its true profile
+//! from the tier before, both estimated by moments over all slots (Bühlmann 1967; with unequal weights, Bühlmann and
+//! Straub, "Glaubwürdigkeit für Schadensätze", 1970). Invariant: every estimate is a weighted mean, so it lies in
+//! `[0,1]`.
 
 use super::CalibratedOptions;
 use super::slots::{DAYS_OF_WEEK, DaySums, SLOTS_PER_DAY, SlotSums, WeekSums};
@@ -14,10 +15,10 @@ const SATURDAY: usize = 5;
 /// A profile of the day for each group of days.
 type Profiles = Vec<Vec<f64>>;
 
-/// What one group's days said, per slot of the day.
+/// The sums of one group's days, per slot of the day.
 type GroupSums = Vec<DaySums>;
 
-/// The value to expect in each slot of the week, Monday first, in `[0,1]`.
+/// The predicted value in each slot of the week, Monday first, in `[0,1]`.
 pub(super) fn profile(sums: &SlotSums, options: CalibratedOptions) -> Vec<f64> {
     let CalibratedOptions { caution, day_of_week_caution, .. } = options;
     let broad = group(&sums.broad, 0, DAYS_OF_WEEK);
@@ -28,8 +29,8 @@ pub(super) fn profile(sums: &SlotSums, options: CalibratedOptions) -> Vec<f64> {
     let mean = overall_mean(&fine);
     // The most that values in [0,1] can differ.
     let before_any = Spread { alike: 0.25 };
-    // In the two profiles of all days, what is compared are slots. The broad profile holds some of each slot's own days; to
-    // count that as none errs towards the broad one.
+    // The two profiles of all days compare slots. The broad profile contains some of each slot's own days; ignoring
+    // this errs towards the broad profile.
     let flat = vec![vec![mean; SLOTS_PER_DAY]];
     let (broad_day, spread) = refine(&[broad], &flat, |_, _| 1.0 / SLOTS_PER_DAY as f64, before_any, caution);
     let (day, spread) = refine(std::slice::from_ref(&fine), &broad_day, |_, _| 0.0, spread, caution);
@@ -52,21 +53,21 @@ fn overall_mean(sums: &[DaySums]) -> f64 {
     sums.iter().map(|slot| slot.days() * slot.mean()).sum::<f64>() / days.max(f64::MIN_POSITIVE)
 }
 
-/// How much of the mean of all is owed to this part.
+/// The share of this part in the mean of all.
 fn share(part: DaySums, all: DaySums) -> f64 {
     if all.days() > 0.0 { (part.days() / all.days()).min(1.0) } else { 0.0 }
 }
 
-/// How much days differ that a tier holds to be alike.
+/// The variance between days that a tier treats as alike.
 #[derive(Clone, Copy)]
 struct Spread {
     /// Variance s² between such days, in a slot, pooled over all.
     alike: f64,
 }
 
-/// The next tier: for each group a profile, drawn towards the group's profile in the tier before.
+/// The next tier: for each group a profile, shrunk towards the group's profile in the tier before.
 ///
-/// `share` says how much of the tier before, in a slot, is owed to the group itself: by that much they agree for no reason.
+/// `share` is the share of the group itself in the tier before, in a slot: to that extent they agree by construction.
 fn refine(
     groups: &[GroupSums],
     before: &Profiles,
@@ -83,7 +84,7 @@ fn refine(
         })
         .collect();
     let (squares, free) = scatter.iter().fold((0.0, 0.0), |all, group| (all.0 + group.0, all.1 + group.1));
-    // The equivalent of one day each is borrowed: by a group from its tier, by a tier from the one before.
+    // Priors with the weight of one day each: for a group its tier, for a tier the one before.
     let borrowed = SLOTS_PER_DAY as f64;
     let alike = (squares + borrowed * spread_before.alike) / (free + borrowed);
     let alike_in: Vec<f64> =
@@ -93,7 +94,7 @@ fn refine(
     for ((group, slots), before) in groups.iter().enumerate().zip(before) {
         for (slot, (sums, before)) in slots.iter().zip(before).enumerate() {
             let own = 1.0 - share(group, slot);
-            // What the days' scatter alone would make of it is taken off.
+            // The part that the scatter of days alone explains is subtracted.
             departure += sums.days() * (sums.mean() - before).powi(2) - own * sums.share_seen() * alike_in[group];
             weight += own * sums.days();
         }
@@ -115,10 +116,10 @@ fn refine(
     (refined, Spread { alike })
 }
 
-/// (n x̄ + κ p)/(n + κ), κ = `alike`/`departure`, multiplied through so that neither being 0 is an exception.
+/// (n x̄ + κ p)/(n + κ), κ = `alike`/`departure`, multiplied out so that neither being 0 is an exception.
 fn credible(sums: DaySums, before: f64, alike: f64, departure: f64) -> f64 {
     let own = sums.days() * departure;
     let all = own + alike;
-    // No days seen, or days that never differ and a tier that does not depart: both ends agree.
+    // No days, or days that never differ and a tier equal to the one before: both ends agree.
     if own <= 0.0 || !all.is_finite() { before } else { (own * sums.mean() + alike * before) / all }
 }

@@ -1,7 +1,6 @@
-//! What a histogram answers in one hour, read off the table of hours without making the histogram; and a day's readings
-//! by the hour.
+//! The prediction of a histogram in one hour, from the table of hours, without building the histogram.
 //!
-//! Invariant: an answer is bit for bit that of the histogram that [`HourTable::histogram`] makes.
+//! Invariant: a prediction is bit for bit that of the histogram of [`HourTable::histogram`].
 
 use super::cycle::{DAY_HOURS, is_weekend};
 use super::hours::{add_to, mean};
@@ -13,14 +12,14 @@ const WEEK_DAYS: usize = 7;
 const WEEKDAYS: usize = 5;
 
 impl HourTable {
-    /// The mean of all readings; `None` where nothing was read.
+    /// The mean of all readings; `None` without readings.
     pub(crate) fn mean(&self) -> Option<f64> {
         let all = total(self.cells().iter().copied());
         (all[0] > 0.0).then(|| mean(all))
     }
 
-    /// What [`HourTable::histogram`] predicts in an hour of the week, 0..168, of which `mean_of_all` is [`HourTable::mean`].
-    /// `bins` must be such that there is a histogram.
+    /// The prediction of [`HourTable::histogram`] in an hour of the week, 0..168; `mean_of_all` is [`HourTable::mean`].
+    /// `bins` must be valid for [`HourTable::histogram`].
     pub(crate) fn answer(&self, (cycle, bins): (HistogramCycle, usize), hour_of_week: usize, mean_of_all: f64) -> f64 {
         let per_bin = cycle.hours() / bins.max(1);
         let days = match cycle {
@@ -37,9 +36,9 @@ impl HourTable {
     }
 }
 
-/// The sum of cells, bounded as that of [`HourTable::histogram`].
+/// The sum of cells, bounded as in [`HourTable::histogram`].
 fn total(cells: impl Iterator<Item = [f64; 2]> + Clone) -> [f64; 2] {
-    // Bounds change nothing where nothing overflows, and what has overflowed never becomes finite again.
+    // Without overflow the bounds change nothing, and an overflow never becomes finite again.
     let plain = cells.clone().fold([0.0; 2], |[weight, sum], cell| [weight + cell[0], sum + cell[1]]);
     if plain.iter().all(|sum| sum.is_finite()) {
         return plain;

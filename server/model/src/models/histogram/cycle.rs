@@ -1,4 +1,4 @@
-//! What a histogram repeats over, and which bin of it a local civil time falls into.
+//! The cycle of a histogram, and the bin of a local civil time.
 //!
 //! Bins are found in integer nanoseconds. Invariant: every time has a bin, and bins differ in length by at most 1 ns.
 
@@ -15,19 +15,20 @@ pub(super) const DAY_HOURS: usize = 24;
 /// Hours of a week.
 pub(super) const WEEK_HOURS: usize = 168;
 
-/// What repeats; all in local civil time.
+/// The cycle of a histogram; all in local civil time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum HistogramCycle {
-    /// Every day like every other, from midnight.
+    /// All days are alike, from midnight.
     Day,
-    /// Every week like every other, from Monday, midnight.
+    /// All weeks are alike, from Monday, midnight.
     Week,
     /// Two kinds of days, Monday to Friday and Saturday to Sunday, each from midnight.
     WeekdayWeekend,
 }
 
 impl HistogramCycle {
-    /// The most bins: one a minute, of the day 1440 and of the week 10,080; of weekday and weekend 1440 each.
+    /// The maximum number of bins, one a minute: 1440 for the day, 10,080 for the week, 1440 each for weekday and
+    /// weekend.
     pub fn max_bins(self) -> usize {
         match self {
             HistogramCycle::Day | HistogramCycle::WeekdayWeekend => 1440,
@@ -35,7 +36,7 @@ impl HistogramCycle {
         }
     }
 
-    /// How many circles of bins there are.
+    /// Number of circles of bins.
     pub(super) fn runs(self) -> usize {
         match self {
             HistogramCycle::Day | HistogramCycle::Week => 1,
@@ -90,7 +91,7 @@ fn week_nanos(civil_nanos: i64) -> i64 {
     (civil_nanos.rem_euclid(WEEK_NANOS) + MONDAY_TO_EPOCH_NANOS) % WEEK_NANOS
 }
 
-/// Which of `bins` equal parts of a length holds a place in it.
+/// Which of `bins` equal parts of a length contains a position in it.
 fn part(place_nanos: i64, length_nanos: i64, bins: usize) -> usize {
     ((place_nanos as u128 * bins as u128) / length_nanos as u128) as usize
 }

@@ -1,6 +1,6 @@
 //! Sums per hour of the week, from which histograms follow without raw data.
 //!
-//! 168 cells of the week and, to judge how much days differ, the means of single hours of single days: 3.8 kB a state.
+//! 168 cells of the week and, for the variance between days, the means of single hours of single days: 3.8 kB a state.
 //! Invariant: sums commute, so the table depends neither on order nor on batching beyond 1e-9, as long as no local hour
 //! is split over two batches.
 
@@ -23,12 +23,12 @@ impl HourRun<'_> {
     }
 }
 
-/// Readings as runs of the same hour, as they come.
+/// Runs of readings of the same hour, in the given order.
 pub(crate) fn hour_runs(samples: &[Sample]) -> impl Iterator<Item = HourRun<'_>> {
     let mut rest = samples;
     std::iter::from_fn(move || {
         let civil_nanos = rest.first()?.civil_nanos();
-        // A division a run, and none a reading.
+        // One division per run, none per reading.
         let into = civil_nanos.rem_euclid(HOUR_NANOS);
         let hour = civil_nanos.saturating_sub(into)..=civil_nanos.saturating_add(HOUR_NANOS - 1 - into);
         let length = rest.iter().position(|sample| !hour.contains(&sample.civil_nanos()));
@@ -38,10 +38,10 @@ pub(crate) fn hour_runs(samples: &[Sample]) -> impl Iterator<Item = HourRun<'_>>
     })
 }
 
-/// Weights below this are forgotten: their sums have no precision left.
+/// Smaller weights count as 0: their sums have no precision left.
 const WEIGHT_MIN: f64 = 1e-9;
 
-/// What was read in each hour of the local week, and how single days differed in each hour of the day.
+/// The readings of each hour of the local week, and the variance between days in each hour of the day.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HourTable {
     parts: HourTableParts,
@@ -60,23 +60,23 @@ pub struct HourTableParts {
 /// How the mean value of one hour of the day differs from day to day.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HourSpread {
-    /// How many days it rests on; forgetting makes fractions of days.
+    /// Number of days; fractional with forgetting.
     pub days: f64,
     /// The mean over days.
     pub mean: f64,
-    /// The standard deviation over days, with n - 1; 0 where it rests on one day or less.
+    /// The standard deviation over days, with n - 1; 0 with one day or less.
     pub standard_deviation: f64,
 }
 
 impl Default for HourTable {
-    /// Nothing read yet.
+    /// An empty table.
     fn default() -> HourTable {
         HourTable { parts: HourTableParts { cells: vec![[0.0; 2]; WEEK_HOURS], days: vec![[0.0; 3]; 2 * DAY_HOURS] } }
     }
 }
 
 impl HourTable {
-    /// Adds readings in any order; one that is not finite is left out.
+    /// Adds readings in any order; those that are not finite are ignored.
     ///
     /// A local hour of one date that is split over two batches enters the cells of the week all the same, but counts as
     /// two days in [`HourTable::spread`]. The hour that comes twice when clocks are set back is one hour.
@@ -107,7 +107,7 @@ impl HourTable {
         }
     }
 
-    /// Adds what another table has read.
+    /// Adds the readings of another table.
     pub(crate) fn merge(&mut self, other: &HourTable) {
         for (cell, &other) in self.parts.cells.iter_mut().zip(&other.parts.cells) {
             add_to(cell, other);
@@ -117,7 +117,7 @@ impl HourTable {
         }
     }
 
-    /// Makes all that was read so far count `factor` times as much, 0 to 1: forgetting. Other factors count as the nearer
+    /// Forgetting: multiplies the weight of all readings so far by `factor`, 0 to 1. Other factors count as the nearer
     /// end, and NaN changes nothing.
     pub fn scale(&mut self, factor: f64) {
         if factor.is_nan() {
@@ -129,8 +129,8 @@ impl HourTable {
     }
 
     /// The histogram with the default prior and no smoothing, equal to [`Histogram::fit`] on the same readings. `None`
-    /// where nothing was read, or where a bin would not hold whole hours: the number of bins must divide 168 for the
-    /// week, 24 for the others.
+    /// without readings, or if a bin would not hold whole hours: the number of bins must divide 168 for the week, 24
+    /// for the others.
     pub fn histogram(&self, cycle: HistogramCycle, bins: usize) -> Option<Histogram> {
         if bins == 0 || !cycle.hours().is_multiple_of(bins) {
             return None;
@@ -168,13 +168,13 @@ impl HourTable {
         self.parts.cells.get(hour_of_week).map_or(0.0, |cell| cell[0])
     }
 
-    /// How many single hours of single days were read, faded by forgetting.
+    /// Number of single hours of single days with readings, faded by forgetting.
     pub fn observed_hours(&self) -> f64 {
         bounded(self.parts.days.iter().map(|cell| cell[0]).sum())
     }
 
-    /// How an hour of the day, 0..24, differs between weekdays, or between days of weekends; `None` where it was never
-    /// read.
+    /// How an hour of the day, 0..24, differs between weekdays, or between days of weekends; `None` without readings in
+    /// it.
     pub fn spread(&self, hour_of_day: usize, weekend: bool) -> Option<HourSpread> {
         if hour_of_day >= DAY_HOURS {
             return None;
@@ -193,12 +193,12 @@ impl HourTable {
         &self.parts.cells
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> HourTableParts {
         self.parts.clone()
     }
 
-    /// A table from what was stored.
+    /// A table from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where there are not 168 and 48 cells or a number is outside its range.
@@ -228,7 +228,7 @@ fn day_cell(hour_of_day: usize, weekend: bool) -> usize {
     usize::from(weekend) * DAY_HOURS + hour_of_day
 }
 
-/// The mean value of a cell; 0 where nothing was read.
+/// The mean value of a cell; 0 without readings.
 pub(super) fn mean([weight, sum]: [f64; 2]) -> f64 {
     if weight > 0.0 { bounded(sum / weight) } else { 0.0 }
 }
@@ -246,7 +246,7 @@ fn scale_by<const N: usize>(cell: &mut [f64; N], factor: f64) {
     }
 }
 
-/// Sums of huge values stop at the largest number instead of overflowing.
+/// Sums of huge values saturate instead of overflowing.
 fn bounded(sum: f64) -> f64 {
     sum.clamp(f64::MIN, f64::MAX)
 }

@@ -1,18 +1,18 @@
-//! How a coordinate is standardised: distances along it are then comparable with those on a circle.
+//! Standardises a coordinate, so that distances along it are comparable with those on a circle.
 //!
-//! Invariant: whatever finite numbers were observed, standardised ones are finite and bounded.
+//! Invariant: for all finite observed numbers, standardised ones are finite and bounded.
 
 use crate::InvalidParts;
 
-/// Standardised coordinates are cut off here, far beyond anything observed.
+/// The bound of standardised coordinates, far beyond anything observed.
 const FARTHEST: f64 = 1e6;
 
 /// The scale of one coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HypertimeAxis {
-    /// What is subtracted: the mean of the readings.
+    /// The mean of the readings, which is subtracted.
     pub centre: f64,
-    /// What is then divided by: their standard deviation; above 0.
+    /// The standard deviation, by which is divided; above 0.
     pub scale: f64,
     /// Least number observed.
     pub low: f64,
@@ -26,13 +26,13 @@ impl HypertimeAxis {
         let (low, high) = numbers
             .clone()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), number| (low.min(number), high.max(number)));
-        // Of numbers divided by the greatest, whose squares cannot overflow.
+        // Computed with numbers divided by the greatest, so that squares cannot overflow.
         let greatest = low.abs().max(high.abs()).max(f64::MIN_POSITIVE);
         let count = numbers.clone().count() as f64;
         let mean = numbers.clone().map(|number| number / greatest).sum::<f64>() / count;
         let squares: f64 = numbers.map(|number| (number / greatest - mean).powi(2)).sum();
         let deviation = (squares / count).sqrt();
-        // One number only, or numbers that f64 hardly tells apart: their size is all there is to go by.
+        // Equal or nearly equal numbers: their magnitude is the scale.
         let size = if greatest > f64::MIN_POSITIVE { greatest } else { 1.0 };
         let scale = if deviation > 1e-12 { deviation * greatest } else { size };
         HypertimeAxis { centre: (mean * greatest).clamp(low, high), scale: scale.max(f64::MIN_POSITIVE), low, high }
@@ -43,7 +43,7 @@ impl HypertimeAxis {
         ((0.5 * number - 0.5 * self.centre) / self.scale * 2.0).clamp(-FARTHEST, FARTHEST)
     }
 
-    /// The number that a standardised one stands for, within what was observed.
+    /// Undoes the standardisation, limited to the observed range.
     pub(super) fn observed(&self, standard: f64) -> f64 {
         (self.centre + standard * self.scale).clamp(self.low, self.high)
     }

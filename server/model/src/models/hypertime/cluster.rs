@@ -1,9 +1,9 @@
 //! One cluster in hypertime: a Gaussian over some coordinates and a von Mises distribution on each of some circles.
 //!
-//! Coordinates that a prediction is given come first in the Gaussian, the value last: then the factor of the
-//! covariance holds the factor of what is given, and the conditional distribution of the value is read off the rest.
+//! Coordinates that a prediction is given come first in the Gaussian, the value last: then the factor of the covariance
+//! contains the factor of the given coordinates, and the conditional distribution of the value follows from the rest.
 //! With HyT-EM the cosines and sines are coordinates of the Gaussian, with HyT-KM each circle stands by itself.
-//! Invariant: what is kept is a triangular factor with a positive diagonal, so the covariance is positive definite.
+//! Invariant: the stored triangular factor has a positive diagonal, so the covariance is positive definite.
 
 use nalgebra::{Cholesky, DMatrix};
 
@@ -38,22 +38,22 @@ pub struct HypertimeCluster {
     pub concentrations: Vec<f64>,
 }
 
-/// A cluster with what is needed often.
+/// A cluster with precomputed values.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Cluster {
     parts: HypertimeCluster,
     log_weight: f64,
     /// Cosine and sine of each direction.
     directions: Vec<(f64, f64)>,
-    /// Logarithm of what the density on all circles is divided by.
+    /// Logarithm of the normaliser of the density on all circles.
     circles_log_normaliser: f64,
     /// For each coordinate, ln of the factor's diagonal plus half of ln 2π.
     log_diagonal: Vec<f64>,
 }
 
-/// What a cluster says of a value when the rest is given.
+/// The conditional distribution of a value under one cluster, given the rest.
 pub(super) struct Conditional {
-    /// ln(weight · density of what is given).
+    /// ln(weight · density of the given coordinates).
     pub(super) log_share: f64,
     pub(super) mean: Vec<f64>,
     /// Rows of the lower triangular factor of the covariance.
@@ -78,7 +78,7 @@ impl Cluster {
         }
     }
 
-    /// Checks what was stored, for so many coordinates and circles.
+    /// Checks stored parts for the given numbers of coordinates and circles.
     pub(super) fn from_parts(
         parts: HypertimeCluster,
         coordinates: usize,
@@ -142,7 +142,7 @@ impl Cluster {
             for (factor, solved) in row[..index].iter().zip(&solved[..index]) {
                 rest -= factor * solved;
             }
-            // Stored numbers may be stranger than fitted ones.
+            // Stored numbers may have any finite value.
             let standard = Some(rest / row[index]).filter(|standard| standard.abs() < FARTHEST).unwrap_or(FARTHEST);
             solved[index] = standard;
             sum -= 0.5 * standard * standard + self.log_diagonal[index];
@@ -160,7 +160,7 @@ impl Cluster {
         (circles + given, circles + all)
     }
 
-    /// What it says of the coordinates after those given.
+    /// The conditional distribution of the coordinates after the given ones.
     pub(super) fn given(&self, coordinates: &[f64], circles: &[f64]) -> Conditional {
         let given = coordinates.len();
         let mut solved = [0.0; COORDINATES_MAX];
@@ -196,6 +196,6 @@ pub(super) fn factorised(covariance: &[f64], coordinates: usize) -> Vec<f64> {
         }
         added = if added == 0.0 { VARIANCE_MIN } else { added * 4.0 };
     }
-    // A covariance that is not finite: a unit sphere answers for it.
+    // A covariance that is not finite is replaced by the identity.
     (0..coordinates).flat_map(|i| (0..=i).map(move |j| if i == j { 1.0 } else { 0.0 })).collect()
 }

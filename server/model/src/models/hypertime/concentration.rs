@@ -1,7 +1,6 @@
 //! The von Mises distribution on a circle: how concentrated around a direction.
 //!
-//! Its log-density falls with the cosine distance, which RA-L 2019 section III.H asks for: κ(cos Δ - 1) plus a
-//! constant.
+//! Its log-density falls with the cosine distance, as in RA-L 2019 section III.H: κ(cos Δ - 1) plus a constant.
 //! Invariant: concentrations are between 0 and [`CONCENTRATION_MAX`], and everything here is finite.
 
 /// A deviation of about 1.3°, five minutes of a day.

@@ -1,6 +1,6 @@
-//! What a value is at one place and time: a mixture of Gaussians.
+//! The conditional distribution of a value at one place and time: a mixture of Gaussians.
 //!
-//! Invariant: shares add up to 1, every answer is finite.
+//! Invariant: shares add up to 1, every result is finite.
 
 use super::axis::{HypertimeAxis, standardised};
 use super::cluster::{Cluster, Conditional, HypertimeCluster, factorised};
@@ -28,7 +28,7 @@ impl HypertimeDistribution {
         HypertimeDistribution { mixture: Mixture { clusters: clusters.collect() }, axes }
     }
 
-    /// The expected value: the mean of the conditional distribution, within what was observed.
+    /// The mean of the conditional distribution, limited to the observed range.
     pub fn mean(&self) -> Vec<f64> {
         let standard = (0..self.axes.len()).map(|coordinate| self.standard_mean(coordinate));
         standard.zip(&self.axes).map(|(mean, axis)| axis.observed(mean)).collect()
@@ -52,10 +52,10 @@ impl HypertimeDistribution {
         scaled.map(|variance| variance.min(f64::MAX)).collect()
     }
 
-    /// Probability density of a value, per unit of each of its coordinates, averaged over a cell of these widths
-    /// around it: the variances grow by width²/12. With widths of 0 it is the density at the value, which a tight
-    /// cluster makes very great in its middle; to sum up cells, give their widths. `None` where a list has not one
-    /// number for each coordinate, a value is not finite, or a width is negative or NaN.
+    /// Probability density of a value, per unit of each of its coordinates, averaged over a cell of these widths around
+    /// it: the variances grow by width²/12. With widths of 0 it is the density at the value, which is very large in the
+    /// middle of a narrow cluster; to sum over cells, pass their widths. `None` if a list does not have one number for
+    /// each coordinate, a value is not finite, or a width is negative or NaN.
     pub fn density(&self, value: &[f64], widths: &[f64]) -> Option<f64> {
         let coordinates = self.axes.len();
         let fitting = value.len() == coordinates && widths.len() == coordinates;

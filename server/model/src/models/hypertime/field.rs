@@ -20,21 +20,21 @@ mod tests;
 /// Most coordinates of location and value together.
 const DIMENSIONS_MAX: usize = COORDINATES_MAX - 10;
 
-/// One reading of a value that has a place.
+/// One reading of a value with a location.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldReading {
-    /// When.
+    /// The moment.
     pub moment: Moment,
-    /// Where: any number of coordinates, the same for all readings; empty where the value is of one place.
+    /// The location: any number of coordinates, the same for all readings; empty for a value of one place.
     pub location: Vec<f64>,
-    /// What: one or more numbers, as many for all readings. For events it is the place that they happened at.
+    /// The value: one or more numbers, the same count for all readings. For events it is their place.
     pub value: Vec<f64>,
 }
 
-/// What a [`HypertimeField`] consists of, to be stored.
+/// What a [`HypertimeField`] consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HypertimeFieldParts {
-    /// How the clusters were found.
+    /// The method of clustering.
     pub method: HypertimeMethod,
     /// The periods, as divisors of a week, in the order found; at most five.
     pub week_divisors: Vec<u32>,
@@ -143,7 +143,7 @@ impl HypertimeField {
         &self.divisors
     }
 
-    /// What the model consists of; a model made of it again predicts the same.
+    /// The parts of the model; a model built from them predicts the same.
     pub fn to_parts(&self) -> HypertimeFieldParts {
         HypertimeFieldParts {
             method: self.method,
@@ -154,7 +154,7 @@ impl HypertimeField {
         }
     }
 
-    /// The model that was stored.
+    /// The model from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where numbers are outside their range or lists have not the right length.

@@ -47,7 +47,7 @@ pub(super) struct FieldTraining {
     pub(super) readings: Vec<FieldPoint>,
     pub(super) method: HypertimeMethod,
     pub(super) value: Vec<HypertimeAxis>,
-    /// What independent readings weigh.
+    /// The weight of independent readings.
     pub(super) unit: f64,
 }
 
@@ -117,7 +117,7 @@ impl Trainer<(Vec<u32>, Mixture)> for FieldTraining {
         let mixture = Mixture::fit(&points, clusters, seed, FIRST_STEPS);
         let mut score = HeldOutScore::default();
         for (fold, divisors) in circles.without.iter().enumerate() {
-            // From where the fit to all readings ended, so that its optimum is what is judged; of other circles, anew.
+            // Starts from the fit to all readings, so that its optimum is judged; with other circles, from scratch.
             if *divisors == circles.all {
                 let mut fitted = mixture.clone();
                 fitted.refit(&self.others(&points, fold), FOLD_STEPS);

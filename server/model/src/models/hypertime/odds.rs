@@ -13,15 +13,15 @@ use crate::InvalidParts;
 
 const FIRST_STEPS: usize = 60;
 const FOLD_STEPS: usize = 15;
-/// Probabilities are scored as if between this and 1 less this.
+/// Probabilities are clipped to this and 1 minus this for scoring.
 const PROBABILITY_MIN: f64 = 1e-4;
 /// Bound on logarithms, so that two of them can be added and exponentiated.
 const LOG_MAX: f64 = 300.0;
 
-/// What a hypertime model of a probability consists of, to be stored.
+/// What a hypertime model of a probability consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HypertimeOddsParts {
-    /// How the clusters were found.
+    /// The method of clustering.
     pub method: HypertimeMethod,
     /// The periods, as divisors of a week, in the order found; at most five.
     pub week_divisors: Vec<u32>,
@@ -29,13 +29,13 @@ pub struct HypertimeOddsParts {
     pub mean: f64,
     /// Weight of the mean value, spread evenly over all times, that is added to the readings; above 0.
     pub background: f64,
-    /// ln of what the density of the readings that are 1 is multiplied with.
+    /// ln of the factor on the density of the readings that are 1.
     pub log_ones: f64,
-    /// ln of what the density of the readings that are 0 is multiplied with.
+    /// ln of the factor on the density of the readings that are 0.
     pub log_zeros: f64,
-    /// Clusters of readings that are 1; none where the prediction is the mean.
+    /// Clusters of readings that are 1; empty if the prediction is the mean.
     pub ones: Vec<HypertimeCluster>,
-    /// Clusters of readings that are 0; none where the prediction is the mean.
+    /// Clusters of readings that are 0; empty if the prediction is the mean.
     pub zeros: Vec<HypertimeCluster>,
 }
 
@@ -63,7 +63,7 @@ impl SlotWeights {
         SlotWeights { ones: vec![0.0; SLOTS], zeros: vec![0.0; SLOTS] }
     }
 
-    /// A value in `[0,1]` counts for both.
+    /// A value in `[0,1]` adds to both.
     pub(super) fn add(&mut self, slot: usize, weight: f64, value: f64) {
         self.ones[slot] += weight * value;
         self.zeros[slot] += weight * (1.0 - value);
@@ -87,7 +87,7 @@ impl SlotWeights {
 pub(super) struct Folds {
     pub(super) folds: Vec<SlotWeights>,
     pub(super) method: HypertimeMethod,
-    /// What independent readings weigh.
+    /// The weight of independent readings.
     pub(super) unit: f64,
 }
 
@@ -103,7 +103,7 @@ impl Trainer<Odds> for Folds {
         for (index, (left_out, divisors)) in self.folds.iter().zip(&circles.without).enumerate() {
             let others = self.folds.iter().enumerate().filter(|(other, _)| *other != index);
             let seen = SlotWeights::combined(others.map(|(_, counts)| counts));
-            // From where the fit to all readings ended, so that its optimum is what is judged; of other circles, anew.
+            // Starts from the fit to all readings, so that its optimum is judged; with other circles, from scratch.
             let again = |mixture: &Mixture, weights: &[f64]| {
                 let mut mixture = mixture.clone();
                 mixture.refit(&hypertime.points(weights, self.method, self.unit), FOLD_STEPS);
@@ -123,7 +123,7 @@ impl Trainer<Odds> for Folds {
 }
 
 impl Folds {
-    /// The mean where there is no period or only one kind of reading; else the mixtures, with their factor.
+    /// The mean if there is no period or only one kind of reading; else the mixtures with their factor.
     fn calibrated(
         &self,
         hypertime: &Hypergrid,
@@ -141,7 +141,7 @@ impl Folds {
             ones: Mixture::default(),
             zeros: Mixture::default(),
         };
-        // Also where too little is left of one kind to say anything.
+        // Also if there is too little of one kind.
         if hypertime.divisors.is_empty() || mean <= 1e-9 || mean >= 1.0 - 1e-9 {
             return odds;
         }
@@ -195,7 +195,7 @@ impl Hypergrid {
         &self.numbers[slot * stride..][..stride]
     }
 
-    /// The slots that have weight.
+    /// The slots with weight.
     fn points(&self, weights: &[f64], method: HypertimeMethod, unit: f64) -> Points {
         let (coordinates, circles) = shape(method, self.divisors.len());
         let mut points = Points::new(coordinates, circles, unit);
@@ -259,7 +259,7 @@ impl Odds {
         self.ratio(log_one, log_zero)
     }
 
-    /// The probability at a place in the week, in turns.
+    /// The probability at a position in the week, in turns.
     pub(super) fn at(&self, turn: f64) -> f64 {
         let mut point = Vec::with_capacity(2 * self.divisors.len());
         project(turn, &self.divisors, &mut point);
@@ -307,7 +307,7 @@ impl Odds {
     }
 }
 
-/// ln of the mean of what the numbers are logarithms of.
+/// ln of the mean of the exponentials.
 fn log_mean(logs: impl Iterator<Item = f64> + Clone) -> f64 {
     let most = logs.clone().fold(f64::NEG_INFINITY, f64::max);
     let (sum, count) = logs.fold((0.0, 0.0), |(sum, count), log| (sum + (log - most).exp(), count + 1.0));

@@ -2,31 +2,30 @@
 
 use crate::models::CannotFit;
 
-/// How clusters in hypertime are found (RA-L 2019 section III.H).
+/// The method of clustering in hypertime (RA-L 2019 section III.H).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum HypertimeMethod {
-    /// HyT-EM: expectation-maximisation of as many Gaussians as asked for.
+    /// HyT-EM: expectation-maximisation with the given number of Gaussians.
     Em,
-    /// HyT-KM: cosine distance on the circles, and more clusters for as long as that leaves weaker periods in the
-    /// error. It goes by the mean alone: for the shape of a distribution, ask HyT-EM for as many clusters as it has
-    /// peaks.
+    /// HyT-KM: cosine distance on the circles, with more clusters as long as that weakens the periods left in the
+    /// error. It judges the mean only: for the shape of a distribution, use HyT-EM with one cluster per peak.
     Km,
 }
 
 /// How a hypertime model is fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HypertimeOptions {
-    /// How the clusters are found.
+    /// The method of clustering.
     pub method: HypertimeMethod,
-    /// How many clusters (HyT-EM; of a probability, for each of the two values), or at most how many (HyT-KM); from 1
-    /// to [`HypertimeOptions::CLUSTERS_MAX`]. Fewer where there are fewer distinct readings.
+    /// Number of clusters (HyT-EM; for a probability, for each of the two values), or the maximum (HyT-KM); 1 to
+    /// [`HypertimeOptions::CLUSTERS_MAX`]. Fewer where there are fewer distinct readings.
     pub clusters: usize,
-    /// What the starts of the clustering and the readings left out are drawn from.
+    /// Seed of the starts of the clustering and of the held-out readings.
     pub seed: u64,
 }
 
 impl HypertimeOptions {
-    /// The most clusters that may be asked for.
+    /// The maximum number of clusters.
     pub const CLUSTERS_MAX: usize = 50;
 
     pub(super) fn check(&self) -> Result<(), CannotFit> {

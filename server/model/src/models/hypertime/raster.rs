@@ -1,9 +1,8 @@
-//! How the probability of a mixture of Gaussians is shared out among cells of space.
+//! The probability of a mixture of Gaussians in cells of space.
 //!
-//! Summed up, densities at the cells' middles say nothing where a cluster is narrower than a cell: too much where a middle
-//! happens to be its centre, nothing where not. So each Gaussian is integrated, one axis after the other by its triangular
-//! factor: along an axis exactly, by the normal distribution function, and in strips so narrow that within one the
-//! coordinate can stand for where it is given to those after it.
+//! Densities at the middles of cells would be wrong where a cluster is narrower than a cell. So each Gaussian is
+//! integrated, one axis after the other by its triangular factor: along an axis exactly, by the normal distribution
+//! function, and in strips that are so narrow that the coordinate can be treated as constant for the following axes.
 //! Invariant: no cell is negative, and cells that cover everything sum up to 1, however coarse they are.
 
 use super::cluster::Cluster;
@@ -13,16 +12,16 @@ use crate::special::normal_tail;
 #[cfg(test)]
 mod tests;
 
-/// Deviations beyond which nothing is left: 1e-15 of a Gaussian.
+/// Deviations beyond which 1e-15 of a Gaussian is left.
 const FARTHEST: f64 = 8.0;
 /// Deviations that a strip is wide, at most.
 const STRIP: f64 = 0.25;
 
 impl HypertimeDistribution {
     /// Probability of each cell of a box: cell 0 begins at `low` along each axis, all are `width` wide, and there are
-    /// `counts` of them along each axis; the first axis goes first. They sum up to at most 1: the rest lies outside.
-    /// `None` where a list has not one number for each coordinate, a number is not finite, the width not above 0, a count
-    /// 0, or the cells are more than can be numbered.
+    /// `counts` of them along each axis; the first axis goes first. They sum to at most 1: the rest lies outside.
+    /// `None` if a list does not have one number for each coordinate, a number is not finite, the width not above 0, a
+    /// count 0, or there are too many cells.
     pub fn cells(&self, low: &[f64], width: f64, counts: &[usize]) -> Option<Vec<f64>> {
         let coordinates = self.axes.len();
         if low.len() != coordinates || counts.len() != coordinates || counts.contains(&0) {
@@ -50,7 +49,7 @@ struct Raster<'a> {
 }
 
 impl Raster<'_> {
-    /// Shares out what lies where the axes so far have these deviations; the cells there are `first`, `first` + `stride`, ….
+    /// Distributes the mass for given deviations of the previous axes; its cells are `first`, `first` + `stride`, ….
     fn share_out(&self, mass: f64, given: &[f64], (first, stride): (usize, usize), cells: &mut [f64]) {
         let axis = given.len();
         let parts = self.cluster.parts();
@@ -73,7 +72,7 @@ impl Raster<'_> {
                 cells[place] += mass * (below_next - below).max(0.0);
                 below = below_next;
             } else {
-                // The count is at most 64: the deviations are cut off.
+                // The count is at most 64, because deviations are bounded.
                 let strips = ((to - from) / STRIP).ceil().max(1.0);
                 let edge = |strip: f64| from + (to - from) * strip / strips;
                 for strip in 0..strips as usize {
@@ -91,7 +90,7 @@ impl Raster<'_> {
     }
 }
 
-/// Mean of a standard Gaussian between two numbers, where it has this share.
+/// Mean of a standard Gaussian between two numbers, where `share` is its mass there.
 fn mean_between(left: f64, right: f64, share: f64) -> f64 {
     let density = |deviation: f64| (-0.5 * deviation * deviation).exp() / std::f64::consts::TAU.sqrt();
     ((density(left) - density(right)) / share).clamp(left, right)

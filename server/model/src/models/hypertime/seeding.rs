@@ -1,4 +1,4 @@
-//! Where clusters begin: k-means over hypertime.
+//! Initial clusters: k-means over hypertime.
 //!
 //! On the circles the distance is the cosine distance 1 - cos Δ, elsewhere half the squared Euclidean one (RA-L 2019
 //! section III.H; half, because squared chords are 2(1 - cos Δ)). The first centres are drawn by k-means++ (D. Arthur
@@ -9,7 +9,7 @@ use rand::{Rng, SeedableRng};
 
 use super::cluster::{Cluster, HypertimeCluster, VARIANCE_MIN};
 
-/// Weighted points, each of so many coordinates and then cosine and sine on so many circles.
+/// Weighted points: `coordinates` numbers, then cosine and sine on each of `circles` circles.
 #[derive(Clone, Debug)]
 pub(super) struct Points {
     pub(super) coordinates: usize,
@@ -17,7 +17,7 @@ pub(super) struct Points {
     pub(super) numbers: Vec<f64>,
     /// Above 0.
     pub(super) weights: Vec<f64>,
-    /// What independent readings weigh: those of the same hour say much the same.
+    /// The weight of independent readings: readings of the same hour are nearly repetitions.
     pub(super) unit: f64,
 }
 
@@ -32,7 +32,7 @@ impl Points {
 
     /// Numbers and weight of each.
     pub(super) fn iter(&self) -> impl Iterator<Item = (&[f64], f64)> {
-        // Without coordinates and circles, a point is still a point.
+        // At least 1, so that points without coordinates and circles are counted.
         let stride = self.stride();
         self.weights.iter().enumerate().map(move |(index, &weight)| (&self.numbers[index * stride..][..stride], weight))
     }
@@ -87,7 +87,7 @@ fn distance(point: &[f64], centre: &[f64], coordinates: usize) -> f64 {
     let (centre_linear, centre_circles) = centre.split_at(coordinates);
     let squared: f64 = linear.iter().zip(centre_linear).map(|(a, b)| (a - b) * (a - b)).sum();
     let cosines: f64 = circles.iter().zip(centre_circles).map(|(a, b)| a * b).sum();
-    // Never below 0 by rounding: it is a weight in a draw.
+    // Rounding must not make it negative: it is a weight in a draw.
     (0.5 * squared + (circles.len() / 2) as f64 - cosines).max(0.0)
 }
 

@@ -1,9 +1,8 @@
-//! Hypertime: a time as one point on each of several circles, and the search for the periods that the circles stand
-//! for.
+//! Hypertime: a time as one point on each of several circles, and the search for the periods of these circles.
 //!
-//! Every candidate period is a week divided by 1..=84, so a slot of the week has one place in hypertime, and error
-//! can be summed by slot before it is searched. Invariant: a period is named by its divisor of the week, never by a
-//! length in floating point.
+//! Every candidate period is a week divided by 1..=84, so a slot of the week is one point in hypertime, and errors can
+//! be summed by slot before the search. Invariant: a period is named by its divisor of the week, never by a length in
+//! floating point.
 
 use std::f64::consts::TAU;
 
@@ -23,7 +22,7 @@ pub(super) const CANDIDATES: u32 = 84;
 /// Most circles of a model.
 pub(super) const PERIODS_MAX: usize = 5;
 
-/// Checks divisors that were stored: as many as there may be, each a candidate, no two equal.
+/// Checks stored divisors: not too many, each a candidate, no two equal.
 pub(super) fn check_divisors(divisors: &[u32]) -> Result<(), InvalidParts> {
     InvalidParts::check("week_divisors", divisors.len() as f64, 0.0..=PERIODS_MAX as f64)?;
     for (index, &divisor) in divisors.iter().enumerate() {
@@ -112,8 +111,7 @@ impl Residuals {
         power.into_iter().map(f64::sqrt).collect()
     }
 
-    /// The strongest candidate that is not taken yet and of which the observed span holds at least 0.99, as its
-    /// divisor.
+    /// The divisor of the strongest unused candidate of which the observed span holds at least 0.99.
     pub(super) fn strongest(&self, taken: &[u32], span_nanos: u64) -> Option<u32> {
         let mut best: Option<(f64, u32)> = None;
         for (strength, divisor) in self.spectrum().into_iter().zip(1..) {

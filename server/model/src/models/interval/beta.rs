@@ -1,18 +1,18 @@
-//! The Beta distribution by numerical integration, and its shortest intervals.
+//! Credible intervals of probabilities: shortest intervals of Beta distributions by numerical integration.
 //!
-//! With x = 1/(1 + e^-u) the density of u is proportional to x^α (1 - x)^β: smooth, with one peak, whatever α and β; so equal
-//! steps in u integrate it well, where the density of x itself may be infinite at the ends. What lies beyond the grid is
-//! added in closed form. Invariant: the masses are positive and sum to 1.
+//! With x = 1/(1 + e^-u) the density of u is proportional to x^α (1 - x)^β: smooth, with one peak, whatever α and β; so
+//! equal steps in u integrate it well, where the density of x itself may be infinite at the ends. The mass beyond the
+//! grid is added in closed form. Invariant: the masses are positive and sum to 1.
 
 use super::{HourMoments, Interval};
 use crate::special::softplus;
 
-/// How much is borrowed where little was seen; found by rolling origin on ten weeks of one office door.
+/// The weights of the priors with little data; found by rolling origin on ten weeks of one office door.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct IntervalPrior {
-    /// The scatter of all hours counts as that of this many days of the hour itself.
+    /// The weight of the scatter of all hours, in days of the hour itself.
     pub(super) scatter_days: f64,
-    /// And not knowing at all, a mean of 1/2, as this many days.
+    /// The weight of the ignorant mean of 1/2, in days.
     pub(super) doubt_days: f64,
     /// An hour whose mean is this close to 0 or 1 counts as 0 or 1.
     pub(super) end: f64,
@@ -20,15 +20,15 @@ pub(super) struct IntervalPrior {
 
 pub(super) const INTERVAL_PRIOR: IntervalPrior = IntervalPrior { scatter_days: 1.0, doubt_days: 1.0, end: 0.0001 };
 
-/// The scatter before anything was seen: that of the uniform distribution, with the weight of one day.
+/// The prior of the scatter: that of the uniform distribution, with the weight of one day.
 const SCATTER_BEFORE: (f64, f64) = (1.0 / 3.0, 1.0);
 
 /// The band that holds the mean of the state over the hour around a moment with probability `level`.
 ///
-/// `p` is what a model predicts for the moment; the band contains it, and is the shortest that does. `hour` is
-/// what was recorded of this hour of the day on such days (weekdays, or the weekend), `all` the same of all hours together. The
-/// band widens as days grow few; where the hour was never seen it is `[0,1]`. `p` and `level` outside `[0,1]` count as the
-/// nearer end, a `p` that is NaN as never seen, a `level` that is NaN as 1.
+/// `p` is the prediction of a model for the moment; the band is the shortest that contains it. `hour` sums this hour of
+/// the day on such days (weekdays, or the weekend), `all` all hours together. The band is wider with fewer days;
+/// without data of the hour it is `[0,1]`. `p` and `level` outside `[0,1]` count as the nearer end, a `p` that is NaN
+/// as no data, a `level` that is NaN as 1.
 pub fn credible_interval(p: f64, hour: HourMoments, all: HourMoments, level: f64) -> Interval {
     interval(p, hour, all, level, INTERVAL_PRIOR)
 }
@@ -54,24 +54,24 @@ fn blend((value, weight): (f64, f64), (other, other_weight): (f64, f64)) -> f64 
 const STEPS: usize = 1024;
 /// The grid ends at x = 8e-7 from 0 or 1, if not before.
 const FARTHEST: f64 = 14.0;
-/// Neither more certain nor less than this, so that α and β stay in range.
+/// The limits of the scatter, so that α and β stay in range.
 const SCATTERS: std::ops::RangeInclusive<f64> = 1e-6..=0.999;
 
-/// A Beta distribution as masses between ascending places in `[0,1]`.
+/// A Beta distribution as masses between ascending points in `[0,1]`.
 pub(super) struct Beta {
     /// STEPS + 1 places.
     places: Vec<f64>,
-    /// The probability of less than each place.
+    /// The probability of less than each point.
     below: Vec<f64>,
 }
 
 impl Beta {
-    /// Of that mean, and variance = scatter · mean · (1 - mean), scatter = 1/(α + β + 1).
+    /// The distribution with the given mean and variance scatter · mean · (1 - mean), scatter = 1/(α + β + 1).
     pub(super) fn with_moments(mean: f64, scatter: f64) -> Beta {
         let total = 1.0 / scatter.clamp(*SCATTERS.start(), *SCATTERS.end()) - 1.0;
         let mean = mean.clamp(1e-9, 1.0 - 1e-9);
         let (alpha, beta) = (total * mean, total * (1.0 - mean));
-        // Twelve standard deviations of u about the peak, or as good as all of the tails.
+        // Twelve standard deviations of u about the peak, which contains nearly all of the tails.
         let (peak, reach) = ((alpha / beta).ln(), 12.0 * (1.0 / alpha + 1.0 / beta).sqrt());
         let first = (peak - reach).clamp(-FARTHEST, FARTHEST - 1.0);
         let last = (peak + reach).clamp(first + 1e-3, FARTHEST);
@@ -95,8 +95,8 @@ impl Beta {
         Beta { places: nodes.into_iter().map(|u| 1.0 / (1.0 + (-u).exp())).collect(), below }
     }
 
-    /// The shortest interval that contains `p` and holds at least `level`. All within `end` of 0, and of 1, is taken in as a
-    /// whole or not at all.
+    /// The shortest interval that contains `p` and holds at least `level`. The parts within `end` of 0, and of 1, are
+    /// included as a whole or not at all.
     pub(super) fn shortest_around(&self, p: f64, level: f64, end: f64) -> Interval {
         let first = self.places.partition_point(|&x| x <= end);
         let last = self.places.partition_point(|&x| x < 1.0 - end);
@@ -110,7 +110,7 @@ impl Beta {
         let mut best = Interval { lower: 0.0, upper: 1.0 };
         let mut upper = 0;
         for &(from, below) in cuts.iter().take_while(|cut| cut.0 <= p) {
-            // Both ends move up together: the first upper end that is far enough for this lower one.
+            // Both ends move up together: finds the first upper end for this lower end.
             while upper < cuts.len() && (cuts[upper].0 < p || cuts[upper].1 - below < level) {
                 upper += 1;
             }
@@ -122,7 +122,7 @@ impl Beta {
         best
     }
 
-    /// The probability of less than x, straight between places.
+    /// The probability of less than x, linear between points.
     pub(super) fn mass_below(&self, x: f64) -> f64 {
         let next = self.places.partition_point(|&place| place < x);
         match (next.checked_sub(1).map(|i| (self.places[i], self.below[i])), self.places.get(next)) {

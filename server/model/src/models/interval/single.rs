@@ -1,29 +1,29 @@
-//! How far out a single value lies that is no probability, as a tail probability.
+//! Tail probabilities of single values of states that are not probabilities.
 //!
 //! Continuous values are taken to be normal about the prediction. Counts are taken to be negative binomial, a Poisson
-//! distribution whose rate differs from time to time, with the variance φ·λ, φ ≥ 1, λ the prediction (the form called NB1:
-//! A. C. Cameron and P. K. Trivedi, "Econometric models based on count data", Journal of Applied Econometrics 1986). As φ
-//! goes to 1 it becomes Poisson. Invariant: a tail is a probability, whatever is asked.
+//! distribution whose rate differs from time to time, with the variance φ·λ, φ ≥ 1, λ the prediction (the form called
+//! NB1: A. C. Cameron and P. K. Trivedi, "Econometric models based on count data", Journal of Applied Econometrics
+//! 1986). As φ goes to 1 it becomes Poisson. Invariant: the result is in `[0,1]` for all arguments.
 
 use crate::{StateKind, VALUE_MAX, special::normal_tail};
 
 #[cfg(test)]
 mod tests;
 
-/// The variance of counts is at least this times their mean: so near to Poisson one formula serves for both.
+/// The variance of counts is at least this times their mean: so close to Poisson that one formula serves for both.
 const DISPERSION_MIN: f64 = 1.000_01;
-/// Where more are expected, or single counts vary more, counts are taken to be normal: sums would be long.
+/// Above this mean, or this dispersion, counts are treated as normal, because sums would be long.
 const SUMMED_MEAN_MAX: f64 = 600.0;
 const DISPERSION_MAX: f64 = 1e4;
-/// Values are told apart from their prediction to this share of it: sums of squares know no better.
+/// Values are distinguished from their prediction to this share of it: sums of squares are not more precise.
 const DEVIATION_MIN: f64 = 1e-6;
 
 /// The probability of a value at least as far out as `value`, to either side: twice the probability of one at least as
 /// large, or at least as small, whichever is less; at most 1.
 ///
 /// `expected` is the prediction, `variance` that of single values about it, at least 0. The value lies outside of the
-/// two-sided interval of confidence C where this is less than 1 - C. What is not finite counts as 0 as a prediction and
-/// variance, and is as far out as can be as a value.
+/// two-sided interval of confidence C where this is less than 1 - C. A prediction or variance that is not finite counts
+/// as 0; a value that is not finite has the tail 0.
 pub fn value_tail(kind: StateKind, expected: f64, variance: f64, value: f64) -> f64 {
     if !value.is_finite() {
         return 0.0;
@@ -50,7 +50,7 @@ fn counts_tail(mean: f64, dispersion: f64, value: f64) -> f64 {
         return if value > 0.0 { 0.0 } else { 1.0 };
     }
     if mean > SUMMED_MEAN_MAX || dispersion > DISPERSION_MAX {
-        // Whole numbers: half a one belongs to the value itself.
+        // Continuity correction of one half.
         let distance = ((value - mean).abs() - 0.5).max(0.0);
         return normal_tail(distance / (dispersion * mean).sqrt());
     }
@@ -73,7 +73,7 @@ fn counts_tail(mean: f64, dispersion: f64, value: f64) -> f64 {
         return at_most.min((1.0 - below).max(0.0));
     }
     let mut at_least = mass;
-    // Beyond both the mean and the size's pull the masses fall by no less than this.
+    // The masses fall monotonically from here on.
     while mass > 1e-9 * at_least && mass > 0.0 {
         mass *= growth(at);
         at += 1.0;

@@ -1,4 +1,4 @@
-//! Bands of states that are no probabilities: so many standard deviations to either side of the prediction.
+//! Credible intervals of states that are not probabilities: z standard deviations to either side of the prediction.
 //!
 //! Invariant: a band is finite, holds its prediction and lies in the bounds of the state's kind.
 
@@ -8,16 +8,16 @@ use crate::{StateKind, special::normal_upper_quantile};
 #[cfg(test)]
 mod tests;
 
-/// How many days the variance of single readings counts as: where few days were seen, an hour may differ by that.
+/// The weight of the variance of single readings, in days.
 const BORROWED_DAYS: f64 = 1.0;
 
-/// The band that holds the mean of the state over the hour around a moment with probability `level`: the prediction p, which
-/// lies in the kind's bounds, ± z·σ, where z is the quantile of the normal distribution at (1 + level)/2.
+/// The band that holds the mean of the state over the hour around a moment with probability `level`: the prediction p,
+/// which lies in the kind's bounds, ± z·σ, where z is the quantile of the normal distribution at (1 + level)/2.
 ///
-/// σ² is the variance between days of this hour of the day on such days, `hour`, drawn towards the variance of single
-/// readings, `readings`, with the weight of one day, and widened by 1 + 1/days, since the mean of these days is not known
-/// for sure either. Where the hour was never seen σ² is twice the variance of single readings. `level` outside
-/// `[0, 0.999999]` counts as the nearer end, and so does NaN, as the upper one.
+/// σ² is the variance between days of this hour of the day on such days, `hour`, shrunk towards the variance of single
+/// readings, `readings`, with the weight of one day, and widened by 1 + 1/days for the uncertainty of the mean of these
+/// days. Without data of the hour σ² is twice the variance of single readings. `level` outside `[0, 0.999999]` counts
+/// as the nearer end, NaN as the upper end.
 pub fn value_interval(kind: StateKind, p: f64, hour: HourMoments, readings: f64, level: f64) -> Interval {
     let number = |found: f64| if found.is_finite() { found.max(0.0) } else { 0.0 };
     let p = kind.saturate(p);

@@ -1,11 +1,11 @@
 //! The likelihood of a two-state chain seen at irregular times, and its maximum.
 //!
-//! Parameters are the sum λ = α + β and the share π = α/λ: for a given λ the logarithm of the likelihood is concave in π,
-//! so that two nested searches in one dimension find the maximum. Invariant: nothing here is NaN.
+//! Parameters are the sum λ = α + β and the share π = α/λ: for a given λ the logarithm of the likelihood is concave in
+//! π, so that two nested searches in one dimension find the maximum. Invariant: nothing here is NaN.
 
 use std::collections::BTreeMap;
 
-/// Gaps whose logarithms round to the same multiple of this count as one.
+/// Gaps whose logarithms round to the same multiple of this are merged.
 const LOG_GAP_STEP: f64 = 0.02;
 /// The prior: this many rises and as many falls …
 const PRIOR_CHANGES: f64 = 0.5;
@@ -15,7 +15,7 @@ const PRIOR_SECS: f64 = 3600.0;
 const LOG_RATES: (f64, f64) = (-25.0, 23.0);
 const LOG_RATE_STEP: f64 = 0.5;
 
-/// How often the state stayed and changed over gaps of about the same length.
+/// Counts of staying and changing over gaps of about the same length.
 #[derive(Clone, Copy, Debug, Default)]
 struct GapCounts {
     weight: f64,
@@ -27,7 +27,7 @@ struct GapCounts {
     high: f64,
 }
 
-/// What successive readings say about the rates.
+/// Sufficient statistics of successive readings for the rates.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Transitions {
     by_gap: BTreeMap<i32, GapCounts>,
@@ -92,7 +92,7 @@ impl Transitions {
         let mut value =
             PRIOR_CHANGES * (share * (1.0 - share)).ln() + 2.0 * PRIOR_CHANGES * log_rate - PRIOR_SECS * rate;
         for &(mixed, counts) in &gaps {
-            // λ and Δ are positive, so this is 0 only where it underflowed, far from the maximum.
+            // λ and Δ are positive, so this is 0 only by underflow, far from the maximum.
             let log_mixed = mixed.max(f64::MIN_POSITIVE).ln();
             value += counts.rises * (share.ln() + log_mixed) + counts.falls * ((1.0 - share).ln() + log_mixed);
             value += counts.low * (-share * mixed).ln_1p() + counts.high * (-(1.0 - share) * mixed).ln_1p();
@@ -105,7 +105,7 @@ fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// The place of the maximum of a function with one maximum between two places, to 1e-7 of the distance.
+/// The position of the maximum of a unimodal function between two points, to 1e-7 of the distance.
 fn golden_section(mut low: f64, mut high: f64, value: impl Fn(f64) -> f64) -> f64 {
     const RATIO: f64 = 0.618_033_988_749_894_9;
     let (mut left, mut right) = (high - RATIO * (high - low), low + RATIO * (high - low));

@@ -1,8 +1,8 @@
 //! Expectation-maximisation of wrapped Gaussians on a circle.
 //!
-//! Which turn a phase belongs to is hidden, as which Gaussian it belongs to is: both are estimated, so that the
-//! likelihood never falls, and a Gaussian may grow until it is flat. Invariant: weights add up to 1 or there are
-//! none; widths are between one phase and one turn.
+//! The turn and the Gaussian of a phase are hidden variables: both are estimated, so that the likelihood never falls,
+//! and a Gaussian may grow until it is flat. Invariant: weights add up to 1 or there are none; widths are between one
+//! phase and one turn.
 
 use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
@@ -24,7 +24,7 @@ pub(super) struct WrappedGaussian {
 }
 
 impl WrappedGaussian {
-    /// Turns either way beyond which the next image adds less than 4 deviations do.
+    /// Turns to either side beyond which images are more than four deviations away.
     fn images(&self) -> i32 {
         if self.deviation < 0.06 { 0 } else { (4.0 * self.deviation + 0.5).ceil() as i32 }
     }
@@ -35,7 +35,7 @@ impl WrappedGaussian {
         distance - distance.round()
     }
 
-    /// Calls with each image's distance and density.
+    /// Calls `each` with every image's distance and density.
     fn for_images(&self, turn: f64, mut call: impl FnMut(f64, f64)) {
         let nearest = self.distance(turn);
         let images = self.images();
@@ -55,8 +55,8 @@ impl WrappedGaussian {
     }
 }
 
-/// The likeliest mixture found from several starts; `shares` are masses at equally spaced phases, not negative.
-/// None where there is no mass.
+/// The likeliest mixture found from several starts; `shares` are masses at equally spaced phases, not negative. Empty
+/// without mass.
 pub(super) fn fit_wrapped(shares: &[f64], gaussians: usize, seed: u64) -> Vec<WrappedGaussian> {
     let mass: f64 = shares.iter().sum();
     let distinct = shares.iter().filter(|&&share| share > 0.0).count();
@@ -128,7 +128,7 @@ fn step(shares: &[f64], mixture: &mut Vec<WrappedGaussian>) -> f64 {
         for (gaussian, here) in mixture.iter().zip(&mut here) {
             *here = [0.0; 3];
             gaussian.for_images(turn, |distance, image| {
-                // Not 0, however far: somebody must answer for this phase.
+                // Above 0 at any distance, so that every phase belongs to a Gaussian.
                 let part = gaussian.weight * image.max(1e-200);
                 here[0] += part;
                 here[1] += part * distance;

@@ -1,6 +1,6 @@
 //! Readings folded into one period: the mean value in each of 1,440 phases (Waldo eq. 6).
 //!
-//! Invariant: each of the means lies in `[0,1]`, whatever was observed.
+//! Invariant: each of the means lies in `[0,1]`, for all observations.
 
 use crate::civil::NANOS_PER_SEC;
 use crate::models::Readings;
@@ -44,7 +44,7 @@ impl PhaseMeans {
     }
 }
 
-/// Means where there is weight; elsewhere on the straight line between the nearest that have it, around the circle.
+/// Means where there is weight; elsewhere interpolated between the nearest ones, around the circle.
 fn interpolated(sums: &[(f64, f64)]) -> Vec<f64> {
     let mean = |phase: usize| sums[phase].0 / sums[phase].1;
     let known: Vec<usize> = (0..sums.len()).filter(|&phase| sums[phase].1 > 0.0).collect();

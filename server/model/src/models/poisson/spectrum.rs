@@ -1,17 +1,17 @@
 //! The spectrum of weighted counts: γ_k = Σ w (c - μ) e^(-jω_k t) / Σ w.
 //!
-//! As the accumulator's, but of values beyond 1 and with weights. Invariant: components are finite, strongest first, and
-//! of periods that the observed span holds.
+//! As in the accumulator, but with weights and values above 1. Invariant: components are finite, strongest first, with
+//! periods within the observed span.
 
 use crate::{Component, ORDER_MAX, Periodicities, PhasorTable};
 
-/// What was counted in one observed bin.
+/// The count of one observed bin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bin {
     /// The middle of the bin in local civil time, nanoseconds since 1970 local.
     pub(super) centre_nanos: i64,
     pub(super) count: f64,
-    /// How much the bin counts, in `(0,1]`: as its last reading.
+    /// The weight of the bin, in `(0,1]`: that of its last reading.
     pub(super) weight: f64,
 }
 
@@ -48,7 +48,7 @@ impl Spectrum {
         Spectrum { gammas }
     }
 
-    /// The [`ORDER_MAX`] strongest, of equal ones the lower index first.
+    /// The [`ORDER_MAX`] strongest, ties: the lower index first.
     pub(super) fn strongest(mut self) -> Vec<Component> {
         self.gammas.retain(|gamma| gamma.amplitude() > 0.0);
         self.gammas.sort_by(|a, b| b.amplitude().total_cmp(&a.amplitude()));

@@ -5,7 +5,7 @@
 use super::{Presence, condition, normalise};
 
 impl Presence {
-    /// Where it was in each slot kept, by the looks up to that slot.
+    /// The probabilities in each kept slot, by the observations up to that slot.
     pub(super) fn filtered(&self) -> Vec<Vec<f64>> {
         let mut beliefs: Vec<Vec<f64>> = Vec::with_capacity(self.history.len());
         for slot in &self.history {
@@ -21,7 +21,8 @@ impl Presence {
         beliefs
     }
 
-    /// One step: the expected number of changes at each time of day by the rates so far, then the rates by those numbers.
+    /// One step: the expected number of changes at each time of day by the present rates, then the rates by those
+    /// numbers.
     pub(super) fn improve(&mut self) {
         let counts = self.expected_changes();
         let (places, slots) = (self.options.places, self.options.slots_per_day);
@@ -32,7 +33,7 @@ impl Presence {
         for of_slot in counts.chunks(size) {
             add(&mut all, of_slot, 1.0);
         }
-        // Where nothing is known of a place: to stay is as likely as to go, wherever somebody is usually found.
+        // Prior of a place without data: staying is as likely as leaving; the destination follows the usual places.
         let mut usual: Vec<f64> =
             (0..places).map(|to| 1.0 + all.iter().skip(to).step_by(places).sum::<f64>()).collect();
         normalise(&mut usual);
@@ -58,14 +59,14 @@ impl Presence {
         }
     }
 
-    /// By slot of the day, then by place before and place after: how often that change was made, staying included, as far as
-    /// the looks tell (forwards and backwards).
+    /// By slot of the day, then by place before and place after: the expected number of such changes, staying included
+    /// (forward-backward algorithm).
     pub(super) fn expected_changes(&self) -> Vec<f64> {
         let places = self.options.places;
         let size = places * places;
         let forward = self.filtered();
         let mut counts = vec![0.0; self.options.slots_per_day * size];
-        // How well each place explains the looks that follow, to a common factor.
+        // The likelihood of the following observations for each place, up to a common factor.
         let mut backward = vec![1.0; places];
         let mut joint = vec![0.0; size];
         for (slot, before) in self.history.iter().skip(1).zip(&forward).rev() {
@@ -99,7 +100,7 @@ fn add(sums: &mut [f64], terms: &[f64], weight: f64) {
     }
 }
 
-/// Weights by distance in slots: to three standard deviations, and not further than half the circle.
+/// Weights by distance in slots: up to three standard deviations, and up to half the circle.
 fn kernel(width_slots: f64, slots: usize) -> Vec<f64> {
     let reach = ((3.0 * width_slots).ceil() as usize).min((slots - 1) / 2);
     let weight =

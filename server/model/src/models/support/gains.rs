@@ -1,15 +1,15 @@
 //! Whether components make predictions better day after day.
 //!
-//! Days are blocks: within one, errors depend on each other. What is recorded are errors of predictions made before the day
-//! was learnt, so this is validation by data that the model has not seen. Invariant: sums are finite.
+//! Days are blocks: within one, errors depend on each other. The recorded errors are of predictions made before the day
+//! was learned, so this is validation on held-out data. Invariant: sums are finite.
 
 use crate::{InvalidParts, ORDER_MAX};
 
-/// A gain counts where its mean over days exceeds this many of its standard errors.
+/// A gain counts if its mean over days exceeds this many of its standard errors.
 const STANDARD_ERRORS: f64 = 2.0;
-/// With fewer days no standard error means anything.
+/// With fewer days a standard error is meaningless.
 const DAYS_MIN: u64 = 7;
-/// Mean squared errors are taken to be no larger.
+/// The upper limit of mean squared errors.
 const ERROR_MAX: f64 = 1e100;
 
 /// Daily gains of each order over order 0.
@@ -23,15 +23,15 @@ pub struct OrderGains {
 pub struct OrderGainsParts {
     /// Days recorded.
     pub days: u64,
-    /// Per order the sum over days of the mean squared error of order 0 less that of the order.
+    /// Per order, the sum over days of the mean squared error of order 0 minus that of the order.
     pub sums: [f64; ORDER_MAX + 1],
     /// Per order the sum of the squares of these.
     pub squares: [f64; ORDER_MAX + 1],
 }
 
 impl OrderGains {
-    /// Takes in a day: the summed squared errors of each order over its `scored` observations, as
-    /// [`UpdateOutcome`](crate::UpdateOutcome) has them. A day without any, or with an error that is not a number, changes
+    /// Adds a day: the summed squared errors of each order over its `scored` observations, as in
+    /// [`UpdateOutcome`](crate::UpdateOutcome). A day without observations, or with an error that is NaN, changes
     /// nothing.
     pub fn record(&mut self, squared_errors: &[f64; ORDER_MAX + 1], scored: u64) {
         if scored == 0 || squared_errors.iter().any(|error| error.is_nan()) {
@@ -46,8 +46,8 @@ impl OrderGains {
         self.parts.days += 1;
     }
 
-    /// The highest order that has predicted better than order 0, by two standard errors of the mean daily gain; 0 where
-    /// none has, or before seven days.
+    /// The highest order that has predicted better than order 0 by two standard errors of the mean daily gain; 0 if
+    /// there is none, or before seven days.
     pub fn supported_order(&self) -> usize {
         if self.parts.days < DAYS_MIN {
             return 0;
@@ -62,12 +62,12 @@ impl OrderGains {
         (1..=ORDER_MAX).rev().find(is_gain).unwrap_or(0)
     }
 
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> OrderGainsParts {
         self.parts
     }
 
-    /// Gains from what was stored.
+    /// Gains from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where a sum is not finite or a sum of squares is negative.

@@ -1,6 +1,6 @@
 //! Gaps between ascending steps as bytes: seven bits each, the lowest first, the top bit set where more follow.
 //!
-//! Invariant: what `push` wrote, `decode` reads; anything else is refused.
+//! Invariant: `decode` reads what `push` wrote and refuses everything else.
 
 use crate::InvalidParts;
 

@@ -1,19 +1,19 @@
 //! Whether readings are regular, and how far apart.
 //!
-//! The interval is the mean of the differences of their times, which a single wrong nanosecond does not shift; it holds where
-//! every reading lies within 1 % of it off its regular time. Where it does not, the median of the differences, which gaps do
-//! not shift either, says how far apart the readings usually are, and which comes too late or too soon. Invariant: an
-//! interval that is found is above 0, and no reading is missing.
+//! The interval is the mean of the differences of their times, which a single wrong nanosecond does not shift; it is
+//! valid if every reading lies within 1 % of it off its regular time. Otherwise the error names the median of the
+//! differences, which gaps do not shift, and the first reading that is too late or too early. Invariant: the interval
+//! is above 0, and no reading is missing.
 
 use super::{CannotFit, Sample};
 
-/// More readings than this are refused: steps are stored in 32 bits.
+/// The maximum number of readings: steps are stored in 32 bits.
 pub(super) const STEPS_MAX: u64 = u32::MAX as u64;
 
-/// A reading may lie this share of the interval off its regular time.
+/// The tolerance of a reading's time, as a share of the interval.
 const JITTER: f64 = 0.01;
 
-/// The first sample and the interval in nanoseconds, where samples are regular.
+/// The first sample and the interval in nanoseconds, if the samples are regular.
 pub(super) fn regular(samples: &[Sample]) -> Result<(Sample, i64), CannotFit> {
     let found = samples.len();
     let (&[first, .., last], 2..=STEPS_MAX) = (samples, found as u64) else {
@@ -25,7 +25,7 @@ pub(super) fn regular(samples: &[Sample]) -> Result<(Sample, i64), CannotFit> {
     };
     let span_nanos = i128::from(last.utc_nanos) - i128::from(first.utc_nanos);
     let gaps = found as i128 - 1;
-    // Rounded: a wrong nanosecond of a million would add up.
+    // Rounded, because an error of one nanosecond would add up over a million steps.
     let interval_nanos = i64::try_from((2 * span_nanos + gaps).div_euclid(2 * gaps)).unwrap_or(i64::MAX);
     let is_off = |(step, sample): (u32, &Sample)| off_time(sample, first.utc_nanos, interval_nanos, step);
     match (0..).zip(samples).position(is_off) {
@@ -41,8 +41,8 @@ pub(super) fn off_time(sample: &Sample, first_nanos: i64, interval_nanos: i64, s
     off_nanos as f64 > JITTER * interval_nanos as f64
 }
 
-/// What is told of samples that are not regular: the first that does not come one usual interval after the one before, or
-/// else the one that has drifted off its time.
+/// The error for samples that are not regular: names the first that does not come one usual interval after the one
+/// before, or else the one that has drifted off its time.
 fn irregular(samples: &[Sample], drifted: usize) -> CannotFit {
     let secs = |i: usize| match (samples.get(i), i.checked_sub(1).and_then(|before| samples.get(before))) {
         (Some(sample), Some(before)) => (i128::from(sample.utc_nanos) - i128::from(before.utc_nanos)) as f64 / 1e9,

@@ -1,7 +1,7 @@
-//! The errors of all histograms on a day, in one pass over it.
+//! The errors of all histograms on a day, in one pass.
 //!
-//! Invariant: the errors are those of the histograms that [`Alternatives::histogram`] makes, though none is made: an hour
-//! costs one answer of each, however many readings it has.
+//! Invariant: the errors are those of the histograms that [`Alternatives::histogram`] makes, though none is made: an
+//! hour costs one prediction of each, whatever the number of readings.
 
 use super::{Alternatives, DayError, HISTOGRAMS};
 use crate::{Sample, models::hour_runs, order::OrderCriterion};

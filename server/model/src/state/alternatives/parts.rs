@@ -1,6 +1,6 @@
-//! What is known of a state apart from its spectrum, taken to pieces to be stored, and put together again.
+//! The stored form of the alternatives to the spectral model of a state.
 //!
-//! Invariant: what is put together is what was taken to pieces; what cannot be is refused.
+//! Invariant: a round trip gives the same alternatives; invalid parts are refused.
 
 use std::sync::Arc;
 
@@ -10,31 +10,31 @@ use crate::{
     models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts},
 };
 
-/// The number under which the first of [`FitKind::ALL`] is stored as the one in force, clear of those of histograms; the
-/// others follow.
+/// The number under which the first of [`FitKind::ALL`] is stored as the one in force, clear of those of histograms;
+/// the others follow.
 const FITTED: u8 = 128;
 
 /// What [`Alternatives`] consist of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AlternativesParts {
-    /// What was read in each hour of the week.
+    /// The readings by hour of the week.
     pub hours: HourTableParts,
     /// Faded sums of errors: of the spectral model, then of each of [`HISTOGRAMS`] where they are tried.
     pub error_sums: Vec<f64>,
     /// The last local day that was scored.
     pub last_day: Option<LocalDay>,
-    /// The last local day that was folded in.
+    /// The last learned local day.
     pub folded_day: Option<LocalDay>,
-    /// The model in force: 0 the spectral model, from 128 on that of [`FitKind::ALL`], else the number of the histogram,
-    /// from 1.
+    /// The model in force: 0 the spectral model, from 128 on that of [`FitKind::ALL`], else the number of the
+    /// histogram, from 1.
     pub choice: u8,
     /// The change alarm.
     pub alarm: ChangeAlarmParts,
-    /// How the readings that were folded in follow each other.
+    /// Persistence of the learned readings.
     pub succession: PersistenceParts,
-    /// Components of the spectral model that noise would not show as well.
+    /// Number of supported components of the spectral model.
     pub supported: u8,
-    /// Local days folded in, those that came late not counted.
+    /// Local days learned, without late ones.
     pub days: u32,
     /// The first local day of the present routine, where the change alarm has rung before.
     pub since: Option<LocalDay>,
@@ -42,7 +42,7 @@ pub struct AlternativesParts {
     pub fits: Vec<FitParts>,
 }
 
-/// What is kept of a model that was fitted to readings, for storage.
+/// The stored form of a model that was fitted to readings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FitParts {
     /// The model.
@@ -54,7 +54,7 @@ pub struct FitParts {
 }
 
 impl Alternatives {
-    /// What to store.
+    /// The parts to store.
     pub fn to_parts(&self) -> AlternativesParts {
         AlternativesParts {
             hours: self.hours.to_parts(),
@@ -75,7 +75,7 @@ impl Alternatives {
         }
     }
 
-    /// Those of a probability from what was stored.
+    /// The alternatives of a probability from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range, or a model is in force that is not there.
@@ -83,7 +83,7 @@ impl Alternatives {
         Alternatives::from_parts_of(StateKind::Probability, parts)
     }
 
-    /// Those of a state of that kind from what was stored.
+    /// The alternatives of a state of the given kind from stored parts.
     ///
     /// # Errors
     /// As [`Alternatives::from_parts`].

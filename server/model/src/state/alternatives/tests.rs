@@ -167,7 +167,8 @@ fn zero_one_counts_wrong_predictions_of_the_calibrated_model() {
 
 #[test]
 fn the_calibrated_model_is_chosen_where_it_predicts_best() {
-    // Edges that wander by hours from day to day, and a weekend: neither few components nor hours of the clock tell that.
+    // Edges that wander by hours from day to day, and a weekend: neither few components nor hours of the clock tell
+    // that.
     let mut state = StateModel::new(&Periodicities::default());
     let mut seen = Vec::new();
     let mut in_force = [0.0; 2];

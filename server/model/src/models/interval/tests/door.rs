@@ -1,5 +1,5 @@
-//! Intervals on the office door of RA-L 2019: how what is borrowed was chosen, and how the intervals do on weeks that had no part
-//! in the choice. Skipped where the recordings are not at hand.
+//! Intervals on the office door of RA-L 2019: how what is borrowed was chosen, and how the intervals do on weeks that
+//! had no part in the choice. Skipped where the recordings are not at hand.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
