@@ -1,4 +1,4 @@
-//! The job that tidemap is for, on the recording of a real door, from the command line: learn ten weeks, predict four.
+//! The main use of tidemap, on the recording of a real door, from the command line: learn ten weeks, predict four.
 //! The expected figures come from an independent implementation.
 
 mod again;

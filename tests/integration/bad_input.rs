@@ -1,4 +1,5 @@
-//! What is wrong is refused by name, by itself, and harms nothing beside it: on the bare wire and on the command line.
+//! Bad input is refused by itself with a message that names it, and everything beside it is kept: on the wire and on
+//! the command line.
 
 mod files;
 mod requests;

@@ -1,7 +1,7 @@
-//! What is acknowledged survives: kill -9, power cuts, full and failing disks, flipped bits. And that these tests can
-//! fail: a daemon with a planted fault is caught by them.
+//! Acknowledged observations survive kill -9, power cuts, full and failing disks, flipped bits. A daemon with a planted
+//! fault shows that these tests can fail.
 //!
-//! Invariant: every test names what it draws from, and a round in which nothing was acknowledged does not count.
+//! Invariant: every test prints its seed, and a round in which nothing was acknowledged does not count.
 
 mod bit_flips;
 mod full_disk;
@@ -25,7 +25,7 @@ async fn create_map(daemon: &Daemon, oracle: &Oracle) {
     daemon.client().create_map(map).await.expect("a new map");
 }
 
-/// Whether processes can be traced here; why not, where they cannot.
+/// Whether processes can be traced on this machine, or the reason why not.
 fn can_trace() -> Result<(), String> {
     match Command::new("strace").args(["-qq", "-e", "trace=none", "true"]).output() {
         Ok(output) if output.status.success() => Ok(()),

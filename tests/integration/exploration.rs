@@ -1,7 +1,7 @@
-//! Exploration from outside: what looking would teach, tours through a room that changes, a day's plan, places that
-//! robots did not reach; and what a kill leaves of all that.
+//! Exploration from outside: expected information, tours through a room that changes, a day's plan, places that
+//! robots did not reach; all of it also after a kill.
 //!
-//! Invariant: where a plan has to go follows from how the room was made, never from what a daemon said.
+//! Invariant: the expected plans follow from the construction of the room, never from the daemon's answers.
 
 use std::{fs, path::Path};
 
@@ -105,7 +105,7 @@ async fn a_tour_goes_where_the_room_changes_and_avoids_what_is_not_reached() {
     let secs = told.number("arrival_secs");
     assert!(secs > 1.01 * (best[0] - 1.0).hypot(best[1] - 7.0) / 0.5, "{secs} to {best:?}");
 
-    // In the depth of the night there is nothing to learn.
+    // Late at night there is nothing to learn.
     let night = START_SECS + 7 * 86_400 + 3 * HOUR_SECS;
     let by_night = tour(&daemon, night, &["--count", "1", "--model", "mean"]).table();
     let by_day = tour(&daemon, nine, &["--count", "1", "--model", "mean"]).table();
@@ -264,7 +264,7 @@ fn a_day_is_explored_when_and_where_it_is_uncertain() {
         ["corridor"],
         "nothing unexpected was seen"
     );
-    // Somebody at the desk at night: the model is sure of the contrary.
+    // A person at the desk at night, which the model excludes.
     let night = "time,state,value\n1453690800,desk,1\n1453690860,desk,1\n";
     cli::tidemap_reading(&daemon, ["observe", "flat", "-", "--producer", "robot", "--label", "night"], night).table();
     tidemap(&daemon, ["update", "flat"]).table();

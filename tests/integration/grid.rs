@@ -1,8 +1,8 @@
-//! Occupancy grids from outside: scans go in over the real port, through kills and restarts, and what comes out is what
-//! follows from the scans alone.
+//! Occupancy grids from outside: scans are sent over the real port, through kills and restarts, and the answers are
+//! computed independently from the scans.
 //!
-//! Invariant: what is expected is computed from what was sent, never from what a daemon said, except where two daemons
-//! are compared.
+//! Invariant: expected answers are computed from the scans that were sent, never from a daemon's answers, except where
+//! two daemons are compared.
 
 mod bad_files;
 mod bad_scans;
@@ -78,8 +78,8 @@ async fn send(producer: &mut Producer, scans: impl IntoIterator<Item = (i64, Vec
     assert_eq!(producer.take_refusals(), []);
 }
 
-/// A part of what a film shows: every fifth scan, seven seconds later, with six of the tiles, some layers of them, and
-/// now and then something in the way where nothing ever is.
+/// A partial view of a film: every fifth scan, seven seconds later, with six of the tiles, some layers of them, and
+/// sometimes an obstacle in a place that is otherwise free.
 fn partial_view(film: &Film) -> impl Iterator<Item = (i64, Vec<(TileIndex, TileMasks)>)> {
     film.run().enumerate().skip(3).step_by(5).map(|(number, (time, occupied))| {
         let turn = number / 250;

@@ -1,5 +1,5 @@
-//! States that are no probabilities, from the command line: speeds of a real robot, counts, what is not one of either,
-//! and what a kill leaves of them.
+//! Continuous values and counts, from the command line: speeds of a real robot, counts, invalid values,
+//! and both after a kill.
 
 use std::{fmt::Write as _, fs, path::Path};
 
@@ -23,7 +23,7 @@ fn observe(daemon: &Daemon, label: &str, rows: &str, more: &[&str]) -> Outcome {
     cli::tidemap_reading(daemon, args.iter().chain(more).copied(), &format!("time,state,value\n{rows}"))
 }
 
-/// What was learned last may be learned again after a start.
+/// The last update may run again after a start.
 fn settled(daemon: &Daemon) {
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     runtime.block_on(async { oracle::settled(&daemon.client()).await });
@@ -53,7 +53,7 @@ fn mse(table: &Table, model: &str) -> f64 {
     table.numbers("mse")[place.unwrap_or_else(|| panic!("{model} is not in {table:?}"))]
 }
 
-/// Everything that is kept and predicted of a state, as it is printed.
+/// All printed data and predictions of a state.
 fn answers(daemon: &Daemon, state: &str, at: &str) -> Vec<String> {
     let commands: [&[&str]; 5] = [
         &["reconstruct", "office", state, "--from", "0", "--to", "2000000000"],
@@ -99,7 +99,7 @@ fn speeds_of_a_robot_are_learned_and_told_as_well_as_by_the_reference() {
     assert!(mse(&found, "auto") <= mse(&found, "mean"), "{}", mse(&found, "auto"));
     assert!(found.column("error_rate").iter().all(|rate| rate.is_empty()), "{found:?}");
     assert!(found.numbers("n").iter().all(|&n| n == 101.0));
-    // What is of other kinds only is left out, and said so.
+    // Models that support other kinds only are left out, with a message.
     evaluate(&daemon, &test, "mean,pergam").fails(1, &["pergam:3 is left out of path", "probabilities", "continuous"]);
     let without = evaluate(&daemon, &test, "all");
     for model in ["persistence", "pergam:3", "uniform", "poisson"] {
@@ -151,11 +151,11 @@ fn counts_are_learned_as_counts() {
     let learn: String = rows.lines().take(21 * 144).map(|row| format!("{row}\n")).collect();
     let test: String = rows.lines().skip(21 * 144).map(|row| format!("{row}\n")).collect();
     tidemap(&daemon, ["state", "add", "office", "people", "--kind", "count"]).table();
-    // The kind need not be said again.
+    // The kind need not be declared again.
     let sent = observe(&daemon, "learn", &learn, &[]).table();
     assert_eq!((sent.number("accepted"), sent.number("refused")), (21.0 * 144.0, 0.0));
 
-    // Nothing is learned of it yet: 0, and no interval.
+    // It is untrained: 0, and no interval.
     let at = (START_SECS + 30 * DAY_SECS + 12 * 3600).to_string();
     let told = tidemap(&daemon, ["predict", "office", "people", "--at", &at]).table();
     assert_eq!(
@@ -222,14 +222,14 @@ fn what_is_not_a_value_of_the_kind_is_refused_by_itself() {
     ] {
         assert!(sent.stderr.contains(words), "{words:?} is not in:\n{}", sent.stderr);
     }
-    // A half is a probability, and no count: that only the daemon finds.
+    // 0.5 is a probability but not a count, which only the daemon can check.
     observe(&daemon, "half", "20,people,0.5\n", &[]).fails(1, &["row 1", "0.5 is not a count"]);
-    // A kind that is said and that the state has not.
+    // A declared kind that differs from the state's.
     let mismatched = observe(&daemon, "mismatched", "20,people,1\n21,speed,1\n", &["--kind", "continuous"]);
     assert_eq!(mismatched.table_with(1).rows, [["2", "1", "0", "1"]]);
     assert!(mismatched.stderr.contains("is a count, not a continuous"), "{}", mismatched.stderr);
 
-    // None of it was folded in, and all of it is in the log.
+    // None of it is learned, and all of it is in the log.
     daemon.kill();
     let daemon = launch.start();
     let expected = [("people", "count"), ("speed", "continuous"), ("door", "probability"), ("new", "probability")];
@@ -238,7 +238,7 @@ fn what_is_not_a_value_of_the_kind_is_refused_by_itself() {
         let kept = tidemap(&daemon, ["reconstruct", "office", state, "--from", "0", "--to", "100"]).table();
         assert_eq!(kept.column("value"), values, "{state}");
     }
-    // Values of a file that cannot be are left out of a comparison, whatever the state is.
+    // Invalid values of a file are left out of a comparison, for every kind of state.
     let compared = evaluate(&daemon, "1,people,7\n2,people,-1\n3,speed,9\n4,door,3\n", "mean");
     assert_eq!(compared.table_with(1).column("n"), ["1", "1"]);
 }

@@ -55,7 +55,7 @@ async fn a_stop_is_orderly_whatever_clients_do() {
 fn a_stop_right_after_the_start_waits_for_nobody() {
     let data = tempdir().expect("a folder");
     for _ in 0..8 {
-        // Told to stop before its ports had a moment to look around.
+        // Stopped before its ports have served anything.
         let log = Launch::on(data.path()).start().stop_in_order();
         assert!(log.contains("stopped") && !log.contains("are cut"), "nobody is connected: {log}");
     }

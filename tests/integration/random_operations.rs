@@ -1,8 +1,8 @@
-//! Random operations against a model that is too simple to be wrong: it keeps all observations and computes every
+//! Random operations, compared with a naive model that keeps all observations and computes every
 //! answer from them, by the formulas as they are printed.
 //!
-//! Invariant: after each operation, and after each restart, the daemon's answers are the model's. The seed is printed;
-//! the same seed does the same.
+//! Invariant: after each operation, and after each restart, the daemon and the naive model answer alike. The seed is
+//! printed; the same seed gives the same operations.
 
 mod naive;
 mod operations;

@@ -1,6 +1,6 @@
 //! Routes and policies from outside: a building with a door that is shut at night, reported by robots.
 //!
-//! Invariant: which way is right follows from when the door was shut, never from what a daemon said.
+//! Invariant: the expected routes follow from the times at which the door was shut, never from the daemon's answers.
 
 use std::fmt::Write as _;
 
@@ -13,7 +13,7 @@ use tidemap_tests::{
 const START_SECS: i64 = 1_767_571_200;
 const DAY_SECS: i64 = 86_400;
 const HOUR_SECS: i64 = 3_600;
-/// The first day that nothing is reported of.
+/// The first day without reports.
 const LATER: i64 = START_SECS + 21 * DAY_SECS;
 
 /// A door straight to the lab, and a way around it.
@@ -79,12 +79,12 @@ fn the_door_is_taken_by_day_and_the_way_around_it_at_night() {
     assert!(night.numbers("probability")[2] < 0.2, "{night:?}");
     let fastest = route(&daemon, "lobby", "lab", &["--at", &at(23), "--objective", "time"]).table();
     assert_eq!(nodes(&fastest), ["lobby", "hall", "lab"]);
-    // The way back was never reported: as edges of the map are, and unsure.
+    // The way back was never reported: it gets the map's prior, with little evidence.
     let back = route(&daemon, "lab", "lobby", &["--at", &at(23)]).table();
     let (p, low, high) = (back.numbers("probability")[0], back.numbers("lower")[0], back.numbers("upper")[0]);
     assert!(back.numbers("reports")[0] == 0.0 && p > 0.5 && p < 0.95 && high - low > 0.4, "{back:?}");
 
-    // In time for 21 o'clock; and when to go best between 4 and 8.
+    // Arrival by 21 o'clock; and the best departure between 4 and 8.
     let early = route(&daemon, "lobby", "lab", &["--arrive", &at(21), "--objective", "time"]).table();
     assert_eq!(nodes(&early), ["lobby", "hall", "lab"]);
     let secs = early.numbers("expected_secs")[0];
@@ -99,7 +99,7 @@ fn the_door_is_taken_by_day_and_the_way_around_it_at_night() {
     let drawn = std::fs::read_to_string(&picture).expect("a picture");
     assert!(drawn.starts_with("<svg") && drawn.matches("stroke-width=\"4\"").count() == 2, "{drawn}");
 
-    // What was learned goes with a node that is renamed, and survives a kill.
+    // Training data stay with a renamed node, and survive a kill.
     tidemap(&daemon, ["topology", "edit", "rename-node", "b", "lab", "laboratory"]).table();
     daemon.kill();
     let daemon = launch.start();

@@ -1,6 +1,6 @@
-//! Topological maps and searches from outside: a flat with somebody in it, files of maps, and what cannot be.
+//! Topological maps and searches from outside: a flat with a person in it, files of maps, and invalid requests.
 //!
-//! Invariant: where a search has to begin follows from where somebody was, never from what a daemon said.
+//! Invariant: the expected searches follow from the person's recorded places, never from the daemon's answers.
 
 use std::{fmt::Write as _, fs};
 
@@ -201,7 +201,7 @@ fn a_node_that_is_renamed_keeps_what_was_learned() {
     daemon.kill();
     let daemon = launch.start();
     is_renamed(&daemon);
-    // The recording is what it was, although its names are not the map's any more.
+    // The recording is unchanged, although the map has other names now.
     observe(&daemon, &rows, "seen");
     observe(&daemon, &seen(&[("scullery", 1)]), "later");
     is_renamed(&daemon);
@@ -209,7 +209,7 @@ fn a_node_that_is_renamed_keeps_what_was_learned() {
 
 const FLAT: &str = "node hall\nnode kitchen\nnode office\nlink hall kitchen 10\nlink hall office 30\n";
 
-/// Rows that say that somebody is at a node, or something of a kind, and nowhere else.
+/// Rows that place a person, or an object of a kind, at one node.
 fn seen(states: &[(&str, u8)]) -> String {
     let mut rows = "time,state,value\n".to_owned();
     for hour in 0..48 {
@@ -241,14 +241,14 @@ fn a_topological_map_is_edited_and_kept() {
     let daemon = launch.start();
     assert_eq!(tidemap(&daemon, ["topology", "show", "flat"]).table(), nodes);
     assert_eq!(tidemap(&daemon, ["topology", "show", "flat", "--edges"]).table(), edges);
-    // Loaded again, a name keeps its number; what is not named goes.
+    // Loaded again, a name keeps its number; nodes that are not named are removed.
     load(&daemon, "flat", "node attic\nnode cellar\nlink attic cellar 3\n", &[]).table();
     let nodes = tidemap(&daemon, ["topology", "show", "flat"]).table();
     assert_eq!((nodes.column("node"), nodes.column("id")), (vec!["attic", "cellar"], vec!["3", "4"]));
     let size = load(&daemon, "flat", "node hall\nlink attic hall 2\n", &["--add"]).table();
     assert_eq!((size.number("nodes"), size.number("edges")), (3.0, 4.0));
 
-    // What robots' own tools write; a checkpoint keeps it, too.
+    // A file as robots' own tools write it; a checkpoint keeps it, too.
     let yaml = data.path().join("flat.yaml");
     let node = |name: &str, to: &str, x: f64| {
         format!(

@@ -1,6 +1,6 @@
-//! Where the programs under test are: beside the test itself, built with the same profile.
+//! The paths of the programs under test: beside the test itself, built with the same profile.
 //!
-//! Invariant: only what `cargo build` has put there is used, never a program of the PATH.
+//! Invariant: only programs that `cargo build` has built are used, never those of the PATH.
 
 use std::{
     env,

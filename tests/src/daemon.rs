@@ -1,7 +1,7 @@
 //! The daemon as a process.
 //!
-//! Invariant: a daemon listens on loopback, on ports that were free, and is killed when its handle goes. What it says
-//! on stderr is kept. Limits of time are generous: they tell "hangs" from "works", never "slow" from "fast".
+//! Invariant: a daemon listens on loopback, on free ports, and is killed when its handle is dropped. Its output
+//! on stderr is kept. Timeouts are long: they detect a daemon that hangs, never one that is slow.
 
 use std::{
     ffi::OsString,
@@ -25,9 +25,9 @@ use tidemap_client::Client;
 
 use crate::binaries;
 
-/// A daemon that is not ready by then hangs.
+/// Timeout until a daemon is ready.
 const READY_WITHIN: Duration = Duration::from_secs(120);
-/// A daemon that has not ended by then hangs.
+/// Timeout until a daemon has ended.
 const EXIT_WITHIN: Duration = Duration::from_secs(60);
 const POLL: Duration = Duration::from_millis(5);
 
@@ -42,7 +42,7 @@ pub struct Launch {
 }
 
 impl Launch {
-    /// The daemon of this build, with nothing but what is said later.
+    /// The daemon of this build, without any settings.
     #[must_use]
     pub fn bare() -> Self {
         Self {
@@ -54,15 +54,15 @@ impl Launch {
         }
     }
 
-    /// The daemon of this build, on free ports, with its data there. All of it through the environment, so that a flag
-    /// still wins.
+    /// The daemon of this build, on free ports, with its data in `data`. Set through the environment, so that a flag
+    /// has priority.
     #[must_use]
     pub fn on(data: &Path) -> Self {
         let loopback = Self::bare().setting("listen", "127.0.0.1:0").setting("http_listen", "127.0.0.1:0");
         loopback.setting("data_dir", data.display())
     }
 
-    /// Another program than the daemon of this build.
+    /// Another program instead of the daemon of this build.
     #[must_use]
     pub fn program(mut self, program: PathBuf) -> Self {
         self.program = program;
@@ -97,7 +97,7 @@ impl Launch {
         self
     }
 
-    /// Starts the process and does not wait for anything.
+    /// Starts the process and does not wait.
     ///
     /// # Panics
     /// If there is no such program.
@@ -120,10 +120,10 @@ impl Launch {
     /// Starts the daemon and waits until it is ready.
     ///
     /// # Errors
-    /// How it ended instead.
+    /// The exit of the process, if it ended instead.
     ///
     /// # Panics
-    /// If it neither gets ready nor ends.
+    /// If it neither becomes ready nor ends.
     pub fn try_start(&self) -> Result<Daemon, Exit> {
         self.spawn().ready()
     }
@@ -131,14 +131,14 @@ impl Launch {
     /// Starts the daemon and waits until it is ready.
     ///
     /// # Panics
-    /// If it does not get ready.
+    /// If it does not become ready.
     #[must_use]
     pub fn start(&self) -> Daemon {
         self.try_start().unwrap_or_else(|exit| panic!("the daemon did not start: {exit}"))
     }
 }
 
-/// How a process ended, and what it had said.
+/// Exit status and stderr of a process.
 #[derive(Clone, Debug)]
 pub struct Exit {
     /// Its status.
@@ -165,7 +165,7 @@ impl fmt::Display for Exit {
     }
 }
 
-/// A process whose output is being read.
+/// A running process whose output is read.
 #[derive(Debug)]
 pub struct Process {
     child: Child,
@@ -182,7 +182,7 @@ impl Process {
         let stderr = Arc::new(Mutex::new(String::new()));
         let kept = Arc::clone(&stderr);
         let readers = vec![
-            // After the first lines nobody listens; the pipe is emptied all the same.
+            // After the first lines nothing receives them; the pipe is emptied anyway.
             thread::spawn(move || {
                 BufReader::new(stdout).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)));
             }),
@@ -197,13 +197,13 @@ impl Process {
         Self { child, lines, stderr, readers }
     }
 
-    /// Waits for the line that says where the daemon listens.
+    /// Waits for the line with the addresses of the daemon.
     ///
     /// # Errors
-    /// How it ended instead.
+    /// The exit of the process, if it ended instead.
     ///
     /// # Panics
-    /// If it neither says where nor ends.
+    /// If it neither prints the line nor ends.
     pub fn ready(mut self) -> Result<Daemon, Exit> {
         match self.lines.recv_timeout(READY_WITHIN) {
             Ok(line) => {
@@ -245,7 +245,7 @@ impl Process {
         self.exit()
     }
 
-    /// What it has said on stderr so far.
+    /// Its stderr so far.
     #[must_use]
     pub fn stderr(&self) -> String {
         self.stderr.lock().unwrap_or_else(PoisonError::into_inner).clone()
@@ -257,10 +257,10 @@ impl Process {
         self.child.id()
     }
 
-    /// Sends a signal to the process; one that has ended does not mind.
+    /// Sends a signal to the process; ignored if it has ended.
     pub fn signal(&self, signal: Signal) {
         let pid = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw).expect("a process has a number");
-        // The child is not waited for before `exit`, so its number is still its own.
+        // The child is not reaped before `exit`, so its number is still valid.
         let _ = kill_process(pid, signal);
     }
 }
@@ -284,10 +284,10 @@ pub struct Daemon {
 }
 
 impl Daemon {
-    /// The way to it.
+    /// A client of it.
     ///
     /// # Panics
-    /// If its address is none.
+    /// If its address is invalid.
     #[must_use]
     pub fn client(&self) -> Client {
         Client::new(&self.grpc).expect("the daemon printed an address")
@@ -315,7 +315,7 @@ impl Daemon {
         self.process.exit()
     }
 
-    /// Asks it to stop, and makes sure that it did so in order.
+    /// Asks it to stop, and checks that it stopped in order.
     ///
     /// # Panics
     /// If it did not.
@@ -326,13 +326,13 @@ impl Daemon {
     }
 }
 
-/// A port of loopback that is free now, and that the system gives to nobody who does not ask for it by number.
+/// A free port of loopback outside the range that the system assigns by itself.
 ///
 /// # Panics
 /// If all are taken.
 #[must_use]
 pub fn lasting_port() -> u16 {
-    /// Ports given so far: tests of one process must not get the same one while it is free between two daemons.
+    /// Ports used so far: tests of one process must not get the same port while it is free between two daemons.
     static GIVEN: AtomicU16 = AtomicU16::new(0);
     let first = 20_000 + u16::try_from(std::process::id() % 6_000).unwrap_or(0);
     let free = |port: &u16| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok();

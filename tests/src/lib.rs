@@ -1,8 +1,8 @@
-//! What the tests from outside are made of: the real binaries as processes, observations that can be computed again,
-//! and what a daemon has to say after it took them.
+//! The kit of the tests from outside: the real binaries as processes, observations that can be computed again,
+//! and the answers expected of a daemon.
 //!
-//! Invariant: nothing here links the daemon. A process that is started here does not outlive its handle, and what a
-//! daemon should answer is computed without it.
+//! Invariant: nothing here links the daemon. A process that is started here ends with its handle, and the answers that
+//! a daemon should give are computed without it.
 
 pub mod answers;
 pub mod binaries;

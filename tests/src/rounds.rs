@@ -1,6 +1,6 @@
-//! How often a random test goes round, and with which seed.
+//! Number of rounds and seed of a random test.
 //!
-//! Invariant: the seed is printed, and the same seed draws the same; how long things take is not in its power.
+//! Invariant: the seed is printed, and the same seed draws the same numbers; timing is not reproducible.
 
 use std::{env, process};
 

@@ -1,4 +1,4 @@
-//! The same file again, a part of it and then the whole, and a file that only looks the same.
+//! A file sent twice, a part of a file and then the whole, and a different file of the same name.
 
 use std::fs;
 
@@ -28,7 +28,7 @@ fn a_file_that_grew_goes_on_where_it_was() {
     let growing = work.path().join("train.csv");
     let whole = fs::read_to_string(door.file("train.csv")).expect("the recording");
     let rows: Vec<&str> = whole.lines().collect();
-    // Cut in the middle of a row: its beginning does not count as one.
+    // Cut in the middle of a row: an incomplete row is not read.
     let half = rows[..=40_000].join("\n") + "\n" + &rows[40_001][..9];
     fs::write(&growing, half).expect("a file");
     let first = door.observe(&growing, &[]);
@@ -59,7 +59,7 @@ fn a_file_that_differs_is_refused_and_nothing_is_sent() {
     door.observe(&file, &[]).fails(1, &["differs from what camera sent", "500", "1000"]);
     assert_eq!(door.tidemap(["map", "show", "door"]).table().number("observations"), 1_000.0);
 
-    // Under another label it is another file.
+    // With another label it counts as another file.
     fs::write(&file, other[..=20].join("\n") + "\n").expect("a file");
     assert_eq!(door.observe(&file, &["--label", "other"]).table().rows, [["20", "20", "0", "0"]]);
     assert_eq!(door.tidemap(["map", "show", "door"]).table().number("observations"), 1_020.0);

@@ -1,4 +1,4 @@
-//! What the model of the door did not expect: looked back at, and watched while a second process observes.
+//! Anomalies of the door: found in the past, and watched while a second process observes.
 
 use std::{
     fs,
@@ -18,7 +18,7 @@ use tidemap_tests::{
 
 use super::Door;
 
-/// A row that has not come by then does not come.
+/// Timeout of a row.
 const WITHIN: Duration = Duration::from_secs(60);
 const NANOS: i64 = 1_000_000_000;
 
@@ -53,7 +53,7 @@ impl Watch {
         kill_process(pid, Signal::INT).expect("it runs");
     }
 
-    /// Waits for its end: exit status, the lines that nobody has read, and stderr.
+    /// Waits for its end: exit status, the unread lines, and stderr.
     fn end(mut self) -> (Option<i32>, Vec<String>, String) {
         let since = Instant::now();
         let status = loop {
@@ -77,7 +77,7 @@ impl Drop for Watch {
     }
 }
 
-/// The anomalies among readings, by way of `predict` at their times.
+/// The anomalies among readings, computed from `predict` at their times.
 fn naive(door: &Door, readings: &[(i64, f64)], confidence: f64, model: &str) -> Vec<Vec<String>> {
     let work = tempfile::tempdir().expect("a folder");
     let file = work.path().join("times.csv");
@@ -166,7 +166,7 @@ fn misuse_of_anomalies_is_told() {
 fn a_watch_sees_an_anomaly_that_a_second_process_sends_and_not_what_is_expected() {
     let Some(door) = Door::new("Europe/London") else { return };
     door.learn();
-    // Of the week after: a time when the door is surely closed, and one when it may be open.
+    // In the week after: a time when the door is certainly closed, and one when it may be open.
     let week = door
         .tidemap([
             "predict",

@@ -1,4 +1,4 @@
-//! How well the door is predicted, and what was learned of it.
+//! Errors of the predictions of the door, and the learned model.
 
 use super::Door;
 
@@ -56,7 +56,7 @@ fn the_door_is_predicted_as_well_as_by_the_reference() {
         near(&format!("amplitude of {period} s"), *amplitude, expected.1);
     }
     assert!(amplitudes.is_sorted_by(|a, b| a >= b), "strongest first: {amplitudes:?}");
-    // Nothing of what was evaluated was learned.
+    // The evaluated observations have not been learned.
     assert_eq!(door.tidemap(["map", "show", "door"]).table().number("observations"), 96_480.0);
 }
 
@@ -92,7 +92,7 @@ fn other_models_are_evaluated_beside_the_spectral_one() {
     let (errors, rates) = (table.numbers("mse"), table.numbers("error_rate"));
     near("the mean is order 0", errors[0], FILES[1].2[0]);
     assert_eq!(errors[0], errors[2]);
-    // The last value is 0, so what is wrong with it is what is 1, which the mean of a week of minutes tells.
+    // The last value is 0, so its error is the share of ones: the mean of a week of minutes.
     let ones: f64 = tidemap_tests::recordings::rows(&path).iter().map(|&(_, value)| value).sum();
     near("the last value", errors[1], ones / FILES[1].1);
     near("its share of wrong ones", rates[1], ones / FILES[1].1);

@@ -1,5 +1,5 @@
-//! The other models, fitted when they are asked for, on the recording of a real door and where there is nothing to fit
-//! them to. The expected figures come from an independent implementation.
+//! The other models, fitted on request, on the recording of a real door and on states without enough data
+//! to fit. The expected figures come from an independent implementation.
 
 use tidemap_tests::cli;
 
@@ -36,7 +36,7 @@ fn models_of_the_literature_tell_the_door_as_well_as_the_reference() {
     let orders: Vec<String> = (0..=15).map(|order| format!("spectral {order}")).collect();
     let mut expected = vec!["mean", "histogram:24"];
     expected.extend(orders.iter().map(String::as_str));
-    // What was left out is filled in, and what is named twice is compared once.
+    // Omitted parameters get their defaults, and a model that is named twice is compared once.
     expected.extend(["pergam:5", "calibrated", "histogram:week:168"]);
     assert_eq!(names, expected);
     let error = |wanted: &str| {
@@ -52,7 +52,7 @@ fn models_of_the_literature_tell_the_door_as_well_as_the_reference() {
     assert!(error("pergam:5") < error("histogram:24"));
     assert!(error("calibrated") < error("spectral 15"));
 
-    // What is pending is not learned: a comparison with it is one with what the models have not seen.
+    // Pending observations are not learned, so they test the models on unseen data.
     let week = door.file("week1.csv");
     assert_eq!(door.observe(&week, &["--label", "later"]).table().number("accepted"), 10_020.0);
     let again = errors_of(&door, "histogram:24,pergam:5,calibrated");
@@ -111,7 +111,7 @@ fn a_model_that_is_not_there_is_left_out_and_said_so() {
     assert_eq!((of("hypertime-em:3"), of("hypertime-km:3"), of("spectral")), (7, 7, 16 * 7));
     assert_eq!(of("poisson"), 0);
     assert!(all.stderr.contains("poisson is left out of a, b, c, d, e and 2 more"), "{}", all.stderr);
-    // One that was asked for by its name is missed.
+    // A model that was requested by name is reported as missing.
     let named = evaluate(&door, "door", &states[..1], "mean,poisson");
     named.fails(1, &["poisson is left out of a", "counts"]);
     assert_eq!(named.table_with(1).column("model"), ["mean"]);

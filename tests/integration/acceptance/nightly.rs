@@ -1,4 +1,4 @@
-//! The nightly update in the time of the data: each day is predicted by what was learned of the days before it.
+//! The nightly update in the time of the data: each day is predicted from the days before it.
 
 use tidemap_client::{
     Client,
@@ -13,12 +13,12 @@ const DAY_NANOS: i64 = 86_400_000_000_000;
 
 type Row = (i64, f64);
 
-/// Rows by their local day, which in winter is that of UTC.
+/// Rows by local day, which in winter is the day in UTC.
 fn days(rows: &[Row]) -> Vec<&[Row]> {
     rows.chunk_by(|a, b| a.0.div_euclid(DAY_NANOS) == b.0.div_euclid(DAY_NANOS)).collect()
 }
 
-/// Waits until an update has taken everything before this instant.
+/// Waits until an update has learned everything before this instant.
 async fn updated_until(client: &Client, map: &str, nanos: i64) {
     let updated = async {
         while client.map(map).await.expect("the map").last_update.cut_nanos < Some(nanos) {
@@ -74,7 +74,7 @@ async fn each_day_is_predicted_from_the_days_before() {
     let by_day = described(&client, "door").await;
     let at_once = from_the_command_line(&door, &client).await;
     assert_eq!((at_once.order, at_once.folded_observations), (by_day.order, by_day.folded_observations));
-    // The same days, in batches and updates that fell otherwise.
+    // The same days, with other boundaries of batches and updates.
     for (found, expected) in at_once.order_errors.iter().zip(&by_day.order_errors) {
         assert!((found - expected).abs() <= 1e-9 * expected.max(1.0), "{found}, expected {expected}");
     }
@@ -84,7 +84,7 @@ async fn each_day_is_predicted_from_the_days_before() {
     }
 }
 
-/// What is learned when the whole file is sent with `--nightly`.
+/// The models after the whole file is sent with `--nightly`.
 async fn from_the_command_line(door: &Door, client: &Client) -> ModelDescription {
     door.tidemap(["map", "create", "again", "--time-zone", "Europe/London"]).table();
     let file = door.file("train.csv");
@@ -95,7 +95,7 @@ async fn from_the_command_line(door: &Door, client: &Client) -> ModelDescription
     described(client, "again").await
 }
 
-/// What is known once the last day, too, is folded in.
+/// The models after the last day is learned too.
 async fn described(client: &Client, map: &str) -> ModelDescription {
     tidemap_tests::oracle::run_update(client, map, None).await;
     client.describe_model(map, "door").await.expect("the door is known")

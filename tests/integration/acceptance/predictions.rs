@@ -21,7 +21,7 @@ fn near(found: f64, expected: f64) {
 #[test]
 fn predictions_follow_from_what_was_learned() {
     let Some(door) = Door::new("Europe/London") else { return };
-    // Before anything is learned nothing is known but the last value.
+    // Before the first update only the last value is known.
     let rows = "time,state,value\n1451865600,door,1\n1451865660,door,0\n";
     let first = cli::tidemap_reading(&door.daemon, ["observe", "door", "-", "--producer", "first"], rows).table();
     assert_eq!(first.number("accepted"), 2.0);
@@ -94,7 +94,7 @@ fn persistence_draws_predictions_to_the_last_value() {
     for ((time, p), found) in
         long_term.numbers("time").iter().zip(long_term.numbers("probability")).zip(blended.numbers("probability"))
     {
-        // T-RO eq. 13; before the last observation nothing is blended in.
+        // T-RO eq. 13; before the last observation nothing is blended.
         let weight = if *time < last { 0.0 } else { (-(time - last) / tau).exp() };
         near(found, last_value * weight + p * (1.0 - weight));
     }

@@ -1,4 +1,4 @@
-//! The uniform variant of the spectral model on two regular weeks of a real door, and what it says where readings are
+//! The uniform variant of the spectral model on two regular weeks of a real door, and its answers where readings are
 //! missing.
 
 use std::fs;
@@ -45,14 +45,14 @@ fn from_the_same_readings_it_answers_as_the_spectral_model_and_recalls_what_that
     learn(&door, "regular", &readings);
     for order in ["0", "1", "2", "3"] {
         let of = |model, times| predicted(&door, "regular", model, order, times);
-        // The week after: nothing is known of it but the rhythms.
+        // The week after: only the rhythms are known.
         let later = (last + 60, last + 60 + WEEK_SECS);
         let (uniform, spectral) = (of("uniform", later), of("spectral", later));
         assert!(uniform.column("order").iter().all(|found| *found == order));
         for (found, expected) in uniform.numbers("probability").into_iter().zip(spectral.numbers("probability")) {
             assert!((found - expected).abs() < 1e-6, "order {order}: {found}, {expected}");
         }
-        // What was learned: outliers are what was read, all else is as before; and so every reading is known exactly.
+        // The learned weeks: outliers are stored as read, so every reading is reproduced exactly.
         let past = (first, last + 60);
         let (uniform, spectral) = (of("uniform", past), of("spectral", past));
         let mut outliers = 0;
@@ -72,7 +72,7 @@ fn from_the_same_readings_it_answers_as_the_spectral_model_and_recalls_what_that
         println!("order {order}: {outliers} of {} readings are outliers", readings.len());
         assert!((100..10_000).contains(&outliers), "order {order}: {outliers}");
     }
-    // Judged by the rhythms alone: what it recalls is no excuse.
+    // Anomalies are judged by the rhythms alone, not by stored outliers.
     let (from, to) = (first.to_string(), (last + 1).to_string());
     let args = ["anomalies", "regular", "door", "--confidence", "0.8", "--from", &from, "--to", &to];
     let [uniform, spectral] = ["uniform", "spectral"]
@@ -112,7 +112,7 @@ fn a_mixture_may_have_another_period() {
     let week = door.file("week1.csv");
     let args = ["evaluate", "door2", week.to_str().expect("text"), "--models", "pergam:5,pergam:5:1d,pergam:5:7d"];
     let table = door.tidemap(args).table();
-    // A day is what it is without a period.
+    // A day is reproduced without a period.
     assert_eq!(table.column("model"), ["pergam:5", "pergam:5:7d"]);
     let errors = table.numbers("mse");
     assert!(errors.iter().all(|error| (0.01..0.3).contains(error)) && errors[0] != errors[1], "{table:?}");

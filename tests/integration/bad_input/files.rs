@@ -1,4 +1,5 @@
-//! What is wrong on the command line and in files: exit status, the value that was wrong, and what is kept beside it.
+//! Bad input on the command line and in files: exit status, the wrong value in the message, and the valid rows that are
+//! kept.
 
 use std::fs;
 
@@ -59,7 +60,7 @@ async fn rows_that_are_wrong_are_refused_one_by_one() {
     assert_eq!(states(&daemon).await, ["door", "gate"]);
     assert_eq!(observations(&daemon).await, 3);
 
-    // The same again: refused rows, too, are not sent twice.
+    // Sent again: refused rows are not sent twice either.
     let again = cli::tidemap_reading(&daemon, ["observe", "office", "-"], &(HEADER.to_owned() + &text));
     let again = cli_rows(&again);
     assert_eq!((again[0].as_str(), again[2].as_str()), ("20", "20"));
@@ -82,7 +83,7 @@ async fn a_torn_last_line_is_left_out_and_sent_when_it_is_whole() {
     assert_eq!(observations(&daemon).await, 1);
     fs::write(&file, format!("{HEADER}1451865600,door,1\n1451865660,door,0\n")).expect("a file");
     assert_eq!(observe().table().rows, [["2", "1", "1", "0"]]);
-    // A last line that has its three fields is whole, with or without an end.
+    // A last line with three fields is complete, with or without a line end.
     fs::write(&file, format!("{HEADER}1451865600,door,1\n1451865660,door,0\n1451865720,door,1")).expect("a file");
     assert_eq!(observe().table().rows, [["3", "1", "2", "0"]]);
     assert_eq!(states(&daemon).await, ["door"]);

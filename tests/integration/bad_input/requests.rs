@@ -1,4 +1,4 @@
-//! Requests that ask for what cannot be: maps, periods, times, pages, models.
+//! Invalid requests: maps, periods, times, pages, models.
 
 use prost_types::{Duration, Timestamp};
 use tidemap_proto::v1::{

@@ -1,4 +1,4 @@
-//! Streams that do not keep to the protocol: each ends by its reason, and the daemon, the map and other streams go on.
+//! Streams that break the protocol: each ends with its reason; the daemon, the map and other streams continue.
 
 use std::io::{Read as _, Write as _};
 
@@ -40,7 +40,7 @@ async fn opened(daemon: &Daemon) -> RawStream {
     opened.unwrap_or_else(|ended| panic!("no Welcome: {ended:?}")).0
 }
 
-/// The daemon goes on, and has what it had.
+/// The daemon continues with all its data.
 async fn goes_on(daemon: &Daemon, expected: u64) {
     assert_eq!(observations(daemon).await, expected);
     let (mut stream, welcome) = RawStream::open(&daemon.grpc, hello("neighbour", "office")).await.expect("a Welcome");
@@ -240,7 +240,7 @@ async fn limits_of_streams_and_producers_are_named() {
         stream.close();
         assert!(stream.end().await.status.is_none(), "a stream may end in order");
     }
-    // The count of streams goes down a moment after the stream's end is told.
+    // The count of streams is reduced a moment after the stream's end is reported.
     let refused = loop {
         let refused = RawStream::open(&daemon.grpc, hello("c", "office")).await.expect_err("too many producers");
         if !refused.status.as_ref().is_some_and(|status| status.message().contains("max_streams")) {
@@ -261,7 +261,7 @@ async fn garbage_on_the_ports_harms_nobody() {
     for bytes in [noise.clone(), tail(&noise), tail(&[0xFF; 9]), b"GET / HTTP/1.1\r\n\r\n".to_vec(), tail(&[0; 90])] {
         for address in [&daemon.grpc, &daemon.http] {
             let mut connection = std::net::TcpStream::connect(address).expect("the port is open");
-            // The daemon may have hung up already.
+            // The daemon may have closed the connection already.
             let _ = connection.write_all(&bytes);
             let _ = connection.shutdown(std::net::Shutdown::Write);
             let _ = connection.read_to_end(&mut Vec::new());

@@ -1,4 +1,4 @@
-//! Observations that are wrong one by one: each is refused with its number and its reason, its neighbours are kept.
+//! Single bad observations: each is refused with its number and its reason; its neighbours are kept.
 
 use tidemap_proto::v1::{Refusal, RefusalReason};
 use tidemap_tests::{
@@ -75,7 +75,7 @@ async fn observations_ahead_of_the_clock_are_kept_and_wait() {
     assert_eq!((map.observations, map.pending_observations), (2, 1));
     let model = client.describe_model("office", "door").await.expect("the door");
     assert_eq!((model.folded_observations, model.mean, model.last_value), (1, 1.0, Some(1.0)));
-    // A later one that is not ahead goes before it.
+    // A later observation that is not in the future is applied before it.
     stream.batch(3, columns(&[], &[(0, 1_600_000_001_000_000_000, 0.25)])).await;
     stream.acknowledged(3).await.expect("the stream goes on");
     assert_eq!(client.describe_model("office", "door").await.expect("the door").last_value, Some(0.25));
@@ -121,7 +121,7 @@ async fn names_that_are_no_names_are_refused_and_the_others_kept() {
         ],
     );
     assert_eq!(states(&daemon).await, ["door", "Küche 2", &longest, "Door"]);
-    // A wrong name keeps its index: those after it do not move.
+    // An invalid name keeps its index, so the later names keep theirs.
     stream.batch(14, columns(&["gate"], &[(13, 2_000, 1.0), (99, 2_001, 1.0), (1, 2_002, 1.0), (9, 2_003, 0.0)])).await;
     let refusals = stream.acknowledged(17).await.expect("the stream goes on");
     check(&refusals, &[(15, RefusalReason::StateIndex, "99"), (16, name, "empty")]);
@@ -142,7 +142,7 @@ async fn a_map_takes_as_many_states_as_it_may_and_no_more() {
     check(&refusals, &[(2, RefusalReason::StateLimit, "max_states_per_map")]);
     assert!(refusals[0].detail.contains("\"d\""), "{refusals:?}");
     assert_eq!(states(&daemon).await, ["a", "b", "c"]);
-    // Those that exist go on, for everybody.
+    // Existing states stay usable for all producers.
     first.batch(3, columns(&[], &[(1, 3_000, 0.0)])).await;
     check(&first.acknowledged(3).await.expect("room"), &[]);
     assert_eq!(observations(&daemon).await, 5);

@@ -1,5 +1,5 @@
-//! Single bits that flip while the daemon does not run: the answers stay the same, or the daemon says what is wrong and
-//! does not start. Never anything in silence.
+//! Single bits that flip while the daemon is stopped: the answers stay the same, or the daemon reports the damage and
+//! does not start. No damage goes unnoticed.
 
 use std::{
     collections::BTreeMap,
@@ -23,7 +23,7 @@ use super::create_map;
 
 const PRODUCERS: usize = 3;
 
-/// What a file is there for; bits are flipped in each kind as often.
+/// The kind of a file; bits are flipped equally often in each kind.
 fn kind(file: &Path) -> Option<&'static str> {
     let name = file.file_name()?.to_str()?;
     match name {
@@ -98,7 +98,7 @@ async fn durability_a_flipped_bit_is_harmless_or_reported() {
         disk::copy_folder(&data, &copy);
         let bit = flip(&copy.join(file), &mut random);
         if kind == "checkpoint" {
-            // Beside a good index nobody reads a checkpoint.
+            // With a valid index no checkpoint is read.
             fs::remove_dir_all(copy.join("index")).expect("the index can be removed");
         }
         let what = format!("bit {bit} of {}", file.display());

@@ -1,4 +1,4 @@
-//! A disk that gets full under the daemon.
+//! A disk that becomes full while the daemon runs.
 
 use std::{fs, path::Path, time::Duration};
 
@@ -17,11 +17,11 @@ use tidemap_tests::{
 use super::{PRODUCERS, create_map};
 
 const DISK_BYTES: u64 = 24 << 20;
-/// What is left to the daemon's log while the ballast lies there.
+/// Free bytes for the daemon's log while the ballast exists.
 const LEFT_BYTES: u64 = 768 << 10;
 
-/// Fills the disk but for so many bytes. The daemon may be saving meanwhile: where it has taken the room that was there
-/// a moment ago, what is left is looked at again.
+/// Fills the disk up to `free` bytes. The daemon may be saving meanwhile: if it has taken the space that was free
+/// a moment ago, the free space is measured again.
 fn fill(ballast: &Path, left_bytes: u64) {
     let file = fs::File::create(ballast).expect("room for a file");
     for _ in 0..20 {
@@ -46,7 +46,7 @@ async fn durability_a_full_disk_refuses_loses_nothing_and_recovers() {
     let ballast = disk.folder().join("ballast");
     let launch = Launch::on(&disk.folder().join("data"));
     let daemon = launch.start();
-    // One refused value in the feed would only be one more thing to think of here.
+    // A refused value in the feed is not needed here.
     let feed = Feed { refused_every: 0, ..Feed::new(11) };
     let mut oracle = Oracle::new("office", feed, 3);
     create_map(&daemon, &oracle).await;
@@ -63,7 +63,7 @@ async fn durability_a_full_disk_refuses_loses_nothing_and_recovers() {
     for error in &errors {
         assert!(matches!(error, ProducerError::Exhausted(detail) if detail.contains("disk is full")), "{error:?}");
     }
-    // Queries go on, and all that was acknowledged is there.
+    // Queries still work, and all acknowledged observations are there.
     oracle.verify(&daemon, false).await.unwrap_or_else(|violation| panic!("{violation}"));
     from_the_command_line(&daemon, work.path(), &ballast);
 
@@ -89,7 +89,7 @@ async fn durability_a_disk_that_gets_full_again_and_again_loses_nothing() {
     create_map(&daemon, &oracle).await;
     for round in 0..rounds::count("TIDEMAP_FULL_ROUNDS", 24) {
         fill(&ballast, 48 << 10);
-        // Some are refused while others were just taken: what belongs to whom must not get mixed up.
+        // Some are refused while others were just accepted: their producers must not be mixed up.
         let manner = Manner { pause: Duration::from_millis(1), ..Manner::default() };
         let errors = Herd::start(&daemon.client(), &oracle, manner, seed ^ u64::from(round)).settle(&mut oracle).await;
         assert_eq!(errors.len(), PRODUCERS, "round {round}");
@@ -104,7 +104,7 @@ async fn durability_a_disk_that_gets_full_again_and_again_loses_nothing() {
     }
 }
 
-/// The same command fails while the disk is full and goes on when it is not. Frees the disk.
+/// The same command fails while the disk is full and continues when it is not. Frees the disk.
 fn from_the_command_line(daemon: &Daemon, work: &Path, ballast: &Path) {
     const ROWS: u32 = 100_000;
     let file = work.join("more.csv");

@@ -16,7 +16,7 @@ use tokio::task::JoinHandle;
 
 use super::{PRODUCERS, create_map};
 
-/// Small segments, so that kills also fall on the change from one to the next.
+/// Small segments, so that kills also hit the change from one segment to the next.
 fn launch(data: &Path) -> Launch {
     Launch::on(data).setting("segment_bytes", 1 << 16)
 }
@@ -25,18 +25,18 @@ fn launch(data: &Path) -> Launch {
 #[derive(Clone, Copy)]
 pub struct Rounds {
     pub count: u32,
-    /// Data time is announced and updates are asked for all the time.
+    /// Whether data time is announced and updates are requested all the time.
     pub updates: bool,
 }
 
-/// Streams and kills, round after round. Each round begins with a check of what the one before has left.
+/// Streams and kills, round after round. Each round begins with a check of the data that the round before left.
 pub async fn rounds_of_kills(launch: &Launch, rounds: Rounds, seed: u64) -> Result<(), Violation> {
     let mut random = rounds::draws(seed);
     let mut oracle = Oracle::new("office", Feed::new(seed), PRODUCERS);
     create_map(&launch.start(), &oracle).await;
     for round in 0..rounds.count {
         let daemon = launch.start();
-        // Without an update the next start has to do without its checkpoint.
+        // Without an update the next start has no checkpoint.
         oracle.verify(&daemon, random.random()).await?;
         let manner = Manner { nightly: rounds.updates, ..Manner::default() };
         let herd = Herd::start(&daemon.client(), &oracle, manner, seed ^ u64::from(round));
@@ -59,7 +59,7 @@ pub async fn rounds_of_kills(launch: &Launch, rounds: Rounds, seed: u64) -> Resu
     oracle.verify(&launch.start(), true).await
 }
 
-/// Updates one after the other, so that a kill falls into one, or into the saving of one.
+/// Updates one after the other, so that a kill hits one, or the saving of one.
 fn ask_for_updates(client: Client, map: String) -> JoinHandle<()> {
     tokio::spawn(async move {
         while let Ok(job) = client.run_update(&map, None).await {
@@ -87,7 +87,7 @@ async fn durability_kill_while_updates_run_and_are_saved() {
     result.unwrap_or_else(|violation| panic!("{violation}"));
 }
 
-/// Starts the daemon and kills it before or while it gets ready.
+/// Starts the daemon and kills it before it is ready.
 fn kill_while_starting(launch: &Launch, random: &mut SmallRng) {
     let process = launch.spawn();
     std::thread::sleep(Duration::from_millis(random.random_range(0..400)));
@@ -101,7 +101,7 @@ async fn durability_kill_while_the_daemon_starts() {
     let mut random = rounds::draws(seed);
     let data = tempdir().expect("a folder");
     let launch = launch(data.path());
-    // The very first start makes the folder.
+    // The first start creates the folder.
     for _ in 0..3 {
         kill_while_starting(&launch, &mut random);
     }
@@ -134,7 +134,7 @@ async fn durability_producers_reconnect_by_themselves_and_lose_nothing() {
     let seed = rounds::seed("durability_producers_reconnect_by_themselves_and_lose_nothing");
     let mut random = rounds::draws(seed);
     let data = tempdir().expect("a folder");
-    // The address stays the same from one life to the next.
+    // The address stays the same after each restart.
     let launch = launch(data.path()).setting("listen", format!("127.0.0.1:{}", lasting_port()));
     let mut daemon = launch.start();
     let mut oracle = Oracle::new("office", Feed::new(seed), PRODUCERS);

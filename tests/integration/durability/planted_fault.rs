@@ -1,4 +1,4 @@
-//! A daemon that acknowledges before it syncs, which the kills and the power cuts must catch. If they do not, they
+//! A daemon that acknowledges before it syncs. The kills and the power cuts must catch it; if they do not, they
 //! prove nothing about the real one either.
 
 use std::{fs, path::Path};
@@ -11,7 +11,7 @@ use super::{
     power_cut::power_cuts,
 };
 
-/// Rounds within which the fault has to be found.
+/// Rounds within which the fault must be found.
 const ROUNDS_MAX: u32 = 12;
 
 fn caught(result: Result<(), Violation>) {

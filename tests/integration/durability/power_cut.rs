@@ -1,4 +1,4 @@
-//! Power cuts: the daemon's disk as it would be found, with nothing on it that the kernel had not yet written.
+//! Power cuts: a copy of the daemon's disk without the data that the kernel has not yet written.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use tidemap_tests::{
 
 use super::{PRODUCERS, create_map};
 
-/// Cuts of which something was still written during the copy are done again, this often.
+/// Attempts to take a copy during which nothing is written.
 const CUTS_MAX: u32 = 10;
 
 /// One power cut under a daemon that eight producers stream to. `Ok(false)`: no copy was clean.
@@ -31,7 +31,7 @@ pub async fn power_cut(
     let mut daemon = launch_here.start();
     create_map(&daemon, &oracle).await;
     if random.random() {
-        // An earlier life, so that the cut also falls on data that was there before.
+        // An earlier run, so that the cut also hits older data.
         let manner = Manner { until: random.random_range(1..2_000), ..Manner::default() };
         Herd::start(&daemon.client(), &oracle, manner, seed ^ 1).settle(&mut oracle).await;
         run_update(&daemon.client(), &oracle.map, None).await;
@@ -45,7 +45,7 @@ pub async fn power_cut(
     }
     tokio::time::sleep(Duration::from_millis(random.random_range(0..2_000))).await;
     daemon.process().signal(Signal::STOP);
-    // What the daemon had handed to the disk arrives; acknowledgements on their way do too, and count.
+    // Data that the daemon gave to the disk arrives. Acknowledgements on their way arrive too, and count.
     tokio::time::sleep(Duration::from_millis(200)).await;
     let Some(cut) = disk.cut() else {
         daemon.kill();
@@ -63,7 +63,7 @@ pub async fn power_cut(
     Ok(result.map(|()| true))
 }
 
-/// As many clean cuts as asked for, or the first violation.
+/// `count` clean cuts, or the first violation.
 pub async fn power_cuts(
     launch: impl Fn(&std::path::Path) -> Launch,
     count: u32,

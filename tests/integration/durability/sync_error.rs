@@ -1,4 +1,4 @@
-//! A disk that cannot be synced: after the first error nobody knows what is on it.
+//! A disk that cannot be synced: after the first error its content is unknown.
 
 use std::{ffi::OsString, fs, path::Path};
 
@@ -29,7 +29,7 @@ async fn durability_after_a_failed_sync_nothing_is_acknowledged_and_the_daemon_e
     let mut oracle = Oracle::new("office", Feed::new(5), 4);
     create_map(&launch.start(), &oracle).await;
 
-    // Once, and for good: an error that goes away must not be taken for none.
+    // Fails once and then works again: the daemon must not treat the error as resolved.
     for when in ["25", "40+"] {
         let daemon = launch.clone().under(failing(when, Path::new("/dev/null"))).start();
         let before: u64 = oracle.marks.iter().map(|mark| mark.acknowledged).sum();
@@ -64,7 +64,7 @@ async fn durability_every_acknowledgement_has_its_sync() {
     let opened = RawStream::open(&daemon.grpc, hello(&producer_name(0), &oracle.map)).await;
     let (mut stream, _) = opened.expect("a Welcome");
     let mut acknowledged = 0;
-    // One batch at a time, so that none shares its sync with another.
+    // One batch at a time, so that no two share a sync.
     let ended = loop {
         let next = acknowledged + 1;
         stream.batch(next, feed_columns(&[oracle.feed.observation(0, next)], oracle.feed.states, next == 1)).await;

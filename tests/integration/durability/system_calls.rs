@@ -14,7 +14,7 @@ use tidemap_tests::{
 
 use super::{can_trace, strace};
 
-/// Calls that change what is on the disk, and how many of them one thread makes in a run, about.
+/// Calls that change the disk, and about how many of them one thread makes in a run.
 const CALLS: [(&str, u32); 8] = [
     ("write", 60),
     ("pwrite64", 6),
@@ -28,14 +28,14 @@ const CALLS: [(&str, u32); 8] = [
 const BATCHES: u64 = 15;
 const MAP: &str = "office";
 
-/// How far a run got.
+/// The acknowledged steps of a run.
 #[derive(Default)]
 struct Reached {
     created: bool,
     killed: bool,
 }
 
-/// Creates a map, observes, updates, observes, stops; as far as the daemon lives. Notes what it acknowledged.
+/// Creates a map, observes, updates, observes, stops, until the daemon is killed. Records the acknowledgements.
 async fn run(daemon: Daemon, oracle: &mut Oracle) -> Reached {
     let client = daemon.client();
     let map = tidemap_client::maps::NewMap { name: MAP.to_owned(), ..tidemap_client::maps::NewMap::default() };
@@ -49,7 +49,7 @@ async fn run(daemon: Daemon, oracle: &mut Oracle) -> Reached {
         }
         observe(&daemon, oracle).await;
     }
-    // Some calls are made only where it stops, and some numbers are not reached at all.
+    // Some calls are made only during the stop, and some numbers are never reached.
     Reached { created, killed: daemon.stop().code().is_none() }
 }
 
@@ -81,7 +81,7 @@ async fn durability_kill_at_chosen_system_calls() {
     let count = rounds::count("TIDEMAP_CALL_KILLS", 24);
     for round in 0..count {
         let (call, most) = CALLS[round as usize % CALLS.len()];
-        // Early calls more often: there every single one does something else.
+        // Early calls are chosen more often, because each of them does something different.
         let most = *[most, most.div_ceil(4)].choose(&mut random).expect("two of them");
         let number = random.random_range(1..=most);
         let inject = format!("inject={call}:signal=KILL:when={number}");
@@ -107,7 +107,7 @@ async fn durability_kill_at_chosen_system_calls() {
     assert!(killed >= count / 3 && told > 0, "the calls or their numbers are wrong");
 }
 
-/// The daemon starts by itself and has what it acknowledged.
+/// The daemon starts without help and has all acknowledged observations.
 async fn check(launch: &Launch, what: &str, created: bool, oracle: &mut Oracle) {
     let daemon = launch.try_start().unwrap_or_else(|exit| panic!("{what}, the daemon does not start: {exit}"));
     let maps = daemon.client().maps().await.expect("the daemon answers");

@@ -1,4 +1,4 @@
-//! Files for a grid on the command line: an OctoMap that is whole, one that is cut off, and files that do not fit.
+//! Files for a grid on the command line: a valid OctoMap, one that is cut off, and files that do not fit.
 
 use std::{fs, path::Path};
 
@@ -45,7 +45,7 @@ async fn grid_files_that_are_cut_off_or_do_not_fit_are_refused_and_harm_nothing(
         let cut = file("cut.bt", &whole[..length]);
         observe(&daemon, &cut, &["--at", AT]).fails(1, &["cut.bt"]);
     }
-    // Of a tree that is cut off within a node it is said where.
+    // The message says where a tree is cut off within a node.
     let at = (whole.len() - 2).to_string();
     observe(&daemon, &file("cut.bt", &whole[..whole.len() - 1]), &["--at", AT]).fails(1, &["cut.bt", &at]);
     let longer = [&whole[..], &[0, 0]].concat();

@@ -1,5 +1,5 @@
-//! Scans that are wrong by themselves: each is refused with its reason and the value, uses up its number, and changes
-//! nothing of what the stream has shown.
+//! Single bad scans: each is refused with its reason and the value, uses up its number, and changes
+//! nothing of the stream's tiles.
 
 use tidemap_client::maps::{CellBox, Grid};
 use tidemap_proto::v1::{
@@ -44,7 +44,7 @@ pub fn message(first_sequence: u64, new_tiles: &[i32], scans: Vec<Content>) -> S
     }
 }
 
-/// A scan that shows slot 0 whole, with these cells occupied.
+/// A scan of all cells of slot 0, with these occupied.
 pub fn shows(occupied: &[u8; 64]) -> Content {
     let scan = TileScan { seen: vec![0, 1], masked: vec![0], occupied: occupied.to_vec(), ..TileScan::default() };
     Content::Tiles(scan)
@@ -148,7 +148,7 @@ async fn grid_scans_that_are_wrong_are_refused_one_by_one() {
     }
     let all: Vec<Content> = wrong().into_iter().map(|(content, ..)| content).collect();
     let count = all.len() as u64;
-    // The wrong ones have named its slots: what they show is said anew.
+    // The refused scans have used its slots, so all cells are sent again.
     let (mut observed, mut occupied) = (vec![0xFF; 64], vec![0; 128]);
     observed.extend(std::iter::once(1).chain([0; 63]));
     occupied[0] = 0b10_1000;
@@ -189,7 +189,7 @@ async fn grid_scans_and_observations_share_one_sequence() {
     stream.batch(3, columns(&["door"], &[(0, NOON_NANOS, 1.0)])).await;
     stream.say(Message::Scans(message(4, &[], vec![shows(&[0; 64])]))).await;
     assert_eq!(stream.acknowledged(4).await.expect("taken"), []);
-    // All again, as after a connection that broke.
+    // All scans again, as after a broken connection.
     stream.say(Message::Scans(message(1, &[], vec![shows(&[0; 64]), shows(&[1; 64])]))).await;
     let door = Some(columns(&[], &[(0, NOON_NANOS, 1.0)]));
     stream.say(Message::Batch(ObservationBatch { first_sequence: 3, observations: door })).await;

@@ -1,5 +1,5 @@
-//! Messages of scans that no stream can go on after: each ends its stream with what was wrong, nothing of it is kept,
-//! and the daemon and other streams go on.
+//! Messages of scans that end the stream: each is answered with the reason, nothing of it is kept,
+//! and the daemon and other streams continue.
 
 use prost::Message as _;
 use tidemap_client::maps::Grid;
@@ -18,7 +18,7 @@ use super::{
     new_map, summary,
 };
 
-/// What ended a stream, and the words that say so.
+/// What ends a stream, and the expected words of the message.
 struct Ending(GoodbyeReason, Code, Vec<&'static str>);
 
 fn malformed(words: &[&'static str]) -> Ending {
@@ -145,7 +145,7 @@ async fn grid_messages_that_are_wrong_end_the_stream_and_nothing_of_them_is_kept
             stream.say(message).await;
         }
         check(stream, what, ending).await;
-        // Others do not notice.
+        // Other streams are not affected.
         let tiles: &[i32] = if number == 1 { &[0, 0, 0] } else { &[] };
         neighbour.say(Message::Scans(message(number, tiles, vec![shows(&[0; 64])]))).await;
         assert_eq!(neighbour.acknowledged(number).await.expect("a stream goes on"), [], "{what}");
@@ -186,7 +186,7 @@ async fn grid_scan_whose_parts_come_one_by_one_counts_when_it_is_whole() {
     stream.say(Message::Scans(part(first.clone()))).await;
     stream.say(Message::Scans(part(piece(&[0.0, 1.0, 0.0])))).await;
     assert_eq!(summary(&daemon).await.scans, 0, "it is not whole");
-    // The stream breaks in the middle of it: nothing of it is left.
+    // The stream breaks in the middle of the scan: nothing of it is kept.
     drop(stream);
     daemon.kill();
     let daemon = Launch::on(data.path()).start();

@@ -1,4 +1,4 @@
-//! What was observed is given back exactly, as long as the map keeps it: from the log, from history files, and across
+//! Observations are read back exactly, as long as the map keeps them: from the log, from history files, and across
 //! the two.
 
 use std::{collections::BTreeMap, time::Duration};
@@ -27,7 +27,7 @@ const SCANS_PER_DAY: u32 = 200;
 
 type Readings = Vec<(i64, f64)>;
 
-/// What each of some cells was read as, by time.
+/// The readings of some cells, by time.
 fn readings(
     film: &Film,
     sent: &[(i64, Vec<(TileIndex, TileMasks)>)],
@@ -55,7 +55,7 @@ async fn recalled(client: &Client, state: &str, from_nanos: i64, to_nanos: i64) 
     Ok(all)
 }
 
-/// Asks for all of it, and for a piece that begins and ends in the middle of a day.
+/// Reads all of it, and a part that begins and ends in the middle of a day.
 async fn check(daemon: &Daemon, expected: &BTreeMap<String, Readings>, film: &Film, at: &str) {
     let client = daemon.client();
     let from = film.time(0);
@@ -85,7 +85,7 @@ async fn grid_history_gives_back_exactly_what_was_sent() {
     let (data, mut daemon) = office(grid(Retention::Forever)).await;
     let mut sent = Vec::new();
     let mut door = Vec::new();
-    // By half days, so that updates find days of which a part is folded in already.
+    // By half days, so that some updates learn the second part of a day.
     for half in 0..8 {
         let bounds = [half, half + 1].map(|half| film.time(0) + half * DAY_NANOS / 2);
         let now = |(time, _): &&(i64, Vec<(TileIndex, TileMasks)>)| (bounds[0]..bounds[1]).contains(time);
@@ -154,7 +154,7 @@ async fn grid_without_history_says_so_and_names_the_option() {
     }
 }
 
-/// Waits until the first day is forgotten: the save that follows an update is not waited for by anybody.
+/// Waits until the first day is deleted: the save after an update runs in the background.
 async fn forgotten(client: &Client, film: &Film) {
     let first = film.changing(1).next().expect("a cell");
     let gone = async {
@@ -182,7 +182,7 @@ async fn grid_history_of_a_day_forgets_what_is_older_and_leaves_the_models_alone
             send(&mut camera, sent[film.scans_of(day)..film.scans_of(day + 1)].iter().cloned()).await;
             camera.send("door", film.time(film.scans_of(day)), 0.25).await.expect("taken");
             flushed(&mut camera).await;
-            // The first update of a life is saved at once, and what is too old goes with that.
+            // The first update after a start is saved at once, and older observations are deleted then.
             daemon.stop_in_order();
             daemon = Launch::on(data.path()).start();
             run_update(&daemon.client(), MAP, None).await;

@@ -1,5 +1,5 @@
-//! kill -9 while scans stream in and while updates in the time of the data run: what is left is what an undisturbed
-//! daemon has.
+//! kill -9 while scans stream in and while updates in the time of the data run: the remaining data are those of an
+//! undisturbed daemon.
 
 use std::{
     path::Path,
@@ -24,7 +24,7 @@ use tidemap_tests::{
 
 use super::{MAP, grid, model, new_map, predicted, summary};
 
-/// Small segments, so that some of them are done with before the end. The address lasts from one life to the next.
+/// Small segments, so that some of them are deleted before the end. The address stays the same after each restart.
 fn launch(data: &Path) -> Launch {
     let launch = Launch::on(data).setting("segment_bytes", 1 << 16);
     launch.setting("listen", format!("127.0.0.1:{}", lasting_port()))
@@ -46,7 +46,7 @@ async fn send(producer: &mut Producer, film: &Film, scans: &[(i64, Vec<Mask>)]) 
     }
 }
 
-/// What a map says of its grid.
+/// The summary of a map's grid.
 struct Answers {
     summary: GridSummary,
     grids: Vec<PredictedGrid>,
@@ -156,7 +156,7 @@ async fn durability_grid_survives_kills_while_scans_stream_and_updates_run() {
         let acknowledged = producer.progress().durable_sequence;
         let exit = daemon.kill();
         assert!(!exit.stderr.contains("panicked"), "{exit}");
-        // Every now and then the producer is a new one, too, and goes on where the daemon says; else it does so by
+        // Sometimes a new producer object continues where the daemon says; otherwise the same one reconnects by
         // itself.
         let kept = (kill % 3 == 1).then_some(producer);
         daemon = launch.start();
@@ -184,7 +184,7 @@ async fn durability_grid_survives_kills_while_scans_stream_and_updates_run() {
     compare(&answers(&daemon, &film).await, &expected);
     daemon.stop_in_order();
 
-    // What checkpoints cover is gone from the log: the map is opened from them.
+    // Records that checkpoints cover are deleted from the log, so the map is opened from checkpoints.
     let left = segments(data.path());
     let first = left.first().expect("a log");
     assert!(!first.contains("00000000000000000000"), "the first segment of the log is still there: {left:?}");
@@ -206,7 +206,7 @@ async fn grid_history_that_was_imported_waits_for_the_night_after_a_restart_too(
         let mut camera = super::producer(&daemon, "camera").await;
         send(&mut camera, &film, scans).await;
         camera.flush().await.expect("durable");
-        // It takes its turn behind whatever else was due.
+        // It is queued behind other due updates.
         run_update(&daemon.client(), MAP, Some(midnight)).await;
         let jobs = daemon.client().jobs().await.expect("jobs");
         let others: Vec<_> = jobs.iter().filter(|job| job.cause != JobCause::Request).collect();
@@ -218,7 +218,7 @@ async fn grid_history_that_was_imported_waits_for_the_night_after_a_restart_too(
     assert_eq!(summary(&daemon).await.pending_scans, 100, "what came after midnight");
 }
 
-/// Waits until something is so.
+/// Waits until a condition holds.
 async fn until(what: &str, is_so: impl Fn() -> bool) {
     let since = Instant::now();
     while !is_so() {
@@ -274,7 +274,7 @@ async fn durability_grid_update_that_was_killed_is_run_again() {
     until("the update to run again", || again.stderr().contains(REPEATED)).await;
     again.kill();
 
-    // It is served from before the update until that has ended, whether it still runs by now or not.
+    // Answers are those from before the update until it has ended, whether it still runs or not.
     let daemon = launch(data.path()).start();
     let early = predicted(&daemon, film.time(1), model(ModelKind::Latest, None)).await;
     assert_eq!(early.tiles.len(), expected.grids[0].tiles.len());
@@ -286,7 +286,7 @@ async fn durability_grid_update_that_was_killed_is_run_again() {
     settled(&daemon.client()).await;
     compare(&answers(&daemon, &film).await, &expected);
     assert_eq!(generation(&daemon).await, 1);
-    // What it has learned is saved by then.
+    // The learned models are saved by then.
     daemon.stop_in_order();
     let daemon = launch(data.path()).start();
     compare(&answers(&daemon, &film).await, &expected);

@@ -1,7 +1,7 @@
-//! A map written as PGM and YAML, read by somebody else's reader, cell by cell: `pyrobosim` of the Python package
+//! A map written as PGM and YAML, read by an independent reader, cell by cell: `pyrobosim` of the Python package
 //! index, installed beside the build by the first run, which takes about a minute.
 //!
-//! Invariant: without Python or the network the test says that it is skipped; nothing but the reader's own answers is
+//! Invariant: without Python or the network the test is skipped and says so; only the reader's own answers are
 //! compared.
 
 use std::{
@@ -20,7 +20,7 @@ use tidemap_tests::{cli, film::Film, oracle::run_update};
 
 use super::{MAP, grid, model, office, partial_view, producer, send};
 
-/// The reader's version: a later one may read otherwise.
+/// The reader's version; a later one may read differently.
 const READER: &str = "pyrobosim==5.0.1";
 
 /// Prints what the reader sees: resolution, origin, width and height, then a line per row from the bottom.
@@ -42,7 +42,7 @@ fn run(command: &mut Command) -> Result<String, String> {
     Err(format!("{}: {}", command.get_program().display(), said.trim().lines().last().unwrap_or_default()))
 }
 
-/// Python with the reader; why there is none, where there is none.
+/// Python with the reader, or the reason why it is missing.
 fn reader() -> Result<PathBuf, String> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let (ready, unfinished) = (folder.join(READER), folder.join(format!("{READER}.{}", std::process::id())));
@@ -58,7 +58,7 @@ fn reader() -> Result<PathBuf, String> {
         let _ = fs::remove_dir_all(&unfinished);
         return Err(reason);
     }
-    // It has its name only when it is whole. Another run may have been faster.
+    // It gets its name only when it is complete. Another run may have been faster.
     if fs::rename(&unfinished, &ready).is_err() {
         let _ = fs::remove_dir_all(&unfinished);
     }

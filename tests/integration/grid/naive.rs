@@ -1,7 +1,7 @@
-//! What is learned of one cell, the naive way: every reading and every phasor by itself, in f64, after T-RO 2017,
-//! equations 10 to 13, with local days scored before they are folded in.
+//! The naive model of one cell: every reading and every phasor by itself, in f64, after T-RO 2017,
+//! equations 10 to 13, with local days scored before they are learned.
 //!
-//! Invariant: nothing here is shared with the daemon but the formulas; readings are taken in the order of their
+//! Invariant: only the formulas are shared with the daemon; readings are learned in the order of their
 //! arrival.
 
 use std::{collections::BTreeMap, f64::consts::TAU};
@@ -26,7 +26,7 @@ fn phasor(harmonic: usize, utc_nanos: i64) -> (f64, f64) {
     (cos, sin)
 }
 
-/// When something was read, what it counts as, and whether it was occupied.
+/// Time, weight and value of a reading.
 pub type Reading = (i64, f64, bool);
 
 /// A complex sum of each harmonic.
@@ -43,7 +43,7 @@ impl Phasors {
     }
 }
 
-/// What is learned.
+/// The learned model.
 #[derive(Clone, Debug, Default)]
 pub struct Naive {
     pub mean: f64,
@@ -52,14 +52,14 @@ pub struct Naive {
     pub errors: [f64; ORDERS],
     /// Harmonic and γ, strongest first.
     components: Vec<(usize, f64, f64)>,
-    /// Whether two components were as strong as each other, so that another choice is as good.
+    /// Whether two components are equally strong, so that another choice is equally valid.
     pub is_tied: bool,
     pub tau_secs: f64,
     pub last: Option<(i64, f64)>,
 }
 
 impl Naive {
-    /// Learns from readings in the order of their arrival; those before the cut are folded in.
+    /// Learns the readings before the cut, in the order of their arrival.
     pub fn new(readings: &[Reading], cut_nanos: i64, phasors: &Phasors) -> Self {
         let mut learned = Self { mean: 0.5, ..Self::default() };
         learned.persist(readings);
@@ -67,7 +67,7 @@ impl Naive {
         folded.sort_by_key(|(time, ..)| *time);
         let (mut a, mut b, mut sum) = ([(0.0, 0.0); HARMONICS], [(0.0, 0.0); HARMONICS], 0.0);
         let mut day_before = None;
-        // Until a cell has been read as both free and occupied it has its mean, and nothing is scored.
+        // Until a cell has been read as both free and occupied, its mean is its prediction and nothing is scored.
         let mut seen = [false; 2];
         for of_day in folded.chunk_by(|one, next| civil(one.0) / DAY_NANOS == civil(next.0) / DAY_NANOS) {
             let day = civil(of_day[0].0) / DAY_NANOS;
@@ -145,7 +145,7 @@ impl Naive {
         self.components = all;
     }
 
-    /// The probability by so many components.
+    /// The probability with `order` components.
     pub fn probability(&self, order: usize, utc_nanos: i64) -> f64 {
         let mut p = self.mean;
         for &(harmonic, re, im) in self.components.iter().take(order) {

@@ -34,7 +34,7 @@ struct Sent {
 }
 
 impl Sent {
-    /// Notes what readings count as: `levels` of a free and an occupied one.
+    /// Records the weights of readings: `levels` for a free and an occupied one.
     fn note(&mut self, film: &Film, scans: &[(i64, Vec<(TileIndex, TileMasks)>)], levels: (f64, f64)) {
         for (time, tiles) in scans {
             self.phasors.add(*time);
@@ -57,7 +57,7 @@ fn near(found: f64, expected: f64, what: &str) {
     assert!((found - expected).abs() <= 1e-6, "{what} is {found}, and not {expected}");
 }
 
-/// Compares all that the daemon says of the cells with what follows from the readings before the cut; gives the number
+/// Compares the daemon's answers for the cells with the naive model of the readings before the cut; returns the number
 /// of cells whose components were compared.
 async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> usize {
     let client = daemon.client();
@@ -130,7 +130,7 @@ async fn grid_models_of_cells_are_those_of_a_naive_model() {
     let (_data, daemon) = office(grid(Retention::None)).await;
     let client = daemon.client();
     let mut sent = Sent::default();
-    // What stands in the way of the partial view in layer 3 is a cell that the office never changes.
+    // The obstacle of the partial view in layer 3 is in a cell that the office never changes.
     let in_the_way = (0..film.tiles().len()).map(|slot| (slot, 3 * 64 + 17)).step_by(3);
     for cell in film.changing(10).chain(film.still(900)).chain(in_the_way) {
         sent.readings.insert(cell, Vec::new());
@@ -190,7 +190,7 @@ async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior
     let midnight = film.time(film.scans_of(2));
     for (from, to) in [(i64::MIN, midnight), (midnight, i64::MAX)] {
         let announced = |sensor| Some(sensor).filter(|_| from == i64::MIN);
-        // In the second round the robot says nothing of its sensor.
+        // In the second round the robot does not declare its sensor.
         for (name, says, is, scans) in [
             ("camera", None, own, &whole),
             ("robot", announced(weak), weak, &part),
@@ -201,7 +201,7 @@ async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior
             let mut producer = with_sensor(&daemon, name, says).await.expect("a Welcome");
             send(&mut producer, of_round).await;
         }
-        // What is pending comes back from the log, and with the second round from a checkpoint too.
+        // Pending scans are read from the log, and in the second round from a checkpoint too.
         daemon.kill();
         daemon = Launch::on(data.path()).start();
         run_update(&daemon.client(), MAP, Some(to).filter(|to| *to < i64::MAX)).await;
@@ -232,7 +232,7 @@ async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior
         near(drawn[&film.index(cell)], expected, &format!("the mean of {} as it is drawn", film.name(cell)));
     }
 
-    // What a key has does not change any more.
+    // The sensor of a producer cannot change.
     for (name, says, words) in [
         ("robot", ProducerSensor { hit: 0.75, ..weak }, ["0.7,", "0.75", "another label"]),
         ("robot", own, ["0.7,", "0.9", "another label"]),

@@ -1,5 +1,5 @@
-//! Point clouds and planar range scans, ray-cast by the daemon: what lies on the way is free, the end is occupied, and
-//! what lies beyond stays unknown.
+//! Point clouds and planar range scans, ray-cast by the daemon: cells on a ray are free, its end is occupied, and
+//! cells beyond stay unknown.
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -51,7 +51,7 @@ async fn sent(producer: &mut Producer, time_nanos: i64, scan: Scan) {
     assert_eq!(producer.take_refusals(), []);
 }
 
-/// What the cells of a line along an axis are: '.' free, '#' occupied, '?' unknown, '~' changing.
+/// The states of the cells along a line: '.' free, '#' occupied, '?' unknown, '~' changing.
 fn line(grid: &PredictedGrid, from: [i32; 3], axis: usize, step: i32, cells: usize) -> String {
     let mut at = from;
     let mut text = String::new();
@@ -72,7 +72,7 @@ fn line(grid: &PredictedGrid, from: [i32; 3], axis: usize, step: i32, cells: usi
 async fn grid_of_rays_tells_free_occupied_and_unknown_apart() {
     let (_data, daemon) = office(coarse()).await;
     let mut robot = producer(&daemon, "robot").await;
-    // Three metres ahead; ten up, of which five are believed; nothing that is not a number.
+    // Three metres ahead; ten up, of which the range limit leaves five; and points that are not numbers.
     sent(&mut robot, NOON_NANOS, cloud(&[3.0, 0.0, 0.0, 0.0, 0.0, 10.0, f32::NAN, 1.0, 1.0])).await;
     sent(&mut robot, NOON_NANOS + 1, ranges(&[2.0, f32::INFINITY, f32::NAN, 1.0])).await;
     let client = daemon.client();
@@ -93,7 +93,7 @@ async fn grid_of_rays_tells_free_occupied_and_unknown_apart() {
         assert_eq!(line(&grid, [199, 0, 0], 0, -1, 8), "????????", "no reading behind");
         assert_eq!(line(&grid, [200, -1, 0], 1, -1, 4), ".#??", "a reading to the right");
     }
-    // Another day the wall is a metre farther: what stood there has changed.
+    // On another day the wall is a metre farther: its old cells have changed.
     sent(&mut robot, NOON_NANOS + MINUTE_NANOS, cloud(&[4.0, 0.0, 0.0])).await;
     run_update(&client, MAP, None).await;
     let grid = predicted(&daemon, NOON_NANOS, model(ModelKind::Auto, None)).await;
@@ -130,7 +130,7 @@ async fn grid_regions_are_cut_to_the_cells_that_there_are() {
     assert_eq!((one.cell([0, 6, 0]).value(), one.cell([0, 5, 0]).value()), (Some(1.0), None));
     let none = client.predict_grid(&ask([900; 3], [990; 3])).await.expect("an answer").whole().await.expect("it");
     assert_eq!((none.header.region.cells(), none.tiles.len()), (0, 0));
-    // An empty region is answered or refused, and never everything.
+    // An empty region gives an empty answer or an error, never the whole grid.
     if let Ok(empty) = client.predict_grid(&ask([5, 0, 0], [2, 9, 9])).await {
         assert_eq!(empty.whole().await.expect("an answer").tiles, []);
     }
@@ -187,7 +187,7 @@ async fn grid_questions_that_make_no_sense_are_refused_by_name() {
             (other, _) => panic!("{cell}: {other:?}"),
         }
     }
-    // To a map without a grid nothing can be sent that is a scan.
+    // A map without a grid refuses scans.
     let options = tidemap_client::observe::ProducerOptions::new("robot", "", "bare");
     let mut astray = Producer::open(&client, options).await.expect("a Welcome");
     astray.send_scan(NOON_NANOS, cloud(&[1.0, 0.0, 0.0])).await.expect("taken");

@@ -1,4 +1,4 @@
-//! What the two ports tell those who operate the daemon: health, reflection, metrics.
+//! What the two ports show to operators: health, reflection, metrics.
 
 use tempfile::tempdir;
 use tidemap_client::maps::NewMap;

@@ -1,4 +1,4 @@
-//! Settings from the outside: which source wins, and what a wrong one says.
+//! Settings from outside: which source has priority, and the messages of wrong ones.
 
 use std::{fs, net::TcpListener, path::Path};
 
@@ -7,7 +7,7 @@ use tidemap_tests::daemon::Launch;
 
 const LOOPBACK: [&str; 4] = ["--listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0"];
 
-/// Whether a daemon has made this folder its own.
+/// Whether a daemon has created its data in this folder.
 fn is_data(folder: &Path) -> bool {
     folder.join("MANIFEST").is_file()
 }

@@ -1,6 +1,6 @@
 //! A map as a list of observations.
 //!
-//! Invariant: nothing is accumulated: every answer is computed from all observations anew.
+//! Invariant: nothing is accumulated: every answer is computed from all observations.
 
 use std::{collections::BTreeMap, f64::consts::TAU};
 
@@ -18,7 +18,7 @@ pub struct Accepted {
     pub folded: bool,
 }
 
-/// What a producer sent, whether it was accepted or not.
+/// An observation that a producer sent, accepted or not.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sent {
     pub state: String,
@@ -72,7 +72,7 @@ impl NaiveMap {
         self.observations.push(Accepted { state, nanos: sent.nanos, value: sent.value, folded: false });
     }
 
-    /// An update takes what is before `until`, or everything.
+    /// An update learns the observations before `until`, or all.
     pub fn update(&mut self, until_nanos: Option<i64>) {
         let newest = self.observations.iter().map(|o| o.nanos).max().unwrap_or(0);
         self.cut_nanos = self.cut_nanos.max(until_nanos.unwrap_or(newest + 1));
@@ -102,7 +102,7 @@ impl NaiveMap {
         folded.iter().map(|o| o.value).sum::<f64>() / folded.len() as f64
     }
 
-    /// The observation with the greatest time; of equal ones the one that came first.
+    /// The observation with the greatest time; ties: the first.
     pub fn latest(&self, state: usize) -> Option<(i64, f64)> {
         let mut latest: Option<(i64, f64)> = None;
         for o in self.observations.iter().filter(|o| o.state == state) {
@@ -177,8 +177,8 @@ impl NaiveMap {
     }
 }
 
-/// Checks that the components shown are those that follow, strongest first. Which of two that are equally strong comes
-/// first is not said. Gives them as computed here.
+/// Checks that the reported components are the expected ones, strongest first. Components of equal strength may come
+/// in any order. Returns the expected ones.
 #[track_caller]
 pub fn check_components(what: &str, shown: &[(u32, f64, f64)], all: &[Coefficient]) -> Vec<Coefficient> {
     let mut found = Vec::new();

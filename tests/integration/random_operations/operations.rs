@@ -1,7 +1,7 @@
-//! The operations, done to the daemon and to the naive model.
+//! The operations, applied to the daemon and to the naive model.
 //!
-//! Invariant: what the daemon acknowledged is in the model; of what it did not acknowledge before it was killed, the
-//! model takes what the daemon then says it has, which must be a whole number of batches.
+//! Invariant: acknowledged observations are in the model. Of those not acknowledged before a kill, the
+//! model takes those that the daemon reports after the restart, which must be a whole number of batches.
 
 use std::collections::BTreeMap;
 
@@ -104,7 +104,7 @@ impl World {
         self.count("maps deleted");
     }
 
-    /// Observations at any times, now and then a wrong one.
+    /// Observations at any times, some of them invalid.
     fn draw(&mut self) -> Vec<Sent> {
         let count = self.random.random_range(1..=64);
         let around = self.random.random_range(0..MINUTES);
@@ -122,7 +122,7 @@ impl World {
         (0..count).map(|_| observation(&mut self.random)).collect()
     }
 
-    /// Opens a producer's stream, and checks that it is where the model has it.
+    /// Opens a producer's stream, and checks its durable sequence number.
     async fn stream(&mut self) -> Option<(&'static str, &'static str, RawStream, u64)> {
         let name = self.any_map()?;
         let producer = PRODUCERS.into_iter().choose(&mut self.random).expect("there are producers");
@@ -134,7 +134,7 @@ impl World {
 
     async fn observe(&mut self) {
         let Some((name, producer, mut stream, known)) = self.stream().await else { return };
-        // Some that are known already go along, as after a broken connection.
+        // Some known ones are sent again, as after a broken connection.
         let again = if self.random.random_ratio(1, 3) { self.random.random_range(0..=known.min(20)) } else { 0 };
         let map = self.maps.get_mut(name).expect("the map was drawn");
         let before = map.producers.get(producer).map_or(&[][..], Vec::as_slice);
@@ -268,7 +268,7 @@ impl World {
             let components = check_components(&what, &shown.collect::<Vec<_>>(), &map.coefficients(id));
             let lowest = model.order_errors.iter().copied().fold(f64::INFINITY, f64::min);
             let best = model.order_errors.iter().position(|&error| error <= lowest * 1.001).expect("there are orders");
-            // Fewer where noise would show components as strong.
+            // Fewer if noise would give equally strong components.
             assert!(model.order as usize <= best, "{what}: {} {:?}", model.order, model.order_errors);
 
             let latest = map.latest(id).map_or(0.5, |(_, value)| value);
@@ -280,7 +280,7 @@ impl World {
                 (ModelKind::Auto, None),
             ] {
                 if kind == ModelKind::Auto && model.chosen.kind != ModelKind::Spectral {
-                    // The naive map knows the spectral model alone.
+                    // The naive map has the spectral model only.
                     continue;
                 }
                 let selector = ModelSelector { kind, order, ..ModelSelector::default() };
