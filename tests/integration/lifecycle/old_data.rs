@@ -1,0 +1,57 @@
+//! A data folder that an earlier build wrote opens, and the daemon answers as that build did.
+//!
+//! `data_of_0_1` holds a map with states of every kind, a grid with two sensors, a topological map with traversals, a
+//! checkpoint and pending observations; `answers_of_0_1.txt` holds commands and what they printed. Never write these files
+//! again: a difference means that users' data would change.
+//!
+//! Invariant: names, texts and counts are equal, numbers up to rounding. The bounds of intervals may differ by the error
+//! of an approximated quantile.
+
+use std::path::Path;
+
+use tidemap_tests::{
+    cli::{self, Table},
+    daemon::Launch,
+    disk,
+};
+
+/// Relative error of numbers, for processors that add in another order.
+const ERROR_MAX: f64 = 1e-9;
+/// Error of the bounds of intervals: the earlier build approximated quantiles to 5e-4.
+const BOUND_ERROR_MAX: f64 = 2e-3;
+
+fn is_equal(column: &str, found: &str, expected: &str) -> bool {
+    let (Ok(found_number), Ok(expected_number)) = (found.parse::<f64>(), expected.parse::<f64>()) else {
+        return found == expected;
+    };
+    let error_max = if matches!(column, "lower" | "upper") { BOUND_ERROR_MAX } else { ERROR_MAX };
+    (found_number - expected_number).abs() <= error_max * expected_number.abs().max(1.0)
+}
+
+fn compare(question: &str, found: &Table, expected: &Table) {
+    assert_eq!(found.columns, expected.columns, "{question}");
+    assert_eq!(found.rows.len(), expected.rows.len(), "{question}: {:?}", found.rows);
+    for (found_row, expected_row) in found.rows.iter().zip(&expected.rows) {
+        for ((column, found), expected) in found.columns.iter().zip(found_row).zip(expected_row) {
+            assert!(is_equal(column, found, expected), "{question}: {column} is {found}, and was {expected}");
+        }
+    }
+}
+
+#[test]
+fn a_folder_of_an_earlier_build_opens_and_answers_alike() {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("integration/lifecycle");
+    let data = tempfile::tempdir().expect("a folder");
+    disk::copy_folder(&here.join("data_of_0_1"), data.path());
+    let daemon = Launch::on(data.path()).start();
+    let answers = std::fs::read_to_string(here.join("answers_of_0_1.txt")).expect("the recorded answers");
+    let mut compared = 0;
+    for block in answers.split("$ tidemap ").filter(|block| !block.is_empty()) {
+        let (question, expected) = block.split_once('\n').expect("a command and its answer");
+        let found = cli::tidemap(&daemon, question.split_whitespace()).table();
+        compare(question, &found, &Table::parse(expected));
+        compared += 1;
+    }
+    assert_eq!(compared, 21);
+    daemon.stop_in_order();
+}
