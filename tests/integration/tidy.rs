@@ -1,7 +1,7 @@
-//! Holds what the compiler does not: which way the arrows between the crates point, who may name which library, and
-//! how files look. A failure names the file and the rule.
+//! Rules that the compiler does not check: the direction of dependencies between crates, which crate may use which library, and
+//! the form of files. A failure names the file and the rule.
 //!
-//! Invariant: reads the work tree, changes nothing. Rules look at code only: comments, and tests, may name anything.
+//! Invariant: reads the work tree and changes nothing. Rules apply to code only: comments and tests may name anything.
 
 mod circles;
 mod words;
@@ -11,7 +11,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Folder, package, and which packages of ours it may depend on.
+/// Folder, package, and the workspace's packages that it may depend on.
 const CRATES: [(&str, &str, &[&str]); 14] = [
     ("migrations", "tidemap-migrations", &[]),
     ("server/model", "tidemap-model", &[]),
@@ -53,7 +53,7 @@ const CRATES: [(&str, &str, &[&str]); 14] = [
 /// Crates that do no I/O, read no clock and draw no hidden randomness.
 const PURE: [&str; 5] = ["server/model", "server/map", "server/plan", "client/formats", "client/sim"];
 
-/// What a pure crate does not name.
+/// Names that a pure crate must not use.
 const IMPURE: [&str; 18] = [
     "std::fs",
     "std::net",
@@ -87,7 +87,7 @@ fn read(path: &str) -> String {
     fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path} cannot be read: {error}"))
 }
 
-/// Files below a folder with an ending, relative to the root; what is built or hidden is left out.
+/// Files below a folder with an ending, relative to the root, without build results and hidden files.
 fn files(folder: &str, ending: &str) -> Vec<String> {
     let mut found = Vec::new();
     let mut folders = vec![root().join(folder)];
@@ -108,7 +108,7 @@ fn files(folder: &str, ending: &str) -> Vec<String> {
     found
 }
 
-/// The source files of a crate that end up in it: no tests, no benchmarks, no build script.
+/// The product files of a crate: no tests, no benchmarks, no build script.
 fn sources(folder: &str) -> Vec<String> {
     files(&format!("{folder}/src"), ".rs")
         .into_iter()
@@ -116,7 +116,7 @@ fn sources(folder: &str) -> Vec<String> {
         .collect()
 }
 
-/// The code of a file: no comments, and nothing from a `#[cfg(test)]` module on.
+/// The code of a file without comments, up to the first `#[cfg(test)]` module.
 fn code(text: &str) -> String {
     let mut kept = String::new();
     let mut lines = text.lines().peekable();
@@ -162,7 +162,7 @@ fn names(code: &str, what: &str) -> bool {
     plain || grouped
 }
 
-/// Packages named in the sections of a manifest whose title ends so.
+/// Packages in a section of a manifest.
 fn dependencies(manifest: &str, section: &str) -> Vec<String> {
     let mut inside = false;
     let mut found = Vec::new();
@@ -217,7 +217,7 @@ fn pure_crates_do_no_io_and_hide_no_randomness() {
     let mut broken = Vec::new();
     for path in PURE.iter().flat_map(|folder| sources(folder)) {
         let code = code(&read(&path));
-        // The formats parse texts with it; the other crates have nothing to parse.
+        // The formats parse text with it; the other crates parse nothing.
         let may_serde = path.starts_with("client/formats/");
         for word in IMPURE.iter().filter(|&&word| names(&code, word) && !(may_serde && word == "serde")) {
             broken.push(format!("{path}: names {word}; a pure crate does no I/O, reads no clock, draws by a seed"));

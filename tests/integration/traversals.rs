@@ -1,6 +1,6 @@
-//! Traversals of edges from outside: what is learned of them, exactly once, through a kill, and what is refused.
+//! Traversals of edges from outside: learned exactly once, also through a kill; and refusals.
 //!
-//! Invariant: what the daemon has to say follows from the file that was sent, never from what it said before.
+//! Invariant: the expected answers follow from the file that was sent, never from the daemon's answers.
 
 use std::fmt::Write as _;
 
@@ -19,7 +19,7 @@ fn tidemap<'a>(daemon: &Daemon, args: impl IntoIterator<Item = &'a str>) -> Outc
     cli::tidemap(daemon, args)
 }
 
-/// A daemon with a hall, a lab 6 m away, and a lift that has a time alone.
+/// A daemon with a hall, a lab 6 m away, and a lift with a time only.
 fn started() -> (tempfile::TempDir, Launch, Daemon) {
     let data = tempfile::tempdir().expect("a folder");
     let launch = Launch::on(data.path());
@@ -31,7 +31,7 @@ fn started() -> (tempfile::TempDir, Launch, Daemon) {
     (data, launch, daemon)
 }
 
-/// What a robot does every hour: the lab, in 4 s, and closed from 20 to 24 o'clock, and the lift, in 40 s.
+/// A robot's hourly round: to the lab in 4 s, which is closed from 20 to 24 o'clock, and the lift in 40 s.
 fn report() -> String {
     let mut rows = "from,to,action,start,end,success,reason\n".to_owned();
     for hour in 0..DAYS * 24 {
@@ -44,7 +44,7 @@ fn report() -> String {
     rows
 }
 
-/// Rows that are no traversals, with the line of each where the good ones end, and why.
+/// Invalid rows, with the line number that each gets behind the valid ones, and the reason.
 const BAD: [(&str, &str); 5] = [
     ("Hall,Attic,,1451865600,1451865604,true,", "\"Attic\""),
     ("Lab,Lift,,1451865600,1451865604,true,", "Lab/Lift"),
@@ -165,7 +165,7 @@ fn single_reports_are_told_what_is_wrong_with_them() {
     tidemap(&daemon, ["topology", "failures", "office", "--edge", "Hall"]).fails(2, &["FROM/TO"]);
     assert_eq!(counts(&daemon).len(), 2);
 
-    // Nobody else can make such states.
+    // Only traversals create such states.
     let rows = "time,state,value\n1451865600,edge/Hall/Lab,1\n1451865600,speed/Hall/Lab,1\n1451865600,pace/A/B,1\n";
     let told = cli::tidemap_reading(&daemon, ["observe", "office", "-", "--producer", "robot", "--label", "x"], rows);
     assert_eq!(told.table_with(1).number("refused"), 3.0);

@@ -1,5 +1,5 @@
-//! Vectors, from the command line: where a person will be, what a kill and a second transfer leave of it, and what is
-//! not a position.
+//! Vectors, from the command line: positions of a person, after a kill and after a second transfer, and rows that are
+//! not positions.
 
 use std::{fmt::Write as _, path::Path};
 
@@ -30,14 +30,14 @@ fn office(folder: &Path) -> (Launch, Daemon) {
     (launch, daemon)
 }
 
-/// A number from -0.5 to 0.5 that looks drawn.
+/// A pseudo-random number from -0.5 to 0.5.
 fn jitter(index: i64) -> f64 {
     let mixed = (index as u64).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     ((mixed ^ (mixed >> 32)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
 }
 
-/// Where a person is every 20 minutes: until noon around the kitchen, then around the desk.
+/// The position of a person every 20 minutes: until noon around the kitchen, then around the desk.
 fn person(days: i64) -> Vec<(i64, [f64; 2])> {
     let slots = (0..days * 72).filter(|slot| (24..54).contains(&(slot % 72)));
     let place = |slot: i64| if slot % 72 < 36 { KITCHEN } else { DESK };
@@ -52,7 +52,7 @@ fn csv(rows: &[(i64, [f64; 2])]) -> String {
     })
 }
 
-/// Probability within 1.5 m of a place at a time.
+/// Probability of being within 1.5 m of a point at a time.
 fn near(table: &Table, time: i64, place: [f64; 2]) -> f64 {
     let rows = table.numbers("time").into_iter().zip(table.numbers("x")).zip(table.numbers("y"));
     rows.zip(table.numbers("probability"))
@@ -70,7 +70,7 @@ fn kinds(daemon: &Daemon) -> Vec<[String; 4]> {
     rows.map(|(((state, kind), dimensions), count)| [state, kind, dimensions, count]).collect()
 }
 
-/// The probability that stderr tells of all that lies outside of the region.
+/// The probability outside the region, as reported on stderr.
 fn outside(told: &Outcome, time: i64) -> f64 {
     let line = told.stderr.lines().find(|line| line.contains(&format!("{time}: expected at")));
     let text = line.and_then(|line| line.split("the region with ").nth(1)?.split(';').next());
@@ -86,7 +86,7 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
     let sent = observe(&daemon, "walk", &csv(&rows), &[]).table();
     assert_eq!((sent.number("accepted"), sent.number("refused")), (count as f64, 0.0));
     assert_eq!(kinds(&daemon), [["anna", "vector", "2", &count.to_string()].map(str::to_owned)]);
-    // Before an update nothing is learned.
+    // Before the first update the state is untrained.
     tidemap(&daemon, ["position", "office", "anna", "--at", "now"]).fails(1, &["anna/x", "folded", "update"]);
     tidemap(&daemon, ["update", "office"]).table();
 
@@ -105,7 +105,7 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
             assert!(here > 0.7 && here > 5.0 * there, "{model}: {here}, {there}");
         }
     }
-    // Cells and what lies outside are all there is; of a region where it never is, nothing.
+    // The cells and the outside add up to 1; a region that was never visited has nearly 0.
     let all = ask(&daemon, &["--top", "0"]);
     let of_time = |time: i64| {
         let table = all.table();
@@ -122,7 +122,7 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
     let few = ask(&daemon, &["--top", "3"]).table();
     assert_eq!(few.rows.len(), 6);
 
-    // By axis it is a state like any other.
+    // An axis is a state like any other.
     let told = tidemap(&daemon, ["predict", "office", "anna", "--at", &at]).table();
     assert_eq!(told.column("state"), ["anna/x", "anna/x", "anna/y", "anna/y"]);
     let told = told.numbers("probability");
@@ -136,7 +136,7 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
     let compared = cli::tidemap_reading(&daemon, args, &compared).table().numbers("mse");
     assert!(compared[1] < 0.2 * compared[0], "{compared:?}");
 
-    // What is durable is there after a kill, each position whole, and the same file again adds nothing.
+    // Durable positions survive a kill, each complete; sending the same file again adds nothing.
     let kept = |daemon: &Daemon| {
         ["anna/x", "anna/y"].map(|axis| {
             let (from, to) = (START_SECS.to_string(), (START_SECS + 30 * DAY_SECS).to_string());
@@ -152,7 +152,7 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
     assert_eq!((kept(&daemon), ask(&daemon, &["--top", "0"]).stdout), before);
     let again = observe(&daemon, "walk", &csv(&rows), &["--kind", "vector"]).table();
     assert_eq!((again.number("duplicate"), again.number("accepted")), (count as f64, 0.0));
-    // A file that goes on is continued, and one that differs is refused.
+    // A longer file is continued, and a different one is refused.
     let longer = person(22);
     let more = observe(&daemon, "walk", &csv(&longer), &[]).table();
     assert_eq!((more.number("duplicate"), more.number("accepted")), (count as f64, (longer.len() - count) as f64));
@@ -242,7 +242,7 @@ fn what_is_no_position_is_refused_whole() {
     observe(&daemon, "kind", "time,state,x,y\n20,anna,1,2\n", &["--kind", "count"]).fails(2, &["columns x and y"]);
     observe(&daemon, "half", "time,state,x\n20,anna,1\n", &[]).fails(1, &["\"y\" is missing"]);
 
-    // What is of one number is asked of an axis.
+    // Scalar queries address an axis.
     let axes = &["is a vector of 2 coordinates", "anna/x, anna/y"];
     tidemap(&daemon, ["model", "show", "office", "anna"]).fails(1, axes);
     tidemap(&daemon, ["reconstruct", "office", "anna", "--from", "0", "--to", "9"]).fails(1, axes);
@@ -252,7 +252,7 @@ fn what_is_no_position_is_refused_whole() {
     let compare = |text: &str| cli::tidemap_reading(&daemon, ["evaluate", "office", "-"], text);
     compare("time,state,value\n1,anna,1\n").fails(1, axes);
     compare("time,state,x,y\n1,anna,1,2\n").fails(1, &["positions", "NAME/x"]);
-    // And where something is, of a vector, by a model that has places, in a region that is one.
+    // Positions need a vector, a model of positions and a valid region.
     let position = |args: &[&'static str]| tidemap(&daemon, ["position", "office"].iter().chain(args).copied());
     position(&["door", "--at", "1"]).fails(1, &["door", "only a vector"]);
     position(&["nobody", "--at", "1"]).fails(1, &["nobody", "does not exist"]);

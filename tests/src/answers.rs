@@ -1,6 +1,6 @@
-//! Everything that a daemon answers, to the last bit, so that two daemons can be compared.
+//! All answers of a daemon, bit by bit, so that two daemons can be compared.
 //!
-//! Invariant: reads only; a question that fails is a part of the answers.
+//! Invariant: reads only; an error is also an answer.
 
 use std::fmt::Write as _;
 
@@ -14,12 +14,12 @@ use crate::{
     stream::{RawStream, hello},
 };
 
-/// Times at which every state is predicted: within what was observed, and long after.
+/// Times at which every state is predicted: within the observations, and long after.
 const TIMES_NANOS: [i64; 4] =
     [1_614_600_000_000_000_000, 1_614_700_000_123_456_789, 1_615_500_000_000_000_000, 1_900_000_000_000_000_000];
 
-/// All maps with their states, models and predictions, and how far the named producers are with each. One fact a line,
-/// numbers as their bits.
+/// All maps with their states, models and predictions, and the durable sequence number of each named producer. One fact
+/// a line, numbers as their bits.
 ///
 /// # Panics
 /// If the daemon does not answer at all.
@@ -69,7 +69,7 @@ async fn model(client: &Client, map: &str, state: &str) -> String {
 
 async fn predictions(client: &Client, map: &str, state: &str) -> String {
     let mut text = format!("{map} {state}:");
-    // The others are fitted to history, of which each part is read only when it is needed: damage to it is told then.
+    // The other models are fitted to history, which is read only on demand, so its damage is reported only then.
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
         for persistence in [false, true] {
             let model = ModelSelector { kind, persistence, ..ModelSelector::default() };

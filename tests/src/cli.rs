@@ -1,7 +1,7 @@
 //! The command line as people and scripts use it.
 //!
-//! Invariant: stdout is no terminal, so results are CSV; what is compared are columns by their names. Nothing of the
-//! user's own settings is read or written.
+//! Invariant: stdout is not a terminal, so results are CSV; columns are compared by name. The
+//! user's own settings are neither read nor written.
 
 use std::{
     ffi::OsStr,
@@ -12,7 +12,7 @@ use std::{
 
 use crate::{binaries, daemon::Daemon};
 
-/// How a command ended, and what it said.
+/// Exit status and output of a command.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// Exit status.
@@ -24,7 +24,7 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// The results of a command that has to succeed.
+    /// The results of a command that must succeed.
     ///
     /// # Panics
     /// If it failed.
@@ -33,10 +33,10 @@ impl Outcome {
         self.table_with(0)
     }
 
-    /// The results of a command that ends with this exit status, for example because a part of its work was refused.
+    /// The results of a command with this exit status, for example because some rows were refused.
     ///
     /// # Panics
-    /// If it ended otherwise.
+    /// If the status differs.
     #[track_caller]
     pub fn table_with(&self, code: i32) -> Table {
         assert_eq!(self.code, Some(code), "{}{}", self.stdout, self.stderr);
@@ -44,10 +44,10 @@ impl Outcome {
         Table::parse(&self.stdout)
     }
 
-    /// What a command says that has to fail with this exit status, naming these words.
+    /// The stderr of a command that must fail with this exit status and name these words.
     ///
     /// # Panics
-    /// If it did not.
+    /// If it does not.
     #[track_caller]
     pub fn fails(&self, code: i32, words: &[&str]) {
         assert_eq!(self.code, Some(code), "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
@@ -149,7 +149,7 @@ pub fn command<T: AsRef<OsStr>>(server: &str, args: impl IntoIterator<Item = T>)
     for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("TIDEMAP_")) {
         command.env_remove(name);
     }
-    // Where the name of this user as a producer is kept: not among the user's own settings.
+    // The folder of this user's producer name; the user's own settings are not touched.
     command.env("XDG_CONFIG_HOME", binaries::profile_folder().join("tests-config"));
     command.arg("--server").arg(server).args(args).stdin(Stdio::null());
     command

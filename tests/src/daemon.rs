@@ -318,7 +318,7 @@ impl Daemon {
     /// Asks it to stop, and checks that it stopped in order.
     ///
     /// # Panics
-    /// If it did not.
+    /// If it does not.
     pub fn stop_in_order(self) -> String {
         let exit = self.stop();
         assert_eq!(exit.code(), Some(0), "stopping ended with {exit}");

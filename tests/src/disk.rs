@@ -1,7 +1,7 @@
 //! Disks that can be cut off, and disks that are small: loop devices and file systems in memory. They need root.
 //!
-//! Invariant: what is mounted or attached here is unmounted and detached when its handle goes. The power-cut model
-//! keeps exactly the block writes that were issued before the cut, in order; a real power cut can be worse.
+//! Invariant: mounts and loop devices are released when their handles are dropped. The power-cut model
+//! keeps exactly the block writes that were issued before the cut, in order. A real power cut can be worse.
 
 use std::{
     ffi::OsStr,
@@ -10,15 +10,15 @@ use std::{
     process::Command,
 };
 
-/// Size of an image; only what is written to it takes space.
+/// Size of an image; only written blocks take space.
 const IMAGE_BYTES: u64 = 256 << 20;
 
-/// Why there are no such disks here.
+/// Why there are no such disks on this machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unavailable(pub String);
 
 fn run<T: AsRef<OsStr>>(program: &str, args: impl IntoIterator<Item = T>) -> Result<String, String> {
-    // mkfs and losetup may lie where the PATH of an ordinary user does not look.
+    // mkfs and losetup may be outside the PATH of an ordinary user.
     let path = format!("{}:/usr/sbin:/sbin", std::env::var("PATH").unwrap_or_default());
     let mut command = Command::new(program);
     command.env("PATH", path).args(args);
@@ -33,7 +33,7 @@ fn need_root() -> Result<(), Unavailable> {
     if rustix::process::geteuid().is_root() { Ok(()) } else { Err(Unavailable("needs root".to_owned())) }
 }
 
-/// Something mounted in a folder.
+/// A mounted file system.
 #[derive(Debug)]
 pub struct Mount {
     folder: PathBuf,
@@ -56,7 +56,7 @@ impl Mount {
 impl Drop for Mount {
     fn drop(&mut self) {
         if run("umount", [&self.folder]).is_err() {
-            // A process that is just ending may still hold it.
+            // A process that is just ending may still use it.
             let _ = run("umount", [OsStr::new("-l"), self.folder.as_os_str()]);
         }
     }
@@ -130,8 +130,8 @@ impl CutDisk {
         stat.split_whitespace().nth(4).expect("a fifth number").to_owned()
     }
 
-    /// What would be found if the power had been cut now: a copy of the blocks written so far, mounted as after a
-    /// crash. The processes that write must have been stopped. `None`: something was still written during the copy.
+    /// The disk after a power cut at this moment: a copy of the blocks written so far, mounted as after a
+    /// crash. The writing processes must have been stopped. `None`: blocks were still written during the copy.
     ///
     /// # Panics
     /// If the copy cannot be made or mounted.
@@ -148,10 +148,10 @@ impl CutDisk {
     }
 }
 
-/// Copies a folder with all that is in it.
+/// Copies a folder with its content.
 ///
 /// # Panics
-/// If it cannot.
+/// If it cannot be copied.
 pub fn copy_folder(from: &Path, to: &Path) {
     fs::create_dir_all(to).expect("a folder can be created");
     for entry in fs::read_dir(from).expect("a folder can be read") {
@@ -187,7 +187,7 @@ pub fn files(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Every file below a folder with the checksum of its content, and when it was last changed.
+/// Every file below a folder with the checksum of its content and the time of its last change.
 ///
 /// # Panics
 /// If it cannot be read.

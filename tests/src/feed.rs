@@ -1,8 +1,8 @@
-//! Observations that are a function of who sends them and their number, so that what a daemon should hold follows from
-//! how far each producer got.
+//! Observations as a function of the producer and the sequence number, so that the expected content of a daemon follows
+//! from the last sequence number of each producer.
 //!
-//! Invariant: no two observations of a feed have the same time; times run ahead of each other by less than
-//! [`Feed::JITTER`] steps; the refused ones are known beforehand.
+//! Invariant: no two observations of a feed have the same time; times are out of order by less than
+//! [`Feed::JITTER`] steps; it is known which ones are refused.
 
 /// The first time: 2021-03-01T00:00:00Z, a Monday.
 const START_NANOS: i64 = 1_614_556_800_000_000_000;
@@ -14,12 +14,12 @@ pub struct Observation {
     pub state: u32,
     /// Nanoseconds UTC.
     pub time_nanos: i64,
-    /// The value; outside [0, 1] where the daemon is to refuse it.
+    /// The value; outside [0, 1] if the daemon must refuse it.
     pub value: f64,
 }
 
 impl Observation {
-    /// Whether the daemon is to refuse it.
+    /// Whether the daemon must refuse it.
     #[must_use]
     pub fn is_refused(&self) -> bool {
         !(0.0..=1.0).contains(&self.value)
@@ -35,21 +35,21 @@ pub fn state_name(state: u32) -> String {
 /// A deterministic source of observations.
 #[derive(Clone, Copy, Debug)]
 pub struct Feed {
-    /// Draws other observations.
+    /// Another seed draws other observations.
     pub seed: u64,
-    /// States that they are of.
+    /// Number of states.
     pub states: u32,
     /// Time between one number and the next.
     pub step_nanos: i64,
-    /// Every so many observations one is refused; 0: none.
+    /// Interval between refused observations; 0: none.
     pub refused_every: u64,
 }
 
 impl Feed {
-    /// How many steps a time may be off its place.
+    /// Steps by which a time may be out of order.
     pub const JITTER: u64 = 64;
 
-    /// A feed with a time every 20 seconds, of eleven states, with a refused observation here and there.
+    /// A feed with a time every 20 seconds, of eleven states, with some refused observations.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self { seed, states: 11, step_nanos: 20_000_000_000, refused_every: 397 }
@@ -60,7 +60,7 @@ impl Feed {
     pub fn observation(&self, producer: u32, sequence: u64) -> Observation {
         let draw = mixed(self.seed ^ mixed(u64::from(producer) << 48 ^ sequence));
         let place = i64::try_from(sequence + draw % Self::JITTER).expect("fewer numbers than i64 holds");
-        // What makes times differ: numbers that fall on the same place do so within 64 of each other.
+        // Makes times differ: numbers with the same time step are within 64 of each other.
         let own = i64::from(producer) * 1_000 + i64::try_from(sequence % 1_000).expect("below 1000");
         let refused = self.refused_every != 0 && sequence % self.refused_every == self.refused_every / 2;
         let value = match draw >> 8 & 3 {

@@ -1,4 +1,4 @@
-//! The simulated office as a film: what a fixed sensor shows of each tile, scan by scan.
+//! The simulated office as a film: the observations of each tile by a fixed sensor, scan by scan.
 //!
 //! Invariant: a film is a function of its options. Scan n, from 0, is the one that its producer sends as number n + 1;
 //! every cell of every tile is observed in each.
@@ -9,7 +9,7 @@ use tidemap_sim::{GridOffice, GridOfficeOptions, GridStream};
 /// Cells of a tile.
 const TILE_CELLS: u32 = 512;
 
-/// A cell by its tile's slot and its place in the tile.
+/// A cell by its tile's slot and its number in the tile.
 pub type FilmCell = (usize, u32);
 
 /// The scans of a number of days.
@@ -28,7 +28,7 @@ impl Film {
     /// March 2025, from the 27th on.
     ///
     /// # Panics
-    /// If there is no such office.
+    /// If the office cannot be simulated.
     #[must_use]
     pub fn new(days: u32, scans_per_day: u32) -> Self {
         let options = GridOfficeOptions {
@@ -50,7 +50,7 @@ impl Film {
         Self { tiles, times, flips, changing, per_day: scans_per_day as usize }
     }
 
-    /// Where the office is.
+    /// The time zone of the office.
     pub const ZONE: &str = "Europe/London";
 
     /// Number of scans.
@@ -59,7 +59,7 @@ impl Film {
         self.times.len()
     }
 
-    /// Number of scans of the first so many days of 86,400 seconds.
+    /// Number of scans of the first `days` days of 86,400 seconds.
     #[must_use]
     pub fn scans_of(&self, days: usize) -> usize {
         days * self.per_day
@@ -104,7 +104,7 @@ impl Film {
         format!("cell/{x}/{y}/{z}")
     }
 
-    /// All scans in their order: the time, and what is occupied in each tile, by slot.
+    /// All scans in order: the time, and the occupied cells of each tile, by slot.
     pub fn run(&self) -> impl Iterator<Item = (i64, Vec<Mask>)> {
         let mut occupied: Vec<Mask> = vec![Mask::EMPTY; self.tiles.len()];
         self.times.iter().zip(&self.flips).map(move |(&time, flips)| {
@@ -124,7 +124,7 @@ impl Film {
     }
 }
 
-/// Whether a mask holds a place.
+/// Whether a mask holds a cell.
 #[must_use]
 pub fn holds(mask: &Mask, place: u32) -> bool {
     mask.contains(place as u16)

@@ -1,6 +1,6 @@
-//! Bytes where messages should be: what a broken or hostile client sends on a stream of observations.
+//! Invalid messages: the bytes that a broken or hostile client sends on a stream of observations.
 //!
-//! Invariant: the frames of gRPC are in order; what is in them is what the test says.
+//! Invariant: the gRPC frames are valid; their content is that of the test.
 
 use bytes::{Buf as _, BufMut as _};
 use tonic::{
@@ -48,19 +48,19 @@ impl Decoder for Plain {
     }
 }
 
-/// Opens a stream of observations, sends these messages, and says how the stream ended.
+/// Opens a stream of observations, sends these messages, and returns how the stream ended.
 ///
 /// # Errors
-/// The status; `Ok`, with the number of replies, where the stream ended in order.
+/// The status; `Ok`, with the number of replies, if the stream ended in order.
 ///
 /// # Panics
-/// If nobody listens, or the stream does not end.
+/// If there is no daemon, or the stream does not end.
 pub async fn observe(address: &str, messages: Vec<Vec<u8>>) -> Result<usize, Status> {
     let endpoint = Endpoint::from_shared(format!("http://{address}")).expect("an address");
     let mut grpc = Grpc::new(endpoint.connect().await.expect("a daemon listens"));
     grpc.ready().await.expect("a connection");
     let path = PathAndQuery::from_static("/tidemap.v1.ObservationService/Observe");
-    // The stream stays open: it is the daemon that has to end it.
+    // The stream stays open: the daemon must end it.
     let requests = tokio_stream::StreamExt::chain(tokio_stream::iter(messages), tokio_stream::pending());
     let mut replies = grpc.streaming(tonic::Request::new(requests), path, Plain).await?.into_inner();
     let count = async {

@@ -1,7 +1,7 @@
-//! Producers that stream at the same time, each its part of a feed, in batches of all sizes.
+//! Producers that stream at the same time, each a part of a feed, in batches of many sizes.
 //!
-//! Invariant: what a producer notes as acknowledged the daemon has acknowledged to it, and what it notes as sent
-//! includes all that it ever handed over.
+//! Invariant: a producer records as acknowledged only what the daemon has acknowledged to it, and as sent
+//! everything that it ever sent.
 
 use std::{
     sync::{
@@ -29,11 +29,11 @@ use crate::{
 pub struct Manner {
     /// Announce data time.
     pub nightly: bool,
-    /// How long to try to reach the daemon; zero: the first failure ends the producer.
+    /// Timeout for reaching the daemon; zero: the first failure ends the producer.
     pub patience: Duration,
-    /// Stop after this number; 0: only when told, or at the end of the daemon.
+    /// Stops after this number; 0: only on request, or when the daemon ends.
     pub until: u64,
-    /// Pause between two batches at most this long.
+    /// Longest pause between two batches.
     pub pause: Duration,
 }
 
@@ -50,7 +50,7 @@ struct Outcome {
     error: Option<ProducerError>,
 }
 
-/// Producers under way.
+/// Running producers.
 #[derive(Debug)]
 pub struct Herd {
     producers: Vec<JoinHandle<Outcome>>,
@@ -59,7 +59,7 @@ pub struct Herd {
 }
 
 impl Herd {
-    /// Sets one producer off for each that the oracle knows.
+    /// Starts one producer for each that the oracle knows.
     #[must_use]
     pub fn start(client: &Client, oracle: &Oracle, manner: Manner, seed: u64) -> Self {
         let (stop, flowing) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
@@ -84,7 +84,7 @@ impl Herd {
     /// Waits until something was acknowledged, so that a round without traffic does not count.
     ///
     /// # Panics
-    /// If nothing is.
+    /// If nothing is acknowledged.
     pub async fn flowing(&self) {
         let flows = async {
             while !self.flowing.load(Ordering::Relaxed) {
@@ -99,7 +99,7 @@ impl Herd {
         self.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Waits for the end of all and notes what they know. Gives the errors that they ended with.
+    /// Waits for the end of all and records their sequence numbers. Returns the errors that they ended with.
     ///
     /// # Panics
     /// If a producer panics.

@@ -1,7 +1,7 @@
-//! What a daemon must hold after it acknowledged what it acknowledged.
+//! The data that a daemon must hold, given its acknowledgements.
 //!
-//! Invariant: computed from the feed and the daemon's own sequence numbers alone. A daemon may hold more than it
-//! acknowledged, whole and in order, never less, and nothing twice.
+//! Invariant: computed only from the feed and the daemon's own sequence numbers. A daemon may hold more than it
+//! acknowledged, complete and in order, never less, and nothing twice.
 
 use std::{collections::BTreeMap, fmt, time::Duration};
 
@@ -17,42 +17,42 @@ use crate::{
     stream::{RawStream, hello},
 };
 
-/// What a daemon did not keep to.
+/// A violation of a daemon's promises.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Violation {
-    /// It lacks what it acknowledged.
+    /// Acknowledged observations are missing.
     Lost {
-        /// Whose.
+        /// The producer.
         producer: String,
-        /// Up to here it had acknowledged.
+        /// Last acknowledged sequence number.
         acknowledged: u64,
-        /// Up to here it holds.
+        /// Last sequence number that it holds.
         durable: u64,
     },
-    /// It holds what was never sent.
+    /// It holds observations that were never sent.
     Foreign {
-        /// Whose.
+        /// The producer.
         producer: String,
-        /// Up to here was sent.
+        /// Last sequence number sent.
         sent: u64,
-        /// Up to here it holds.
+        /// Last sequence number that it holds.
         durable: u64,
     },
     /// The map itself is gone.
     MapGone(String),
-    /// It says something else than what follows from what it holds.
+    /// An answer differs from the one that follows from its data.
     Differs {
-        /// What it was asked.
+        /// The question.
         what: String,
-        /// What follows.
+        /// The expected answer.
         expected: String,
-        /// What it says.
+        /// The answer.
         found: String,
     },
 }
 
 impl Violation {
-    /// Whether something acknowledged is missing.
+    /// Whether acknowledged observations are missing.
     #[must_use]
     pub fn is_loss(&self) -> bool {
         matches!(self, Self::Lost { .. } | Self::MapGone(_))
@@ -90,16 +90,16 @@ fn near(what: impl FnOnce() -> String, expected: f64, found: f64) -> Result<(), 
     Err(Violation::Differs { what: what(), expected: expected.to_string(), found: found.to_string() })
 }
 
-/// What is known of one producer.
+/// The sequence numbers of one producer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mark {
-    /// Up to here the daemon has acknowledged.
+    /// The last acknowledged sequence number.
     pub acknowledged: u64,
-    /// Up to here was handed over, perhaps never sent.
+    /// The last sequence number handed over, perhaps never sent.
     pub sent: u64,
 }
 
-/// What follows for one state.
+/// The expected content of one state.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct StateExpectation {
     observations: u64,
@@ -112,7 +112,7 @@ struct StateExpectation {
 pub struct Oracle {
     /// Name of the map.
     pub map: String,
-    /// What is fed to it.
+    /// The feed of the map.
     pub feed: Feed,
     /// By producer.
     pub marks: Vec<Mark>,
@@ -142,11 +142,11 @@ impl Oracle {
         })
     }
 
-    /// Asks a daemon for all that it should know, and notes what it holds as acknowledged. With `update` it is told to
-    /// learn first.
+    /// Compares all answers of a daemon with the expected ones, and records its sequence numbers as acknowledged. With
+    /// `update`, it must run an update first.
     ///
     /// # Errors
-    /// The first thing that is not as it must be.
+    /// The first violation.
     ///
     /// # Panics
     /// If the daemon does not answer.
@@ -173,7 +173,7 @@ impl Oracle {
                 return Err(Violation::MapGone(self.map.clone()));
             }
         };
-        // The key is free again when the daemon has answered that.
+        // The key is free again once the daemon has answered.
         stream.close();
         stream.end().await;
         let durable = welcome.durable_sequence;
@@ -188,7 +188,7 @@ impl Oracle {
         Ok(durable)
     }
 
-    /// What follows for each state that has an observation.
+    /// The expected content of each state that has an observation.
     fn states(&self, durable: &[u64]) -> BTreeMap<String, StateExpectation> {
         let mut states: Vec<StateExpectation> = vec![StateExpectation::default(); self.feed.states as usize];
         for (producer, &durable) in (0..).zip(durable) {
@@ -248,7 +248,7 @@ impl Oracle {
     }
 }
 
-/// Waits until no update waits or runs: one that was cut off is repeated beside what a daemon serves after its start.
+/// Waits until no update waits or runs: an interrupted one runs again after the start, while the daemon serves.
 ///
 /// # Panics
 /// If the daemon does not answer.

@@ -1,7 +1,7 @@
-//! A stream of observations on the bare wire, for saying what a well-behaved producer does not say.
+//! A stream of observations without the client library, to send what a correct producer does not send.
 //!
-//! Invariant: nothing is added, repeated or left out: what is sent is what the test says, and what comes back is given
-//! as it came.
+//! Invariant: nothing is added, repeated or left out: the messages are those of the test, and replies are returned
+//! unchanged.
 
 use std::time::Duration;
 
@@ -15,15 +15,15 @@ use tonic::{Status, Streaming};
 
 use crate::feed::{Observation, state_name};
 
-/// An answer that has not come by then does not come.
+/// Timeout of an answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(60);
 
 /// How a stream ended.
 #[derive(Debug)]
 pub struct Ended {
-    /// The Goodbye before the status, where there was one.
+    /// The Goodbye before the status, if there was one.
     pub goodbye: Option<Goodbye>,
-    /// The status; `None` where the daemon ended the stream in order.
+    /// The status; `None` if the daemon ended the stream in order.
     pub status: Option<Status>,
 }
 
@@ -47,10 +47,10 @@ pub struct RawStream {
 }
 
 impl RawStream {
-    /// Connects and opens a stream on which nothing has been said yet.
+    /// Connects and opens a stream without sending anything.
     ///
     /// # Errors
-    /// What the daemon says, or that there is none.
+    /// The status, or the connection error.
     pub async fn silent(address: &str) -> Result<Self, Status> {
         let connected = ObservationServiceClient::connect(format!("http://{address}")).await;
         let mut client = connected.map_err(|error| Status::from_error(Box::new(error)))?;
@@ -59,13 +59,13 @@ impl RawStream {
         Ok(Self { requests: Some(requests), replies, names_sent: 0 })
     }
 
-    /// Opens a stream and says Hello.
+    /// Opens a stream and sends a Hello.
     ///
     /// # Errors
-    /// How the stream ended instead, or that there is no daemon.
+    /// How the stream ended instead, or the connection error.
     ///
     /// # Panics
-    /// If the answer is no Welcome.
+    /// If the answer is not a Welcome.
     pub async fn open(address: &str, hello: Hello) -> Result<(Self, Welcome), Ended> {
         let in_status = |status| Ended { goodbye: None, status: Some(status) };
         let mut stream = Self::silent(address).await.map_err(in_status)?;
@@ -76,7 +76,7 @@ impl RawStream {
         }
     }
 
-    /// Sends a message; a stream that has ended tells why when it is read.
+    /// Sends a message; the reason why a stream has ended is returned by reading it.
     pub async fn say(&mut self, message: observe_request::Message) {
         self.send(ObserveRequest { message: Some(message) }).await;
     }
@@ -88,7 +88,7 @@ impl RawStream {
         }
     }
 
-    /// How many names batches have put into the stream's table so far.
+    /// Number of names that batches have put into the stream's table so far.
     #[must_use]
     pub fn names_sent(&self) -> u32 {
         self.names_sent
@@ -104,7 +104,7 @@ impl RawStream {
         self.say(observe_request::Message::Batch(batch)).await;
     }
 
-    /// Says that nothing more comes.
+    /// Closes the sending side.
     pub fn close(&mut self) {
         self.requests = None;
     }
@@ -115,7 +115,7 @@ impl RawStream {
     /// How the stream ended.
     ///
     /// # Panics
-    /// If neither comes.
+    /// If neither arrives.
     pub async fn reply(&mut self) -> Result<Message, Ended> {
         match self.next().await {
             Ok(Some(Message::Goodbye(goodbye))) => {
@@ -133,13 +133,13 @@ impl RawStream {
         Ok(reply?.and_then(|reply| reply.message))
     }
 
-    /// Reads until everything up to `sequence` is acknowledged; gives what was refused on the way.
+    /// Reads until everything up to `sequence` is acknowledged; returns the refusals.
     ///
     /// # Errors
     /// How the stream ended.
     ///
     /// # Panics
-    /// If something else than acknowledgements comes.
+    /// If anything but an acknowledgement arrives.
     pub async fn acknowledged(&mut self, sequence: u64) -> Result<Vec<Refusal>, Ended> {
         let mut all = Vec::new();
         loop {
@@ -169,7 +169,7 @@ impl RawStream {
     }
 }
 
-/// A Hello that wants a new incarnation.
+/// A Hello that requests a new incarnation.
 #[must_use]
 pub fn hello(producer: &str, map: &str) -> Hello {
     Hello {
@@ -182,7 +182,7 @@ pub fn hello(producer: &str, map: &str) -> Hello {
     }
 }
 
-/// Observations as columns in their plainest form. `names` are added to the stream's table before.
+/// Observations as columns in their simplest form. `names` are added to the stream's table before.
 #[must_use]
 pub fn columns(names: &[&str], rows: &[(u32, i64, f64)]) -> ObservationColumns {
     let first_time_nanos = rows.first().map_or(0, |row| row.1);

@@ -1,4 +1,4 @@
-//! What an append costs: on the caller's thread, and until it is durable on this disk.
+//! The cost of an append: on the caller's thread, and until it is durable on this disk.
 //!
 //! Durable figures depend on the disk: the p50 of fdatasync is printed beside them.
 

@@ -1,6 +1,6 @@
-//! What a grid costs: scans in the log, a checkpoint of many changed cells, a day of history. Bytes are printed.
+//! The cost of a grid: scans in the log, a checkpoint of many changed cells, a day of history. Bytes are printed.
 //!
-//! The day is made up to be hard to write: what flips is drawn at random, and times have nanoseconds.
+//! The day is hard to compress: flips are drawn at random, and times have nanoseconds.
 
 use std::{hint::black_box, path::Path, sync::Arc, sync::mpsc, time::Duration, time::Instant};
 
@@ -137,7 +137,7 @@ fn benches(criterion: &mut Criterion) {
         let directory = tempfile::tempdir().expect("temporary directory");
         let (store, map, opened) = open(directory.path());
         append(&opened.log, events);
-        // The first event is the one that sees every cell for the first time.
+        // The first event observes every cell for the first time.
         let first = {
             let other = tempfile::tempdir().expect("temporary directory");
             let (store, map, opened) = open(other.path());

@@ -1,4 +1,4 @@
-//! What an update reads to fit models again: twelve weeks of minutes of many states, one history file a night.
+//! The reading of history for new fits: twelve weeks of minutes of many states, one history file per night.
 //!
 //! `cargo bench -p tidemap-store --bench history`. The files are in the page cache. Measured once.
 

@@ -1,4 +1,4 @@
-//! The store's behaviour, from the outside where that is possible.
+//! The store's behaviour, tested through its public functions where possible.
 
 mod bit_flips;
 mod damage;

@@ -1,11 +1,11 @@
 //! A data folder that an earlier build wrote opens, and the daemon answers as that build did.
 //!
 //! `data_of_0_1` holds a map with states of every kind, a grid with two sensors, a topological map with traversals, a
-//! checkpoint and pending observations; `answers_of_0_1.txt` holds commands and what they printed. Never write these files
-//! again: a difference means that users' data would change.
+//! checkpoint and pending observations; `answers_of_0_1.txt` holds commands and what they printed. Never write these
+//! files again: a difference means that users' data would change.
 //!
-//! Invariant: names, texts and counts are equal, numbers up to rounding. The bounds of intervals may differ by the error
-//! of an approximated quantile.
+//! Invariant: names, texts and counts are equal, numbers up to rounding. The bounds of intervals may differ by the
+//! error of an approximated quantile.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! Single flipped bits anywhere in a closed store: the same content, or an explicit error.
+//! Single flipped bits anywhere in a closed store: the content is the same, or there is an explicit error.
 
 use std::{fs, path::PathBuf};
 
@@ -7,7 +7,7 @@ use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use super::example::{Example, copy, fill};
 use crate::OpenError;
 
-/// Flips one bit of a file in a fresh copy of the store and says whether it opened, with the same content.
+/// Flips one bit of a file in a fresh copy of the store and returns whether it opened with the same content.
 fn flip(example: &Example, master: &std::path::Path, file: &std::path::Path, bit: usize) -> bool {
     let directory = tempfile::tempdir().expect("temporary directory");
     copy(master, directory.path());
@@ -38,7 +38,7 @@ fn length(file: &std::path::Path) -> usize {
 fn logs_checkpoints_maps_and_the_manifest() {
     let master = tempfile::tempdir().expect("temporary directory");
     let example = fill(master.path(), 23, &[5, 10, 15], 2000);
-    // Without the index, so that they are all that there is.
+    // Without the index, so that only checkpoints and logs remain.
     fs::remove_dir_all(master.path().join("index")).expect("removable");
     let map = master.path().join("maps/00000001");
     let mut random = SmallRng::seed_from_u64(1);

@@ -1,4 +1,4 @@
-//! Damaged checkpoints and a damaged index cost nothing but a report.
+//! Damaged checkpoints and a damaged index lose no data; they are reported.
 
 use std::{
     fs,

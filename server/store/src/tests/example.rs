@@ -1,4 +1,4 @@
-//! A data directory with known content, and the question whether it still has it.
+//! A data directory with known content, and a check of that content.
 
 use std::{
     fs,
@@ -38,7 +38,7 @@ pub(crate) fn spec(name: &str) -> MapSpec {
     }
 }
 
-/// An event whose content follows from its position.
+/// An event that is a function of its position.
 pub(crate) fn event(position: u64) -> Event {
     let mut random = SmallRng::seed_from_u64(position);
     if position.is_multiple_of(5) {
@@ -83,7 +83,7 @@ fn location(random: &mut SmallRng, states: u32) -> Location {
     Location { states: seen, position_m: random.random_bool(0.5).then(|| [random.random(), -random.random::<f64>()]) }
 }
 
-/// A site that has more or fewer records in the index than that of another position, or none.
+/// A site whose number of records in the index depends on the position, down to none.
 fn site(position: u64, states: usize) -> Site {
     let mut random = SmallRng::seed_from_u64(position ^ 0x517E);
     let mut site = Site::default();
@@ -103,7 +103,7 @@ fn site(position: u64, states: usize) -> Site {
     site
 }
 
-/// A snapshot whose content follows from its position.
+/// A snapshot that is a function of its position.
 pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnapshot {
     let mut random = SmallRng::seed_from_u64(position ^ 0xABCD);
     let site = Arc::new(site(position, states));
@@ -129,7 +129,7 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
     }
 }
 
-/// Models of every kind, two of each. Fitted once, as that takes a while.
+/// Models of every kind, two of each. Fitted once, because it takes long.
 static FITS: LazyLock<Vec<FittedModel>> = LazyLock::new(|| {
     let fits = [2, 3].map(|every| {
         let sample = |hour: i64| Sample {
@@ -197,7 +197,7 @@ pub(crate) fn append(log: &MapLog, event: &Event) -> Result<u64, AppendError> {
     receiver.recv().expect("answered")
 }
 
-/// What the example's map must be.
+/// The expected map of the example.
 pub(crate) struct Example {
     pub(crate) spec: MapSpec,
     pub(crate) snapshots: Vec<MapSnapshot>,
@@ -226,7 +226,7 @@ pub(crate) fn fill(directory: &Path, end: u64, snapshots_at: &[u64], segment_byt
 }
 
 impl Example {
-    /// Opens the directory and checks the map to the last bit. An error is how the store may refuse.
+    /// Opens the directory and checks the map bit by bit. An error is a valid refusal.
     pub(crate) fn check(&self, directory: &Path) -> Result<OpenedMap, OpenError> {
         let store = Store::open(directory, options())?;
         assert_eq!(store.store_id(), STORE_ID);

@@ -1,5 +1,5 @@
-//! Format 1 to the byte, as far as format 2 goes on using it. A difference here means that data directories in the
-//! field could not be read any more: do not change the files in `golden/`, make a new format.
+//! The bytes of format 1, as far as format 2 still uses it. A difference here means that existing data directories
+//! cannot be read any more: do not change the files in `golden/`; make a new format.
 
 use std::{
     fs,
@@ -163,7 +163,7 @@ fn logs_and_checkpoints_of_format_1_are_written_as_they_always_were() {
         }
         store.save(map, &snapshot()).expect("saves");
     }
-    // What the manifest and the map say of themselves is of the newest format.
+    // The manifest and the map's file are of the newest format.
     for file in &FILES[2..] {
         let written = fs::read(directory.path().join(file)).expect("readable");
         let is_same = fs::read(golden().join(file)).ok().as_ref() == Some(&written);
@@ -179,7 +179,7 @@ fn format_1_is_read_as_it_always_was() {
     assert_eq!(content(directory.path()).iter().filter(|(_, content)| content.is_some()).count(), FILES.len());
     let store = Store::open(directory.path(), options()).expect("opens");
     assert_eq!(store.maps(), [(MapId(1), spec())]);
-    // What its updates have folded in is in its log alone.
+    // The observations that its updates have learned are in its log only.
     let history = store.history(MapId(1)).expect("known");
     assert_eq!((history.is_complete(), history.first_of_states().expect("readable")), (false, None));
     let opened = store.open_map(MapId(1), &spec()).expect("opens");
@@ -187,7 +187,7 @@ fn format_1_is_read_as_it_always_was() {
     let replayed: Vec<_> = opened.replay.map(|item| item.expect("readable")).collect();
     let expected: Vec<_> = (1..).zip(events()).skip(1).collect();
     assert_eq!(replayed, expected);
-    // From here on it is of format 2, and nothing else in it has changed.
+    // From here on it has format 2, and nothing else has changed.
     let manifest = fs::read_to_string(directory.path().join("MANIFEST")).expect("readable");
     assert!(manifest.starts_with("tidemap store\nformat 2\nstore 00112233445566778899aabbccddeeff\n"), "{manifest}");
     for file in &FILES[1..] {

@@ -1,5 +1,5 @@
-//! Format 2 to the byte: a map with every model enabled, and states with models of every kind. A difference here means
-//! that data directories in the field could not be read any more: do not change the files in `golden/`, make a new
+//! The bytes of format 2: a map with every model enabled, and states with models of every kind. A difference here means
+//! that existing data directories cannot be read any more: do not change the files in `golden/`; make a new
 //! format.
 
 use std::{
@@ -30,7 +30,7 @@ fn spec() -> MapSpec {
     MapSpec { models: EnabledModels::ALL, ..golden_states::spec() }
 }
 
-/// A cluster of so many coordinates and circles.
+/// A cluster with the given numbers of coordinates and circles.
 fn cluster(coordinates: usize, circles: usize, weight: f64) -> HypertimeCluster {
     let factor = (0..coordinates).flat_map(|i| (0..=i).map(move |j| if i == j { 0.5 } else { -0.125 })).collect();
     HypertimeCluster {
@@ -72,7 +72,7 @@ fn field(method: HypertimeMethod) -> HypertimeParts {
     })
 }
 
-/// What is known of a state of that kind, with the models of `fits` beside the calibrated one.
+/// The data of a state of that kind, with the models of `fits` and the calibrated one.
 fn known(of: StateKind, fits: Vec<(FittedModelParts, Option<f64>)>, choice: u8) -> Alternatives {
     let mut parts = alternatives(Some(Some(2.75))).to_parts();
     let fit = |(model, error_sum)| FitParts { model, day: LocalDay(19_669), error_sum };

@@ -1,5 +1,5 @@
-//! Format 2 to the byte: a map with a grid. A difference here means that data directories in the field could not be
-//! read any more: do not change the files in `golden/`, make a new format.
+//! The bytes of format 2: a map with a grid. A difference here means that existing data directories cannot be
+//! read any more: do not change the files in `golden/`; make a new format.
 
 use std::{
     fs,

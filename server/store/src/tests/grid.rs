@@ -1,4 +1,4 @@
-//! Maps with a grid: their checkpoints, what is shared in them, and tiles that are not in memory.
+//! Maps with a grid: their checkpoints, shared sums, and tiles that are not in memory.
 
 use std::{collections::HashSet, fs, path::Path, sync::Arc};
 
@@ -165,7 +165,7 @@ fn sums_read_at_the_same_time_are_shared() {
         *slot = ModelSlot::Resident(slot.get().expect("readable"));
     }
     assert_eq!(resident(grid), resident(grid_of(&saved)));
-    // What a save gives shares with what is in memory, too.
+    // The tiles that a save returns share sums with those in memory.
     let source = store.save(MAP, &found).expect("saves").expect("a source");
     let grid = grid_of(&found);
     for (id, slot) in (0..).zip(&grid.sums) {
@@ -186,7 +186,7 @@ fn a_checkpoint_is_read_after_it_was_superseded() {
     fill(directory.path(), &spec, std::slice::from_ref(&saved));
     let (store, opened) = reopen(directory.path(), &spec, options(0, 1));
     let mut cold = opened.snapshot.expect("saved");
-    // Copied from checkpoint to checkpoint, with a part of it changed in memory.
+    // Copied from checkpoint to checkpoint, with some tiles changed in memory.
     for position in 11..15 {
         cold.position = position;
         let grid = cold.grid.as_mut().expect("has a grid");
@@ -220,7 +220,7 @@ fn a_checkpoint_is_read_after_it_was_superseded() {
     assert_eq!(resident(grid_of(&found)).1, distinct(grid_of(&saved)), "copies are still shared");
 }
 
-/// A source that is none of the store's.
+/// A source of tiles outside the store.
 #[derive(Debug)]
 struct Foreign(Arc<TileModel>, Arc<TileSums>, bool);
 
@@ -307,7 +307,7 @@ fn a_snapshot_that_could_not_be_read_back_is_refused() {
 fn every_damaged_byte_of_a_checkpoint_is_noticed() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let spec = spec("office");
-    // With at least a day and a scan ahead of its time, so that there is a record of every kind.
+    // With at least one day and one scan in the future, so that there is a record of every kind.
     let with_all = |snapshot: &MapSnapshot| !grid_of(snapshot).days.is_empty() && !grid_of(snapshot).ahead.is_empty();
     let position = (5..).find(|&position| with_all(&snapshot(&spec, position, 3))).expect("there is one");
     let saved = [snapshot(&spec, 4, 2), snapshot(&spec, position, 3)];

@@ -1,4 +1,4 @@
-//! Grids, scans and history whose content follows from a seed.
+//! Grids, scans and history as functions of a seed.
 
 use std::sync::Arc;
 
@@ -101,7 +101,7 @@ pub(crate) fn scans(number: u64, random: &mut SmallRng) -> Event {
     })
 }
 
-/// Sensors of a map: mostly its own alone.
+/// Sensors of a map: mostly only its own.
 fn sensors(random: &mut SmallRng) -> u8 {
     [0, 0, 3, 255][random.random_range(0..4)]
 }
@@ -205,7 +205,7 @@ pub(crate) fn learned(
     (model, sums)
 }
 
-/// When cells were observed on some days, by scans at even times and at others.
+/// Observation times of cells on some days, by scans at equal and unequal distances.
 fn sightings(random: &mut SmallRng) -> Sightings {
     let days = (0..random.random_range(1..4)).map(|_| {
         let mut now: i64 = random.random();
@@ -222,7 +222,7 @@ fn sightings(random: &mut SmallRng) -> Sightings {
         let some = mask(&mut SmallRng::seed_from_u64(u64::from(scans)));
         let others = Mask::FULL.without(some);
         let lists = [some, others].map(list).into();
-        // A day of the map's own sensor alone has none.
+        // A day with only the map's own sensor has none.
         let most = sensors(random);
         let ids = (0..scans).map(|scan| if scan == 0 { SensorId(most) } else { sensor(most, random) });
         let sensors = (most > 0).then(|| Arc::new(ids.collect()));
@@ -260,7 +260,7 @@ pub(crate) fn day(day: i32, tiles: u32, random: &mut SmallRng) -> GridDay {
     kept
 }
 
-/// A grid of `tiles` tiles, of which the last has not been learned yet.
+/// A grid of `tiles` tiles; the last one is untrained.
 pub(crate) fn grid(spec: &MapSpec, tiles: u32, random: &mut SmallRng) -> GridSnapshot {
     let shared: Vec<Arc<PhasorSum>> = (0..3).map(|_| Arc::new(sum(spec, random))).collect();
     let mut grid = GridSnapshot {
@@ -297,13 +297,13 @@ pub(crate) fn grid(spec: &MapSpec, tiles: u32, random: &mut SmallRng) -> GridSna
     grid
 }
 
-/// A snapshot of a map with a grid; its content follows from its position.
+/// A snapshot of a map with a grid, as a function of its position.
 pub(crate) fn snapshot(spec: &MapSpec, position: u64, tiles: u32) -> MapSnapshot {
     let mut random = SmallRng::seed_from_u64(position ^ 0x9_81D);
     MapSnapshot { grid: Some(grid(spec, tiles, &mut random)), ..example::snapshot(spec, position, 2) }
 }
 
-/// What a generation has folded in: of the states and of the grid on one day.
+/// The observations that a generation has learned: of the states and of the grid on one day.
 pub(crate) fn piece(generation: u64, day_number: i32, random: &mut SmallRng) -> HistoryPiece {
     let mut piece = HistoryPiece::new(generation);
     let start = i64::from(day_number) * DAY_NANOS;

@@ -1,4 +1,4 @@
-//! A map with a grid through the store and back: what goes on from a checkpoint is what would have gone on without.
+//! A map with a grid through the store and back: continuing from a checkpoint gives the same as continuing without.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -63,7 +63,7 @@ fn events() -> Vec<Event> {
         }));
         if number % 2 == 1 {
             let generation = number / 2 + 1;
-            // Not all that was scanned, so that something stays pending.
+            // Not all scans, so that some stay pending.
             let cut_nanos = generation as i64 * DAY_NANOS - DAY_NANOS / 9;
             let start = UpdateStart { generation, cut_nanos, cause: UpdateCause::Midnight };
             events.push(Event::UpdateStart(start));
@@ -72,7 +72,7 @@ fn events() -> Vec<Event> {
     events
 }
 
-/// Applies an event; what an update gives.
+/// Applies an event; returns the result of an update.
 fn apply(map: &mut LiveMap, position: u64, event: &Event) -> Option<MapSnapshot> {
     let work = map.apply(position, event).expect("fits")?;
     let result = work.run(&Default::default()).expect("runs");

@@ -1,4 +1,4 @@
-//! The records of a grid one by one: exact, and harmless whatever they say.
+//! The records of a grid one by one: exact, and safe for any content.
 
 use proptest::prelude::*;
 use prost::Message;
@@ -19,7 +19,7 @@ use crate::record::{
     tile_model::{self, EncodedSums},
 };
 
-/// What is read of a message in which one byte has changed; nothing where it is no message any more.
+/// The decoded message after one byte has changed; `None` if it is not a message any more.
 fn changed<M: Message + Default>(message: &M, at: prop::sample::Index, byte: u8) -> Option<M> {
     let mut bytes = message.encode_to_vec();
     let at = at.index(bytes.len().max(1));
@@ -53,7 +53,7 @@ proptest! {
         let mut again = Vec::new();
         found.encode_again(&shared, &periodicities, &mut again);
         prop_assert_eq!(&again, &bytes);
-        // What is cut off just before the sightings is the record of a tile without.
+        // A record cut off just before the sightings is a valid record without them.
         let mut without = Vec::new();
         let plain = TileSums { sightings: Sightings::default(), ..sums.clone() };
         tile_model::encode_sums(&shared, &plain, &mut without).expect("valid");

@@ -1,4 +1,4 @@
-//! Exact observations that were folded in: kept as long as they are to be, found again, and never wrong.
+//! Exact learned observations: kept as long as retention says, found again, and never wrong.
 
 use std::{fs, path::Path, path::PathBuf, sync::Arc};
 
@@ -66,7 +66,7 @@ fn expected(pieces: &[Arc<HistoryPiece>], id: StateId, from: i64, to: i64) -> Ve
     samples
 }
 
-/// A day with the tiles of a set alone.
+/// A day with only the tiles of a set.
 fn restricted(day: &HistoryDay, tiles: &[TileId]) -> HistoryDay {
     let mut outliers = GridDay::new(day.outliers.day);
     outliers.scans.clone_from(&day.outliers.scans);
@@ -103,7 +103,7 @@ fn many_states_are_found_as_each_is_by_itself() {
     let pieces = pieces(5);
     let history = fill(directory.path(), &spec("office"), &pieces).history(MAP).expect("known");
     let start = 19_001 * DAY_NANOS;
-    // In any order, one of them twice, one that there is not.
+    // In any order, one of them twice, one that does not exist.
     let wanted: Vec<WantedReadings> =
         [(4, 0), (0, start + DAY_NANOS), (9, 0), (3, i64::MIN), (0, start), (1, i64::MAX)]
             .map(|(state, from_nanos)| WantedReadings { state: StateId(state), from_nanos })
@@ -120,13 +120,13 @@ fn many_states_are_found_as_each_is_by_itself() {
         assert_eq!(found[0].is_empty(), before == 0);
         assert!(files.readings(&[]).expect("nothing to read").is_empty());
     }
-    // A file that has been deleted since, as one beyond the retention is, is one that was never there.
+    // A file that was deleted since, as by retention, counts as absent.
     let files = history.state_files().expect("readable");
     let path = directory.path().join("maps/00000001/history").join(&names(directory.path())[0]);
     fs::remove_file(&path).expect("removed");
     let without = history.state_files().expect("readable").readings(&wanted).expect("readable");
     assert_eq!(files.readings(&wanted).expect("readable"), without);
-    // One that is damaged is named.
+    // A damaged file is named.
     let damaged = directory.path().join("maps/00000001/history").join(names(directory.path()).last().expect("a file"));
     fs::write(&damaged, "nothing").expect("written");
     let error = files.readings(&wanted).expect_err("damaged").to_string();
@@ -212,7 +212,7 @@ fn states_and_the_grid_are_kept_as_long_as_each_is_to_be() {
             let found = (count(".states.tmh"), count(".grid.tmh"));
             assert_eq!(found, (kept(states, &last_sample), kept(grid, &last_scan)), "{states:?} {grid:?}");
             assert_eq!(names.len(), found.0 + found.1);
-            // Nothing is missing of what is kept.
+            // No kept observation is missing.
             let sizes = store.history(MAP).expect("known").sizes().expect("readable");
             assert_eq!(sizes.files, names.len() as u64);
             assert_eq!(store.sizes(MAP).history_bytes, sizes.state_bytes + sizes.grid_bytes);
@@ -227,7 +227,7 @@ fn what_is_written_again_takes_the_place_of_what_was() {
     let spec = spec("office");
     let history = {
         let store = fill(directory.path(), &spec, &pieces);
-        // After a crash the log is replayed and the same update folds in the same once more.
+        // After a crash the log is replayed and the same update learns the same observations again.
         let again = MapSnapshot { history: pieces.clone(), ..snapshot(&spec, 9, 2) };
         store.save(MAP, &again).expect("saves");
         store.history(MAP).expect("known")

@@ -1,4 +1,4 @@
-//! A store's life: opening, locking, formats, creating, deleting, closing.
+//! Life cycle of a store: opening, locking, formats, creating, deleting, closing.
 
 use std::fs;
 

@@ -1,4 +1,4 @@
-//! What is written is read, to the last bit.
+//! Written values are read back bit by bit.
 
 use std::sync::Arc;
 
@@ -144,7 +144,7 @@ fn failures() -> impl Strategy<Value = Vec<EdgeFailure>> {
     )
 }
 
-/// One of all that a new state may be.
+/// Any shape of a new state.
 fn shape(number: usize) -> StateShape {
     match number % 5 {
         3 => StateShape::Vector(Dimensions::Two),
@@ -205,7 +205,7 @@ fn a_topological_map_comes_back_with_its_numbers() {
     let message = record::site::encode(&site).expect("something was told");
     let found = record::site::decode(&message, 0).expect("readable");
     assert_eq!(found, site);
-    // What was removed has used its number up, even where nothing is left.
+    // Removed items have used their numbers, even if nothing is left.
     let mut edit = |edit| site.apply(&SiteEdit::Topology(edit), 0).expect("valid");
     edit(TopologyEdit::Load { nodes: Vec::new(), edges: Vec::new(), replaces: true });
     let message = record::site::encode(&site).expect("something was told");
@@ -275,7 +275,7 @@ proptest! {
             *place = byte;
         }
         if let Ok(found) = record::event::decode(kind, &payload) {
-            // Whatever it is now, it is something that can be written.
+            // Any value that decodes can be encoded again.
             prop_assert!(record::event::encode(&found).is_ok());
         }
     }

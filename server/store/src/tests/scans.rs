@@ -1,4 +1,4 @@
-//! Scans in the log: exact, small, and harmless whatever a payload says.
+//! Scans in the log: exact, small, and safe for any payload.
 
 use std::sync::Arc;
 
@@ -88,7 +88,7 @@ proptest! {
         let at = at.index(payload.len());
         payload[at] = byte;
         if let Ok(found) = record::event::decode(kind, &payload) {
-            // Whatever it is now, it is something that can be written.
+            // Any value that decodes can be encoded again.
             prop_assert!(record::event::encode(&found).is_ok());
         }
     }

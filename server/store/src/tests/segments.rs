@@ -1,4 +1,4 @@
-//! The beginning of the log, once checkpoints and history hold all that it is needed for.
+//! The beginning of the log is deleted once checkpoints and history hold its content.
 
 use std::{fs, path::Path};
 
@@ -107,7 +107,7 @@ fn without_its_beginning_a_log_is_not_opened_when_all_checkpoints_are_damaged() 
         Ok(_) => panic!("a map without its beginning was opened"),
     }
     assert!(super::example::content(&directory.path().join("maps")) == before, "something was changed");
-    // Nor when somebody has removed them.
+    // Also not after they were removed by hand.
     for file in checkpoints(directory.path()) {
         fs::remove_file(file).expect("removable");
     }

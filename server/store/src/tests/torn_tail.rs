@@ -1,4 +1,4 @@
-//! The end of a log after a power cut, and everything that only looks like one.
+//! The end of a log after a power cut, and damage that only looks like one.
 
 use std::fs;
 
@@ -132,7 +132,7 @@ fn a_log_that_ends_before_a_known_record_is_damage() {
     let offsets = frames(&good);
     fs::write(&file, &good[..offsets[9]]).expect("writable");
     expect_corrupt(&example, directory.path(), 10);
-    // Known from the checkpoint alone, and from its name alone.
+    // Known only from the checkpoint, and only from its name.
     fs::remove_dir_all(directory.path().join("index")).expect("removable");
     expect_corrupt(&example, directory.path(), 10);
     fs::write(directory.path().join("maps/00000001/checkpoints/00000000000000000010.tmc"), "").expect("writable");
@@ -150,7 +150,7 @@ fn a_segment_that_was_only_begun_is_removed() {
         assert_eq!(opened.reports, [Report::LeftoverRemoved { file: next.clone() }]);
         assert!(!next.exists());
     }
-    // One with something in it had been made durable.
+    // A segment with records had been made durable.
     fs::write(&next, vec![0; 33]).expect("writable");
     assert!(matches!(example.check(directory.path()), Err(OpenError::CorruptLog { .. })));
 }
