@@ -1,6 +1,7 @@
 //! Runs the shell examples of the README and of the guide, as a reader would type them.
 //!
-//! Every page has a folder and a daemon of its own. Its ```` ```sh ```` blocks run in order and must end with status 0; an
+//! Every page has a folder and a daemon of its own. Its ```` ```sh ```` blocks run in order and must end with status 0;
+//! an
 //! ```` ```output ```` block directly behind one must be what that block showed. In it `…` stands for any text, and a line
 //! with `…` alone for any number of lines; the number of spaces between words does not matter. Commands that a test cannot
 //! run, such as installation, are ```` ```console ````.
@@ -62,7 +63,8 @@ pages! {
     wire: "docs/src/wire.md",
 }
 
-/// Stands for the command line: shows a table where a reader would see one, which is where the output is not redirected.
+/// Stands for the command line: shows a table where a reader would see one, which is where the output is not
+/// redirected.
 const TIDEMAP_SCRIPT: &str = r#"#!/bin/sh
 case " $* " in *" --output "*) exec "$TIDEMAP_BUILT" "$@" ;; esac
 if [ /proc/self/fd/1 -ef "$TIDEMAP_SCREEN" ]; then exec "$TIDEMAP_BUILT" "$@" --output table; fi

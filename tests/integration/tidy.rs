@@ -1,5 +1,5 @@
-//! Rules that the compiler does not check: the direction of dependencies between crates, which crate may use which library, and
-//! the form of files. A failure names the file and the rule.
+//! Rules that the compiler does not check: the direction of dependencies between crates, which crate may use which
+//! library, and the form of files. A failure names the file and the rule.
 //!
 //! Invariant: reads the work tree and changes nothing. Rules apply to code only: comments and tests may name anything.
 
