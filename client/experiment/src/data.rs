@@ -1,7 +1,7 @@
-//! The recordings of an experiment, by state and ascending by time.
+//! The recordings of an experiment, by state and time.
 //!
-//! Invariant: every row of every file was read, or the experiment does not run; no test set begins before the training
-//! data ends, nor, where models learn test sets, before the one before it ends.
+//! Invariant: every row of every file is valid, or the experiment fails. No test set starts before the end of the
+//! training data, nor, if models learn test sets, before the end of the previous test set.
 
 use std::{
     fs::File,
@@ -15,78 +15,38 @@ use tidemap_model::{OffsetCache, Sample, StateKind};
 use super::protocol::{Protocol, Refit, RowFormat};
 use tidemap_formats::observation_file::{RowError, RowItem, RowReader};
 
-/// Name of the state of files without names.
+/// Name of the state of files without state names.
 const UNNAMED: &str = "value";
 
-/// Why data cannot be used.
+/// Why data is invalid.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum DataError {
     /// A file cannot be read.
     #[error("{key} file {} cannot be read: {why}; paths are relative to the protocol's folder", path.display())]
-    Io {
-        /// Of the protocol: train or test.
-        key: &'static str,
-        /// Which.
-        path: PathBuf,
-        /// Why; it is in the message, so that a chain of causes does not say it twice.
-        why: io::Error,
-    },
-    /// A file is no recording.
+    // The cause is part of the message, so it is not a `source`.
+    Io { key: &'static str, path: PathBuf, why: io::Error },
+    /// A file has an invalid header or cannot be read to its end.
     #[error("{}: {why}", path.display())]
-    Rows {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        why: RowError,
-    },
-    /// A row cannot be used.
+    Rows { path: PathBuf, why: RowError },
+    /// A row is invalid.
     #[error("{}: line {line}: {wrong}", path.display())]
-    Row {
-        /// Which file.
-        path: PathBuf,
-        /// Which line, from 1.
-        line: u64,
-        /// What is wrong, and what would be right.
-        wrong: String,
-    },
-    /// A file without rows of the states asked for.
+    Row { path: PathBuf, line: u64, wrong: String },
+    /// A file has no rows of the protocol's states.
     #[error("{path} has no rows{of}", of = if states.is_empty() { String::new() } else { format!(" of {}", states.join(", ")) })]
-    Empty {
-        /// Which.
-        path: PathBuf,
-        /// The states asked for; all where empty.
-        states: Vec<String>,
-    },
-    /// A state that cannot be learned.
+    Empty { path: PathBuf, states: Vec<String> },
+    /// A state has no training data.
     #[error("state {state:?} of {path} is not in the training data, which has {}", known.join(", "))]
-    Untrained {
-        /// Which.
-        state: String,
-        /// Where it was found or asked for.
-        path: PathBuf,
-        /// States of the training data.
-        known: Vec<String>,
-    },
-    /// Test data that is not ahead.
+    Untrained { state: String, path: PathBuf, known: Vec<String> },
+    /// A test set starts too early.
     #[error("{path} begins at {}, before {before} ends at {}: {right}", format_rfc3339(*begins), format_rfc3339(*ends))]
-    Order {
-        /// Which.
-        path: PathBuf,
-        /// Its first time.
-        begins: i64,
-        /// What has to come before it.
-        before: String,
-        /// The last time of that.
-        ends: i64,
-        /// What would be right.
-        right: &'static str,
-    },
+    Order { path: PathBuf, begins: i64, before: String, ends: i64, right: &'static str },
 }
 
 /// A test set.
 #[derive(Clone, Debug)]
 pub struct TestSet {
-    /// What it is called.
+    /// Its name in results.
     pub label: String,
     /// Readings of each state, ascending by time.
     pub samples: Vec<Vec<Sample>>,
@@ -95,7 +55,7 @@ pub struct TestSet {
 /// All readings of an experiment.
 #[derive(Clone, Debug)]
 pub struct Data {
-    /// Names of the states, in the order of their first training readings, or as the protocol has them.
+    /// Names of the states, in the order of the protocol, or else of their first training readings.
     pub states: Vec<String>,
     /// Training readings of each state, ascending by time.
     pub train: Vec<Vec<Sample>>,
@@ -166,15 +126,15 @@ impl Data {
         Ok(data)
     }
 
-    /// A model is judged by what it has not seen. Recordings that were cut in two may share the instant of the cut.
+    /// Checks that models are scored on unseen data only. Adjacent recordings may share the time of their boundary.
     fn check_order(&self, protocol: &Protocol) -> Result<(), DataError> {
         let mut before = ("the training data".to_owned(), extent(&self.train));
         for (test, file) in self.tests.iter().zip(&protocol.test) {
             let (Some((begins, ends)), Some((_, known_until))) = (extent(&test.samples), before.1) else { continue };
             if begins < known_until {
                 let right = match protocol.refit {
-                    Refit::Never => "a test set has to come after all training data",
-                    Refit::Each => "with refit: each, test sets have to follow one another",
+                    Refit::Never => "a test set must be after all training data",
+                    Refit::Each => "with refit: each, test sets must follow one another",
                 };
                 let path = file.path.clone();
                 return Err(DataError::Order { path, begins, before: before.0, ends: known_until, right });
@@ -194,7 +154,7 @@ impl Data {
 
 fn sort(samples: &mut [Vec<Sample>]) {
     for samples in samples {
-        // Stable: readings at the same time stay in the order of the file.
+        // A stable sort keeps readings with equal times in the order of the file.
         samples.sort_by_key(|sample| sample.utc_nanos);
     }
 }
@@ -208,22 +168,22 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Hands on each row of the states asked for; a file without any is refused.
+    /// Calls `take` for each row of the protocol's states; refuses a file without any.
     fn read(
         &mut self,
         path: &Path,
         mut take: impl FnMut(&str, Sample) -> Result<(), DataError>,
     ) -> Result<(), DataError> {
-        let mut taken = 0_u64;
+        let mut rows = 0_u64;
         let mut count = |state: &str, sample: Sample| {
-            taken += 1;
+            rows += 1;
             take(state, sample)
         };
         match self.format {
             RowFormat::Csv => self.read_csv(path, &mut count)?,
             RowFormat::Pairs => self.read_pairs(path, &mut count)?,
         }
-        if taken == 0 {
+        if rows == 0 {
             return Err(DataError::Empty { path: path.to_owned(), states: self.asked.to_vec() });
         }
         Ok(())
@@ -248,11 +208,11 @@ impl Reader<'_> {
                 RowItem::Torn { line, text } => {
                     return Err(wrong(
                         line,
-                        format!("{text:?} has no line end and makes no row: is the file cut off?"),
+                        format!("{text:?} has no line end and is no complete row: is the file cut off?"),
                     ));
                 }
             };
-            // What is only out of the range of a probability may suit another kind.
+            // A value out of the range of a probability is valid for other kinds.
             let refused = row.wrong.filter(|_| self.kind == StateKind::Probability || !row.value.is_finite());
             if let Some(refused) = refused {
                 return Err(wrong(row.line, refused));

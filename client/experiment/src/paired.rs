@@ -1,13 +1,13 @@
-//! Whether one model predicts better than another, or was lucky on these days.
+//! A paired test of whether one model predicts better than another.
 //!
-//! Readings minutes apart err together, so readings are no sample; days nearly are. Both models are scored on the same
-//! days, and days are drawn with replacement within each test set: a block bootstrap of the paired differences,
-//! studentised, because few days with a skewed distribution would otherwise seem to say more than they do (B. Efron and
-//! R. Tibshirani, "An Introduction to the Bootstrap", 1993, section 12.5; symmetric as in P. Hall, "On symmetric
-//! bootstrap confidence intervals", 1988). A Wilcoxon test would ask about the median day, while what is reported is
-//! the mean.
+//! Errors of readings minutes apart are correlated, so readings are not independent samples; days nearly are. Both
+//! models are scored on the same days, and days are drawn with replacement within each test set: a block bootstrap of
+//! the paired differences. It is studentised, because a few days with a skewed distribution would otherwise seem to
+//! prove too much (B. Efron and R. Tibshirani, "An Introduction to the Bootstrap", 1993, section 12.5; symmetric as in
+//! P. Hall, "On symmetric bootstrap confidence intervals", 1988). A Wilcoxon test would test the median day, but the
+//! reported figure is the mean.
 //!
-//! Invariant: the same days give the same answer, whatever else is compared: the seed is fixed.
+//! Invariant: the same days give the same result, independent of other models: the seed is fixed.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 
@@ -16,28 +16,27 @@ use super::score::DayErrors;
 #[cfg(test)]
 mod tests;
 
-/// Draws. The p-value is then known to about 0.002 around 0.05.
+/// Number of draws: determines the p-value to about 0.002 around 0.05.
 const DRAWS: usize = 9_999;
 const SEED: u64 = 1;
-/// Days less test sets below which nothing is said: with so few days an interval would be far too short.
+/// Minimum of the number of days minus the number of test sets: with fewer days intervals would be far too short.
 const FREEDOM_MIN: usize = 5;
 
-/// How much more one model errs than another.
+/// The difference between the errors of two models.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
-    /// The difference of the mean squared errors, each the mean over test sets; below 0 where the model is better.
+    /// The difference of the mean squared errors, each the mean over test sets; below 0 if the model is better.
     pub mean: f64,
-    /// What the days leave open; none where they are too few.
+    /// The test; none with too few days.
     pub test: Option<PairedTest>,
 }
 
-/// What the days leave open.
+/// The interval and p-value of a difference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairedTest {
-    /// The interval of the difference; none where it has no bounds, because too few days differ at all.
+    /// The interval of the difference; none if it is unbounded because too few days differ.
     pub interval: Option<(f64, f64)>,
-    /// How often a difference as large would be found, either way, if there were none; not corrected for the number of
-    /// models that are compared.
+    /// The two-sided p-value; not corrected for the number of models compared.
     pub p_value: f64,
 }
 
@@ -48,19 +47,19 @@ struct PairedDay {
     readings: f64,
 }
 
-/// Compares a model with the baseline, day by day; both have the same days. The interval holds one less `significance`.
+/// Compares a model with the baseline, day by day; both have the same days. The interval has the confidence
+/// 1 - `significance`.
 pub fn difference(model: &[DayErrors], baseline: &[DayErrors], significance: f64) -> Difference {
     paired(&sets(model, baseline), significance, DRAWS)
 }
 
-/// How often a mean difference as large would be found, either way, if there were none, of differences that are each a
-/// sample of their own. `None` where there are too few.
+/// The two-sided p-value of independent differences; none with too few.
 pub fn p_value(differences: &[f64]) -> Option<f64> {
     let set: Vec<PairedDay> = differences.iter().map(|&squared| PairedDay { squared, readings: 1.0 }).collect();
     paired(&[set], 0.05, DRAWS).test.map(|test| test.p_value)
 }
 
-/// Differences by test set.
+/// The differences of each day, by test set.
 fn sets(model: &[DayErrors], baseline: &[DayErrors]) -> Vec<Vec<PairedDay>> {
     let pairs: Vec<(&DayErrors, &DayErrors)> = model.iter().zip(baseline).collect();
     let day = |(model, baseline): &(&DayErrors, &DayErrors)| PairedDay {
@@ -70,12 +69,12 @@ fn sets(model: &[DayErrors], baseline: &[DayErrors]) -> Vec<Vec<PairedDay>> {
     pairs.chunk_by(|a, b| a.0.set == b.0.set).map(|set| set.iter().map(day).collect()).collect()
 }
 
-/// The difference over some days, and how far off it may be.
+/// The mean difference over a set of days, with its standard error.
 #[derive(Clone, Copy, Debug)]
 struct MeanDifference {
     /// The mean over test sets of the mean over readings.
     mean: f64,
-    /// Its standard error, up to a factor that is the same for all draws.
+    /// Its standard error, up to a factor that is equal for all draws.
     error: f64,
 }
 
@@ -86,7 +85,7 @@ impl MeanDifference {
         for days in sets {
             let readings = days.iter().map(|day| day.readings).sum::<f64>().max(1.0);
             let mean = days.iter().map(|day| day.squared).sum::<f64>() / readings;
-            // What a day adds to the mean of its set beyond its share of the readings.
+            // The contribution of a day to the mean of its set beyond its share of the readings.
             let beyond = |day: &PairedDay| (day.squared - mean * day.readings) / readings;
             sum += mean;
             variance += days.iter().map(|day| beyond(day).powi(2)).sum::<f64>();
@@ -94,7 +93,7 @@ impl MeanDifference {
         Self { mean: sum / count, error: variance.sqrt() / count }
     }
 
-    /// How many standard errors it is from a value: infinitely many where all days are alike and it is not the value.
+    /// Its distance to a value in standard errors; infinite if all days are equal and differ from the value.
     fn distance(self, value: f64) -> f64 {
         let away = (self.mean - value).abs();
         if away > 0.0 { away / self.error } else { 0.0 }
@@ -102,10 +101,10 @@ impl MeanDifference {
 }
 
 fn paired(sets: &[Vec<PairedDay>], significance: f64, draws: usize) -> Difference {
-    let found = MeanDifference::of(sets.iter().map(Vec::as_slice));
+    let observed = MeanDifference::of(sets.iter().map(Vec::as_slice));
     let days: usize = sets.iter().map(Vec::len).sum();
     if days.saturating_sub(sets.len()) < FREEDOM_MIN {
-        return Difference { mean: found.mean, test: None };
+        return Difference { mean: observed.mean, test: None };
     }
     let mut random = SmallRng::seed_from_u64(SEED);
     let mut drawn = sets.to_vec();
@@ -114,17 +113,17 @@ fn paired(sets: &[Vec<PairedDay>], significance: f64, draws: usize) -> Differenc
         for (drawn, days) in drawn.iter_mut().zip(sets) {
             drawn.fill_with(|| days[random.random_range(0..days.len())]);
         }
-        distances.push(MeanDifference::of(drawn.iter().map(Vec::as_slice)).distance(found.mean));
+        distances.push(MeanDifference::of(drawn.iter().map(Vec::as_slice)).distance(observed.mean));
     }
     distances.sort_by(f64::total_cmp);
-    let own = found.distance(0.0);
+    let own = observed.distance(0.0);
     let as_far = distances.len() - distances.partition_point(|&distance| distance < own);
-    // The draw that was found counts as one.
+    // The observed difference counts as a draw.
     let p_value = (as_far as f64 + 1.0) / (draws as f64 + 1.0);
     let rank = ((1.0 - significance) * (draws as f64 + 1.0)).ceil() as usize;
     let reach = distances.get(rank.clamp(1, draws) - 1).copied().unwrap_or(f64::INFINITY);
-    // All days alike: whatever the reach, the mean is certain.
-    let half_width = if found.error > 0.0 { reach * found.error } else { 0.0 };
-    let interval = half_width.is_finite().then_some((found.mean - half_width, found.mean + half_width));
-    Difference { mean: found.mean, test: Some(PairedTest { interval, p_value }) }
+    // If all days are equal, the mean is certain.
+    let half_width = if observed.error > 0.0 { reach * observed.error } else { 0.0 };
+    let interval = half_width.is_finite().then_some((observed.mean - half_width, observed.mean + half_width));
+    Difference { mean: observed.mean, test: Some(PairedTest { interval, p_value }) }
 }

@@ -1,7 +1,7 @@
-//! A recorded world: where somebody was in every minute.
+//! A recording of the place where a person was in every minute.
 //!
-//! A row is `FROM UNTIL PLACE`: minutes, UNTIL not included, from the first local midnight on. Invariant: every minute
-//! of every day has exactly one place, and days are whole; what follows the last whole day is left out.
+//! A row is `FROM UNTIL PLACE`, in minutes from the first local midnight; UNTIL is exclusive.
+//! Invariant: every minute of every day has exactly one place, and days are whole; a partial last day is dropped.
 
 use std::{
     fs, io,
@@ -10,50 +10,34 @@ use std::{
 
 /// Minutes of a day.
 pub const DAY_MINUTES: usize = 1440;
-/// Longest recording: a hundred years would be 5e7 minutes; ten are enough.
+/// Maximum length of a recording: ten years.
 const MINUTES_MAX: usize = 10 * 366 * DAY_MINUTES;
-/// Most places.
+/// Maximum number of places.
 const PLACES_MAX: usize = 64;
-/// Longest file.
+/// Maximum length of a file.
 const FILE_BYTES_MAX: u64 = 256 * 1024 * 1024;
 
-/// Why a recording cannot be used.
+/// Why a recording is invalid.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum RecordingError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("the world {} cannot be read: {why}; paths are relative to the protocol's folder", path.display())]
-    Io {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        why: io::Error,
-    },
-    /// A row that is none.
+    Io { path: PathBuf, why: io::Error },
+    /// A row is invalid.
     #[error("{}: line {line}: {wrong}", path.display())]
-    Row {
-        /// Which file.
-        path: PathBuf,
-        /// From 1.
-        line: usize,
-        /// What is wrong, and what would be right.
-        wrong: String,
-    },
-    /// It is too short, or has one place.
+    Row { path: PathBuf, line: usize, wrong: String },
+    /// The recording is too short or too long, or has a single place.
     #[error("{}: {wrong}", path.display())]
-    Whole {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong, and what would be right.
-        wrong: String,
-    },
+    Whole { path: PathBuf, wrong: String },
 }
 
-/// Where somebody was in every minute.
+/// The place of the person in every minute.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlaceRecording {
     /// Names of the places.
     pub places: Vec<String>,
-    /// Minutes of a slot; they divide the day.
+    /// Length of a slot, which divides the day.
     pub slot_minutes: usize,
     /// Index of the place, by minute.
     minutes: Vec<u8>,
@@ -75,7 +59,7 @@ impl PlaceRecording {
         })
     }
 
-    /// Makes a world of a text; what is wrong comes with its line, from 1, where one is to blame.
+    /// Parses a recording. An error in a line comes with its number, from 1.
     pub fn parse(text: &str, slot_minutes: usize) -> Result<PlaceRecording, (Option<usize>, String)> {
         let mut world = PlaceRecording { places: Vec::new(), slot_minutes, minutes: Vec::new() };
         for (line, row) in (1..).zip(text.lines()) {
@@ -125,22 +109,22 @@ impl PlaceRecording {
         Ok(())
     }
 
-    /// Whole days.
+    /// Number of whole days.
     pub fn days(&self) -> usize {
         self.minutes.len() / DAY_MINUTES
     }
 
-    /// Slots of a day.
+    /// Number of slots in a day.
     pub fn slots(&self) -> usize {
         DAY_MINUTES / self.slot_minutes
     }
 
-    /// The place in every minute of a slot, which is counted from the beginning of the world.
+    /// The place in every minute of a slot; slots are counted from the start of the recording.
     pub fn slot(&self, slot: usize) -> &[u8] {
         self.minutes.get(slot * self.slot_minutes..(slot + 1) * self.slot_minutes).unwrap_or_default()
     }
 
-    /// The place at the middle of a slot: in the minute that begins there.
+    /// The place at the middle of a slot: in the minute that starts there.
     pub fn seen(&self, slot: usize) -> usize {
         usize::from(self.slot(slot).get(self.slot_minutes / 2).copied().unwrap_or_default())
     }

@@ -1,4 +1,4 @@
-//! Whole experiments: on made-up recordings, and on the recordings that the figures of the field were found with.
+//! Whole experiments: on synthetic recordings, and on the recordings of the published figures.
 
 #![allow(clippy::unwrap_used)]
 

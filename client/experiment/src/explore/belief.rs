@@ -1,7 +1,6 @@
-//! What is known of the places, by a model that learns from visits.
+//! The explorer's knowledge of the places: a model that learns from visits.
 //!
-//! Invariant: a probability for a slot rests on what was seen before it is asked for, and on the model of the last
-//! midnight.
+//! Invariant: a probability for a slot uses earlier observations only, and the model of the last midnight.
 
 use tidemap_model::{
     Sample,
@@ -13,35 +12,31 @@ mod learner;
 use learner::Learner;
 pub use learner::LearnerKind;
 
-/// A model that can be compared.
+/// A model of the places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BeliefModel {
-    /// Every place by itself, by a model of one state.
-    Each {
-        /// Which.
-        kind: LearnerKind,
-        /// How it is drawn towards what was seen last.
-        blend: Blend,
-    },
-    /// All places together, of which exactly one holds the person.
+    /// Every place separately, by a model of one state.
+    #[allow(missing_docs, reason = "see the types")]
+    Each { kind: LearnerKind, blend: Blend },
+    /// All places together: the person is at exactly one of them.
     Presence,
 }
 
-/// How the model of one state is drawn towards what was seen last, by the age of that.
+/// How predictions of one state are blended with its last observation, by the age of the observation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blend {
-    /// Not at all.
+    /// Not blended.
     None,
-    /// As maps do it: by the mean time between changes (T-RO 2017, eq. 12 and 13), which takes a state that was seen
-    /// alike twice for one that did not change in between.
+    /// As in maps: by the mean time between changes (T-RO 2017, eq. 12 and 13), which assumes that a state did not
+    /// change between two equal observations.
     Persistence,
-    /// By the rates of the short-term memory's chain, which allow for changes that were not seen: RAS 2017, eq. 6 with
-    /// the model's p(t) for the chain's constant.
+    /// By the rates of the short-term memory's chain, which allow for unobserved changes: RAS 2017, eq. 6 with the
+    /// model's p(t) for the chain's constant.
     Memory,
 }
 
 impl BeliefModel {
-    /// All that can be named, in the order of the documentation.
+    /// All models, in the order of the documentation.
     pub fn all() -> impl Iterator<Item = BeliefModel> {
         let plain = LearnerKind::ALL.into_iter().map(|kind| BeliefModel::Each { kind, blend: Blend::None });
         let blended = [Blend::Persistence, Blend::Memory].into_iter().flat_map(|blend| {
@@ -51,7 +46,7 @@ impl BeliefModel {
         plain.chain(blended).chain([BeliefModel::Presence])
     }
 
-    /// As people write it.
+    /// Its name in protocols.
     pub fn name(self) -> String {
         match self {
             BeliefModel::Each { kind, blend: Blend::None } => kind.name().to_owned(),
@@ -62,26 +57,26 @@ impl BeliefModel {
     }
 }
 
-/// Slots in time.
+/// The slots of the world.
 #[derive(Clone, Copy, Debug)]
 pub struct Slots {
-    /// Of a day.
+    /// Number of slots in a day.
     pub per_day: usize,
-    /// Length of each.
+    /// Length of a slot.
     pub nanos: i64,
 }
 
 impl Slots {
-    /// The middle of a slot, counted from the beginning of the world. The world begins at 1970-01-01T00:00, a Thursday.
+    /// The middle of a slot; slots are counted from the start of the world, 1970-01-01T00:00, a Thursday.
     pub fn middle(self, slot: usize) -> Moment {
         Moment { utc_nanos: slot as i64 * self.nanos + self.nanos / 2, offset_secs: 0 }
     }
 }
 
-/// What is known of all places.
+/// The knowledge of all places.
 pub struct Belief {
     slots: Slots,
-    /// The slot that is now; none before the first.
+    /// The current slot; none before the first.
     now: Option<usize>,
     places: Vec<PlaceBelief>,
     presence: Option<Presence>,
@@ -89,19 +84,19 @@ pub struct Belief {
     remembers: bool,
 }
 
-/// What is known of one place.
+/// The knowledge of one place.
 struct PlaceBelief {
     learner: Learner,
     readings: Vec<Sample>,
     persistence: tidemap_model::Persistence,
-    /// The short-term memory of RAS 2017, section 4.2, where it is asked for.
+    /// The short-term memory of RAS 2017, section 4.2, if it is used.
     chain: Option<MarkovChain>,
-    /// What the model says of each slot of the day that is.
+    /// The model's prediction for each slot of the current day.
     today: Vec<f64>,
 }
 
 impl Belief {
-    /// Of which nothing is known; `remembers`: with a short-term memory beside the model.
+    /// An untrained model; `remembers` adds a short-term memory.
     pub fn new(model: BeliefModel, places: usize, slots: Slots, remembers: bool) -> Result<Belief, CannotFit> {
         let (kind, blend) = match model {
             BeliefModel::Each { kind, blend } => (kind, blend),
@@ -123,7 +118,7 @@ impl Belief {
         Ok(Belief { slots, now: None, places, presence, blend, remembers })
     }
 
-    /// Makes the models anew for the day that begins with that slot.
+    /// Fits the models for the day that starts with a slot.
     pub fn midnight(&mut self, slot: usize) -> Result<(), CannotFit> {
         if let Some(presence) = &mut self.presence {
             presence.learn();
@@ -142,7 +137,7 @@ impl Belief {
         Ok(())
     }
 
-    /// A slot begins: slots come one after the other.
+    /// Enters a slot; slots must be entered in order.
     pub fn enter(&mut self, slot: usize) {
         self.now = Some(slot);
         if let Some(presence) = &mut self.presence {
@@ -150,7 +145,7 @@ impl Belief {
         }
     }
 
-    /// The probabilities of all places at the middle of the slot that is.
+    /// The probabilities of all places at the middle of the current slot.
     pub fn now(&self) -> Vec<f64> {
         let Some(slot) = self.now else { return vec![0.5; self.places.len()] };
         match &self.presence {
@@ -159,8 +154,8 @@ impl Belief {
         }
     }
 
-    /// The probabilities of all places at the middle of each slot of the day that begins with that slot, before it is
-    /// entered.
+    /// The probabilities of all places at the middle of each slot of the day that starts with a slot, before that slot
+    /// is entered.
     pub fn ahead(&self, slot: usize) -> Vec<Vec<f64>> {
         match &self.presence {
             Some(presence) => presence.forecast(0..self.slots.per_day),
@@ -187,13 +182,13 @@ impl Belief {
         }
     }
 
-    /// What the short-term memory expects of all places at the middle of the slot that is; 0.5 where it has none.
+    /// The predictions of the short-term memory at the middle of the current slot; 0.5 where it has no data.
     pub fn expected(&self) -> Vec<f64> {
         let at = self.slots.middle(self.now.unwrap_or(0));
         self.places.iter().map(|place| place.chain.as_ref().map_or(0.5, |chain| chain.predict(at))).collect()
     }
 
-    /// What a visit showed at the middle of the slot that is.
+    /// Learns from a visit at the middle of the current slot.
     pub fn observe(&mut self, place: usize, there: bool) {
         let (Some(slot), Some(known)) = (self.now, self.places.get_mut(place)) else { return };
         let at = self.slots.middle(slot);

@@ -1,4 +1,4 @@
-//! Worlds explored: simulated ones with known answers, and the recorded flat.
+//! Exploration of synthetic recordings with known results, and of the recorded apartment.
 #![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};

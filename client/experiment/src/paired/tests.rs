@@ -1,4 +1,4 @@
-//! The paired test finds what is there, and errs as often as it says.
+//! The paired test finds real differences, and has the error rate of its level.
 
 #![allow(clippy::unwrap_used)]
 
@@ -7,7 +7,7 @@ use tidemap_model::{Evaluation, LocalDay};
 
 use super::*;
 
-/// Days of test sets with so many readings and that mean squared error each.
+/// Days of test sets with the given mean squared errors, each from 100 readings.
 fn days(sets: &[&[f64]]) -> Vec<DayErrors> {
     let of_set = |(set, mse): (usize, &&[f64])| -> Vec<DayErrors> {
         let day = |(day, mse): (usize, &f64)| DayErrors {

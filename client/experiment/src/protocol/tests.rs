@@ -1,4 +1,4 @@
-//! Protocols are read as written, and what is wrong with one is told with its line and what would be right.
+//! Protocols are read completely, and errors name the line and the allowed values.
 
 #![allow(clippy::unwrap_used)]
 

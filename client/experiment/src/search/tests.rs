@@ -56,7 +56,7 @@ fn mean_secs(outcome: &SearchComparison, label: &str) -> f64 {
 }
 
 #[test]
-fn who_knows_her_hours_finds_her_as_fast_as_who_knows_where_she_is() {
+fn a_model_of_regular_hours_finds_the_target_as_fast_as_the_oracle() {
     let outcome = searched(PROTOCOL, ROOMS, &world(21, 99)).unwrap();
     // Eight hours in bed and six in the kitchen; nobody is looked for while she is out. Knowing shares alone, the
     // kitchen is first: it gains 6/5 in a second, the bed 8/10; the bed follows after 5 + 15 s.
@@ -72,7 +72,7 @@ fn who_knows_her_hours_finds_her_as_fast_as_who_knows_where_she_is() {
 }
 
 #[test]
-fn parameters_are_chosen_on_the_days_that_are_learned_alone() {
+fn parameters_are_tuned_on_training_days_only() {
     let protocol = PROTOCOL.replace("[mean, histogram]", "[histogram: {bins: [1, 24]}]\ntuning: {folds: 2, fold: 3d}");
     let chosen = |cellar_from| {
         let outcome = searched(&protocol, ROOMS, &world(21, cellar_from)).unwrap();
@@ -86,26 +86,26 @@ fn parameters_are_chosen_on_the_days_that_are_learned_alone() {
         trials.iter().map(|(folds, chosen)| (folds.len(), *chosen)).collect::<Vec<_>>(),
         [(2, false), (2, true)]
     );
-    // What comes after the days that are learned changes how long it takes, and nothing that was chosen.
+    // Later days change how long searches take, but not the chosen parameters.
     let (same, same_trials, later) = chosen(14);
     assert_eq!((parameters, trials), (same, same_trials));
     assert!(later > secs + 1.0, "{later}");
 }
 
 #[test]
-fn just_the_days_before_the_first_search_are_learned() {
+fn only_the_days_before_the_first_search_are_training_data() {
     let protocol = PROTOCOL.replace("train_days: 14", "train_days: 10");
     let evening_secs = |cellar_from| {
         let outcome = searched(&protocol, ROOMS, &world(12, cellar_from)).unwrap();
         (mean_secs(&outcome, "histogram") * 14.0 - 8.0 * 10.0) / 6.0
     };
-    // Seen in the cellar once, she is looked for there behind the kitchen; never seen there, behind the bed.
+    // Seen in the cellar once, the target is searched there after the kitchen; never seen there, after the bed.
     assert!((evening_secs(9) - 12.0).abs() < 1e-9, "{}", evening_secs(9));
     assert!((evening_secs(10) - 42.0).abs() < 1e-9, "{}", evening_secs(10));
 }
 
 #[test]
-fn results_are_written_with_every_candidate() {
+fn results_are_written_with_every_parameter_set() {
     let folder = folder(ROOMS, &world(21, 99));
     let text =
         PROTOCOL.replace("[mean, histogram]", "[mean, histogram: {bins: [1, 24]}]\ntuning: {folds: 2, fold: 3d}");
@@ -132,7 +132,7 @@ fn refused(replace: (&str, &str), rooms: &str, world: &str, message: &str) {
 }
 
 #[test]
-fn what_cannot_be_searched_is_refused_with_what_would_be_right() {
+fn invalid_searches_are_refused_with_the_allowed_values() {
     let same = ("out: results", "out: results");
     let fine = world(21, 99);
     refused(

@@ -1,6 +1,6 @@
-//! Models of one state, learned again every midnight from readings that came when the state was visited.
+//! Models of one state, fitted every midnight to the readings of visits.
 //!
-//! Invariant: a state of which nothing was read has probability 0.5.
+//! Invariant: a state without readings has probability 0.5.
 
 use tidemap_model::{
     OrderCriterion, Periodicities, Sample, StateModel,
@@ -10,14 +10,14 @@ use tidemap_model::{
     },
 };
 
-/// The most components that the spectral model uses.
+/// Maximum number of components of the spectral model.
 const ORDER_MAX: usize = 8;
 /// ParameterSet periodicities: the harmonics of four weeks down to two hours (RAS 2017, section 4.1.1).
 const PERIOD_BASE_NANOS: i64 = 28 * 86_400 * 1_000_000_000;
 const PERIOD_COUNT: u32 = 28 * 12;
-/// A lower order wins where its error exceeds the lowest by no more than this factor, as in a map.
+/// The lowest order is chosen whose error is within this factor of the lowest error, as in a map.
 const NEAR_TIE: f64 = 1.001;
-/// Bins of the day.
+/// Number of bins in a day.
 const HISTOGRAM_BINS: usize = 24;
 
 /// A kind of model of one state.
@@ -25,9 +25,9 @@ const HISTOGRAM_BINS: usize = 24;
 pub enum LearnerKind {
     /// The mean of all readings: the long-term memory of RAS 2017.
     Mean,
-    /// A Markov chain from the newest reading on: its short-term memory.
+    /// A Markov chain from the last reading on: the short-term memory of RAS 2017.
     Persistence,
-    /// FreMEn, with up to eight components, as many as have predicted best.
+    /// FreMEn, with the number of components up to eight that predicted best.
     Spectral,
     /// Three Gaussians over the day.
     Pergam,
@@ -38,7 +38,7 @@ pub enum LearnerKind {
 }
 
 impl LearnerKind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [LearnerKind; 6] = [
         LearnerKind::Mean,
         LearnerKind::Persistence,
@@ -48,7 +48,7 @@ impl LearnerKind {
         LearnerKind::Calibrated,
     ];
 
-    /// As people write it.
+    /// Its name in protocols.
     pub fn name(self) -> &'static str {
         match self {
             LearnerKind::Mean => "mean",
@@ -61,14 +61,14 @@ impl LearnerKind {
     }
 }
 
-/// A model of one state with what it has learned.
+/// A model of one state with its training data.
 pub struct Learner {
     kind: LearnerKind,
     fitted: Option<Box<dyn TemporalModel>>,
     spectral: Option<Spectral>,
 }
 
-/// The spectral model, which learns day by day.
+/// The spectral model, which learns incrementally.
 struct Spectral {
     periodicities: Periodicities,
     state: StateModel,
@@ -76,17 +76,17 @@ struct Spectral {
 }
 
 impl Learner {
-    /// That has learned nothing.
+    /// An untrained model.
     pub fn new(kind: LearnerKind) -> Learner {
         Learner { kind, fitted: None, spectral: None }
     }
 
-    /// Which it is.
+    /// The kind of the model.
     pub fn kind(&self) -> LearnerKind {
         self.kind
     }
 
-    /// Learns all readings there are; those that it knows come first.
+    /// Fits all readings; earlier ones must come first.
     pub fn learn(&mut self, readings: &[Sample]) -> Result<(), CannotFit> {
         if readings.is_empty() {
             return Ok(());
@@ -129,7 +129,7 @@ impl Learner {
         Ok(())
     }
 
-    /// The probability at a moment.
+    /// The predicted probability at a moment.
     pub fn probability(&self, at: Moment) -> f64 {
         match (&self.fitted, &self.spectral) {
             (Some(model), _) => model.predict(at),
@@ -143,7 +143,7 @@ impl Learner {
 }
 
 impl Spectral {
-    /// The order up to [`ORDER_MAX`] that has predicted best.
+    /// The order up to [`ORDER_MAX`] that predicted best.
     fn order(&self) -> usize {
         let sums = self.state.errors().sums();
         let sums = sums.get(..=ORDER_MAX).unwrap_or(sums);

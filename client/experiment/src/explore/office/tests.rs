@@ -1,4 +1,4 @@
-//! An office explored: what is said of it, and that time is worth knowing.
+//! Exploration of the simulated office: its protocol, and the benefit of the temporal model.
 #![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};
