@@ -1,4 +1,4 @@
-//! Searches replayed: in worlds with known answers, and in the recorded world.
+//! Searches in synthetic recordings with known results, and in the recorded apartment.
 #![allow(clippy::unwrap_used)]
 
 use std::{fs, path::Path};
@@ -21,7 +21,7 @@ out: results
 const ROOMS: &str =
     "node hall\nnode bed\nnode kitchen\nnode cellar\nlink hall bed 10\nlink hall kitchen 5\nlink kitchen cellar 7\n";
 
-/// In bed until eight, out until six, then in the kitchen, from some day on in the cellar instead.
+/// In bed until 8:00, out until 18:00, then in the kitchen, from day `cellar_from` on in the cellar instead.
 fn world(days: usize, cellar_from: usize) -> String {
     let day = |day: usize| {
         let start = day * 1440;
@@ -58,7 +58,7 @@ fn mean_secs(outcome: &SearchComparison, label: &str) -> f64 {
 #[test]
 fn a_model_of_regular_hours_finds_the_target_as_fast_as_the_oracle() {
     let outcome = searched(PROTOCOL, ROOMS, &world(21, 99)).unwrap();
-    // Eight hours in bed and six in the kitchen; nobody is looked for while she is out. Knowing shares alone, the
+    // Eight hours in bed and six in the kitchen; there are no searches while the target is out. By shares alone, the
     // kitchen is first: it gains 6/5 in a second, the bed 8/10; the bed follows after 5 + 15 s.
     let best = (8.0 * 10.0 + 6.0 * 5.0) / 14.0;
     assert!((mean_secs(&outcome, "omniscient") - best).abs() < 1e-9);
@@ -164,7 +164,7 @@ fn invalid_searches_are_refused_with_the_allowed_values() {
     assert!(run(&missing, &|_, _| ()).unwrap_err().to_string().contains("cannot be read"));
 }
 
-/// The world of "Waldo", section VII, by the example that is shipped; the published figures as repeated independently.
+/// The apartment of "Waldo", section VII, with the shipped protocol; the published figures, repeated independently.
 #[test]
 fn of_the_recorded_flat_the_published_times_are_found() {
     let example = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/experiments/aruba-search.yaml"));
