@@ -199,16 +199,18 @@ fn links_lead_somewhere() {
     }
 }
 
-/// Files and folders that the page of the architecture names.
+/// Files and folders of the project that the documents name.
 #[test]
-fn files_of_the_architecture_exist() {
-    let text = fs::read_to_string(root().join("ARCHITECTURE.md")).expect("the page");
-    let roots = ["server/", "client/", "proto/", "tests/", "migrations/", "docs/", "deploy/"];
-    let paths = text.split('`').skip(1).step_by(2).filter(|path| roots.iter().any(|root| path.starts_with(root)));
+fn files_that_the_documents_name_exist() {
+    const ROOTS: [&str; 7] = ["server/", "client/", "proto/", "tests/", "migrations/", "docs/", "deploy/"];
     let mut checked = 0;
-    for path in paths {
-        assert!(root().join(path).exists(), "ARCHITECTURE.md: there is no {path}");
-        checked += 1;
+    for page in PAGES.iter().chain(&["ARCHITECTURE.md", "BENCHMARKS.md"]) {
+        let text = fs::read_to_string(root().join(page)).unwrap_or_else(|error| panic!("{page}: {error}"));
+        let quoted = text.split('`').filter(|quote| ROOTS.iter().any(|root| quote.starts_with(root)));
+        for path in quoted.filter(|quote| !quote.contains(char::is_whitespace)) {
+            assert!(root().join(path).exists(), "{page}: there is no {path}");
+            checked += 1;
+        }
     }
     assert!(checked > 20, "{checked} paths");
 }
