@@ -29,6 +29,8 @@ pub mod exploration;
 pub mod grid;
 pub mod map;
 pub mod query;
+#[cfg(test)]
+mod round_trips;
 pub mod route;
 pub mod scans;
 pub mod search;

@@ -3,7 +3,7 @@
 //! Invariant: times are nanoseconds UTC, and each edge is told for when the robot reaches it.
 
 use tidemap_proto::convert::query::selector_to_wire;
-use tidemap_proto::convert::route::{certainty_from_wire, objective_to_wire};
+use tidemap_proto::convert::route::{objective_to_wire, route_certainty_from_wire};
 use tidemap_proto::convert::time::{duration, instant, timestamp};
 use tidemap_proto::v1::{self, plan_route_request};
 
@@ -266,7 +266,7 @@ impl Client {
         };
         let answer = self.route_service().plan_route(request).await.map_err(|status| self.error(&status))?;
         let told = answer.into_inner();
-        let certainty = certainty_from_wire(told.certainty()).unwrap_or(Certainty::CutOff);
+        let certainty = route_certainty_from_wire(told.certainty()).unwrap_or(Certainty::CutOff);
         Ok((told.routes.into_iter().map(route).collect(), certainty))
     }
 

@@ -116,7 +116,7 @@ pub fn confidence_from_wire(confidence: Option<f64>) -> Result<f64, InvalidField
 
 both_ways!(
     /// How sure it is that no route is better, for the wire.
-    certainty_to_wire, certainty_from_wire, Certainty, v1::RouteCertainty,
+    route_certainty_to_wire, route_certainty_from_wire, Certainty, v1::RouteCertainty,
     [Proven = Proven, WithinResolution = WithinResolution, Sampled = Sampled, CutOff = CutOff]
 );
 
@@ -166,7 +166,7 @@ pub fn routes_to_wire(
     };
     v1::PlanRouteResponse {
         routes: planned.routes.iter().map(route).collect(),
-        certainty: certainty_to_wire(planned.certainty).into(),
+        certainty: route_certainty_to_wire(planned.certainty).into(),
     }
 }
 

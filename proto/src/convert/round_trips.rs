@@ -1,0 +1,141 @@
+//! Values of the domain survive the way to the wire and back.
+
+use proptest::prelude::*;
+use tidemap_map::{
+    grid::{
+        index::{CellBox, CellIndex},
+        spec::{GridSpec, Retention, SensorNoise},
+    },
+    ids::RefusalReason,
+    selector::{CLUSTERS_MAX, GAUSSIANS_MAX, ModelKind, ModelSelector, PERGAM_PERIODS},
+};
+use tidemap_model::{ORDER_MAX, OrderCriterion, Periodicities, models::HistogramCycle};
+use tidemap_plan::{
+    route::{Certainty, Objective},
+    search::{Effort, StopReason},
+    strategy::{Budget, Strategy as SlotStrategy},
+    view::{Sensor, Viewpoint},
+};
+
+use super::{exploration::*, grid::*, map::*, query::*, route::*, search::*, time::*};
+use crate::v1;
+
+fn kinds() -> impl Strategy<Value = ModelKind> {
+    use HistogramCycle::{Day, Week, WeekdayWeekend};
+    let histogram = prop::sample::select(vec![Day, Week, WeekdayWeekend]).prop_flat_map(|cycle| {
+        let max = u32::try_from(cycle.max_bins()).expect("few");
+        (1..=max).prop_map(move |bins| ModelKind::Histogram { cycle, bins })
+    });
+    prop_oneof![
+        prop::sample::select(ModelKind::ALL.to_vec()),
+        histogram,
+        (1..=GAUSSIANS_MAX, PERGAM_PERIODS)
+            .prop_map(|(gaussians, period_nanos)| ModelKind::Pergam { gaussians, period_nanos }),
+        (1..=CLUSTERS_MAX).prop_map(|clusters| ModelKind::HypertimeEm { clusters }),
+        (1..=CLUSTERS_MAX).prop_map(|clusters| ModelKind::HypertimeKm { clusters }),
+    ]
+}
+
+fn retentions() -> impl Strategy<Value = Retention> {
+    prop_oneof![Just(Retention::None), Just(Retention::Forever), (1..i64::MAX).prop_map(Retention::Duration)]
+}
+
+fn grids() -> impl Strategy<Value = GridSpec> {
+    let corner = || (-9_000..9_000_i32, -9_000..9_000_i32, -9_000..9_000_i32);
+    let extent = (corner(), (1..99_i32, 1..99_i32, 1..99_i32)).prop_map(|((x, y, z), (width, depth, height))| {
+        CellBox { min: CellIndex { x, y, z }, max: CellIndex { x: x + width, y: y + depth, z: z + height } }
+    });
+    let noise = (0.5..1.0_f64, 0.0..0.5_f64, 0.01..0.99_f64);
+    let noise = noise.prop_map(|(hit, false_alarm, prior)| SensorNoise { hit, false_alarm, prior });
+    let origin_m = [-1e3..1e3_f64, -1e3..1e3_f64, -1e3..1e3_f64];
+    (0.01..9.0_f64, origin_m, prop::option::of(extent), noise, retentions()).prop_map(
+        |(resolution_m, origin_m, extent, sensor, retention)| GridSpec {
+            origin_m,
+            extent,
+            sensor,
+            retention,
+            ..GridSpec::new(resolution_m)
+        },
+    )
+}
+
+proptest! {
+    #[test]
+    fn models_come_back(kind in kinds(), order in 0..=ORDER_MAX, has_order: bool, persistence: bool) {
+        let order = Some(order).filter(|_| has_order && kind.has_order());
+        let selector = ModelSelector { kind, order, persistence };
+        prop_assert_eq!(selector_from_wire("model", Some(selector_to_wire(selector))), Ok(selector));
+    }
+
+    #[test]
+    fn grids_come_back(grid in grids()) {
+        prop_assert_eq!(grid_from_wire(grid_to_wire(&grid)), Ok(grid));
+    }
+
+    #[test]
+    fn retentions_come_back(retention in retentions()) {
+        let wire = Some(retention_to_wire(retention));
+        prop_assert_eq!(retention_from_wire("retention", wire, Retention::None), Ok(retention));
+    }
+
+    #[test]
+    fn periodicities_come_back(base_secs in 3_600..1_000_000_i64, count in 1..200_u32, hours in 1..99_i64) {
+        let harmonics = Periodicities::harmonics(base_secs * 1_000_000_000, count);
+        let list = Periodicities::list((1..5).map(|k| k * hours * 3_600_000_000_000).collect());
+        for definition in [harmonics, list].into_iter().flatten().map(|set| set.definition().clone()) {
+            let back = periodicities_from_wire(Some(periodicities_to_wire(&definition)));
+            prop_assert_eq!(back.map(|set| set.definition().clone()), Ok(definition));
+        }
+    }
+
+    #[test]
+    fn times_come_back(nanos in 0..i64::MAX) {
+        prop_assert_eq!(instant_from_wire("time", Some(timestamp(nanos))), Ok(nanos));
+        prop_assert_eq!(span(Some(duration(nanos))), Some(nanos));
+    }
+
+    #[test]
+    fn places_to_look_from_come_back(x_m in -1e3..1e3, y_m in -1e3..1e3, z_m in prop::option::of(-9.0..9.0), size in 0.1..3.0) {
+        let viewpoint = Viewpoint { x_m, y_m, z_m, yaw_rad: size };
+        prop_assert_eq!(viewpoint_from_wire(&viewpoint_to_wire(&viewpoint)), viewpoint);
+        let sensor = Sensor { range_m: size, horizontal_fov_rad: size, vertical_fov_rad: size, height_m: size };
+        prop_assert_eq!(sensor_from_wire(Some(sensor_to_wire(sensor))), sensor);
+    }
+
+    #[test]
+    fn budgets_come_back(visits in 0..1_000_usize, ratio in 0.0..1.0) {
+        for budget in [Budget::Visits(visits), Budget::Ratio(ratio)] {
+            prop_assert_eq!(budget_from_wire(Some(budget_to_wire(budget))), budget);
+        }
+    }
+}
+
+#[test]
+fn choices_come_back() {
+    let reasons = (1..).map_while(|number| v1::RefusalReason::try_from(number).ok());
+    let reasons: Vec<RefusalReason> = reasons.filter_map(refusal_from_wire).collect();
+    assert_eq!(reasons.len(), 12);
+    assert!(reasons.iter().all(|&reason| refusal_from_wire(refusal_to_wire(reason)) == Some(reason)));
+    for criterion in [OrderCriterion::SquaredError, OrderCriterion::ZeroOne] {
+        assert_eq!(criterion_from_wire(criterion_to_wire(criterion)), Some(criterion));
+    }
+    for certainty in [Certainty::Proven, Certainty::WithinResolution, Certainty::Sampled, Certainty::CutOff] {
+        assert_eq!(route_certainty_from_wire(route_certainty_to_wire(certainty)), Some(certainty));
+    }
+    for effort in [Effort::Auto, Effort::Exact, Effort::Heuristic] {
+        assert_eq!(effort_from_wire(effort_to_wire(effort)), Some(effort));
+    }
+    for stopped in [StopReason::Unlikely, StopReason::NotWorthIt, StopReason::OutOfTime] {
+        assert_eq!(stop_from_wire(stop_to_wire(stopped)), Some(stopped));
+    }
+    let round_robin = SlotStrategy::RoundRobin { visited: 0 };
+    for strategy in [SlotStrategy::MonteCarlo, SlotStrategy::Greedy, round_robin, SlotStrategy::Random] {
+        assert_eq!(strategy_from_wire("strategy", strategy_to_wire(strategy).into()), Ok(strategy));
+    }
+    for objective in [Objective::Success, Objective::Time, Objective::Blend { weight: 0.25 }] {
+        let (wire, doubt) = objective_to_wire(objective);
+        let when = Some(v1::plan_route_request::When::DepartTime(timestamp(0)));
+        let request = v1::PlanRouteRequest { objective: wire.into(), doubt, when, ..Default::default() };
+        assert_eq!(route_from_wire(&request).map(|question| question.options.objective), Ok(objective));
+    }
+}
