@@ -2,7 +2,7 @@
 //!
 //! Invariant: a scan is sent as it was given; whether it makes sense on the map is the daemon's to say.
 
-pub use tidemap_map::grid::raycast::Pose;
+pub use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
 use tidemap_proto::convert::grid::pose_to_wire;
 use tidemap_proto::v1::{self, scan::Content};
@@ -14,7 +14,7 @@ const FRAME_BYTES: usize = 256;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointCloud {
     /// Where the sensor was.
-    pub pose: Pose,
+    pub pose: Isometry3<f64>,
     /// The frame that the pose leads to; empty: the map's.
     pub frame_id: String,
     /// x, y, z of each point.
@@ -29,7 +29,7 @@ pub struct PointCloud {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RangeScan {
     /// Where the sensor was.
-    pub pose: Pose,
+    pub pose: Isometry3<f64>,
     /// The frame that the pose leads to; empty: the map's.
     pub frame_id: String,
     /// Angle of the first ray from the sensor's x axis.

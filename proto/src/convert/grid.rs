@@ -136,8 +136,8 @@ pub fn retention_to_wire(retention: Retention) -> v1::Retention {
 
 /// A pose for the wire.
 #[must_use]
-pub fn pose_to_wire(pose: &Pose) -> v1::Pose {
-    let ([x_m, y_m, z_m], [qx, qy, qz, qw]) = (pose.position_m, pose.quaternion_xyzw);
+pub fn pose_to_wire(pose: &Isometry3<f64>) -> v1::Pose {
+    let ([x_m, y_m, z_m], [qx, qy, qz, qw]) = (pose.translation.vector.into(), pose.rotation.coords.into());
     v1::Pose { x_m, y_m, z_m, qx, qy, qz, qw }
 }
 

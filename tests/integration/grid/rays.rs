@@ -8,7 +8,7 @@ use tidemap_client::{
     maps::{CellBox, Grid},
     observe::{
         Producer, RefusalReason,
-        scan::{PointCloud, Pose, RangeScan, Scan},
+        scan::{Isometry3, PointCloud, Quaternion, RangeScan, Scan, Translation3, UnitQuaternion},
     },
     queries::{CellPrediction, GridQuery, ModelKind, PredictedGrid},
 };
@@ -26,8 +26,9 @@ fn coarse() -> Grid {
 }
 
 /// In the middle of cell (0, 0, 0), turned to the left: the sensor's x axis is the map's y axis.
-fn turned() -> Pose {
-    Pose { position_m: [0.25; 3], quaternion_xyzw: [0.0, 0.0, FRAC_1_SQRT_2, FRAC_1_SQRT_2] }
+fn turned() -> Isometry3<f64> {
+    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2));
+    Isometry3::from_parts(Translation3::new(0.25, 0.25, 0.25), rotation)
 }
 
 fn cloud(xyz_m: &[f32]) -> Scan {
@@ -37,7 +38,7 @@ fn cloud(xyz_m: &[f32]) -> Scan {
 /// In the middle of cell (200, 0, 0), unturned: ahead, left, behind, right.
 fn ranges(ranges_m: &[f32]) -> Scan {
     Scan::Ranges(RangeScan {
-        pose: Pose { position_m: [100.25, 0.25, 0.25], ..Pose::default() },
+        pose: Isometry3::translation(100.25, 0.25, 0.25),
         angle_increment_rad: std::f32::consts::FRAC_PI_2,
         ranges_m: ranges_m.to_vec(),
         max_range_m: 4.0,
@@ -213,7 +214,7 @@ async fn grid_rays_beyond_all_bounds_are_refused_and_short_ones_go_on() {
     let (_data, daemon) = office(coarse()).await;
     let mut robot = producer(&daemon, "robot").await;
     let far = |xyz_m: &[f32], position_m: [f64; 3]| {
-        let pose = Pose { position_m, ..Pose::default() };
+        let pose = Isometry3::from(Translation3::from(position_m));
         Scan::Cloud(PointCloud { pose, xyz_m: xyz_m.to_vec(), ..PointCloud::default() })
     };
     let scans = [

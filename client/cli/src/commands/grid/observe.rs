@@ -8,7 +8,7 @@ mod transfer;
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::Args;
-use tidemap_client::observe::{ProducerOptions, ProducerSensor, scan::Pose};
+use tidemap_client::observe::{ProducerOptions, ProducerSensor, scan::Isometry3};
 
 use self::transfer::ScanTransfer;
 use super::{grid_of, place, scans, sensor};
@@ -38,7 +38,7 @@ pub(crate) struct GridObserveArgs {
     every: Option<i64>,
     /// Pose of the sensor: metres and a unit quaternion [default: the pose in the file]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = place::pose, allow_hyphen_values = true)]
-    pose: Option<Pose>,
+    pose: Option<Isometry3<f64>>,
     /// Points nearer than this are left out, such as points of the robot itself [default: 0]
     #[arg(long, value_name = "METRES", value_parser = range)]
     min_range: Option<f32>,

@@ -6,26 +6,28 @@ use std::str::FromStr;
 
 use tidemap_client::{
     maps::{CellBox, Grid},
-    observe::scan::Pose,
+    observe::scan::{Isometry3, Quaternion, Translation3, UnitQuaternion},
 };
 
 /// Tolerance of a quaternion's length.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 
 /// A pose: `X,Y,Z,QX,QY,QZ,QW`, or `X,Y,Z` without rotation.
-pub(crate) fn pose(text: &str) -> Result<Pose, String> {
+pub(crate) fn pose(text: &str) -> Result<Isometry3<f64>, String> {
     let right = "a pose is X,Y,Z,QX,QY,QZ,QW: metres and a unit quaternion; or X,Y,Z without rotation";
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
     let numbers = numbers.ok().filter(|numbers| numbers.iter().all(|number| number.is_finite()));
     match numbers.as_deref() {
-        Some(&[x, y, z]) => Ok(Pose { position_m: [x, y, z], ..Pose::default() }),
+        Some(&[x, y, z]) => Ok(Isometry3::translation(x, y, z)),
         Some(&[x, y, z, qx, qy, qz, qw]) => {
-            let quaternion_xyzw = [qx, qy, qz, qw];
-            let length = quaternion_xyzw.iter().map(|part| part * part).sum::<f64>().sqrt();
+            let quaternion = Quaternion::new(qw, qx, qy, qz);
+            let length = quaternion.norm();
             if (length - 1.0).abs() > QUATERNION_TOLERANCE {
                 return Err(format!("the quaternion {qx},{qy},{qz},{qw} has length {length:.4}: it has to be 1"));
             }
-            Ok(Pose { position_m: [x, y, z], quaternion_xyzw })
+            // It is sent as it was given.
+            let rotation = UnitQuaternion::new_unchecked(quaternion);
+            Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
         }
         _ => Err(format!("{text:?}: {right}")),
     }
@@ -101,8 +103,8 @@ mod tests {
 
     #[test]
     fn a_pose_is_a_place_and_a_turn() {
-        assert_eq!(pose("1,-2.5,3"), Ok(Pose { position_m: [1.0, -2.5, 3.0], ..Pose::default() }));
-        assert_eq!(pose("0,0,0,0,0,1,0").map(|pose| pose.quaternion_xyzw), Ok([0.0, 0.0, 1.0, 0.0]));
+        assert_eq!(pose("1,-2.5,3"), Ok(Isometry3::translation(1.0, -2.5, 3.0)));
+        assert_eq!(pose("0,0,0,0,0,1,0").map(|pose| pose.rotation.coords.into()), Ok([0.0, 0.0, 1.0, 0.0]));
         assert!(pose("0,0,0,0,0,1,1").is_err_and(|error| error.contains("length 1.4142")));
         for text in ["", "1,2", "1,2,3,4", "1,2,inf", "a,b,c"] {
             assert!(pose(text).is_err_and(|error| error.contains("X,Y,Z")), "{text}");

@@ -15,7 +15,7 @@ use std::{
 use anyhow::Context as _;
 use tidemap_client::{
     maps::Grid,
-    observe::scan::{PointCloud, Pose, Scan},
+    observe::scan::{PointCloud, Scan},
     scan_file::{FileScan, ScanFile, ScanFileHeader},
 };
 use tidemap_proto::v1::scan::Content;
@@ -166,10 +166,7 @@ fn one_scan(file: &Path, kind: FileKind, given: &ScanOptions, grid: &Grid, bar: 
 }
 
 fn cloud(points: PointFile, given: &ScanOptions) -> anyhow::Result<Scan> {
-    let own = points
-        .pose
-        .map(|pose| Pose { position_m: pose.translation.vector.into(), quaternion_xyzw: pose.rotation.coords.into() });
-    let pose = given.pose.or(own).context("the file has no sensor pose: give one with --pose")?;
+    let pose = given.pose.or(points.pose).context("the file has no sensor pose: give one with --pose")?;
     Ok(Scan::Cloud(PointCloud {
         pose,
         frame_id: String::new(),

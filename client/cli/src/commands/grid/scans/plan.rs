@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::Context as _;
-use tidemap_client::observe::scan::Pose;
+use tidemap_client::observe::scan::Isometry3;
 
 use super::plane_files;
 use crate::commands::{UsageError, files, usage};
@@ -24,7 +24,7 @@ const HEADER_BYTES: u64 = 64 * 1024;
 pub(in crate::commands::grid) struct ScanOptions {
     pub(in crate::commands::grid) at_nanos: Option<i64>,
     pub(in crate::commands::grid) every_nanos: Option<i64>,
-    pub(in crate::commands::grid) pose: Option<Pose>,
+    pub(in crate::commands::grid) pose: Option<Isometry3<f64>>,
     pub(in crate::commands::grid) min_range_m: Option<f32>,
     pub(in crate::commands::grid) max_range_m: Option<f32>,
 }
@@ -192,7 +192,7 @@ mod tests {
         let header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\n";
         let turned = file("posed.pcd", &format!("{header}VIEWPOINT 1 2 3 1 0 0 0\nDATA ascii\n1 2 3\n"))?;
         let bare = file("bare.pcd", &format!("{header}DATA ascii\n1 2 3\n"))?;
-        let posed = ScanOptions { pose: Some(Pose::default()), ..given() };
+        let posed = ScanOptions { pose: Some(Isometry3::identity()), ..given() };
         assert_eq!(said(&turned, &given()), (String::new(), false));
         assert_eq!(said(&bare, &posed), (String::new(), false));
         for cloud in [bare, file("bare.ply", "ply\n")?] {
