@@ -1,7 +1,7 @@
-//! A day's plan: the local day in slots, and what is done in each.
+//! A plan for a local day: the day in slots, and the visit of each slot.
 //!
 //! Invariant: slots follow one another without gaps from the first instant of the local date to the first of the next,
-//! whatever the clocks do in between; a plan has a row for each.
+//! also when the clocks change; a plan has one row per slot.
 
 use tidemap_model::{LocalDay, Zone};
 
@@ -19,13 +19,13 @@ const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum DayError {
-    /// Slots that suit no day.
+    /// The slot length is invalid.
     #[error("a slot of {} s does not suit a day of {} h: use one from 60 s to the day", secs(*slot_nanos), secs(*day_nanos) / 3600.0)]
     Slot { slot_nanos: i64, day_nanos: i64 },
-    /// A date that the zone's clocks skipped, or outside what can be told.
+    /// The zone skipped this date, or it is out of range.
     #[error("{day} has no hours in this time zone")]
     NoSuchDay { day: LocalDay },
-    /// No schedule can be made.
+    /// There is no valid schedule.
     #[error(transparent)]
     Strategy(#[from] StrategyError),
 }
@@ -43,7 +43,7 @@ pub struct DaySlots {
 }
 
 impl DaySlots {
-    /// The local date in slots of that length, in nanoseconds of time that passes: a day of 23 hours has 92 slots of a
+    /// The local date in slots of the given length, in nanoseconds of elapsed time: a day of 23 hours has 92 slots of a
     /// quarter of an hour, one of 25 hours 100. Where the length does not divide the day, the last slot is shorter.
     ///
     /// # Errors
@@ -61,10 +61,10 @@ impl DaySlots {
         Ok(DaySlots { from_nanos, until_nanos, slot_nanos })
     }
 
-    /// How many there are, at least 1.
+    /// Number of slots, at least 1.
     pub fn count(&self) -> usize {
         let day_nanos = (self.until_nanos - self.from_nanos) as u64;
-        // Slots have a minute at least, so that there are at most 1,500 or so.
+        // Slots last at least a minute, so there are at most about 1,500.
         day_nanos.div_ceil(self.slot_nanos.unsigned_abs()) as usize
     }
 
@@ -76,7 +76,7 @@ impl DaySlots {
             .map_or(self.until_nanos, |start| start.min(self.until_nanos))
     }
 
-    /// The middle of a slot, UTC in nanoseconds since 1970: what is predicted for a slot is predicted for it.
+    /// The middle of a slot, UTC in nanoseconds since 1970: predictions for a slot are for this moment.
     pub fn middle_nanos(&self, slot: usize) -> i64 {
         let start_nanos = self.start_nanos(slot);
         start_nanos + (self.start_nanos(slot.saturating_add(1)) - start_nanos) / 2
@@ -85,32 +85,32 @@ impl DaySlots {
     /// The slot in which a moment lies; `None` outside the day.
     pub fn slot_at(&self, utc_nanos: i64) -> Option<usize> {
         let is_inside = (self.from_nanos..self.until_nanos).contains(&utc_nanos);
-        // Not negative, and at most the count.
+        // At least 0, and at most the count.
         is_inside.then(|| ((utc_nanos - self.from_nanos) / self.slot_nanos) as usize)
     }
 }
 
-/// What is done in one slot.
+/// The plan of one slot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DayRow {
     /// Number of the slot, from 0.
     pub slot: usize,
     /// Its first instant: UTC, nanoseconds since 1970.
     pub start_nanos: i64,
-    /// Index of the place to visit; `None`: rest, or other tasks.
+    /// Index of the place to visit; `None`: no exploration in this slot.
     pub location: Option<usize>,
-    /// What the visit is expected to tell, in bits; 0 at rest.
+    /// Expected information of the visit, in bits; 0 without a visit.
     pub information_bits: f64,
 }
 
-/// Plans a day: `gain` tells, of a moment (the middle of a slot, UTC nanoseconds since 1970) and a place, what a visit is
-/// expected to tell, in bits.
+/// Plans a day. `gain` returns the expected information of a visit, in bits, for a moment (the middle of a slot, UTC
+/// nanoseconds since 1970) and a place.
 ///
-/// Slots are chosen as RA-L 2016, section III.F does where the strategy is [`Strategy::MonteCarlo`] and the budget a number
-/// of visits: in proportion to what they promise, and exactly so many.
+/// With [`Strategy::MonteCarlo`] and a number of visits as budget, slots are chosen as in RA-L 2016, section III.F: in
+/// proportion to their gains, and exactly this number.
 ///
 /// # Errors
-/// [`DayError`] where the budget does not suit the day, there are no places or too many, or a gain is no number from 0.
+/// [`DayError`] where the budget does not suit the day, there are no places or too many, or a gain is negative or NaN.
 pub fn plan_day(
     slots: &DaySlots,
     places: usize,
@@ -119,7 +119,7 @@ pub fn plan_day(
     budget: Budget,
     seed: u64,
 ) -> Result<Vec<DayRow>, DayError> {
-    // Before any gain is asked for: these may be costly.
+    // Checked before any gain is computed, because gains may be costly.
     budget.visits(slots.count())?;
     let gains = Gains::of(slots.count(), places, |slot, place| gain(slots.middle_nanos(slot), place))?;
     let plan = strategy::schedule(strategy, &gains, budget, seed)?;
@@ -132,12 +132,12 @@ pub fn plan_day(
     Ok(plan.into_iter().enumerate().map(row).collect())
 }
 
-/// One slot of a plan made again for the knowledge of now, given what each place promises in it: a slot that rests goes on
-/// resting, so that the budget is kept; a visit goes where [`strategy::choose`] says (RA-L 2016, section III.A: "at
-/// the beginning of each time slot allocated for exploration").
+/// Replans one slot with the present gain of each place. A slot without a visit stays without one, so that the budget
+/// is kept; a visit goes to the place of [`strategy::choose`] (RA-L 2016, section III.A: "at the beginning of each time
+/// slot allocated for exploration").
 ///
 /// # Errors
-/// [`DayError`] where a gain is no number from 0, or there are no places.
+/// [`DayError`] if a gain is negative or NaN, or there are no places.
 pub fn replan(row: &DayRow, gains_now: &[f64], strategy: Strategy, seed: u64) -> Result<DayRow, DayError> {
     let gains = Gains::of(1, gains_now.len(), |_, place| gains_now[place])?;
     let location = row.location.map(|planned| strategy::choose(strategy, planned, gains_now, seed));

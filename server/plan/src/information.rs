@@ -1,17 +1,17 @@
-//! How much an observation is expected to teach, in bits.
+//! Expected information of an observation, in bits.
 //!
-//! Invariant: no answer is NaN or negative. NaN, of which nothing is known, counts as 0.5.
+//! Invariant: no result is NaN or negative. A probability that is NaN counts as 0.5 (nothing is known).
 
 use tidemap_model::{INFORMATION_CERTAINTY, entropy_bits};
 
 #[cfg(test)]
 mod tests;
 
-/// The certainty with which an observation is believed to tell a state, p_c of RA-L eq. 3.
+/// The certainty of a state after an observation, p_c of RA-L eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Certainty(f64);
 
-/// A certainty that is none.
+/// A certainty outside its range.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("certainty {0}: it must be above 0.5 and below 1")]
 pub struct InvalidCertainty(pub f64);
@@ -38,29 +38,29 @@ impl Certainty {
         self.0
     }
 
-    /// Information expected from observing a state of probability `p`: H(p) - H(p_c), with `p` clipped to
-    /// [1 - p_c, p_c]; from 0 to [`Certainty::most_bits`] (RA-L eq. 3).
+    /// Expected information from observing a state of probability `p`: H(p) - H(p_c), with `p` clipped to [1 - p_c,
+    /// p_c]; from 0 to [`Certainty::most_bits`] (RA-L eq. 3).
     #[must_use]
     pub fn bits(self, p: f64) -> f64 {
         let p = if p.is_nan() { 0.5 } else { p.clamp(1.0 - self.0, self.0) };
         (entropy_bits(p) - entropy_bits(self.0)).max(0.0)
     }
 
-    /// Information expected from observing several states: the sum over them.
+    /// Expected information from observing several states: the sum over them.
     #[must_use]
     pub fn bits_of(self, probabilities: impl IntoIterator<Item = f64>) -> f64 {
         probabilities.into_iter().map(|p| self.bits(p)).sum()
     }
 
-    /// Information expected from observing a state of which nothing is known, the most that there is.
+    /// Expected information from observing an unknown state, which is the maximum.
     #[must_use]
     pub fn most_bits(self) -> f64 {
         self.bits(0.5)
     }
 }
 
-/// Entropy of several independent binary states in bits: the sum over them (RAS eq. 10, there in nats). It is what
-/// observing them teaches if an observation leaves no doubt.
+/// Entropy of several independent binary states in bits: the sum over them (RAS eq. 10, there in nats). This is the
+/// information of observing them if observations are certain.
 #[must_use]
 pub fn entropy_of(probabilities: impl IntoIterator<Item = f64>) -> f64 {
     probabilities.into_iter().map(entropy_bits).sum()

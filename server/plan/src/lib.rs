@@ -1,7 +1,7 @@
-//! Choice: where and when to look next, in which order to go, and what to expect of it, from the views of a map.
+//! Planning on the views of a map: exploration (where and when to look next), tours, searches, routes and policies.
 //!
-//! Invariant: no I/O, no clock, no hidden randomness (a seed is an argument). Information is in bits. What a question may
-//! cost is bounded before it is answered, and told where it would cost more.
+//! Invariant: no I/O, no clock, no hidden randomness (a seed is an argument). Information is in bits. The cost of a
+//! request is bounded before the work begins; an error names the limit.
 #![forbid(unsafe_code)]
 #![warn(unreachable_pub)]
 #![cfg_attr(test, allow(clippy::unwrap_used))]

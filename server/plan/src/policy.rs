@@ -1,16 +1,19 @@
-//! What to do at each node at each time on the way to a target, where edges fail and their success and duration depend on time.
+//! Navigation policies: the best action at each node at each time on the way to a target, where edges may fail and
+//! their success and duration depend on time.
 //!
-//! A Markov decision process after the topological navigation of N. Hawes et al., "The STRANDS Project", IEEE RAM 2017: states
-//! are nodes at times, in slots of equal width from the reference time; its actions are the edges that leave a node, and to wait
-//! there until the next slot. An edge that is taken in a slot is forecast for the slot's middle. With its success it brings the
-//! robot to its end after its duration d; otherwise the robot is where it was after d and the recovery r.
+//! A Markov decision process after the topological navigation of N. Hawes et al., "The STRANDS Project", IEEE RAM 2017:
+//! states are nodes at times, in slots of equal width from the reference time; actions are the edges that leave a node,
+//! and waiting until the next slot. An edge taken in a slot has the forecast of the slot's middle. With its success
+//! probability the robot reaches the end of the edge after the duration d; otherwise it is back at the start after d
+//! and the recovery r.
 //!
-//! Values are those at the beginnings of slots. A time between two beginnings counts as one of them, each as likely as the time is
-//! close to it: values are straight between beginnings, and times are right on average. Several edges may be gone within one slot:
-//! its values then depend on each other, and are solved for together, exactly, by policy iteration (`policy/settle.rs`).
+//! Values are those at the beginnings of slots, and linear in between. Several short edges can be traversed within one
+//! slot: the values of a slot then depend on each other, and are solved for together, exactly, by policy iteration
+//! (`policy/settle.rs`). Slots are solved from the last to the first. Ties: the fewest attempts, so that a robot waits
+//! at a closed door instead of moving back and forth.
 //!
-//! A [`route`](crate::route) is a plan for when all goes well; this one has an answer after a failure, too, and may wait for a
-//! door. Invariant: the values are those of the best actions, to the last digits; no number is NaN.
+//! A [`route`](crate::route) is a plan without failures; a policy also covers failures, and may wait for a door.
+//! Invariant: the values are those of the best actions, up to rounding; no number is NaN.
 
 mod settle;
 mod solve;
@@ -20,30 +23,30 @@ use tidemap_map::topology::{EdgeId, NodeId};
 pub use self::solve::solve_policy;
 use crate::route::ForecastError;
 
-/// Most states, nodes times slots, of a policy.
+/// Maximum number of states of a policy, nodes times slots.
 pub(crate) const POLICY_STATES_MAX: usize = 2_000_000;
 
-/// What a policy is best at.
+/// The objective of a policy.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PolicyObjective {
-    /// The greatest probability to be at the target by the end of the last slot; of equal ones the least expected time until then,
-    /// and of these the fewest attempts, where what differs by 1e-12 is equal.
+    /// The greatest probability to be at the target by the end of the last slot. Ties (within 1e-12): the least
+    /// expected time, then the fewest attempts.
     #[default]
     Reach,
-    /// The least expected time to the target. Forecasts of the last slot stay for ever; of equal ones the fewest attempts.
+    /// The least expected time to the target. Forecasts of the last slot hold for ever. Ties: the fewest attempts.
     Time,
 }
 
-/// How to plan.
+/// The options of a policy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PolicyOptions {
-    /// What is sought; to reach the target by default.
+    /// The objective; [`PolicyObjective::Reach`] by default.
     pub objective: PolicyObjective,
     /// Width of a slot, in seconds, 0.001 to [`NOMINAL_MAX_SECS`]; 900 by default.
     pub slot_secs: f64,
-    /// How many slots, 1 or more; 96 by default, a day. Nodes times slots are at most [`POLICY_STATES_MAX`].
+    /// Number of slots, at least 1; 96 by default, a day. Nodes times slots are at most [`POLICY_STATES_MAX`].
     pub slots: usize,
-    /// What a failed attempt costs beside its time, in seconds, 0 to [`NOMINAL_MAX_SECS`]; 60 by default.
+    /// The additional time of a failed attempt, in seconds, 0 to [`NOMINAL_MAX_SECS`]; 60 by default.
     pub recovery_secs: f64,
 }
 
@@ -53,32 +56,33 @@ impl Default for PolicyOptions {
     }
 }
 
-/// What to do.
+/// The action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PolicyAction {
     /// Take this edge.
     Take(EdgeId),
     /// Stay until the next slot begins.
     Wait,
-    /// Nothing: this is the target.
+    /// None: this is the target.
     Arrived,
-    /// Nothing that is done here helps.
+    /// No action helps.
     Nothing,
 }
 
-/// A node in a slot.
+/// The policy at a node in a slot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PolicyEntry {
-    /// What to do.
+    /// The action.
     pub action: PolicyAction,
-    /// With [`PolicyObjective::Time`]: expected seconds to the target, infinite where it is not certain to be reached at last. With
-    /// [`PolicyObjective::Reach`]: expected seconds until the target or the end of the last slot, whichever comes first.
+    /// With [`PolicyObjective::Time`]: expected seconds to the target, infinite if the target is not reached with
+    /// certainty. With [`PolicyObjective::Reach`]: expected seconds until the target or the end of the last slot,
+    /// whichever comes first.
     pub expected_secs: f64,
     /// Probability to be at the target by the end of the last slot.
     pub reach: f64,
 }
 
-/// What to do at each node in each slot.
+/// The policy at each node in each slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicyTable {
     target: NodeId,
@@ -91,7 +95,7 @@ pub struct PolicyTable {
 }
 
 impl PolicyTable {
-    /// Where the policy leads.
+    /// The target.
     #[must_use]
     pub fn target(&self) -> NodeId {
         self.target
@@ -115,7 +119,7 @@ impl PolicyTable {
         &self.nodes
     }
 
-    /// A node in a slot; `None` where the map has no such node or the policy no such slot.
+    /// A node in a slot; `None` if there is no such node or slot.
     #[must_use]
     pub fn entry(&self, node: NodeId, slot: usize) -> Option<PolicyEntry> {
         let index = self.nodes.binary_search(&node).ok()?;
@@ -130,20 +134,20 @@ impl PolicyTable {
     }
 }
 
-/// Why there is no policy.
+/// Why policy planning failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum PolicyError {
     /// The map has no such node.
     #[error("there is no node of number {0}")]
     UnknownNode(u32),
-    /// A number of the question is out of range.
+    /// A number of the request is out of range.
     #[error("{what} is {found}: expected {expected}")]
     Range { what: &'static str, found: f64, expected: String },
-    /// More states than are solved for.
+    /// Too many states.
     #[error("{nodes} nodes in {slots} slots: at most {POLICY_STATES_MAX} of both together; take fewer, wider slots")]
     TooManyStates { nodes: usize, slots: usize },
-    /// It was told to stop.
+    /// The caller stopped it.
     #[error("the policy was stopped with {left} of {slots} slots left; allow it more, or take fewer slots")]
     Stopped { left: usize, slots: usize },
     /// A forecast is out of range.

@@ -1,23 +1,26 @@
-//! Routes over a topological map whose edges' success and duration depend on time: the best one, and the next best.
+//! Routes over a topological map whose edges' success and duration depend on time: the best route and its alternatives.
 //!
-//! Each edge is forecast for the time at which the robot reaches it if all before goes well. A route of independent attempts
-//! succeeds without a failure with the product of its edges' successes p. What it costs is a sum over its edges:
+//! Each edge is forecast for the time at which the robot reaches it without failures. Attempts are independent: a route
+//! succeeds without a failure with the product of its edges' successes p. Its cost is a sum over its edges:
 //!
-//! - [`Objective::Time`]: expected seconds when a failed attempt is repeated until one works, d + (1 - p)/p · (d + r). There are
-//!   (1 - p)/p failures on average; each costs the time d of an attempt, as the successful one does, and the recovery r. The
-//!   forecast at the first attempt counts for the repeated ones, too.
-//! - [`Objective::Success`]: -ln p, so that the least sum is the greatest product. Counted in whole steps of 1e-12, so that equal
-//!   sums are equal; of these the least expected seconds win.
-//! - [`Objective::Blend`]: (1 - w) · expected seconds + w · F · -ln p. For p near 1, -ln p is nearly 1 - p, so F is what a failure
-//!   costs beyond its time, in seconds.
+//! - [`Objective::Time`]: expected seconds if a failed attempt is repeated until one succeeds, d + (1 - p)/p · (d + r).
+//!   There are (1 - p)/p failures on average; each costs the time d of an attempt and the recovery r. The forecast of
+//!   the first attempt applies to the repeated ones, too.
+//! - [`Objective::Success`]: -ln p, so that the least sum is the greatest product. Counted in whole steps of 1e-12, so
+//!   that equal products are equal; then the least expected seconds win.
+//! - [`Objective::Blend`]: (1 - w) · expected seconds + w · F · -ln p. For p near 1, -ln p is nearly 1 - p, so F is the
+//!   cost of a failure beyond its time, in seconds.
 //!
-//! A robot does not wait between edges, and comes to no node twice. Later may be better: a door opens. So two ways to a node
-//! are compared only if they arrive at the same time, within [`RouteOptions::resolution_secs`], and the search keeps both
-//! otherwise. [`Certainty`] says what was proven. After the topological navigation of N. Hawes et al., "The STRANDS Project",
-//! IEEE RAM 2017, whose actions have predicted successes and durations, too; [`crate::policy`] tells what to do after a
-//! failure.
+//! A robot does not wait between edges and visits no node twice. Arriving later may be better, because a door may open.
+//! So of two paths to a node one is dropped only if both arrive at the same time, within
+//! [`RouteOptions::resolution_secs`], and if everything that may follow the dearer one may also follow the cheaper one.
+//! [`Certainty`] says what was proven. Bounds of the caller prove optimality; sampled bounds do not. By default a few
+//! thousand labels are spent on a proof, which is enough for a flat; then bounds are sampled. After the topological
+//! navigation of N. Hawes et al., "The STRANDS Project", IEEE RAM 2017, whose actions also have predicted successes and
+//! durations. [`crate::policy`] covers failures. Forecasts come from the caller ([`Forecasts`]); the crate knows no
+//! model.
 //!
-//! Invariant: an answer never claims more [`Certainty`] than it has; every number in it is finite.
+//! Invariant: a result never claims more [`Certainty`] than it has; all its numbers are finite.
 
 mod alternatives;
 mod bounds;
@@ -39,97 +42,98 @@ pub(crate) use network::Network;
 use tidemap_map::topology::{EdgeId, NOMINAL_MAX_SECS, NodeId};
 use tidemap_model::models::Interval;
 
-/// Most alternatives beside the best route.
+/// Maximum number of alternatives beside the best route.
 pub(crate) const ALTERNATIVES_MAX: usize = 10;
-/// Most departures that are tried for one answer.
+/// Maximum number of departures of one request.
 pub const DEPARTURES_MAX: usize = 1_000;
-/// Most times at which an edge is sampled for [`Bounds::Sampled`].
+/// Maximum number of samples of an edge for [`Bounds::Sampled`].
 pub const SAMPLES_MAX: u32 = 100;
-/// Largest time of a question, in seconds to either side of its reference time: as long as edges may be.
+/// Largest time of a request, in seconds to either side of its reference time.
 pub(crate) const TIME_MAX_SECS: f64 = NOMINAL_MAX_SECS;
 
-/// What the best route is best at.
+/// The objective of a route.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Objective {
-    /// The greatest probability that nothing fails; of equal ones the least expected time.
+    /// The greatest probability that nothing fails; ties: the least expected time.
     #[default]
     Success,
     /// The least expected time.
     Time,
-    /// Something between them.
+    /// A blend of both.
     Blend {
-        /// 0 is the expected time alone, 1 the doubt alone.
+        /// 0: expected time only, 1: success only.
         weight: f64,
     },
 }
 
-/// When to go, in seconds after the reference time of the question.
+/// When to depart, in seconds after the reference time of the request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum When {
     /// At this time.
     DepartAt(f64),
-    /// At the best of the times `from_secs`, `from_secs` + `step_secs`, … up to `to_secs`; of equal ones the earliest.
+    /// At the best of the times `from_secs`, `from_secs` + `step_secs`, … up to `to_secs`; ties: the earliest.
     DepartWithin {
         /// The first.
         from_secs: f64,
-        /// None is later.
+        /// The last departure.
         to_secs: f64,
         /// Above 0; at most [`DEPARTURES_MAX`] departures.
         step_secs: f64,
     },
-    /// As late as possible, so that the expected arrival of the best route of that departure is no later than `by_secs`. Departures
-    /// are tried backwards in steps of [`RouteOptions::arrival_step_secs`], and from the first that will do onwards to 0.1 s; that a
-    /// later one between two steps would do as well is possible. None before `earliest_secs`, or longer than the horizon before
-    /// `by_secs`.
+    /// As late as possible, so that the expected arrival of the best route of that departure is no later than
+    /// `by_secs`. Departures are tried backwards in steps of [`RouteOptions::arrival_step_secs`], then refined to 0.1 s
+    /// from the first that arrives in time; a later departure between two steps may be missed. No departure before
+    /// `earliest_secs`, or longer than the horizon before `by_secs`.
     ArriveBy {
-        /// To be there by then.
+        /// The latest arrival.
         by_secs: f64,
-        /// No departure before.
+        /// The earliest departure.
         earliest_secs: f64,
     },
 }
 
-/// What a search may leave out, by how good an edge can be.
+/// Bounds on edges, by which a search prunes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Bounds {
-    /// [`Bounds::Known`] with few labels; where they do not suffice, [`Bounds::Sampled`] with four times.
+    /// [`Bounds::Known`] with few labels; if they do not suffice, [`Bounds::Sampled`] with four samples.
     #[default]
     Auto,
-    /// What [`Forecasts::best`] says, and otherwise nothing: a success of 1 in no time. Nothing better is left out, but a map of
-    /// more than about 15 nodes without bounds uses up any number of labels.
+    /// The bounds of [`Forecasts::best`], or else none: a success of 1 in no time. This never misses a better route,
+    /// but a map of more than about 15 nodes without bounds uses up any number of labels.
     Known,
-    /// The best of about so many forecasts, 1 to [`SAMPLES_MAX`], spread evenly over twice the time that a good route takes. A
-    /// route is overlooked only if an edge of it is better, or open, between them and at none; that none is cannot be proven.
+    /// The best of about this many forecasts, 1 to [`SAMPLES_MAX`], spread evenly over twice the time of a good route.
+    /// A route is missed only if an edge of it is better, or open, between the samples only; this cannot be excluded.
     Sampled(u32),
 }
 
-/// How to search.
+/// The options of a route.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RouteOptions {
-    /// What is sought; success by default.
+    /// The objective; success by default.
     pub objective: Objective,
-    /// What a failed attempt costs beside its time, in seconds, 0 to [`TIME_MAX_SECS`]; 60 by default.
+    /// The additional time of a failed attempt, in seconds, 0 to [`TIME_MAX_SECS`]; 60 by default.
     pub recovery_secs: f64,
-    /// What a failure costs in [`Objective::Blend`], in seconds, 0 to [`TIME_MAX_SECS`]; 600 by default.
+    /// The cost of a failure in [`Objective::Blend`], in seconds, 0 to [`TIME_MAX_SECS`]; 600 by default.
     pub failure_cost_secs: f64,
-    /// How many next best routes, which differ from the others in an edge at least, at most [`ALTERNATIVES_MAX`]; 0 by default.
+    /// Number of alternatives, which differ from the others in at least one edge; at most [`ALTERNATIVES_MAX`]; 0 by
+    /// default.
     pub alternatives: usize,
     /// Probability of the intervals, 0.5 to 1, without 1; 0.9 by default.
     pub confidence: f64,
-    /// No route takes longer where all goes well, in seconds, above 0, at most [`TIME_MAX_SECS`]; a day by default.
+    /// Maximum duration of a route without failures, in seconds, above 0, at most [`TIME_MAX_SECS`]; a day by default.
     pub horizon_secs: f64,
-    /// Forecasts are asked for at whole multiples of this, in seconds, and ways to a node that arrive within one count as arriving
-    /// together. 0 to 3,600; 1 by default. With 0 both are exact.
+    /// Forecasts are requested at whole multiples of this, in seconds, and paths to a node that arrive within it count
+    /// as arriving together. 0 to 3,600; 1 by default. With 0 both are exact.
     pub resolution_secs: f64,
-    /// What may be left out.
+    /// The bounds.
     pub bounds: Bounds,
-    /// Most partial routes of one search, 1 or more; 200,000 by default, 64 bytes each. With sampled bounds a quarter of them is tried
-    /// first; then edges are sampled again, nearer to the time at which a good route comes to them; and if that does not do, ways
-    /// count as arriving together within 16 times the resolution, and the answer is [`Certainty::CutOff`]. All alternatives together
-    /// are one search.
+    /// Maximum number of labels (partial routes) of one search, at least 1; 200,000 by default, 64 bytes each. With
+    /// sampled bounds a quarter of them is tried first; then edges are sampled again, closer to the time at which a
+    /// good route reaches them; if that does not suffice, paths count as arriving together within 16 times the
+    /// resolution, and the result is [`Certainty::CutOff`]. All alternatives together are one search.
     pub labels_max: usize,
-    /// In which steps departures are tried for [`When::ArriveBy`], in seconds, above 0; 60 by default. Where that would be more
-    /// than [`DEPARTURES_MAX`], the steps are wider.
+    /// The step of departures for [`When::ArriveBy`], in seconds, above 0; 60 by default. The steps are wider if there
+    /// would be more than [`DEPARTURES_MAX`].
     pub arrival_step_secs: f64,
 }
 
@@ -150,20 +154,21 @@ impl Default for RouteOptions {
     }
 }
 
-/// How sure it is that no route is better, from the surest.
+/// How certain it is that no route is better, the most certain first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Certainty {
     /// Proven.
     Proven,
-    /// Proven but for ways that arrived within one [`RouteOptions::resolution_secs`] and counted as arriving together.
+    /// Proven, except for paths that arrive within one [`RouteOptions::resolution_secs`] and count as arriving
+    /// together.
     WithinResolution,
-    /// Sampled bounds left something out.
+    /// Sampled bounds pruned something.
     Sampled,
-    /// The search was stopped, or had no labels left.
+    /// The search was stopped or ran out of labels.
     CutOff,
 }
 
-/// An edge on a route.
+/// One edge of a route.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RouteStep {
     /// Which.
@@ -172,46 +177,46 @@ pub struct RouteStep {
     pub from: NodeId,
     /// Where it ends.
     pub to: NodeId,
-    /// When it is entered if all goes well, in seconds after the reference time.
+    /// When it is entered without failures, in seconds after the reference time.
     pub start_secs: f64,
-    /// How long it takes then, in seconds.
+    /// Its duration then, in seconds.
     pub duration_secs: f64,
-    /// How likely an attempt succeeds, above 0, at most 1.
+    /// Success probability of an attempt, above 0, at most 1.
     pub success: f64,
-    /// Where that lies with [`RouteOptions::confidence`], as [`success_interval`] says.
+    /// The interval of the success at [`RouteOptions::confidence`], by [`success_interval`].
     pub success_interval: Interval,
 }
 
-/// A way from one node to another, at a time.
+/// A route from one node to another, at a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Route {
-    /// Its edges, in order; none where it ends where it begins.
+    /// Its edges, in order; empty if it ends where it begins.
     pub steps: Vec<RouteStep>,
-    /// When it begins, in seconds after the reference time.
+    /// The departure, in seconds after the reference time.
     pub departure_secs: f64,
-    /// When it ends if all goes well.
+    /// The arrival without failures.
     pub arrival_secs: f64,
-    /// How long it takes on average, failures and recovery included, in seconds.
+    /// The expected duration, failures and recovery included, in seconds.
     pub expected_secs: f64,
-    /// How likely nothing fails: the product over the steps.
+    /// The probability that nothing fails: the product over the steps.
     pub success: f64,
-    /// Where that lies with [`RouteOptions::confidence`]: quantiles of the Beta distribution with the mean and variance of the
-    /// product, edges being independent.
+    /// The interval of the success at [`RouteOptions::confidence`]: quantiles of the Beta distribution with the mean
+    /// and variance of the product of independent edges.
     pub success_interval: Interval,
-    /// What it costs by the objective: seconds, or -ln of the success.
+    /// The cost by the objective: seconds, or -ln of the success.
     pub cost: f64,
 }
 
-/// An answer.
+/// The result of planning.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoutePlan {
-    /// The best route and its alternatives, the best first. Alternatives leave at the same time.
+    /// The best route and its alternatives, the best first. Alternatives depart at the same time.
     pub routes: Vec<Route>,
-    /// How sure it is that these are the best.
+    /// How certain it is that these are the best.
     pub certainty: Certainty,
-    /// Partial routes that were looked at.
+    /// Number of labels (partial routes).
     pub labels: usize,
-    /// How often a forecast was asked for.
+    /// Number of requested forecasts.
     pub forecasts: usize,
 }
 

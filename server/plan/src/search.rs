@@ -1,12 +1,13 @@
 //! Where to look first: the walk that finds somebody, or something, soonest.
 //!
 //! The Graph Searching Problem of Krajník, Kulich, Mudrová, Ambrus, Duckett, "Where's Waldo at time t?", ICRA 2015
-//! ("Waldo"): of all walks that visit every place, the one of the least expected time to find (eq. 1 to 3), given how likely
-//! each place is. Invariant: an answer called optimal is; one that is not tells the least time that any walk could have.
+//! ("Waldo"): of all walks that visit every place, the one of the least expected time to find (eq. 1 to 3), given how
+//! likely each place is. Invariant: an answer called optimal is; one that is not tells the least time that any walk
+//! could have.
 //!
 //! A place whose look takes no time is visited by whoever passes it, as in the paper. One whose look takes
-//! [`Roads::dwell_secs`] may be passed without a look, where that is better; who is there is found on arrival, and the look's
-//! time delays what comes after. Looking at the start comes first unless it takes time.
+//! [`Roads::dwell_secs`] may be passed without a look, where that is better; who is there is found on arrival, and the
+//! look's time delays what comes after. Looking at the start comes first unless it takes time.
 
 mod changing;
 mod exact;
@@ -41,8 +42,8 @@ pub(crate) const FLOOR: f64 = 1e-6;
 pub struct Goal {
     /// Where.
     pub node: NodeId,
-    /// How likely it is to find there who or what is looked for, in `[0,1]`. Those of all goals need not add up to one: there
-    /// may be several, or none anywhere. See [`anyone`].
+    /// How likely it is to find there who or what is looked for, in `[0,1]`. Those of all goals need not add up to one:
+    /// there may be several, or none anywhere. See [`anyone`].
     pub probability: f64,
 }
 
@@ -63,8 +64,8 @@ pub enum Effort {
 pub struct SearchOptions {
     /// How hard to look.
     pub effort: Effort,
-    /// What a goal counts at least, in `[0,1]`, above 0. Without it, the order among impossible goals would be arbitrary: with
-    /// it, they come last, the near ones first.
+    /// What a goal counts at least, in `[0,1]`, above 0. Without it, the order among impossible goals would be
+    /// arbitrary: with it, they come last, the near ones first.
     pub floor: f64,
     /// Most states of an exact search, 40 bytes each; 4 million by default.
     pub states_max: usize,

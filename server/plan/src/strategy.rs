@@ -1,8 +1,10 @@
-//! Strategies of exploration: which slots of a day are used to look, and where (RAS 2017, section 5).
+//! Strategies of exploration: which slots of a day are used for a visit, and where to go (RAS 2017, section 5).
 //!
-//! RAS 2017 is Santos et al., "Spatio-temporal exploration strategies for long-term autonomy of mobile robots", Robotics and
-//! Autonomous Systems 88. Invariant: a schedule has an entry for each slot; the same gains, budget and seed give the
-//! same schedule; where a number of visits is asked for, the schedule has exactly so many.
+//! RAS 2017 is Santos et al., "Spatio-temporal exploration strategies for long-term autonomy of mobile robots",
+//! Robotics and Autonomous Systems 88. Invariant: a schedule has an entry for each slot; the same gains, budget and
+//! seed give the same schedule; with a number of visits as budget, the schedule has exactly this number. The module
+//! knows no grid and no map: the caller gives the gain of each place in each slot. Ties are broken by seed; always
+//! taking the first place of a list would visit only that place on the first day.
 
 mod allowance;
 mod draw;
@@ -16,78 +18,79 @@ pub use allowance::Allowance;
 pub use gains::Gains;
 pub use schedule::{best, choose, novel, schedule};
 
-/// The most slots times places of one plan.
+/// Maximum of slots times places of one plan.
 pub(crate) const GAINS_MAX: usize = 4_000_000;
 /// The largest gain of one visit, in bits.
 pub(crate) const GAIN_MAX: f64 = 1e12;
-/// What every place is worth at least when places are drawn: ι of RAS 2017, eq. 11, which is 0.02 nats, in bits. So places
-/// are visited even when the model is certain of them.
+/// The least gain of every place in random draws: ι of RAS 2017, eq. 11, 0.02 nats in bits. So places are visited even
+/// if the model is certain of them.
 pub(crate) const IOTA_BITS: f64 = 0.02 * std::f64::consts::LOG2_E;
 
-/// A visit is changed for another where that would tell at least so many times what the model expects of it: "I' ≫ I" of
-/// RAS 2017, section 5.1. With a model that is sure (p = 0.05) it takes a short-term expectation above 0.25; one that
-/// is at 0.2 is never that surprised.
+/// A visit is replaced by another whose information is at least this many times what the model expects: "I' ≫ I" of RAS
+/// 2017, section 5.1. With a certain model (p = 0.05) this needs a short-term expectation above 0.25; with p = 0.2 it
+/// never happens.
 pub(crate) const NOVELTY_FACTOR: f64 = 4.0;
 
-/// How visits are scheduled for a day ahead.
+/// How the visits of a day are scheduled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
     /// All places in turn, evenly spaced over the day.
     RoundRobin {
-        /// Visits made before: the turn goes on from there.
+        /// Number of earlier visits: the rotation continues from there.
         visited: u64,
     },
-    /// Slots and places alike by chance.
+    /// Random slots and places.
     Random,
-    /// The slots whose best place has the highest gains; ties are broken by chance.
+    /// The slots whose best place has the highest gain; ties are broken at random.
     Greedy,
-    /// Slots and places by chance, in proportion to gain plus [`IOTA_BITS`] (eq. 11).
+    /// Random slots and places, in proportion to gain plus [`IOTA_BITS`] (eq. 11). With a ratio as budget each slot is
+    /// drawn independently; with a number of visits exactly this number of slots is drawn.
     #[default]
     MonteCarlo,
 }
 
-/// How much is explored.
+/// The budget of exploration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
-    /// The exploration ratio e, from 0 to 1: Monte Carlo and random strategies keep it on average, drawing each slot by
-    /// itself; the others use the nearest whole number of slots.
+    /// The exploration ratio e, from 0 to 1: Monte Carlo and random strategies keep it on average, drawing each slot
+    /// independently; the others use the nearest whole number of slots.
     Ratio(f64),
-    /// Exactly so many visits, at most as many as there are slots.
+    /// Exactly this number of visits, at most the number of slots.
     Visits(usize),
 }
 
-/// Why no schedule can be made.
+/// Why a schedule is impossible.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum StrategyError {
-    /// Nothing to schedule.
+    /// There are no slots.
     #[error("there are no slots: a schedule needs at least one")]
     NoSlots,
-    /// Nowhere to go.
+    /// There are no places.
     #[error("there are no places to visit: name at least one")]
     NoPlaces,
-    /// More than is worked out at once.
+    /// The plan is too large.
     #[error("{slots} slots times {places} places is more than {GAINS_MAX}: use longer slots or fewer places")]
     TooMany { slots: usize, places: usize },
-    /// A gain that is none.
+    /// A gain is out of range.
     #[error("the gain of place {place} in slot {slot} is {found}, expected a number from 0 to {GAIN_MAX:e}")]
     Gain { slot: usize, place: usize, found: f64 },
-    /// A ratio outside its range.
+    /// The ratio is out of range.
     #[error("the exploration ratio is {found}, expected a number from 0 to 1")]
     Ratio { found: f64 },
     /// More visits than slots.
     #[error("{visits} visits do not fit into {slots} slots: ask for at most {slots}")]
     Budget { visits: usize, slots: usize },
-    /// A weight outside its range.
+    /// The weight is out of range.
     #[error("the weight of exploration is {found}, expected a number from 0 to 1")]
     Weight { found: f64 },
-    /// Two matrices that do not belong together.
+    /// Two matrices have different sizes.
     #[error("gains have {} slots and {} places, the task's {} and {}", expected.0, expected.1, found.0, found.1)]
     Sizes { expected: (usize, usize), found: (usize, usize) },
 }
 
 impl Budget {
-    /// The whole number of visits nearest to it.
+    /// The nearest whole number of visits.
     ///
     /// # Errors
     /// [`StrategyError`] where the ratio is outside `[0,1]` or there are more visits than slots.

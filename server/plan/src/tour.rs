@@ -1,8 +1,9 @@
 //! Where a robot should look on one tour, and in which order it should drive there (RA-L, section III.E and G).
 //!
-//! Candidates are the points of a uniform grid to which the robot can drive. The value of one is what looking from there
-//! teaches, times how probably it is reached (RA-L eq. 4). Goals are chosen one after the other, each the most valuable
-//! then, and each lowers the value of those that see the same. Then they are put into the order of the shortest drive.
+//! Candidates are the points of a uniform grid to which the robot can drive. The value of one is what looking from
+//! there teaches, times how probably it is reached (RA-L eq. 4). Goals are chosen one after the other, each the most
+//! valuable then, and each lowers the value of those that see the same. Then they are put into the order of the
+//! shortest drive.
 //!
 //! Invariant: the same question has the same answer, bit by bit; of equally good candidates the one with the lowest y,
 //! then x, is taken. What is too much is refused before the work begins.
@@ -72,8 +73,8 @@ pub struct Tour {
     pub steps: Vec<TourStep>,
     /// Sum of what they teach if all are reached, bits.
     pub information_bits: f64,
-    /// Sum of what they teach, each times how probably it is reached, bits: E_G of RA-L, section III.E, by what is new at
-    /// each goal.
+    /// Sum of what they teach, each times how probably it is reached, bits: E_G of RA-L, section III.E, by what is new
+    /// at each goal.
     pub expected_bits: f64,
     /// Length of the drive to its end, metres.
     pub length_m: f64,
@@ -95,8 +96,9 @@ impl Tour {
 
 /// The best tour through a predicted grid, by RA-L's greedy choice. On the threads of rayon's pool.
 ///
-/// A tour without a goal is an answer too, and says why. Of up to 12 goals the order is the shortest that there is; of more
-/// a good one. Goals that do not fit into the time are left out, those first that teach least for the time they take.
+/// A tour without a goal is an answer too, and says why. Of up to 12 goals the order is the shortest that there is; of
+/// more a good one. Goals that do not fit into the time are left out, those first that teach least for the time they
+/// take.
 ///
 /// # Errors
 /// [`TourError`], before the work begins.

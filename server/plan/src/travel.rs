@@ -1,10 +1,10 @@
 //! How far it is for a robot to drive, around what is probably in its way.
 //!
-//! The predicted grid is seen from above: a column is an obstacle where any of its cells at the robot's height is probably
-//! occupied, unknown where none of them was ever observed, and free otherwise. The robot is a disc; its middle does not
-//! come nearer to an obstacle's cell than its radius. Unknown columns are not entered unless that is asked for, and are no
-//! obstacles to what passes beside them. Driving goes from centre to centre of columns, in eight directions, and around
-//! corners, not across them.
+//! The predicted grid is seen from above: a column is an obstacle where any of its cells at the robot's height is
+//! probably occupied, unknown where none of them was ever observed, and free otherwise. The robot is a disc; its middle
+//! does not come nearer to an obstacle's cell than its radius. Unknown columns are not entered unless that is asked
+//! for, and are no obstacles to what passes beside them. Driving goes from centre to centre of columns, in eight
+//! directions, and around corners, not across them.
 //!
 //! Invariant: a way is as long there as back, and the same question has the same answer, bit by bit.
 
@@ -23,8 +23,9 @@ const RADIUS_CELLS_MAX: f64 = 200.0;
 /// What a robot can drive over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TravelOptions {
-    /// Lower end of the heights at which something is in the robot's way, metres in the map's frame. Without effect in a
-    /// flat grid. Default 0.2, so that no cell of the floor is in the way; lower things are found out by not arriving.
+    /// Lower end of the heights at which something is in the robot's way, metres in the map's frame. Without effect in
+    /// a flat grid. Default 0.2, so that no cell of the floor is in the way; lower things are found out by not
+    /// arriving.
     pub z_min_m: f64,
     /// Upper end of these heights, metres, above the lower end. Default 1.8.
     pub z_max_m: f64,

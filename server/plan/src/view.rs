@@ -1,11 +1,11 @@
 //! What is seen from a place, and what looking from there is expected to teach (RA-L, section III.C).
 //!
-//! The viewpoint counts as the centre of its cell. Rays leave it in fixed directions ([`Fan`]): rows of equal elevation,
-//! and equal azimuths in each row, so that neighbouring rays are at most one cell apart at full range. A ray passes the
-//! cells that it goes through, from face to face, as long as it enters them before its range is used up; where it meets an
-//! edge exactly it crosses along x first, then y, then z. It ends in the first cell that is probably occupied
-//! (probability above the threshold), which it sees, and where it would leave the region. Unknown cells count as 0.5. In a
-//! flat grid rays lie in the plane. Information is the sum over the cells seen, each once.
+//! The viewpoint counts as the centre of its cell. Rays leave it in fixed directions ([`Fan`]): rows of equal
+//! elevation, and equal azimuths in each row, so that neighbouring rays are at most one cell apart at full range. A ray
+//! passes the cells that it goes through, from face to face, as long as it enters them before its range is used up;
+//! where it meets an edge exactly it crosses along x first, then y, then z. It ends in the first cell that is probably
+//! occupied (probability above the threshold), which it sees, and where it would leave the region. Unknown cells count
+//! as 0.5. In a flat grid rays lie in the plane. Information is the sum over the cells seen, each once.
 //!
 //! Invariant: the same question has the same answer, bit by bit, however many threads there are.
 

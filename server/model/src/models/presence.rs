@@ -1,12 +1,12 @@
 //! Presence: the place, out of several, where a person or an object is now.
 //!
-//! Models of single states know nothing of each other. Where exactly one of them is on at a time, as with one person in
-//! the rooms of a flat, a look into one room tells of the others too: who is in the kitchen is not in the bedroom, and
-//! who is not in the kitchen is likelier to be in the bedroom. This model is a hidden Markov chain over the places, in
-//! steps of a slot of the day, whose rates of change depend on the time of the day. It is learned from looks into one
-//! place at a time by expectation-maximisation (L. Baum et al., "A maximization technique occurring in the statistical
-//! analysis of probabilistic functions of Markov chains", 1970). Invariant: the probabilities of all places are in
-//! `[0,1]` and sum to 1 (to 1e-9); what is kept is bounded.
+//! Models of single states are independent of each other. If exactly one state is 1 at a time, as with one person in
+//! the rooms of a flat, observing one room informs about all: a person in the kitchen is not in the bedroom, and a
+//! person who is not in the kitchen is more likely in the bedroom. This model is a hidden Markov chain over the places,
+//! in steps of a slot of the day, whose rates of change depend on the time of the day. It is trained on observations of
+//! one place at a time by expectation-maximisation (L. Baum et al., "A maximization technique occurring in the
+//! statistical analysis of probabilistic functions of Markov chains", 1970). Invariant: the probabilities of all places
+//! are in `[0,1]` and sum to 1 (to 1e-9); the history is bounded.
 
 use std::collections::VecDeque;
 

@@ -1,35 +1,35 @@
-//! The values of one slot, which depend on each other and on those of later slots.
+//! Solves for the values of one slot, which depend on each other and on those of later slots.
 //!
-//! Each choice of a node is worth what is known of it, from later slots, and a share of the value of one other node in the same
-//! slot. Time passes with each edge, so the share is less than 1: the equations are those of a discounted problem, with one
-//! solution. An order of nodes as in Dijkstra's search does not solve them, since a later slot may be better than this one, and
-//! a node then better than the one it leads to. So policy iteration (R. A. Howard, "Dynamic Programming and Markov Processes",
-//! 1960): with one choice for each node, each node depends on one other, and the values follow along chains and around cycles
-//! in closed form; then each node takes its best choice. Invariant: the values of a policy are exact up to rounding, and of
-//! policies each is better than the one before, so that it ends.
+//! The value of each choice is a known part, from later slots, plus a share of the value of one other node in the same
+//! slot. Every edge takes time, so the share is less than 1: the equations are those of a discounted problem, with one
+//! solution. Dijkstra's order of nodes does not solve them, because a later slot may be better than this one, and a
+//! node then better than the one it leads to. So policy iteration (R. A. Howard, "Dynamic Programming and Markov
+//! Processes", 1960): with one choice for each node, each node depends on one other, and the values follow along chains
+//! and around cycles in closed form; then each node takes its best choice. Invariant: the values of a policy are exact
+//! up to rounding, and each policy is better than the one before, so the iteration ends.
 
-/// Something to do at a node in a slot.
+/// A choice at a node in a slot.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SlotChoice {
-    /// What is known of its worth, by part; less is better.
+    /// The known part of its value, by objective part; less is better.
     pub known: [f64; 3],
-    /// How much of its worth is not the value of `to` in this slot, above 0, at most 1.
+    /// 1 minus the share of the value of `to` in this slot; above 0, at most 1.
     pub leak: f64,
     pub to: u32,
     /// Index of the edge, or [`WAIT`].
     pub edge: u32,
 }
 
-/// What is better by less than this share is not better: sums of the same in another order differ by as much.
+/// Smaller relative improvements are rounding errors.
 const ROUNDING: f64 = 1e-14;
-/// Improvements take less than ten as a rule.
+/// Usually less than ten rounds suffice.
 const ROUNDS_MAX: usize = 10_000;
 
 /// Choices of all nodes of a slot.
 pub(super) struct SlotChoices {
     /// Node by node.
     pub all: Vec<SlotChoice>,
-    /// Where those of each node begin; one more than nodes.
+    /// Start index of each node's choices; one entry more than nodes.
     pub first: Vec<u32>,
 }
 
@@ -38,14 +38,14 @@ impl SlotChoices {
         self.first[node] as usize..self.first[node + 1] as usize
     }
 
-    /// What a choice is worth in a part.
+    /// The value of a choice in a part.
     pub(super) fn worth(&self, choice: usize, part: usize, values: &[f64]) -> f64 {
         let SlotChoice { known, leak, to, .. } = self.all[choice];
-        // A share of 0 of what is infinite is 0.
+        // A share of 0 of an infinite value is 0.
         if leak >= 1.0 { known[part] } else { known[part] + (1.0 - leak) * values[to as usize] }
     }
 
-    /// Leaves out the choices of each node that are worse than its value by more than `tie` of it.
+    /// Excludes the choices of each node that are worse than its value by more than `tie` of it.
     pub(super) fn narrow(&self, part: usize, values: &[f64], tie: impl Fn(f64) -> f64, is_best: &mut [bool]) {
         for (node, &value) in values.iter().enumerate() {
             for choice in self.of(node) {
@@ -60,11 +60,11 @@ impl SlotChoices {
     }
 }
 
-/// Which choice each node takes; none where there is none.
+/// The choice of each node; `None` without choices.
 pub(super) type ChoiceByNode = Vec<Option<u32>>;
 
-/// Finds the least values in a part and the choices that lead to them, from good first values; of nodes without a choice the value
-/// stays. `is_allowed` leaves choices out.
+/// Finds the least values in a part and their choices, from good initial values; nodes without a choice keep their
+/// value. `is_allowed` restricts the choices.
 pub(super) fn settle(choices: &SlotChoices, part: usize, values: &mut [f64], is_allowed: &[bool]) -> ChoiceByNode {
     let best = |node: usize, values: &[f64]| {
         let mut best: Option<(f64, u32)> = None;
@@ -94,7 +94,7 @@ pub(super) fn settle(choices: &SlotChoices, part: usize, values: &mut [f64], is_
     picked
 }
 
-/// The values of nodes that each take one choice; of nodes without one the value stays.
+/// The values of nodes with one choice each; nodes without a choice keep their value.
 pub(super) fn evaluate(choices: &SlotChoices, part: usize, picked: &ChoiceByNode, values: &mut [f64]) {
     #[derive(Clone, Copy, PartialEq)]
     enum Mark {

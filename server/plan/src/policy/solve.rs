@@ -1,9 +1,9 @@
-//! Slot by slot, from the last: what each choice is worth, and the best.
+//! Solves a policy slot by slot, from the last.
 //!
-//! With w the width of a slot, success p, duration d and recovery r, taking an edge at v in slot k is worth
-//! p · V(to, k + d/w) + (1 - p) · V(v, k + (d + r)/w), V straight between whole numbers; for times, p·d + (1 - p)·(d + r) is
-//! added. What of this is the value of v itself in slot k is brought to the left side, so that a choice depends on no more than
-//! one other node of the slot. Invariant: slots after the one at hand are solved.
+//! With w the width of a slot, success p, duration d and recovery r, the value of taking an edge at v in slot k is p ·
+//! V(to, k + d/w) + (1 - p) · V(v, k + (d + r)/w), V linear between whole numbers; for times, p·d + (1 - p)·(d + r) is
+//! added. The part that is the value of v itself in slot k is moved to the left side, so that a choice depends on at
+//! most one other node of the slot. Invariant: slots after the current one are solved.
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
@@ -15,7 +15,7 @@ use super::{
 };
 use crate::route::{EdgeForecast, ForecastError, Forecasts, Network, check_forecast, expected_secs};
 
-/// Finds the best policy for a target. `until` is asked for each slot whether to give up.
+/// Finds the best policy for a target. `until` is called for each slot; `true` stops the work.
 ///
 /// # Errors
 /// [`PolicyError`].
@@ -60,26 +60,26 @@ fn check(options: &PolicyOptions) -> Result<(), PolicyError> {
     }
 }
 
-/// Choices whose probability to reach the target differs by no more are equal.
+/// Choices whose probability to reach the target differs by at most this are equal.
 const TIE: f64 = 1e-12;
-/// The edge of a choice to wait.
+/// The edge number that means waiting.
 const WAIT: u32 = u32::MAX;
 
 /// Seconds.
 const TIME: usize = 0;
-/// The probability to reach the target, less than 0.
+/// Minus the probability to reach the target.
 const REACH: usize = 1;
-/// How many edges are tried: of equal actions those that do less, so that a robot waits and does not go to and fro.
+/// The number of attempts, which breaks ties, so that a robot waits instead of moving back and forth.
 const ATTEMPTS: usize = 2;
 
-/// A policy in the making.
+/// The state of the solver.
 pub(super) struct Solver<'a> {
     network: &'a Network<'a>,
     target: usize,
     options: &'a PolicyOptions,
     /// Slot by slot, node by node.
     pub entries: Vec<PolicyEntry>,
-    /// Expected attempts, alike.
+    /// Expected attempts, in the same order.
     attempts: Vec<f64>,
 }
 
@@ -90,7 +90,7 @@ impl<'a> Solver<'a> {
         Solver { network, target, options, entries: vec![nothing; states], attempts: vec![0.0; states] }
     }
 
-    /// Solves a slot, those after it being solved.
+    /// Solves a slot; later slots must be solved.
     pub(super) fn solve(&mut self, slot: usize, forecasts: &mut impl Forecasts) -> Result<(), ForecastError> {
         let at_secs = (slot as f64 + 0.5) * self.options.slot_secs;
         let mut open: Vec<Option<EdgeForecast>> = Vec::with_capacity(self.network.edges.len());
@@ -101,7 +101,7 @@ impl<'a> Solver<'a> {
             }
             open.push(forecast);
         }
-        // The next slot's values are good first ones.
+        // The next slot's values are good initial values.
         let next: Vec<[f64; 3]> = (0..self.network.nodes.len()).map(|node| self.value(node, slot + 1)).collect();
         let mut values = [TIME, REACH, ATTEMPTS].map(|part| next.iter().map(|value| value[part]).collect::<Vec<f64>>());
         values[REACH][self.target] = -1.0;
@@ -150,8 +150,8 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// What is known of a node at the beginning of a slot, by part; behind the last slot what stays for ever, or what is left
-    /// when all is over.
+    /// The values of a node at the beginning of a slot, by part; after the last slot the stationary or the final
+    /// values.
     fn value(&self, node: usize, slot: usize) -> [f64; 3] {
         let (count, last) = (self.network.nodes.len(), self.options.slots - 1);
         let at = slot.min(last) * count + node;
@@ -165,7 +165,7 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// What there is to do at each node; edges that `is_taken` by index and start, and what has a finite worth.
+    /// The choices at each node: edges that `is_taken` accepts by index and start, with finite values.
     fn choices(
         &self,
         slot: usize,
@@ -179,7 +179,8 @@ impl<'a> Solver<'a> {
                 for edge in self.network.leaving(node) {
                     let Some(forecast) = open[edge].filter(|_| is_taken(edge as u32, node)) else { continue };
                     let choice = self.taken(slot, edge, &forecast);
-                    // To be left with what never ends may still reach the target, which the last slot's policy does not say.
+                    // An infinite expected time may still reach the target, which the last slot's policy does not
+                    // cover.
                     if choice.known[TIME].is_finite() || self.is_last_for_ever(slot) {
                         choices.all.push(choice);
                     }
@@ -195,7 +196,7 @@ impl<'a> Solver<'a> {
         choices
     }
 
-    /// Whether a slot is the one whose forecasts stay.
+    /// Whether the forecasts of a slot hold for ever.
     fn is_last_for_ever(&self, slot: usize) -> bool {
         self.options.objective == PolicyObjective::Time && slot + 1 == self.options.slots
     }
@@ -215,7 +216,8 @@ impl<'a> Solver<'a> {
         } else {
             share = success * self.land(there, slot, to, success, &mut known);
         }
-        // What does not come back to this node in this slot, and the leak, without taking nearly equal numbers from each other.
+        // The share that does not return to this node in this slot, and the leak, computed without subtracting nearly
+        // equal numbers.
         let failure = 1.0 - success;
         let mut failed = failure;
         if failure > 0.0 {
@@ -231,7 +233,8 @@ impl<'a> Solver<'a> {
         SlotChoice { known, leak: leak.clamp(f64::EPSILON, 1.0), to: to as u32, edge: edge as u32 }
     }
 
-    /// Adds the worth of landing at a node in later slots with a probability; returns how much of it lands in this one.
+    /// Adds the value of arriving at a node in later slots with a probability; returns the share that arrives in this
+    /// slot.
     fn land(&self, landing: Landing, slot: usize, node: usize, probability: f64, known: &mut [f64; 3]) -> f64 {
         let mut own = 0.0;
         for (slots, share) in [(landing.slots, 1.0 - landing.beyond), (landing.slots.saturating_add(1), landing.beyond)]
@@ -251,8 +254,8 @@ impl<'a> Solver<'a> {
         own
     }
 
-    /// Least expected times where the forecasts of the last slot stay for ever, and the edges that lead to them: to fail and try
-    /// again costs as on a route, so this is Dijkstra's search from the target.
+    /// Least expected times if the forecasts of the last slot hold for ever, with their edges: repeated attempts cost
+    /// as on a route, so this is Dijkstra's search from the target.
     fn for_ever(&self, open: &[Option<EdgeForecast>], values: &mut [Vec<f64>; 3]) -> Vec<Option<u32>> {
         let count = self.network.nodes.len();
         let [secs, _, attempts] = values;
@@ -261,7 +264,7 @@ impl<'a> Solver<'a> {
         let mut is_done = vec![false; count];
         let mut queue = BinaryHeap::new();
         secs[self.target] = 0.0;
-        // Times as bits: those of numbers that are not negative have their order.
+        // Times as bits, which have the same order for non-negative numbers.
         queue.push(Reverse((0_u64, self.target)));
         while let Some(Reverse((bits, node))) = queue.pop() {
             if std::mem::replace(&mut is_done[node], true) {
@@ -283,12 +286,12 @@ impl<'a> Solver<'a> {
     }
 }
 
-/// Where a time lies between the beginnings of slots.
+/// The position of a time between the beginnings of slots.
 #[derive(Clone, Copy, Debug)]
 struct Landing {
     /// Whole slots.
     slots: usize,
-    /// How far into the next, in `[0,1)`; above 0 within the first, so that time never stands still.
+    /// Fraction of the next slot, in `[0,1)`; above 0 within the first, so that time always advances.
     beyond: f64,
 }
 

@@ -1,7 +1,7 @@
-//! Where the cells of a region lie, in metres and in memory.
+//! The positions of the cells of a region, in metres and in memory.
 //!
-//! Invariant: around the region lies a border of one cell (none below and above a flat one), so that whoever goes from
-//! cell to neighbouring cell meets the border before leaving memory. x runs fastest, z slowest.
+//! Invariant: around the region lies a border of one cell (none below and above a flat one), so that steps from cell to
+//! neighbouring cell reach the border before leaving memory. x runs fastest, z slowest.
 
 use tidemap_map::grid::{
     index::{CellBox, CellIndex},
@@ -23,11 +23,11 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// The cells of a region of a grid; of a flat grid those of the layer z = 0.
+    /// The cells of a region of a grid; for a flat grid those of the layer z = 0.
     ///
     /// # Errors
-    /// [`PredictError::EmptyRegion`], and [`PredictError::TooManyCells`] where more than `max_cells` have to be held, the
-    /// border among them. The grid's own mistakes as [`PredictError::Grid`].
+    /// [`PredictError::EmptyRegion`], and [`PredictError::TooManyCells`] if more than `max_cells` must be stored, the
+    /// border included. [`PredictError::Grid`] for invalid properties of the grid.
     pub fn new(spec: &GridSpec, region: CellBox, max_cells: u64) -> Result<Lattice, PredictError> {
         spec.check()?;
         let region = region.intersection(&spec.allowed());
@@ -70,13 +70,13 @@ impl Lattice {
         self.resolution_m
     }
 
-    /// Whether there is the one layer z = 0 alone.
+    /// Whether z = 0 is the only layer.
     #[must_use]
     pub fn is_flat(&self) -> bool {
         self.is_flat
     }
 
-    /// Cells held, the border among them.
+    /// Number of stored cells, the border included.
     #[must_use]
     pub fn held(&self) -> usize {
         (0..3).map(|axis| self.held_along(axis)).product()
@@ -86,7 +86,7 @@ impl Lattice {
         self.size[axis] + 2 * self.border[axis]
     }
 
-    /// How far cells lie apart in memory that are neighbours along x, y, z.
+    /// The distance in memory between neighbours along x, y, z.
     pub(crate) fn strides(&self) -> [usize; 3] {
         [1, self.held_along(0), self.held_along(0) * self.held_along(1)]
     }
@@ -126,8 +126,8 @@ impl Lattice {
         (0..size[2]).flat_map(move |z| (0..size[1]).map(move |y| start(z, y)..start(z, y) + size[0]))
     }
 
-    /// The cell that holds a point of the map's frame, metres; `None` outside the region, and for what is not finite. In
-    /// a flat grid z is left out of account.
+    /// The cell that holds a point of the map's frame, metres; `None` outside the region, and for numbers that are not
+    /// finite. A flat grid ignores z.
     #[must_use]
     pub fn cell_at(&self, point_m: [f64; 3]) -> Option<CellIndex> {
         let mut index = [0; 3];

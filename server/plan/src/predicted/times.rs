@@ -1,6 +1,6 @@
 //! A region of a grid at many times.
 //!
-//! Invariant: a cell is held as varying only if its probability differs between two of the times.
+//! Invariant: a cell is stored as changing only if its probability differs between two of the times.
 
 use std::sync::{
     Arc,
@@ -29,16 +29,16 @@ pub struct PredictedGrid {
 }
 
 impl PredictedGrid {
-    /// What a map's grid is expected to be at a time in nanoseconds UTC. 4 bytes a cell.
+    /// Predicts a map's grid at a time in nanoseconds UTC. Takes 4 bytes a cell.
     ///
     /// # Errors
-    /// [`PredictError`], before the work begins where it is too much.
+    /// [`PredictError`], before the work begins if it is too much.
     pub fn new(view: &MapView, utc_nanos: i64, options: &PredictOptions) -> Result<PredictedGrid, PredictError> {
         Ok(PredictedTimes::new(view, &[utc_nanos], options)?.into_first())
     }
 
-    /// A grid that was predicted elsewhere, or is known: `probability` says of each cell of the region how probably it is
-    /// occupied, clipped to [0, 1]; `None` and NaN where that is unknown.
+    /// A grid from other predictions: `probability` gives each cell's probability of being occupied, clipped to [0, 1];
+    /// `None` and NaN: unknown.
     pub fn from_fn(lattice: Arc<Lattice>, mut probability: impl FnMut(CellIndex) -> Option<f32>) -> PredictedGrid {
         let mut probabilities = vec![f32::NAN; lattice.held()];
         for place in lattice.rows().flatten() {
@@ -48,20 +48,20 @@ impl PredictedGrid {
         PredictedGrid { lattice, probabilities }
     }
 
-    /// Where the cells lie.
+    /// The lattice of the cells.
     #[must_use]
     pub fn lattice(&self) -> &Arc<Lattice> {
         &self.lattice
     }
 
-    /// Probability that a cell is occupied; `None` where it was never observed, and outside the region.
+    /// Probability that a cell is occupied; `None` if it was never observed or lies outside the region.
     #[must_use]
     pub fn probability(&self, cell: CellIndex) -> Option<f32> {
         let probability = self.probabilities[self.lattice.place(cell)?];
         (!probability.is_nan()).then_some(probability)
     }
 
-    /// Probabilities of all cells of the region that were ever observed.
+    /// Probabilities of all observed cells of the region.
     pub fn known(&self) -> impl Iterator<Item = f32> {
         self.probabilities.iter().copied().filter(|probability| !probability.is_nan())
     }
@@ -79,13 +79,13 @@ pub struct PredictedTimes {
     times: usize,
     /// At the first time, by place in the lattice; NaN where unknown, and on the border.
     first: Vec<f32>,
-    /// Places of the cells that are not the same at all times, ascending.
+    /// Places of the changing cells, ascending.
     varying: Vec<u32>,
     /// Their probabilities, all times of the first, then of the next.
     values: Vec<f32>,
 }
 
-/// What is predicted of a tile.
+/// The predictions of a tile.
 struct TileTimes {
     index: TileIndex,
     first: Box<[f32; TILE_CELLS]>,
@@ -93,11 +93,11 @@ struct TileTimes {
 }
 
 impl PredictedTimes {
-    /// What a map's grid is expected to be at times in nanoseconds UTC. 4 bytes a cell, and 4 bytes a time for each that
-    /// is not the same at all times.
+    /// Predicts a map's grid at times in nanoseconds UTC. Takes 4 bytes a cell, and 4 bytes a time for each changing
+    /// cell.
     ///
     /// # Errors
-    /// [`PredictError`]; as regards the size of the region before the work begins.
+    /// [`PredictError`]; if the region is too large, before the work begins.
     pub fn new(view: &MapView, utc_nanos: &[i64], options: &PredictOptions) -> Result<PredictedTimes, PredictError> {
         let grid = view.grid().ok_or(PredictError::NoGrid)?;
         if utc_nanos.is_empty() {
@@ -138,9 +138,8 @@ impl PredictedTimes {
         Ok(PredictedTimes::of_parts(lattice, utc_nanos.len(), first, varying))
     }
 
-    /// A grid that was predicted elsewhere, at this many times, at least 1: `probability` says of each cell of the region
-    /// and each time how probably it is occupied, clipped to [0, 1]; `None` and NaN where that is unknown, which is asked
-    /// of the first time.
+    /// A grid from other predictions at `times` times, at least 1: `probability` gives each cell's probability of being
+    /// occupied at each time, clipped to [0, 1]; `None` and NaN at the first time: unknown.
     ///
     /// # Errors
     /// [`PredictError::NoTime`]
@@ -181,7 +180,7 @@ impl PredictedTimes {
         PredictedTimes { lattice, times, first, varying: places, values }
     }
 
-    /// Where the cells lie.
+    /// The lattice of the cells.
     #[must_use]
     pub fn lattice(&self) -> &Arc<Lattice> {
         &self.lattice
@@ -193,7 +192,7 @@ impl PredictedTimes {
         self.times
     }
 
-    /// Number of cells that are not the same at all times.
+    /// Number of changing cells.
     #[must_use]
     pub fn varying(&self) -> usize {
         self.varying.len()
@@ -221,7 +220,7 @@ impl PredictedTimes {
         &self.first
     }
 
-    /// Place and probabilities of each cell that varies, ascending.
+    /// Place and probabilities of each changing cell, ascending.
     pub(crate) fn rows(&self) -> impl Iterator<Item = (usize, &[f32])> {
         self.varying.iter().map(|&place| place as usize).zip(self.values.chunks_exact(self.times))
     }

@@ -1,9 +1,9 @@
-//! The next best routes, by J. Y. Yen, "Finding the K shortest loopless paths in a network", Management Science 1971, with each
-//! route's deviations tried from its own on only (E. L. Lawler, Management Science 1972).
+//! The next best routes, by J. Y. Yen, "Finding the K shortest loopless paths in a network", Management Science 1971,
+//! with deviations tried only from each route's own deviation on (E. L. Lawler, Management Science 1972).
 //!
-//! All ways but those that are known fall into classes: the same as a known one up to a node, and then along another edge. The
-//! best of each class is a search of its own, from that node at the time at which it is reached. Invariant: classes do not
-//! overlap, so no way comes twice.
+//! All paths except the known ones fall into classes: equal to a known one up to a node, then along another edge. The
+//! best of each class is a separate search, from that node at the time of its arrival. Invariant: classes do not
+//! overlap, so no path is found twice.
 
 use super::{
     Forecasts, PlanRouteError,
@@ -11,7 +11,7 @@ use super::{
     labels::{EdgePath, Labels, Task},
 };
 
-/// A route with the step from which its deviations were not tried yet.
+/// A route with the first step whose deviations were not tried yet.
 struct Deviation {
     found: EdgePath,
     deviation: usize,
@@ -55,7 +55,7 @@ pub(super) fn next_best<F: Forecasts, U: FnMut() -> bool>(
                     latest_secs,
                     join_secs: 0.0,
                 };
-                // Worse than so many others it will never be taken.
+                // With enough better candidates it will never be used.
                 let wanted = count + 1 - found.len();
                 let limit = candidates.get(wanted - 1).map_or(Cost::INFINITE, |candidate| candidate.found.cost);
                 let good = search.good(&task, limit)?;

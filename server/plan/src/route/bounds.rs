@@ -1,25 +1,25 @@
-//! What is left to pay at least, from each node to the goal.
+//! Lower bounds on the remaining cost, from each node to the goal.
 //!
-//! Invariant: as sure as the least costs of the edges are: where these hold, no way to the goal within the span costs less.
+//! Invariant: if the least costs of the edges hold, no path to the goal within the span costs less.
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
 use super::{ForecastError, Forecasts, cost::Cost, forecast_cache::ForecastCache, network::Network};
 
-/// How far from the expected time an edge is sampled to either side, as a share of what a good way takes.
+/// The half width of the sampled times of an edge, as a share of the duration of a good path.
 const REACH: f64 = 0.25;
 
 /// How the least cost of an edge is found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Source {
-    /// It is known for certain.
+    /// By known bounds.
     Known,
-    /// From so many forecasts.
+    /// By this many forecasts.
     Sampled(u32),
-    /// From so many forecasts about the time at which an edge is come to on a good way.
+    /// By this many forecasts around the time at which a good path reaches the edge.
     About {
         samples: u32,
-        /// What that way costs; it takes the whole span.
+        /// The cost of that path, which takes the whole span.
         cost: Cost,
     },
 }
@@ -27,22 +27,23 @@ pub(super) enum Source {
 /// Least costs over a span of time.
 #[derive(Clone, Debug)]
 pub(super) struct ToGo {
-    /// From each node to the goal; infinite where no way leads.
+    /// From each node to the goal; infinite without a path.
     pub least: Vec<Cost>,
-    /// The least of both parts of the edges into each node.
+    /// The minimum of both cost parts over the edges into each node.
     into: Vec<Cost>,
 }
 
 impl ToGo {
-    /// Nothing is known.
+    /// Without bounds.
     pub(super) fn nothing(network: &Network) -> ToGo {
         ToGo { least: vec![Cost::ZERO; network.nodes.len()], into: vec![Cost::ZERO; network.nodes.len()] }
     }
 
-    /// Dijkstra's search, from the goal back. Lexicographic sums of least parts are lower bounds: a way whose first part is more
-    /// than their sum is worse whatever its second part, and otherwise every edge of it has its least first part.
+    /// Dijkstra's search, from the goal back. Lexicographic sums of least parts are lower bounds: a path whose first
+    /// part is more than their sum is worse, whatever its second part, and otherwise each of its edges has its least
+    /// first part.
     ///
-    /// Beyond `limit` bounds stay at it: a way from there is of no use.
+    /// Bounds stop at `limit`: paths beyond it are useless.
     pub(super) fn find<F: Forecasts>(
         network: &Network,
         cache: &mut ForecastCache<F>,
@@ -63,7 +64,7 @@ impl ToGo {
                 continue;
             }
             if cost.is_beyond(limit) {
-                // All others cost at least as much, unless no way leads.
+                // All other nodes cost at least as much, or have no path.
                 return Ok(ToGo {
                     least: least.into_iter().map(|found| found.min(cost)).collect(),
                     into: capped(into),
@@ -89,26 +90,26 @@ impl ToGo {
         Ok(ToGo { least, into: capped(into) })
     }
 
-    /// At least so much is paid by who leaves for a node and goes from there to the goal.
+    /// The least cost of an edge into a node and the path from there to the goal.
     pub(super) fn through(&self, node: usize) -> Cost {
         self.into[node].plus(self.least[node])
     }
 }
 
-/// Which share of a cost another is, in `[0,1]`.
+/// A cost as a share of another, in `[0,1]`.
 fn share(part: Cost, all: Cost) -> f64 {
     let (part, all) = if all.first > 0.0 { (part.first, all.first) } else { (part.then, all.then) };
     if all > 0.0 { (part / all).clamp(0.0, 1.0) } else { 0.0 }
 }
 
-/// The times of a span about that at which a share of it is left.
+/// The times of a span around the one at which a share of it is left.
 fn about((from_secs, to_secs): (f64, f64), left: f64) -> (f64, f64) {
     let middle_secs = to_secs - left * (to_secs - from_secs);
     let reach_secs = REACH * (to_secs - from_secs);
     ((middle_secs - reach_secs).max(from_secs), middle_secs + reach_secs)
 }
 
-/// Nothing is known of edges into nodes that were not come to.
+/// There are no bounds for edges into unreached nodes.
 fn capped(mut into: Vec<Cost>) -> Vec<Cost> {
     into.iter_mut().filter(|cost| cost.first.is_infinite()).for_each(|cost| *cost = Cost::ZERO);
     into

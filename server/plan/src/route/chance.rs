@@ -1,4 +1,4 @@
-//! The probability of a route that is not known for certain: a product of independent Beta variables.
+//! The uncertain success probability of a route: a product of independent Beta variables.
 //!
 //! Invariant: 0 ≤ lower ≤ upper ≤ 1, for all arguments.
 
@@ -7,19 +7,19 @@ use tidemap_model::{models::Interval, special::beta_quantile};
 #[cfg(test)]
 mod tests;
 
-/// Where the success of an edge lies with a probability `confidence`, 0 to 1, with equal tails: quantiles of
+/// The interval that holds the success of an edge with probability `confidence`, 0 to 1, with equal tails: quantiles of
 /// Beta(success · evidence, (1 - success) · evidence), widened to hold the success itself.
 #[must_use]
 pub fn success_interval(success: f64, evidence: f64, confidence: f64) -> Interval {
     Chance::new(success, evidence).interval(confidence)
 }
 
-/// More observations than this make an interval no narrower.
+/// Upper limit of the evidence, in observations.
 const EVIDENCE_MAX: f64 = 1e6;
-/// Fewer are as good as none: the value is 0 or 1.
+/// Lower limit of the evidence: with less the value is 0 or 1.
 const EVIDENCE_MIN: f64 = 1e-9;
 
-/// A chance that is not known for certain: a product of independent Beta variables, by its first two moments.
+/// An uncertain probability: a product of independent Beta variables, by its first two moments.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Chance {
     /// The logarithm of the mean.
@@ -36,13 +36,13 @@ impl Chance {
         Chance { log_mean: mean.ln(), log_spread: ((1.0 - mean) / (mean * (evidence + 1.0))).ln_1p() }
     }
 
-    /// Of both, which do not depend on each other: the means of products are the products of means.
+    /// The product of both, which are independent: the moments multiply.
     pub(super) fn and(self, other: Chance) -> Chance {
         Chance { log_mean: self.log_mean + other.log_mean, log_spread: self.log_spread + other.log_spread }
     }
 
-    /// The interval with equal tails that holds `confidence` of the Beta distribution with these two moments, and the mean. A
-    /// chance of 1 is certain.
+    /// The interval with equal tails that holds `confidence` of the Beta distribution with these two moments, and the
+    /// mean. A probability of 1 is certain.
     pub(super) fn interval(self, confidence: f64) -> Interval {
         let mean = self.log_mean.exp();
         if mean >= 1.0 {
@@ -57,7 +57,7 @@ impl Chance {
         let (alpha, beta) = (mean * evidence, -self.log_mean.exp_m1() * evidence);
         let tail = 0.5 * (1.0 - confidence);
         let (lower, upper) = (beta_quantile(alpha, beta, tail), beta_quantile(alpha, beta, 1.0 - tail));
-        // Nearly all of a chance close to 0 or 1 may lie on one side of its mean.
+        // Nearly all mass of a probability close to 0 or 1 may lie on one side of its mean.
         Interval { lower: lower.min(mean), upper: upper.max(mean) }
     }
 }

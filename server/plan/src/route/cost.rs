@@ -1,20 +1,21 @@
-//! What an edge costs under an objective.
+//! The cost of an edge under an objective.
 //!
-//! Invariant: costs are finite, not negative, and add up along a route; they are compared by their first part, then by the
-//! second. The first part of [`Objective::Success`] is a whole number, so that its sums are exact and equal ones are equal.
+//! Invariant: costs are finite, not negative, and add up along a route; they are compared by their first part, then by
+//! the second. The first part of [`Objective::Success`] is a whole number, so that its sums are exact and ties are
+//! exact.
 
 use std::cmp::Ordering;
 
 use super::{Objective, forecast::expected_secs};
 
-/// In which steps -ln p is counted where ties matter.
+/// The step of -ln p where ties matter.
 pub(super) const LOG_STEP: f64 = 1e-12;
 
-/// What a route, or a part of it, costs.
+/// The cost of a route or of a part of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Cost {
     pub first: f64,
-    /// Decides where the first parts are equal.
+    /// Breaks ties of the first part.
     pub then: f64,
 }
 
@@ -45,15 +46,14 @@ impl Cost {
         Cost { first: self.first.min(other.first), then: self.then.min(other.then) }
     }
 
-    /// Whether a lower bound shows that nothing at or below `limit` is left; sums in another order may differ in their last
-    /// digits.
+    /// Whether a lower bound excludes costs at or below `limit`; sums in another order may differ in their last digits.
     pub(super) fn is_beyond(self, limit: Cost) -> bool {
         let above = |found: f64, most: f64| found > most * (1.0 + 1e-12);
         above(self.first, limit.first) || (self.first == limit.first && above(self.then, limit.then))
     }
 }
 
-/// How traversals are charged.
+/// How traversals are priced.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Costing {
     pub objective: Objective,
@@ -62,7 +62,7 @@ pub(super) struct Costing {
 }
 
 impl Costing {
-    /// Least for the greatest success and the shortest duration.
+    /// The cost; it falls with the success and rises with the duration.
     pub(super) fn cost(&self, success: f64, duration_secs: f64) -> Cost {
         let secs = expected_secs(success, duration_secs, self.recovery_secs);
         // Adding 0 makes -0 a 0.
@@ -76,7 +76,7 @@ impl Costing {
         }
     }
 
-    /// The number that a user sees.
+    /// The cost as reported to the user.
     pub(super) fn shown(&self, cost: Cost) -> f64 {
         if self.objective == Objective::Success { cost.first * LOG_STEP } else { cost.first }
     }

@@ -1,6 +1,6 @@
-//! Departures: at a time, the best of several, or the latest that arrives in time.
+//! Plans routes for one departure, the best of several, or the latest that arrives in time.
 //!
-//! Invariant: each departure is a search of its own; what one has found limits the others only in what cannot be better.
+//! Invariant: each departure is a separate search; results of one prune the others only where they cannot be better.
 
 use tidemap_map::topology::{NodeId, Topology};
 use tidemap_model::models::Interval;
@@ -18,9 +18,10 @@ use super::{
 mod answer;
 mod arrival;
 
-/// Plans routes from one node to another. `until` is asked now and then whether to make do with what is found so far.
+/// Plans routes from one node to another. `until` is called now and then; `true` ends the search with the best result
+/// so far.
 ///
-/// Where both nodes are the same, the route has no steps and a success of 1. See [`Forecasts`] for `forecasts`.
+/// If both nodes are equal, the route has no steps and a success of 1. See [`Forecasts`] for `forecasts`.
 ///
 /// # Errors
 /// [`PlanRouteError`].
@@ -63,14 +64,14 @@ impl RoutePlan {
     }
 }
 
-/// Labels of the first try of [`Bounds::Auto`], for one departure.
+/// Labels of the first attempt of [`Bounds::Auto`], for one departure.
 const AUTO_LABELS: usize = 5_000;
-/// Where labels do not suffice, ways count as arriving together within so many times the resolution, or seconds.
+/// If labels do not suffice, paths count as arriving together within this many times the resolution, or seconds.
 const COARSE: f64 = 16.0;
-/// Times of its second.
+/// Samples of its second attempt.
 const AUTO_SAMPLES: u32 = 4;
 
-/// A question, with what is known of it so far.
+/// A request, with its results so far.
 pub(super) struct Planner<'a, F, U> {
     network: &'a Network<'a>,
     cache: ForecastCache<'a, F>,
@@ -78,20 +79,20 @@ pub(super) struct Planner<'a, F, U> {
     start: usize,
     goal: usize,
     options: &'a RouteOptions,
-    /// What [`Bounds::Auto`] has come to.
+    /// The bounds in use after [`Bounds::Auto`].
     bounds: Bounds,
-    /// Known bounds for all departures of the question.
+    /// Known bounds for all departures of the request.
     known: Option<ToGo>,
-    /// Sampled bounds of the departure before, and the span of their samples: a good guide, and no more.
+    /// Sampled bounds of the previous departure, and the span of their samples: a heuristic.
     guide: Option<(ToGo, f64)>,
     marks: Marks,
     is_sampled: bool,
-    /// A departure had a way, and was too late.
+    /// A departure had a path but arrived too late.
     is_late: bool,
     labels: usize,
 }
 
-/// The best way of a departure.
+/// The best path of a departure.
 struct Departure {
     secs: f64,
     found: EdgePath,
@@ -151,7 +152,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         }
     }
 
-    /// The best way at a departure that costs less than `limit`; known bounds are taken over `departures`, first and last.
+    /// The best path of a departure that costs less than `limit`; known bounds cover `departures`, first to last.
     fn depart(&mut self, secs: f64, departures: (f64, f64), limit: Cost) -> Result<Option<Departure>, PlanRouteError> {
         let options = self.options;
         match self.bounds {

@@ -1,24 +1,24 @@
-//! Why there is no route, and which questions are refused.
+//! Why route planning failed, and the check of a request.
 //!
-//! Invariant: each message names the value that is wrong and what would be right.
+//! Invariant: each message names the invalid value and the valid range.
 
 use super::{
     ALTERNATIVES_MAX, Bounds, DEPARTURES_MAX, ForecastError, Objective, RouteOptions, SAMPLES_MAX, TIME_MAX_SECS, When,
 };
 
-/// Why there is no route.
+/// Why route planning failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum PlanRouteError {
     /// The map has no such node.
     #[error("there is no node of number {0}")]
     UnknownNode(u32),
-    /// No way leads there.
+    /// There is no path.
     #[error(
         "no way leads from node number {from} to node number {to}; {closed} edges were closed when they were reached"
     )]
     Unreachable { from: u32, to: u32, closed: usize },
-    /// All ways take too long.
+    /// All paths take too long.
     #[error("no way from node number {from} to node number {to} takes at most {horizon_secs} s; raise the horizon")]
     BeyondHorizon { from: u32, to: u32, horizon_secs: f64 },
     /// No departure is early enough.
@@ -26,13 +26,13 @@ pub enum PlanRouteError {
         "no departure from {earliest_secs} s on is expected to arrive by {by_secs} s; allow an earlier one, or arrive later"
     )]
     TooLate { earliest_secs: f64, by_secs: f64 },
-    /// The search ended before it had found a way.
+    /// The search ended before it found a path.
     #[error("the search was stopped after {labels} partial routes and had found no way; allow it more")]
     CutOff { labels: usize },
-    /// A number of the question is out of range.
+    /// A number of the request is out of range.
     #[error("{what} is {found}: expected {expected}")]
     Range { what: &'static str, found: f64, expected: String },
-    /// More departures than are tried.
+    /// Too many departures.
     #[error("{found} departures: at most {DEPARTURES_MAX} are tried; take wider steps")]
     TooManyDepartures { found: f64 },
     /// A forecast is out of range.
@@ -56,7 +56,7 @@ fn time(what: &'static str, found: f64) -> Result<(), PlanRouteError> {
     range(what, found, found.abs() <= TIME_MAX_SECS, || format!("-{TIME_MAX_SECS} to {TIME_MAX_SECS} s"))
 }
 
-/// Refuses what has no answer.
+/// Refuses invalid requests.
 pub(super) fn check(when: When, options: &RouteOptions) -> Result<(), PlanRouteError> {
     match when {
         When::DepartAt(at_secs) => time("the departure", at_secs)?,

@@ -1,30 +1,30 @@
-//! What is known of an edge at a time, and who says it.
+//! Forecasts of edges at a time, and their source.
 //!
-//! Invariant: a forecast that is used lies in range; one that does not is refused, with the name of its edge.
+//! Invariant: used forecasts lie in range; others are refused with the name of their edge.
 
 pub use tidemap_map::edge_forecast::EdgeForecast;
 use tidemap_map::topology::{Edge, NOMINAL_MAX_SECS};
 
-/// The least success of an edge that is not closed: trying again until it works would take too long to count.
+/// The least success of an edge that is not closed.
 pub const SUCCESS_MIN: f64 = 1e-9;
 
-/// The best that an edge can be at any time of a span.
+/// Bounds of an edge over a span of time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeBest {
-    /// At most so likely it succeeds, above 0, at most 1.
+    /// Upper bound of the success, above 0, at most 1.
     pub success: f64,
-    /// At least so long it takes, in seconds, at least 0.
+    /// Lower bound of the duration, in seconds, at least 0.
     pub duration_secs: f64,
 }
 
-/// Who forecasts edges. A closure `FnMut(&Edge, f64) -> Option<EdgeForecast>` does, without knowing bounds.
+/// A source of forecasts. A closure `FnMut(&Edge, f64) -> Option<EdgeForecast>` is one, without bounds.
 pub trait Forecasts {
-    /// What is known of an edge so many seconds after the question's reference time; `None` closes it to who would enter it
-    /// then. The same question has always the same answer.
+    /// The forecast of an edge at a time in seconds after the reference time; `None`: the edge is closed then. The same
+    /// arguments must give the same result.
     fn at(&mut self, edge: &Edge, at_secs: f64) -> Option<EdgeForecast>;
 
-    /// The best that [`Forecasts::at`] says of an edge at any time from one to another, both included; `None` if that is not
-    /// known. A search that is told may prove a route best among many; a bound that does not hold makes its proof void.
+    /// Bounds of [`Forecasts::at`] of an edge over a span of time, both ends included; `None` if unknown. Bounds let a
+    /// search prove that a route is the best; wrong bounds invalidate the proof.
     fn best(&mut self, _edge: &Edge, _from_secs: f64, _to_secs: f64) -> Option<EdgeBest> {
         None
     }
@@ -36,19 +36,19 @@ impl<F: FnMut(&Edge, f64) -> Option<EdgeForecast>> Forecasts for F {
     }
 }
 
-/// Why a forecast is not used.
+/// Why a forecast is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum ForecastError {
-    /// A success is no probability that could be waited for.
+    /// A success is out of range.
     #[error(
         "edge {edge} succeeds with probability {found}: expected {SUCCESS_MIN} to 1; one that never does is to be closed"
     )]
     Success { edge: String, found: f64 },
-    /// A duration is no time.
+    /// A duration is out of range.
     #[error("edge {edge} would take {found} s: expected above 0 s, at most {NOMINAL_MAX_SECS} s")]
     Duration { edge: String, found: f64 },
-    /// The evidence is none.
+    /// The evidence is out of range.
     #[error("the success of edge {edge} is worth {found} observations: expected above 0")]
     Evidence { edge: String, found: f64 },
 }
@@ -68,8 +68,8 @@ pub(crate) fn check_forecast(forecast: &EdgeForecast, name: impl FnOnce() -> Str
     Ok(())
 }
 
-/// Expected seconds until an edge is behind the robot that tries again until it works: d + (1 - p)/p · (d + r). The number of
-/// failures before the first success is geometric, (1 - p)/p on average, and each costs the attempt's time d and recovery r.
+/// Expected seconds to traverse an edge with repeated attempts: d + (1 - p)/p · (d + r). The number of failures before
+/// the first success is geometric, (1 - p)/p on average, and each costs the attempt's time d and recovery r.
 pub(crate) fn expected_secs(success: f64, duration_secs: f64, recovery_secs: f64) -> f64 {
     duration_secs + (1.0 - success) / success * (duration_secs + recovery_secs)
 }

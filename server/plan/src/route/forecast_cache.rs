@@ -1,7 +1,7 @@
-//! Forecasts, checked, charged and kept.
+//! A cache of checked and priced forecasts.
 //!
-//! Invariant: an edge at a time has one answer for the whole question, whoever asks and in whatever order: times are rounded
-//! before they are asked for, not answers reused for times nearby.
+//! Invariant: an edge at a time has one forecast for the whole request, in any order of calls: times are rounded before
+//! the lookup, so that nearby times do not share results by chance.
 
 use tidemap_map::topology::NOMINAL_MAX_SECS;
 
@@ -12,10 +12,10 @@ use super::{
     network::Network,
 };
 
-/// Most forecasts that are kept, 64 bytes each; then all are forgotten.
+/// Maximum number of cached forecasts, 64 bytes each; then the cache is cleared.
 const KEPT_MAX: usize = 2_000_000;
 
-/// An edge, entered at a time.
+/// The price of an edge that is entered at a time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EdgeCost {
     pub success: f64,
@@ -25,17 +25,17 @@ pub(super) struct EdgeCost {
     pub cost: Cost,
 }
 
-/// What is known of edges at times.
+/// The cached forecasts of edges at times.
 pub(super) struct ForecastCache<'a, F> {
     network: &'a Network<'a>,
     forecasts: &'a mut F,
     pub costing: Costing,
     resolution_secs: f64,
-    /// Of each edge, ascending by time.
+    /// For each edge, ascending by time.
     kept: Vec<Vec<(f64, Option<EdgeCost>)>>,
     kept_count: usize,
     is_closed: Vec<bool>,
-    /// How often a forecast was asked for.
+    /// Number of requested forecasts.
     pub asked: usize,
 }
 
@@ -46,7 +46,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
         ForecastCache { network, forecasts, costing, resolution_secs, kept, kept_count: 0, is_closed, asked: 0 }
     }
 
-    /// Which times count as the same as this.
+    /// The time, rounded to the resolution.
     pub(super) fn rounded(&self, at_secs: f64) -> f64 {
         // Adding 0 makes -0 a 0.
         if self.resolution_secs > 0.0 {
@@ -56,7 +56,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
         }
     }
 
-    /// Which arrivals count as the same as this.
+    /// The arrival, rounded to `join_secs`.
     pub(super) fn joined(&self, at_secs: f64, join_secs: f64) -> f64 {
         if join_secs > self.resolution_secs {
             (at_secs / join_secs).round() * join_secs + 0.0
@@ -65,7 +65,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
         }
     }
 
-    /// An edge entered at a time; `None` while it is closed.
+    /// The price of an edge entered at a time; `None` if it is closed then.
     pub(super) fn at(&mut self, edge: usize, at_secs: f64) -> Result<Option<EdgeCost>, ForecastError> {
         let at_secs = self.rounded(at_secs);
         let place = match self.kept[edge].binary_search_by(|kept| kept.0.total_cmp(&at_secs)) {
@@ -102,7 +102,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
         Ok(traversal)
     }
 
-    /// What an edge costs at least at any time of a span, as far as that is known for certain.
+    /// The least cost of an edge over a span of time by known bounds.
     pub(crate) fn known_least(&mut self, edge: usize, from_secs: f64, to_secs: f64) -> Cost {
         let best = self.forecasts.best(self.network.edges[edge], from_secs, to_secs);
         let success = best.map(|best| best.success).filter(|success| *success > 0.0 && *success < 1.0).unwrap_or(1.0);
@@ -110,8 +110,8 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
         self.costing.cost(success, duration.unwrap_or(0.0))
     }
 
-    /// The least that an edge costs at about so many times from before a span to its end or after; infinite where it is closed at
-    /// all of them. The times are whole multiples of a power of two, so that spans nearby share them.
+    /// The least cost of an edge at about `samples` times that cover a span; infinite if it is closed at all of them.
+    /// The times are whole multiples of a power of two, so that spans nearby share them.
     pub(crate) fn sampled_least(
         &mut self,
         edge: usize,
@@ -132,7 +132,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
         Ok(least)
     }
 
-    /// Edges that were closed at a time at which they were asked for.
+    /// Number of edges that were closed at a requested time.
     pub(super) fn closed(&self) -> usize {
         self.is_closed.iter().filter(|closed| **closed).count()
     }

@@ -1,9 +1,10 @@
-//! The best simple way from a node at a time: labels, one for each way to a node that may be part of it.
+//! The best simple path from a node at a time: a label-setting search with one label per path to a node.
 //!
-//! Labels are extended in the order of what they cost at least in the end, until that is more than a known way's cost. One is
-//! dropped for another at the same node and time that costs no more, if whatever may follow it may follow the other: no node
-//! that the other has passed, and it has not, can still be come to at a cost within the known way's. Invariant: what is left out
-//! otherwise is told by [`Marks`].
+//! Labels are extended in the order of their lower bounds, until these exceed the cost of the known path. A label is
+//! dropped for another at the same node and time that costs no more, if everything that may follow it may follow the
+//! other: no node that only the other has passed can still be reached within the cost of the known path. With tight
+//! bounds this is nearly always so, and a city has few labels. Invariant: [`Marks`] reports everything that is pruned
+//! otherwise.
 
 use std::{
     cmp::Reverse,
@@ -12,50 +13,50 @@ use std::{
 
 use super::{Forecasts, PlanRouteError, bounds::ToGo, cost::Cost, forecast_cache::ForecastCache, network::Network};
 
-/// A way that was found, as indices of edges, with the cost of all of it.
+/// A path as indices of edges, with its cost.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct EdgePath {
     pub edges: Vec<usize>,
     pub cost: Cost,
 }
 
-/// Where a search begins, and what it must not use.
+/// Where a search begins, and what it must avoid.
 pub(super) struct Task<'a> {
-    /// What has been gone already.
+    /// The path so far.
     pub before: &'a [usize],
     /// The node at its end.
     pub node: usize,
-    /// When that is reached, in seconds after the reference time.
+    /// The arrival there, in seconds after the reference time.
     pub at_secs: f64,
-    /// What that has cost.
+    /// The cost so far.
     pub cost: Cost,
-    /// By node: passed already.
+    /// By node: already passed.
     pub is_passed: &'a [bool],
-    /// Edges that do not come next.
+    /// Edges that must not come next.
     pub closed_first: &'a [usize],
     pub goal: usize,
-    /// No arrival after this.
+    /// The latest arrival.
     pub latest_secs: f64,
-    /// Ways that arrive within so many seconds count as arriving together, and within the resolution.
+    /// Paths that arrive within this many seconds, or within the resolution, count as arriving together.
     pub join_secs: f64,
 }
 
-/// What has been left out without proof, and for what other reasons there may be no way.
+/// What was pruned without proof, and other reasons for finding no path.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Marks {
-    /// Labels of different times at one node counted as of one time.
+    /// Labels of different times at one node were merged.
     pub joined: bool,
     /// No labels were left.
     pub cut_off: bool,
-    /// The search was told to stop.
+    /// The caller stopped the search.
     pub stopped: bool,
-    /// A way would have taken too long.
+    /// A path took too long.
     pub too_long: bool,
-    /// The latest time at which a node was reached that a good way was looked for through.
+    /// The latest arrival at a node in the search for a good path.
     pub latest_secs: f64,
 }
 
-/// A way to a node.
+/// A path to a node.
 #[derive(Clone, Copy, Debug)]
 struct Label {
     node: u32,
@@ -63,30 +64,30 @@ struct Label {
     edge: u32,
     /// The label before; the first is its own.
     parent: u32,
-    /// Another label at the same node and time.
+    /// The next label at the same node and time.
     next: u32,
     at_secs: f64,
     cost: Cost,
-    /// The least that coming back to a node before this one, and going from there to the goal, costs from here.
+    /// The least cost from here of returning to an earlier node and going from there to the goal.
     back: Cost,
     is_dropped: bool,
 }
 
 const NONE: u32 = u32::MAX;
 
-/// Searches over one map with one set of bounds.
+/// A search over one map with one set of bounds.
 pub(super) struct Labels<'a, 'b, F, U> {
     pub network: &'a Network<'a>,
     pub cache: &'b mut ForecastCache<'a, F>,
     pub to_go: &'b ToGo,
     pub until: &'b mut U,
-    /// How many labels may still be made.
+    /// Number of labels left.
     pub left: &'b mut usize,
     pub marks: &'b mut Marks,
-    /// Labels that were made.
+    /// Number of created labels.
     pub made: &'b mut usize,
     labels: Vec<Label>,
-    /// By node: passed by the label at hand, where it holds this search's stamp.
+    /// By node: passed by the current label if it holds the current stamp.
     stamps: Vec<u32>,
     stamp: u32,
 }
@@ -104,8 +105,8 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         Labels { network, cache, to_go, until, left, marks, made, labels: Vec::new(), stamps, stamp: 0 }
     }
 
-    /// A good way: of all ways to a node only the first that is come upon in the order of what they cost at least. `None` where
-    /// that finds none, or none of at most `limit`.
+    /// A good path: keeps only the first path to each node in the order of lower bounds. `None` if it finds none within
+    /// `limit`.
     pub(super) fn good(&mut self, task: &Task, limit: Cost) -> Result<Option<EdgePath>, PlanRouteError> {
         self.begin(task);
         let mut is_done = task.is_passed.to_vec();
@@ -141,7 +142,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         Ok(None)
     }
 
-    /// The best way that costs less than `limit` and than `known`; `known` where there is none.
+    /// The best path that costs less than `limit` and than `known`; otherwise `known`.
     pub(super) fn best(
         &mut self,
         task: &Task,
@@ -222,7 +223,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         });
     }
 
-    /// A label with an edge more, and what it costs at least in the end; `None` where it is of no use.
+    /// A label extended by an edge, with its lower bound; `None` if it is useless.
     fn extended(
         &mut self,
         task: &Task,
@@ -254,8 +255,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         Ok(Some((least, made)))
     }
 
-    /// Whether a label, which comes from that of index `parent`, is of no use beside those from `head` on; drops those that are
-    /// of none beside it.
+    /// Whether a label with the given parent is dominated by those from `head` on; removes those that it dominates.
     fn is_dominated(&mut self, head: u32, label: &Label, parent: u32, limit: Cost) -> bool {
         let mut other = head;
         while other != NONE {
@@ -280,7 +280,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         false
     }
 
-    /// Whether what may follow `worse` may follow `better` instead. Each comes with the index of its parent.
+    /// Whether everything that may follow `worse` may follow `better`. Each is given with the index of its parent.
     fn replaces(&mut self, better: (&Label, u32), worse: (&Label, u32), limit: Cost) -> bool {
         let cost = worse.0.cost;
         let is_within = |to_pay: Cost| !cost.plus(to_pay).is_beyond(limit);
@@ -301,7 +301,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         }
     }
 
-    /// Stamps all nodes on the way of a label.
+    /// Stamps all nodes on the path of a label.
     fn mark(&mut self, mut at: u32) {
         self.stamp += 1;
         loop {

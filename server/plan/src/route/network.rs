@@ -1,6 +1,7 @@
 //! A topological map laid out for searches: indices instead of numbers, edges by their ends.
 //!
-//! Invariant: nodes are ascending by number, the edges of a node ascending by number, so that ties are broken alike always.
+//! Invariant: nodes are ascending by number, the edges of a node ascending by number, so that ties are always broken
+//! alike.
 
 use tidemap_map::topology::{Edge, NodeId, Topology};
 
@@ -12,7 +13,7 @@ pub(crate) struct Network<'a> {
     pub edges: Vec<&'a Edge>,
     /// Indices of the nodes at both ends of each edge.
     pub ends: Vec<(u32, u32)>,
-    /// Where the edges of each node begin; one more than nodes.
+    /// Start index of each node's edges; one entry more than nodes.
     first: Vec<u32>,
     /// Edges by where they end.
     into: Vec<u32>,
@@ -66,7 +67,7 @@ impl<'a> Network<'a> {
     }
 }
 
-/// Where the run of each of `count` keys begins, and where the last ends.
+/// Start index of the run of each of `count` keys, and the end of the last.
 fn beginnings(count: usize, keys: impl Iterator<Item = u32>) -> Vec<u32> {
     let mut first = vec![0; count + 1];
     for key in keys {

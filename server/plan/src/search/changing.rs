@@ -1,9 +1,9 @@
 //! A search during which the probabilities change: each counts as it will be when the robot arrives.
 //!
-//! A heuristic. The cost of a state would depend on when it is reached, so what an exact search leaves out is not safe to
-//! leave out here. The order is planned by the probabilities at the start, planned again by those at the arrivals of the last
-//! plan, and the best of these is improved by moving, exchanging and reversing, each weighed by the whole walk.
-//! Invariant: with probabilities that do not change, the order is that of [`super::search`] or one as good.
+//! A heuristic. The cost of a state would depend on when it is reached, so what an exact search leaves out is not safe
+//! to leave out here. The order is planned by the probabilities at the start, planned again by those at the arrivals of
+//! the last plan, and the best of these is improved by moving, exchanging and reversing, each weighed by the whole
+//! walk. Invariant: with probabilities that do not change, the order is that of [`super::search`] or one as good.
 
 use tidemap_map::topology::{NodeId, Roads};
 
@@ -22,11 +22,11 @@ const REPLANS: usize = 4;
 
 /// Plans a search with probabilities predicted for the time of arrival: `probability(node, arrival_secs)`, in `[0,1]`.
 ///
-/// What is minimised is the time to expect until the search ends: the share of who is expected at the start (the sum of the
-/// probabilities then) that is not found yet shrinks at each arrival by the probability at that moment, never below 0, and
-/// the times between arrivals count by it. With probabilities that do not change that is eq. 2. The plan is never called
-/// optimal, and has no lower bound but 0; its expected time is eq. 2 with the probabilities at the arrivals. Of the options,
-/// the rounds bound the walks that are weighed.
+/// What is minimised is the time to expect until the search ends: the share of who is expected at the start (the sum of
+/// the probabilities then) that is not found yet shrinks at each arrival by the probability at that moment, never below
+/// 0, and the times between arrivals count by it. With probabilities that do not change that is eq. 2. The plan is
+/// never called optimal, and has no lower bound but 0; its expected time is eq. 2 with the probabilities at the
+/// arrivals. Of the options, the rounds bound the walks that are weighed.
 ///
 /// # Errors
 /// [`SearchError`], for predictions, too.

@@ -1,9 +1,10 @@
 //! The best order, proven: dynamic programming over sets, with bounds.
 //!
-//! A walk is charged the time of each of its ways times the weight still unvisited. So of two walks that have visited the same
-//! goals and end at the same one, only the cheaper matters, and of the pairs of set and goal only those whose cost and bound of
-//! the rest stay below the cost of a known walk. Only goals are gone to next that have no unvisited one on the way. Sets are
-//! taken by size, so that, whenever it is stopped, the least cost with bound of the last size is a lower bound of the search.
+//! A walk is charged the time of each of its ways times the weight still unvisited. So of two walks that have visited
+//! the same goals and end at the same one, only the cheaper matters, and of the pairs of set and goal only those whose
+//! cost and bound of the rest stay below the cost of a known walk. Only goals are gone to next that have no unvisited
+//! one on the way. Sets are taken by size, so that, whenever it is stopped, the least cost with bound of the last size
+//! is a lower bound of the search.
 
 use super::{
     machine::Machine,
@@ -53,7 +54,8 @@ impl SortedProblem<'_> {
         proven
     }
 
-    /// Searches for an order that costs less than a known one, with dearer bounds. `states_max` counts on from `before`.
+    /// Searches for an order that costs less than a known one, with dearer bounds. `states_max` counts on from
+    /// `before`.
     pub(super) fn prove(self, known: f64, before: &Proof, states_max: usize, mut until: impl FnMut() -> bool) -> Proof {
         let (mut lower_bound, mut states) = (before.lower_bound, before.states);
         let mut paths = Paths::new(self.problem, self.passing, PATHS[0].1);

@@ -1,9 +1,9 @@
 //! Iterated local search: a good walk fast, with no promise.
 //!
-//! A greedy walk is improved, disturbed by exchanging two short stretches, and improved again where it was disturbed. Whether a
-//! worse walk is gone on from is decided as in simulated annealing, in cycles: each begins hot at the best walk, cools, and is
-//! twice as long as the one before, so that a search of any length has cooled and has left what it was stuck in. The same seed
-//! gives the same walk.
+//! A greedy walk is improved, disturbed by exchanging two short stretches, and improved again where it was disturbed.
+//! Whether a worse walk is gone on from is decided as in simulated annealing, in cycles: each begins hot at the best
+//! walk, cools, and is twice as long as the one before, so that a search of any length has cooled and has left what it
+//! was stuck in. The same seed gives the same walk.
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
@@ -18,7 +18,8 @@ const DISTURBED_MAX: usize = 30;
 const NEAR: [usize; 2] = [15, 40];
 /// Rounds of the first cycle.
 const CYCLE: usize = 2_000;
-/// By which share a walk that is gone on from may be worse than the one before it, on average: as a cycle begins and ends.
+/// By which share a walk that is gone on from may be worse than the one before it, on average: as a cycle begins and
+/// ends.
 const HOT: f64 = 3e-3;
 const COLD: f64 = 1e-4;
 

@@ -152,7 +152,8 @@ impl<'a> SearchWalk<'a> {
         }
     }
 
-    /// What the walk costs if these stretches follow on its beginning, before position `from`, and then what is behind `to`.
+    /// What the walk costs if these stretches follow on its beginning, before position `from`, and then what is behind
+    /// `to`.
     #[inline]
     fn cost_of(&self, from: usize, to: usize, stretches: &[Stretch]) -> f64 {
         let begin = self.sums[from - 1];
@@ -205,8 +206,8 @@ impl<'a> SearchWalk<'a> {
         self.apply(from, to, &[second, first]);
     }
 
-    /// Applies changes that lower the cost until there is none at any goal whose surroundings have changed, or until asked
-    /// to stop.
+    /// Applies changes that lower the cost until there is none at any goal whose surroundings have changed, or until
+    /// asked to stop.
     pub(super) fn improve(&mut self, mut until: impl FnMut() -> bool) {
         let mut looked = 0_u32;
         while let Some(goal) = self.open.pop() {
@@ -219,7 +220,8 @@ impl<'a> SearchWalk<'a> {
         }
     }
 
-    /// Looks for the best change that gives the goal at a position another successor, or sends the one behind it to the end.
+    /// Looks for the best change that gives the goal at a position another successor, or sends the one behind it to the
+    /// end.
     fn improve_behind(&mut self, at: usize) -> bool {
         let count = self.problem.count;
         let from = at + 1;

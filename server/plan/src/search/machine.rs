@@ -1,9 +1,9 @@
 //! A lower bound of what remains of a search: one machine that works off jobs.
 //!
 //! If every time between arrivals is at least the sum of a share of the goal that is left and one of the goal that is
-//! reached, then the arrivals are no earlier than the starts of jobs on one machine, whose best order is that of Smith (1956):
-//! ascending by duration over weight. The shares are those of the dual of the assignment problem, or the least times of
-//! arriving, whichever bounds the whole search better. Invariant: never above the true cost.
+//! reached, then the arrivals are no earlier than the starts of jobs on one machine, whose best order is that of Smith
+//! (1956): ascending by duration over weight. The shares are those of the dual of the assignment problem, or the least
+//! times of arriving, whichever bounds the whole search better. Invariant: never above the true cost.
 
 use super::problem::{Goals, Passing, SearchProblem};
 
@@ -68,7 +68,8 @@ fn least_arrival(problem: &SearchProblem, passing: Option<&Passing>, to: usize) 
     if least.is_finite() { least } else { 0.0 }
 }
 
-/// Shares of the dual of the assignment problem (each goal is left once and reached once), by shortest augmenting paths.
+/// Shares of the dual of the assignment problem (each goal is left once and reached once), by shortest augmenting
+/// paths.
 fn assignment_dual(problem: &SearchProblem, passing: Option<&Passing>) -> (Vec<f64>, Vec<f64>) {
     let count = problem.count;
     let most = (0..count).flat_map(|from| problem.row(from)).copied().fold(0.0, f64::max);

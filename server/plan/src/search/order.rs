@@ -12,7 +12,7 @@ use super::{
     question::{GoalOrder, SearchQuestion},
 };
 
-/// Plans a search from a node. `until` is asked now and then whether to make do with what is found so far.
+/// Plans a search from a node. `until` is called now and then; `true` ends the search with the best result so far.
 ///
 /// # Errors
 /// [`SearchError`].

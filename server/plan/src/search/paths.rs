@@ -1,11 +1,11 @@
 //! A lower bound of what remains of a search: cheapest paths over remaining weight.
 //!
-//! A walk is charged, for each of its ways, the time times the weight that is still unvisited. If weights are rounded down to
-//! whole units, what remains of a path depends on the units left and the goal it stands at, and the cheapest path over these
-//! states, which may come twice to a goal though not at once after leaving it, costs no more than the best walk (state-space
-//! relaxation: Christofides, Mingozzi, Toth, Networks 1981). A reward for each goal, raised where paths leave it out and lowered
-//! where they come twice, brings the bound close (subgradient method). Invariant: never above the true cost, whatever the
-//! rewards.
+//! A walk is charged, for each of its ways, the time times the weight that is still unvisited. If weights are rounded
+//! down to whole units, what remains of a path depends on the units left and the goal it stands at, and the cheapest
+//! path over these states, which may come twice to a goal though not at once after leaving it, costs no more than the
+//! best walk (state-space relaxation: Christofides, Mingozzi, Toth, Networks 1981). A reward for each goal, raised
+//! where paths leave it out and lowered where they come twice, brings the bound close (subgradient method). Invariant:
+//! never above the true cost, whatever the rewards.
 
 use super::problem::{Goals, Passing, SearchProblem};
 
@@ -164,8 +164,8 @@ impl Paths {
         (0..self.count).filter(|&to| fits(to)).min_by(|&a, &b| cost(a).total_cmp(&cost(b))).unwrap_or(self.count)
     }
 
-    /// Changes the rewards so many times, towards a known cost; keeps those of the best bound, and computes the bounds for
-    /// them. Stops when asked.
+    /// Changes the rewards so many times, towards a known cost; keeps those of the best bound, and computes the bounds
+    /// for them. Stops when asked.
     pub(super) fn improve(&mut self, rounds: usize, cost: f64, mut until: impl FnMut() -> bool) {
         let (mut best, mut best_rewards) = (f64::NEG_INFINITY, self.rewards.clone());
         let (mut pace, mut idle) = (1.0, 0);

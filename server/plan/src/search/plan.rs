@@ -37,8 +37,8 @@ pub struct SearchPlan {
     pub steps: Vec<SearchStep>,
     /// All nodes on the way, the start first; one comes again when it is passed again.
     pub walk: Vec<Passage>,
-    /// Time to find to expect, in seconds, given that who is looked for is at one of the steps (Waldo eq. 2, divided by the sum
-    /// of what the steps count).
+    /// Time to find to expect, in seconds, given that who is looked for is at one of the steps (Waldo eq. 2, divided by
+    /// the sum of what the steps count).
     pub expected_secs: f64,
     /// No walk to all goals has a lower expected time, before any stop.
     pub lower_bound_secs: f64,

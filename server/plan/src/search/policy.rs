@@ -28,9 +28,9 @@ pub fn anyone(probabilities: impl IntoIterator<Item = f64>) -> f64 {
     1.0 - probabilities.into_iter().map(|probability| 1.0 - probability.clamp(0.0, 1.0)).product::<f64>()
 }
 
-/// The first moment at which all objects of a set are there with a probability above the threshold (Waldo, section VII.B,
-/// where it is 0.5). Each item of the series holds the probabilities of the objects at one moment; of no objects all are
-/// there. `None` if no moment passes it.
+/// The first moment at which all objects of a set are there with a probability above the threshold (Waldo, section
+/// VII.B, where it is 0.5). Each item of the series holds the probabilities of the objects at one moment; of no objects
+/// all are there. `None` if no moment passes it.
 ///
 /// # Errors
 /// [`PolicyError`] for what is not in `[0,1]`, up to the moment that passes.

@@ -1,8 +1,8 @@
 //! A search as numbers: goals with weights, and times between them.
 //!
-//! Invariant: times obey the triangle inequality, the time of looking included, because they are shortest times; weights are
-//! above 0 and, with that of the start, add up to one. So a walk that passes a goal whose look takes no time loses nothing by
-//! counting it as visited.
+//! Invariant: times obey the triangle inequality, the time of looking included, because they are shortest times;
+//! weights are above 0 and, with that of the start, add up to one. So a walk that passes a goal whose look takes no
+//! time loses nothing by counting it as visited.
 
 use tidemap_map::topology::{Roads, ShortestTimes};
 
@@ -16,8 +16,8 @@ pub(super) struct SearchProblem {
     pub count: usize,
     /// How much each counts.
     pub weight: Vec<f64>,
-    /// Seconds from the arrival at one to the arrival at another, row by row, the look at the former included; the last row is
-    /// the start's, the last column is not used.
+    /// Seconds from the arrival at one to the arrival at another, row by row, the look at the former included; the last
+    /// row is the start's, the last column is not used.
     secs: Vec<f64>,
     /// Whether a look at the goal takes no time, so that passing it is a visit.
     pub passable: Vec<bool>,
@@ -44,8 +44,8 @@ impl SearchProblem {
         }
     }
 
-    /// Puts a long time where no way leads, longer than any walk of ways that are there. Says whether there was such a place:
-    /// a goal that leads nowhere back.
+    /// Puts a long time where no way leads, longer than any walk of ways that are there. Says whether there was such a
+    /// place: a goal that leads nowhere back.
     pub(crate) fn fill_missing(&mut self) -> bool {
         let most = self.secs.iter().copied().filter(|secs| secs.is_finite()).fold(1.0, f64::max);
         let mut missing = false;

@@ -7,10 +7,11 @@
 pub struct Stop {
     /// End once the probability of all goals not yet visited, over that of all goals, is below this; 0 to 1.
     pub remains_below: Option<f64>,
-    /// What a second of search costs, in units of what finding is worth; 0 up. The walk ends where what is still to be gained,
-    /// probability by probability, is worth less than the time to expect it to take.
+    /// What a second of search costs, in units of what finding is worth; 0 up. The walk ends where what is still to be
+    /// gained, probability by probability, is worth less than the time to expect it to take.
     pub cost_per_sec: Option<f64>,
-    /// Seconds after the start by which the robot has to be at the last place; 0 up. The order is that of a search without end.
+    /// Seconds after the start by which the robot has to be at the last place; 0 up. The order is that of a search
+    /// without end.
     pub within_secs: Option<f64>,
 }
 

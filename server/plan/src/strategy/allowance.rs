@@ -1,20 +1,19 @@
-//! How an online strategy spends a day's visits: each slot is granted or refused when it comes, and never more are granted
-//! than allowed.
+//! How an online strategy spends a day's visits: each slot is granted or refused when it comes, up to the allowance.
 //!
-//! Invariant: of a day whose slots were all asked for exactly as many are granted as allowed, or as there are slots.
+//! Invariant: over a day in which every slot is requested, exactly the allowed number is granted, or all slots.
 
 use std::collections::VecDeque;
 
 use super::StrategyError;
 
-/// Days of experience that the worth of a visit is judged by.
+/// Days of experience by which a visit is judged.
 const DAYS_KEPT: usize = 7;
 
-/// The visits of a day, of which every slot is asked for in its turn.
+/// The visits of a day; every slot is requested in order.
 ///
-/// A slot is granted where the later slots of the day are expected to have fewer better ones than there are visits left.
-/// What is expected is what was found at those slots on the last seven days, each slot's best gain; equal gains count half.
-/// Before the first day is over, visits are spread evenly.
+/// A slot is granted if fewer later slots of the day are expected to be better than there are visits left. The
+/// expectation is each slot's best gain on the last seven days; equal gains count half. Before the first day is over,
+/// visits are spread evenly.
 #[derive(Clone, Debug)]
 pub struct Allowance {
     slots: usize,
@@ -25,7 +24,7 @@ pub struct Allowance {
 }
 
 impl Allowance {
-    /// So many visits of so many slots a day.
+    /// The given number of visits in the given number of slots a day.
     ///
     /// # Errors
     /// [`StrategyError`] where there are no slots or more visits than slots.
@@ -39,8 +38,8 @@ impl Allowance {
         Ok(Allowance { slots, visits, spent: 0, today: Vec::new(), days: VecDeque::new() })
     }
 
-    /// Whether the next slot, whose best visit has this gain, is to be used for it. After the last slot of a day comes the
-    /// first of the next. A gain that is NaN counts as 0.
+    /// Whether to use the next slot, whose best visit has this gain. After the last slot of a day comes the first of
+    /// the next. A gain that is NaN counts as 0.
     pub fn grant(&mut self, gain: f64) -> bool {
         let gain = gain.max(0.0);
         let slot = self.today.len();
@@ -64,7 +63,7 @@ impl Allowance {
         granted
     }
 
-    /// How many later slots of a day had more to gain, on average over the days kept.
+    /// The mean number of later slots of a day with a higher gain, over the kept days.
     fn better_later(&self, slot: usize, gain: f64) -> f64 {
         let of_slot = |&other: &f64| match other.total_cmp(&gain) {
             std::cmp::Ordering::Greater => 1.0,

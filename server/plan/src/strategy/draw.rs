@@ -1,6 +1,7 @@
 //! Seeded draws.
 //!
-//! Invariant: the same generator and arguments draw the same; of weights that are all 0 each index is as likely.
+//! Invariant: the same generator and arguments give the same draws; if all weights are 0, all indices are equally
+//! likely.
 
 use rand::{Rng as _, rngs::SmallRng};
 
@@ -22,12 +23,12 @@ pub(super) fn index(random: &mut SmallRng, weights: impl Iterator<Item = f64> + 
             left -= weight;
         }
     }
-    // What rounding left over.
+    // The remainder of rounding.
     last
 }
 
-/// `count` different indices, drawn one after the other, each with a probability in proportion to its weight among those
-/// that are left; ascending.
+/// `count` different indices, drawn one after the other, each in proportion to its weight among the remaining ones;
+/// ascending.
 pub(super) fn distinct(random: &mut SmallRng, weights: &[f64], count: usize) -> Vec<usize> {
     // The largest of u^(1/w) have that distribution (P. Efraimidis and P. Spirakis, "Weighted random sampling with a
     // reservoir", 2006); so have the smallest of -ln(u)/w, which do not underflow.
@@ -45,7 +46,7 @@ pub(super) fn distinct(random: &mut SmallRng, weights: &[f64], count: usize) -> 
     drawn
 }
 
-/// The index of the largest value, with its value; among equal ones each is as likely. `None` of none.
+/// The index of the largest value, with its value; ties are broken at random. `None` without values.
 pub(super) fn largest(random: &mut SmallRng, values: &[f64]) -> Option<(usize, f64)> {
     let most = values.iter().copied().max_by(f64::total_cmp)?;
     let tied = || values.iter().enumerate().filter(|(_, value)| **value >= most);

@@ -1,12 +1,12 @@
-//! What each place promises in each slot.
+//! The gain of each place in each slot.
 //!
 //! Invariant: every gain is finite and from 0 to [`GAIN_MAX`]; there is at least one slot and one place, and at most
 //! [`GAINS_MAX`] of both together.
 
 use super::{GAIN_MAX, GAINS_MAX, StrategyError};
 
-/// The gain of visiting a place in a slot, for all slots and places: the entropy of what is seen there, in bits, or another
-/// measure that is 0 where a visit is worth nothing.
+/// The gain of visiting a place in a slot, for all slots and places: the entropy of what is seen there, in bits, or
+/// another measure that is 0 where a visit is worth nothing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gains {
     slots: usize,
@@ -19,8 +19,8 @@ impl Gains {
     /// Asks for each gain, slot by slot, place by place.
     ///
     /// # Errors
-    /// [`StrategyError`] where there are no slots or no places, or too many of both together (nothing is asked then), or a
-    /// gain is negative, NaN or above [`GAIN_MAX`].
+    /// [`StrategyError`] where there are no slots or no places, or too many of both together (nothing is asked then),
+    /// or a gain is negative, NaN or above [`GAIN_MAX`].
     pub fn of(slots: usize, places: usize, mut gain: impl FnMut(usize, usize) -> f64) -> Result<Gains, StrategyError> {
         Gains::check_size(slots, places)?;
         let mut values = Vec::with_capacity(slots * places);
@@ -53,10 +53,10 @@ impl Gains {
         }
     }
 
-    /// What serves learning and a task at once: w·I/I_max + (1 - w)·p, between 0 and 1, with `task` the probability p that
-    /// the task succeeds at a place in a slot, such as that somebody is there to be served, and w = `exploration`, from 0
-    /// (the task alone) to 1 (information alone). The info-terminal of the STRANDS project (Kulich et al., "To explore or
-    /// to exploit?", MESAS 2016) is to be where people are, and has to learn when that is.
+    /// What serves learning and a task at once: w·I/I_max + (1 - w)·p, between 0 and 1, with `task` the probability p
+    /// that the task succeeds at a place in a slot, such as that somebody is there to be served, and w = `exploration`,
+    /// from 0 (the task alone) to 1 (information alone). The info-terminal of the STRANDS project (Kulich et al., "To
+    /// explore or to exploit?", MESAS 2016) is to be where people are, and has to learn when that is.
     ///
     /// # Errors
     /// [`StrategyError`] where the sizes differ, the weight or a probability is outside `[0,1]`.

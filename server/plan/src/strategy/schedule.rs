@@ -67,7 +67,8 @@ pub fn schedule(
     })
 }
 
-/// Draws slots and places in proportion to weights. With a ratio each slot is drawn by itself, against a weight of rest.
+/// Draws slots and places in proportion to weights. With a ratio each slot is drawn by itself, against a weight of
+/// rest.
 fn by_chance(
     random: &mut SmallRng,
     budget: Budget,
@@ -116,9 +117,9 @@ fn greedy(random: &mut SmallRng, gains: &Gains, visits: usize) -> Vec<Option<usi
     plan
 }
 
-/// One place, chosen again for the knowledge of now, by the gains of all places in the slot: the best, or for strategies
-/// that draw, one in proportion to gain plus [`IOTA_BITS`]. Strategies that do not look at gains, and gains that are empty,
-/// keep what was `planned`.
+/// One place, chosen again for the knowledge of now, by the gains of all places in the slot: the best, or for
+/// strategies that draw, one in proportion to gain plus [`IOTA_BITS`]. Strategies that do not look at gains, and gains
+/// that are empty, keep what was `planned`.
 pub fn choose(strategy: Strategy, planned: usize, gains_now: &[f64], seed: u64) -> usize {
     let mut random = SmallRng::seed_from_u64(seed);
     match strategy {
@@ -131,9 +132,10 @@ pub fn choose(strategy: Strategy, planned: usize, gains_now: &[f64], seed: u64) 
     }
 }
 
-/// Where to go instead of what was planned, because what was seen lately says that the model is wrong there: of the places
-/// where [`surprise_bits`](crate::location::surprise_bits) is at least [`NOVELTY_FACTOR`] times what the model expects,
-/// the one with the largest difference (RAS 2017, eq. 12). `None` where there is none. Pairs are (I', I) of each place.
+/// Where to go instead of what was planned, because what was seen lately says that the model is wrong there: of the
+/// places where [`surprise_bits`](crate::location::surprise_bits) is at least [`NOVELTY_FACTOR`] times what the model
+/// expects, the one with the largest difference (RAS 2017, eq. 12). `None` where there is none. Pairs are (I', I) of
+/// each place.
 pub fn novel(places: impl IntoIterator<Item = (f64, f64)>) -> Option<usize> {
     let mut best: Option<(usize, f64)> = None;
     for (place, (surprise, expected)) in places.into_iter().enumerate() {

@@ -33,9 +33,9 @@ impl TourBudget<'_> {
         (0..self.ways.count()).map(|goal| self.duration_secs(&[goal])).fold(f64::INFINITY, f64::min)
     }
 
-    /// The goals that fit, in the order of the drive. Those that do not fit even alone are left out; then, one after the
-    /// other, those with the least value for the time that they add to the drive; in the end those come back, the most
-    /// valuable first, that fit after all.
+    /// The goals that fit, in the order of the drive. Those that do not fit even alone are left out; then, one after
+    /// the other, those with the least value for the time that they add to the drive; in the end those come back, the
+    /// most valuable first, that fit after all.
     pub(super) fn fit(&self) -> Vec<usize> {
         let mut goals: Vec<usize> = (0..self.ways.count()).filter(|&goal| self.fits(&[goal])).collect();
         let mut left_out = Vec::new();

@@ -3,7 +3,8 @@
 //! No candidate can teach more than all cells in its reach, which a table of sums tells at once, nor more than it did
 //! before others were chosen. Only candidates whose bound is the highest left are looked from, some at a time.
 //!
-//! Invariant: what is chosen, and its value, is what looking from every candidate in every round would give, bit by bit.
+//! Invariant: what is chosen, and its value, is what looking from every candidate in every round would give, bit by
+//! bit.
 
 use std::{
     collections::BinaryHeap,
@@ -47,7 +48,8 @@ struct GainBound {
 impl Eq for GainBound {}
 
 impl Ord for GainBound {
-    /// The most valuable last; of equal ones those that may be worth less, so that they are looked from; then the first.
+    /// The most valuable last; of equal ones those that may be worth less, so that they are looked from; then the
+    /// first.
     fn cmp(&self, other: &GainBound) -> std::cmp::Ordering {
         let by_value = self.value.total_cmp(&other.value);
         by_value.then(other.is_exact.cmp(&self.is_exact)).then(other.candidate.cmp(&self.candidate))

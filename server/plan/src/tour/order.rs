@@ -107,8 +107,8 @@ impl Ways {
         order
     }
 
-    /// Turns parts of a drive around (Croes 1958), and moves parts of up to three goals elsewhere (Or 1976), until neither
-    /// makes it shorter.
+    /// Turns parts of a drive around (Croes 1958), and moves parts of up to three goals elsewhere (Or 1976), until
+    /// neither makes it shorter.
     pub(super) fn improved(&self, mut order: Vec<usize>) -> Vec<usize> {
         let mut length = self.length(&order);
         let mut best = order.clone();

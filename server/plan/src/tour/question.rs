@@ -52,8 +52,8 @@ pub enum TourEnd {
 pub struct TourQuestion {
     /// Where the robot starts, x and y in the map's frame, metres.
     pub start_m: [f64; 2],
-    /// How far from there the nearest place may be where the robot's middle can be, metres, at least 0: chargers stand at
-    /// walls. Default 0.5.
+    /// How far from there the nearest place may be where the robot's middle can be, metres, at least 0: chargers stand
+    /// at walls. Default 0.5.
     pub start_tolerance_m: f64,
     /// How many goals, 1 to [`GOALS_MAX`]. Default 6 (RA-L, section III.E).
     pub goals: usize,
@@ -77,7 +77,8 @@ pub struct TourQuestion {
     pub speed_m_secs: f64,
     /// How long it looks at each goal, seconds, at least 0. Default 60.
     pub observation_secs: f64,
-    /// How long the tour may take, seconds, at least 0; goals that do not fit are left out. `None`: as long as it takes.
+    /// How long the tour may take, seconds, at least 0; goals that do not fit are left out. `None`: as long as it
+    /// takes.
     pub budget_secs: Option<f64>,
 }
 

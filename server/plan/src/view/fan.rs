@@ -1,11 +1,11 @@
 //! The rays of a sensor, as one tree of the cells that they pass.
 //!
-//! A viewpoint is the centre of a cell, so that from everywhere the rays pass the same cells, seen from there. Rays that
-//! begin alike are merged. The tree is kept in the order in which a look goes through it: a cell, then what lies behind
-//! it. A look is one pass, and steps over what lies behind an occupied cell.
+//! A viewpoint is the centre of a cell, so that from everywhere the rays pass the same cells, seen from there. Rays
+//! that begin alike are merged. The tree is kept in the order in which a look goes through it: a cell, then what lies
+//! behind it. A look is one pass, and steps over what lies behind an occupied cell.
 //!
-//! Invariant: the cells of a ray are neighbours by a face each (Amanatides and Woo 1987), so that no ray passes the border
-//! of a lattice unseen.
+//! Invariant: the cells of a ray are neighbours by a face each (Amanatides and Woo 1987), so that no ray passes the
+//! border of a lattice unseen.
 
 use std::f64::consts::{PI, TAU};
 
@@ -36,9 +36,9 @@ pub struct Fan {
     yaw_rad: f64,
 }
 
-/// Directions of the rays of a sensor, of length 1, seen by yaw: rows from the lowest up, each from right to left. Rows of
-/// R = range / resolution cells are at most 1/R rad apart, and so are the rays of a row at its ends, a row at elevation e
-/// having ⌈fov·R·cos e⌉ steps. A field of view that is not all around has rays on its rim.
+/// Directions of the rays of a sensor, of length 1, seen by yaw: rows from the lowest up, each from right to left. Rows
+/// of R = range / resolution cells are at most 1/R rad apart, and so are the rays of a row at its ends, a row at
+/// elevation e having ⌈fov·R·cos e⌉ steps. A field of view that is not all around has rays on its rim.
 pub(super) fn directions(sensor: &Sensor, lattice: &Lattice, yaw_rad: f64) -> Vec<[f64; 3]> {
     let range = sensor.range_m / lattice.resolution_m();
     let is_around = sensor.is_all_around();
@@ -70,7 +70,8 @@ impl Fan {
         sensor.check(lattice)?;
         let range = sensor.range_m / lattice.resolution_m();
         let rows = if lattice.is_flat() { 1.0 } else { (sensor.vertical_fov_rad * range).ceil() + 1.0 };
-        // A ray crosses at most √3 borders for each cell's length; from any place the region's far end is reached sooner.
+        // A ray crosses at most √3 borders for each cell's length; from any place the region's far end is reached
+        // sooner.
         let across: f64 = lattice.size().iter().map(|&size| size as f64).sum();
         let along = (range * 3.0_f64.sqrt() + 2.0).min(across + 2.0);
         let cells = rows * ((sensor.horizontal_fov_rad.min(TAU) * range).ceil() + 1.0) * along;
@@ -161,8 +162,8 @@ impl Fan {
     }
 }
 
-/// The way of a ray of a length in cells from the centre of a cell: which side of a cell is left, one after the other. It
-/// ends early where no region of this size has a cell that far away.
+/// The way of a ray of a length in cells from the centre of a cell: which side of a cell is left, one after the other.
+/// It ends early where no region of this size has a cell that far away.
 fn path(direction: [f64; 3], range: f64, size: [usize; 3]) -> Vec<u8> {
     let mut steps = Vec::new();
     let mut crossed = [0_usize; 3];

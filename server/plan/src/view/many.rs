@@ -1,7 +1,7 @@
 //! Many viewpoints, at many times, on all threads.
 //!
-//! Invariant: a viewpoint from which nobody can look has its reason told and costs the others nothing. What a question may
-//! cost is known before it is answered.
+//! Invariant: a viewpoint from which nobody can look has its reason told and costs the others nothing. What a question
+//! may cost is known before it is answered.
 
 use std::{
     collections::HashMap,
@@ -71,10 +71,10 @@ impl Fans<'_> {
     }
 }
 
-/// Information in bits that each viewpoint is expected to give at each of the scene's times; `None` at times at which its
-/// cell is probably occupied. Each result is told with the viewpoint's number, in their order, as soon as those before are
-/// told; a viewpoint from which nobody can look has its reason. [`ControlFlow::Break`] ends it. On the threads of rayon's
-/// pool. A sensor that does not look all around needs a [`Fan`] for each distinct yaw.
+/// Information in bits that each viewpoint is expected to give at each of the scene's times; `None` at times at which
+/// its cell is probably occupied. Each result is told with the viewpoint's number, in their order, as soon as those
+/// before are told; a viewpoint from which nobody can look has its reason. [`ControlFlow::Break`] ends it. On the
+/// threads of rayon's pool. A sensor that does not look all around needs a [`Fan`] for each distinct yaw.
 ///
 /// # Errors
 /// [`TooMuchWork`], before the work begins.

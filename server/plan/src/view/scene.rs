@@ -93,7 +93,7 @@ impl Scene {
         Ok(Scene { lattice: Arc::clone(grid.lattice()), flags, bits })
     }
 
-    /// Where the cells lie.
+    /// The lattice of the cells.
     #[must_use]
     pub fn lattice(&self) -> &Arc<Lattice> {
         &self.lattice

@@ -1,8 +1,8 @@
 //! A region of a grid at many times, looked into at all of them in one pass.
 //!
-//! Along a branch of the tree of rays goes the set of times at which it is open, as bits; only a cell that is occupied at
-//! some of the times changes it. Cells seen at all times are summed once where they never change, and time by time where
-//! they do; only what lies behind cells that come and go is summed for the times at which it shows.
+//! Along a branch of the tree of rays goes the set of times at which it is open, as bits; only a cell that is occupied
+//! at some of the times changes it. Cells seen at all times are summed once where they never change, and time by time
+//! where they do; only what lies behind cells that come and go is summed for the times at which it shows.
 //!
 //! Invariant: what is told of a time is, but for rounding, what a look into the scene of that time alone tells.
 
@@ -73,7 +73,7 @@ impl TimedScene {
         Ok(TimedScene { lattice, times: grid.times(), flags, bits, numbers, rows, occupied })
     }
 
-    /// Where the cells lie.
+    /// The lattice of the cells.
     #[must_use]
     pub fn lattice(&self) -> &Arc<Lattice> {
         &self.lattice
@@ -132,9 +132,9 @@ impl TimedViewScorer {
         TimedViewScorer { marks, look: 0, slots, partly: Vec::new(), branches: Vec::new() }
     }
 
-    /// Information in bits that looking from the centre of a cell of the region is expected to give at each of the times;
-    /// `None` at times at which that cell is probably occupied, at all of them outside the region, and for rays that were
-    /// made for a region of another size.
+    /// Information in bits that looking from the centre of a cell of the region is expected to give at each of the
+    /// times; `None` at times at which that cell is probably occupied, at all of them outside the region, and for rays
+    /// that were made for a region of another size.
     #[must_use]
     pub fn look(&mut self, scene: &TimedScene, fan: &Fan, from: CellIndex) -> Vec<Option<f64>> {
         let mut told = Vec::with_capacity(scene.times);

@@ -38,15 +38,15 @@ pub struct HypertimeFieldParts {
     pub method: HypertimeMethod,
     /// The periods, as divisors of a week, in the order found; at most five.
     pub week_divisors: Vec<u32>,
-    /// How each coordinate of a location is standardised.
+    /// The scale of each coordinate of a location.
     pub location: Vec<HypertimeAxis>,
-    /// How each coordinate of a value is standardised.
+    /// The scale of each coordinate of a value.
     pub value: Vec<HypertimeAxis>,
     /// The clusters, at least one.
     pub clusters: Vec<HypertimeCluster>,
 }
 
-/// What a value is at a place and time, as a distribution.
+/// The distribution of a value over place and time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HypertimeField {
     method: HypertimeMethod,
@@ -57,12 +57,12 @@ pub struct HypertimeField {
 }
 
 impl HypertimeField {
-    /// Fits the model as [`super::Hypertime::fit`] does. Of more than 4,000 readings, one is drawn from each of 4,000
-    /// equal runs in the order given.
+    /// Fits the model as [`super::Hypertime::fit`] does. From more than 4,000 readings, one is drawn from each of 4,000
+    /// equal runs in the given order.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings, an option is outside its range, readings differ in their number of
-    /// coordinates, have no value or together more than 16 coordinates, or a coordinate is not finite.
+    /// coordinates, have no value or more than 16 coordinates in total, or a coordinate is not finite.
     pub fn fit(readings: &[FieldReading], options: &HypertimeOptions) -> Result<HypertimeField, CannotFit> {
         HypertimeField::fit_weighted(readings, &vec![1.0; readings.len()], options)
     }
@@ -70,7 +70,8 @@ impl HypertimeField {
     /// As [`HypertimeField::fit`], where each reading has a weight above 0.
     ///
     /// # Errors
-    /// As there; also where there are not as many weights as readings, or one is not a finite number above 0.
+    /// As there; also if the number of weights differs from that of readings, or a weight is not a finite number above
+    /// 0.
     pub fn fit_weighted(
         readings: &[FieldReading],
         weights: &[f64],
@@ -103,8 +104,8 @@ impl HypertimeField {
         Ok(HypertimeField { method: options.method, divisors, location, value, mixture })
     }
 
-    /// The distribution of the value at a place and time; `None` where the location has not as many coordinates as
-    /// those fitted to, or one is not finite.
+    /// The distribution of the value at a place and time; `None` if the location has another number of coordinates than
+    /// the training data, or one is not finite.
     pub fn distribution(&self, at: Moment, location: &[f64]) -> Option<HypertimeDistribution> {
         if location.len() != self.location.len() || !location.iter().all(|number| number.is_finite()) {
             return None;
@@ -123,12 +124,12 @@ impl HypertimeField {
     }
 
     /// Probability density p(a | x, t) of a value at a place and time, per unit of each of its coordinates; `None` as
-    /// in [`HypertimeField::distribution`], also where that is so of the value.
+    /// in [`HypertimeField::distribution`], also for such a value.
     pub fn density(&self, at: Moment, location: &[f64], value: &[f64]) -> Option<f64> {
         self.distribution(at, location)?.density(value, &vec![0.0; value.len()])
     }
 
-    /// The value to expect at a place and time (RA-L 2019 eq. 4, of the conditional distribution); `None` as in
+    /// The expected value at a place and time (RA-L 2019 eq. 4, of the conditional distribution); `None` as in
     /// [`HypertimeField::distribution`].
     pub fn mean(&self, at: Moment, location: &[f64]) -> Option<Vec<f64>> {
         Some(self.distribution(at, location)?.mean())
@@ -157,7 +158,7 @@ impl HypertimeField {
     /// The model from stored parts.
     ///
     /// # Errors
-    /// [`InvalidParts`] where numbers are outside their range or lists have not the right length.
+    /// [`InvalidParts`] if numbers are outside their range or lists have the wrong length.
     pub fn from_parts(parts: &HypertimeFieldParts) -> Result<HypertimeField, InvalidParts> {
         check_divisors(&parts.week_divisors)?;
         let (locations, values) = (parts.location.len(), parts.value.len());

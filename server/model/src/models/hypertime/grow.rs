@@ -1,10 +1,10 @@
-//! The iterative scheme of warped hypertime (RA-L 2019 section III.C): cluster, look where the error has a period
-//! left, add a circle for it, and stop when the error no longer falls.
+//! The iterative scheme of warped hypertime (RA-L 2019 section III.C): cluster, find the strongest period left in the
+//! error, add a circle for it, and stop when the error no longer falls.
 //!
-//! The error is that of readings left out of the fit, by blocks of days: on training readings it falls with nearly
-//! every circle, so that the rule as printed overfits. Clustering depends on its start, so of several starts the one
-//! is kept under which the readings left out are likeliest. Invariant: what is returned is no worse on those readings
-//! than the model without time.
+//! The error is that of held-out readings, by blocks of days: on training readings it falls with nearly every circle,
+//! so that the rule as printed overfits. Clustering depends on its start, so the best of several starts is kept, by the
+//! likelihood of the held-out readings. Invariant: the result is no worse on these readings than the model without
+//! time.
 
 use rand::SeedableRng;
 use rand::rngs::SmallRng;
@@ -14,30 +14,31 @@ use super::week::{PERIODS_MAX, Residuals};
 use super::{HypertimeMethod, HypertimeOptions};
 use crate::civil::NANOS_PER_SEC;
 
-/// Most blocks of readings that are left out in turn.
+/// Maximum number of blocks of readings that are held out in turn.
 const FOLDS_MAX: usize = 4;
 const STARTS: u64 = 4;
-/// Starts where there are many clusters: most of them end in places that are needed whatever the start.
+/// Starts with many clusters: most clusters then end in the same positions from any start.
 const STARTS_OF_MANY: u64 = 2;
 const MANY_CLUSTERS: usize = 20;
-/// A circle more must lower the error to this: it brings two dimensions, and one that only noise speaks for gains less.
+/// A further circle must lower the error to this factor: it adds two dimensions, and a circle that fits only noise
+/// gains less.
 const CIRCLE_WORTH: f64 = 0.99;
-/// A cluster more must lower the strength of the periods in the error to this.
+/// A further cluster must lower the strength of the periods in the error to this factor.
 const CLUSTER_WORTH: f64 = 0.999;
 const DAY_NANOS: i64 = 86_400 * NANOS_PER_SEC;
 const HOUR_NANOS: i64 = 3_600 * NANOS_PER_SEC;
 
 /// The circles of a model and of the fits that leave a fold out, as divisors of a week. They may differ: if a period
-/// were sought in the readings that it is then judged by, noise would pass for a rhythm.
+/// were searched in the readings that later judge it, noise would pass for a rhythm.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Circles {
     pub(super) all: Vec<u32>,
-    /// For each fold, those of the fit without it.
+    /// For each fold, the circles of the fit without it.
     pub(super) without: Vec<Vec<u32>>,
 }
 
 impl Circles {
-    /// One circle more, each from the error of those readings that may be looked at; false where there is none to add.
+    /// Adds one circle to each fit, from the error on its own readings; false if there is none to add.
     fn extend(&mut self, residuals: &[Residuals], span_nanos: u64) -> bool {
         let Some(divisor) = Residuals::combined(residuals.iter()).strongest(&self.all, span_nanos) else {
             return false;
@@ -57,14 +58,14 @@ impl Circles {
     }
 }
 
-/// A fit to all readings, and how fits like it did on readings left out of them.
+/// A fit to all readings, with the errors of such fits on held-out readings.
 pub(super) struct Attempt<M> {
     pub(super) model: M,
     /// Mean squared error.
     pub(super) error: f64,
     /// Mean log-likelihood.
     pub(super) log_likelihood: f64,
-    /// Of each fold, by the fit without it.
+    /// The residuals of each fold, by the fit without it.
     pub(super) residuals: Vec<Residuals>,
 }
 
@@ -74,7 +75,7 @@ impl<M> Attempt<M> {
     }
 }
 
-/// How well readings left out were predicted.
+/// How well held-out readings were predicted.
 #[derive(Default)]
 pub(super) struct HeldOutScore {
     /// Sum of weight · squared error.
@@ -93,13 +94,13 @@ impl HeldOutScore {
     }
 }
 
-/// Something that can be fitted with given circles.
+/// Training data that a model with given circles can be fitted to.
 pub(super) trait Trainer<M> {
     /// Fits with these circles; the seed is for the start of the clustering.
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<M>;
 }
 
-/// What is fitted to: how long the readings span, and whether any can be left out.
+/// The extent of the training data: its time span, and the number of folds.
 pub(super) struct Extent {
     /// UTC.
     pub(super) span_nanos: u64,
@@ -127,7 +128,8 @@ pub(super) fn grow<M, F: Trainer<M>>(fit: &F, extent: &Extent, options: &Hyperti
     best.model
 }
 
-/// The best of several starts; with HyT-KM, of as many clusters as make the periods left in the error weaker (eq. 8).
+/// The best of several starts; with HyT-KM, adds clusters as long as the periods left in the error become weaker (eq.
+/// 8).
 fn clustered<M, F: Trainer<M>>(
     fit: &F,
     circles: &Circles,
@@ -149,7 +151,7 @@ fn clustered<M, F: Trainer<M>>(
 fn best_start<M, F: Trainer<M>>(fit: &F, circles: &Circles, clusters: usize, seed: u64) -> Attempt<M> {
     let mut best = fit.attempt(circles, clusters, seed);
     let starts = match clusters {
-        // The same from any start.
+        // All starts give the same result.
         1 => 1,
         _ if clusters > MANY_CLUSTERS => STARTS_OF_MANY,
         _ => STARTS,
@@ -163,8 +165,8 @@ fn best_start<M, F: Trainer<M>>(fit: &F, circles: &Circles, clusters: usize, see
     best
 }
 
-/// Deals readings (by their local civil times) into folds, a local day at a time, or an hour where there are fewer days
-/// than folds: the fold of each, and how many folds.
+/// Splits readings (by their local civil times) into folds of local days, or of hours if there are fewer days than
+/// folds. Returns the fold of each reading and the number of folds.
 pub(super) fn deal(civil_nanos: &[i64], seed: u64) -> (Vec<usize>, usize) {
     let blocks_of = |length: i64| {
         let mut blocks: Vec<i64> = civil_nanos.iter().map(|nanos| nanos.div_euclid(length)).collect();
@@ -177,14 +179,14 @@ pub(super) fn deal(civil_nanos: &[i64], seed: u64) -> (Vec<usize>, usize) {
         (length, blocks) = (HOUR_NANOS, blocks_of(HOUR_NANOS));
     }
     let folds = blocks.len().min(FOLDS_MAX);
-    // Drawn, not in turn, so that no weekday is always in the same fold.
+    // Random, so that no weekday is always in the same fold.
     let mut dealt: Vec<usize> = (0..blocks.len()).map(|index| index % folds.max(1)).collect();
     dealt.shuffle(&mut SmallRng::seed_from_u64(seed));
     let fold_of = |nanos: &i64| blocks.binary_search(&nanos.div_euclid(length)).map_or(0, |block| dealt[block]);
     (civil_nanos.iter().map(fold_of).collect(), folds)
 }
 
-/// What readings weigh that can be taken as independent: all weight divided by the local hours that have readings.
+/// The weight of independent readings: the total weight divided by the number of local hours with readings.
 pub(super) fn unit_weight(civil_nanos: &[i64], weight: f64) -> f64 {
     let mut hours: Vec<i64> = civil_nanos.iter().map(|nanos| nanos.div_euclid(HOUR_NANOS)).collect();
     hours.sort_unstable();

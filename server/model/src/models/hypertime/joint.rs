@@ -1,6 +1,6 @@
-//! Fits of one mixture over location, circles and value, and their error on readings left out.
+//! Fits of one mixture over location, circles and value, and their error on held-out readings.
 //!
-//! Invariant: errors are taken along standardised coordinates, so that each coordinate of the value counts alike.
+//! Invariant: errors are taken along standardised coordinates, so that all coordinates of the value have equal weight.
 
 use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
@@ -13,11 +13,11 @@ use super::mixture::Mixture;
 use super::seeding::Points;
 use super::week::{Residuals, project, slot, turn};
 
-/// Most readings fitted to.
+/// Maximum number of readings of a fit.
 const READINGS_MAX: usize = 4_000;
 const FIRST_STEPS: usize = 40;
 const FOLD_STEPS: usize = 10;
-/// Bound on what one reading can add to a log-likelihood, so that one outlier does not choose between starts.
+/// Bound on the contribution of one reading to a log-likelihood, so that one outlier does not decide between starts.
 const LOG_MAX: f64 = 20.0;
 
 /// A reading with standardised numbers.
@@ -31,14 +31,14 @@ pub(super) struct FieldPoint {
 }
 
 impl FieldPoint {
-    /// Which of so many readings are kept: all, or one drawn from each of equal runs.
+    /// Which of `count` readings are kept: all, or one drawn from each of equal runs.
     pub(super) fn thinned(count: usize, seed: u64) -> Vec<usize> {
         if count <= READINGS_MAX {
             return (0..count).collect();
         }
         let mut rng = SmallRng::seed_from_u64(seed);
         let start = |run: usize| (run as u128 * count as u128 / READINGS_MAX as u128) as usize;
-        // Drawn, as a fixed stride would always meet the same minute of the hour.
+        // Random, because a fixed stride could always hit the same minute of the hour.
         (0..READINGS_MAX).map(|run| rng.random_range(start(run)..start(run + 1))).collect()
     }
 }

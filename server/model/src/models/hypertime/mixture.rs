@@ -1,9 +1,8 @@
 //! Mixtures of clusters, fitted by expectation-maximisation (RA-L 2019 sections III.E and III.H).
 //!
-//! Covariances are drawn towards that of all readings as by a few readings more (C. Fraley and A. Raftery, "Bayesian
-//! regularization for normal mixture estimation", J. Classification 2007), which keeps clusters of few readings
-//! sound; a reading is an hour's worth here.
-//! Invariant: no cluster has no weight, and densities are finite.
+//! Covariances are shrunk towards that of all readings, as by a few more readings (C. Fraley and A. Raftery, "Bayesian
+//! regularization for normal mixture estimation", J. Classification 2007), which regularises clusters of few readings;
+//! one reading here means one hour of readings. Invariant: every cluster has weight, and densities are finite.
 
 use super::cluster::{Cluster, Conditional, HypertimeCluster, VARIANCE_MIN, factorised};
 use super::concentration::concentration;
@@ -11,10 +10,10 @@ use super::options::HypertimeOptions;
 use super::seeding::{Points, first_clusters, spread};
 use crate::InvalidParts;
 
-/// Nats per reading below which a step is the last.
+/// Stops when a step gains fewer nats per reading than this.
 const GAIN_MIN: f64 = 1e-5;
 
-/// Sums that a step makes of the readings, for one cluster; coordinates are relative to its present centre.
+/// The sums of one step over the readings, for one cluster; coordinates are relative to its present centre.
 struct Moments {
     weight: f64,
     first: Vec<f64>,
@@ -29,14 +28,14 @@ pub(super) struct Mixture {
 }
 
 impl Mixture {
-    /// Fits so many clusters, or fewer where there are fewer points; none where there are none.
+    /// Fits the given number of clusters, or fewer if there are fewer points; none without points.
     pub(super) fn fit(points: &Points, clusters: usize, seed: u64, max_steps: usize) -> Mixture {
         let mut mixture = Mixture { clusters: first_clusters(points, clusters, seed) };
         mixture.refit(points, max_steps);
         mixture
     }
 
-    /// Goes on fitting to (perhaps other) points.
+    /// Continues fitting, possibly with other points.
     pub(super) fn refit(&mut self, points: &Points, max_steps: usize) {
         if points.weights.is_empty() {
             return;
@@ -89,7 +88,7 @@ impl Mixture {
         (first.get(), all.get())
     }
 
-    /// What each cluster says of the remaining coordinates, and its share of the answer.
+    /// The conditional distribution of the remaining coordinates by each cluster, and its share.
     pub(super) fn given(&self, coordinates: &[f64], circles: &[f64]) -> Vec<(f64, Conditional)> {
         let conditionals: Vec<Conditional> =
             self.clusters.iter().map(|cluster| cluster.given(coordinates, circles)).collect();
@@ -104,7 +103,7 @@ impl Mixture {
         self.clusters.iter().map(|cluster| cluster.parts().clone()).collect()
     }
 
-    /// Checks clusters that were stored.
+    /// Checks stored clusters.
     pub(super) fn from_parts(
         parts: &[HypertimeCluster],
         coordinates: usize,
@@ -116,7 +115,7 @@ impl Mixture {
     }
 }
 
-/// ln Σ exp of numbers added one by one.
+/// ln Σ exp of numbers, added one by one.
 #[derive(Clone, Copy)]
 struct LogSum {
     most: f64,
@@ -158,7 +157,7 @@ fn normalise(logs: &mut [f64]) -> f64 {
     most + sum.ln()
 }
 
-/// What a cluster is drawn towards.
+/// The prior of a cluster.
 struct Prior<'a> {
     /// Variance of all points along each coordinate.
     spread: &'a [f64],
@@ -193,7 +192,7 @@ impl Moments {
         }
     }
 
-    /// The cluster that these sums make likeliest, prior included.
+    /// The most likely cluster for these sums, with the prior.
     fn cluster(&self, before: &Cluster, total: f64, prior: &Prior<'_>) -> Cluster {
         let coordinates = self.first.len();
         let shift: Vec<f64> = self.first.iter().map(|sum| sum / self.weight).collect();
@@ -221,7 +220,7 @@ impl Moments {
             centre,
             factor: factorised(&covariance, coordinates),
             directions_rad: pairs().map(|pair| pair[1].atan2(pair[0])).collect(),
-            // One reading more, spread evenly, draws the concentration towards 0.
+            // One more reading, spread evenly, shrinks the concentration towards 0.
             concentrations: pairs()
                 .map(|pair| concentration(pair[0].hypot(pair[1]) / (self.weight + prior.unit)))
                 .collect(),

@@ -1,8 +1,8 @@
 //! A probability in hypertime: the density of readings that are 1 against that of readings that are 0.
 //!
-//! p = n₁f₁/(n₁f₁ + n₀f₀), which is eq. 2 of RA-L 2019 with a fixed at 1 and at 0; a reading between counts for both.
-//! One factor between the two makes the mean prediction over the readings their mean, as γ does in eq. 3.
-//! Invariant: a prediction lies in `[0,1]`, and where nothing was observed it tends to the mean.
+//! p = n₁f₁/(n₁f₁ + n₀f₀), which is eq. 2 of RA-L 2019 with a fixed at 1 and at 0; a reading between 0 and 1 counts for
+//! both. One factor between the two densities makes the mean prediction over the readings equal to their mean, as γ
+//! does in eq. 3. Invariant: a prediction lies in `[0,1]`, and where there is no data it tends to the mean.
 
 use super::grow::{Attempt, Circles, HeldOutScore, Trainer};
 use super::mixture::Mixture;
@@ -27,7 +27,7 @@ pub struct HypertimeOddsParts {
     pub week_divisors: Vec<u32>,
     /// Mean value, in `[0,1]`.
     pub mean: f64,
-    /// Weight of the mean value, spread evenly over all times, that is added to the readings; above 0.
+    /// Weight of the prior, the mean value spread evenly over all times; above 0.
     pub background: f64,
     /// ln of the factor on the density of the readings that are 1.
     pub log_ones: f64,
@@ -216,7 +216,8 @@ fn shape(method: HypertimeMethod, periods: usize) -> (usize, usize) {
 }
 
 impl Odds {
-    /// ln of the factor with which the mean prediction over the readings is their mean; by bisection, as it only rises.
+    /// ln of the factor that makes the mean prediction over the readings their mean; by bisection, because the mean
+    /// prediction is monotonic in it.
     fn factor(&self, counts: &SlotWeights, logs: &[(f64, f64)]) -> f64 {
         let (mut low, mut high) = (-20.0, 20.0);
         for _ in 0..50 {

@@ -1,6 +1,6 @@
-//! What is told of the ways that were found.
+//! Turns found paths into reported routes.
 //!
-//! Invariant: figures are those of the forecasts that the search has used.
+//! Invariant: all figures are of the forecasts that the search has used.
 
 use tidemap_map::topology::Edge;
 
@@ -15,7 +15,7 @@ use crate::route::{
 };
 
 impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
-    /// The steps of a way, and when it ends.
+    /// The steps of a path, and its arrival.
     pub(super) fn walk(
         &mut self,
         departure_secs: f64,
@@ -24,7 +24,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         let mut at_secs = departure_secs;
         let mut steps = Vec::with_capacity(edges.len());
         for &edge in edges {
-            // It was open to the search.
+            // It was open in the search.
             let Some(traversal) = self.cache.at(edge, at_secs)? else { continue };
             steps.push(RouteLeg {
                 edge: self.network.edges[edge],
@@ -54,7 +54,8 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         })
     }
 
-    /// The best way of a departure with the next best ones. Where [`Bounds::Auto`] has few labels it samples after all.
+    /// The best path of a departure with its alternatives. With [`Bounds::Auto`], falls back to sampling if labels run
+    /// out.
     fn alternatives(&mut self, departure: Departure) -> Result<Vec<EdgePath>, PlanRouteError> {
         let Departure { secs, found, to_go } = departure;
         let to_go = to_go.or(self.known.take()).unwrap_or_else(|| ToGo::nothing(self.network));
@@ -94,7 +95,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
     }
 }
 
-/// An edge on a way, as it was forecast.
+/// One edge of a path with its forecast.
 pub(super) struct RouteLeg<'a> {
     edge: &'a Edge,
     start_secs: f64,

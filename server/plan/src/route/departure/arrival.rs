@@ -1,18 +1,18 @@
 //! The latest departure that is expected to arrive in time.
 //!
-//! Invariant: the departure that is found is in time, and those later ones that were tried are not.
+//! Invariant: the found departure is in time, and all later ones that were tried are not.
 
 use super::{Departure, Planner};
 use crate::route::{
     Bounds, DEPARTURES_MAX, Forecasts, Objective, PlanRouteError, bounds::Source, bounds::ToGo, cost::Cost,
 };
 
-/// To which a departure is found, in seconds.
+/// The precision of a departure, in seconds.
 const STEP_MIN_SECS: f64 = 0.1;
 
 impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
-    /// The last departure that is expected to arrive in time, of steps backwards, and then onwards from it: who leaves at D and
-    /// takes E may as well try T - E, and what lies halfway where that is too late.
+    /// The last departure that is expected to arrive in time: first by steps backwards, then refined forwards. After a
+    /// departure D with duration E, tries T - E, and if that is too late, the midpoint.
     pub(super) fn arriving(&mut self, by_secs: f64, earliest_secs: f64) -> Result<Option<Departure>, PlanRouteError> {
         let first_secs = earliest_secs.max(by_secs - self.options.horizon_secs);
         if first_secs > by_secs {
@@ -52,7 +52,7 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
         Ok(Some(best))
     }
 
-    /// At least so long, on average, takes every way that ends at the last of some times; as sure as the bounds are.
+    /// Lower bound of the expected duration of all paths that end at the last of some times; as reliable as the bounds.
     fn least_secs(&mut self, (first_secs, by_secs): (f64, f64)) -> Result<f64, PlanRouteError> {
         let known = self.depart(by_secs, (first_secs, by_secs), Cost::INFINITE)?;
         self.is_late |= known.is_some();
@@ -72,7 +72,7 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
         Ok(if least_secs.is_finite() { least_secs } else { 0.0 })
     }
 
-    /// The best way of a departure with the time that it leaves to spare, if it is expected to arrive in time.
+    /// The best path of a departure with its spare time, if it is expected to arrive in time.
     fn arrives(
         &mut self,
         secs: f64,

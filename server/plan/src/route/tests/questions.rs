@@ -158,7 +158,8 @@ fn options_out_of_range_are_refused() {
 
 #[test]
 fn a_dearer_way_is_kept_where_the_cheaper_one_has_passed_what_follows() {
-    // From 0 to node 2 over 1, or straight in the same time and less surely; from 1 to the goal, 3, well from 25 s on only.
+    // From 0 to node 2 over 1, or straight in the same time and less surely; from 1 to the goal, 3, well from 25 s on
+    // only.
     let mut topology = Topology::new();
     let nodes: Vec<NodeId> = (0..4)
         .map(|node| {

@@ -8,7 +8,8 @@ use tidemap_map::{
 
 use super::*;
 
-/// Streets of so many nodes each way: all those that run east, the first that runs north, and half of the others piecewise.
+/// Streets of so many nodes each way: all those that run east, the first that runs north, and half of the others
+/// piecewise.
 fn city(width: u32, seed: u64) -> Topology {
     let mut random = SmallRng::seed_from_u64(seed);
     let mut topology = Topology::new();

@@ -3,7 +3,8 @@
 use super::*;
 use crate::search::{machine::Machine, paths::Paths, problem::Goals};
 
-/// What it costs to visit a set of goals from one of them that is reached already, by sets and goals; the first set is empty.
+/// What it costs to visit a set of goals from one of them that is reached already, by sets and goals; the first set is
+/// empty.
 fn costs_behind(problem: &SearchProblem) -> Vec<f64> {
     let count = problem.count;
     let mut costs = vec![0.0; (1 << count) * (count + 1)];
