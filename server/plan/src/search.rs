@@ -1,13 +1,14 @@
-//! Where to look first: the walk that finds somebody, or something, soonest.
+//! Searches: the walk that finds a target, a person or an object, soonest.
 //!
 //! The Graph Searching Problem of Krajník, Kulich, Mudrová, Ambrus, Duckett, "Where's Waldo at time t?", ICRA 2015
-//! ("Waldo"): of all walks that visit every place, the one of the least expected time to find (eq. 1 to 3), given how
-//! likely each place is. Invariant: an answer called optimal is; one that is not tells the least time that any walk
-//! could have.
+//! ("Waldo"): of all walks that visit every place, the one with the least expected time to find the target (eq. 1 to
+//! 3), given the probability of each place. This is a minimum latency problem with weights on shortest times. A goal is
+//! never scheduled before an unvisited goal that lies on the way to it, because passing a goal visits it. Invariant: a
+//! plan called optimal is optimal; otherwise it has a lower bound.
 //!
-//! A place whose look takes no time is visited by whoever passes it, as in the paper. One whose look takes
-//! [`Roads::dwell_secs`] may be passed without a look, where that is better; who is there is found on arrival, and the
-//! look's time delays what comes after. Looking at the start comes first unless it takes time.
+//! A place whose observation takes no time is visited in passing, as in the paper. A place whose observation takes
+//! [`Roads::dwell_secs`] may be passed without a visit if that is better; the target is found on arrival, and the
+//! observation delays the later places. The start is visited first unless that takes time.
 
 mod changing;
 mod exact;
@@ -30,30 +31,30 @@ pub use stop::{Stop, StopError, StopReason};
 
 use tidemap_map::topology::NodeId;
 
-/// Most goals of which the best order is searched for.
+/// Maximum number of goals of an exact search.
 pub const EXACT_GOALS_MAX: usize = 40;
-/// Most goals of a search.
+/// Maximum number of goals of a search.
 pub const GOALS_MAX: usize = 5_000;
-/// The least probability that a goal counts with by default.
+/// Default minimum probability of a goal.
 pub(crate) const FLOOR: f64 = 1e-6;
 
-/// A place to look at.
+/// A place to search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Goal {
-    /// Where.
+    /// The node.
     pub node: NodeId,
-    /// How likely it is to find there who or what is looked for, in `[0,1]`. Those of all goals need not add up to one:
-    /// there may be several, or none anywhere. See [`anyone`].
+    /// Probability of finding the target there, in `[0,1]`. The probabilities need not add up to one: there may be
+    /// several targets, or none. See [`anyone`].
     pub probability: f64,
 }
 
-/// How hard to look for the best order.
+/// The effort to find the best order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Effort {
-    /// The best order up to [`EXACT_GOALS_MAX`] goals, as far as the budget goes; a good one of more.
+    /// The best order up to [`EXACT_GOALS_MAX`] goals, within the budget; a good one above.
     #[default]
     Auto,
-    /// The best order, as far as the budget goes; more goals are refused.
+    /// The best order, within the budget; more goals are refused.
     Exact,
     /// A good order, without proof.
     Heuristic,
@@ -62,18 +63,18 @@ pub enum Effort {
 /// Options of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchOptions {
-    /// How hard to look.
+    /// The effort.
     pub effort: Effort,
-    /// What a goal counts at least, in `[0,1]`, above 0. Without it, the order among impossible goals would be
-    /// arbitrary: with it, they come last, the near ones first.
+    /// Minimum probability of a goal, in `[0,1]`, above 0. Without it, the order of impossible goals would be
+    /// arbitrary; with it they come last, the near ones first.
     pub floor: f64,
-    /// Most states of an exact search, 40 bytes each; 4 million by default.
+    /// Maximum number of states of an exact search, 40 bytes each; 4 million by default.
     pub states_max: usize,
-    /// Most disturbances of a heuristic search; 10,000 by default.
+    /// Maximum number of perturbations of a heuristic search; 10,000 by default.
     pub rounds_max: usize,
     /// Seed of the heuristic.
     pub seed: u64,
-    /// When to give up.
+    /// The stop rule.
     pub stop: Stop,
 }
 
@@ -91,11 +92,11 @@ impl Default for SearchOptions {
     }
 }
 
-/// Why there is no plan.
+/// Why a search cannot be planned.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum SearchError {
-    /// Nothing to look at.
+    /// There are no goals.
     #[error("there is nowhere to look: give at least one node with a probability")]
     NoGoals,
     /// The map has no such node.
@@ -104,21 +105,21 @@ pub enum SearchError {
     /// A node is given twice.
     #[error("node number {0} is given twice")]
     DuplicateGoal(u32),
-    /// A probability is none.
+    /// A probability is out of range.
     #[error("the probability at node number {node} is {found}: expected 0 to 1")]
     Probability { node: u32, found: f64 },
-    /// The floor is no probability, or 0.
+    /// The floor is out of range.
     #[error("the least probability of a goal is {0}: expected above 0, at most 1")]
     Floor(f64),
     /// A limit of the stop rule is out of range.
     #[error(transparent)]
     Stop(#[from] StopError),
-    /// More goals than are searched exactly.
+    /// Too many goals for an exact search.
     #[error(
         "the best order of {found} places was asked for: at most {EXACT_GOALS_MAX} are possible; ask for a good one"
     )]
     TooManyForExact { found: usize },
-    /// More goals than are searched.
+    /// Too many goals.
     #[error("a search of {found} places: at most {most} are possible; leave out unlikely ones")]
     TooMany { found: usize, most: usize },
     /// No goal can be reached.

@@ -1,4 +1,4 @@
-//! Maps to search, made of a seed, for benchmarks and tests.
+//! Random maps to search, for benchmarks and tests.
 #![allow(clippy::unwrap_used)]
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
@@ -12,15 +12,15 @@ use tidemap_map::{
 pub(crate) enum Shape {
     /// Each node hangs on an earlier one.
     Tree,
-    /// A grid of streets of which a third is closed, as far as it stays connected.
+    /// A grid of streets of which a third is closed; it stays connected.
     Streets,
-    /// Ways between all nodes, as long as they lie apart in a square.
+    /// Edges between all nodes, with the distances of points in a square.
     Complete,
-    /// A tree with some more ways, which are not the same both ways.
+    /// A tree with additional edges, which differ by direction.
     Random,
 }
 
-/// A map and what is looked for in it, from node 0.
+/// A map with the goals of a search from node 0.
 #[derive(Clone, Debug)]
 pub(crate) struct Map {
     pub(crate) topology: Topology,
@@ -39,7 +39,7 @@ impl Map {
         Roads::new(&self.topology, |edge| Some(edge.extent.secs_at(1.0))).unwrap()
     }
 
-    /// A map of so many nodes. Whole times and weights have many ties.
+    /// A map of the given number of nodes. Whole times and weights have many ties.
     pub(crate) fn random(shape: Shape, count: usize, whole: bool, seed: u64) -> Map {
         let mut random = SmallRng::seed_from_u64(seed);
         let mut topology = Topology::new();
@@ -88,7 +88,7 @@ impl Map {
                 for _ in 0..count {
                     let (from, to) = (random.random_range(0..count), random.random_range(0..count));
                     let extent = Extent::secs(rounded(random.random_range(1.0..20.0)));
-                    // A way that is there already, or leads to itself, is left out.
+                    // Existing edges and loops are omitted.
                     let _ = topology.add_edge(nodes[from], nodes[to], None, extent);
                 }
             }

@@ -1,12 +1,11 @@
-//! Where a robot should look on one tour, and in which order it should drive there (RA-L, section III.E and G).
+//! Tours: the viewpoints of one exploration tour, and the order of the drive (RA-L, section III.E and G).
 //!
-//! Candidates are the points of a uniform grid to which the robot can drive. The value of one is what looking from
-//! there teaches, times how probably it is reached (RA-L eq. 4). Goals are chosen one after the other, each the most
-//! valuable then, and each lowers the value of those that see the same. Then they are put into the order of the
-//! shortest drive.
+//! Candidates are the points of a uniform grid to which the robot can drive. The value of a candidate is the
+//! information of its view times the probability of reaching it (RA-L eq. 4). Goals are chosen greedily, and each
+//! chosen goal lowers the value of candidates that see the same cells. Then they are ordered by the shortest drive.
 //!
-//! Invariant: the same question has the same answer, bit by bit; of equally good candidates the one with the lowest y,
-//! then x, is taken. What is too much is refused before the work begins.
+//! Invariant: the same request gives the same tour, bit by bit; ties: the candidate with the lowest y, then x. Requests
+//! that are too expensive are refused before the work begins.
 
 use rayon::prelude::*;
 use tidemap_map::reachability::Reachability;
@@ -35,13 +34,13 @@ pub use question::{GOALS_MAX, Suppression, TourEnd, TourError, TourQuestion};
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum NoTour {
-    /// The robot cannot be where it is, nor near enough.
+    /// There is no free place at or near the start.
     #[error("nothing within {tolerance_m} m of the start is free for the robot")]
     StartBlocked { tolerance_m: f64 },
-    /// No candidate can be driven to and looked from.
+    /// No candidate is reachable with a free view.
     #[error("no place on the candidates' grid can be driven to and looked from")]
     NothingReachable,
-    /// There are candidates, but nothing to learn at them.
+    /// There are candidates, but no information.
     #[error("nothing is to be learned from any place that can be reached")]
     NothingToLearn,
     /// No goal fits into the time.
@@ -56,11 +55,11 @@ pub struct TourStep {
     pub x_m: f64,
     /// In the map's frame, metres.
     pub y_m: f64,
-    /// What looking from there is expected to teach beyond what goals teach that were chosen before it, bits.
+    /// Expected information of the view beyond that of the goals chosen before, bits.
     pub information_bits: f64,
-    /// The same if it were the only goal, bits.
+    /// Expected information if it were the only goal, bits.
     pub alone_bits: f64,
-    /// How probably it is reached, in (0, 1].
+    /// Probability of reaching it, in (0, 1].
     pub reachability: f64,
     /// When the robot arrives, seconds from its start.
     pub arrival_secs: f64,
@@ -71,20 +70,20 @@ pub struct TourStep {
 pub struct Tour {
     /// Goals in the order of the drive.
     pub steps: Vec<TourStep>,
-    /// Sum of what they teach if all are reached, bits.
+    /// Sum of their information if all are reached, bits.
     pub information_bits: f64,
-    /// Sum of what they teach, each times how probably it is reached, bits: E_G of RA-L, section III.E, by what is new
-    /// at each goal.
+    /// Sum of their information times the probability of reaching them, bits: E_G of RA-L, section III.E, with the new
+    /// information at each goal.
     pub expected_bits: f64,
-    /// Length of the drive to its end, metres.
+    /// Length of the drive, metres.
     pub length_m: f64,
-    /// Time to its end, looking included, seconds.
+    /// Duration, observations included, seconds.
     pub duration_secs: f64,
-    /// Candidates that could be driven to and looked from.
+    /// Number of reachable candidates with a free view.
     pub candidates: usize,
-    /// Looks that it took to choose among them.
+    /// Number of evaluated views.
     pub looks: usize,
-    /// Why there is no goal, where there is none.
+    /// Why there is no goal, if there is none.
     pub no_tour: Option<NoTour>,
 }
 
@@ -96,9 +95,8 @@ impl Tour {
 
 /// The best tour through a predicted grid, by RA-L's greedy choice. On the threads of rayon's pool.
 ///
-/// A tour without a goal is an answer too, and says why. Of up to 12 goals the order is the shortest that there is; of
-/// more a good one. Goals that do not fit into the time are left out, those first that teach least for the time they
-/// take.
+/// A tour without a goal gives its reason. Up to 12 goals are in the shortest order; more in a good one. Goals that do
+/// not fit into the time are omitted, first those with the least information for their time.
 ///
 /// # Errors
 /// [`TourError`], before the work begins.
@@ -112,10 +110,10 @@ pub fn plan_tour(
     plan_tour_with(&fan, grid, reachability, question)
 }
 
-/// [`plan_tour`] with rays that are at hand: for many tours on regions of one size they need to be made only once.
+/// [`plan_tour`] with an existing fan of rays, which many tours on regions of one size can share.
 ///
 /// # Errors
-/// [`TourError`], before the work begins; [`TourError::OtherFan`] for rays that do not belong to the question.
+/// [`TourError`], before the work begins; [`TourError::OtherFan`] for rays that do not match the request.
 pub fn plan_tour_with(
     fan: &Fan,
     grid: &PredictedGrid,
@@ -180,7 +178,7 @@ fn told(
     let mut new_bits = vec![0.0; chosen.len()];
     let mut alone_bits = vec![0.0; chosen.len()];
     let mut covered = vec![false; scene.lattice().held()];
-    // In the order of choice, those left out that do not fit.
+    // In the order of choice, without those that do not fit.
     for (goal, chosen) in chosen.iter().enumerate().filter(|(goal, _)| order.contains(goal)) {
         for &place in &chosen.seen {
             let bits = scene.bits_at(place as usize);

@@ -1,12 +1,11 @@
-//! How far it is for a robot to drive, around what is probably in its way.
+//! Driving distances of a robot around probable obstacles.
 //!
 //! The predicted grid is seen from above: a column is an obstacle where any of its cells at the robot's height is
-//! probably occupied, unknown where none of them was ever observed, and free otherwise. The robot is a disc; its middle
-//! does not come nearer to an obstacle's cell than its radius. Unknown columns are not entered unless that is asked
-//! for, and are no obstacles to what passes beside them. Driving goes from centre to centre of columns, in eight
-//! directions, and around corners, not across them.
+//! probably occupied, unknown where none of them was ever observed, and free otherwise. The robot is a disc; its centre
+//! keeps its radius from the cells of obstacles. Unknown columns are not entered unless the options allow it, and need
+//! no clearance. Driving goes from centre to centre of columns, in eight directions, and does not cut corners.
 //!
-//! Invariant: a way is as long there as back, and the same question has the same answer, bit by bit.
+//! Invariant: distances are symmetric, and the same request gives the same result, bit by bit.
 
 use std::{cmp::Reverse, collections::BinaryHeap, sync::Arc};
 
@@ -20,18 +19,17 @@ pub(crate) mod tests;
 /// The largest radius of a robot, in cells.
 const RADIUS_CELLS_MAX: f64 = 200.0;
 
-/// What a robot can drive over.
+/// The options of driving.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TravelOptions {
-    /// Lower end of the heights at which something is in the robot's way, metres in the map's frame. Without effect in
-    /// a flat grid. Default 0.2, so that no cell of the floor is in the way; lower things are found out by not
-    /// arriving.
+    /// Lower end of the heights of obstacles, metres in the map's frame. Without effect in a flat grid. Default 0.2,
+    /// above the cells of the floor.
     pub z_min_m: f64,
     /// Upper end of these heights, metres, above the lower end. Default 1.8.
     pub z_max_m: f64,
     /// Radius of the robot, metres, at least 0. Default 0.3.
     pub radius_m: f64,
-    /// A cell of a higher probability is in the way; in [0, 1]. Default 0.5.
+    /// Cells with a higher probability are obstacles; in [0, 1]. Default 0.5.
     pub threshold: f64,
     /// Whether unknown columns can be driven over. Default: no.
     pub unknown_is_passable: bool,
@@ -43,20 +41,20 @@ impl Default for TravelOptions {
     }
 }
 
-/// Why nobody can be told where a robot can drive.
+/// Why the options of driving are invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidTravel {
-    /// The heights are no range.
+    /// The heights are not a range.
     #[error("heights {min_m} to {max_m} m: both must be finite, and the second above the first")]
     Heights { min_m: f64, max_m: f64 },
     /// No cell of the region lies at these heights.
     #[error("no cell of the region lies at heights from {min_m} to {max_m} m")]
     NoCell { min_m: f64, max_m: f64 },
-    /// The radius is no length that makes sense.
+    /// The radius is out of range.
     #[error("radius {radius_m} m: it must be between 0 and {max_m} m on this grid")]
     Radius { radius_m: f64, max_m: f64 },
-    /// The threshold is no probability.
+    /// The threshold is not a probability.
     #[error("threshold {0}: it must be between 0 and 1")]
     Threshold(f64),
 }
@@ -78,7 +76,7 @@ pub struct Column {
     pub y: usize,
 }
 
-/// How far it is from one column to all others.
+/// Distances from one column to all others.
 #[derive(Clone, Debug)]
 pub struct Distances {
     width: usize,
@@ -86,7 +84,7 @@ pub struct Distances {
 }
 
 impl Distances {
-    /// How far it is to a column, metres; `None` where no way leads there.
+    /// Distance to a column, metres; `None` if it is unreachable.
     #[must_use]
     pub fn to(&self, column: Column) -> Option<f64> {
         let known = self.metres.get(column.y * self.width + column.x).copied();
@@ -95,10 +93,10 @@ impl Distances {
 }
 
 impl TravelGrid {
-    /// Where a robot can drive in a predicted grid.
+    /// The passable columns of a predicted grid.
     ///
     /// # Errors
-    /// [`InvalidTravel`] with the value that is wrong and what would be right.
+    /// [`InvalidTravel`] with the invalid value and the valid range.
     pub fn new(grid: &PredictedGrid, options: &TravelOptions) -> Result<TravelGrid, InvalidTravel> {
         let lattice = grid.lattice();
         let (min_m, max_m) = (options.z_min_m, options.z_max_m);
@@ -113,7 +111,7 @@ impl TravelGrid {
             return Err(InvalidTravel::Threshold(options.threshold));
         }
         let (region, [width, depth, _]) = (lattice.region(), lattice.size());
-        // Cells that reach into the heights by more than what is rounded.
+        // Cells that overlap the heights by more than rounding.
         let reaches = |z: i32| {
             let centre_m = lattice.centre_m(CellIndex { z, ..region.min })[2];
             let half_m = lattice.resolution_m() * (0.5 - 1e-9);
@@ -140,16 +138,16 @@ impl TravelGrid {
         Ok(travel)
     }
 
-    /// Closes the columns whose centre is nearer to an obstacle than the radius in cells, and the obstacles.
+    /// Closes the obstacles and the columns whose centre is nearer to an obstacle than the radius in cells.
     fn keep_away(&mut self, blocked: &[bool], radius: f64) {
         let [width, depth] = self.size;
         let reach = (radius + 0.5).ceil() as isize;
         let gap = |away: isize| (away.unsigned_abs() as f64 - 0.5).max(0.0);
         let is_near = |x: isize, y: isize| (x, y) == (0, 0) || gap(x).hypot(gap(y)) < radius - 1e-9;
-        // Of each row of the disc how far it goes to both sides.
+        // The half width of each row of the disc.
         let rows: Vec<(isize, isize)> =
             (-reach..=reach).filter_map(|y| Some((y, (0..=reach).rev().find(|&x| is_near(x, y))?))).collect();
-        // An obstacle within others adds nothing that they do not.
+        // An obstacle inside others adds nothing.
         let is_inner = |x: usize, y: usize| {
             x > 0
                 && y > 0
@@ -179,7 +177,8 @@ impl TravelGrid {
         self.size
     }
 
-    /// The column at a point of the map's frame, metres; `None` outside the region, and for what is not finite.
+    /// The column at a point of the map's frame, metres; `None` outside the region, and for numbers that are not
+    /// finite.
     #[must_use]
     pub fn column_at(&self, x_m: f64, y_m: f64) -> Option<Column> {
         let lowest = self.lattice.region().min;
@@ -196,15 +195,15 @@ impl TravelGrid {
         [x_m, y_m]
     }
 
-    /// Whether the middle of the robot can be there; outside the region it cannot.
+    /// Whether the robot's centre can be there; never outside the region.
     #[must_use]
     pub(crate) fn is_passable(&self, column: Column) -> bool {
         let [width, depth] = self.size;
         column.x < width && column.y < depth && self.passable[column.y * width + column.x]
     }
 
-    /// The passable column whose centre is nearest to a point of the map's frame, and how far it is in a straight line,
-    /// metres; of equally near ones the one with the lowest y, then x. `None` where none is within `most_m`.
+    /// The passable column whose centre is nearest to a point of the map's frame, and its straight distance, metres;
+    /// ties: the lowest y, then x. `None` if none is within `most_m`.
     #[must_use]
     pub fn nearest(&self, x_m: f64, y_m: f64, most_m: f64) -> Option<(Column, f64)> {
         let at = self.column_at(x_m, y_m)?;
@@ -215,7 +214,7 @@ impl TravelGrid {
             for x in at.x.saturating_sub(reach)..(at.x + reach + 1).min(self.size[0]) {
                 let column = Column { x, y };
                 let centre = self.centre_m(column);
-                // The robot's own column counts as where it is.
+                // The robot's own column has the distance 0.
                 let away = if column == at { 0.0 } else { (centre[0] - x_m).hypot(centre[1] - y_m) };
                 if away <= most_m && self.is_passable(column) && best.is_none_or(|(_, least)| away < least) {
                     best = Some((column, away));
@@ -225,13 +224,13 @@ impl TravelGrid {
         best
     }
 
-    /// How far it is from a column to all others; to none from one that is not passable (Dijkstra 1959; steps of one
+    /// Distances from a column to all others; none from a column that is not passable (Dijkstra 1959; steps of one
     /// cell's length along x and y, of √2 across).
     #[must_use]
     pub fn distances(&self, from: Column) -> Distances {
         let [width, _] = self.size;
         let mut lengths = vec![f64::INFINITY; self.passable.len()];
-        // Lengths are not negative, so that their bits are in their order.
+        // Lengths are not negative, so their bits have the same order.
         let mut queue = BinaryHeap::new();
         if self.is_passable(from) {
             let start = from.y * width + from.x;

@@ -1,13 +1,13 @@
-//! What is seen from a place, and what looking from there is expected to teach (RA-L, section III.C).
+//! Views: the cells visible from a place, and their expected information (RA-L, section III.C).
 //!
 //! The viewpoint counts as the centre of its cell. Rays leave it in fixed directions ([`Fan`]): rows of equal
 //! elevation, and equal azimuths in each row, so that neighbouring rays are at most one cell apart at full range. A ray
-//! passes the cells that it goes through, from face to face, as long as it enters them before its range is used up;
-//! where it meets an edge exactly it crosses along x first, then y, then z. It ends in the first cell that is probably
-//! occupied (probability above the threshold), which it sees, and where it would leave the region. Unknown cells count
-//! as 0.5. In a flat grid rays lie in the plane. Information is the sum over the cells seen, each once.
+//! passes from cell to cell through faces, as long as it enters them within its range; at an exact edge it crosses
+//! along x first, then y, then z. It ends in the first cell that is probably occupied (probability above the
+//! threshold), which is visible, and at the end of the region. Unknown cells count as 0.5. In a flat grid rays lie in
+//! the plane. The information is the sum over the visible cells, each once.
 //!
-//! Invariant: the same question has the same answer, bit by bit, however many threads there are.
+//! Invariant: the same request gives the same result, bit by bit, for any number of threads.
 
 use tidemap_map::grid::index::CellIndex;
 
@@ -26,21 +26,21 @@ pub use many::{TooMuchWork, ViewLimits, look_many};
 pub use scene::{InvalidThreshold, Scene, SceneOptions, ViewGain, ViewScorer};
 pub use timed::{TimedScene, TimedViewScorer};
 
-/// The most cells that the rays of a sensor may pass all together, those that several pass counted for each.
+/// Maximum number of cells along all rays of a sensor, counted per ray.
 pub const RAY_CELLS_MAX: f64 = 3e7;
 /// The longest range in cells.
 pub(crate) const RANGE_CELLS_MAX: f64 = 4096.0;
 
-/// How a robot looks around.
+/// The field of view of a robot's sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensor {
-    /// How far it sees, metres, above 0.
+    /// Range, metres, above 0.
     pub range_m: f64,
-    /// Width of the field of view, radians, above 0; 2π and more is all around, whatever the yaw is.
+    /// Width of the field of view, radians, above 0; 2π and more is all around, for any yaw.
     pub horizontal_fov_rad: f64,
     /// Height of the field of view, half of it above the horizon, radians, in (0, π]. Without effect in a flat grid.
     pub vertical_fov_rad: f64,
-    /// z of the sensor in the map's frame where a viewpoint does not give it, metres. Without effect in a flat grid.
+    /// Default z of the sensor in the map's frame, metres, if the viewpoint has none. Without effect in a flat grid.
     pub height_m: f64,
 }
 
@@ -56,11 +56,11 @@ impl Default for Sensor {
     }
 }
 
-/// Why a sensor is none.
+/// Why a sensor is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidSensor {
-    /// The range is not a length that makes sense.
+    /// The range is out of range.
     #[error("range {range_m} m: it must be above 0 and at most {max_m} m on this grid")]
     Range { range_m: f64, max_m: f64 },
     /// The field of view is too narrow, or not a number.
@@ -80,10 +80,10 @@ pub enum InvalidSensor {
 }
 
 impl Sensor {
-    /// Checks every field, as regards a grid with cells of this size.
+    /// Checks every field for a grid with cells of this size.
     ///
     /// # Errors
-    /// [`InvalidSensor`] with the value that is wrong and what would be right.
+    /// [`InvalidSensor`] with the invalid value and the valid range.
     pub fn check(&self, lattice: &Lattice) -> Result<(), InvalidSensor> {
         let max_m = RANGE_CELLS_MAX * lattice.resolution_m();
         if !(self.range_m > 0.0 && self.range_m <= max_m) {
@@ -101,14 +101,14 @@ impl Sensor {
         Ok(())
     }
 
-    /// Whether it looks all around.
+    /// Whether the field of view is all around.
     #[must_use]
     pub(crate) fn is_all_around(&self) -> bool {
         self.horizontal_fov_rad >= std::f64::consts::TAU
     }
 }
 
-/// From where to look.
+/// A viewpoint.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Viewpoint {
     /// In the map's frame, metres.
@@ -117,19 +117,19 @@ pub struct Viewpoint {
     pub y_m: f64,
     /// In the map's frame, metres; `None`: the sensor's height. Without effect in a flat grid.
     pub z_m: Option<f64>,
-    /// Where the middle of the field of view points, from the map's x axis to its y axis, radians. Without effect on a
-    /// sensor that looks all around.
+    /// The direction of the middle of the field of view, from the map's x axis to its y axis, radians. Without effect
+    /// for an all-around sensor.
     pub yaw_rad: f64,
 }
 
-/// Why nobody can look from a place.
+/// Why a viewpoint is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum ViewError {
     /// A coordinate or the yaw is not a number.
     #[error("viewpoint ({}, {}, {:?}) m with yaw {} rad: its numbers must be finite", .0.x_m, .0.y_m, .0.z_m, .0.yaw_rad)]
     NotFinite(Viewpoint),
-    /// The place lies outside the region that is predicted.
+    /// The place lies outside the predicted region.
     #[error("viewpoint ({x_m}, {y_m}, {z_m}) m lies outside the region of interest")]
     Outside { x_m: f64, y_m: f64, z_m: f64 },
     /// The place is probably occupied.
@@ -138,7 +138,7 @@ pub enum ViewError {
 }
 
 impl Viewpoint {
-    /// The cell that holds it.
+    /// The cell that contains it.
     ///
     /// # Errors
     /// [`ViewError::NotFinite`] and [`ViewError::Outside`]

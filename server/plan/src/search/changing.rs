@@ -1,9 +1,9 @@
-//! A search during which the probabilities change: each counts as it will be when the robot arrives.
+//! A search with changing probabilities: each goal has its probability at the robot's arrival.
 //!
-//! A heuristic. The cost of a state would depend on when it is reached, so what an exact search leaves out is not safe
-//! to leave out here. The order is planned by the probabilities at the start, planned again by those at the arrivals of
-//! the last plan, and the best of these is improved by moving, exchanging and reversing, each weighed by the whole
-//! walk. Invariant: with probabilities that do not change, the order is that of [`super::search`] or one as good.
+//! This is a heuristic: the cost of a state would depend on its time, so the pruning of the exact search would not be
+//! safe. The order is planned by the probabilities at the start, replanned by those at the arrivals of the last plan,
+//! and the best of these is improved by moving, exchanging and reversing, each evaluated on the whole walk. Invariant:
+//! with probabilities that do not change, the order is that of [`super::search`] or one as good.
 
 use tidemap_map::topology::{NodeId, Roads};
 
@@ -15,21 +15,20 @@ use super::{
     question::{GoalOrder, SearchQuestion},
 };
 
-/// Most goals of a search during which probabilities change: each change of the order costs as many predictions.
+/// Maximum number of goals with changing probabilities: each change of the order costs as many predictions.
 pub const CHANGING_GOALS_MAX: usize = 200;
 /// How often the order is planned by the arrivals of the last plan.
 const REPLANS: usize = 4;
 
 /// Plans a search with probabilities predicted for the time of arrival: `probability(node, arrival_secs)`, in `[0,1]`.
 ///
-/// What is minimised is the time to expect until the search ends: the share of who is expected at the start (the sum of
-/// the probabilities then) that is not found yet shrinks at each arrival by the probability at that moment, never below
-/// 0, and the times between arrivals count by it. With probabilities that do not change that is eq. 2. The plan is
-/// never called optimal, and has no lower bound but 0; its expected time is eq. 2 with the probabilities at the
-/// arrivals. Of the options, the rounds bound the walks that are weighed.
+/// Minimises the expected time until the search ends: the remaining share starts as the sum of the probabilities at the
+/// start, falls at each arrival by the probability then, never below 0, and weights the times between arrivals. With
+/// constant probabilities this is eq. 2. The plan is never called optimal, and its lower bound is 0; its expected time
+/// is eq. 2 with the probabilities at the arrivals. `rounds_max` limits the number of evaluated walks.
 ///
 /// # Errors
-/// [`SearchError`], for predictions, too.
+/// [`SearchError`], also for invalid predictions.
 pub fn search_changing(
     roads: &Roads,
     start: NodeId,
@@ -54,7 +53,7 @@ pub fn search_changing(
         SearchQuestion { goals: question.goals.clone(), unreachable: Vec::new(), start: question.start };
     for _ in 0..=REPLANS {
         let mut ordered = order(roads, &replanned, options, exact, &mut until);
-        // What is passed on the way is looked at then.
+        // Places on the way are visited in passing.
         let plan = SearchPlan::of(roads, &replanned, &ordered, options.floor);
         ordered.nodes = plan.steps.iter().filter_map(|step| roads.index_of(step.node)).collect();
         let weighed = weigh(&ordered)?;
@@ -87,7 +86,7 @@ pub fn search_changing(
     Ok(plan)
 }
 
-/// A walk, weighed by the probabilities at its arrivals.
+/// A walk, evaluated with the probabilities at its arrivals.
 struct WeighedWalk {
     cost: f64,
     probabilities: Vec<f64>,
@@ -123,7 +122,7 @@ impl WeighedWalk {
     }
 }
 
-/// Moves, exchanges and reverses while that lowers the cost, for so many walks at most.
+/// Moves, exchanges and reverses while that lowers the cost, for at most the given number of walks.
 fn improve(
     ordered: &mut GoalOrder,
     mut cost: f64,

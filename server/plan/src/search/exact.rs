@@ -1,10 +1,12 @@
 //! The best order, proven: dynamic programming over sets, with bounds.
 //!
-//! A walk is charged the time of each of its ways times the weight still unvisited. So of two walks that have visited
-//! the same goals and end at the same one, only the cheaper matters, and of the pairs of set and goal only those whose
-//! cost and bound of the rest stay below the cost of a known walk. Only goals are gone to next that have no unvisited
-//! one on the way. Sets are taken by size, so that, whenever it is stopped, the least cost with bound of the last size
-//! is a lower bound of the search.
+//! A walk costs the time of each leg times the weight still unvisited. So of two walks that have visited the same goals
+//! and end at the same one, only the cheaper matters, and of the pairs of set and goal only those whose cost plus bound
+//! of the rest stays below the cost of a known walk. A goal with an unvisited goal on the way to it is never next, so
+//! that a tree or a street has few states. Bounds come in steps: first by the machine alone; if more than 4,000 states
+//! are left, by paths with few units of weight, then with many. Up to 11 goals a plain table of all sets is faster.
+//! Sets are processed by size, so that the search can stop at any time: the least cost plus bound of the last size is
+//! then a lower bound.
 
 use super::{
     machine::Machine,
@@ -12,30 +14,30 @@ use super::{
     problem::{Goals, Passing, SearchProblem},
 };
 
-/// Share of the cost by which a walk must be better to be looked for.
+/// Relative improvement below which walks are not searched for.
 const SAME: f64 = 1e-11;
-/// Searches of at most so many goals are kept in plain tables.
+/// Searches of at most this many goals use plain tables.
 pub(super) const TABLE_GOALS_MAX: usize = 11;
-/// States that the bound by the machine alone is tried for.
+/// Maximum number of states with the bound by the machine alone.
 const FIRST_STATES: usize = 4_000;
-/// Then the bound by paths: rounds of its rewards, units meanwhile and at last, and states that it is tried for.
+/// Then the bound by paths: rounds of its rewards, units at first and at last, and maximum number of states.
 const PATHS: [(usize, u32, u32, usize); 3] =
     [(16, 128, 512, 20_000), (50, 384, 3_072, 200_000), (80, 512, 6_144, usize::MAX)];
 
-/// What was found.
+/// The result of an exact search.
 #[derive(Clone, Debug)]
 pub(super) struct Proof {
     /// An order that is better than the one known before.
     pub order: Option<Vec<usize>>,
-    /// No order costs less.
+    /// Lower bound of the cost.
     pub lower_bound: f64,
-    /// Whether all was searched.
+    /// Whether the search is complete.
     pub complete: bool,
-    /// States that were looked at.
+    /// Number of visited states.
     pub states: usize,
 }
 
-/// A search whose goals are in the order of its machine.
+/// A search problem with its goals in the order of its machine.
 #[derive(Clone, Copy)]
 pub(super) struct SortedProblem<'a> {
     pub problem: &'a SearchProblem,
@@ -44,7 +46,7 @@ pub(super) struct SortedProblem<'a> {
 }
 
 impl SortedProblem<'_> {
-    /// Searches for an order that costs less than a known one, as long as that takes little.
+    /// Searches for an order that costs less than a known one, within a small number of states.
     pub(crate) fn prove_quickly(self, known: f64, states_max: usize, until: impl FnMut() -> bool) -> Proof {
         if self.problem.count <= TABLE_GOALS_MAX {
             return table(self, known);
@@ -54,8 +56,8 @@ impl SortedProblem<'_> {
         proven
     }
 
-    /// Searches for an order that costs less than a known one, with dearer bounds. `states_max` counts on from
-    /// `before`.
+    /// Searches for an order that costs less than a known one, with more expensive bounds. `states_max` includes the
+    /// states of `before`.
     pub(super) fn prove(self, known: f64, before: &Proof, states_max: usize, mut until: impl FnMut() -> bool) -> Proof {
         let (mut lower_bound, mut states) = (before.lower_bound, before.states);
         let mut paths = Paths::new(self.problem, self.passing, PATHS[0].1);
@@ -132,7 +134,7 @@ fn table(SortedProblem { problem, passing, machine }: SortedProblem<'_>, known: 
     let sets = 1_usize << count;
     let limit = known * (1.0 - SAME);
     let mut costs = vec![f64::INFINITY; sets * count];
-    // Goals at which a walk with these visited may stand, and whence it came.
+    // The goals at which a walk with these visited may stand, and their predecessors.
     let mut ends = vec![0_u16; sets];
     let mut before = vec![0_u8; sets * count];
     let mut bounds = [0.0; TABLE_GOALS_MAX];
@@ -185,13 +187,13 @@ fn table(SortedProblem { problem, passing, machine }: SortedProblem<'_>, known: 
     Proof { order: Some(order), lower_bound, complete: true, states }
 }
 
-/// A set of visited goals, where the walk stands, and what it costs.
+/// A set of visited goals, the current goal, and the cost.
 #[derive(Clone, Copy, Debug)]
 struct SearchState {
     visited: Goals,
     at: u32,
     cost: f64,
-    /// With the bound of the rest.
+    /// Cost plus bound of the rest.
     bound: f64,
 }
 
@@ -281,7 +283,7 @@ impl Layers<'_> {
     }
 }
 
-/// Where in a layer each state lies: a table with open addresses.
+/// The position of each state in a layer: an open-addressing hash table.
 #[derive(Debug, Default)]
 struct StateIndex {
     /// One more than the number of the state; 0 is free. The length is a power of two.

@@ -1,9 +1,8 @@
-//! Iterated local search: a good walk fast, with no promise.
+//! Iterated local search: finds a good walk quickly, without a guarantee.
 //!
-//! A greedy walk is improved, disturbed by exchanging two short stretches, and improved again where it was disturbed.
-//! Whether a worse walk is gone on from is decided as in simulated annealing, in cycles: each begins hot at the best
-//! walk, cools, and is twice as long as the one before, so that a search of any length has cooled and has left what it
-//! was stuck in. The same seed gives the same walk.
+//! A greedy walk is improved, perturbed by exchanging two short stretches, and improved again there. Worse walks are
+//! accepted as in simulated annealing, in cycles: each begins hot at the best walk, cools, and is twice as long as the
+//! one before, so that a search of any length both cools and escapes local minima. The same seed gives the same walk.
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
@@ -12,18 +11,17 @@ use super::{
     problem::SearchProblem,
 };
 
-/// Longest stretch that a disturbance exchanges.
+/// Longest stretch that a perturbation exchanges.
 const DISTURBED_MAX: usize = 30;
-/// Neighbours that are looked at, in turn by cycle: few are four times as fast, many get on where few are stuck.
+/// Number of neighbours, alternating by cycle: few are four times as fast, many escape where few are stuck.
 const NEAR: [usize; 2] = [15, 40];
 /// Rounds of the first cycle.
 const CYCLE: usize = 2_000;
-/// By which share a walk that is gone on from may be worse than the one before it, on average: as a cycle begins and
-/// ends.
+/// Mean relative worsening of an accepted walk at the beginning and at the end of a cycle.
 const HOT: f64 = 3e-3;
 const COLD: f64 = 1e-4;
 
-/// An order of the goals that is good, after so many disturbances or when asked to stop.
+/// A good order of the goals, after the given number of perturbations or when stopped.
 pub(super) fn iterate(
     problem: &SearchProblem,
     rounds: usize,
@@ -38,7 +36,7 @@ pub(super) fn iterate(
     }
     let mut random = SmallRng::seed_from_u64(seed);
     let (mut walk, mut accepted) = (best.clone(), best.clone());
-    // A short search is a cycle of its own.
+    // A short search is a single cycle.
     let (mut cycle, mut done, mut cycles) = (CYCLE.min(rounds), 0, 0);
     walk.look_at(NEAR[0]);
     for _ in 0..rounds {
@@ -74,7 +72,7 @@ fn disturb(walk: &mut SearchWalk<'_>, count: usize, random: &mut SmallRng) {
     walk.exchange(from, from + first - 1, from + first + second - 1);
 }
 
-/// Always on to the goal that gains most weight in a second.
+/// Greedy: always goes to the goal with the most weight per second.
 fn greedy(problem: &SearchProblem) -> Vec<usize> {
     let mut order = Vec::with_capacity(problem.count);
     let mut left: Vec<usize> = (0..problem.count).collect();

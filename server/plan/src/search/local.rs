@@ -1,18 +1,18 @@
-//! Walks made better by small changes, each weighed in constant time.
+//! Local search: small changes of walks, each evaluated in constant time.
 //!
-//! A change puts a few stretches of the old walk together anew, forwards or backwards. Sums along the walk, in both
-//! directions, give of each stretch how long it takes, how much weight it has and what it costs from its own beginning
-//! (Silva, Subramanian, Vidal, Ochi: A simple and effective metaheuristic for the Minimum Latency Problem, EJOR 2012).
-//! Invariant: a walk has each goal once, and its sums are those of its order.
+//! A change reassembles a few stretches of the old walk, forwards or backwards. Sums along the walk, in both
+//! directions, give the duration, weight and cost of each stretch (Silva, Subramanian, Vidal, Ochi: A simple and
+//! effective metaheuristic for the Minimum Latency Problem, EJOR 2012). Invariant: a walk has each goal once, and its
+//! sums are those of its order.
 
 use super::problem::SearchProblem;
 
 /// Longest stretch that is moved elsewhere.
 const MOVED_MAX: usize = 3;
-/// Share of the cost by which a change must lower it: less is rounding.
+/// Minimum relative improvement of a change: less is rounding.
 const GAIN_MIN: f64 = 1e-11;
 
-/// For each goal, and for the start, the goals that are reached from it soonest.
+/// For each goal, and for the start, the nearest goals.
 #[derive(Clone, Debug)]
 pub(super) struct Neighbours {
     each: usize,
@@ -55,12 +55,12 @@ struct Stretch {
 /// Sums up to a position of a walk.
 #[derive(Clone, Copy, Debug, Default)]
 struct PrefixSums {
-    /// Arrival.
+    /// The arrival.
     secs: f64,
     weight: f64,
     /// Weight times arrival.
     cost: f64,
-    /// What the way back to the first goal would take.
+    /// The duration of the way back to the first goal.
     back_secs: f64,
     /// Weight times that.
     back_cost: f64,
@@ -71,12 +71,12 @@ struct PrefixSums {
 pub(super) struct SearchWalk<'a> {
     problem: &'a SearchProblem,
     near: &'a Neighbours,
-    /// How many of the nearest goals are looked at.
+    /// Number of nearest goals that are considered.
     reach: usize,
     goals: Vec<usize>,
     position: Vec<usize>,
     sums: Vec<PrefixSums>,
-    /// Goals whose surroundings have changed since they were looked at.
+    /// Goals whose surroundings have changed since they were checked.
     open: Vec<usize>,
     is_open: Vec<bool>,
     spare: Vec<usize>,
@@ -102,7 +102,7 @@ impl<'a> SearchWalk<'a> {
         walk
     }
 
-    /// From now on at most so many of the nearest goals are looked at.
+    /// Sets the number of nearest goals that are considered.
     pub(crate) fn look_at(&mut self, reach: usize) {
         self.reach = reach;
     }
@@ -117,7 +117,7 @@ impl<'a> SearchWalk<'a> {
         self.sums[self.problem.count].cost
     }
 
-    /// Takes another walk's order, all of its goals being looked at.
+    /// Copies another walk's order, whose goals are all checked.
     pub(crate) fn copy_from(&mut self, other: &SearchWalk<'_>) {
         self.goals.clone_from(&other.goals);
         self.position.clone_from(&other.position);
@@ -152,8 +152,7 @@ impl<'a> SearchWalk<'a> {
         }
     }
 
-    /// What the walk costs if these stretches follow on its beginning, before position `from`, and then what is behind
-    /// `to`.
+    /// The cost of the walk if these stretches replace positions `from` to `to`.
     #[inline]
     fn cost_of(&self, from: usize, to: usize, stretches: &[Stretch]) -> f64 {
         let begin = self.sums[from - 1];
@@ -199,7 +198,7 @@ impl<'a> SearchWalk<'a> {
         self.sum_from(from);
     }
 
-    /// Exchanges two neighbouring stretches, whatever it costs: positions `from` to `middle`, and behind it to `to`.
+    /// Exchanges two neighbouring stretches, at any cost: positions `from` to `middle`, and behind it to `to`.
     pub(super) fn exchange(&mut self, from: usize, middle: usize, to: usize) {
         let first = Stretch { first: from, last: middle, back: false };
         let second = Stretch { first: middle + 1, last: to, back: false };
@@ -207,7 +206,7 @@ impl<'a> SearchWalk<'a> {
     }
 
     /// Applies changes that lower the cost until there is none at any goal whose surroundings have changed, or until
-    /// asked to stop.
+    /// stopped.
     pub(super) fn improve(&mut self, mut until: impl FnMut() -> bool) {
         let mut looked = 0_u32;
         while let Some(goal) = self.open.pop() {
@@ -220,8 +219,7 @@ impl<'a> SearchWalk<'a> {
         }
     }
 
-    /// Looks for the best change that gives the goal at a position another successor, or sends the one behind it to the
-    /// end.
+    /// Finds the best change that gives the goal at a position another successor, or moves the one after it to the end.
     fn improve_behind(&mut self, at: usize) -> bool {
         let count = self.problem.count;
         let from = at + 1;
@@ -238,7 +236,7 @@ impl<'a> SearchWalk<'a> {
             }
             if to > from {
                 self.weigh(&mut best, from, to, &[Stretch::backwards(from, to)]);
-                // The two change places.
+                // The two exchange places.
                 if to > from + 1 {
                     let middle = Stretch::forwards(from + 1, to - 1);
                     let (here, there) = (Stretch::forwards(from, from), Stretch::forwards(to, to));

@@ -1,18 +1,18 @@
-//! A lower bound of what remains of a search: one machine that works off jobs.
+//! A lower bound of the rest of a search: jobs of one machine.
 //!
-//! If every time between arrivals is at least the sum of a share of the goal that is left and one of the goal that is
-//! reached, then the arrivals are no earlier than the starts of jobs on one machine, whose best order is that of Smith
-//! (1956): ascending by duration over weight. The shares are those of the dual of the assignment problem, or the least
-//! times of arriving, whichever bounds the whole search better. Invariant: never above the true cost.
+//! If every time between arrivals is at least the sum of a share of the departed goal and one of the reached goal, then
+//! the arrivals are no earlier than the starts of jobs on one machine, whose best order is that of Smith (1956):
+//! ascending by duration over weight. The shares are those of the dual of the assignment problem, or the least times of
+//! arriving, whichever bound is better for the whole search. Invariant: never above the true cost.
 
 use super::problem::{Goals, Passing, SearchProblem};
 
 /// Shares of each goal, and the order of Smith.
 #[derive(Clone, Debug)]
 pub(super) struct Machine {
-    /// What leaving takes at least.
+    /// Least time of leaving.
     pub leaving: Vec<f64>,
-    /// What arriving takes at least.
+    /// Least time of arriving.
     pub arriving: Vec<f64>,
     /// Goals ascending by duration over weight.
     pub order: Vec<usize>,
@@ -38,7 +38,7 @@ impl Machine {
         let mut order: Vec<usize> = (0..count).collect();
         let ratio = |goal: usize| (leaving[goal] + arriving[goal]) / problem.weight[goal];
         order.sort_by(|&a, &b| ratio(a).total_cmp(&ratio(b)));
-        // What leaving the start takes is the least that is left of its row.
+        // Leaving the start takes the least remainder of its row.
         let row = problem.row(count).iter().zip(&arriving);
         let mut now = row.map(|(secs, arriving)| secs - arriving).fold(f64::INFINITY, f64::min);
         let mut root = 0.0;
@@ -73,7 +73,7 @@ fn least_arrival(problem: &SearchProblem, passing: Option<&Passing>, to: usize) 
 fn assignment_dual(problem: &SearchProblem, passing: Option<&Passing>) -> (Vec<f64>, Vec<f64>) {
     let count = problem.count;
     let most = (0..count).flat_map(|from| problem.row(from)).copied().fold(0.0, f64::max);
-    // Successions that no walk has cost much, and need no share to stay below.
+    // Successions that no walk has are expensive, so that they do not limit the shares.
     let cost = |from: usize, to: usize| {
         let follows = from != to && passing.is_none_or(|passing| passing.may_follow(from, to, Goals::MAX));
         if follows { problem.secs(from, to) } else { 4.0 * most }
@@ -122,7 +122,7 @@ fn assignment_dual(problem: &SearchProblem, passing: Option<&Passing>) -> (Vec<f
     }
     leaving.truncate(count);
     arriving.truncate(count);
-    // Rounding must not lift a sum of shares above the time itself.
+    // Rounding must not raise a sum of shares above the time itself.
     let slip = most * 1e-14 * count as f64;
     leaving.iter_mut().for_each(|share| *share -= slip);
     (leaving, arriving)

@@ -38,7 +38,7 @@ pub fn search(
     Ok(plan)
 }
 
-/// Finds an order of a question's goals.
+/// Finds an order of the goals.
 pub(super) fn order(
     roads: &Roads,
     question: &SearchQuestion,
@@ -50,7 +50,7 @@ pub(super) fn order(
     let count_of = |probability: f64| probability.max(options.floor);
     let sum: f64 = question.goals.iter().map(|&(_, probability)| count_of(probability)).sum();
     let weighted = question.goals.iter().map(|&(node, probability)| (node, count_of(probability) / sum));
-    // Who looks at the start without losing time does so first.
+    // The start comes first if its observation takes no time.
     let at_once = |node: usize| node == start && roads.dwell_secs(node) == 0.0;
     let goals: Vec<(usize, f64)> = weighted.clone().filter(|&(node, _)| !at_once(node)).collect();
     let first = weighted.filter(|&(node, _)| at_once(node)).map(|(node, _)| node);
@@ -73,7 +73,7 @@ pub(super) fn order(
         let sorted = SortedProblem { problem: &sorted, passing: &passing, machine: &sorted_machine };
         let mut proven = sorted.prove_quickly(known, options.states_max, &mut until);
         if !proven.complete {
-            // The better the known walk, the less is looked at.
+            // A better known walk prunes more.
             let better = iterate(&problem, EXACT_ROUNDS * count, options.seed, &mut until);
             let cost = problem.expected_secs(&better);
             if cost < known {
@@ -89,17 +89,17 @@ pub(super) fn order(
         lower_bound_secs = Machine::new(&problem, None).root;
     }
     if has_traps {
-        // What cannot be reached any more costs something made up, and so does the bound.
+        // Unreachable goals have an artificial cost, so the bound is void.
         (lower_bound_secs, complete) = (0.0, false);
     }
     let nodes = first.chain(found.iter().map(|&goal| goals[goal].0)).collect();
     GoalOrder { nodes, lower_bound_secs, complete, states }
 }
 
-/// Disturbances, for each goal, before an exact search that takes longer.
+/// Perturbations per goal before a longer exact search.
 const EXACT_ROUNDS: usize = 4;
 
-/// Disturbances before an exact search of which it is not known whether it takes long.
+/// Perturbations before the first attempt of an exact search.
 fn first_rounds(count: usize) -> usize {
     if count <= exact::TABLE_GOALS_MAX { 0 } else { count }
 }

@@ -1,15 +1,15 @@
-//! A lower bound of what remains of a search: cheapest paths over remaining weight.
+//! A lower bound of the rest of a search: cheapest paths over remaining weight.
 //!
-//! A walk is charged, for each of its ways, the time times the weight that is still unvisited. If weights are rounded
-//! down to whole units, what remains of a path depends on the units left and the goal it stands at, and the cheapest
-//! path over these states, which may come twice to a goal though not at once after leaving it, costs no more than the
-//! best walk (state-space relaxation: Christofides, Mingozzi, Toth, Networks 1981). A reward for each goal, raised
-//! where paths leave it out and lowered where they come twice, brings the bound close (subgradient method). Invariant:
-//! never above the true cost, whatever the rewards.
+//! A walk costs, for each leg, the time times the weight that is still unvisited. With weights rounded down to whole
+//! units, the rest of a path depends on the units left and the current goal only. The cheapest path over these states
+//! may visit a goal twice, though not directly after leaving it, and costs no more than the best walk (state-space
+//! relaxation: Christofides, Mingozzi, Toth, Networks 1981). A reward for each goal, raised if paths omit it and
+//! lowered if they visit it twice, tightens the bound (subgradient method). Invariant: never above the true cost, for
+//! any rewards.
 
 use super::problem::{Goals, Passing, SearchProblem};
 
-/// The cheapest path from a state on, and the cheapest whose first goal is another.
+/// The cheapest path from a state on, and the cheapest with another first goal.
 #[derive(Clone, Copy, Debug)]
 struct PathStep {
     cost: f64,
@@ -30,7 +30,7 @@ pub(super) struct Paths {
     unit: f64,
     total: u32,
     rewards: Vec<f64>,
-    /// By to and from: time, or infinite where no walk has this succession.
+    /// By destination and origin: time, or infinite if no walk has this succession.
     secs: Vec<f64>,
     onward: Vec<PathStep>,
     /// A bound of the whole search.
@@ -38,7 +38,7 @@ pub(super) struct Paths {
 }
 
 impl Paths {
-    /// Prepares bounds with about so many units for the whole weight.
+    /// Prepares bounds with about the given number of units for the whole weight.
     pub(super) fn new(problem: &SearchProblem, passing: &Passing, units: u32) -> Paths {
         let count = problem.count;
         let mut paths = Paths {
@@ -55,11 +55,11 @@ impl Paths {
         paths
     }
 
-    /// Rounds the weights anew; the rewards stay.
+    /// Rounds the weights again; the rewards stay.
     pub(crate) fn set_units(&mut self, problem: &SearchProblem, passing: &Passing, most: u32) {
         let sum: f64 = problem.weight.iter().sum();
         let units_by = |unit: f64| problem.weight.iter().map(move |weight| (weight / unit * (1.0 + 1e-13)) as u32);
-        // Of numbers of units the one that loses least; equal weights lose nothing with few.
+        // Chooses the number of units that loses least; equal weights lose nothing with few.
         let lost = |unit: f64| sum - unit * f64::from(units_by(unit).sum::<u32>());
         let least = (most / 2).max(2);
         let few = (1..=256_u32).take_while(|&few| few < least);
@@ -78,7 +78,7 @@ impl Paths {
         self.unit *= 1.0 - 1e-12;
         self.total = self.units.iter().sum();
         let kept = |goal: usize| self.units[goal] > 0;
-        // Where a goal of no units is left out, the way around it may avoid what lies between its neighbours.
+        // If a goal of no units is omitted, the way around it may avoid goals between its neighbours.
         let among = if (0..self.count).all(kept) { Goals::MAX } else { 0 };
         self.secs = (0..self.count)
             .flat_map(|to| (0..=self.count).map(move |from| (from, to)))
@@ -94,7 +94,7 @@ impl Paths {
         }
     }
 
-    /// Computes the bounds for the rewards as they are.
+    /// Computes the bounds for the present rewards.
     fn solve(&mut self) {
         let count = self.count;
         let targets: Vec<usize> = (0..count).filter(|&goal| self.units[goal] > 0).collect();
@@ -132,7 +132,7 @@ impl Paths {
         self.root = whole + self.rewards.iter().sum::<f64>();
     }
 
-    /// How often the cheapest path comes to each goal.
+    /// Number of visits of the cheapest path to each goal.
     fn visits(&self) -> Vec<f64> {
         let mut visits = vec![0.0; self.count];
         let (mut left, mut at, mut before) = (self.total, self.count, NONE);
@@ -152,7 +152,7 @@ impl Paths {
         visits
     }
 
-    /// The first goal of the cheapest path that does not begin as the cheapest of all.
+    /// The first goal of the cheapest path that begins differently from the cheapest of all.
     fn second(&self, left: u32, at: usize, onward: PathStep) -> usize {
         let charge = self.unit * f64::from(left);
         let fits = |to: usize| to != onward.next as usize && self.units[to] > 0 && self.units[to] <= left;
@@ -164,8 +164,8 @@ impl Paths {
         (0..self.count).filter(|&to| fits(to)).min_by(|&a, &b| cost(a).total_cmp(&cost(b))).unwrap_or(self.count)
     }
 
-    /// Changes the rewards so many times, towards a known cost; keeps those of the best bound, and computes the bounds
-    /// for them. Stops when asked.
+    /// Changes the rewards the given number of times, towards a known cost; keeps those of the best bound, and computes
+    /// the bounds for them. Stops on request.
     pub(super) fn improve(&mut self, rounds: usize, cost: f64, mut until: impl FnMut() -> bool) {
         let (mut best, mut best_rewards) = (f64::NEG_INFINITY, self.rewards.clone());
         let (mut pace, mut idle) = (1.0, 0);
@@ -214,12 +214,12 @@ impl Paths {
         (units, rewards)
     }
 
-    /// A bound of what it costs to go on to a goal's successors, given the set that contains it with its sums.
+    /// A bound of the cost of continuing to a goal's successors, given the set that contains it with its sums.
     #[inline]
     pub(super) fn behind(&self, goals: Goals, (units, rewards): (u32, f64), goal: usize) -> f64 {
         let left = units - self.units[goal];
         let onward = self.onward[left as usize * (self.count + 1) + goal];
-        // A path that begins with a goal visited already cannot be the walk's.
+        // A walk does not continue with a visited goal.
         let fits = onward.next == NONE || goals & (1 << onward.next) != 0;
         rewards - self.rewards[goal] + if fits { onward.cost } else { onward.other_cost }
     }

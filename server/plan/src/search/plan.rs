@@ -1,4 +1,4 @@
-//! The plan of a search: what is looked at when, and the walk that leads there.
+//! The plan of a search: the order of visits with their times, and the walk.
 //!
 //! Invariant: arrivals ascend along the walk, and every step is on it.
 
@@ -10,14 +10,14 @@ use super::{
     stop::{Stop, StopReason},
 };
 
-/// A look.
+/// A visit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchStep {
-    /// Where.
+    /// The node.
     pub node: NodeId,
     /// When the robot is there, seconds after it leaves the start.
     pub arrival_secs: f64,
-    /// How likely who is looked for is there, as given.
+    /// Probability of finding the target there, as given.
     pub probability: f64,
 }
 
@@ -33,31 +33,31 @@ pub struct Passage {
 /// A planned search.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SearchPlan {
-    /// Looks in their order; rooms that are passed on the way to others included.
+    /// Visits in order, including places that are passed on the way to others.
     pub steps: Vec<SearchStep>,
-    /// All nodes on the way, the start first; one comes again when it is passed again.
+    /// All nodes on the way, the start first; a node that is passed twice appears twice.
     pub walk: Vec<Passage>,
-    /// Time to find to expect, in seconds, given that who is looked for is at one of the steps (Waldo eq. 2, divided by
-    /// the sum of what the steps count).
+    /// Expected time to find the target, in seconds, given that it is at one of the steps (Waldo eq. 2, divided by the
+    /// sum of the steps' probabilities).
     pub expected_secs: f64,
     /// No walk to all goals has a lower expected time, before any stop.
     pub lower_bound_secs: f64,
     /// Whether the order is proven to be the best, before any stop.
     pub optimal: bool,
-    /// Goals to which no way leads from the start, or none any more once the others are visited.
+    /// Goals that cannot be reached from the start, or no longer once the others are visited.
     pub unreachable: Vec<Goal>,
-    /// Probability that the walk leaves: that of all goals that are no step, over that of all goals; 0 to 1.
+    /// Remaining probability: that of all goals that are not a step, over that of all goals; 0 to 1.
     pub remains: f64,
     /// Why the walk ends before all goals are visited, if it does.
     pub stopped: Option<StopReason>,
-    /// States that the exact search looked at; 0 of a heuristic one.
+    /// Number of states of the exact search; 0 for a heuristic one.
     pub states: usize,
-    /// The least that a goal counted.
+    /// Minimum probability of a goal.
     pub(super) floor: f64,
 }
 
 impl SearchPlan {
-    /// Walks the order along shortest ways.
+    /// Walks the order along shortest paths.
     pub(super) fn of(roads: &Roads, question: &SearchQuestion, ordered: &GoalOrder, floor: f64) -> SearchPlan {
         let mut probability_at = vec![None; roads.len()];
         for &(node, probability) in &question.goals {
@@ -69,7 +69,7 @@ impl SearchPlan {
         let (mut at, mut now_secs) = (question.start, 0.0);
         let mut shortest = ShortestTimes::default();
         for &goal in &ordered.nodes {
-            // Passed already.
+            // Already passed.
             let Some(probability) = probability_at[goal] else { continue };
             shortest.between(roads, at, goal);
             if shortest.secs()[goal].is_infinite() {
@@ -108,7 +108,7 @@ impl SearchPlan {
         plan
     }
 
-    /// Recomputes what the steps amount to; `left` is the probability of goals that were steps before.
+    /// Recomputes the sums over the steps; `left` is the probability of the steps that were cut off.
     pub(super) fn summarise(&mut self, left: f64) {
         let counts = |step: &SearchStep| step.probability.max(self.floor);
         let sum: f64 = self.steps.iter().map(counts).sum();
@@ -116,13 +116,13 @@ impl SearchPlan {
         self.expected_secs = if sum > 0.0 { cost / sum } else { 0.0 };
         let seen: f64 = self.steps.iter().map(|step| step.probability).sum();
         let unseen = left + self.unreachable.iter().map(|goal| goal.probability).sum::<f64>();
-        // Where no goal is likely at all, nothing remains to be found.
+        // If all probabilities are 0, nothing remains.
         self.remains = if unseen > 0.0 { unseen / (seen + unseen) } else { 0.0 };
     }
 }
 
 impl Stop {
-    /// Cuts a plan.
+    /// Cuts off the end of a plan.
     pub(super) fn apply(&self, plan: &mut SearchPlan) {
         let unlikely = self.remains_below.map_or(plan.steps.len(), |below| steps_until_unlikely(plan, below));
         let worth = self.cost_per_sec.map_or(plan.steps.len(), |cost| steps_worth_it(plan, cost));
@@ -147,13 +147,13 @@ impl Stop {
     }
 }
 
-/// How many steps are taken until less than this share remains.
+/// Number of steps until less than this share remains.
 fn steps_until_unlikely(plan: &SearchPlan, below: f64) -> usize {
     let all = plan.steps.iter().map(|step| step.probability).sum::<f64>()
         + plan.unreachable.iter().map(|goal| goal.probability).sum::<f64>();
     let mut left = all;
     for (taken, step) in plan.steps.iter().enumerate() {
-        // Rounding may leave a little of nothing.
+        // Rounding may leave a small remainder.
         if left < below * all || left <= 1e-12 * all && below > 0.0 {
             return taken;
         }
@@ -162,10 +162,10 @@ fn steps_until_unlikely(plan: &SearchPlan, below: f64) -> usize {
     plan.steps.len()
 }
 
-/// After how many steps the gain less the cost of the time to expect is greatest.
+/// Number of steps that maximises the gain minus the cost of the expected time.
 fn steps_worth_it(plan: &SearchPlan, cost_per_sec: f64) -> usize {
     let sum: f64 = plan.steps.iter().map(|step| step.probability).sum();
-    // More than one person may be there: then one of them is at the goals for sure.
+    // With several targets, one of them is certainly at the goals.
     let scale = if sum > 1.0 { 1.0 / sum } else { 1.0 };
     let (mut found, mut found_secs) = (0.0, 0.0);
     let (mut best, mut most) = (0, 0.0);

@@ -1,8 +1,8 @@
 //! A search as numbers: goals with weights, and times between them.
 //!
-//! Invariant: times obey the triangle inequality, the time of looking included, because they are shortest times;
-//! weights are above 0 and, with that of the start, add up to one. So a walk that passes a goal whose look takes no
-//! time loses nothing by counting it as visited.
+//! Invariant: times obey the triangle inequality, the time of observing included, because they are shortest times;
+//! weights are above 0 and, with that of the start, add up to one. So a walk that passes a goal whose observation takes
+//! no time loses nothing by counting it as visited.
 
 use tidemap_map::topology::{Roads, ShortestTimes};
 
@@ -14,17 +14,17 @@ pub(super) type Goals = u64;
 pub(super) struct SearchProblem {
     /// Number of goals, the start not among them.
     pub count: usize,
-    /// How much each counts.
+    /// The weight of each.
     pub weight: Vec<f64>,
-    /// Seconds from the arrival at one to the arrival at another, row by row, the look at the former included; the last
-    /// row is the start's, the last column is not used.
+    /// Seconds from the arrival at one to the arrival at another, row by row, including the observation of the former;
+    /// the last row is the start's, the last column is unused.
     secs: Vec<f64>,
-    /// Whether a look at the goal takes no time, so that passing it is a visit.
+    /// Whether observing the goal takes no time, so that passing it is a visit.
     pub passable: Vec<bool>,
 }
 
 impl SearchProblem {
-    /// The search of goals, given as indices of nodes with their weights, from the node of an index.
+    /// The search problem of goals, given as indices of nodes with their weights, from the start node.
     pub(super) fn new(roads: &Roads, start: usize, goals: &[(usize, f64)]) -> SearchProblem {
         let count = goals.len();
         let mut secs = vec![0.0; (count + 1) * (count + 1)];
@@ -44,8 +44,8 @@ impl SearchProblem {
         }
     }
 
-    /// Puts a long time where no way leads, longer than any walk of ways that are there. Says whether there was such a
-    /// place: a goal that leads nowhere back.
+    /// Replaces missing paths by a time longer than any possible walk. Returns whether there were any: a goal without a
+    /// way back.
     pub(crate) fn fill_missing(&mut self) -> bool {
         let most = self.secs.iter().copied().filter(|secs| secs.is_finite()).fold(1.0, f64::max);
         let mut missing = false;
@@ -95,7 +95,7 @@ impl SearchProblem {
     }
 }
 
-/// Which goals lie on the way of others, for as many goals as there are bits.
+/// The goals on the way to others, for as many goals as a set has bits.
 #[derive(Clone, Debug)]
 pub(super) struct Passing {
     count: usize,
@@ -126,7 +126,7 @@ impl Passing {
         Passing { count, between, before: vec![0; count] }
     }
 
-    /// Notes which goals no walk from the start can leave out on its way to another.
+    /// Determines the goals that every walk from the start to another goal must pass.
     pub(crate) fn find_before(&mut self, problem: &SearchProblem, roads: &Roads, start: usize, goals: &[(usize, f64)]) {
         let mut shortest = ShortestTimes::default();
         for via in (0..self.count).filter(|&via| problem.passable[via]) {
@@ -165,13 +165,13 @@ impl Passing {
         }
     }
 
-    /// Goals that are visited on the way from one, or from the start, to another.
+    /// Goals that are visited on the way from one goal, or from the start, to another.
     #[inline]
     pub(super) fn between(&self, from: usize, to: usize) -> Goals {
         self.between[from * self.count + to]
     }
 
-    /// Whether some walk may visit `to` next after `from`, looking only at goals in `among`.
+    /// Whether some walk may visit `to` next after `from`, considering only goals in `among`.
     pub(crate) fn may_follow(&self, from: usize, to: usize, among: Goals) -> bool {
         if from == to {
             return false;

@@ -1,19 +1,19 @@
-//! A checked question of a search, and the order found for it.
+//! A checked request of a search, and the order found for it.
 
 use tidemap_map::topology::{NodeId, Roads, ShortestTimes};
 
 use super::{EXACT_GOALS_MAX, Effort, GOALS_MAX, Goal, SearchError, SearchOptions};
 
-/// A search with what was found of its order.
+/// The order found for a search.
 pub(super) struct GoalOrder {
-    /// Indices of nodes in the order of looking.
+    /// Indices of nodes in the order of visits.
     pub(super) nodes: Vec<usize>,
     pub(super) lower_bound_secs: f64,
     pub(super) complete: bool,
     pub(super) states: usize,
 }
 
-/// A checked question: reachable goals with what they count.
+/// A checked request: reachable goals with their probabilities.
 pub(super) struct SearchQuestion {
     pub(super) start: usize,
     /// Index of the node, probability as given.
@@ -35,7 +35,7 @@ impl SearchQuestion {
             return Err(SearchError::Floor(options.floor));
         }
         options.stop.check()?;
-        // Before anything is computed for each of them.
+        // Checked before any work per goal.
         if options.effort == Effort::Exact && goals.len() > EXACT_GOALS_MAX {
             return Err(SearchError::TooManyForExact { found: goals.len() });
         }

@@ -1,17 +1,17 @@
-//! When a search gives up.
+//! The rule that ends a search early.
 //!
 //! Invariant: a stop cuts off the end of a walk and changes nothing before it.
 
-/// What ends a walk before all places are visited; by default nothing does.
+/// When a walk ends before all places are visited; by default never.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Stop {
     /// End once the probability of all goals not yet visited, over that of all goals, is below this; 0 to 1.
     pub remains_below: Option<f64>,
-    /// What a second of search costs, in units of what finding is worth; 0 up. The walk ends where what is still to be
-    /// gained, probability by probability, is worth less than the time to expect it to take.
+    /// The cost of a second of search, in units of the value of finding the target; at least 0. The walk ends where the
+    /// remaining gain in probability is worth less than its expected time.
     pub cost_per_sec: Option<f64>,
-    /// Seconds after the start by which the robot has to be at the last place; 0 up. The order is that of a search
-    /// without end.
+    /// Seconds after the start by which the robot must be at the last place; at least 0. The order is that of an
+    /// unlimited search.
     pub within_secs: Option<f64>,
 }
 
@@ -26,16 +26,16 @@ pub enum StopReason {
     OutOfTime,
 }
 
-/// A limit of the stop rule that is none.
+/// A limit of the stop rule is out of range.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StopError {
-    /// Of what remains.
+    /// The limit of the remaining probability.
     #[error("a search is to stop when less than {0} remains: expected 0 to 1")]
     Remains(f64),
-    /// Of what a second costs.
+    /// The cost of a second.
     #[error("a second of search costs {0}: expected 0 up")]
     Cost(f64),
-    /// Of how long it may take.
+    /// The time limit.
     #[error("a search may take {0} s: expected 0 up")]
     Within(f64),
 }

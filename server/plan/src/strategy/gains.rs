@@ -5,8 +5,8 @@
 
 use super::{GAIN_MAX, GAINS_MAX, StrategyError};
 
-/// The gain of visiting a place in a slot, for all slots and places: the entropy of what is seen there, in bits, or
-/// another measure that is 0 where a visit is worth nothing.
+/// The gain of visiting a place in a slot, for all slots and places: the entropy of the observed states, in bits, or
+/// another measure that is 0 for a useless visit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gains {
     slots: usize,
@@ -16,11 +16,11 @@ pub struct Gains {
 }
 
 impl Gains {
-    /// Asks for each gain, slot by slot, place by place.
+    /// Calls `gain` for all slots and places, slot by slot.
     ///
     /// # Errors
-    /// [`StrategyError`] where there are no slots or no places, or too many of both together (nothing is asked then),
-    /// or a gain is negative, NaN or above [`GAIN_MAX`].
+    /// [`StrategyError`] where there are no slots or no places, or too many of both together (`gain` is not called
+    /// then), or a gain is negative, NaN or above [`GAIN_MAX`].
     pub fn of(slots: usize, places: usize, mut gain: impl FnMut(usize, usize) -> f64) -> Result<Gains, StrategyError> {
         Gains::check_size(slots, places)?;
         let mut values = Vec::with_capacity(slots * places);
@@ -36,7 +36,7 @@ impl Gains {
         Ok(Gains { slots, places, values })
     }
 
-    /// `Ok` where a matrix may have that size.
+    /// `Ok` if a matrix may have this size.
     ///
     /// # Errors
     /// As [`Gains::of`].
@@ -53,10 +53,10 @@ impl Gains {
         }
     }
 
-    /// What serves learning and a task at once: w·I/I_max + (1 - w)·p, between 0 and 1, with `task` the probability p
-    /// that the task succeeds at a place in a slot, such as that somebody is there to be served, and w = `exploration`,
-    /// from 0 (the task alone) to 1 (information alone). The info-terminal of the STRANDS project (Kulich et al., "To
-    /// explore or to exploit?", MESAS 2016) is to be where people are, and has to learn when that is.
+    /// Combines learning and a task: w·I/I_max + (1 - w)·p, between 0 and 1. `task` holds the probability p that the
+    /// task succeeds at a place in a slot, such as meeting people, and w = `exploration`, from 0 (task only) to 1
+    /// (information only). Example: the info-terminal of the STRANDS project (Kulich et al., "To explore or to
+    /// exploit?", MESAS 2016), which should be where people are and must learn when that is.
     ///
     /// # Errors
     /// [`StrategyError`] where the sizes differ, the weight or a probability is outside `[0,1]`.
@@ -87,12 +87,12 @@ impl Gains {
         self.places
     }
 
-    /// The gain of a place in a slot; 0 of one that is not there.
+    /// The gain of a place in a slot; 0 for an unknown one.
     pub fn at(&self, slot: usize, place: usize) -> f64 {
         self.slot(slot).get(place).copied().unwrap_or(0.0)
     }
 
-    /// The gains of all places in a slot; empty of one that is not there.
+    /// The gains of all places in a slot; empty for an unknown one.
     pub fn slot(&self, slot: usize) -> &[f64] {
         self.values.chunks(self.places).nth(slot).unwrap_or_default()
     }

@@ -1,14 +1,14 @@
-//! Which places to visit when.
+//! Schedules visits: which place in which slot.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_model::{INFORMATION_CERTAINTY, entropy_bits};
 
 use super::{Budget, GAIN_MAX, IOTA_BITS, NOVELTY_FACTOR, Strategy, StrategyError, draw, gains::Gains};
 
-/// Which place to visit in each slot; `None` where the slot is left to other tasks.
+/// The place to visit in each slot; `None` for slots without a visit.
 ///
 /// # Errors
-/// [`StrategyError`] where the budget does not suit the slots.
+/// [`StrategyError`] if the budget does not fit the slots.
 pub fn schedule(
     strategy: Strategy,
     gains: &Gains,
@@ -57,7 +57,7 @@ pub fn schedule(
                     } else if total > 0.0 {
                         total * (1.0 - ratio) / (slots as f64 * ratio) + IOTA_BITS
                     } else {
-                        // Where nothing can be gained anywhere, ι alone would not keep the ratio.
+                        // If all gains are 0, ι alone would not keep the ratio.
                         places as f64 * IOTA_BITS * (1.0 - ratio) / ratio
                     }
                 },
@@ -67,8 +67,8 @@ pub fn schedule(
     })
 }
 
-/// Draws slots and places in proportion to weights. With a ratio each slot is drawn by itself, against a weight of
-/// rest.
+/// Draws slots and places in proportion to weights. With a ratio each slot is drawn independently, against the weight
+/// of no visit.
 fn by_chance(
     random: &mut SmallRng,
     budget: Budget,
@@ -117,9 +117,8 @@ fn greedy(random: &mut SmallRng, gains: &Gains, visits: usize) -> Vec<Option<usi
     plan
 }
 
-/// One place, chosen again for the knowledge of now, by the gains of all places in the slot: the best, or for
-/// strategies that draw, one in proportion to gain plus [`IOTA_BITS`]. Strategies that do not look at gains, and gains
-/// that are empty, keep what was `planned`.
+/// Chooses one place again by the present gains of all places in the slot: the best, or with random strategies one in
+/// proportion to gain plus [`IOTA_BITS`]. Strategies that ignore gains, and empty gains, keep `planned`.
 pub fn choose(strategy: Strategy, planned: usize, gains_now: &[f64], seed: u64) -> usize {
     let mut random = SmallRng::seed_from_u64(seed);
     match strategy {
@@ -132,15 +131,14 @@ pub fn choose(strategy: Strategy, planned: usize, gains_now: &[f64], seed: u64) 
     }
 }
 
-/// Where to go instead of what was planned, because what was seen lately says that the model is wrong there: of the
-/// places where [`surprise_bits`](crate::location::surprise_bits) is at least [`NOVELTY_FACTOR`] times what the model
-/// expects, the one with the largest difference (RAS 2017, eq. 12). `None` where there is none. Pairs are (I', I) of
-/// each place.
+/// A place to visit instead of the planned one, because recent observations contradict the model there: of the places
+/// where [`surprise_bits`](crate::location::surprise_bits) is at least [`NOVELTY_FACTOR`] times what the model expects,
+/// the one with the largest difference (RAS 2017, eq. 12). `None` where there is none. Pairs are (I', I) of each place.
 pub fn novel(places: impl IntoIterator<Item = (f64, f64)>) -> Option<usize> {
     let mut best: Option<(usize, f64)> = None;
     for (place, (surprise, expected)) in places.into_iter().enumerate() {
         let more = surprise - expected;
-        // Surprise counts no model as surer than the certainty, so neither does what it is compared with.
+        // Surprise limits probabilities to the certainty, so the compared value must, too.
         let is_novel = surprise >= NOVELTY_FACTOR * expected.max(entropy_bits(INFORMATION_CERTAINTY));
         if is_novel && best.is_none_or(|(_, most)| more > most) {
             best = Some((place, more));
@@ -149,7 +147,7 @@ pub fn novel(places: impl IntoIterator<Item = (f64, f64)>) -> Option<usize> {
     best.map(|(place, _)| place)
 }
 
-/// The place with the largest gain, and that gain; ties are broken by the seed. `None` of none.
+/// The place with the largest gain, and that gain; ties are broken by the seed. `None` without places.
 pub fn best(gains_now: &[f64], seed: u64) -> Option<(usize, f64)> {
     draw::largest(&mut SmallRng::seed_from_u64(seed), gains_now)
 }

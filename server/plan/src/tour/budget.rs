@@ -1,10 +1,10 @@
-//! Which goals fit into the time of a tour.
+//! Selects the goals that fit into the time of a tour.
 //!
-//! Invariant: the drive through what is kept takes no longer than the time there is.
+//! Invariant: the drive through the kept goals fits into the time.
 
 use super::order::Ways;
 
-/// What a tour costs, and may cost.
+/// The costs and the time limit of a tour.
 #[derive(Debug)]
 pub(super) struct TourBudget<'a> {
     pub ways: &'a Ways,
@@ -14,12 +14,12 @@ pub(super) struct TourBudget<'a> {
     pub secs_m: f64,
     /// Seconds at each goal.
     pub observation_secs: f64,
-    /// Infinite where there is no limit.
+    /// Infinite without a limit.
     pub budget_secs: f64,
 }
 
 impl TourBudget<'_> {
-    /// How long a drive takes, looking included.
+    /// The duration of a drive, observations included.
     pub(super) fn duration_secs(&self, order: &[usize]) -> f64 {
         self.ways.length(order) * self.secs_m + order.len() as f64 * self.observation_secs
     }
@@ -28,14 +28,14 @@ impl TourBudget<'_> {
         self.duration_secs(order) <= self.budget_secs
     }
 
-    /// How long the goal takes that takes least alone.
+    /// The duration of the tour to the single cheapest goal.
     pub(super) fn least_secs(&self) -> f64 {
         (0..self.ways.count()).map(|goal| self.duration_secs(&[goal])).fold(f64::INFINITY, f64::min)
     }
 
-    /// The goals that fit, in the order of the drive. Those that do not fit even alone are left out; then, one after
-    /// the other, those with the least value for the time that they add to the drive; in the end those come back, the
-    /// most valuable first, that fit after all.
+    /// The goals that fit, in the order of the drive. First removes the goals that do not fit even alone, then, one
+    /// after the other, those with the least value for the time that they add; finally puts back those that fit after
+    /// all, the most valuable first.
     pub(super) fn fit(&self) -> Vec<usize> {
         let mut goals: Vec<usize> = (0..self.ways.count()).filter(|&goal| self.fits(&[goal])).collect();
         let mut left_out = Vec::new();

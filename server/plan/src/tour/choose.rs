@@ -1,10 +1,9 @@
-//! The greedy choice of goals, looking no more often than it must.
+//! The greedy choice of goals, with as few evaluated views as possible.
 //!
-//! No candidate can teach more than all cells in its reach, which a table of sums tells at once, nor more than it did
-//! before others were chosen. Only candidates whose bound is the highest left are looked from, some at a time.
+//! The information of a candidate is bounded by all cells in its reach, from a table of sums, and by its value before
+//! others were chosen. Only the candidates with the highest bounds are evaluated, a few at a time.
 //!
-//! Invariant: what is chosen, and its value, is what looking from every candidate in every round would give, bit by
-//! bit.
+//! Invariant: the chosen goals and their values equal those of evaluating every candidate in every round, bit by bit.
 
 use std::{
     collections::BinaryHeap,
@@ -20,24 +19,23 @@ use crate::{
     view::{Fan, Scene, ViewScorer},
 };
 
-/// Candidates that are looked from at once: a few, since the first may show that no other need be.
+/// Candidates that are evaluated at once: a few, because the first may suffice.
 const BATCH: usize = 4;
 
-/// Places of cells that are remembered of candidates that were looked from, all together; beyond, they are looked from
-/// again.
+/// Maximum number of remembered cells of evaluated candidates; beyond it, they are evaluated again.
 const KEPT_MAX: usize = 1 << 24;
 
-/// A candidate that was chosen.
+/// A chosen candidate.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct TourGoal {
     pub candidate: usize,
-    /// What it was expected to teach when it was chosen, suppression included, bits.
+    /// Its expected information when it was chosen, suppression included, bits.
     pub bits: f64,
-    /// Places of the cells that it sees, those left out that teach nothing.
+    /// Places of the visible cells with information.
     pub seen: Vec<u32>,
 }
 
-/// How much a candidate is worth, or at most.
+/// The value of a candidate, or its upper bound.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct GainBound {
     value: f64,
@@ -48,8 +46,7 @@ struct GainBound {
 impl Eq for GainBound {}
 
 impl Ord for GainBound {
-    /// The most valuable last; of equal ones those that may be worth less, so that they are looked from; then the
-    /// first.
+    /// The most valuable last; ties: upper bounds, so that they are evaluated, then the first.
     fn cmp(&self, other: &GainBound) -> std::cmp::Ordering {
         let by_value = self.value.total_cmp(&other.value);
         by_value.then(other.is_exact.cmp(&self.is_exact)).then(other.candidate.cmp(&self.candidate))
@@ -70,11 +67,11 @@ pub(super) struct GoalSelection<'a> {
     suppression: Suppression,
     /// By place: cells that a chosen goal sees.
     covered: Vec<bool>,
-    /// What each candidate teaches, or at most, before it is multiplied by anything.
+    /// The information of each candidate, or its upper bound, before factors.
     bits: Vec<f64>,
-    /// By how much it is suppressed for its distance.
+    /// The suppression factor by distance.
     factors: Vec<f64>,
-    /// The same as [`TourGoal::seen`] of candidates that were looked from.
+    /// [`TourGoal::seen`] of evaluated candidates.
     seen: Vec<Option<Vec<u32>>>,
     kept: usize,
     entries: BinaryHeap<GainBound>,
@@ -108,12 +105,12 @@ impl<'a> GoalSelection<'a> {
         choice
     }
 
-    /// Looks taken so far.
+    /// Number of evaluated views so far.
     pub(super) fn looks(&self) -> usize {
         self.looks
     }
 
-    /// The best so many goals, in the order of choice; fewer where no other teaches anything.
+    /// The best `count` goals, in the order of choice; fewer if the others have no information.
     pub(super) fn choose(&mut self, goals: usize) -> Vec<TourGoal> {
         let mut chosen = Vec::new();
         while chosen.len() < goals {
@@ -137,7 +134,7 @@ impl<'a> GoalSelection<'a> {
         GainBound { value, is_exact, candidate }
     }
 
-    /// Looks from candidates until the best is known.
+    /// Evaluates candidates until the best is known.
     fn settle(&mut self) {
         loop {
             let mut batch = Vec::new();
@@ -168,13 +165,13 @@ impl<'a> GoalSelection<'a> {
         }
     }
 
-    /// What cells teach that no chosen goal sees.
+    /// The information of cells that no chosen goal sees.
     fn new_bits(&self, seen: &[u32]) -> f64 {
         let new = seen.iter().map(|&place| place as usize).filter(|&place| !self.covered[place]);
         new.fold(0.0, |bits, place| bits + self.scene.bits_at(place))
     }
 
-    /// Looks from a candidate.
+    /// Evaluates a candidate.
     fn see(&self, candidate: usize) -> Vec<u32> {
         let lookers = || self.lookers.lock().unwrap_or_else(PoisonError::into_inner);
         let known = lookers().pop();
@@ -220,7 +217,7 @@ impl<'a> GoalSelection<'a> {
     }
 }
 
-/// The most that each candidate can teach: the sum over the cells in its reach, a little more for what is rounded.
+/// Upper bound of the information of each candidate: the sum over the cells in its reach, plus rounding.
 fn bounds(scene: &Scene, fan: &Fan, candidates: &[TourCandidate]) -> Vec<f64> {
     let lattice = scene.lattice();
     let (region, [width, depth, _], reach) = (lattice.region(), lattice.size(), fan.reach());

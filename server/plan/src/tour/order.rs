@@ -1,13 +1,13 @@
-//! The order of a drive through goals: the shortest of few, a good one of many.
+//! The order of a drive through goals: the shortest for few goals, a good one for many.
 //!
-//! Invariant: of many, the drive is never longer than that from each goal to the nearest one left.
+//! Invariant: the drive is never longer than the nearest-neighbour drive.
 
-/// The most goals of which the shortest drive is found (Held and Karp 1962).
+/// Maximum number of goals with the shortest drive (Held and Karp 1962).
 pub(super) const EXACT_MAX: usize = 12;
-/// A drive is shorter only by more than what is rounded, metres.
+/// Smaller differences of drives are rounding, metres.
 const SHORTER_M: f64 = 1e-9;
 
-/// How far it is from the start to each goal and between goals, metres.
+/// Distances from the start to each goal and between goals, metres.
 #[derive(Clone, Debug)]
 pub(super) struct Ways {
     from_start: Vec<f64>,
@@ -16,7 +16,7 @@ pub(super) struct Ways {
 }
 
 impl Ways {
-    /// Ways between goals are as long there as back: `between` is asked of a lower and a higher number.
+    /// Distances are symmetric: `between` is called with a lower and a higher number.
     pub(super) fn new(from_start: Vec<f64>, returns: bool, between: impl Fn(usize, usize) -> f64) -> Ways {
         let count = from_start.len();
         let way = |at: usize| {
@@ -62,7 +62,7 @@ impl Ways {
         if count == 0 {
             return Vec::new();
         }
-        // By subset, then by which of it is the last: the length, and which one is before the last.
+        // By subset, then by its last goal: the length, and the goal before the last.
         let mut best = vec![(f64::INFINITY, usize::MAX); count << count];
         for (last, &goal) in goals.iter().enumerate() {
             best[(1 << last) * count + last] = (self.from_start[goal], usize::MAX);
@@ -94,7 +94,7 @@ impl Ways {
         order
     }
 
-    /// From each goal to the nearest one left.
+    /// Nearest neighbour.
     pub(super) fn nearest(&self, goals: &[usize]) -> Vec<usize> {
         let mut left = goals.to_vec();
         let mut order: Vec<usize> = Vec::with_capacity(goals.len());

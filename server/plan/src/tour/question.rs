@@ -1,6 +1,6 @@
-//! What is asked of a tour, and which places come into question.
+//! The request of a tour, and its candidates.
 //!
-//! Invariant: what [`TourQuestion::check`] accepts can be answered.
+//! Invariant: a request that [`TourQuestion::check`] accepts can be planned.
 
 use tidemap_map::{grid::index::CellIndex, reachability::Reachability};
 
@@ -10,7 +10,7 @@ use crate::{
     view::{InvalidSensor, InvalidThreshold, Scene, SceneOptions, Sensor},
 };
 
-/// A place to look from.
+/// A viewpoint candidate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TourCandidate {
     pub column: Column,
@@ -20,19 +20,19 @@ pub(super) struct TourCandidate {
     pub reachability: f64,
 }
 
-/// The most goals of a tour.
+/// Maximum number of goals of a tour.
 pub const GOALS_MAX: usize = 100;
 
 /// How a chosen goal lowers the value of other candidates.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Suppression {
-    /// By what they share: cells that a chosen goal sees teach nothing more. Exact.
+    /// By shared cells: cells that a chosen goal sees have no further information. Exact.
     #[default]
     Shared,
-    /// By how near they are: times d / radius within that radius, for each chosen goal (RA-L, section III.E, "decreased
+    /// By distance: times d / radius within that radius, for each chosen goal (RA-L, section III.E, "decreased
     /// proportionally to their proximity").
     Distance {
-        /// Metres, above 0; the sensor's range is a fair choice.
+        /// Metres, above 0; the sensor's range is a good choice.
         radius_m: f64,
     },
 }
@@ -40,45 +40,44 @@ pub enum Suppression {
 /// Where a tour ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TourEnd {
-    /// Where it started, as at a charger.
+    /// At the start, such as a charger.
     #[default]
     Start,
     /// At its last goal.
     LastGoal,
 }
 
-/// What is asked of a tour.
+/// The request of a tour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TourQuestion {
     /// Where the robot starts, x and y in the map's frame, metres.
     pub start_m: [f64; 2],
-    /// How far from there the nearest place may be where the robot's middle can be, metres, at least 0: chargers stand
+    /// Maximum distance from there to the nearest free place for the robot's centre, metres, at least 0: chargers stand
     /// at walls. Default 0.5.
     pub start_tolerance_m: f64,
-    /// How many goals, 1 to [`GOALS_MAX`]. Default 6 (RA-L, section III.E).
+    /// Number of goals, 1 to [`GOALS_MAX`]. Default 6 (RA-L, section III.E).
     pub goals: usize,
     /// Distance of neighbouring candidates along x and y, metres, at least one cell. Default 1.
     pub spacing_m: f64,
-    /// The most points of the candidates' grid, free ones or not. Default 100,000.
+    /// Maximum number of points of the candidates' grid, free or not. Default 100,000.
     pub max_candidates: usize,
-    /// How the robot looks from each goal.
+    /// The sensor at each goal.
     pub sensor: Sensor,
-    /// Where the middle of its view points, radians; without effect on a sensor that looks all around.
+    /// The direction of its view, radians; without effect for an all-around sensor.
     pub yaw_rad: f64,
-    /// How predictions are looked into.
+    /// The options of views.
     pub scene: SceneOptions,
-    /// Where the robot can drive.
+    /// The options of driving.
     pub travel: TravelOptions,
     /// How a chosen goal lowers the value of other candidates.
     pub suppression: Suppression,
     /// Where the tour ends.
     pub end: TourEnd,
-    /// How fast the robot drives, metres a second, above 0. Default 0.5.
+    /// Speed of the robot, metres a second, above 0. Default 0.5.
     pub speed_m_secs: f64,
-    /// How long it looks at each goal, seconds, at least 0. Default 60.
+    /// Duration of the observation at each goal, seconds, at least 0. Default 60.
     pub observation_secs: f64,
-    /// How long the tour may take, seconds, at least 0; goals that do not fit are left out. `None`: as long as it
-    /// takes.
+    /// Time limit of the tour, seconds, at least 0; goals that do not fit are omitted. `None`: no limit.
     pub budget_secs: Option<f64>,
 }
 
@@ -103,14 +102,14 @@ impl Default for TourQuestion {
     }
 }
 
-/// Why a question about a tour is refused.
+/// Why the request of a tour is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum TourError {
-    /// A number makes no sense.
+    /// A number is out of range.
     #[error("{what} {value}: it must be {right}")]
     Number { what: &'static str, value: f64, right: &'static str },
-    /// The start lies outside the region that is predicted.
+    /// The start lies outside the predicted region.
     #[error("start ({x_m}, {y_m}) m lies outside the region of interest, or the sensor at {z_m} m does")]
     Outside { x_m: f64, y_m: f64, z_m: f64 },
     /// The grid of candidates is too fine for its region.
@@ -118,16 +117,16 @@ pub enum TourError {
         "candidates {spacing_m} m apart are {candidates:.0}, and may be {max}: set them farther apart or ask for a smaller region"
     )]
     TooManyCandidates { spacing_m: f64, candidates: f64, max: usize },
-    /// The sensor is none.
+    /// The sensor is invalid.
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),
-    /// The rays are those of another sensor, another yaw, or a region of another size.
+    /// The rays are for another sensor, yaw or size of region.
     #[error("the rays were made for another sensor, another yaw or a region of another size: make them anew")]
     OtherFan,
-    /// Nobody could be told where the robot can drive.
+    /// The options of driving are invalid.
     #[error(transparent)]
     Travel(#[from] InvalidTravel),
-    /// The threshold is none.
+    /// The threshold is invalid.
     #[error(transparent)]
     Threshold(#[from] InvalidThreshold),
 }
@@ -170,14 +169,14 @@ impl TourQuestion {
         Ok(())
     }
 
-    /// Points of the candidates' grid along x and y: half of what is left over on each side, at least one.
+    /// Points of the candidates' grid along x and y: the remainder is split between both sides; at least one point.
     fn points(&self, grid: &PredictedGrid) -> [f64; 2] {
         let lattice = grid.lattice();
         let [width, depth, _] = lattice.size();
         [width, depth].map(|cells| (cells as f64 * lattice.resolution_m() / self.spacing_m + 1e-9).floor().max(1.0))
     }
 
-    /// The candidates to which the robot can drive, by y, then x.
+    /// The reachable candidates, by y, then x.
     pub(super) fn candidates(
         &self,
         scene: &Scene,

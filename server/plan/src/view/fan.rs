@@ -1,11 +1,11 @@
-//! The rays of a sensor, as one tree of the cells that they pass.
+//! The rays of a sensor, as one tree of their cells.
 //!
-//! A viewpoint is the centre of a cell, so that from everywhere the rays pass the same cells, seen from there. Rays
-//! that begin alike are merged. The tree is kept in the order in which a look goes through it: a cell, then what lies
-//! behind it. A look is one pass, and steps over what lies behind an occupied cell.
+//! A viewpoint is the centre of a cell, so the rays pass the same relative cells from everywhere. Rays with a common
+//! beginning are merged. The tree is stored in preorder: a cell, then the cells behind it. A view is one pass, which
+//! skips the cells behind an occupied cell.
 //!
-//! Invariant: the cells of a ray are neighbours by a face each (Amanatides and Woo 1987), so that no ray passes the
-//! border of a lattice unseen.
+//! Invariant: the cells of a ray are neighbours by a face each (Amanatides and Woo 1987), so that no ray skips the
+//! border of a lattice.
 
 use std::f64::consts::{PI, TAU};
 
@@ -20,13 +20,13 @@ mod tests;
 /// The rays of a sensor on a lattice.
 #[derive(Clone, Debug)]
 pub struct Fan {
-    /// The cell of each node of the tree, by its number: the same in each branch that has it.
+    /// The number of the cell of each node of the tree: the same in each branch.
     pub(super) nodes: Vec<u32>,
-    /// The next node that does not lie behind each.
+    /// For each node, the next node that does not lie behind it.
     pub(super) skips: Vec<u32>,
-    /// Place in memory of each cell, less that of the viewpoint; in the order in which nodes first have them.
+    /// Offset in memory of each cell from the viewpoint, in the order of their first nodes.
     pub(super) offsets: Vec<i32>,
-    /// How many cells the rays reach from the viewpoint along x, y, z.
+    /// The reach of the rays from the viewpoint along x, y, z, in cells.
     reach: [usize; 3],
     size: [usize; 3],
     strides: [usize; 3],
@@ -38,7 +38,7 @@ pub struct Fan {
 
 /// Directions of the rays of a sensor, of length 1, seen by yaw: rows from the lowest up, each from right to left. Rows
 /// of R = range / resolution cells are at most 1/R rad apart, and so are the rays of a row at its ends, a row at
-/// elevation e having ⌈fov·R·cos e⌉ steps. A field of view that is not all around has rays on its rim.
+/// elevation e having ⌈fov·R·cos e⌉ steps. A field of view that is not all around has rays on its edges.
 pub(super) fn directions(sensor: &Sensor, lattice: &Lattice, yaw_rad: f64) -> Vec<[f64; 3]> {
     let range = sensor.range_m / lattice.resolution_m();
     let is_around = sensor.is_all_around();
@@ -61,8 +61,8 @@ pub(super) fn directions(sensor: &Sensor, lattice: &Lattice, yaw_rad: f64) -> Ve
 }
 
 impl Fan {
-    /// The rays of a sensor that looks towards a yaw in radians; of one that looks all around the same for any. About 6
-    /// MB and 40 ms for 4 m, 360° x 90°, at 0.1 m, in a hall that is high enough.
+    /// The rays of a sensor with a yaw in radians, which does not matter for an all-around sensor. About 6 MB and 40 ms
+    /// for 4 m, 360° x 90°, at 0.1 m, in a hall of sufficient height.
     ///
     /// # Errors
     /// [`InvalidSensor`]; before the work begins.
@@ -70,8 +70,7 @@ impl Fan {
         sensor.check(lattice)?;
         let range = sensor.range_m / lattice.resolution_m();
         let rows = if lattice.is_flat() { 1.0 } else { (sensor.vertical_fov_rad * range).ceil() + 1.0 };
-        // A ray crosses at most √3 borders for each cell's length; from any place the region's far end is reached
-        // sooner.
+        // A ray crosses at most √3 borders for each cell's length; no ray of the region is longer.
         let across: f64 = lattice.size().iter().map(|&size| size as f64).sum();
         let along = (range * 3.0_f64.sqrt() + 2.0).min(across + 2.0);
         let cells = rows * ((sensor.horizontal_fov_rad.min(TAU) * range).ceil() + 1.0) * along;
@@ -84,12 +83,12 @@ impl Fan {
         Ok(Fan::merge(&paths, lattice, (*sensor, yaw_rad)))
     }
 
-    /// The tree of all ways, which are in ascending order.
+    /// The tree of all rays, given in ascending order.
     fn merge(paths: &[Vec<u8>], lattice: &Lattice, (sensor, yaw_rad): (Sensor, f64)) -> Fan {
         let mut numbers = CellNumbers::new(paths, lattice.strides());
         let mut nodes = vec![numbers.of([0; 3])];
         let mut skips = vec![0];
-        // The way to the last node: its number and where it lies.
+        // The path to the last node: numbers and positions.
         let mut way: Vec<(usize, [i32; 3])> = vec![(0, [0; 3])];
         let mut before: &[u8] = &[];
         for path in paths {
@@ -115,13 +114,13 @@ impl Fan {
         Fan { nodes, skips, offsets, reach, size, strides, rays, sensor, resolution_m, yaw_rad }
     }
 
-    /// Nodes of the tree: what a look goes through where nothing is in its way.
+    /// Number of nodes of the tree: the work of an unobstructed view.
     #[must_use]
     pub fn len(&self) -> usize {
         self.nodes.len()
     }
 
-    /// Whether there is none; there is always the viewpoint's own.
+    /// Always false: there is the viewpoint's own cell.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
@@ -133,13 +132,13 @@ impl Fan {
         self.rays
     }
 
-    /// Distinct cells that the rays pass where nothing is in their way.
+    /// Number of distinct cells of the rays without obstacles.
     #[must_use]
     pub fn cells(&self) -> usize {
         self.offsets.len()
     }
 
-    /// How many cells away from the viewpoint's the rays reach, at most, along x, y, z.
+    /// Maximum reach of the rays from the viewpoint along x, y, z, in cells.
     #[must_use]
     pub fn reach(&self) -> [usize; 3] {
         self.reach
@@ -150,8 +149,8 @@ impl Fan {
         self.size == lattice.size() && self.strides == lattice.strides()
     }
 
-    /// Whether these are the rays of a sensor that looks towards a yaw in radians, on a lattice: one fan serves all
-    /// regions of the same size and resolution. The sensor's height makes no difference.
+    /// Whether these are the rays of a sensor with a yaw in radians on a lattice: one fan serves all regions of the
+    /// same size and resolution. The sensor's height makes no difference.
     #[must_use]
     pub fn is_of(&self, sensor: &Sensor, lattice: &Lattice, yaw_rad: f64) -> bool {
         let at_one_height = Sensor { height_m: self.sensor.height_m, ..*sensor };
@@ -162,12 +161,12 @@ impl Fan {
     }
 }
 
-/// The way of a ray of a length in cells from the centre of a cell: which side of a cell is left, one after the other.
-/// It ends early where no region of this size has a cell that far away.
+/// The path of a ray of a length in cells from the centre of a cell: the sequence of crossed faces. It ends early if no
+/// region of this size has a cell that far away.
 fn path(direction: [f64; 3], range: f64, size: [usize; 3]) -> Vec<u8> {
     let mut steps = Vec::new();
     let mut crossed = [0_usize; 3];
-    // Divided each time rather than added up, so that nothing is rounded twice.
+    // Divided each time instead of accumulated, so that rounding errors do not add up.
     let border = |axis: usize, crossed: usize| (crossed as f64 + 0.5) / direction[axis].abs();
     let mut next = [border(0, 0), border(1, 0), border(2, 0)];
     loop {
@@ -175,7 +174,7 @@ fn path(direction: [f64; 3], range: f64, size: [usize; 3]) -> Vec<u8> {
         if next[2] < next[axis] {
             axis = 2;
         }
-        // From no cell of the region is there another one that far away.
+        // No two cells of the region are that far apart.
         if next[axis] >= range || crossed[axis] + 1 >= size[axis] {
             return steps;
         }
@@ -184,7 +183,7 @@ fn path(direction: [f64; 3], range: f64, size: [usize; 3]) -> Vec<u8> {
         steps.push(2 * axis as u8 + u8::from(direction[axis] < 0.0));
     }
 }
-/// Numbers of cells, in the order in which they are met.
+/// Numbers of cells, in the order of their first visit.
 struct CellNumbers {
     strides: [usize; 3],
     reach: [i32; 3],

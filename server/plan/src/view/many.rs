@@ -1,7 +1,7 @@
-//! Many viewpoints, at many times, on all threads.
+//! Views from many viewpoints at many times, on all threads.
 //!
-//! Invariant: a viewpoint from which nobody can look has its reason told and costs the others nothing. What a question
-//! may cost is known before it is answered.
+//! Invariant: an invalid viewpoint gets its reason and does not affect the others. The cost of a request is known
+//! before the work begins.
 
 use std::{
     collections::HashMap,
@@ -13,15 +13,15 @@ use rayon::prelude::*;
 
 use super::{Fan, InvalidSensor, Sensor, TimedScene, TimedViewScorer, ViewError, Viewpoint};
 
-/// Viewpoints that are looked from between two rounds of telling.
+/// Number of viewpoints between two reports.
 const ROUND: usize = 64;
-/// Fans of different yaws that are kept.
+/// Maximum number of kept fans of different yaws.
 const FANS: usize = 16;
 
-/// What a question may cost.
+/// The limits of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ViewLimits {
-    /// Viewpoints x times x cells that the rays pass of one view where nothing is in their way.
+    /// Viewpoints x times x cells of one unobstructed view.
     pub max_work: u64,
 }
 
@@ -32,16 +32,16 @@ impl Default for ViewLimits {
     }
 }
 
-/// Why many looks are not taken.
+/// Why many views are refused.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum TooMuchWork {
-    /// They would cost too much.
+    /// The request is too expensive.
     #[error(
         "{views} views at {times} times pass {work} cells, and may pass {max}: ask for fewer views or times, or a shorter range"
     )]
     Work { views: usize, times: usize, work: u128, max: u64 },
-    /// The sensor is none.
+    /// The sensor is invalid.
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),
 }
@@ -60,7 +60,7 @@ impl Fans<'_> {
         if let Some(fan) = known().get(&yaw.to_bits()) {
             return Ok(Arc::clone(fan));
         }
-        // Not under the lock: others look meanwhile.
+        // Without the lock, so that others can continue.
         let fan = Arc::new(Fan::new(self.sensor, self.scene.lattice(), yaw)?);
         let mut known = known();
         if known.len() >= FANS {
@@ -71,10 +71,10 @@ impl Fans<'_> {
     }
 }
 
-/// Information in bits that each viewpoint is expected to give at each of the scene's times; `None` at times at which
-/// its cell is probably occupied. Each result is told with the viewpoint's number, in their order, as soon as those
-/// before are told; a viewpoint from which nobody can look has its reason. [`ControlFlow::Break`] ends it. On the
-/// threads of rayon's pool. A sensor that does not look all around needs a [`Fan`] for each distinct yaw.
+/// The expected information in bits of each viewpoint at each of the scene's times; `None` at times at which its cell
+/// is probably occupied. Each result is reported with the viewpoint's number, in order, as soon as possible; an invalid
+/// viewpoint gets its reason. [`ControlFlow::Break`] stops the work. Runs on the threads of rayon's pool. A sensor that
+/// is not all around needs a [`Fan`] for each distinct yaw.
 ///
 /// # Errors
 /// [`TooMuchWork`], before the work begins.

@@ -1,6 +1,6 @@
-//! A region of a grid at one time, ready to be looked into.
+//! A region of a grid at one time, prepared for views.
 //!
-//! Invariant: outside the region nothing is seen, and nothing is seen through it.
+//! Invariant: cells outside the region are invisible, and rays end there.
 
 use std::sync::Arc;
 
@@ -12,17 +12,17 @@ use crate::{
     predicted::{Lattice, PredictedGrid},
 };
 
-/// A cell through which nothing is seen.
+/// An opaque cell.
 pub(super) const OPAQUE: u8 = 1;
-/// No cell of the region.
+/// Not a cell of the region.
 pub(super) const OUTSIDE: u8 = 2;
 
-/// How a prediction is looked into.
+/// The options of a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneOptions {
-    /// How surely a look tells a cell. Default 0.95.
+    /// The certainty of an observed cell. Default 0.95.
     pub certainty: Certainty,
-    /// A cell of a higher probability stops rays; in [0, 1]. Default 0.5.
+    /// Cells with a higher probability stop rays; in [0, 1]. Default 0.5.
     pub threshold: f64,
 }
 
@@ -32,7 +32,7 @@ impl Default for SceneOptions {
     }
 }
 
-/// A threshold that is no probability.
+/// A threshold that is not a probability.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("threshold {0}: it must be between 0 and 1")]
 pub struct InvalidThreshold(pub f64);
@@ -51,7 +51,7 @@ impl SceneOptions {
     pub(super) fn judge(&self, lattice: &Lattice, probabilities: &[f32]) -> (Vec<u8>, Vec<f64>) {
         let mut flags = vec![OPAQUE | OUTSIDE; lattice.held()];
         let mut bits = vec![0.0; lattice.held()];
-        // Neighbours are mostly alike.
+        // Neighbours are mostly equal.
         let mut last = (f32::NAN, self.certainty.most_bits());
         for place in lattice.rows().flatten() {
             let probability = probabilities[place];
@@ -65,7 +65,7 @@ impl SceneOptions {
     }
 }
 
-/// A region of a grid at one time, ready to be looked into.
+/// A region of a grid at one time, prepared for views.
 #[derive(Clone, Debug)]
 pub struct Scene {
     lattice: Arc<Lattice>,
@@ -73,17 +73,17 @@ pub struct Scene {
     bits: Vec<f64>,
 }
 
-/// What is seen from a place.
+/// The result of a view.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ViewGain {
-    /// Information expected from it, bits.
+    /// Expected information, bits.
     pub information_bits: f64,
-    /// Cells seen, unknown ones and the viewpoint's own among them.
+    /// Number of visible cells, including unknown ones and the viewpoint's own.
     pub cells: u64,
 }
 
 impl Scene {
-    /// A prediction to be looked into. 9 bytes a cell.
+    /// Prepares a prediction for views. Takes 9 bytes a cell.
     ///
     /// # Errors
     /// [`InvalidThreshold`]
@@ -99,13 +99,13 @@ impl Scene {
         &self.lattice
     }
 
-    /// Information expected from observing a cell, bits; 0 outside the region.
+    /// Expected information of observing a cell, bits; 0 outside the region.
     #[must_use]
     pub fn bits(&self, cell: CellIndex) -> f64 {
         self.lattice.place(cell).map_or(0.0, |place| self.bits[place])
     }
 
-    /// Whether a cell is probably occupied; what lies outside the region counts as that.
+    /// Whether a cell is probably occupied; cells outside the region count as occupied.
     #[must_use]
     pub fn is_occupied(&self, cell: CellIndex) -> bool {
         self.lattice.place(cell).is_none_or(|place| self.flags[place] & OPAQUE != 0)
@@ -115,7 +115,7 @@ impl Scene {
         self.bits[place]
     }
 
-    /// Where a viewpoint lies.
+    /// The cell of a viewpoint.
     ///
     /// # Errors
     /// [`ViewError`]
@@ -128,23 +128,23 @@ impl Scene {
     }
 }
 
-/// Looks into scenes from one viewpoint after the other; has the memory that one look needs.
+/// Evaluates views of scenes one after the other; holds the memory of one view.
 #[derive(Clone, Debug)]
 pub struct ViewScorer {
-    /// Of each cell of the fan the number of the look that saw it last, twice, and one more if it is opaque.
+    /// For each cell of the fan twice the number of the last view that saw it, plus one if it is opaque.
     marks: Vec<u8>,
     look: u8,
 }
 
 impl ViewScorer {
-    /// For the rays of a fan.
+    /// Memory for the rays of a fan.
     #[must_use]
     pub fn new(fan: &Fan) -> ViewScorer {
         ViewScorer { marks: vec![0; fan.cells()], look: 0 }
     }
 
-    /// What is seen from the centre of a cell of the region, whether or not that is occupied; nothing from outside, and
-    /// by rays that were made for a region of another size.
+    /// The view from the centre of a cell of the region, occupied or not; empty outside the region, and for rays of a
+    /// region of another size.
     #[must_use]
     pub fn look(&mut self, scene: &Scene, fan: &Fan, from: CellIndex) -> ViewGain {
         let mut seen = ViewGain::default();
@@ -155,7 +155,7 @@ impl ViewScorer {
         seen
     }
 
-    /// The cells that are seen from the centre of a cell of the region, in the order of the rays.
+    /// The visible cells from the centre of a cell of the region, in the order of the rays.
     #[must_use]
     pub fn cells(&mut self, scene: &Scene, fan: &Fan, from: CellIndex) -> Vec<CellIndex> {
         let mut cells = Vec::new();
@@ -163,7 +163,7 @@ impl ViewScorer {
         cells
     }
 
-    /// Tells the place of each cell that is seen, once.
+    /// Calls `see` with the place of each visible cell, once.
     pub(crate) fn each(&mut self, scene: &Scene, fan: &Fan, from: CellIndex, mut seen: impl FnMut(usize)) {
         let Some(start) = scene.lattice.place(from).filter(|_| fan.fits(&scene.lattice)) else { return };
         if self.marks.len() < fan.cells() {

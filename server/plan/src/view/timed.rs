@@ -1,10 +1,10 @@
-//! A region of a grid at many times, looked into at all of them in one pass.
+//! A region of a grid at many times, with views at all of them in one pass.
 //!
-//! Along a branch of the tree of rays goes the set of times at which it is open, as bits; only a cell that is occupied
-//! at some of the times changes it. Cells seen at all times are summed once where they never change, and time by time
-//! where they do; only what lies behind cells that come and go is summed for the times at which it shows.
+//! Each branch of the tree of rays carries the set of times at which it is open, as bits; only a cell that is occupied
+//! at some of the times changes it. Cells visible at all times are summed once if they never change, and time by time
+//! if they do; cells behind changing obstacles are summed for the times at which they are visible.
 //!
-//! Invariant: what is told of a time is, but for rounding, what a look into the scene of that time alone tells.
+//! Invariant: the result for a time equals, up to rounding, the view of the scene of that time alone.
 
 use std::sync::Arc;
 
@@ -16,35 +16,36 @@ use super::{
 };
 use crate::predicted::{Lattice, PredictedTimes};
 
-/// A cell that is not the same at all times.
+/// A cell that changes between the times.
 const VARIES: u8 = 4;
-/// Of these, one that is occupied at some times but not at all.
+/// A changing cell that is occupied at some times only.
 const FLIPS: u8 = 8;
-/// A cell that is seen at all times.
+/// A cell that is visible at all times.
 const WHOLE: u8 = 16;
-/// A cell that is seen at some times.
+/// A cell that is visible at some times.
 const PARTLY: u8 = 32;
 /// Times of one pass.
 const CHUNK: usize = u128::BITS as usize;
 
-/// A region of a grid at many times, ready to be looked into.
+/// A region of a grid at many times, prepared for views.
 #[derive(Clone, Debug)]
 pub struct TimedScene {
     lattice: Arc<Lattice>,
     times: usize,
     flags: Vec<u8>,
-    /// Of cells that do not vary.
+    /// For cells that do not change.
     bits: Vec<f64>,
-    /// Numbers of the cells that vary, by place; empty where there are none.
+    /// Numbers of the changing cells, by place; empty without any.
     numbers: Vec<u32>,
-    /// Information of cells that vary, all times of the first, then of the next.
+    /// Information of changing cells, all times of the first, then of the next.
     rows: Vec<f64>,
-    /// Times at which they are occupied, in the same order, a set for each chunk of times.
+    /// Times at which they are occupied, in the same order, one set per chunk of times.
     occupied: Vec<u128>,
 }
 
 impl TimedScene {
-    /// Predictions to be looked into. 9 bytes a cell; where some vary 13, and 8 bytes a time for each of them.
+    /// Prepares predictions for views. Takes 9 bytes a cell; with changing cells 13, and 8 bytes a time for each of
+    /// them.
     ///
     /// # Errors
     /// [`InvalidThreshold`]
@@ -85,10 +86,10 @@ impl TimedScene {
         self.times
     }
 
-    /// Where a viewpoint lies.
+    /// The cell of a viewpoint.
     ///
     /// # Errors
-    /// [`ViewError`]; [`ViewError::Occupied`] where it is that at all times.
+    /// [`ViewError`]; [`ViewError::Occupied`] if it is occupied at all times.
     pub fn stand(&self, sensor: &Sensor, at: &Viewpoint) -> Result<CellIndex, ViewError> {
         let cell = at.cell(sensor, &self.lattice)?;
         if self.lattice.place(cell).is_none_or(|place| self.flags[place] & OPAQUE != 0) {
@@ -97,44 +98,43 @@ impl TimedScene {
         Ok(cell)
     }
 
-    /// Times of a chunk at which a cell that varies is occupied.
+    /// Times of a chunk at which a changing cell is occupied.
     fn occupied(&self, place: usize, chunk: usize) -> u128 {
         self.occupied[self.numbers[place] as usize * self.times.div_ceil(CHUNK) + chunk]
     }
 }
 
-/// A cell that is seen at some of the times.
+/// A cell that is visible at some of the times.
 #[derive(Clone, Copy, Debug)]
 struct PartialCell {
     place: usize,
     times: u128,
 }
 
-/// Looks into scenes of many times from one viewpoint after the other; has the memory that one look needs.
+/// Evaluates views of scenes of many times one after the other; holds the memory of one view.
 #[derive(Clone, Debug)]
 pub struct TimedViewScorer {
-    /// Of each cell of the fan the number of the look that saw it last, times 256, and its flags; [`WHOLE`] where it is
-    /// seen at all times.
+    /// For each cell of the fan the number of the last view that saw it, times 256, and its flags; [`WHOLE`] if it is
+    /// visible at all times.
     marks: Vec<u16>,
     look: u16,
-    /// Place in `partly` of a cell seen at some times.
+    /// Index in `partly` of a cell visible at some times.
     slots: Vec<u32>,
     partly: Vec<PartialCell>,
-    /// Ends of branches that are open at some times, and the times of what comes after.
+    /// Ends of branches that are open at some times, and the times after them.
     branches: Vec<(usize, u128)>,
 }
 
 impl TimedViewScorer {
-    /// For the rays of a fan.
+    /// Memory for the rays of a fan.
     #[must_use]
     pub fn new(fan: &Fan) -> TimedViewScorer {
         let (marks, slots) = (vec![0; fan.cells()], vec![0; fan.cells()]);
         TimedViewScorer { marks, look: 0, slots, partly: Vec::new(), branches: Vec::new() }
     }
 
-    /// Information in bits that looking from the centre of a cell of the region is expected to give at each of the
-    /// times; `None` at times at which that cell is probably occupied, at all of them outside the region, and for rays
-    /// that were made for a region of another size.
+    /// Expected information in bits of the view from the centre of a cell of the region at each of the times; `None` at
+    /// times at which that cell is probably occupied, outside the region, and for rays of a region of another size.
     #[must_use]
     pub fn look(&mut self, scene: &TimedScene, fan: &Fan, from: CellIndex) -> Vec<Option<f64>> {
         let mut told = Vec::with_capacity(scene.times);
