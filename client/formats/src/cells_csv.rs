@@ -1,11 +1,10 @@
 //! The known cells of a map as CSV: `x,y,z,probability,entropy_bits,changing,observed,cell_x,cell_y,cell_z`.
 //!
-//! x, y and z are the centre of the cell in metres; `changing` says whether the cell has a model of how it changes.
-//! Unknown cells are left out, so `observed` is `true` in every row; it is there for tables that are joined with
-//! others. The last three are the cell's index along each axis, from which its state is named: `cell/X/Y/Z`; of a map
-//! that was projected, cell_z is 0.
+//! x, y and z are the centre of the cell in metres; `changing` tells whether the cell has a temporal model. Unknown cells
+//! are omitted, so `observed` is `true` in every row; the column is for joins with other tables. The last three columns are
+//! the cell's index along each axis, which is part of the name of its state, `cell/X/Y/Z`; in a projected map cell_z is 0.
 //!
-//! Invariant: one row a known cell, in the order of the picture; the picture holds probabilities, not entropies.
+//! Invariant: one row for each known cell, in the order of the picture; the picture contains probabilities, not entropies.
 
 use std::fmt::Write as _;
 
@@ -30,13 +29,13 @@ pub fn write(picture: &MapPicture) -> Result<String, PictureError> {
     Ok(file)
 }
 
-/// Takes away the noise of sums such as 0.1 + 0.05.
+/// Removes rounding errors of sums such as 0.1 + 0.05.
 fn micrometres(metres: f64) -> f64 {
     // Adding zero turns -0 into 0.
     (metres * 1e6).round() / 1e6 + 0.0
 }
 
-/// Entropy of a thing that is so with a probability; 1 at one half, 0 where it is certain.
+/// Entropy of a binary variable: 1 bit at probability 0.5, 0 at certainty.
 fn entropy_bits(probability: f64) -> f64 {
     let part = |share: f64| if share > 0.0 { -share * share.log2() } else { 0.0 };
     part(probability) + part(1.0 - probability)

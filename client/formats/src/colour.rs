@@ -1,12 +1,12 @@
-//! The colours of cells, for people.
+//! The colours of cells.
 //!
-//! Invariant: unknown, free and occupied static cells are mid-grey, white and black, and no changing cell comes near
-//! one of these; the scale of changing cells goes from pale blue to strong orange and gets darker. So people with any
-//! kind of colour blindness can tell what is told apart.
+//! Invariant: unknown, free and occupied static cells are mid-grey, white and black, and no changing cell has a similar
+//! colour; the scale of changing cells goes from pale blue to strong orange and gets darker. People with any kind of colour
+//! vision can distinguish them.
 
 use super::PictureCell;
 
-/// A cell of which nothing is known.
+/// An unknown cell.
 pub const UNKNOWN: [u8; 3] = [128, 128, 128];
 /// A static cell that is free.
 pub const FREE: [u8; 3] = [255, 255, 255];
@@ -16,7 +16,7 @@ pub const OCCUPIED: [u8; 3] = [0, 0, 0];
 /// The scale of changing cells at the values 0, 1/2 and 1.
 const SCALE: [[u8; 3]; 3] = [[150, 205, 250], [253, 190, 90], [205, 70, 0]];
 
-/// The colour of a cell. Its value has to be within 0 and 1; what is not is taken as the nearer end.
+/// The colour of a cell. Values outside 0 to 1 are clamped.
 pub fn colour(cell: PictureCell) -> [u8; 3] {
     match cell {
         PictureCell::Unknown => UNKNOWN,
@@ -26,7 +26,7 @@ pub fn colour(cell: PictureCell) -> [u8; 3] {
     }
 }
 
-/// The colour of a probability of something that changes; what is beyond 0 and 1 counts as the nearer end.
+/// The colour of the probability of a changing cell, or of a node. Values outside 0 to 1 are clamped.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a mean of two bytes is a byte")]
 pub fn changing(value: f32) -> [u8; 3] {
     let [low, middle, high] = SCALE;
@@ -41,7 +41,7 @@ mod tests {
 
     type Matrix = [[f64; 3]; 3];
 
-    /// How linear light is seen without one kind of cone, after Machado, Oliveira and Fernandes (2009).
+    /// How linear light appears without one kind of cone, after Machado, Oliveira and Fernandes (2009).
     const SEEN_BY: [(&str, Matrix); 4] = [
         ("normal", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
         (
@@ -74,7 +74,7 @@ mod tests {
         })
     }
 
-    /// How far two colours look from each other.
+    /// The perceived distance of two colours.
     fn apart(one: [u8; 3], other: [u8; 3], by: &Matrix) -> f64 {
         let (one, other) = (seen(one, by), seen(other, by));
         one.iter().zip(other).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt()
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn everyone_can_tell_the_colours_apart() {
+    fn everyone_can_distinguish_the_colours() {
         for (name, matrix) in SEEN_BY {
             for step in 0..=100_u8 {
                 let shade = changing_at(f32::from(step) / 100.0);

@@ -1,10 +1,10 @@
-//! For tests: what every reader has to bear.
+//! Tests that every reader must pass.
 //!
-//! Invariant: the file given is whole and good; anything shorter is refused, and anything else does not panic.
+//! Invariant: readers refuse every truncated file, and never panic on a changed one.
 
 use super::error::FormatError;
 
-/// Reads a good file cut off at every byte: each time an error, and each time one that says something.
+/// Reads a valid file truncated at every byte, and expects an error with a message.
 #[track_caller]
 pub fn every_cut_is_refused<T: std::fmt::Debug>(whole: &[u8], read: impl Fn(&[u8]) -> Result<T, FormatError>) {
     assert!(read(whole).is_ok(), "the whole file can be read");
@@ -16,8 +16,8 @@ pub fn every_cut_is_refused<T: std::fmt::Debug>(whole: &[u8], read: impl Fn(&[u8
     }
 }
 
-/// Reads a good file with each byte replaced by some others: an answer or an error, never a panic.
-pub fn every_change_is_borne<T>(whole: &[u8], read: impl Fn(&[u8]) -> Result<T, FormatError>) {
+/// Reads a valid file with each byte replaced by several others, and expects no panic.
+pub fn no_change_panics<T>(whole: &[u8], read: impl Fn(&[u8]) -> Result<T, FormatError>) {
     for at in 0..whole.len() {
         for byte in [0, 1, b' ', b'\n', b'-', b'0', b'9', 0x7f, 0x80, 0xff, whole[at].wrapping_add(1)] {
             let mut changed = whole.to_vec();

@@ -1,20 +1,20 @@
-//! Why a file cannot be read.
+//! Errors in files.
 //!
-//! Invariant: an error says where in the file it is, what is there, and what would be right; what it quotes of the file
-//! is short and printable, whatever the file holds.
+//! Invariant: an error names its place in the file, the value found and the values allowed; quoted text is short and
+//! printable.
 
 use std::fmt;
 
-/// Most characters of the file that an error quotes.
-const SHOWN_CHARS_MAX: usize = 40;
+/// Maximum number of characters that an error quotes.
+const QUOTED_CHARS_MAX: usize = 40;
 
-/// A file that cannot be read: where, and why.
+/// An error in a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{place}: {problem}")]
 pub struct FormatError {
-    /// Where in the file.
+    /// Its place in the file.
     pub place: FilePlace,
-    /// What is wrong there.
+    /// The problem at that place.
     pub problem: FormatProblem,
 }
 
@@ -27,64 +27,32 @@ pub enum FilePlace {
     Byte(u64),
 }
 
-/// What is wrong with a file.
+/// A problem in a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum FormatProblem {
-    /// A value that may not be.
+    /// A value is not allowed.
     #[error("{what} is {found}; it has to be {right}")]
-    Value {
-        /// Of what.
-        what: String,
-        /// The value found.
-        found: String,
-        /// What would be right.
-        right: String,
-    },
-    /// Something that has to be there and is not.
+    Value { what: String, found: String, right: String },
+    /// A required part is missing.
     #[error("{what} is missing: {right}")]
-    Missing {
-        /// What.
-        what: String,
-        /// What would be right.
-        right: String,
-    },
-    /// The file ends before all that it announces.
+    Missing { what: String, right: String },
+    /// The file ends before the end that its header announces.
     #[error("the file ends early: {what} takes {needs} {unit} and {has} are there; copy the file again")]
-    CutOff {
-        /// What was being read.
-        what: String,
-        /// How much of it there has to be, or at least.
-        needs: u64,
-        /// How much of it there is.
-        has: u64,
-        /// What is counted.
-        unit: &'static str,
-    },
-    /// The last line may go on.
+    CutOff { what: String, needs: u64, has: u64, unit: &'static str },
+    /// The last line may be truncated.
     #[error("the last line has no line end, so the file may be cut off; if it is whole, end it with a line end")]
     NoLineEnd,
-    /// More bytes than the file announces.
-    #[error("{count} bytes follow {what}, where the file has to end")]
-    Trailing {
-        /// How many.
-        count: u64,
-        /// After what.
-        what: String,
-    },
-    /// More than is read from one file.
+    /// Bytes follow the end that the header announces.
+    #[error("{count} bytes follow {what}, where the file must end")]
+    Trailing { count: u64, what: String },
+    /// A limit is exceeded.
     #[error("{what} is {found}; at most {most} can be read, so cut the file into parts or thin it out")]
-    TooMany {
-        /// What.
-        what: String,
-        /// How many the file has or announces.
-        found: u64,
-        /// How many are read.
-        most: u64,
-    },
+    TooMany { what: String, found: u64, most: u64 },
 }
 
 impl FormatError {
-    /// A value that may not be.
+    /// A value is not allowed.
     pub fn value(
         place: FilePlace,
         what: impl Into<String>,
@@ -97,12 +65,12 @@ impl FormatError {
         }
     }
 
-    /// Something that has to be there and is not.
+    /// A required part is missing.
     pub fn missing(place: FilePlace, what: impl Into<String>, right: impl Into<String>) -> Self {
         Self { place, problem: FormatProblem::Missing { what: what.into(), right: right.into() } }
     }
 
-    /// Fewer bytes than something takes.
+    /// Too few bytes.
     pub fn cut_off(at: u64, what: impl Into<String>, needs: u64, has: u64) -> Self {
         Self {
             place: FilePlace::Byte(at),
@@ -110,7 +78,7 @@ impl FormatError {
         }
     }
 
-    /// Fewer lines than something takes.
+    /// Too few lines.
     pub fn lines_cut_off(line: u64, what: impl Into<String>, needs: u64, has: u64) -> Self {
         Self {
             place: FilePlace::Line(line),
@@ -118,12 +86,12 @@ impl FormatError {
         }
     }
 
-    /// More than is read from one file.
+    /// A limit is exceeded.
     pub fn too_many(place: FilePlace, what: impl Into<String>, found: u64, most: u64) -> Self {
         Self { place, problem: FormatProblem::TooMany { what: what.into(), found, most } }
     }
 
-    /// Bytes behind the end.
+    /// Bytes after the end.
     pub fn trailing(at: u64, count: u64, what: impl Into<String>) -> Self {
         Self { place: FilePlace::Byte(at), problem: FormatProblem::Trailing { count, what: what.into() } }
     }
@@ -138,17 +106,17 @@ impl fmt::Display for FilePlace {
     }
 }
 
-/// Text of a file for an error message: quoted, escaped, shortened.
+/// Text of a file as error messages quote it: escaped and shortened.
 pub fn shown(text: &str) -> String {
-    match text.char_indices().nth(SHOWN_CHARS_MAX) {
+    match text.char_indices().nth(QUOTED_CHARS_MAX) {
         None => format!("{text:?}"),
         Some((end, _)) => format!("{:?}…", &text[..end]),
     }
 }
 
-/// The start of a file for an error message.
+/// The start of a file as error messages quote it.
 pub fn shown_start(bytes: &[u8]) -> String {
     let start = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
-    let start = &start[..start.len().min(4 * SHOWN_CHARS_MAX)];
+    let start = &start[..start.len().min(4 * QUOTED_CHARS_MAX)];
     if bytes.is_empty() { "nothing: the file is empty".to_owned() } else { shown(&String::from_utf8_lossy(start)) }
 }

@@ -1,10 +1,8 @@
-//! Files of maps, scans and observations, tables, pictures and times: what people already have is read, and what is
-//! predicted is written.
+//! Readers and writers of files: maps, scans, observations and topologies; tables and pictures of results.
 //!
-//! Invariant: bytes in, values out, and the other way; no file is opened here. Reading never panics, and never takes
-//! memory for a number that a file claims before that number has been held against the file's length. A file that is
-//! cut off is an error and never a smaller map. Numbers in error messages are those of the file: lines from 1, bytes
-//! from 0.
+//! Invariant: bytes in, values out, or the reverse; no file is opened here. Reading never panics, and never allocates
+//! memory for a number in a file before that number was checked against the file's length. A truncated file is an error,
+//! never a smaller map. Numbers in error messages are those of the file: lines from 1, bytes from 0.
 
 pub mod cells_csv;
 mod colour;
@@ -30,7 +28,7 @@ pub mod tour_svg;
 pub use picture::{MapPicture, PictureCell, PictureError};
 pub use points::PointFile;
 
-/// Most points that are read from one file.
+/// Maximum number of points in a file.
 pub const POINTS_MAX: u64 = 50_000_000;
-/// Most cells of a grid, and most leaves of a tree, that are read from one file or written to one.
+/// Maximum number of cells of a grid, or leaves of a tree, in a file.
 pub const CELLS_MAX: u64 = 50_000_000;

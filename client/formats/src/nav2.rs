@@ -1,22 +1,21 @@
-//! Grids of the ROS map servers: a YAML file that describes a grey image, and the image as PGM.
+//! Grids of the ROS map servers: a YAML file with the settings, and a grey image in PGM.
 //!
-//! What a cell is, is read as the map servers of ROS read it, in all three modes. Let `shade` be the pixel from 0 black
-//! to 1 white, and `occ` be `1 - shade`, or `shade` where `negate` is set:
+//! Pixels are read as the map servers of ROS read them, in all three modes. Let `shade` be the pixel from 0 black to 1
+//! white, and `occ` be `1 - shade`, or `shade` if `negate` is set:
 //!
-//! - `trinary`: occupied above `occupied_thresh`, free below `free_thresh`, unknown between;
-//! - `scale`: the same, but between the two lies a probability. Unknown is said by transparent pixels, which a PGM file
-//!   does not have;
-//! - `raw`: `shade * 255` is the probability in percent from 0 to 100, and anything above is unknown.
+//! - `trinary`: occupied above `occupied_thresh`, free below `free_thresh`, unknown between them;
+//! - `scale`: as `trinary`, but with a probability between the thresholds. Unknown cells are transparent pixels, which PGM
+//!   files do not have;
+//! - `raw`: `shade * 255` is the probability in percent from 0 to 100, and higher values are unknown.
 //!
-//! Written are `trinary`, the mode every tool understands, and, for probabilities, `raw`: it is the only mode in which
-//! a PGM file can say both probabilities and unknown. `scale` is written for grids without unknown cells.
+//! The writer uses `trinary`, the mode that every tool understands, and for probabilities `raw`, the only mode in which a
+//! PGM file can have both probabilities and unknown cells. It writes `scale` for grids without unknown cells.
 //!
-//! In trinary files a cell is free up to 25 % and occupied from 65 %, and the pixels are 254, 0, and 205 for unknown,
-//! as map savers do; but `free_thresh` is written as 0.196 and not as 0.25, since `occ` of the pixel 205 is 0.1961,
-//! which would be read back as free.
+//! In trinary files a cell is free up to 25 % and occupied from 65 %, and the pixels are 254, 0, and 205 for unknown, as
+//! map savers write them; but `free_thresh` is 0.196 instead of 0.25, because `occ` of the pixel 205 is 0.1961, which
+//! would be read back as free.
 //!
-//! Invariant: rows of a [`Grid`] go upwards, those of the image downwards; a grid that is read has as many cells as the
-//! image has pixels.
+//! Invariant: rows of a [`Grid`] go upwards, rows of the image downwards; a grid has one cell for each pixel.
 
 mod pgm;
 mod settings;
@@ -29,7 +28,7 @@ use super::error::{FilePlace, FormatError};
 pub use settings::{GridMode, GridSettings, read_settings};
 pub use write::{Thresholds, write};
 
-/// A grid of cells in the plane.
+/// A flat grid of cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
     /// Length of a cell's side.
@@ -42,7 +41,7 @@ pub struct Grid {
     pub cells: Vec<GridCell>,
 }
 
-/// What a map server shows of a cell.
+/// The value of a cell in a map server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GridCell {
     /// Unknown, -1.
@@ -50,16 +49,14 @@ pub enum GridCell {
     /// Free, 0.
     Free,
     /// Occupied with a probability, 1 to 99.
-    Between {
-        /// The probability.
-        percent: u8,
-    },
+    #[allow(missing_docs, reason = "see the variant")]
+    Between { percent: u8 },
     /// Occupied, 100.
     Occupied,
 }
 
 impl GridCell {
-    /// Whether it is occupied; none where the grid does not decide.
+    /// Whether it is occupied; none if it is unknown or between the thresholds.
     pub fn occupied(self) -> Option<bool> {
         match self {
             Self::Unknown | Self::Between { .. } => None,
@@ -78,14 +75,14 @@ impl GridCell {
     }
 }
 
-/// Reads the image of a grid whose YAML file has been read.
+/// Reads the image of a grid with the settings of its YAML file.
 pub fn read(settings: &GridSettings, image: &[u8]) -> Result<Grid, FormatError> {
     let image = pgm::read(image)?;
-    let meanings: Vec<GridCell> = (0..=image.most).map(|value| meaning(settings, value, image.most)).collect();
+    let cells_by_value: Vec<GridCell> = (0..=image.max).map(|value| cell(settings, value, image.max)).collect();
     let width = image.width as usize;
     let rows = image.values.chunks_exact(width).rev();
-    // No value is above the image's most.
-    let cells = rows.flatten().map(|&value| meanings[usize::from(value)]).collect();
+    // No value is above the image's maximum.
+    let cells = rows.flatten().map(|&value| cells_by_value[usize::from(value)]).collect();
     Ok(Grid {
         resolution_m: settings.resolution_m,
         origin_m: settings.origin_m,
@@ -94,19 +91,19 @@ pub fn read(settings: &GridSettings, image: &[u8]) -> Result<Grid, FormatError> 
     })
 }
 
-/// What a pixel says.
-fn meaning(settings: &GridSettings, value: u16, most: u16) -> GridCell {
-    let shade = f64::from(value) / f64::from(most);
+/// The cell of a pixel.
+fn cell(settings: &GridSettings, value: u16, max: u16) -> GridCell {
+    let shade = f64::from(value) / f64::from(max);
     let occupied = if settings.negate { shade } else { 1.0 - shade };
-    let (least, enough) = (settings.free_thresh, settings.occupied_thresh);
+    let (free, enough) = (settings.free_thresh, settings.occupied_thresh);
     match settings.mode {
         GridMode::Raw => match (shade * 255.0).round() {
             percent if percent <= 100.0 => GridCell::from_percent(percent),
             _ => GridCell::Unknown,
         },
         _ if enough < occupied => GridCell::Occupied,
-        _ if occupied < least => GridCell::Free,
+        _ if occupied < free => GridCell::Free,
         GridMode::Trinary => GridCell::Unknown,
-        GridMode::Scale => GridCell::from_percent(((occupied - least) / (enough - least) * 100.0).round_ties_even()),
+        GridMode::Scale => GridCell::from_percent(((occupied - free) / (enough - free) * 100.0).round_ties_even()),
     }
 }

@@ -98,16 +98,16 @@ pub trait Layout: Sized {
     /// The usual header.
     const HEADER: &'static str;
     /// A row.
-    type Row: std::fmt::Debug;
+    type Record: std::fmt::Debug;
 
     /// From the header, with the places of the columns that are used.
     fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError>;
 
     /// The row of a line, and whether all of it could be read.
-    fn row(&self, line: &[u8], at: RowPlace) -> (Self::Row, bool);
+    fn row(&self, line: &[u8], at: RowPlace) -> (Self::Record, bool);
 
     /// Where a row stands.
-    fn at(row: &Self::Row) -> RowPlace;
+    fn at(row: &Self::Record) -> RowPlace;
 }
 
 /// A row of observations.
@@ -244,7 +244,7 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
     }
 
     /// The next row; `None` at the end.
-    pub fn next(&mut self) -> Result<Option<RowItem<L::Row>>, RowError> {
+    pub fn next(&mut self) -> Result<Option<RowItem<L::Record>>, RowError> {
         loop {
             if self.ended {
                 return Ok(None);
@@ -320,7 +320,7 @@ fn fields(line: &[u8], count: usize) -> Result<Vec<std::borrow::Cow<'_, str>>, S
 
 impl Layout for ObservationColumns {
     const HEADER: &'static str = "time,state,value";
-    type Row = ObservationRow;
+    type Record = ObservationRow;
 
     fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError> {
         let (time, state) = (header.column("time")?, header.column("state")?);

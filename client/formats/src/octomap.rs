@@ -1,8 +1,8 @@
-//! OctoMap's trees of occupancy: `.bt` files, which say free or occupied, and `.ot` files, which say how surely.
+//! OctoMap's occupancy trees: `.bt` files with free and occupied leaves, and `.ot` files with log-odds.
 //!
 //! A tree is 16 levels deep; its root covers 65536 cells along each side, with the map's origin in the middle. Child i
 //! of a node is the upper half along x if bit 0 of i is set, along y with bit 1, along z with bit 2. Numbers are
-//! little-endian, as the machines that write these files are.
+//! little-endian.
 //!
 //! - `.bt`: a node is two bytes, two bits for each child, the lowest bits for child 0: 0 unknown, 1 a free leaf, 2 an
 //!   occupied leaf, 3 a child with children; then the nodes of those, in order.
@@ -28,17 +28,17 @@ const DEPTH: u32 = 16;
 /// Cells from the root's lower corner to the origin.
 const CENTRE: i32 = 1 << (DEPTH - 1);
 
-/// Log-odds of a leaf that a `.bt` file calls free: what OctoMap clamps to unless told otherwise.
+/// Log-odds of a free leaf of a `.bt` file: OctoMap's default clamping threshold.
 pub const FREE_LOG_ODDS: f32 = -2.0;
-/// Log-odds of a leaf that a `.bt` file calls occupied.
+/// Log-odds of an occupied leaf of a `.bt` file.
 pub const OCCUPIED_LOG_ODDS: f32 = 3.5;
 
-/// What a file says.
+/// The tree of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OctoMap {
     /// Length of a cell's side.
     pub resolution_m: f64,
-    /// The parts of space of which something is known, in the order of the file.
+    /// The known parts of space, in the order of the file.
     pub leaves: Vec<Leaf>,
 }
 
@@ -49,7 +49,7 @@ pub struct Leaf {
     pub min_cell: [i32; 3],
     /// Cells along a side: a power of two.
     pub size_cells: u32,
-    /// Whether it is rather occupied than free: log-odds of 0 or more.
+    /// Whether it is occupied: log-odds of 0 or more.
     pub occupied: bool,
     /// Logarithm of the odds that it is occupied.
     pub log_odds: f32,
@@ -68,7 +68,7 @@ pub fn read(bytes: &[u8]) -> Result<OctoMap, FormatError> {
     }
     let mut lines = Lines::new(bytes);
     let header = header(&mut lines, binary)?;
-    let mut walk = TreeReader {
+    let mut reader = TreeReader {
         bytes: lines.rest(),
         at: lines.at(),
         nodes: 0,
@@ -76,22 +76,26 @@ pub fn read(bytes: &[u8]) -> Result<OctoMap, FormatError> {
         colour_bytes: header.colour_bytes,
     };
     if header.nodes > 0 {
-        walk.nodes = 1;
+        reader.nodes = 1;
         if binary {
-            walk.binary_node([0; 3], 0)?;
+            reader.binary_node([0; 3], 0)?;
         } else {
-            walk.full_node([0; 3], 0)?;
+            reader.full_node([0; 3], 0)?;
         }
     }
-    if !walk.bytes.is_empty() {
-        return Err(FormatError::trailing(walk.at, walk.bytes.len() as u64, format!("a tree of {} nodes", walk.nodes)));
+    if !reader.bytes.is_empty() {
+        return Err(FormatError::trailing(
+            reader.at,
+            reader.bytes.len() as u64,
+            format!("a tree of {} nodes", reader.nodes),
+        ));
     }
-    // OctoMap, too, holds only binary files to their size.
-    if binary && walk.nodes != header.nodes {
-        let right = format!("{}, the number of nodes that follow", walk.nodes);
+    // Like OctoMap, check the size of binary files only.
+    if binary && reader.nodes != header.nodes {
+        let right = format!("{}, the number of nodes that follow", reader.nodes);
         return Err(FormatError::value(header.nodes_at, "size", header.nodes, right));
     }
-    Ok(OctoMap { resolution_m: header.resolution_m, leaves: walk.leaves })
+    Ok(OctoMap { resolution_m: header.resolution_m, leaves: reader.leaves })
 }
 
 struct TreeHeader {
@@ -101,7 +105,7 @@ struct TreeHeader {
     colour_bytes: usize,
 }
 
-/// Takes the lines of the header, `data` included.
+/// Reads the lines of the header, including `data`.
 fn header(lines: &mut Lines<'_>, binary: bool) -> Result<TreeHeader, FormatError> {
     let (mut id, mut size, mut resolution): (Option<Line<'_>>, Option<Line<'_>>, Option<Line<'_>>) = (None, None, None);
     let missing = |lines: &Lines<'_>, key| {
@@ -114,7 +118,7 @@ fn header(lines: &mut Lines<'_>, binary: bool) -> Result<TreeHeader, FormatError
             Some("size") => size = Some(line),
             Some("res") => resolution = Some(line),
             Some("data") => break,
-            // Comments, and what other versions may have added.
+            // Comments, and keys of other versions.
             _ => {}
         }
     }
@@ -142,7 +146,7 @@ fn header(lines: &mut Lines<'_>, binary: bool) -> Result<TreeHeader, FormatError
     Ok(TreeHeader { resolution_m, nodes, nodes_at: size.place(), colour_bytes })
 }
 
-/// Goes through the nodes of a file, which is recursive to the depth of the tree.
+/// Reads the nodes of a file; the recursion is as deep as the tree.
 struct TreeReader<'a> {
     bytes: &'a [u8],
     at: u64,
@@ -173,13 +177,13 @@ impl<'a> TreeReader<'a> {
         Ok(())
     }
 
-    /// A node that has children, of a binary file.
+    /// A node with children, in a binary file.
     fn binary_node(&mut self, corner: [u32; 3], depth: u32) -> Result<(), FormatError> {
         let place = FilePlace::Byte(self.at);
         let children = u16::from_le_bytes(*self.take("a node of the tree")?);
-        // A root without children is what is left of a tree that was emptied.
+        // Only the root of an empty tree has no children.
         if children == 0 && depth > 0 {
-            let right = "different from 0: its parent says that it has children";
+            let right = "different from 0: its parent declares that it has children";
             return Err(FormatError::value(place, "a node", children, right));
         }
         let kind = |child: u32| (children >> (2 * child)) & 3;
@@ -198,7 +202,7 @@ impl<'a> TreeReader<'a> {
         Ok(())
     }
 
-    /// A node with or without children, of a full file.
+    /// A node with or without children, in a full file.
     fn full_node(&mut self, corner: [u32; 3], depth: u32) -> Result<(), FormatError> {
         let place = FilePlace::Byte(self.at);
         let log_odds = f32::from_le_bytes(*self.take("a node of the tree")?);

@@ -1,9 +1,9 @@
-//! Point clouds of the Point Cloud Library: PCD files, version 0.7, in all three forms of data.
+//! Point clouds of the Point Cloud Library: PCD files, version 0.7, with text, binary or compressed data.
 //!
-//! Read are the fields x, y and z, of any type, and VIEWPOINT as the sensor's pose; other fields are passed over.
-//! Binary data is little-endian. Zeros behind binary data are padding and ignored.
+//! The reader takes the fields x, y and z, of any type, and VIEWPOINT as the sensor's pose; it skips other fields. Binary
+//! data is little-endian. Zeros after binary data are padding.
 //!
-//! Invariant: a file gives exactly as many points, finite and not, as its header announces, or an error.
+//! Invariant: a file gives exactly the number of points, finite and not, that its header announces, or an error.
 
 mod header;
 mod lzf;
@@ -20,7 +20,7 @@ use super::{
 };
 use header::{Data, PcdHeader};
 
-/// Most bytes that compressed data may unpack to.
+/// Maximum length of unpacked data.
 const UNPACKED_BYTES_MAX: u64 = 2 << 30;
 
 /// Reads a PCD file.
@@ -34,7 +34,7 @@ pub fn read(bytes: &[u8]) -> Result<PointFile, FormatError> {
     }
 }
 
-/// Where the sensor was, of a file or its first bytes; none where the header does not say.
+/// The sensor's pose from a file or its first bytes; none if the header has none.
 pub fn read_pose(bytes: &[u8]) -> Result<Option<Isometry3<f64>>, FormatError> {
     Ok(header::read(bytes, &mut Lines::new(bytes))?.pose)
 }
@@ -42,19 +42,19 @@ pub fn read_pose(bytes: &[u8]) -> Result<Option<Isometry3<f64>>, FormatError> {
 fn ascii(header: &PcdHeader, mut lines: Lines<'_>) -> Result<PointFile, FormatError> {
     let row = header.row(true);
     let room = lines.rest().len() as u64;
-    // Each value takes a character at least, and a space or line end behind it.
+    // Each value takes at least a character and a space or line end.
     let needs = header.points * 2 * row.values as u64;
     if needs > room {
         return Err(FormatError::cut_off(lines.at(), format!("data of {} points", header.points), needs, room));
     }
     let mut file = PointFile::with_capacity(header.points, header.pose);
-    let mut taken = 0;
+    let mut points = 0;
     while let Some(line) = lines.next_full()? {
-        if taken == header.points {
+        if points == header.points {
             return Err(FormatError::value(
                 line.place(),
                 "the number of points",
-                format!("more than {taken}"),
+                format!("more than {points}"),
                 "what POINTS says",
             ));
         }
@@ -71,10 +71,10 @@ fn ascii(header: &PcdHeader, mut lines: Lines<'_>) -> Result<PointFile, FormatEr
             return Err(FormatError::value(line.place(), "the line", found, format!("{} values", row.values)));
         }
         file.push(point);
-        taken += 1;
+        points += 1;
     }
-    if taken < header.points {
-        return Err(FormatError::lines_cut_off(lines.number(), "data", header.points, taken));
+    if points < header.points {
+        return Err(FormatError::lines_cut_off(lines.number(), "data", header.points, points));
     }
     Ok(file)
 }
@@ -95,7 +95,7 @@ fn binary(header: &PcdHeader, lines: &Lines<'_>) -> Result<PointFile, FormatErro
     Ok(file)
 }
 
-/// Compressed data: its packed and its unpacked length, then all the values of the first field, those of the second …
+/// Compressed data: packed length, unpacked length, then all values of the first field, all values of the second …
 fn compressed(header: &PcdHeader, lines: &Lines<'_>) -> Result<PointFile, FormatError> {
     let (data, at) = (lines.rest(), lines.at());
     let Some(([a, b, c, d, e, f, g, h], data)) = data.split_first_chunk::<8>() else {
@@ -108,7 +108,7 @@ fn compressed(header: &PcdHeader, lines: &Lines<'_>) -> Result<PointFile, Format
     }
     let (data, behind) = data.split_at(usize::try_from(packed).unwrap_or(data.len()));
     only_padding(behind, at + 8 + packed)?;
-    // Padding fields, called "_", may be left out of compressed data.
+    // Compressed data may omit padding fields, which have the name "_".
     let rows = [header.row(true), header.row(false)];
     let Some(row) = rows.iter().find(|row| row.bytes as u64 * header.points == unpacked) else {
         return Err(FormatError::value(
@@ -131,7 +131,7 @@ fn compressed(header: &PcdHeader, lines: &Lines<'_>) -> Result<PointFile, Format
     let points = usize::try_from(header.points).unwrap_or(0);
     for index in 0..points {
         file.push(std::array::from_fn(|axis| {
-            // The fields before this one, then the points before this one.
+            // First the preceding fields, then the preceding points.
             let offset = row.byte[axis] * points + row.scalar[axis].bytes() * index;
             row.scalar[axis].read(&data, offset, Endian::Little)
         }));

@@ -1,105 +1,78 @@
-//! A predicted map as the files show it.
+//! A predicted map, as the writers of files take it.
 //!
-//! Invariant: a picture that passed [`MapPicture::check`] has as many cells as its size says, and every known cell has
-//! a value within [0, 1]; the writers check before they write.
+//! Invariant: a picture that passes [`MapPicture::check`] has the number of cells of its size, and every known cell has a
+//! value within [0, 1]; all writers check it first.
 
 use super::CELLS_MAX;
 
-/// A box of cells, with what is predicted of each.
+/// A box of cells with their predictions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapPicture {
     /// Length of a cell's side.
     pub resolution_m: f64,
     /// Lower corner of the cell (0, 0, 0) of the picture.
     pub origin_m: [f64; 3],
-    /// Index of that cell in the grid, from which cells are named.
+    /// Index of that cell in the grid, which is part of cell names.
     pub min_cell: [i32; 3],
-    /// Number of cells along x, y and z; z is 1 for a map in the plane.
+    /// Number of cells along x, y and z; z is 1 for a flat map.
     pub size_cells: [u32; 3],
     /// The cells: x fastest, then y, then z.
     pub cells: Vec<PictureCell>,
 }
 
-/// What is predicted of a cell: the probability that it is occupied, or, in a picture of entropy, its entropy in bits.
+/// The prediction of a cell: the probability that it is occupied, or, in a picture of entropy, its entropy in bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(missing_docs, reason = "see the type")]
 pub enum PictureCell {
-    /// Nothing: it was never seen.
+    /// Never observed.
     Unknown,
     /// A cell that does not change with time.
-    Static {
-        /// Of being occupied.
-        probability: f32,
-    },
+    Static { probability: f32 },
     /// A cell that has a model.
-    Changing {
-        /// Of being occupied.
-        probability: f32,
-    },
+    Changing { probability: f32 },
 }
 
 /// Why a picture cannot be written.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum PictureError {
     /// No cells.
     #[error("the map has no cells: its size is {0:?}")]
     Empty([u32; 3]),
-    /// More cells than one file takes.
-    #[error("the map has {found} cells and a file takes at most {CELLS_MAX}: ask for a smaller part")]
-    TooLarge {
-        /// How many.
-        found: u128,
-    },
-    /// The number of cells is not what the size says.
-    #[error("the map has {found} cells where its size {size_cells:?} says otherwise")]
-    Count {
-        /// How many there are.
-        found: usize,
-        /// The size.
-        size_cells: [u32; 3],
-    },
-    /// No length.
-    #[error("the cells' side is {0} m: it has to be a positive number")]
+    /// Too many cells for a file.
+    #[error("the map has {found} cells and a file takes at most {CELLS_MAX}: select a smaller part")]
+    TooLarge { found: u128 },
+    /// The number of cells does not match the size.
+    #[error("the map has {found} cells, which does not match its size {size_cells:?}")]
+    Count { found: usize, size_cells: [u32; 3] },
+    /// An invalid length of the cells' sides.
+    #[error("the cells' side is {0} m: it must be a positive number")]
     Resolution(f64),
-    /// Not a place.
-    #[error("the map's origin is {0:?}: it has to be three finite numbers")]
+    /// An invalid origin.
+    #[error("the map's origin is {0:?}: it must be three finite numbers")]
     Origin([f64; 3]),
-    /// No probability.
-    #[error("the value of cell {cell} is {value}: it has to be within 0 and 1")]
-    Value {
-        /// Which cell.
-        cell: usize,
-        /// Its value.
-        value: f32,
-    },
-    /// Layers, where the format has one.
-    #[error("the map has {0} layers of cells and this format shows one: ask for a single layer")]
+    /// A value outside 0 to 1.
+    #[error("the value of cell {cell} is {value}: it must be within 0 and 1")]
+    Value { cell: usize, value: f32 },
+    /// Several layers, in a format with one.
+    #[error("the map has {0} layers of cells and this format has one: select a single layer")]
     Layers(u32),
-    /// A mode that cannot say it.
+    /// Unknown cells, in a mode without them.
     #[error(
-        "cell {cell} is unknown, which a PGM file of mode scale cannot say: a map server would show it as a \
+        "cell {cell} is unknown, which a PGM file of mode scale cannot contain: a map server would show it as a \
          probability; use mode raw or trinary"
     )]
-    UnknownInScale {
-        /// The first unknown cell.
-        cell: usize,
-    },
-    /// Thresholds that do not order free, unknown and occupied.
-    #[error(
-        "free up to {free} and occupied from {occupied}: both have to be within 0 and 1, the first below the second"
-    )]
-    Thresholds {
-        /// Highest probability that is free.
-        free: f64,
-        /// Lowest probability that is occupied.
-        occupied: f64,
-    },
+    UnknownInScale { cell: usize },
+    /// Thresholds in the wrong order.
+    #[error("free up to {free} and occupied from {occupied}: both must be within 0 and 1, the first below the second")]
+    Thresholds { free: f64, occupied: f64 },
     /// The encoder failed.
     #[error("the picture cannot be encoded: {0}")]
     Encode(String),
 }
 
 impl PictureCell {
-    /// Its value; none where it is unknown.
+    /// Its value; none if it is unknown.
     pub fn value(self) -> Option<f32> {
         match self {
             Self::Unknown => None,
@@ -109,7 +82,7 @@ impl PictureCell {
 }
 
 impl MapPicture {
-    /// Whether it can be written.
+    /// Checks that the picture can be written.
     pub fn check(&self) -> Result<(), PictureError> {
         let cells: u128 = self.size_cells.iter().map(|&cells| u128::from(cells)).product();
         if cells == 0 {
@@ -134,7 +107,7 @@ impl MapPicture {
         values.into_iter().find_map(wrong).map_or(Ok(()), Err)
     }
 
-    /// Whether it can be written to a format with one layer.
+    /// Checks that the picture can be written to a format with one layer.
     pub fn check_flat(&self) -> Result<(), PictureError> {
         self.check()?;
         match self.size_cells[2] {
@@ -155,7 +128,7 @@ impl MapPicture {
         self.known_at().map(move |(at, cell)| (std::array::from_fn(|axis| index(at, axis)), cell))
     }
 
-    /// The known cells with their places in the picture.
+    /// The known cells with their positions in the picture.
     fn known_at(&self) -> impl Iterator<Item = ([usize; 3], PictureCell)> {
         let [width, height, _] = self.size_cells.map(|cells| (cells as usize).max(1));
         self.cells
@@ -165,7 +138,7 @@ impl MapPicture {
             .map(move |(index, &cell)| ([index % width, index / width % height, index / width / height], cell))
     }
 
-    /// The rows of a flat picture, the one with the largest y first, as images have them.
+    /// The rows of a flat picture, the row with the largest y first, as in images.
     pub fn rows_from_top(&self) -> impl Iterator<Item = &[PictureCell]> {
         self.cells.chunks((self.size_cells[0] as usize).max(1)).rev()
     }
@@ -175,7 +148,7 @@ impl MapPicture {
 pub mod samples {
     //! Pictures for tests.
     //!
-    //! Invariant: [`flat`] has every kind of cell, and no two rows alike.
+    //! Invariant: [`flat`] has every kind of cell, and no two equal rows.
 
     use super::*;
 

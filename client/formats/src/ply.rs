@@ -1,10 +1,10 @@
-//! Point clouds in the polygon file format, PLY, as text or binary of either byte order; and maps written as such.
+//! Point clouds in the polygon file format, PLY, as text or binary in either byte order; and a writer of maps.
 //!
-//! Read are x, y and z of the element `vertex`, of any type. Other properties and elements are passed over, lists too.
-//! In a text file each thing has a line of its own.
+//! The reader takes x, y and z of the element `vertex`, of any type, and skips other properties and elements, including
+//! lists. In a text file each element has its own line.
 //!
-//! Invariant: a file gives exactly as many points, finite and not, as its header announces vertices, or an error; and
-//! everything the header announces is there.
+//! Invariant: a file gives exactly the number of points, finite and not, that its header announces, or an error; all other
+//! announced elements are complete.
 
 mod header;
 #[cfg(test)]
@@ -48,11 +48,11 @@ pub fn read(bytes: &[u8]) -> Result<PointFile, FormatError> {
     Ok(file)
 }
 
-/// Makes room for the points of an element, if it is that of the points and the file is long enough.
-fn room_for(element: &Element, least_bytes: u64, at: u64, room: u64, file: &mut PointFile) -> Result<(), FormatError> {
-    let needs = element.count.saturating_mul(least_bytes);
+/// Checks that the file is long enough for an element, and reserves memory if it contains the points.
+fn room_for(element: &Element, min_bytes: u64, at: u64, room: u64, file: &mut PointFile) -> Result<(), FormatError> {
+    let needs = element.count.saturating_mul(min_bytes);
     if needs > room {
-        let what = format!("element {} of {} at {least_bytes} bytes or more", element.name, element.count);
+        let what = format!("element {} of {} at {min_bytes} bytes or more", element.name, element.count);
         return Err(FormatError::cut_off(at, what, needs, room));
     }
     if element.points.is_some() {
@@ -62,7 +62,7 @@ fn room_for(element: &Element, least_bytes: u64, at: u64, room: u64, file: &mut 
 }
 
 fn ascii(element: &Element, lines: &mut Lines<'_>, file: &mut PointFile) -> Result<(), FormatError> {
-    // Each value takes a character at least, and a space or line end behind it.
+    // Each value takes at least a character and a space or line end.
     room_for(element, 2 * element.properties.len() as u64, lines.at(), lines.rest().len() as u64, file)?;
     for taken in 0..element.count {
         let line = lines.next_full()?.ok_or_else(|| {
@@ -110,7 +110,7 @@ fn ascii_row(element: &Element, line: Line<'_>) -> Result<[f64; 3], FormatError>
     }
 }
 
-/// Binary data that has not been taken yet.
+/// Binary data that was not read yet.
 struct Binary<'a> {
     bytes: &'a [u8],
     at: u64,
@@ -138,16 +138,16 @@ impl<'a> Binary<'a> {
                 "at least 0",
             ));
         }
-        // Not negative, and integers only; what is beyond u64 saturates and is then too long for any file.
+        // A non-negative integer; values beyond u64 saturate, and are then too long for any file.
         Ok(length as u64)
     }
 }
 
 fn binary(element: &Element, data: &mut Binary<'_>, file: &mut PointFile) -> Result<(), FormatError> {
-    let least = element.properties.iter().map(|property| match property.kind {
+    let min_bytes = element.properties.iter().map(|property| match property.kind {
         PropertyKind::Scalar(scalar) | PropertyKind::List { count: scalar, .. } => scalar.bytes() as u64,
     });
-    room_for(element, least.sum(), data.at, data.bytes.len() as u64, file)?;
+    room_for(element, min_bytes.sum(), data.at, data.bytes.len() as u64, file)?;
     for _ in 0..element.count {
         let mut point = [0.0; 3];
         for (index, property) in element.properties.iter().enumerate() {

@@ -1,10 +1,9 @@
-//! A picture of a map for people, as PNG: a pixel a cell, y upwards.
+//! A picture of a map as PNG: a pixel for each cell, y upwards.
 //!
-//! Unknown cells are mid-grey, static ones white where free and black where occupied, and changing ones coloured by
-//! their value, from pale blue at 0 through light orange to dark orange at 1. A picture of entropy shows its cells as
-//! changing ones.
+//! Unknown cells are mid-grey, static cells white if free and black if occupied, and changing cells coloured by their
+//! value, from pale blue at 0 through light orange to dark orange at 1. A picture of entropy shows all cells as changing.
 //!
-//! Invariant: the colours are those of the module `colour`, and nothing else is in the file: no time, no name.
+//! Invariant: the colours are those of the module `colour`; the file has no metadata such as time or name.
 
 use super::{MapPicture, PictureError, colour::colour};
 

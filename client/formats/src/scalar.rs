@@ -1,10 +1,10 @@
-//! Numbers as binary files hold them.
+//! Numbers in binary files.
 //!
-//! Invariant: any bytes are some number; a slice that is too short reads as if zeros followed, and never panics.
+//! Invariant: any bytes are a number; a slice that is too short is read as if zeros followed, without a panic.
 
 /// The type of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs, reason = "the names say all")]
+#[allow(missing_docs, reason = "the names are clear")]
 pub enum Scalar {
     I8,
     U8,
@@ -18,17 +18,17 @@ pub enum Scalar {
     F64,
 }
 
-/// Which byte of a number comes first.
+/// The byte order of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Endian {
-    /// The least significant one.
+    /// The least significant byte first.
     Little,
-    /// The most significant one.
+    /// The most significant byte first.
     Big,
 }
 
 impl Scalar {
-    /// How many bytes one takes.
+    /// Length of a number.
     pub fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -38,12 +38,12 @@ impl Scalar {
         }
     }
 
-    /// Whether it counts.
+    /// Whether it is an integer type.
     pub fn is_integer(self) -> bool {
         !matches!(self, Self::F32 | Self::F64)
     }
 
-    /// The number that begins at an offset.
+    /// The number that starts at an offset.
     #[allow(clippy::cast_precision_loss, reason = "coordinates beyond 2^53 do not exist")]
     pub fn read(self, bytes: &[u8], offset: usize, endian: Endian) -> f64 {
         let mut little = [0_u8; 8];

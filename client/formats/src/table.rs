@@ -21,7 +21,7 @@ pub enum Format {
 /// One value of a result.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cell {
-    /// Nothing.
+    /// No value.
     Empty,
     /// Text.
     Text(String),
@@ -110,13 +110,13 @@ fn six_digits(number: f64) -> String {
     rounded.to_string()
 }
 
-/// Rows of a table that are laid out together; a longer result comes as several tables.
+/// Maximum number of rows that are aligned together; a longer result is printed as several tables.
 const TABLE_ROWS_MAX: usize = 10_000;
 
-/// Least width of the columns of a table whose rows come one by one.
-const LIVE_WIDTH: usize = 14;
+/// Minimum width of the columns of a live table.
+const LIVE_WIDTH_MIN: usize = 14;
 
-/// A result: columns, then row after row.
+/// Writes a table of results row by row.
 pub struct TableWriter<W: Write> {
     format: Format,
     columns: Vec<String>,
@@ -127,14 +127,14 @@ pub struct TableWriter<W: Write> {
 }
 
 impl<W: Write> TableWriter<W> {
-    /// A result in `writer`.
+    /// A table that is written to `writer`.
     pub fn new<S: AsRef<str>>(format: Format, columns: &[S], writer: W) -> Self {
         let columns = columns.iter().map(|column| column.as_ref().to_owned()).collect();
         Self { format, columns, writer, rows: 0, waiting: Vec::new(), live: false }
     }
 
-    /// A result whose rows come one by one, each written when it comes; the header at once. A table is not laid out as
-    /// a whole then, and in JSON each row ends its line.
+    /// A live table: the header is written at once and each row immediately. Columns are not aligned as a whole then, and in
+    /// JSON each row has its own line.
     pub fn live(mut self) -> io::Result<Self> {
         self.live = true;
         match self.format {
@@ -146,7 +146,7 @@ impl<W: Write> TableWriter<W> {
         Ok(self)
     }
 
-    /// Adds a row: a value for each column.
+    /// Adds a row with a value for each column.
     pub fn row(&mut self, cells: Vec<Cell>) -> io::Result<()> {
         debug_assert_eq!(cells.len(), self.columns.len());
         match self.format {
@@ -181,7 +181,7 @@ impl<W: Write> TableWriter<W> {
         if self.live { self.writer.flush() } else { Ok(()) }
     }
 
-    /// Writes what is left. Without it the result is not whole.
+    /// Writes the rest; without this call the result is incomplete.
     pub fn finish(mut self) -> io::Result<()> {
         match self.format {
             Format::Table | Format::Csv if self.live => {}
@@ -196,9 +196,9 @@ impl<W: Write> TableWriter<W> {
         self.writer.flush()
     }
 
-    /// A line of a table whose other lines are not known.
+    /// Writes a line of a live table.
     fn write_line(&mut self, cells: &[String]) -> io::Result<()> {
-        let cells: Vec<String> = cells.iter().map(|cell| format!("{cell:<LIVE_WIDTH$}")).collect();
+        let cells: Vec<String> = cells.iter().map(|cell| format!("{cell:<LIVE_WIDTH_MIN$}")).collect();
         writeln!(self.writer, "{}", cells.join("  ").trim_end())
     }
 
@@ -236,7 +236,7 @@ impl<W: Write> TableWriter<W> {
     }
 }
 
-/// A JSON object of names and values that are JSON already.
+/// A JSON object of names and JSON values.
 pub fn object<'a>(members: impl Iterator<Item = (&'a str, String)>) -> String {
     let members: Vec<String> =
         members.map(|(name, value)| format!("{}:{value}", serde_json::Value::from(name))).collect();

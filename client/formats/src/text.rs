@@ -1,13 +1,13 @@
-//! The lines of a file that is text, or begins as text.
+//! The lines of text files, and of binary files that start with text.
 //!
-//! Invariant: a line has a line end, or it is an error, since a number that was cut in two still looks like a number.
-//! What is behind the lines taken so far is untouched, so that binary data can follow them.
+//! Invariant: a line without a line end is an error, because a truncated number still looks like a number. Bytes after the
+//! lines read so far are untouched, so that binary data can follow.
 
 use std::str::FromStr;
 
 use super::error::{FilePlace, FormatError, FormatProblem, shown};
 
-/// Takes a file line by line.
+/// Reads a file line by line.
 pub struct Lines<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -19,17 +19,17 @@ pub struct Lines<'a> {
 pub struct Line<'a> {
     /// Its number, from 1.
     pub number: u64,
-    /// What it says.
+    /// Its text.
     pub text: &'a str,
 }
 
 impl<'a> Lines<'a> {
-    /// From the first line.
+    /// A reader that starts at the first line.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self { bytes, at: 0, number: 0 }
     }
 
-    /// The next line; none where the file has ended.
+    /// The next line; none at the end of the file.
     pub fn next_line(&mut self) -> Result<Option<Line<'a>>, FormatError> {
         let rest = self.rest();
         if rest.is_empty() {
@@ -57,24 +57,24 @@ impl<'a> Lines<'a> {
         Ok(None)
     }
 
-    /// What has not been taken yet.
+    /// The bytes not read yet.
     pub fn rest(&self) -> &'a [u8] {
         self.bytes.get(self.at..).unwrap_or_default()
     }
 
-    /// Where that begins, in bytes from the file's start.
+    /// Position of the next byte in the file.
     pub fn at(&self) -> u64 {
         self.at as u64
     }
 
-    /// Number of the line taken last; 0 before the first.
+    /// Number of the last line read; 0 before the first.
     pub fn number(&self) -> u64 {
         self.number
     }
 }
 
 impl<'a> Line<'a> {
-    /// Where it is.
+    /// Its place.
     pub fn place(&self) -> FilePlace {
         FilePlace::Line(self.number)
     }
@@ -95,7 +95,7 @@ impl<'a> Line<'a> {
         word.parse().map_err(|_| self.wrong(what, word, right))
     }
 
-    /// A word of this line that names something.
+    /// Reads a word of this line as a name.
     pub fn parse_name(&self, word: Option<&'a str>, what: &str) -> Result<&'a str, FormatError> {
         word.ok_or_else(|| FormatError::missing(self.place(), what, "write a name"))
     }

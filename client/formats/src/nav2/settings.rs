@@ -1,21 +1,20 @@
 //! The YAML file of a grid.
 //!
-//! Needed are `image`, `resolution`, `origin`, `negate`, `occupied_thresh` and `free_thresh`, as the map servers need
-//! them; `mode` is trinary unless the file says otherwise. Other keys are passed over.
+//! The keys `image`, `resolution`, `origin`, `negate`, `occupied_thresh` and `free_thresh` are required, as in the map
+//! servers; `mode` is trinary by default. Other keys are ignored. The last line needs no line end if every required key has
+//! a value.
 //!
-//! The last line needs no line end: a file in which every needed key has a value is taken as it is.
-//!
-//! Invariant: settings that are returned are finite and make sense: 0 <= free < occupied <= 1, a positive resolution,
-//! and a grid that is not turned.
+//! Invariant: settings are finite and consistent: 0 <= free < occupied <= 1, a positive resolution, and a grid without
+//! rotation.
 
 use saphyr_parser::{Event, Parser};
 
 use super::{super::error::shown, FilePlace, FormatError};
 
-/// Most bytes of a YAML file; those of grids have a few hundred.
+/// Maximum length of a YAML file; those of grids have a few hundred bytes.
 const YAML_BYTES_MAX: usize = 64 * 1024;
 
-/// What the YAML file of a grid says.
+/// The settings of a grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridSettings {
     /// The image file: absolute, or relative to the YAML file's folder.
@@ -30,23 +29,23 @@ pub struct GridSettings {
     pub free_thresh: f64,
     /// Whether white is occupied and black is free.
     pub negate: bool,
-    /// What the pixels mean.
+    /// The meaning of the pixels.
     pub mode: GridMode,
 }
 
-/// What the pixels of a grid mean.
+/// The meaning of the pixels of a grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GridMode {
     /// Free, occupied or unknown.
     Trinary,
     /// Probabilities.
     Scale,
-    /// Percents, and unknown.
+    /// Probabilities in percent, or unknown.
     Raw,
 }
 
 impl GridMode {
-    /// Its name in a file.
+    /// Its name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Trinary => "trinary",
@@ -141,7 +140,7 @@ impl YamlEntries {
         match numbers.as_deref() {
             Some(&[x, y, 0.0]) => Ok([x, y]),
             Some([_, _, yaw]) => {
-                let right = "0: turned grids are not read; turn the image and set the yaw to 0";
+                let right = "0: rotated grids are not supported; rotate the image and set the yaw to 0";
                 Err(FormatError::value(entry.place, "the yaw of origin", yaw, right))
             }
             _ => Err(FormatError::value(entry.place, "origin", shown(&words.join(", ")), RIGHT)),
@@ -174,7 +173,7 @@ fn number(word: &str) -> Option<f64> {
     word.parse().ok().filter(|number: &f64| number.is_finite())
 }
 
-/// The entries of a file that is a mapping.
+/// The entries of a YAML mapping.
 fn entries(text: &str) -> Result<Vec<YamlEntry>, FormatError> {
     let mut events = Parser::new_from_str(text);
     let mut next = || match events.next_event() {

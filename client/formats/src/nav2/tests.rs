@@ -1,13 +1,12 @@
-//! Grids as map savers write them, as others write them, and damaged.
+//! Grids of map savers and other writers, and damaged grids.
 //!
-//! Invariant: what a pixel means is written here as the documentation of the map servers says it, not taken from the
-//! code.
+//! Invariant: the meaning of pixels is that of the map servers' documentation, not taken from the code.
 
 use proptest::prelude::*;
 
 use super::{
     super::{
-        cuts::{every_change_is_borne, every_cut_is_refused},
+        cuts::{every_cut_is_refused, no_change_panics},
         picture::{MapPicture, PictureCell, PictureError, samples},
     },
     *,
@@ -36,7 +35,7 @@ fn percents(grid: &Grid) -> Vec<i32> {
     grid.cells.iter().map(|&cell| percent(cell).map_or(-1, i32::from)).collect()
 }
 
-/// The probability that a cell is occupied; none where it is unknown.
+/// The probability that a cell is occupied; none if it is unknown.
 fn percent(cell: GridCell) -> Option<u8> {
     match cell {
         GridCell::Unknown => None,
@@ -109,7 +108,7 @@ fn the_top_row_of_the_image_has_the_largest_y() -> Result<(), FormatError> {
         assert_eq!((grid.size_cells, grid.resolution_m, grid.origin_m), ([2, 2], 0.05, [-1.5, 2.0]));
         assert_eq!(grid.cells, expected);
     }
-    // The same with two bytes a pixel, and with 0 to 15.
+    // The same with two bytes for each pixel, and with values from 0 to 15.
     let wide = [&b"P5\n2 2\n65535\n"[..], &[0, 0, 0xfe, 0xfe, 0xff, 0xff, 0xcd, 0xcd]].concat();
     assert_eq!(read(&settings(&[])?, &wide)?.cells, expected);
     assert_eq!(read(&settings(&[])?, b"P2 2 2 15 0 15\n14 12\n")?.cells, expected);
@@ -158,15 +157,15 @@ fn cut_files_are_refused_wherever_they_are_cut() -> Result<(), FormatError> {
         [&b"P5\n2 2\n255\n\x00\xfe\xff\xcd"[..], b"P2\n# c\n2 2\n255\n0 254 255 205\n", b"P5 1 2 999 \0\0\x03\xe7"]
     {
         every_cut_is_refused(whole, image);
-        every_change_is_borne(whole, image);
+        no_change_panics(whole, image);
     }
-    // Up to the last key's value; from there on every key is there.
+    // Truncated before the end of the last key's value; from there on every key is present.
     let end = YAML.len() - "0.196\n".len();
     for length in 0..end {
         assert!(read_settings(&YAML.as_bytes()[..length]).is_err(), "cut off at byte {length}");
     }
     assert_eq!(read_settings(YAML.trim_end().as_bytes())?, settings);
-    every_change_is_borne(YAML.as_bytes(), read_settings);
+    no_change_panics(YAML.as_bytes(), read_settings);
     Ok(())
 }
 

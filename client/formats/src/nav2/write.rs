@@ -1,19 +1,17 @@
-//! A map in the plane as a PGM image and its YAML file, as the map savers of ROS write them.
+//! A flat map as a PGM image and its YAML file, as the map savers of ROS write them.
 //!
-//! Invariant: read back, by us or by a map server, every cell is what the thresholds made of it (mode trinary) or has
-//! its probability to half a percent (modes raw and scale), and unknown stays unknown.
+//! Invariant: read back by this crate or by a map server, every cell has the value of its thresholds (mode trinary) or its
+//! probability to half a percent (modes raw and scale), and unknown cells stay unknown.
 
-use super::{
-    super::{MapPicture, PictureCell, PictureError},
-    GridMode,
-};
+use super::GridMode;
+use crate::{MapPicture, PictureCell, PictureError};
 
 /// The pixels of mode trinary, as map savers write them.
 const FREE: u8 = 254;
 const UNKNOWN: u8 = 205;
 const OCCUPIED: u8 = 0;
 
-/// What of a map is free and what is occupied, where a file can say only that.
+/// The thresholds between free, unknown and occupied, for mode trinary.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Thresholds {
     /// Highest probability that is free, rounded to a percent.
@@ -27,18 +25,18 @@ pub struct Thresholds {
 pub struct GridFiles {
     /// The image.
     pub image: Vec<u8>,
-    /// What describes it.
+    /// The settings of the image.
     pub yaml: String,
 }
 
 impl Default for Thresholds {
-    /// Those of the map savers.
+    /// The thresholds of the map savers.
     fn default() -> Self {
         Self { free: 0.25, occupied: 0.65 }
     }
 }
 
-/// Both files; the image gets the name that the YAML file names. The thresholds are used in mode trinary only.
+/// Both files; the YAML file refers to the image by `image_name`. The thresholds apply to mode trinary only.
 pub fn write(
     picture: &MapPicture,
     image_name: &str,
@@ -65,7 +63,7 @@ pub fn write(
     let [width, height, _] = picture.size_cells;
     let mut image = format!("P5\n{width} {height}\n255\n").into_bytes();
     image.extend(picture.rows_from_top().flatten().map(pixel));
-    // Of pixels 0, 205 and 254 these make occupied, unknown and free; a scale goes from white to black; raw uses none.
+    // These make pixels 0, 205 and 254 occupied, unknown and free; a scale goes from white to black; raw uses none.
     let (occupied_thresh, free_thresh) = if mode == GridMode::Scale { ("1.0", "0.0") } else { ("0.65", "0.196") };
     let [x, y, _] = picture.origin_m.map(decimal);
     let yaml = format!(
@@ -87,18 +85,18 @@ fn byte(value: f64) -> u8 {
     value.round() as u8
 }
 
-/// A number that every YAML parser takes for one: with a point, and never with an exponent.
+/// A number that every YAML parser recognises: with a decimal point, and without an exponent.
 fn decimal(number: f64) -> String {
     let text = format!("{}", number + 0.0);
     if text.contains('.') { text } else { format!("{text}.0") }
 }
 
-/// A file's name, quoted unless it is a plain one.
+/// A file's name, quoted if YAML requires it.
 fn yaml_word(name: &str) -> String {
     let plain = |character: char| character.is_ascii_alphanumeric() || "_-./".contains(character);
     if name.starts_with(|first: char| first.is_ascii_alphabetic() || first == '/') && name.chars().all(plain) {
         return name.to_owned();
     }
-    // What JSON quotes, YAML reads.
+    // YAML reads JSON strings.
     serde_json::Value::from(name).to_string()
 }

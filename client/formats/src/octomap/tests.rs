@@ -1,15 +1,15 @@
-//! Trees put together by hand, and trees grown at random and written in both forms.
+//! Trees made by hand, and random trees written in both forms.
 //!
-//! Invariant: the writer here goes by the description of the format alone and shares nothing with the reader.
+//! Invariant: the writer here follows the description of the format only, and shares no code with the reader.
 
 use proptest::prelude::*;
 
 use super::{
-    super::cuts::{every_change_is_borne, every_cut_is_refused},
+    super::cuts::{every_cut_is_refused, no_change_panics},
     *,
 };
 
-/// A tree as OctoMap has it.
+/// A tree as in OctoMap.
 #[derive(Clone, Debug)]
 enum Node {
     Leaf(f32),
@@ -65,7 +65,7 @@ fn binary(node: &Node) -> Vec<u8> {
     file(BINARY_START, "OcTree", count(node), &data)
 }
 
-/// The leaves, found another way than the reader finds them: by halving a cube with signed corners.
+/// The leaves, by another algorithm than that of the reader: by halving a cube with signed corners.
 fn leaves(node: &Node, min: [i32; 3], side: i32, out: &mut Vec<([i32; 3], i32, f32)>) {
     match node {
         Node::Leaf(log_odds) => out.push((min, side, *log_odds)),
@@ -124,7 +124,7 @@ fn the_origin_is_between_the_cells_minus_one_and_zero() -> Result<(), FormatErro
 
 #[test]
 fn bytes_mean_what_the_format_says() -> Result<(), FormatError> {
-    // Child 1 free, child 2 occupied, child 7 with children; of those child 0 occupied.
+    // Child 1 free, child 2 occupied, child 7 with children, of which child 0 is occupied.
     let data = [0b0010_0100, 0b1100_0000, 0b0000_0010, 0];
     let map = read(&file(BINARY_START, "OcTree", 5, &data))?;
     let half = 32768;
@@ -182,7 +182,7 @@ fn errors_say_where_and_what_would_be_right() {
 fn a_cut_file_is_refused_wherever_it_is_cut() {
     for file in [full("OcTree", &small()), full("ColorOcTree", &small()), binary(&small())] {
         every_cut_is_refused(&file, read);
-        every_change_is_borne(&file, read);
+        no_change_panics(&file, read);
     }
 }
 
@@ -216,7 +216,7 @@ proptest! {
         let _ = read(&file(BINARY_START, "OcTree", nodes, &data));
         let _ = read(&file(FULL_START, "OcTree", nodes, &data));
         let _ = read(&file(FULL_START, "ColorOcTree", nodes, &data));
-        // Random floats are seldom finite and small; zeros between let the walk get further.
+        // Random floats are seldom finite and small; zeros between them let the reader proceed further.
         let sparse: Vec<u8> = data.iter().flat_map(|&byte| [0, 0, 0, 0, byte]).collect();
         let _ = read(&file(FULL_START, "OcTree", nodes, &sparse));
     }

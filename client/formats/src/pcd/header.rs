@@ -1,41 +1,40 @@
-//! The header of a PCD file: one entry a line, up to DATA.
+//! The header of a PCD file: lines with one entry each, up to DATA.
 //!
-//! Invariant: a header that is returned has x, y and z, one value each; a point takes at least 3 bytes and at most
-//! [`POINT_BYTES_MAX`], and there are no more points than are read from one file. Whether the data is there is not
-//! known yet.
+//! Invariant: the header has x, y and z with one value each; a point takes 3 to [`POINT_BYTES_MAX`] bytes, and the number
+//! of points is within the limit. The data may still be missing.
 
 use std::collections::HashMap;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
-use super::super::{
+use crate::{
     POINTS_MAX,
     error::{FilePlace, FormatError, shown_start},
     scalar::Scalar,
     text::{Line, Lines},
 };
 
-/// Most bytes of one point, all fields together.
+/// Maximum length of a point with all its fields.
 const POINT_BYTES_MAX: usize = 1 << 20;
 
 const KEYS: [&str; 10] =
     ["VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"];
 
-/// What the header says.
+/// The header of a file.
 pub struct PcdHeader<'a> {
     fields: Vec<Field<'a>>,
-    /// The number of points.
+    /// Number of points.
     pub points: u64,
-    /// Where the sensor was.
+    /// The sensor's pose.
     pub pose: Option<Isometry3<f64>>,
-    /// What follows.
+    /// The encoding of the points.
     pub data: Data,
 }
 
-/// How the points are written down.
+/// The encoding of points.
 #[derive(Clone, Copy, Debug)]
 pub enum Data {
-    /// As text, a line a point.
+    /// Text, a line for each point.
     Ascii,
     /// Point after point.
     Binary,
@@ -49,11 +48,11 @@ struct Field<'a> {
     count: usize,
 }
 
-/// How a point is laid out.
+/// The layout of a point.
 pub struct PointLayout {
-    /// How many bytes it takes.
+    /// Its length.
     pub bytes: usize,
-    /// How many values it has.
+    /// Its number of values.
     pub values: usize,
     /// The types of x, y and z.
     pub scalar: [Scalar; 3],
@@ -64,7 +63,7 @@ pub struct PointLayout {
 }
 
 impl PcdHeader<'_> {
-    /// How a point is laid out, with or without fields that are padding.
+    /// The layout of a point, with or without padding fields.
     pub fn row(&self, padding: bool) -> PointLayout {
         let mut row = PointLayout { bytes: 0, values: 0, scalar: [Scalar::F32; 3], byte: [0; 3], value: [0; 3] };
         for field in self.fields.iter().filter(|field| padding || field.name != "_") {
@@ -78,7 +77,7 @@ impl PcdHeader<'_> {
     }
 }
 
-/// Takes the lines of the header, DATA included.
+/// Reads the lines of the header, including DATA.
 pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<PcdHeader<'a>, FormatError> {
     if !(bytes.starts_with(b"#") || bytes.starts_with(b"VERSION")) {
         return Err(FormatError::value(
@@ -208,7 +207,7 @@ fn points(width: Line<'_>, height: Line<'_>, points: Option<Line<'_>>) -> Result
     Ok(product)
 }
 
-/// The sensor's pose; none where it is the one that writers put there when they know none.
+/// The sensor's pose; none for the default pose, which writers use if they know none.
 fn pose(line: Line<'_>) -> Result<Option<Isometry3<f64>>, FormatError> {
     const RIGHT: &str = "seven finite numbers: tx ty tz qw qx qy qz";
     let mut numbers = [0.0_f64; 7];

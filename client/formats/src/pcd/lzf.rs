@@ -1,18 +1,18 @@
-//! LZF, the compression inside PCD files.
+//! LZF, the compression of PCD files.
 //!
-//! The data is a row of instructions. One whose first byte is below 32 gives that many bytes and one more, which follow
-//! it. Any other repeats earlier output: the upper three bits are the length less two, where 7 means that a byte with
-//! the rest of the length follows; the lower five bits and the next byte are the distance less one.
+//! The data is a sequence of instructions. If the first byte of an instruction is below 32, that number of bytes plus one
+//! follows as literals. Otherwise it repeats earlier output: the upper three bits are the length minus two, where 7 means
+//! that a byte with the rest of the length follows; the lower five bits and the next byte are the distance minus one.
 //!
-//! Invariant: exactly the announced length comes out, or an error; memory is taken only for what the input can unpack
-//! to.
+//! Invariant: the output has exactly the announced length, or there is an error; memory is allocated only for a length that
+//! the input can unpack to.
 
-use super::super::error::{FilePlace, FormatError};
+use crate::error::{FilePlace, FormatError};
 
-/// Most bytes of output for a byte of input: three bytes can repeat 264.
+/// Maximum output for a byte of input: three bytes can repeat 264.
 const EXPANSION_MAX: usize = 88;
 
-/// Unpacks data that begins at a byte of the file.
+/// Unpacks data that starts at byte `at` of the file.
 pub fn unpack(packed: &[u8], length: usize, at: u64) -> Result<Vec<u8>, FormatError> {
     let place = |index: usize| FilePlace::Byte(at + index as u64);
     if length > packed.len().saturating_mul(EXPANSION_MAX) {
@@ -45,7 +45,7 @@ pub fn unpack(packed: &[u8], length: usize, at: u64) -> Result<Vec<u8>, FormatEr
             let right = format!("at most {}, the bytes unpacked so far", out.len());
             return Err(FormatError::value(place(start), "the distance of a repetition", distance, right));
         };
-        // The source may reach into what is being written.
+        // The source may overlap the bytes being written.
         for index in from..from + count {
             out.push(out[index]);
         }

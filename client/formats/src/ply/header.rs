@@ -1,47 +1,46 @@
 //! The header of a PLY file.
 //!
-//! Invariant: a header that is returned has one element `vertex` with one x, y and z each, none of them a list, and no
-//! more of them than are read from one file; an element has a property at least, so that each one takes room in the
-//! file.
+//! Invariant: the header has one element `vertex` with one x, y and z each, none of them a list, and a number of vertices
+//! within the limit; a non-empty element has at least one property, so that it takes space in the file.
 
-use super::super::{
+use crate::{
     POINTS_MAX,
     error::{FilePlace, FormatError, shown_start},
     scalar::{Endian, Scalar},
     text::{Line, Lines},
 };
 
-/// What the header says.
+/// The header of a file.
 pub struct PlyHeader<'a> {
-    /// How the elements are written down.
+    /// The encoding of the elements.
     pub encoding: Encoding,
-    /// What follows, in this order.
+    /// The elements, in the order of the file.
     pub elements: Vec<Element<'a>>,
 }
 
-/// How elements are written down.
+/// The encoding of elements.
 #[derive(Clone, Copy)]
 pub enum Encoding {
-    /// As text.
+    /// Text.
     Ascii,
-    /// As bytes.
+    /// Bytes.
     Binary(Endian),
 }
 
-/// A kind of thing, of which the file has some.
+/// A group of equal records, such as vertices or faces.
 pub struct Element<'a> {
     /// Its name.
     pub name: &'a str,
-    /// How many there are.
+    /// Number of records.
     pub count: u64,
-    /// What each has.
+    /// The properties of each record.
     pub properties: Vec<Property<'a>>,
-    /// Which properties are x, y and z, if these are the points.
+    /// Indices of the properties x, y and z, if the records are the points.
     pub points: Option<[usize; 3]>,
     line: u64,
 }
 
-/// One of the things that an element has.
+/// A property of an element.
 pub struct Property<'a> {
     /// Its name.
     pub name: &'a str,
@@ -54,7 +53,7 @@ pub struct Property<'a> {
 pub enum PropertyKind {
     /// A number.
     Scalar(Scalar),
-    /// A length and as many numbers.
+    /// A length, then that many numbers.
     List {
         /// The type of the length.
         count: Scalar,
@@ -64,13 +63,13 @@ pub enum PropertyKind {
 }
 
 impl Element<'_> {
-    /// Which coordinate of a point a property is.
+    /// The coordinate of a point that a property contains.
     pub fn axis(&self, property: usize) -> Option<usize> {
         self.points?.iter().position(|&index| index == property)
     }
 }
 
-/// Takes the lines of the header, the last one included.
+/// Reads the lines of the header, including the last.
 pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<PlyHeader<'a>, FormatError> {
     if !(bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r\n")) {
         return Err(FormatError::value(

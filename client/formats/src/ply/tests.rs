@@ -1,13 +1,13 @@
-//! PLY files of every encoding, good and bad, and those written.
+//! PLY files of every encoding, valid and invalid, and written files.
 //!
-//! Invariant: files that are read are made by hand; those written are also read back.
+//! Invariant: files for the reader are made by hand; written files are also read back.
 
 use proptest::prelude::*;
 
 use super::{
     super::{
         colour::colour,
-        cuts::{every_change_is_borne, every_cut_is_refused},
+        cuts::{every_cut_is_refused, no_change_panics},
         picture::{PictureCell, samples},
     },
     *,
@@ -113,9 +113,9 @@ fn a_cut_file_is_refused_wherever_it_is_cut() {
     every_cut_is_refused(ascii_file().as_bytes(), read);
     every_cut_is_refused(&binary_file(false), read);
     every_cut_is_refused(&binary_file(true), read);
-    every_change_is_borne(ascii_file().as_bytes(), read);
-    every_change_is_borne(&binary_file(false), read);
-    every_change_is_borne(&binary_file(true), read);
+    no_change_panics(ascii_file().as_bytes(), read);
+    no_change_panics(&binary_file(false), read);
+    no_change_panics(&binary_file(true), read);
 }
 
 #[test]

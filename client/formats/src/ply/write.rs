@@ -1,12 +1,12 @@
 //! A map as points: a binary PLY file with a vertex at the centre of every known cell.
 //!
-//! Properties: x, y, z and probability as float, red, green and blue as uchar, in colours for people.
+//! Properties: x, y, z and probability as float; red, green and blue as uchar.
 //!
-//! Invariant: unknown cells are left out; the vertices are in the order of the picture.
+//! Invariant: unknown cells are omitted; the vertices are in the order of the picture.
 
-use super::super::{MapPicture, PictureError, colour::colour};
+use crate::{MapPicture, PictureError, colour::colour};
 
-/// Bytes of a vertex.
+/// Length of a vertex.
 const VERTEX_BYTES: usize = 4 * 4 + 3;
 
 /// The known cells as a PLY file, little-endian.

@@ -61,7 +61,7 @@ fn six_digits_are_kept() {
     }
 }
 
-/// A reader that has gone away.
+/// A writer whose reader is gone.
 struct Gone;
 
 impl Write for Gone {
@@ -81,7 +81,7 @@ fn a_reader_that_has_gone_away_is_told_by_its_kind() {
     assert_eq!(result.map_err(|error| error.kind()), Err(io::ErrorKind::BrokenPipe));
 }
 
-/// Keeps what is written, and whether anything of it was not flushed.
+/// Stores the output, and whether any of it was not flushed.
 #[derive(Default)]
 struct Flushed {
     written: String,
@@ -125,7 +125,7 @@ fn rows_that_come_one_by_one_are_whole_lines_at_once() -> io::Result<()> {
         table.finish()?;
         assert_eq!(kept.written, expected);
     }
-    // Before the first row there is the header, and at the end something that can be read.
+    // The header comes before the first row, and the output is valid at the end.
     let mut kept = Flushed::default();
     let table = TableWriter::new(Format::Csv, &["state"], &mut kept).live()?;
     assert_eq!((table.writer.written.as_str(), table.writer.unflushed), ("state\n", false));

@@ -44,7 +44,7 @@ impl<T> Default for RowChunk<T> {
 #[derive(Debug)]
 pub(crate) struct Feed<L: Layout = ObservationColumns> {
     /// An error is the last entry.
-    pub(crate) rows: RowChunks<L::Row>,
+    pub(crate) rows: RowChunks<L::Record>,
     /// Size of the file; `None` for pipes.
     pub(crate) total_bytes: Option<u64>,
     pub(crate) layout: L,
@@ -89,7 +89,7 @@ where
 /// Reads until the end, an error, or until the receiver is closed.
 fn read<R: Read, L: Layout>(
     mut rows: RowReader<BufReader<R>, L>,
-    sender: &mpsc::Sender<Result<RowChunk<L::Row>, RowError>>,
+    sender: &mpsc::Sender<Result<RowChunk<L::Record>, RowError>>,
 ) {
     let mut chunk = RowChunk::default();
     loop {
