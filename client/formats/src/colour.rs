@@ -1,8 +1,8 @@
 //! The colours of cells.
 //!
 //! Invariant: unknown, free and occupied static cells are mid-grey, white and black, and no changing cell has a similar
-//! colour; the scale of changing cells goes from pale blue to strong orange and gets darker. People with any kind of colour
-//! vision can distinguish them.
+//! colour; the scale of changing cells goes from pale blue to strong orange and gets darker. People with any kind of
+//! colour vision can distinguish them.
 
 use super::PictureCell;
 

@@ -1,8 +1,8 @@
 //! Readers and writers of files: maps, scans, observations and topologies; tables and pictures of results.
 //!
 //! Invariant: bytes in, values out, or the reverse; no file is opened here. Reading never panics, and never allocates
-//! memory for a number in a file before that number was checked against the file's length. A truncated file is an error,
-//! never a smaller map. Numbers in error messages are those of the file: lines from 1, bytes from 0.
+//! memory for a number in a file before that number was checked against the file's length. A truncated file is an
+//! error, never a smaller map. Numbers in error messages are those of the file: lines from 1, bytes from 0.
 
 pub mod cells_csv;
 mod colour;

@@ -4,16 +4,16 @@
 //! white, and `occ` be `1 - shade`, or `shade` if `negate` is set:
 //!
 //! - `trinary`: occupied above `occupied_thresh`, free below `free_thresh`, unknown between them;
-//! - `scale`: as `trinary`, but with a probability between the thresholds. Unknown cells are transparent pixels, which PGM
-//!   files do not have;
+//! - `scale`: as `trinary`, but with a probability between the thresholds. Unknown cells are transparent pixels, which
+//!   PGM files do not have;
 //! - `raw`: `shade * 255` is the probability in percent from 0 to 100, and higher values are unknown.
 //!
-//! The writer uses `trinary`, the mode that every tool understands, and for probabilities `raw`, the only mode in which a
-//! PGM file can have both probabilities and unknown cells. It writes `scale` for grids without unknown cells.
+//! The writer uses `trinary`, the mode that every tool understands, and for probabilities `raw`, the only mode in which
+//! a PGM file can have both probabilities and unknown cells. It writes `scale` for grids without unknown cells.
 //!
-//! In trinary files a cell is free up to 25 % and occupied from 65 %, and the pixels are 254, 0, and 205 for unknown, as
-//! map savers write them; but `free_thresh` is 0.196 instead of 0.25, because `occ` of the pixel 205 is 0.1961, which
-//! would be read back as free.
+//! In trinary files a cell is free up to 25 % and occupied from 65 %, and the pixels are 254, 0, and 205 for unknown,
+//! as map savers write them; but `free_thresh` is 0.196 instead of 0.25, because `occ` of the pixel 205 is 0.1961,
+//! which would be read back as free.
 //!
 //! Invariant: rows of a [`Grid`] go upwards, rows of the image downwards; a grid has one cell for each pixel.
 

@@ -1,9 +1,9 @@
-//! Files of observations: `time,state,value`, one row a line, with a header; or `time,state,x,y` and perhaps `z`, where
-//! they are positions. Files of [`traversals`] are read alike.
+//! CSV files of observations: `time,state,value` with a header, one row for each line; or `time,state,x,y`, with an
+//! optional `z`, for positions. [`traversals`] reads files of traversals in the same way.
 //!
-//! Invariant: the n-th row of a file has the number n, whether it can be read or not, and the same row always gives the
-//! same observation; only so can an interrupted transfer go on where it was. No more than one line is in memory. Once
-//! the file has ended it is not read again, whatever is appended meanwhile.
+//! Invariant: row n of a file always has the number n and gives the same observation, even if it is invalid; an
+//! interrupted transfer relies on it to continue. At most one line is in memory. After the end of a file was seen, the
+//! reader does not read on, even if the file grows.
 
 mod fields;
 pub mod traversals;
@@ -15,42 +15,33 @@ use tidemap_map::name::StateName;
 use tidemap_map::time::parse_time;
 use tidemap_model::{Dimensions, Position, StateKind};
 
-/// Longest line. Three fields need far less; a file without line ends must not fill the memory.
+/// Maximum length of a line. Three fields need far less; a file without line ends must not fill the memory.
 const LINE_BYTES_MAX: usize = 64 * 1024;
 
-/// Why a file cannot be read at all.
+/// Why a file cannot be read.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum RowError {
-    /// Reading failed.
+    /// An I/O error.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// Nothing there.
+    /// An empty file.
     #[error("it is empty: the first line must be the header {0}")]
     Empty(&'static str),
     /// A column is missing.
     #[error("column {column:?} is missing: the header must name {}, but is {header:?}", needed(.column))]
-    MissingColumn {
-        /// Which.
-        column: &'static str,
-        /// The header found, shortened.
-        header: String,
-    },
+    MissingColumn { column: &'static str, header: String },
     /// A column appears twice.
     #[error("column {column:?} appears twice in the header {header:?}")]
-    DoubleColumn {
-        /// Which.
-        column: &'static str,
-        /// The header found, shortened.
-        header: String,
-    },
-    /// There are positions where values are needed.
+    DoubleColumn { column: &'static str, header: String },
+    /// Positions instead of values.
     #[error(
         "it has positions, columns x and y: use a file of single values, where each axis is a state, NAME/x and so on"
     )]
     Positions,
 }
 
-/// What a header has to name beside this column.
+/// The columns that a header needs together with this one.
 fn needed(column: &str) -> &'static str {
     match column {
         "x" | "y" => "time, state, x and y",
@@ -59,26 +50,26 @@ fn needed(column: &str) -> &'static str {
     }
 }
 
-/// Where a row stands in its file.
+/// The place of a row in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RowPlace {
-    /// Its number, from 1; the header and blank lines do not count.
+    /// Number of the row, from 1, without header and blank lines.
     pub number: u64,
-    /// Its line, from 1.
+    /// Number of the line, from 1.
     pub line: u64,
-    /// Whether the line has an end. The last one of a file may lack it.
+    /// Whether the line has a line end. The last line of a file may lack it.
     pub has_end: bool,
 }
 
 /// A header.
 pub struct CsvHeader<'a> {
     text: &'a str,
-    /// Names of the columns, in small letters.
+    /// Names of the columns, in lower case.
     names: Vec<String>,
 }
 
 impl CsvHeader<'_> {
-    /// The place of a column that has to be there, once.
+    /// The index of a required column, which must be unique.
     fn column(&self, column: &'static str) -> Result<usize, RowError> {
         let mut places = self.names.iter().enumerate().filter(|(_, name)| *name == column).map(|(place, _)| place);
         match (places.next(), places.next()) {
@@ -93,71 +84,71 @@ impl CsvHeader<'_> {
     }
 }
 
-/// What the rows of a file are.
+/// The kind of rows of a file.
 pub trait Layout: Sized {
     /// The usual header.
     const HEADER: &'static str;
     /// A row.
     type Record: std::fmt::Debug;
 
-    /// From the header, with the places of the columns that are used.
+    /// The layout of a header, with the indices of the columns that it uses.
     fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError>;
 
-    /// The row of a line, and whether all of it could be read.
+    /// The row of a line, and whether it could be read completely.
     fn row(&self, line: &[u8], at: RowPlace) -> (Self::Record, bool);
 
-    /// Where a row stands.
+    /// The place of a row.
     fn at(row: &Self::Record) -> RowPlace;
 }
 
 /// A row of observations.
 #[derive(Clone, Debug)]
 pub struct ObservationRow {
-    /// Its number, from 1; the header and blank lines do not count.
+    /// Number of the row, from 1, without header and blank lines.
     pub number: u64,
-    /// Its line, from 1.
+    /// Number of the line, from 1.
     pub line: u64,
-    /// Name of the state; empty where it could not be read.
+    /// Name of the state; empty if it could not be read.
     pub state: String,
-    /// Time; 0 where it could not be read.
+    /// Time; 0 if it could not be read.
     pub time_nanos: i64,
-    /// Value; NaN, which no daemon accepts, where anything of the row could not be read. One that is out of range is
-    /// kept as it is: what is sent, and its checksum, is what the file says.
+    /// Value; NaN, which the daemon refuses, if any part of the row could not be read. A value out of range is kept:
+    /// the transfer and its checksum must match the file.
     pub value: f64,
-    /// The position in a file of positions, where there is no value; as there, its coordinates are NaN where anything
-    /// of the row could not be read.
+    /// The position, in a file of positions; its coordinates are NaN if any part of the row could not be read.
     pub position: Option<Position>,
-    /// What could not be read, or why it is no observation of a probability.
+    /// Why the row could not be read, or is no valid observation of a probability.
     pub wrong: Option<String>,
-    /// Whether all of it could be read. What is wrong then is the value, and states of other kinds may have it.
+    /// Whether the row could be read completely. An error is then in its value, which may be valid for other state
+    /// kinds.
     pub is_read: bool,
-    /// Whether the line has an end. The last one of a file may lack it.
+    /// Whether the line has a line end. The last line of a file may lack it.
     pub has_end: bool,
 }
 
-/// What comes next in a file.
+/// The next item of a file.
 #[derive(Clone, Debug)]
 pub enum RowItem<T = ObservationRow> {
     /// A row.
     Row(T),
-    /// A last line without an end that makes no row, or that may be the beginning of another one: somebody is still
-    /// writing it, or was interrupted.
+    /// A last line without a line end that is no complete row, or may be the start of another row: it is still being
+    /// written, or the writer was interrupted.
     Torn {
-        /// Its line.
+        /// Number of the line.
         line: u64,
         /// Its text, shortened.
         text: String,
     },
 }
 
-/// Where the columns of observations are.
+/// The columns of observations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ObservationColumns {
     time: usize,
     state: usize,
     value: usize,
     axes: [usize; 3],
-    /// Of positions; `None` where there are values.
+    /// The dimensions of positions; none for values.
     dimensions: Option<Dimensions>,
     count: usize,
 }
@@ -172,12 +163,12 @@ pub struct RowReader<R, L = ObservationColumns> {
     number: u64,
     bytes: u64,
     buffer: Vec<u8>,
-    /// The end was seen. Read on, a file that grows would go on in the middle of its last line.
+    /// The end was seen. Reading on would continue in the middle of the last line of a growing file.
     ended: bool,
     lines_must_end: bool,
 }
 
-/// How a line ended.
+/// The end of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum LineEnd {
     Newline,
@@ -213,13 +204,13 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
         Ok(Self { reader, layout, ignored, line: 1, number: 0, bytes, buffer, ended, lines_must_end: false })
     }
 
-    /// What its rows are.
+    /// The layout of the rows.
     pub fn layout(&self) -> &L {
         &self.layout
     }
 
-    /// Makes every last line without an end a torn one, even where it makes a row: for a source whose writer may be cut
-    /// off anywhere, as 1 of 10 or 0 of 0.5.
+    /// Treats every last line without a line end as torn, even if it is a valid row: for sources whose writer may be
+    /// cut off anywhere, as in 1 of 10 or 0 of 0.5.
     pub fn lines_must_end(mut self) -> Self {
         self.lines_must_end = true;
         self
@@ -230,12 +221,12 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
         &self.ignored
     }
 
-    /// Bytes read so far.
+    /// Number of bytes read so far.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Whether the next row may have to be waited for.
+    /// Whether the next call of [`next`](Self::next) may block.
     pub fn may_wait(&mut self) -> bool
     where
         R: Buffered,
@@ -271,8 +262,8 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
     }
 }
 
-/// Reads a line into the buffer, without its end, and gives the bytes read; `None` at the end. Of a line that is too
-/// long, only the beginning is kept.
+/// Reads a line into the buffer, without its line end, and returns the number of bytes read; none at the end. Of a line
+/// that is too long, only the start is kept.
 fn read_line(reader: &mut impl BufRead, buffer: &mut Vec<u8>) -> io::Result<(Option<LineEnd>, u64)> {
     buffer.clear();
     let mut bytes = 0;
@@ -305,7 +296,7 @@ fn read_line(reader: &mut impl BufRead, buffer: &mut Vec<u8>) -> io::Result<(Opt
     Ok((Some(end), bytes))
 }
 
-/// The fields of a line, which are as many as those of the header.
+/// The fields of a line; their number must be that of the header.
 fn fields(line: &[u8], count: usize) -> Result<Vec<std::borrow::Cow<'_, str>>, String> {
     if line.len() > LINE_BYTES_MAX {
         return Err(format!("the line is longer than {LINE_BYTES_MAX} bytes"));
@@ -376,13 +367,13 @@ impl ObservationColumns {
         self.dimensions.is_some()
     }
 
-    /// Fills in what can be read; the value last, so that it stays NaN where anything else is wrong. Gives what is
-    /// wrong with a row that can be read but that no daemon accepts.
+    /// Fills in the fields that can be read, the value last, so that it stays NaN if any other field is invalid.
+    /// Returns why a readable row is no valid observation.
     fn fill(&self, line: &[u8], row: &mut ObservationRow) -> Result<Option<String>, String> {
         let ObservationColumns { time, state, value, axes, dimensions, count } = *self;
         let fields = fields(line, count)?;
         let (chars, chars_max) = (fields[state].chars().count(), StateName::chars_max(&fields[state]));
-        // A longer one cannot even be sent to be refused.
+        // A longer name does not fit into a message.
         if chars <= chars_max {
             row.state = fields[state].to_string();
         }
@@ -406,17 +397,17 @@ impl ObservationColumns {
         let number: f64 = fields[value]
             .parse()
             .map_err(|_| format!("value {:?} is not a number: use 0, 1 or anything between", shown(&fields[value])))?;
-        // Minus zero is zero to everybody but the checksum.
+        // Minus zero would change the checksum.
         row.value = number + 0.0;
-        // The daemon says so, too, but its refusals are lost with a connection that breaks.
+        // The daemon refuses it, too, but its refusals are lost if the connection breaks.
         let in_range = (0.0..=1.0).contains(&number);
         Ok((!in_range).then(|| format!("value {} is not between 0 and 1", shown(&fields[value]))))
     }
 }
 
-/// A reader that can tell whether a whole line is there already.
+/// A reader that knows whether a complete line is buffered.
 pub trait Buffered {
-    /// Whether a line can be read without waiting for whoever writes it.
+    /// Whether a line can be read without blocking.
     fn has_line(&self) -> bool;
 }
 

@@ -1,7 +1,7 @@
 //! Point clouds of the Point Cloud Library: PCD files, version 0.7, with text, binary or compressed data.
 //!
-//! The reader takes the fields x, y and z, of any type, and VIEWPOINT as the sensor's pose; it skips other fields. Binary
-//! data is little-endian. Zeros after binary data are padding.
+//! The reader takes the fields x, y and z, of any type, and VIEWPOINT as the sensor's pose; it skips other fields.
+//! Binary data is little-endian. Zeros after binary data are padding.
 //!
 //! Invariant: a file gives exactly the number of points, finite and not, that its header announces, or an error.
 

@@ -1,7 +1,7 @@
 //! A predicted map, as the writers of files take it.
 //!
-//! Invariant: a picture that passes [`MapPicture::check`] has the number of cells of its size, and every known cell has a
-//! value within [0, 1]; all writers check it first.
+//! Invariant: a picture that passes [`MapPicture::check`] has the number of cells of its size, and every known cell has
+//! a value within [0, 1]; all writers check it first.
 
 use super::CELLS_MAX;
 

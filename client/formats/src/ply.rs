@@ -3,8 +3,8 @@
 //! The reader takes x, y and z of the element `vertex`, of any type, and skips other properties and elements, including
 //! lists. In a text file each element has its own line.
 //!
-//! Invariant: a file gives exactly the number of points, finite and not, that its header announces, or an error; all other
-//! announced elements are complete.
+//! Invariant: a file gives exactly the number of points, finite and not, that its header announces, or an error; all
+//! other announced elements are complete.
 
 mod header;
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! A picture of a map as PNG: a pixel for each cell, y upwards.
 //!
 //! Unknown cells are mid-grey, static cells white if free and black if occupied, and changing cells coloured by their
-//! value, from pale blue at 0 through light orange to dark orange at 1. A picture of entropy shows all cells as changing.
+//! value, from pale blue at 0 through light orange to dark orange at 1. A picture of entropy shows all cells as
+//! changing.
 //!
 //! Invariant: the colours are those of the module `colour`; the file has no metadata such as time or name.
 

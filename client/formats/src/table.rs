@@ -133,8 +133,8 @@ impl<W: Write> TableWriter<W> {
         Self { format, columns, writer, rows: 0, waiting: Vec::new(), live: false }
     }
 
-    /// A live table: the header is written at once and each row immediately. Columns are not aligned as a whole then, and in
-    /// JSON each row has its own line.
+    /// A live table: the header is written at once and each row immediately. Columns are not aligned as a whole then,
+    /// and in JSON each row has its own line.
     pub fn live(mut self) -> io::Result<Self> {
         self.live = true;
         match self.format {

@@ -1,7 +1,7 @@
 //! The lines of text files, and of binary files that start with text.
 //!
-//! Invariant: a line without a line end is an error, because a truncated number still looks like a number. Bytes after the
-//! lines read so far are untouched, so that binary data can follow.
+//! Invariant: a line without a line end is an error, because a truncated number still looks like a number. Bytes after
+//! the lines read so far are untouched, so that binary data can follow.
 
 use std::str::FromStr;
 

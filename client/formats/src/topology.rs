@@ -1,7 +1,7 @@
 //! Files of topological maps: lines of nodes and links, and the YAML of ROS topological maps.
 //!
-//! Invariant: an error names the line or the node that is wrong. Whether the nodes of a link exist is the daemon's to
-//! say.
+//! Invariant: an error names the invalid line or node. In files of lines, the daemon checks that the nodes of links
+//! exist.
 
 use std::collections::HashMap;
 
@@ -10,7 +10,7 @@ use serde::Deserialize;
 /// A node of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NodeEntry {
-    /// Its name.
+    /// Name of the node.
     pub name: String,
     /// x, y in metres and heading in radians.
     pub pose: Option<[f64; 3]>,
@@ -19,62 +19,48 @@ pub struct NodeEntry {
 /// An edge of a file. At least one of length and time is given.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EdgeEntry {
-    /// Name of the node where it begins.
+    /// Name of the start node.
     pub from: String,
-    /// Name of the node where it ends.
+    /// Name of the end node.
     pub to: String,
-    /// How it is travelled; empty: as usual.
+    /// The action that traverses it; empty: the default action.
     pub action: String,
-    /// The way back as well.
+    /// Whether the file declares the reverse direction, too.
     pub both_ways: bool,
-    /// Its length, metres.
+    /// Its length.
     pub length_m: Option<f64>,
-    /// What it nominally takes.
+    /// Its nominal duration.
     pub nominal_secs: Option<f64>,
 }
 
 /// The nodes and edges of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[allow(missing_docs, reason = "see the type")]
 pub struct TopologyFile {
-    /// The nodes.
     pub nodes: Vec<NodeEntry>,
-    /// The edges.
     pub edges: Vec<EdgeEntry>,
 }
 
-/// Why a file is no topological map.
+/// Why a file of a topological map is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum TopologyFileError {
-    /// A line is none.
+    /// An invalid line.
     #[error("line {line}: {text:?} is not understood: write `node NAME`, `link A B SECONDS` or `edge A B SECONDS`")]
-    Line {
-        /// Which, from 1.
-        line: usize,
-        /// What is there, shortened.
-        text: String,
-    },
-    /// A time is none.
+    Line { line: usize, text: String },
+    /// An invalid time.
     #[error("line {line}: {text:?} is no time in seconds")]
-    Seconds {
-        /// Which, from 1.
-        line: usize,
-        /// What is there.
-        text: String,
-    },
-    /// It is no YAML of a topological map.
+    Seconds { line: usize, text: String },
+    /// Invalid YAML.
     #[error("{0}")]
     Yaml(String),
-    /// An edge leads to a node that the file does not have.
+    /// An edge leads to an unknown node.
     #[error("node {from:?} has an edge to {to:?}, which the file does not have")]
-    UnknownNode {
-        /// Where the edge begins.
-        from: String,
-        /// Where it would end.
-        to: String,
-    },
+    UnknownNode { from: String, to: String },
 }
 
-/// Reads lines: `node NAME`, `link A B SECONDS` (both ways), `edge A B SECONDS` (one way); `#` begins a comment.
+/// Reads lines: `node NAME`, `link A B SECONDS` (both directions), `edge A B SECONDS` (one direction); `#` starts a
+/// comment.
 pub fn read_lines(text: &str) -> Result<TopologyFile, TopologyFileError> {
     let mut topology = TopologyFile::default();
     for (line, text) in (1..).zip(text.trim_start_matches('\u{feff}').lines()) {
@@ -153,13 +139,13 @@ struct YamlEdge {
     node: String,
     #[serde(default)]
     action: String,
-    /// Seconds, where somebody has added them.
+    /// Seconds; not part of the ROS format.
     #[serde(default)]
     duration: Option<f64>,
 }
 
-/// Reads the YAML of a ROS topological map: a list of `node`s with `name`, `pose` and `edges`. An edge is as long as
-/// its ends are apart, and takes its `duration` in seconds where it has one.
+/// Reads the YAML of a ROS topological map: a list of `node`s with `name`, `pose` and `edges`. The length of an edge is
+/// the distance of its nodes; `duration` is its nominal time in seconds.
 pub fn read_yaml(text: &str) -> Result<TopologyFile, TopologyFileError> {
     let written: Vec<YamlItem> =
         serde_saphyr::from_str(text).map_err(|error| TopologyFileError::Yaml(error.to_string()))?;
@@ -175,7 +161,7 @@ pub fn read_yaml(text: &str) -> Result<TopologyFile, TopologyFileError> {
             let to = places.get(edge.node.as_str()).ok_or_else(unknown)?;
             let length_m = (to.x - at.x).hypot(to.y - at.y).hypot(to.z - at.z);
             let (from, to, action) = (node.name.clone(), edge.node.clone(), edge.action.clone());
-            // Ends at the same place have a time alone, where there is one.
+            // An edge between nodes at the same place has no length if it has a duration.
             let length_m = Some(length_m).filter(|&length_m| length_m != 0.0 || edge.duration.is_none());
             let nominal_secs = edge.duration;
             topology.edges.push(EdgeEntry { from, to, action, both_ways: false, length_m, nominal_secs });

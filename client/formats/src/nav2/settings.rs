@@ -1,8 +1,8 @@
 //! The YAML file of a grid.
 //!
 //! The keys `image`, `resolution`, `origin`, `negate`, `occupied_thresh` and `free_thresh` are required, as in the map
-//! servers; `mode` is trinary by default. Other keys are ignored. The last line needs no line end if every required key has
-//! a value.
+//! servers; `mode` is trinary by default. Other keys are ignored. The last line needs no line end if every required key
+//! has a value.
 //!
 //! Invariant: settings are finite and consistent: 0 <= free < occupied <= 1, a positive resolution, and a grid without
 //! rotation.

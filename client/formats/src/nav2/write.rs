@@ -1,7 +1,7 @@
 //! A flat map as a PGM image and its YAML file, as the map savers of ROS write them.
 //!
-//! Invariant: read back by this crate or by a map server, every cell has the value of its thresholds (mode trinary) or its
-//! probability to half a percent (modes raw and scale), and unknown cells stay unknown.
+//! Invariant: read back by this crate or by a map server, every cell has the value of its thresholds (mode trinary) or
+//! its probability to half a percent (modes raw and scale), and unknown cells stay unknown.
 
 use super::GridMode;
 use crate::{MapPicture, PictureCell, PictureError};

@@ -1,11 +1,11 @@
-//! Cutting a line into fields.
+//! Splitting a line into fields.
 //!
-//! Invariant: a row is a line. A quoted field may hold commas and doubled quotes, but no line break, so that a quote
-//! that was forgotten spoils one row and not the rest of the file.
+//! Invariant: a row is a line. A quoted field may contain commas and doubled quotes, but no line break, so that a
+//! missing quote invalidates one row and not the rest of the file.
 
 use std::borrow::Cow;
 
-/// The fields of a line. Blanks around a field do not count, unless they are in quotes.
+/// The fields of a line. Blanks around a field are ignored, except within quotes.
 pub(super) fn split(line: &str) -> Result<Vec<Cow<'_, str>>, &'static str> {
     let mut fields = Vec::with_capacity(4);
     let mut rest = line;
@@ -25,7 +25,7 @@ pub(super) fn split(line: &str) -> Result<Vec<Cow<'_, str>>, &'static str> {
     }
 }
 
-/// A field after its opening quote, and what follows the comma after it.
+/// A field after its opening quote, and the rest after the next comma.
 fn quoted_field(text: &str) -> Result<(Cow<'_, str>, Option<&str>), &'static str> {
     let mut field = String::new();
     let mut rest = text;
@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_cut_as_spreadsheets_write_them() {
+    fn lines_are_split_as_spreadsheets_write_them() {
         for (line, fields) in [
             ("1,door,0", vec!["1", "door", "0"]),
             ("1, door ,0", vec!["1", "door", "0"]),
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn quotes_that_make_no_sense_are_said_so() {
+    fn invalid_quotes_are_refused() {
         assert_eq!(split("1,\"door,0"), Err("a quote is not closed"));
         assert_eq!(split("1,\"door\"s,0"), Err("there is text between a closing quote and the comma"));
     }

@@ -1,4 +1,4 @@
-//! Files as people have them.
+//! Files with common layouts and errors.
 
 use super::*;
 
@@ -146,12 +146,12 @@ fn a_last_line_without_an_end_is_a_row_only_where_that_is_allowed() -> Result<()
     assert!(matches!(rows.next()?, Some(RowItem::Row(_))));
     assert!(matches!(rows.next()?, Some(RowItem::Torn { line: 3, text }) if text == "2,a,1"));
     assert!(rows.next()?.is_none());
-    // A value out of range is a whole one.
+    // A row with a value out of range is complete.
     assert!(matches!(read(b"time,state,value\n1,a,2")?.as_slice(), [RowItem::Row(row)] if row.wrong.is_some()));
     Ok(())
 }
 
-/// A file to which somebody appends whenever its end was read.
+/// A file that grows whenever its end was read.
 struct Growing(Vec<&'static [u8]>);
 
 impl io::Read for Growing {
@@ -177,7 +177,7 @@ fn a_file_that_grows_while_it_is_read_is_not_read_past_its_end() -> Result<(), R
     Ok(())
 }
 
-/// The coordinates of a row, and what is wrong with it.
+/// The coordinates of a row, and its error.
 type Read = (Option<Vec<f64>>, Option<String>);
 
 #[test]
@@ -192,7 +192,7 @@ fn positions_have_two_coordinates_or_three_in_any_order() -> Result<(), RowError
     };
     assert_eq!(positions("time,state,x,y\n1,anna,-0,2.5\n")?, [(Some(vec![0.0, 2.5]), None)]);
     assert_eq!(positions("z,state,y,time,X\n3,anna,2,7,1\n")?, [(Some(vec![1.0, 2.0, 3.0]), None)]);
-    // With a value the other columns are not used, as ever.
+    // With a column `value`, the other columns are ignored.
     assert_eq!(positions("time,state,value,x,y\n1,door,1,2,3\n")?, [(None, None)]);
     for (row, reason) in [
         ("1,anna,,2", "x \"\" is not a number"),

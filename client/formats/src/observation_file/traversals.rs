@@ -11,7 +11,7 @@ use tidemap_map::time::parse_time;
 /// A row of traversals.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TraversalRow {
-    /// Where it stands.
+    /// Its place in the file.
     pub at: RowPlace,
     /// Name of the node where the edge begins.
     pub from: String,
@@ -31,7 +31,7 @@ pub struct TraversalRow {
     pub wrong: Option<String>,
 }
 
-/// Where the columns of traversals are.
+/// The columns of traversals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TraversalColumns {
     from: usize,
@@ -44,7 +44,7 @@ pub struct TraversalColumns {
     count: usize,
 }
 
-/// Whether it succeeded: true or false, or 1 or 0.
+/// Parses whether a traversal succeeded: true or false, or 1 or 0.
 pub fn parse_success(text: &str) -> Result<bool, String> {
     match text.to_ascii_lowercase().as_str() {
         "true" | "1" => Ok(true),
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_come_in_any_order_and_two_of_them_may_lack() -> Result<(), RowError> {
+    fn columns_come_in_any_order_and_two_are_optional() -> Result<(), RowError> {
         let text = "from,to,action,start,end,success,reason\nHall,Lab,door,10,12.5,False,\"stuck, again\"\n";
         let rows = read(text)?;
         let expected = TraversalRow {

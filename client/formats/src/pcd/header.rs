@@ -1,7 +1,7 @@
 //! The header of a PCD file: lines with one entry each, up to DATA.
 //!
-//! Invariant: the header has x, y and z with one value each; a point takes 3 to [`POINT_BYTES_MAX`] bytes, and the number
-//! of points is within the limit. The data may still be missing.
+//! Invariant: the header has x, y and z with one value each; a point takes 3 to [`POINT_BYTES_MAX`] bytes, and the
+//! number of points is within the limit. The data may still be missing.
 
 use std::collections::HashMap;
 

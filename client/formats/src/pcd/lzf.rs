@@ -1,11 +1,12 @@
 //! LZF, the compression of PCD files.
 //!
-//! The data is a sequence of instructions. If the first byte of an instruction is below 32, that number of bytes plus one
-//! follows as literals. Otherwise it repeats earlier output: the upper three bits are the length minus two, where 7 means
-//! that a byte with the rest of the length follows; the lower five bits and the next byte are the distance minus one.
+//! The data is a sequence of instructions. If the first byte of an instruction is below 32, that number of bytes plus
+//! one follows as literals. Otherwise it repeats earlier output: the upper three bits are the length minus two, where 7
+//! means that a byte with the rest of the length follows; the lower five bits and the next byte are the distance minus
+//! one.
 //!
-//! Invariant: the output has exactly the announced length, or there is an error; memory is allocated only for a length that
-//! the input can unpack to.
+//! Invariant: the output has exactly the announced length, or there is an error; memory is allocated only for a length
+//! that the input can unpack to.
 
 use crate::error::{FilePlace, FormatError};
 

@@ -1,7 +1,7 @@
 //! The header of a PLY file.
 //!
-//! Invariant: the header has one element `vertex` with one x, y and z each, none of them a list, and a number of vertices
-//! within the limit; a non-empty element has at least one property, so that it takes space in the file.
+//! Invariant: the header has one element `vertex` with one x, y and z each, none of them a list, and a number of
+//! vertices within the limit; a non-empty element has at least one property, so that it takes space in the file.
 
 use crate::{
     POINTS_MAX,

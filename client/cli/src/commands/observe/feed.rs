@@ -60,7 +60,7 @@ pub(crate) fn shown(path: &Path) -> String {
 /// Opens a file, or stdin if the path is `-`, and reads its header.
 pub(crate) fn open<L>(path: &Path) -> anyhow::Result<Feed<L>>
 where
-    L: Layout<Row: Send> + Copy + Send + 'static,
+    L: Layout<Record: Send> + Copy + Send + 'static,
 {
     let stdin = path.as_os_str() == "-";
     let (source, total_bytes): (Box<dyn Read + Send>, _) = if stdin {
