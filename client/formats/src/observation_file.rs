@@ -216,7 +216,7 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
         self
     }
 
-    /// ObservationColumns of the header that are not used.
+    /// Columns of the header that the layout ignores.
     pub fn ignored(&self) -> &[String] {
         &self.ignored
     }

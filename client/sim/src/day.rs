@@ -9,7 +9,7 @@ use crate::{
     cleaner::CleaningRound,
     draw::{DrawTopic, draws},
     people::{Attendance, attendances},
-    place::{OfficePlace, RULES, StateRule},
+    place::{OfficePlace, PLACES},
 };
 
 /// Time between two possible changes of the storage door.
@@ -36,13 +36,11 @@ impl OfficeDay {
 
     /// Value of the state with this index at a second of the wall clock.
     pub(crate) fn value(&self, state: usize, second: i32) -> f64 {
-        let on = match RULES[state] {
-            StateRule::Building => {
-                self.people.iter().any(|person| person.present(second)) || self.cleaner.place(second).is_some()
-            }
-            StateRule::Room(place) => self.anybody_in(place, second),
-            StateRule::StorageDoor => self.storage_door[(second / STORAGE_HOLD_SECS).unsigned_abs() as usize],
-            StateRule::Always => true,
+        let on = match state {
+            0 => self.people.iter().any(|person| person.present(second)) || self.cleaner.place(second).is_some(),
+            7 => self.storage_door[(second / STORAGE_HOLD_SECS).unsigned_abs() as usize],
+            8 => true,
+            room => self.anybody_in(PLACES[room], second),
         };
         f64::from(u8::from(on))
     }

@@ -24,49 +24,18 @@ struct Worker {
     lab_days: &'static [Weekday],
 }
 
+const fn worker(office: usize, (from, to): (i32, i32), spread: i32, lab_days: &'static [Weekday]) -> Worker {
+    Worker { office, arrives_secs: from * MINUTE, leaves_secs: to * MINUTE, spread_secs: spread * MINUTE, lab_days }
+}
+
+/// Everybody who works in the office; arrival, departure and spread in minutes of the day.
 const PEOPLE: [Worker; 6] = [
-    Worker {
-        office: 0,
-        arrives_secs: 8 * HOUR,
-        leaves_secs: 16 * HOUR + 30 * MINUTE,
-        spread_secs: 10 * MINUTE,
-        lab_days: &[],
-    },
-    Worker {
-        office: 0,
-        arrives_secs: 9 * HOUR,
-        leaves_secs: 17 * HOUR + 30 * MINUTE,
-        spread_secs: 15 * MINUTE,
-        lab_days: &[Weekday::Monday, Weekday::Wednesday],
-    },
-    Worker {
-        office: 1,
-        arrives_secs: 9 * HOUR + 15 * MINUTE,
-        leaves_secs: 17 * HOUR + 30 * MINUTE,
-        spread_secs: 15 * MINUTE,
-        lab_days: &[Weekday::Monday, Weekday::Wednesday, Weekday::Friday],
-    },
-    Worker {
-        office: 1,
-        arrives_secs: 8 * HOUR + 45 * MINUTE,
-        leaves_secs: 17 * HOUR,
-        spread_secs: 10 * MINUTE,
-        lab_days: &[Weekday::Wednesday],
-    },
-    Worker {
-        office: 2,
-        arrives_secs: 10 * HOUR,
-        leaves_secs: 18 * HOUR + 30 * MINUTE,
-        spread_secs: 25 * MINUTE,
-        lab_days: &[Weekday::Tuesday, Weekday::Thursday],
-    },
-    Worker {
-        office: 2,
-        arrives_secs: 9 * HOUR + 30 * MINUTE,
-        leaves_secs: 18 * HOUR,
-        spread_secs: 20 * MINUTE,
-        lab_days: &[Weekday::Monday],
-    },
+    worker(0, (8 * 60, 16 * 60 + 30), 10, &[]),
+    worker(0, (9 * 60, 17 * 60 + 30), 15, &[Weekday::Monday, Weekday::Wednesday]),
+    worker(1, (9 * 60 + 15, 17 * 60 + 30), 15, &[Weekday::Monday, Weekday::Wednesday, Weekday::Friday]),
+    worker(1, (8 * 60 + 45, 17 * 60), 10, &[Weekday::Wednesday]),
+    worker(2, (10 * 60, 18 * 60 + 30), 25, &[Weekday::Tuesday, Weekday::Thursday]),
+    worker(2, (9 * 60 + 30, 18 * 60), 20, &[Weekday::Monday]),
 ];
 
 /// Start, end and place of a stay, in seconds of the day.

@@ -14,19 +14,8 @@ pub(crate) enum OfficePlace {
     Kitchen,
 }
 
-/// What makes the value of a state 1.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum StateRule {
-    /// Anybody is in the building.
-    Building,
-    /// Anybody is in this room.
-    Room(OfficePlace),
-    /// The storage door is open.
-    StorageDoor,
-    Always,
-}
-
-/// Names of the states; an index into this is a state.
+/// Names of the states; an index into this is a state. States 1 to 6 tell whether a person is at the place with the same
+/// index in [`PLACES`].
 pub(crate) const STATES: [&str; 9] = [
     "entrance-door",
     "office-1-door",
@@ -37,19 +26,6 @@ pub(crate) const STATES: [&str; 9] = [
     "kitchen",
     "storage-door",
     "corridor-door",
-];
-
-/// The rule of each state.
-pub(crate) const RULES: [StateRule; STATES.len()] = [
-    StateRule::Building,
-    StateRule::Room(OfficePlace::Office(0)),
-    StateRule::Room(OfficePlace::Office(1)),
-    StateRule::Room(OfficePlace::Office(2)),
-    StateRule::Room(OfficePlace::Lab),
-    StateRule::Room(OfficePlace::MeetingRoom),
-    StateRule::Room(OfficePlace::Kitchen),
-    StateRule::StorageDoor,
-    StateRule::Always,
 ];
 
 /// Every place, in the order of the corridor.

@@ -1,7 +1,7 @@
-//! Files of traversals: `from,to,start,end,success`, and perhaps `action` and `reason`.
+//! CSV files of traversals: `from,to,start,end,success`, and optionally `action` and `reason`.
 //!
-//! Invariant: as for observations. A row that cannot be read becomes a traversal that ends before it starts, which no
-//! daemon accepts; whether a daemon accepts one that can be read is not asked here.
+//! Invariant: as for observations. A row that cannot be read becomes a traversal that ends before it starts, which the
+//! daemon refuses. A row that can be read is not checked here.
 
 use tidemap_map::name::NAME_CHARS_MAX;
 
@@ -13,21 +13,21 @@ use tidemap_map::time::parse_time;
 pub struct TraversalRow {
     /// Its place in the file.
     pub at: RowPlace,
-    /// Name of the node where the edge begins.
+    /// Name of the edge's start node.
     pub from: String,
-    /// Name of the node where it ends.
+    /// Name of the edge's end node.
     pub to: String,
-    /// By which action it was travelled; empty: as usual.
+    /// The action of the traversal; empty: the default action.
     pub action: String,
-    /// When the robot set out, nanoseconds UTC.
+    /// When the traversal started, nanoseconds UTC.
     pub start_nanos: i64,
-    /// When it arrived or gave up, nanoseconds UTC.
+    /// When it succeeded or failed, nanoseconds UTC.
     pub end_nanos: i64,
-    /// Whether it arrived.
+    /// Whether it succeeded.
     pub success: bool,
-    /// Why it did not.
+    /// Why it failed.
     pub reason: String,
-    /// What could not be read.
+    /// Why the row could not be read.
     pub wrong: Option<String>,
 }
 
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_of_a_row_is_told() -> Result<(), RowError> {
+    fn unreadable_rows_have_an_error() -> Result<(), RowError> {
         let long = "n".repeat(129);
         for (row, words) in [
             ("Hall,Lab,10,12", "has 4 fields, the header has 5"),
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn a_header_that_does_not_fit_is_shown() {
+    fn an_invalid_header_is_quoted() {
         let error = |text: &str| read(text).expect_err("wrong").to_string();
         assert!(error("").contains("from,to,start,end,success"));
         let text = error("from,to,start,end\n");

@@ -12,7 +12,7 @@ use tidemap_model::{
 
 /// Maximum number of components of the spectral model.
 const ORDER_MAX: usize = 8;
-/// ParameterSet periodicities: the harmonics of four weeks down to two hours (RAS 2017, section 4.1.1).
+/// Candidate periodicities: the harmonics of four weeks down to two hours (RAS 2017, section 4.1.1).
 const PERIOD_BASE_NANOS: i64 = 28 * 86_400 * 1_000_000_000;
 const PERIOD_COUNT: u32 = 28 * 12;
 /// The lowest order is chosen whose error is within this factor of the lowest error, as in a map.
