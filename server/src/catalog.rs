@@ -1,5 +1,10 @@
 //! The maps that the daemon serves.
 //!
+//! At a start each map is restored from its newest snapshot and the log after it. The log does not say whether its last
+//! update was cut off or ended without a save: it is repeated beside the served map, so that a client may see the
+//! generation before one that it has seen. Earlier updates in the log had ended, because another followed; they are
+//! repeated before the ports open.
+//!
 //! Invariant: looking a map up never waits. Maps are created and deleted one at a time, and a listed map is durable. A
 //! change that has begun is completed even if its caller is gone.
 
@@ -35,7 +40,7 @@ pub(crate) enum CatalogError {
     Store(#[from] StoreError),
     #[error(transparent)]
     Open(#[from] OpenError),
-    #[error("the log of map {map} is not its own: {reason}. Restore the folder of this map from a backup")]
+    #[error("the log of map {map} does not fit the map: {reason}. Restore the folder of this map from a backup")]
     Inconsistent { map: MapName, reason: String },
     #[error(
         "maps {} and {} are both named {:?}. Move the folder of one of them out of the data folder",
@@ -136,7 +141,7 @@ impl Catalog {
             open_map(&context, id, spec).inspect_err(|_| {
                 // An unlisted map could be neither used nor deleted, and would take its name at the next start.
                 if let Err(error) = context.store.delete_map(id) {
-                    warn!(id = id.0, %error, "a map that could not be opened is left over");
+                    warn!(id = id.0, %error, "a map that could not be opened is left in the store");
                 }
             })
         }))
@@ -173,7 +178,7 @@ impl Catalog {
         match &deleted {
             Ok(()) => info!(map = name, id = id.0, "map deleted"),
             Err(error) => {
-                warn!(map = name, id = id.0, %error, "map not deleted in order");
+                warn!(map = name, id = id.0, %error, "map not deleted completely");
                 // No other change of the listing can have happened meanwhile.
                 if self.context.store.maps().iter().any(|(stored, _)| *stored == id) {
                     self.maps.store(before);
@@ -293,7 +298,7 @@ fn save_or_keep(context: &Context, id: MapId, snapshot: MapSnapshot) -> Option<M
     match context.store.save(id, &snapshot) {
         Ok(_) => None,
         Err(error) => {
-            warn!(id = id.0, %error, "checkpoint not saved; the log keeps everything, tried again later");
+            warn!(id = id.0, %error, "checkpoint not saved: the log has everything, and the save is retried");
             Some(snapshot)
         }
     }

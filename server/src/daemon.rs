@@ -178,7 +178,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     };
     // Both tasks may have ended already. A client that keeps its connection open does not keep the daemon running.
     if result.is_ok() && tokio::time::timeout(STOP_WITHIN, closed).await.is_err() {
-        info!("connections still open are cut");
+        info!("open connections are closed");
     }
     close(store).await;
     result

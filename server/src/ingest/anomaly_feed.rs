@@ -50,14 +50,14 @@ pub(crate) struct AnomalyFeed {
     /// Applied, and not public yet.
     waiting: Vec<FeedPiece>,
     /// Number of observations sent so far.
-    told: u64,
+    sent: u64,
     /// The models that watchers may still need, oldest first.
     models: Vec<Arc<MapView>>,
 }
 
 impl Default for AnomalyFeed {
     fn default() -> Self {
-        Self { sender: broadcast::channel(PIECES).0, waiting: Vec::new(), told: 0, models: Vec::new() }
+        Self { sender: broadcast::channel(PIECES).0, waiting: Vec::new(), sent: 0, models: Vec::new() }
     }
 }
 
@@ -65,7 +65,7 @@ impl AnomalyFeed {
     /// Subscribes a watcher; gives the receiver, and the number of observations sent before. If others watched already,
     /// observations that are applied and not public yet come too.
     pub(crate) fn listen(&self) -> (FeedReceiver, u64) {
-        (self.sender.subscribe(), self.told)
+        (self.sender.subscribe(), self.sent)
     }
 
     /// Collects observations that were applied.
@@ -100,8 +100,8 @@ impl AnomalyFeed {
         }
         for mut piece in waiting {
             piece.models = self.models.last().map_or_else(Weak::new, Arc::downgrade);
-            piece.before = self.told;
-            self.told += piece.states.len() as u64;
+            piece.before = self.sent;
+            self.sent += piece.states.len() as u64;
             // All watchers may have just left.
             let _ = self.sender.send(Arc::new(FeedMessage::Applied(piece)));
         }

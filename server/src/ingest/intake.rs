@@ -177,7 +177,7 @@ impl Intake {
     fn check_no_open_scan(&self, field: &str, what: &str) -> Result<(), InvalidField> {
         match self.scans.open_sequence() {
             Some(open) => {
-                let text = format!("scan {open} goes on, and its next part comes before {what}");
+                let text = format!("scan {open} is unfinished: its next part must come before {what}");
                 Err(InvalidField::new(field, text))
             }
             None => Ok(()),

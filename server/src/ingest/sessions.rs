@@ -430,6 +430,6 @@ impl Sessions {
 fn too_far_ahead(time_nanos: i64, most: u64) -> String {
     format!(
         "time {time_nanos} ns is more than 5 minutes ahead of the server's clock, and {most} observations wait for their \
-         time already, as many as may"
+         time already, which is the maximum"
     )
 }

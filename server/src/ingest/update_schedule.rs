@@ -1,6 +1,11 @@
 //! When a map is updated: on request, at the local midnight of the clock, at the local midnight of imported data, or
 //! when too much is pending.
 //!
+//! The nightly update is due when observations *received* before the map's last local midnight are still pending. So a
+//! daemon that was off at midnight catches up, and history that is imported at noon waits for the night, or for
+//! `tidemap update`. With `observe --nightly` the midnights are those of the data, after all announcing streams have
+//! passed them. An early update takes whole local days if it can.
+//!
 //! Invariant: one update runs at a time, and a bounded number wait. What becomes due while an update of the same cause
 //! waits joins it, because an update steps through each local day of its observations.
 
@@ -69,7 +74,7 @@ impl UpdateSchedule {
         if self.queue.len() < WAITING_MAX {
             self.queue.push_back(update);
         } else {
-            update.job.end(Err(format!("{WAITING_MAX} updates of this map wait already: try again later")));
+            update.job.end(Err(format!("{WAITING_MAX} updates of this map are waiting already: try again later")));
         }
     }
 

@@ -1,8 +1,24 @@
 //! The single writer of a map: one thread that orders batches, hands them to the log, applies what is durable,
-//! publishes views and runs updates.
+//! publishes views and runs updates. It is plain blocking code without locks, and a slow map does not delay another.
 //!
-//! Invariant: the order of the log is the order of application. An acknowledgement leaves after the view that shows
-//! its observations is published. The thread never waits for a reader, a client or an update.
+//! ```text
+//! stream ─▶ Backlog ─▶ Sessions: an event ─▶ Appends ─▶ log, fsync ─▶ apply ─▶ publish ─▶ acknowledge
+//!                                              UpdateSchedule ─▶ Updates ─▶ publish ─▶ Saves
+//! ```
+//!
+//! - [`appends`]: events in flight, and their failures. [`backlog`]: what waits for room. [`edits`]: states and site
+//!   edits of clients. [`update_run`]: updates. [`saves`]: snapshots, and the history that is not stored.
+//! - **The writer takes only what it can hold.** Handovers wait in the backlog, with their buffer budgets, while too
+//!   much is in flight or pending. Commands that make room are never behind them.
+//! - **Observations ahead of the clock wait apart** (more than 5 minutes when they are received): they make no update
+//!   due, at most a quarter of the pending limit may wait, and they join the others at the first update whose cut has
+//!   passed their time. The last value does not show them before.
+//! - **Updates run beside the thread**, and the map serves the previous generation meanwhile. Early updates, above
+//!   `max_pending_observations`, free memory.
+//!
+//! Invariant: the order of the log is the order of application. An acknowledgement is sent after the view that shows
+//! its observations is published. The thread never waits for a reader, a client or an update. The steps of
+//! [`Writer::pump`] have a fixed order.
 
 use std::{
     collections::BTreeMap,
@@ -220,8 +236,8 @@ impl Writer {
         for (key, reached) in self.sessions.take_broken() {
             self.updates.schedule.stream_broke(key, reached);
         }
-        // What is due is decided before `publish` sends acknowledgements: the producer that has one sees the update that
-        // its observations made due.
+        // What is due is decided before `publish` sends acknowledgements: the producer that has one sees the update
+        // that its observations made due.
         let may_update = self.may_update();
         if self.stopping.is_none() && self.appends.failure().is_none() {
             self.updates.schedule.look_at_data(&self.map, &self.sessions, now);
@@ -330,7 +346,7 @@ impl Writer {
         if let Some(snapshot) = self.saves.take_unsaved().filter(|_| ending != Ending::MapDeleted)
             && let Err(error) = self.context.store.save(self.id, &snapshot)
         {
-            warn!(map = %self.map.spec().name, %error, "checkpoint not saved; the log keeps everything");
+            warn!(map = %self.map.spec().name, %error, "checkpoint not saved: the log has everything");
         }
         // The store too is released before the caller of the stop continues.
         drop(self);

@@ -92,7 +92,9 @@ impl Explorations {
 
     async fn visited(&self, request: v1::ReportVisitRequest) -> Result<v1::ReportVisitResponse, RpcError> {
         let handle = find_map(&self.catalog, &request.map)?;
-        let at = request.at.ok_or_else(|| InvalidField::new("at", "say where the robot wanted to"))?;
+        let at = request
+            .at
+            .ok_or_else(|| InvalidField::new("at", "missing: give the position that the robot was sent to"))?;
         let at_m = point_from_wire("at", at)?;
         let utc_nanos = match request.time {
             None => self.catalog.context().clock.now_nanos(),

@@ -142,12 +142,12 @@ impl MaintenanceService for Maintenance {
         let (replies, stream) = mpsc::channel(4);
         tokio::spawn(async move {
             let mut status = job.watch();
-            let mut told = None;
+            let mut reported = None;
             loop {
                 let ended = status.borrow_and_update().phase.has_ended();
                 let wire = job_to_wire(&job);
                 let progress = (wire.state, wire.states_done);
-                if told.replace(progress) != Some(progress)
+                if reported.replace(progress) != Some(progress)
                     && replies.send(Ok(v1::WatchJobResponse { job: Some(wire) })).await.is_err()
                 {
                     return;

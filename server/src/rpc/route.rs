@@ -1,5 +1,9 @@
 //! `TopologyService`, `RouteService` and `SearchService`: the topological map, and plans over it.
 //!
+//! An edit of the topology is one event of the log; the writer takes one at a time, so that a load is checked against
+//! the topology that it replaces, and is taken whole. Searches take the nodes whose state was observed as goals, with
+//! probabilities by any model ([`super::series`]).
+//!
 //! Invariant: an edit is durable and published when it is answered. A plan is made from one view, off the async
 //! threads, with its own permits, and ends at its deadline or when its client is gone.
 

@@ -38,7 +38,7 @@ pub(super) fn check_kind(view: &MapView, id: StateId, field: &str) -> Result<(),
         return Ok(());
     }
     let name = view.info(id).map_or("", |info| info.name.as_str());
-    let text = format!("state {name:?} is a {}: only a probability is of use here", kind.name());
+    let text = format!("state {name:?} is a {}: a probability is needed here", kind.name());
     Err(InvalidField::new(field, text).into())
 }
 

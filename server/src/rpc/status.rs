@@ -43,7 +43,7 @@ pub(crate) enum RpcError {
     UnknownMap { name: String, known: Vec<String> },
     #[error("state {name:?} does not exist in map {map:?}; {}", known_names(.known, "states"))]
     UnknownState { map: String, name: String, known: Vec<String> },
-    #[error("state {name:?} of map {map:?} is a {}: ask of its axes, {}", .shape.name(), .axes.join(", "))]
+    #[error("state {name:?} of map {map:?} is a {}: use its axes, {}", .shape.name(), .axes.join(", "))]
     IsVector { map: String, name: String, shape: StateShape, axes: Vec<String> },
     #[error("map {map:?} has no grid: create a map with one, with option --grid")]
     NoGrid { map: String },
@@ -55,15 +55,15 @@ pub(crate) enum RpcError {
     NoHistory { map: String, what: &'static str, option: &'static str },
     #[error("model {model} of state {state:?} in map {map:?}: {reason}")]
     ModelUnavailable { model: ModelKind, map: String, state: String, reason: ModelUnavailable },
-    #[error("{name} of map {map:?}: nothing from before {} is kept any more", shown_time(*.kept_from_nanos))]
+    #[error("{name} of map {map:?}: observations before {} are no longer kept", shown_time(*.kept_from_nanos))]
     BeyondHistory { map: String, name: String, kept_from_nanos: i64 },
     #[error(transparent)]
     History(#[from] HistoryError),
-    #[error("an update has the observations of that time and has not ended within {0} seconds: ask again")]
+    #[error("an update has the observations of that time and has not ended within {0} seconds: try again")]
     Updating(u64),
     #[error("job {0} is not known: it is long past, or the daemon was restarted since")]
     UnknownJob(u64),
-    #[error("job {0} has no report: it has not ended well, or a later update of the same map replaced it")]
+    #[error("job {0} has no report: it has not ended successfully, or a later update of the same map replaced it")]
     NoReport(u64),
     #[error(transparent)]
     Limit(#[from] OverLimit),
@@ -82,7 +82,7 @@ pub(crate) enum RpcError {
     #[error("{}", ending_text(.0))]
     Ended(Ending),
     #[error(
-        "{max} requests for predictions run, as many as may at once, and none ended within {secs} seconds: ask again"
+        "{max} requests for predictions are running, which is the maximum, and none ended within {secs} seconds: try again"
     )]
     Busy { max: usize, secs: u64 },
     #[error("the stream's replies were not read for {0} seconds")]

@@ -140,7 +140,7 @@ impl Intake {
         if let Some(open) = self.scans.open_sequence()
             && open != first
         {
-            let text = format!("{first}: scan {open} goes on, and its next part has its number");
+            let text = format!("{first}: scan {open} is unfinished, and its next part must have its number");
             return Err(InvalidField::new("scans.first_sequence", text).into());
         }
         let mut all = std::mem::take(&mut self.scans.open_cells);

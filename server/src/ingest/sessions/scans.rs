@@ -148,8 +148,8 @@ impl Sessions {
         if is_ahead && map.ahead() + grid.ahead_tiles() + self.tiles_ahead >= self.limits.ahead {
             source.skip(&scan);
             let detail = format!(
-                "time {} ns is more than 5 minutes ahead of the server's clock, and as many observations and tiles of \
-                 scans wait for their time as may, {}",
+                "time {} ns is more than 5 minutes ahead of the server's clock, and {} observations and \
+                 tiles of scans wait for their time already, which is the maximum",
                 scan.utc_nanos, self.limits.ahead
             );
             return refuse(RefusalReason::Time, detail);

@@ -1,5 +1,10 @@
 //! Converts traversals of edges to observations of the edges' states.
 //!
+//! A traversal is one observation on the wire, with one sequence number. For the map it is one or two observations of
+//! ordinary states: `edge/A/B` at its start, and `speed/A/B` or `pace/A/B` if it succeeded. The event holds states and
+//! values, so that a replay needs no topology. Failures come with the event (`Observations::failures`), and the site
+//! keeps the last ones.
+//!
 //! Invariant: a traversal is taken with all of its observations, in one event, or not at all. Its meaning depends on
 //! the topology; the writer makes no event of traversals while an edit of the topology is in flight.
 

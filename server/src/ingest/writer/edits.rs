@@ -1,7 +1,7 @@
 //! What clients add to the map or edit: states before anything is observed of them, and the site.
 //!
-//! Invariant: a client is answered when its change is durable and the view shows it, also where another client has added
-//! the state. At most one edit of the site is in flight, so that the next is checked against its result.
+//! Invariant: a client is answered when its change is durable and the view shows it, also where another client has
+//! added the state. At most one edit of the site is in flight, so that the next is checked against its result.
 
 use std::collections::VecDeque;
 

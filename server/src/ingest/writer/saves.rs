@@ -1,8 +1,8 @@
 //! Saves of the map, which follow its updates, and the history that no save has kept yet.
 //!
-//! Invariant: a snapshot that is not saved costs only time at the next start, because the log has everything. The history
-//! that it carries is kept until a save has stored it: after a later snapshot is saved, nothing else has it. One save
-//! runs at a time.
+//! Invariant: a snapshot that is not saved costs only time at the next start, because the log has everything. The
+//! history that it carries is kept until a save has stored it: after a later snapshot is saved, nothing else has it.
+//! One save runs at a time.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -22,8 +22,8 @@ use crate::ingest::protocol::{Command, HistoryTail, ReadHistory, SavedGrid};
 #[cfg(test)]
 mod tests;
 
-/// Updates in the time of imported data follow each other fast. They are saved this often, not each time, because the log
-/// has them.
+/// Updates in the time of imported data follow each other fast. They are saved this often, not each time, because the
+/// log has them.
 const SAVE_INTERVAL: Duration = Duration::from_secs(20);
 /// A save is due when the log has grown by this much since the last checkpoint.
 const TAIL_BYTES: u64 = 256 << 20;
@@ -174,8 +174,8 @@ impl Saves {
         self.count_history();
     }
 
-    /// Frees tiles that the last save has stored, if those in memory exceed `bytes_max`; gives how many. While an update
-    /// has the tiles nothing is freed: the save is remembered.
+    /// Frees tiles that the last save has stored, if those in memory exceed `bytes_max`; gives how many. While an
+    /// update has the tiles nothing is freed: the save is remembered.
     fn page_out(&mut self, map: &mut LiveMap, bytes_max: u64) -> usize {
         if map.is_updating() {
             return 0;

@@ -40,8 +40,8 @@ pub(super) struct Updates {
     pub(super) schedule: UpdateSchedule,
     /// The job of the running update.
     running: Option<Arc<UpdateJob>>,
-    /// The least time of the observations that the running update has, and its cut. Kept when the update fails: it still
-    /// has the observations.
+    /// The least time of the observations that the running update has, and its cut. Kept when the update fails: it
+    /// still has the observations.
     times: Option<(i64, i64)>,
     /// No update starts before.
     wait_until: Option<Instant>,

@@ -100,7 +100,7 @@ pub(super) async fn plan_day(
         return Err(InvalidField::new("task_states", text).into());
     }
     if weight >= 1.0 && !tasks.is_empty() {
-        let text = "they count only with an exploration_weight below 1";
+        let text = "they are used only with an exploration_weight below 1";
         return Err(InvalidField::new("task_states", text).into());
     }
     let weighed = if weight < 1.0 {

@@ -68,15 +68,15 @@ fn of_region(
     let grid = PredictedTimes::new(view, times_nanos, options).map_err(PlanError::from)?;
     let cells = grid.lattice().size().iter().map(|&along| along as u64).product::<u64>();
     check_limit("cells x times", cells * times_nanos.len() as u64, most, "setting max_predictions")?;
-    let mut told = v1::GetInformationResponse { target: "region".to_owned(), ..Default::default() };
+    let mut reply = v1::GetInformationResponse { target: "region".to_owned(), ..Default::default() };
     for time in 0..grid.times() {
         let Some(grid) = grid.at(time) else { break };
         let known = || grid.known().map(f64::from);
-        told.states = known().count() as u64;
-        told.entropy_bits.push(entropy_of(known()));
-        told.information_bits.push(certainty.bits_of(known()));
+        reply.states = known().count() as u64;
+        reply.entropy_bits.push(entropy_of(known()));
+        reply.information_bits.push(certainty.bits_of(known()));
     }
-    Ok(told)
+    Ok(reply)
 }
 
 pub(super) async fn get_information(
@@ -155,9 +155,9 @@ pub(super) async fn get_information(
                     tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)?
                 }
             };
-            let told = reply(&name, &rows, times_nanos.len(), certainty);
+            let answer = reply(&name, &rows, times_nanos.len(), certainty);
             let to = sink.clone();
-            if !tokio::task::spawn_blocking(move || to.send(told)).await.map_err(|_| RpcError::Stopping)? {
+            if !tokio::task::spawn_blocking(move || to.send(answer)).await.map_err(|_| RpcError::Stopping)? {
                 break;
             }
         }

@@ -80,7 +80,7 @@ pub(super) async fn evaluate_states(
         let setting = "setting max_batch_observations";
         check_limit("observations of one message", columns.time_deltas.len() as u64, max, setting)?;
         if !columns.coordinates.is_empty() {
-            let text = "positions are not compared as such: compare each axis, NAME/x and so on";
+            let text = "positions cannot be compared: compare each axis, NAME/x and so on";
             return Err(RpcError::from(InvalidField::new("observations.coordinates", text)).into());
         }
         let columns = decode(columns).map_err(RpcError::from)?;

@@ -1,8 +1,28 @@
-//! Models fitted to what updates have folded in, for the questions that ask for them.
+//! Fits models to the readings of a state, for the requests that ask for them.
 //!
-//! Invariant: a model is fitted to exactly the observations that the view's updates have folded in, and to nothing that is
-//! pending, so that a comparison with pending observations is one with what was not learned. A fit takes a permit of its own
-//! kind: whoever predicts without one does not wait for it. A fit that was begun ends, and is kept for the next.
+//! A request takes one view, and a permit before it computes. The view itself answers by the models `auto`, `mean`,
+//! `latest` and `spectral`, at once. All other models are fitted on request:
+//!
+//! ```text
+//! the model cache ([`crate::model_cache`])   by map, generation, state, and model with its parameters
+//!   │ not cached: a permit to fit            separate from the permits to predict; slow models have their own
+//!   ▼
+//! the readings ([`super::readings`])         history files, then history that no save has stored yet, of the
+//!   │                                        generations up to the view's
+//!   ▼
+//! the fit, on a blocking thread              the result is cached; the least recently used model goes
+//! ```
+//!
+//! - **Fitted to what updates have learned**, never to pending observations. The order of the readings, and so the
+//!   model, is the same whether they are in files or not. Only persistence takes the newest value too, as `latest`
+//!   does.
+//! - **Fitted once.** Concurrent requests for a model share one fit, which ends and is cached even if all of them are
+//!   dropped.
+//! - **Unavailable is an answer.** A model that cannot be fitted (no history, too many readings, another kind of value)
+//!   is an error of `PredictStates`; in `EvaluateStates` its row is missing, and the reply has the reason.
+//!
+//! Invariant: a model is fitted to exactly the observations that the view's updates have learned, so that a comparison
+//! with pending observations is one with unseen data. A fit has its own permits: predictions do not wait for it.
 
 use std::sync::Arc;
 

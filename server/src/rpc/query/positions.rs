@@ -148,7 +148,7 @@ fn model_of(wire: Option<v1::ModelSelector>) -> Result<ModelKind, RpcError> {
         return Err(InvalidField::new("model.kind", text).into());
     }
     if selector.persistence {
-        return Err(InvalidField::new("model.persistence", "models of positions have none").into());
+        return Err(InvalidField::new("model.persistence", "models of positions have no persistence").into());
     }
     Ok(selector.kind)
 }
@@ -159,8 +159,9 @@ fn edge_of(resolution_m: f64) -> Result<Option<f64>, RpcError> {
         0.0 => Ok(None),
         edge if edge > 0.0 && edge <= VALUE_MAX => Ok(Some(edge)),
         other => {
-            let text =
-                format!("{other} m is no edge of a cell: use a number above 0 and up to 1e12, or 0 for the usual");
+            let text = format!(
+                "{other} m is not a valid cell size: use a number above 0 and up to 1e12, or 0 for the default"
+            );
             Err(InvalidField::new("resolution_m", text).into())
         }
     }

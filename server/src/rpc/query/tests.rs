@@ -259,8 +259,8 @@ fn cells(cells: &[u16]) -> Mask {
     mask
 }
 
-/// What a scan a minute shows of cells 0 to 3 of the first tile: cell 1 is occupied, cell 2 every other hour, and cell 3
-/// is seen every fifth minute.
+/// What a scan a minute shows of cells 0 to 3 of the first tile: cell 1 is occupied, cell 2 every other hour, and cell
+/// 3 is seen every fifth minute.
 fn minutes(count: usize) -> Vec<(i64, Shown)> {
     let at = |minute: usize| {
         let observed = if minute.is_multiple_of(5) { cells(&[0, 1, 2, 3]) } else { cells(&[0, 1, 2]) };

@@ -1,7 +1,14 @@
 //! `WatchAnomalies`: unexpected observations, as they arrive.
 //!
-//! Invariant: a watcher never slows the writer, and a bounded number of observations wait for it: what it does not read
-//! in time is counted as missed. Judging has its own permits, which leave processors free.
+//! The writer copies what it applies into pieces, and sends them when the view that shows them is published
+//! ([`crate::ingest::anomaly_feed`]). A watch judges them in its own task, by the models that were in force when they
+//! were applied, however late it is. What falls out of the feed, or is two updates behind, is counted as missed, and a
+//! reader that reads nothing for five minutes is disconnected. An observation ahead of the clock is judged at once,
+//! although it waits to be learned. Cells cannot be watched: a scan is logged as the bits of tiles that it changed,
+//! which become readings of cells only in an update.
+//!
+//! Invariant: a watcher never slows the writer, and a bounded number of observations wait for it. Judging has its own
+//! permits, which leave processors free.
 
 use std::{collections::HashSet, sync::Arc, time::Duration};
 
@@ -86,9 +93,9 @@ pub(super) async fn watch_anomalies(
     if !handle.send(Command::Watch(reply)) {
         return Err(RpcError::Stopping);
     }
-    let (listening, told) = listening.await.map_err(|_| RpcError::Stopping)?;
+    let (listening, sent) = listening.await.map_err(|_| RpcError::Stopping)?;
     let permits = Arc::clone(&queries.watches.permits);
-    let watch = Watch { handle, watched, confidence, selector, permits, told, missed: 0 };
+    let watch = Watch { handle, watched, confidence, selector, permits, sent, missed: 0 };
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD + 1);
     // Reserved now: when the reader is slow, there is no room for the last reply.
     let last_word = replies.clone().try_reserve_owned().map_err(|_| RpcError::Stopping)?;
@@ -105,7 +112,7 @@ pub(super) async fn watch_anomalies(
 fn watched(view: &MapView, names: &[String]) -> Result<Option<HashSet<StateId>>, RpcError> {
     let find = |(i, name): (usize, &String)| match CellIndex::from_name(name) {
         Some(_) => {
-            let text = format!("{name} is a cell, and cells are not watched: look back at it with FindAnomalies");
+            let text = format!("{name} is a cell, and cells are not watched: use FindAnomalies");
             Err(InvalidField::new(format!("states[{i}]"), text).into())
         }
         None => find_state(view, name),
@@ -124,7 +131,7 @@ struct Watch {
     selector: ModelSelector,
     permits: Arc<Semaphore>,
     /// Number of observations before the next piece.
-    told: u64,
+    sent: u64,
     /// Observations that were not judged since the last reply.
     missed: u64,
 }
@@ -133,12 +140,12 @@ impl Watch {
     /// Sends anomalies until the client leaves, which is no error, or the map stops.
     async fn run(mut self, mut listening: FeedReceiver, replies: &Sender) -> Result<(), RpcError> {
         loop {
-            let told = tokio::select! {
+            let message = tokio::select! {
                 () = replies.closed() => return Ok(()),
-                told = listening.recv() => told,
+                message = listening.recv() => message,
             };
-            let found = match told {
-                Ok(told) => match &*told {
+            let found = match message {
+                Ok(message) => match &*message {
                     FeedMessage::Applied(applied) => self.judge(applied).await?,
                     FeedMessage::End(ending) => return Err(RpcError::Ended(ending.clone())),
                 },
@@ -155,8 +162,8 @@ impl Watch {
     /// The anomalies among applied observations, in their order.
     async fn judge(&mut self, applied: &FeedPiece) -> Result<Vec<(StateId, Anomaly)>, RpcError> {
         let count = applied.states.len() as u64;
-        self.missed += applied.before.saturating_sub(self.told);
-        self.told = applied.before + count;
+        self.missed += applied.before.saturating_sub(self.sent);
+        self.sent = applied.before + count;
         let observed = self.observed(applied);
         if observed.is_empty() {
             return Ok(Vec::new());

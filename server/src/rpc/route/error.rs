@@ -14,16 +14,16 @@ pub(crate) enum RouteError {
     #[error("there is no node {name:?}; nodes here: {known}")]
     UnknownNode { name: String, known: String },
     #[error(
-        "nothing was observed at any node of map {map:?}: observe states like {example:?}, 1 where somebody is, else 0"
+        "nothing was observed at any node of map {map:?}: observe states like {example:?}, 1 if the target is there, else 0"
     )]
     NothingObserved { map: String, example: String },
-    #[error("nobody is to be found: each of the {0} nodes that were observed has a probability of 0 at that time")]
+    #[error("the target cannot be found: each of the {0} observed nodes has a probability of 0 at that time")]
     Nobody(usize),
-    #[error("from node {start:?} no way leads to any of the {goals} nodes that were observed")]
+    #[error("no route leads from node {start:?} to any of the {goals} observed nodes")]
     Unreachable { start: String, goals: usize },
-    #[error("no way leads from node {from:?} to node {to:?}")]
+    #[error("no route leads from node {from:?} to node {to:?}")]
     NoWay { from: String, to: String },
-    #[error("no way from node {from:?} to node {to:?} takes at most {horizon_secs} s: raise the horizon")]
+    #[error("no route from node {from:?} to node {to:?} takes at most {horizon_secs} s: raise the horizon")]
     TooLong { from: String, to: String, horizon_secs: f64 },
     #[error(
         "no departure from node {from:?} is expected to arrive at node {to:?} by {by_nanos} ns: arrive later, or raise the \
@@ -34,9 +34,9 @@ pub(crate) enum RouteError {
     Plan(PlanRouteError),
     #[error(transparent)]
     Policy(#[from] PolicyError),
-    #[error("{nodes} nodes in {slots} slots: at most {POLICY_CELLS_MAX} of both together; take fewer, wider slots")]
+    #[error("{nodes} nodes in {slots} slots: at most {POLICY_CELLS_MAX} of both together; use fewer, wider slots")]
     PolicyTooLarge { nodes: usize, slots: usize },
-    #[error("the map has {found} edges: at most {most} are told of at once")]
+    #[error("the map has {found} edges: at most {most} fit into one reply")]
     TooManyEdges { found: usize, most: usize },
     #[error(transparent)]
     Roads(#[from] RoadsError),

@@ -56,7 +56,7 @@ impl Places {
                     let kind = view.kind(id);
                     if kind != StateKind::Probability {
                         let name = state_at(node.name.as_str(), object);
-                        let text = format!("state {name:?} is a {}: who is where needs probabilities", kind.name());
+                        let text = format!("state {name:?} is a {}: presence needs probabilities", kind.name());
                         return Err(InvalidField::new("object", text).into());
                     }
                     places.nodes.push(node.id);
@@ -84,7 +84,7 @@ impl Places {
         object: &str,
     ) -> Result<Places, RpcError> {
         if object.contains('/') {
-            return Err(InvalidField::new("object", format!("{object:?} holds '/'")).into());
+            return Err(InvalidField::new("object", format!("{object:?} contains '/'")).into());
         }
         let topology = view.site().topology();
         if topology.nodes().len() == 0 {

@@ -129,7 +129,7 @@ pub(super) async fn predict_edges(
     }
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
     let work = move || {
-        let told = |edge: &Edge| {
+        let predict = |edge: &Edge| {
             let EdgeForecast { success, evidence, duration_secs } = edges.forecast(edge, time_nanos);
             let interval = success_interval(success, evidence, confidence);
             v1::PredictedEdge {
@@ -141,7 +141,7 @@ pub(super) async fn predict_edges(
                 reports: edges.reports(edge.id),
             }
         };
-        v1::PredictEdgesResponse { edges: topology.edges().map(told).collect() }
+        v1::PredictEdgesResponse { edges: topology.edges().map(predict).collect() }
     };
     routes.run_blocking(work).await
 }

@@ -23,7 +23,8 @@ pub(super) async fn update(bench: &Bench, handle: &MapHandle, count: usize) {
     ended(bench, count).await;
 }
 
-/// Fills a data folder with a map that was updated after each of many days, in two runs of a daemon. Gives what was learned.
+/// Fills a data folder with a map that was updated after each of many days, in two runs of a daemon. Gives what was
+/// learned.
 pub(super) async fn learn(dir: &Path, retention: Retention) -> StateModel {
     let mut learned = None;
     for days in [0..DAYS / 2, DAYS / 2..DAYS] {

@@ -1,4 +1,5 @@
-//! An update that was cut off: repeated beside a map that is served from the generation before, and the same in the end.
+//! An update that was cut off: repeated beside a map that is served from the generation before, and the same in the
+//! end.
 
 use std::{fs, sync::mpsc};
 

@@ -69,7 +69,8 @@ async fn a_model_is_fitted_to_what_updates_have_folded_in_wherever_that_is() {
             assert_eq!(found, expected(&bench, &known, &times), "after {} hours", hours.start);
             before = found.to_vec();
         }
-        // PastQuery just before, while or just after the update folds the rest in: one or the other, and nothing between.
+        // PastQuery just before, while or just after the update folds the rest in: one or the other, and nothing
+        // between.
         let (found, ()) = tokio::join!(bench.ask(HISTOGRAM, &times), bench.update());
         let after = expected(&bench, &door(0..hours.end), &times);
         let found = found.expect("an answer");
