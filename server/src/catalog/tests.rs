@@ -1,4 +1,4 @@
-//! The catalogue on a real store: callers that go away, and a store that fails.
+//! The catalogue on a real store: callers that go away, and a failing store.
 
 use std::{path::Path, time::Duration};
 
@@ -36,7 +36,7 @@ fn spec() -> MapSpec {
     }
 }
 
-/// Begins something and goes away.
+/// Starts the work and drops it.
 async fn abandon<T>(work: impl Future<Output = T>) {
     tokio::select! {
         biased;

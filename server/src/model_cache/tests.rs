@@ -1,4 +1,4 @@
-//! What is kept of fitted models, for how long, and how often one is fitted.
+//! Which fitted models are kept, for how long, and how often one is fitted.
 
 use std::{
     convert::Infallible,
@@ -19,7 +19,7 @@ fn key(state: u32) -> ModelKey {
     ModelKey { map: MapId(1), generation: 1, state: StateId(state), kind }
 }
 
-/// A model that is told from others by its newest value.
+/// A model that is identified by its newest value.
 fn model(value: f64) -> CachedModel {
     let samples = [Sample { utc_nanos: 5, offset_secs: 0, value }];
     CachedModel::MarkovChain(MarkovChain::fit(Readings::new(&samples)).expect("a reading"))
@@ -51,7 +51,7 @@ async fn a_model_is_fitted_once_however_many_ask_for_it() {
             })
         })
         .collect();
-    // While it is fitted, others are asked for, given and fitted.
+    // While it is fitted, others are requested and fitted.
     while fitted.load(Ordering::Relaxed) == 0 {
         tokio::task::yield_now().await;
     }
@@ -78,7 +78,7 @@ async fn the_least_recently_used_model_goes() {
     keep(&cache, key(4), 0.5).await;
     let kept: Vec<u32> = (1..=4).filter(|&state| cache.get(&key(state)).is_some()).collect();
     assert_eq!(kept, [1, 2, 4]);
-    // As they were just looked up, 1 is the oldest now.
+    // They were just looked up, so that 1 is the oldest.
     keep(&cache, key(5), 0.5).await;
     keep(&cache, key(6), 0.5).await;
     let kept: Vec<u32> = (1..=6).filter(|&state| cache.get(&key(state)).is_some()).collect();
@@ -140,7 +140,7 @@ async fn a_model_that_is_being_fitted_is_not_given_up_for_others() {
     go.notify_one();
     assert_eq!(fitting.await.expect("no panic"), Ok(()));
     assert_eq!(cache.get(&key(1)).map(|fitted| value(&fitted)), Some(0.25));
-    // What came on top goes with the next one.
+    // The extra model goes with the next one.
     keep(&cache, key(4), 0.5).await;
     assert_eq!(cache.entries.lock().expect("no panic").slots.len(), 1);
 }

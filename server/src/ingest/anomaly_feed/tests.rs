@@ -1,4 +1,4 @@
-//! What is told to whom, and what is kept of it.
+//! Which pieces watchers get, and what is kept.
 
 use tidemap_map::{
     event::{NewState, OffsetRun, StateKind},
@@ -19,7 +19,7 @@ fn map() -> LiveMap {
     }))
 }
 
-/// So many observations of one state, the first of them at this time.
+/// `count` observations of one state, the first of them at this time.
 fn observations(first: i64, count: usize) -> Observations {
     Observations {
         producer: ProducerId(0),
@@ -43,7 +43,7 @@ fn observations(first: i64, count: usize) -> Observations {
     }
 }
 
-/// What is heard next: how many were told before, and the times.
+/// The next piece: the number of observations before it, and its times.
 fn heard(listening: &mut FeedReceiver) -> Result<(u64, Vec<i64>), TryRecvError> {
     match &*listening.try_recv()? {
         FeedMessage::Applied(piece) => Ok((piece.before, piece.times_nanos.clone())),
@@ -61,7 +61,7 @@ fn observations_are_told_in_their_order_once_they_are_public() {
     assert_eq!(heard(&mut listening), Err(TryRecvError::Empty));
     watchers.tell(&view);
     assert_eq!(heard(&mut listening), Ok((0, vec![10, 11, 20])));
-    // Whoever comes later hears what comes later.
+    // A later watcher gets later pieces.
     let (mut late, before) = watchers.listen();
     assert_eq!(before, 3);
     watchers.applied(&observations(0, PIECE + 1));

@@ -143,7 +143,7 @@ fn limits_are_errors_and_nothing_is_taken() {
 #[test]
 fn the_bytes_of_a_table_are_bounded() {
     let mut intake = intake();
-    // Too long to be valid, and kept all the same.
+    // Too long to be valid, but kept.
     let long = "x".repeat(TABLE_BYTES_LEAST / 2);
     for sequence in 1..=2 {
         let batch = intake.take(message(sequence, &[&long], &[0], &[0], &[0.0])).expect("fine").expect("new");
@@ -188,7 +188,7 @@ fn a_few_long_rays_are_much_work_and_end_parcels() {
     assert!(intake.begin_scans(clouds(3, &[30_000.0, 0.0, 0.0], 1)).expect("fine"));
     assert_eq!(intake.next_scans().expect("fine").expect("scans").scans.len(), 1);
     assert!(intake.next_scans().expect("fine").is_none());
-    // Each of these scans is more than half of what a batch may be.
+    // Each of these scans is more than half of the maximum of a batch.
     let points = [11_000.0, 0.0, 0.0].repeat(1000);
     assert!(intake.begin_scans(clouds(4, &points, 3)).expect("fine"));
     let lasts: Vec<u64> =
@@ -243,12 +243,12 @@ fn positions_are_taken_whole_or_refused_whole() {
     }
     assert_eq!(batch.content_crc, crc32c::crc32c(&bytes));
 
-    // What was taken before is skipped with its coordinates, and the names are known.
+    // What was taken before is skipped with its coordinates; its names are known.
     let mut again = message(4, &[], &[0, 0], &[4, 5], &[0.0; 2]);
     again.observations.as_mut().expect("there are some").coordinates = vec![0.25, f64::NAN, 3.0, 4.0];
     let batch = first.take(again).expect("fine").expect("new");
     assert_eq!(batch.positions, [(0, Position::of(&[3.0, 4.0]).expect("two"))]);
-    // Coordinates that are too few, too many, or of names that are no vectors, are nobody's.
+    // Too few coordinates, too many, or those of names that are not vectors.
     for wrong in [&coordinates[1..], &coordinates[..6], &[coordinates.as_slice(), &[0.0]].concat(), &[]] {
         let error = intake().take(sent(1, wrong)).expect_err("malformed");
         assert!(matches!(&error, IntakeError::Invalid(field) if field.field == "observations.coordinates"), "{error}");

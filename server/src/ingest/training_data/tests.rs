@@ -1,4 +1,4 @@
-//! The same readings, wherever they are.
+//! The same readings, from files or from memory.
 
 use std::path::Path;
 
@@ -15,12 +15,12 @@ fn spec() -> MapSpec {
     MapSpec::new(MapName::new("office").expect("valid"))
 }
 
-/// What six updates have folded in: two states, with equal times and some that came late.
+/// What six updates have learned: two states, with equal times and some late observations.
 fn pieces() -> Vec<Arc<HistoryPiece>> {
     let sample = |hour: i64, value: f64| Sample { utc_nanos: hour * HOUR, offset_secs: 0, value };
     let piece = |generation: u64| {
         let hour = 48 + 24 * generation as i64;
-        // Values tell the updates apart.
+        // Values identify the updates.
         let value = generation as f64 / 8.0;
         let always = vec![sample(hour, value), sample(hour, value + 0.01), sample(hour - 30, value + 0.02)];
         let mut states = vec![(StateId(1), always)];
@@ -37,7 +37,7 @@ fn pieces() -> Vec<Arc<HistoryPiece>> {
     (1..=6).map(piece).collect()
 }
 
-/// A store into whose history these pieces have been saved.
+/// A store whose history has these pieces.
 fn saved(folder: &Path, pieces: &[Arc<HistoryPiece>]) -> Store {
     let store = Store::open(folder, StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() });
     let store = store.expect("a store");
@@ -69,7 +69,7 @@ fn what_is_given_does_not_depend_on_what_was_saved() {
         for files in 0..=6 {
             let folder = tempfile::tempdir().expect("temporary folder");
             let history = saved(folder.path(), &pieces[..files]).history(MapId(1)).expect("known");
-            // What a save has written and the writer does not know yet is in both.
+            // What a save has written without the writer knowing is in both.
             for unsaved in files.saturating_sub(2)..=files {
                 let mut unsaved = pieces[unsaved..].to_vec();
                 unsaved.reverse();

@@ -84,7 +84,7 @@ pub(super) struct Appends {
     /// Memory of the scans in flight, and above which no more are taken.
     bytes: usize,
     bytes_max: usize,
-    /// RefusedObservation by the log because of an earlier failure that is not answered yet.
+    /// Refused by the log because of an earlier failure that is not answered yet.
     failed_behind: Vec<InFlight>,
     /// The failure, until everything in flight is answered.
     failure: Option<AppendError>,

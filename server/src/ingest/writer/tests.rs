@@ -143,7 +143,7 @@ async fn generation(handle: &MapHandle, generation: u64) {
     panic!("generation {} is not {generation}", handle.view().generation());
 }
 
-/// Waits until as many updates have ended, and says what started them, oldest first.
+/// Waits until `count` updates have ended; gives their causes, oldest first.
 async fn ended(bench: &Bench, count: usize) -> Vec<UpdateCause> {
     for _ in 0..600 {
         let jobs = bench.jobs.list();
@@ -164,7 +164,7 @@ async fn the_nightly_update_runs_once_at_the_local_midnight() {
     let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
     robot.observe(&handle, NOON - 90 * 24 * HOUR).await;
     robot.observe(&handle, NOON).await;
-    // 23:30 in London, 22:30 UTC: the day is not over, also not for what was imported from months ago.
+    // 23:30 in London, 22:30 UTC: the day is not over, even for observations of months ago.
     bench.clock.0.store(NOON + 11 * HOUR + HOUR / 2, Ordering::SeqCst);
     tokio::time::sleep(3 * TICK / 2).await;
     assert_eq!(bench.jobs.list().len(), 0);
@@ -213,7 +213,7 @@ async fn a_day_of_imported_data_closes_when_every_announcing_stream_has_passed_i
     let view = handle.view();
     assert_eq!(view.cut_nanos(), Some(day(1) - 12 * HOUR), "midnight between the days");
     assert_eq!(view.pending(), 2);
-    // One of them ends on purpose: the other goes on alone.
+    // One of them ends on purpose: the other continues alone.
     assert!(handle.send(Command::HandOver { session: b.opened.session, what: Handover::End { clean: true } }));
     a.observe(&handle, day(2)).await;
     assert_eq!(ended(&bench, 2).await.len(), 2);
@@ -260,7 +260,7 @@ async fn the_last_midnight_of_an_import_counts_although_its_stream_ends_at_once(
         let mut robot = hello(&handle, &format!("r{round}"), 0, true).await.expect("accepted");
         let day = |day: i64| NOON - 300 * 24 * HOUR + (10 * round + day) * 24 * HOUR;
         send(&handle, &mut robot, vec![day(0), day(1)]);
-        // On its way into the log before the update that the first batch makes due, and passes another midnight.
+        // In flight before the update that the first batch makes due, and passes another midnight.
         std::thread::sleep(Duration::from_micros(100));
         send(&handle, &mut robot, vec![day(2)]);
         loop {
@@ -320,7 +320,7 @@ async fn an_append_that_is_refused_at_once_does_not_take_the_answer_of_another()
     a.observe(&handle, NOON).await;
     b.observe(&handle, NOON).await;
     send(&handle, &mut a, vec![NOON + 7_000]);
-    // The log refuses a negative time, which intake never lets through, before the event joins its queue.
+    // The log refuses a negative time, which intake never passes, before the event joins its queue.
     send(&handle, &mut b, vec![-1]);
     assert_eq!(a.events.recv().await, Some(SessionEvent::Ack { durable_sequence: 2, refused: Vec::new() }));
     assert!(matches!(b.events.recv().await, Some(SessionEvent::End(Ending::Storage(_)))));
@@ -353,7 +353,7 @@ async fn observations_ahead_of_the_clock_make_no_update_due_and_are_taken_in_the
     let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
     send(&handle, &mut robot, (0..1001).map(|i| NOON + HOUR + i).collect());
     assert_eq!(robot.events.recv().await, Some(SessionEvent::Ack { durable_sequence: 1001, refused: Vec::new() }));
-    // More of them are refused; what is not ahead is taken.
+    // More of them are refused; observations that are not in the future are taken.
     send(&handle, &mut robot, vec![NOON + HOUR, NOON]);
     let Some(SessionEvent::Ack { durable_sequence: 1003, refused }) = robot.events.recv().await else {
         panic!("an acknowledgement");

@@ -1,4 +1,4 @@
-//! Questions to a daemon's maps, from the request to the replies, on a real store.
+//! Requests to a daemon's maps and their replies, on a real store.
 
 use std::path::Path;
 
@@ -48,7 +48,7 @@ const NOON: i64 = 1_467_370_800_000_000_000;
 const LIMITS: IntakeLimits =
     IntakeLimits { batch: 4096, table: 10, scans: ScanLimits { batch_scans: 4096, points: 5000, tiles: 5000 } };
 
-/// A daemon's maps and what asks them.
+/// A daemon's maps and the service that queries them.
 struct Bench {
     queries: Queries,
     handle: Arc<MapHandle>,
@@ -106,7 +106,7 @@ impl Bench {
         self.queries.catalog.context()
     }
 
-    /// Folds in everything.
+    /// Learns everything.
     async fn update(&self) {
         let job = self.context().jobs.create(self.handle.spec.name.clone(), UpdateCause::Request, 0);
         let mut status = job.watch();
@@ -174,7 +174,7 @@ impl Bench {
     }
 }
 
-/// What a scan shows.
+/// The tiles of a scan.
 type Shown = Vec<(TileIndex, TileMasks)>;
 
 struct Robot {
@@ -259,8 +259,8 @@ fn cells(cells: &[u16]) -> Mask {
     mask
 }
 
-/// What a scan a minute shows of cells 0 to 3 of the first tile: cell 1 is occupied, cell 2 every other hour, and cell
-/// 3 is seen every fifth minute.
+/// Scans every minute of cells 0 to 3 of the first tile: cell 1 is occupied, cell 2 every other hour, and cell 3 is
+/// seen every fifth minute.
 fn minutes(count: usize) -> Vec<(i64, Shown)> {
     let at = |minute: usize| {
         let observed = if minute.is_multiple_of(5) { cells(&[0, 1, 2, 3]) } else { cells(&[0, 1, 2]) };

@@ -1,17 +1,17 @@
-//! A writer that the test drives by hand: what it takes, what waits, and what becomes of that.
+//! A writer that the test drives by hand: what it takes, and what waits.
 
 use super::{
     scans::{Scanner, grid, masks, picture, scanner, tile},
     *,
 };
 
-/// A writer that does what it is told, command by command.
+/// A writer that executes command by command.
 pub(super) struct Bare {
     pub(super) bench: Bench,
     pub(super) writer: Writer,
     pub(super) inbox: mpsc::Receiver<Command>,
     pub(super) handle: Arc<MapHandle>,
-    /// Answers of the log that are kept from the writer.
+    /// Answers of the log that the writer has not got.
     kept: Vec<Command>,
 }
 
@@ -26,7 +26,7 @@ pub(super) fn bare(dir: &Path, now: i64, grid: Option<GridSpec>) -> Bare {
 }
 
 impl Bare {
-    /// Does what has come in, but for what the log answers.
+    /// Executes the received commands, except the answers of the log.
     pub(super) fn take_in(&mut self) {
         for command in self.inbox.try_iter().collect::<Vec<_>>() {
             match command {
@@ -36,7 +36,7 @@ impl Bare {
         }
     }
 
-    /// Goes on until something holds.
+    /// Continues until a condition holds.
     pub(super) fn go_on(&mut self, until: impl Fn(&Writer) -> bool) {
         for command in std::mem::take(&mut self.kept) {
             self.writer.handle(command);
@@ -70,7 +70,7 @@ impl Bare {
         self.answered(hello(&handle, name, 0, false)).await.expect("accepted")
     }
 
-    /// Sends observations and has them handed to the log, or kept.
+    /// Sends observations, which go to the log or to the backlog.
     pub(super) fn observe(&mut self, robot: &mut Robot, times: Vec<i64>) {
         send(&self.handle, robot, times);
         self.take_in();
@@ -86,7 +86,7 @@ async fn scans_wait_while_those_on_their_way_take_too_much_memory() {
     let (mut a, mut b) = (bare.scanner("a").await, bare.scanner("b").await);
     let all: Vec<u16> = (0..512).collect();
     for i in 0..20 {
-        // Each scan is the same to its stream, and another to the map.
+        // Each scan is the same to its stream, but a change to the map.
         a.send(&bare.handle, &[(NOON - HOUR + i, vec![(tile(0), masks(&all, &all))])]);
         b.send(&bare.handle, &[(NOON - HOUR + i, vec![(tile(0), masks(&[1], &[]))])]);
         bare.take_in();

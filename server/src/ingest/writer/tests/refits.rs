@@ -1,4 +1,4 @@
-//! Models of every kind: fitted at the nightly update, and the same when the update is run again.
+//! Models of every kind: fitted at the nightly update, and the same when the update is repeated.
 
 use std::{fs, path::PathBuf};
 
@@ -10,7 +10,7 @@ use super::*;
 const DAY: i64 = 24 * HOUR;
 pub(super) const DAYS: i64 = 24;
 
-/// Open by day, an hour of each day at random; every half hour.
+/// Open by day, random during an hour of each day; every half hour.
 fn day(day: i64) -> (Vec<i64>, Vec<f64>) {
     let value = |slot: i64| f64::from(u8::from((16..36).contains(&slot) && (slot * 31 + day * 17) % 13 != 5));
     let start = NOON - 12 * HOUR - (DAYS - day) * DAY;
@@ -23,7 +23,7 @@ pub(super) async fn update(bench: &Bench, handle: &MapHandle, count: usize) {
     ended(bench, count).await;
 }
 
-/// Fills a data folder with a map that was updated after each of many days, in two runs of a daemon. Gives what was
+/// Fills a data folder with a map that was updated after each of many days, in two runs of a daemon. Gives what it
 /// learned.
 pub(super) async fn learn(dir: &Path, retention: Retention) -> StateModel {
     let mut learned = None;
@@ -114,7 +114,7 @@ async fn updates_that_are_run_again_fit_the_same_models() {
 
         let bench = super::bench(&again, NOON);
         let handle = bench.catalog.get("office").expect("the map");
-        // The last update is run again beside what is served.
+        // The last update is repeated beside the served map.
         generation(&handle, DAYS as u64).await;
         assert_eq!(model(&handle), expected, "{name}");
         bench.catalog.stop().await;
@@ -143,7 +143,7 @@ async fn an_update_that_makes_room_fits_nothing() {
     assert_eq!(learned.accumulator().observations(), 9 * 48);
     let calibrated = FitKind::Calibrated;
     assert!(learned.is_fit_due(calibrated) && learned.alternatives().expect("learned").fit(calibrated).is_none());
-    // The next of another cause does.
+    // The next update, of another cause, fits them.
     robot.observe(&handle, NOON - (DAYS - 9) * DAY).await;
     update(&bench, &handle, 10).await;
     let learned = model(&handle);

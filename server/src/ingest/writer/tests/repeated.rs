@@ -1,5 +1,5 @@
-//! An update that was cut off: repeated beside a map that is served from the generation before, and the same in the
-//! end.
+//! An update that was cut off: repeated beside the map, which is served from the generation before, with the same
+//! result.
 
 use std::{fs, sync::mpsc};
 
@@ -8,17 +8,17 @@ use super::{
     *,
 };
 
-/// After all that is observed.
+/// After all observations.
 const NOW: i64 = NOON + 9 * 24 * HOUR;
 
-/// Keeps the only thread of updates busy until what it gives is dropped.
+/// Keeps the only update thread busy until the result is dropped.
 fn keep_busy(context: &Context) -> mpsc::Sender<()> {
     let (release, released) = mpsc::channel();
     context.update_pool.spawn(move || _ = released.recv());
     release
 }
 
-/// A data folder as a kill leaves it in the map's last update: without the checkpoint and the history of that.
+/// A data folder after a kill during the map's last update: without its checkpoint and history.
 fn cut_off(from: &Path, to: &Path) {
     copy(&from.join("maps"), &to.join("maps"));
     fs::copy(from.join("MANIFEST"), to.join("MANIFEST")).expect("copied");
@@ -55,7 +55,7 @@ async fn the_map_is_served_from_the_generation_before_while_its_update_is_repeat
         let mut busy = None;
         let bench = bench_with(&killed, NOW, |context| busy = Some(keep_busy(context)));
         let handle = bench.catalog.get("office").expect("the map");
-        // What was learned before is there, and what came since counts.
+        // What was learned before is there, and newer observations count.
         let view = handle.view();
         assert_eq!((view.generation(), view.observations()), (last, observed + life - 1));
         assert_eq!(model(&handle), before);
@@ -64,7 +64,7 @@ async fn the_map_is_served_from_the_generation_before_while_its_update_is_repeat
         robot.observe(&handle, NOON + 8 * 24 * HOUR + life as i64).await;
         let view = handle.view();
         assert_eq!((view.generation(), view.observations(), view.pending()), (last, observed + life, 8 * 48 + life));
-        // As another kill would leave it.
+        // As after another kill.
         let from = std::mem::replace(&mut killed, dir.path().join(format!("killed {life}")));
         copy(&from.join("maps"), &killed.join("maps"));
         fs::copy(whole.join("MANIFEST"), killed.join("MANIFEST")).expect("copied");

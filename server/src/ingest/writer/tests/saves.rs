@@ -7,7 +7,7 @@ use tidemap_map::event::Event;
 use super::{backlog::bare, *};
 use crate::ingest::update_schedule::DueUpdate;
 
-/// What an update of an empty map leaves to be saved.
+/// The unsaved snapshot of an update of an empty map.
 pub(in super::super) fn snapshot() -> MapSnapshot {
     let mut map = LiveMap::new(Arc::new(spec_with(None)));
     let start = map.plan_update(None, NOON, UpdateCause::Request);
@@ -27,13 +27,13 @@ async fn a_save_that_has_failed_waits_and_holds_no_update_up() {
     writer.saves.set_history_bytes(usize::MAX);
     writer.saved(Err(("the disk is full".to_owned(), snapshot())));
     assert_eq!(writer.saves.history_bytes(), 0, "counted anew");
-    // However much there is to be saved.
+    // However much is unsaved.
     writer.saves.set_history_bytes(usize::MAX);
     assert!(!writer.is_save_due() && writer.saves.has_unsaved());
     writer.pump();
     assert!(!writer.saves.is_saving());
     assert!(*writer.saturated.borrow(), "streams wait while history cannot be saved");
-    // As if its time had come: an update goes first all the same, and what is unsaved is kept until it starts.
+    // As if the retry were due: an update still goes first, and the unsaved snapshot is kept until it starts.
     writer.saves.forget_last_save();
     assert!(writer.is_save_due());
     let job = bare.bench.jobs.create(bare.handle.spec.name.clone(), UpdateCause::Request, NOON);

@@ -1,4 +1,4 @@
-//! States that are added before anything is observed of them, and what a state's kind does to what is sent of it.
+//! States that are added before anything is observed of them, and the effect of a state's kind on its observations.
 
 use tidemap_map::{
     event::{Dimensions, Position, StateKind, StateShape},
@@ -15,7 +15,7 @@ async fn add(handle: &MapHandle, name: &str, kind: StateKind) -> Result<(), AddS
     answer.await.expect("an answer")
 }
 
-/// Sends these of the stream's only state and gives what was refused.
+/// Sends these values of the stream's only state; gives the refusals.
 async fn send(
     handle: &MapHandle,
     robot: &mut Robot,
@@ -54,7 +54,7 @@ async fn a_state_that_was_added_is_shown_and_survives_a_restart() {
     {
         let bench = bench(dir.path(), NOON);
         let handle = create(&bench).await;
-        // Two who want the same at the same time.
+        // Two requests for the same state at once.
         let (one, two) =
             tokio::join!(add(&handle, "speed", StateKind::Continuous), add(&handle, "speed", StateKind::Continuous));
         assert_eq!((one, two), (Ok(()), Ok(())));
@@ -122,7 +122,7 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
         Some(NewName { name: StateName::new(name).expect("valid"), shape: Some(StateShape::Vector(dimensions)) })
     };
     let position = |coordinates: &[f64]| Position::of(coordinates).expect("2 or 3");
-    // The last one finds no room for three states: ten there may be.
+    // The last one needs three states, and the limit is ten.
     let mut names = vec![vector("anna", Dimensions::Two), Some(StateName::new("door").expect("valid").into())];
     names.extend(["a", "b", "c"].map(|name| vector(name, Dimensions::Three)));
     let batch = ObservationBatch {

@@ -1,4 +1,4 @@
-//! Traversals of edges: what they make of a map, what is refused, what a restart leaves, and what waits.
+//! Traversals of edges: their observations, refusals, a restart, and waiting for edits.
 
 use tidemap_map::{
     event::StateKind,
@@ -58,7 +58,7 @@ fn send(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) {
     assert!(handle.send(command));
 }
 
-/// Sends and waits for what is refused.
+/// Sends, and waits for the refusals.
 async fn refused(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) -> Vec<(u64, RefusalReason)> {
     send(handle, robot, traversals);
     match robot.events.recv().await {
@@ -92,7 +92,7 @@ async fn they_become_states_of_their_edges_and_survive_a_restart() {
         let swift = Traversal { end_nanos: NOON + 1, ..trip("x", NOON, true) };
         let trips = vec![trip("", NOON, true), back, trip("x", NOON - 9 * SEC, false), trip("x", NOON, true), swift];
         let refused = refused(&handle, &mut robot, trips).await;
-        // 3 s of nominal time in a nanosecond is a pace of 3e9, which is a number all the same.
+        // 3 s of nominal time in a nanosecond is a pace of 3e9, which is a valid number.
         assert_eq!(refused, [(2, RefusalReason::Edge)]);
         let (probability, continuous) = (StateKind::Probability, StateKind::Continuous);
         let expected = [
@@ -148,7 +148,7 @@ async fn a_changed_length_changes_what_comes_and_not_what_was_learned() {
     assert_eq!(latest(&handle, "speed/Hall/x"), Some(1.5));
     assert_eq!(refused(&handle, &mut robot, vec![trip("", NOON + 9 * SEC, true)]).await, []);
     assert_eq!(latest(&handle, "speed/Hall/x"), Some(0.5));
-    // Without a length it is another state, of another unit.
+    // Without a length it is another state, with another unit.
     edit(&handle, TopologyEdit::SetExtent(NewEdge { ends: ends(None), extent: Extent::secs(8.0) })).await;
     assert_eq!(refused(&handle, &mut robot, vec![trip("", NOON + 18 * SEC, true)]).await, []);
     assert_eq!((latest(&handle, "speed/Hall/x"), latest(&handle, "pace/Hall/x")), (Some(0.5), Some(2.0)));

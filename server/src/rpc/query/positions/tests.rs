@@ -1,4 +1,4 @@
-//! Regions and cells as they are asked for.
+//! Regions and cells of requests.
 
 use super::*;
 

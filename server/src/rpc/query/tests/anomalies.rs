@@ -1,4 +1,4 @@
-//! What was not expected: looked back at, and told as it comes.
+//! Unexpected observations: found in the past, and reported as they arrive.
 
 use tidemap_map::{
     event::StateKind,
@@ -15,7 +15,7 @@ const HOUR: i64 = 60 * MINUTE;
 type Rows = Vec<(i64, f64, f64)>;
 type Watching = ReceiverStream<Result<v1::WatchAnomaliesResponse, Status>>;
 
-/// A reading every twenty minutes, 1 in the first half of each twelve hours, and otherwise now and then.
+/// A reading every twenty minutes: 1 in the first half of each twelve hours, with exceptions.
 fn door(count: i64) -> Vec<(i64, f64)> {
     let value = |i: i64| f64::from(u8::from((i % 36 < 18) != (i % 61 == 7)));
     (0..count).map(|i| (NOON + i * 20 * MINUTE, value(i))).collect()
@@ -47,7 +47,7 @@ impl Bench {
         Ok(self.queries.watch_anomalies(Request::new(request)).await?.into_inner())
     }
 
-    /// The anomalies among what is kept, by way of predictions.
+    /// The anomalies among the kept observations, computed from predictions.
     async fn naive(&self, state: &str, range: (i64, i64), confidence: f64, kind: ModelKind) -> Rows {
         let readings = self.past(state, range.0, range.1).await.expect("kept");
         let times: Vec<i64> = readings.iter().map(|(time, _)| *time).collect();
@@ -72,7 +72,7 @@ async fn anomalies_are_the_readings_that_predictions_of_their_times_contradict()
     robot.observe(&bench, &readings[..5500]).await;
     bench.robot("s").await.show(&bench, &minutes(1000)).await;
     bench.update().await;
-    // Some that no update has taken: they are judged, too.
+    // Some are pending: they are judged, too.
     robot.observe(&bench, &readings[5500..]).await;
     let all = (NOON, NOON + 6000 * 20 * MINUTE);
     let part = (NOON + 777 * 20 * MINUTE, NOON + 5800 * 20 * MINUTE);
@@ -149,7 +149,7 @@ async fn what_cannot_be_judged_is_refused() {
     check_refused(bench.watch(request).await.map(drop), invalid, &["confidence"]);
 }
 
-/// A map whose door has always been open, and the robot that knows.
+/// A map whose door has always been open, and its robot.
 async fn always_open(dir: &Path) -> (Bench, Robot) {
     let bench = Bench::new(dir, Retention::Forever, None).await;
     let mut robot = bench.robot("r").await;
@@ -176,7 +176,7 @@ async fn a_watcher_hears_of_what_is_not_expected_as_soon_as_it_is_durable() {
     let only =
         v1::WatchAnomaliesRequest { states: vec!["door".to_owned()], confidence: Some(1.0), ..Default::default() };
     let mut only = bench.watch(only).await.expect("accepted");
-    // In the order in which they come; the last one's time is decades ahead of the clock, and it waits to be learned.
+    // In the order of arrival; the last one's time is decades ahead of the clock, and it waits to be learned.
     let ahead = NOON + 100 * 365 * 24 * HOUR;
     robot.observe(&bench, &[(LATER + 1, 1.0), (LATER, 0.0), (LATER - HOUR, 0.4), (LATER, 0.5), (ahead, 0.0)]).await;
     let expected: Vec<_> = [(LATER, 0.0), (LATER - HOUR, 0.4), (ahead, 0.0)]
@@ -187,7 +187,7 @@ async fn a_watcher_hears_of_what_is_not_expected_as_soon_as_it_is_durable() {
         assert_eq!(reply.missed_observations, 0);
         assert_eq!(rows(reply), expected);
     }
-    // A door of which nothing is known is never a surprise; what is told next is the other one.
+    // An untrained door is never a surprise; the next anomaly is of the other door.
     drop(only);
     let mut other = bench.robot("other").await;
     other.observe(&bench, &[(LATER, 0.0)]).await;
@@ -219,7 +219,7 @@ async fn each_observation_is_judged_by_the_models_in_force_when_it_comes() {
         bench.update().await;
     }
     assert!(told[0] == 1.0 && told[1] < told[0] && told[2] < told[1], "each update has learned of one: {told:?}");
-    // Who reads later is told the same.
+    // A slow reader gets the same.
     for (round, in_force) in (0..3).zip(told) {
         let reply = late.next().await.expect("a reply").expect("well");
         assert_eq!(rows(reply), [("door".to_owned(), LATER + round, 0.0, in_force)]);
@@ -249,7 +249,7 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
             bench.handle.send(Command::HandOver { session, what: Handover::Observations(batch, [permit(), permit()]) })
         );
     };
-    // Of what is not known yet nothing is a surprise.
+    // An untrained state has no anomalies.
     let usual: Vec<(i64, f64)> = (0..400).map(|i| (NOON + i * HOUR, f64::from((i % 3) as u8) + 3.0)).collect();
     batch(1, &usual, vec![Some(NewName { name: people, shape: Some(StateKind::Count.into()) })]);
     counter.sent = 400;
@@ -266,7 +266,7 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
     counter.sent = 404;
     counter.settled().await;
     robot.observe(&bench, &[(LATER, 0.0)]).await;
-    // Four is usual, with the variance of counts: none at all is not as far out as forty.
+    // Four is usual, with the variance of counts: 0 is less extreme than 40.
     let told = rows(watched.next().await.expect("a reply").expect("well"));
     assert_eq!(told.len(), 1, "{told:?}");
     let (state, time, value, tail) = told[0].clone();
@@ -277,7 +277,7 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
         both.extend(rows(all.next().await.expect("a reply").expect("well")));
     }
     assert_eq!(both, [told[0].clone(), ("door".to_owned(), LATER, 0.0, 1.0)]);
-    // Looked back at it is the same, as long as no update has learned of it.
+    // The past gives the same, until an update has learned it.
     let found = bench.find(about("people", (0, i64::MAX))).await.expect("kept");
     assert_eq!(found, [(at + 1, 40.0, tail)]);
     let lenient = v1::FindAnomaliesRequest { confidence: Some(0.9), ..about("people", (0, i64::MAX)) };
@@ -294,7 +294,7 @@ async fn a_watch_ends_with_its_map_and_its_place_is_free_again() {
     let mut second = bench.watch(request()).await.expect("accepted");
     let words = ["watches: 3 is more than the 2", "max_watches"];
     check_refused(bench.watch(request()).await.map(drop), Code::ResourceExhausted, &words);
-    // One leaves without a word, and nothing has come meanwhile.
+    // One leaves silently, and nothing has arrived meanwhile.
     drop(first);
     let mut third = loop {
         match bench.watch(request()).await {
@@ -317,7 +317,7 @@ async fn one_who_does_not_read_holds_nobody_up_and_is_told_how_much_was_missed()
     let mut slow = bench.watch(v1::WatchAnomaliesRequest::default()).await.expect("accepted");
     let count = 200;
     for i in 0..count {
-        // Acknowledged, each for itself, whether anybody reads or not.
+        // Acknowledged one by one, whether anybody reads or not.
         robot.observe(&bench, &[(LATER + i, 0.0), (LATER + i, 1.0)]).await;
     }
     let (mut told, mut missed) = (Vec::new(), 0);
@@ -328,7 +328,7 @@ async fn one_who_does_not_read_holds_nobody_up_and_is_told_how_much_was_missed()
     }
     assert!(missed > 0 && told.len() > 60 && told.is_sorted(), "{missed} missed, {told:?}");
     assert!(told.starts_with(&[0, 1, 2]) && told.ends_with(&[count - 1]), "the oldest are lost: {told:?}");
-    // From now on it reads.
+    // It reads from now on.
     robot.observe(&bench, &[(LATER, 0.0)]).await;
     let reply = slow.next().await.expect("a reply").expect("well");
     assert_eq!((reply.missed_observations, rows(reply).len()), (0, 1));

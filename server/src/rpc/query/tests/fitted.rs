@@ -1,4 +1,4 @@
-//! Models that are fitted when they are asked for: to what, by whom, and where there are none.
+//! Models that are fitted on request: to which readings, shared by whom, and errors.
 
 use tidemap_map::selector::ModelKind;
 use tidemap_model::{
@@ -11,7 +11,7 @@ use super::*;
 
 const HOUR: i64 = 60 * MINUTE;
 const HISTOGRAM: ModelKind = ModelKind::Histogram { cycle: HistogramCycle::Day, bins: 24 };
-/// Those that need readings and are models of probabilities.
+/// Models of probabilities that need readings.
 const KINDS: [ModelKind; 7] = [
     ModelKind::Persistence,
     HISTOGRAM,
@@ -39,7 +39,7 @@ impl Bench {
     }
 }
 
-/// What a model expects that was fitted to these readings alone.
+/// The predictions of a model that was fitted to these readings alone.
 fn expected(bench: &Bench, readings: &[(i64, f64)], times: &[i64]) -> [Vec<f64>; 2] {
     let view = bench.handle.view();
     let mut make = view.sample_maker();
@@ -63,14 +63,13 @@ async fn a_model_is_fitted_to_what_updates_have_folded_in_wherever_that_is() {
         let known = door(0..hours.start);
         robot.observe(&bench, &door(hours.clone())).await;
         if part > 0 {
-            // What is pending makes no difference.
+            // Pending observations make no difference.
             let models = [bench.ask(HISTOGRAM, &times).await, bench.ask(ModelKind::Calibrated, &times).await];
             let found = models.map(|found| found.expect("an answer"));
             assert_eq!(found, expected(&bench, &known, &times), "after {} hours", hours.start);
             before = found.to_vec();
         }
-        // PastQuery just before, while or just after the update folds the rest in: one or the other, and nothing
-        // between.
+        // Asked just before, during or just after the update learns the rest: one or the other, never a mixture.
         let (found, ()) = tokio::join!(bench.ask(HISTOGRAM, &times), bench.update());
         let after = expected(&bench, &door(0..hours.end), &times);
         let found = found.expect("an answer");
@@ -78,7 +77,7 @@ async fn a_model_is_fitted_to_what_updates_have_folded_in_wherever_that_is() {
         assert!(unlearned || before.first() == Some(&found) || found == after[0], "{found:?}");
         assert_ne!(before, after.to_vec());
         if part == 1 {
-            // From files from now on, and still to the last bit.
+            // From files from now on, and equal to the last bit.
             bench = bench.again(dir.path()).await;
             robot = bench.robot("r2").await;
             let models = [bench.ask(HISTOGRAM, &times).await, bench.ask(ModelKind::Calibrated, &times).await];
@@ -151,7 +150,7 @@ async fn what_a_model_cannot_be_fitted_to_is_said() {
             let model = wire(kind, false);
             let of_grid = bench.grid(v1::PredictGridRequest { model, ..Default::default() }).await;
             check_refused(of_grid, Code::InvalidArgument, &words);
-            // The first name is a state without history; but the request as a whole makes no sense.
+            // The first name is a state without history, but the request as a whole is invalid.
             check_refused(of_cell, Code::InvalidArgument, &words);
         }
     }

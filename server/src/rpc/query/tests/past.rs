@@ -1,8 +1,8 @@
-//! What was observed, wherever it is kept.
+//! The observations of the past, wherever they are kept.
 
 use super::*;
 
-/// What `minutes` shows of a cell.
+/// The scans of `minutes` of a cell.
 fn expected(count: usize, cell: u16) -> Vec<(i64, f64)> {
     let seen = minutes(count).into_iter().filter(|(_, shown)| shown[0].1.observed().contains(cell));
     seen.map(|(time, shown)| (time, f64::from(u8::from(shown[0].1.occupied().contains(cell))))).collect()
@@ -26,7 +26,7 @@ async fn what_was_observed_is_told_wherever_it_is() {
     let (door, scans) = (door(4000), minutes(4000));
     let mut robot = bench.robot("r").await;
     let mut scanner = bench.robot("s").await;
-    // Some in the store, some that an update has and no save, some that no update has.
+    // Some in the store, some learned and not saved, some pending.
     for part in 0..4 {
         robot.observe(&bench, &door[part * 1000..(part + 1) * 1000]).await;
         scanner.show(&bench, &scans[part * 1000..(part + 1) * 1000]).await;
@@ -38,7 +38,7 @@ async fn what_was_observed_is_told_wherever_it_is() {
                 check(bench.past(&name, 0, i64::MAX).await, &expected(so_far, cell));
             }
             if part < 3 && !after_update {
-                // PastQuery while the update has what is asked for, or just before or after that.
+                // Asked while the update has the observations, or just before or after that.
                 let (past, ()) = tokio::join!(bench.past("door", 0, i64::MAX), bench.update());
                 check(past, &door[..so_far]);
             }

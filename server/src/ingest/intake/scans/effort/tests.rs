@@ -1,4 +1,4 @@
-//! Permits are bounded, and what rays cost is never told too low.
+//! The permits are bounded, and the cost of rays is never underestimated.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -41,7 +41,7 @@ fn what_rays_pass_is_bounded_by_their_ranges_and_the_extent() {
     let along = cells.of_content(&cloud(&[10.0, 10.0, 10.0], 0.0));
     assert!((61..80).contains(&along), "{along}");
     assert!(cells.of_content(&cloud(&[10.0, 10.0, 10.0], 1.0)) < 10);
-    // The limits of a part may be those of another.
+    // The limits of a part may be in another part.
     assert_eq!(cells.of_part(&cloud(&[10.0, 10.0, 10.0], 1.0)), along);
     assert_eq!(cells.of_content(&cloud(&[f32::NAN, 1.0, 1.0, f32::INFINITY, 0.0, 0.0], 0.0)), 0);
     assert_eq!(cells.of_content(&cloud(&[f32::MAX; 6], 0.0)), 2 * RAY_CELLS_MAX);
