@@ -8,7 +8,7 @@ use std::{hint::black_box, sync::Arc, sync::atomic::AtomicU64};
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use tidemap_map::{
     event::{Event, UpdateCause},
-    grid::{front::Front, index::TileId, spec::Retention},
+    grid::{index::TileId, log_head::LogHead, spec::Retention},
     live_map::LiveMap,
     selector::{ModelKind, ModelSelector},
     snapshot::MapSnapshot,
@@ -95,7 +95,7 @@ fn day(c: &mut Criterion) {
     let grid = empty.grid().expect("a grid");
     group.bench_function("front", |b| {
         b.iter_batched_ref(
-            || (Front::new(grid), Office::source()),
+            || (LogHead::new(grid), Office::source()),
             |(front, source)| {
                 for scan in &sent {
                     let _ = black_box(front.take(grid, 1, source, scan, 0, TILES));

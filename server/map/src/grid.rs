@@ -8,11 +8,11 @@
 
 pub mod day;
 mod fold;
-pub mod front;
 pub mod generation;
 pub mod index;
 pub mod live;
 pub mod live_tile;
+pub mod log_head;
 pub mod mask;
 pub mod outcome;
 pub mod paging;

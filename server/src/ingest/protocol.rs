@@ -8,8 +8,8 @@ use std::sync::Arc;
 use tidemap_map::{
     event::{Position, StateShape, UpdateCause},
     grid::{
-        front::SentScan,
         index::TileIndex,
+        log_head::StreamScan,
         paging::SavedTiles,
         sensors::{InvalidSensor, ProducerSensor},
         tile::TileSource,
@@ -155,7 +155,7 @@ pub(crate) struct CheckedScan {
     pub origin: ScanOrigin,
     /// Whether it is logged. Other scans are only remembered, because later ones refer to them.
     pub is_taken: bool,
-    pub scan: SentScan,
+    pub scan: StreamScan,
     /// Tiles added to the table before this scan.
     pub new_tiles: Vec<TileIndex>,
     /// Whether the table restarts before that.
@@ -165,7 +165,7 @@ pub(crate) struct CheckedScan {
 impl Default for CheckedScan {
     fn default() -> Self {
         let scan =
-            SentScan { utc_nanos: 0, seen: Arc::from([]), observed_flips: Vec::new(), occupied_flips: Vec::new() };
+            StreamScan { utc_nanos: 0, seen: Arc::from([]), observed_flips: Vec::new(), occupied_flips: Vec::new() };
         let origin = ScanOrigin::default();
         Self { sequence: 0, content_crc: 0, origin, is_taken: false, scan, new_tiles: Vec::new(), restarts: false }
     }

@@ -9,7 +9,7 @@ use tidemap_map::{
     MAX_AHEAD_NANOS,
     event::{Event, NewState, Observations, OffsetRun, Position, StateKind},
     grid::{
-        front::{Front, StreamTiles},
+        log_head::{LogHead, StreamTiles},
         sensors::ProducerSensor,
     },
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
@@ -172,7 +172,7 @@ pub(super) struct Sessions {
     broken: Vec<(ProducerKey, i64)>,
     offsets: OffsetCache,
     /// The map's tiles after everything in flight is applied; `None` until a scan comes.
-    front: Option<Front>,
+    front: Option<LogHead>,
     /// Tiles of scans in flight that wait because their time is in the future.
     tiles_ahead: u64,
     limits: SessionLimits,

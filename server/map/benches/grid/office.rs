@@ -8,8 +8,8 @@ use std::sync::Arc;
 use tidemap_map::{
     event::Event,
     grid::{
-        front::{Front, SentScan, StreamTiles},
         index::TileIndex,
+        log_head::{LogHead, StreamScan, StreamTiles},
         scan::Scans,
         spec::{GridSpec, Retention},
     },
@@ -66,7 +66,7 @@ impl Office {
     }
 
     /// The scans of a day. Each day begins and ends with all cells that change free.
-    pub fn day(&mut self, day: i64) -> Vec<SentScan> {
+    pub fn day(&mut self, day: i64) -> Vec<StreamScan> {
         let mut flips: Vec<Vec<u32>> = vec![Vec::new(); SCANS];
         for number in 0..CELLS {
             let cell = (number % TILES * 512 + (number / TILES) * 14) as u32;
@@ -96,13 +96,13 @@ impl Office {
             .map(|(scan, (mut occupied_flips, observed_flips))| {
                 occupied_flips.sort_unstable();
                 let utc_nanos = day * DAY_NANOS + scan as i64 * step + self.random(1_000_000_000) as i64;
-                SentScan { utc_nanos, seen: Arc::clone(&self.seen), observed_flips, occupied_flips }
+                StreamScan { utc_nanos, seen: Arc::clone(&self.seen), observed_flips, occupied_flips }
             })
             .collect()
     }
 
     /// Scans of some tiles, each of which loses sight of three cells of each tile, or sees them again.
-    pub fn flickering_day(&mut self, tiles: usize, scans: usize) -> Vec<SentScan> {
+    pub fn flickering_day(&mut self, tiles: usize, scans: usize) -> Vec<StreamScan> {
         let seen: Arc<[u32]> = (0..tiles as u32).collect();
         let step = DAY_NANOS / scans as i64;
         let scan = |scan: usize| {
@@ -110,14 +110,14 @@ impl Office {
                 (0..tiles * 3).map(|place| (place / 3 * 512 + place % 3 * 170 + self.random(170)) as u32).collect();
             cells.sort_unstable();
             let (utc_nanos, seen) = (scan as i64 * step + self.random(1_000_000_000) as i64, Arc::clone(&seen));
-            SentScan { utc_nanos, seen, observed_flips: cells, occupied_flips: Vec::new() }
+            StreamScan { utc_nanos, seen, observed_flips: cells, occupied_flips: Vec::new() }
         };
         (0..scans).map(scan).collect()
     }
 
     /// Scans of some tiles by a robot that comes by on its rounds, and each time sees what lies on one side of a plane of
     /// its own. The last scan of a day sees all.
-    pub fn patrol_day(&mut self, day: i64, tiles: usize, visits: usize, scans_per_visit: usize) -> Vec<SentScan> {
+    pub fn patrol_day(&mut self, day: i64, tiles: usize, visits: usize, scans_per_visit: usize) -> Vec<StreamScan> {
         let seen: Arc<[u32]> = (0..tiles as u32).collect();
         let mut shown = vec![day > 0; tiles * 512];
         let mut scans = Vec::new();
@@ -141,23 +141,28 @@ impl Office {
                 }
                 let since = (visit as i64 * 7200 + scan as i64 * 5) * 1_000_000_000;
                 let utc_nanos = day * DAY_NANOS + since + self.random(1_000_000_000) as i64;
-                scans.push(SentScan { utc_nanos, seen: Arc::clone(&seen), observed_flips, occupied_flips: Vec::new() });
+                scans.push(StreamScan {
+                    utc_nanos,
+                    seen: Arc::clone(&seen),
+                    observed_flips,
+                    occupied_flips: Vec::new(),
+                });
             }
         }
         scans
     }
 
     /// The events that they become; the map has them applied.
-    pub fn events(map: &mut LiveMap, sent: &[SentScan], batch: usize) -> Vec<Event> {
+    pub fn events(map: &mut LiveMap, sent: &[StreamScan], batch: usize) -> Vec<Event> {
         let key = ProducerKey::new("robot", "").expect("valid");
-        let mut front = Front::new(map.grid().expect("a grid"));
+        let mut front = LogHead::new(map.grid().expect("a grid"));
         let mut source = Office::source();
         let mut events = Vec::new();
         // What the stream showed on the day before.
         if map.position() > 0 {
             let all = (0..TILES as u32 * 512).collect();
             let seen = Arc::clone(&sent[0].seen);
-            source.skip(&SentScan { utc_nanos: 0, seen, observed_flips: all, occupied_flips: Vec::new() });
+            source.skip(&StreamScan { utc_nanos: 0, seen, observed_flips: all, occupied_flips: Vec::new() });
         }
         for scans in sent.chunks(batch) {
             let first_sequence = map.producer(&key).map_or(0, |(_, mark)| mark.durable_sequence) + 1;

@@ -5,8 +5,8 @@ use std::sync::{Arc, atomic::AtomicU64};
 use tidemap_map::{
     event::{Event, UpdateCause},
     grid::{
-        front::{Front, SentScan, StreamTiles},
         index::{CellBox, CellIndex, TileIndex},
+        log_head::{LogHead, StreamScan, StreamTiles},
         scan::Scans,
         spec::{GridSpec, Retention},
     },
@@ -44,7 +44,7 @@ fn apply(map: &mut LiveMap, event: &Event) -> Option<tidemap_map::update::Update
 /// occupied by day, some always.
 fn learned(grid: GridSpec) -> MapView {
     let mut map = LiveMap::new(map_spec(Some(grid)));
-    let mut front = Front::new(map.grid().unwrap());
+    let mut front = LogHead::new(map.grid().unwrap());
     let mut source = StreamTiles::default();
     source.push(TileIndex { x: 0, y: 0, z: 0 });
     source.push(TileIndex { x: 2, y: 1, z: 0 });
@@ -61,7 +61,7 @@ fn learned(grid: GridSpec) -> MapView {
         refused: Vec::new(),
     };
     for hour in 0..240_i64 {
-        let mut sent = SentScan {
+        let mut sent = StreamScan {
             utc_nanos: hour * HOUR,
             seen: Arc::from([0, 1]),
             observed_flips: Vec::new(),

@@ -4,7 +4,7 @@
 
 use std::{collections::HashMap, sync::Arc};
 
-use tidemap_map::grid::{front::SentScan, index::TileIndex, mask::TileMasks};
+use tidemap_map::grid::{index::TileIndex, log_head::StreamScan, mask::TileMasks};
 
 #[derive(Debug)]
 pub(super) struct CastTable {
@@ -17,7 +17,7 @@ pub(super) struct CastTable {
 /// A ray-cast scan for the writer.
 #[derive(Debug)]
 pub(super) struct CastScan {
-    pub scan: SentScan,
+    pub scan: StreamScan,
     /// Tiles that are new in the table.
     pub new_tiles: Vec<TileIndex>,
     /// Whether the table restarted before them.
@@ -59,7 +59,7 @@ impl CastTable {
         if !shown.iter().map(|(slot, _)| slot).eq(self.seen.iter()) {
             self.seen = shown.iter().map(|(slot, _)| *slot).collect();
         }
-        let scan = SentScan { utc_nanos, seen: Arc::clone(&self.seen), observed_flips, occupied_flips };
+        let scan = StreamScan { utc_nanos, seen: Arc::clone(&self.seen), observed_flips, occupied_flips };
         CastScan { scan, new_tiles, restarts }
     }
 }

@@ -7,8 +7,8 @@ use tidemap_map::{
     MAX_AHEAD_NANOS,
     event::Event,
     grid::{
-        front::{Front, FrontScan, StreamTiles},
         index::TileIndex,
+        log_head::{LogHead, ScanDelta, StreamTiles},
         scan::{LoggedScan, Scans},
     },
     ids::RefusalReason,
@@ -41,9 +41,9 @@ struct Portion {
 }
 
 impl Portion {
-    fn push(&mut self, taken: FrontScan, tiles_ahead: u64) {
+    fn push(&mut self, taken: ScanDelta, tiles_ahead: u64) {
         self.tiles_ahead += tiles_ahead;
-        let FrontScan { scan, new_tiles } = taken;
+        let ScanDelta { scan, new_tiles } = taken;
         self.flips += (scan.observed_flips.len() + scan.occupied_flips.len()) as u64;
         self.seen += scan.seen.as_ref().map_or(0, |seen| seen.len() as u64);
         self.new_tiles.extend(new_tiles);
@@ -127,7 +127,7 @@ impl Sessions {
         taken: CheckedScan,
         map: &LiveMap,
         now: i64,
-    ) -> Result<Option<(FrontScan, u64)>, RefusedObservation> {
+    ) -> Result<Option<(ScanDelta, u64)>, RefusedObservation> {
         let CheckedScan { sequence, origin, is_taken, scan, new_tiles, restarts, .. } = taken;
         let (source, stream) = match origin {
             ScanOrigin::Stream => (&mut session.shown, 2 * id.0),
@@ -154,7 +154,7 @@ impl Sessions {
             );
             return refuse(RefusalReason::Time, detail);
         }
-        let front = self.front.get_or_insert_with(|| Front::new(grid));
+        let front = self.front.get_or_insert_with(|| LogHead::new(grid));
         if scan.seen.len() > TILES_UNCOUNTED {
             let flips = front.flips_at_most(grid, stream, source, &scan);
             if flips > FLIPS_MAX {

@@ -24,12 +24,12 @@ use super::{
 };
 
 /// The flips of a scan, tile by tile.
-struct Flips<'a> {
+struct ScanFlips<'a> {
     observed: &'a [CellRef],
     occupied: &'a [CellRef],
 }
 
-impl Flips<'_> {
+impl ScanFlips<'_> {
     /// The next tile that has any.
     fn next_tile(&self) -> Option<TileId> {
         match (self.observed.first(), self.occupied.first()) {
@@ -121,7 +121,7 @@ impl LiveGrid {
         let seen = Arc::clone(&self.last_seen);
         self.scans += 1;
         let time = ScanTime { utc_nanos: scan.utc_nanos, offset_secs: scan.offset_secs, sensor };
-        let flips = Flips { observed: &scan.observed_flips, occupied: &scan.occupied_flips };
+        let flips = ScanFlips { observed: &scan.observed_flips, occupied: &scan.occupied_flips };
         if scan.utc_nanos > plausible {
             self.flip_arrivals(flips);
             let shown = seen.iter().filter_map(|&tile| Some((tile, self.arrival(tile)?)));
@@ -155,7 +155,7 @@ impl LiveGrid {
     }
 
     /// Brings the arrival masks of flipped tiles up to date.
-    fn flip_arrivals(&mut self, mut flips: Flips<'_>) {
+    fn flip_arrivals(&mut self, mut flips: ScanFlips<'_>) {
         while let Some(id) = flips.next_tile() {
             let arrival = self.arrival(id).unwrap_or_default();
             let (masks, _) = flips.flip(id, arrival);
@@ -168,7 +168,7 @@ impl LiveGrid {
 
     /// Takes in a scan of the same day, newer than the one before and with the same tiles: all that it does not flip show
     /// what they showed in that one. Gives by how many more cells are observed than in that one.
-    fn take_in_like(&mut self, day: LocalDay, time: ScanTime, seen: &Arc<[TileId]>, mut flips: Flips<'_>) -> i64 {
+    fn take_in_like(&mut self, day: LocalDay, time: ScanTime, seen: &Arc<[TileId]>, mut flips: ScanFlips<'_>) -> i64 {
         let run = self.run;
         let next = LikeScans { count: run.count + 1, newest_nanos: time.utc_nanos };
         let kept = Self::day_of(&mut self.days, day);

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use crate::{
     grid::{
-        front::{SentScan, StreamTiles},
         index::TileIndex,
+        log_head::{StreamScan, StreamTiles},
         mask::{Mask, TileMasks},
         sensors::ProducerSensor,
     },
@@ -107,7 +107,7 @@ impl Robot {
     }
 
     /// Says it as a stream does.
-    pub fn send(&mut self, seen: &Seen) -> SentScan {
+    pub fn send(&mut self, seen: &Seen) -> StreamScan {
         let mut tiles: Vec<(u32, TileMasks)> = Vec::new();
         for &(tile, masks) in &seen.tiles {
             let slot = self.table.iter().position(|known| *known == tile).unwrap_or_else(|| {
@@ -132,7 +132,7 @@ impl Robot {
             observed_flips.extend((shown.observed() ^ masks.observed()).cells().map(at));
             occupied_flips.extend((shown.occupied() ^ masks.occupied()).cells().map(at));
         }
-        SentScan { utc_nanos: seen.utc_nanos, seen: slots, observed_flips, occupied_flips }
+        StreamScan { utc_nanos: seen.utc_nanos, seen: slots, observed_flips, occupied_flips }
     }
 }
 

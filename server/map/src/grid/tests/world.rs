@@ -14,8 +14,8 @@ use super::{
 use crate::{
     event::{Event, UpdateCause},
     grid::{
-        front::{Front, TooManyTiles},
         live::LiveGrid,
+        log_head::{LogHead, TooManyTiles},
         scan::Scans,
         sensors::ProducerSensor,
         spec::{GridSpec, Retention, SensorNoise},
@@ -43,7 +43,7 @@ pub struct World {
     rng: u64,
     pub spec: Arc<MapSpec>,
     pub map: LiveMap,
-    front: Front,
+    front: LogHead,
     robots: Vec<Robot>,
     pub oracle: Oracle,
     pub scans: ScanOracle,
@@ -79,7 +79,7 @@ impl World {
         let mut rng = seed;
         let spec = Arc::new(spec(&mut rng));
         let map = LiveMap::new(Arc::clone(&spec));
-        let front = Front::new(map.grid().expect("a grid"));
+        let front = LogHead::new(map.grid().expect("a grid"));
         // A third of the worlds have the map's own sensor alone.
         let mut choice = !seed;
         let others = if random(&mut choice, 3) == 0 { 0 } else { SENSORS.len() };
@@ -291,7 +291,7 @@ impl World {
     }
 
     fn lose_front(&mut self) {
-        self.front = Front::new(self.map.grid().expect("a grid"));
+        self.front = LogHead::new(self.map.grid().expect("a grid"));
         self.robots.iter_mut().for_each(|robot| robot.source.forget_tiles());
     }
 }

@@ -16,16 +16,16 @@ fn source(tiles: &[TileIndex]) -> StreamTiles {
     source
 }
 
-fn scan(seen: &Arc<[u32]>, observed: &[u32], occupied: &[u32]) -> SentScan {
+fn scan(seen: &Arc<[u32]>, observed: &[u32], occupied: &[u32]) -> StreamScan {
     let (observed_flips, occupied_flips) = (observed.to_vec(), occupied.to_vec());
-    SentScan { utc_nanos: 1, seen: Arc::clone(seen), observed_flips, occupied_flips }
+    StreamScan { utc_nanos: 1, seen: Arc::clone(seen), observed_flips, occupied_flips }
 }
 
 #[test]
 fn a_tile_twice_in_a_table_is_one_tile_of_the_scan() {
     let map = empty();
     let grid = map.grid().expect("a grid");
-    let (mut front, mut source) = (Front::new(grid), source(&[TILE, TILE]));
+    let (mut front, mut source) = (LogHead::new(grid), source(&[TILE, TILE]));
     let both = Arc::from([0, 1]);
     // The second slot has the last word where both are said to differ.
     for (observed, expected) in [(&[0, 5, 512][..], &[0][..]), (&[519], &[7]), (&[512, 519, 520], &[0, 7, 8])] {
@@ -40,7 +40,7 @@ fn a_tile_twice_in_a_table_is_one_tile_of_the_scan() {
 fn flips_of_tiles_that_were_not_seen_are_not_handed_on() {
     let map = empty();
     let grid = map.grid().expect("a grid");
-    let (mut front, mut source) = (Front::new(grid), source(&[OTHER, TILE]));
+    let (mut front, mut source) = (LogHead::new(grid), source(&[OTHER, TILE]));
     let (both, one): (Arc<[u32]>, Arc<[u32]>) = (Arc::from([0, 1]), Arc::from([0]));
     front.take(grid, 1, &mut source, &scan(&both, &[3], &[]), 0, 9).expect("room");
     front.take(grid, 1, &mut source, &scan(&one, &[], &[]), 0, 9).expect("room");
@@ -55,7 +55,7 @@ fn flips_of_tiles_that_were_not_seen_are_not_handed_on() {
 fn too_many_tiles_leave_the_front_as_it_was() {
     let map = empty();
     let grid = map.grid().expect("a grid");
-    let (mut front, mut source) = (Front::new(grid), source(&[OTHER, TILE]));
+    let (mut front, mut source) = (LogHead::new(grid), source(&[OTHER, TILE]));
     let (both, one): (Arc<[u32]>, Arc<[u32]>) = (Arc::from([0, 1]), Arc::from([0]));
     assert_eq!(front.take(grid, 1, &mut source, &scan(&both, &[3, 600], &[3]), 0, 1), Err(TooManyTiles));
     let taken = front.take(grid, 1, &mut source, &scan(&one, &[], &[]), 0, 1).expect("room");

@@ -1,7 +1,7 @@
 //! Turning what streams send into what the log holds: one stream's view of its tiles into flips against the last scan of
 //! each tile in the order of the log.
 //!
-//! Invariant: `Front` shows the map as it will be when everything handed to the log so far is applied; after a failure
+//! Invariant: `LogHead` shows the map as it will be when everything handed to the log so far is applied; after a failure
 //! it is made anew from the map. A `StreamTiles` shows its tiles as its stream has sent them. No tile beyond the limits of
 //! indices gets into the log.
 
@@ -22,7 +22,7 @@ pub type SlotCell = u32;
 
 /// What a stream says of one scan.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SentScan {
+pub struct StreamScan {
     /// When it was made, nanoseconds UTC, at least 0.
     pub utc_nanos: i64,
     /// Slots of the tiles that were seen, ascending, none twice; shared by scans that saw the same.
@@ -36,7 +36,7 @@ pub struct SentScan {
 /// One stream's tiles: which they are, and what it last showed of them.
 #[derive(Debug, Default)]
 pub struct StreamTiles {
-    slots: Vec<Slot>,
+    slots: Vec<StreamTile>,
     seen: Option<SeenSlots>,
     /// Whether two of these slots are the same tile.
     has_twins: bool,
@@ -52,7 +52,7 @@ struct SeenSlots {
 }
 
 #[derive(Debug)]
-struct Slot {
+struct StreamTile {
     index: TileIndex,
     /// `None` until the map knows the tile.
     tile: Option<TileId>,
@@ -62,7 +62,7 @@ struct Slot {
 impl StreamTiles {
     /// Appends a tile to the stream's table.
     pub fn push(&mut self, index: TileIndex) {
-        self.slots.push(Slot { index, tile: None, masks: TileMasks::default() });
+        self.slots.push(StreamTile { index, tile: None, masks: TileMasks::default() });
     }
 
     /// Forgets which tiles of the map the slots are, because the map may not know them after all.
@@ -73,12 +73,12 @@ impl StreamTiles {
         self.seen = None;
     }
 
-    fn is_like_before(&self, scan: &SentScan) -> bool {
+    fn is_like_before(&self, scan: &StreamScan) -> bool {
         self.seen.as_ref().is_some_and(|seen| Arc::ptr_eq(&seen.slots, &scan.seen))
     }
 
     /// Takes in a scan that is refused: what follows refers to it all the same.
-    pub fn skip(&mut self, scan: &SentScan) {
+    pub fn skip(&mut self, scan: &StreamScan) {
         self.flip(&scan.observed_flips, |slot, cells| {
             let observed = slot.masks.observed().flipped(places(cells));
             slot.masks = TileMasks::clipped(observed, slot.masks.occupied());
@@ -90,8 +90,8 @@ impl StreamTiles {
         self.has_skipped = true;
     }
 
-    /// Flips bits of cells, slot by slot.
-    fn flip(&mut self, flips: &[SlotCell], flip: impl Fn(&mut Slot, &[SlotCell])) {
+    /// FlipLists bits of cells, slot by slot.
+    fn flip(&mut self, flips: &[SlotCell], flip: impl Fn(&mut StreamTile, &[SlotCell])) {
         for cells in flips.chunk_by(|one, next| slot_of(*one) == slot_of(*next)) {
             let slot = cells.first().and_then(|cell| self.slots.get_mut(slot_of(*cell)));
             if let Some(slot) = slot {
@@ -129,7 +129,7 @@ fn slot_of(cell: SlotCell) -> usize {
 
 /// A map's tiles, as they will be when everything handed to the log is applied.
 #[derive(Debug)]
-pub struct Front {
+pub struct LogHead {
     new_ids: HashMap<TileIndex, TileId>,
     tiles: usize,
     masks: Vec<TileMasks>,
@@ -139,7 +139,7 @@ pub struct Front {
 
 /// A scan for the log, and the tiles that are new with it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FrontScan {
+pub struct ScanDelta {
     /// The scan.
     pub scan: LoggedScan,
     /// Tiles that appear for the first time.
@@ -150,12 +150,12 @@ pub struct FrontScan {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyTiles;
 
-impl Front {
+impl LogHead {
     /// The front of a map into which nothing is on its way.
     #[must_use]
-    pub fn new(grid: &LiveGrid) -> Front {
+    pub fn new(grid: &LiveGrid) -> LogHead {
         let tiles = grid.tiles();
-        Front {
+        LogHead {
             new_ids: HashMap::new(),
             tiles,
             masks: grid.tiles.iter().map(|tile| tile.arrival).collect(),
@@ -174,10 +174,10 @@ impl Front {
         grid: &LiveGrid,
         stream: u64,
         source: &mut StreamTiles,
-        scan: &SentScan,
+        scan: &StreamScan,
         offset_secs: i32,
         max_tiles: usize,
-    ) -> Result<FrontScan, TooManyTiles> {
+    ) -> Result<ScanDelta, TooManyTiles> {
         let goes_on = self.goes_on(stream, source, scan);
         let is_like_before = source.is_like_before(scan);
         source.skip(scan);
@@ -193,7 +193,7 @@ impl Front {
         }
         let Some(seen) = &source.seen else { return Err(TooManyTiles) };
         let seen = Arc::clone(&seen.tiles);
-        let mut flips = Flips::default();
+        let mut flips = FlipLists::default();
         if goes_on {
             // All its tiles are as this stream showed them last.
             let (mut observed, mut occupied) = (&scan.observed_flips[..], &scan.occupied_flips[..]);
@@ -229,19 +229,19 @@ impl Front {
             observed_flips: flips.observed,
             occupied_flips: flips.occupied,
         };
-        Ok(FrontScan { scan, new_tiles })
+        Ok(ScanDelta { scan, new_tiles })
     }
 
     /// Whether a scan follows the one before it in the log, of the same stream and the same tiles: then all its tiles are as
     /// this stream showed them last.
-    fn goes_on(&self, stream: u64, source: &StreamTiles, scan: &SentScan) -> bool {
+    fn goes_on(&self, stream: u64, source: &StreamTiles, scan: &StreamScan) -> bool {
         source.is_like_before(scan) && !source.has_skipped && self.last_owner == stream
     }
 
     /// How many flips a scan of a stream would be in the log, those of tiles that are observed anew as a whole not
     /// counted; nothing is changed.
     #[must_use]
-    pub fn flips_at_most(&self, grid: &LiveGrid, stream: u64, source: &StreamTiles, scan: &SentScan) -> u64 {
+    pub fn flips_at_most(&self, grid: &LiveGrid, stream: u64, source: &StreamTiles, scan: &StreamScan) -> u64 {
         if self.goes_on(stream, source, scan) {
             return (scan.observed_flips.len() + scan.occupied_flips.len()) as u64;
         }
@@ -300,7 +300,7 @@ impl Front {
     }
 
     /// Shows one tile of a stream to the map.
-    fn show(&mut self, source: &StreamTiles, slot: u32, flips: &mut Flips) {
+    fn show(&mut self, source: &StreamTiles, slot: u32, flips: &mut FlipLists) {
         let Some(slot) = source.slots.get(slot as usize) else { return };
         let Some(tile) = slot.tile else { return };
         let index = tile.0 as usize;
@@ -318,7 +318,7 @@ impl Front {
 }
 
 #[derive(Default)]
-struct Flips {
+struct FlipLists {
     observed: Vec<CellRef>,
     occupied: Vec<CellRef>,
 }
@@ -344,12 +344,12 @@ mod limits {
     fn a_tile_beyond_the_limits_gets_no_id() {
         let map = LiveMap::new(Arc::new(spec(&mut 1)));
         let grid = map.grid().expect("a grid");
-        let (mut front, mut source) = (Front::new(grid), StreamTiles::default());
+        let (mut front, mut source) = (LogHead::new(grid), StreamTiles::default());
         let index = TileIndex { x: 1, y: 2, z: 3 };
         source.push(TileIndex { x: TILE_LIMIT, ..index });
         source.push(index);
         for places in [[3, 600], [4, 601]] {
-            let sent = SentScan {
+            let sent = StreamScan {
                 utc_nanos: 1,
                 seen: Arc::from([0, 1]),
                 observed_flips: places.to_vec(),
