@@ -11,7 +11,7 @@ use super::{
     day::GridDay,
     generation::Generation,
     index::{TileId, TileIndex},
-    live_tile::{LikeScans, LiveTile},
+    live_tile::{LiveTile, ScanRun},
     mask::TileMasks,
     sensors::{InvalidSensor, ProducerSensor, SensorId, Sensors},
     snapshot::{AheadScan, GridSnapshot},
@@ -64,7 +64,7 @@ pub struct LiveGrid {
     /// The tiles of the last scan in the log.
     pub(crate) last_seen: Arc<[TileId]>,
     previous: Option<Previous>,
-    pub(crate) run: LikeScans,
+    pub(crate) run: ScanRun,
     run_seen: Option<Arc<[TileId]>>,
     /// The sensor that made all its scans.
     run_sensor: SensorId,
@@ -95,7 +95,7 @@ impl LiveGrid {
             ids: Arc::default(),
             last_seen: Arc::from([]),
             previous: None,
-            run: LikeScans::default(),
+            run: ScanRun::default(),
             run_seen: None,
             run_sensor: SensorId::OWN,
             days: Vec::new(),

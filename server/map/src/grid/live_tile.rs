@@ -66,7 +66,7 @@ pub struct LiveTile {
 /// Scans that follow each other, each newer than the one before, that saw the same tiles with the same sensor: unchanged
 /// tiles need not be touched for them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LikeScans {
+pub struct ScanRun {
     pub(crate) count: u64,
     pub(crate) newest_nanos: i64,
 }
@@ -92,7 +92,7 @@ impl LiveTile {
     }
 
     /// Brings the tile up to the run's present.
-    pub(crate) fn settle(&mut self, run: LikeScans) {
+    pub(crate) fn settle(&mut self, run: ScanRun) {
         if let Some(joined) = self.joined.as_mut().filter(|joined| **joined < run.count) {
             self.scans += run.count - *joined;
             self.newest_nanos = run.newest_nanos;
@@ -102,7 +102,7 @@ impl LiveTile {
 
     /// The tile as it stands with the run's scans counted in.
     #[must_use]
-    pub(crate) fn settled(&self, run: LikeScans) -> (i64, u64) {
+    pub(crate) fn settled(&self, run: ScanRun) -> (i64, u64) {
         match self.joined {
             Some(joined) if joined < run.count => (run.newest_nanos, self.scans + (run.count - joined)),
             _ => (self.newest_nanos, self.scans),
@@ -248,7 +248,7 @@ impl LiveTile {
 
     /// Persistence of a cell with the run's scans counted in. Before the first observation it is that of an unknown state.
     #[must_use]
-    pub(crate) fn persistence(&self, cell: u16, run: LikeScans, sensors: &Sensors) -> Persistence {
+    pub(crate) fn persistence(&self, cell: u16, run: ScanRun, sensors: &Sensors) -> Persistence {
         if !self.known.contains(cell) {
             return Persistence::default();
         }

@@ -14,7 +14,7 @@ use super::{
     super::{
         day::ScanTime,
         index::TileId,
-        live_tile::{LikeScans, LiveTile},
+        live_tile::{LiveTile, ScanRun},
         mask::TileMasks,
         scan::{CellRef, LoggedScan, Scans},
         sensors::{ProducerSensor, SensorId},
@@ -170,7 +170,7 @@ impl LiveGrid {
     /// what they showed in that one. Gives by how many more cells are observed than in that one.
     fn take_in_like(&mut self, day: LocalDay, time: ScanTime, seen: &Arc<[TileId]>, mut flips: ScanFlips<'_>) -> i64 {
         let run = self.run;
-        let next = LikeScans { count: run.count + 1, newest_nanos: time.utc_nanos };
+        let next = ScanRun { count: run.count + 1, newest_nanos: time.utc_nanos };
         let kept = Self::day_of(&mut self.days, day);
         let (scan, mut changes) = kept.take(time, seen);
         let mut more_observed = 0;
@@ -208,7 +208,7 @@ impl LiveGrid {
                     Arc::make_mut(tile).joined = Some(0);
                 }
             }
-            self.run = LikeScans { count: 0, newest_nanos: time.utc_nanos };
+            self.run = ScanRun { count: 0, newest_nanos: time.utc_nanos };
             (self.run_seen, self.run_sensor) = (Some(Arc::clone(seen)), time.sensor);
         }
     }
@@ -239,6 +239,6 @@ impl LiveGrid {
                 self.touch(id);
             }
         }
-        self.run = LikeScans::default();
+        self.run = ScanRun::default();
     }
 }
