@@ -1,4 +1,4 @@
-//! When the cells of a tile were observed on one day: cells alike together, and the groups of the tile refined by that.
+//! When the cells of a tile were observed on one day: cells alike together, and the groups of the tile split by that.
 //!
 //! Invariant: times are given as toggles: ascending numbers of scans, among those that saw the tile, at which a bit that
 //! was clear before the first turns over.
@@ -97,7 +97,7 @@ impl DayToggles {
 
 /// An observation group after the day: which group it was part of, and which toggles it has on the day.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Refined {
+pub(super) struct SplitGroup {
     pub(super) cells: Mask,
     /// Index of the group before; `None`: never observed before.
     pub(super) before: Option<usize>,
@@ -108,7 +108,7 @@ pub(super) struct Refined {
 }
 
 /// Splits the groups where their cells were not observed alike, and adds groups of new cells. By their lowest cell.
-pub(super) fn refine(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<Refined> {
+pub(super) fn split_groups(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<SplitGroup> {
     let mut alike = [None; TILE_CELLS];
     for (index, (_, cells)) in toggles.iter().enumerate() {
         for cell in cells.cells() {
@@ -117,7 +117,7 @@ pub(super) fn refine(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<Refi
     }
     let seen = toggles.iter().fold(Mask::EMPTY, |all, (_, cells)| all | *cells);
     let known = groups.iter().fold(Mask::EMPTY, |all, group| all | group.cells);
-    let mut refined = Vec::with_capacity(groups.len() + toggles.len());
+    let mut split = Vec::with_capacity(groups.len() + toggles.len());
     let mut split = |mut rest: Mask, before: Option<usize>| {
         while let Some(cell) = rest.first() {
             let toggles_of = alike.get(usize::from(cell)).copied().flatten();
@@ -125,7 +125,7 @@ pub(super) fn refine(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<Refi
                 Some((_, cells)) => rest & *cells,
                 None => rest.without(seen),
             };
-            refined.push(Refined { cells, before, toggles: toggles_of, is_summed: true });
+            split.push(SplitGroup { cells, before, toggles: toggles_of, is_summed: true });
             rest = rest.without(cells);
         }
     };
@@ -133,19 +133,19 @@ pub(super) fn refine(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<Refi
         split(group.cells, Some(before));
     }
     split(seen.without(known), None);
-    refined.sort_unstable_by_key(|group| group.cells.first());
-    refined
+    split.sort_unstable_by_key(|group| group.cells.first());
+    split
 }
 
 /// Splits groups into cells that have or get a spectrum, whose sums are whole, and others.
-pub(super) fn split_by_spectrum(refined: Vec<Refined>, with_spectrum: Mask) -> Vec<Refined> {
-    let halves = |group: Refined| {
-        let summed = Refined { cells: group.cells & with_spectrum, is_summed: true, ..group };
-        let others = Refined { cells: group.cells.without(with_spectrum), is_summed: false, ..group };
+pub(super) fn part_by_spectrum(split: Vec<SplitGroup>, with_spectrum: Mask) -> Vec<SplitGroup> {
+    let halves = |group: SplitGroup| {
+        let summed = SplitGroup { cells: group.cells & with_spectrum, is_summed: true, ..group };
+        let others = SplitGroup { cells: group.cells.without(with_spectrum), is_summed: false, ..group };
         [summed, others]
     };
-    let mut split: Vec<Refined> =
-        refined.into_iter().flat_map(halves).filter(|group| !group.cells.is_empty()).collect();
+    let mut split: Vec<SplitGroup> =
+        split.into_iter().flat_map(halves).filter(|group| !group.cells.is_empty()).collect();
     split.sort_unstable_by_key(|group| group.cells.first());
     split
 }

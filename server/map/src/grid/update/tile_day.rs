@@ -16,7 +16,7 @@ use super::{
         sightings::Sightings,
         tile::{CellModel, Group, TileData, TileModel, TileSums},
     },
-    observed::{DayToggles, Refined, refine, split_by_spectrum},
+    observed::{DayToggles, SplitGroup, part_by_spectrum, split_groups},
     rules::Rules,
     shared_sums::{Gains, Times},
 };
@@ -36,7 +36,7 @@ struct CellDay {
     /// Toggles of the occupied bit.
     toggles: Vec<u32>,
     cursor: Cursor,
-    /// The refined group.
+    /// The split group.
     group: usize,
     /// Readings of the day that are newer than all before, where there are any before.
     scored: u64,
@@ -63,7 +63,7 @@ struct GroupDay {
 pub(super) struct TileDay {
     tile: BusyTile,
     observed: Vec<(Vec<u32>, Mask)>,
-    refined: Vec<Refined>,
+    split: Vec<SplitGroup>,
     groups: Vec<GroupDay>,
     cells: Vec<CellDay>,
     /// Number of scans that saw the tile.
@@ -83,10 +83,10 @@ impl TileDay {
         if times.weighted.is_some() {
             working.model.keep_weights();
         }
-        let refined = refine_working(working, &toggles, rules);
+        let split = split_groups_of(working, &toggles, rules);
         begin_spectra(working, &toggles, rules);
-        let mut groups: Vec<GroupDay> = Vec::with_capacity(refined.len());
-        for group in &refined {
+        let mut groups: Vec<GroupDay> = Vec::with_capacity(split.len());
+        for group in &split {
             let last_nanos = group.before.and_then(|before| working.model.groups.get(before)).map(|g| g.last_nanos);
             let toggles = group.toggles.and_then(|index| toggles.observed.get(index)).map(|(toggles, _)| toggles);
             let newer_than = last_nanos.filter(|_| toggles.is_some());
@@ -95,7 +95,7 @@ impl TileDay {
             groups.push(GroupDay { newer_than, all, cursor: Cursor::default(), weights: Vec::new(), scored: 0 });
         }
         let mut group_of = [usize::MAX; TILE_CELLS];
-        for (index, group) in refined.iter().enumerate() {
+        for (index, group) in split.iter().enumerate() {
             for cell in group.cells.cells() {
                 group_of[usize::from(cell)] = index;
             }
@@ -109,19 +109,19 @@ impl TileDay {
             let occupied_weight = working.model.sensors.as_ref().map_or(0.0, |_| times.weigh(&toggles).beta);
             cells.push(CellDay { toggles, group, occupied_weight, ..CellDay::default() });
         }
-        TileDay { tile, observed: toggles.observed, refined, groups, cells, scans: times.utc_nanos.len() }
+        TileDay { tile, observed: toggles.observed, split, groups, cells, scans: times.utc_nanos.len() }
     }
 
     /// The times at which cells of the tile were observed whose sums are to be whole; some may come twice.
     pub(super) fn toggles(&self) -> impl Iterator<Item = &Vec<u32>> {
-        let summed = self.refined.iter().filter(|group| group.is_summed);
+        let summed = self.split.iter().filter(|group| group.is_summed);
         summed.filter_map(|group| self.observed.get(group.toggles?)).map(|(toggles, _)| toggles)
     }
 
     /// Works off one chunk: scores it, then adds it to the sums of occupied readings.
     pub(super) fn fold(&mut self, chunk: &Chunk<'_>, rules: &Rules) {
-        for (group, refined) in self.groups.iter_mut().zip(&self.refined) {
-            let toggles = refined.toggles.and_then(|index| self.observed.get(index)).map(|(toggles, _)| toggles);
+        for (group, split) in self.groups.iter_mut().zip(&self.split) {
+            let toggles = split.toggles.and_then(|index| self.observed.get(index)).map(|(toggles, _)| toggles);
             group.weigh(toggles.map_or(&[], Vec::as_slice), chunk);
         }
         let with_wrong = rules.criterion == OrderCriterion::ZeroOne;
@@ -155,16 +155,16 @@ impl TileDay {
     /// Gives the tile its groups as they are after the day.
     pub(super) fn regroup(&mut self, gains: &mut Gains, times: &Times, rules: &Rules) {
         let TileData { model, sums } = &mut self.tile.data;
-        let mut groups = Vec::with_capacity(self.refined.len());
-        let mut group_sums = Vec::with_capacity(self.refined.len());
-        let mut weights = Vec::with_capacity(model.sensors.as_ref().map_or(0, |_| self.refined.len()));
-        for refined in &self.refined {
-            let before = refined.before.and_then(|before| Some((*model.groups.get(before)?, sums.group(before)?)));
-            let toggles = refined.toggles.and_then(|index| self.observed.get(index)).map(|(toggles, _)| toggles);
+        let mut groups = Vec::with_capacity(self.split.len());
+        let mut group_sums = Vec::with_capacity(self.split.len());
+        let mut weights = Vec::with_capacity(model.sensors.as_ref().map_or(0, |_| self.split.len()));
+        for split in &self.split {
+            let before = split.before.and_then(|before| Some((*model.groups.get(before)?, sums.group(before)?)));
+            let toggles = split.toggles.and_then(|index| self.observed.get(index)).map(|(toggles, _)| toggles);
             let counted = toggles.map(|toggles| times.count(toggles));
-            let gain = toggles.filter(|_| refined.is_summed).and_then(|toggles| gains.gain(toggles));
+            let gain = toggles.filter(|_| split.is_summed).and_then(|toggles| gains.gain(toggles));
             if model.sensors.is_some() {
-                let mut weight = refined.before.map_or_else(Weights::default, |before| model.weights(before));
+                let mut weight = split.before.map_or_else(Weights::default, |before| model.weights(before));
                 weight += toggles.map_or_else(Weights::default, |toggles| times.weigh(toggles));
                 weights.push(weight);
             }
@@ -181,7 +181,7 @@ impl TileDay {
                 group.last_nanos = counted.last_nanos.max(known.map_or(i64::MIN, |group| group.last_nanos));
                 group.observations += counted.observations;
             }
-            groups.push(Group { cells: refined.cells, ..group });
+            groups.push(Group { cells: split.cells, ..group });
             group_sums.push(sum);
         }
         model.groups = groups;
@@ -195,8 +195,8 @@ impl TileDay {
     /// Keeps when the cells were observed whose sums are not whole, or makes all sums whole where that takes less.
     fn keep_sightings(&mut self, times: &Times, rules: &Rules) {
         let sums = &mut self.tile.data.sums;
-        let others: Vec<(usize, &Refined)> =
-            self.refined.iter().enumerate().filter(|(_, group)| !group.is_summed).collect();
+        let others: Vec<(usize, &SplitGroup)> =
+            self.split.iter().enumerate().filter(|(_, group)| !group.is_summed).collect();
         if others.is_empty() {
             return;
         }
@@ -221,7 +221,7 @@ impl TileDay {
         let TileData { model, sums } = &mut self.tile.data;
         let TileModel { groups, cells, sensors, .. } = model;
         for (index, ((cell, sum), of_day)) in cells.iter_mut().zip(&sums.cells).zip(&self.cells).enumerate() {
-            let observed = self.refined.get(of_day.group).is_some_and(|group| group.toggles.is_some());
+            let observed = self.split.get(of_day.group).is_some_and(|group| group.toggles.is_some());
             let (Some(group), Some(group_sum)) = (groups.get(of_day.group), sums.groups.get(of_day.group)) else {
                 continue;
             };
@@ -300,12 +300,12 @@ impl GroupDay {
 
 /// Refines the groups of a tile by a day. Where there are too many for a sum each, those with and those without a
 /// spectrum are parted, and the sums of cells that get one on the day are made whole.
-fn refine_working(working: &mut TileData, toggles: &DayToggles, rules: &Rules) -> Vec<Refined> {
-    let refined = refine(&working.model.groups, &toggles.observed);
+fn split_groups_of(working: &mut TileData, toggles: &DayToggles, rules: &Rules) -> Vec<SplitGroup> {
+    let split = split_groups(&working.model.groups, &toggles.observed);
     let is_new =
-        working.model.groups.len() <= rules.limits.summed_groups_max && refined.len() > rules.limits.summed_groups_max;
+        working.model.groups.len() <= rules.limits.summed_groups_max && split.len() > rules.limits.summed_groups_max;
     if working.sums.sightings.is_empty() && !is_new {
-        return refined;
+        return split;
     }
     let TileData { model, sums } = working;
     let changed = model.changed();
@@ -330,7 +330,7 @@ fn refine_working(working: &mut TileData, toggles: &DayToggles, rules: &Rules) -
         sums.push_group(sum);
     }
     complete(sums, &to_complete, rules);
-    split_by_spectrum(refine(&model.groups, &toggles.observed), changed | changing)
+    part_by_spectrum(split_groups(&model.groups, &toggles.observed), changed | changing)
 }
 
 /// Makes the sums of groups whole, each given with a cell of it.
