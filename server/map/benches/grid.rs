@@ -181,7 +181,7 @@ fn patrol(_: &mut Criterion) {
         let snapshot = finish(&mut map, work);
         if (day + 1) % 14 == 0 {
             let sums: usize = snapshot.grid.iter().flat_map(|grid| &grid.sums).map(|sums| sums.bytes()).sum();
-            println!("patrol, day {}: sums and sightings {} B a tile", day + 1, sums / SOME);
+            println!("patrol, day {}: sums and runs {} B a tile", day + 1, sums / SOME);
         }
     }
 }

@@ -3,7 +3,7 @@
 //! A cell that never changed is a bit. Cells that were observed at the same times so far form an observation group and
 //! share B_k = Σ e^(-jω_k t) over its observations; groups of different tiles with the same history share it too. A cell
 //! that changed has A_k over its occupied readings. Where a tile has many groups, the sums of those without a changed cell
-//! stop at some day, and what was observed later is kept as [`Sightings`].
+//! stop at some day, and what was observed later is kept as [`ObservationRuns`].
 //!
 //! Invariant: the groups of a tile are disjoint and hold exactly the cells that were ever observed; a changed cell lies
 //! in a group; `TileSums` runs parallel to the groups and cells of its `TileModel`.
@@ -15,9 +15,9 @@ use tidemap_model::{OrderErrors, PhasorSum, SpectralModel};
 use super::{
     index::TileId,
     mask::Mask,
+    observation_runs::ObservationRuns,
     sensor_sums::{GroupSums, SensorSums, SensorWeights},
     sensors::{SensorId, Sensors, Weights},
-    sightings::Sightings,
 };
 
 /// Cells of a tile that have been observed at the same times so far.
@@ -141,12 +141,12 @@ impl TileModel {
 /// The sums from which the next generation's models of a tile follow.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TileSums {
-    /// B_k of each group; of a group without a changed cell less what `sightings` hold.
+    /// B_k of each group; of a group without a changed cell less what `runs` hold.
     pub groups: Vec<Arc<PhasorSum>>,
     /// A_k of each changed cell, over its occupied readings, each weighted by β.
     pub cells: Vec<PhasorSum>,
     /// When cells were observed that have no sum for it. Where there are any, no group has both changed cells and others.
-    pub sightings: Sightings,
+    pub runs: ObservationRuns,
     /// Weighted sums of the groups; `None` where all their readings are of the map's own sensor.
     pub sensors: Option<Box<SensorSums>>,
 }
@@ -214,7 +214,7 @@ impl TileSums {
         let pointers = self.groups.len() * size_of::<Arc<PhasorSum>>();
         let cells: usize = self.cells.iter().map(PhasorSum::bytes).sum();
         let sensors = self.sensors.as_ref().map_or(0, |sensors| size_of_val(sensors.groups.as_slice()));
-        size_of::<Self>() + pointers + cells + self.sightings.bytes() + sensors
+        size_of::<Self>() + pointers + cells + self.runs.bytes() + sensors
     }
 }
 

@@ -8,9 +8,9 @@ use std::sync::Arc;
 use prost::Message as _;
 use tidemap_map::grid::{
     mask::Mask,
+    observation_runs::ObservationRuns,
     sensor_sums::{SensorSums, SensorWeights, WeightedSums},
     sensors::Weights,
-    sightings::Sightings,
     tile::{CellModel, Group, TileModel, TileSums},
 };
 use tidemap_migrations::v2::grid as v2;
@@ -22,7 +22,7 @@ use tidemap_model::{
 use super::{
     Invalid,
     cells::{decode_mask, encode_mask, place},
-    doubles, sightings,
+    doubles, observation_runs,
 };
 
 /// Bytes of a component.
@@ -145,7 +145,7 @@ fn decode_component(bytes: &[u8; COMPONENT]) -> Component {
 }
 
 /// The sums of a tile as bytes: their number, the shared sums, the weighted ones, the sums of the changed cells, and
-/// sightings. `shared`: the numbers of its shared sums, in order.
+/// runs. `shared`: the numbers of its shared sums, in order.
 pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) -> Result<(), Invalid> {
     if shared.len() < sums.groups.len() {
         return Err("a shared sum has no number");
@@ -155,9 +155,9 @@ pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) ->
     for cell in &sums.cells {
         doubles::push(out, cell.as_slice());
     }
-    if !sums.sightings.is_empty() {
-        let message = sightings::encode(&sums.sightings)?.encode_to_vec();
-        let length = u32::try_from(message.len()).map_err(|_| "the sightings of a tile are too many")?;
+    if !sums.runs.is_empty() {
+        let message = observation_runs::encode(&sums.runs)?.encode_to_vec();
+        let length = u32::try_from(message.len()).map_err(|_| "the runs of a tile are too many")?;
         out.extend(length.to_le_bytes());
         out.extend(message);
     }
@@ -195,10 +195,10 @@ pub(crate) struct EncodedSums<'bytes> {
     weighted: Option<Vec<bool>>,
     /// Sums of its changed cells.
     cells: &'bytes [u8],
-    /// Its sightings.
-    sightings: Sightings,
+    /// Its runs.
+    runs: ObservationRuns,
     /// The same as bytes; empty if there are none.
-    sightings_bytes: &'bytes [u8],
+    runs_bytes: &'bytes [u8],
 }
 
 impl EncodedSums<'_> {
@@ -217,14 +217,13 @@ impl EncodedSums<'_> {
         let (shared, rest) = rest.split_at(fits(groups.checked_mul(4), rest)?);
         let pairs = if has_weighted { groups } else { 0 };
         let (pairs, rest) = rest.split_at(fits(pairs.checked_mul(8), rest)?);
-        let (cells, sightings_bytes) = rest.split_at(fits(changed.checked_mul(16 * periodicities.len()), rest)?);
-        let sightings = match sightings_bytes.split_first_chunk::<4>() {
+        let (cells, runs_bytes) = rest.split_at(fits(changed.checked_mul(16 * periodicities.len()), rest)?);
+        let runs = match runs_bytes.split_first_chunk::<4>() {
             Some((&length, message)) if number(length) == message.len() => {
-                let message =
-                    v2::Sightings::decode(message).map_err(|_| "the sightings of a tile are not a message")?;
-                sightings::decode(&message)?
+                let message = v2::Sightings::decode(message).map_err(|_| "the runs of a tile are not a message")?;
+                observation_runs::decode(&message)?
             }
-            None if sightings_bytes.is_empty() => Sightings::default(),
+            None if runs_bytes.is_empty() => ObservationRuns::default(),
             _ => return Err(LENGTH),
         };
         if !doubles::are_finite(cells) {
@@ -240,7 +239,7 @@ impl EncodedSums<'_> {
         }
         let weighted = has_weighted.then(|| pairs.iter().map(|pair| !pair.contains(&NO_SUM)).collect());
         shared.extend(pairs.as_flattened().iter().filter(|&&number| number != NO_SUM));
-        Ok(EncodedSums { shared, groups, weighted, cells, sightings, sightings_bytes })
+        Ok(EncodedSums { shared, groups, weighted, cells, runs, runs_bytes })
     }
 
     /// Number of changed cells.
@@ -267,7 +266,7 @@ impl EncodedSums<'_> {
         let sensors = self.weighted.as_ref();
         let sensors = sensors.map(|known| Box::new(SensorSums { groups: known.iter().map(&mut next).collect() }));
         let cells = cells.collect::<Result<_, _>>()?;
-        Ok(TileSums { groups, cells, sightings: self.sightings.clone(), sensors })
+        Ok(TileSums { groups, cells, runs: self.runs.clone(), sensors })
     }
 
     /// The same bytes with other numbers for the shared sums.
@@ -275,7 +274,7 @@ impl EncodedSums<'_> {
         let has_weighted = self.weighted.as_ref().map(|weighted| weighted.iter().copied());
         push_head(out, shared, self.groups, self.cells(periodicities), has_weighted);
         out.extend_from_slice(self.cells);
-        out.extend_from_slice(self.sightings_bytes);
+        out.extend_from_slice(self.runs_bytes);
     }
 }
 

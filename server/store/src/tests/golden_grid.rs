@@ -14,9 +14,9 @@ use tidemap_map::{
         index::{CellBox, CellIndex, TileId, TileIndex},
         live_tile::{Away, LiveTile},
         mask::{Mask, TileMasks},
+        observation_runs::ObservationRuns,
         scan::{CellRef, LoggedScan, Scans},
         sensors::SensorId,
-        sightings::Sightings,
         snapshot::AheadScan,
         snapshot::GridSnapshot,
         spec::{GridSpec, Retention, SensorNoise},
@@ -168,7 +168,7 @@ fn learned() -> (TileModel, TileSums) {
     let sums = TileSums {
         groups: vec![Arc::new(sum([1.0, 2.0, -3.0, 0.1])), Arc::new(sum([-0.0, 0.2, 0.3, 0.4]))],
         cells: vec![sum([5.0, 6.0, 7.0, 8.0]), sum([0.5, 0.6, 0.7, 0.8])],
-        sightings: Sightings::default(),
+        runs: ObservationRuns::default(),
         sensors: None,
     };
     (model, sums)
@@ -194,7 +194,7 @@ fn grid() -> GridSnapshot {
     let other_sums = TileSums {
         groups: vec![Arc::clone(&sums.groups[0])],
         cells: vec![],
-        sightings: Sightings::default(),
+        runs: ObservationRuns::default(),
         sensors: None,
     };
     let models = [model, other_model, TileModel::default()];

@@ -7,7 +7,7 @@ use tidemap_map::{
     grid::{
         index::TileId,
         mask::Mask,
-        sightings::Sightings,
+        observation_runs::ObservationRuns,
         snapshot::GridSnapshot,
         tile::{CellModel, ColdTile, Group, ModelSlot, SumsSlot, TileModel, TileSource, TileSums, TileUnavailable},
     },
@@ -105,7 +105,7 @@ fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
     let sums = TileSums {
         groups: vec![Arc::new(sum(&spec, &mut random))],
         cells: (0..70).map(|_| sum(&spec, &mut random)).collect(),
-        sightings: Sightings::default(),
+        runs: ObservationRuns::default(),
         sensors: None,
     };
     let grid = saved.grid.as_mut().expect("has a grid");
@@ -280,7 +280,7 @@ fn a_snapshot_that_could_not_be_read_back_is_refused() {
             grid.sums[0] = SumsSlot::Resident(Arc::new(TileSums {
                 groups,
                 cells: Vec::new(),
-                sightings: Sightings::default(),
+                runs: ObservationRuns::default(),
                 sensors: None,
             }));
         }),

@@ -10,11 +10,11 @@ use tidemap_map::{
         index::{TileId, TileIndex},
         live_tile::{Away, LiveTile},
         mask::{Mask, TileMasks},
+        observation_runs::{CellRuns, DayRuns, ObservationRuns},
         scan::{CellRef, LoggedScan, Scans},
         sensor_sums::{SensorSums, SensorWeights, WeightedSums},
         sensors::{ProducerSensor, SensorId, Weights},
-        sightings::{SeenAlike, SeenDay, Sightings},
-        snapshot::AheadScan,
+        snapshot::FutureScan,
         snapshot::GridSnapshot,
         spec::{GridSpec, Retention, SensorNoise},
         tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
@@ -184,7 +184,7 @@ pub(crate) fn learned(
         sums.cells.push(sum(spec, random));
     }
     if random.random_bool(0.5) {
-        sums.sightings = sightings(random);
+        sums.runs = runs(random);
     }
     if random.random_bool(0.4) {
         let mut number = || random.random_range(-1e3..1e3);
@@ -206,7 +206,7 @@ pub(crate) fn learned(
 }
 
 /// Observation times of cells on some days, by scans at equal and unequal distances.
-fn sightings(random: &mut SmallRng) -> Sightings {
+fn runs(random: &mut SmallRng) -> ObservationRuns {
     let days = (0..random.random_range(1..4)).map(|_| {
         let mut now: i64 = random.random();
         let (scans, is_even) = (random.random_range(1..30_u32), random.random_bool(0.5));
@@ -215,7 +215,7 @@ fn sightings(random: &mut SmallRng) -> Sightings {
             now
         };
         let civil_nanos = (0..scans).map(|_| next()).collect();
-        let list = |cells: Mask| SeenAlike {
+        let list = |cells: Mask| CellRuns {
             cells: cells.cells().collect(),
             toggles: (0..scans).filter(|_| random.random_bool(0.3)).collect(),
         };
@@ -226,9 +226,9 @@ fn sightings(random: &mut SmallRng) -> Sightings {
         let most = sensors(random);
         let ids = (0..scans).map(|scan| if scan == 0 { SensorId(most) } else { sensor(most, random) });
         let sensors = (most > 0).then(|| Arc::new(ids.collect()));
-        SeenDay { civil_nanos, sensors, lists }
+        DayRuns { civil_nanos, sensors, lists }
     });
-    Sightings::from_days(days.collect()).expect("valid")
+    ObservationRuns::from_days(days.collect()).expect("valid")
 }
 
 /// A day of scans of these tiles.
@@ -292,7 +292,7 @@ pub(crate) fn grid(spec: &MapSpec, tiles: u32, random: &mut SmallRng) -> GridSna
         let (utc_nanos, sensor) = (random.random_range(0..i64::MAX), sensor(most, random));
         let time = ScanTime { utc_nanos, offset_secs: -3600, sensor };
         let shown = (0..tiles).map(|tile| (TileId(tile), masks(random))).collect();
-        grid.ahead.push(AheadScan { time, tiles: shown });
+        grid.ahead.push(FutureScan { time, tiles: shown });
     }
     grid
 }

@@ -36,7 +36,7 @@ const EVENINGS: [i64; 2] = [1_711_828_800 * SECOND, 1_729_972_800 * SECOND];
 
 /// Limits of updates at which small worlds arrive often.
 pub const SMALL: UpdateLimits =
-    UpdateLimits { chunk_scans: 3, summed_groups_max: 2, sightings_per_sum: 4, batch_cells_min: 2, batch_cells_max: 4 };
+    UpdateLimits { chunk_scans: 3, summed_groups_max: 2, runs_per_sum: 4, batch_cells_min: 2, batch_cells_max: 4 };
 
 /// The world.
 pub struct World {

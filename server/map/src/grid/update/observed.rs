@@ -103,7 +103,7 @@ pub(super) struct SplitGroup {
     pub(super) before: Option<usize>,
     /// Index into [`DayToggles::observed`]; `None`: not observed on the day.
     pub(super) toggles: Option<usize>,
-    /// Whether its sum is whole; otherwise the tile's sightings hold the rest of it.
+    /// Whether its sum is whole; otherwise the tile's runs hold the rest of it.
     pub(super) is_summed: bool,
 }
 

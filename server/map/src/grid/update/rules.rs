@@ -14,10 +14,10 @@ use super::super::{
 pub(crate) struct UpdateLimits {
     /// Scans whose phasors are in memory at a time, 1 to [`CHUNK_SCANS_MAX`].
     pub(crate) chunk_scans: usize,
-    /// Observation groups of a tile up to which each has its sum; with more, cells that never changed have sightings.
+    /// Observation groups of a tile up to which each has its sum; with more, cells that never changed have runs.
     pub(crate) summed_groups_max: usize,
-    /// Sightings of a tile may take as much memory as this many sums for each group without one.
-    pub(crate) sightings_per_sum: usize,
+    /// ObservationRuns of a tile may take as much memory as this many sums for each group without one.
+    pub(crate) runs_per_sum: usize,
     /// A batch has no more tiles once it has this many cells, whatever its scans: the phasors of a scan cost as much as
     /// about a hundred cells.
     pub(crate) batch_cells_min: usize,
@@ -30,7 +30,7 @@ impl Default for UpdateLimits {
         UpdateLimits {
             chunk_scans: CHUNK_SCANS_MAX,
             summed_groups_max: 16,
-            sightings_per_sum: 1,
+            runs_per_sum: 1,
             batch_cells_min: 2_000,
             batch_cells_max: 30_000,
         }

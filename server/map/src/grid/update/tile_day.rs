@@ -10,10 +10,10 @@ use super::{
         fold::{CHUNK_SCANS_MAX, Chunk, Cursor, fill, fold_toggles, run_length},
         index::{TILE_CELLS, TileId},
         mask::Mask,
+        observation_runs::ObservationRuns,
         outcome::TileOutcome,
         sensor_sums::SensorWeights,
         sensors::Weights,
-        sightings::Sightings,
         tile::{CellModel, Group, TileData, TileModel, TileSums},
     },
     observed::{DayToggles, SplitGroup, part_by_spectrum, split_groups},
@@ -189,11 +189,11 @@ impl TileDay {
             known.groups = weights;
         }
         sums.set_groups(group_sums);
-        self.keep_sightings(times, rules);
+        self.keep_runs(times, rules);
     }
 
     /// Keeps when the cells were observed whose sums are not whole, or makes all sums whole where that takes less.
-    fn keep_sightings(&mut self, times: &Times, rules: &Rules) {
+    fn keep_runs(&mut self, times: &Times, rules: &Rules) {
         let sums = &mut self.tile.data.sums;
         let others: Vec<(usize, &SplitGroup)> =
             self.split.iter().enumerate().filter(|(_, group)| !group.is_summed).collect();
@@ -203,12 +203,12 @@ impl TileDay {
         let cells = others.iter().fold(Mask::EMPTY, |all, (_, group)| all | group.cells);
         let sensors = times.weighted.as_ref().map(|weighted| &weighted.ids);
         let observed = self.observed.iter().map(|(toggles, alike)| (toggles, *alike & cells));
-        sums.sightings.push(&times.civil_nanos, sensors, observed);
-        if sums.sightings.bytes() > others.len() * rules.limits.sightings_per_sum * 16 * rules.periodicities.len() {
+        sums.runs.push(&times.civil_nanos, sensors, observed);
+        if sums.runs.bytes() > others.len() * rules.limits.runs_per_sum * 16 * rules.periodicities.len() {
             let groups: Vec<(usize, u16)> =
                 others.into_iter().filter_map(|(index, group)| Some((index, group.cells.first()?))).collect();
             complete(sums, &groups, rules);
-            sums.sightings = Sightings::default();
+            sums.runs = ObservationRuns::default();
         }
     }
 
@@ -304,7 +304,7 @@ fn split_groups_of(working: &mut TileData, toggles: &DayToggles, rules: &Rules) 
     let split = split_groups(&working.model.groups, &toggles.observed);
     let is_new =
         working.model.groups.len() <= rules.limits.summed_groups_max && split.len() > rules.limits.summed_groups_max;
-    if working.sums.sightings.is_empty() && !is_new {
+    if working.sums.runs.is_empty() && !is_new {
         return split;
     }
     let TileData { model, sums } = working;
@@ -313,7 +313,7 @@ fn split_groups_of(working: &mut TileData, toggles: &DayToggles, rules: &Rules) 
     let mut to_complete = Vec::new();
     for index in 0..model.groups.len() {
         let (Some(group), Some(sum)) = (model.groups.get(index).copied(), sums.group(index)) else { continue };
-        let is_whole = !(group.cells & changed).is_empty() || sums.sightings.is_empty();
+        let is_whole = !(group.cells & changed).is_empty() || sums.runs.is_empty();
         let starting = group.cells & changing;
         let (Some(first), false) = (starting.first(), is_whole) else { continue };
         let rest = group.cells.without(starting);
@@ -335,11 +335,11 @@ fn split_groups_of(working: &mut TileData, toggles: &DayToggles, rules: &Rules) 
 
 /// Makes the sums of groups whole, each given with a cell of it.
 fn complete(sums: &mut TileSums, groups: &[(usize, u16)], rules: &Rules) {
-    if groups.is_empty() || sums.sightings.is_empty() {
+    if groups.is_empty() || sums.runs.is_empty() {
         return;
     }
     let cells: Vec<u16> = groups.iter().map(|&(_, cell)| cell).collect();
-    let later = sums.sightings.sums(&cells, &rules.periodicities, &rules.sensors, rules.limits.chunk_scans);
+    let later = sums.runs.sums(&cells, &rules.periodicities, &rules.sensors, rules.limits.chunk_scans);
     for (&(index, _), later) in groups.iter().zip(later) {
         if let Some(before) = sums.group(index) {
             sums.set_group(index, later.plus(&before));

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::grid::sightings::{SeenAlike, SeenDay, Sightings};
+use tidemap_map::grid::observation_runs::{CellRuns, DayRuns, ObservationRuns};
 use tidemap_migrations::v2::grid as v2;
 
 use super::{
@@ -17,12 +17,12 @@ use super::{
 const SCANS_MAX: u32 = 1 << 26;
 const INVALID: Invalid = "the runs in which cells were observed are not valid";
 
-pub(crate) fn encode(sightings: &Sightings) -> Result<v2::Sightings, Invalid> {
-    let days = sightings.days().iter().map(encode_day);
+pub(crate) fn encode(runs: &ObservationRuns) -> Result<v2::Sightings, Invalid> {
+    let days = runs.days().iter().map(encode_day);
     Ok(v2::Sightings { days: days.collect::<Result<_, _>>()? })
 }
 
-fn encode_day(day: &SeenDay) -> Result<v2::SeenDay, Invalid> {
+fn encode_day(day: &DayRuns) -> Result<v2::SeenDay, Invalid> {
     let scans = u32::try_from(day.civil_nanos.len()).ok().filter(|&scans| (1..=SCANS_MAX).contains(&scans));
     // Times may lie at the ends of i64.
     let differences: Vec<i64> = day.civil_nanos.windows(2).map(|pair| pair[1].wrapping_sub(pair[0])).collect();
@@ -56,12 +56,12 @@ fn push_gaps(out: &mut Vec<u8>, numbers: impl ExactSizeIterator<Item = u32>) -> 
     Ok(())
 }
 
-pub(crate) fn decode(message: &v2::Sightings) -> Result<Sightings, Invalid> {
+pub(crate) fn decode(message: &v2::Sightings) -> Result<ObservationRuns, Invalid> {
     let days = message.days.iter().map(decode_day).collect::<Result<_, _>>()?;
-    Sightings::from_days(days).map_err(|_| INVALID)
+    ObservationRuns::from_days(days).map_err(|_| INVALID)
 }
 
-fn decode_day(message: &v2::SeenDay) -> Result<SeenDay, Invalid> {
+fn decode_day(message: &v2::SeenDay) -> Result<DayRuns, Invalid> {
     if !(1..=SCANS_MAX).contains(&message.scans) {
         return Err(INVALID);
     }
@@ -80,10 +80,10 @@ fn decode_day(message: &v2::SeenDay) -> Result<SeenDay, Invalid> {
     while !bytes.is_empty() {
         let cells = take_gaps(&mut bytes)?;
         let cells = cells.into_iter().map(|cell| u16::try_from(cell).map_err(|_| INVALID)).collect::<Result<_, _>>()?;
-        lists.push(SeenAlike { cells, toggles: take_gaps(&mut bytes)?.into() });
+        lists.push(CellRuns { cells, toggles: take_gaps(&mut bytes)?.into() });
     }
     let of_scans = sensors::decode_runs(&message.sensor_counts, &message.sensors, civil_nanos.len())?;
-    Ok(SeenDay { civil_nanos: civil_nanos.into(), sensors: of_scans.map(Arc::new), lists })
+    Ok(DayRuns { civil_nanos: civil_nanos.into(), sensors: of_scans.map(Arc::new), lists })
 }
 
 fn take_gaps(bytes: &mut &[u8]) -> Result<Vec<u32>, Invalid> {

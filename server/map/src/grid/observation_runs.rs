@@ -23,7 +23,7 @@ use super::{
 
 /// Cells that were observed at the same times of a day.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SeenAlike {
+pub struct CellRuns {
     /// The cells, ascending.
     pub cells: Box<[u16]>,
     /// Ascending numbers of scans at which whether they are observed turns over; not observed before the first.
@@ -32,57 +32,57 @@ pub struct SeenAlike {
 
 /// When cells of a tile were observed on one day.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SeenDay {
+pub struct DayRuns {
     /// Local civil times of the scans that saw the tile, in nanoseconds since 1970 local. Tiles seen by the same scans
     /// share them.
     pub civil_nanos: Arc<[i64]>,
     /// The sensors of these scans, in their order; `None` where all are the map's own. Shared likewise.
     pub sensors: Option<Arc<Vec<SensorId>>>,
     /// Cells observed alike.
-    pub lists: Vec<SeenAlike>,
+    pub lists: Vec<CellRuns>,
 }
 
 /// When the cells of a tile were observed since its groups became too many to keep a sum each.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Sightings {
-    days: Vec<SeenDay>,
+pub struct ObservationRuns {
+    days: Vec<DayRuns>,
 }
 
-/// Why sightings were refused: they cannot have come from a tile.
+/// Why runs were refused: they cannot have come from a tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the runs in which cells were observed are not valid")]
-pub struct InvalidSightings;
+pub struct InvalidRuns;
 
-impl Sightings {
-    /// Sightings from what was stored.
+impl ObservationRuns {
+    /// ObservationRuns from what was stored.
     ///
     /// # Errors
-    /// [`InvalidSightings`] where the invariant does not hold.
-    pub fn from_days(days: Vec<SeenDay>) -> Result<Sightings, InvalidSightings> {
+    /// [`InvalidRuns`] where the invariant does not hold.
+    pub fn from_days(days: Vec<DayRuns>) -> Result<ObservationRuns, InvalidRuns> {
         for day in &days {
             if day.sensors.as_ref().is_some_and(|sensors| sensors.len() != day.civil_nanos.len()) {
-                return Err(InvalidSightings);
+                return Err(InvalidRuns);
             }
             let mut seen = Mask::EMPTY;
             for list in &day.lists {
                 for &cell in &list.cells {
                     if usize::from(cell) >= TILE_CELLS || seen.contains(cell) {
-                        return Err(InvalidSightings);
+                        return Err(InvalidRuns);
                     }
                     seen.insert(cell);
                 }
                 let ascend = list.toggles.is_sorted_by(|one, next| one < next);
                 if !ascend || list.toggles.last().is_some_and(|&last| last as usize >= day.civil_nanos.len()) {
-                    return Err(InvalidSightings);
+                    return Err(InvalidRuns);
                 }
             }
         }
-        Ok(Sightings { days })
+        Ok(ObservationRuns { days })
     }
 
     /// The days, in the order in which they were folded in.
     #[must_use]
-    pub fn days(&self) -> &[SeenDay] {
+    pub fn days(&self) -> &[DayRuns] {
         &self.days
     }
 
@@ -99,12 +99,12 @@ impl Sightings {
         sensors: Option<&Arc<Vec<SensorId>>>,
         observed: impl Iterator<Item = (&'a Vec<u32>, Mask)>,
     ) {
-        let lists: Vec<SeenAlike> = observed
+        let lists: Vec<CellRuns> = observed
             .filter(|(_, cells)| !cells.is_empty())
-            .map(|(toggles, cells)| SeenAlike { cells: cells.cells().collect(), toggles: toggles.as_slice().into() })
+            .map(|(toggles, cells)| CellRuns { cells: cells.cells().collect(), toggles: toggles.as_slice().into() })
             .collect();
         if !lists.is_empty() {
-            self.days.push(SeenDay { civil_nanos: Arc::clone(civil_nanos), sensors: sensors.cloned(), lists });
+            self.days.push(DayRuns { civil_nanos: Arc::clone(civil_nanos), sensors: sensors.cloned(), lists });
         }
     }
 
@@ -169,12 +169,11 @@ impl Sightings {
     /// Memory in bytes, about; times that tiles share are counted as if they were not.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        let of_list =
-            |list: &SeenAlike| size_of::<SeenAlike>() + size_of_val(&*list.cells) + size_of_val(&*list.toggles);
-        let of_day = |day: &SeenDay| {
+        let of_list = |list: &CellRuns| size_of::<CellRuns>() + size_of_val(&*list.cells) + size_of_val(&*list.toggles);
+        let of_day = |day: &DayRuns| {
             let sensors = day.sensors.as_ref().map_or(0, |sensors| sensors.len());
             let lists = day.lists.iter().map(of_list).sum::<usize>();
-            size_of::<SeenDay>() + size_of_val(&*day.civil_nanos) + sensors + lists
+            size_of::<DayRuns>() + size_of_val(&*day.civil_nanos) + sensors + lists
         };
         self.days.iter().map(of_day).sum()
     }
