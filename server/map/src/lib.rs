@@ -28,7 +28,7 @@ pub mod view;
 
 mod directory;
 mod pending;
-mod unlearned;
+mod prior_models;
 
 /// How far ahead of the clock of receipt an observation's time counts as plausible, in nanoseconds. Observations beyond
 /// wait: they change nothing until an update whose cut has passed their time.

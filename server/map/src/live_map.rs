@@ -15,10 +15,10 @@ use crate::{
     ids::{ProducerId, StateId},
     name::ProducerKey,
     pending::Pending,
+    prior_models::PriorModels,
     site::Site,
     snapshot::{MapSnapshot, ProducerMark},
     spec::MapSpec,
-    unlearned::Unlearned,
     update::UpdateWork,
     view::{LIVE_CHUNK, LiveState, MapView},
 };
@@ -66,7 +66,7 @@ pub struct LiveMap {
     live_published: Vec<Arc<[LiveState]>>,
     live_dirty: Vec<bool>,
     models: Arc<Vec<Arc<StateModel>>>,
-    unlearned: Unlearned,
+    prior_models: PriorModels,
     pending: Pending,
     site: Arc<Site>,
     pub(crate) grid: Option<LiveGrid>,
@@ -78,7 +78,7 @@ impl LiveMap {
     /// An empty map.
     #[must_use]
     pub fn new(spec: Arc<MapSpec>) -> Self {
-        let unlearned = Unlearned::new(&spec);
+        let unlearned = PriorModels::new(&spec);
         let grid = spec.grid.clone().map(|grid| LiveGrid::new(Arc::new(grid)));
         Self {
             spec,
@@ -94,7 +94,7 @@ impl LiveMap {
             live_published: Vec::new(),
             live_dirty: Vec::new(),
             models: Arc::new(Vec::new()),
-            unlearned,
+            prior_models,
             pending: Pending::default(),
             site: Arc::default(),
             grid,
@@ -338,7 +338,7 @@ impl LiveMap {
             directory: self.directory.clone(),
             live: self.live_published.clone(),
             models: Arc::clone(&self.models),
-            unlearned: self.unlearned.clone(),
+            prior_models: self.prior_models.clone(),
             site: Arc::clone(&self.site),
             grid: self.grid.as_mut().map(GridView::new),
         }

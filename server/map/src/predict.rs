@@ -96,7 +96,7 @@ impl MapView {
         match chosen {
             Some(chosen) => self.predict_fitted_into(id, &times.moments, &chosen, selector.persistence, out),
             None if selector.kind == ModelKind::Latest && live.persistence.last().is_none() => {
-                out.fill(self.unlearned.of(model.kind()).spectral().mean());
+                out.fill(self.prior_models.of(model.kind()).spectral().mean());
             }
             None => {
                 let parts = (model.spectral(), selector.order_for(model), &live.persistence);

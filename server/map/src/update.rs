@@ -26,11 +26,11 @@ use crate::{
     history::{HistoryDay, HistoryPiece},
     ids::StateId,
     name::StateName,
+    prior_models::PriorModels,
     refit::{Refits, StateReadings, refit},
     site::Site,
     snapshot::ProducerMark,
     spec::MapSpec,
-    unlearned::Unlearned,
     view::LiveState,
 };
 
@@ -54,7 +54,7 @@ pub struct UpdateWork {
     pub(crate) basis: Basis,
     pub(crate) spec: Arc<MapSpec>,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
-    pub(crate) unlearned: Unlearned,
+    pub(crate) prior_models: PriorModels,
     pub(crate) samples: Vec<(StateId, Vec<Sample>)>,
     pub(crate) grid: Option<GridWork>,
     pub(crate) readings: Option<Arc<dyn StateReadings>>,
@@ -140,7 +140,8 @@ impl UpdateWork {
         }
         let mut models: Vec<Arc<StateModel>> = Vec::with_capacity(self.basis.directory.len());
         models.extend(self.models.iter().cloned());
-        models.extend(self.basis.directory.iter().skip(models.len()).map(|info| self.unlearned.of(info.kind).clone()));
+        models
+            .extend(self.basis.directory.iter().skip(models.len()).map(|info| self.prior_models.of(info.kind).clone()));
         let learned: Vec<(StateId, Arc<StateModel>, UpdateOutcome)> = self
             .samples
             .into_par_iter()

@@ -13,9 +13,9 @@ use crate::{
     event::{StateKind, StateShape},
     grid::view::GridView,
     ids::StateId,
+    prior_models::PriorModels,
     site::Site,
     spec::MapSpec,
-    unlearned::Unlearned,
 };
 
 /// Live values are copied on publication in pieces of this many states.
@@ -42,7 +42,7 @@ pub struct MapView {
     pub(crate) directory: Directory,
     pub(crate) live: Vec<Arc<[LiveState]>>,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
-    pub(crate) unlearned: Unlearned,
+    pub(crate) prior_models: PriorModels,
     pub(crate) site: Arc<Site>,
     pub(crate) grid: Option<GridView>,
 }
@@ -147,6 +147,6 @@ impl MapView {
     /// The model that the last update gave a state; an unlearned one before its first.
     #[must_use]
     pub fn model(&self, id: StateId) -> &StateModel {
-        self.models.get(id.0 as usize).unwrap_or_else(|| self.unlearned.of(self.kind(id)))
+        self.models.get(id.0 as usize).unwrap_or_else(|| self.prior_models.of(self.kind(id)))
     }
 }

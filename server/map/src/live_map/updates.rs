@@ -76,7 +76,7 @@ impl LiveMap {
             basis,
             spec: Arc::clone(&self.spec),
             models: Arc::clone(&self.models),
-            unlearned: self.unlearned.clone(),
+            prior_models: self.prior_models.clone(),
             samples,
             grid: grid_work,
             readings: None,

@@ -10,16 +10,16 @@ use crate::spec::MapSpec;
 
 /// A model of each kind of which nothing is known.
 #[derive(Clone, Debug)]
-pub(crate) struct Unlearned {
+pub(crate) struct PriorModels {
     probability: Arc<StateModel>,
     continuous: Arc<StateModel>,
     count: Arc<StateModel>,
 }
 
-impl Unlearned {
+impl PriorModels {
     /// Those of a map: probabilities answer its prior, other kinds 0.
-    pub(crate) fn new(spec: &MapSpec) -> Unlearned {
-        Unlearned {
+    pub(crate) fn new(spec: &MapSpec) -> PriorModels {
+        PriorModels {
             probability: Arc::new(StateModel::with_prior(&spec.periodicities, spec.prior)),
             continuous: Arc::new(StateModel::of_kind(StateKind::Continuous)),
             count: Arc::new(StateModel::of_kind(StateKind::Count)),
