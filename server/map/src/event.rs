@@ -7,7 +7,7 @@ use tidemap_model::Sample;
 pub use tidemap_model::{Dimensions, Position, StateKind};
 
 use crate::{
-    MAX_AHEAD_NANOS,
+    FUTURE_MAX_NANOS,
     grid::scan::Scans,
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::StateName,
@@ -73,7 +73,7 @@ impl Observations {
     /// The latest time that is plausible by the clock of their receipt, nanoseconds UTC; later ones wait.
     #[must_use]
     pub fn plausible_nanos(&self) -> i64 {
-        self.received_nanos.saturating_add(MAX_AHEAD_NANOS)
+        self.received_nanos.saturating_add(FUTURE_MAX_NANOS)
     }
 }
 

@@ -32,4 +32,4 @@ mod prior_models;
 
 /// How far ahead of the clock of receipt an observation's time counts as plausible, in nanoseconds. Observations beyond
 /// wait: they change nothing until an update whose cut has passed their time.
-pub const MAX_AHEAD_NANOS: i64 = 5 * 60 * 1_000_000_000;
+pub const FUTURE_MAX_NANOS: i64 = 5 * 60 * 1_000_000_000;

@@ -204,8 +204,8 @@ impl LiveMap {
 
     /// Observations and scans that wait because their time is too far ahead.
     #[must_use]
-    pub fn ahead(&self) -> u64 {
-        self.pending.ahead() + self.grid.as_ref().map_or(0, LiveGrid::ahead)
+    pub fn future(&self) -> u64 {
+        self.pending.future() + self.grid.as_ref().map_or(0, LiveGrid::future)
     }
 
     /// Observations that a running update has taken.
@@ -307,7 +307,7 @@ impl LiveMap {
                 if sample.utc_nanos <= observations.plausible_nanos() {
                     self.pending.push(position, state, sample);
                 } else {
-                    self.pending.push_ahead(position, state, sample);
+                    self.pending.push_future(position, state, sample);
                 }
                 self.pending.received(observations.received_nanos);
             }
@@ -334,7 +334,7 @@ impl LiveMap {
             generation: self.generation,
             cut_nanos: self.cut_nanos,
             observations: self.observations,
-            pending: self.pending.total() + self.pending.ahead() + self.updating(),
+            pending: self.pending.total() + self.pending.future() + self.updating(),
             directory: self.directory.clone(),
             live: self.live_published.clone(),
             models: Arc::clone(&self.models),

@@ -25,7 +25,7 @@ struct Day {
 pub struct Pending {
     by_state: Vec<Vec<Sample>>,
     total: u64,
-    ahead: Vec<(StateId, Sample)>,
+    future: Vec<(StateId, Sample)>,
     days: BTreeMap<i64, Day>,
     /// The day of the observation before, and its oldest time: most observations need not look further.
     last: Option<(i64, i64)>,
@@ -48,14 +48,14 @@ impl Pending {
     }
 
     /// Observations that wait until the clock has come near their time.
-    pub fn ahead(&self) -> u64 {
-        self.ahead.len() as u64
+    pub fn future(&self) -> u64 {
+        self.future.len() as u64
     }
 
     /// Those of a state, in order of arrival; last those that wait.
     pub fn of_state(&self, state: StateId) -> impl Iterator<Item = &Sample> {
         let pending = self.by_state.get(state.0 as usize).into_iter().flatten();
-        pending.chain(self.ahead.iter().filter(move |(of, _)| *of == state).map(|(_, sample)| sample))
+        pending.chain(self.future.iter().filter(move |(of, _)| *of == state).map(|(_, sample)| sample))
     }
 
     pub fn push(&mut self, position: u64, state: StateId, sample: Sample) {
@@ -68,8 +68,8 @@ impl Pending {
         self.note(position, sample.utc_nanos);
     }
 
-    pub fn push_ahead(&mut self, position: u64, state: StateId, sample: Sample) {
-        self.ahead.push((state, sample));
+    pub fn push_future(&mut self, position: u64, state: StateId, sample: Sample) {
+        self.future.push((state, sample));
         self.note(position, sample.utc_nanos);
     }
 
@@ -100,9 +100,9 @@ impl Pending {
 
     /// Takes what lies before the cut, per state that has any, and leaves the rest.
     pub fn take_before(&mut self, cut_nanos: i64) -> Taken {
-        let (mut were_ahead, ahead) =
-            std::mem::take(&mut self.ahead).into_iter().partition::<Vec<_>, _>(|(_, s)| s.utc_nanos < cut_nanos);
-        self.ahead = ahead;
+        let (mut were_ahead, future) =
+            std::mem::take(&mut self.future).into_iter().partition::<Vec<_>, _>(|(_, s)| s.utc_nanos < cut_nanos);
+        self.future = future;
         for (state, sample) in &were_ahead {
             let index = state.0 as usize;
             if index >= self.by_state.len() {
@@ -129,7 +129,7 @@ impl Pending {
                 by_state.push((StateId(u32::try_from(index).unwrap_or(u32::MAX)), part));
             }
         }
-        if self.total == 0 && self.ahead.is_empty() {
+        if self.total == 0 && self.future.is_empty() {
             self.days.clear();
         } else {
             // The cut's own day may hold observations on either side; it keeps its position, which is early enough.
@@ -153,7 +153,7 @@ impl Pending {
     }
 
     /// The greatest time before `limit_nanos` of those that wait apart.
-    pub fn newest_ahead_before(&self, limit_nanos: i64) -> Option<i64> {
-        self.ahead.iter().map(|(_, sample)| sample.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
+    pub fn newest_future_before(&self, limit_nanos: i64) -> Option<i64> {
+        self.future.iter().map(|(_, sample)| sample.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
     }
 }

@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use tidemap_map::{
-    MAX_AHEAD_NANOS,
+    FUTURE_MAX_NANOS,
     event::{Event, NewState, Observations, OffsetRun, Position, StateKind},
     grid::{
         log_head::{LogHead, StreamTiles},
@@ -273,7 +273,7 @@ impl Sessions {
             let offset = batch.kept.get(i).map_or(i as u64, |&kept| u64::from(kept));
             refused.push(RefusedObservation { sequence: batch.first_sequence + offset, reason, detail });
         };
-        let plausible = now.saturating_add(MAX_AHEAD_NANOS);
+        let plausible = now.saturating_add(FUTURE_MAX_NANOS);
         let may_wait = map.ahead() < self.limits.ahead;
         let mut positions = batch.positions.iter().peekable();
         let count = batch.table_indices.len();

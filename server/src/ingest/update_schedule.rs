@@ -16,7 +16,7 @@ use std::{
 };
 
 use tidemap_map::{
-    MAX_AHEAD_NANOS,
+    FUTURE_MAX_NANOS,
     event::UpdateCause,
     live_map::{LiveMap, PendingLimits},
     name::{MapName, ProducerKey},
@@ -172,7 +172,7 @@ impl UpdateSchedule {
             return;
         }
         // If the clock was set back, observations may be later than any cut: no update could take them yet.
-        let latest = now_nanos.saturating_add(MAX_AHEAD_NANOS);
+        let latest = now_nanos.saturating_add(FUTURE_MAX_NANOS);
         let may_take = |oldest: i64| {
             let unsure = if oldest == map.cut_nanos() { UNSURE_NANOS } else { 0 };
             oldest.saturating_add(unsure) <= latest

@@ -13,7 +13,7 @@ use std::{
 };
 
 use tidemap_map::{
-    MAX_AHEAD_NANOS,
+    FUTURE_MAX_NANOS,
     grid::sensors::ProducerSensor,
     name::ProducerKey,
     traversal::{EdgeFailure, Traversal},
@@ -283,7 +283,7 @@ impl Stream<'_> {
             max_scan_points: u32::try_from(self.limits.intake.scans.points).unwrap_or(u32::MAX),
             max_scan_tiles: u32::try_from(self.limits.intake.scans.tiles).unwrap_or(u32::MAX),
             max_message_bytes: u32::try_from(self.limits.max_message_bytes).unwrap_or(u32::MAX),
-            max_ahead: Some(duration(MAX_AHEAD_NANOS)),
+            max_ahead: Some(duration(FUTURE_MAX_NANOS)),
         };
         reply(self.replies, Down::Welcome(welcome)).await?;
         let mut saturated = self.handle.saturated();

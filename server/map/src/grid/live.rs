@@ -14,7 +14,7 @@ use super::{
     live_tile::{LiveTile, ScanRun},
     mask::TileMasks,
     sensors::{InvalidSensor, ProducerSensor, SensorId, Sensors},
-    snapshot::{AheadScan, GridSnapshot},
+    snapshot::{FutureScan, GridSnapshot},
     spec::GridSpec,
     tile::SumsSlot,
     update::{GridWork, rules::Rules},
@@ -47,7 +47,7 @@ pub(crate) struct GridBasis {
     tiles: Vec<Arc<LiveTile>>,
     last_seen: Arc<[TileId]>,
     days: Vec<GridDay>,
-    ahead: Vec<AheadScan>,
+    future: Vec<FutureScan>,
     scans: u64,
     cell_observations: u64,
     /// When the first of the scans that stay pending was received, or earlier.
@@ -70,9 +70,9 @@ pub struct LiveGrid {
     run_sensor: SensorId,
     /// Scans that no update has folded in, by local day.
     pub(crate) days: Vec<GridDay>,
-    pub(crate) ahead: Vec<AheadScan>,
+    pub(crate) future: Vec<FutureScan>,
     /// Tiles of those, taken together.
-    ahead_tiles: u64,
+    future_tiles: u64,
     pub(crate) pending_changes: u64,
     pub(crate) oldest_pending_nanos: Option<i64>,
     pub(crate) generation: Arc<Generation>,
@@ -99,8 +99,8 @@ impl LiveGrid {
             run_seen: None,
             run_sensor: SensorId::OWN,
             days: Vec::new(),
-            ahead: Vec::new(),
-            ahead_tiles: 0,
+            future: Vec::new(),
+            future_tiles: 0,
             pending_changes: 0,
             oldest_pending_nanos: None,
             generation: Arc::default(),
@@ -122,7 +122,7 @@ impl LiveGrid {
         grid.sums = snapshot.sums;
         grid.last_seen = snapshot.last_seen;
         grid.days = snapshot.days;
-        grid.ahead = snapshot.ahead;
+        grid.future = snapshot.future;
         grid.scans = snapshot.scans;
         grid.cell_observations = snapshot.cell_observations;
         grid.count_pending();
@@ -139,7 +139,7 @@ impl LiveGrid {
     ) -> (GridWork, GridBasis, Option<i64>) {
         // Settled, so that the snapshot does not depend on the run.
         self.end_run();
-        let (days, newest_ahead) = self.take_before(cut_nanos);
+        let (days, newest_future) = self.take_before(cut_nanos);
         let work = GridWork {
             rules: Rules::new(periodicities, criterion, &self.sensors),
             generation: Arc::clone(&self.generation),
@@ -151,12 +151,12 @@ impl LiveGrid {
             tiles: self.tiles.clone(),
             last_seen: Arc::clone(&self.last_seen),
             days: self.days.clone(),
-            ahead: self.ahead.clone(),
+            future: self.future.clone(),
             scans: self.scans,
             cell_observations: self.cell_observations,
             received_nanos: None,
         };
-        (work, basis, newest_ahead)
+        (work, basis, newest_future)
     }
 
     /// Publishes what an update learned.
@@ -168,14 +168,14 @@ impl LiveGrid {
     ) -> GridSnapshot {
         self.generation = Arc::new(generation);
         self.sums = sums;
-        let GridBasis { tiles, last_seen, days, ahead, scans, cell_observations, received_nanos } = basis;
+        let GridBasis { tiles, last_seen, days, future, scans, cell_observations, received_nanos } = basis;
         GridSnapshot {
             tiles,
             models: self.generation.models.clone(),
             sums: self.sums.clone(),
             last_seen,
             days,
-            ahead,
+            future,
             scans,
             cell_observations,
             received_nanos,
@@ -263,19 +263,19 @@ impl LiveGrid {
 
     /// Scans that wait because their time is too far ahead.
     #[must_use]
-    pub fn ahead(&self) -> u64 {
-        self.ahead.len() as u64
+    pub fn future(&self) -> u64 {
+        self.future.len() as u64
     }
 
     /// Tiles of the scans that wait, each as often as a scan saw it.
     #[must_use]
-    pub fn ahead_tiles(&self) -> u64 {
-        self.ahead_tiles
+    pub fn future_tiles(&self) -> u64 {
+        self.future_tiles
     }
 
     /// The greatest time before `limit_nanos` of the scans that wait.
-    pub(crate) fn newest_ahead_before(&self, limit_nanos: i64) -> Option<i64> {
-        self.ahead.iter().map(|scan| scan.time.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
+    pub(crate) fn newest_future_before(&self, limit_nanos: i64) -> Option<i64> {
+        self.future.iter().map(|scan| scan.time.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
     }
 
     /// Scans that no update has folded in; those that wait because of their time are not counted.

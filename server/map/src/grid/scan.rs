@@ -79,6 +79,6 @@ impl Scans {
     /// The latest time that is plausible by the clock of their receipt, nanoseconds UTC; later ones wait.
     #[must_use]
     pub fn plausible_nanos(&self) -> i64 {
-        self.received_nanos.saturating_add(crate::MAX_AHEAD_NANOS)
+        self.received_nanos.saturating_add(crate::FUTURE_MAX_NANOS)
     }
 }

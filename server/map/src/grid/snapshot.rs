@@ -14,7 +14,7 @@ use super::{
 
 /// A scan that waits because its time is too far ahead.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct AheadScan {
+pub struct FutureScan {
     /// When it was made.
     pub time: ScanTime,
     /// What it showed.
@@ -35,7 +35,7 @@ pub struct GridSnapshot {
     /// Scans that no update has folded in, ascending by day.
     pub days: Vec<GridDay>,
     /// Scans that wait because their time is too far ahead.
-    pub ahead: Vec<AheadScan>,
+    pub future: Vec<FutureScan>,
     /// Scans acknowledged.
     pub scans: u64,
     /// Observations of single cells in them.

@@ -76,7 +76,7 @@ impl GridView {
             run: grid.run,
             generation: Arc::clone(&grid.generation),
             scans: grid.scans,
-            pending_scans: grid.pending_scans() + grid.ahead(),
+            pending_scans: grid.pending_scans() + grid.future(),
             cell_observations: grid.cell_observations,
         }
     }

@@ -34,12 +34,12 @@ impl LiveMap {
                 let is_asked = |day: &&GridDay| day.scans.iter().any(|scan| within.contains(&scan.utc_nanos));
                 let days = grid.days.iter().filter(is_asked);
                 let pending = days.flat_map(|day| day.readings(tile, cell, &self.spec.periodicities));
-                let ahead = grid.ahead.iter().filter_map(|scan| {
+                let future = grid.future.iter().filter_map(|scan| {
                     let at = scan.tiles.binary_search_by_key(&tile, |(tile, _)| *tile).ok()?;
                     let (_, masks) = scan.tiles.get(at)?;
                     masks.observed().contains(cell).then(|| (scan.time.utc_nanos, masks.occupied().contains(cell)))
                 });
-                let asked = pending.chain(ahead).filter(|(nanos, _)| within.contains(nanos));
+                let asked = pending.chain(future).filter(|(nanos, _)| within.contains(nanos));
                 cell_readings(asked.take(at_most)).collect()
             }
         }

@@ -141,7 +141,7 @@ impl LiveMap {
                 self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
                 self.pending.push(position, state, sample);
             } else {
-                self.pending.push_ahead(position, state, sample);
+                self.pending.push_future(position, state, sample);
             }
         }
         if !event.states.is_empty() {

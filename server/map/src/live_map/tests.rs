@@ -7,7 +7,7 @@ use tidemap_model::Periodicities;
 
 use super::*;
 use crate::{
-    MAX_AHEAD_NANOS,
+    FUTURE_MAX_NANOS,
     event::{NewState, Observations, OffsetRun, StateKind, UpdateCause},
     name::{MapName, StateName},
 };
@@ -120,20 +120,20 @@ fn an_update_takes_what_came_before_it_and_lies_before_its_cut() {
 #[test]
 fn observations_far_ahead_of_the_clock_wait() {
     let mut map = LiveMap::new(spec());
-    let ahead = NOW + MAX_AHEAD_NANOS + 1;
-    let sent = event(&map, &[(0, HOUR, 1.0), (0, ahead, 0.0)]);
+    let future = NOW + FUTURE_MAX_NANOS + 1;
+    let sent = event(&map, &[(0, HOUR, 1.0), (0, future, 0.0)]);
     apply(&mut map, &sent);
     assert_eq!(map.publish().live(StateId(0)).persistence.last(), Some((HOUR, 1.0)));
     update(&mut map, None);
     update(&mut map, Some(i64::MAX));
-    assert_eq!((map.pending(), map.ahead(), map.publish().pending()), (0, 1, 1));
+    assert_eq!((map.pending(), map.future(), map.publish().pending()), (0, 1, 1));
     // The clock comes near: an update of all there is takes it, and it counts as the last value.
-    let start = map.plan_update(None, ahead, UpdateCause::Request);
+    let start = map.plan_update(None, future, UpdateCause::Request);
     let work = apply(&mut map, &Event::UpdateStart(start)).expect("an update");
     assert_eq!(work.observations(), 1);
     map.finish_update(work.run(&AtomicU64::new(0)).expect("in memory"));
-    assert_eq!(map.publish().live(StateId(0)).persistence.last(), Some((ahead, 0.0)));
-    assert_eq!((map.ahead(), map.newest_nanos()), (0, ahead));
+    assert_eq!(map.publish().live(StateId(0)).persistence.last(), Some((future, 0.0)));
+    assert_eq!((map.future(), map.newest_nanos()), (0, future));
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::{LiveMap, PendingLimits};
 use crate::{
-    MAX_AHEAD_NANOS,
+    FUTURE_MAX_NANOS,
     event::{UpdateCause, UpdateStart},
     pending::Taken,
     snapshot::{MapSnapshot, StateSnapshot},
@@ -16,13 +16,13 @@ use crate::{
 
 impl LiveMap {
     /// The start of an update as the log is to hold it. `until_nanos`: fold in what is older; `None`: all there is.
-    /// Observations further ahead of `now_nanos` than [`MAX_AHEAD_NANOS`] always wait.
+    /// Observations further ahead of `now_nanos` than [`FUTURE_MAX_NANOS`] always wait.
     #[must_use]
     pub fn plan_update(&self, until_nanos: Option<i64>, now_nanos: i64, cause: UpdateCause) -> UpdateStart {
-        let latest = now_nanos.saturating_add(MAX_AHEAD_NANOS).saturating_add(1);
-        let ahead = self.pending.newest_ahead_before(latest);
-        let scans_ahead = self.grid.as_ref().and_then(|grid| grid.newest_ahead_before(latest));
-        let all = || ahead.max(scans_ahead).unwrap_or(0).max(self.newest_nanos).saturating_add(1);
+        let latest = now_nanos.saturating_add(FUTURE_MAX_NANOS).saturating_add(1);
+        let future = self.pending.newest_future_before(latest);
+        let scans_ahead = self.grid.as_ref().and_then(|grid| grid.newest_future_before(latest));
+        let all = || future.max(scans_ahead).unwrap_or(0).max(self.newest_nanos).saturating_add(1);
         let wanted = until_nanos.unwrap_or_else(all);
         UpdateStart { generation: self.generation + 1, cut_nanos: wanted.min(latest).max(self.cut_nanos), cause }
     }
@@ -55,7 +55,7 @@ impl LiveMap {
         let changes = grid.as_ref().map_or(0, |(_, _, changes)| *changes);
         self.running = Some((start, PendingLimits { observations, changes }));
         let (grid_work, mut grid_basis) = grid.map(|(work, basis, _)| (work, basis)).unzip();
-        if self.pending() == 0 && self.ahead() == 0 {
+        if self.pending() == 0 && self.future() == 0 {
             self.pending.all_taken();
         }
         if let Some(basis) = &mut grid_basis {

@@ -4,7 +4,7 @@
 //! spread over several events if needed, in their order.
 
 use tidemap_map::{
-    MAX_AHEAD_NANOS,
+    FUTURE_MAX_NANOS,
     event::Event,
     grid::{
         index::TileIndex,
@@ -144,8 +144,8 @@ impl Sessions {
             return Ok(None);
         };
         let refuse = |reason: RefusalReason, detail: String| Err(RefusedObservation { sequence, reason, detail });
-        let is_ahead = scan.utc_nanos > now.saturating_add(MAX_AHEAD_NANOS);
-        if is_ahead && map.ahead() + grid.ahead_tiles() + self.tiles_ahead >= self.limits.ahead {
+        let is_ahead = scan.utc_nanos > now.saturating_add(FUTURE_MAX_NANOS);
+        if is_ahead && map.ahead() + grid.future_tiles() + self.tiles_ahead >= self.limits.ahead {
             source.skip(&scan);
             let detail = format!(
                 "time {} ns is more than 5 minutes ahead of the server's clock, and {} observations and \

@@ -8,7 +8,7 @@
 //! Invariant: a traversal is taken with all of its observations, in one event, or not at all. Its meaning depends on
 //! the topology; the writer makes no event of traversals while an edit of the topology is in flight.
 
-use tidemap_map::{MAX_AHEAD_NANOS, ids::RefusalReason, live_map::LiveMap, traversal::Traversal};
+use tidemap_map::{FUTURE_MAX_NANOS, ids::RefusalReason, live_map::LiveMap, traversal::Traversal};
 use tidemap_proto::convert::traversals::{refusal_of, unknown_edge};
 
 use super::{
@@ -30,7 +30,7 @@ impl Sessions {
     ) -> Option<StreamEvent> {
         let session = self.sessions.get_mut(&id).filter(|session| session.open)?;
         let TraversalBatch { first_sequence, last_sequence, content_crc, traversals, mut refused } = batch;
-        let plausible = now.saturating_add(MAX_AHEAD_NANOS);
+        let plausible = now.saturating_add(FUTURE_MAX_NANOS);
         let may_wait = map.ahead() < self.limits.ahead;
         let mut columns = Columns::default();
         for (sequence, traversal) in traversals {

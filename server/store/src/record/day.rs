@@ -11,7 +11,7 @@ use tidemap_map::grid::{
     index::{TILE_CELLS, TileId},
     mask::{Mask, TileMasks},
     sensors::SensorId,
-    snapshot::AheadScan,
+    snapshot::FutureScan,
 };
 use tidemap_migrations::v2::grid as v2;
 use tidemap_model::LocalDay;
@@ -258,7 +258,7 @@ fn decode_in_order(mut bytes: &[u8], scans: u32) -> Result<Vec<Flip>, Invalid> {
 }
 
 /// A scan whose time is in the future.
-pub(crate) fn encode_ahead(scan: &AheadScan) -> v2::AheadScan {
+pub(crate) fn encode_ahead(scan: &FutureScan) -> v2::AheadScan {
     let mut bytes = Vec::with_capacity(scan.tiles.len() * 2 * MASK_LENGTH);
     for (_, masks) in &scan.tiles {
         bytes.extend(masks.observed().to_bytes());
@@ -274,7 +274,7 @@ pub(crate) fn encode_ahead(scan: &AheadScan) -> v2::AheadScan {
 }
 
 /// Decodes a scan; its tiles are below `limit`.
-pub(crate) fn decode_ahead(message: &v2::AheadScan, limit: u32) -> Result<AheadScan, Invalid> {
+pub(crate) fn decode_ahead(message: &v2::AheadScan, limit: u32) -> Result<FutureScan, Invalid> {
     let (sets, rest) = message.masks.as_chunks::<MASK_LENGTH>();
     let (pairs, odd) = sets.as_chunks::<2>();
     if !rest.is_empty() || !odd.is_empty() || pairs.len() != message.tiles.len() {
@@ -286,7 +286,7 @@ pub(crate) fn decode_ahead(message: &v2::AheadScan, limit: u32) -> Result<AheadS
     let tile = |(&tile, [observed, occupied]): (&u32, &[[u8; MASK_LENGTH]; 2])| {
         Ok((TileId(tile), masks(Mask::from_bytes(observed), Mask::from_bytes(occupied))?))
     };
-    Ok(AheadScan {
+    Ok(FutureScan {
         time: ScanTime {
             utc_nanos: message.utc_nanos,
             offset_secs: message.offset_secs,

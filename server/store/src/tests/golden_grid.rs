@@ -17,7 +17,7 @@ use tidemap_map::{
         observation_runs::ObservationRuns,
         scan::{CellRef, LoggedScan, Scans},
         sensors::SensorId,
-        snapshot::AheadScan,
+        snapshot::FutureScan,
         snapshot::GridSnapshot,
         spec::{GridSpec, Retention, SensorNoise},
         tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
@@ -207,7 +207,7 @@ fn grid() -> GridSnapshot {
         sums: sums.map(|sums| SumsSlot::Resident(Arc::new(sums))).to_vec(),
         last_seen: [TileId(0), TileId(2)].into(),
         days: vec![day()],
-        ahead: vec![AheadScan {
+        ahead: vec![FutureScan {
             time: ScanTime { utc_nanos: 1_800_000_000_000_000_000, offset_secs: 3600, sensor: SensorId::OWN },
             tiles: vec![(TileId(1), shown(0..3, 0..1))],
         }],

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use tidemap_model::LocalDay;
 
 use super::{
-    super::{day::GridDay, index::TileId, snapshot::AheadScan},
+    super::{day::GridDay, index::TileId, snapshot::FutureScan},
     LiveGrid,
 };
 
@@ -28,9 +28,9 @@ impl LiveGrid {
     /// Takes the pending scans before an instant, by day, ascending; the others stay. Scans that waited for their time
     /// join if it has come; the greatest time of those is given too.
     pub(super) fn take_before(&mut self, cut_nanos: i64) -> (Vec<GridDay>, Option<i64>) {
-        let (due, ahead): (Vec<AheadScan>, Vec<AheadScan>) =
-            std::mem::take(&mut self.ahead).into_iter().partition(|scan| scan.time.utc_nanos < cut_nanos);
-        self.ahead = ahead;
+        let (due, future): (Vec<FutureScan>, Vec<FutureScan>) =
+            std::mem::take(&mut self.future).into_iter().partition(|scan| scan.time.utc_nanos < cut_nanos);
+        self.future = future;
         let newest = due.iter().map(|scan| scan.time.utc_nanos).max();
         self.join(due);
         let mut taken = Vec::new();
@@ -48,7 +48,7 @@ impl LiveGrid {
     }
 
     /// Scans whose time has come: from here on they are scans like all others. No run of like scans goes on.
-    fn join(&mut self, mut due: Vec<AheadScan>) {
+    fn join(&mut self, mut due: Vec<FutureScan>) {
         due.sort_by_key(|scan| scan.time.utc_nanos);
         for scan in due {
             let day = Self::day_of(&mut self.days, LocalDay::of_civil_nanos(scan.time.civil_nanos()));
@@ -65,7 +65,7 @@ impl LiveGrid {
 
     pub(super) fn count_pending(&mut self) {
         self.pending_changes = self.days.iter().map(GridDay::changes).sum();
-        self.ahead_tiles = self.ahead.iter().map(|scan| scan.tiles.len() as u64).sum();
+        self.future_tiles = self.future.iter().map(|scan| scan.tiles.len() as u64).sum();
         self.oldest_pending_nanos = self.days.iter().flat_map(|day| &day.scans).map(|scan| scan.utc_nanos).min();
     }
 }

@@ -18,7 +18,7 @@ use super::{
         mask::TileMasks,
         scan::{CellRef, LoggedScan, Scans},
         sensors::{ProducerSensor, SensorId},
-        snapshot::AheadScan,
+        snapshot::FutureScan,
     },
     LiveGrid, Previous,
 };
@@ -127,8 +127,8 @@ impl LiveGrid {
             let shown = seen.iter().filter_map(|&tile| Some((tile, self.arrival(tile)?)));
             let tiles: Vec<(TileId, TileMasks)> = shown.collect();
             self.cell_observations += tiles.iter().map(|(_, masks)| u64::from(masks.observed().count())).sum::<u64>();
-            self.ahead_tiles += tiles.len() as u64;
-            self.ahead.push(AheadScan { time, tiles });
+            self.future_tiles += tiles.len() as u64;
+            self.future.push(FutureScan { time, tiles });
             // What its tiles show now has gone into no day, and into no last value.
             self.previous = None;
             self.end_run();

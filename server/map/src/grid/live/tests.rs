@@ -80,26 +80,26 @@ fn a_restored_map_still_waits_to_fold_in_its_pending_scans() {
 fn tiles_of_scans_that_wait_are_counted_until_their_time_has_come() {
     let spec = Arc::new(spec(&mut 1));
     let mut map = LiveMap::new(Arc::clone(&spec));
-    let ahead = |minutes: i64| 1000 + minutes * 60_000_000_000;
+    let future = |minutes: i64| 1000 + minutes * 60_000_000_000;
     let (one, other) = (
-        LoggedScan { utc_nanos: ahead(10), ..scan(&[0, 1], &[7]) },
-        LoggedScan { utc_nanos: ahead(20), ..scan(&[1], &[]) },
+        LoggedScan { utc_nanos: future(10), ..scan(&[0, 1], &[7]) },
+        LoggedScan { utc_nanos: future(20), ..scan(&[1], &[]) },
     );
     map.apply(1, &Event::Scans(scans(&[0, 4], vec![one, other]))).expect("consistent");
-    assert_eq!(map.grid().expect("a grid").ahead_tiles(), 3);
+    assert_eq!(map.grid().expect("a grid").future_tiles(), 3);
     let update = |map: &mut LiveMap, position: u64, now: i64| {
         let start = map.plan_update(None, now, UpdateCause::Request);
         let work = map.apply(position, &Event::UpdateStart(start)).expect("consistent").expect("an update");
         map.finish_update(work.run(&std::sync::atomic::AtomicU64::new(0)).expect("in memory"))
     };
     let mut restored = LiveMap::restore(Arc::clone(&spec), update(&mut map, 2, 1000));
-    assert_eq!((restored.pending(), restored.ahead()), (0, 2));
+    assert_eq!((restored.pending(), restored.future()), (0, 2));
     assert!(restored.pending_received_nanos().is_some(), "makes an update due");
     assert_eq!(restored.pending_received_nanos(), map.pending_received_nanos());
-    update(&mut restored, 3, ahead(10));
-    assert_eq!(restored.grid().expect("a grid").ahead_tiles(), 1);
-    update(&mut restored, 4, ahead(20));
-    assert_eq!(restored.grid().expect("a grid").ahead_tiles(), 0);
+    update(&mut restored, 3, future(10));
+    assert_eq!(restored.grid().expect("a grid").future_tiles(), 1);
+    update(&mut restored, 4, future(20));
+    assert_eq!(restored.grid().expect("a grid").future_tiles(), 0);
 }
 
 #[test]

@@ -29,7 +29,7 @@ pub struct Read {
 #[derive(Clone, Debug)]
 pub struct CellOracle {
     pending: Vec<Read>,
-    ahead: Vec<Read>,
+    future: Vec<Read>,
     taken: Vec<Read>,
     pub folded: Vec<Read>,
     pub model: StateModel,
@@ -49,7 +49,7 @@ impl CellOracle {
     fn new(periodicities: &Periodicities) -> CellOracle {
         CellOracle {
             pending: Vec::new(),
-            ahead: Vec::new(),
+            future: Vec::new(),
             taken: Vec::new(),
             folded: Vec::new(),
             model: StateModel::new(periodicities),
@@ -60,7 +60,7 @@ impl CellOracle {
 
     fn take_before(&mut self, cut_nanos: i64) {
         let is_due = |read: &mut Read| read.sample.utc_nanos < cut_nanos;
-        let mut due: Vec<Read> = self.ahead.extract_if(.., is_due).collect();
+        let mut due: Vec<Read> = self.future.extract_if(.., is_due).collect();
         self.pending.extend(&due);
         due.sort_by_key(|read| read.sample.utc_nanos);
         for Read { sample, .. } in due {
@@ -197,7 +197,7 @@ impl Oracle {
         let periodicities = &self.periodicities;
         let cell = self.cells.entry((tile, cell)).or_insert_with(|| CellOracle::new(periodicities));
         if is_ahead {
-            cell.ahead.push(read);
+            cell.future.push(read);
         } else {
             cell.persistence.observe(read.sample.utc_nanos, read.sample.value);
             cell.pending.push(read);
