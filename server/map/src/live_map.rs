@@ -23,9 +23,9 @@ use crate::{
     view::{LIVE_CHUNK, LiveState, MapView},
 };
 
+mod apply;
 mod recall;
 pub mod rename;
-mod take_in;
 mod updates;
 
 #[cfg(test)]
@@ -267,7 +267,7 @@ impl LiveMap {
         }
         let work = match event {
             Event::Observations(observations) => {
-                self.take_in(position, observations).map_err(inconsistent)?;
+                self.apply_observations(position, observations).map_err(inconsistent)?;
                 None
             }
             Event::Scans(scans) => {

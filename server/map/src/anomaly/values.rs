@@ -23,7 +23,7 @@ use crate::{
 mod tests;
 
 /// Fewer observations than these say too little of how much single ones vary.
-const LEAST_OBSERVATIONS: u64 = 30;
+const OBSERVATIONS_MIN: u64 = 30;
 
 /// How much single values of a state vary about what a model expects.
 #[derive(Clone, Debug)]
@@ -47,7 +47,7 @@ impl ValueJudge {
     #[must_use]
     pub fn new(model: &StateModel, selector: ModelSelector) -> Option<Self> {
         let (kind, folded) = (model.kind(), model.accumulator());
-        if kind == StateKind::Probability || folded.observations() < LEAST_OBSERVATIONS {
+        if kind == StateKind::Probability || folded.observations() < OBSERVATIONS_MIN {
             return None;
         }
         let spreads = Spreads::of(model.alternatives()?.hours());

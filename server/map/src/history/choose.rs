@@ -21,7 +21,7 @@ const COMPONENT_BYTES: usize = 10;
 /// Bytes of a cell that has flips, beside them.
 const FLIPS_BYTES: usize = 2;
 /// Fewer flips than this do not pay for a model.
-const FLIPS_LEAST: u16 = 3;
+const FLIPS_MIN: u16 = 3;
 /// Components that are tried, where the order in force is not higher.
 const COMPONENTS_TRIED: usize = 3;
 
@@ -41,7 +41,7 @@ pub(super) fn choose(
     }
     let known = model.changed() | model.always_occupied;
     let mut cells = Mask::EMPTY;
-    known.cells().filter(|&cell| count[usize::from(cell)] >= FLIPS_LEAST).for_each(|cell| cells.insert(cell));
+    known.cells().filter(|&cell| count[usize::from(cell)] >= FLIPS_MIN).for_each(|cell| cells.insert(cell));
     let mut chosen = Vec::new();
     for (cell, flips) in cells.cells().zip(flips_of(tile, seen, cells)) {
         let plain = flips_bytes(flips.occupied.iter().copied(), usize::MAX);

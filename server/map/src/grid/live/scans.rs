@@ -99,7 +99,7 @@ impl LiveGrid {
 
     /// Takes in scans that [`LiveGrid::check`] has let pass, made with this sensor of their producer. Gives the greatest time
     /// that did not have to wait.
-    pub(crate) fn take_in(&mut self, event: &Scans, sensor: Option<ProducerSensor>) -> Option<i64> {
+    pub(crate) fn apply_observations(&mut self, event: &Scans, sensor: Option<ProducerSensor>) -> Option<i64> {
         let sensor = self.sensors.find(sensor).unwrap_or_default();
         for &index in &event.new_tiles {
             self.add_tile(Arc::new(LiveTile::new(index)));

@@ -109,7 +109,7 @@ impl LiveMap {
         })?;
         if let Some(grid) = &mut self.grid {
             let sensor = self.producers.get(event.producer.0 as usize).and_then(|mark| mark.sensor);
-            self.newest_nanos = self.newest_nanos.max(grid.take_in(event, sensor).unwrap_or(0));
+            self.newest_nanos = self.newest_nanos.max(grid.apply_observations(event, sensor).unwrap_or(0));
         }
         if !event.scans.is_empty() {
             self.pending.received(event.received_nanos);
@@ -117,7 +117,7 @@ impl LiveMap {
         Ok(())
     }
 
-    pub(super) fn take_in(&mut self, position: u64, event: &Observations) -> Result<(), String> {
+    pub(super) fn apply_observations(&mut self, position: u64, event: &Observations) -> Result<(), String> {
         self.advance(&Advance {
             producer: event.producer,
             new_producer: event.new_producer.as_ref(),
