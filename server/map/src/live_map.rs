@@ -78,7 +78,7 @@ impl LiveMap {
     /// An empty map.
     #[must_use]
     pub fn new(spec: Arc<MapSpec>) -> Self {
-        let unlearned = PriorModels::new(&spec);
+        let prior_models = PriorModels::new(&spec);
         let grid = spec.grid.clone().map(|grid| LiveGrid::new(Arc::new(grid)));
         Self {
             spec,

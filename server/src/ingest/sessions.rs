@@ -274,7 +274,7 @@ impl Sessions {
             refused.push(RefusedObservation { sequence: batch.first_sequence + offset, reason, detail });
         };
         let plausible = now.saturating_add(FUTURE_MAX_NANOS);
-        let may_wait = map.ahead() < self.limits.ahead;
+        let may_wait = map.future() < self.limits.ahead;
         let mut positions = batch.positions.iter().peekable();
         let count = batch.table_indices.len();
         let mut columns = Columns {

@@ -71,7 +71,7 @@ fn all(decoder: &mut ScanDecoder, message: v1::ScanBatch) -> Result<Vec<DecodedS
     Ok(scans)
 }
 
-fn sent(scan: &DecodedScan) -> &StreamScan {
+fn sent(scan: &DecodedScan) -> &SentScan {
     match &scan.content {
         Some(ScanContent::Tiles(sent)) => sent,
         other => panic!("not of tiles: {other:?}, {:?}", scan.refusal),

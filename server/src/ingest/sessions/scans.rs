@@ -145,7 +145,7 @@ impl Sessions {
         };
         let refuse = |reason: RefusalReason, detail: String| Err(RefusedObservation { sequence, reason, detail });
         let is_ahead = scan.utc_nanos > now.saturating_add(FUTURE_MAX_NANOS);
-        if is_ahead && map.ahead() + grid.future_tiles() + self.tiles_ahead >= self.limits.ahead {
+        if is_ahead && map.future() + grid.future_tiles() + self.tiles_ahead >= self.limits.ahead {
             source.skip(&scan);
             let detail = format!(
                 "time {} ns is more than 5 minutes ahead of the server's clock, and {} observations and \

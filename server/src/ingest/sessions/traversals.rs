@@ -31,7 +31,7 @@ impl Sessions {
         let session = self.sessions.get_mut(&id).filter(|session| session.open)?;
         let TraversalBatch { first_sequence, last_sequence, content_crc, traversals, mut refused } = batch;
         let plausible = now.saturating_add(FUTURE_MAX_NANOS);
-        let may_wait = map.ahead() < self.limits.ahead;
+        let may_wait = map.future() < self.limits.ahead;
         let mut columns = Columns::default();
         for (sequence, traversal) in traversals {
             let time = traversal.start_nanos;

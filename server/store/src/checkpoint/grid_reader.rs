@@ -97,7 +97,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
         sums: Vec::new(),
         last_seen: last_seen_tiles.into(),
         days: Vec::new(),
-        ahead: Vec::new(),
+        future: Vec::new(),
         scans: head.scans,
         cell_observations: head.cell_observations,
         received_nanos: head.received_nanos,
@@ -138,7 +138,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
         let message: v2::AheadScan = reader.long_message(RecordKind::AheadScan, &mut buffer)?;
         let scan = day::decode_ahead(&message, head.tiles)?;
         if keeps {
-            grid.ahead.push(scan);
+            grid.future.push(scan);
         }
     }
     let shared = shared.iter().map(Arc::downgrade).collect();

@@ -76,7 +76,7 @@ pub(super) fn write(
         tiles: number(grid.tiles.len())?,
         models: number(grid.models.len())?,
         days: number(grid.days.len())?,
-        ahead: number(grid.ahead.len())?,
+        ahead: number(grid.future.len())?,
         scans: grid.scans,
         cell_observations: grid.cell_observations,
         received_nanos: grid.received_nanos,
@@ -102,7 +102,7 @@ pub(super) fn write(
             writer.long(RecordKind::DayTile, &message.encode_to_vec())?;
         }
     }
-    for scan in &grid.ahead {
+    for scan in &grid.future {
         writer.long(RecordKind::AheadScan, &day::encode_ahead(scan).encode_to_vec())?;
     }
     Ok(shared)

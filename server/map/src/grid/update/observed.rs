@@ -118,7 +118,7 @@ pub(super) fn split_groups(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Ve
     let seen = toggles.iter().fold(Mask::EMPTY, |all, (_, cells)| all | *cells);
     let known = groups.iter().fold(Mask::EMPTY, |all, group| all | group.cells);
     let mut split = Vec::with_capacity(groups.len() + toggles.len());
-    let mut split = |mut rest: Mask, before: Option<usize>| {
+    let mut add = |mut rest: Mask, before: Option<usize>| {
         while let Some(cell) = rest.first() {
             let toggles_of = alike.get(usize::from(cell)).copied().flatten();
             let cells = match toggles_of.and_then(|index: usize| toggles.get(index)) {
@@ -130,9 +130,9 @@ pub(super) fn split_groups(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Ve
         }
     };
     for (before, group) in groups.iter().enumerate() {
-        split(group.cells, Some(before));
+        add(group.cells, Some(before));
     }
-    split(seen.without(known), None);
+    add(seen.without(known), None);
     split.sort_unstable_by_key(|group| group.cells.first());
     split
 }
