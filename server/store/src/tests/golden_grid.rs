@@ -207,7 +207,7 @@ fn grid() -> GridSnapshot {
         sums: sums.map(|sums| SumsSlot::Resident(Arc::new(sums))).to_vec(),
         last_seen: [TileId(0), TileId(2)].into(),
         days: vec![day()],
-        ahead: vec![FutureScan {
+        future: vec![FutureScan {
             time: ScanTime { utc_nanos: 1_800_000_000_000_000_000, offset_secs: 3600, sensor: SensorId::OWN },
             tiles: vec![(TileId(1), shown(0..3, 0..1))],
         }],

@@ -308,7 +308,7 @@ fn every_damaged_byte_of_a_checkpoint_is_noticed() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let spec = spec("office");
     // With at least one day and one scan in the future, so that there is a record of every kind.
-    let with_all = |snapshot: &MapSnapshot| !grid_of(snapshot).days.is_empty() && !grid_of(snapshot).ahead.is_empty();
+    let with_all = |snapshot: &MapSnapshot| !grid_of(snapshot).days.is_empty() && !grid_of(snapshot).future.is_empty();
     let position = (5..).find(|&position| with_all(&snapshot(&spec, position, 3))).expect("there is one");
     let saved = [snapshot(&spec, 4, 2), snapshot(&spec, position, 3)];
     fill(directory.path(), &spec, &saved);

@@ -269,7 +269,7 @@ pub(crate) fn grid(spec: &MapSpec, tiles: u32, random: &mut SmallRng) -> GridSna
         sums: Vec::new(),
         last_seen: (0..tiles).map(TileId).filter(|_| random.random_bool(0.5)).collect(),
         days: Vec::new(),
-        ahead: Vec::new(),
+        future: Vec::new(),
         scans: random.random(),
         cell_observations: random.random(),
         received_nanos: random.random::<bool>().then(|| random.random()),
@@ -292,7 +292,7 @@ pub(crate) fn grid(spec: &MapSpec, tiles: u32, random: &mut SmallRng) -> GridSna
         let (utc_nanos, sensor) = (random.random_range(0..i64::MAX), sensor(most, random));
         let time = ScanTime { utc_nanos, offset_secs: -3600, sensor };
         let shown = (0..tiles).map(|tile| (TileId(tile), masks(random))).collect();
-        grid.ahead.push(FutureScan { time, tiles: shown });
+        grid.future.push(FutureScan { time, tiles: shown });
     }
     grid
 }
