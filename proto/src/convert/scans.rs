@@ -7,7 +7,7 @@
 //! picture stays as it was before it. The slots that it names are then in doubt, and only masks end that.
 
 use tidemap_map::{
-    grid::{front::SentScan, raycast::Readings},
+    grid::{log_head::StreamScan, raycast::Readings},
     ids::RefusalReason,
 };
 
@@ -82,7 +82,7 @@ impl From<TileError> for ScanRefusal {
 pub enum ScanContent {
     /// Cells of tiles, within the grid's extent. Where the scan is refused they are only to be remembered: later scans
     /// of the stream refer to them.
-    Tiles(SentScan),
+    Tiles(StreamScan),
     /// Readings to be cast.
     Readings(Readings),
 }

@@ -71,7 +71,7 @@ fn all(decoder: &mut ScanDecoder, message: v1::ScanBatch) -> Result<Vec<DecodedS
     Ok(scans)
 }
 
-fn sent(scan: &DecodedScan) -> &SentScan {
+fn sent(scan: &DecodedScan) -> &StreamScan {
     match &scan.content {
         Some(ScanContent::Tiles(sent)) => sent,
         other => panic!("not of tiles: {other:?}, {:?}", scan.refusal),

@@ -5,7 +5,7 @@
 //! slots where it sees others than the scan before.
 
 use tidemap_map::grid::{
-    front::{SentScan, SlotCell},
+    log_head::{SlotCell, StreamScan},
     mask::{Mask, TileMasks},
 };
 
@@ -93,7 +93,7 @@ impl TileScans {
         shown: &mut Shown,
         scan: &v1::TileScan,
         utc_nanos: i64,
-    ) -> Result<SentScan, ScanRefusal> {
+    ) -> Result<StreamScan, ScanRefusal> {
         let read = self.read_whole(shown, scan, utc_nanos);
         match &read {
             Ok(_) => shown.trust(&scan.masked),
@@ -102,7 +102,12 @@ impl TileScans {
         read
     }
 
-    fn read_whole(&mut self, shown: &mut Shown, scan: &v1::TileScan, utc_nanos: i64) -> Result<SentScan, ScanRefusal> {
+    fn read_whole(
+        &mut self,
+        shown: &mut Shown,
+        scan: &v1::TileScan,
+        utc_nanos: i64,
+    ) -> Result<StreamScan, ScanRefusal> {
         let mut sees_others = false;
         if !scan.seen.is_empty() {
             unpack_runs(&scan.seen, shown.slots.len(), &mut self.runs)?;
@@ -160,7 +165,7 @@ impl TileScans {
         }
         shown.take(&self.changes, sees_others.then_some(&mut self.runs));
         let seen = shown.seen.clone();
-        Ok(SentScan { utc_nanos, seen, observed_flips: to_observed, occupied_flips: to_occupied })
+        Ok(StreamScan { utc_nanos, seen, observed_flips: to_observed, occupied_flips: to_occupied })
     }
 }
 

@@ -13,8 +13,8 @@ use std::{
 use tidemap_map::{
     event::{Event, UpdateCause},
     grid::{
-        front::{Front, SentScan, StreamTiles},
         index::{CellIndex, TILE_CELLS, TileIndex},
+        log_head::{LogHead, StreamScan, StreamTiles},
         mask::{Mask, TileMasks},
         scan::Scans,
     },
@@ -102,7 +102,7 @@ pub struct Explorer {
     pub kind: ExplorerKind,
     map: LiveMap,
     view: MapView,
-    front: Front,
+    front: LogHead,
     source: StreamTiles,
     /// Its stream's tiles: slot of each, and what it showed of it.
     slots: HashMap<TileIndex, u32>,
@@ -120,7 +120,7 @@ impl Explorer {
     pub fn new(kind: ExplorerKind, space: &Space) -> Result<Self, OfficeError> {
         let mut map = LiveMap::new(Arc::clone(space.spec()));
         let grid = map.grid().ok_or_else(|| OfficeError::setting("the map has no grid"))?;
-        let front = Front::new(grid);
+        let front = LogHead::new(grid);
         let view = map.publish();
         Ok(Self {
             kind,
@@ -293,7 +293,7 @@ impl Explorer {
             observed_flips.extend((shown.observed() ^ masks.observed()).cells().map(at));
             occupied_flips.extend((shown.occupied() ^ masks.occupied()).cells().map(at));
         }
-        let scan = SentScan { utc_nanos, seen, observed_flips, occupied_flips };
+        let scan = StreamScan { utc_nanos, seen, observed_flips, occupied_flips };
         let grid = self.map.grid().ok_or_else(|| OfficeError::setting("the map has no grid"))?;
         let taken = self.front.take(grid, 1, &mut self.source, &scan, 0, TILES_MAX);
         let taken = taken.map_err(|_| OfficeError::setting("the office has too many tiles"))?;

@@ -61,7 +61,7 @@ struct Picture {
 }
 
 impl Picture {
-    fn show(&mut self, scan: &SentScan) -> Vec<(TileIndex, TileMasks)> {
+    fn show(&mut self, scan: &StreamScan) -> Vec<(TileIndex, TileMasks)> {
         for (flips, is_observed) in [(&scan.observed_flips, true), (&scan.occupied_flips, false)] {
             assert!(flips.is_sorted());
             for flip in flips {
