@@ -7,9 +7,9 @@
 //! observes its place at the middle of its slot. All places are predicted for the middle of each slot, before the visit
 //! of that slot is known, and judged every minute; the visited place counts as known (eq. 2).
 //!
-//! A strategy may use the prediction for the current slot; that is used for the visited place alone, as in eq. 2. The
-//! presence model ([`tidemap_model::models::Presence`]) is the only model of all places together: a hidden Markov chain
-//! over places, because one person in one of ten rooms makes each visit informative about all of them. The best
+//! A visit tells where the person is for the rest of the slot; this is used for the visited place only, as in eq. 2.
+//! The presence model ([`tidemap_model::models::Presence`]) is the only model of all places together: a hidden Markov
+//! chain over places, because one person in one of ten rooms makes each visit informative about all of them. The best
 //! strategy with it, `online-error`, asks at each slot where the current prediction is most likely wrong, and whether
 //! later slots of the last days had more to gain than the remaining visits can pay for.
 //!

@@ -11,7 +11,7 @@
 //! - `paired.rs`: each model against the baseline: studentised bootstrap over days within test sets, fixed seed;
 //! - `report.rs`: results.csv, folds.csv, predictions.csv; `picture.rs`: comparison.svg.
 //!
-//! A [`ParameterSet`](parameter_set::ParameterSet) is a model kind with all its parameters. Models are fitted state by
+//! A `ParameterSet` is a model kind with all its parameters. Models are fitted state by
 //! state, with one choice of parameters for all states; readings of all states have the same weight. Nothing is tested
 //! with fewer than five days more than test sets.
 //!
