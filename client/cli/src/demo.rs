@@ -8,9 +8,9 @@ mod calendar;
 mod daemon;
 mod feed;
 mod forecast;
-mod nights;
 mod picture;
 mod report;
+mod updates;
 mod words;
 
 use std::{
@@ -110,10 +110,10 @@ async fn learn(args: &DemoArgs, address: &str) -> anyhow::Result<()> {
     for week in 1..=args.weeks {
         let until = calendar.week_end(week);
         robots.drive(&office, until).await?;
-        nights::passed(&client, calendar.midnight_before(robots.seen_until())).await?;
+        updates::await_updates(&client, calendar.midnight_before(robots.seen_until())).await?;
         if week == args.weeks {
             // No later data triggers the last update.
-            nights::close(&client, until).await?;
+            updates::run_last(&client, until).await?;
         }
         let forecasts = forecast::all(&client, &office, &calendar.samples(until)).await?;
         print(&report::week(week, &calendar.last_day(until), robots.sent(), &forecasts)?)?;
@@ -128,8 +128,8 @@ async fn learn(args: &DemoArgs, address: &str) -> anyhow::Result<()> {
         }
     }
     print(&report::tomorrow(&tomorrow.0, &shown)?)?;
-    let quiet = forecast::all(&client, &office, &day_off.1).await?;
-    print(&report::day_off(&day_off.0, &quiet, &SHOWN_ON_DAY_OFF)?)?;
+    let off_forecasts = forecast::all(&client, &office, &day_off.1).await?;
+    print(&report::day_off(&day_off.0, &off_forecasts, &SHOWN_ON_DAY_OFF)?)?;
     print(report::lesson())
 }
 

@@ -61,8 +61,8 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
     }
     let mut anomalies = session.client.anomalies(&map, state, from, to, judgement).await?;
     let mut table = session.table(&["time", "value", "probability"]);
-    while let Some(found) = anomalies.next().await? {
-        for Anomaly { utc_nanos: time_nanos, value, probability } in found {
+    while let Some(batch) = anomalies.next().await? {
+        for Anomaly { utc_nanos: time_nanos, value, probability } in batch {
             table.row(vec![Cell::Secs(time_nanos), value.into(), probability.into()])?;
         }
     }
@@ -74,16 +74,16 @@ async fn watched(session: &Session, mut watch: AnomalyWatch) -> anyhow::Result<E
     let mut table = session.table(&["time", "state", "value", "probability"]).live()?;
     let mut interrupted = std::pin::pin!(tokio::signal::ctrl_c());
     loop {
-        let seen = tokio::select! {
-            seen = watch.next() => seen,
+        let batch = tokio::select! {
+            batch = watch.next() => batch,
             signal = &mut interrupted => {
                 signal.context("signals")?;
                 table.finish()?;
                 return Ok(ExitCode::from(INTERRUPTED));
             }
         };
-        let seen = match seen {
-            Ok(Some(seen)) => seen,
+        let batch = match batch {
+            Ok(Some(batch)) => batch,
             Ok(None) => {
                 table.finish()?;
                 anyhow::bail!("the daemon ended the watch");
@@ -93,10 +93,13 @@ async fn watched(session: &Session, mut watch: AnomalyWatch) -> anyhow::Result<E
                 return Err(error.into());
             }
         };
-        if seen.missed > 0 {
-            status_line(&format!("{} observations were missed: they came faster than they could be read", seen.missed));
+        if batch.missed > 0 {
+            status_line(&format!(
+                "{} observations were missed: they came faster than they could be read",
+                batch.missed
+            ));
         }
-        for (state, Anomaly { utc_nanos: time_nanos, value, probability }) in seen.anomalies {
+        for (state, Anomaly { utc_nanos: time_nanos, value, probability }) in batch.anomalies {
             table.row(vec![Cell::Secs(time_nanos), Cell::Text(state), value.into(), probability.into()])?;
         }
     }

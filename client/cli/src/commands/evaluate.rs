@@ -87,10 +87,10 @@ fn missing(unavailable: &Unavailable) -> String {
 }
 
 pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
-    let shown = feed::shown(&args.file);
+    let shown = feed::display_name(&args.file);
     let Feed { mut rows, total_bytes, layout } = feed::open::<ObservationColumns>(&args.file)?;
     if layout.has_positions() {
-        return Err(anyhow::Error::new(RowError::Positions).context(feed::shown(&args.file)));
+        return Err(anyhow::Error::new(RowError::Positions).context(feed::display_name(&args.file)));
     }
     let options = EvaluateOptions { map: args.map, models: selected(&args.models), max_order: args.max_order };
     let mut kinds = Kinds::new(session.client.clone(), options.map.clone(), None);

@@ -12,7 +12,7 @@ use tidemap_client::maps::{
 };
 use tidemap_map::time::format_duration;
 
-use self::grid_spec::{GridSpec, shown, shown_box, shown_retention};
+use self::grid_spec::{GridSpec, box_text, retention_text, spec_text};
 use super::{Session, point::Point, times, usage};
 use crate::progress::status_line;
 use tidemap_formats::table::Cell;
@@ -260,13 +260,13 @@ fn more_cells(map: &Map) -> Vec<Cell> {
     let text = |text: Option<String>| text.map_or(Cell::Empty, Cell::Text);
     let (grid, summary) = (map.grid.as_ref(), map.grid_summary.as_ref());
     vec![
-        text(Some(shown_retention(map.retention))),
-        text(grid.map(shown)),
-        text(grid.and_then(|grid| grid.retention).map(shown_retention)),
+        text(Some(retention_text(map.retention))),
+        text(grid.map(spec_text)),
+        text(grid.and_then(|grid| grid.retention).map(retention_text)),
         Cell::maybe(summary.map(|summary| summary.tiles)),
         Cell::maybe(summary.map(|summary| summary.pending_scans)),
         Cell::maybe(summary.map(|summary| summary.cell_observations)),
-        text(summary.and_then(|summary| summary.bounds.as_ref()).map(shown_box)),
+        text(summary.and_then(|summary| summary.bounds.as_ref()).map(box_text)),
         text(map.half_life_nanos.map(format_duration)),
         map.prior.into(),
         text(map.charger_m.map(|[x, y]| format!("{x},{y}"))),

@@ -92,7 +92,7 @@ const NIGHT_PAUSE: Duration = Duration::from_millis(50);
 pub(super) const INTERRUPTED: u8 = 130;
 
 pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
-    let shown = feed::shown(&args.file);
+    let shown = feed::display_name(&args.file);
     let feed = feed::open::<ObservationColumns>(&args.file)?;
     let has_positions = feed.layout.has_positions();
     if let Some(kind) = args.kind.filter(|kind| (*kind == StateKind::Vector) != has_positions) {

@@ -78,7 +78,7 @@ impl TraverseArgs {
 pub(crate) async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Result<ExitCode> {
     if let Some(file) = &args.file {
         let feed = feed::open::<TraversalColumns>(file)?;
-        return observe::send(session, args.options()?, feed, &feed::shown(file)).await;
+        return observe::send(session, args.options()?, feed, &feed::display_name(file)).await;
     }
     let report = args.report();
     if let Some(wrong) = report.wrong() {

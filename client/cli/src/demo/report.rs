@@ -87,7 +87,7 @@ pub(super) fn lesson() -> &'static str {
     "What you see
   predicted   how probable it is that the door is open, or the room occupied: full bar 1, line 0
   truth       what then happened: █ open or occupied, · not, ░▒ for a part of these 20 minutes
-  by          which model foretells it. Every night tidemap tries, on the day that ended, the sums
+  by          the model that predicts it. Every night tidemap tries, on the day that ended, the sums
               of 0 to 15 rhythms (spectral), three histograms and a profile of day and week
               (calibrated), and keeps for each state what would have predicted it best.
   rhythms     those that were found: their periods, strongest first, and how far each swings the

@@ -130,8 +130,8 @@ pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::
     let pause = Duration::from_nanos(args.probe_pause.unsigned_abs());
     let probe = args.probe.then(|| Probe::start(client, map, pause));
     let (before, began) = (CpuTimes::now(args.process), Instant::now());
-    let fed = feed::send(client, map, &path).await?;
-    anyhow::ensure!(fed.scans == 0 || fed.refused < fed.scans, "all {} scans were refused", fed.scans);
+    let totals = feed::send(client, map, &path).await?;
+    anyhow::ensure!(totals.scans == 0 || totals.refused < totals.scans, "all {} scans were refused", totals.scans);
     let sent_secs = began.elapsed().as_secs_f64();
     updated(client, map).await?;
     let secs = began.elapsed().as_secs_f64();
@@ -141,17 +141,17 @@ pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::
     let figure = |name: &str| Cell::maybe(statistics.iter().find(|row| row.name == name).map(|row| row.value));
     let summary = client.map(map).await?.grid_summary.unwrap_or_default();
     let scans_per_day = recorded.map_or(Some(f64::from(args.scans_per_day)), |recorded| recorded.scans_per_day());
-    let days = scans_per_day.map(|a_day| fed.scans as f64 / a_day);
+    let days = scans_per_day.map(|a_day| totals.scans as f64 / a_day);
     let mut figures = vec![
-        ("scans", Cell::from(fed.scans)),
+        ("scans", Cell::from(totals.scans)),
         ("days", Cell::maybe(days)),
-        ("refused", fed.refused.into()),
+        ("refused", totals.refused.into()),
         ("tiles", summary.tiles.into()),
         ("cell_observations", summary.cell_observations.into()),
-        ("file_bytes", fed.bytes.into()),
+        ("file_bytes", totals.bytes.into()),
         ("secs", secs.into()),
         ("sent_secs", sent_secs.into()),
-        ("scans_per_sec", (fed.scans as f64 / secs).round().into()),
+        ("scans_per_sec", (totals.scans as f64 / secs).round().into()),
         ("cell_observations_per_sec", (summary.cell_observations as f64 / secs).round().into()),
         ("feeder_cpu_secs", after.feeder_since(before)),
         ("daemon_cpu_secs", after.daemon_since(before)),

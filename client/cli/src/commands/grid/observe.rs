@@ -87,10 +87,10 @@ pub(crate) async fn run(session: &Session, args: GridObserveArgs) -> anyhow::Res
     if matches!(end, TransferEnd::Stopped(_)) {
         status_line("the same command again sends what is missing");
     }
-    exit_code(end, &transfer.report, &options, &shown(&args.files), "Other scans need")
+    exit_code(end, &transfer.report, &options, &display_names(&args.files), "Other scans need")
 }
 
-fn shown(files: &[PathBuf]) -> String {
+fn display_names(files: &[PathBuf]) -> String {
     match files {
         [file] => file.display().to_string(),
         [first, ..] => format!("{} and the files after it", first.display()),

@@ -35,19 +35,19 @@ pub(crate) fn pose(text: &str) -> Result<Isometry3<f64>, String> {
 
 /// An interval along one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Stretch {
+pub(crate) struct AxisRange {
     from_m: f64,
     to_m: f64,
 }
 
-impl Stretch {
+impl AxisRange {
     /// `from_m` has to be below `to_m`.
     pub(crate) fn new(from_m: f64, to_m: f64) -> Self {
         Self { from_m, to_m }
     }
 }
 
-impl FromStr for Stretch {
+impl FromStr for AxisRange {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -66,8 +66,8 @@ impl FromStr for Stretch {
 /// A rectangle of the plane: `X0:X1,Y0:Y1`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Rectangle {
-    x: Stretch,
-    y: Stretch,
+    x: AxisRange,
+    y: AxisRange,
 }
 
 impl FromStr for Rectangle {
@@ -82,11 +82,11 @@ impl FromStr for Rectangle {
 }
 
 /// The cells that overlap a region; all cells of `all` along axes without limits.
-pub(crate) fn cells(grid: &Grid, all: &CellBox, rectangle: Option<Rectangle>, height: Option<Stretch>) -> CellBox {
+pub(crate) fn cells(grid: &Grid, all: &CellBox, rectangle: Option<Rectangle>, height: Option<AxisRange>) -> CellBox {
     let mut cells = *all;
     let along = [rectangle.map(|rectangle| rectangle.x), rectangle.map(|rectangle| rectangle.y), height];
     for (axis, stretch) in along.into_iter().enumerate() {
-        let Some(Stretch { from_m, to_m }) = stretch else { continue };
+        let Some(AxisRange { from_m, to_m }) = stretch else { continue };
         // A boundary next to a cell's edge is meant as that edge; the last digit is rounding.
         let index = |metres: f64| (metres - grid.origin_m[axis]) / grid.resolution_m;
         let snapped = |index: f64| if (index - index.round()).abs() < 1e-6 { index.round() } else { index };
@@ -121,7 +121,7 @@ mod tests {
         let region = cells(&grid, &all, None, Some("0.25:1.05".parse()?));
         assert_eq!((region.min[2], region.max[2]), (2, 11));
         for wrong in ["1:0", "1", "a:b", "0:inf"] {
-            assert!(wrong.parse::<Stretch>().is_err(), "{wrong}");
+            assert!(wrong.parse::<AxisRange>().is_err(), "{wrong}");
         }
         assert!("0:1".parse::<Rectangle>().is_err());
         Ok(())

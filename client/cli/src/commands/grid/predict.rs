@@ -13,7 +13,7 @@ use tidemap_client::{
     queries::{CellPrediction, GridOutput, GridQuery, ModelSelector, ORDER_MAX, PredictedGrid},
 };
 
-use super::place::{Rectangle, Stretch, cells};
+use super::place::{AxisRange, Rectangle, cells};
 use crate::{
     commands::{Session, UsageError, files, predict::check_for_cells, times, usage},
     progress::status_line,
@@ -38,7 +38,7 @@ pub(crate) struct GridPredictArgs {
     model: ModelSelector,
     /// Only cells between these heights, metres
     #[arg(long, value_name = "MIN:MAX", allow_hyphen_values = true)]
-    z: Option<Stretch>,
+    z: Option<AxisRange>,
     /// Only cells in this rectangle, metres
     #[arg(long, value_name = "X0:X1,Y0:Y1", allow_hyphen_values = true)]
     region: Option<Rectangle>,
@@ -167,7 +167,7 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
 pub(crate) fn heights(map: &Map, from_m: f64, to_m: f64) -> Option<CellBox> {
     let grid = map.grid.as_ref().filter(|grid| !grid.is_flat)?;
     let bounds = map.grid_summary.as_ref()?.bounds.as_ref()?;
-    Some(cells(grid, bounds, None, Some(Stretch::new(from_m, to_m))))
+    Some(cells(grid, bounds, None, Some(AxisRange::new(from_m, to_m))))
 }
 
 /// Whether there are known cells, and all of them are rather occupied than free.

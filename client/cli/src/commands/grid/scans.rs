@@ -51,8 +51,8 @@ pub(super) type ScanChunks = mpsc::Receiver<anyhow::Result<ScanChunk>>;
 /// Starts to read the files; returns their scans and a progress bar.
 pub(super) fn open(plan: ScanPlan, grid: &Grid) -> anyhow::Result<(ScanChunks, Bar)> {
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
-    let (each, given) = match plan {
-        ScanPlan::Each(each, given) => (each, given),
+    let (each, options) = match plan {
+        ScanPlan::Each(each, options) => (each, options),
         ScanPlan::Scans(file) => {
             let (scans, total) = scan_file(&file).with_context(|| file.display().to_string())?;
             fits(scans.header(), grid).with_context(|| file.display().to_string())?;
@@ -66,7 +66,7 @@ pub(super) fn open(plan: ScanPlan, grid: &Grid) -> anyhow::Result<(ScanChunks, B
     let (grid, notices) = (grid.clone(), bar.clone());
     spawn(move || {
         for ((file, kind, time_nanos), position) in each.into_iter().zip(1..) {
-            let scan = one_scan(&file, kind, &given, &grid, &notices).with_context(|| file.display().to_string());
+            let scan = one_scan(&file, kind, &options, &grid, &notices).with_context(|| file.display().to_string());
             let failed = scan.is_err();
             let chunk = scan.map(|scan| ScanChunk { scans: vec![ScanInput::Masks { time_nanos, scan }], position });
             if sender.blocking_send(chunk).is_err() || failed {
@@ -142,7 +142,7 @@ fn spell_out_layers(scan: &mut FileScan) {
 }
 
 /// Reads a file as one scan.
-fn one_scan(file: &Path, kind: FileKind, given: &ScanOptions, grid: &Grid, bar: &Bar) -> anyhow::Result<Scan> {
+fn one_scan(file: &Path, kind: FileKind, options: &ScanOptions, grid: &Grid, bar: &Bar) -> anyhow::Result<Scan> {
     let tiles = |on: GridMasks| {
         if let Some(notice) = on.notice {
             bar.status_line(&format!("{}: {notice}", file.display()));
@@ -157,22 +157,22 @@ fn one_scan(file: &Path, kind: FileKind, given: &ScanOptions, grid: &Grid, bar: 
         points
     };
     match kind {
-        FileKind::Pcd => cloud(some_finite(pcd::read(&fs::read(file)?)?), given),
-        FileKind::Ply => cloud(some_finite(ply::read(&fs::read(file)?)?), given),
+        FileKind::Pcd => cloud(some_finite(pcd::read(&fs::read(file)?)?), options),
+        FileKind::Ply => cloud(some_finite(ply::read(&fs::read(file)?)?), options),
         FileKind::OctoMap => of_octomap(&octomap::read(&fs::read(file)?)?, grid).map(tiles),
         FileKind::Plane => of_plane(&plane(file)?, grid).map(tiles),
         FileKind::Scans => anyhow::bail!("a file of scans is not one scan"),
     }
 }
 
-fn cloud(points: PointFile, given: &ScanOptions) -> anyhow::Result<Scan> {
-    let pose = given.pose.or(points.pose).context("the file has no sensor pose: give one with --pose")?;
+fn cloud(points: PointFile, options: &ScanOptions) -> anyhow::Result<Scan> {
+    let pose = options.pose.or(points.pose).context("the file has no sensor pose: give one with --pose")?;
     Ok(Scan::Cloud(PointCloud {
         pose,
         frame_id: String::new(),
         xyz_m: points.points.into_flattened(),
-        min_range_m: given.min_range_m.unwrap_or(0.0),
-        max_range_m: given.max_range_m.unwrap_or(0.0),
+        min_range_m: options.min_range_m.unwrap_or(0.0),
+        max_range_m: options.max_range_m.unwrap_or(0.0),
     }))
 }
 
@@ -199,8 +199,8 @@ fn plane_files(file: &Path) -> anyhow::Result<(nav2::GridSettings, PathBuf)> {
 }
 
 /// Names the file in an error, unless it is the given file, which the caller names.
-fn of_file<T>(read: anyhow::Result<T>, path: &Path, given: &Path) -> anyhow::Result<T> {
-    if path == given { read } else { read.with_context(|| path.display().to_string()) }
+fn of_file<T>(read: anyhow::Result<T>, path: &Path, named: &Path) -> anyhow::Result<T> {
+    if path == named { read } else { read.with_context(|| path.display().to_string()) }
 }
 
 #[cfg(test)]
@@ -211,12 +211,12 @@ mod tests {
     fn a_file_of_scans_has_to_be_of_the_same_cells() {
         let grid = Grid { resolution_m: 0.1, frame_id: "map".to_owned(), ..Grid::default() };
         let header = ScanFileHeader { resolution_m: 0.1, frame_id: "map".to_owned(), origin_m: vec![0.0; 3] };
-        let said =
+        let message =
             |header: ScanFileHeader| fits(&header, &grid).err().map(|error| error.to_string()).unwrap_or_default();
-        assert_eq!(said(header.clone()), "");
-        assert_eq!(said(ScanFileHeader::default()), "");
-        assert!(said(ScanFileHeader { resolution_m: 0.05, ..header.clone() }).contains("0.05 m wide"));
-        assert!(said(ScanFileHeader { frame_id: "odom".to_owned(), ..header.clone() }).contains("\"odom\""));
-        assert!(said(ScanFileHeader { origin_m: vec![0.0, 0.05, 0.0], ..header }).contains("0.05"));
+        assert_eq!(message(header.clone()), "");
+        assert_eq!(message(ScanFileHeader::default()), "");
+        assert!(message(ScanFileHeader { resolution_m: 0.05, ..header.clone() }).contains("0.05 m wide"));
+        assert!(message(ScanFileHeader { frame_id: "odom".to_owned(), ..header.clone() }).contains("\"odom\""));
+        assert!(message(ScanFileHeader { origin_m: vec![0.0, 0.05, 0.0], ..header }).contains("0.05"));
     }
 }

@@ -140,7 +140,7 @@ fn extent(
 }
 
 /// A grid in the notation of the command line.
-pub(crate) fn shown(grid: &Grid) -> String {
+pub(crate) fn spec_text(grid: &Grid) -> String {
     let triple = |[x, y, z]: [f64; 3]| format!("{x}:{y}:{z}");
     let cells = |[x, y, z]: [i32; 3]| format!("{x}:{y}:{z}");
     let mut text = format!("resolution={}", grid.resolution_m);
@@ -166,7 +166,7 @@ pub(crate) fn shown(grid: &Grid) -> String {
 }
 
 /// A box of cells, as `X0:X1,Y0:Y1,Z0:Z1`; the ends are not included.
-pub(crate) fn shown_box(cells: &CellBox) -> String {
+pub(crate) fn box_text(cells: &CellBox) -> String {
     let along = |axis: usize| format!("{}:{}", cells.min[axis], cells.max[axis]);
     format!("{},{},{}", along(0), along(1), along(2))
 }
@@ -183,7 +183,7 @@ pub(crate) fn retention(text: &str) -> Result<Retention, String> {
 }
 
 /// A retention in the notation of [`retention`].
-pub(crate) fn shown_retention(retention: Retention) -> String {
+pub(crate) fn retention_text(retention: Retention) -> String {
     match retention {
         Retention::None => "none".to_owned(),
         Retention::Duration(nanos) => format_duration(nanos),
@@ -206,7 +206,7 @@ mod tests {
             "resolution=0.05,flat,origin=-1.5:2:0,min=-8:0:0,max=8:5:1,frame=odom",
             "resolution=0.1,frame=map,hit=0.9,false-alarm=0.1,prior=0.5",
         ] {
-            assert_eq!(shown(&parsed(text)?), text);
+            assert_eq!(spec_text(&parsed(text)?), text);
         }
         assert_eq!(parsed("resolution=1,size=3x4x5")?.extent, Some(CellBox { min: [0; 3], max: [3, 4, 5] }));
         let flat = parsed("flat,resolution=1,min=-3:-4,max=3:4,origin=1:2")?;
@@ -246,7 +246,7 @@ mod tests {
     #[test]
     fn a_retention_is_none_forever_or_a_duration() {
         for text in ["none", "forever", "90d"] {
-            assert_eq!(retention(text).map(shown_retention), Ok(text.to_owned()));
+            assert_eq!(retention(text).map(retention_text), Ok(text.to_owned()));
         }
         assert!(retention("0d").is_err_and(|error| error.contains("\"0d\"")));
     }

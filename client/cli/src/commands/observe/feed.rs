@@ -53,7 +53,7 @@ pub(crate) struct Feed<L: Layout = ObservationColumns> {
 pub(crate) type RowChunks<T> = mpsc::Receiver<Result<RowChunk<T>, RowError>>;
 
 /// Name of the file for messages.
-pub(crate) fn shown(path: &Path) -> String {
+pub(crate) fn display_name(path: &Path) -> String {
     if path.as_os_str() == "-" { "stdin".to_owned() } else { path.display().to_string() }
 }
 
@@ -66,19 +66,23 @@ where
     let (source, total_bytes): (Box<dyn Read + Send>, _) = if stdin {
         (Box::new(io::stdin()), None)
     } else {
-        let file = File::open(path).with_context(|| shown(path))?;
+        let file = File::open(path).with_context(|| display_name(path))?;
         let total_bytes = file.metadata().ok().filter(|metadata| metadata.is_file()).map(|metadata| metadata.len());
         (Box::new(file), total_bytes)
     };
     let mut rows =
-        RowReader::<_, L>::open(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| shown(path))?;
+        RowReader::<_, L>::open(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| display_name(path))?;
     if stdin {
         // The writer of a pipe may be killed in the middle of a line. A file without its last line end was probably
         // saved that way.
         rows = rows.lines_must_end();
     }
     if !rows.ignored().is_empty() {
-        crate::progress::status_line(&format!("{}: not used: column {}", shown(path), rows.ignored().join(", ")));
+        crate::progress::status_line(&format!(
+            "{}: not used: column {}",
+            display_name(path),
+            rows.ignored().join(", ")
+        ));
     }
     let layout = *rows.layout();
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);

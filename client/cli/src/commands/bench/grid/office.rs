@@ -62,13 +62,13 @@ pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
     let mut scans = WireScans::new(&office);
     let mut stream = GridStream::new(&office, args.days);
     let (bar, total) = (Bar::count("scans recorded"), u64::from(args.days) * u64::from(args.scans_per_day));
-    let mut made = 0_u64;
+    let mut recorded = 0_u64;
     while let Some(scan) = stream.next() {
         let (new_tiles, wire) = scans.wire(&scan);
         writer.wire_scan(scan.utc_nanos, &new_tiles, wire).with_context(shown)?;
-        made += 1;
-        if made.is_multiple_of(1024) {
-            bar.set_of(made, total);
+        recorded += 1;
+        if recorded.is_multiple_of(1024) {
+            bar.set_of(recorded, total);
         }
     }
     bar.clear();

@@ -52,8 +52,8 @@ impl RecordedScans {
     pub(super) fn matches(&self, args: &GridArgs) -> anyhow::Result<bool> {
         let shown = || self.path.display().to_string();
         let office = office::make(args)?;
-        let (mut stream, mut made) = (GridStream::new(&office, 1), office::WireScans::new(&office));
-        let (mut found, mut right) = (TileTable::default(), TileTable::default());
+        let (mut stream, mut wire_scans) = (GridStream::new(&office, 1), office::WireScans::new(&office));
+        let (mut actual, mut expected) = (TileTable::default(), TileTable::default());
         let mut file = open(&self.path).with_context(shown)?;
         let comparison_every = u64::from((args.scans_per_day / COMPARISONS_PER_DAY).max(1));
         while let Some(scans) = file.next_scans().with_context(shown)? {
@@ -62,11 +62,12 @@ impl RecordedScans {
                 if scan.utc_nanos != of_file.time_nanos {
                     return Ok(false);
                 }
-                let (new_tiles, wire) = made.wire(&scan);
-                show(&mut right, &new_tiles, wire.content.as_ref())?;
-                show(&mut found, &of_file.new_tiles, of_file.scan.content.as_ref()).with_context(shown)?;
+                let (new_tiles, wire) = wire_scans.wire(&scan);
+                show(&mut expected, &new_tiles, wire.content.as_ref())?;
+                show(&mut actual, &of_file.new_tiles, of_file.scan.content.as_ref()).with_context(shown)?;
                 let is_comparison = of_file.number % comparison_every == 1 % comparison_every;
-                if is_comparison && (found.tiles() != right.tiles() || !found.picture().all().eq(right.picture().all()))
+                if is_comparison
+                    && (actual.tiles() != expected.tiles() || !actual.picture().all().eq(expected.picture().all()))
                 {
                     return Ok(false);
                 }

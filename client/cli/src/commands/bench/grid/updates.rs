@@ -15,7 +15,7 @@ const PAUSE: Duration = Duration::from_millis(500);
 pub(super) struct UpdateTimes {
     map: String,
     /// Seconds of each update, by the job's number.
-    seen: tokio::sync::watch::Receiver<BTreeMap<u64, f64>>,
+    durations: tokio::sync::watch::Receiver<BTreeMap<u64, f64>>,
     task: JoinHandle<()>,
 }
 
@@ -25,23 +25,23 @@ pub(super) struct UpdateSecs(Vec<f64>);
 
 impl UpdateTimes {
     pub(super) fn watch(client: &Client, map: &str) -> Self {
-        let (sender, seen) = tokio::sync::watch::channel(BTreeMap::new());
+        let (sender, durations) = tokio::sync::watch::channel(BTreeMap::new());
         let (client, watched) = (client.clone(), map.to_owned());
         let task = tokio::spawn(async move {
             loop {
                 tokio::time::sleep(PAUSE).await;
                 if let Ok(ended) = ended(&client, &watched).await {
-                    sender.send_modify(|seen| seen.extend(ended));
+                    sender.send_modify(|durations| durations.extend(ended));
                 }
             }
         });
-        Self { map: map.to_owned(), seen, task }
+        Self { map: map.to_owned(), durations, task }
     }
 
     /// Ends the watch after one last request.
     pub(super) async fn ended(self, client: &Client) -> anyhow::Result<UpdateSecs> {
         self.task.abort();
-        let mut all = self.seen.borrow().clone();
+        let mut all = self.durations.borrow().clone();
         all.extend(ended(client, &self.map).await?);
         Ok(UpdateSecs(all.into_values().collect()))
     }

@@ -49,26 +49,26 @@ pub(in crate::commands::grid) enum ScanPlan {
 }
 
 /// Plans how to send files.
-pub(in crate::commands::grid) fn plan(files: &[PathBuf], given: &ScanOptions) -> anyhow::Result<ScanPlan> {
+pub(in crate::commands::grid) fn plan(files: &[PathBuf], options: &ScanOptions) -> anyhow::Result<ScanPlan> {
     let kinds = files.iter().map(|file| kind(file)).collect::<Result<Vec<FileKind>, UsageError>>()?;
     if kinds.contains(&FileKind::Scans) {
         let [file] = files else {
             return Err(usage("a .tms file is sent alone: give one file per command"));
         };
-        if given.at_nanos.is_some() || given.every_nanos.is_some() || given.has_sensor() {
+        if options.at_nanos.is_some() || options.every_nanos.is_some() || options.has_sensor() {
             let text = "a .tms file has its own times, poses and ranges: leave out --at, --every, --pose, --min-range \
                         and --max-range";
             return Err(usage(text));
         }
         return Ok(ScanPlan::Scans(file.clone()));
     }
-    given.check_ranges()?;
-    let times = times(given, files.len())?;
+    options.check_ranges()?;
+    let times = times(options, files.len())?;
     for (file, kind) in files.iter().zip(&kinds) {
-        check(file, *kind, given)?;
+        check(file, *kind, options)?;
     }
     let each = files.iter().cloned().zip(kinds).zip(times).map(|((file, kind), time)| (file, kind, time));
-    Ok(ScanPlan::Each(each.collect(), given.clone()))
+    Ok(ScanPlan::Each(each.collect(), options.clone()))
 }
 
 impl ScanOptions {
@@ -103,9 +103,9 @@ fn kind(path: &Path) -> Result<FileKind, UsageError> {
 }
 
 /// The time of each file.
-fn times(given: &ScanOptions, files: usize) -> anyhow::Result<Vec<i64>> {
-    let at = given.at_nanos.ok_or_else(|| UsageError("give the time of the scan with --at".to_owned()))?;
-    let every = match given.every_nanos {
+fn times(options: &ScanOptions, files: usize) -> anyhow::Result<Vec<i64>> {
+    let at = options.at_nanos.ok_or_else(|| UsageError("give the time of the scan with --at".to_owned()))?;
+    let every = match options.every_nanos {
         Some(every) => every,
         None if files == 1 => 0,
         None => {
@@ -118,21 +118,21 @@ fn times(given: &ScanOptions, files: usize) -> anyhow::Result<Vec<i64>> {
 }
 
 /// Checks that a file exists and that the sensor options fit it.
-fn check(file: &Path, kind: FileKind, given: &ScanOptions) -> anyhow::Result<()> {
+fn check(file: &Path, kind: FileKind, options: &ScanOptions) -> anyhow::Result<()> {
     let shown = || file.display().to_string();
-    if matches!(kind, FileKind::OctoMap | FileKind::Plane) && given.has_sensor() {
+    if matches!(kind, FileKind::OctoMap | FileKind::Plane) && options.has_sensor() {
         let text = "it is a map, not a sensor scan: leave out --pose, --min-range and --max-range";
         return Err(usage(format!("{}: {text}", file.display())));
     }
     let open = File::open(file).with_context(shown)?;
     let has_pose = match kind {
-        FileKind::Pcd if given.pose.is_none() => {
+        FileKind::Pcd if options.pose.is_none() => {
             let mut start = Vec::new();
             open.take(HEADER_BYTES).read_to_end(&mut start).with_context(shown)?;
             // Errors in the file are reported when it is read.
             pcd::read_pose(&start).map_or(true, |pose| pose.is_some())
         }
-        FileKind::Ply => given.pose.is_some(),
+        FileKind::Ply => options.pose.is_some(),
         FileKind::Plane => {
             let (_, image) = plane_files(file).with_context(shown)?;
             File::open(&image).with_context(|| image.display().to_string())?;
@@ -151,12 +151,12 @@ fn check(file: &Path, kind: FileKind, given: &ScanOptions) -> anyhow::Result<()>
 mod tests {
     use super::*;
 
-    fn given() -> ScanOptions {
+    fn options() -> ScanOptions {
         ScanOptions { at_nanos: Some(100), every_nanos: None, pose: None, min_range_m: None, max_range_m: None }
     }
 
-    fn said(file: &Path, given: &ScanOptions) -> (String, bool) {
-        let error = plan(&[file.to_path_buf()], given).err();
+    fn message(file: &Path, options: &ScanOptions) -> (String, bool) {
+        let error = plan(&[file.to_path_buf()], options).err();
         error.map(|error| (format!("{error:#}"), error.is::<UsageError>())).unwrap_or_default()
     }
 
@@ -171,13 +171,14 @@ mod tests {
 
     #[test]
     fn each_file_has_a_time() -> anyhow::Result<()> {
-        assert_eq!(times(&given(), 1)?, [100]);
-        assert_eq!(times(&ScanOptions { every_nanos: Some(5), ..given() }, 3)?, [100, 105, 110]);
-        let said =
-            |given: &ScanOptions, files| times(given, files).err().map(|error| error.to_string()).unwrap_or_default();
-        assert!(said(&given(), 2).contains("--every"));
-        assert!(said(&ScanOptions { at_nanos: None, ..given() }, 1).contains("--at"));
-        assert!(said(&ScanOptions { every_nanos: Some(i64::MAX), ..given() }, 3).contains("2262"));
+        assert_eq!(times(&options(), 1)?, [100]);
+        assert_eq!(times(&ScanOptions { every_nanos: Some(5), ..options() }, 3)?, [100, 105, 110]);
+        let message = |options: &ScanOptions, files| {
+            times(options, files).err().map(|error| error.to_string()).unwrap_or_default()
+        };
+        assert!(message(&options(), 2).contains("--every"));
+        assert!(message(&ScanOptions { at_nanos: None, ..options() }, 1).contains("--at"));
+        assert!(message(&ScanOptions { every_nanos: Some(i64::MAX), ..options() }, 3).contains("2262"));
         Ok(())
     }
 
@@ -192,24 +193,24 @@ mod tests {
         let header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\n";
         let turned = file("posed.pcd", &format!("{header}VIEWPOINT 1 2 3 1 0 0 0\nDATA ascii\n1 2 3\n"))?;
         let bare = file("bare.pcd", &format!("{header}DATA ascii\n1 2 3\n"))?;
-        let posed = ScanOptions { pose: Some(Isometry3::identity()), ..given() };
-        assert_eq!(said(&turned, &given()), (String::new(), false));
-        assert_eq!(said(&bare, &posed), (String::new(), false));
+        let posed = ScanOptions { pose: Some(Isometry3::identity()), ..options() };
+        assert_eq!(message(&turned, &options()), (String::new(), false));
+        assert_eq!(message(&bare, &posed), (String::new(), false));
         for cloud in [bare, file("bare.ply", "ply\n")?] {
-            let (error, misused) = said(&cloud, &given());
+            let (error, misused) = message(&cloud, &options());
             assert!(misused && error.contains("bare.") && error.contains("--pose"), "{error}");
         }
         let octomap = file("map.bt", "")?;
-        assert_eq!(said(&octomap, &given()), (String::new(), false));
-        for sensor in [&posed, &ScanOptions { max_range_m: Some(5.0), ..given() }] {
-            let (error, misused) = said(&octomap, sensor);
+        assert_eq!(message(&octomap, &options()), (String::new(), false));
+        for sensor in [&posed, &ScanOptions { max_range_m: Some(5.0), ..options() }] {
+            let (error, misused) = message(&octomap, sensor);
             assert!(misused && error.contains("leave out --pose"), "{error}");
         }
         let ranges = |min, max| ScanOptions { min_range_m: Some(min), max_range_m: Some(max), ..posed.clone() };
-        assert_eq!(said(&turned, &ranges(5.0, 0.0)), (String::new(), false));
-        let (error, misused) = said(&turned, &ranges(5.0, 3.0));
+        assert_eq!(message(&turned, &ranges(5.0, 0.0)), (String::new(), false));
+        let (error, misused) = message(&turned, &ranges(5.0, 3.0));
         assert!(misused && error.contains("--min-range 5 is above --max-range 3"), "{error}");
-        let (error, misused) = said(&folder.path().join("absent.pcd"), &given());
+        let (error, misused) = message(&folder.path().join("absent.pcd"), &options());
         assert!(!misused && error.contains("absent.pcd"), "{error}");
         Ok(())
     }
@@ -219,7 +220,7 @@ mod tests {
         let folder = tempfile::tempdir()?;
         let yaml = folder.path().join("g.yaml");
         std::fs::write(&yaml, "image: absent.pgm\n")?;
-        let (error, _) = said(&yaml, &given());
+        let (error, _) = message(&yaml, &options());
         assert_eq!(error.matches("g.yaml").count(), 1, "{error}");
         Ok(())
     }

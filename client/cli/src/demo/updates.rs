@@ -13,7 +13,7 @@ const TIMEOUT: Duration = Duration::from_secs(60);
 const POLL: Duration = Duration::from_millis(20);
 
 /// Waits until the automatic updates have learned everything before `cut_nanos` UTC.
-pub(super) async fn passed(client: &Client, cut_nanos: i64) -> anyhow::Result<()> {
+pub(super) async fn await_updates(client: &Client, cut_nanos: i64) -> anyhow::Result<()> {
     let deadline = Instant::now() + TIMEOUT;
     loop {
         let update = client.map(MAP).await?.last_update;
@@ -28,7 +28,7 @@ pub(super) async fn passed(client: &Client, cut_nanos: i64) -> anyhow::Result<()
 }
 
 /// Runs an update up to `until_nanos` UTC: no later data triggers the last update.
-pub(super) async fn close(client: &Client, until_nanos: i64) -> anyhow::Result<()> {
+pub(super) async fn run_last(client: &Client, until_nanos: i64) -> anyhow::Result<()> {
     let mut job = client.run_update(MAP, Some(until_nanos)).await?;
     let mut watch = client.watch_job(job.id).await?;
     while let Some(changed) = watch.next().await? {
