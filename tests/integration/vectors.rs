@@ -260,7 +260,7 @@ fn what_is_no_position_is_refused_whole() {
     position(&["anna", "--at", "1", "--model", "hypertime-em+persistence"]).fails(1, &["persistence"]);
     position(&["anna", "--at", "1", "--region", "0,0,0:1,1,1"]).fails(1, &["3 coordinates", "has 2"]);
     position(&["anna", "--at", "1", "--region", "0,0:0,1"]).fails(1, &["not above"]);
-    position(&["anna", "--at", "1", "--region", "0:x"]).fails(2, &["no region"]);
+    position(&["anna", "--at", "1", "--region", "0:x"]).fails(2, &["not a region"]);
     position(&["anna", "--at", "1", "--resolution", "0"]).fails(2, &["above 0"]);
     position(&["anna", "--at", "1", "--region", "0,0:1,1", "--resolution", "1e-9"])
         .fails(1, &["cells", "max_predictions"]);

@@ -20,7 +20,7 @@ use super::Session;
 pub(crate) enum GridCommand {
     /// Sends scans from files, each exactly once
     ///
-    /// The ending gives the format: .tms is a file of scans with their own times (see the README); .pcd and .ply are
+    /// The ending gives the format: .tms is a file of scans with their own times (see the guide); .pcd and .ply are
     /// point clouds, each one scan, ray-cast from --pose; .bt and .ot (OctoMap) and .yaml or .pgm (Nav2) are maps,
     /// whose known cells count as observed at that time. The same producer and label continue where they stopped; scans
     /// that differ from what was sent are refused.
