@@ -89,16 +89,16 @@ pub trait Layout: Sized {
     /// The usual header.
     const HEADER: &'static str;
     /// A row.
-    type Record: std::fmt::Debug;
+    type Item: std::fmt::Debug;
 
     /// The layout of a header, with the indices of the columns that it uses.
     fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError>;
 
     /// The row of a line, and whether it could be read completely.
-    fn row(&self, line: &[u8], at: RowPlace) -> (Self::Record, bool);
+    fn row(&self, line: &[u8], at: RowPlace) -> (Self::Item, bool);
 
     /// The place of a row.
-    fn at(row: &Self::Record) -> RowPlace;
+    fn at(row: &Self::Item) -> RowPlace;
 }
 
 /// A row of observations.
@@ -235,7 +235,7 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
     }
 
     /// The next row; `None` at the end.
-    pub fn next(&mut self) -> Result<Option<RowItem<L::Record>>, RowError> {
+    pub fn next(&mut self) -> Result<Option<RowItem<L::Item>>, RowError> {
         loop {
             if self.ended {
                 return Ok(None);
@@ -311,7 +311,7 @@ fn fields(line: &[u8], count: usize) -> Result<Vec<std::borrow::Cow<'_, str>>, S
 
 impl Layout for ObservationColumns {
     const HEADER: &'static str = "time,state,value";
-    type Record = ObservationRow;
+    type Item = ObservationRow;
 
     fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError> {
         let (time, state) = (header.column("time")?, header.column("state")?);

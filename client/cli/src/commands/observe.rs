@@ -104,7 +104,7 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
 }
 
 /// Sends the rows of a file, prints the counts, and waits for nightly updates if the options announce them.
-pub(super) async fn send<L: Layout<Record: Sendable>>(
+pub(super) async fn send<L: Layout<Item: Sendable>>(
     session: &Session,
     options: ProducerOptions,
     Feed { rows, total_bytes, .. }: Feed<L>,

@@ -55,7 +55,7 @@ pub fn parse_success(text: &str) -> Result<bool, String> {
 
 impl Layout for TraversalColumns {
     const HEADER: &'static str = "from,to,start,end,success";
-    type Record = TraversalRow;
+    type Item = TraversalRow;
 
     fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError> {
         let maybe = |column: &'static str| header.has(column).then(|| header.column(column)).transpose();

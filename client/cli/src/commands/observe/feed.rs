@@ -44,7 +44,7 @@ impl<T> Default for RowChunk<T> {
 #[derive(Debug)]
 pub(crate) struct Feed<L: Layout = ObservationColumns> {
     /// An error is the last entry.
-    pub(crate) rows: RowChunks<L::Record>,
+    pub(crate) rows: RowChunks<L::Item>,
     /// Size of the file; `None` for pipes.
     pub(crate) total_bytes: Option<u64>,
     pub(crate) layout: L,
@@ -60,7 +60,7 @@ pub(crate) fn display_name(path: &Path) -> String {
 /// Opens a file, or stdin if the path is `-`, and reads its header.
 pub(crate) fn open<L>(path: &Path) -> anyhow::Result<Feed<L>>
 where
-    L: Layout<Record: Send> + Copy + Send + 'static,
+    L: Layout<Item: Send> + Copy + Send + 'static,
 {
     let stdin = path.as_os_str() == "-";
     let (source, total_bytes): (Box<dyn Read + Send>, _) = if stdin {
@@ -93,7 +93,7 @@ where
 /// Reads until the end, an error, or until the receiver is closed.
 fn read<R: Read, L: Layout>(
     mut rows: RowReader<BufReader<R>, L>,
-    sender: &mpsc::Sender<Result<RowChunk<L::Record>, RowError>>,
+    sender: &mpsc::Sender<Result<RowChunk<L::Item>, RowError>>,
 ) {
     let mut chunk = RowChunk::default();
     loop {
