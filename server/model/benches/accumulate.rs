@@ -1,4 +1,4 @@
-//! Folding observations into one state, against the loop that the published method spells out.
+//! Adding observations to one state, against the loop of the published method.
 //!
 //! `cargo bench -p tidemap-model --bench accumulate`; all times are distinct and irregular.
 

@@ -27,7 +27,7 @@ fn times(chunk: i64) -> Vec<i64> {
         .collect()
 }
 
-/// A model of all 15 orders, unlike others; predictions leave `[0,1]` if `swing` is large.
+/// A model of all 15 orders, different for each seed; predictions leave `[0,1]` if `swing` is large.
 fn model(cell: u32, swing: f64) -> SpectralModel {
     let component = |k: u32| Component {
         periodicity: (cell * 7 + 11 * k) % 168,

@@ -1,5 +1,19 @@
 //! The kinds of states: what a value means, and which values are allowed.
 //!
+//! The kind is fixed when a state is created.
+//!
+//! - **Kernels**: probabilities use the kernels that saturate to [0, 1]. Other kinds use `spectral/values.rs`: the same
+//!   sums in plain loops, with the bounds of the kind. Sums, learning and fitting are shared and know no bounds.
+//! - **Units do not matter**: the change alarm gets errors divided by the variance of the values; the test for support
+//!   and the number of independent readings use this variance instead of μ(1 - μ); persistence measures changes in
+//!   units of two standard deviations. So a state in millimetres is learned as one in metres.
+//! - **Orders and models are compared by squared error** for other kinds, whatever the criterion: the zero-one error is
+//!   defined for probabilities only.
+//! - **Intervals** are the prediction ± z·σ (`models/interval/values.rs`), anomalies tail probabilities
+//!   (`models/interval/single.rs`). There is no interval before two observations are learned.
+//! - **Models of one kind only**: the Markov chain, Pergam and the uniform variant support probabilities only, Poisson
+//!   supports counts only. Other kinds are refused. Cells of a grid are probabilities.
+//!
 //! Invariant: the values of every kind are finite and lie in its bounds, so that no sum over them overflows.
 
 use std::ops::RangeInclusive;

@@ -74,7 +74,7 @@ pub const ORDER_MAX: usize = 15;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidParts {
-    /// A spectrum has an entry per candidate periodicity, or none where nothing was observed.
+    /// The spectrum must have one entry per candidate periodicity, or none without observations.
     #[error("the spectrum has {found} entries, expected {expected}")]
     SpectrumLength { expected: usize, found: usize },
     /// A number is not finite, or outside the range that its meaning allows.

@@ -1,7 +1,10 @@
 //! The temporal models of one state, behind one small interface.
 //!
-//! Each model is fitted to the readings of one state and predicts its value at a moment. The held-out error decides
-//! which of them is used. Invariant: for all readings, a prediction is finite.
+//! Each model is fitted to the readings of one state and predicts its value at a moment; a new kind of model is a file
+//! here with a fit, a [`TemporalModel`] implementation and parts for storage. The nightly update chooses between the
+//! spectral model, histograms and models fitted to readings by held-out error (`state/alternatives.rs`); the other
+//! models are fitted when a query asks for them, always to learned data in order of time, so that the same data gives
+//! the same model. Invariant: for all readings, a prediction is finite.
 
 mod alarm;
 mod calibrated;
@@ -105,7 +108,7 @@ impl<'a> Readings<'a> {
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum CannotFit {
     /// There are no readings.
-    #[error("there are no observations to fit it to")]
+    #[error("there are no observations to fit the model to")]
     NoReadings,
     /// A parameter is outside its range.
     #[error("{parameter} is {found}, expected {expected}")]

@@ -1,7 +1,7 @@
 //! Positions: values that have two or three coordinates.
 //!
-//! Invariant: a position has as many coordinates as its dimensions say. [`Position::invalid_coordinate`] checks the
-//! values, because they come from outside.
+//! Invariant: the number of coordinates matches the dimensions. [`Position::invalid_coordinate`] checks the values,
+//! because they come from outside.
 
 use crate::StateKind;
 

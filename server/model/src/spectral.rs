@@ -112,8 +112,8 @@ impl SpectralModel {
         &self.components[..order.min(self.components.len())]
     }
 
-    /// Probability or expected value at a local civil time (nanoseconds since 1970 local) by the
-    /// `order` strongest components, or as many as there are; in `[0,1]` (T-RO eq. 10).
+    /// Probability or expected value at a local civil time (nanoseconds since 1970 local) by the `order` strongest
+    /// components, or all if there are fewer; in `[0,1]` (T-RO eq. 10).
     pub fn predict(&self, periodicities: &Periodicities, order: usize, civil_nanos: i64) -> f64 {
         self.sum(periodicities, order, civil_nanos).clamp(0.0, 1.0)
     }

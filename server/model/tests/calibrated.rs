@@ -1,5 +1,5 @@
-//! The calibrated model on the office door of RA-L 2019: how its defaults were chosen, and how it does on weeks that had no part
-//! in the choice. Skipped where the recordings are not at hand.
+//! The calibrated model on the office door of RA-L 2019: the choice of its defaults, and its error on held-out weeks.
+//! Skipped without the recordings.
 
 #![allow(clippy::unwrap_used)]
 
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use tidemap_model::models::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
 use tidemap_model::{Accumulator, LocalDay, ORDER_MAX, Periodicities, Sample, SpectralModel, Zone};
 
-/// A way to predict: what it expects of each moment, given the readings so far.
+/// A predictor: the prediction of each moment, given the readings so far.
 type Method<'a> = &'a dyn Fn(&[Sample]) -> Box<dyn Fn(Moment) -> f64>;
 
 fn recordings() -> Option<PathBuf> {
@@ -52,7 +52,7 @@ fn calibrated(options: CalibratedOptions) -> impl Fn(&[Sample]) -> Box<dyn Fn(Mo
     }
 }
 
-/// The mean over slots of the local week, or of the local day; the overall mean where a slot was never seen.
+/// The mean over slots of the local week, or of the local day; the overall mean for unobserved slots.
 fn histogram(slot_of: fn(Moment) -> usize) -> impl Fn(&[Sample]) -> Box<dyn Fn(Moment) -> f64> {
     move |samples| {
         let mut slots = vec![(0.0, 0.0); 24 * 7];
@@ -85,7 +85,8 @@ fn fremen(samples: &[Sample]) -> Box<dyn Fn(Moment) -> f64> {
     Box::new(move |at| model.predict(&periodicities, ORDER_MAX, at.civil_nanos()))
 }
 
-/// Errors by rolling origin: from the third week on, learn from all weeks so far, predict the next, and those after.
+/// Errors by rolling origin: from the third week on, train on all weeks so far, predict the next and the following
+/// ones.
 struct Rolling {
     /// Of the next week, per origin.
     next: Vec<f64>,
@@ -104,7 +105,7 @@ impl Rolling {
         rolling
     }
 
-    /// What the settings are chosen by: the mean of both errors, one for a map updated every week, one for a map that is not.
+    /// The criterion of the settings: the mean of both errors, of a map updated every week and of one that is not.
     fn score(&self) -> f64 {
         0.5 * (mean(&self.next) + mean(&self.later))
     }
@@ -167,8 +168,8 @@ fn the_defaults_come_from_rolling_origin_on_the_training_weeks() {
             options.memory_days, options.caution, options.day_of_week_caution, options.smoothing_secs
         ));
     }
-    // Of the good settings the one that assumes least of a state: the longest memory, then the least caution, then the
-    // broadest smoothing. More caution than tried would swamp what two weeks say.
+    // Of the good settings the one with the fewest assumptions: the longest memory, then the least caution, then the
+    // broadest smoothing. More caution than tried would suppress the data of two weeks.
     let (chosen, rolling) = tried
         .iter()
         .filter(|(_, rolling)| good(rolling))

@@ -1,5 +1,5 @@
-//! The classic models on recordings: the office door and the robot's speed of RA-L 2019. The expected
-//! figures come from an independent implementation. Skipped where the recordings are not at hand.
+//! The classic models on recordings: the office door and the robot's speed of RA-L 2019. The expected figures come from
+//! an independent implementation. Skipped without the recordings.
 
 #![allow(clippy::unwrap_used)]
 
@@ -24,7 +24,7 @@ fn recordings(name: &str) -> Option<PathBuf> {
     Some(folder)
 }
 
-/// The rows of a recording, time first and value last, as observed in a zone; a row that is none is left out.
+/// The rows of a recording, time first and value last, as observed in a zone; invalid rows are omitted.
 fn read(file: &Path, zone: &Zone) -> Vec<Sample> {
     let mut offsets = zone.offset_cache();
     let row = |row: &str| {
@@ -87,7 +87,7 @@ fn the_door_is_predicted_as_well_as_by_the_reference() {
     println!("latest: {:.5}", weekly_mse(&Latest::fit(readings).unwrap(), &weeks));
     let chain = MarkovChain::fit(readings).unwrap();
     println!("chain: {:.5}, {:?}, π {:.4}", weekly_mse(&chain, &weeks), chain.to_parts(), chain.stationary());
-    // Half a day ahead and more a chain knows what the mean knows.
+    // Half a day ahead and more, a chain equals the mean.
     check("chain", weekly_mse(&chain, &weeks), 0.0856, 0.001);
 }
 
@@ -110,9 +110,9 @@ fn the_chain_predicts_the_next_minutes_of_the_door() {
     }
 }
 
-/// The reference has 0.01682 for the mean, which is that of a mean of 0.45, and 0.02022 for Hist_24, which is that of 0.5
-/// in bins without readings (6 of the 101 rows). Here the mean is 0.45046 and an empty bin answers it. The recordings lie
-/// in summer time, a whole hour off UTC, so the zone does not matter.
+/// The reference has 0.01682 for the mean, which is that of a mean of 0.45, and 0.02022 for Hist_24, which is that of
+/// 0.5 in bins without readings (6 of the 101 rows). Here the mean is 0.45046 and an empty bin predicts it. The
+/// recordings lie in summer time, a whole hour off UTC, so the zone does not matter.
 #[test]
 fn the_speed_is_predicted_as_well_as_by_the_reference() {
     let Some(folder) = recordings("velocity") else { return };
@@ -195,7 +195,7 @@ fn a_week_of_the_door_is_compressed_without_loss() {
     }
 }
 
-/// The errors that the change alarm hears of the door: those of the order in force, of days not yet learnt.
+/// The errors of the door that the change alarm receives: those of the order in force, on days not yet learned.
 fn daily_errors(samples: &[Sample]) -> Vec<(LocalDay, f64, u64)> {
     let week = Periodicities::default();
     let mut state = StateModel::new(&week);

@@ -1,5 +1,5 @@
-//! The office door of RA-L 2019: ten weeks to learn from, four to predict. The expected figures come
-//! from an independent implementation. Skipped where the recordings are not at hand.
+//! The office door of RA-L 2019: ten weeks to learn from, four to predict. The expected figures come from an
+//! independent implementation. Skipped without the recordings.
 
 #![allow(clippy::unwrap_used)]
 
@@ -114,8 +114,8 @@ fn next_day_errors(days: &[Vec<Sample>], mut next_order: impl FnMut(LocalDay, &S
     (mean_sum / days_scored, squared_sum / scored)
 }
 
-/// Mean squared errors of the next day, from the fifteenth day on, over observations: of the order that was best, and of the
-/// model that was in force. Without `refits` the calibrated model is never fitted.
+/// Mean squared errors of the next day, from the fifteenth day on, over observations: of the best order, and of the
+/// model in force. Without `refits` the calibrated model is never fitted.
 fn next_day_in_force(samples: &[Sample], refits: bool) -> (f64, f64, StateModel) {
     let week = Periodicities::default();
     let mut state = StateModel::new(&week);
@@ -149,7 +149,7 @@ fn the_chosen_model_predicts_the_next_day() {
          at last {:?}",
         state.choice()
     );
-    // On this door histograms and spectrum are equally good, within what chance makes.
+    // On this door histograms and spectrum are equally good, within noise.
     assert!(without <= 0.0675, "{without:.5}, order {of_order:.5}");
     assert!(with < of_order && with < without, "{with:.5}, order {of_order:.5}, without {without:.5}");
 }

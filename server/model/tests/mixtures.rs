@@ -1,5 +1,5 @@
-//! The mixture models on the recordings of RA-L 2019: an office door and a robot's speed. The bounds are
-//! loose; the figures are printed. Skipped where the recordings are not at hand.
+//! The mixture models on the recordings of RA-L 2019: an office door and a robot's speed. The bounds are loose; the
+//! figures are printed. Skipped without the recordings.
 
 #![allow(clippy::unwrap_used)]
 
@@ -103,8 +103,7 @@ fn hypertime_knows_the_door_by_day_and_week() {
     let Some(door) = Door::read() else { return };
     for seed in 0..3 {
         let error = door_by_hypertime(&door, &HypertimeOptions { method: HypertimeMethod::Em, clusters: 1, seed });
-        // Which days are left out decides whether half a week is worth a circle; the default seed's figure is the
-        // bound.
+        // The held-out days decide whether half a week gets a circle; the figure of the default seed is the bound.
         assert!(error < if seed == 0 { 0.071 } else { 0.075 }, "{error}");
     }
 }

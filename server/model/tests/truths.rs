@@ -1,8 +1,8 @@
-//! Simulated truths: what the nightly choice makes of states whose routine is known, when every model is enabled.
+//! Simulated truths: the nightly choice on states with a known routine, with every model enabled.
 //!
-//! Each state is driven day by day as the daemon does it: an update after each day, and models fitted to the readings of
-//! the last twelve weeks when they are due. What counts is the error of what was in force on each day, which had not seen
-//! the day. Invariant: all is drawn from seeds, so that every run sees the same days.
+//! Each state is driven day by day as the daemon does it: an update after each day, and models fitted to the readings
+//! of the last twelve weeks when they are due. The result is the error of the model in force on each day, which has not
+//! seen that day. Invariant: everything is drawn from seeds, so that every run sees the same days.
 
 #![allow(clippy::unwrap_used)]
 
@@ -15,10 +15,10 @@ use tidemap_model::{
 /// A reading every ten minutes.
 const SLOT_NANOS: i64 = 600_000_000_000;
 const SLOTS: i64 = 144;
-/// What models are fitted to.
+/// The training data of the models.
 const FIT_DAYS: i64 = 84;
 
-/// A number in `[0,1)` that looks random.
+/// A pseudo-random number in `[0,1)`.
 fn noise(seed: i64) -> f64 {
     let mut mixed = (seed as u64).wrapping_add(0x9E37_79B9_7F4A_7C15);
     mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -35,7 +35,7 @@ fn is_weekday(day: i64) -> bool {
     (day + 3).rem_euclid(7) < 5
 }
 
-/// What there is to choose among, in words.
+/// The names of the candidates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Candidate {
     Mean,
@@ -54,7 +54,7 @@ struct Day {
     candidates: Vec<(Candidate, f64)>,
 }
 
-/// A state, and how each of its days went.
+/// A state with the errors of its days.
 struct Run {
     state: StateModel,
     days: Vec<Day>,
@@ -71,7 +71,7 @@ fn mse(model: &dyn TemporalModel, samples: &[Sample]) -> f64 {
     sum / samples.len() as f64
 }
 
-/// So many days of a truth, which says the value by day and slot of the day.
+/// `days` days of a truth, which gives the value by day and slot of the day.
 fn run(kind: StateKind, days: i64, value: impl Fn(i64, i64) -> f64) -> Run {
     let periodicities = Periodicities::default();
     let rules = UpdateRules { models: EnabledModels::ALL, ..UpdateRules::default() };
@@ -84,7 +84,7 @@ fn run(kind: StateKind, days: i64, value: impl Fn(i64, i64) -> f64) -> Run {
         run.days.push(report(&before, &outcome.squared_errors, outcome.squared_error_in_force, &today));
         seen.extend(today);
         seen.drain(..seen.len().saturating_sub((FIT_DAYS * SLOTS) as usize));
-        // As the daemon does it: of a new routine the old one tells nothing.
+        // As in the daemon: after a change, the old routine is not used.
         let since = run.state.alternatives().and_then(|known| known.fit_since());
         seen.retain(|sample: &Sample| since.is_none_or(|since| sample.local_day() >= since));
         for fit in FitKind::ALL {
@@ -116,7 +116,7 @@ fn report(before: &StateModel, orders: &[f64; ORDER_MAX + 1], in_force: f64, tod
 }
 
 impl Run {
-    /// Mean error of what was in force over some days.
+    /// Mean error of the model in force over some days.
     fn in_force(&self, days: std::ops::Range<usize>) -> f64 {
         let days = &self.days[days];
         days.iter().map(|day| day.in_force).sum::<f64>() / days.len() as f64
@@ -140,13 +140,13 @@ impl Run {
         self.candidates(days).into_iter().find(|(found, _)| *found == wanted).unwrap().1
     }
 
-    /// What was in force is as good as the best of all, but for a share.
+    /// The model in force is as good as the best of all, within a share.
     fn assert_right(&self, days: std::ops::Range<usize>, share: f64) {
         let (in_force, candidates) = (self.in_force(days.clone()), self.candidates(days));
         assert!(in_force <= candidates[0].1 * (1.0 + share), "{in_force} in force, {candidates:?}");
     }
 
-    /// What was in force is better than some by a factor.
+    /// The model in force is better than some by a factor.
     fn assert_beats(&self, days: std::ops::Range<usize>, factor: f64, wrong: &[Candidate]) {
         for &wrong in wrong {
             let (in_force, error) = (self.in_force(days.clone()), self.error_of(wrong, days.clone()));
@@ -203,7 +203,7 @@ fn weekdays_only() {
 
 #[test]
 fn a_level_that_drifts() {
-    // What follows the last weeks is right; all that counts all days alike lags behind.
+    // A model that follows the last weeks is right; models that weight all days alike lag behind.
     let lagging = [Candidate::Mean, Candidate::Spectral, Candidate::Histogram(0), Candidate::Histogram(2)];
     let rising = run(StateKind::Continuous, 70, |day, slot| 10.0 + 0.1 * day as f64 + noise(day * SLOTS + slot));
     rising.assert_right(42..70, 0.03);
@@ -223,7 +223,7 @@ fn an_abrupt_change_of_routine() {
         flag(hours.contains(&slot) && chance(day * SLOTS + slot, 0.95))
     });
     let change = change as usize;
-    // After two weeks it is far better than what remembers the old routine, after four little is left but chance.
+    // After two weeks it is far better than models that remember the old routine; after four the rest is mostly noise.
     run.assert_beats(
         change + 14..change + 28,
         4.0,
@@ -233,7 +233,7 @@ fn an_abrupt_change_of_routine() {
     run.assert_right(recovered.clone(), 0.2);
     let recovered = run.in_force(recovered);
     assert!(recovered < 2.5 * unavoidable, "{recovered}, {unavoidable} by chance");
-    // Never much worse than knowing nothing but the mean: for four days nobody can tell that it is no odd day.
+    // Never much worse than the mean: for four days the change cannot be distinguished from unusual days.
     let (in_force, mean) = (run.in_force(change..change + 14), run.error_of(Candidate::Mean, change..change + 14));
     assert!(in_force < 1.6 * mean, "{in_force}, mean {mean}");
 }

@@ -1,8 +1,8 @@
 //! How long routes and policies take on maps of streets, with forecasts that change through the day.
 //!
-//! `cargo bench -p tidemap-plan --bench route`: routes between far corners of each map, the fastest of some repetitions of
-//! each question, of the questions the median and the slowest, and how sure the answers are. A forecast takes two cosines for
-//! the success and two for the duration, as spectral models of order 2 do.
+//! `cargo bench -p tidemap-plan --bench route`: routes between far corners of each map, the fastest of some repetitions
+//! of each request, the median and the slowest request, and the certainty of the results. A forecast takes two cosines
+//! for the success and two for the duration, as spectral models of order 2 do.
 #![allow(clippy::unwrap_used)]
 #![allow(dead_code, reason = "the maps are shared with other benchmarks, which use more of them")]
 
@@ -28,7 +28,7 @@ impl Rhythms {
     fn of(edge: &Edge) -> (f64, f64, f64) {
         let number = f64::from(edge.id.0.wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 24);
         let other = f64::from(edge.id.0.wrapping_mul(40_503).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 24);
-        // One in five is a door with a rhythm, the others are nearly always passable.
+        // One edge in five is a door with a rhythm, the others are nearly always passable.
         if number < 0.2 { (0.75, 0.2, other * 6.0) } else { (0.98, 0.015, other * 6.0) }
     }
 }

@@ -1,9 +1,10 @@
-//! How long the best order of a search takes to find, and how good a heuristic one is after a second.
+//! The time to find the best order of a search, and the quality of a heuristic one after a second.
 //!
-//! `cargo bench -p tidemap-plan --bench search`: the whole question, shortest times included, of random maps; of each map the
-//! fastest of some repetitions, of the maps the median and the slowest, and the mean processor time of all runs.
-//! `-- large [SECONDS]` instead: maps of 200 nodes, so many seconds of processor time (1), five seeds, against the best known
-//! costs in `search/best.txt`. `-- long SECONDS RUNS [SEED OF THE MAP]` makes those anew: a line per run, as it ends.
+//! `cargo bench -p tidemap-plan --bench search`: complete requests, shortest times included, on random maps: for each
+//! map the fastest of some repetitions, over the maps the median and the slowest, and the mean processor time of all
+//! runs. `-- large [SECONDS]` instead: maps of 200 nodes, the given seconds of processor time (1), five seeds, against
+//! the best known costs in `search/best.txt`. `-- long SECONDS RUNS [SEED OF THE MAP]` creates these again: one line
+//! per run.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../src/testkit.rs"]
@@ -28,13 +29,13 @@ fn goals(map: &Map) -> Vec<Goal> {
     map.goals.iter().map(|&(node, probability)| Goal { node, probability }).collect()
 }
 
-/// Processor time that this thread has had, however busy the machine; a few milliseconds late.
+/// Processor time of this thread, independent of the load; a few milliseconds late.
 fn processor_time() -> Duration {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
     Duration::from_nanos(text.split(' ').next().and_then(|nanos| nanos.parse().ok()).unwrap_or(0))
 }
 
-/// The fastest of some repetitions, at most for so long.
+/// The fastest of some repetitions, within a time limit.
 fn fastest(mut run: impl FnMut() -> SearchPlan, repetitions: usize) -> (Duration, SearchPlan) {
     let mut best: Option<(Duration, SearchPlan)> = None;
     let begun = Instant::now();

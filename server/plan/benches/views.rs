@@ -1,7 +1,7 @@
-//! Looking around in an office, at one time and through a day, and tours through it.
+//! Views in an office, at one time and over a day, and tours through it.
 //!
-//! `cargo bench -p tidemap-plan --bench views`. The sensor sees 4 m far, 360° x 90°, in cells of 0.1 m. "hall" is a look
-//! where nothing is in the way of any ray.
+//! `cargo bench -p tidemap-plan --bench views`. The range of the sensor is 4 m, 360° x 90°, in cells of 0.1 m. "hall"
+//! is an unobstructed view.
 
 use std::{
     hint::black_box,

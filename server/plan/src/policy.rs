@@ -145,10 +145,10 @@ pub enum PolicyError {
     #[error("{what} is {found}: expected {expected}")]
     Range { what: &'static str, found: f64, expected: String },
     /// Too many states.
-    #[error("{nodes} nodes in {slots} slots: at most {POLICY_STATES_MAX} of both together; take fewer, wider slots")]
+    #[error("{nodes} nodes in {slots} slots: at most {POLICY_STATES_MAX} of both together; use fewer, wider slots")]
     TooManyStates { nodes: usize, slots: usize },
     /// The caller stopped it.
-    #[error("the policy was stopped with {left} of {slots} slots left; allow it more, or take fewer slots")]
+    #[error("the policy was stopped with {left} of {slots} slots left; raise the time limit, or use fewer slots")]
     Stopped { left: usize, slots: usize },
     /// A forecast is out of range.
     #[error(transparent)]

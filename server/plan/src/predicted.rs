@@ -64,12 +64,10 @@ pub enum PredictError {
     #[error("no time is given: at least one is needed")]
     NoTime,
     /// The region is too large.
-    #[error("the region takes {cells} cells with its border, and may take {max}: ask for a smaller region")]
+    #[error("the region has {cells} cells with its border, at most {max} are allowed: request a smaller region")]
     TooManyCells { cells: u128, max: u64 },
     /// Too many cells change at too many times.
-    #[error(
-        "the cells that change take more than {max} values at {times} times: ask for fewer times or a smaller region"
-    )]
+    #[error("the changing cells have more than {max} values at {times} times: request fewer times or a smaller region")]
     TooManyValues { times: usize, max: u64 },
     /// The properties of the grid are invalid.
     #[error(transparent)]

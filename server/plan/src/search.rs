@@ -97,7 +97,7 @@ impl Default for SearchOptions {
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum SearchError {
     /// There are no goals.
-    #[error("there is nowhere to look: give at least one node with a probability")]
+    #[error("there are no goals: give at least one node with a probability")]
     NoGoals,
     /// The map has no such node.
     #[error("there is no node of number {0}")]
@@ -109,21 +109,19 @@ pub enum SearchError {
     #[error("the probability at node number {node} is {found}: expected 0 to 1")]
     Probability { node: u32, found: f64 },
     /// The floor is out of range.
-    #[error("the least probability of a goal is {0}: expected above 0, at most 1")]
+    #[error("the minimum probability of a goal is {0}: expected above 0, at most 1")]
     Floor(f64),
     /// A limit of the stop rule is out of range.
     #[error(transparent)]
     Stop(#[from] StopError),
     /// Too many goals for an exact search.
-    #[error(
-        "the best order of {found} places was asked for: at most {EXACT_GOALS_MAX} are possible; ask for a good one"
-    )]
+    #[error("an exact search of {found} places: at most {EXACT_GOALS_MAX} are possible; use the heuristic")]
     TooManyForExact { found: usize },
     /// Too many goals.
-    #[error("a search of {found} places: at most {most} are possible; leave out unlikely ones")]
+    #[error("a search of {found} places: at most {most} are possible; omit unlikely ones")]
     TooMany { found: usize, most: usize },
     /// No goal can be reached.
-    #[error("none of the places can be reached from node number {start}")]
+    #[error("no goal can be reached from node number {start}")]
     Unreachable { start: u32 },
 }
 

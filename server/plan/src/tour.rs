@@ -41,7 +41,7 @@ pub enum NoTour {
     #[error("no place on the candidates' grid can be driven to and looked from")]
     NothingReachable,
     /// There are candidates, but no information.
-    #[error("nothing is to be learned from any place that can be reached")]
+    #[error("no reachable place has information to gain")]
     NothingToLearn,
     /// No goal fits into the time.
     #[error("the time for the tour is {budget_secs} s, and the nearest goal alone takes {least_secs} s")]

@@ -74,7 +74,7 @@ pub enum InvalidSensor {
     Height(f64),
     /// The rays would pass too many cells.
     #[error(
-        "the rays of this sensor would pass {cells:.0} cells, and may pass {max:.0}: shorten its range or narrow its view"
+        "the rays of this sensor pass {cells:.0} cells, at most {max:.0} are allowed: shorten its range or narrow its view"
     )]
     TooFine { cells: f64, max: f64 },
 }

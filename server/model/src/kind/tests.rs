@@ -1,4 +1,4 @@
-//! Which values each kind of state allows, and what is made of those that it does not.
+//! The values that each kind of state allows, and the treatment of others.
 
 use super::*;
 

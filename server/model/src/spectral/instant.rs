@@ -34,8 +34,8 @@ impl InstantPhasors {
 }
 
 impl SpectralModel {
-    /// [`SpectralModel::predict`] at the time of the phasors: by the `order` strongest components, or
-    /// as many as there are; in `[0,1]`.
+    /// [`SpectralModel::predict`] at the time of the phasors: by the `order` strongest components, or all if there are
+    /// fewer; in `[0,1]`.
     #[inline]
     pub fn predict_at(&self, order: usize, phasors: &InstantPhasors) -> f64 {
         let mut p = self.mean;

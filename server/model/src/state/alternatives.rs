@@ -118,7 +118,7 @@ pub struct Alternatives {
     supported: u8,
     /// Local days learned, without late ones.
     days: u32,
-    /// The first local day of the present routine, as far as the alarm tells.
+    /// The first local day of the present routine, by the change alarm.
     since: Option<LocalDay>,
     /// By [`FitKind`].
     fits: [Option<FitRecord>; FitKind::ALL.len()],

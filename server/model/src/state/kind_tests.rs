@@ -1,4 +1,4 @@
-//! States that are no probabilities: what is learned of them, and that their unit does not matter.
+//! States that are not probabilities: what is learned, and that the unit does not matter.
 
 use proptest::prelude::*;
 
@@ -120,8 +120,8 @@ fn parts_come_back_and_only_as_what_they_are() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// The same numbers in another unit, from another zero, are learned alike; and so are those of a probability, but
-    /// for predictions that saturate.
+    /// The same numbers in another unit, from another zero, give the same model; so do those of a probability, except
+    /// for saturation.
     #[test]
     fn the_unit_does_not_matter(seed in any::<u64>(), scale in 1e-3..1e6_f64, shift in -5.0..5.0_f64) {
         let periodicities = Periodicities::default();
@@ -143,7 +143,7 @@ proptest! {
         for (a, b) in model.spectral().components().iter().zip(of_unit.spectral().components()).take(3) {
             prop_assert!((a.amplitude() - scale * b.amplitude()).abs() <= 1e-6 * scale, "{a:?} {b:?}");
         }
-        // The fast way of scoring is the plain one.
+        // The fast scoring equals the plain one.
         let score = score_samples(StateKind::Continuous, model.spectral(), &periodicities, &scaled[..200]);
         for order in [0, 1, 7, ORDER_MAX] {
             let error = |sample: &Sample| {

@@ -89,7 +89,7 @@ fn clocks_set_back_over_midnight_do_not_begin_the_day_twice() {
     let samples: Vec<Sample> = (0..600).map(at).collect();
     let mut state = StateModel::new(&week());
     let outcome = state.update(&week(), OrderCriterion::SquaredError, samples);
-    // The first day, 150 minutes of it, had nothing before it; all later ones are the second.
+    // The 150 minutes of the first day have no predecessor; all later ones belong to the second.
     assert_eq!((outcome.observations, outcome.scored), (600, 450));
 }
 
@@ -131,7 +131,7 @@ fn forgetting_does_not_depend_on_the_order_of_days() {
 
 #[test]
 fn a_routine_of_the_clock_and_the_kind_of_day_chooses_the_model_that_has_it() {
-    // One hour, on weekdays only: no few components make that.
+    // One hour, on weekdays only: few components cannot describe this.
     let sharp = |days: i64| {
         let open = |slot: i64| (60..66).contains(&(slot % 144)) && (slot / 144 + 3) % 7 < 5;
         let sample = move |slot: i64| Sample {

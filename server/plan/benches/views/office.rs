@@ -12,7 +12,7 @@ pub const TIMES: usize = 96;
 
 /// The office.
 pub struct Office {
-    /// Lowest and highest corner of what stands around: tables, shelves, chairs; and whether it comes and goes by day.
+    /// Lowest and highest corner of furniture, and whether it changes over the day.
     things: Vec<([i32; 3], [i32; 3], bool)>,
 }
 
@@ -30,7 +30,7 @@ impl Office {
             if (57..71).contains(&y) {
                 continue;
             }
-            // Every third thing is a person, or a chair pushed about.
+            // Every third object is a person, or a chair that is moved.
             let (side, height) = if number % 3 == 0 { (4, 17) } else { (6 + random(&mut seed, 8), 8) };
             things.push(([x, y, 0], [x + side, y + side / 2 + 2, height], number % 3 == 0));
         }
@@ -46,7 +46,7 @@ impl Office {
         is_outer || is_side || (x % 40 == 0 && !(57..=71).contains(&y))
     }
 
-    /// How probably a cell is occupied at a time; `None` where nobody has looked.
+    /// Probability of a cell being occupied at a time; `None` if it was never observed.
     pub fn probability(&self, cell: CellIndex, time: usize) -> Option<f32> {
         if Office::wall(cell) {
             return Some(1.0);
@@ -62,7 +62,7 @@ impl Office {
                 return Some(if *comes { p } else { 1.0 });
             }
         }
-        // What people leave about: one cell in fifty changes a little.
+        // Clutter: one cell in fifty changes a little.
         let place = (x as u64 * 7919 + y as u64 * 104_729 + z as u64 * 1_299_709).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         match place >> 57 {
             0 | 1 if z < 18 => Some(0.15 + 0.1 * (hour / 24.0 * std::f32::consts::TAU).sin()),
@@ -71,7 +71,7 @@ impl Office {
         }
     }
 
-    /// That many places where somebody can stand all day.
+    /// The given number of places that are free all day.
     pub fn viewpoints(&self, count: usize, day: &PredictedTimes, sensor: &Sensor) -> Vec<Viewpoint> {
         let grids: Vec<_> = [0, 32, 48, 64].iter().filter_map(|&time| day.at(time)).collect();
         let mut seed = 7;

@@ -1,4 +1,4 @@
-//! Days of 23, 24 and 25 hours, and plans of them.
+//! Days of 23, 24 and 25 hours, and their plans.
 
 use super::*;
 
@@ -8,7 +8,7 @@ fn london(day: i32, slot_nanos: i64) -> Result<DaySlots, DayError> {
     DaySlots::of(&Zone::named("Europe/London").unwrap(), LocalDay(day), slot_nanos)
 }
 
-/// 2016-03-27, whose clocks go forward; 2016-10-30, whose go back.
+/// 2016-03-27, when clocks go forward; 2016-10-30, when they go back.
 const SPRING: i32 = 16_887;
 const AUTUMN: i32 = 17_104;
 
@@ -47,7 +47,7 @@ fn what_suits_no_day_is_refused() {
     for slot_nanos in [0, -1, MINUTE_NANOS - 1, 24 * HOUR_NANOS, i64::MAX, i64::MIN] {
         assert!(matches!(london(SPRING, slot_nanos), Err(DayError::Slot { .. })), "{slot_nanos}");
     }
-    // Samoa went to the other side of the date line, and had no 2011-12-30.
+    // Samoa crossed the date line and had no 2011-12-30.
     let apia = Zone::named("Pacific/Apia").unwrap();
     assert_eq!(LocalDay(15_338).to_string(), "2011-12-30");
     assert_eq!(DaySlots::of(&apia, LocalDay(15_338), SLOT_NANOS), Err(DayError::NoSuchDay { day: LocalDay(15_338) }));

@@ -1,4 +1,4 @@
-//! Known values, and what holds for any number.
+//! Known values, and invariants.
 
 use proptest::prelude::*;
 
@@ -20,7 +20,7 @@ fn information_has_its_known_values() {
     assert!((certainty.bits(0.25) - (0.811_278_124_459_132_8 - 0.286_396_957_115_956_4)).abs() < 1e-12);
     assert_eq!((certainty.bits(0.05), certainty.bits(0.97), certainty.bits(1.0)), (0.0, 0.0, 0.0));
     assert_eq!(certainty.bits(f64::NAN), certainty.most_bits());
-    // A surer observation teaches something of a state that is 0.05 or 0.95.
+    // A more certain observation has information about a state of 0.05 or 0.95.
     assert!(
         (Certainty::new(0.99).unwrap().bits(0.95) - (0.286_396_957_115_956_4 - 0.080_793_135_895_911_2)).abs() < 1e-9
     );

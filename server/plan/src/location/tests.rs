@@ -1,4 +1,4 @@
-//! What a visit is worth, against known values.
+//! The information of a visit, against known values.
 
 use proptest::prelude::*;
 
@@ -17,9 +17,9 @@ fn a_visit_saves_the_guesses_that_would_be_wrong() {
 
 #[test]
 fn what_was_expected_anyway_is_no_surprise() {
-    // Of a model that agrees with itself the cross entropy is the entropy.
+    // If both models agree, the cross entropy is the entropy.
     assert!((surprise_bits([(0.3, 0.3)]) - information_bits([0.3])).abs() < 1e-12);
-    // One that is sure of the contrary learns most: log2 20 bits.
+    // A model that is certain of the contrary gains most: log2 20 bits.
     assert!((surprise_bits([(1.0, 0.0)]) - 20_f64.log2()).abs() < 1e-9);
     assert!(surprise_bits([(0.0, 0.0)]) < 0.1);
 }

@@ -1,4 +1,4 @@
-//! Policies against value iteration over all states, and what is refused.
+//! Policies against value iteration over all states, and refused input.
 
 mod oracle;
 mod questions;

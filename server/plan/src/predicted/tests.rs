@@ -1,4 +1,4 @@
-//! What is predicted is what the grid says, cell by cell.
+//! Predictions equal those of the grid, cell by cell.
 
 use std::sync::{Arc, atomic::AtomicU64};
 

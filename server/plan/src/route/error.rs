@@ -15,19 +15,19 @@ pub enum PlanRouteError {
     UnknownNode(u32),
     /// There is no path.
     #[error(
-        "no way leads from node number {from} to node number {to}; {closed} edges were closed when they were reached"
+        "there is no path from node number {from} to node number {to}; {closed} edges were closed when they were reached"
     )]
     Unreachable { from: u32, to: u32, closed: usize },
     /// All paths take too long.
-    #[error("no way from node number {from} to node number {to} takes at most {horizon_secs} s; raise the horizon")]
+    #[error("no route from node number {from} to node number {to} takes at most {horizon_secs} s; raise the horizon")]
     BeyondHorizon { from: u32, to: u32, horizon_secs: f64 },
     /// No departure is early enough.
     #[error(
-        "no departure from {earliest_secs} s on is expected to arrive by {by_secs} s; allow an earlier one, or arrive later"
+        "no departure from {earliest_secs} s on is expected to arrive by {by_secs} s; allow an earlier departure or a later arrival"
     )]
     TooLate { earliest_secs: f64, by_secs: f64 },
     /// The search ended before it found a path.
-    #[error("the search was stopped after {labels} partial routes and had found no way; allow it more")]
+    #[error("the search was stopped after {labels} partial routes without finding a route; raise its limit")]
     CutOff { labels: usize },
     /// A number of the request is out of range.
     #[error("{what} is {found}: expected {expected}")]

@@ -42,14 +42,14 @@ impl<F: FnMut(&Edge, f64) -> Option<EdgeForecast>> Forecasts for F {
 pub enum ForecastError {
     /// A success is out of range.
     #[error(
-        "edge {edge} succeeds with probability {found}: expected {SUCCESS_MIN} to 1; one that never does is to be closed"
+        "edge {edge} succeeds with probability {found}: expected {SUCCESS_MIN} to 1; close an edge that never succeeds"
     )]
     Success { edge: String, found: f64 },
     /// A duration is out of range.
     #[error("edge {edge} would take {found} s: expected above 0 s, at most {NOMINAL_MAX_SECS} s")]
     Duration { edge: String, found: f64 },
     /// The evidence is out of range.
-    #[error("the success of edge {edge} is worth {found} observations: expected above 0")]
+    #[error("the evidence of edge {edge} is {found} observations: expected above 0")]
     Evidence { edge: String, found: f64 },
 }
 

@@ -1,4 +1,4 @@
-//! Routes against the enumeration of all simple ways, and what is refused.
+//! Routes against the enumeration of all simple paths, and refused input.
 
 mod oracle;
 mod questions;

@@ -30,13 +30,13 @@ pub enum StopReason {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StopError {
     /// The limit of the remaining probability.
-    #[error("a search is to stop when less than {0} remains: expected 0 to 1")]
+    #[error("the remaining probability at which a search stops is {0}: expected 0 to 1")]
     Remains(f64),
     /// The cost of a second.
-    #[error("a second of search costs {0}: expected 0 up")]
+    #[error("the cost of a second of search is {0}: expected 0 or more")]
     Cost(f64),
     /// The time limit.
-    #[error("a search may take {0} s: expected 0 up")]
+    #[error("the time limit of a search is {0} s: expected 0 or more")]
     Within(f64),
 }
 

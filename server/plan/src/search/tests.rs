@@ -1,4 +1,4 @@
-//! Searches against naive oracles, and what is refused.
+//! Searches against naive oracles, and refused input.
 
 mod bounds;
 mod optimal;
@@ -18,7 +18,7 @@ fn goals(map: &Map) -> Vec<Goal> {
     map.goals.iter().map(|&(node, probability)| Goal { node, probability }).collect()
 }
 
-/// The same map with looks that take time at about half of its nodes.
+/// The same map with dwell times at about half of its nodes.
 fn with_looks(mut map: Map, seed: u64) -> Map {
     let mut random = SmallRng::seed_from_u64(seed);
     for &(node, _) in &map.goals {

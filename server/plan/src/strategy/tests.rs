@@ -1,4 +1,4 @@
-//! Strategies against what their definitions ask for.
+//! Strategies against their definitions.
 
 use proptest::prelude::{Just, any, prop, prop_assert, prop_assert_eq, prop_oneof, proptest};
 use proptest::strategy::Strategy as _;
@@ -45,7 +45,7 @@ fn assert_distributed(counts: &[f64], probabilities: &[f64]) {
 fn monte_carlo_draws_by_equation_11() {
     let gains = uneven(6, 4);
     for (ratio, slot) in [(0.5, 0), (0.2, 3), (0.9, 5)] {
-        // Written out from the paper, not from the code: I' over all, I(0) = I'(1 - e)/(m e).
+        // From the paper, not from the code: I' over all, I(0) = I'(1 - e)/(m e).
         let total: f64 = (0..6).flat_map(|slot| gains.slot(slot).to_vec()).sum();
         let mut weights = vec![total * (1.0 - ratio) / (6.0 * ratio) + 0.02 / std::f64::consts::LN_2];
         weights.extend(gains.slot(slot).iter().map(|gain| gain + 0.02 / std::f64::consts::LN_2));
@@ -135,7 +135,7 @@ fn a_visit_is_chosen_again_by_what_is_known_now() {
 fn a_surprise_changes_the_visit_and_a_small_one_does_not() {
     use crate::location::{information_bits, surprise_bits};
     let place = |expected: f64, informed: f64| (surprise_bits([(expected, informed)]), information_bits([informed]));
-    // Seen there a moment ago, where the model is sure of nobody.
+    // Just observed there, while the model is certain of the contrary.
     assert_eq!(novel([place(0.0, 0.0), place(0.9, 0.02), place(0.5, 0.5)]), Some(1));
     assert_eq!(novel([place(0.0, 0.0), place(1.0, 1.0), place(0.9, 0.4), place(0.1, 0.0)]), None);
     // The larger of two.
@@ -184,7 +184,7 @@ fn an_allowance_learns_when_visits_are_worth_most() {
     let mut day = || (0..10).map(|slot| allowance.grant(gain(slot))).collect::<Vec<_>>();
     let first = day();
     assert_eq!(first.iter().filter(|granted| **granted).count(), 4);
-    // Evenly at first, then where it is worth it.
+    // Evenly at first, then at the best slots.
     assert!(first[..5].iter().filter(|granted| **granted).count() == 2);
     let second = day();
     assert!(second[3] && second[4] && second[5], "{second:?}");

@@ -114,14 +114,14 @@ pub enum TourError {
     Outside { x_m: f64, y_m: f64, z_m: f64 },
     /// The grid of candidates is too fine for its region.
     #[error(
-        "candidates {spacing_m} m apart are {candidates:.0}, and may be {max}: set them farther apart or ask for a smaller region"
+        "a spacing of {spacing_m} m gives {candidates:.0} candidates, at most {max} are allowed: use a wider spacing or a smaller region"
     )]
     TooManyCandidates { spacing_m: f64, candidates: f64, max: usize },
     /// The sensor is invalid.
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),
     /// The rays are for another sensor, yaw or size of region.
-    #[error("the rays were made for another sensor, another yaw or a region of another size: make them anew")]
+    #[error("the rays were made for another sensor, another yaw or a region of another size: create them again")]
     OtherFan,
     /// The options of driving are invalid.
     #[error(transparent)]

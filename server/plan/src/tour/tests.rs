@@ -1,4 +1,4 @@
-//! Tours in drawn rooms, and their parts against what is plainly right.
+//! Tours in drawn rooms, and their parts against naive oracles.
 
 use std::{collections::HashSet, sync::Arc};
 
@@ -12,7 +12,7 @@ use crate::{
     view::{SceneOptions, Sensor, ViewScorer},
 };
 
-/// A room of cells of 10 cm with walls around it; `p` says how probably each is occupied.
+/// A room of cells of 10 cm with walls around it; `p` gives each cell's probability of being occupied.
 fn room(width: i32, depth: i32, p: impl Fn(i32, i32) -> f32) -> PredictedGrid {
     let max = CellIndex { x: width, y: depth, z: 1 };
     let lattice = Lattice::new(&spec(true), CellBox { min: CellIndex::default(), max }, 1 << 20).unwrap();
@@ -42,7 +42,7 @@ fn tour(grid: &PredictedGrid, question: &TourQuestion) -> Tour {
     plan_tour(grid, &Reachability::default(), question).unwrap()
 }
 
-/// Two corners of a room in which things change; one more so.
+/// Two corners of a room with changes, one with more.
 fn two_corners() -> PredictedGrid {
     room(60, 30, |x, y| match (x, y) {
         (45.., 20..) => 0.5,
@@ -103,7 +103,7 @@ fn goals_are_apart_where_views_overlap() {
 
 #[test]
 fn a_view_that_shares_all_is_not_taken_twice() {
-    // Little enough that one look sees all of it.
+    // Small enough that one view sees all of it.
     let grid = room(9, 9, |_, _| 0.5);
     let told = tour(&grid, &TourQuestion { spacing_m: 0.1, ..question(&grid, 4, 4) });
     assert_eq!(told.steps.len(), 1);
@@ -111,7 +111,7 @@ fn a_view_that_shares_all_is_not_taken_twice() {
 
 #[test]
 fn obstacles_are_in_the_way() {
-    // A wall with a door at the far end: nearby as the crow flies.
+    // A wall with a door at the far end: close in a straight line only.
     let wall = |door: bool| {
         room(60, 30, move |x, y| match (x, y) {
             (30, 24..) if door => 0.0,
@@ -269,7 +269,7 @@ fn permutations(goals: &[usize], tell: &mut impl FnMut(&[usize])) {
     each(&mut goals.to_vec(), 0, tell);
 }
 
-/// The choice of goals by looking from every candidate in every round.
+/// The choice of goals by evaluating every candidate in every round.
 fn choose_plainly(
     scene: &Scene,
     fan: &Fan,

@@ -1,4 +1,4 @@
-//! Ways around obstacles, against relaxation of all steps until nothing changes.
+//! Paths around obstacles, against relaxation of all steps until convergence.
 
 use proptest::prelude::*;
 use tidemap_map::grid::index::CellBox;

@@ -1,4 +1,4 @@
-//! Looks against an oracle that asks of every ray and every cell of the region whether the one passes the other.
+//! Views against an oracle that tests every ray against every cell of the region.
 
 use std::{collections::BTreeMap, ops::ControlFlow, sync::Arc};
 
@@ -21,7 +21,7 @@ fn lattice(size: [i32; 3], is_flat: bool) -> Arc<Lattice> {
     Arc::new(Lattice::new(&spec(is_flat), CellBox { min, max }, 1 << 20).unwrap())
 }
 
-/// Some number in [0, 1) for each seed.
+/// A pseudo-random number in [0, 1) for each seed.
 fn dice(seed: u64) -> f64 {
     let mut x = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -44,8 +44,7 @@ fn probability(seed: u64, at: CellIndex) -> Option<f32> {
     }
 }
 
-/// How far along a ray, from the centre of the cell `from`, the borders of a cell lie along an axis: where it comes in
-/// and where it goes out.
+/// Distances along a ray, from the centre of the cell `from`, at which it enters and leaves a cell along an axis.
 fn slab(along: f64, distance: i32) -> Option<(f64, f64)> {
     if along == 0.0 {
         return (distance == 0).then_some((f64::NEG_INFINITY, f64::INFINITY));
@@ -58,7 +57,7 @@ fn slab(along: f64, distance: i32) -> Option<(f64, f64)> {
     Some((enter, (ahead + 0.5) / along.abs()))
 }
 
-/// Whether, and where, a ray enters a cell; where it meets an edge, it crosses along x first, then y, then z.
+/// Whether, and where, a ray enters a cell; at an exact edge, it crosses along x first, then y, then z.
 fn enters(direction: [f64; 3], away: [i32; 3]) -> Option<(f64, usize)> {
     let mut slabs = [(0.0, 0.0); 3];
     for axis in 0..3 {
@@ -76,7 +75,7 @@ fn enters(direction: [f64; 3], away: [i32; 3]) -> Option<(f64, usize)> {
     Some((slabs[last].0, last))
 }
 
-/// What is seen: each cell with its information.
+/// The visible cells with their information.
 fn oracle(grid: &PredictedGrid, sensor: &Sensor, from: CellIndex, yaw: f64) -> BTreeMap<CellIndex, f64> {
     let lattice = grid.lattice();
     let range = sensor.range_m / lattice.resolution_m();
@@ -110,7 +109,7 @@ fn scene(grid: &PredictedGrid) -> Scene {
     Scene::new(grid, &SceneOptions::default()).unwrap()
 }
 
-/// An answer of [`look_many`], as it comes.
+/// A reported result of [`look_many`].
 type Told = Vec<(usize, Result<Vec<Option<f64>>, ViewError>)>;
 
 fn look_at_all(scene: &TimedScene, sensor: &Sensor, viewpoints: &[Viewpoint]) -> Told {

@@ -1,5 +1,5 @@
-//! Simulated truths and odd input: a routine is found, where there is none the mean is as good as kept, and whatever
-//! the readings the answer lies among them.
+//! Simulated truths and unusual input: a routine is found, without one the prediction is close to the mean, and
+//! predictions always lie within the readings.
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
@@ -32,7 +32,7 @@ fn at(day: i64, minute: i64) -> Moment {
     Moment { utc_nanos: ((MONDAY + day) * DAY_SECS + minute * 60) * NANOS_PER_SEC, offset_secs: 0 }
 }
 
-/// Squared error over days 70 to 84, learnt from the 70 before, as a share of the squared error of the mean.
+/// Squared error over days 70 to 84, trained on the 70 before, as a share of the squared error of the mean.
 fn error_beside_the_mean(mut value: impl FnMut(i64, i64) -> f64) -> f64 {
     let (train, test) = (simulated(0, 70, &mut value), simulated(70, 84, &mut value));
     let mean = train.iter().map(|sample| sample.value).sum::<f64>() / train.len() as f64;
@@ -44,7 +44,7 @@ fn error_beside_the_mean(mut value: impl FnMut(i64, i64) -> f64) -> f64 {
     share
 }
 
-/// 1 within the minutes of the day, on most such days: a routine with the odd exception.
+/// 1 within the minutes of the day, on most such days: a routine with rare exceptions.
 fn event(random: &mut SmallRng, minute: i64, minutes: std::ops::Range<i64>) -> f64 {
     f64::from(u8::from(minutes.contains(&minute) != (random.random::<f64>() < 0.02)))
 }
@@ -76,7 +76,7 @@ fn a_routine_of_weekdays_spares_the_weekend() {
 
 #[test]
 fn a_slow_drift_is_followed() {
-    // The share of days with somebody in falls from 0.9 to 0.5 over twelve weeks.
+    // The share of days with somebody present falls from 0.9 to 0.5 over twelve weeks.
     let share_of_days = |day: i64| 0.9 - 0.4 * day as f64 / 84.0;
     for seed in 0..4 {
         let mut random = SmallRng::seed_from_u64(seed);

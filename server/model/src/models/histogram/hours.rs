@@ -78,8 +78,8 @@ impl Default for HourTable {
 impl HourTable {
     /// Adds readings in any order; those that are not finite are ignored.
     ///
-    /// A local hour of one date that is split over two batches enters the cells of the week all the same, but counts as
-    /// two days in [`HourTable::spread`]. The hour that comes twice when clocks are set back is one hour.
+    /// A local hour of one date that is split over two batches enters the cells of the week as usual, but counts as two
+    /// days in [`HourTable::spread`]. The hour that comes twice when clocks are set back is one hour.
     pub fn add(&mut self, samples: &[Sample]) {
         // Per run the hour and the readings' number and sum.
         let mut runs: Vec<(i64, f64, f64)> = Vec::with_capacity(DAY_HOURS + 1);

@@ -82,7 +82,7 @@ fn smoothing_spreads_over_midnight_and_keeps_the_mean() {
     assert!(value(0) > value(1) && value(1) > value(2) && value(2) > 0.0 && value(12) < 1e-12);
     let mean = (0..24).map(value).sum::<f64>() / 24.0;
     assert!((mean - 1.0 / 24.0).abs() < 1e-12);
-    // Saturday's evening says nothing of a weekday's morning.
+    // Saturday's evening does not affect a weekday's morning.
     let weekend = days(14, |day, _| if day % 7 >= 5 { 1.0 } else { 0.0 });
     let settings = HistogramSettings { cycle: HistogramCycle::WeekdayWeekend, ..settings };
     let histogram = Histogram::fit(Readings::new(&weekend), &settings).unwrap();
@@ -147,7 +147,7 @@ fn the_table_forgets() {
     table.scale(0.25);
     table.add(&days(7, |_, _| 0.0));
     let histogram = table.histogram(HistogramCycle::Day, 1).unwrap();
-    // 1008 readings that count a quarter, 1008 that count whole; the prior is the mean itself.
+    // 1008 readings of weight 1/4, 1008 of weight 1; the prior is the mean itself.
     assert!((histogram.predict(at(0)) - 0.2).abs() < 1e-12);
     table.scale(-1.0);
     assert_eq!(table, HourTable::default());
@@ -212,7 +212,7 @@ proptest! {
         batches in 1..6_usize,
         seed in any::<u64>(),
     ) {
-        // Hours go to batches whole, and lie in them in any order.
+        // Batches contain whole hours, in any order.
         let mut table = HourTable::default();
         let mut at_once = HourTable::default();
         at_once.add(&samples);

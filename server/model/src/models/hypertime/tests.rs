@@ -1,4 +1,4 @@
-//! Warped hypertime of one state: the rhythms it finds, and that no readings whatever break it.
+//! Warped hypertime of one state: the rhythms it finds, and its robustness against any readings.
 
 use proptest::prelude::*;
 
@@ -13,7 +13,7 @@ fn minute(minute: i64) -> Moment {
     Moment { utc_nanos: minute * MINUTE, offset_secs: 0 }
 }
 
-/// A reading every half hour for so many days, of a function of the day and the hour.
+/// A reading every half hour for the given number of days, of a function of the day and the hour.
 fn days(count: i64, value: impl Fn(i64, f64) -> f64) -> Vec<Sample> {
     (0..count * 48)
         .map(|slot| Sample {
@@ -115,7 +115,8 @@ fn values_that_do_not_change_are_predicted() {
                     Hypertime::fit_continuous(readings, &options(method, 3)).unwrap(),
                 ] {
                     let p = model.predict(minute(77));
-                    // A value of one half is as much 1 as 0, and may take a shape that is flat to rounding.
+                    // A value of one half counts as 1 and 0 alike, and may give a model that is constant up to
+                    // rounding.
                     assert!((p - value).abs() < 1e-6, "{method:?}, {count} of {value}: {p}");
                 }
             }

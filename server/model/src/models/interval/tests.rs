@@ -1,4 +1,4 @@
-//! The distribution against closed forms, and what holds of an interval whatever it is made from.
+//! The distribution against closed forms, and the invariants of intervals.
 
 mod door;
 

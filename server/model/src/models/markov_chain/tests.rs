@@ -1,4 +1,4 @@
-//! What `chain.rs` promises, against a brute-force maximum and chains whose rates are known.
+//! What `markov_chain.rs` promises, against a brute-force maximum and chains whose rates are known.
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;

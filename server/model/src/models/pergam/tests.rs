@@ -1,4 +1,4 @@
-//! Periodic Gaussian mixtures: what they find, and that no readings whatever break them.
+//! Periodic Gaussian mixtures: the peaks they find, and their robustness against any readings.
 
 use proptest::prelude::*;
 
@@ -12,7 +12,7 @@ fn minute(minute: i64) -> Moment {
     Moment { utc_nanos: minute * MINUTE, offset_secs: 0 }
 }
 
-/// One reading a minute for so many days, on where the predicate holds for the minute of the day.
+/// One reading a minute for the given number of days; 1 if the predicate holds for the minute of the day.
 fn days(count: i64, on: impl Fn(i64) -> bool) -> Vec<Sample> {
     let value = |minute: i64| f64::from(u8::from(on(minute % 1_440)));
     (0..count * 1_440).map(|m| Sample { utc_nanos: m * MINUTE, offset_secs: 0, value: value(m) }).collect()

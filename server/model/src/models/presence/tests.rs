@@ -35,7 +35,7 @@ fn a_look_into_one_place_tells_of_the_others() {
     assert_close(presence.probabilities(), &[1.0 / 3.0, 0.0, 1.0 / 3.0, 1.0 / 3.0]);
     presence.observe(2, true);
     assert_close(presence.probabilities(), &[0.0, 0.0, 1.0, 0.0]);
-    // What cannot be is believed when it is seen.
+    // An impossible observation is accepted.
     presence.observe(2, false);
     assert_close(presence.probabilities(), &[1.0 / 3.0, 1.0 / 3.0, 0.0, 1.0 / 3.0]);
 }
@@ -116,7 +116,7 @@ proptest! {
     }
 }
 
-/// Somebody who is in place 0 by night, in place 1 by day, and has dinner in place 2 at six.
+/// A person in place 0 by night, in place 1 by day, and in place 2 for dinner at six.
 fn home(slot: usize) -> usize {
     match slot % 24 {
         8..=17 => 1,
@@ -135,7 +135,7 @@ fn habits_are_learned_from_one_look_at_a_time() {
             presence.learn();
         }
         presence.advance(slot % 24);
-        // Each place in turn, whoever is there.
+        // Observes each place in turn.
         let place = (slot * 5 / 3) % 3;
         presence.observe(place, home(slot) == place);
     }

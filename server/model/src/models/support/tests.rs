@@ -1,4 +1,4 @@
-//! What `support.rs` promises, over many seeds: noise supports nothing, a routine is seen.
+//! What `support.rs` promises, over many seeds: noise supports nothing, a routine is found.
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
@@ -59,7 +59,7 @@ fn judged(samples: &[Sample]) -> Judged {
     Judged { supported: supported_order(&model, &week, effective), effective, model }
 }
 
-/// In how many of the seeds nothing is supported.
+/// The number of seeds in which nothing is supported.
 fn unsupported(name: &str, samples: impl Fn(&mut SmallRng) -> Vec<Sample>) {
     let orders: Vec<usize> =
         (0..SEEDS).map(|seed| judged(&samples(&mut SmallRng::seed_from_u64(seed))).supported).collect();

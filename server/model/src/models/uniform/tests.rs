@@ -20,7 +20,7 @@ fn fitted(samples: &[Sample], order: usize) -> UniformSpectral {
     UniformSpectral::fit(Readings::new(samples), order).unwrap()
 }
 
-/// Two weeks, every ten minutes, of a door that is open in working hours, with a few oddities.
+/// Two weeks, every ten minutes, of a door that is open in working hours, with a few exceptions.
 fn office() -> Vec<bool> {
     let open = |step: usize| {
         let (day, hour) = (step / 144 % 7, step % 144 / 6);
@@ -99,7 +99,7 @@ fn what_is_irregular_is_told_by_the_usual_interval_and_the_first_that_departs_fr
     assert!(message.contains("60 s apart") && message.contains("1860 s after") && message.contains("spectral"));
     let twice = [samples[0], samples[0], samples[0]];
     assert_eq!(told(&twice), CannotFit::Irregular { interval_secs: 0.0, at_secs: first_secs, after_secs: 0.0 });
-    // Each a little slower than the one before: none jumps, and yet they are not at their times.
+    // Each a little later than the one before: no single jump, but a drift.
     let mut drifting = samples[..1000].to_vec();
     for (i, sample) in (0..).zip(&mut drifting) {
         sample.utc_nanos += i * i * 100_000;
@@ -162,7 +162,7 @@ fn irregular_samples_are_refused() {
     }
     assert!(UniformSpectral::fit(Readings::new(&samples), ORDER_MAX + 1).is_err());
     assert!(fitted(&samples, 2).with_order(ORDER_MAX + 1).is_err());
-    // What is appended has to be next.
+    // Appended readings must be the next ones.
     let mut model = fitted(&samples[..100], 2);
     let before = model.clone();
     assert!(model.append(&samples[101]).is_err());

@@ -10,7 +10,7 @@ const CALIBRATED: ModelChoice = ModelChoice::Fitted(FitKind::Calibrated);
 const SLOT_NANOS: i64 = 600_000_000_000;
 const SLOTS: i64 = 144;
 
-/// Every ten minutes of some days from `from_day`, as something says by day and slot of the day.
+/// Every ten minutes of some days from `from_day`, by a function of day and slot of the day.
 fn samples(days: std::ops::Range<i64>, value: impl Fn(i64, i64) -> f64) -> Vec<Sample> {
     let slots = days.start * SLOTS..days.end * SLOTS;
     slots
@@ -22,7 +22,7 @@ fn samples(days: std::ops::Range<i64>, value: impl Fn(i64, i64) -> f64) -> Vec<S
         .collect()
 }
 
-/// A number in `[0,1)` that looks random.
+/// A pseudo-random number in `[0,1)`.
 fn noise(seed: i64) -> f64 {
     let mixed = (seed as u64).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     let mixed = (mixed ^ (mixed >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -61,19 +61,19 @@ fn squared_error(model: &impl TemporalModel, samples: &[Sample]) -> f64 {
 fn a_fit_is_due_after_seven_observed_days_and_every_seven_days() {
     let mut state = StateModel::new(&Periodicities::default());
     assert!(!state.is_fit_due(FitKind::Calibrated));
-    // Every other day: what counts is what was observed.
+    // Every other day: only observed days count.
     for observed in 1..7 {
         learn(&mut state, samples(2 * observed..2 * observed + 1, office));
         assert!(!state.is_fit_due(FitKind::Calibrated), "{observed} days");
     }
-    // What comes late counts no further day: it may be one of those.
+    // Late data does not count as a further day, because the day may be counted already.
     learn(&mut state, samples(1..2, office));
     assert!(!state.is_fit_due(FitKind::Calibrated));
     learn(&mut state, samples(14..15, office));
     assert!(state.is_fit_due(FitKind::Calibrated));
     state = state.refitted(fit(&samples(0..15, office)), LocalDay(14));
     assert!(!state.is_fit_due(FitKind::Calibrated));
-    // From here on what counts is the calendar.
+    // From here on the calendar counts.
     learn(&mut state, samples(20..21, office));
     assert!(!state.is_fit_due(FitKind::Calibrated), "six days after");
     learn(&mut state, samples(21..22, office));
@@ -114,7 +114,7 @@ fn a_day_is_scored_by_the_fit_before_it() {
     let day = samples(14..15, office);
     learn(&mut state, day.clone());
     let after = calibrated_error(&state).unwrap();
-    // It begins with what the model in force had.
+    // It begins with the error of the model in force.
     let expected = before * KEPT_PER_DAY + squared_error(&first, &day);
     assert!((after - expected).abs() < 1e-9, "{after}, expected {expected}");
     // Another fit, two days without observations, and a day.
@@ -167,8 +167,7 @@ fn zero_one_counts_wrong_predictions_of_the_calibrated_model() {
 
 #[test]
 fn the_calibrated_model_is_chosen_where_it_predicts_best() {
-    // Edges that wander by hours from day to day, and a weekend: neither few components nor hours of the clock tell
-    // that.
+    // Edges that move by hours from day to day, and a weekend: neither few components nor hourly bins describe this.
     let mut state = StateModel::new(&Periodicities::default());
     let mut seen = Vec::new();
     let mut in_force = [0.0; 2];

@@ -1,4 +1,4 @@
-//! The plain equations, repeated for all states until nothing changes.
+//! Value iteration over all states until convergence.
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use tidemap_map::{
@@ -29,7 +29,7 @@ impl World {
         for _ in 0..random.random_range(count..3 * count) {
             let (from, to) = (random.random_range(0..count), random.random_range(0..count));
             let action = random.random_bool(0.2).then(|| StateName::new("door").unwrap());
-            // One that is there already, or leads to itself, is left out.
+            // Existing edges and loops are omitted.
             let _ = topology.add_edge(nodes[from], nodes[to], action, Extent::secs(1.0));
         }
         let closed = if random.random() { 0.3 } else { 0.0 };
@@ -38,7 +38,7 @@ impl World {
                 true => [1.0, 0.5][random.random_range(0..2)],
                 false => random.random_range(0.2..=1.0),
             };
-            // From several edges in a slot to several slots for an edge.
+            // From several edges per slot to several slots per edge.
             let slots =
                 if whole { [0.25, 0.5, 1.0, 2.0][random.random_range(0..4)] } else { random.random_range(0.05..2.5) };
             let forecast = EdgeForecast { success, duration_secs: slots * slot_secs, evidence: 1.0 };
@@ -62,7 +62,7 @@ impl World {
         edges.map(|edge| PolicyAction::Take(edge.id)).chain([PolicyAction::Wait]).collect()
     }
 
-    /// The outcomes of an action: probability, seconds, where.
+    /// The outcomes of an action: probability, seconds, node.
     fn outcomes(&self, node: NodeId, slot: usize, action: PolicyAction) -> Vec<(f64, f64, NodeId)> {
         match action {
             PolicyAction::Take(id) => {
@@ -76,7 +76,7 @@ impl World {
         }
     }
 
-    /// The states at whose values a time is looked up, with their shares; slots may lie behind the last.
+    /// The states between which the value at a time is interpolated, with their shares; slots may lie after the last.
     fn between(&self, slot: usize, secs: f64) -> Vec<(usize, f64)> {
         let x = slot as f64 + secs / self.options.slot_secs;
         let share = x - x.floor();
@@ -118,7 +118,7 @@ impl World {
         self.outcomes(node, slot, action).into_iter().map(value).sum()
     }
 
-    /// Repeats `value` for all states but the target's until nothing changes; what is infinite stays so.
+    /// Iterates `value` for all states except the target's until convergence; infinite values stay.
     fn iterate(&self, start: Vec<Vec<f64>>, value: impl Fn(&[Vec<f64>], NodeId, usize) -> f64) -> Vec<Vec<f64>> {
         let mut values = start;
         for _ in 0..200_000 {
@@ -145,11 +145,11 @@ impl World {
         vec![vec![0.0; self.topology.nodes().len()]; self.options.slots]
     }
 
-    /// Zero where the target is certain to be reached at last by some policy, infinite elsewhere.
+    /// Zero where some policy reaches the target with certainty, infinite elsewhere.
     fn certain(&self) -> Vec<Vec<f64>> {
         let mut values = self.zeros();
         let last = self.last();
-        // Where the last slot lasts for ever, a way is enough.
+        // If the last slot lasts for ever, a path is enough.
         values[last].fill(f64::INFINITY);
         values[last][self.target.0 as usize] = 0.0;
         for _ in 0..self.topology.nodes().len() {
@@ -231,7 +231,7 @@ fn check_time(world: &World, table: &PolicyTable, seed: u64) {
     }
 }
 
-/// All but the target.
+/// All except the target.
 fn states(world: &World) -> Vec<(usize, NodeId)> {
     let nodes = || world.topology.nodes().map(|node| node.id).filter(|&node| node != world.target);
     (0..world.options.slots).flat_map(|slot| nodes().map(move |node| (slot, node))).collect()

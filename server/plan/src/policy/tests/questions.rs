@@ -8,7 +8,7 @@ use tidemap_map::{
 use super::*;
 use crate::route::Forecasts;
 
-/// Nodes one after another, joined both ways.
+/// A chain of nodes, connected both ways.
 fn street(count: usize) -> Topology {
     let mut topology = Topology::new();
     let nodes: Vec<NodeId> = (0..count)
@@ -50,7 +50,7 @@ fn a_robot_waits_for_a_door_and_has_no_way_once_it_is_shut_for_ever() {
     let table = solve(PolicyObjective::Reach, door);
     let at = |node, slot| table.entry(NodeId(node), slot).unwrap();
     assert_eq!(at(2, 5).action, PolicyAction::Wait);
-    // Not to and fro before the door, though that would lose no time.
+    // Does not move back and forth at the door, though that would lose no time.
     let edge = |node: u32, slot| match at(node, slot).action {
         PolicyAction::Take(edge) => Some(edge.0 % 2),
         _ => None,
@@ -60,7 +60,7 @@ fn a_robot_waits_for_a_door_and_has_no_way_once_it_is_shut_for_ever() {
     assert!(matches!(at(2, 10).action, PolicyAction::Take(_)));
     assert_eq!((at(2, 30).action, at(2, 30).reach), (PolicyAction::Nothing, 0.0));
     assert!((at(2, 30).expected_secs - 66.0 * 900.0).abs() < 1e-6);
-    // The last forecast stays: shut.
+    // The last forecast holds: closed.
     let table = solve(PolicyObjective::Time, door);
     let at = |node, slot| table.entry(NodeId(node), slot).unwrap();
     assert_eq!((at(2, 30).action, at(2, 30).expected_secs), (PolicyAction::Nothing, f64::INFINITY));

@@ -1,4 +1,4 @@
-//! Intervals of chances near the normal, and moments of products against sums.
+//! Intervals close to the normal, and moments of products against sums.
 
 use tidemap_model::special::beta_quantile;
 

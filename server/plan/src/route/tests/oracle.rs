@@ -1,4 +1,4 @@
-//! All simple ways, one by one.
+//! Enumeration of all simple paths.
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
@@ -7,7 +7,7 @@ use super::{
     *,
 };
 
-/// A way with its cost, from the formulae: first part, then what decides between equal ones.
+/// A path with its cost, from the formulae: first part, then the tie breaker.
 #[derive(Clone, Debug)]
 struct Way {
     edges: Vec<EdgeId>,
@@ -59,7 +59,7 @@ impl Walker<'_> {
     }
 }
 
-/// All ways, the best first.
+/// All paths, the best first.
 fn ways(world: &World, from: NodeId, to: NodeId, departure_secs: f64, options: &RouteOptions) -> Vec<Way> {
     let mut walker = Walker { world, options: *options, to, departure_secs, ways: Vec::new() };
     let empty = Way { edges: Vec::new(), cost: 0.0, expected_secs: 0.0, success: 1.0, arrival_secs: departure_secs };
@@ -104,7 +104,7 @@ fn check(routes: &RoutePlan, ways: &[Way], options: &RouteOptions, what: &str) {
         if options.objective == Objective::Success {
             assert!(near(route.expected_secs, way.expected_secs), "{what}");
         }
-        // Of the same cost any way will do, but it has to be one, with its own figures.
+        // Any path of the same cost is fine, but with its own figures.
         let edges: Vec<EdgeId> = route.steps.iter().map(|step| step.edge).collect();
         let own = ways.iter().find(|way| way.edges == edges).unwrap_or_else(|| panic!("no such way: {what}"));
         assert!(near(route.expected_secs, own.expected_secs), "{what}");
@@ -221,7 +221,7 @@ fn sampled_bounds_and_a_resolution_change_little() {
     let (mut same, mut all) = (0, 0);
     for seed in 0..500 {
         let (mut world, from, to, options) = question(seed, &mut random);
-        // What changes slowly, as a day does.
+        // Slow changes, as over a day.
         world.stretch_secs = 600.0;
         let options = RouteOptions { alternatives: 0, horizon_secs: 1e5, ..options };
         let Some(best) = ways(&world, from, to, 0.0, &options).into_iter().next() else { continue };

@@ -1,4 +1,4 @@
-//! What is answered and refused beside the best way.
+//! Results and refusals beside the best path.
 
 use tidemap_map::topology::Topology;
 
@@ -45,7 +45,7 @@ fn who_is_there_needs_no_step() {
 
 #[test]
 fn later_is_better_where_a_door_opens() {
-    // The door from node 1 to 2 opens at 60 s: who leaves at once stands before it.
+    // The door from node 1 to 2 opens at 60 s: an immediate departure finds it closed.
     let door = &mut |edge: &tidemap_map::topology::Edge, at_secs: f64| {
         let is_door = edge.from == NodeId(1) && edge.to == NodeId(2);
         sure(edge, at_secs).filter(|_| !is_door || at_secs >= 60.0)
@@ -158,8 +158,8 @@ fn options_out_of_range_are_refused() {
 
 #[test]
 fn a_dearer_way_is_kept_where_the_cheaper_one_has_passed_what_follows() {
-    // From 0 to node 2 over 1, or straight in the same time and less surely; from 1 to the goal, 3, well from 25 s on
-    // only.
+    // From 0 to node 2 over 1, or directly in the same time with less success; from 1 to the goal, 3, good only from 25
+    // s on.
     let mut topology = Topology::new();
     let nodes: Vec<NodeId> = (0..4)
         .map(|node| {

@@ -1,4 +1,4 @@
-//! Maps too large to enumerate: ways that are found in one manner against those of another, and against a plain search.
+//! Maps that are too large to enumerate: different bounds against each other, and against a plain search.
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use tidemap_map::{
@@ -8,8 +8,7 @@ use tidemap_map::{
 
 use super::*;
 
-/// Streets of so many nodes each way: all those that run east, the first that runs north, and half of the others
-/// piecewise.
+/// A square grid of streets: all that run east, the first that runs north, and half of the pieces of the others.
 fn city(width: u32, seed: u64) -> Topology {
     let mut random = SmallRng::seed_from_u64(seed);
     let mut topology = Topology::new();
@@ -25,7 +24,7 @@ fn city(width: u32, seed: u64) -> Topology {
     topology
 }
 
-/// A rhythm of two hours, other for each edge: large beside what routes take.
+/// A rhythm of two hours, different for each edge: long compared with routes.
 struct Rhythm {
     knows_bounds: bool,
 }

@@ -1,4 +1,4 @@
-//! Small maps with forecasts that change with time, made of a seed.
+//! Small random maps with forecasts that change over time.
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use tidemap_map::{
@@ -8,7 +8,7 @@ use tidemap_map::{
 
 use super::*;
 
-/// A map and what is forecast of its edges: an entry for each edge and stretch of time, over and over.
+/// A map with forecasts of its edges: a periodic table by edge and stretch of time.
 #[derive(Clone, Debug)]
 pub(crate) struct World {
     pub(crate) topology: Topology,
@@ -17,7 +17,7 @@ pub(crate) struct World {
 }
 
 impl World {
-    /// Up to eight nodes, some edges beside each other, some closed at times. Whole numbers make ties.
+    /// Up to eight nodes, some parallel edges, some closed at times. Whole numbers make ties.
     pub(crate) fn random(seed: u64) -> World {
         let mut random = SmallRng::seed_from_u64(seed);
         let count = random.random_range(2..=8);
@@ -29,7 +29,7 @@ impl World {
         for _ in 0..random.random_range(count..4 * count) {
             let (from, to) = (random.random_range(0..count), random.random_range(0..count));
             let action = random.random_bool(0.2).then(|| StateName::new("door").unwrap());
-            // One that is there already, or leads to itself, is left out.
+            // Existing edges and loops are omitted.
             let _ = topology.add_edge(nodes[from], nodes[to], action, Extent::secs(1.0));
         }
         let stretches = random.random_range(1..6);
@@ -54,7 +54,7 @@ impl World {
     }
 }
 
-/// Two nodes to four, joined one after another both ways, all edges alike.
+/// A chain of nodes, connected both ways, with equal edges.
 pub(crate) fn street(count: usize) -> Topology {
     let mut topology = Topology::new();
     let nodes: Vec<NodeId> = (0..count)
@@ -66,7 +66,7 @@ pub(crate) fn street(count: usize) -> Topology {
     topology
 }
 
-/// Knows how good each edge can be.
+/// Forecasts with bounds.
 pub(crate) struct Knowing<'a>(pub(crate) &'a World);
 
 impl Forecasts for Knowing<'_> {

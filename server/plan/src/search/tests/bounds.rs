@@ -3,8 +3,7 @@
 use super::*;
 use crate::search::{machine::Machine, paths::Paths, problem::Goals};
 
-/// What it costs to visit a set of goals from one of them that is reached already, by sets and goals; the first set is
-/// empty.
+/// The cost of visiting a set of goals from one of them, by sets and goals; the first set is empty.
 fn costs_behind(problem: &SearchProblem) -> Vec<f64> {
     let count = problem.count;
     let mut costs = vec![0.0; (1 << count) * (count + 1)];
@@ -19,7 +18,7 @@ fn costs_behind(problem: &SearchProblem) -> Vec<f64> {
     costs
 }
 
-/// Whether a walk that passes nothing unvisited may have visited a goal and be left with these.
+/// Whether a walk that passes no unvisited goal may have visited a goal with exactly these left.
 fn is_possible(passing: &Passing, count: usize, left: Goals, at: usize) -> bool {
     let all = (1 << count) - 1;
     let mut reached = std::collections::BTreeSet::from([(0, count)]);

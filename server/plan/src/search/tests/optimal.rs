@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// The least expected time, by all sets of visited nodes and places to stand: nothing is left out.
+/// The least expected time over all sets of visited nodes and positions, without pruning.
 fn oracle(map: &Map, floor: f64) -> f64 {
     let roads = map.roads();
     let (count, times) = (map.goals.len(), roads.all_pairs().unwrap());

@@ -1,4 +1,4 @@
-//! What a plan says, what is refused, and when a search gives up.
+//! The contents of plans, refused input, and stop rules.
 
 use tidemap_map::{
     name::StateName,
@@ -92,7 +92,7 @@ fn what_cannot_be_reached_is_reported() {
     let none = plan(&flat, &[(island, 0.1)], &SearchOptions::default());
     assert_eq!(none, Err(SearchError::Unreachable { start: 0 }));
 
-    // Into the closet leads a way, and none out of it; nor from the other trap.
+    // There is an edge into the closet, and none out of it; the same for the other trap.
     let back = flat.edge_between(closet, far, None).unwrap().id;
     flat.remove_edge(back).unwrap();
     let out = flat.edge_between(near, NodeId(0), None).unwrap().id;
@@ -147,7 +147,7 @@ fn a_search_of_a_hundred_thousand_places_is_refused_before_anything_is_computed(
     assert!(refused.to_string().contains("at most 40"), "{refused}");
     let refused = search(&roads, map.start(), &many, &SearchOptions::default(), || false).unwrap_err();
     assert_eq!(refused, SearchError::TooMany { found: 100_000, most: GOALS_MAX });
-    // A few places of a large map are searched as always.
+    // A few places of a large map.
     let few = search(&roads, map.start(), &goals(&map)[2_990..], &exact, || false).unwrap();
     assert!(few.optimal && few.steps.len() == 10);
 }
@@ -268,7 +268,7 @@ fn joint_probabilities_of_persons_and_objects() {
 fn a_room_that_fills_later_is_visited_later() {
     let (flat, [hall, near, far, _]) = flat();
     let nodes = [hall, near, far];
-    // Nobody is near before 40 s have passed, then surely somebody.
+    // The target is certainly at `near`, but only after 40 s.
     let probability = |node: NodeId, secs: f64| match node {
         node if node == near => f64::from(u8::from(secs >= 40.0)),
         node if node == far => 0.5,

@@ -1,4 +1,4 @@
-//! Ways of single rays, and the tree of several.
+//! Paths of single rays, and the tree of several.
 
 use super::*;
 

@@ -43,7 +43,7 @@ proptest! {
         let expected_given = log_gaussian(&difference.rows(0, given).into_owned(), &leading);
         prop_assert!((log_given - expected_given).abs() < 1e-6 * expected_given.abs().max(1.0));
 
-        // What is conditional times what is given is all.
+        // The conditional density times that of the given is the joint density.
         let conditional = cluster.given(&point[..given], &[]);
         let rest = Cluster::new(HypertimeCluster {
             weight: 1.0,

@@ -1,4 +1,4 @@
-//! Values over place and time: what the distributions say, and what is refused.
+//! Values over place and time: distributions, and refused input.
 
 use super::*;
 use crate::civil::NANOS_PER_SEC;
@@ -13,7 +13,7 @@ fn options(method: HypertimeMethod, clusters: usize) -> HypertimeOptions {
     HypertimeOptions { method, clusters, seed: 0 }
 }
 
-/// A number from -0.5 to 0.5 that looks drawn, also from one index to the next.
+/// A pseudo-random number from -0.5 to 0.5.
 fn jitter(index: i64) -> f64 {
     let mixed = (index as u64).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -87,7 +87,7 @@ fn a_density_integrates_to_one_and_is_widened_by_a_cell() {
         // The readings' two values are far narrower than a cell of 4.
         assert!((integral(4.0, 4.0) - 1.0).abs() < 0.1, "{method:?}: {}", integral(4.0, 4.0));
         let peak = |cell| distribution.density(&[10.0], &[cell]).unwrap();
-        // Two peaks are two clusters, which HyT-KM does not add where the mean gains nothing by them.
+        // Two peaks need two clusters, which HyT-KM does not add if they do not improve the mean.
         assert!(method == HypertimeMethod::Km || peak(0.0) > 3.0 * peak(4.0), "{}, {}", peak(0.0), peak(4.0));
     }
 }

@@ -1,8 +1,8 @@
-//! The search for periods, against the sum as it is written.
+//! The search for periods, against the formula.
 
 use super::*;
 
-/// Half an hour's error, of a length of time that is no whole number of weeks.
+/// Errors every half hour, over a span that is not a whole number of weeks.
 fn residuals(error: impl Fn(f64) -> f64) -> Residuals {
     let mut residuals = Residuals::new(1);
     for half_hour in 0..48 * 40 {

@@ -1,5 +1,5 @@
-//! Intervals on the office door of RA-L 2019: how what is borrowed was chosen, and how the intervals do on weeks that
-//! had no part in the choice. Skipped where the recordings are not at hand.
+//! Intervals on the office door of RA-L 2019: the choice of the priors, and the intervals on held-out weeks. Skipped
+//! without the recordings.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -59,7 +59,7 @@ fn cell(hour: i64) -> usize {
     of_week % 24 + if of_week >= 120 { 24 } else { 0 }
 }
 
-/// All that intervals are made from, learnt from some weeks.
+/// The training data of intervals, from some weeks.
 struct Learnt {
     model: Calibrated,
     cells: Vec<HourMoments>,
@@ -124,7 +124,7 @@ fn varies(mean: f64) -> bool {
 
 fn score(learnt: &Learnt, test: &[Sample], borrowed: IntervalPrior, scores: &mut DoorScore) {
     for (hour, mean) in hourly_means(test) {
-        // The civil time of the middle of the hour, as if it were UTC: a profile of the week knows no more.
+        // The civil time of the middle of the hour, as if it were UTC: a profile of the week needs no more.
         let p = learnt.model.predict(Moment { utc_nanos: hour * HOUR_NANOS + HOUR_NANOS / 2, offset_secs: 0 });
         let found = interval(p, learnt.cells[cell(hour)], learnt.all, 0.9, borrowed);
         scores[usize::from(!varies(learnt.week[hour_of_week(hour)]))].add(found, mean);
@@ -144,7 +144,7 @@ fn what_is_borrowed_comes_from_rolling_origin_on_the_training_weeks() {
     let Some(folder) = recordings() else { return };
     let train = read(&folder, "train.csv");
     let week_of = |sample: &Sample| (sample.local_day().0 - train[0].local_day().0) / 7;
-    // Learnt from the first weeks, three or more, asked about up to four weeks after.
+    // Trained on the first weeks, three or more, tested on up to four weeks after.
     let folds: Vec<(Learnt, Vec<Sample>)> = (3..10)
         .map(|origin| {
             let before = train.partition_point(|sample| week_of(sample) < origin);
@@ -166,8 +166,8 @@ fn what_is_borrowed_comes_from_rolling_origin_on_the_training_weeks() {
             }
         }
     }
-    // One day of not knowing is settled for the sake of states seen on few days. Of the others those that hold within a
-    // hundredth of nine in ten where the state varies, and of these the narrowest.
+    // The prior of one day is fixed for states with few days. Of the other settings, those whose intervals hold 90 %
+    // within 1 % where the state varies, and of these the narrowest.
     let (chosen, _) = tried
         .iter()
         .filter(|(borrowed, scores)| {

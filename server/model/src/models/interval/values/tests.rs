@@ -1,4 +1,4 @@
-//! Bands of values: how wide they are, and that they hold their prediction.
+//! Bands of values: their width, and that they contain the prediction.
 
 use proptest::prelude::*;
 

@@ -1,4 +1,4 @@
-//! The errors in one pass against those of histograms that are made and asked for each reading.
+//! The errors in one pass against those of full histograms.
 
 use proptest::prelude::*;
 
@@ -9,7 +9,7 @@ const SEC: i64 = 1_000_000_000;
 
 fn any_samples(length: std::ops::Range<usize>, span_secs: i64) -> impl Strategy<Value = Vec<Sample>> {
     let value = prop_oneof![0.0..=1.0, Just(0.0), Just(1.0), Just(0.5), -1e9..1e9, Just(1e150), Just(f64::MAX)];
-    // Summer time now and then: hours come twice, or are left out.
+    // Changes of summer time: hours are repeated or skipped.
     let offset_secs = prop_oneof![Just(0), Just(0), Just(3_600), Just(-12_600)];
     let sample = (-span_secs..span_secs, offset_secs, value);
     proptest::collection::vec(sample, length).prop_map(|mut samples| {
