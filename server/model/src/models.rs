@@ -115,8 +115,9 @@ pub enum CannotFit {
     Parameter { parameter: &'static str, found: f64, expected: &'static str },
     /// The readings are not regular, and the model needs them to be.
     #[error(
-        "it needs regular observations, none missing, each within 1 % of its time: these are {interval_secs} s apart, but \
-         the one at {at_secs} (Unix seconds) comes {after_secs} s after the one before; spectral needs no regular ones"
+        "the model needs regular observations without gaps, each within 1 % of its time: these are {interval_secs} s \
+         apart, but the one at {at_secs} (Unix seconds) comes {after_secs} s after the one before; the spectral model \
+         needs no regular ones"
     )]
     Irregular { interval_secs: f64, at_secs: f64, after_secs: f64 },
 }

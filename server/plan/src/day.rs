@@ -20,7 +20,10 @@ const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum DayError {
     /// The slot length is invalid.
-    #[error("slots of {} s do not fit a day of {} h: use 60 s up to the length of the day", secs(*slot_nanos), secs(*day_nanos) / 3600.0)]
+    #[error(
+        "slots of {} s do not fit a day of {} h: use 60 s up to the length of the day",
+        secs(*slot_nanos), secs(*day_nanos) / 3600.0
+    )]
     Slot { slot_nanos: i64, day_nanos: i64 },
     /// The zone skipped this date, or it is out of range.
     #[error("{day} has no hours in this time zone")]

@@ -74,7 +74,8 @@ pub enum InvalidSensor {
     Height(f64),
     /// The rays would pass too many cells.
     #[error(
-        "the rays of this sensor pass {cells:.0} cells, at most {max:.0} are allowed: shorten its range or narrow its view"
+        "the rays of this sensor pass {cells:.0} cells, at most {max:.0} are allowed: shorten its range \
+         or narrow its view"
     )]
     TooFine { cells: f64, max: f64 },
 }
@@ -127,13 +128,19 @@ pub struct Viewpoint {
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum ViewError {
     /// A coordinate or the yaw is not a number.
-    #[error("viewpoint ({}, {}, {:?}) m with yaw {} rad: its numbers must be finite", .0.x_m, .0.y_m, .0.z_m, .0.yaw_rad)]
+    #[error(
+        "viewpoint ({}, {}, {:?}) m with yaw {} rad: its numbers must be finite",
+        .0.x_m, .0.y_m, .0.z_m, .0.yaw_rad
+    )]
     NotFinite(Viewpoint),
     /// The place lies outside the predicted region.
     #[error("viewpoint ({x_m}, {y_m}, {z_m}) m lies outside the region of interest")]
     Outside { x_m: f64, y_m: f64, z_m: f64 },
     /// The place is probably occupied.
-    #[error("viewpoint ({x_m}, {y_m}) m lies in cell ({}, {}, {}), which is probably occupied", .cell.x, .cell.y, .cell.z)]
+    #[error(
+        "viewpoint ({x_m}, {y_m}) m lies in cell ({}, {}, {}), which is probably occupied",
+        .cell.x, .cell.y, .cell.z
+    )]
     Occupied { x_m: f64, y_m: f64, cell: CellIndex },
 }
 

@@ -15,7 +15,8 @@ pub enum PlanRouteError {
     UnknownNode(u32),
     /// There is no path.
     #[error(
-        "there is no path from node number {from} to node number {to}; {closed} edges were closed when they were reached"
+        "there is no path from node number {from} to node number {to}; {closed} edges were closed when \
+         they were reached"
     )]
     Unreachable { from: u32, to: u32, closed: usize },
     /// All paths take too long.
@@ -23,7 +24,8 @@ pub enum PlanRouteError {
     BeyondHorizon { from: u32, to: u32, horizon_secs: f64 },
     /// No departure is early enough.
     #[error(
-        "no departure from {earliest_secs} s on is expected to arrive by {by_secs} s; allow an earlier departure or a later arrival"
+        "no departure from {earliest_secs} s on is expected to arrive by {by_secs} s; allow an earlier departure or a \
+         later arrival"
     )]
     TooLate { earliest_secs: f64, by_secs: f64 },
     /// The search ended before it found a path.

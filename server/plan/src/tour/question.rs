@@ -114,7 +114,8 @@ pub enum TourError {
     Outside { x_m: f64, y_m: f64, z_m: f64 },
     /// The grid of candidates is too fine for its region.
     #[error(
-        "a spacing of {spacing_m} m gives {candidates:.0} candidates, at most {max} are allowed: use a wider spacing or a smaller region"
+        "a spacing of {spacing_m} m gives {candidates:.0} candidates, at most {max} are allowed: use a wider \
+         spacing or a smaller region"
     )]
     TooManyCandidates { spacing_m: f64, candidates: f64, max: usize },
     /// The sensor is invalid.

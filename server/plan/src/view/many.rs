@@ -38,7 +38,8 @@ impl Default for ViewLimits {
 pub enum TooMuchWork {
     /// The request is too expensive.
     #[error(
-        "{views} views at {times} times pass {work} cells, at most {max} are allowed: request fewer views or times, or a shorter range"
+        "{views} views at {times} times pass {work} cells, at most {max} are allowed: request fewer views \
+         or times, or a shorter range"
     )]
     Work { views: usize, times: usize, work: u128, max: u64 },
     /// The sensor is invalid.
