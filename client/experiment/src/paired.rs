@@ -49,12 +49,12 @@ struct PairedDay {
 
 /// Compares a model with the baseline, day by day; both have the same days. The interval has the confidence
 /// 1 - `significance`.
-pub fn difference(model: &[DayErrors], baseline: &[DayErrors], significance: f64) -> Difference {
+pub(crate) fn difference(model: &[DayErrors], baseline: &[DayErrors], significance: f64) -> Difference {
     paired(&sets(model, baseline), significance, DRAWS)
 }
 
 /// The two-sided p-value of independent differences; none with too few.
-pub fn p_value(differences: &[f64]) -> Option<f64> {
+pub(crate) fn p_value(differences: &[f64]) -> Option<f64> {
     let set: Vec<PairedDay> = differences.iter().map(|&squared| PairedDay { squared, readings: 1.0 }).collect();
     paired(&[set], 0.05, DRAWS).test.map(|test| test.p_value)
 }

@@ -15,7 +15,7 @@ use tidemap_model::{
 };
 
 /// A fitted model.
-pub type FittedModel = Box<dyn TemporalModel + Send + Sync>;
+pub(crate) type FittedModel = Box<dyn TemporalModel + Send + Sync>;
 
 /// A kind of model with all its parameters.
 #[derive(Clone, Debug)]

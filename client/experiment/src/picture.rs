@@ -46,7 +46,7 @@ fn colour(protocol: &Protocol, model: &ModelResult) -> &'static str {
 }
 
 /// Draws the comparison.
-pub fn draw(protocol: &Protocol, outcome: &Comparison) -> String {
+pub(crate) fn draw(protocol: &Protocol, outcome: &Comparison) -> String {
     let models = &outcome.models;
     let baseline_mse = models.get(protocol.baseline).map_or(0.0, |model| model.score.mse());
     let whisker = |model: &ModelResult| {

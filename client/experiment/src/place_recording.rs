@@ -9,7 +9,7 @@ use std::{
 };
 
 /// Minutes of a day.
-pub const DAY_MINUTES: usize = 1440;
+pub(crate) const DAY_MINUTES: usize = 1440;
 /// Maximum length of a recording: ten years.
 const MINUTES_MAX: usize = 10 * 366 * DAY_MINUTES;
 /// Maximum number of places.
@@ -34,7 +34,7 @@ pub enum RecordingError {
 
 /// The place of the person in every minute.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PlaceRecording {
+pub(crate) struct PlaceRecording {
     /// Names of the places.
     pub places: Vec<String>,
     /// Length of a slot, which divides the day.
@@ -45,7 +45,7 @@ pub struct PlaceRecording {
 
 impl PlaceRecording {
     /// Reads a recording.
-    pub fn read(path: &Path, slot_minutes: usize) -> Result<PlaceRecording, RecordingError> {
+    pub(crate) fn read(path: &Path, slot_minutes: usize) -> Result<PlaceRecording, RecordingError> {
         let io = |why| RecordingError::Io { path: path.to_owned(), why };
         let length = fs::metadata(path).map_err(io)?.len();
         if length > FILE_BYTES_MAX {
@@ -60,7 +60,7 @@ impl PlaceRecording {
     }
 
     /// Parses a recording. An error in a line comes with its number, from 1.
-    pub fn parse(text: &str, slot_minutes: usize) -> Result<PlaceRecording, (Option<usize>, String)> {
+    pub(crate) fn parse(text: &str, slot_minutes: usize) -> Result<PlaceRecording, (Option<usize>, String)> {
         let mut world = PlaceRecording { places: Vec::new(), slot_minutes, minutes: Vec::new() };
         for (line, row) in (1..).zip(text.lines()) {
             if !row.trim().is_empty() {
@@ -110,22 +110,22 @@ impl PlaceRecording {
     }
 
     /// Number of whole days.
-    pub fn days(&self) -> usize {
+    pub(crate) fn days(&self) -> usize {
         self.minutes.len() / DAY_MINUTES
     }
 
     /// Number of slots in a day.
-    pub fn slots(&self) -> usize {
+    pub(crate) fn slots(&self) -> usize {
         DAY_MINUTES / self.slot_minutes
     }
 
     /// The place in every minute of a slot; slots are counted from the start of the recording.
-    pub fn slot(&self, slot: usize) -> &[u8] {
+    pub(crate) fn slot(&self, slot: usize) -> &[u8] {
         self.minutes.get(slot * self.slot_minutes..(slot + 1) * self.slot_minutes).unwrap_or_default()
     }
 
     /// The place at the middle of a slot: in the minute that starts there.
-    pub fn seen(&self, slot: usize) -> usize {
+    pub(crate) fn seen(&self, slot: usize) -> usize {
         usize::from(self.slot(slot).get(self.slot_minutes / 2).copied().unwrap_or_default())
     }
 }

@@ -16,7 +16,7 @@ pub(super) mod raw;
 mod tests;
 
 pub use error::ProtocolError;
-pub use model_entry::ModelEntry;
+pub(crate) use model_entry::ModelEntry;
 
 use raw::{ProtocolFile, RawProtocol, RawTuning, Word, Words, from_yaml, parsed, required, whole};
 
@@ -119,7 +119,7 @@ pub fn read(path: &Path) -> Result<Protocol, ProtocolError> {
 }
 
 /// Parses a protocol; `name` is its name if the text has none.
-pub fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, ProtocolError> {
+pub(crate) fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, ProtocolError> {
     let written: RawProtocol = from_yaml(text)?;
     let right = "the IANA time zone of the recordings, such as Europe/London or UTC";
     let zone = parsed(&required(written.zone, "zone", right)?, "zone", right, |text| Zone::named(text).ok())?;

@@ -48,7 +48,7 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 }
 
 /// Fits each model and predicts all test sets.
-pub fn score(
+pub(crate) fn score(
     data: &Data,
     models: &[(&str, &ParameterSet)],
     refit: Refit,

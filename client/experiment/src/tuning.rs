@@ -41,7 +41,7 @@ pub struct Trial<F> {
 }
 
 /// Scores parameter sets, given by model and set, on every fold, and chooses one for each model.
-pub fn tune<F: Clone + Send, E: Send>(
+pub(crate) fn tune<F: Clone + Send, E: Send>(
     sets: Vec<(usize, usize)>,
     folds: usize,
     score: impl Fn(usize, usize, usize) -> Result<F, E> + Sync,
@@ -65,17 +65,17 @@ pub fn tune<F: Clone + Send, E: Send>(
 }
 
 /// The chosen parameter set of a model; the first if there was no tuning.
-pub fn chosen<F>(trials: &[Trial<F>], model: usize) -> usize {
+pub(crate) fn chosen<F>(trials: &[Trial<F>], model: usize) -> usize {
     trials.iter().find(|trial| trial.model == model && trial.is_chosen).map_or(0, |trial| trial.set)
 }
 
 /// All parameter sets of a model.
-pub fn sets_of((model, entry): (usize, &ModelEntry)) -> impl Iterator<Item = (usize, usize)> + use<> {
+pub(crate) fn sets_of((model, entry): (usize, &ModelEntry)) -> impl Iterator<Item = (usize, usize)> + use<> {
     (0..entry.sets.len()).map(move |set| (model, set))
 }
 
 /// The folds, the last of which ends with the training data.
-pub fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, ExperimentError> {
+pub(crate) fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, ExperimentError> {
     let Some((first, last)) = data.train_extent() else {
         return Err(ExperimentError::Folds("there is none".to_owned()));
     };
@@ -117,7 +117,7 @@ fn split(samples: &[Sample], fold: Fold) -> (&[Sample], &[Sample]) {
 }
 
 /// The errors of one parameter set on one fold, all states together. States without training data are left out.
-pub fn fold_errors(
+pub(crate) fn fold_errors(
     data: &Data,
     label: &str,
     set: &ParameterSet,

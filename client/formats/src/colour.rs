@@ -7,17 +7,17 @@
 use super::PictureCell;
 
 /// An unknown cell.
-pub const UNKNOWN: [u8; 3] = [128, 128, 128];
+pub(crate) const UNKNOWN: [u8; 3] = [128, 128, 128];
 /// A static cell that is free.
-pub const FREE: [u8; 3] = [255, 255, 255];
+pub(crate) const FREE: [u8; 3] = [255, 255, 255];
 /// A static cell that is occupied.
-pub const OCCUPIED: [u8; 3] = [0, 0, 0];
+pub(crate) const OCCUPIED: [u8; 3] = [0, 0, 0];
 
 /// The scale of changing cells at the values 0, 1/2 and 1.
 const SCALE: [[u8; 3]; 3] = [[150, 205, 250], [253, 190, 90], [205, 70, 0]];
 
 /// The colour of a cell. Values outside 0 to 1 are clamped.
-pub fn colour(cell: PictureCell) -> [u8; 3] {
+pub(crate) fn colour(cell: PictureCell) -> [u8; 3] {
     match cell {
         PictureCell::Unknown => UNKNOWN,
         PictureCell::Static { probability } if probability < 0.5 => FREE,
@@ -28,7 +28,7 @@ pub fn colour(cell: PictureCell) -> [u8; 3] {
 
 /// The colour of the probability of a changing cell, or of a node. Values outside 0 to 1 are clamped.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a mean of two bytes is a byte")]
-pub fn changing(value: f32) -> [u8; 3] {
+pub(crate) fn changing(value: f32) -> [u8; 3] {
     let [low, middle, high] = SCALE;
     let along = value.clamp(0.0, 1.0) * 2.0;
     let (from, to, part) = if along < 1.0 { (low, middle, along) } else { (middle, high, along - 1.0) };

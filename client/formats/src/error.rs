@@ -107,7 +107,7 @@ impl fmt::Display for FilePlace {
 }
 
 /// Text of a file as error messages quote it: escaped and shortened.
-pub fn shown(text: &str) -> String {
+pub(crate) fn shown(text: &str) -> String {
     match text.char_indices().nth(QUOTED_CHARS_MAX) {
         None => format!("{text:?}"),
         Some((end, _)) => format!("{:?}…", &text[..end]),
@@ -115,7 +115,7 @@ pub fn shown(text: &str) -> String {
 }
 
 /// The start of a file as error messages quote it.
-pub fn shown_start(bytes: &[u8]) -> String {
+pub(crate) fn shown_start(bytes: &[u8]) -> String {
     let start = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
     let start = &start[..start.len().min(4 * QUOTED_CHARS_MAX)];
     if bytes.is_empty() { "nothing: the file is empty".to_owned() } else { shown(&String::from_utf8_lossy(start)) }

@@ -5,7 +5,7 @@
 /// The type of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "the names are clear")]
-pub enum Scalar {
+pub(crate) enum Scalar {
     I8,
     U8,
     I16,
@@ -20,7 +20,7 @@ pub enum Scalar {
 
 /// The byte order of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Endian {
+pub(crate) enum Endian {
     /// The least significant byte first.
     Little,
     /// The most significant byte first.
@@ -29,7 +29,7 @@ pub enum Endian {
 
 impl Scalar {
     /// Length of a number.
-    pub fn bytes(self) -> usize {
+    pub(crate) fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
@@ -39,13 +39,13 @@ impl Scalar {
     }
 
     /// Whether it is an integer type.
-    pub fn is_integer(self) -> bool {
+    pub(crate) fn is_integer(self) -> bool {
         !matches!(self, Self::F32 | Self::F64)
     }
 
     /// The number that starts at an offset.
     #[allow(clippy::cast_precision_loss, reason = "coordinates beyond 2^53 do not exist")]
-    pub fn read(self, bytes: &[u8], offset: usize, endian: Endian) -> f64 {
+    pub(crate) fn read(self, bytes: &[u8], offset: usize, endian: Endian) -> f64 {
         let mut little = [0_u8; 8];
         for (to, &from) in little.iter_mut().zip(bytes.iter().skip(offset).take(self.bytes())) {
             *to = from;

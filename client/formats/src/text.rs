@@ -8,7 +8,7 @@ use std::str::FromStr;
 use super::error::{FilePlace, FormatError, FormatProblem, shown};
 
 /// Reads a file line by line.
-pub struct Lines<'a> {
+pub(crate) struct Lines<'a> {
     bytes: &'a [u8],
     at: usize,
     number: u64,
@@ -16,7 +16,7 @@ pub struct Lines<'a> {
 
 /// One line, without its end.
 #[derive(Clone, Copy, Debug)]
-pub struct Line<'a> {
+pub(crate) struct Line<'a> {
     /// Its number, from 1.
     pub number: u64,
     /// Its text.
@@ -25,12 +25,12 @@ pub struct Line<'a> {
 
 impl<'a> Lines<'a> {
     /// A reader that starts at the first line.
-    pub fn new(bytes: &'a [u8]) -> Self {
+    pub(crate) fn new(bytes: &'a [u8]) -> Self {
         Self { bytes, at: 0, number: 0 }
     }
 
     /// The next line; none at the end of the file.
-    pub fn next_line(&mut self) -> Result<Option<Line<'a>>, FormatError> {
+    pub(crate) fn next_line(&mut self) -> Result<Option<Line<'a>>, FormatError> {
         let rest = self.rest();
         if rest.is_empty() {
             return Ok(None);
@@ -48,7 +48,7 @@ impl<'a> Lines<'a> {
     }
 
     /// The next line that is not blank.
-    pub fn next_full(&mut self) -> Result<Option<Line<'a>>, FormatError> {
+    pub(crate) fn next_full(&mut self) -> Result<Option<Line<'a>>, FormatError> {
         while let Some(line) = self.next_line()? {
             if line.words().next().is_some() {
                 return Ok(Some(line));
@@ -58,45 +58,45 @@ impl<'a> Lines<'a> {
     }
 
     /// The bytes not read yet.
-    pub fn rest(&self) -> &'a [u8] {
+    pub(crate) fn rest(&self) -> &'a [u8] {
         self.bytes.get(self.at..).unwrap_or_default()
     }
 
     /// Position of the next byte in the file.
-    pub fn at(&self) -> u64 {
+    pub(crate) fn at(&self) -> u64 {
         self.at as u64
     }
 
     /// Number of the last line read; 0 before the first.
-    pub fn number(&self) -> u64 {
+    pub(crate) fn number(&self) -> u64 {
         self.number
     }
 }
 
 impl<'a> Line<'a> {
     /// Its place.
-    pub fn place(&self) -> FilePlace {
+    pub(crate) fn place(&self) -> FilePlace {
         FilePlace::Line(self.number)
     }
 
     /// Its words.
-    pub fn words(&self) -> std::str::SplitAsciiWhitespace<'a> {
+    pub(crate) fn words(&self) -> std::str::SplitAsciiWhitespace<'a> {
         self.text.split_ascii_whitespace()
     }
 
     /// An error about this line.
-    pub fn wrong(&self, what: impl Into<String>, found: &str, right: impl Into<String>) -> FormatError {
+    pub(crate) fn wrong(&self, what: impl Into<String>, found: &str, right: impl Into<String>) -> FormatError {
         FormatError::value(self.place(), what, shown(found), right)
     }
 
     /// Reads a word of this line.
-    pub fn parse<T: FromStr>(&self, what: &str, word: Option<&str>, right: &str) -> Result<T, FormatError> {
+    pub(crate) fn parse<T: FromStr>(&self, what: &str, word: Option<&str>, right: &str) -> Result<T, FormatError> {
         let word = word.ok_or_else(|| FormatError::missing(self.place(), what, format!("write {right}")))?;
         word.parse().map_err(|_| self.wrong(what, word, right))
     }
 
     /// Reads a word of this line as a name.
-    pub fn parse_name(&self, word: Option<&'a str>, what: &str) -> Result<&'a str, FormatError> {
+    pub(crate) fn parse_name(&self, word: Option<&'a str>, what: &str) -> Result<&'a str, FormatError> {
         word.ok_or_else(|| FormatError::missing(self.place(), what, "write a name"))
     }
 }

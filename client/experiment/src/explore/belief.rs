@@ -10,7 +10,7 @@ use tidemap_model::{
 mod learner;
 
 use learner::Learner;
-pub use learner::LearnerKind;
+pub(super) use learner::LearnerKind;
 
 /// A model of the places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,7 +59,7 @@ impl BeliefModel {
 
 /// The slots of the world.
 #[derive(Clone, Copy, Debug)]
-pub struct Slots {
+pub(super) struct Slots {
     /// Number of slots in a day.
     pub per_day: usize,
     /// Length of a slot.
@@ -68,13 +68,13 @@ pub struct Slots {
 
 impl Slots {
     /// The middle of a slot; slots are counted from the start of the world, 1970-01-01T00:00, a Thursday.
-    pub fn middle(self, slot: usize) -> Moment {
+    pub(super) fn middle(self, slot: usize) -> Moment {
         Moment { utc_nanos: slot as i64 * self.nanos + self.nanos / 2, offset_secs: 0 }
     }
 }
 
 /// The knowledge of all places.
-pub struct Belief {
+pub(super) struct Belief {
     slots: Slots,
     /// The current slot; none before the first.
     now: Option<usize>,
@@ -97,7 +97,7 @@ struct PlaceBelief {
 
 impl Belief {
     /// An untrained model; `remembers` adds a short-term memory.
-    pub fn new(model: BeliefModel, places: usize, slots: Slots, remembers: bool) -> Result<Belief, CannotFit> {
+    pub(super) fn new(model: BeliefModel, places: usize, slots: Slots, remembers: bool) -> Result<Belief, CannotFit> {
         let (kind, blend) = match model {
             BeliefModel::Each { kind, blend } => (kind, blend),
             BeliefModel::Presence => (LearnerKind::Mean, Blend::None),
@@ -119,7 +119,7 @@ impl Belief {
     }
 
     /// Fits the models for the day that starts with a slot.
-    pub fn midnight(&mut self, slot: usize) -> Result<(), CannotFit> {
+    pub(super) fn midnight(&mut self, slot: usize) -> Result<(), CannotFit> {
         if let Some(presence) = &mut self.presence {
             presence.learn();
         }
@@ -138,7 +138,7 @@ impl Belief {
     }
 
     /// Enters a slot; slots must be entered in order.
-    pub fn enter(&mut self, slot: usize) {
+    pub(super) fn enter(&mut self, slot: usize) {
         self.now = Some(slot);
         if let Some(presence) = &mut self.presence {
             presence.advance(slot % self.slots.per_day);
@@ -146,7 +146,7 @@ impl Belief {
     }
 
     /// The probabilities of all places at the middle of the current slot.
-    pub fn now(&self) -> Vec<f64> {
+    pub(super) fn now(&self) -> Vec<f64> {
         let Some(slot) = self.now else { return vec![0.5; self.places.len()] };
         match &self.presence {
             Some(presence) => presence.probabilities().to_vec(),
@@ -156,7 +156,7 @@ impl Belief {
 
     /// The probabilities of all places at the middle of each slot of the day that starts with a slot, before that slot
     /// is entered.
-    pub fn ahead(&self, slot: usize) -> Vec<Vec<f64>> {
+    pub(super) fn ahead(&self, slot: usize) -> Vec<Vec<f64>> {
         match &self.presence {
             Some(presence) => presence.forecast(0..self.slots.per_day),
             None => (slot..slot + self.slots.per_day)
@@ -183,13 +183,13 @@ impl Belief {
     }
 
     /// The predictions of the short-term memory at the middle of the current slot; 0.5 where it has no data.
-    pub fn expected(&self) -> Vec<f64> {
+    pub(super) fn expected(&self) -> Vec<f64> {
         let at = self.slots.middle(self.now.unwrap_or(0));
         self.places.iter().map(|place| place.chain.as_ref().map_or(0.5, |chain| chain.predict(at))).collect()
     }
 
     /// Learns from a visit at the middle of the current slot.
-    pub fn observe(&mut self, place: usize, there: bool) {
+    pub(super) fn observe(&mut self, place: usize, there: bool) {
         let (Some(slot), Some(known)) = (self.now, self.places.get_mut(place)) else { return };
         let at = self.slots.middle(slot);
         let value = f64::from(u8::from(there));

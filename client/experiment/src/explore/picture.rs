@@ -17,7 +17,7 @@ const HEIGHT: f64 = 180.0;
 const LEGEND_ROW: f64 = 20.0;
 
 /// Draws the weeks.
-pub fn draw(protocol: &PlacesProtocol, outcome: &Exploration) -> String {
+pub(super) fn draw(protocol: &PlacesProtocol, outcome: &Exploration) -> String {
     let weeks = outcome.days.div_ceil(WEEK_DAYS).max(1);
     let percent = |result: &StrategyResult, week: usize| {
         100.0 * result.error(week * WEEK_DAYS..outcome.days.min((week + 1) * WEEK_DAYS)).mean

@@ -78,7 +78,7 @@ pub fn read(path: &Path) -> Result<ExploreProtocol, ProtocolError> {
 }
 
 /// Parses a protocol; `name` is its name if the text has none.
-pub fn parse(text: &str, name: &str, folder: &Path) -> Result<ExploreProtocol, ProtocolError> {
+pub(super) fn parse(text: &str, name: &str, folder: &Path) -> Result<ExploreProtocol, ProtocolError> {
     let mut written: RawExploreProtocol = from_yaml(text)?;
     match written.office.take() {
         Some(office) => of_office(office, written, name, folder).map(ExploreProtocol::Office),

@@ -75,7 +75,7 @@ impl VisitStrategy {
 
 /// The result of one run.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Run {
+pub(super) struct Run {
     /// Share of wrong states, 0 to 1, by day (RAS 2017, eq. 2).
     pub errors: Vec<f64>,
     /// Number of visits.
@@ -83,7 +83,7 @@ pub struct Run {
 }
 
 /// Explores a world once.
-pub fn replay(
+pub(super) fn replay(
     world: &PlaceRecording,
     exploration: f64,
     strategy: VisitStrategy,

@@ -22,7 +22,7 @@ const FILE_BYTES_MAX: u64 = 1024 * 1024;
 
 /// A text with its line.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Word {
+pub(crate) struct Word {
     /// Its line, from 1.
     pub line: u64,
     /// The text; a number as the parser prints it.
@@ -31,7 +31,7 @@ pub struct Word {
 
 /// One text or a list of them.
 #[derive(Clone, Debug)]
-pub struct Words {
+pub(crate) struct Words {
     /// The first line.
     pub line: u64,
     /// The texts. Their lines differ in a list only.
@@ -40,7 +40,7 @@ pub struct Words {
 
 /// A model of a protocol: a name alone, or with parameters.
 #[derive(Clone, Debug)]
-pub struct RawModel {
+pub(crate) struct RawModel {
     /// The name of the kind.
     pub kind: Word,
     /// The parameters, in the order of the file.
@@ -50,7 +50,7 @@ pub struct RawModel {
 /// The file of a comparison of models.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct RawProtocol {
+pub(crate) struct RawProtocol {
     pub name: Option<Word>,
     pub zone: Option<Word>,
     pub kind: Option<Word>,
@@ -70,7 +70,7 @@ pub struct RawProtocol {
 /// The section `tuning`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct RawTuning {
+pub(crate) struct RawTuning {
     pub folds: Word,
     pub fold: Word,
 }

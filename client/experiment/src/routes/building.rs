@@ -27,9 +27,9 @@ use super::DAY_SECS;
 /// Hour of a day, in seconds.
 const HOUR: f64 = 3_600.0;
 /// The robot's speed without obstacles.
-pub const SPEED_M_PER_S: f64 = 0.6;
+pub(super) const SPEED_M_PER_S: f64 = 0.6;
 /// Additional time of a failed attempt.
-pub const RECOVERY_SECS: f64 = 60.0;
+pub(super) const RECOVERY_SECS: f64 = 60.0;
 /// The safety door is open between these times of every day, in seconds.
 const DOOR_OPEN: std::ops::Range<f64> = 6.5 * HOUR..20.0 * HOUR;
 /// People stand in front of the canteen between these times of a weekday, in seconds.
@@ -117,14 +117,14 @@ enum Obstacle {
 
 /// A building.
 #[derive(Clone, Debug)]
-pub struct Building {
+pub(super) struct Building {
     seed: u64,
     topology: Topology,
 }
 
 /// The result of an attempt to traverse an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Attempt {
+pub(super) struct Attempt {
     /// Its duration, including recovery.
     pub secs: f64,
     /// Why it fails; none: it succeeds.
@@ -132,7 +132,7 @@ pub struct Attempt {
 }
 
 /// The edit that loads the building into a map.
-pub fn load() -> Result<TopologyEdit, InvalidName> {
+pub(super) fn load() -> Result<TopologyEdit, InvalidName> {
     let node = |&(name, [x_m, y_m]): &(&str, [f64; 2])| {
         Ok(NewNode { name: StateName::new(name)?, pose: Some(NodePose { x_m, y_m, yaw_rad: 0.0 }), dwell_secs: None })
     };
@@ -151,17 +151,17 @@ pub fn load() -> Result<TopologyEdit, InvalidName> {
 
 impl Building {
     /// The building of a map that [`load`] made, with the random events of a seed.
-    pub fn new(seed: u64, topology: Topology) -> Self {
+    pub(super) fn new(seed: u64, topology: Topology) -> Self {
         Self { seed, topology }
     }
 
     /// Its map.
-    pub fn topology(&self) -> &Topology {
+    pub(super) fn topology(&self) -> &Topology {
         &self.topology
     }
 
     /// Tries to traverse an edge at a time, in seconds since midnight before the first Monday.
-    pub fn attempt(&self, edge: &Edge, secs: f64) -> Attempt {
+    pub(super) fn attempt(&self, edge: &Edge, secs: f64) -> Attempt {
         let (link, obstacle) = self.link(edge);
         let spread = 1.0 + SPREAD * (2.0 * self.draw(DrawSubject::Speed, link, secs / MINUTE_SECS) - 1.0);
         let drive_secs = length_m(edge) / (usual_speed(secs) * spread);
@@ -179,7 +179,7 @@ impl Building {
     }
 
     /// The true probability of a successful traversal at a time, and its mean duration in seconds.
-    pub fn truth(&self, edge: &Edge, secs: f64) -> (f64, f64) {
+    pub(super) fn truth(&self, edge: &Edge, secs: f64) -> (f64, f64) {
         let (link, obstacle) = self.link(edge);
         let open = match obstacle {
             Some(Obstacle::Door) if !is_door_open(secs) => 0.0,
@@ -216,7 +216,7 @@ impl Building {
 }
 
 /// A generator for each combination of numbers.
-pub fn draw(seed: u64, key: [u64; 3]) -> SmallRng {
+pub(super) fn draw(seed: u64, key: [u64; 3]) -> SmallRng {
     let key = key.into_iter().fold(seed, |key, part| SmallRng::seed_from_u64(key ^ part).random());
     SmallRng::seed_from_u64(key)
 }

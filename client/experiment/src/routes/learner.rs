@@ -27,7 +27,7 @@ use super::{
 
 /// A map that learns from traversals.
 #[derive(Debug)]
-pub struct Learner {
+pub(super) struct Learner {
     map: LiveMap,
     sequence: u64,
     history: History,
@@ -60,7 +60,7 @@ impl StateReadings for History {
 
 impl Learner {
     /// An untrained map of the building, with default properties.
-    pub fn new(persistence: bool) -> Result<Self, RoutesError> {
+    pub(super) fn new(persistence: bool) -> Result<Self, RoutesError> {
         let spec = MapSpec {
             created_nanos: START_NANOS,
             ..MapSpec::new(MapName::new("building").map_err(RoutesError::setting)?)
@@ -73,17 +73,17 @@ impl Learner {
     }
 
     /// The topology of the building.
-    pub fn topology(&self) -> &Topology {
+    pub(super) fn topology(&self) -> &Topology {
         self.map.site().topology()
     }
 
     /// The forecasts of its edges.
-    pub fn edges(&self) -> &EdgeForecasts {
+    pub(super) fn edges(&self) -> &EdgeForecasts {
         &self.edges
     }
 
     /// Applies traversals, received when the last of them ended.
-    pub fn report(&mut self, traversals: &[Traversal]) -> Result<(), RoutesError> {
+    pub(super) fn report(&mut self, traversals: &[Traversal]) -> Result<(), RoutesError> {
         let Some(last) = traversals.last() else { return Ok(()) };
         let key = ProducerKey::new("robot", "").map_err(RoutesError::setting)?;
         let first_sequence = self.sequence + 1;
@@ -131,7 +131,7 @@ impl Learner {
     }
 
     /// Learns all traversals before midnight.
-    pub fn midnight(&mut self, nanos: i64) -> Result<(), RoutesError> {
+    pub(super) fn midnight(&mut self, nanos: i64) -> Result<(), RoutesError> {
         let start = self.map.plan_update(Some(nanos), nanos, UpdateCause::Midnight);
         let work = self.map.apply(self.map.position() + 1, &Event::UpdateStart(start))?;
         if let Some(work) = work {

@@ -15,7 +15,7 @@ const WIDTH: f64 = CHART_WIDTH - LEFT - 16.0;
 const HEIGHT: f64 = 280.0;
 
 /// Draws the weeks.
-pub fn draw(outcome: &RouteComparison) -> String {
+pub(super) fn draw(outcome: &RouteComparison) -> String {
     let weeks = outcome.weeks;
     let failures = |course: &RobotCourse, week: usize| course.failures(week..week + 1).mean;
     let all = outcome.courses.iter().flat_map(|course| (0..weeks).map(move |week| failures(course, week)));

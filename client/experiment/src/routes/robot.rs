@@ -80,7 +80,7 @@ struct RouteRobot<'a> {
 }
 
 /// Lets a robot drive for all weeks of the protocol.
-pub fn run(kind: RobotKind, seed: u64, protocol: &RoutesProtocol) -> Result<Vec<Week>, RoutesError> {
+pub(super) fn run(kind: RobotKind, seed: u64, protocol: &RoutesProtocol) -> Result<Vec<Week>, RoutesError> {
     let learner = Learner::new(kind == RobotKind::TidemapPersistence)?;
     let building = Building::new(seed, learner.topology().clone());
     let nodes: Vec<NodeId> = building.topology().nodes().map(|node| node.id).collect();

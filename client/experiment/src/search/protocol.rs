@@ -69,7 +69,7 @@ pub fn read(path: &Path) -> Result<SearchProtocol, ProtocolError> {
 }
 
 /// Parses a protocol.
-pub fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, ProtocolError> {
+pub(super) fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, ProtocolError> {
     let written: RawSearchProtocol = from_yaml(text)?;
     let topology = required(written.topology, "topology", "the file of nodes and links, as `topology load` reads it")?;
     let world = required(written.world, "world", "the file of the world, with rows of FROM UNTIL PLACE in minutes")?;

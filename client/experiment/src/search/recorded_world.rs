@@ -21,7 +21,7 @@ const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 
 /// The recorded world of searches.
 #[derive(Debug)]
-pub struct RecordedWorld {
+pub(super) struct RecordedWorld {
     /// Names of the nodes.
     pub names: Vec<String>,
     /// Travel times along the edges.
@@ -36,7 +36,7 @@ pub struct RecordedWorld {
 
 impl RecordedWorld {
     /// Reads topology and world.
-    pub fn read(protocol: &SearchProtocol) -> Result<RecordedWorld, ReplayError> {
+    pub(super) fn read(protocol: &SearchProtocol) -> Result<RecordedWorld, ReplayError> {
         let path = &protocol.topology;
         let wrong = |wrong: String| ReplayError::Topology(format!("{}: {wrong}", path.display()));
         let text = fs::read_to_string(path).map_err(|error| {
@@ -50,7 +50,7 @@ impl RecordedWorld {
     }
 
     /// Combines topology and recording.
-    pub fn new(
+    pub(super) fn new(
         written: &TopologyFile,
         world: &PlaceRecording,
         protocol: &SearchProtocol,
@@ -79,23 +79,23 @@ impl RecordedWorld {
     }
 
     /// Number of minutes.
-    pub fn minutes(&self) -> usize {
+    pub(super) fn minutes(&self) -> usize {
         self.rooms.len()
     }
 
     /// Index of the node where the person is in a minute.
-    pub fn room(&self, minute: usize) -> Option<usize> {
+    pub(super) fn room(&self, minute: usize) -> Option<usize> {
         self.rooms.get(minute).copied().flatten()
     }
 
     /// The start of a minute.
-    pub fn moment(&self, minute: usize) -> Moment {
+    pub(super) fn moment(&self, minute: usize) -> Moment {
         // A recording has at most ten years of minutes.
         Moment { utc_nanos: self.first_nanos + minute as i64 * MINUTE_NANOS, offset_secs: 0 }
     }
 
     /// Whether the person was at a node, for every minute before `until`.
-    pub fn samples(&self, node: usize, until: usize) -> Vec<Sample> {
+    pub(super) fn samples(&self, node: usize, until: usize) -> Vec<Sample> {
         let sample = |minute: usize| Sample {
             utc_nanos: self.moment(minute).utc_nanos,
             offset_secs: 0,
@@ -127,7 +127,7 @@ fn topology(written: &TopologyFile) -> Result<Topology, String> {
 }
 
 /// The local midnight at which a date starts, in nanoseconds since 1970-01-01T00:00 local; none if `date` is no date.
-pub fn midnight_nanos(date: &str) -> Option<i64> {
+pub(super) fn midnight_nanos(date: &str) -> Option<i64> {
     let date: jiff::civil::Date = date.parse().ok()?;
     let timestamp = date.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp();
     i64::try_from(timestamp.as_nanosecond()).ok()

@@ -41,7 +41,7 @@ impl FindTimes {
 }
 
 /// Searches in the given minutes by a parameter set of a model that is trained on all minutes before `train_minutes`.
-pub fn by_model(
+pub(super) fn by_model(
     world: &RecordedWorld,
     entry: &ModelEntry,
     set: usize,
@@ -62,7 +62,7 @@ pub fn by_model(
 }
 
 /// Searches by an oracle that knows where the person is.
-pub fn by_truth(world: &RecordedWorld, minutes: Range<usize>) -> Result<FindTimes, ReplayError> {
+pub(super) fn by_truth(world: &RecordedWorld, minutes: Range<usize>) -> Result<FindTimes, ReplayError> {
     find(world, minutes, |node, minute| f64::from(u8::from(world.room(minute) == Some(node))))
 }
 

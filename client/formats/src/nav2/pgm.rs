@@ -10,7 +10,7 @@ use crate::{
 
 /// An image.
 #[derive(Debug)]
-pub struct Image {
+pub(super) struct Image {
     /// Number of pixels in a row.
     pub width: u32,
     /// Number of rows.
@@ -22,7 +22,7 @@ pub struct Image {
 }
 
 /// Reads an image.
-pub fn read(bytes: &[u8]) -> Result<Image, FormatError> {
+pub(super) fn read(bytes: &[u8]) -> Result<Image, FormatError> {
     let text = match bytes.get(..2) {
         Some(b"P2") => true,
         Some(b"P5") => false,

@@ -21,7 +21,7 @@ const KEYS: [&str; 10] =
     ["VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"];
 
 /// The header of a file.
-pub struct PcdHeader<'a> {
+pub(super) struct PcdHeader<'a> {
     fields: Vec<Field<'a>>,
     /// Number of points.
     pub points: u64,
@@ -33,7 +33,7 @@ pub struct PcdHeader<'a> {
 
 /// The encoding of points.
 #[derive(Clone, Copy, Debug)]
-pub enum Data {
+pub(super) enum Data {
     /// Text, a line for each point.
     Ascii,
     /// Point after point.
@@ -49,7 +49,7 @@ struct Field<'a> {
 }
 
 /// The layout of a point.
-pub struct PointLayout {
+pub(super) struct PointLayout {
     /// Its length.
     pub bytes: usize,
     /// Its number of values.
@@ -64,7 +64,7 @@ pub struct PointLayout {
 
 impl PcdHeader<'_> {
     /// The layout of a point, with or without padding fields.
-    pub fn row(&self, padding: bool) -> PointLayout {
+    pub(super) fn row(&self, padding: bool) -> PointLayout {
         let mut row = PointLayout { bytes: 0, values: 0, scalar: [Scalar::F32; 3], byte: [0; 3], value: [0; 3] };
         for field in self.fields.iter().filter(|field| padding || field.name != "_") {
             if let Some(axis) = ["x", "y", "z"].iter().position(|&name| name == field.name) {
@@ -78,7 +78,7 @@ impl PcdHeader<'_> {
 }
 
 /// Reads the lines of the header, including DATA.
-pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<PcdHeader<'a>, FormatError> {
+pub(super) fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<PcdHeader<'a>, FormatError> {
     if !(bytes.starts_with(b"#") || bytes.starts_with(b"VERSION")) {
         return Err(FormatError::value(
             FilePlace::Byte(0),

@@ -14,7 +14,7 @@ use crate::error::{FilePlace, FormatError};
 const EXPANSION_MAX: usize = 88;
 
 /// Unpacks data that starts at byte `at` of the file.
-pub fn unpack(packed: &[u8], length: usize, at: u64) -> Result<Vec<u8>, FormatError> {
+pub(super) fn unpack(packed: &[u8], length: usize, at: u64) -> Result<Vec<u8>, FormatError> {
     let place = |index: usize| FilePlace::Byte(at + index as u64);
     if length > packed.len().saturating_mul(EXPANSION_MAX) {
         let right = format!("at most {EXPANSION_MAX} times the packed length {}", packed.len());

@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// The header of a file.
-pub struct PlyHeader<'a> {
+pub(super) struct PlyHeader<'a> {
     /// The encoding of the elements.
     pub encoding: Encoding,
     /// The elements, in the order of the file.
@@ -20,7 +20,7 @@ pub struct PlyHeader<'a> {
 
 /// The encoding of elements.
 #[derive(Clone, Copy)]
-pub enum Encoding {
+pub(super) enum Encoding {
     /// Text.
     Ascii,
     /// Bytes.
@@ -28,7 +28,7 @@ pub enum Encoding {
 }
 
 /// A group of equal records, such as vertices or faces.
-pub struct Element<'a> {
+pub(super) struct Element<'a> {
     /// Its name.
     pub name: &'a str,
     /// Number of records.
@@ -41,7 +41,7 @@ pub struct Element<'a> {
 }
 
 /// A property of an element.
-pub struct Property<'a> {
+pub(super) struct Property<'a> {
     /// Its name.
     pub name: &'a str,
     /// Its type.
@@ -50,7 +50,7 @@ pub struct Property<'a> {
 
 /// The type of a property.
 #[derive(Clone, Copy)]
-pub enum PropertyKind {
+pub(super) enum PropertyKind {
     /// A number.
     Scalar(Scalar),
     /// A length, then that many numbers.
@@ -64,13 +64,13 @@ pub enum PropertyKind {
 
 impl Element<'_> {
     /// The coordinate of a point that a property contains.
-    pub fn axis(&self, property: usize) -> Option<usize> {
+    pub(super) fn axis(&self, property: usize) -> Option<usize> {
         self.points?.iter().position(|&index| index == property)
     }
 }
 
 /// Reads the lines of the header, including the last.
-pub fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<PlyHeader<'a>, FormatError> {
+pub(super) fn read<'a>(bytes: &'a [u8], lines: &mut Lines<'a>) -> Result<PlyHeader<'a>, FormatError> {
     if !(bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r\n")) {
         return Err(FormatError::value(
             FilePlace::Byte(0),

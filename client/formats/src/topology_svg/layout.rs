@@ -13,7 +13,7 @@ pub const LAYOUT_NODES_MAX: usize = 400;
 const ROUNDS: usize = 200;
 
 /// The positions of the map if every node has one, otherwise a layout.
-pub fn places(nodes: &[PictureNode], edges: &[PictureEdge]) -> Result<Vec<[f64; 2]>, TopologyPictureError> {
+pub(super) fn places(nodes: &[PictureNode], edges: &[PictureEdge]) -> Result<Vec<[f64; 2]>, TopologyPictureError> {
     if nodes.is_empty() {
         return Err(TopologyPictureError::Empty);
     }

@@ -62,7 +62,7 @@ impl LearnerKind {
 }
 
 /// A model of one state with its training data.
-pub struct Learner {
+pub(super) struct Learner {
     kind: LearnerKind,
     fitted: Option<Box<dyn TemporalModel>>,
     spectral: Option<Spectral>,
@@ -77,17 +77,17 @@ struct Spectral {
 
 impl Learner {
     /// An untrained model.
-    pub fn new(kind: LearnerKind) -> Learner {
+    pub(super) fn new(kind: LearnerKind) -> Learner {
         Learner { kind, fitted: None, spectral: None }
     }
 
     /// The kind of the model.
-    pub fn kind(&self) -> LearnerKind {
+    pub(super) fn kind(&self) -> LearnerKind {
         self.kind
     }
 
     /// Fits all readings; earlier ones must come first.
-    pub fn learn(&mut self, readings: &[Sample]) -> Result<(), CannotFit> {
+    pub(super) fn learn(&mut self, readings: &[Sample]) -> Result<(), CannotFit> {
         if readings.is_empty() {
             return Ok(());
         }
@@ -130,7 +130,7 @@ impl Learner {
     }
 
     /// The predicted probability at a moment.
-    pub fn probability(&self, at: Moment) -> f64 {
+    pub(super) fn probability(&self, at: Moment) -> f64 {
         match (&self.fitted, &self.spectral) {
             (Some(model), _) => model.predict(at),
             (None, Some(spectral)) => {

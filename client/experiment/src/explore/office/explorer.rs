@@ -87,7 +87,7 @@ enum LastValue {
 
 /// The result of a tour.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Findings {
+pub(super) struct Findings {
     /// Number of observations.
     pub scans: u64,
     /// Number of changed cells.
@@ -97,7 +97,7 @@ pub struct Findings {
 }
 
 /// An explorer with its map.
-pub struct Explorer {
+pub(super) struct Explorer {
     /// How it predicts and schedules.
     pub kind: ExplorerKind,
     map: LiveMap,
@@ -117,7 +117,7 @@ pub struct Explorer {
 
 impl Explorer {
     /// An explorer with an untrained map.
-    pub fn new(kind: ExplorerKind, space: &Space) -> Result<Self, OfficeError> {
+    pub(super) fn new(kind: ExplorerKind, space: &Space) -> Result<Self, OfficeError> {
         let mut map = LiveMap::new(Arc::clone(space.spec()));
         let grid = map.grid().ok_or_else(|| OfficeError::setting("the map has no grid"))?;
         let front = LogHead::new(grid);
@@ -139,12 +139,12 @@ impl Explorer {
     }
 
     /// Whether it has seen the cell with this number.
-    pub fn has_seen(&self, cell: usize) -> bool {
+    pub(super) fn has_seen(&self, cell: usize) -> bool {
         self.last[cell] != LastValue::Never
     }
 
     /// Its prediction of all cells at a time, nanoseconds UTC.
-    pub fn predict(&self, utc_nanos: i64) -> Result<PredictedGrid, OfficeError> {
+    pub(super) fn predict(&self, utc_nanos: i64) -> Result<PredictedGrid, OfficeError> {
         self.predict_by(self.kind, utc_nanos)
     }
 
@@ -154,12 +154,12 @@ impl Explorer {
     }
 
     /// The best tour at a time, planned on the prediction for that time.
-    pub fn best_tour(&self, space: &Space, utc_nanos: i64) -> Result<Tour, OfficeError> {
+    pub(super) fn best_tour(&self, space: &Space, utc_nanos: i64) -> Result<Tour, OfficeError> {
         Ok(plan_tour(&self.predict(utc_nanos)?, &self.reachability, &space.question)?)
     }
 
     /// Goes on a tour that starts at a time, planned by the prediction of `kind` for `middle_nanos`.
-    pub fn tour(
+    pub(super) fn tour(
         &mut self,
         space: &Space,
         kind: ExplorerKind,
@@ -319,7 +319,7 @@ impl Explorer {
     }
 
     /// Learns all observations before a midnight.
-    pub fn midnight(&mut self, utc_nanos: i64) -> Result<(), OfficeError> {
+    pub(super) fn midnight(&mut self, utc_nanos: i64) -> Result<(), OfficeError> {
         let start = self.map.plan_update(Some(utc_nanos), utc_nanos, UpdateCause::Midnight);
         if let Some(work) = self.map.apply(self.map.position() + 1, &Event::UpdateStart(start))? {
             self.map.finish_update(work.run(&AtomicU64::new(0))?);

@@ -16,7 +16,7 @@ const WIDTH: f64 = CHART_WIDTH - LEFT - 16.0;
 const HEIGHT: f64 = 280.0;
 
 /// Draws the errors.
-pub fn draw(protocol: &OfficeProtocol, outcome: &OfficeExploration) -> String {
+pub(super) fn draw(protocol: &OfficeProtocol, outcome: &OfficeExploration) -> String {
     let per_day = protocol.slots();
     let slots = protocol.days * per_day;
     let percent = |index: usize, slot: usize| outcome.error_at(index, slot).map(|error| 100.0 * error);

@@ -55,7 +55,7 @@ impl OfficeProtocol {
 /// The section `office`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct RawOffice {
+pub(crate) struct RawOffice {
     days: Option<Word>,
     tours: Option<Word>,
     goals: Option<Word>,
@@ -65,7 +65,7 @@ pub struct RawOffice {
 
 impl RawOffice {
     /// The protocol, with defaults for missing keys.
-    pub fn parse(self, name: String, seeds: u64, out: PathBuf) -> Result<OfficeProtocol, ProtocolError> {
+    pub(crate) fn parse(self, name: String, seeds: u64, out: PathBuf) -> Result<OfficeProtocol, ProtocolError> {
         let slot_nanos = self.slot.map_or(Ok(SLOT_NANOS), |word| {
             parsed(&word, "slot", "at least 5m, and a divisor of the day, such as 15m", |text| {
                 let divides = |nanos: &i64| *nanos >= SLOT_MIN_NANOS && DAY_NANOS % nanos == 0;

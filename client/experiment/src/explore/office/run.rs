@@ -21,7 +21,7 @@ const WORKING_HOURS: std::ops::Range<i64> = 8..18;
 const HOUR_NANOS: i64 = 3_600_000_000_000;
 
 /// Explores an office once; `day_done` is called after each day.
-pub fn explore(
+pub(super) fn explore(
     protocol: &OfficeProtocol,
     office: &ExploredOffice,
     seed: u64,

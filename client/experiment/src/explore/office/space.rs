@@ -23,14 +23,14 @@ use tidemap_sim::ExploredOffice;
 use super::OfficeError;
 
 /// Nanoseconds of a day.
-pub const DAY_NANOS: i64 = 86_400_000_000_000;
+pub(super) const DAY_NANOS: i64 = 86_400_000_000_000;
 /// Midnight before the first day, which is a Monday: 2025-03-03 UTC.
-pub const START_NANOS: i64 = 20_150 * DAY_NANOS;
+pub(super) const START_NANOS: i64 = 20_150 * DAY_NANOS;
 /// Harmonics of a day (RA-L 2016, section III.B.1).
 const HARMONICS: u32 = 24;
 
 /// The office as a grid.
-pub struct Space<'a> {
+pub(super) struct Space<'a> {
     office: &'a ExploredOffice,
     lattice: Arc<Lattice>,
     spec: Arc<MapSpec>,
@@ -41,7 +41,7 @@ pub struct Space<'a> {
 }
 
 /// The true state of the office at a time.
-pub struct Truth {
+pub(super) struct Truth {
     cells: Vec<bool>,
     /// The truth as a certain prediction.
     pub grid: PredictedGrid,
@@ -51,14 +51,14 @@ pub struct Truth {
 
 impl Truth {
     /// Whether the cell with this number is occupied.
-    pub fn is_occupied(&self, cell: usize) -> bool {
+    pub(super) fn is_occupied(&self, cell: usize) -> bool {
         self.cells[cell]
     }
 }
 
 impl<'a> Space<'a> {
     /// An office as a grid, for tours with this number of goals.
-    pub fn new(office: &'a ExploredOffice, goals: usize) -> Result<Self, OfficeError> {
+    pub(super) fn new(office: &'a ExploredOffice, goals: usize) -> Result<Self, OfficeError> {
         let [x, y, z] = office.size().map(|cells| cells as i32);
         let extent = CellBox { min: CellIndex::default(), max: CellIndex { x, y, z } };
         let grid = GridSpec { extent: Some(extent), ..GridSpec::new(ExploredOffice::CELL_M) };
@@ -79,34 +79,34 @@ impl<'a> Space<'a> {
     }
 
     /// The specification of the explorers' maps.
-    pub fn spec(&self) -> &Arc<MapSpec> {
+    pub(super) fn spec(&self) -> &Arc<MapSpec> {
         &self.spec
     }
 
     /// The lattice of the cells.
-    pub fn lattice(&self) -> &Arc<Lattice> {
+    pub(super) fn lattice(&self) -> &Arc<Lattice> {
         &self.lattice
     }
 
     /// Number of cells.
-    pub fn cells(&self) -> usize {
+    pub(super) fn cells(&self) -> usize {
         self.office.size().iter().product()
     }
 
     /// The number of a cell of the office.
-    pub fn number(&self, cell: CellIndex) -> usize {
+    pub(super) fn number(&self, cell: CellIndex) -> usize {
         let [width, depth, _] = self.office.size();
         (cell.z as usize * depth + cell.y as usize) * width + cell.x as usize
     }
 
     /// The cell with a number.
-    pub fn cell(&self, number: usize) -> CellIndex {
+    pub(super) fn cell(&self, number: usize) -> CellIndex {
         let [width, depth, _] = self.office.size();
         CellIndex { x: (number % width) as i32, y: (number / width % depth) as i32, z: (number / width / depth) as i32 }
     }
 
     /// The truth at a time, nanoseconds UTC.
-    pub fn truth(&self, utc_nanos: i64) -> Result<Truth, OfficeError> {
+    pub(super) fn truth(&self, utc_nanos: i64) -> Result<Truth, OfficeError> {
         let cells = self.occupied(utc_nanos);
         let occupied = |cell| Some(f32::from(u8::from(cells[self.number(cell)])));
         let grid = PredictedGrid::from_fn(Arc::clone(&self.lattice), occupied);
@@ -115,7 +115,7 @@ impl<'a> Space<'a> {
     }
 
     /// Whether each cell is occupied at a time, nanoseconds UTC, by number.
-    pub fn occupied(&self, utc_nanos: i64) -> Vec<bool> {
+    pub(super) fn occupied(&self, utc_nanos: i64) -> Vec<bool> {
         self.office.occupied((utc_nanos - START_NANOS) / 1_000_000_000)
     }
 }
