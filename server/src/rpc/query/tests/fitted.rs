@@ -5,7 +5,7 @@ use tidemap_model::{
     Sample,
     models::{Calibrated, CalibratedOptions, Histogram, HistogramCycle, HistogramSettings, Readings, TemporalModel},
 };
-use tidemap_proto::convert::query::selector_to_wire;
+use tidemap_proto::convert::{query::selector_to_wire, time::timestamp};
 
 use super::*;
 
@@ -148,7 +148,8 @@ async fn what_a_model_cannot_be_fitted_to_is_said() {
             let of_cell = bench.predict(&["door", "cell/1/0/0"], &[NOON], wire(kind, false)).await;
             let words = [&*kind.to_string(), "cells", "auto, mean, latest or spectral"];
             let model = wire(kind, false);
-            let of_grid = bench.grid(v1::PredictGridRequest { model, ..Default::default() }).await;
+            let time = Some(timestamp(NOON));
+            let of_grid = bench.grid(v1::PredictGridRequest { time, model, ..Default::default() }).await;
             check_refused(of_grid, Code::InvalidArgument, &words);
             // The first name is a state without history, but the request as a whole is invalid.
             check_refused(of_cell, Code::InvalidArgument, &words);
