@@ -29,7 +29,7 @@ pub const SCANS_MAX: usize = 1 << 16;
 pub const SEEN_TILES_MAX: usize = 1 << 24;
 
 /// Limit of tiles of one event that are first observed as a whole.
-pub const WHOLE_TILES_MAX: usize = 1 << 17;
+pub(crate) const WHOLE_TILES_MAX: usize = 1 << 17;
 
 /// The observed bits that a scan flips.
 struct ObservedFlips<'a> {
