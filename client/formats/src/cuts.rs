@@ -6,7 +6,7 @@ use super::error::FormatError;
 
 /// Reads a valid file truncated at every byte, and expects an error with a message.
 #[track_caller]
-pub fn every_cut_is_refused<T: std::fmt::Debug>(whole: &[u8], read: impl Fn(&[u8]) -> Result<T, FormatError>) {
+pub(crate) fn every_cut_is_refused<T: std::fmt::Debug>(whole: &[u8], read: impl Fn(&[u8]) -> Result<T, FormatError>) {
     assert!(read(whole).is_ok(), "the whole file can be read");
     for length in 0..whole.len() {
         match read(&whole[..length]) {

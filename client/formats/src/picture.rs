@@ -145,7 +145,7 @@ impl MapPicture {
 }
 
 #[cfg(test)]
-pub mod samples {
+pub(crate) mod samples {
     //! Pictures for tests.
     //!
     //! Invariant: [`flat`] has every kind of cell, and no two equal rows.
@@ -153,7 +153,7 @@ pub mod samples {
     use super::*;
 
     /// Three cells wide, two high.
-    pub fn flat() -> MapPicture {
+    pub(crate) fn flat() -> MapPicture {
         use PictureCell::{Changing, Static, Unknown};
         MapPicture {
             resolution_m: 0.05,

@@ -31,7 +31,7 @@ pub struct StateInfo {
 
 /// The states of a map by name and by index.
 #[derive(Clone, Debug)]
-pub struct Directory {
+pub(crate) struct Directory {
     hasher: RandomState,
     shards: Arc<Vec<Arc<Shard>>>,
     chunks: Arc<Vec<Arc<Vec<StateInfo>>>>,
@@ -39,7 +39,7 @@ pub struct Directory {
 }
 
 impl Directory {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
             hasher: RandomState::new(),
             shards: Arc::new((0..SHARDS).map(|_| Arc::default()).collect()),
@@ -48,7 +48,7 @@ impl Directory {
         }
     }
 
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.len
     }
 
@@ -56,13 +56,13 @@ impl Directory {
         usize::try_from(self.hasher.hash_one(name) % SHARDS as u64).unwrap_or(0)
     }
 
-    pub fn find(&self, name: &str) -> Option<StateId> {
+    pub(crate) fn find(&self, name: &str) -> Option<StateId> {
         let name = asked_for(name);
         self.shards[self.shard(name)].get(name).copied()
     }
 
     /// What observations of a name are, with the index of the state, or of the first axis.
-    pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
+    pub(crate) fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         if let Some(id) = self.find(name) {
             return Some((id, StateShape::Scalar(self.info(id)?.kind)));
         }
@@ -73,17 +73,17 @@ impl Directory {
         Some((first, StateShape::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
     }
 
-    pub fn info(&self, id: StateId) -> Option<&StateInfo> {
+    pub(crate) fn info(&self, id: StateId) -> Option<&StateInfo> {
         let index = id.0 as usize;
         self.chunks.get(index / CHUNK)?.get(index % CHUNK)
     }
 
-    pub fn iter(&self) -> impl Iterator<Item = &StateInfo> {
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &StateInfo> {
         self.chunks.iter().flat_map(|chunk| chunk.iter())
     }
 
     /// Gives a state another name. Nothing is changed where there is no such state, or the name is taken.
-    pub fn rename(&mut self, id: StateId, name: StateName) {
+    pub(crate) fn rename(&mut self, id: StateId, name: StateName) {
         let index = id.0 as usize;
         if self.info(id).is_none() || self.shape(name.as_str()).is_some() {
             return;
@@ -97,7 +97,7 @@ impl Directory {
     }
 
     /// Appends a state; its index is the number of states before.
-    pub fn push(&mut self, info: StateInfo) -> StateId {
+    pub(crate) fn push(&mut self, info: StateInfo) -> StateId {
         let id = StateId(u32::try_from(self.len).unwrap_or(u32::MAX));
         let shard = self.shard(info.name.as_str());
         Arc::make_mut(&mut Arc::make_mut(&mut self.shards)[shard]).insert(info.name.clone(), id);

@@ -30,7 +30,7 @@ fn selectors() -> Vec<ModelSelector> {
 
 impl World {
     /// Compares everything that a view says.
-    pub fn compare(&mut self, at: &str) {
+    pub(crate) fn compare(&mut self, at: &str) {
         let view = self.map.publish();
         let grid = view.grid().expect("a grid").clone();
         assert_eq!(grid.cell_observations(), self.oracle.cell_observations, "{at}: cell observations");
@@ -118,7 +118,7 @@ impl World {
     }
 
     /// Compares the sums of all changed cells with another world's, and both with the oracle's.
-    pub fn compare_sums(&self, other: &World, at: &str) {
+    pub(crate) fn compare_sums(&self, other: &World, at: &str) {
         for (&(index, cell), oracle) in &self.oracle.cells {
             let at = format!("{at}, tile {index:?}, cell {cell}");
             let mut all = [self, other].map(|world| world.gammas(index, cell));

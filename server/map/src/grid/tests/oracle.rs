@@ -20,14 +20,14 @@ use crate::{
 
 /// A reading: what it counts as, and what it was.
 #[derive(Clone, Copy, Debug)]
-pub struct Read {
+pub(crate) struct Read {
     pub sample: Sample,
     pub is_occupied: bool,
 }
 
 /// One cell.
 #[derive(Clone, Debug)]
-pub struct CellOracle {
+pub(crate) struct CellOracle {
     pending: Vec<Read>,
     future: Vec<Read>,
     taken: Vec<Read>,
@@ -105,11 +105,17 @@ impl CellOracle {
     }
 
     /// Whether it was ever read as both free and occupied.
-    pub fn has_changed(&self) -> bool {
+    pub(crate) fn has_changed(&self) -> bool {
         self.folded.windows(2).any(|pair| pair[0].is_occupied != pair[1].is_occupied)
     }
 
-    pub fn probability(&self, selector: ModelSelector, civil_nanos: i64, utc_nanos: i64, omega: &Periodicities) -> f64 {
+    pub(crate) fn probability(
+        &self,
+        selector: ModelSelector,
+        civil_nanos: i64,
+        utc_nanos: i64,
+        omega: &Periodicities,
+    ) -> f64 {
         let spectral = self.model.spectral();
         let p = match selector.kind {
             ModelKind::Latest => self.persistence.last().map_or(0.5, |(_, value)| value),
@@ -120,7 +126,7 @@ impl CellOracle {
     }
 
     /// Compares what a view says of the cell.
-    pub fn compare(&self, found: &CellDescription, at: &str) {
+    pub(crate) fn compare(&self, found: &CellDescription, at: &str) {
         let (ours, theirs) = (self.persistence.to_parts(), found.persistence.to_parts());
         assert_eq!((ours.pairs, ours.last), (theirs.pairs, theirs.last), "{at}: persistence");
         near(ours.change_rate_sum, theirs.change_rate_sum, 1e-9 * (1.0 + ours.change_rate_sum), at, "change rates");
@@ -135,7 +141,7 @@ impl CellOracle {
 
     /// Compares a changed cell's components, orders and errors. What is as good as the oracle's choice becomes the
     /// oracle's.
-    pub fn compare_model(&mut self, found: &CellModel, periodicities: &Periodicities, at: &str) {
+    pub(crate) fn compare_model(&mut self, found: &CellModel, periodicities: &Periodicities, at: &str) {
         let parts = self.model.accumulator().to_parts();
         let gammas = gammas(&parts);
         let kept = found.spectral.components();
@@ -179,7 +185,7 @@ pub fn near(a: f64, b: f64, most: f64, at: &str, what: &str) {
 
 /// All cells.
 #[derive(Clone, Debug)]
-pub struct Oracle {
+pub(crate) struct Oracle {
     periodicities: Periodicities,
     criterion: OrderCriterion,
     pub cells: BTreeMap<(TileIndex, u16), CellOracle>,
@@ -187,12 +193,12 @@ pub struct Oracle {
 }
 
 impl Oracle {
-    pub fn new(periodicities: &Periodicities, criterion: OrderCriterion) -> Oracle {
+    pub(crate) fn new(periodicities: &Periodicities, criterion: OrderCriterion) -> Oracle {
         let (periodicities, cells) = (periodicities.clone(), BTreeMap::new());
         Oracle { periodicities, criterion, cells, cell_observations: 0 }
     }
 
-    pub fn observe(&mut self, tile: TileIndex, cell: u16, read: Read, is_ahead: bool) {
+    pub(crate) fn observe(&mut self, tile: TileIndex, cell: u16, read: Read, is_ahead: bool) {
         self.cell_observations += 1;
         let periodicities = &self.periodicities;
         let cell = self.cells.entry((tile, cell)).or_insert_with(|| CellOracle::new(periodicities));
@@ -204,16 +210,16 @@ impl Oracle {
         }
     }
 
-    pub fn start_update(&mut self, cut_nanos: i64) {
+    pub(crate) fn start_update(&mut self, cut_nanos: i64) {
         self.cells.values_mut().for_each(|cell| cell.take_before(cut_nanos));
     }
 
-    pub fn finish_update(&mut self) {
+    pub(crate) fn finish_update(&mut self) {
         self.cells.values_mut().for_each(|cell| cell.learn(&self.periodicities, self.criterion));
     }
 
     /// A cell of which an observation has counted.
-    pub fn known(&self, cell: CellIndex) -> Option<&CellOracle> {
+    pub(crate) fn known(&self, cell: CellIndex) -> Option<&CellOracle> {
         let (tile, place) = cell.tile();
         self.cells.get(&(tile, place)).filter(|cell| cell.persistence.last().is_some())
     }

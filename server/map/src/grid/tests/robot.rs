@@ -40,7 +40,7 @@ pub fn random(rng: &mut u64, below: usize) -> usize {
 
 /// What a robot saw.
 #[derive(Clone, Debug)]
-pub struct Seen {
+pub(crate) struct Seen {
     pub robot: usize,
     pub utc_nanos: i64,
     /// By slot.
