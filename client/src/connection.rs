@@ -1,7 +1,7 @@
-//! The way to a daemon: address, token, connections.
+//! Connections to a daemon: address, token, channels.
 //!
-//! Invariant: at most 32 Observe streams share a connection, so that a server's limit of streams, and the flow control
-//! that streams of one connection share, do not hold up the others. Requests have a connection of their own.
+//! Invariant: at most 32 Observe streams share a connection, so that the stream limit of the server and the shared flow
+//! control of a connection do not block other streams. Requests use a connection of their own.
 
 use std::{
     fmt,
@@ -20,18 +20,18 @@ use crate::error::Error;
 
 /// Streams that share a connection.
 const STREAMS_PER_CONNECTION: usize = 32;
-/// Longest answer to a request: what the daemon itself allows. The usual 4 MiB are less than an evaluation of many
-/// thousand states takes.
+/// Maximum size of a reply: what the daemon itself allows. The usual 4 MiB are less than an evaluation of many thousand
+/// states needs.
 pub(crate) const REPLY_BYTES_MAX: usize = 64 << 20;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
-/// A daemon whose machine is gone is noticed after the interval and the timeout.
+/// A daemon whose machine is gone is detected after the interval and the timeout.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(20);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A gRPC channel that carries the token.
+/// A gRPC channel that sends the token.
 pub type Connection = InterceptedService<Channel, Bearer>;
 
-/// Adds `authorization: Bearer …` to each request where there is a token.
+/// Adds `authorization: Bearer …` to each request if there is a token.
 #[derive(Clone)]
 pub struct Bearer(Option<MetadataValue<Ascii>>);
 
@@ -50,7 +50,7 @@ impl Interceptor for Bearer {
     }
 }
 
-/// A daemon, as seen from here. Cheap to clone; clones share connections.
+/// A client of a daemon. Cheap to clone; clones share connections.
 #[derive(Clone, Debug)]
 pub struct Client {
     inner: Arc<Inner>,
@@ -62,13 +62,14 @@ struct Inner {
     endpoint: Endpoint,
     bearer: Bearer,
     requests: Connection,
-    /// Streams open on each stream connection. Held for as long as it takes to count, by whoever opens or closes one.
+    /// Number of open streams of each stream connection. The lock is held while counting, when a stream opens or
+    /// closes.
     streams: Mutex<Vec<(Connection, usize)>>,
 }
 
 impl Client {
-    /// Prepares the way to the daemon at `url`, which is `HOST:PORT` or `http://HOST:PORT`. Connections are opened when
-    /// they are needed, and opened anew after they broke.
+    /// A client of the daemon at `url`, which is `HOST:PORT` or `http://HOST:PORT`. Connections are opened when needed,
+    /// and reopened after they break.
     ///
     /// # Errors
     /// [`Error::Address`].
@@ -76,7 +77,7 @@ impl Client {
         Self::with_bearer(url, Bearer(None))
     }
 
-    /// As [`Client::new`], with a token that is sent along with each request.
+    /// As [`Client::new`], with a token that is sent with each request.
     ///
     /// # Errors
     /// [`Error::Address`], [`Error::Token`].
@@ -86,7 +87,7 @@ impl Client {
         Self::with_bearer(url, Bearer(Some(value)))
     }
 
-    /// As [`Client::new`], and makes sure that somebody listens there.
+    /// As [`Client::new`], and checks that a daemon is listening.
     ///
     /// # Errors
     /// [`Error::Address`], [`Error::Unreachable`].
@@ -118,13 +119,13 @@ impl Client {
         &self.inner.server
     }
 
-    /// The connection that requests share, for callers who speak the generated types themselves.
+    /// The connection that requests share, for callers that use the generated types directly.
     #[must_use]
     pub fn requests(&self) -> Connection {
         self.inner.requests.clone()
     }
 
-    /// A place for one Observe stream on a connection with room for it.
+    /// Reserves a place for one Observe stream on a connection with room.
     #[must_use]
     pub fn stream_place(&self) -> StreamPlace {
         let mut streams = self.inner.streams.lock().unwrap_or_else(PoisonError::into_inner);
@@ -142,7 +143,7 @@ impl Client {
     }
 }
 
-/// One of the places for streams on a connection; given back when dropped.
+/// A place for one stream on a connection; released when dropped.
 #[derive(Debug)]
 pub struct StreamPlace {
     client: Client,

@@ -1,7 +1,7 @@
-//! What can go wrong when the daemon is asked something.
+//! Errors of requests to the daemon.
 //!
-//! Invariant: what to do about an error follows from its variant and its status code, never from a message's text; the
-//! messages are for people and are passed on whole.
+//! Invariant: the variant and the status code of an error say how to handle it, never the text; messages are for people
+//! and are passed on complete.
 
 use std::{error::Error as StdError, io};
 
@@ -11,55 +11,55 @@ use tonic_types::StatusExt as _;
 /// Why a request failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Error {
-    /// The address is not one.
+    /// An invalid address.
     #[error("{url:?} is not an address of a daemon: use HOST:PORT or http://HOST:PORT{hint}")]
     Address {
         /// The address.
         url: String,
-        /// What else is worth knowing.
+        /// A hint.
         hint: &'static str,
     },
-    /// The token cannot be sent.
+    /// A token that cannot be sent.
     #[error("the token holds characters that cannot be sent: use printable ASCII on one line")]
     Token,
-    /// Nobody answers there.
+    /// The daemon does not answer.
     #[error("no daemon answers at {server}: {detail}")]
     Unreachable {
         /// Where.
         server: String,
-        /// What the operating system says.
+        /// The error of the operating system.
         detail: String,
     },
-    /// The daemon refused, or failed.
+    /// The daemon refused the request, or failed.
     #[error("{0}")]
     Server(ServerError),
-    /// The daemon sent what the protocol does not allow.
+    /// The reply violates the protocol.
     #[error("the daemon's answer is not understood: {0}; is it of another version?")]
     Protocol(&'static str),
 }
 
-/// An answer of the daemon that is an error.
+/// An error reply of the daemon.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}{}", shown_fields(message, fields))]
 pub struct ServerError {
-    /// The status code, which says what to do.
+    /// The status code, for programs.
     pub code: Code,
-    /// For people.
+    /// The message, for people.
     pub message: String,
-    /// The fields of the request that were wrong.
+    /// The invalid fields of the request.
     pub fields: Vec<WrongField>,
 }
 
-/// A field of a request that was wrong.
+/// An invalid field of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WrongField {
-    /// Its path, for example `periodicities.harmonics.count`.
+    /// Path, for example `periodicities.harmonics.count`.
     pub field: String,
-    /// What is wrong with it.
+    /// Why it is invalid.
     pub description: String,
 }
 
-/// The fields whose description the message does not already give.
+/// The fields whose description is not part of the message.
 fn shown_fields(message: &str, fields: &[WrongField]) -> String {
     fields
         .iter()
@@ -69,7 +69,7 @@ fn shown_fields(message: &str, fields: &[WrongField]) -> String {
 }
 
 impl Error {
-    /// Reads a status that came from `server`, or from the way there.
+    /// Converts a status from `server`, or from the connection to it.
     pub(crate) fn from_status(server: &str, status: &Status) -> Self {
         match transport_cause(status) {
             Some(detail) => Self::Unreachable { server: server.to_owned(), detail },
@@ -87,7 +87,7 @@ impl Error {
         }
     }
 
-    /// The status code, where the daemon answered with one.
+    /// The status code, if the daemon replied with one.
     #[must_use]
     pub fn code(&self) -> Option<Code> {
         match self {
@@ -111,8 +111,8 @@ impl ServerError {
         Self { code: status.code(), message, fields }
     }
 
-    /// Whether the same request may succeed later. A connection that breaks in the middle arrives as one of several
-    /// codes, depending on the layer that noticed.
+    /// Whether the same request may succeed later. A connection that breaks during a request arrives as one of several
+    /// codes, depending on the layer that noticed it.
     fn is_transient(&self) -> bool {
         matches!(
             self.code,
@@ -121,7 +121,7 @@ impl ServerError {
     }
 }
 
-/// The innermost reason, where the status was made on this side because the connection failed.
+/// The innermost cause, if this side made the status because the connection failed.
 fn transport_cause(status: &Status) -> Option<String> {
     let mut cause: &(dyn StdError + 'static) = status.source()?;
     while let Some(inner) = cause.source() {

@@ -1,6 +1,6 @@
-//! Where and when to look: what looking would teach, tours, a day's plan, and whether places were reached.
+//! Exploration: information gain, tours, plans of days and slots, and visits.
 //!
-//! Invariant: information is in bits; an answer that leaves a target or a viewpoint out is an error, never a gap.
+//! Invariant: information is in bits; a reply that omits a target or a viewpoint is an error.
 
 pub use tidemap_plan::{
     strategy::{Budget, Strategy},
@@ -18,20 +18,20 @@ use crate::{
     queries::ModelSelector,
 };
 
-/// What observing a state, a location or a region would teach, per time.
+/// Information gain of observing a state, a location or a region, per time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Information {
     /// Name of the state or location, or `region`.
     pub target: String,
     /// Sum of the entropies.
     pub entropy_bits: Vec<f64>,
-    /// What is expected to be learned.
+    /// Expected information gain.
     pub information_bits: Vec<f64>,
-    /// States, or cells, summed over.
+    /// Number of states, or cells, in the sum.
     pub states: u64,
 }
 
-/// What to ask about.
+/// Targets of a request for information.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Targets {
     /// Names of states that are probabilities, or cells `cell/X/Y/Z`.
@@ -40,31 +40,31 @@ pub struct Targets {
     pub locations: Vec<String>,
 }
 
-/// What is seen from a viewpoint.
+/// The view from a viewpoint.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Look {
-    /// What is expected to be learned at each time, bits; `None` where the viewpoint is probably occupied then.
+    /// Expected information gain at each time, bits; `None` if the viewpoint is probably occupied then.
     Information(Vec<Option<f64>>),
     /// Why nothing can be seen at any time.
     Nothing(String),
 }
 
-/// What is asked of a tour. `None`: the daemon's default.
+/// A request for a tour. `None`: the daemon's default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TourQuery {
     /// Name of the map.
     pub map: String,
-    /// When it is driven, nanoseconds UTC.
+    /// Time of the tour, nanoseconds UTC.
     pub time_nanos: i64,
-    /// Goals, at most.
+    /// Maximum number of goals.
     pub count: u32,
-    /// Where it starts, metres; by default at the map's charger.
+    /// Start, metres; by default the map's charger.
     pub start_m: Option<[f64; 2]>,
     /// Whether the robot stays at its last goal.
     pub is_open: bool,
-    /// What it looks with.
+    /// The sensor of the robot.
     pub sensor: Sensor,
-    /// Which model predicts the grid.
+    /// The model that predicts the grid.
     pub model: ModelSelector,
     /// Distance between candidate places, metres.
     pub spacing_m: Option<f64>,
@@ -72,24 +72,24 @@ pub struct TourQuery {
     pub robot_radius_m: Option<f64>,
     /// Height of the robot, metres.
     pub robot_height_m: Option<f64>,
-    /// Metres a second.
+    /// Speed, metres per second.
     pub speed_m_per_s: Option<f64>,
-    /// How long it looks at each goal, nanoseconds.
+    /// Observation time at each goal, nanoseconds.
     pub observing_nanos: Option<i64>,
-    /// How long the tour may take, nanoseconds.
+    /// Time limit of the tour, nanoseconds.
     pub budget_nanos: Option<i64>,
 }
 
 /// A goal of a tour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TourStep {
-    /// Where, metres.
+    /// Position, metres.
     pub at_m: [f64; 2],
-    /// What looking there teaches beyond the goals chosen before it.
+    /// Information gain in addition to the goals selected before it, bits.
     pub information_bits: f64,
-    /// How probably it is reached.
+    /// Probability that the robot reaches it.
     pub reachability: f64,
-    /// When, seconds from the start.
+    /// Arrival, seconds after the start.
     pub arrival_secs: f64,
 }
 
@@ -98,19 +98,19 @@ pub struct TourStep {
 pub struct Tour {
     /// The goals in driving order.
     pub steps: Vec<TourStep>,
-    /// Length of the way, return included.
+    /// Length of the path, including the return.
     pub length_m: f64,
-    /// How long it takes.
+    /// Duration.
     pub duration_secs: f64,
-    /// What is learned if all goals are reached.
+    /// Information gain if all goals are reached.
     pub information_bits: f64,
-    /// Candidates that could be driven to.
+    /// Number of candidate places that the robot can reach.
     pub candidates: u32,
-    /// Why there are no steps, where there are none.
+    /// Why there are no steps, if there are none.
     pub reason: String,
 }
 
-/// What is asked of a day's plan.
+/// A request for the plan of a day.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DayQuery {
     /// Name of the map.
@@ -121,64 +121,64 @@ pub struct DayQuery {
     pub slot_nanos: Option<i64>,
     /// How much is explored; a quarter of the slots by default.
     pub budget: Option<Budget>,
-    /// How slots are chosen.
+    /// How slots are selected.
     pub strategy: Strategy,
-    /// Seed of what is random.
+    /// Seed of the random choices.
     pub seed: u64,
-    /// Locations to choose from; empty: all.
+    /// Locations to select from; empty: all.
     pub locations: Vec<String>,
-    /// Which model predicts.
+    /// The model that predicts.
     pub model: ModelSelector,
-    /// 1: explore; 0: do what the task profits from.
+    /// Weight of exploration, in [0, 1]; the rest is the weight of the task.
     pub exploration_weight: Option<f64>,
     /// States that a task profits from, one per location.
     pub task_states: Vec<String>,
-    /// Places to look from into the grid, instead of locations; they are called `X,Y`.
+    /// Viewpoints into the grid, instead of locations; the plan calls them `X,Y`.
     pub viewpoints: Vec<Viewpoint>,
-    /// What the robot looks with from there.
+    /// The sensor of the robot at the viewpoints.
     pub sensor: Sensor,
 }
 
-/// How a location is chosen for a slot when it comes.
+/// How a location is selected for the current slot.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum SlotStrategy {
-    /// The most uncertain one.
+    /// The most uncertain location.
     #[default]
     Online,
-    /// This planned one, unless another is worth a look because something unexpected was seen there lately.
+    /// The planned location, unless recent observations at another location contradict the model.
     Novelty {
         /// The planned location.
         planned: String,
     },
-    /// In proportion to the information expected.
+    /// At random, in proportion to the expected information gain.
     MonteCarlo,
 }
 
-/// What is asked of the slot that begins. `None`: the daemon's default.
+/// A request for the slot that begins now. `None`: the daemon's default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SlotQuery {
     /// Name of the map.
     pub map: String,
-    /// The slot's middle, nanoseconds UTC.
+    /// Middle of the slot, nanoseconds UTC.
     pub time_nanos: i64,
-    /// How the location is chosen.
+    /// How the location is selected.
     pub strategy: SlotStrategy,
-    /// Locations to choose from; empty: all.
+    /// Locations to select from; empty: all.
     pub locations: Vec<String>,
-    /// Which model predicts.
+    /// The model that predicts.
     pub model: Option<ModelSelector>,
-    /// Seed of what is random.
+    /// Seed of the random choices.
     pub seed: u64,
 }
 
-/// Where to look in a slot.
+/// The location for a slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlotChoice {
     /// The location.
     pub location: String,
-    /// What is expected to be learned there.
+    /// Expected information gain there.
     pub information_bits: f64,
-    /// What would be learned if all is as was seen lately; of [`SlotStrategy::Novelty`] only.
+    /// Information gain if everything is as observed recently; only with [`SlotStrategy::Novelty`].
     pub surprise_bits: Option<f64>,
 }
 
@@ -187,9 +187,9 @@ pub struct SlotChoice {
 pub struct DaySlot {
     /// Its start, nanoseconds UTC.
     pub start_nanos: i64,
-    /// The location to look at; `None`: rest.
+    /// The location to observe; `None`: rest.
     pub location: Option<String>,
-    /// What is expected to be learned there.
+    /// Expected information gain there.
     pub information_bits: f64,
 }
 
@@ -198,10 +198,10 @@ impl Client {
         ExplorationServiceClient::new(self.requests())
     }
 
-    /// What observing states and locations would teach at times (nanoseconds), in their order.
+    /// Information gain of observing states and locations at times (nanoseconds), in their order.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map, state or location.
+    /// [`Error`]; the code is `NOT_FOUND` if the map, state or location does not exist.
     pub async fn information(
         &self,
         map: &str,
@@ -231,10 +231,11 @@ impl Client {
         if told.len() == wanted { Ok(told) } else { Err(Error::Protocol("information about a target is missing")) }
     }
 
-    /// What would be seen of the grid from viewpoints at times (nanoseconds), in their order.
+    /// The views of the grid from viewpoints at times (nanoseconds), in their order.
     ///
     /// # Errors
-    /// [`Error`]; the code is `FAILED_PRECONDITION` where the map has no grid, `RESOURCE_EXHAUSTED` where it is too much.
+    /// [`Error`]; the code is `FAILED_PRECONDITION` if the map has no grid, `RESOURCE_EXHAUSTED` if it is too much
+    /// work.
     pub async fn evaluate_views(
         &self,
         map: &str,
@@ -270,10 +271,10 @@ impl Client {
         if looks.len() == viewpoints.len() { Ok(looks) } else { Err(Error::Protocol("a viewpoint is missing")) }
     }
 
-    /// Goals for one exploration run.
+    /// Plans the goals of one exploration run.
     ///
     /// # Errors
-    /// [`Error`]; the code is `FAILED_PRECONDITION` where the map has no grid, or neither a start nor a charger is known.
+    /// [`Error`]; the code is `FAILED_PRECONDITION` if the map has no grid, or neither a start nor a charger is set.
     pub async fn plan_tour(&self, query: &TourQuery) -> Result<Tour, Error> {
         let request = v1::PlanTourRequest {
             map: query.map.clone(),
@@ -308,10 +309,10 @@ impl Client {
         })
     }
 
-    /// Which slots of a local day to explore, and where.
+    /// Plans which slots of a local day to explore, and where.
     ///
     /// # Errors
-    /// [`Error`]; the code is `INVALID_ARGUMENT` where the budget does not suit the day or the date is none.
+    /// [`Error`]; the code is `INVALID_ARGUMENT` if the budget does not fit the day or the date is invalid.
     pub async fn plan_day(&self, query: DayQuery) -> Result<Vec<DaySlot>, Error> {
         let request = v1::PlanDayRequest {
             map: query.map,
@@ -337,10 +338,10 @@ impl Client {
         Ok(answer.into_inner().slots.into_iter().map(slot).collect())
     }
 
-    /// Where to look in the slot that begins now.
+    /// Plans where to observe in the slot that begins now.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or location.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or location does not exist.
     pub async fn plan_slot(&self, query: SlotQuery) -> Result<SlotChoice, Error> {
         let (strategy, planned) = match query.strategy {
             SlotStrategy::Online => (v1::SlotStrategy::Online, String::new()),
@@ -363,11 +364,11 @@ impl Client {
         Ok(SlotChoice { location, information_bits, surprise_bits })
     }
 
-    /// Reports whether a robot reached a place, at a time in nanoseconds UTC or now. Gives the share of the last attempts
-    /// that succeeded, and how many count.
+    /// Reports whether a robot reached a place, at a time in nanoseconds UTC or now. Returns the share of recent
+    /// attempts that succeeded, and their number.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
     pub async fn report_visit(
         &self,
         map: &str,

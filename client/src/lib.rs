@@ -1,10 +1,10 @@
-//! The tidemap client: asks and feeds a map that knows *when* things change.
+//! The tidemap client library: connects to a daemon, sends observations and asks questions.
 //!
-//! [`Client`] reaches a daemon; its methods are in [`maps`], [`queries`], [`exploration`], [`routes`]
-//! and [`updates`]. [`observe::Producer`] sends
-//! observations and scans, each exactly once, whatever happens to connections; [`scan_file`] keeps scans in files.
+//! [`Client`] connects to a daemon; its methods are in [`maps`], [`queries`], [`exploration`], [`routes`] and
+//! [`updates`]. [`observe::Producer`] sends observations and scans, each exactly once, even if connections break;
+//! [`scan_file`] reads and writes scans in files.
 //!
-//! Invariant: times are i64 nanoseconds UTC and nothing here decides anything about maps or models; the daemon does.
+//! Invariant: times are i64 nanoseconds UTC, and this library decides nothing about maps or models; the daemon does.
 
 pub mod clock;
 pub mod connection;

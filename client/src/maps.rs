@@ -1,6 +1,6 @@
 //! Creating, listing and deleting maps.
 //!
-//! Invariant: what a new map leaves out, the daemon fills in; no default is repeated here.
+//! Invariant: the daemon fills in what a new map leaves out; this library repeats no default.
 
 mod candidate;
 mod grid;
@@ -33,30 +33,30 @@ use crate::{
 pub struct NewMap {
     /// Its name.
     pub name: String,
-    /// IANA time zone; UTC where absent.
+    /// IANA time zone; UTC if absent.
     pub time_zone: Option<String>,
-    /// Candidate periodicities; 168 harmonics of 7 days where absent.
+    /// Candidate periodicities; 168 harmonics of 7 days if absent.
     pub periodicities: Option<PeriodicityDefinition>,
-    /// How orders are compared.
+    /// How updates compare orders.
     pub order_criterion: OrderCriterion,
-    /// How long the exact observations of named states are kept; for ever where absent.
+    /// How long the exact observations of named states are kept; forever if absent.
     pub retention: Option<Retention>,
-    /// The occupancy grid; none where absent.
+    /// The occupancy grid; none if absent.
     pub grid: Option<Grid>,
-    /// Age at which an observation of a named state counts half; all count alike where absent.
+    /// Half-life of the weight of observations of named states; all have the same weight if absent.
     pub half_life_nanos: Option<i64>,
-    /// What a named state answers of which nothing was learned; 0.5 where absent.
+    /// Prediction of an untrained probability; 0.5 if absent.
     pub prior: Option<f64>,
-    /// What the nightly update chooses among; the daemon's usual models where empty.
+    /// The models that the nightly update selects from; the daemon's default if empty.
     pub models: Vec<Candidate>,
 }
 
-/// Where an update left a map.
+/// The last update of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct UpdateSummary {
     /// Number of updates published so far.
     pub generation: u64,
-    /// Observations before this instant are folded in.
+    /// The update learned all observations before this time.
     pub cut_nanos: Option<i64>,
 }
 
@@ -74,58 +74,58 @@ impl UpdateSummary {
 pub struct Map {
     /// Its name.
     pub name: String,
-    /// IANA time zone by whose civil time the people on it live.
+    /// IANA time zone of the people on the map.
     pub time_zone: String,
     /// Candidate periodicities.
     pub periodicities: PeriodicityDefinition,
-    /// How orders are compared.
+    /// How updates compare orders.
     pub order_criterion: OrderCriterion,
     /// When it was created.
     pub created_nanos: Option<i64>,
     /// Number of states.
     pub states: u64,
-    /// Acknowledged observations, refused ones not counted.
+    /// Number of acknowledged observations, without refused ones.
     pub observations: u64,
-    /// Observations that no update has folded in yet.
+    /// Number of observations that no update has learned yet.
     pub pending_observations: u64,
     /// The last update.
     pub last_update: UpdateSummary,
     /// How long the exact observations of named states are kept.
     pub retention: Retention,
-    /// The occupancy grid, where it has one.
+    /// The occupancy grid, if any.
     pub grid: Option<Grid>,
-    /// What the grid holds.
+    /// Counters of the grid.
     pub grid_summary: Option<GridSummary>,
-    /// Age at which an observation of a named state counts half.
+    /// Half-life of the weight of observations of named states.
     pub half_life_nanos: Option<i64>,
-    /// What a named state answers of which nothing was learned.
+    /// Prediction of an untrained probability.
     pub prior: f64,
-    /// Where the robot rests, x and y in metres.
+    /// Position of the robot's charger, x and y in metres.
     pub charger_m: Option<[f64; 2]>,
     /// Number of locations.
     pub locations: u64,
-    /// What the nightly update chooses among; empty where the daemon does not say.
+    /// The models that the nightly update selects from; empty if the daemon does not send them.
     pub models: Vec<Candidate>,
 }
 
-/// What the value of a state means.
+/// The kind of the values of a state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum StateKind {
     /// A value in [0, 1].
     #[default]
     Probability,
-    /// Any number of magnitude 1e12 at most.
+    /// Any number with a magnitude up to 1e12.
     Continuous,
     /// A whole number from 0 to 1e12.
     Count,
-    /// A position: two or three coordinates, each of magnitude 1e12 at most.
+    /// A position: two or three coordinates, each with a magnitude up to 1e12.
     Vector,
     /// A kind that this version does not know.
     Other,
 }
 
 impl StateKind {
-    /// As the command line writes it.
+    /// Name, as on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -137,7 +137,7 @@ impl StateKind {
         }
     }
 
-    /// Why a state of this kind cannot have the value; `None` where it can.
+    /// Why a value is invalid for a state of this kind; `None` if it is valid.
     #[must_use]
     pub fn invalid_reason(self, value: f64) -> Option<&'static str> {
         let rule = match self {
@@ -171,7 +171,7 @@ impl StateKind {
     }
 }
 
-/// A text does not name a kind of states.
+/// A text that is not the name of a kind.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a kind of states: use probability, continuous, count or vector")]
 pub struct InvalidKind(pub String);
@@ -192,11 +192,11 @@ pub struct State {
     pub name: String,
     /// Its kind.
     pub kind: StateKind,
-    /// How many coordinates a vector has, 2 or 3; 0 of any other kind.
+    /// Number of coordinates of a vector, 2 or 3; 0 for other kinds.
     pub dimensions: u32,
-    /// Acknowledged observations of it.
+    /// Number of its acknowledged observations.
     pub observations: u64,
-    /// Order of its model in force; of a vector 0: each axis has its own.
+    /// Order of its selected model; 0 for a vector, whose axes have orders of their own.
     pub order: u32,
     /// Time of the newest observation.
     pub last_nanos: Option<i64>,
@@ -207,10 +207,10 @@ impl Client {
         MapServiceClient::new(self.requests()).max_decoding_message_size(REPLY_BYTES_MAX)
     }
 
-    /// Creates an empty map and gives it with the defaults filled in.
+    /// Creates an empty map, and returns it with the defaults filled in.
     ///
     /// # Errors
-    /// [`Error`]; the code is `ALREADY_EXISTS` where the name is taken, `INVALID_ARGUMENT` where a value is wrong.
+    /// [`Error`]; the code is `ALREADY_EXISTS` if the name is taken, `INVALID_ARGUMENT` if a value is invalid.
     pub async fn create_map(&self, map: NewMap) -> Result<Map, Error> {
         let request = v1::CreateMapRequest {
             name: map.name,
@@ -230,7 +230,7 @@ impl Client {
     /// One map.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is none of that name.
+    /// [`Error`]; the code is `NOT_FOUND` if no such name exists.
     pub async fn map(&self, name: &str) -> Result<Map, Error> {
         let request = v1::GetMapRequest { name: name.to_owned() };
         let response = self.map_service().get_map(request).await.map_err(|status| self.error(&status))?;
@@ -257,29 +257,29 @@ impl Client {
         }
     }
 
-    /// Deletes a map with all it holds, for good.
+    /// Deletes a map and all its data permanently.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is none of that name.
+    /// [`Error`]; the code is `NOT_FOUND` if no such name exists.
     pub async fn delete_map(&self, name: &str) -> Result<(), Error> {
         let request = v1::DeleteMapRequest { name: name.to_owned() };
         self.map_service().delete_map(request).await.map_err(|status| self.error(&status))?;
         Ok(())
     }
 
-    /// Adds a state of a kind before anything is observed of it; it is durable when this returns. Fine where the state
+    /// Adds a state with a kind before its first observation; it is durable when this returns. Succeeds if the state
     /// exists with the same kind.
     ///
     /// # Errors
-    /// [`Error`]; the code is `ALREADY_EXISTS` where it exists with another kind, `NOT_FOUND` where there is no such map.
+    /// [`Error`]; the code is `ALREADY_EXISTS` if it exists with another kind, `NOT_FOUND` if the map does not exist.
     pub async fn add_state(&self, map: &str, state: &str, kind: StateKind) -> Result<State, Error> {
         self.add(map, state, kind, 0).await
     }
 
-    /// As [`Client::add_state`], a vector with 2 or 3 coordinates.
+    /// As [`Client::add_state`], for a vector with 2 or 3 coordinates.
     ///
     /// # Errors
-    /// [`Error`], as there; the code is `INVALID_ARGUMENT` where a vector cannot have so many.
+    /// [`Error`], as there; the code is `INVALID_ARGUMENT` for another number of coordinates.
     pub async fn add_vector(&self, map: &str, state: &str, dimensions: u32) -> Result<State, Error> {
         self.add(map, state, StateKind::Vector, dimensions).await
     }
@@ -291,11 +291,11 @@ impl Client {
         response.into_inner().state.map(state_from_wire).ok_or(Error::Protocol("no state in the answer"))
     }
 
-    /// A page of a map's states, in the order in which they were first seen, and the token of the next page. The first
-    /// page has the token "", and after the last one comes `None`.
+    /// A page of the states of a map, in the order in which they were first seen, and the token of the next page; the
+    /// first page has the token "", and the last page returns `None`.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
     pub async fn states(&self, map: &str, page_token: &str) -> Result<(Vec<State>, Option<String>), Error> {
         let request =
             v1::ListStatesRequest { map: map.to_owned(), page_size: 10_000, page_token: page_token.to_owned() };

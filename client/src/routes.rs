@@ -1,6 +1,6 @@
-//! Topological maps: nodes and edges by name, and where to look first for somebody.
+//! Topological maps, searches and presence.
 //!
-//! Invariant: what was loaded or edited is durable when the answer is there; a load is taken whole or not at all.
+//! Invariant: a load or edit is durable when the call returns; a load is accepted completely or not at all.
 
 use std::fmt;
 
@@ -30,47 +30,47 @@ use crate::{
     queries::ModelSelector,
 };
 
-/// Bytes of the largest topological map that is read: a million edges with names of usual length.
+/// Maximum size of a topological map, bytes: a million edges with names of usual length.
 const TOPOLOGY_BYTES: usize = 256 << 20;
-/// Bytes of the largest reply with a plan: the policy of all nodes, or all edges of a map.
+/// Maximum size of a reply with a plan, bytes: the policy of all nodes, or all edges of a map.
 const PLAN_BYTES: usize = 64 << 20;
 
-/// A place.
+/// A node: a place that the robot knows by name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Node {
     /// Its name.
     pub name: String,
-    /// x, y in metres and heading in radians; `None`: not told.
+    /// x, y in metres and heading in radians; `None`: unknown.
     pub pose: Option<[f64; 3]>,
-    /// How long a look there takes; `None`: none.
+    /// Time that an observation at the node takes; `None`: 0.
     pub dwell_secs: Option<f64>,
-    /// Its number; of no meaning to the daemon.
+    /// Number; ignored in requests.
     pub id: u32,
 }
 
-/// Which way between two nodes.
+/// An edge, by the names of its ends.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct EdgeEnds {
-    /// Name of the node where it begins.
+    /// Name of the node where the edge begins.
     pub from: String,
-    /// Name of the node where it ends.
+    /// Name of the node where the edge ends.
     pub to: String,
-    /// How it is travelled; empty: as usual.
+    /// The robot's action that traverses it; empty: the usual one.
     pub action: String,
-    /// The way back as well.
+    /// Also the edge in the opposite direction.
     pub both_ways: bool,
 }
 
-/// A way from one node to another. At least one of length and time is given.
+/// An edge. At least one of length and nominal duration is set.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Edge {
     /// Which.
     pub ends: EdgeEnds,
-    /// Its length, metres.
+    /// Length, metres.
     pub length_m: Option<f64>,
-    /// What it nominally takes.
+    /// Nominal duration.
     pub nominal_secs: Option<f64>,
-    /// Its number; of no meaning to the daemon.
+    /// Number; ignored in requests.
     pub id: u32,
 }
 
@@ -83,27 +83,27 @@ pub struct Topology {
     pub edges: Vec<Edge>,
 }
 
-/// A change of one node or edge.
+/// An edit of one node or edge.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TopologyEdit {
     /// Adds a node.
     AddNode(Node),
-    /// Says where a node lies, and how long a look takes.
+    /// Sets the position and the observation time of a node.
     SetNode(Node),
-    /// Removes a node, and all edges at it.
+    /// Removes a node and all its edges.
     RemoveNode(String),
     /// Renames a node.
     RenameNode {
-        /// The name so far.
+        /// The current name.
         from: String,
         /// The new name.
         to: String,
     },
-    /// Adds an edge, or both ways.
+    /// Adds an edge, or one in each direction.
     AddEdge(Edge),
-    /// Gives an edge, or both ways as far as there are, another length and time.
+    /// Sets the length and duration of an edge, or of the existing directions.
     SetEdge(Edge),
-    /// Removes an edge, or both ways as far as there are.
+    /// Removes an edge, or the existing directions.
     RemoveEdge(EdgeEnds),
 }
 
@@ -112,55 +112,55 @@ pub enum TopologyEdit {
 pub struct EdgeFailure {
     /// Which edge.
     pub edge: EdgeEnds,
-    /// When the robot set out, nanoseconds UTC.
+    /// When the robot entered the edge, nanoseconds UTC.
     pub start_nanos: i64,
-    /// When it gave up, nanoseconds UTC.
+    /// When the robot gave up, nanoseconds UTC.
     pub end_nanos: i64,
-    /// Why; may be empty.
+    /// Reason; may be empty.
     pub reason: String,
 }
 
-/// How many nodes and edges there are.
+/// Number of nodes and edges.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TopologySize {
-    /// Nodes.
+    /// Number of nodes.
     pub nodes: u32,
-    /// Edges; each direction is one.
+    /// Number of edges; each direction counts as one.
     pub edges: u32,
 }
 
-/// What is asked of a search. `None`: the daemon's default.
+/// A request for a search. `None`: the daemon's default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SearchQuery {
     /// Name of the map.
     pub map: String,
     /// Name of the node where the robot is.
     pub start: String,
-    /// When it starts, nanoseconds UTC.
+    /// Start, nanoseconds UTC.
     pub time_nanos: i64,
-    /// Whom or what to look for: the states `node/N/OBJECT`; empty: the states called like the nodes.
+    /// Name of the target: the states `node/N/OBJECT`; empty: the states with the names of the nodes.
     pub object: String,
-    /// When the robot has to be at the last place, nanoseconds after its start.
+    /// Time limit of the walk, nanoseconds.
     pub budget_nanos: Option<i64>,
-    /// How hard to look for the best order.
+    /// How to search for the best order.
     pub effort: Effort,
-    /// How long to look for it, nanoseconds.
+    /// Time limit of planning, nanoseconds.
     pub plan_within_nanos: Option<i64>,
     /// End once less than this share of the probability remains.
     pub remains_below: Option<f64>,
-    /// What a second of search costs, in units of what finding is worth.
+    /// Cost of a second of search, relative to the value of finding the target.
     pub cost_per_sec: Option<f64>,
-    /// Each place counts as predicted for the robot's arrival there.
+    /// Predict each place for the robot's arrival there.
     pub for_arrival: bool,
-    /// Which model predicts.
+    /// The model that predicts.
     pub model: ModelSelector,
-    /// What a place counts at least.
+    /// Minimum probability of a place.
     pub floor: Option<f64>,
-    /// Metres a second, for edges with a length alone.
+    /// Speed on edges without nominal duration, metres per second.
     pub speed_m_per_s: Option<f64>,
-    /// Seed of what is random.
+    /// Seed of the random choices.
     pub seed: u64,
-    /// Edges take as long as is predicted from their reports.
+    /// Use forecast durations of edges instead of nominal ones.
     pub as_travelled: bool,
 }
 
@@ -169,34 +169,34 @@ pub struct SearchQuery {
 pub struct SearchStep {
     /// Name of the node.
     pub node: String,
-    /// When, seconds from the start.
+    /// Arrival, seconds after the start.
     pub arrival_secs: f64,
-    /// How likely who is looked for is there.
+    /// Probability that the target is there.
     pub probability: f64,
 }
 
 /// A planned search.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Search {
-    /// Where to look, in this order.
+    /// The places to look at, in this order.
     pub steps: Vec<SearchStep>,
-    /// All nodes on the way with when the robot is there, seconds; the start first.
+    /// All nodes of the walk with the arrival in seconds; the start first.
     pub walk: Vec<(String, f64)>,
-    /// Time to find to expect.
+    /// Expected time to find the target.
     pub expected_secs: f64,
-    /// No walk to all places has a lower one.
+    /// Lower bound of the expected time of any walk to all places.
     pub lower_bound_secs: f64,
     /// Whether the order is proven to be the best.
     pub optimal: bool,
-    /// Probability of all places that are no step, over that of all.
+    /// Probability of all places that are not steps, divided by that of all places.
     pub remains: f64,
     /// Why the walk ends early, if it does.
     pub stop: Option<StopReason>,
-    /// Nodes to which no way leads.
+    /// Nodes that cannot be reached.
     pub unreachable: Vec<String>,
-    /// Nodes of which nothing was ever observed, the first thousand.
+    /// Nodes that were never observed, the first thousand.
     pub unobserved: Vec<String>,
-    /// How many these are in all.
+    /// Number of nodes that were never observed.
     pub unobserved_nodes: u32,
 }
 
@@ -274,10 +274,10 @@ impl Client {
         SearchServiceClient::new(self.requests()).max_decoding_message_size(PLAN_BYTES)
     }
 
-    /// Loads nodes and edges, all of them or none: in place of those that are there, or, with `adds`, in addition.
+    /// Loads nodes and edges, all or none: instead of the existing ones or, with `adds`, in addition.
     ///
     /// # Errors
-    /// [`Error`]; the message names the node or edge that is wrong.
+    /// [`Error`]; the message names the invalid node or edge.
     pub async fn load_topology(&self, map: &str, topology: &Topology, adds: bool) -> Result<TopologySize, Error> {
         let request = v1::LoadTopologyRequest {
             map: map.to_owned(),
@@ -293,7 +293,7 @@ impl Client {
     /// Changes one node or edge.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such node or edge.
+    /// [`Error`]; the code is `NOT_FOUND` if the node or edge does not exist.
     pub async fn edit_topology(&self, map: &str, edit: &TopologyEdit) -> Result<TopologySize, Error> {
         let request = v1::EditTopologyRequest { map: map.to_owned(), edit: Some(edit.to_wire()) };
         let answer = self.topology_service().edit_topology(request).await.map_err(|status| self.error(&status))?;
@@ -304,7 +304,7 @@ impl Client {
     /// All nodes and edges of a map.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
     pub async fn topology(&self, map: &str) -> Result<Topology, Error> {
         let request = v1::GetTopologyRequest { map: map.to_owned() };
         let answer = self.topology_service().get_topology(request).await.map_err(|status| self.error(&status))?;
@@ -315,10 +315,10 @@ impl Client {
         })
     }
 
-    /// The traversals that failed, the newest first, of one edge or of all; `limit`: at most so many, 0 all that are kept.
+    /// Failed traversals of one edge or of all edges, newest first; at most `limit`, or all that are kept if it is 0.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
     pub async fn failures(&self, map: &str, limit: u32, edge: Option<&EdgeEnds>) -> Result<Vec<EdgeFailure>, Error> {
         let request = v1::ListFailuresRequest { map: map.to_owned(), limit, edge: edge.map(EdgeEnds::to_wire) };
         let answer = self.topology_service().list_failures(request).await.map_err(|status| self.error(&status))?;
@@ -330,11 +330,11 @@ impl Client {
         answer.into_inner().failures.into_iter().map(failure).collect()
     }
 
-    /// The walk that finds somebody soonest.
+    /// Plans the walk that finds the target soonest.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or node, `FAILED_PRECONDITION` where there is nobody to be
-    /// found or no way, `RESOURCE_EXHAUSTED` where there are too many nodes.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or node does not exist, `FAILED_PRECONDITION` if the target can be
+    /// at no node or no node can be reached, `RESOURCE_EXHAUSTED` if there are too many nodes.
     pub async fn plan_search(&self, query: SearchQuery) -> Result<Search, Error> {
         let request = v1::PlanSearchRequest {
             map: query.map,

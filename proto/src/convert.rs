@@ -1,10 +1,11 @@
-//! The way between the wire and the domain types.
+//! Conversions between the wire and the domain types, in both directions.
 //!
-//! Invariant: what comes in is checked here, once, and each error names the field; what goes out is not checked.
+//! Invariant: every received value is checked here, once, and each error names its field; sent values are not checked.
+//! A concept of the wire has one domain type, and no other crate converts between them.
 
 use std::fmt::Display;
 
-/// The pairs of a wire enum and a domain enum, in one table for both ways.
+/// Converts between a wire enum and a domain enum, both ways, from one table.
 macro_rules! both_ways {
     ($(#[$doc:meta])* $to:ident, $from:ident, $domain:ty, $wire:ty, [$($here:ident = $there:ident),* $(,)?]) => {
         $(#[$doc])*
@@ -13,7 +14,7 @@ macro_rules! both_ways {
             match domain { $(<$domain>::$here => <$wire>::$there,)* }
         }
 
-        /// The same from the wire; `None` where the value is unspecified.
+        /// The same from the wire; `None` if the value is unspecified.
         #[must_use]
         pub fn $from(wire: $wire) -> Option<$domain> {
             match wire { $(<$wire>::$there => Some(<$domain>::$here),)* <$wire>::Unspecified => None }
@@ -40,13 +41,13 @@ pub mod topology;
 pub mod traversals;
 pub mod vectors;
 
-/// A field of a request that cannot be what it is.
+/// A request field with an invalid value.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: {description}")]
 pub struct InvalidField {
     /// Path of the field within the request, for example `periodicities.list.periods[3]`.
     pub field: String,
-    /// What is wrong, with which value, and what would be right.
+    /// The problem, with the value and what would be valid.
     pub description: String,
 }
 

@@ -1,7 +1,7 @@
-//! The wire, `tidemap.v1`: generated message and service types, and with the feature `convert` the way between them and
-//! the domain types of `tidemap-model`, `tidemap-map` and `tidemap-plan`.
+//! The wire, `tidemap.v1`: generated message and service types and, with the feature `convert`, the conversions between
+//! them and the domain types of `tidemap-model`, `tidemap-map` and `tidemap-plan`.
 //!
-//! Invariant: nothing here decides anything. Conversions check on receipt and never on sending; v1 only grows.
+//! Invariant: nothing here makes decisions. Conversions validate what is received, not what is sent; v1 only grows.
 
 #[cfg(feature = "convert")]
 pub mod convert;

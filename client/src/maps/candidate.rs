@@ -1,21 +1,21 @@
-//! Models that the nightly update of a map chooses among.
+//! Models from which the nightly update of a map selects.
 //!
-//! Invariant: a name reads back as what it was written from.
+//! Invariant: a name reads back as the model that it was written from.
 
 use std::str::FromStr;
 
 use tidemap_proto::v1::ModelKind;
 
-/// A model that can be chosen night by night.
+/// A model from which updates can select.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Candidate {
-    /// FreMEn; always among them, order 0 is the mean.
+    /// FreMEn; always included, order 0 is the mean.
     Spectral,
     /// Histograms of day and week.
     Histogram,
     /// A profile of day and week.
     Calibrated,
-    /// Periodic mixture of Gaussians over the day; of probabilities only.
+    /// Periodic mixture of Gaussians over the day; for probabilities only.
     Pergam,
     /// Warped hypertime, by expectation maximisation.
     HypertimeEm,
@@ -23,7 +23,7 @@ pub enum Candidate {
     HypertimeKm,
 }
 
-/// A text does not name a model that can be chosen.
+/// A text that does not name such a model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{0:?} is not a model that the nightly update chooses among: use spectral, histogram, calibrated, pergam, hypertime-em \
@@ -36,7 +36,7 @@ impl Candidate {
     pub const ALL: [Self; 6] =
         [Self::Spectral, Self::Histogram, Self::Calibrated, Self::Pergam, Self::HypertimeEm, Self::HypertimeKm];
 
-    /// As the command line writes it.
+    /// Name, as on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -64,7 +64,7 @@ impl Candidate {
         self.kind().into()
     }
 
-    /// `None` for one that this version does not know.
+    /// `None` for a model that this version does not know.
     pub(super) fn from_wire(kind: i32) -> Option<Self> {
         Self::ALL.into_iter().find(|candidate| candidate.to_wire() == kind)
     }

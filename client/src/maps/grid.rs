@@ -1,6 +1,7 @@
-//! Grids as callers describe them and as the daemon tells of them.
+//! Grids: their description and their counters.
 //!
-//! Invariant: cells are numbered as on the wire, from the grid's origin; what a grid leaves out, the daemon fills in.
+//! Invariant: cells are numbered as on the wire, from the origin of the grid; the daemon fills in what a grid leaves
+//! out.
 
 use tidemap_map::grid::spec::{Retention, SensorNoise};
 use tidemap_proto::{
@@ -18,7 +19,7 @@ pub struct CellBox {
 }
 
 impl CellBox {
-    /// Number of cells along x, y and z; 0 where there is none.
+    /// Number of cells along x, y and z; 0 for an empty box.
     #[must_use]
     pub fn size(&self) -> [u32; 3] {
         std::array::from_fn(|axis| {
@@ -46,7 +47,7 @@ impl CellBox {
 /// An occupancy grid. Cell (x, y, z) spans origin + index * resolution to origin + (index + 1) * resolution.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Grid {
-    /// The map's frame, as robots call it; where empty, the daemon's default.
+    /// Name of the map's frame; the daemon's default if empty.
     pub frame_id: String,
     /// Whether there is only the layer z = 0.
     pub is_flat: bool,
@@ -54,11 +55,11 @@ pub struct Grid {
     pub resolution_m: f64,
     /// Lower corner of cell (0, 0, 0) in the map's frame.
     pub origin_m: [f64; 3],
-    /// The cells that there may be; where absent, the grid grows.
+    /// The cells that the grid may have; if absent, the grid grows.
     pub extent: Option<CellBox>,
-    /// How far a reading is believed; fully where absent.
+    /// Noise of the sensor; none if absent.
     pub sensor: Option<SensorNoise>,
-    /// How long exact readings are kept; the daemon's default where absent.
+    /// How long exact readings are kept; the daemon's default if absent.
     pub retention: Option<Retention>,
 }
 
@@ -93,18 +94,18 @@ impl Grid {
     }
 }
 
-/// What a grid holds.
+/// Counters of a grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GridSummary {
-    /// Tiles of 8x8x8 cells that were ever seen.
+    /// Number of tiles of 8x8x8 cells that were ever seen.
     pub tiles: u64,
-    /// Scans acknowledged, refused ones not counted.
+    /// Number of acknowledged scans, without refused ones.
     pub scans: u64,
-    /// Scans that no update has folded in yet.
+    /// Number of scans that no update has learned yet.
     pub pending_scans: u64,
-    /// Observations of single cells in all scans.
+    /// Number of observations of single cells in all scans.
     pub cell_observations: u64,
-    /// The smallest box of whole tiles that holds every tile.
+    /// The smallest box of whole tiles that contains every tile.
     pub bounds: Option<CellBox>,
 }
 

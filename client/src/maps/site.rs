@@ -1,19 +1,19 @@
-//! What a map is told about its site: the charger, and locations.
+//! Annotations of a map: its charger and its locations.
 //!
-//! Invariant: what was set is durable when the call returns.
+//! Invariant: a change is durable when the call returns.
 
 use tidemap_proto::v1;
 
 use crate::{connection::Client, error::Error};
 
-/// States that are seen together, from one place.
+/// States that are observed together, from one place.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Location {
     /// Its name.
     pub name: String,
     /// Names of its states.
     pub states: Vec<String>,
-    /// Where the robot stands to see them, x and y in metres.
+    /// Position from which the robot observes them, x and y in metres.
     pub position_m: Option<[f64; 2]>,
 }
 
@@ -32,20 +32,20 @@ impl Location {
 }
 
 impl Client {
-    /// Sets where the robot rests and charges; `None`: nowhere in particular.
+    /// Sets the position of the charger; `None` clears it.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
     pub async fn set_charger(&self, map: &str, at_m: Option<[f64; 2]>) -> Result<(), Error> {
         let request = v1::SetChargerRequest { map: map.to_owned(), charger: at_m.map(point_to_wire) };
         self.map_service().set_charger(request).await.map_err(|status| self.error(&status))?;
         Ok(())
     }
 
-    /// Sets a location, or replaces the one of that name. Gives it as it stands.
+    /// Sets a location, or replaces the location with this name. Returns the location.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist.
     pub async fn set_location(&self, map: &str, location: Location) -> Result<Location, Error> {
         let Location { name, states, position_m } = location;
         let location = v1::Location { name, states, position: position_m.map(point_to_wire) };
@@ -57,7 +57,7 @@ impl Client {
     /// Deletes a location; its states stay.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is none of that name.
+    /// [`Error`]; the code is `NOT_FOUND` if no such name exists.
     pub async fn delete_location(&self, map: &str, location: &str) -> Result<(), Error> {
         let request = v1::DeleteLocationRequest { map: map.to_owned(), location: location.to_owned() };
         self.map_service().delete_location(request).await.map_err(|status| self.error(&status))?;
@@ -67,7 +67,7 @@ impl Client {
     /// All locations of a map, by name.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
     pub async fn locations(&self, map: &str) -> Result<Vec<Location>, Error> {
         let mut locations = Vec::new();
         let mut request = v1::ListLocationsRequest { map: map.to_owned(), page_size: 1000, ..Default::default() };

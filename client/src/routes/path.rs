@@ -1,6 +1,6 @@
-//! Routes, policies, and what is to be expected of edges.
+//! Routes, policies, and forecasts of edges.
 //!
-//! Invariant: times are nanoseconds UTC, and each edge is told for when the robot reaches it.
+//! Invariant: times are nanoseconds UTC; each edge is predicted for the time at which the robot reaches it.
 
 use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::convert::route::{objective_to_wire, route_certainty_from_wire};
@@ -10,57 +10,57 @@ use tidemap_proto::v1::{self, plan_route_request};
 use super::{Certainty, EdgeEnds, Objective};
 use crate::{connection::Client, error::Error, queries::ModelSelector};
 
-/// When to go, nanoseconds UTC.
+/// When to leave or arrive, nanoseconds UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RouteTime {
-    /// Leaving then.
+    /// Leave at this time.
     Depart(i64),
-    /// Arriving by then.
+    /// Arrive by this time.
     ArriveBy(i64),
-    /// Leaving when that is best.
+    /// Leave at the best time of a window.
     DepartWithin {
-        /// Not before.
+        /// Earliest departure.
         from_nanos: i64,
-        /// Not after.
+        /// Latest departure.
         to_nanos: i64,
-        /// Distance of the departures that are tried; `None`: the daemon's default.
+        /// Interval between the departures that are tried; `None`: the daemon's default.
         step_nanos: Option<i64>,
     },
 }
 
-/// What is asked of a route. `None`: the daemon's default.
+/// A request for a route. `None`: the daemon's default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RouteQuery {
     /// Name of the map.
     pub map: String,
     /// Name of the node where the robot is.
     pub from: String,
-    /// Name of the node where it wants to be.
+    /// Name of the node to reach.
     pub to: String,
-    /// When.
+    /// When to leave or arrive.
     pub when: RouteTime,
-    /// What the route is best at.
+    /// The objective.
     pub objective: Objective,
-    /// What a failed attempt costs beside its own time, seconds.
+    /// Cost of a failed attempt in addition to its own time, seconds.
     pub recovery_secs: Option<f64>,
-    /// What a failure costs in a blend, seconds.
+    /// Cost of a failure in a blend, seconds.
     pub failure_cost_secs: Option<f64>,
-    /// How many next best routes.
+    /// Number of alternative routes.
     pub alternatives: u32,
-    /// How likely the intervals hold what they are of.
+    /// Confidence of the intervals of success.
     pub confidence: Option<f64>,
-    /// No route takes longer, nanoseconds.
+    /// The longest duration of a route, nanoseconds.
     pub horizon_nanos: Option<i64>,
-    /// Which model predicts success.
+    /// The model that predicts success.
     pub model: ModelSelector,
-    /// Metres a second, for edges with a length alone.
+    /// Speed on edges without nominal duration, metres per second.
     pub speed_m_per_s: Option<f64>,
-    /// How long to look for it, nanoseconds.
+    /// Time limit of planning, nanoseconds.
     pub plan_within_nanos: Option<i64>,
 }
 
 impl RouteQuery {
-    /// A question with the daemon's defaults.
+    /// A request with the daemon's defaults.
     #[must_use]
     pub fn new(map: &str, from: &str, to: &str, when: RouteTime) -> RouteQuery {
         RouteQuery {
@@ -86,38 +86,38 @@ impl RouteQuery {
 pub struct RouteStep {
     /// Which.
     pub edge: EdgeEnds,
-    /// When the robot reaches it if all goes well.
+    /// When the robot reaches the edge if nothing fails.
     pub start_nanos: i64,
-    /// How long it takes.
+    /// Forecast duration.
     pub duration_secs: f64,
-    /// How likely it is passed.
+    /// Probability that the robot passes the edge.
     pub success: f64,
-    /// Where that lies: lower and upper end.
+    /// Lower and upper end of the interval of `success`.
     pub success_interval: [f64; 2],
-    /// How often it was reported so far.
+    /// Number of reports of the edge.
     pub reports: u64,
 }
 
-/// A way from one node to another.
+/// A route from one node to another.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Route {
     /// Its edges, in order.
     pub steps: Vec<RouteStep>,
-    /// When it begins.
+    /// Departure.
     pub departure_nanos: i64,
-    /// When it ends if all goes well.
+    /// Arrival if nothing fails.
     pub arrival_nanos: i64,
-    /// How long it takes on average, failures included.
+    /// Expected duration, failed attempts included.
     pub expected_secs: f64,
-    /// How likely nothing fails.
+    /// Probability that nothing fails.
     pub success: f64,
-    /// Where that lies: lower and upper end.
+    /// Lower and upper end of the interval of `success`.
     pub success_interval: [f64; 2],
-    /// What it costs by the objective.
+    /// Cost under the objective.
     pub cost: f64,
 }
 
-/// What is asked of a policy. `None`: the daemon's default.
+/// A request for a policy. `None`: the daemon's default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PolicyQuery {
     /// Name of the map.
@@ -126,67 +126,67 @@ pub struct PolicyQuery {
     pub to: String,
     /// When the first slot begins.
     pub time_nanos: i64,
-    /// When the last slot ends, nanoseconds after that.
+    /// Length of time that the policy covers, nanoseconds.
     pub horizon_nanos: Option<i64>,
-    /// How long a slot is, nanoseconds.
+    /// Length of a slot, nanoseconds.
     pub slot_nanos: Option<i64>,
-    /// What the policy is best at.
+    /// The objective.
     pub objective: Objective,
-    /// What a failed attempt costs beside its own time, seconds.
+    /// Cost of a failed attempt in addition to its own time, seconds.
     pub recovery_secs: Option<f64>,
-    /// Which model predicts success.
+    /// The model that predicts success.
     pub model: ModelSelector,
-    /// Metres a second, for edges with a length alone.
+    /// Speed on edges without nominal duration, metres per second.
     pub speed_m_per_s: Option<f64>,
 }
 
-/// What to do at a node in a slot.
+/// The action at a node in a slot.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PolicyAction {
     /// Take this edge.
     Take(EdgeEnds),
-    /// Stay for a slot.
+    /// Wait for one slot.
     Wait,
-    /// Nothing that is done here helps any more.
+    /// No action helps any more.
     Nothing,
-    /// The node is the one to reach.
+    /// The robot is at the node to reach.
     Arrived,
 }
 
-/// A node in a slot.
+/// The policy at a node in a slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicyEntry {
-    /// What to do.
+    /// The action.
     pub action: PolicyAction,
-    /// How long it takes on average, from the beginning of the slot; infinite where it is not certain to be reached.
+    /// Expected time from the beginning of the slot; infinite if it is not certain that the node is ever reached.
     pub expected_secs: f64,
-    /// How likely the node is reached before the last slot ends.
+    /// Probability that the node is reached before the last slot ends.
     pub reach: f64,
 }
 
-/// What to do at each node in each slot.
+/// A policy: the action at each node in each slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Policy {
     /// When the first slot begins.
     pub time_nanos: i64,
-    /// How long a slot is.
+    /// Length of a slot.
     pub slot_nanos: i64,
-    /// By node its name, and by slot what to do.
+    /// The name of each node, and its entries by slot.
     pub nodes: Vec<(String, Vec<PolicyEntry>)>,
 }
 
-/// What is to be expected of an edge.
+/// The forecast of an edge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PredictedEdge {
     /// Which.
     pub edge: EdgeEnds,
-    /// How likely it is passed.
+    /// Probability that the robot passes the edge.
     pub success: f64,
-    /// Where that lies: lower and upper end.
+    /// Lower and upper end of the interval of `success`.
     pub success_interval: [f64; 2],
-    /// How long it takes.
+    /// Forecast duration.
     pub duration_secs: f64,
-    /// How often it was reported so far.
+    /// Number of reports of the edge.
     pub reports: u64,
 }
 
@@ -233,10 +233,10 @@ fn entries(node: v1::NodePolicy) -> (String, Vec<PolicyEntry>) {
 }
 
 impl Client {
-    /// The best way from one node to another at a time, and its alternatives, from the best.
+    /// Plans the best route from one node to another, and its alternatives, best first.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or node, `FAILED_PRECONDITION` where no way leads there.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or node does not exist, `FAILED_PRECONDITION` if no route exists.
     pub async fn plan_route(&self, query: RouteQuery) -> Result<(Vec<Route>, Certainty), Error> {
         let (objective, doubt) = objective_to_wire(query.objective);
         let when = match query.when {
@@ -270,10 +270,10 @@ impl Client {
         Ok((told.routes.into_iter().map(route).collect(), certainty))
     }
 
-    /// What to do at each node in each slot of time so as to reach a node.
+    /// Plans a policy: the action at each node in each time slot to reach a node.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or node, `RESOURCE_EXHAUSTED` where there are too many
+    /// [`Error`]; the code is `NOT_FOUND` if the map or node does not exist, `RESOURCE_EXHAUSTED` if there are too many
     /// slots.
     pub async fn plan_policy(&self, query: PolicyQuery) -> Result<Policy, Error> {
         let (objective, _) = objective_to_wire(query.objective);
@@ -297,10 +297,10 @@ impl Client {
         })
     }
 
-    /// How likely each edge of a map is passed at a time, and how long it takes.
+    /// Forecasts success and duration of each edge of a map at a time.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
     pub async fn predict_edges(
         &self,
         map: &str,

@@ -1,4 +1,4 @@
-//! Who is where at which time, and when several are likely all at once.
+//! Presence of a target over time, and the next time at which several states are likely to be 1 together.
 //!
 //! Invariant: probabilities and shares are in the order of the nodes.
 
@@ -8,80 +8,80 @@ use tidemap_proto::v1;
 
 use crate::{connection::Client, error::Error, queries::ModelSelector};
 
-/// What is asked of presence.
+/// A request for presence.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PresenceQuery {
     /// Name of the map.
     pub map: String,
-    /// Who or what: the states `node/N/OBJECT`; empty: the states called like the nodes.
+    /// Name of the target: the states `node/N/OBJECT`; empty: the states with the names of the nodes.
     pub object: String,
-    /// At which times, nanoseconds UTC; at least one.
+    /// Times, nanoseconds UTC; at least one.
     pub times_nanos: Vec<i64>,
-    /// Which model predicts.
+    /// The model that predicts.
     pub model: ModelSelector,
 }
 
-/// Who is where.
+/// The presence of a target.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Presence {
     /// Names of the nodes that were observed.
     pub nodes: Vec<String>,
-    /// By time, as asked.
+    /// The presence, in the order of the requested times.
     pub times: Vec<PresenceAt>,
-    /// Names of nodes that were never observed, the first 1000.
+    /// Names of the nodes that were never observed, the first 1000.
     pub unobserved: Vec<String>,
-    /// How many these are in all.
+    /// Number of nodes that were never observed.
     pub unobserved_nodes: u32,
 }
 
-/// Who is where at a time.
+/// The presence at one time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PresenceAt {
     /// The time, nanoseconds UTC.
     pub time_nanos: i64,
-    /// How likely somebody is at each node.
+    /// Probability of presence at each node.
     pub probabilities: Vec<f64>,
-    /// The same over their sum; empty where all are 0.
+    /// The probabilities divided by their sum; empty if all are 0.
     pub shares: Vec<f64>,
-    /// How likely anybody is anywhere.
+    /// Probability of presence at any node.
     pub anybody: f64,
 }
 
-/// What is asked of several states at once. `None`: the daemon's default.
+/// A request about several states together. `None`: the daemon's default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointQuery {
     /// Name of the map.
     pub map: String,
-    /// Names of states, probabilities all.
+    /// Names of states, all of them probabilities.
     pub states: Vec<String>,
     /// The first time that counts, nanoseconds UTC.
     pub from_nanos: i64,
     /// How far to look ahead, nanoseconds.
     pub within_nanos: Option<i64>,
-    /// Distance of the times that are looked at, nanoseconds.
+    /// Interval between the times that are tried, nanoseconds.
     pub step_nanos: Option<i64>,
-    /// What the product of the probabilities has to exceed.
+    /// Threshold that the product of the probabilities must exceed.
     pub threshold: Option<f64>,
-    /// Which model predicts.
+    /// The model that predicts.
     pub model: ModelSelector,
 }
 
-/// When several states are likely to be 1 all at once.
+/// When several states are likely to be 1 together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joint {
     /// The first time at which the product exceeds the threshold, nanoseconds UTC.
     pub time_nanos: Option<i64>,
-    /// The product then, or the greatest there is.
+    /// The product at that time, or the greatest product.
     pub probability: f64,
-    /// When the greatest product is, of the times that were looked at.
+    /// The time of the greatest product, among all tried times.
     pub best_nanos: i64,
 }
 
 impl Client {
-    /// How likely somebody, or something, is at each node of a map at the times.
+    /// Forecasts the presence of a target at each node of a map at the times.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map, `FAILED_PRECONDITION` where it has no nodes, or none that
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist, `FAILED_PRECONDITION` if it has no nodes, or none
     /// was observed.
     pub async fn predict_presence(&self, query: PresenceQuery) -> Result<Presence, Error> {
         let PresenceQuery { map, object, times_nanos, model } = query;
@@ -100,10 +100,10 @@ impl Client {
         })
     }
 
-    /// The next time at which the states of a set are likely enough to be 1 all together.
+    /// Finds the next time at which all states of a set are likely to be 1.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist.
     pub async fn next_joint(&self, query: JointQuery) -> Result<Joint, Error> {
         let request = v1::NextJointRequest {
             map: query.map,

@@ -1,4 +1,4 @@
-//! What a request for anomalies says of the confidence and the model.
+//! Confidence and model of a request for anomalies.
 
 use tidemap_map::{
     anomaly::{CannotJudge, Confidence},
@@ -8,29 +8,29 @@ use tidemap_map::{
 use super::{InvalidField, query::selector_from_wire};
 use crate::v1;
 
-/// The confidence; 0.99 where none is given.
+/// The confidence, 0.99 by default.
 ///
 /// # Errors
-/// It is not above 0.5 and at most 1.
+/// The confidence is not above 0.5 and at most 1.
 pub fn confidence_from_wire(field: &str, wire: Option<f64>) -> Result<Confidence, InvalidField> {
     let confidence = wire.map(Confidence::new).transpose().map_err(|error| InvalidField::new(field, error))?;
     Ok(confidence.unwrap_or_default())
 }
 
-/// The model that judges what was observed long ago.
+/// The model that judges past observations.
 ///
 /// # Errors
-/// As of any model; and the model answers from the newest value.
+/// The errors of [`selector_from_wire`], or the model predicts from the newest value.
 pub fn judge_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<ModelSelector, InvalidField> {
     let selector = selector_from_wire(field, wire)?;
     selector.can_judge().map_err(|error| cannot_judge(field, error))?;
     Ok(selector)
 }
 
-/// The model that judges observations as they come.
+/// The model that judges observations as they arrive.
 ///
 /// # Errors
-/// As of any model; and the model answers from the newest value, or has to be fitted first.
+/// The errors of [`selector_from_wire`], or the model predicts from the newest value or must be fitted first.
 pub fn watching_judge_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<ModelSelector, InvalidField> {
     let selector = selector_from_wire(field, wire)?;
     selector.can_watch().map_err(|error| cannot_judge(field, error))?;

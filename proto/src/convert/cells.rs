@@ -1,4 +1,4 @@
-//! Cells of a grid: questions about it, and what is told of its tiles.
+//! Predictions of a grid: requests, headers, tiles and descriptions of cells.
 //!
 //! Invariant: a tile on the wire has a value for each known cell, from its masks and levels or from its list.
 
@@ -22,17 +22,17 @@ use super::{
 };
 use crate::v1;
 
-/// Bytes of a mask of a tile, and of one of a projected tile.
+/// Bytes of a mask of a tile, and of a projected tile.
 const MASK_BYTES: usize = TILE_CELLS / 8;
 const LAYER_BYTES: usize = 8;
-/// Bytes of a tile on the wire beside its masks and values, at most: place, levels, lengths.
+/// Maximum number of bytes of a tile on the wire without its masks and values: place, levels, lengths.
 const TILE_OVERHEAD: u64 = 48;
 
-/// A question about a grid.
+/// A request for a prediction of the grid.
 ///
 /// # Errors
-/// A time before 1970, an unknown output, a threshold that is not in (0, 1] or belongs to another output, a model that is
-/// none.
+/// A time before 1970, an unknown output, a threshold that is not in (0, 1] or belongs to another output, or an invalid
+/// model.
 pub fn question_from_wire(wire: &v1::PredictGridRequest) -> Result<GridQuestion, InvalidField> {
     let utc_nanos = instant_from_wire("time", wire.time)?;
     let output = match v1::GridOutput::try_from(wire.output) {
@@ -48,7 +48,7 @@ pub fn question_from_wire(wire: &v1::PredictGridRequest) -> Result<GridQuestion,
         _ => wire.threshold,
     };
     if matches!(output, CellOutput::Threshold(_)) {
-        // As a single it must not become 0, which every cell would reach.
+        // A threshold that becomes 0 as a single would be reached by every cell.
         if !(threshold > 0.0 && wire.threshold <= 1.0) {
             let text = format!("threshold {} is not above 0 and at most 1", wire.threshold);
             return Err(InvalidField::new("threshold", text));
@@ -68,7 +68,7 @@ pub fn question_from_wire(wire: &v1::PredictGridRequest) -> Result<GridQuestion,
     })
 }
 
-/// What an answer will hold.
+/// The header of a reply.
 #[must_use]
 pub fn header_to_wire(
     grid: &GridView,
@@ -115,7 +115,7 @@ pub fn tile_bytes(tile: &v1::PredictedTile) -> usize {
     tile.encoded_len()
 }
 
-/// What was learned of a cell.
+/// Describes the model of a cell.
 #[must_use]
 pub fn cell_description_to_wire(
     view: &MapView,
@@ -131,7 +131,7 @@ pub fn cell_description_to_wire(
         observations: description.observations,
         order: u32::try_from(description.order).unwrap_or(u32::MAX),
         components: components_to_wire(view, &description.spectral),
-        // Where a cell has never changed, every order was right.
+        // If a cell has never changed, every order was right.
         order_errors: description.errors.unwrap_or([0.0; ORDER_MAX + 1]).to_vec(),
         persistence_tau_secs: description.persistence.tau_secs(),
         last_value: last.map(|(_, value)| value),

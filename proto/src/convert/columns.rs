@@ -1,26 +1,26 @@
 //! Columns of observations.
 //!
 //! Invariant: decoding checks the form of the columns (lengths, exactly one kind of values), not the observations: an
-//! observation that is wrong is refused by itself, later, and does not take its neighbours with it.
+//! invalid observation is refused on its own later, and its neighbours are not.
 
 use super::InvalidField;
 use crate::v1::ObservationColumns;
 
-/// Observations with their columns unpacked; all three have the same length.
+/// Unpacked columns of observations; all have the same length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DecodedColumns {
-    /// Time in nanoseconds UTC; negative where the sender said so, or where a delta in its unit leaves what i64 holds.
+    /// Time in nanoseconds UTC; negative if the sender said so, or if a delta in its unit exceeds i64.
     pub times_nanos: Vec<i64>,
     /// Index into the stream's table of names.
     pub state_indices: Vec<u32>,
-    /// Value; may be anything that a double holds.
+    /// Value; any double.
     pub values: Vec<f64>,
 }
 
 /// Unpacks columns.
 ///
 /// # Errors
-/// The field whose length or form is wrong. How many observations are allowed is the caller's to check, before.
+/// The field with an invalid length or form. The caller checks the number of observations before.
 pub fn decode(columns: ObservationColumns) -> Result<DecodedColumns, InvalidField> {
     let count = columns.time_deltas.len();
     if count == 0 {
@@ -55,9 +55,8 @@ pub fn decode(columns: ObservationColumns) -> Result<DecodedColumns, InvalidFiel
         .time_deltas
         .iter()
         .map(|delta| {
-            // A product that overflows is nobody's time: it and what follows are refused one by one, as before 1970.
-            // A sum may wrap: a sender whose deltas wrapped gets its own times back, and only those that are wrong
-            // are refused.
+            // If a product overflows, this observation and those after it are refused one by one, as before 1970. A sum
+            // may wrap: a sender whose deltas wrapped gets its own times back, and only invalid ones are refused.
             time = time.and_then(|time| Some(time.wrapping_add(delta.checked_mul(unit)?)));
             time.unwrap_or(-1)
         })
@@ -72,7 +71,7 @@ fn length(column: &str, len: usize, count: usize) -> InvalidField {
     )
 }
 
-/// Packs observations: the greatest time unit that fits, values as bits where all are 0 or 1. The slices have the same
+/// Packs observations: the greatest time unit that fits, and values as bits if all are 0 or 1. The slices have the same
 /// length; times may come in any order.
 #[must_use]
 pub fn encode(
@@ -85,7 +84,7 @@ pub fn encode(
     let mut unit = 0u64;
     for delta in deltas() {
         let delta = delta.unsigned_abs();
-        // One division an observation once the unit has settled.
+        // One division per observation once the unit has settled.
         if unit == 0 || delta % unit != 0 {
             unit = greatest_common_divisor(unit, delta);
         }
@@ -93,7 +92,7 @@ pub fn encode(
             break;
         }
     }
-    // 2^63 and more do not divide as i64; such times are nowhere near real.
+    // Differences of 2^63 and more do not fit i64; such times are not realistic.
     let unit = i64::try_from(unit).unwrap_or(1).max(1);
     let mut time_deltas = Vec::with_capacity(times_nanos.len());
     time_deltas.push(0);

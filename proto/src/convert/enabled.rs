@@ -1,6 +1,6 @@
-//! Which models a map chooses among.
+//! The models from which the updates of a map select.
 //!
-//! Invariant: what is refused is told with what there is instead; the spectral model is never left out.
+//! Invariant: a refusal names the valid models; the spectral model is always included.
 
 use tidemap_map::grid::spec::Retention;
 use tidemap_model::{EnabledModels, FitKind};
@@ -8,10 +8,10 @@ use tidemap_model::{EnabledModels, FitKind};
 use super::InvalidField;
 use crate::v1::ModelKind;
 
-/// What there is to choose among.
+/// The valid models.
 const CANDIDATES: &str = "spectral, histogram, calibrated, pergam, hypertime-em and hypertime-km";
 
-/// How a kind that is fitted to readings is called, on the wire and by people.
+/// The kind on the wire, and the name, of a model that is fitted to observations.
 fn wire(kind: FitKind) -> (ModelKind, &'static str) {
     match kind {
         FitKind::Calibrated => (ModelKind::Calibrated, "calibrated"),
@@ -21,10 +21,10 @@ fn wire(kind: FitKind) -> (ModelKind, &'static str) {
     }
 }
 
-/// The models that a request names; where it names none, the usual ones that the map can have.
+/// The models of a request; if it names none, the default ones that the map can have.
 ///
 /// # Errors
-/// A model that is no candidate, or one that is fitted to observations which the map does not keep.
+/// A model from which updates do not select, or one that is fitted to observations which the map does not keep.
 pub fn enabled_from_wire(field: &str, wanted: &[i32], retention: Retention) -> Result<EnabledModels, InvalidField> {
     let keeps = retention != Retention::None;
     if wanted.is_empty() {

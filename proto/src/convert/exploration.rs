@@ -1,6 +1,6 @@
-//! Questions of explorers: sensors, viewpoints, tours, days.
+//! Exploration: times, sensors, viewpoints, tours, days.
 //!
-//! Invariant: a zero or absent field is its default; what the planner itself checks is left to it.
+//! Invariant: a zero or absent field has its default; the planner checks the rest.
 
 use tidemap_model::LocalDay;
 use tidemap_plan::{
@@ -14,31 +14,31 @@ use tidemap_plan::{
 use super::{InvalidField, site::point_to_wire, time::nanos_from_duration};
 use crate::v1;
 
-/// A number that is its default where it is 0.
+/// The number, or the default if it is 0.
 fn or(value: f64, default: f64) -> f64 {
     if value == 0.0 { default } else { value }
 }
 
-/// The certainty that is left after an observation.
+/// The certainty that remains after an observation.
 ///
 /// # Errors
-/// It is not above 0.5 and below 1.
+/// The certainty is not above 0.5 and below 1.
 pub fn certainty_from_wire(field: &str, certainty: Option<f64>) -> Result<Certainty, InvalidField> {
     certainty.map_or_else(|| Ok(Certainty::default()), Certainty::new).map_err(|error| InvalidField::new(field, error))
 }
 
-/// Nanoseconds UTC that are not before 1970.
+/// A time of a list, in nanoseconds UTC, not before 1970.
 ///
 /// # Errors
-/// They are.
+/// The time is before 1970.
 pub fn time_from_wire(field: impl Into<String>, nanos: i64) -> Result<i64, InvalidField> {
     if nanos >= 0 { Ok(nanos) } else { Err(InvalidField::new(field, format!("{nanos} ns is before 1970"))) }
 }
 
-/// Times of which there is at least one.
+/// Checks a list of times: at least one, none before 1970.
 ///
 /// # Errors
-/// There is none, or one is before 1970.
+/// The list is empty, or a time is before 1970.
 pub fn times_from_wire(field: &str, times_nanos: &[i64]) -> Result<(), InvalidField> {
     if times_nanos.is_empty() {
         return Err(InvalidField::new(field, "name at least one time"));
@@ -81,10 +81,10 @@ pub fn viewpoint_from_wire(wire: &v1::Viewpoint) -> Viewpoint {
     Viewpoint { x_m, y_m, z_m, yaw_rad }
 }
 
-/// How predictions are looked into.
+/// How views are computed from predictions.
 ///
 /// # Errors
-/// The certainty or the threshold is none.
+/// An invalid certainty or threshold.
 pub fn scene_from_wire(certainty: Option<f64>, threshold: Option<f64>) -> Result<SceneOptions, InvalidField> {
     let certainty = certainty_from_wire("certainty", certainty)?;
     match threshold.unwrap_or(0.5) {
@@ -93,10 +93,10 @@ pub fn scene_from_wire(certainty: Option<f64>, threshold: Option<f64>) -> Result
     }
 }
 
-/// The question for a tour that starts there.
+/// The question of a tour with this start.
 ///
 /// # Errors
-/// The field that is wrong, as far as that can be told without the grid.
+/// The invalid field; what depends on the grid is not checked.
 pub fn tour_from_wire(request: &v1::PlanTourRequest, start_m: [f64; 2]) -> Result<TourQuestion, InvalidField> {
     let default = TourQuestion::default();
     let secs = |field: &str, span: Option<prost_types::Duration>| {
@@ -144,7 +144,7 @@ pub fn tour_to_wire(tour: &Tour) -> v1::PlanTourResponse {
 /// A local date.
 ///
 /// # Errors
-/// It is none, or not written as YYYY-MM-DD.
+/// It is not a date, or not written as YYYY-MM-DD.
 pub fn date_from_wire(field: &str, date: &str) -> Result<LocalDay, InvalidField> {
     let shown: String = date.chars().take(40).collect();
     LocalDay::parse(date)
@@ -154,12 +154,12 @@ pub fn date_from_wire(field: &str, date: &str) -> Result<LocalDay, InvalidField>
 /// Length of a slot in nanoseconds.
 ///
 /// # Errors
-/// It is more than can be told.
+/// The length exceeds i64 nanoseconds.
 pub fn slot_from_wire(slot: Option<prost_types::Duration>) -> Result<i64, InvalidField> {
     slot.map_or(Ok(SLOT_NANOS), |slot| nanos_from_duration("slot", slot))
 }
 
-/// How much is explored; by default a quarter of the slots.
+/// How much is explored, by default a quarter of the slots.
 #[must_use]
 pub fn budget_from_wire(budget: Option<v1::plan_day_request::Budget>) -> Budget {
     match budget {
@@ -178,7 +178,7 @@ pub fn budget_to_wire(budget: Budget) -> v1::plan_day_request::Budget {
     }
 }
 
-/// How slots are chosen, for the wire.
+/// How slots are selected, for the wire.
 #[must_use]
 pub fn strategy_to_wire(strategy: Strategy) -> v1::Strategy {
     match strategy {
@@ -189,10 +189,10 @@ pub fn strategy_to_wire(strategy: Strategy) -> v1::Strategy {
     }
 }
 
-/// How slots are chosen.
+/// How slots are selected.
 ///
 /// # Errors
-/// A strategy that is not known.
+/// The strategy is unknown.
 pub fn strategy_from_wire(field: &str, strategy: i32) -> Result<Strategy, InvalidField> {
     match v1::Strategy::try_from(strategy) {
         Ok(v1::Strategy::Unspecified | v1::Strategy::MonteCarlo) => Ok(Strategy::MonteCarlo),
@@ -203,7 +203,7 @@ pub fn strategy_from_wire(field: &str, strategy: i32) -> Result<Strategy, Invali
     }
 }
 
-/// A day's plan for the wire. `names`: those of the locations, by their index.
+/// A day's plan for the wire. `names`: names of the locations, by index.
 #[must_use]
 pub fn day_to_wire(rows: &[DayRow], names: &[String]) -> v1::PlanDayResponse {
     let slot = |row: &DayRow| v1::DaySlot {

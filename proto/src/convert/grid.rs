@@ -1,6 +1,6 @@
 //! Grids: their specification, boxes of cells, poses and retention.
 //!
-//! Invariant: a specification that comes out of [`grid_from_wire`] has passed `GridSpec::check`.
+//! Invariant: a specification from [`grid_from_wire`] has passed `GridSpec::check`.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use tidemap_map::grid::{
@@ -15,15 +15,15 @@ use super::{
 };
 use crate::v1;
 
-/// Frame of a grid that does not say which.
+/// Default frame of a grid.
 pub const DEFAULT_FRAME: &str = "map";
-/// How far the length of a quaternion may be from 1.
+/// Tolerance of the length of a quaternion.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 
 /// A grid's specification.
 ///
 /// # Errors
-/// The field that is wrong.
+/// The invalid field.
 pub fn grid_from_wire(wire: v1::Grid) -> Result<GridSpec, InvalidField> {
     let frame_id = if wire.frame_id.is_empty() { DEFAULT_FRAME.to_owned() } else { wire.frame_id };
     let sensor = wire.sensor.map_or_else(SensorNoise::default, |sensor| SensorNoise {
@@ -71,7 +71,7 @@ pub fn grid_to_wire(spec: &GridSpec) -> v1::Grid {
     }
 }
 
-/// What a grid holds, for the wire.
+/// Counters of a grid, for the wire.
 #[must_use]
 pub fn grid_summary_to_wire(grid: &GridView) -> v1::GridSummary {
     let bounds = grid.bounds();
@@ -100,7 +100,7 @@ pub fn cell_box_to_wire(cells: &CellBox) -> v1::CellBox {
     v1::CellBox { min_x: min.x, min_y: min.y, min_z: min.z, max_x: max.x, max_y: max.y, max_z: max.z }
 }
 
-/// A retention; `default` where nothing is said.
+/// A retention, or `default` if absent.
 ///
 /// # Errors
 /// A duration that is not positive.
@@ -141,7 +141,7 @@ pub fn pose_to_wire(pose: &Isometry3<f64>) -> v1::Pose {
     v1::Pose { x_m, y_m, z_m, qx, qy, qz, qw }
 }
 
-/// A pose; without one the sensor is at the map's origin, unturned.
+/// A pose. If absent, the sensor is at the origin of the map, not rotated.
 ///
 /// # Errors
 /// A number that is not finite, or a quaternion whose length is not 1.

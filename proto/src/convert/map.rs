@@ -1,4 +1,4 @@
-//! Maps, their periodicities and their states.
+//! Maps, their periodicities, their states and refusals.
 
 use prost_types::Duration;
 use tidemap_map::{
@@ -25,10 +25,10 @@ pub const DEFAULT_BASE_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
 /// Default number of harmonic periodicities.
 pub const DEFAULT_COUNT: u32 = 168;
 
-/// The map that a request describes, defaults filled in.
+/// The map of a request, with defaults filled in.
 ///
 /// # Errors
-/// The field that is wrong.
+/// The invalid field.
 pub fn spec_from_request(request: v1::CreateMapRequest, created_nanos: i64) -> Result<MapSpec, InvalidField> {
     let name = MapName::new(&request.name).map_err(|error| InvalidField::new("name", error))?;
     let zone = match request.time_zone.as_str() {
@@ -62,7 +62,7 @@ pub fn spec_from_request(request: v1::CreateMapRequest, created_nanos: i64) -> R
     Ok(MapSpec { name, zone, periodicities, criterion, created_nanos, half_life_nanos, prior, retention, models, grid })
 }
 
-/// Periodicities; the defaults where there are none.
+/// Periodicities, by default those of a new map.
 ///
 /// # Errors
 /// The field that is invalid.
@@ -112,14 +112,14 @@ pub fn map_to_wire(view: &MapView) -> v1::Map {
     }
 }
 
-/// What an update published, for the wire.
+/// The last update, for the wire.
 #[must_use]
 pub fn update_to_wire(generation: u64, cut_nanos: Option<i64>) -> v1::UpdateSummary {
     v1::UpdateSummary { generation, cut: cut_nanos.map(timestamp) }
 }
 
-/// A state for the wire, a vector in place of its first axis; `None` where the view has no such state, and of the other
-/// axes.
+/// A state for the wire; a vector takes the place of its first axis. `None` if the view has no such state, and for the
+/// other axes.
 #[must_use]
 pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
     let info = view.info(id)?;
@@ -134,7 +134,7 @@ pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
                 view.shape(vector).map_or(0, |(_, shape)| u32::try_from(shape.states()).unwrap_or(u32::MAX));
             (vector, v1::StateKind::Vector, 0, dimensions)
         }
-        // Told of with its first axis.
+        // Included in the entry of its first axis.
         Some(_) => return None,
     };
     Some(v1::State {

@@ -1,4 +1,4 @@
-//! Models as questions name them, and what was learned of a state.
+//! Models of requests, and descriptions of the models of states.
 
 use tidemap_map::{
     ids::StateId,
@@ -16,7 +16,7 @@ use super::{
 };
 use crate::v1;
 
-/// The model that a request names.
+/// A model of a request.
 ///
 /// # Errors
 /// An unknown kind, an order above 15, or an order for a model that has none.
@@ -76,10 +76,10 @@ pub fn selector_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Resul
     Ok(ModelSelector { kind, order, persistence: wire.persistence })
 }
 
-/// Whether a model is one that cells of a grid have.
+/// Checks that cells of a grid have the model.
 ///
 /// # Errors
-/// The model is of named states only.
+/// Only named states have the model.
 pub fn check_for_cells(field: &str, selector: ModelSelector) -> Result<(), InvalidField> {
     if selector.kind.is_for_cells() {
         return Ok(());
@@ -158,7 +158,7 @@ pub fn selector_to_wire(selector: ModelSelector) -> v1::ModelSelector {
     }
 }
 
-/// What was learned of a state; `None` where the view has no such state.
+/// Describes the model of a state; `None` if the view has no such state.
 #[must_use]
 pub fn description_to_wire(view: &MapView, id: StateId) -> Option<v1::DescribeModelResponse> {
     let info = view.info(id)?;
@@ -196,7 +196,7 @@ fn selector_of(choice: ModelChoice, model: &StateModel) -> ModelSelector {
                 bins: u32::try_from(bins).unwrap_or(u32::MAX),
             })
         }
-        // With the defaults of requests.
+        // With the default parameters of requests.
         ModelChoice::Fitted(FitKind::Calibrated) => ModelKind::Calibrated,
         ModelChoice::Fitted(FitKind::Pergam) => ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS },
         ModelChoice::Fitted(FitKind::HypertimeEm) => ModelKind::HypertimeEm { clusters: 3 },

@@ -1,7 +1,7 @@
-//! Questions of routes and policies, and what is told of edges.
+//! Routes, policies and edges: requests and replies.
 //!
-//! Invariant: times become seconds after the question's reference time; what is wrong is told with its field, and what the
-//! planner itself checks is left to it.
+//! Invariant: times become seconds after the reference time of the question; an error names the field, and the planner
+//! checks the rest.
 
 use tidemap_map::topology::{EdgeId, NodeId, Topology};
 use tidemap_plan::{
@@ -16,26 +16,26 @@ use super::{
 };
 use crate::v1;
 
-/// Most nodes times slots of a policy that is told.
+/// Maximum of nodes times slots of a policy.
 pub const POLICY_CELLS_MAX: usize = 200_000;
-/// How far apart departures are by default, seconds.
+/// Default interval between departures, seconds.
 const DEPARTURE_STEP_SECS: f64 = 60.0;
 
-/// A question of a route.
+/// The question of a route.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RouteQuestion {
-    /// What the seconds of `when` count from, nanoseconds UTC.
+    /// The reference time of `when`, nanoseconds UTC.
     pub reference_nanos: i64,
-    /// When.
+    /// When to leave or arrive, in seconds after the reference time.
     pub when: When,
-    /// How to search.
+    /// Options of the search.
     pub options: RouteOptions,
 }
 
-/// What is asked of a route.
+/// The question of a request for a route.
 ///
 /// # Errors
-/// The field that is wrong.
+/// The invalid field.
 pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, InvalidField> {
     use v1::plan_route_request::When as Asked;
     let default = RouteOptions::default();
@@ -45,7 +45,7 @@ pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, 
         Asked::DepartTime(time) => (nanos_from_timestamp("depart_time", *time)?, When::DepartAt(0.0)),
         Asked::ArriveByTime(time) => {
             let nanos = nanos_from_timestamp("arrive_by_time", *time)?;
-            // There is no time before 1970.
+            // No time is before 1970.
             (nanos, When::ArriveBy { by_secs: 0.0, earliest_secs: -horizon_secs.min(nanos as f64 / 1e9) })
         }
         Asked::DepartWithin(window) => {
@@ -77,10 +77,10 @@ pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, 
     Ok(RouteQuestion { reference_nanos, when, options })
 }
 
-/// What is asked of a policy.
+/// The options of a request for a policy.
 ///
 /// # Errors
-/// The field that is wrong.
+/// The invalid field.
 pub fn policy_from_wire(request: &v1::PlanPolicyRequest) -> Result<PolicyOptions, InvalidField> {
     let default = PolicyOptions::default();
     let objective = match known_objective(request.objective)? {
@@ -103,10 +103,10 @@ pub fn policy_from_wire(request: &v1::PlanPolicyRequest) -> Result<PolicyOptions
     })
 }
 
-/// How likely an interval is to hold what it is of.
+/// Confidence of the intervals of success.
 ///
 /// # Errors
-/// Not 0.5 to 1, or 1.
+/// The confidence is not at least 0.5 and below 1.
 pub fn confidence_from_wire(confidence: Option<f64>) -> Result<f64, InvalidField> {
     match confidence.unwrap_or(RouteOptions::default().confidence) {
         confidence if (0.5..1.0).contains(&confidence) => Ok(confidence),
@@ -115,12 +115,12 @@ pub fn confidence_from_wire(confidence: Option<f64>) -> Result<f64, InvalidField
 }
 
 both_ways!(
-    /// How sure it is that no route is better, for the wire.
+    /// How certain it is that no route is better, for the wire.
     route_certainty_to_wire, route_certainty_from_wire, Certainty, v1::RouteCertainty,
     [Proven = Proven, WithinResolution = WithinResolution, Sampled = Sampled, CutOff = CutOff]
 );
 
-/// What a route is best at, and the doubt of a blend, for the wire.
+/// The objective, and the doubt of a blend, for the wire.
 #[must_use]
 pub fn objective_to_wire(objective: Objective) -> (v1::RouteObjective, f64) {
     match objective {
@@ -136,7 +136,7 @@ pub fn later(reference_nanos: i64, secs: f64) -> i64 {
     reference_nanos.saturating_add((secs * 1e9).round() as i64)
 }
 
-/// Routes for the wire; `reports` counts those of an edge.
+/// Routes for the wire; `reports` returns the number of reports of an edge.
 #[must_use]
 pub fn routes_to_wire(
     planned: &RoutePlan,

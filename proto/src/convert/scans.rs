@@ -1,10 +1,10 @@
-//! Scans of an occupancy grid: what a stream sends, its table of tiles, and the digests by which both sides compare.
+//! Scans of an occupancy grid: messages, the table of tiles of a stream, and digests by which both sides compare data.
 //!
 //! Entry points: [`ScanDecoder`] for what a server receives, [`TileTable`] for what a client sends.
 //!
-//! Invariant: both sides keep the same picture of what the stream last showed of each tile. What makes the table itself
-//! or the order of the stream ambiguous is an error of the message; what is wrong in one scan refuses that scan, and the
-//! picture stays as it was before it. The slots that it names are then in doubt, and only masks end that.
+//! Invariant: both sides have the same picture of what the stream last showed of each tile. Ambiguity of the table or
+//! of the order of the stream is an error of the message; an error within one scan refuses that scan and leaves the
+//! picture unchanged. The slots that it names are then in doubt until their masks are sent.
 
 use tidemap_map::{
     grid::{log_head::StreamScan, raycast::Readings},
@@ -18,8 +18,8 @@ mod digest;
 mod flips;
 mod parts;
 mod points;
-mod shown;
 mod split;
+mod stream_tiles;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -34,24 +34,24 @@ pub use table::{EncodedScan, TileError, TilePicture, TileTable, join_part, set_m
 /// Bytes of a mask on the wire.
 pub const MASK_BYTES: usize = 64;
 
-/// What one stream may send.
+/// Limits of one stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ScanLimits {
-    /// Scans of one message.
+    /// Maximum number of scans of one message.
     pub batch_scans: usize,
-    /// Points or rays of one scan.
+    /// Maximum number of points or rays of one scan.
     pub points: usize,
-    /// Tiles of one scan, and of the stream's table.
+    /// Maximum number of tiles of one scan, and of the table of the stream.
     pub tiles: usize,
 }
 
 /// Why a message of scans ends its stream.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ScanError {
-    /// A field is wrong.
+    /// An invalid field.
     #[error(transparent)]
     Invalid(#[from] InvalidField),
-    /// There is too much of something.
+    /// A limit is exceeded.
     #[error(transparent)]
     Limit(#[from] OverLimit),
 }
@@ -59,9 +59,9 @@ pub enum ScanError {
 /// Why one scan is refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ScanRefusal {
-    /// The reason to act on.
+    /// Reason for programs.
     pub reason: RefusalReason,
-    /// The reason to read.
+    /// Reason in words.
     pub detail: String,
 }
 
@@ -80,24 +80,24 @@ impl From<TileError> for ScanRefusal {
 /// What a scan shows.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ScanContent {
-    /// Cells of tiles, within the grid's extent. Where the scan is refused they are only to be remembered: later scans
-    /// of the stream refer to them.
+    /// Cells of tiles, within the extent of the grid. If the scan is refused, they must still be remembered: later
+    /// scans of the stream refer to them.
     Tiles(StreamScan),
-    /// Readings to be cast.
+    /// Readings to ray-cast.
     Readings(Readings),
 }
 
-/// One scan with its number.
+/// A decoded scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DecodedScan {
-    /// Its sequence number.
+    /// Sequence number.
     pub sequence: u64,
-    /// When it was made, nanoseconds UTC; negative where it is refused for that.
+    /// Time of the scan, nanoseconds UTC; negative if the scan is refused for its time.
     pub utc_nanos: i64,
-    /// Its digest; that of a malformed scan of tiles is 0.
+    /// Digest; 0 for a malformed scan of tiles.
     pub digest: u64,
-    /// What it shows; `None` where nothing of it is to be remembered.
+    /// Content; `None` if nothing of it must be remembered.
     pub content: Option<ScanContent>,
-    /// Why it is refused.
+    /// The refusal, if it is refused.
     pub refusal: Option<ScanRefusal>,
 }

@@ -12,17 +12,17 @@ use super::{
 };
 use crate::v1;
 
-/// How long an order is looked for by default, nanoseconds.
+/// Default time limit of planning, nanoseconds.
 pub const PLAN_WITHIN_NANOS: i64 = 2_000_000_000;
-/// How long an order is looked for at most, nanoseconds.
+/// Maximum time limit of planning, nanoseconds.
 pub const PLAN_WITHIN_MAX_NANOS: i64 = 60_000_000_000;
-/// How fast a robot drives by default where an edge has a length alone, metres a second.
-pub const SPEED_M_PER_SEC: f64 = 0.5;
+/// Default speed of a robot on edges without nominal duration, metres per second.
+pub const SPEED_M_PER_S: f64 = 0.5;
 
-/// How a search is planned, as far as the planner needs to know.
+/// The options of a request for a search.
 ///
 /// # Errors
-/// The field that is wrong.
+/// The invalid field.
 pub fn search_from_wire(request: &v1::PlanSearchRequest) -> Result<SearchOptions, InvalidField> {
     let default = SearchOptions::default();
     let effort = match v1::SearchEffort::try_from(request.effort) {
@@ -46,41 +46,41 @@ pub fn search_from_wire(request: &v1::PlanSearchRequest) -> Result<SearchOptions
     Ok(SearchOptions { effort, floor: floor.unwrap_or(default.floor), seed: request.seed, stop, ..default })
 }
 
-/// How long an order may be looked for, in nanoseconds.
+/// Time limit of planning, nanoseconds.
 ///
 /// # Errors
-/// More than [`PLAN_WITHIN_MAX_NANOS`], or less than nothing.
+/// Negative, or more than [`PLAN_WITHIN_MAX_NANOS`].
 pub fn plan_within_from_wire(span: Option<prost_types::Duration>) -> Result<u64, InvalidField> {
     let nanos = span.map_or(Ok(PLAN_WITHIN_NANOS), |span| nanos_from_duration("plan_within", span))?;
     let wrong = || InvalidField::new("plan_within", format!("{} s: expected 0 to 60 s", nanos as f64 / 1e9));
     u64::try_from(nanos).ok().filter(|_| nanos <= PLAN_WITHIN_MAX_NANOS).ok_or_else(wrong)
 }
 
-/// How fast the robot drives, metres a second.
+/// Speed of the robot, metres per second.
 ///
 /// # Errors
-/// Not above 0, or no number.
+/// Not a finite number above 0.
 pub fn speed_from_wire(speed_m_per_s: f64) -> Result<f64, InvalidField> {
     match speed_m_per_s {
-        0.0 => Ok(SPEED_M_PER_SEC),
+        0.0 => Ok(SPEED_M_PER_S),
         speed if speed > 0.0 && speed.is_finite() => Ok(speed),
         wrong => Err(InvalidField::new("speed_m_per_s", format!("{wrong} m/s: expected above 0"))),
     }
 }
 
-/// Most states of a question of when they are all 1.
+/// Maximum number of states of a joint question.
 pub const JOINT_STATES_MAX: usize = 1_000;
-/// How far such a question looks ahead by default, nanoseconds.
+/// Default time to look ahead, nanoseconds.
 const JOINT_WITHIN_NANOS: i64 = 7 * 86_400_000_000_000;
-/// How far apart the times are by default that it looks at, nanoseconds.
+/// Default interval between times, nanoseconds.
 const JOINT_STEP_NANOS: i64 = 600_000_000_000;
-/// Most times that it looks at.
+/// Maximum number of times.
 const JOINT_TIMES_MAX: i64 = 1_000_000;
 
-/// What a product of probabilities has to exceed.
+/// Threshold of the product of probabilities.
 ///
 /// # Errors
-/// No probability.
+/// The threshold is not in [0, 1].
 pub fn threshold_from_wire(threshold: Option<f64>) -> Result<f64, InvalidField> {
     match threshold.unwrap_or(0.5) {
         threshold if (0.0..=1.0).contains(&threshold) => Ok(threshold),
@@ -88,10 +88,10 @@ pub fn threshold_from_wire(threshold: Option<f64>) -> Result<f64, InvalidField> 
     }
 }
 
-/// The times at which states may be all 1, nanoseconds UTC; at least one.
+/// The times of a joint question, nanoseconds UTC; at least one.
 ///
 /// # Errors
-/// The field that is wrong.
+/// The invalid field.
 pub fn joint_times_from_wire(request: &v1::NextJointRequest) -> Result<Vec<i64>, InvalidField> {
     let from = instant_from_wire("from_time", request.from_time)?;
     let span = |field: &'static str, span: Option<prost_types::Duration>, default: i64, least: i64| {
@@ -117,12 +117,12 @@ both_ways!(
 );
 
 both_ways!(
-    /// How hard to look for the best order, for the wire.
+    /// How to search for the best order, for the wire.
     effort_to_wire, effort_from_wire, Effort, v1::SearchEffort,
     [Auto = Auto, Exact = Exact, Heuristic = Heuristic]
 );
 
-/// A planned search for the wire, without the nodes that were never observed.
+/// A planned search for the wire; the caller adds the nodes that were never observed.
 #[must_use]
 pub fn plan_to_wire(plan: &SearchPlan, topology: &Topology) -> v1::PlanSearchResponse {
     let steps = plan.steps.iter().map(|step| v1::SearchStep {
@@ -156,7 +156,7 @@ mod tests {
         let request = v1::PlanSearchRequest::default();
         assert_eq!(search_from_wire(&request), Ok(SearchOptions::default()));
         assert_eq!(plan_within_from_wire(None), Ok(2_000_000_000));
-        assert_eq!(speed_from_wire(0.0), Ok(SPEED_M_PER_SEC));
+        assert_eq!(speed_from_wire(0.0), Ok(SPEED_M_PER_S));
     }
 
     #[test]

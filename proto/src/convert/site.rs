@@ -1,4 +1,4 @@
-//! What a map is told about its site: places and locations.
+//! Annotations of a map: its charger and its locations.
 
 use tidemap_map::{
     name::StateName,
@@ -12,7 +12,7 @@ use crate::v1;
 /// A point from the wire: x, y in metres.
 ///
 /// # Errors
-/// A coordinate that is no number, or too far away.
+/// A coordinate is not a number, or out of range.
 pub fn point_from_wire(field: &str, point: v1::Point) -> Result<[f64; 2], InvalidField> {
     let v1::Point { x_m, y_m } = point;
     for (axis, along) in [("x_m", x_m), ("y_m", y_m)] {

@@ -8,22 +8,22 @@ use super::InvalidField;
 
 const NANOS: i128 = 1_000_000_000;
 
-/// An instant for the wire.
+/// A time for the wire.
 #[must_use]
 pub fn timestamp(nanos: i64) -> Timestamp {
     Timestamp { seconds: nanos.div_euclid(1_000_000_000), nanos: nanos.rem_euclid(1_000_000_000) as i32 }
 }
 
-/// A span for the wire.
+/// A duration for the wire.
 #[must_use]
 pub fn duration(nanos: i64) -> Duration {
     Duration { seconds: nanos / 1_000_000_000, nanos: (nanos % 1_000_000_000) as i32 }
 }
 
-/// An instant from the wire in nanoseconds since 1970, between 1970 and 2262.
+/// A time from the wire, in nanoseconds since 1970, from 1970 to 2262.
 ///
 /// # Errors
-/// The field, where the instant lies outside.
+/// The time is outside this range.
 pub fn nanos_from_timestamp(field: &str, timestamp: Timestamp) -> Result<i64, InvalidField> {
     let nanos = i128::from(timestamp.seconds) * NANOS + i128::from(timestamp.nanos);
     i64::try_from(nanos).ok().filter(|nanos| *nanos >= 0).ok_or_else(|| {
@@ -31,31 +31,31 @@ pub fn nanos_from_timestamp(field: &str, timestamp: Timestamp) -> Result<i64, In
     })
 }
 
-/// A required instant from the wire in nanoseconds since 1970, between 1970 and 2262.
+/// A required time from the wire, in nanoseconds since 1970, from 1970 to 2262.
 ///
 /// # Errors
-/// The field, where the instant is absent or lies outside.
+/// The time is absent or outside this range.
 pub fn instant_from_wire(field: &str, timestamp: Option<Timestamp>) -> Result<i64, InvalidField> {
     let missing = || InvalidField::new(field, "name a time, for example 2026-03-21T10:00:00Z");
     nanos_from_timestamp(field, timestamp.ok_or_else(missing)?)
 }
 
-/// An instant of a reply; `None` where it is absent or outside 1970 to 2262.
+/// A time of a reply; `None` if it is absent or outside 1970 to 2262.
 #[must_use]
 pub fn instant(timestamp: Option<Timestamp>) -> Option<i64> {
     nanos_from_timestamp("", timestamp?).ok()
 }
 
-/// A span of a reply; `None` where it is absent or more than i64 nanoseconds hold.
+/// A duration of a reply; `None` if it is absent or exceeds i64 nanoseconds.
 #[must_use]
 pub fn span(duration: Option<Duration>) -> Option<i64> {
     nanos_from_duration("", duration?).ok()
 }
 
-/// From `from_time` up to but not including `to_time`, both required.
+/// The interval from `from_time` up to, not including, `to_time`; both are required.
 ///
 /// # Errors
-/// The field that is absent or lies outside 1970 to 2262; `to_time` where the interval is empty.
+/// A time is absent or outside 1970 to 2262, or the interval is empty.
 pub fn interval_from_wire(
     from_time: Option<Timestamp>,
     to_time: Option<Timestamp>,
@@ -67,10 +67,10 @@ pub fn interval_from_wire(
     Ok(within)
 }
 
-/// A span from the wire in nanoseconds.
+/// A duration from the wire, in nanoseconds.
 ///
 /// # Errors
-/// The field, where the span is more than i64 nanoseconds hold.
+/// The duration exceeds i64 nanoseconds.
 pub fn nanos_from_duration(field: &str, duration: Duration) -> Result<i64, InvalidField> {
     let nanos = i128::from(duration.seconds) * NANOS + i128::from(duration.nanos);
     i64::try_from(nanos).map_err(|_| InvalidField::new(field, format!("{} s is more than 292 years", duration.seconds)))

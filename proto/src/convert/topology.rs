@@ -1,6 +1,6 @@
 //! Topological maps: nodes, edges, their edits, and failed traversals.
 //!
-//! Invariant: an error names the field of the name that is invalid; what the map itself checks is left to it.
+//! Invariant: an error names the field of the invalid name; the map itself checks the rest.
 
 use tidemap_map::{
     name::StateName,
@@ -38,10 +38,10 @@ fn edge_from_wire(field: &str, wire: &v1::TopologyEdge) -> Result<NewEdge, Inval
     Ok(NewEdge { ends: ends_from_wire(&format!("{field}.ends"), ends.as_ref())?, extent })
 }
 
-/// A whole map at once.
+/// Loads a whole topological map.
 ///
 /// # Errors
-/// A name that is none.
+/// An invalid name.
 pub fn load_from_wire(request: &v1::LoadTopologyRequest) -> Result<TopologyEdit, InvalidField> {
     let nodes = request.nodes.iter().enumerate().map(|(i, node)| node_from_wire(&format!("nodes[{i}]"), node));
     let edges = request.edges.iter().enumerate().map(|(i, edge)| edge_from_wire(&format!("edges[{i}]"), edge));
@@ -52,10 +52,10 @@ pub fn load_from_wire(request: &v1::LoadTopologyRequest) -> Result<TopologyEdit,
     })
 }
 
-/// One change of a map.
+/// One edit of a topological map.
 ///
 /// # Errors
-/// There is none, or a name is none.
+/// The edit is missing, or a name is invalid.
 pub fn edit_from_wire(edit: Option<&v1::edit_topology_request::Edit>) -> Result<TopologyEdit, InvalidField> {
     use v1::edit_topology_request::Edit;
     Ok(match edit.ok_or_else(|| InvalidField::new("edit", "say what is to change"))? {
@@ -89,13 +89,13 @@ pub fn topology_to_wire(topology: &Topology) -> v1::GetTopologyResponse {
     v1::GetTopologyResponse { nodes: nodes.collect(), edges: edges.collect() }
 }
 
-/// The name of a node; empty where there is none.
+/// The name of a node; empty if the node does not exist.
 #[must_use]
 pub fn node_name(topology: &Topology, node: NodeId) -> String {
     topology.node(node).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned())
 }
 
-/// Which edge, for the wire.
+/// The names of the ends of an edge, for the wire.
 #[must_use]
 pub fn edge_to_wire(topology: &Topology, edge: &Edge) -> v1::EdgeEnds {
     v1::EdgeEnds {

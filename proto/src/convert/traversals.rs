@@ -1,6 +1,6 @@
-//! Traversals of edges, and those that failed.
+//! Reports of traversals, and failed traversals.
 //!
-//! Invariant: a traversal that is wrong is refused by itself, with a reason to act on and one to read.
+//! Invariant: an invalid traversal is refused on its own, with a reason for programs and one in words.
 
 use tidemap_map::{
     ids::RefusalReason,
@@ -10,11 +10,11 @@ use tidemap_map::{
 
 use crate::v1;
 
-/// Most bytes of all texts of one message of traversals: a record of the log has a bounded length, and holds a text up to
-/// three times, in the names of two states and in a failure.
+/// Maximum number of bytes of all texts of one message of traversals: a record of the log has a bounded length and
+/// contains a text up to three times, in the names of two states and in a failure.
 pub const BATCH_TEXT_BYTES_MAX: usize = 4 << 20;
 
-/// What to do about an edge that is unknown.
+/// How to find a valid edge.
 const WAY_OUT: &str = "`tidemap topology show --edges` lists those there are, `tidemap topology load` loads others";
 
 /// Bytes of a traversal's texts.
@@ -24,10 +24,10 @@ pub fn text_bytes(traversal: &v1::Traversal) -> usize {
     [from, to, action, reason].map(String::len).iter().sum()
 }
 
-/// A checked traversal. Whether there is such an edge is not asked.
+/// A checked traversal. Whether the edge exists is not checked.
 ///
 /// # Errors
-/// Why it is refused, to act on and to read.
+/// The reason for programs, and the reason in words.
 pub fn traversal_from_wire(wire: &v1::Traversal) -> Result<Traversal, (RefusalReason, String)> {
     let v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason } = wire;
     let edge = EdgeName::new(from, to, action).map_err(|error| unknown_edge(&error))?;
@@ -52,13 +52,13 @@ pub fn traversal_to_wire(traversal: &Traversal) -> v1::Traversal {
     }
 }
 
-/// That the map has no such edge.
+/// The refusal of an edge that the map does not have.
 #[must_use]
 pub fn unknown_edge(error: &dyn std::error::Error) -> (RefusalReason, String) {
     (RefusalReason::Edge, format!("{error}; {WAY_OUT}"))
 }
 
-/// What a traversal is refused for.
+/// The refusal of an invalid traversal.
 #[must_use]
 pub fn refusal_of(error: &TraversalError) -> (RefusalReason, String) {
     let reason = match error {
@@ -71,7 +71,7 @@ pub fn refusal_of(error: &TraversalError) -> (RefusalReason, String) {
     (reason, error.to_string())
 }
 
-/// Appends the bytes of a traversal over which `Welcome.content_crc` goes.
+/// Appends the bytes of a traversal that `Welcome.content_crc` covers.
 pub fn append_content(traversal: &v1::Traversal, bytes: &mut Vec<u8>) {
     let v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason } = traversal;
     for (place, part) in [EdgeState::Success.prefix(), from, to, action].into_iter().enumerate() {
@@ -102,7 +102,7 @@ pub fn failure_to_wire(failure: &EdgeFailure) -> v1::EdgeFailure {
     v1::EdgeFailure { edge: Some(edge), start_nanos: *start_nanos, end_nanos: *end_nanos, reason: reason.clone() }
 }
 
-/// Whether a failed traversal is of the edge that is asked for, or of the way back where both are.
+/// Whether a failed traversal belongs to the requested edge, or to the opposite direction if both are requested.
 #[must_use]
 pub fn is_of(failure: &EdgeFailure, asked: &v1::EdgeEnds) -> bool {
     let EdgeName { from, to, action } = &failure.edge;

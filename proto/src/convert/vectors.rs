@@ -1,17 +1,17 @@
-//! Vectors: what a message says of its names, and coordinates as positions.
+//! Vectors: kinds and dimensions of the names of a message, and coordinates as positions.
 //!
-//! Invariant: decoding checks that coordinates are as many as their names ask for; whether an observation may have them is
-//! asked of each by itself, later.
+//! Invariant: decoding checks that the number of coordinates matches the names; whether an observation may have them is
+//! checked for each one later.
 
 use tidemap_map::event::{Dimensions, Position, StateKind, StateShape};
 
 use super::InvalidField;
 use crate::v1;
 
-/// What a request says of a name, where its kind and number of coordinates are in these fields; `None`: nothing.
+/// The shape that a request declares for a name, from these fields; `None`: not declared.
 ///
 /// # Errors
-/// An unknown kind, a vector that has neither 2 nor 3 coordinates, or coordinates of what is no vector.
+/// An unknown kind, a vector that has neither 2 nor 3 coordinates, or coordinates of a state that is not a vector.
 pub fn shape_from_wire(
     (kind_field, kind): (&str, i32),
     (dimensions_field, dimensions): (&str, u32),
@@ -37,10 +37,10 @@ pub fn shape_from_wire(
     Ok(kind.map(StateShape::Scalar))
 }
 
-/// What a message says of its new names, one each; `None`: nothing.
+/// The shapes that a message declares for its new names, one each; `None`: not declared.
 ///
 /// # Errors
-/// As of [`shape_from_wire`], or not as many as names.
+/// The errors of [`shape_from_wire`], or another number of entries than names.
 pub fn new_shapes(columns: &v1::ObservationColumns) -> Result<Vec<Option<StateShape>>, InvalidField> {
     const KINDS: &str = "observations.new_kinds";
     const DIMENSIONS: &str = "observations.new_dimensions";
@@ -56,11 +56,11 @@ pub fn new_shapes(columns: &v1::ObservationColumns) -> Result<Vec<Option<StateSh
     (0..names).map(|i| shape_from_wire((KINDS, kind(i)), (DIMENSIONS, dimensions(i)))).collect()
 }
 
-/// The positions of a message, each with the place of its observation; `dimensions` are those of the name with an index of
-/// the stream's table, `None` of one that is no vector.
+/// The positions of a message, each with the index of its observation; `dimensions` returns those of a name by its
+/// index in the stream's table, `None` for a state that is not a vector.
 ///
 /// # Errors
-/// There are more or fewer coordinates than the observations ask for.
+/// The number of coordinates does not match the observations.
 pub fn positions(
     state_indices: &[u32],
     coordinates: &[f64],

@@ -1,7 +1,7 @@
-//! Messages of scans, as a server receives them: checked, put together, and told one by one.
+//! Decodes messages of scans on the receiving side: checks them, joins their parts, and returns scans one by one.
 //!
-//! Invariant: scans leave in the order of their numbers. An error is of the message, and its stream cannot go on; a
-//! refusal is of one scan, and what the stream has shown is then as before it, unless the scan says that it is to be
+//! Invariant: scans are returned in the order of their numbers. An error concerns the message and ends its stream; a
+//! refusal concerns one scan, and the picture of the stream is then unchanged unless the content of the scan must be
 //! remembered.
 
 use std::vec::IntoIter;
@@ -16,7 +16,7 @@ use super::{
     digest::{points_digest, ranges_digest},
     parts::Parts,
     points,
-    shown::Shown,
+    stream_tiles::StreamTiles,
     tile_scan::TileScans,
 };
 use crate::{
@@ -24,24 +24,24 @@ use crate::{
     v1::{self, scan::Content},
 };
 
-/// The scans of one stream.
+/// Decodes the scans of one stream.
 #[derive(Debug)]
 pub struct ScanDecoder {
     spec: Option<GridSpec>,
     limits: ScanLimits,
-    shown: Shown,
+    shown: StreamTiles,
     tile_scans: TileScans,
-    /// A scan that goes on in the next message.
+    /// A scan that continues in the next message.
     open: Option<Parts>,
     message: Message,
 }
 
-/// What is left of a message.
+/// The rest of a message.
 #[derive(Debug, Default)]
 struct Message {
     sequence: u64,
     unit: i64,
-    /// Time of the scan before; `None` where it is nobody's time.
+    /// Time of the previous scan; `None` if it is invalid.
     time: Option<i64>,
     deltas: IntoIter<i64>,
     scans: IntoIter<v1::Scan>,
@@ -49,36 +49,36 @@ struct Message {
 }
 
 impl ScanDecoder {
-    /// A stream that has shown nothing, for a map with this grid, or without one.
+    /// A new stream to a map with this grid, or without one.
     #[must_use]
     pub fn new(spec: Option<&GridSpec>, limits: ScanLimits) -> ScanDecoder {
         ScanDecoder {
             spec: spec.cloned(),
             limits,
-            shown: Shown::new(spec),
+            shown: StreamTiles::new(spec),
             tile_scans: TileScans::default(),
             open: None,
             message: Message::default(),
         }
     }
 
-    /// The number of a scan that goes on in the next message.
+    /// The number of the scan that continues in the next message.
     #[must_use]
     pub fn open_sequence(&self) -> Option<u64> {
         self.open.as_ref().map(|open| open.sequence)
     }
 
-    /// Memory that the stream takes between messages, in bytes, about: its table of tiles, and a scan that goes on.
+    /// Approximate memory that the stream takes between messages, bytes: its table of tiles, and an unfinished scan.
     #[must_use]
     pub fn held_bytes(&self) -> usize {
         self.shown.bytes() + self.open.as_ref().map_or(0, Parts::bytes)
     }
 
-    /// Begins a message; its scans are to be taken out with [`ScanDecoder::next_scan`] before the next one. Gives the
-    /// tiles that it adds to the stream's table.
+    /// Begins a message; call [`ScanDecoder::next_scan`] until it returns `None` before the next message. Returns the
+    /// tiles that the message adds to the table of the stream.
     ///
     /// # Errors
-    /// What ends the stream.
+    /// The error ends the stream.
     pub fn begin(&mut self, message: v1::ScanBatch) -> Result<Vec<TileIndex>, ScanError> {
         let count = message.scans.len();
         if count == 0 {
@@ -106,14 +106,14 @@ impl ScanDecoder {
         Ok(new_tiles)
     }
 
-    /// The next scan of the message; `None` where all are out.
+    /// The next scan of the message; `None` after the last.
     ///
     /// # Errors
-    /// What ends the stream.
+    /// The error ends the stream.
     pub fn next_scan(&mut self) -> Result<Option<DecodedScan>, ScanError> {
         let message = &mut self.message;
         let (Some(scan), Some(delta)) = (message.scans.next(), message.deltas.next()) else { return Ok(None) };
-        // A product that overflows is nobody's time; a sum may wrap, as for observations.
+        // A product that overflows is an invalid time; a sum may wrap, as for observations.
         message.time = message.time.and_then(|time| Some(time.wrapping_add(delta.checked_mul(message.unit)?)));
         let sequence = message.sequence;
         message.sequence = sequence.saturating_add(1);
@@ -173,7 +173,7 @@ impl ScanDecoder {
         }
     }
 
-    /// Number of tiles in the last scan of tiles, as sent.
+    /// Number of tiles of the last scan of tiles, as sent.
     fn seen(&self) -> u64 {
         self.shown.runs.iter().map(|(first, end)| u64::from(end - first)).sum()
     }

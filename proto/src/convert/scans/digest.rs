@@ -1,15 +1,15 @@
-//! Digests of scans, by which a producer notices that it continues something else than what it sent before.
+//! Digests of scans, by which a producer detects that it continues other data than it sent before.
 //!
-//! Invariant: a digest depends on what a scan shows, and not on how it was put into messages.
+//! Invariant: a digest depends on what a scan shows, not on how it was split into messages.
 
 use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
 
 use crate::v1::{self, scan::Content};
 
-/// What the checksum of a tile is multiplied by.
+/// Factor of the checksum of a tile.
 const DIGEST_FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
 
-/// What one tile adds to the digest of a scan of tiles; the digest is their sum modulo 2^64.
+/// The digest of one tile; the digest of a scan of tiles is their sum modulo 2^64.
 #[must_use]
 pub fn tile_digest(index: TileIndex, masks: &TileMasks) -> u64 {
     masks_digest(index_crc(index), masks)
@@ -61,7 +61,7 @@ pub(super) fn pose_crc(pose: Option<&v1::Pose>) -> u32 {
     numbers.iter().fold(0, |crc, number| crc32c::crc32c_append(crc, &number.to_le_bytes()))
 }
 
-/// The checksum goes on over numbers as sent.
+/// Continues a checksum over numbers as sent.
 pub(super) fn floats_crc(crc: u32, numbers: &[f32]) -> u32 {
     let mut bytes = [0; 1024];
     numbers.chunks(bytes.len() / 4).fold(crc, |crc, numbers| {
@@ -72,7 +72,7 @@ pub(super) fn floats_crc(crc: u32, numbers: &[f32]) -> u32 {
     })
 }
 
-/// The running checksum of a stream's content, one scan further.
+/// The checksum of a stream's content, continued by one scan.
 #[must_use]
 pub fn content_crc(crc: u32, utc_nanos: i64, digest: u64) -> u32 {
     crc32c::crc32c_append(crc32c::crc32c_append(crc, &utc_nanos.to_le_bytes()), &digest.to_le_bytes())

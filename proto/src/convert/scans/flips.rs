@@ -1,6 +1,6 @@
-//! Ascending numbers as differences: runs of slots, and cells that have changed.
+//! Ascending numbers as differences: runs of slots, and changed cells.
 //!
-//! Invariant: reading gives strictly ascending numbers, or says what is wrong with them.
+//! Invariant: unpacked numbers ascend strictly; anything else is an error.
 
 use super::{ScanRefusal, TileError};
 
@@ -25,7 +25,7 @@ impl<'a> FlipReader<'a> {
         self.next.map(|cell| cell >> 9)
     }
 
-    /// The next cell where it is of this slot.
+    /// The next cell if it belongs to this slot.
     pub(super) fn next_of(&mut self, slot: u32) -> Result<Option<u32>, ScanRefusal> {
         let Some(cell) = self.next.filter(|cell| cell >> 9 == slot) else { return Ok(None) };
         self.next = match self.rest.next() {

@@ -1,7 +1,7 @@
-//! A scan that spans messages, while it is not whole.
+//! A scan that spans messages, while it is incomplete.
 //!
-//! Invariant: it takes no more memory than its limits allow; the columns of its parts are put one behind the other. Of
-//! readings that nobody will cast only the checksum is kept.
+//! Invariant: it takes no more memory than its limits allow; the columns of its parts are joined. For readings that
+//! will not be ray-cast, only the checksum is kept.
 
 use super::{
     ScanError, ScanLimits,
@@ -13,29 +13,29 @@ use crate::{
     v1::{TileScan, scan::Content},
 };
 
-/// Memory that a scan of tiles may take per tile while it is not whole: its slot, its masks and some flips.
+/// Memory that an incomplete scan of tiles may take per tile, bytes: its slot, its masks and some flips.
 const TILE_BYTES: usize = 192;
-/// Memory that it may take however few tiles there may be.
-const LEAST_BYTES: usize = 1 << 20;
+/// Memory that it may always take, bytes.
+const SCAN_BYTES_MIN: usize = 1 << 20;
 
-/// What has come of a scan.
+/// The parts that have arrived.
 #[derive(Debug)]
 pub(super) struct Parts {
     pub sequence: u64,
     pub utc_nanos: i64,
     pub content: Option<Content>,
     /// Readings that are not kept.
-    pub folded: Option<Folded>,
+    pub folded: Option<DroppedReadings>,
 }
 
-/// What is left of readings that are not kept.
+/// Checksum and number of readings that are not kept.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Folded {
+pub(super) struct DroppedReadings {
     crc: u32,
     numbers: usize,
 }
 
-impl Folded {
+impl DroppedReadings {
     /// The digest of the readings.
     pub fn digest(self) -> u64 {
         u64::from(self.crc)
@@ -43,7 +43,7 @@ impl Folded {
 }
 
 impl Parts {
-    /// Puts the next part behind those that have come.
+    /// Appends the next part.
     pub fn join(&mut self, sequence: u64, utc_nanos: i64, part: Option<Content>) -> Result<(), ScanError> {
         if sequence != self.sequence {
             let text = format!("{sequence}: scan {} goes on, and its next part has its number", self.sequence);
@@ -59,19 +59,19 @@ impl Parts {
         })
     }
 
-    /// Keeps no more of readings than their checksum and how many they are.
+    /// Replaces readings by their checksum and number.
     pub fn fold(&mut self) {
         let (pose, numbers) = match &mut self.content {
             Some(Content::Cloud(cloud)) => (cloud.pose.as_ref(), std::mem::take(&mut cloud.xyz_m)),
             Some(Content::Ranges(scan)) => (scan.pose.as_ref(), std::mem::take(&mut scan.ranges_m)),
             _ => return,
         };
-        let before = self.folded.unwrap_or_else(|| Folded { crc: pose_crc(pose), numbers: 0 });
+        let before = self.folded.unwrap_or_else(|| DroppedReadings { crc: pose_crc(pose), numbers: 0 });
         let crc = floats_crc(before.crc, &numbers);
-        self.folded = Some(Folded { crc, numbers: before.numbers + numbers.len() });
+        self.folded = Some(DroppedReadings { crc, numbers: before.numbers + numbers.len() });
     }
 
-    /// Memory that it takes, about.
+    /// Approximate memory, bytes.
     pub fn bytes(&self) -> usize {
         match &self.content {
             None => 0,
@@ -81,13 +81,13 @@ impl Parts {
         }
     }
 
-    /// Checks the size of what has come.
+    /// Checks the size of the parts.
     pub fn check(&self, limits: &ScanLimits) -> Result<(), ScanError> {
         let folded = self.folded.map_or(0, |folded| folded.numbers);
         let (what, got, max, setting) = match &self.content {
             None => return Ok(()),
             Some(Content::Tiles(scan)) => {
-                let max = limits.tiles.saturating_mul(TILE_BYTES).max(LEAST_BYTES);
+                let max = limits.tiles.saturating_mul(TILE_BYTES).max(SCAN_BYTES_MIN);
                 ("bytes of one scan's tiles", tile_bytes(scan), max, "setting max_scan_tiles")
             }
             Some(Content::Cloud(cloud)) => {

@@ -1,7 +1,7 @@
-//! Point clouds and planar scans, checked.
+//! Point clouds and planar scans: checks.
 //!
-//! Invariant: readings that leave here have a pose with a unit quaternion, in the map's frame, ranges that make sense,
-//! and a finite reading at least.
+//! Invariant: the returned readings have a pose with a unit quaternion in the frame of the map, valid ranges, and at
+//! least one finite reading.
 
 use nalgebra::Isometry3;
 use tidemap_map::{
@@ -15,7 +15,7 @@ use tidemap_map::{
 use super::ScanRefusal;
 use crate::{convert::grid::pose_from_wire, v1};
 
-/// Longest frame that is shown whole.
+/// Maximum length of a frame name in a message.
 const FRAME_SHOWN: usize = 60;
 
 /// Readings of a point cloud.

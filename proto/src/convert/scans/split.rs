@@ -1,6 +1,6 @@
-//! Scans put into messages, and messages cut to a size.
+//! Messages of scans, and their split into messages of limited size.
 //!
-//! Invariant: a decoder reads from the pieces of a message what it reads from the whole.
+//! Invariant: a decoder reads the same from the pieces as from the whole message.
 
 use prost::Message as _;
 
@@ -10,15 +10,14 @@ use crate::{
     v1::{self, scan::Content},
 };
 
-/// Bytes of a message beside its scans and tiles, and of a scan beside its columns, at most.
+/// Maximum number of bytes of a message without its scans and tiles, and of a scan without its columns.
 const OVERHEAD: usize = 160;
-/// Bytes of a time on the wire, at most.
+/// Maximum number of bytes of a time.
 const TIME_BYTES: usize = 10;
-/// Bytes of a number on the wire, at most.
+/// Maximum number of bytes of a number.
 const NUMBER_BYTES: usize = 5;
 
-/// A message of encoded scans, with their times; the slices have the same length. Cut it with [`split`] where it may be
-/// too long.
+/// A message of encoded scans with their times; the slices have the same length. Use [`split`] if it may be too long.
 #[must_use]
 pub fn batch(first_sequence: u64, times_nanos: &[i64], scans: Vec<EncodedScan>) -> v1::ScanBatch {
     let new_tiles = scans.iter().flat_map(|scan| &scan.new_tiles).flat_map(|tile| [tile.x, tile.y, tile.z]).collect();
@@ -29,7 +28,7 @@ pub fn batch(first_sequence: u64, times_nanos: &[i64], scans: Vec<EncodedScan>) 
     batch
 }
 
-/// Gives a message the times of its scans, in the greatest unit that divides their differences.
+/// Sets the times of the scans of a message, in the greatest unit that divides their differences.
 pub fn set_times(batch: &mut v1::ScanBatch, times_nanos: &[i64]) {
     let deltas = || times_nanos.windows(2).map(|pair| pair[1].wrapping_sub(pair[0]));
     let unit = deltas().fold(0, |unit, delta| greatest_common_divisor(unit, delta.unsigned_abs()));
@@ -39,7 +38,7 @@ pub fn set_times(batch: &mut v1::ScanBatch, times_nanos: &[i64]) {
     batch.time_deltas = times_nanos.first().map(|_| 0).into_iter().chain(deltas().map(|delta| delta / unit)).collect();
 }
 
-/// Cuts a message into messages of at most `max_bytes` each, at least 4096: between scans, and within scans that are
+/// Splits a message into messages of at most `max_bytes` each (at least 4096): between scans, and within scans that are
 /// too long for one message.
 #[must_use]
 pub fn split(batch: v1::ScanBatch, max_bytes: usize) -> Vec<v1::ScanBatch> {
@@ -63,7 +62,7 @@ pub fn split(batch: v1::ScanBatch, max_bytes: usize) -> Vec<v1::ScanBatch> {
                 piece.first_sequence = sequence;
                 piece.time_unit_nanos = batch.time_unit_nanos;
                 piece.first_time_nanos = time;
-                // All tiles come before the first scan is whole.
+                // All tiles are sent before the first scan is complete.
                 let (now, later) = tiles.split_at(tiles.len().min(room / 2 / NUMBER_BYTES / 3 * 3));
                 piece.new_tiles = now.to_vec();
                 tiles = later;
@@ -95,7 +94,7 @@ pub fn split(batch: v1::ScanBatch, max_bytes: usize) -> Vec<v1::ScanBatch> {
     pieces
 }
 
-/// Takes the beginning of a scan off it, of about as many bytes, at most.
+/// Removes the beginning of a scan, of at most about `bytes` bytes, and returns it.
 fn cut(scan: &mut v1::Scan, bytes: usize) -> v1::Scan {
     let bytes = bytes.saturating_sub(OVERHEAD + 600);
     let content = match &mut scan.content {

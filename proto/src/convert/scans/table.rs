@@ -1,9 +1,9 @@
-//! Scans of tiles on the sending side: each scan is sent as what differs from the scan before it.
+//! Scans of tiles on the sending side: each scan is sent as its difference to the previous scan.
 //!
 //! [`TileTable`] turns tiles into differences and differences into digests; [`TilePicture`] only follows them.
 //!
-//! Invariant: a decoder that takes the scans of one table in their order has the same picture of every tile. After a scan
-//! that [`TileTable::apply`] refuses for its cells the table must not be used again.
+//! Invariant: a decoder that takes the scans of one table in their order has the same picture of every tile. After a
+//! scan that [`TileTable::apply`] refuses for its cells the table must not be used again.
 
 use std::collections::HashMap;
 
@@ -19,7 +19,7 @@ use super::{
 };
 use crate::v1::{TileScan, scan::Content};
 
-/// A tile that changed in more cells is sent as whole masks, which then take less room than flips.
+/// A tile with more changed cells is sent as whole masks, which then take less room than flips.
 const FLIPS_MAX: u32 = 48;
 
 /// Why a scan of tiles is invalid.
@@ -85,7 +85,7 @@ impl TilePicture {
         self.runs.iter().flat_map(|&(first, beyond)| first..beyond)
     }
 
-    /// The same as `TileScan.seen` has it: a gap and a length for each run.
+    /// The same slots in the form of `TileScan.seen`: a gap and a length for each run.
     #[must_use]
     pub fn packed_seen(&self) -> Vec<u32> {
         pack_runs(&self.runs)
@@ -98,7 +98,8 @@ impl TilePicture {
         }
     }
 
-    /// Follows a scan that a [`TileTable`] has accepted, and calls `touched` for each slot whose masks may have changed.
+    /// Follows a scan that a [`TileTable`] has accepted, and calls `touched` for each slot whose masks may have
+    /// changed.
     pub fn follow(&mut self, scan: &TileScan, mut touched: impl FnMut(u32)) {
         if !scan.seen.is_empty() {
             // It was checked when the scan was accepted.
@@ -182,7 +183,7 @@ impl TileTable {
         (slot, true)
     }
 
-    /// Takes a scan as it is on the wire; returns its digest.
+    /// Applies a scan as it is on the wire; returns its digest.
     ///
     /// # Errors
     /// [`TileError`]
@@ -233,7 +234,7 @@ impl TileTable {
         Ok(())
     }
 
-    /// Takes tiles as they were seen, none twice; returns the scan that says how they differ from what was shown before.
+    /// Encodes the tiles of a scan, none twice, as their difference to what was shown before.
     ///
     /// # Errors
     /// [`TileError`]; the table is then as it was.

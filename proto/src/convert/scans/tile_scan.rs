@@ -1,8 +1,8 @@
-//! One scan of tiles against what its stream last showed of them.
+//! Decodes one scan of tiles against what its stream last showed.
 //!
-//! Invariant: a scan that is refused has changed no masks, and puts the slots that it names in doubt; flips of these are
-//! refused until masks come. What a scan costs follows what it changes, and the number of
-//! slots where it sees others than the scan before.
+//! Invariant: a refused scan changes no masks and puts the slots that it names in doubt; flips of these slots are
+//! refused until masks come. The cost of a scan depends on its changes, and on the number of slots if it sees other
+//! slots than the scan before.
 
 use tidemap_map::grid::{
     log_head::{SlotCell, StreamScan},
@@ -12,11 +12,11 @@ use tidemap_map::grid::{
 use super::{
     MASK_BYTES, ScanRefusal,
     flips::{FlipReader, unpack_runs},
-    shown::{LAYER, Shown, Slot},
+    stream_tiles::{LAYER, StreamTiles, TableSlot},
 };
 use crate::v1;
 
-/// Reads scans of tiles; keeps room that they share.
+/// Reads scans of tiles; keeps buffers that they share.
 #[derive(Debug, Default)]
 pub(super) struct TileScans {
     runs: Vec<(u32, u32)>,
@@ -58,7 +58,7 @@ impl<'a> Masks<'a> {
         self.slots.as_slice().first().copied()
     }
 
-    /// The next masks where they are of this slot: observed, occupied.
+    /// The next masks if they belong to this slot: observed, occupied.
     fn next_of(&mut self, slot: u32) -> Option<(Mask, Mask)> {
         if self.slot() != Some(slot) {
             return None;
@@ -72,7 +72,7 @@ impl<'a> Masks<'a> {
     }
 }
 
-/// Looks ascending slots up in ascending runs.
+/// Looks up ascending slots in ascending runs.
 struct Within<'a> {
     runs: &'a [(u32, u32)],
 }
@@ -87,10 +87,10 @@ impl Within<'_> {
 }
 
 impl TileScans {
-    /// Reads a scan, and takes it over into what the stream has shown.
+    /// Reads a scan, and updates what the stream has shown.
     pub(super) fn read(
         &mut self,
-        shown: &mut Shown,
+        shown: &mut StreamTiles,
         scan: &v1::TileScan,
         utc_nanos: i64,
     ) -> Result<StreamScan, ScanRefusal> {
@@ -104,7 +104,7 @@ impl TileScans {
 
     fn read_whole(
         &mut self,
-        shown: &mut Shown,
+        shown: &mut StreamTiles,
         scan: &v1::TileScan,
         utc_nanos: i64,
     ) -> Result<StreamScan, ScanRefusal> {
@@ -135,7 +135,7 @@ impl TileScans {
             if whole.is_none() && slot.is_in_doubt {
                 in_doubt = in_doubt.or(Some(number));
             }
-            // What is sent can be handed on as it is, unless masks come before it or cells are cut off.
+            // The flips can be passed on as sent, unless masks come before them or cells are clipped.
             let is_plain = whole.is_none() && slot.is_whole();
             while let Some(cell) = observed_flips.next_of(number)? {
                 observed.flip((cell % 512) as u16);
@@ -150,7 +150,7 @@ impl TileScans {
                 let changed = |before: Mask, now: Mask, to: &mut Vec<SlotCell>| {
                     to.extend(slot.cut(before ^ now).cells().map(|cell| number * 512 + u32::from(cell)));
                 };
-                let Slot { masks: before, .. } = slot;
+                let TableSlot { masks: before, .. } = slot;
                 changed(before.observed(), observed, &mut to_observed);
                 changed(before.occupied(), occupied, &mut to_occupied);
             }
@@ -169,7 +169,7 @@ impl TileScans {
     }
 }
 
-/// The slots that a malformed scan names as changed; `None` where that cannot be told.
+/// The slots that a malformed scan names as changed; `None` if that cannot be determined.
 fn named(scan: &v1::TileScan, table: usize) -> Option<Vec<u32>> {
     let most = scan.masked.len() * MASK_BYTES;
     if scan.observed.len() > most || scan.occupied.len() > most {

@@ -1,8 +1,9 @@
-//! A stream's table of tiles: which they are, what it last showed of them, and which of them it saw last.
+//! The table of tiles of a stream on the receiving side: what the stream last showed of each tile, and which tiles its
+//! last scan saw.
 //!
-//! Invariant: masks are those that were sent, also beyond the grid's extent, because digests and later flips refer to
-//! them. `digest` and `cells` are the sums over the tiles of `runs`. A slot is in doubt from a malformed scan that named
-//! it until a scan gives its masks whole: the sender may take it for moved.
+//! Invariant: masks are kept as sent, also beyond the extent of the grid, because digests and later flips refer to
+//! them. `digest` and `cells` are sums over the tiles of `runs`. A malformed scan puts the slots that it named in doubt
+//! until a scan sends their masks whole: the sender may believe that they changed.
 
 use std::{collections::HashSet, sync::Arc};
 
@@ -18,22 +19,22 @@ use super::{
 };
 use crate::convert::{InvalidField, OverLimit};
 
-/// Cells of a tile that a flat grid has.
+/// Cells of a tile of a flat grid.
 pub(super) const LAYER: Mask = Mask([u64::MAX, 0, 0, 0, 0, 0, 0, 0]);
 
 /// One tile of the table.
 #[derive(Debug)]
-pub(super) struct Slot {
+pub(super) struct TableSlot {
     pub masks: TileMasks,
     digest: u64,
     index_crc: u32,
     /// Cells within the grid's extent; `None`: all.
     within: Option<Box<Mask>>,
-    /// Whether its sender may believe that it has shown something else.
+    /// Whether the sender may believe that it has shown something else.
     pub is_in_doubt: bool,
 }
 
-impl Slot {
+impl TableSlot {
     /// Those of the cells that lie within the grid's extent.
     pub fn cut(&self, cells: Mask) -> Mask {
         self.within.as_ref().map_or(cells, |within| cells & **within)
@@ -49,29 +50,29 @@ impl Slot {
     }
 }
 
-/// What a stream has shown.
+/// The tiles that a stream has shown.
 #[derive(Debug)]
-pub(super) struct Shown {
+pub(super) struct StreamTiles {
     pub is_flat: bool,
     extent: Option<CellBox>,
-    pub slots: Vec<Slot>,
+    pub slots: Vec<TableSlot>,
     known: HashSet<TileIndex>,
     /// The slots seen last, as runs.
     pub runs: Vec<(u32, u32)>,
-    /// The same one by one, those without a cell in the grid's extent left out.
+    /// The same slots one by one, without those that have no cell in the extent of the grid.
     pub seen: Arc<[u32]>,
     pub digest: u64,
     /// Cells observed within the grid's extent.
     pub cells: u64,
-    /// Whether slots that are yet to come are in doubt.
+    /// Whether future slots are in doubt.
     is_rest_in_doubt: bool,
 }
 
-impl Shown {
-    pub fn new(spec: Option<&GridSpec>) -> Shown {
-        Shown {
+impl StreamTiles {
+    pub fn new(spec: Option<&GridSpec>) -> StreamTiles {
+        StreamTiles {
             is_flat: spec.is_some_and(|spec| spec.is_flat),
-            // Without one every tile that the wire allows lies within.
+            // Without an extent every tile that the wire allows lies within.
             extent: spec.filter(|spec| spec.extent.is_some()).map(GridSpec::allowed),
             slots: Vec::new(),
             known: HashSet::new(),
@@ -83,7 +84,7 @@ impl Shown {
         }
     }
 
-    /// Adds tiles to the table, all or none.
+    /// Adds tiles to the table: all or none.
     pub fn extend(&mut self, new_tiles: &[i32], max_tiles: usize) -> Result<Vec<TileIndex>, ScanError> {
         let (triples, rest) = new_tiles.as_chunks::<3>();
         if !rest.is_empty() {
@@ -115,17 +116,17 @@ impl Shown {
             let masks = TileMasks::default();
             let digest = masks_digest(index_crc, &masks);
             let within = self.within(index).map(Box::new);
-            self.slots.push(Slot { masks, digest, index_crc, within, is_in_doubt: self.is_rest_in_doubt });
+            self.slots.push(TableSlot { masks, digest, index_crc, within, is_in_doubt: self.is_rest_in_doubt });
         }
         Ok(indices)
     }
 
-    /// The cells of a tile that lie within the extent, where some do not.
+    /// The cells of a tile that lie within the extent; `None` if all do.
     fn within(&self, index: TileIndex) -> Option<Mask> {
         let extent = self.extent?;
         let mut common = index.cells().intersection(&extent);
         if self.is_flat {
-            // The cells above the layer are never used: they do not make the tile a cut one.
+            // The cells above the layer are never used: the tile counts as whole.
             let whole = index.cells();
             (common.min.z, common.max.z) = (whole.min.z, whole.max.z);
         }
@@ -141,14 +142,14 @@ impl Shown {
         Some(within)
     }
 
-    /// Memory that it takes, in bytes, about.
+    /// Approximate memory, bytes.
     pub fn bytes(&self) -> usize {
         let cut = self.slots.iter().filter(|slot| !slot.is_whole()).count();
-        let per_slot = size_of::<Slot>() + 2 * size_of::<TileIndex>();
+        let per_slot = size_of::<TableSlot>() + 2 * size_of::<TileIndex>();
         self.slots.len() * per_slot + cut * size_of::<Mask>() + 4 * self.seen.len() + 8 * self.runs.len()
     }
 
-    /// Puts slots in doubt; `None`: all of them, and those that are yet to come.
+    /// Puts slots in doubt; `None`: all slots, including future ones.
     pub fn doubt(&mut self, slots: Option<&[u32]>) {
         match slots {
             Some(slots) => {
@@ -165,7 +166,7 @@ impl Shown {
         }
     }
 
-    /// Ends the doubt about slots whose masks were given whole.
+    /// Ends the doubt about slots whose masks were sent whole.
     pub fn trust(&mut self, slots: &[u32]) {
         for &number in slots {
             if let Some(slot) = self.slots.get_mut(number as usize) {
@@ -174,7 +175,7 @@ impl Shown {
         }
     }
 
-    /// Takes a scan over: the masks that it changes, and the runs where it sees other slots than the scan before.
+    /// Applies a scan: its changed masks, and its runs if it sees other slots than the previous scan.
     pub fn take(&mut self, changes: &[(u32, TileMasks)], runs: Option<&mut Vec<(u32, u32)>>) {
         for &(slot, masks) in changes {
             let Some(slot) = self.slots.get_mut(slot as usize) else { continue };
