@@ -73,12 +73,12 @@ impl PhasorSum {
 
     /// Adds a row of the same layout. Where the row is shorter than the sum, the rest stays.
     pub fn add_row(&mut self, row: &[f64]) {
-        Arch::new().dispatch(AddRow { sum: &mut self.parts, row });
+        Arch::new().dispatch(AddRow::<false> { sum: &mut self.parts, row });
     }
 
     /// Subtracts a row of the same layout. Where the row is shorter than the sum, the rest stays.
     pub fn subtract_row(&mut self, row: &[f64]) {
-        Arch::new().dispatch(SubtractRow { sum: &mut self.parts, row });
+        Arch::new().dispatch(AddRow::<true> { sum: &mut self.parts, row });
     }
 
     /// Adds `plus - minus`: the times from one row of [`RunningSums`] up to a later one. Where a row is
@@ -88,13 +88,13 @@ impl PhasorSum {
     }
 }
 
-/// `sum += row`
-struct AddRow<'a> {
+/// `sum += row`, or `sum -= row` if `NEGATED`.
+struct AddRow<'a, const NEGATED: bool> {
     sum: &'a mut [f64],
     row: &'a [f64],
 }
 
-impl WithSimd for AddRow<'_> {
+impl<const NEGATED: bool> WithSimd for AddRow<'_, NEGATED> {
     type Output = ();
 
     #[inline(always)]
@@ -103,33 +103,10 @@ impl WithSimd for AddRow<'_> {
         let (sum, sum_rest) = S::as_mut_simd_f64s(&mut self.sum[..used]);
         let (row, row_rest) = S::as_simd_f64s(&self.row[..used]);
         for (sum, &row) in sum.iter_mut().zip(row) {
-            *sum = simd.add_f64s(*sum, row);
+            *sum = if NEGATED { simd.sub_f64s(*sum, row) } else { simd.add_f64s(*sum, row) };
         }
         for (sum, row) in sum_rest.iter_mut().zip(row_rest) {
-            *sum += row;
-        }
-    }
-}
-
-/// `sum -= row`
-struct SubtractRow<'a> {
-    sum: &'a mut [f64],
-    row: &'a [f64],
-}
-
-impl WithSimd for SubtractRow<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let used = self.sum.len().min(self.row.len());
-        let (sum, sum_rest) = S::as_mut_simd_f64s(&mut self.sum[..used]);
-        let (row, row_rest) = S::as_simd_f64s(&self.row[..used]);
-        for (sum, &row) in sum.iter_mut().zip(row) {
-            *sum = simd.sub_f64s(*sum, row);
-        }
-        for (sum, row) in sum_rest.iter_mut().zip(row_rest) {
-            *sum -= row;
+            *sum = if NEGATED { *sum - row } else { *sum + row };
         }
     }
 }

@@ -8,6 +8,7 @@
 #![allow(clippy::unwrap_used)]
 
 #[path = "../src/testkit.rs"]
+#[allow(dead_code, reason = "the tests use more of it")]
 mod testkit;
 
 use std::time::{Duration, Instant};

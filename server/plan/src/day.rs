@@ -134,16 +134,3 @@ pub fn plan_day(
     };
     Ok(plan.into_iter().enumerate().map(row).collect())
 }
-
-/// Replans one slot with the present gain of each place. A slot without a visit stays without one, so that the budget
-/// is kept; a visit goes to the place of [`strategy::choose`] (RA-L 2016, section III.A: "at the beginning of each time
-/// slot allocated for exploration").
-///
-/// # Errors
-/// [`DayError`] if a gain is negative or NaN, or there are no places.
-pub fn replan(row: &DayRow, gains_now: &[f64], strategy: Strategy, seed: u64) -> Result<DayRow, DayError> {
-    let gains = Gains::of(1, gains_now.len(), |_, place| gains_now[place])?;
-    let location = row.location.map(|planned| strategy::choose(strategy, planned, gains_now, seed));
-    let information_bits = location.map_or(0.0, |place| gains.at(0, place));
-    Ok(DayRow { location, information_bits, ..*row })
-}

@@ -105,11 +105,6 @@ impl PoissonSpectral {
         count.max(self.parts.floor)
     }
 
-    /// Expected events per second around a moment; above 0.
-    pub fn rate_per_sec(&self, at: Moment) -> f64 {
-        self.predict(at) / (self.parts.bin_nanos as f64 / 1e9)
-    }
-
     /// Number of components in use, 0..=[`ORDER_MAX`].
     pub fn order(&self) -> usize {
         self.parts.components.len()

@@ -127,8 +127,8 @@ proptest! {
             let mut sum = vec![0.0; width];
             arch.dispatch(AddDifference { sum: &mut sum, plus: &plus, minus: &minus });
             check_same(&sum, &expected, 1);
-            arch.dispatch(AddRow { sum: &mut sum, row: &minus });
-            arch.dispatch(SubtractRow { sum: &mut sum, row: &minus });
+            arch.dispatch(AddRow::<false> { sum: &mut sum, row: &minus });
+            arch.dispatch(AddRow::<true> { sum: &mut sum, row: &minus });
             check_same(&sum, &expected, 1);
         }
     }

@@ -78,17 +78,3 @@ fn a_plan_asks_for_the_middle_of_each_slot_and_tells_what_it_promises() {
         assert!((row.information_bits - if is_visit { 3.0 } else { 0.0 }).abs() < 1e-12);
     }
 }
-
-#[test]
-fn a_slot_planned_again_keeps_its_rest_and_takes_the_best_of_now() {
-    let day = london(SPRING, HOUR_NANOS).unwrap();
-    let plan = plan_day(&day, 2, |_, place| place as f64, Strategy::Greedy, Budget::Ratio(0.5), 2).unwrap();
-    let now = [0.7, 0.1];
-    for row in plan {
-        let again = replan(&row, &now, Strategy::Greedy, 2).unwrap();
-        assert_eq!(again.location, row.location.map(|_| 0));
-        assert!((again.information_bits - if row.location.is_some() { 0.7 } else { 0.0 }).abs() < 1e-12);
-        assert!(replan(&row, &[], Strategy::Greedy, 2).is_err());
-        assert!(replan(&row, &[f64::NAN, 0.0], Strategy::Greedy, 2).is_err());
-    }
-}

@@ -150,7 +150,7 @@ fn what_is_too_much_is_refused() {
     let view = learned(spec(false));
     let ask = |options: PredictOptions| PredictedTimes::new(&view, &times(), &options).map(|_| ()).unwrap_err();
     let few = PredictOptions { max_cells: 1000, ..PredictOptions::default() };
-    assert!(ask(few).to_string().contains("may take 1000"));
+    assert!(ask(few).to_string().contains("at most 1000"));
     let few = PredictOptions { max_values: 24, ..options(ModelKind::Spectral, false) };
     assert!(matches!(ask(few), PredictError::TooManyValues { times: 24, max: 24 }));
     let none = PredictedTimes::new(&view, &[], &PredictOptions::default());

@@ -1,24 +1,9 @@
 //! What a policy does at doors, in short times and at limits.
 
-use tidemap_map::{
-    name::StateName,
-    topology::{Edge, Extent, Topology},
-};
+use tidemap_map::topology::Edge;
 
 use super::*;
-use crate::route::Forecasts;
-
-/// A chain of nodes, connected both ways.
-fn street(count: usize) -> Topology {
-    let mut topology = Topology::new();
-    let nodes: Vec<NodeId> = (0..count)
-        .map(|node| topology.add_node(StateName::new(&format!("n{node}")).unwrap(), None, None).unwrap())
-        .collect();
-    for pair in nodes.windows(2) {
-        topology.link(pair[0], pair[1], Extent::secs(10.0)).unwrap();
-    }
-    topology
-}
+use crate::{route::Forecasts, testkit::street};
 
 fn sure(_: &Edge, _: f64) -> Option<EdgeForecast> {
     Some(EdgeForecast { success: 1.0, duration_secs: 10.0, evidence: 9.0 })

@@ -2,7 +2,8 @@
 
 use tidemap_map::topology::Topology;
 
-use super::{worlds::street, *};
+use super::*;
+use crate::testkit::street;
 
 fn sure(_: &tidemap_map::topology::Edge, _: f64) -> Option<EdgeForecast> {
     Some(EdgeForecast { success: 0.8, duration_secs: 10.0, evidence: 9.0 })

@@ -54,18 +54,6 @@ impl World {
     }
 }
 
-/// A chain of nodes, connected both ways, with equal edges.
-pub(crate) fn street(count: usize) -> Topology {
-    let mut topology = Topology::new();
-    let nodes: Vec<NodeId> = (0..count)
-        .map(|node| topology.add_node(StateName::new(&format!("n{node}")).unwrap(), None, None).unwrap())
-        .collect();
-    for pair in nodes.windows(2) {
-        topology.link(pair[0], pair[1], Extent::secs(10.0)).unwrap();
-    }
-    topology
-}
-
 /// Forecasts with bounds.
 pub(crate) struct Knowing<'a>(pub(crate) &'a World);
 
