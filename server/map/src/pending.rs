@@ -22,7 +22,7 @@ struct Day {
 }
 
 #[derive(Debug, Default)]
-pub struct Pending {
+pub(crate) struct Pending {
     by_state: Vec<Vec<Sample>>,
     total: u64,
     future: Vec<(StateId, Sample)>,
@@ -34,7 +34,7 @@ pub struct Pending {
 
 /// What an update takes.
 #[derive(Debug)]
-pub struct Taken {
+pub(crate) struct Taken {
     /// Per state, in order of arrival.
     pub by_state: Vec<(StateId, Vec<Sample>)>,
     /// Those of them that had waited apart, ascending by time.
@@ -43,22 +43,22 @@ pub struct Taken {
 
 impl Pending {
     /// Observations that an update could fold in.
-    pub fn total(&self) -> u64 {
+    pub(crate) fn total(&self) -> u64 {
         self.total
     }
 
     /// Observations that wait until the clock has come near their time.
-    pub fn future(&self) -> u64 {
+    pub(crate) fn future(&self) -> u64 {
         self.future.len() as u64
     }
 
     /// Those of a state, in order of arrival; last those that wait.
-    pub fn of_state(&self, state: StateId) -> impl Iterator<Item = &Sample> {
+    pub(crate) fn of_state(&self, state: StateId) -> impl Iterator<Item = &Sample> {
         let pending = self.by_state.get(state.0 as usize).into_iter().flatten();
         pending.chain(self.future.iter().filter(move |(of, _)| *of == state).map(|(_, sample)| sample))
     }
 
-    pub fn push(&mut self, position: u64, state: StateId, sample: Sample) {
+    pub(crate) fn push(&mut self, position: u64, state: StateId, sample: Sample) {
         let index = state.0 as usize;
         if index >= self.by_state.len() {
             self.by_state.resize_with(index + 1, Vec::new);
@@ -68,7 +68,7 @@ impl Pending {
         self.note(position, sample.utc_nanos);
     }
 
-    pub fn push_future(&mut self, position: u64, state: StateId, sample: Sample) {
+    pub(crate) fn push_future(&mut self, position: u64, state: StateId, sample: Sample) {
         self.future.push((state, sample));
         self.note(position, sample.utc_nanos);
     }
@@ -84,22 +84,22 @@ impl Pending {
     }
 
     /// Nothing is pending, of scans neither.
-    pub fn all_taken(&mut self) {
+    pub(crate) fn all_taken(&mut self) {
         self.received_nanos = None;
     }
 
     /// Notes when observations were received.
-    pub fn received(&mut self, received_nanos: i64) {
+    pub(crate) fn received(&mut self, received_nanos: i64) {
         self.received_nanos = Some(self.received_nanos.map_or(received_nanos, |known| known.min(received_nanos)));
     }
 
     /// When the first of the pending observations was received, or earlier.
-    pub fn received_nanos(&self) -> Option<i64> {
+    pub(crate) fn received_nanos(&self) -> Option<i64> {
         self.received_nanos
     }
 
     /// Takes what lies before the cut, per state that has any, and leaves the rest.
-    pub fn take_before(&mut self, cut_nanos: i64) -> Taken {
+    pub(crate) fn take_before(&mut self, cut_nanos: i64) -> Taken {
         let (mut were_ahead, future) =
             std::mem::take(&mut self.future).into_iter().partition::<Vec<_>, _>(|(_, s)| s.utc_nanos < cut_nanos);
         self.future = future;
@@ -143,17 +143,17 @@ impl Pending {
     }
 
     /// Log position from which all pending observations are found again, or `end` where there are none.
-    pub fn replay_from(&self, end: u64) -> u64 {
+    pub(crate) fn replay_from(&self, end: u64) -> u64 {
         self.days.values().map(|day| day.first_position).min().unwrap_or(end).min(end)
     }
 
     /// The least time of the pending observations, nanoseconds UTC, or less.
-    pub fn oldest_nanos(&self) -> Option<i64> {
+    pub(crate) fn oldest_nanos(&self) -> Option<i64> {
         self.days.values().next().map(|day| day.oldest_nanos)
     }
 
     /// The greatest time before `limit_nanos` of those that wait apart.
-    pub fn newest_future_before(&self, limit_nanos: i64) -> Option<i64> {
+    pub(crate) fn newest_future_before(&self, limit_nanos: i64) -> Option<i64> {
         self.future.iter().map(|(_, sample)| sample.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
     }
 }

@@ -59,7 +59,7 @@ pub(super) fn unpack_runs(sent: &[u32], table: usize, runs: &mut Vec<SlotRun>) -
         let first = u64::from(end) + u64::from(gap);
         let run = u32::try_from(first).ok().and_then(|first| Some((first, first.checked_add(length)?)));
         let run = run.filter(|(_, beyond)| *beyond as usize <= table);
-        let (first, beyond) = run.ok_or(TileError::Slot { slot: first.max(table as u64), tiles: table })?;
+        let (first, beyond) = run.ok_or(TileError::RunBeyond { first, length, tiles: table })?;
         match runs.last_mut() {
             Some((_, last)) if *last == first => *last = beyond,
             _ => runs.push((first, beyond)),

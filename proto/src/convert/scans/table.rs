@@ -32,6 +32,8 @@ pub enum TileError {
     Twice(TileIndex),
     #[error("slot {slot} is beyond the stream's {tiles} tiles")]
     Slot { slot: u64, tiles: usize },
+    #[error("seen: {length} slots from slot {first} are beyond the stream's {tiles} tiles")]
+    RunBeyond { first: u64, length: u32, tiles: usize },
     #[error("seen: {0} entries are not pairs of a gap and a length")]
     Runs(usize),
     #[error("seen: a run of 0 slots")]

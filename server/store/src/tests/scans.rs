@@ -163,5 +163,5 @@ fn counts_that_nothing_stands_behind_are_refused() {
         occupied_counts: column,
         ..one
     };
-    assert_eq!(decode(&bomb), Err("the sets of tiles are larger than they may be"));
+    assert_eq!(decode(&bomb), Err("the sets of tiles are larger than the limit"));
 }

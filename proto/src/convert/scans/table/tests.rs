@@ -108,10 +108,10 @@ fn invalid_scans_are_refused() -> Result<(), TileError> {
     assert_eq!(table.extend(&[1, 2, 3]), Err(TileError::Twice(index)));
     assert_eq!(table.encode(&[(tile(0), masks(&[], &[])); 2]), Err(TileError::Twice(tile(0))));
     let scan = |seen: &[u32]| TileScan { seen: seen.to_vec(), ..TileScan::default() };
-    assert_eq!(table.apply(&scan(&[0, 2])), Err(TileError::Slot { slot: 1, tiles: 1 }));
+    assert_eq!(table.apply(&scan(&[0, 2])), Err(TileError::RunBeyond { first: 0, length: 2, tiles: 1 }));
     assert_eq!(table.apply(&scan(&[0])), Err(TileError::Runs(1)));
     assert_eq!(table.apply(&scan(&[0, 0])), Err(TileError::EmptyRun));
-    assert!(matches!(table.apply(&scan(&[u32::MAX, 2])), Err(TileError::Slot { .. })));
+    assert!(matches!(table.apply(&scan(&[u32::MAX, 2])), Err(TileError::RunBeyond { .. })));
     let masked = TileScan { masked: vec![0], occupied: vec![0; 63], ..scan(&[0, 1]) };
     assert_eq!(table.apply(&masked), Err(TileError::Masks { what: "occupied", found: 63, tiles: 1 }));
     let flipped = TileScan { observed_flips: vec![500, 12], ..scan(&[0, 1]) };
