@@ -10,31 +10,18 @@ use tonic_types::StatusExt as _;
 
 /// Why a request failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
 pub enum Error {
-    /// An invalid address.
     #[error("{url:?} is not an address of a daemon: use HOST:PORT or http://HOST:PORT{hint}")]
-    Address {
-        /// The address.
-        url: String,
-        /// A hint.
-        hint: &'static str,
-    },
-    /// A token that cannot be sent.
+    Address { url: String, hint: &'static str },
     #[error("the token holds characters that cannot be sent: use printable ASCII on one line")]
     Token,
-    /// The daemon does not answer.
     #[error("no daemon answers at {server}: {detail}")]
-    Unreachable {
-        /// Where.
-        server: String,
-        /// The error of the operating system.
-        detail: String,
-    },
+    Unreachable { server: String, detail: String },
     /// The daemon refused the request, or failed.
     #[error("{0}")]
     Server(ServerError),
-    /// The reply violates the protocol.
-    #[error("the daemon's answer is not understood: {0}; is it of another version?")]
+    #[error("the reply of the daemon is invalid: {0}; does it have another version?")]
     Protocol(&'static str),
 }
 

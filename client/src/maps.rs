@@ -309,7 +309,7 @@ impl Client {
 fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
     let map = map.ok_or(Error::Protocol("no map in the answer"))?;
     let order_criterion = criterion_from_wire(map.order_criterion()).unwrap_or_default();
-    let wrong = |_| Error::Protocol("a map that cannot be");
+    let wrong = |_| Error::Protocol("an invalid map");
     let periodicities = periodicities_from_wire(map.periodicities).map_err(wrong)?.definition().clone();
     let retention = retention_from_wire("retention", map.retention, Retention::Forever).map_err(wrong)?;
     Ok(Map {

@@ -1,11 +1,11 @@
 //! Sending observations, scans and traversals, each exactly once.
 //!
-//! [`Producer`] is what callers use. Behind it: [`window`] decides what is sent, kept and given up, without any I/O;
-//! [`columns`] packs observations; [`scan_stream`] packs scans; [`retry`] decides when to try again; `link`
-//! does the talking.
+//! [`Producer`] is the handle for callers. Behind it: [`window`] decides what is sent, kept and dropped, without any
+//! I/O; [`columns`] packs observations; [`scan_stream`] packs scans; [`retry`] decides when to try again; `link` talks
+//! to the daemon.
 //!
-//! Invariant: an observation handed to a producer is given its sequence number at once and is kept until the daemon
-//! says that it is durable, whatever happens to connections in between.
+//! Invariant: an observation gets its sequence number at once and is kept until the daemon reports that it is durable,
+//! even if connections break.
 
 pub mod columns;
 pub mod content;
@@ -38,43 +38,35 @@ pub use tidemap_map::{grid::sensors::ProducerSensor, ids::RefusalReason};
 
 use crate::error::Error;
 
-/// Most bytes of a state's name that is sent: the longest of an edge, with 4 bytes a character. Others have at most 128
-/// characters; the daemon refuses longer ones.
+/// Maximum number of bytes of the name of a state: the longest name of an edge, with 4 bytes per character. Other names
+/// have at most 128 characters; the daemon refuses longer ones.
 pub const STATE_NAME_BYTES_MAX: usize = 4 * tidemap_map::name::EDGE_STATE_CHARS_MAX;
 
-/// An observation that the daemon refused. It used up its sequence number.
+/// An observation that the daemon refused. It used its sequence number.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Refusal {
-    /// Which.
+    /// Sequence number.
     pub sequence: u64,
-    /// The reason to act on.
-    /// `None`: a reason that this version does not know.
+    /// Reason for programs; `None`: a reason that this version does not know.
     pub reason: Option<RefusalReason>,
-    /// The reason to read.
+    /// Reason in words.
     pub detail: String,
 }
 
-/// Why a producer ended, or what it was asked cannot be done. Everything acknowledged before stays durable.
+/// Why a producer ended, or cannot do what it was asked. Everything acknowledged before stays durable.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
 pub enum ProducerError {
-    /// It was closed.
     #[error("the producer was closed")]
     Closed,
-    /// No way to the daemon for longer than the patience allows.
     #[error("gave up after {waited_secs} s: {last}")]
-    GaveUp {
-        /// How long.
-        waited_secs: u64,
-        /// The failure of the last attempt.
-        last: Error,
-    },
+    GaveUp { waited_secs: u64, last: Error },
     /// A newer stream of the same producer and label took over.
     #[error("{0}")]
     Superseded(String),
-    /// The key is in use.
+    /// Another stream holds the key.
     #[error("{0}")]
     KeyInUse(String),
-    /// The daemon found a gap in the sequence numbers.
     #[error("the daemon found a gap in the sequence numbers: {0}")]
     OutOfSequence(String),
     /// The disk of the daemon is full, or a limit is reached.
@@ -83,53 +75,32 @@ pub enum ProducerError {
     /// The map does not exist.
     #[error("{0}")]
     MapNotFound(String),
-    /// The map was deleted meanwhile.
+    /// The map was deleted.
     #[error("{0}")]
     MapDeleted(String),
-    /// The daemon could not make sense of a message.
+    /// The daemon received an invalid message.
     #[error("{0}")]
     Invalid(String),
-    /// The daemon's storage failed.
     #[error("the daemon's storage failed: {0}")]
     Storage(String),
-    /// The daemon lacks observations that it had acknowledged and that are no longer kept here.
     #[error(
         "the daemon has observations up to number {durable} only, but acknowledged those up to {acknowledged} earlier; \
          those between are no longer kept here (was a backup restored?)"
     )]
-    Lost {
-        /// What the daemon has now.
-        durable: u64,
-        /// What it had acknowledged.
-        acknowledged: u64,
-    },
-    /// The daemon has observations that this producer never sent.
+    Lost { durable: u64, acknowledged: u64 },
     #[error("the daemon has observations up to number {durable}, but only {sent} were sent from here")]
-    Foreign {
-        /// What the daemon has.
-        durable: u64,
-        /// What was sent.
-        sent: u64,
-    },
-    /// The daemon has other observations than were sent.
-    #[error("what the daemon has as observations 1 to {durable} differs from what was sent from here")]
-    Differs {
-        /// What the daemon has.
-        durable: u64,
-    },
-    /// A scan that makes no sense.
-    #[error("the scan makes no sense: {0}")]
+    Foreign { durable: u64, sent: u64 },
+    #[error("observations 1 to {durable} of the daemon differ from those sent from here")]
+    Differs { durable: u64 },
+    #[error("the scan is invalid: {0}")]
     Tiles(#[from] tidemap_proto::convert::scans::TileError),
-    /// A time before 1970 cannot be sent.
     #[error("time {0} ns is before 1970")]
     TimeBefore1970(i64),
-    /// A position has 2 or 3 coordinates.
-    #[error("{0} coordinates are no position: 2 or 3 are")]
+    #[error("{0} coordinates: a position has 2 or 3")]
     Coordinates(usize),
-    /// A name that long cannot be sent.
     #[error("a state's name of {0} bytes is too long: at most 128 characters are allowed")]
     NameTooLong(usize),
-    /// Anything else that the daemon, or the way there, says.
+    /// Another error of the daemon, or of the connection.
     #[error("{0}")]
     Other(Error),
 }

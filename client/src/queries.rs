@@ -1,6 +1,6 @@
-//! Asking a map about any time, past or future.
+//! Predictions, models, anomalies and history of a map.
 //!
-//! Invariant: predictions come in the order in which they were asked for: by state, then by time.
+//! Invariant: predictions come in the requested order: by state, then by time.
 
 mod anomalies;
 mod evaluate;
@@ -30,24 +30,24 @@ use crate::{
     maps::StateKind,
 };
 
-/// What was learned of one state.
+/// The description of the model of one state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelDescription {
     /// Name of the state.
     pub state: String,
-    /// Its kind.
+    /// Kind.
     pub kind: StateKind,
-    /// Mean of the values folded in; where there are none 0.5, or 0 of a state that is no probability.
+    /// Mean of the learned values; if there are none: 0.5 for a probability, else 0.
     pub mean: f64,
-    /// Observations folded in by updates.
+    /// Number of observations that updates have learned.
     pub folded_observations: u64,
-    /// Acknowledged observations, those not yet folded in included.
+    /// Number of acknowledged observations, including those not yet learned.
     pub observations: u64,
     /// Number of components that predictions use.
     pub order: u32,
     /// Strongest first; predictions use the first `order`.
     pub components: Vec<Component>,
-    /// Decayed sum of errors of each order, by which the order was chosen.
+    /// Decayed sum of errors of each order, by which updates select the order.
     pub order_errors: Vec<f64>,
     /// Time constant of the persistence.
     pub persistence_tau_secs: f64,
@@ -55,13 +55,13 @@ pub struct ModelDescription {
     pub last_value: Option<f64>,
     /// Time of the newest observation.
     pub last_nanos: Option<i64>,
-    /// Oldest observation folded in.
+    /// Time of the oldest learned observation.
     pub first_nanos: Option<i64>,
-    /// The model in force, by which `auto` answers.
+    /// The selected model, which `auto` uses.
     pub chosen: ModelSelector,
-    /// Decayed sums of errors of the models between which updates choose.
+    /// Decayed sums of errors of the models from which updates select.
     pub model_errors: Vec<(ModelSelector, f64)>,
-    /// The local date, YYYY-MM-DD, on which recent errors were found to depart from their history.
+    /// The local date, YYYY-MM-DD, from which recent errors differ from their history.
     pub change_date: Option<String>,
 }
 
@@ -70,13 +70,13 @@ pub struct ModelDescription {
 pub struct Component {
     /// Period.
     pub period_secs: f64,
-    /// In units of the state's value.
+    /// In the unit of the state.
     pub amplitude: f64,
     /// In (-π, π].
     pub phase_rad: f64,
 }
 
-/// The model that a reply names; a kind that this version does not know counts as `auto`.
+/// The model of a reply; a kind that this version does not know counts as `auto`.
 fn selector_of(model: Option<v1::ModelSelector>) -> ModelSelector {
     selector_from_wire("model", model).unwrap_or_default()
 }
@@ -86,10 +86,10 @@ impl Client {
         QueryServiceClient::new(self.requests()).max_decoding_message_size(REPLY_BYTES_MAX)
     }
 
-    /// What was learned of one state.
+    /// The description of the model of one state.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist.
     pub async fn describe_model(&self, map: &str, state: &str) -> Result<ModelDescription, Error> {
         let request = v1::DescribeModelRequest { map: map.to_owned(), state: state.to_owned() };
         let response = self.query_service().describe_model(request).await.map_err(|status| self.error(&status))?;

@@ -1,6 +1,6 @@
-//! Files of scans, `.tms`: what a robot has seen, to be sent later, once or to several maps.
+//! Files of scans, `.tms`: what a robot has seen, to send later, once or to several maps.
 //!
-//! A file is a line and length-delimited protobuf messages, so that any language with protobuf can write it:
+//! A file is one line and length-delimited protobuf messages, so that any language with protobuf can write it:
 //!
 //! ```text
 //! tidemap scans 1\n
@@ -16,12 +16,12 @@
 //! }
 //! ```
 //!
-//! The batches are those of one Observe stream from its beginning: the first has `first_sequence` 1, and each goes on
-//! where the one before ended; the table of tiles starts empty. A batch of up to 256 scans and 512 KiB, its
-//! `first_sequence` at 1, can be sent as it is.
+//! The batches are those of one Observe stream from its beginning: the first has `first_sequence` 1, and each continues
+//! after the previous one; the table of tiles starts empty. A batch of up to 256 scans and 512 KiB, with
+//! `first_sequence` 1 for the first, can be sent as it is.
 //!
-//! Invariant: no more than one batch, or one scan that spans batches, is in memory. A file that is cut off gives every
-//! whole batch and then an error that says where.
+//! Invariant: at most one batch, or one scan that spans batches, is in memory. A truncated file gives every complete
+//! batch and then an error with its position.
 
 mod error;
 mod writer;
@@ -37,27 +37,27 @@ use tidemap_proto::{
     v1::{Scan, ScanBatch},
 };
 
-pub use error::{ScanFileError, Wrong};
+pub use error::{ScanFileError, ScanFileFault};
 pub use writer::{ScanFileWriter, ScanWriteError};
 
 /// The first line.
 pub const MAGIC: &[u8] = b"tidemap scans 1\n";
-/// Longest message. A batch that a daemon takes is far shorter.
+/// Maximum length of a message. A batch that a daemon accepts is far shorter.
 pub const MESSAGE_BYTES_MAX: u64 = 64 << 20;
-/// Most messages that one scan spans.
+/// Maximum number of messages of one scan.
 const PARTS_MAX: usize = 256;
 const VARINT_BYTES_MAX: u32 = 10;
 
-/// What the scans of a file are for.
+/// The grid that the scans of a file are for.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct ScanFileHeader {
-    /// Length of a cell's edge in metres; 0 where the file has no scans of tiles.
+    /// Length of a cell's edge in metres; 0 if the file has no scans of tiles.
     #[prost(double, tag = "1")]
     pub resolution_m: f64,
-    /// The map's frame; empty where it is not said.
+    /// Frame of the map; empty if unknown.
     #[prost(string, tag = "2")]
     pub frame_id: String,
-    /// Lower corner of cell (0, 0, 0) in metres; empty where it is not said.
+    /// Lower corner of cell (0, 0, 0) in metres; empty if unknown.
     #[prost(double, repeated, tag = "3")]
     pub origin_m: Vec<f64>,
 }
@@ -65,20 +65,20 @@ pub struct ScanFileHeader {
 /// A scan of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileScan {
-    /// Its number, from 1.
+    /// Number, from 1.
     pub number: u64,
-    /// When it was made.
+    /// Time, nanoseconds UTC.
     pub time_nanos: i64,
-    /// Tiles that the file's table has from here on: x, y, z of each.
+    /// Tiles to append to the table of the file: x, y, z of each.
     pub new_tiles: Vec<i32>,
-    /// What it shows, its slots those of the file's table.
+    /// Content; its slots are those of the table of the file.
     pub scan: Scan,
 }
 
-/// A batch as it stands in the file.
+/// An undecoded batch.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawBatch {
-    /// Where its length begins, in bytes from the start of the file.
+    /// Position of its length, in bytes from the start of the file.
     pub offset: u64,
     /// An encoded `ScanBatch`.
     pub bytes: Vec<u8>,
@@ -90,14 +90,14 @@ pub struct ScanFile<R> {
     reader: R,
     header: ScanFileHeader,
     offset: u64,
-    /// Scans of the batches so far, whole ones.
+    /// Number of complete scans so far.
     scans: u64,
-    /// A scan that goes on in the next batch, and how many parts it has.
+    /// A scan that continues in the next batch, and its number of parts so far.
     unfinished: Option<(FileScan, usize)>,
 }
 
 impl<R: BufRead> ScanFile<R> {
-    /// Reads what comes before the batches.
+    /// Reads the header.
     ///
     /// # Errors
     /// [`ScanFileError`]
@@ -106,24 +106,24 @@ impl<R: BufRead> ScanFile<R> {
         let mut magic = Vec::new();
         (&mut file.reader).take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(|error| file.io(error))?;
         if magic != MAGIC {
-            return Err(file.wrong(0, Wrong::Magic(magic)));
+            return Err(file.wrong(0, ScanFileFault::Magic(magic)));
         }
         file.offset = MAGIC.len() as u64;
         let at = file.offset;
-        let bytes = file.message("the header")?.ok_or_else(|| file.wrong(at, Wrong::NoHeader))?.bytes;
-        file.header =
-            ScanFileHeader::decode(bytes.as_slice()).map_err(|error| file.wrong(at, Wrong::Malformed(error)))?;
+        let bytes = file.message("the header")?.ok_or_else(|| file.wrong(at, ScanFileFault::NoHeader))?.bytes;
+        file.header = ScanFileHeader::decode(bytes.as_slice())
+            .map_err(|error| file.wrong(at, ScanFileFault::Malformed(error)))?;
         let ScanFileHeader { resolution_m, origin_m, .. } = &file.header;
         if !(resolution_m.is_finite() && *resolution_m >= 0.0) {
-            return Err(file.wrong(at, Wrong::Resolution(*resolution_m)));
+            return Err(file.wrong(at, ScanFileFault::Resolution(*resolution_m)));
         }
         if !matches!(origin_m.len(), 0 | 3) || origin_m.iter().any(|number| !number.is_finite()) {
-            return Err(file.wrong(at, Wrong::Origin(origin_m.clone())));
+            return Err(file.wrong(at, ScanFileFault::Origin(origin_m.clone())));
         }
         Ok(file)
     }
 
-    /// What the scans are for.
+    /// The header.
     pub fn header(&self) -> &ScanFileHeader {
         &self.header
     }
@@ -141,7 +141,7 @@ impl<R: BufRead> ScanFile<R> {
         self.message("a batch")
     }
 
-    /// The scans that the next batch completes, which may be none; `None` at the end.
+    /// The scans that the next batch completes, possibly none; `None` at the end.
     ///
     /// # Errors
     /// [`ScanFileError`]
@@ -149,22 +149,23 @@ impl<R: BufRead> ScanFile<R> {
         let at = self.offset;
         let Some(raw) = self.next_raw()? else {
             return match self.unfinished {
-                Some(_) => Err(self.wrong(at, Wrong::Unfinished)),
+                Some(_) => Err(self.wrong(at, ScanFileFault::Unfinished)),
                 None => Ok(None),
             };
         };
-        let batch = ScanBatch::decode(raw.bytes.as_slice()).map_err(|error| self.wrong(at, Wrong::Malformed(error)))?;
+        let batch =
+            ScanBatch::decode(raw.bytes.as_slice()).map_err(|error| self.wrong(at, ScanFileFault::Malformed(error)))?;
         self.taken(batch).map(Some).map_err(|wrong| self.wrong(at, wrong))
     }
 
-    fn taken(&mut self, batch: ScanBatch) -> Result<Vec<FileScan>, Wrong> {
+    fn taken(&mut self, batch: ScanBatch) -> Result<Vec<FileScan>, ScanFileFault> {
         let expected = self.scans + 1;
         if batch.first_sequence != expected {
-            return Err(Wrong::Sequence { expected, found: batch.first_sequence });
+            return Err(ScanFileFault::Sequence { expected, found: batch.first_sequence });
         }
         let (count, times) = (batch.scans.len(), batch.time_deltas.len());
         if count == 0 || count != times {
-            return Err(Wrong::Lengths { scans: count, times });
+            return Err(ScanFileFault::Lengths { scans: count, times });
         }
         let unit = i64::try_from(batch.time_unit_nanos.max(1)).ok();
         let mut time = Some(batch.first_time_nanos);
@@ -172,16 +173,16 @@ impl<R: BufRead> ScanFile<R> {
         let mut scans = Vec::with_capacity(count);
         for (i, (scan, delta)) in batch.scans.into_iter().zip(batch.time_deltas).enumerate() {
             time = time.and_then(|time| time.checked_add(delta.checked_mul(unit?)?));
-            let time_nanos = time.filter(|time| *time >= 0).ok_or(Wrong::Time { scan: self.scans + 1 })?;
+            let time_nanos = time.filter(|time| *time >= 0).ok_or(ScanFileFault::Time { scan: self.scans + 1 })?;
             let new_tiles = std::mem::take(&mut new_tiles);
             let (whole, parts) = match self.unfinished.take() {
                 None => (FileScan { number: self.scans + 1, time_nanos, new_tiles, scan }, 1),
                 Some((mut whole, parts)) => {
                     if parts == PARTS_MAX {
-                        return Err(Wrong::Parts(PARTS_MAX));
+                        return Err(ScanFileFault::Parts(PARTS_MAX));
                     }
                     whole.new_tiles.extend(new_tiles);
-                    join_part(&mut whole.scan.content, scan.content).map_err(Wrong::Tiles)?;
+                    join_part(&mut whole.scan.content, scan.content).map_err(ScanFileFault::Tiles)?;
                     (whole, parts + 1)
                 }
             };
@@ -200,13 +201,13 @@ impl<R: BufRead> ScanFile<R> {
         let offset = self.offset;
         let Some(length) = self.length(what)? else { return Ok(None) };
         if length > MESSAGE_BYTES_MAX {
-            return Err(self.wrong(offset, Wrong::Length(length)));
+            return Err(self.wrong(offset, ScanFileFault::Length(length)));
         }
         let mut bytes = Vec::new();
-        // Grows as bytes come: a length alone takes no memory.
+        // The buffer grows as bytes arrive: a length alone allocates nothing.
         (&mut self.reader).take(length).read_to_end(&mut bytes).map_err(|error| self.io(error))?;
         if (bytes.len() as u64) < length {
-            return Err(self.wrong(offset, Wrong::CutOff { what, needs: length, has: bytes.len() as u64 }));
+            return Err(self.wrong(offset, ScanFileFault::CutOff { what, needs: length, has: bytes.len() as u64 }));
         }
         self.offset += length;
         Ok(Some(RawBatch { offset, bytes }))
@@ -227,7 +228,9 @@ impl<R: BufRead> ScanFile<R> {
                 if place == 0 {
                     return Ok(None);
                 }
-                return Err(self.wrong(offset, Wrong::CutOff { what, needs: u64::from(place) + 1, has: place.into() }));
+                return Err(
+                    self.wrong(offset, ScanFileFault::CutOff { what, needs: u64::from(place) + 1, has: place.into() })
+                );
             };
             self.reader.consume(1);
             self.offset += 1;
@@ -236,10 +239,10 @@ impl<R: BufRead> ScanFile<R> {
                 return Ok(Some(length));
             }
         }
-        Err(self.wrong(offset, Wrong::Length(u64::MAX)))
+        Err(self.wrong(offset, ScanFileFault::Length(u64::MAX)))
     }
 
-    fn wrong(&self, offset: u64, wrong: Wrong) -> ScanFileError {
+    fn wrong(&self, offset: u64, wrong: ScanFileFault) -> ScanFileError {
         ScanFileError::Wrong { offset, scans: self.scans, wrong }
     }
 

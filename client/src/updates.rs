@@ -1,6 +1,6 @@
-//! Updates, the jobs they run as, and counters.
+//! Updates, their jobs, and counters.
 //!
-//! Invariant: a job that failed is a value here, not an error: asking about it succeeded.
+//! Invariant: a failed job is a value, not an error: the request for it succeeded.
 
 use tidemap_proto::convert::time::{instant, span, timestamp};
 use tidemap_proto::v1::{self, maintenance_service_client::MaintenanceServiceClient};
@@ -15,20 +15,20 @@ use crate::{
 /// State of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum JobState {
-    /// Waits for another job of the same map.
+    /// The job waits for another job of the same map.
     Waiting,
-    /// Runs.
+    /// The job is running.
     Running,
-    /// Ended well.
+    /// The job ended successfully.
     Done,
-    /// Ended with an error.
+    /// The job ended with an error.
     Failed,
     /// A state that this version does not know.
     Other,
 }
 
 impl JobState {
-    /// As the command line writes it.
+    /// Name, as on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -41,7 +41,7 @@ impl JobState {
     }
 }
 
-/// What started a job.
+/// The cause of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum JobCause {
     /// A request.
@@ -50,14 +50,14 @@ pub enum JobCause {
     Midnight,
     /// The map's local midnight, in the time of imported data.
     DataTime,
-    /// More observations were pending than the limit allows.
+    /// The number of pending observations exceeded the limit.
     PendingLimit,
     /// A cause that this version does not know.
     Other,
 }
 
 impl JobCause {
-    /// As the command line writes it.
+    /// Name, as on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -73,69 +73,69 @@ impl JobCause {
 /// An update, as a job.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Job {
-    /// Identity, unique while the daemon runs.
+    /// Id, unique while the daemon runs.
     pub id: u64,
     /// Name of the map.
     pub map: String,
-    /// State.
+    /// State of the job.
     pub state: JobState,
-    /// What started it.
+    /// The cause of a job.
     pub cause: JobCause,
-    /// States worked off so far.
+    /// Number of states processed so far.
     pub states_done: u64,
-    /// States that have observations to fold in.
+    /// Number of states that have observations to learn.
     pub states_total: u64,
-    /// Observations folded in.
+    /// Number of observations learned.
     pub observations: u64,
-    /// When it was asked for.
+    /// When the job was created.
     pub created_nanos: Option<i64>,
-    /// Time it ran for, so far.
+    /// Running time so far.
     pub elapsed_nanos: i64,
-    /// What went wrong, where it failed.
+    /// Error message, if it failed.
     pub error: String,
-    /// What it published.
+    /// The update that it published.
     pub update: UpdateSummary,
 }
 
 impl Job {
-    /// Whether nothing more will happen to it.
+    /// Whether the job has ended.
     #[must_use]
     pub fn has_ended(&self) -> bool {
         matches!(self.state, JobState::Done | JobState::Failed)
     }
 }
 
-/// What an update did to one state.
+/// The effect of an update on one state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateUpdate {
     /// Name of the state.
     pub state: String,
-    /// Order in force before.
+    /// Order before the update.
     pub order_before: u32,
-    /// Order in force now.
+    /// Order after the update.
     pub order: u32,
-    /// Mean squared error of `order_before` on the observations scored.
+    /// Mean squared error of `order_before` on the scored observations.
     pub mean_squared_error_before: Option<f64>,
-    /// The same of `order`.
+    /// Mean squared error of `order` on the same observations.
     pub mean_squared_error: Option<f64>,
-    /// Observations folded in.
+    /// Number of observations learned.
     pub observations: u64,
-    /// Those of them that were scored.
+    /// Number of scored observations.
     pub scored: u64,
 }
 
 /// One counter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Statistic {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// Its value.
+    /// Value.
     pub value: f64,
-    /// Its unit; empty for a plain number.
+    /// Unit; empty for a plain number.
     pub unit: String,
 }
 
-/// A job that is being followed.
+/// A job that is being watched.
 #[derive(Debug)]
 pub struct JobWatch {
     client: Client,
@@ -143,7 +143,7 @@ pub struct JobWatch {
 }
 
 impl JobWatch {
-    /// The job as it stands now, then after each change; `None` once it has ended.
+    /// The job now, then after each change; `None` after it has ended.
     ///
     /// # Errors
     /// [`Error`].
@@ -160,10 +160,10 @@ impl Client {
         MaintenanceServiceClient::new(self.requests()).max_decoding_message_size(REPLY_BYTES_MAX)
     }
 
-    /// Starts the update of a map: everything acknowledged so far, or what of it is before `until_nanos`.
+    /// Starts the update of a map: it learns every acknowledged observation, or those before `until_nanos`.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
     pub async fn run_update(&self, map: &str, until_nanos: Option<i64>) -> Result<Job, Error> {
         let request = v1::RunUpdateRequest { map: map.to_owned(), until: until_nanos.map(timestamp) };
         let response = self.maintenance_service().run_update(request).await.map_err(|status| self.error(&status))?;
@@ -173,14 +173,14 @@ impl Client {
     /// One job.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where it is unknown or long past.
+    /// [`Error`]; the code is `NOT_FOUND` if the job is unknown or ended long ago.
     pub async fn job(&self, id: u64) -> Result<Job, Error> {
         let request = v1::GetJobRequest { id };
         let response = self.maintenance_service().get_job(request).await.map_err(|status| self.error(&status))?;
         job_from_wire(response.into_inner().job)
     }
 
-    /// The jobs that run and those that ended lately, newest first.
+    /// Running and recently ended jobs, newest first.
     ///
     /// # Errors
     /// [`Error`].
@@ -201,21 +201,21 @@ impl Client {
         }
     }
 
-    /// Follows a job until it has ended.
+    /// Watches a job until it ends.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where it is unknown or long past.
+    /// [`Error`]; the code is `NOT_FOUND` if the job is unknown or ended long ago.
     pub async fn watch_job(&self, id: u64) -> Result<JobWatch, Error> {
         let request = v1::WatchJobRequest { id };
         let response = self.maintenance_service().watch_job(request).await.map_err(|status| self.error(&status))?;
         Ok(JobWatch { client: self.clone(), replies: response.into_inner() })
     }
 
-    /// A page of what an update did to each state, and the token of the next page. The first page has the token "", and
-    /// after the last one comes `None`.
+    /// A page of the effect of an update on each state, and the token of the next page; the first page has the token
+    /// "", and the last page returns `None`.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where a later update has replaced the report.
+    /// [`Error`]; the code is `NOT_FOUND` if a later update has replaced the report.
     pub async fn update_report(
         &self,
         job_id: u64,
@@ -228,10 +228,10 @@ impl Client {
         Ok((states, Some(page.next_page_token).filter(|token| !token.is_empty())))
     }
 
-    /// Counters of a map, or of the whole daemon where `map` is empty.
+    /// Counters of a map, or of the whole daemon if `map` is empty.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map.
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
     pub async fn statistics(&self, map: &str) -> Result<Vec<Statistic>, Error> {
         let request = v1::GetStatisticsRequest { map: map.to_owned() };
         let answer = self.maintenance_service().get_statistics(request).await;

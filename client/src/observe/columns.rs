@@ -1,6 +1,6 @@
-//! Packing observations into columns.
+//! Packs observations into columns.
 //!
-//! Invariant: what is unpacked is what was packed, bit for bit; a packed message never exceeds the limits it was given.
+//! Invariant: unpacking returns exactly what was packed; a packed message never exceeds its limits.
 
 use tidemap_model::Position;
 use tidemap_proto::{
@@ -8,16 +8,16 @@ use tidemap_proto::{
     v1::{ObservationColumns, StateKind},
 };
 
-/// One observation, its state as an index into the sender's own table of names.
+/// One observation; its state is an index into the sender's table of names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Entry {
     /// Index into the sender's table.
     pub state: u32,
     /// Nanoseconds UTC, at least 0.
     pub time_nanos: i64,
-    /// The value; of a position 0.
+    /// The value; 0 for a position.
     pub value: f64,
-    /// The position, of a state that is a vector. All entries with one index have as many coordinates, or none.
+    /// The position of a vector. All entries of a state have the same number of coordinates, or none.
     pub position: Option<Position>,
 }
 
@@ -27,34 +27,34 @@ impl Entry {
     }
 }
 
-/// Upper bounds of what one message may hold.
+/// Limits of one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BatchLimits {
-    /// Observations; a position counts as many as it has coordinates.
+    /// Maximum number of observations; a position counts once for each coordinate.
     pub observations: usize,
-    /// Bytes of the encoded message.
+    /// Maximum number of bytes of the encoded message.
     pub bytes: usize,
 }
 
 impl BatchLimits {
-    /// Most traversals; each counts as two observations, and one always fits.
+    /// Maximum number of traversals; each counts as two observations, and one always fits.
     #[must_use]
     pub fn traversals(self) -> usize {
         (self.observations / 2).max(1)
     }
 }
 
-/// Most bytes that an observation takes: a delta of 10, an index of 5, a value of 8.
+/// Maximum number of bytes of an observation: a delta of 10, an index of 5, a value of 8.
 const ENTRY_BYTES_MAX: usize = 23;
-/// Bytes that a name takes beside itself, its kind and number of coordinates included, at most.
+/// Maximum number of bytes of a name in addition to its text, including kind and number of coordinates.
 const NAME_BYTES_EXTRA: usize = 6;
-/// Bytes of everything else in a message, at most.
+/// Maximum number of bytes of everything else in a message.
 const MESSAGE_BYTES_EXTRA: usize = 128;
 
-/// Which of the sender's states one stream knows already, and under which index.
+/// The states of the sender that one stream knows, and their indices there.
 #[derive(Clone, Debug, Default)]
 pub struct StreamTable {
-    /// Stream index + 1 by the sender's index; 0 where the stream does not know the state.
+    /// Index in the stream + 1, by the sender's index; 0 if the stream does not know the state.
     known: Vec<u32>,
     count: u32,
 }
@@ -79,7 +79,7 @@ impl StreamTable {
     }
 }
 
-/// How many of `entries` fit into one message, at least 1 where there is one.
+/// Number of `entries` that fit into one message, at least 1 if there is one.
 #[must_use]
 pub fn fitting<'a>(
     entries: impl Iterator<Item = &'a Entry>,
@@ -94,7 +94,7 @@ pub fn fitting<'a>(
         let coordinates = entry.coordinates().len();
         bytes += ENTRY_BYTES_MAX + size_of_val(entry.coordinates());
         observations += coordinates.max(1);
-        // A state that is new and appears twice in the message is counted twice: an upper bound is enough.
+        // A new state that appears twice in the message is counted twice: an upper bound is enough.
         if !table.knows(entry.state) {
             bytes += names.get(entry.state as usize).map_or(0, |name| name.len()) + NAME_BYTES_EXTRA;
         }
@@ -106,7 +106,7 @@ pub fn fitting<'a>(
     count
 }
 
-/// Packs observations, whose times are at least 0, and extends the stream's table by the states that are new to it.
+/// Packs observations (their times are at least 0), and adds new states to the table of the stream.
 #[must_use]
 pub fn pack(entries: &[Entry], names: &[Box<str>], table: &mut StreamTable) -> ObservationColumns {
     let mut new_states = Vec::new();

@@ -1,6 +1,6 @@
-//! The running checksum over what a producer has sent, by which both sides tell whether they mean the same data.
+//! The checksum of the data that a producer has sent, by which both sides detect differences.
 //!
-//! Invariant: follows the definition at `Welcome.content_crc` in `observation.proto`, bit for bit.
+//! Invariant: the bytes are those of `Welcome.content_crc` in `observation.proto`.
 
 use tidemap_proto::{convert::traversals::append_content, v1};
 
@@ -11,7 +11,7 @@ use super::Traversal;
 pub struct ContentCrc(u32);
 
 impl ContentCrc {
-    /// Goes on from what the daemon has.
+    /// Continues from the checksum of the daemon.
     #[must_use]
     pub fn from_value(value: u32) -> Self {
         Self(value)
@@ -53,7 +53,7 @@ impl ContentCrc {
         self.0 = crc32c::crc32c_append(self.0, &bytes);
     }
 
-    /// The checksum so far; 0 where nothing was added.
+    /// The checksum so far; 0 if nothing was added.
     #[must_use]
     pub fn value(self) -> u32 {
         self.0

@@ -1,7 +1,8 @@
-//! The task behind a producer: one connection after the other, a Hello on each, batches out, acknowledgements in.
+//! The task behind a producer: one connection after the other; on each it sends a Hello and then batches, and receives
+//! acknowledgements.
 //!
-//! Invariant: decides nothing about observations; the window does. An end is final or followed by another attempt, by
-//! [`ending`] and [`refused`] alone, unless the producer may leave anyway.
+//! Invariant: the task decides nothing about observations; the window does. [`ending`] and [`refused`] alone decide
+//! whether an end is final or followed by another attempt, unless the producer may leave anyway.
 
 use std::{
     sync::Arc,
@@ -29,14 +30,14 @@ use crate::{
     error::{Error, ServerError},
 };
 
-/// Batches that wait to be written to the connection. More would only sit in memory twice.
+/// Number of batches that wait to be written to the connection. More would only be in memory twice.
 const QUEUED_BATCHES: usize = 2;
-/// Between two attempts to get a key that another stream holds.
+/// Pause between two attempts to get a key that another stream holds.
 const KEY_PAUSE: Duration = Duration::from_millis(200);
 
 /// How a connection ended.
 enum End {
-    /// Worth another attempt.
+    /// Try again.
     Broken(Error),
     Final(ProducerError),
 }
@@ -51,7 +52,7 @@ pub(super) struct Link {
     client: Client,
     place: StreamPlace,
     shared: Arc<Shared>,
-    /// The one from the last Welcome; 0 before the first.
+    /// The incarnation of the last Welcome; 0 before the first.
     incarnation: u64,
     outage: Outage,
     epoch: Instant,
@@ -105,20 +106,20 @@ impl Link {
         self.incarnation == 0 && now < deadline
     }
 
-    /// Whether the producer may end without the daemon: nothing is left to be made durable, and the daemon's nightly
-    /// updates do not wait for its word that it is gone.
+    /// Whether the producer may end without the daemon: everything is durable, and the nightly updates of the daemon do
+    /// not wait for this producer.
     fn may_leave(&self) -> bool {
         !self.shared.options.nightly && self.is_closing()
     }
 
-    /// Waits for the next attempt; ends early, with `true`, where none is needed any more.
+    /// Waits before the next attempt; returns `true` early if none is needed any more.
     async fn left_during(&self, delay: Duration) -> bool {
         let pause = tokio::time::sleep(delay);
         tokio::pin!(pause);
         loop {
             tokio::select! {
                 () = &mut pause => return false,
-                // What else this may mean, such as more to send, the next connection sees for itself.
+                // Other reasons, such as more to send, are handled by the next connection.
                 () = self.shared.more.notified() => if self.may_leave() {
                     return true;
                 }
@@ -139,7 +140,7 @@ impl Link {
 
     async fn stream(&mut self) -> Result<std::convert::Infallible, End> {
         let (requests, outgoing) = mpsc::channel(QUEUED_BATCHES);
-        // The first of a new channel's places: cannot fail, and need not wait.
+        // A new channel has room: this cannot fail.
         let _ = requests.try_send(hello(&self.shared, self.incarnation));
         let mut service = ObservationServiceClient::new(self.place.connection());
         let answer = service.observe(ReceiverStream::new(outgoing)).await;
@@ -163,11 +164,11 @@ impl Link {
                         self.acknowledge(Ack { durable_sequence: goodbye.durable_sequence, refused: Vec::new() })?;
                         return Err(ending(goodbye));
                     }
-                    // For information: the connection's own flow control does the holding back.
+                    // For information: the flow control of the connection throttles sending.
                     observe_response::Message::Busy(_) => {}
                     observe_response::Message::Welcome(_) => return Err(protocol("a second Welcome")),
                 },
-                // Where the connection is closing the replies say why.
+                // If the connection is closing, the replies say why.
                 Ok(permit) = requests.reserve(), if ready => {
                     if let Some(message) = messages.next(&mut self.shared.state()) {
                         permit.send(message);
@@ -178,13 +179,13 @@ impl Link {
         }
     }
 
-    /// Whether the stream is to end, and nothing is left to be acknowledged.
+    /// Whether the stream must end, and everything is acknowledged.
     fn is_closing(&self) -> bool {
         let state = self.shared.state();
         state.closing && state.window.as_ref().is_none_or(|window| window.durable() == window.last())
     }
 
-    /// Waits until the daemon has ended the stream as well. However it does: everything is durable.
+    /// Waits until the daemon has ended the stream. Its reason does not matter: everything is durable.
     async fn drained(&self, replies: &mut Streaming<ObserveResponse>) -> End {
         while let Ok(Some(_)) = replies.message().await {}
         End::Final(ProducerError::Closed)
@@ -269,7 +270,7 @@ fn protocol(what: &'static str) -> End {
     End::Final(ProducerError::Other(Error::Protocol(what)))
 }
 
-/// What a Goodbye means for the producer.
+/// The consequence of a Goodbye.
 fn ending(goodbye: Goodbye) -> End {
     let reason = goodbye.reason();
     let detail = goodbye.detail;
@@ -288,7 +289,7 @@ fn ending(goodbye: Goodbye) -> End {
     })
 }
 
-/// What a status means for the producer.
+/// The consequence of a status.
 fn refused(error: Error) -> End {
     let text = error.to_string();
     End::Final(match error.code() {

@@ -1,7 +1,7 @@
-//! The messages of one connection, made of what the window has to send.
+//! The messages of one connection, made from the window.
 //!
-//! Invariant: what was told on an earlier connection counts for nothing: names and tiles are told anew. What is handed out
-//! counts as sent, in the order of its numbers.
+//! Invariant: a new connection knows nothing of earlier ones: names and tiles are sent again. Messages that were
+//! returned count as sent, in the order of their numbers.
 
 use std::collections::VecDeque;
 
@@ -19,10 +19,10 @@ use super::{
 };
 use crate::maps::StateKind;
 
-/// Bytes by which a request is longer than the batch in it, at most.
+/// Maximum number of bytes of a request in addition to its batch.
 const REQUEST_BYTES_EXTRA: usize = 16;
 
-/// What the daemon takes in one message.
+/// Limits of one message.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageLimits {
     observations: BatchLimits,
@@ -44,7 +44,7 @@ impl MessageLimits {
 pub(super) struct Outgoing {
     limits: MessageLimits,
     names: StreamTable,
-    /// What the stream says of its names.
+    /// The kind that the stream declares for its names.
     kind: Option<StateKind>,
     /// Absent until the first scan.
     scans: Option<ScanStream>,
@@ -69,7 +69,7 @@ impl Outgoing {
             })
     }
 
-    /// The next message; what is in it counts as sent.
+    /// The next message; its content counts as sent.
     pub(super) fn next(&mut self, state: &mut SharedState) -> Option<ObserveRequest> {
         let urgent = state.urgent;
         let window = state.window.as_mut()?;
@@ -94,7 +94,7 @@ impl Outgoing {
         }
         window.sent(entries.len());
         let mut columns = pack(&entries, window.names(), &mut self.names);
-        // Of vectors it is said already.
+        // Vectors have declared it already.
         if let Some(kind) = self.kind.filter(|kind| *kind != StateKind::Vector) {
             columns.new_kinds.resize(columns.new_states.len(), 0);
             columns.new_kinds.iter_mut().filter(|said| **said == 0).for_each(|said| *said = kind.to_wire().into());
@@ -126,7 +126,7 @@ impl Outgoing {
         let first_sequence = window.next_unsent();
         let mut waiting = window.scans_to_send(limits.scans, limits.bytes, urgent).peekable();
         waiting.peek()?;
-        // Before the first scan of a connection everything else is acknowledged.
+        // Before the first scan of a connection everything else must be acknowledged.
         let stream = self.scans.get_or_insert_with(|| ScanStream::new(window.base()));
         let (count, messages) = stream.pack(waiting, window.tiles(), first_sequence, limits);
         window.sent(count);

@@ -1,7 +1,6 @@
 //! [`Producer`]: the handle by which a program sends its observations.
 //!
-//! Invariant: the window is the only state that the handle and the task which talks share; its lock is never held across
-//! an await.
+//! Invariant: the handle and its task share only the window and the progress; no lock is held across an await.
 
 mod scans;
 
@@ -40,7 +39,7 @@ pub struct Producer {
 }
 
 impl Producer {
-    /// Connects, says Hello and waits for the answer, for as long as the patience allows.
+    /// Connects, sends Hello and waits for the answer, within the patience.
     ///
     /// # Errors
     /// [`ProducerError`].
@@ -50,8 +49,8 @@ impl Producer {
         Ok(producer)
     }
 
-    /// As [`Producer::open`], without waiting: [`Producer::opened`] does that. Meanwhile [`Producer::watch`] tells what
-    /// is going on.
+    /// As [`Producer::open`], without waiting: use [`Producer::opened`]. [`Producer::watch`] shows the progress
+    /// meanwhile.
     #[must_use]
     pub fn start(client: &Client, options: ProducerOptions) -> Self {
         let (sender, progress) = watch::channel(Progress::default());
@@ -69,20 +68,20 @@ impl Producer {
         self.reached(|progress| progress.phase == Phase::Connected).await
     }
 
-    /// Gives an observation its number and takes charge of it; waits while the window is full. The observation is
-    /// durable once [`Progress::durable_sequence`] has reached the number.
+    /// Accepts an observation and returns its number; waits while the window is full. The observation is durable once
+    /// [`Progress::durable_sequence`] has reached the number.
     ///
     /// # Errors
-    /// [`ProducerError`]; the observation has then not been taken.
+    /// [`ProducerError`]; the observation is then not accepted.
     pub async fn send(&mut self, state: &str, time_nanos: i64, value: f64) -> Result<u64, ProducerError> {
         self.take(state, time_nanos, |window| window.push(state, time_nanos, value)).await
     }
 
-    /// As [`Producer::send`], of a state that is a vector: its coordinates in metres, x and y, or x, y and z. A state that is
-    /// new becomes a vector of so many; [`ProducerOptions::kind`] does not matter.
+    /// As [`Producer::send`], for a vector: its coordinates in metres, x and y, or x, y and z. A new state becomes a
+    /// vector of this many coordinates; [`ProducerOptions::kind`] is ignored.
     ///
     /// # Errors
-    /// [`ProducerError`]; the observation has then not been taken.
+    /// [`ProducerError`]; the observation is then not accepted.
     pub async fn send_position(
         &mut self,
         state: &str,
@@ -108,7 +107,7 @@ impl Producer {
         self.push(push).await
     }
 
-    /// Waits for room, and puts something into the window.
+    /// Waits for room, and pushes into the window.
     pub(super) async fn push(&mut self, push: impl FnOnce(&mut Window) -> Option<u64>) -> Result<u64, ProducerError> {
         self.room().await?;
         let sequence = self.shared.state().window.as_mut().and_then(push);
@@ -153,9 +152,10 @@ impl Producer {
         self.reached(|progress| progress.durable_sequence >= last).await
     }
 
-    /// Waits until everything sent is durable, and ends the stream. A producer that announced data time (`nightly`) is
-    /// then no longer waited for, and goes on trying to say so; one that is dropped without this may be coming back, for
-    /// all the daemon knows. Any other producer has nothing more to say: a daemon that is gone by then does not matter.
+    /// Waits until everything sent is durable, and ends the stream. A producer that announced data time (`nightly`)
+    /// tells the daemon that it has ended, so that updates no longer wait for it, and tries until it succeeds; one that
+    /// is dropped instead may return, as far as the daemon knows. Any other producer does not need the daemon once
+    /// everything is durable.
     ///
     /// # Errors
     /// [`ProducerError`].
@@ -167,26 +167,26 @@ impl Producer {
         self.reached(closed).await.map(|_| progress)
     }
 
-    /// Number of the last observation taken, whether durable or not.
+    /// Number of the last accepted observation, durable or not.
     #[must_use]
     pub fn last_sequence(&self) -> u64 {
         self.shared.state().window.as_ref().map_or(0, Window::last)
     }
 
-    /// How far it is.
+    /// The progress now.
     #[must_use]
     pub fn progress(&self) -> Progress {
         self.progress.borrow().clone()
     }
 
-    /// Follows how far it is, and whether the daemon can be reached.
+    /// Watches the progress, and whether the daemon can be reached.
     #[must_use]
     pub fn watch(&self) -> watch::Receiver<Progress> {
         self.progress.clone()
     }
 
-    /// The refusals that arrived since the last call, in order. Only the first 65,536 are kept until then; the others
-    /// are counted in [`Progress::dropped_refusals`].
+    /// The refusals that arrived since the last call, in order. At most 65,536 are kept; further ones are counted in
+    /// [`Progress::dropped_refusals`].
     #[must_use]
     pub fn take_refusals(&mut self) -> Vec<Refusal> {
         std::mem::take(&mut self.shared.state().refusals)
@@ -194,7 +194,7 @@ impl Producer {
 
     async fn reached(&mut self, goal: impl Fn(&Progress) -> bool) -> Result<Progress, ProducerError> {
         let done = |progress: &Progress| goal(progress) || matches!(progress.phase, Phase::Ended(_));
-        // The sender lives in `shared`, so it cannot be gone.
+        // The sender is part of `shared`, so it cannot be gone.
         let progress = match self.progress.wait_for(done).await {
             Ok(progress) => progress.clone(),
             Err(_) => self.shared.progress.borrow().clone(),

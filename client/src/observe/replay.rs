@@ -1,6 +1,6 @@
-//! What a file of scans would have made the daemon hold, without sending it.
+//! What a daemon would have after receiving a file of scans, computed without sending it.
 //!
-//! Invariant: numbers, checksum and tiles are those of a producer that had sent the same scans.
+//! Invariant: numbers, checksum and tiles are those of a producer that sent the same scans.
 
 use tidemap_proto::{
     convert::scans::{TileError, TileTable},
@@ -9,7 +9,7 @@ use tidemap_proto::{
 
 use super::{scan::Scan, window::Window};
 
-/// Follows scans from the first on.
+/// Follows scans, from the first.
 #[derive(Debug)]
 pub struct Replay(Window);
 
@@ -58,7 +58,7 @@ impl Replay {
         self.0.content_crc()
     }
 
-    /// What the last of them has shown.
+    /// The tiles that the last scan has shown.
     #[must_use]
     pub fn into_tiles(self) -> TileTable {
         self.0.into_tiles()

@@ -1,16 +1,16 @@
-//! When to try again after a connection broke, and when to give up.
+//! Decides when to try again after a connection broke, and when to give up.
 //!
-//! Invariant: pure; the time is passed in, as the time since some fixed instant.
+//! Invariant: pure; the caller passes the time since a fixed instant.
 
 use std::time::Duration;
 
 const FIRST_DELAY: Duration = Duration::from_millis(100);
-/// The daemon restarts in a second or two: a longer pause would only delay.
+/// The daemon restarts within a second or two: a longer pause would only delay.
 const LAST_DELAY: Duration = Duration::from_secs(3);
-/// A connection that lasted this long was a good one, even if nothing was acknowledged on it.
+/// A connection that lasted this long counts as good, even if nothing was acknowledged.
 const GOOD_CONNECTION: Duration = Duration::from_secs(10);
 
-/// Attempts to get through, since the last time one did.
+/// The attempts since the last success.
 #[derive(Clone, Debug)]
 pub struct Outage {
     patience: Duration,
@@ -20,13 +20,13 @@ pub struct Outage {
 }
 
 impl Outage {
-    /// No outage so far; gives up one that lasts longer than `patience`.
+    /// No outage so far; an outage longer than `patience` is given up.
     #[must_use]
     pub fn new(patience: Duration) -> Self {
         Self { patience, began: None, connected: None, attempts: 0 }
     }
 
-    /// An attempt failed, or a connection broke. How long to wait before the next attempt; `None`: give up.
+    /// An attempt failed, or a connection broke. Returns how long to wait before the next attempt; `None`: give up.
     pub fn failed(&mut self, now: Duration) -> Option<Duration> {
         if self.connected.take().is_some_and(|since| now.saturating_sub(since) >= GOOD_CONNECTION) {
             self.progressed();
@@ -38,18 +38,18 @@ impl Outage {
         Some(delay.min(left))
     }
 
-    /// The daemon said Welcome. A daemon that ends each connection right after is still failing.
+    /// The daemon sent Welcome. A daemon that ends each connection immediately is still failing.
     pub fn connected(&mut self, now: Duration) {
         self.connected = Some(now);
     }
 
-    /// Something was acknowledged: the outage, if there was one, is over.
+    /// Something was acknowledged: the outage is over.
     pub fn progressed(&mut self) {
         self.began = None;
         self.attempts = 0;
     }
 
-    /// How long the outage lasts already.
+    /// Duration of the outage so far.
     #[must_use]
     pub fn lasted(&self, now: Duration) -> Duration {
         self.began.map_or(Duration::ZERO, |began| now.saturating_sub(began))

@@ -1,36 +1,36 @@
-//! Scans of a grid as callers give them: tiles, point clouds, ranges.
+//! Scans of a grid: tiles, point clouds, ranges.
 //!
-//! Invariant: a scan is sent as it was given; whether it makes sense on the map is the daemon's to say.
+//! Invariant: a scan is sent as given; the daemon checks whether it is valid for the map.
 
 pub use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
 use tidemap_proto::convert::grid::pose_to_wire;
 use tidemap_proto::v1::{self, scan::Content};
 
-/// Bytes that a scan takes on the wire beside its points, masks and flips, at most.
+/// Maximum number of bytes of a scan on the wire in addition to its points, masks and flips.
 const FRAME_BYTES: usize = 256;
 
 /// Points in the sensor's frame, ray-cast by the daemon.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointCloud {
-    /// Where the sensor was.
+    /// Pose of the sensor: the transform map_from_sensor.
     pub pose: Isometry3<f64>,
-    /// The frame that the pose leads to; empty: the map's.
+    /// Frame of the pose; empty: the frame of the map.
     pub frame_id: String,
-    /// x, y, z of each point.
+    /// x, y, z of each point, metres.
     pub xyz_m: Vec<f32>,
-    /// Nearer points are left out.
+    /// Minimum range; nearer points are ignored.
     pub min_range_m: f32,
-    /// Farther points only say that the way is free up to this range; 0: no limit but the daemon's.
+    /// Maximum range; farther points only show that the way is free up to it; 0: the limit of the daemon.
     pub max_range_m: f32,
 }
 
 /// A scan of a planar range finder, ray-cast by the daemon.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RangeScan {
-    /// Where the sensor was.
+    /// Pose of the sensor: the transform map_from_sensor.
     pub pose: Isometry3<f64>,
-    /// The frame that the pose leads to; empty: the map's.
+    /// Frame of the pose; empty: the frame of the map.
     pub frame_id: String,
     /// Angle of the first ray from the sensor's x axis.
     pub angle_min_rad: f32,
@@ -38,16 +38,16 @@ pub struct RangeScan {
     pub angle_increment_rad: f32,
     /// Ranges; infinity: nothing up to `max_range_m`; NaN: no reading.
     pub ranges_m: Vec<f32>,
-    /// Nearer readings are left out.
+    /// Minimum range; nearer readings are ignored.
     pub min_range_m: f32,
-    /// Farther readings only say that the way is free up to this range; above 0.
+    /// Maximum range, above 0; farther readings only show that the way is free up to it.
     pub max_range_m: f32,
 }
 
 /// A scan.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Scan {
-    /// The tiles that were seen, none twice. What differs from the producer's scan before is sent.
+    /// The tiles that were seen, none twice. Only the difference to the previous scan of the producer is sent.
     Tiles(Vec<(TileIndex, TileMasks)>),
     /// A point cloud.
     Cloud(PointCloud),
@@ -81,7 +81,7 @@ impl From<RangeScan> for v1::RangeScan {
     }
 }
 
-/// Most bytes that a scan takes on the wire, and about as many in memory.
+/// Maximum number of bytes of a scan on the wire, and approximately in memory.
 pub(super) fn wire_bytes(content: &Content) -> usize {
     // A packed number takes 5 bytes at most, a float 4.
     FRAME_BYTES

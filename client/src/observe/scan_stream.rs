@@ -1,9 +1,9 @@
-//! Scans on one connection: messages within the daemon's limits, by a table of tiles that starts empty.
+//! Scans on one connection: messages within the limits of the daemon, with a table of tiles that starts empty.
 //!
-//! Slots are those of the producer's table, on every connection. What differs from an earlier scan is sent as the
-//! difference, unless the daemon has forgotten that scan with an earlier connection: then the tile is sent whole.
+//! The slots are those of the table of the producer, on every connection. A scan is sent as its difference to the
+//! previous scan; a tile that the daemon showed on an earlier connection and has forgotten is sent whole.
 //!
-//! Invariant: what the daemon makes of the messages is what the producer has seen; no message exceeds the limits.
+//! Invariant: the daemon decodes exactly what the producer has seen; no message exceeds the limits.
 
 use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
 use tidemap_proto::{
@@ -16,37 +16,37 @@ use super::window::KeptScan;
 /// Upper bounds of one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ScanLimits {
-    /// Scans.
+    /// Maximum number of scans.
     pub scans: usize,
-    /// Bytes of the encoded message, at least 4096.
+    /// Maximum number of bytes of the encoded message, at least 4096.
     pub bytes: usize,
 }
 
-/// Most bytes of everything in a message but the scans.
+/// Maximum number of bytes of a message without its scans.
 const MESSAGE_BYTES_EXTRA: usize = 128;
-/// Most bytes of a time.
+/// Maximum number of bytes of a time.
 const TIME_BYTES: usize = 10;
-/// Most bytes of a tile's place.
+/// Maximum number of bytes of the index of a tile.
 const TILE_BYTES: usize = 15;
-/// Most bytes of a tile's masks, told whole.
+/// Maximum number of bytes of the whole masks of a tile.
 const MASKS_BYTES: usize = 5 + 2 * MASK_BYTES;
 
-/// What one connection has been told.
+/// What was sent on one connection.
 #[derive(Clone, Debug)]
 pub struct ScanStream {
-    /// What the scan sent last has shown.
+    /// The tiles after the last sent scan.
     picture: TilePicture,
-    /// Tiles told.
+    /// Number of tiles sent.
     tiles: usize,
     /// Whether a scan of tiles was sent.
     has_sent: bool,
-    /// Slots of which the daemon has forgotten what was shown.
+    /// Slots whose tiles the daemon has forgotten.
     forgotten: Vec<bool>,
     forgotten_left: usize,
 }
 
 impl ScanStream {
-    /// A new connection, to a daemon that has the scan which showed `base`.
+    /// A new connection to a daemon whose last scan showed `base`.
     #[must_use]
     pub fn new(base: &TilePicture) -> Self {
         let forgotten: Vec<bool> = base.all().map(|masks| !masks.observed().is_empty()).collect();
@@ -54,7 +54,7 @@ impl ScanStream {
         Self { picture: base.clone(), tiles: 0, has_sent: false, forgotten, forgotten_left }
     }
 
-    /// Packs scans, at least one and as many as fit: how many, and the messages to send in order.
+    /// Packs at least one scan and as many as fit: returns their number, and the messages in order.
     pub fn pack<'a>(
         &mut self,
         scans: impl Iterator<Item = &'a KeptScan>,
@@ -76,12 +76,12 @@ impl ScanStream {
             times.push(scan.time_nanos());
         }
         set_times(&mut message, &times);
-        // One scan may be too large for a message.
+        // A single scan may be too large for a message.
         let messages = if bytes > limits.bytes { split(message, limits.bytes) } else { vec![message] };
         (times.len(), messages)
     }
 
-    /// Most bytes that a scan takes.
+    /// Maximum number of bytes of a scan.
     fn bytes(&self, scan: &KeptScan) -> usize {
         let tiles = scan.tiles().saturating_sub(self.tiles) * TILE_BYTES;
         let again = if self.has_sent { 0 } else { self.picture.packed_seen().len() * 5 };
@@ -108,7 +108,7 @@ impl ScanStream {
         Content::Tiles(scan)
     }
 
-    /// Tells the tiles whole that the daemon has forgotten.
+    /// Adds whole masks of the tiles that the daemon has forgotten.
     fn remind(&mut self, scan: &mut TileScan) {
         let mut whole: Vec<(u32, TileMasks)> =
             scan.masked.iter().map(|&slot| (slot, self.picture.masks(slot))).collect();
@@ -121,7 +121,7 @@ impl ScanStream {
         whole.sort_unstable_by_key(|(slot, _)| *slot);
         whole.dedup_by_key(|(slot, _)| *slot);
         set_masks(scan, &whole);
-        // Whole masks are as the flips leave them.
+        // Whole masks already include the flips.
         let masked: Vec<u32> = whole.iter().map(|(slot, _)| *slot).collect();
         for flips in [&mut scan.observed_flips, &mut scan.occupied_flips] {
             *flips = flips_where(flips, |slot| masked.binary_search(&slot).is_err());

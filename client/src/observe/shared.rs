@@ -1,4 +1,4 @@
-//! What a producer's handle shares with the task that talks to the daemon.
+//! What the handle of a producer shares with the task that talks to the daemon.
 //!
 //! Invariant: the lock of the state is never held across an await.
 
@@ -15,30 +15,30 @@ use super::{
 };
 use crate::{error::Error, maps::StateKind};
 
-/// Who sends, what, and to which map.
+/// Producer, label, map and options of a stream.
 #[derive(Clone, Debug)]
 pub struct ProducerOptions {
-    /// Who streams; kept by the producer across restarts.
+    /// Name of the producer; the same across restarts.
     pub producer: String,
-    /// Which of the producer's sequences; may be empty.
+    /// Name of the sequence of this producer; may be empty.
     pub label: String,
     /// Name of the map.
     pub map: String,
-    /// Lets the nightly update run in the time of the data.
+    /// Whether the nightly update follows the time of the data.
     pub nightly: bool,
-    /// What the values of its states mean: states that are new become of that kind, and observations of states of another
-    /// kind are refused. `None`: each state is as it is, and a probability where it is new.
+    /// Kind of its states: new states are created with it, and observations of states of another kind are refused.
+    /// `None`: existing kinds apply, and new states are probabilities.
     pub kind: Option<StateKind>,
-    /// How far its scans are believed; `None`: as the daemon knows of this producer and label, of a new one as the map's
-    /// grid says. What the daemon knows does not change any more: announcing something else is refused.
+    /// Sensor of its scans. `None`: the sensor that the daemon knows for this producer and label, or the sensor of the
+    /// map for a new one. The sensor is fixed once known: announcing another one is refused.
     pub sensor: Option<ProducerSensor>,
-    /// Most observations and scans kept until they are durable; sending more waits.
+    /// Maximum number of observations and scans kept until they are durable; sending more waits.
     pub window: usize,
-    /// Most bytes of them; one scan may go beyond it.
+    /// Maximum number of their bytes; a single scan may exceed it.
     pub window_bytes: usize,
     /// How long to try again when the daemon cannot be reached.
     pub patience: Duration,
-    /// How long to wait at first for the key (producer, label, map) where another stream holds it: the daemon takes a
+    /// How long to wait at first for the key (producer, label, map) if another stream holds it: the daemon needs a
     /// moment to notice that a stream has ended.
     pub key_patience: Duration,
 }
@@ -70,36 +70,36 @@ pub enum Phase {
     Connecting,
     /// Connected.
     Connected,
-    /// Not at the moment; tries again.
+    /// Not reachable now; tries again.
     Waiting(Error),
-    /// No more.
+    /// Ended.
     Ended(ProducerError),
 }
 
-/// How far a producer is.
+/// Progress of a producer.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Progress {
     /// Whether the daemon can be reached.
     pub phase: Phase,
-    /// Everything up to this number is durable, or refused.
+    /// All observations up to this number are durable, or refused.
     pub durable_sequence: u64,
-    /// Where the last connection began: what the daemon had then.
+    /// The durable sequence number when the last connection began.
     pub resumed_at: u64,
-    /// Checksum that the daemon gave for the observations 1..=`resumed_at`.
+    /// Checksum of the daemon over the observations 1..=`resumed_at`.
     pub content_crc: u32,
-    /// Identity of the daemon's data folder.
+    /// Id of the data folder of the daemon.
     pub store_id: String,
-    /// Observations that became durable while the connection broke, so that it is not known whether they were refused.
+    /// Number of observations that became durable while the connection broke, so that refusals of them are unknown.
     pub unreported: u64,
-    /// Refusals that were dropped because nobody took those before them; see [`Producer::take_refusals`]. Their
-    /// observations are at most `durable_sequence`.
+    /// Number of refusals that were dropped because the earlier ones were not collected; see
+    /// [`Producer::take_refusals`]. Their observations are at most `durable_sequence`.
     pub dropped_refusals: u64,
 }
 
-/// Most refusals kept until somebody takes them: as many as the usual window holds observations.
+/// Maximum number of refusals kept until they are collected: as many as the usual window has observations.
 pub(super) const REFUSALS_MAX: usize = 65_536;
 
-/// What the handle and the task share.
+/// The state that the handle and the task share.
 #[derive(Debug)]
 pub(super) struct Shared {
     pub(super) options: ProducerOptions,
@@ -113,16 +113,16 @@ pub(super) struct Shared {
 pub(super) struct SharedState {
     /// Absent until the first Welcome.
     pub(super) window: Option<Window>,
-    /// Somebody waits for everything up to this number.
+    /// A caller waits for everything up to this number.
     pub(super) urgent: u64,
-    /// The stream is to end once everything is durable.
+    /// The stream must end once everything is durable.
     pub(super) closing: bool,
     /// At most [`REFUSALS_MAX`].
     pub(super) refusals: Vec<Refusal>,
 }
 
 impl SharedState {
-    /// Keeps refusals for whoever takes them, as far as there is room; gives the number of those dropped.
+    /// Keeps refusals until they are collected, as far as there is room; returns the number of dropped ones.
     pub(super) fn keep_refusals(&mut self, refusals: impl ExactSizeIterator<Item = Refusal>) -> u64 {
         let room = REFUSALS_MAX.saturating_sub(self.refusals.len());
         let dropped = refusals.len().saturating_sub(room);
@@ -132,7 +132,7 @@ impl SharedState {
 }
 
 impl Shared {
-    /// Locks the window: held by the caller while an observation is put in, by the task while a batch is taken out.
+    /// Locks the state: the caller while an observation is pushed, the task while a batch is taken.
     pub(super) fn state(&self) -> MutexGuard<'_, SharedState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

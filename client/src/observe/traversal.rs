@@ -1,6 +1,6 @@
 //! Reports of traversals of edges.
 //!
-//! Invariant: what is sent, kept and summed up in the checksum is the same message.
+//! Invariant: the message that is sent, kept and part of the checksum is the same.
 
 use tidemap_map::traversal::kept_reason;
 use tidemap_proto::{
@@ -10,53 +10,54 @@ use tidemap_proto::{
 
 use super::{Producer, ProducerError, STATE_NAME_BYTES_MAX};
 
-/// Bytes that a traversal takes on the wire beside its texts, at most.
+/// Maximum number of bytes of a traversal in addition to its texts.
 const TRAVERSAL_BYTES_EXTRA: usize = 64;
 
-/// A robot travelled an edge of the map's topology, or tried to.
+/// A report that a robot traversed an edge, or tried to.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Traversal {
     /// Name of the node where the edge begins.
     pub from: String,
     /// Name of the node where it ends.
     pub to: String,
-    /// By which action it was travelled; empty: as usual.
+    /// The robot's action that traversed the edge; empty: the usual one.
     pub action: String,
-    /// When the robot set out, nanoseconds UTC.
+    /// When the robot entered the edge, nanoseconds UTC.
     pub start_nanos: i64,
-    /// When it arrived or gave up, nanoseconds UTC.
+    /// When the robot arrived or gave up, nanoseconds UTC.
     pub end_nanos: i64,
-    /// Whether it arrived.
+    /// Whether the robot arrived.
     pub success: bool,
-    /// Why it did not, for people to read: what prints of the first 200 characters. May be empty.
+    /// Reason of the failure, in words: the printable part of the first 200 characters. May be empty.
     pub reason: String,
 }
 
 impl Traversal {
-    /// The message that is sent of it. What the daemon would leave out of the reason is left out here.
+    /// The message of this traversal, with the reason as the daemon keeps it.
     pub(super) fn to_wire(&self) -> v1::Traversal {
         let Self { from, to, action, start_nanos, end_nanos, success, reason } = self.clone();
         v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason: kept_reason(&reason) }
     }
 
-    /// What is wrong with it, as far as can be said without the map. The daemon refuses it, and says the same.
+    /// Why the traversal is invalid, as far as this is known without the map. The daemon refuses it for the same
+    /// reason.
     #[must_use]
     pub fn wrong(&self) -> Option<String> {
         traversal_from_wire(&self.to_wire()).err().map(|(_, text)| text)
     }
 }
 
-/// Bytes that a traversal takes on the wire, at most.
+/// Maximum number of bytes of a traversal.
 pub(super) fn wire_bytes(traversal: &v1::Traversal) -> usize {
     TRAVERSAL_BYTES_EXTRA + text_bytes(traversal)
 }
 
 impl Producer {
-    /// Gives a traversal its number and takes charge of it; waits while the window is full. It is durable once
+    /// Accepts a traversal and returns its number; waits while the window is full. It is durable once
     /// [`super::Progress::durable_sequence`] has reached the number.
     ///
     /// # Errors
-    /// [`ProducerError`]; the traversal has then not been taken.
+    /// [`ProducerError`]; the traversal is then not accepted.
     pub async fn send_traversal(&mut self, traversal: &Traversal) -> Result<u64, ProducerError> {
         let Traversal { from, to, action, .. } = traversal;
         if let Some(long) = [from, to, action].into_iter().find(|name| name.len() > STATE_NAME_BYTES_MAX) {

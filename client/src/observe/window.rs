@@ -1,9 +1,9 @@
-//! What a producer keeps until it is durable.
+//! The observations, scans and traversals that a producer keeps until they are durable.
 //!
-//! Invariant: pure. Sequence numbers are gapless, of observations, scans and traversals together; each is kept from its push until it
-//! is acknowledged; after a reconnection sending starts right after what the daemon has, so that nothing is left out, and
-//! what is sent twice carries the same number twice. What scans showed is known for the last one acknowledged, so that
-//! the differences of those after it can be told anew.
+//! Invariant: pure. Sequence numbers have no gaps, over observations, scans and traversals together; each item is kept
+//! from its push until it is acknowledged. After a reconnection, sending continues right after what the daemon has:
+//! nothing is left out, and an item that is sent twice has the same number. The tiles of the last acknowledged scan are
+//! known, so that the differences after it can be sent again.
 
 mod scans;
 
@@ -18,10 +18,10 @@ use tidemap_proto::{
 
 use super::{ProducerError, columns::Entry, content::ContentCrc, traversal::wire_bytes};
 
-/// Most bytes of scans and observations kept, unless told otherwise.
+/// Default maximum number of bytes of kept scans and observations.
 pub const WINDOW_BYTES: usize = 64 << 20;
 
-/// What has a number.
+/// An item with a sequence number.
 #[derive(Clone, Debug)]
 enum Item {
     Observation(Entry),
@@ -56,11 +56,11 @@ pub struct Window {
     /// Checksum over everything before `first_kept`.
     crc: ContentCrc,
     names: Vec<Box<str>>,
-    /// Of the names of single values, and of vectors by their number of coordinates: a name that means both is two.
+    /// Indices of single values, and of vectors by number of coordinates: a name that means both has two.
     indices: [HashMap<Box<str>, u32>; 3],
-    /// What the last scan pushed has shown.
+    /// Tiles after the last pushed scan.
     tiles: TileTable,
-    /// What the last scan acknowledged has shown.
+    /// Tiles after the last acknowledged scan.
     base: TilePicture,
 }
 
@@ -84,7 +84,7 @@ impl Window {
         }
     }
 
-    /// As it is, with another bound on its bytes. One scan may go beyond it.
+    /// The same window with another limit of bytes. A single scan may exceed it.
     #[must_use]
     pub fn with_bytes(self, bytes_max: usize) -> Self {
         Self { bytes_max: bytes_max.max(1), ..self }
@@ -96,7 +96,7 @@ impl Window {
         self.entries.len() < self.capacity && self.bytes < self.bytes_max
     }
 
-    /// Takes an observation in and gives it the next number; `None` where the window is full.
+    /// Pushes an observation and returns its number; `None` if the window is full.
     pub fn push(&mut self, state: &str, time_nanos: i64, value: f64) -> Option<u64> {
         if !self.has_room() {
             return None;
@@ -105,7 +105,7 @@ impl Window {
         Some(self.take(Item::Observation(Entry { state, time_nanos, value, position: None })))
     }
 
-    /// Takes an observation of a vector in and gives it the next number; `None` where the window is full.
+    /// Pushes an observation of a vector and returns its number; `None` if the window is full.
     pub fn push_position(&mut self, state: &str, time_nanos: i64, position: Position) -> Option<u64> {
         if !self.has_room() {
             return None;
@@ -114,7 +114,7 @@ impl Window {
         Some(self.take(Item::Observation(Entry { state, time_nanos, value: 0.0, position: Some(position) })))
     }
 
-    /// Takes a traversal in and gives it the next number; `None` where the window is full.
+    /// Pushes a traversal and returns its number; `None` if the window is full.
     pub fn push_traversal(&mut self, traversal: v1::Traversal) -> Option<u64> {
         self.has_room().then(|| self.take(Item::Traversal(Box::new(traversal))))
     }
@@ -134,26 +134,26 @@ impl Window {
         if let Some(&index) = indices.get(name) {
             return index;
         }
-        // A map holds at most u32::MAX states, and a name takes at least a byte here.
+        // A map has at most u32::MAX states, and a name takes at least a byte here.
         let index = u32::try_from(self.names.len()).unwrap_or(u32::MAX);
         self.names.push(name.into());
         indices.insert(name.into(), index);
         index
     }
 
-    /// Number of the last observation taken in.
+    /// Number of the last pushed item.
     #[must_use]
     pub fn last(&self) -> u64 {
         self.first_kept + self.entries.len() as u64 - 1
     }
 
-    /// Everything up to this number is durable, or refused.
+    /// All observations up to this number are durable, or refused.
     #[must_use]
     pub fn durable(&self) -> u64 {
         self.first_kept - 1
     }
 
-    /// Checksum over everything that is durable.
+    /// Checksum over everything durable.
     #[must_use]
     pub fn content_crc(&self) -> u32 {
         self.crc.value()
@@ -171,11 +171,12 @@ impl Window {
         &self.names
     }
 
-    /// The observations to send next, at most `most`; empty where it is better to wait for more, or something else comes
-    /// next.
+    /// The observations to send next, at most `most`; empty if it is better to wait for more, or another kind of item
+    /// comes next.
     ///
-    /// A batch leaves when it is full, when nothing is under way, or when somebody waits for one of its observations
-    /// (`urgent`: up to that number). So a slow producer's observations leave at once, and a fast one's together.
+    /// A batch is sent when it is full, when no other batch is in progress, or when a caller waits for one of its
+    /// observations (`urgent`: up to that number). So the observations of a slow producer are sent at once, and those
+    /// of a fast one together.
     pub fn to_send(&self, most: usize, urgent: u64) -> impl Iterator<Item = &Entry> {
         self.unsent(most, usize::MAX, urgent).map_while(|item| match item {
             Item::Observation(entry) => Some(entry),
@@ -183,7 +184,8 @@ impl Window {
         })
     }
 
-    /// The traversals to send next, at most `most`; empty where it is better to wait for more, or something else comes next.
+    /// The traversals to send next, at most `most`; empty if it is better to wait for more, or another kind of item
+    /// comes next.
     pub fn traversals_to_send(&self, most: usize, urgent: u64) -> impl Iterator<Item = &v1::Traversal> {
         self.unsent(most, usize::MAX, urgent).map_while(|item| match item {
             Item::Traversal(traversal) => Some(&**traversal),
@@ -191,7 +193,7 @@ impl Window {
         })
     }
 
-    /// What to send next of whatever kind, at most `most`; empty where it is better to wait for more.
+    /// The items to send next, at most `most`; empty if it is better to wait for more.
     fn unsent(&self, most: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &Item> {
         let sent = usize::try_from(self.next_unsent - self.first_kept).unwrap_or(usize::MAX);
         let unsent = self.entries.len() - sent;
@@ -210,7 +212,7 @@ impl Window {
     /// The daemon has everything up to `durable`.
     ///
     /// # Errors
-    /// [`ProducerError::Foreign`] where that was never sent.
+    /// [`ProducerError::Foreign`] if that was never sent.
     pub fn acknowledged(&mut self, durable: u64) -> Result<(), ProducerError> {
         if durable >= self.next_unsent {
             return Err(ProducerError::Foreign { durable, sent: self.next_unsent - 1 });
@@ -238,12 +240,12 @@ impl Window {
         Ok(())
     }
 
-    /// A new connection: the daemon has everything up to `durable`, with that checksum. Gives the number of
-    /// observations of which it was not known before.
+    /// A new connection: the daemon has everything up to `durable`, with this checksum. Returns the number of
+    /// observations that this newly shows to be durable.
     ///
     /// # Errors
-    /// [`ProducerError::Lost`] where the daemon has less than it acknowledged, [`ProducerError::Foreign`] where it has
-    /// more than was sent, [`ProducerError::Differs`] where it has something else.
+    /// [`ProducerError::Lost`] if the daemon has less than it acknowledged, [`ProducerError::Foreign`] if it has more
+    /// than was sent, [`ProducerError::Differs`] if its data differs.
     pub fn welcomed(&mut self, durable: u64, content_crc: u32) -> Result<u64, ProducerError> {
         let acknowledged = self.durable();
         if durable < acknowledged {

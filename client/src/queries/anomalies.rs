@@ -1,7 +1,7 @@
-//! Observations that the model did not expect: looked back at, and as they come.
+//! Anomalies: observations that the model did not expect, past ones and as they occur.
 //!
-//! Invariant: what is looked back at comes by time, each observation once, and none outside of what was asked for; what is
-//! watched comes in the order in which the daemon applied it, and what was missed is told.
+//! Invariant: past anomalies come by time, each once, within the requested interval; watched anomalies come in the
+//! order in which the daemon applied them, and missed observations are counted.
 
 pub use tidemap_map::anomaly::Anomaly;
 use tidemap_proto::convert::query::selector_to_wire;
@@ -12,8 +12,8 @@ use super::ModelSelector;
 use crate::{connection::Client, error::Error};
 use tidemap_proto::convert::time::timestamp;
 
-/// What counts as an anomaly, by the T-RO paper of 2017, section V: that the model says the contrary with this confidence. Of a state that is no probability: that the value lies outside
-/// of the interval that holds a single one with this confidence.
+/// What counts as an anomaly (T-RO 2017, section V): the model predicts the contrary with this confidence. For other
+/// kinds than probabilities: the value lies outside the prediction interval of a single value with this confidence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judgement {
     /// Above 0.5, at most 1.
@@ -28,7 +28,7 @@ impl Default for Judgement {
     }
 }
 
-/// A look back under way.
+/// A search for past anomalies in progress.
 #[derive(Debug)]
 pub struct Anomalies {
     client: Client,
@@ -37,29 +37,29 @@ pub struct Anomalies {
     to_nanos: i64,
 }
 
-/// A watch under way. It ends when it is dropped.
+/// A watch in progress. It ends when it is dropped.
 #[derive(Debug)]
 pub struct AnomalyWatch {
     client: Client,
     replies: Streaming<v1::WatchAnomaliesResponse>,
 }
 
-/// What a watch tells at once.
+/// A reply of a watch.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Watched {
-    /// Names of states, and what was not expected of them, in the order in which the observations were applied.
+    /// Names of states and their anomalies, in the order in which the observations were applied.
     pub anomalies: Vec<(String, Anomaly)>,
-    /// Observations of the map that came before these and were not judged, because this end did not keep up.
+    /// Number of observations of the map before these that were not judged, because replies were not read in time.
     pub missed: u64,
 }
 
 impl Client {
-    /// The observations of a state, or of a cell (`cell/X/Y/Z`), from one time up to but not including another, that were
-    /// not to be expected, as the model is now.
+    /// Finds the anomalies of a state, or of a cell (`cell/X/Y/Z`), from one time up to, not including, another, judged
+    /// by the current model.
     ///
     /// # Errors
-    /// [`Error`]; the code is `INVALID_ARGUMENT` where the confidence is none or the model answers from the newest value,
-    /// and otherwise as of [`Client::reconstruct`].
+    /// [`Error`]; the code is `INVALID_ARGUMENT` if the confidence is invalid or the model predicts from the newest
+    /// value, and otherwise as for [`Client::reconstruct`].
     pub async fn anomalies(
         &self,
         map: &str,
@@ -80,12 +80,12 @@ impl Client {
         Ok(Anomalies { client: self.clone(), replies: answer.into_inner(), from_nanos, to_nanos })
     }
 
-    /// The observations that are not to be expected, of these states or of all where none is named, from now on. When
-    /// this returns the watch has begun.
+    /// Watches the anomalies of these states, or of all states if none is named, from now on. When this returns the
+    /// watch has begun.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state, `INVALID_ARGUMENT` where the confidence is
-    /// none or the model is not `auto`, `mean` or `spectral`, `RESOURCE_EXHAUSTED` where too many watch.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist, `INVALID_ARGUMENT` if the confidence is
+    /// invalid or the model is not `auto`, `mean` or `spectral`, `RESOURCE_EXHAUSTED` if there are too many watches.
     pub async fn watch_anomalies(
         &self,
         map: &str,
@@ -104,7 +104,7 @@ impl Client {
 }
 
 impl Anomalies {
-    /// The next anomalies, perhaps none; `None` after the last.
+    /// The next anomalies, possibly none; `None` after the last.
     ///
     /// # Errors
     /// [`Error`]
@@ -121,10 +121,10 @@ impl Anomalies {
 }
 
 impl AnomalyWatch {
-    /// What comes next. It waits as long as that takes; `None` where the daemon ends the watch without a word.
+    /// Waits for the next reply; `None` if the daemon ends the watch without an error.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where the map is deleted, `UNAVAILABLE` where the daemon stops.
+    /// [`Error`]; the code is `NOT_FOUND` if the map is deleted, `UNAVAILABLE` if the daemon stops.
     pub async fn next(&mut self) -> Result<Option<Watched>, Error> {
         let reply = self.replies.message().await.map_err(|status| self.client.error(&status))?;
         reply.map(watched).transpose()

@@ -1,6 +1,6 @@
 //! Comparing predictions with given observations, which are not learned.
 //!
-//! Invariant: observations leave in pieces of bounded size; none is kept here longer than until its piece is full.
+//! Invariant: observations are sent in messages of bounded size; none is kept here after its message is full.
 
 use std::collections::HashMap;
 
@@ -17,18 +17,18 @@ use crate::{
     observe::columns::{BatchLimits, Entry, StreamTable, fitting, pack},
 };
 
-/// The daemon's limits of one message.
+/// Limits of one message of the daemon.
 const LIMITS: BatchLimits = BatchLimits { observations: 4096, bytes: 1 << 20 };
 const QUEUED_MESSAGES: usize = 2;
 
-/// What to compare.
+/// A request for a comparison.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EvaluateOptions {
     /// Name of the map.
     pub map: String,
     /// The models; the spectral one without an order stands for every order up to `max_order`.
     pub models: Vec<ModelSelector>,
-    /// Greatest order; 15 where absent.
+    /// Greatest order; 15 if absent.
     pub max_order: Option<u32>,
 }
 
@@ -43,7 +43,7 @@ pub struct Evaluation {
     pub observations: u64,
     /// Mean squared error, in the square of the values' unit.
     pub mean_squared_error: f64,
-    /// Share of observations on the other side of 0.5 than their prediction; absent of a state that is no probability.
+    /// Share of observations on the other side of 0.5 than their prediction; absent for other kinds than probabilities.
     pub error_rate: Option<f64>,
 }
 
@@ -52,22 +52,22 @@ pub struct Evaluation {
 pub struct Unavailable {
     /// The model, with its parameter filled in.
     pub model: ModelSelector,
-    /// Why, to read.
+    /// Reason in words.
     pub reason: String,
     /// Names of the states.
     pub states: Vec<String>,
 }
 
-/// What a comparison has found.
+/// The result of a comparison.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Comparison {
-    /// By state in the order of first appearance, then by model, then by order.
+    /// The evaluations, by state in the order of first appearance, then by model, then by order.
     pub evaluations: Vec<Evaluation>,
-    /// What is missing in them, by model.
+    /// The models that could not be compared.
     pub unavailable: Vec<Unavailable>,
 }
 
-/// A comparison under way.
+/// A comparison in progress.
 #[derive(Debug)]
 pub struct Evaluator {
     client: Client,
@@ -89,7 +89,7 @@ impl Client {
             max_order: options.max_order,
         };
         let (requests, outgoing) = mpsc::channel(QUEUED_MESSAGES);
-        // The first of a new channel's places.
+        // A new channel has room.
         let _ = requests.try_send(EvaluateStatesRequest { message: Some(Message::Header(header)) });
         let mut service = self.query_service();
         let answer = tokio::spawn(async move {
@@ -109,8 +109,8 @@ impl Client {
 }
 
 impl Evaluator {
-    /// Adds an observation, whose time is at least 0. `false`: the daemon takes no more, and [`Evaluator::finish`] tells
-    /// why.
+    /// Adds an observation; its time is at least 0. `false`: the daemon accepts no more, and [`Evaluator::finish`]
+    /// returns the reason.
     pub async fn add(&mut self, state: &str, time_nanos: i64, value: f64) -> bool {
         let index = match self.indices.get(state) {
             Some(&index) => index,
@@ -140,10 +140,10 @@ impl Evaluator {
         true
     }
 
-    /// Sends what is left and waits for the result.
+    /// Sends the remaining observations and waits for the result.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist.
     pub async fn finish(mut self) -> Result<Comparison, Error> {
         self.send().await;
         let Self { client, requests, answer, .. } = self;

@@ -1,7 +1,6 @@
-//! The grid at one time, past or future.
+//! The predicted grid at one time, past or future.
 //!
-//! Invariant: every tile that the daemon announced arrives, each once and in order; a part that is missing is an error,
-//! never unknown cells.
+//! Invariant: every announced tile arrives, each once and in order; a missing part is an error, never unknown cells.
 
 mod tile;
 
@@ -19,10 +18,10 @@ use crate::{
     maps::{CellBox, Grid},
 };
 
-/// Cells along a tile's edge.
+/// Number of cells along the edge of a tile.
 pub const TILE_EDGE: i32 = 8;
 
-/// What is told of each cell.
+/// The output for each cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum GridOutput {
     /// Probability that it is occupied.
@@ -30,45 +29,45 @@ pub enum GridOutput {
     Probability,
     /// Entropy of the prediction in bits.
     Entropy,
-    /// 1 where the probability is at least this, else 0.
+    /// 1 if the probability is at least this, else 0.
     Threshold(f64),
 }
 
-/// A question about a grid.
+/// A request for a prediction of a grid.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GridQuery {
     /// Name of the map.
     pub map: String,
-    /// When.
+    /// Time, nanoseconds UTC.
     pub time_nanos: i64,
-    /// Which model answers.
+    /// The model that predicts.
     pub model: ModelSelector,
-    /// The cells asked for; all where absent.
+    /// The cells to predict; all if absent.
     pub region: Option<CellBox>,
-    /// Projects the region along z to one layer: a column counts as its most probable known cell.
+    /// Whether to project the region along z to one layer: a column gets the value of its most probable known cell.
     pub is_projected: bool,
-    /// What is told of each cell.
+    /// The output for each cell.
     pub output: GridOutput,
 }
 
-/// What an answer holds.
+/// The header of a reply.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridHeader {
     /// The grid.
     pub grid: Grid,
-    /// The cells that the tiles cover; z from 0 to 1 where projected.
+    /// The cells of the tiles; z from 0 to 1 if projected.
     pub region: CellBox,
-    /// Tiles to come.
+    /// Number of tiles to come.
     pub tiles: u64,
-    /// Cells of these tiles.
+    /// Number of cells of these tiles.
     pub cells: u64,
-    /// Bytes of all of them, at most.
+    /// Maximum number of bytes of all tiles.
     pub bytes: u64,
-    /// Number of updates published when the question was answered.
+    /// Number of updates published at the time of the reply.
     pub generation: u64,
 }
 
-/// An answer under way.
+/// A reply in progress.
 #[derive(Debug)]
 pub struct GridPrediction {
     client: Client,
@@ -76,16 +75,16 @@ pub struct GridPrediction {
     is_projected: bool,
     replies: Streaming<v1::PredictGridResponse>,
     received: u64,
-    /// Place of the last tile: z, y, x.
+    /// Index of the last tile: z, y, x.
     last: Option<[i32; 3]>,
 }
 
-/// A whole answer.
+/// A complete reply.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PredictedGrid {
-    /// What it holds.
+    /// The header.
     pub header: GridHeader,
-    /// Its tiles, by z, then y, then x.
+    /// The tiles, by z, then y, then x.
     pub tiles: Vec<PredictedTile>,
 }
 
@@ -110,16 +109,16 @@ impl GridQuery {
 }
 
 impl Client {
-    /// Asks for the grid at one time. Tiles come as [`GridPrediction::next`] takes them.
+    /// Predicts the grid at one time. [`GridPrediction::next`] returns its tiles.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map, `FAILED_PRECONDITION` where it has no grid,
-    /// `RESOURCE_EXHAUSTED` where the region has more cells than the daemon predicts at once.
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist, `FAILED_PRECONDITION` if it has no grid,
+    /// `RESOURCE_EXHAUSTED` if the region has more cells than the limit.
     pub async fn predict_grid(&self, query: &GridQuery) -> Result<GridPrediction, Error> {
         self.asked(query, false).await
     }
 
-    /// What an answer would hold, without the work.
+    /// The header of the reply, without the tiles.
     ///
     /// # Errors
     /// As [`Client::predict_grid`].
@@ -154,7 +153,7 @@ fn header_from_wire(header: v1::GridHeader) -> Result<GridHeader, Error> {
 }
 
 impl GridPrediction {
-    /// What the answer holds.
+    /// The header.
     #[must_use]
     pub fn header(&self) -> &GridHeader {
         &self.header
@@ -201,7 +200,7 @@ impl GridPrediction {
 }
 
 impl PredictedGrid {
-    /// What is predicted of a cell; unknown where it is not part of the answer.
+    /// The prediction of a cell; unknown if it is not part of the reply.
     #[must_use]
     pub fn cell(&self, cell: [i32; 3]) -> CellPrediction {
         let [x, y, z] = cell.map(|index| index.div_euclid(TILE_EDGE));

@@ -1,7 +1,7 @@
-//! Where something will be: cells of a region with their probabilities.
+//! Predicted positions: cells of a region with their probabilities.
 //!
-//! Invariant: each time asked for is answered once, in order; cells lie in the region that the daemon has named. An answer
-//! that leaves out or reorders anything is an error, never a gap.
+//! Invariant: each requested time is answered once, in order; cells lie in the region of the header. A reply that omits
+//! or reorders anything is an error.
 
 use tidemap_proto::convert::query::selector_to_wire;
 use tidemap_proto::v1::{self, predict_positions_response::Message};
@@ -11,33 +11,33 @@ use super::ModelSelector;
 use crate::{connection::Client, error::Error};
 use tidemap_proto::convert::time::instant;
 
-/// What is asked of a vector.
+/// A request for positions of a vector.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PositionQuery {
     /// Times, nanoseconds UTC; at least one.
     pub times: Vec<i64>,
-    /// Which model answers: hypertime-em or hypertime-km; the daemon's default where absent.
+    /// The model that predicts: hypertime-em or hypertime-km; the daemon's default if absent.
     pub model: Option<ModelSelector>,
-    /// Lower and upper corner of what is told, metres; that of the observations with a margin where absent.
+    /// Lower and upper corner of the region, metres; by default the observations with a margin.
     pub region_m: Option<(Vec<f64>, Vec<f64>)>,
-    /// Edge of a cell in metres; the daemon's default where absent.
+    /// Edge of a cell, metres; the daemon's default if absent.
     pub resolution_m: Option<f64>,
-    /// Only so many cells of each time, the most probable ones; all where absent.
+    /// Maximum number of cells of each time, the most probable ones; all if absent.
     pub top: Option<u32>,
 }
 
-/// What is told of all times.
+/// The header of a reply.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PositionsHeader {
     /// Lower corner of the first cell, metres.
     pub low_m: Vec<f64>,
     /// Edge of a cell, metres.
     pub resolution_m: f64,
-    /// Cells along each axis.
+    /// Number of cells along each axis.
     pub counts: Vec<u32>,
-    /// Acknowledged positions.
+    /// Number of acknowledged positions.
     pub observations: u64,
-    /// Positions that the model was fitted to.
+    /// Number of positions that the model was fitted to.
     pub fitted_observations: u64,
     /// Time of the newest observation.
     pub last_nanos: Option<i64>,
@@ -45,20 +45,20 @@ pub struct PositionsHeader {
     pub generation: u64,
 }
 
-/// Where it is at one time.
+/// The predicted position at one time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PositionForecast {
-    /// Which of the times asked for.
+    /// Index of the time in the request.
     pub time: usize,
-    /// The position to expect, metres.
+    /// Expected position, metres.
     pub expected_m: Vec<f64>,
-    /// Probability that it is in none of the region's cells.
+    /// Probability that the position is outside the cells of the region.
     pub outside: f64,
-    /// Middle of each cell in metres, and its probability; the most probable first.
+    /// Centre of each cell in metres, and its probability; most probable first.
     pub cells: Vec<(Vec<f64>, f64)>,
 }
 
-/// Positions under way.
+/// A reply in progress.
 #[derive(Debug)]
 pub struct Positions {
     client: Client,
@@ -71,11 +71,11 @@ pub struct Positions {
 }
 
 impl Client {
-    /// Asks where a vector will be, and waits for what is told of all times.
+    /// Predicts the positions of a vector, and waits for the header of the reply.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state, `INVALID_ARGUMENT` where the state is no
-    /// vector or the question makes no sense, `FAILED_PRECONDITION` where nothing of it is learned.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist, `INVALID_ARGUMENT` if the state is not a
+    /// vector or the request is invalid, `FAILED_PRECONDITION` if the vector is untrained.
     pub async fn positions(&self, map: &str, state: &str, query: PositionQuery) -> Result<Positions, Error> {
         let times = query.times.len();
         let request = v1::PredictPositionsRequest {
@@ -110,7 +110,7 @@ impl Client {
 }
 
 impl PositionsHeader {
-    /// The middle of a cell by its number, metres; `None` where there is none.
+    /// The centre of a cell by its index, metres; `None` if there is no such cell.
     #[must_use]
     pub fn middle_m(&self, index: u32) -> Option<Vec<f64>> {
         let mut rest = index;
@@ -124,13 +124,13 @@ impl PositionsHeader {
 }
 
 impl Positions {
-    /// What is told of all times.
+    /// The header of a reply.
     #[must_use]
     pub fn header(&self) -> &PositionsHeader {
         &self.header
     }
 
-    /// Where it is at the next time; `None` after the last.
+    /// The forecast of the next time; `None` after the last.
     ///
     /// # Errors
     /// [`Error`].

@@ -1,7 +1,7 @@
-//! Predictions of any number of states and times, asked for in pieces that the daemon's limits allow.
+//! Predictions of any number of states and times, requested in pieces within the limits of the daemon.
 //!
-//! Invariant: every state gets a prediction for every time, by state and then by time; an answer that leaves out or
-//! reorders anything is an error, never a gap.
+//! Invariant: every state gets a prediction for every time, by state and then by time; a reply that omits or reorders
+//! anything is an error.
 
 use std::ops::Range;
 
@@ -13,24 +13,24 @@ use super::ModelSelector;
 use crate::{connection::Client, error::Error};
 use tidemap_proto::convert::time::instant;
 
-/// The daemon's limits of one request, with some room in the bytes.
+/// Limits of one request of the daemon, with a margin in the bytes.
 const STATES_MAX: usize = 10_000;
 const PREDICTIONS_MAX: usize = 1_000_000;
 const TIMES_MAX: usize = 65_536;
 const NAME_BYTES_MAX: usize = 400_000;
-/// What a name takes on the wire beside itself.
+/// Bytes of a name on the wire in addition to its text.
 const NAME_BYTES_EXTRA: usize = 3;
 
-/// Predictions of one state at consecutive times of those asked for.
+/// Predictions of one state at consecutive requested times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PredictionRun {
-    /// Which of the states asked for.
+    /// Index of the state in the request.
     pub state: usize,
-    /// Which axis of it, where it is a vector: 0 for x.
+    /// The axis of a vector: 0 for x.
     pub axis: Option<usize>,
-    /// Which of the times asked for is the first.
+    /// Index of the first time in the request.
     pub first_time: usize,
-    /// Probability that the state is 1, or the value to expect of a state that is no probability, one per time.
+    /// Probability that the state is 1, or the expected value of other kinds, one per time.
     pub probabilities: Vec<f64>,
     /// Lower end of the credible interval, one per time, or empty.
     pub lower: Vec<f64>,
@@ -38,15 +38,15 @@ pub struct PredictionRun {
     pub upper: Vec<f64>,
     /// Entropy of each prediction.
     pub entropies_bits: Vec<f64>,
-    /// Order of the spectral model that answered.
+    /// Order of the spectral model that predicted.
     pub order: u32,
-    /// Acknowledged observations of the state.
+    /// Number of acknowledged observations of the state.
     pub observations: u64,
     /// Time of the newest observation.
     pub last_nanos: Option<i64>,
 }
 
-/// Predictions under way.
+/// Predictions in progress.
 #[derive(Debug)]
 pub struct Predictions {
     client: Client,
@@ -57,11 +57,11 @@ pub struct Predictions {
     interval_level: f64,
     pieces: std::vec::IntoIter<Piece>,
     current: Option<(Piece, Streaming<v1::PredictStatesResponse>)>,
-    /// What comes next, if the daemon keeps the order.
+    /// The next expected prediction, if the daemon keeps the order.
     next: Next,
 }
 
-/// What one request asks for.
+/// One request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Piece {
     states: Range<usize>,
@@ -69,8 +69,7 @@ struct Piece {
 }
 
 impl Client {
-    /// Asks for the predictions of `states` at `times` (nanoseconds). Nothing is sent before the first
-    /// [`Predictions::next`].
+    /// Predicts `states` at `times` (nanoseconds). Nothing is sent before the first [`Predictions::next`].
     #[must_use]
     pub fn predict(&self, map: &str, states: Vec<String>, times: Vec<i64>, model: ModelSelector) -> Predictions {
         let lengths: Vec<usize> = states.iter().map(String::len).collect();
@@ -93,7 +92,7 @@ impl Predictions {
     /// The next predictions; `None` after the last.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist.
     pub async fn next(&mut self) -> Result<Option<PredictionRun>, Error> {
         loop {
             if let Some((piece, replies)) = &mut self.current {
@@ -121,53 +120,54 @@ impl Predictions {
         }
     }
 
-    /// Asks for credible intervals, too, that hold the mean over the hour around a time with this probability, in (0, 1).
+    /// Also requests credible intervals, which contain the mean over the hour around a time with this probability, in
+    /// (0, 1).
     #[must_use]
     pub fn with_intervals(self, level: f64) -> Self {
         Self { interval_level: level, ..self }
     }
 
-    /// The states asked for.
+    /// The requested states.
     #[must_use]
     pub fn states(&self) -> &[String] {
         &self.states
     }
 
-    /// The times asked for.
+    /// The requested times.
     #[must_use]
     pub fn times(&self) -> &[i64] {
         &self.times
     }
 }
 
-/// Which prediction of a piece comes next.
+/// The next expected prediction of a piece.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Next {
     state: usize,
-    /// Of a vector, how many of its axes are complete: after the second it is for the daemon to say whether there is a third.
+    /// Number of complete axes of a vector: after the second, the daemon decides whether there is a third.
     axes: usize,
     time: usize,
 }
 
 impl Next {
-    /// Whether all of so many states have come.
+    /// Whether all of the given number of states have arrived.
     fn is_after(self, states: usize) -> bool {
         self.time == 0
             && (self == Self { state: states, axes: 0, time: 0 } || (self.state + 1 == states && self.axes == 2))
     }
 
-    /// Whether this may come now: `axis` is 0 of a state that is no vector.
+    /// Whether this prediction may come now: `axis` is 0 for a state that is not a vector.
     fn may_be(self, state: usize, axis: usize, time: usize) -> bool {
         let is_next = match axis {
             0 => (state, self.axes) == (self.state, 0),
             _ => (state, axis) == (self.state, self.axes + 1),
         };
-        // A vector of two coordinates is complete, and what comes is of the next state.
+        // A vector of two coordinates is complete, and this belongs to the next state.
         let is_beyond = self.axes == 2 && self.time == 0 && state == self.state + 1 && axis <= 1;
         time == self.time && axis <= 3 && (is_next || is_beyond)
     }
 
-    /// What comes after the last time of this.
+    /// The prediction expected after the last time of this one.
     fn after(state: usize, axis: usize) -> Self {
         if axis == 0 || axis == 3 {
             Self { state: state + 1, axes: 0, time: 0 }
@@ -204,7 +204,7 @@ fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut Next) -> 
     })
 }
 
-/// Cuts the question up: states together as long as all times fit, else state by state.
+/// Splits the request: states together as long as all times fit, else state by state.
 fn pieces(name_lengths: &[usize], times: usize) -> Vec<Piece> {
     let mut pieces = Vec::new();
     if times == 0 {

@@ -1,6 +1,6 @@
-//! What was observed, exactly.
+//! Exact observations of the past.
 //!
-//! Invariant: observations come by time, each once, and none outside of what was asked for; anything else is an error.
+//! Invariant: observations come by time, each once, within the requested interval; anything else is an error.
 
 use tidemap_proto::v1;
 use tonic::Streaming;
@@ -8,7 +8,7 @@ use tonic::Streaming;
 use crate::{connection::Client, error::Error};
 use tidemap_proto::convert::time::timestamp;
 
-/// An answer under way.
+/// A reply in progress.
 #[derive(Debug)]
 pub struct Reconstruction {
     client: Client,
@@ -18,11 +18,12 @@ pub struct Reconstruction {
 }
 
 impl Client {
-    /// What was observed of a state, or of a cell (`cell/X/Y/Z`), from one time up to but not including another.
+    /// Reads back the observations of a state, or of a cell (`cell/X/Y/Z`), from one time up to, not including,
+    /// another.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` where there is no such map or state, `FAILED_PRECONDITION` where the map does not
-    /// keep its history, `OUT_OF_RANGE` where that does not reach back so far.
+    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist, `FAILED_PRECONDITION` if the map does not
+    /// keep its history, `OUT_OF_RANGE` if the history does not reach back that far.
     pub async fn reconstruct(
         &self,
         map: &str,

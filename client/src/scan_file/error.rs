@@ -1,95 +1,53 @@
-//! Why a file of scans cannot be read.
+//! Errors of reading a file of scans.
 //!
-//! Invariant: an error says at which byte of the file, how many scans before it are whole, and what would be right.
+//! Invariant: an error gives the position in the file, the number of complete scans before it, and what would be valid.
 
 use std::{io, sync::Arc};
 
 use super::MESSAGE_BYTES_MAX;
 use tidemap_proto::convert::scans::TileError;
 
-/// Why a file of scans cannot be read.
+/// Errors of reading a file of scans.
 #[derive(Clone, Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
 pub enum ScanFileError {
-    /// Reading failed.
     #[error("byte {offset}: {error}")]
-    Io {
-        /// Where.
-        offset: u64,
-        /// Why.
-        error: Arc<io::Error>,
-    },
-    /// The file is not what it has to be.
+    Io { offset: u64, error: Arc<io::Error> },
     #[error("byte {offset}, after {scans} whole scans: {wrong}")]
-    Wrong {
-        /// Where the message begins that is wrong.
-        offset: u64,
-        /// Scans before it.
-        scans: u64,
-        /// What is wrong.
-        wrong: Wrong,
-    },
+    Wrong { offset: u64, scans: u64, wrong: ScanFileFault },
 }
 
 /// What is wrong with a file of scans.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Wrong {
-    /// Another kind of file.
-    #[error("the file begins with {:?}; a file of scans begins with the line \"tidemap scans 1\"", String::from_utf8_lossy(.0))]
+#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
+pub enum ScanFileFault {
+    #[error(
+        "the file begins with {:?}; a file of scans begins with the line \"tidemap scans 1\"",
+        String::from_utf8_lossy(.0)
+    )]
     Magic(Vec<u8>),
-    /// The end instead of the header.
-    #[error("the file ends where its header has to be")]
+    #[error("the file ends before its header")]
     NoHeader,
-    /// The end in the middle.
-    #[error("the file is cut off: {what} takes {needs} bytes and {has} are there; what comes before it counts")]
-    CutOff {
-        /// What was being read.
-        what: &'static str,
-        /// Its bytes, or at least so many.
-        needs: u64,
-        /// Those there.
-        has: u64,
-    },
-    /// The end in the middle of a scan.
-    #[error("the file is cut off: its last scan goes on in a batch that is not there; what comes before it counts")]
+    #[error("the file is truncated: {what} takes {needs} bytes, but there are {has}; everything before it is valid")]
+    CutOff { what: &'static str, needs: u64, has: u64 },
+    #[error("the file is truncated: its last scan continues in a missing batch; everything before it is valid")]
     Unfinished,
-    /// A length that no message has.
     #[error("a message of {0} bytes: at most {MESSAGE_BYTES_MAX} are allowed, so the file is damaged")]
     Length(u64),
-    /// No message of that kind.
-    #[error("not a message of the kind that has to be here: {0}")]
+    #[error("not a valid message here: {0}")]
     Malformed(prost::DecodeError),
-    /// Not a length.
-    #[error("resolution_m is {0}: it has to be 0 or a positive number")]
+    #[error("resolution_m is {0}: it must be 0 or a positive number")]
     Resolution(f64),
-    /// Not a place.
-    #[error("origin_m is {0:?}: it has to be three finite numbers, or none")]
+    #[error("origin_m is {0:?}: it must be three finite numbers, or none")]
     Origin(Vec<f64>),
-    /// A batch is missing, or twice there.
-    #[error("first_sequence is {found}: it has to be {expected}, one more than the scans before it")]
-    Sequence {
-        /// What would be right.
-        expected: u64,
-        /// What is there.
-        found: u64,
-    },
-    /// Scans and times do not match.
-    #[error("{scans} scans with {times} times: there has to be a time a scan, and a scan at least")]
-    Lengths {
-        /// Scans.
-        scans: usize,
-        /// Times.
-        times: usize,
-    },
-    /// A time that is none.
+    #[error("first_sequence is {found}: it must be {expected}, one more than the scans before it")]
+    Sequence { expected: u64, found: u64 },
+    #[error("{scans} scans with {times} times: there must be one time per scan, and at least one scan")]
+    Lengths { scans: usize, times: usize },
     #[error("the time of scan {scan} is before 1970 or beyond 2262")]
-    Time {
-        /// Which.
-        scan: u64,
-    },
-    /// A scan over too many messages.
+    Time { scan: u64 },
     #[error("a scan of more than {0} messages")]
     Parts(usize),
-    /// A scan that makes no sense.
     #[error("{0}")]
     Tiles(TileError),
 }

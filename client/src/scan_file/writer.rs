@@ -1,4 +1,4 @@
-//! Writing a file of scans.
+//! Writes files of scans.
 //!
 //! Invariant: the batches are those that a producer would send on its first connection; each can be sent as it is.
 
@@ -15,7 +15,7 @@ use crate::observe::{
     window::Window,
 };
 
-/// Scans and bytes of a batch.
+/// Maximum number of scans and bytes of a batch.
 const LIMITS: ScanLimits = ScanLimits { scans: 256, bytes: 512 << 10 };
 
 /// Writes a file of scans.
@@ -29,14 +29,12 @@ pub struct ScanFileWriter<W> {
 
 /// Why a scan cannot be written.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
 pub enum ScanWriteError {
-    /// Writing failed.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// The scan makes no sense.
     #[error(transparent)]
     Scan(#[from] tidemap_proto::convert::scans::TileError),
-    /// The scan has a time before 1970.
     #[error(transparent)]
     Time(ProducerError),
 }
@@ -45,7 +43,7 @@ impl<W: Write> ScanFileWriter<W> {
     /// Begins a file.
     ///
     /// # Errors
-    /// What `writer` says.
+    /// The error of `writer`.
     pub fn new(mut writer: W, header: &ScanFileHeader) -> io::Result<Self> {
         writer.write_all(MAGIC)?;
         let header = header.encode_length_delimited_to_vec();
@@ -65,7 +63,7 @@ impl<W: Write> ScanFileWriter<W> {
         Ok(self.write(false)?)
     }
 
-    /// Adds a scan as on the wire: its slots are those of the tiles so far, `new_tiles` (x, y, z of each) included.
+    /// Adds a scan as on the wire: its slots are those of the tiles so far, including `new_tiles` (x, y, z of each).
     ///
     /// # Errors
     /// [`ScanWriteError`]
@@ -75,17 +73,18 @@ impl<W: Write> ScanFileWriter<W> {
         Ok(self.write(false)?)
     }
 
-    /// Writes what is left and gives the writer and the bytes of the file. Without it the file lacks its last scans.
+    /// Writes the remaining scans; returns the writer and the length of the file. Without this call the file lacks its
+    /// last scans.
     ///
     /// # Errors
-    /// What the writer says.
+    /// The error of the writer.
     pub fn finish(mut self) -> io::Result<(W, u64)> {
         self.write(true)?;
         self.writer.flush()?;
         Ok((self.writer, self.bytes))
     }
 
-    /// Writes what makes a batch, or all.
+    /// Writes complete batches, or everything.
     fn write(&mut self, all: bool) -> io::Result<()> {
         loop {
             let (window, first_sequence) = (&self.window, self.window.next_unsent());

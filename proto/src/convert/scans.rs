@@ -47,11 +47,10 @@ pub struct ScanLimits {
 
 /// Why a message of scans ends its stream.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
 pub enum ScanError {
-    /// An invalid field.
     #[error(transparent)]
     Invalid(#[from] InvalidField),
-    /// A limit is exceeded.
     #[error(transparent)]
     Limit(#[from] OverLimit),
 }

@@ -1,4 +1,4 @@
-//! Packing by example, and by unpacking as the protocol says.
+//! Packing, tested by examples and by unpacking as the protocol says.
 
 use proptest::prelude::*;
 use prost::Message as _;
@@ -13,7 +13,7 @@ fn entry(state: u32, time_nanos: i64, value: f64) -> Entry {
     Entry { state, time_nanos, value, position: None }
 }
 
-/// Reads columns by the words of `types.proto`, with no regard to how they were made.
+/// Reads columns as `types.proto` defines them, independently of the packing.
 fn unpacked(columns: &ObservationColumns, table: &mut Vec<String>) -> Vec<(String, i64, u64)> {
     table.extend(columns.new_states.iter().cloned());
     let mut time = columns.first_time_nanos;

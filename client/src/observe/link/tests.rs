@@ -1,5 +1,5 @@
-//! A producer against a daemon that breaks off, ends streams and forgets, each on purpose. The real daemon does most of
-//! this only when its machine fails.
+//! A producer against a fake daemon that disconnects, ends streams and forgets on purpose; the real daemon does this
+//! only when its machine fails.
 
 use std::{
     collections::VecDeque,
@@ -19,16 +19,16 @@ use tonic::{Request, Response, Status, transport::Server};
 use super::*;
 use crate::observe::{Producer, ProducerOptions, RefusalReason, content::ContentCrc};
 
-/// What the daemon does with one connection.
+/// The behaviour of the daemon on one connection.
 #[derive(Clone, Debug)]
 enum Act {
-    /// All that it should, refusing values above 1.
+    /// Works normally, refusing values above 1.
     Serve,
-    /// Acknowledges so many observations; stores a batch more, and breaks off.
+    /// Acknowledges the given number of observations; then stores one more batch and disconnects.
     ServeUntil(u64),
-    /// Stores a batch, and breaks off without an acknowledgement.
+    /// Stores a batch, and disconnects without an acknowledgement.
     StoreAndBreak,
-    /// Breaks off at the first batch.
+    /// Disconnects at the first batch.
     Break,
     /// Answers the Hello with an error.
     Refuse(Code),
@@ -36,7 +36,7 @@ enum Act {
     End(GoodbyeReason),
     /// Acknowledges a batch, and then stops.
     ServeAndStop,
-    /// Is another data folder, with so many of the observations.
+    /// Is another data folder, with the given number of observations.
     Restored(usize),
 }
 
@@ -56,7 +56,7 @@ impl Stored {
         crc.value()
     }
 
-    /// Observation n of the tests has the time n - 1, so that times need not be kept.
+    /// Observation n of the tests has the time n - 1, so that times need not be stored.
     fn take(&mut self, batch: ObservationBatch, names: &mut Vec<String>) -> Vec<WireRefusal> {
         let columns = batch.observations.unwrap_or_default();
         names.extend(columns.new_states);
@@ -314,7 +314,7 @@ async fn a_daemon_that_has_everything_and_is_gone_does_not_hold_up_the_end() -> 
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     producer.close().await?;
-    // An attempt may have been under way; one that waits for the daemon would make all of them.
+    // An attempt may have been in progress; a producer that waits for the daemon would make all of them.
     assert!(fake.stored().incarnations.len() <= 7, "{}", fake.stored().incarnations.len());
     Ok(())
 }

@@ -11,20 +11,20 @@ use super::{Producer, ProducerError};
 use crate::observe::{scan::Scan, window::Window};
 
 impl Producer {
-    /// Gives a scan its number and takes charge of it; waits while the window is full. The scan is durable once
+    /// Accepts a scan and returns its number; waits while the window is full. The scan is durable once
     /// [`super::Progress::durable_sequence`] has reached the number.
     ///
     /// # Errors
-    /// [`ProducerError`]; the scan has then not been taken.
+    /// [`ProducerError`]; the scan is then not accepted.
     pub async fn send_scan(&mut self, time_nanos: i64, scan: Scan) -> Result<u64, ProducerError> {
         self.push_scan(time_nanos, |window| window.push_scan(time_nanos, scan)).await
     }
 
-    /// As [`Producer::send_scan`], with a scan as on the wire: its slots are those of the tiles so far, `new_tiles` (x, y,
-    /// z of each) included.
+    /// As [`Producer::send_scan`], with a scan as on the wire: its slots are those of the tiles so far, including
+    /// `new_tiles` (x, y, z of each).
     ///
     /// # Errors
-    /// [`ProducerError`]; the scan has then not been taken.
+    /// [`ProducerError`]; the scan is then not accepted.
     pub async fn send_wire_scan(
         &mut self,
         time_nanos: i64,
@@ -49,8 +49,8 @@ impl Producer {
         Ok(sequence)
     }
 
-    /// Goes on from what the last scan showed that the daemon has, so that what follows can be sent as differences. Before
-    /// the first scan, with everything sent so far durable.
+    /// Continues from the tiles of the last scan that the daemon has, so that later scans can be sent as differences.
+    /// Call it before the first scan, with everything durable.
     ///
     /// # Errors
     /// [`ProducerError`]

@@ -1,4 +1,4 @@
-//! Scans through connections that break, to a daemon that forgets its table of tiles with each.
+//! Scans over connections that break, to a daemon that forgets its table of tiles with each.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -22,13 +22,13 @@ use crate::observe::{
 
 type Picture = Vec<(TileIndex, TileMasks)>;
 
-/// The daemon's own decoder; beside it, what it shows.
+/// The decoder of the daemon, and beside it what it shows.
 struct Daemon {
     pictures: Vec<Picture>,
     crc: ContentCrc,
-    /// Of this connection.
+    /// The decoder of this connection.
     decoder: ScanDecoder,
-    /// Time and digest of scans that the decoder has told, until they are looked at.
+    /// Time and digest of decoded scans, until they are checked.
     decoded: Vec<(i64, u64)>,
     table: TileTable,
     unfinished: Option<v1::Scan>,
@@ -97,11 +97,11 @@ impl Daemon {
 
 #[derive(Clone, Debug)]
 enum Step {
-    /// Tiles by place, with masks made of the bits.
+    /// Tiles by x, with masks made from the bits.
     Push(Vec<(i32, u64)>),
     Send,
     Acknowledge,
-    /// Of the messages under way, so many arrive; then the connection breaks and a new one is made.
+    /// The given number of sent messages arrive; then the connection breaks and a new one is made.
     Break(usize),
 }
 

@@ -1,7 +1,7 @@
 //! The scans of a window.
 //!
-//! Invariant: a scan of tiles is kept as what differs from the producer's scan of tiles before it; each slot that it uses
-//! is among the first [`KeptScan::tiles`] of the producer's table.
+//! Invariant: a scan of tiles is kept as its difference to the previous scan of tiles of the producer; each of its
+//! slots is among the first [`KeptScan::tiles`] of the table of the producer.
 
 use tidemap_map::grid::index::TileIndex;
 use tidemap_proto::{
@@ -22,37 +22,37 @@ pub struct KeptScan {
 }
 
 impl KeptScan {
-    /// When it was made.
+    /// Time, nanoseconds UTC.
     #[must_use]
     pub fn time_nanos(&self) -> i64 {
         self.time_nanos
     }
 
-    /// Its digest.
+    /// Digest.
     #[must_use]
     pub fn digest(&self) -> u64 {
         self.digest
     }
 
-    /// Length of the producer's table of tiles with this scan's new tiles.
+    /// Length of the table of tiles, including the new tiles of this scan.
     #[must_use]
     pub fn tiles(&self) -> usize {
         self.tiles
     }
 
-    /// What it shows, with the slots of the producer's table.
+    /// Content, with the slots of the table of the producer.
     #[must_use]
     pub fn content(&self) -> &Content {
         &self.content
     }
 
-    /// Most bytes that it takes on the wire, but for tiles that have to be told anew.
+    /// Maximum number of bytes on the wire, without tiles that must be sent again.
     #[must_use]
     pub fn bytes(&self) -> usize {
         wire_bytes(&self.content)
     }
 
-    /// Follows it.
+    /// Applies the scan to a picture.
     pub(crate) fn follow_in(&self, picture: &mut TilePicture) {
         if let Content::Tiles(scan) = &self.content {
             picture.grow(self.tiles);
@@ -62,10 +62,10 @@ impl KeptScan {
 }
 
 impl Window {
-    /// Takes a scan in and gives it the next number, whether there is room or not.
+    /// Pushes a scan and returns its number, whether there is room or not.
     ///
     /// # Errors
-    /// [`TileError`]; it has then not been taken.
+    /// [`TileError`]; it is then not accepted.
     pub fn push_scan(&mut self, time_nanos: i64, scan: Scan) -> Result<u64, TileError> {
         let (content, digest) = match scan {
             Scan::Tiles(seen) => {
@@ -78,10 +78,10 @@ impl Window {
         Ok(self.keep(time_nanos, digest, content))
     }
 
-    /// Takes in a scan as on the wire, its slots those of the tiles so far and of `new_tiles`.
+    /// Pushes a scan as on the wire; its slots are those of the tiles so far, including `new_tiles`.
     ///
     /// # Errors
-    /// [`TileError`]; it has then not been taken.
+    /// [`TileError`]; it is then not accepted.
     pub fn push_wire_scan(&mut self, time_nanos: i64, new_tiles: &[i32], scan: v1::Scan) -> Result<u64, TileError> {
         self.tiles.extend(new_tiles)?;
         let content = scan.content.unwrap_or_else(|| Content::Tiles(v1::TileScan::default()));
@@ -100,14 +100,14 @@ impl Window {
         self.take(Item::Scan(Box::new(KeptScan { time_nanos, digest, tiles, content })))
     }
 
-    /// Goes on from a table of tiles: what the last scan showed that the daemon has.
+    /// Continues from a table of tiles: those of the last scan that the daemon has.
     pub fn go_on_from(&mut self, tiles: TileTable) {
         debug_assert!(self.entries.is_empty(), "scans follow it");
         self.base = tiles.picture().clone();
         self.tiles = tiles;
     }
 
-    /// What the last scan taken in has shown.
+    /// The table after the last pushed scan.
     #[must_use]
     pub fn into_tiles(self) -> TileTable {
         self.tiles
@@ -119,13 +119,14 @@ impl Window {
         self.tiles.tiles()
     }
 
-    /// What the last scan acknowledged has shown.
+    /// Tiles after the last acknowledged scan.
     #[must_use]
     pub fn base(&self) -> &TilePicture {
         &self.base
     }
 
-    /// The scans to send next, at most `most`; empty where it is better to wait for more, or an observation comes next.
+    /// The scans to send next, at most `most`; empty if it is better to wait for more, or another kind of item comes
+    /// next.
     pub fn scans_to_send(&self, most: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &KeptScan> {
         self.unsent(most, bytes, urgent).map_while(|item| match item {
             Item::Scan(scan) => Some(&**scan),

@@ -105,7 +105,7 @@ enum Step {
         urgent: bool,
     },
     Acknowledge,
-    /// Of the batches under way, so many observations arrive; then the connection breaks and a new one is made.
+    /// The given number of sent observations arrive; then the connection breaks and a new one is made.
     Break(usize),
 }
 

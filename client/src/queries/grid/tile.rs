@@ -1,26 +1,25 @@
 //! A tile of a predicted grid.
 //!
-//! Invariant: a tile that came out of [`PredictedTile::from_wire`] has used each value exactly once, and every value is in
-//! [0, 1].
+//! Invariant: a tile from [`PredictedTile::from_wire`] has used each value exactly once, and every value is in [0, 1].
 
 use tidemap_proto::v1;
 
 use crate::error::Error;
 
-/// What is predicted of a cell.
+/// The prediction of a cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum CellPrediction {
-    /// Nothing: it was never observed.
+    /// The cell was never observed.
     #[default]
     Unknown,
-    /// The value of a cell that has been read as one and the same all the time.
+    /// The value of a cell that was always read the same.
     Static(f32),
     /// The value of a cell that has changed.
     Changing(f32),
 }
 
 impl CellPrediction {
-    /// The value; none where the cell is unknown.
+    /// The value; `None` for an unknown cell.
     #[must_use]
     pub fn value(self) -> Option<f32> {
         match self {
@@ -30,12 +29,12 @@ impl CellPrediction {
     }
 }
 
-/// 8x8x8 cells with what is predicted of each.
+/// The predictions of 8x8x8 cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PredictedTile {
-    /// Where it is: x, y, z in tiles from the grid's origin.
+    /// Index: x, y, z in tiles from the origin of the grid.
     pub place: [i32; 3],
-    /// Its cells: x fastest, then y, then z. A projected tile has the lowest layer alone.
+    /// The cells: x fastest, then y, then z. A projected tile has only the lowest layer.
     pub cells: Box<[CellPrediction; 512]>,
 }
 
@@ -43,7 +42,7 @@ impl PredictedTile {
     pub(super) fn from_wire(tile: v1::PredictedTile, is_projected: bool) -> Result<Self, Error> {
         let bytes = if is_projected { 8 } else { 64 };
         let bits = |mask: &[u8]| -> Result<[bool; 512], Error> {
-            // Masks without a bit may be left out.
+            // Empty masks may be left out.
             if !mask.is_empty() && mask.len() != bytes {
                 return Err(Error::Protocol("a mask of a tile has another length"));
             }
