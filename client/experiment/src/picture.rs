@@ -7,7 +7,7 @@
 
 use tidemap_formats::svg::{
     Svg,
-    chart::{CHART_WIDTH as WIDTH, FONT_SIZE as NORMAL, Scale, number},
+    chart::{CHART_WIDTH as WIDTH, FONT_SIZE as NORMAL, Scale, draw_key, number, text_width},
 };
 
 use super::{Comparison, ModelResult, Protocol};
@@ -23,8 +23,6 @@ const BAR: f64 = 18.0;
 const BOTTOM: f64 = 100.0;
 /// Font size of parameters.
 const SMALL: f64 = 11.0;
-/// Mean width of letters as a share of the font size, at most, in all common fonts.
-const LETTER_WIDTH: f64 = 0.63;
 
 const GRID: &str = "stroke=\"#e4e4e4\"";
 const WHISKER: &str = "stroke=\"#111111\" stroke-width=\"1.5\"";
@@ -114,23 +112,16 @@ fn legend(svg: &mut Svg, top: f64, protocol: &Protocol, baseline: &str) {
     for (row, keys) in rows.into_iter().enumerate() {
         let (mut left, middle) = (MARGIN, top + 20.0 * row as f64);
         for (style, meaning) in keys {
-            svg.line([left, middle, left + 22.0, middle], &style);
-            svg.text([left + 30.0, middle + 4.0], &meaning, "text-anchor=\"start\"");
-            left += 54.0 + width(&meaning, NORMAL);
+            left = draw_key(svg, [left, middle], &style, &meaning);
         }
     }
 }
 
-/// An upper estimate of the width of a text.
-fn width(text: &str, height: f64) -> f64 {
-    LETTER_WIDTH * height * text.chars().count() as f64
-}
-
 /// The text, or as much of its start as fits into `room` pixels.
 fn shortened(text: &str, room: f64, height: f64) -> String {
-    if width(text, height) <= room {
+    if text_width(text, height) <= room {
         return text.to_owned();
     }
-    let fit = (room / (LETTER_WIDTH * height)) as usize;
+    let fit = (room / text_width("m", height)) as usize;
     text.chars().take(fit.saturating_sub(1)).chain(['…']).collect()
 }

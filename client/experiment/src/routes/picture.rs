@@ -26,10 +26,10 @@ pub(super) fn draw(outcome: &RouteComparison) -> String {
     for week in (0..weeks).step_by(weeks.div_ceil(20).max(1)) {
         panel.label(&mut svg, week as f64 + 0.5, &(week + 1).to_string());
     }
+    let mut left = LEFT;
     for (index, course) in outcome.courses.iter().enumerate() {
         panel.draw_series(&mut svg, (0..weeks).map(|week| Some(failures(course, week))), &series_style(index));
-        let left = LEFT + index as f64 * WIDTH / outcome.courses.len() as f64;
-        draw_key(&mut svg, [left, panel.bottom() + 48.0], &series_style(index), course.kind.name());
+        left = draw_key(&mut svg, [left, panel.bottom() + 48.0], &series_style(index), course.kind.name());
     }
     svg.finish()
 }

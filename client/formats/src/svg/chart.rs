@@ -58,6 +58,12 @@ pub fn number(number: f64) -> String {
     if is_short { rounded.to_string() } else { format!("{rounded:e}") }
 }
 
+/// An upper estimate of the width of a text: 0.63 is the largest mean width of letters, as a share of the font size, of
+/// all common fonts.
+pub fn text_width(text: &str, font_size: f64) -> f64 {
+    0.63 * font_size * text.chars().count() as f64
+}
+
 /// A panel in which series are drawn over `steps` equal steps of time.
 #[derive(Clone, Copy, Debug)]
 pub struct Panel {
@@ -112,8 +118,9 @@ impl Panel {
     }
 }
 
-/// Draws a key of the legend: a line and its meaning.
-pub fn draw_key(svg: &mut Svg, [left, middle]: [f64; 2], style: &str, meaning: &str) {
+/// Draws a key of a legend, a line and its meaning, and returns where the next key of the row starts.
+pub fn draw_key(svg: &mut Svg, [left, middle]: [f64; 2], style: &str, meaning: &str) -> f64 {
     svg.line([left, middle, left + 30.0, middle], style);
     svg.text([left + 38.0, middle + 4.0], meaning, "text-anchor=\"start\"");
+    left + 62.0 + text_width(meaning, FONT_SIZE)
 }

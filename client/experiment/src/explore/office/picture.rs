@@ -35,10 +35,10 @@ pub(super) fn draw(protocol: &OfficeProtocol, outcome: &OfficeExploration) -> St
         svg.line([midnight, TOP, midnight, panel.bottom()], "stroke=\"#c0c0c0\"");
         panel.label(&mut svg, (day as f64 + 0.5) * per_day as f64, &(day + 1).to_string());
     }
+    let mut left = LEFT;
     for (index, kind) in protocol.explorers.iter().enumerate() {
         panel.draw_series(&mut svg, (0..slots).map(|slot| percent(index, slot)), &series_style(index));
-        let left = LEFT + index as f64 * WIDTH / 3.0;
-        draw_key(&mut svg, [left, panel.bottom() + 48.0], &series_style(index), kind.name());
+        left = draw_key(&mut svg, [left, panel.bottom() + 48.0], &series_style(index), kind.name());
     }
     svg.finish()
 }
