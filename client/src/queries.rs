@@ -40,7 +40,7 @@ pub struct ModelDescription {
     /// Mean of the learned values; if there are none: 0.5 for a probability, else 0.
     pub mean: f64,
     /// Number of observations that updates have learned.
-    pub folded_observations: u64,
+    pub learned_observations: u64,
     /// Number of acknowledged observations, including those not yet learned.
     pub observations: u64,
     /// Number of components that predictions use.
@@ -103,7 +103,7 @@ impl Client {
             kind: StateKind::from_wire(model.kind()),
             state: model.state,
             mean: model.mean,
-            folded_observations: model.folded_observations,
+            learned_observations: model.learned_observations,
             observations: model.observations,
             order: model.order,
             components: model.components.into_iter().map(component).collect(),

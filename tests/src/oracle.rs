@@ -234,7 +234,7 @@ impl Oracle {
             same(|| format!("the time of {name:?}"), &state.last.map(|(time, _)| time), &model.last_nanos)?;
             if update {
                 let what = || format!("observations of {name:?} folded in");
-                same(what, &state.observations, &model.folded_observations)?;
+                same(what, &state.observations, &model.learned_observations)?;
                 near(|| format!("the mean of {name:?}"), state.sum / state.observations as f64, model.mean)?;
             }
         }

@@ -127,7 +127,7 @@ pub fn cell_description_to_wire(
         state: cell.name(),
         kind: v1::StateKind::Probability.into(),
         mean: description.spectral.mean(),
-        folded_observations: description.folded,
+        learned_observations: description.folded,
         observations: description.observations,
         order: u32::try_from(description.order).unwrap_or(u32::MAX),
         components: components_to_wire(view, &description.spectral),

@@ -114,7 +114,7 @@ pub fn tour_from_wire(request: &v1::PlanTourRequest, start_m: [f64; 2]) -> Resul
         scene: scene_from_wire(request.certainty, None)?,
         travel,
         end: if request.is_open { TourEnd::LastGoal } else { TourEnd::Start },
-        speed_m_secs: or(request.speed_m_per_s, default.speed_m_secs),
+        speed_m_per_s: or(request.speed_m_per_s, default.speed_m_per_s),
         observation_secs: secs("observing", request.observing)?.unwrap_or(default.observation_secs),
         budget_secs: secs("budget", request.budget)?,
         ..default

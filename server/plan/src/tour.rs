@@ -152,7 +152,7 @@ pub fn plan_tour_with(
     let budget = TourBudget {
         ways: &ways,
         values: &values,
-        secs_m: question.speed_m_secs.recip(),
+        secs_m: question.speed_m_per_s.recip(),
         observation_secs: question.observation_secs,
         budget_secs: question.budget_secs.unwrap_or(f64::INFINITY),
     };

@@ -74,7 +74,7 @@ async fn observations_ahead_of_the_clock_are_kept_and_wait() {
     let map = client.map("office").await.expect("the map");
     assert_eq!((map.observations, map.pending_observations), (2, 1));
     let model = client.describe_model("office", "door").await.expect("the door");
-    assert_eq!((model.folded_observations, model.mean, model.last_value), (1, 1.0, Some(1.0)));
+    assert_eq!((model.learned_observations, model.mean, model.last_value), (1, 1.0, Some(1.0)));
     // A later observation that is not in the future is applied before it.
     stream.batch(3, columns(&[], &[(0, 1_600_000_001_000_000_000, 0.25)])).await;
     stream.acknowledged(3).await.expect("the stream goes on");

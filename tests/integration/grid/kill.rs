@@ -92,7 +92,7 @@ fn compare(found: &Answers, expected: &Answers) {
     for (one, other) in found.models.iter().zip(&expected.models) {
         let facts = |model: &ModelDescription| {
             let times = (model.first_nanos, model.last_nanos);
-            (model.state.clone(), model.order, model.folded_observations, model.observations, times)
+            (model.state.clone(), model.order, model.learned_observations, model.observations, times)
         };
         assert_eq!(facts(one), facts(other));
         assert!(near(one.mean, other.mean) && near(one.persistence_tau_secs, other.persistence_tau_secs), "{one:?}");

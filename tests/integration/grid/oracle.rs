@@ -89,7 +89,7 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
         let name = &names[at];
         let expected = Naive::new(readings, cut_nanos, &sent.phasors);
         let said = client.describe_model(MAP, name).await.expect("a cell");
-        assert_eq!(said.folded_observations, expected.folded, "{name}");
+        assert_eq!(said.learned_observations, expected.folded, "{name}");
         assert_eq!(said.last_nanos, expected.last.map(|(time, _)| time), "{name}");
         let values = [said.last_value, expected.last.map(|(_, value)| value)].map(|value| value.unwrap_or(f64::NAN));
         near(values[0], values[1], &format!("the last value of {name}"));

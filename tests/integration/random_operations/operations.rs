@@ -259,7 +259,11 @@ impl World {
             let what = format!("{state:?} of {name}");
             let model = client.describe_model(name, state).await.expect("the state is there");
             let folded = map.folded(id);
-            assert_eq!((model.observations, model.folded_observations), (map.count(id), folded.len() as u64), "{what}");
+            assert_eq!(
+                (model.observations, model.learned_observations),
+                (map.count(id), folded.len() as u64),
+                "{what}"
+            );
             near(&what, model.mean, map.mean(id));
             near(&what, model.persistence_tau_secs / 3_600.0, map.tau_secs(id) / 3_600.0);
             assert_eq!(model.last_nanos.zip(model.last_value), map.latest(id), "{what}");

@@ -42,7 +42,7 @@ fn used(model: &ModelDescription, index: usize) -> bool {
 fn summary(model: &ModelDescription) -> [(&'static str, Cell); 10] {
     [
         ("mean", model.mean.into()),
-        ("n", model.folded_observations.into()),
+        ("n", model.learned_observations.into()),
         ("order", model.order.into()),
         ("observations", model.observations.into()),
         ("first_time", Cell::time(model.first_nanos)),
@@ -67,7 +67,7 @@ fn component_cells(component: &Component, used: bool) -> [(&'static str, Cell); 
 fn table(model: &ModelDescription) -> io::Result<()> {
     let mut table = crate::output::stdout(Format::Table, &["state", "mean", "n", "order", "model"]);
     let (state, chosen) = (Cell::Text(model.state.clone()), Cell::Text(model.chosen.to_string()));
-    table.row(vec![state, model.mean.into(), model.folded_observations.into(), model.order.into(), chosen])?;
+    table.row(vec![state, model.mean.into(), model.learned_observations.into(), model.order.into(), chosen])?;
     table.finish()?;
     if let Some(date) = &model.change_date {
         writeln!(io::stdout(), "\nThe routine seems to have changed: predictions have been worse since about {date}.")?;

@@ -163,7 +163,7 @@ mod tests {
             state: "kitchen".to_owned(),
             kind: StateKind::Probability,
             mean: 0.25,
-            folded_observations: 10,
+            learned_observations: 10,
             observations: 12,
             order,
             components: [1.0, 2.0, 7.0, 14.0, 21.0].map(|part| component(7.0 * 86_400.0 / part)).to_vec(),

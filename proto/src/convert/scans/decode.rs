@@ -124,7 +124,7 @@ impl ScanDecoder {
                 open.join(sequence, utc_nanos, scan.content)?;
                 open
             }
-            None => Parts { sequence, utc_nanos, content: scan.content, folded: None },
+            None => Parts { sequence, utc_nanos, content: scan.content, dropped: None },
         };
         parts.check(&self.limits)?;
         if self.spec.is_none() {
@@ -134,8 +134,8 @@ impl ScanDecoder {
             self.open = Some(parts);
             return Ok(None);
         }
-        if let Some(folded) = parts.folded {
-            let (digest, refusal) = (folded.digest(), Some(no_grid()));
+        if let Some(dropped) = parts.dropped {
+            let (digest, refusal) = (dropped.digest(), Some(no_grid()));
             return Ok(Some(DecodedScan { sequence, utc_nanos, digest, content: None, refusal }));
         }
         let content = parts.content.take();

@@ -25,7 +25,7 @@ pub(super) struct Parts {
     pub utc_nanos: i64,
     pub content: Option<Content>,
     /// Readings that are not kept.
-    pub folded: Option<DroppedReadings>,
+    pub dropped: Option<DroppedReadings>,
 }
 
 /// Checksum and number of readings that are not kept.
@@ -66,9 +66,9 @@ impl Parts {
             Some(Content::Ranges(scan)) => (scan.pose.as_ref(), std::mem::take(&mut scan.ranges_m)),
             _ => return,
         };
-        let before = self.folded.unwrap_or_else(|| DroppedReadings { crc: pose_crc(pose), numbers: 0 });
+        let before = self.dropped.unwrap_or_else(|| DroppedReadings { crc: pose_crc(pose), numbers: 0 });
         let crc = floats_crc(before.crc, &numbers);
-        self.folded = Some(DroppedReadings { crc, numbers: before.numbers + numbers.len() });
+        self.dropped = Some(DroppedReadings { crc, numbers: before.numbers + numbers.len() });
     }
 
     /// Approximate memory, bytes.
@@ -83,7 +83,7 @@ impl Parts {
 
     /// Checks the size of the parts.
     pub fn check(&self, limits: &ScanLimits) -> Result<(), ScanError> {
-        let folded = self.folded.map_or(0, |folded| folded.numbers);
+        let dropped = self.dropped.map_or(0, |dropped| dropped.numbers);
         let (what, got, max, setting) = match &self.content {
             None => return Ok(()),
             Some(Content::Tiles(scan)) => {
@@ -91,10 +91,10 @@ impl Parts {
                 ("bytes of one scan's tiles", tile_bytes(scan), max, "setting max_scan_tiles")
             }
             Some(Content::Cloud(cloud)) => {
-                ("points of one scan", (folded + cloud.xyz_m.len()) / 3, limits.points, "setting max_scan_points")
+                ("points of one scan", (dropped + cloud.xyz_m.len()) / 3, limits.points, "setting max_scan_points")
             }
             Some(Content::Ranges(scan)) => {
-                ("rays of one scan", folded + scan.ranges_m.len(), limits.points, "setting max_scan_points")
+                ("rays of one scan", dropped + scan.ranges_m.len(), limits.points, "setting max_scan_points")
             }
         };
         Ok(OverLimit::check(what, got, max, setting)?)

@@ -74,7 +74,7 @@ pub struct TourQuestion {
     /// Where the tour ends.
     pub end: TourEnd,
     /// Speed of the robot, metres a second, above 0. Default 0.5.
-    pub speed_m_secs: f64,
+    pub speed_m_per_s: f64,
     /// Duration of the observation at each goal, seconds, at least 0. Default 60.
     pub observation_secs: f64,
     /// Time limit of the tour, seconds, at least 0; goals that do not fit are omitted. `None`: no limit.
@@ -95,7 +95,7 @@ impl Default for TourQuestion {
             travel: TravelOptions::default(),
             suppression: Suppression::default(),
             end: TourEnd::default(),
-            speed_m_secs: 0.5,
+            speed_m_per_s: 0.5,
             observation_secs: 60.0,
             budget_secs: None,
         }
@@ -146,7 +146,7 @@ impl TourQuestion {
         let is_wide = self.spacing_m.is_finite() && self.spacing_m >= lattice.resolution_m();
         number("spacing in metres", self.spacing_m, is_wide, "finite, and at least the length of a cell")?;
         number("yaw in radians", self.yaw_rad, self.yaw_rad.is_finite(), "finite")?;
-        let speed = self.speed_m_secs;
+        let speed = self.speed_m_per_s;
         number("speed in metres a second", speed, speed.is_finite() && speed >= 1e-6, "finite, and at least 0.000001")?;
         number("seconds at each goal", self.observation_secs, is_length(self.observation_secs), right)?;
         if let Some(budget) = self.budget_secs {

@@ -70,7 +70,7 @@ fn goals_lie_where_there_is_something_to_learn() {
 #[test]
 fn arrivals_are_the_drive_and_the_looks_before() {
     let grid = two_corners();
-    let ask = TourQuestion { goals: 2, speed_m_secs: 0.5, observation_secs: 10.0, ..question(&grid, 30, 5) };
+    let ask = TourQuestion { goals: 2, speed_m_per_s: 0.5, observation_secs: 10.0, ..question(&grid, 30, 5) };
     let told = tour(&grid, &ask);
     let travel = TravelGrid::new(&grid, &ask.travel).unwrap();
     let columns: Vec<Column> = told.steps.iter().map(|step| travel.column_at(step.x_m, step.y_m).unwrap()).collect();
@@ -210,7 +210,7 @@ fn mistakes_name_the_value() {
         (TourQuestion { goals: 101, ..good }, "between 1 and 100"),
         (TourQuestion { spacing_m: f64::NAN, ..good }, "spacing in metres NaN"),
         (TourQuestion { spacing_m: 0.05, ..good }, "length of a cell"),
-        (TourQuestion { speed_m_secs: 0.0, ..good }, "speed in metres a second 0"),
+        (TourQuestion { speed_m_per_s: 0.0, ..good }, "speed in metres a second 0"),
         (TourQuestion { observation_secs: -1.0, ..good }, "seconds at each goal -1"),
         (TourQuestion { budget_secs: Some(f64::NAN), ..good }, "seconds for the tour NaN"),
         (TourQuestion { yaw_rad: f64::INFINITY, ..good }, "yaw in radians inf"),

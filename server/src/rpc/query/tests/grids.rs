@@ -42,7 +42,7 @@ async fn cells_are_predicted_and_described_by_name() {
     };
     let (cell, door) = (describe("cell/2/0/0").await.expect("known"), describe("door").await.expect("known"));
     let (cell, door) = (cell.into_inner(), door.into_inner());
-    assert_eq!((cell.state.as_str(), cell.folded_observations, cell.order_errors.len()), ("cell/2/0/0", 240, 16));
+    assert_eq!((cell.state.as_str(), cell.learned_observations, cell.order_errors.len()), ("cell/2/0/0", 240, 16));
     assert_eq!((cell.first_time, cell.last_time, cell.order), (door.first_time, door.last_time, door.order));
     let periods =
         |model: &v1::DescribeModelResponse| model.components.iter().map(|c| c.period_secs).collect::<Vec<_>>();
