@@ -202,7 +202,7 @@ impl Reader<'_> {
         let file = |why| DataError::Rows { path: path.to_owned(), why };
         let wrong = |line, wrong| DataError::Row { path: path.to_owned(), line, wrong };
         let mut rows = RowReader::new(self.open(path)?).and_then(RowReader::values_only).map_err(file)?;
-        while let Some(item) = rows.next().map_err(file)? {
+        while let Some(item) = rows.next_item().map_err(file)? {
             let row = match item {
                 RowItem::Row(row) => row,
                 RowItem::Torn { line, text } => {

@@ -129,7 +129,7 @@ pub(crate) fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, P
     let train = paths(written.train, "train", folder)?.into_iter().map(|(_, path)| path).collect();
     let test = labelled(paths(written.test, "test", folder)?);
     let refit = choice(written.refit, "refit", &[("never", Refit::Never), ("each", Refit::Each)])?;
-    let tuning = written.tuning.map(tuning).transpose()?;
+    let tuning = written.tuning.as_ref().map(tuning).transpose()?;
     let models = model_entry::read(written.models, kind, tuning.is_some())?;
     let baseline = match written.baseline {
         Some(word) => models.iter().position(|model| model.label == word.text).ok_or_else(|| {
@@ -229,7 +229,7 @@ fn labelled(paths: Vec<(Word, PathBuf)>) -> Vec<TestFile> {
     tests
 }
 
-pub(super) fn tuning(written: RawTuning) -> Result<Tuning, ProtocolError> {
+pub(super) fn tuning(written: &RawTuning) -> Result<Tuning, ProtocolError> {
     let folds = whole(&written.folds, "folds", 1..=FOLDS_MAX)?;
     let fold_nanos = parsed(&written.fold, "fold", "a duration such as 1d or 7d", |text| parse_duration(text).ok())?;
     Ok(Tuning { folds, fold_nanos })

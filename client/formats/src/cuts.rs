@@ -17,7 +17,7 @@ pub(crate) fn every_cut_is_refused<T: std::fmt::Debug>(whole: &[u8], read: impl 
 }
 
 /// Reads a valid file with each byte replaced by several others, and expects no panic.
-pub fn no_change_panics<T>(whole: &[u8], read: impl Fn(&[u8]) -> Result<T, FormatError>) {
+pub(crate) fn no_change_panics<T>(whole: &[u8], read: impl Fn(&[u8]) -> Result<T, FormatError>) {
     for at in 0..whole.len() {
         for byte in [0, 1, b' ', b'\n', b'-', b'0', b'9', 0x7f, 0x80, 0xff, whole[at].wrapping_add(1)] {
             let mut changed = whole.to_vec();

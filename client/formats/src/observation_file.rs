@@ -226,7 +226,7 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
         self.bytes
     }
 
-    /// Whether the next call of [`next`](Self::next) may block.
+    /// Whether the next call of [`next_item`](Self::next_item) may block.
     pub fn may_wait(&mut self) -> bool
     where
         R: Buffered,
@@ -235,7 +235,7 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
     }
 
     /// The next row; `None` at the end.
-    pub fn next(&mut self) -> Result<Option<RowItem<L::Item>>, RowError> {
+    pub fn next_item(&mut self) -> Result<Option<RowItem<L::Item>>, RowError> {
         loop {
             if self.ended {
                 return Ok(None);

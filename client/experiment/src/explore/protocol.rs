@@ -130,8 +130,8 @@ fn of_places(written: RawExploreProtocol, name: &str, folder: &Path) -> Result<P
         exploration,
         seeds: seeds(written.seeds)?,
         weeks: written.weeks.as_ref().map(weeks).transpose()?,
-        strategies: named("strategies", written.strategies, strategies.collect())?,
-        models: named("models", written.models, models.collect())?,
+        strategies: named("strategies", written.strategies, &strategies.collect::<Vec<_>>())?,
+        models: named("models", written.models, &models.collect::<Vec<_>>())?,
         out: folder.join(required(written.out, "out", OUT)?.text),
     })
 }
@@ -144,7 +144,7 @@ fn seeds(word: Option<Word>) -> Result<u64, ProtocolError> {
 fn named<T: Copy + PartialEq>(
     key: &'static str,
     words: Option<Words>,
-    choices: Vec<(String, T)>,
+    choices: &[(String, T)],
 ) -> Result<Vec<T>, ProtocolError> {
     let names: Vec<&str> = choices.iter().map(|(name, _)| name.as_str()).collect();
     let right = format!("one of: {}", names.join(", "));

@@ -83,7 +83,7 @@ pub(super) fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, Protoco
     let train_minutes = whole(&days, "train_days", 1..=TRAIN_DAYS_MAX)? * DAY_MINUTES;
     let (folds, fold_minutes) = match written.tuning {
         None => (0, 0),
-        Some(written) => folds_of(written, train_minutes)?,
+        Some(written) => folds_of(&written, train_minutes)?,
     };
     let models = model_entry::read(written.models, StateKind::Probability, folds > 0)?;
     let out = required(written.out, "out", OUT)?;
@@ -101,10 +101,9 @@ pub(super) fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, Protoco
 }
 
 /// Number of folds and minutes of each; some training data must be left before the first.
-fn folds_of(written: RawTuning, train_minutes: usize) -> Result<(usize, usize), ProtocolError> {
-    let fold = written.fold.clone();
+fn folds_of(written: &RawTuning, train_minutes: usize) -> Result<(usize, usize), ProtocolError> {
     let tuning = tuning(written)?;
-    let wrong = |right: &str| ProtocolError::value("fold", &fold, right);
+    let wrong = |right: &str| ProtocolError::value("fold", &written.fold, right);
     if tuning.fold_nanos % MINUTE_NANOS != 0 {
         return Err(wrong("whole minutes, such as 7d"));
     }

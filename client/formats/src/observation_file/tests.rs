@@ -5,7 +5,7 @@ use super::*;
 fn read(text: &[u8]) -> Result<Vec<RowItem>, RowError> {
     let mut rows = RowReader::new(text)?;
     let mut items = Vec::new();
-    while let Some(item) = rows.next()? {
+    while let Some(item) = rows.next_item()? {
         items.push(item);
     }
     Ok(items)
@@ -143,9 +143,9 @@ fn a_last_line_without_an_end_is_a_row_only_where_that_is_allowed() -> Result<()
     let ends: Vec<bool> = items.iter().map(|item| matches!(item, RowItem::Row(row) if row.has_end)).collect();
     assert_eq!(ends, [true, false]);
     let mut rows = RowReader::new(text)?.lines_must_end();
-    assert!(matches!(rows.next()?, Some(RowItem::Row(_))));
-    assert!(matches!(rows.next()?, Some(RowItem::Torn { line: 3, text }) if text == "2,a,1"));
-    assert!(rows.next()?.is_none());
+    assert!(matches!(rows.next_item()?, Some(RowItem::Row(_))));
+    assert!(matches!(rows.next_item()?, Some(RowItem::Torn { line: 3, text }) if text == "2,a,1"));
+    assert!(rows.next_item()?.is_none());
     // A row with a value out of range is complete.
     assert!(matches!(read(b"time,state,value\n1,a,2")?.as_slice(), [RowItem::Row(row)] if row.wrong.is_some()));
     Ok(())
@@ -168,10 +168,10 @@ fn a_file_that_grows_while_it_is_read_is_not_read_past_its_end() -> Result<(), R
         let pieces = vec![b"time,state,value\n1,a,0\n".as_slice(), last.as_bytes(), b"", b".5\n3,a,1\n", b""];
         let mut rows = RowReader::new(io::BufReader::new(Growing(pieces)))?;
         let mut items = Vec::new();
-        while let Some(item) = rows.next()? {
+        while let Some(item) = rows.next_item()? {
             items.push(item);
         }
-        assert!(rows.next()?.is_none(), "{last:?}");
+        assert!(rows.next_item()?.is_none(), "{last:?}");
         assert_eq!(good(&items).len(), if torn { 1 } else { 2 }, "{last:?}");
     }
     Ok(())

@@ -124,7 +124,7 @@ mod tests {
     fn read(text: &str) -> Result<Vec<TraversalRow>, RowError> {
         let mut rows = RowReader::<_, TraversalColumns>::open(text.as_bytes())?;
         let mut read = Vec::new();
-        while let Some(item) = rows.next()? {
+        while let Some(item) = rows.next_item()? {
             match item {
                 RowItem::Row(row) => read.push(row),
                 RowItem::Torn { line, text } => panic!("line {line}: {text}"),

@@ -97,7 +97,7 @@ fn read<R: Read, L: Layout>(
 ) {
     let mut chunk = RowChunk::default();
     loop {
-        let item = rows.next();
+        let item = rows.next_item();
         chunk.bytes = rows.bytes();
         let last = match item {
             Ok(Some(RowItem::Row(row))) => {

@@ -325,7 +325,7 @@ mod tests {
         ] {
             let text = format!("from,to,start,end,success\n{row}\n");
             let mut rows = RowReader::<_, TraversalColumns>::open(text.as_bytes())?;
-            let Some(RowItem::Row(row)) = rows.next()? else { anyhow::bail!("no row in {text:?}") };
+            let Some(RowItem::Row(row)) = rows.next_item()? else { anyhow::bail!("no row in {text:?}") };
             let wrong = row.wrong.clone().or_else(|| report(&row).wrong()).unwrap_or_default();
             assert!(wrong.contains(words), "{wrong}");
             assert!(report(&row).wrong().is_some());
