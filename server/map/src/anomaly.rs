@@ -1,7 +1,12 @@
-//! Observations that a model did not expect (T-RO 2017, section V; of states that are no probabilities see `values`).
+//! Observations that a model did not expect (T-RO 2017, section V; for continuous and count states see `values.rs`).
 //!
-//! Invariant: what counts as an anomaly is said here and nowhere else. A probability of one half is never sure enough to
-//! make one, so a state of which nothing was learned has none.
+//! A past observation is judged by the model of one view. A watched observation is judged by the models in force when
+//! the watch processes it, even if the observation itself must wait to be learned. Models that answer from the newest
+//! value judge nothing, because at the time of an old observation that value was another. Cells are not watched: a scan
+//! is logged as changed bits of tiles, which become readings of cells only in an update or when history is read.
+//!
+//! Invariant: only this module decides what an anomaly is. A probability of one half is never sure enough, so an
+//! untrained state has no anomalies.
 
 use crate::{
     history::Reading,
@@ -9,11 +14,11 @@ use crate::{
     view::MapView,
 };
 
-/// How sure a model has to be before an observation of the contrary counts as an anomaly: above 0.5, at most 1.
+/// How sure a model must be for an observation of the contrary to count as an anomaly: above 0.5, at most 1.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Confidence(f64);
 
-/// Why a number is no confidence.
+/// Why a confidence is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("{0} is not a confidence: it must be above 0.5 and at most 1, for example 0.99")]
 pub struct InvalidConfidence(pub f64);
@@ -22,10 +27,10 @@ impl Confidence {
     /// 0.99, with which the paper finds the visitor at midnight (T-RO 2017, figure 4).
     pub const DEFAULT: Self = Self(0.99);
 
-    /// A confidence.
+    /// Checks a confidence.
     ///
     /// # Errors
-    /// [`InvalidConfidence`] where it is not above 0.5 and at most 1; not a number is none either.
+    /// [`InvalidConfidence`] if it is not above 0.5 and at most 1, or NaN.
     pub fn new(confidence: f64) -> Result<Self, InvalidConfidence> {
         if confidence > 0.5 && confidence <= 1.0 { Ok(Self(confidence)) } else { Err(InvalidConfidence(confidence)) }
     }
@@ -43,8 +48,8 @@ impl Default for Confidence {
     }
 }
 
-/// Whether an observed value, in [0, 1], is the contrary of what a model says with confidence c, which gives the state the
-/// value 1 with `probability`: it is below 0.5 where p ≥ c, or not below 0.5 where p ≤ 1 − c.
+/// Whether an observed value, in [0, 1], is the contrary of what a model says with confidence c, which gives the state
+/// the value 1 with `probability`: it is below 0.5 where p ≥ c, or not below 0.5 where p ≤ 1 − c.
 ///
 /// T-RO 2017, section V: a measurement is anomalous where it is less than s'(t, c) or greater than s'(t, 1 − c), with
 /// s'(t, c) = p(t) ≥ c (eq. 9). Both sides include the threshold here, so that they are alike and that a model which is
@@ -54,19 +59,19 @@ pub fn is_anomalous(value: f64, probability: f64, confidence: Confidence) -> boo
     if value < 0.5 { probability >= confidence.0 } else { probability <= 1.0 - confidence.0 }
 }
 
-/// An observation that was not expected.
+/// An observation that the model did not expect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Anomaly {
     /// When, nanoseconds UTC.
     pub utc_nanos: i64,
     /// What was observed, in the bounds of the state's kind.
     pub value: f64,
-    /// Of a probability: that of the value 1 which the model had given, in [0, 1]. Of a state of another kind: that of a value
-    /// at least as far from what was expected, to either side, in [0, 1].
+    /// For probability states, the model's probability of the value 1. For other kinds the p-value: the probability of
+    /// a value at least as far from the prediction, to either side. In [0, 1].
     pub probability: f64,
 }
 
-/// The readings among these that a model did not expect which gives them these probabilities of being 1, in their order.
+/// The anomalous readings, in their order, given the model's probability of 1 for each reading.
 pub fn anomalies<'a>(
     readings: &'a [Reading],
     probabilities: &'a [f64],
@@ -80,19 +85,19 @@ pub fn anomalies<'a>(
 /// Why a model cannot judge observations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CannotJudge {
-    /// It answers from the newest value, which is not the one before the observation.
+    /// The model answers from the newest value, which is not the value before the observation.
     #[error("{0} answers from the newest value, not from the one before an observation: use a model such as auto")]
     Newest(ModelKind),
     /// The newest value is blended in.
     #[error("persistence blends in the newest value, not the one before an observation: leave it out")]
     Persistence,
-    /// It is fitted when it is asked for, and observations do not wait for that.
+    /// The model is fitted on request, and observations do not wait for that.
     #[error("{0} has to be fitted, and a watch does not wait for that: use auto, mean or spectral")]
     NeedsFit(ModelKind),
 }
 
 impl ModelSelector {
-    /// Whether the model says what was to be expected of observations long past.
+    /// Whether the model can judge past observations.
     ///
     /// # Errors
     /// [`CannotJudge`], with what to use instead.
@@ -104,7 +109,7 @@ impl ModelSelector {
         }
     }
 
-    /// Whether the model judges observations as they come: it is one of those that every view has.
+    /// Whether the model can judge observations as they arrive: every view has such a model ready.
     ///
     /// # Errors
     /// [`CannotJudge`], with what to use instead.
@@ -115,8 +120,8 @@ impl ModelSelector {
 }
 
 impl MapView {
-    /// The view without last values and grid: enough to judge observations of named states by its models. Keeping one
-    /// keeps little more than the models of its generation.
+    /// The view without last values and grid: enough to judge observations of named states. It holds little more than
+    /// the models of its generation.
     #[must_use]
     pub fn models_only(&self) -> MapView {
         MapView { live: Vec::new(), grid: None, ..self.clone() }

@@ -1,7 +1,7 @@
 //! Which states a map has: names to indices and back.
 //!
-//! Invariant: an index is given once, and its state keeps it under another name. Cheap to share: a clone is a handful of
-//! pointers, and adding a name copies only the shard and the chunk that it lands in when a view still holds them.
+//! Invariant: an index is given once, and its state keeps it under another name. Cheap to share: a clone is a handful
+//! of pointers, and adding a name copies only the shard and the chunk that it lands in when a view still holds them.
 
 use std::{
     collections::HashMap,

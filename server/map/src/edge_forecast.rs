@@ -1,10 +1,13 @@
-//! What is to be expected of an edge of the topological map: how likely it is passed, how sure that is, how long it takes.
+//! The forecast of an edge of the topological map: its success probability, the evidence for it, and its duration.
 //!
-//! An edge is learned from few reports, most of them from hours at which robots used it. Three things are put together, the
-//! nearer evidence outweighing the farther as it grows: what the edges of the map have in common, what the edge's own
-//! temporal model predicts, and what was reported at about that hour of the week. Each counts as a few reports for the
-//! next, the model as more where the hours of the edge do not seem to differ (`forecast/hour_uniformity.rs`), so that a probability is the mean of a Beta distribution, and is never 0: an edge that counts as impassable would
-//! never be tried again, as happened to robots (STRANDS, IEEE RAM 2017, "Adaptive Topological Navigation").
+//! An edge is learned from few reports, most of them at hours at which robots used it. Its forecast combines three
+//! sources: what the edges of the map have in common, the edge's own temporal model, and the reports at about that hour
+//! of the week. More specific sources gain weight as reports accumulate. Models forget hours at which a route avoids
+//! the edge; the reports of these hours do not. The model counts more if the hours of the edge do not differ
+//! (`edge_forecast/hour_uniformity.rs`). So a probability is the mean of a Beta distribution and never reaches 0: a
+//! robot would never retry an edge that counts as impassable (STRANDS, IEEE RAM 2017, "Adaptive Topological
+//! Navigation").
+//!
 //! Invariant: a success lies in `[LEARNED_SUCCESS_MIN, 1)`, evidence is above 0, a duration is above 0 and finite.
 
 use tidemap_model::models::{HourTable, Moment};
@@ -23,17 +26,18 @@ mod tests;
 
 pub use edges::EdgeForecasts;
 
-/// No edge is less likely to be passed.
+/// Lowest success probability of a learned forecast.
 pub const LEARNED_SUCCESS_MIN: f64 = 0.001;
-/// Chance that an edge is passed in a map of which nothing was reported, and as how many reports that counts.
+/// Success probability of an edge in a map without reports, and its weight in reports.
 const SUCCESS_PRIOR: (f64, f64) = (0.9, 10.0);
-/// As how many reports the map counts for an edge, and the edge's model at least for an hour of the week.
+/// Weight, in reports, of the map as the prior of an edge, and minimum weight of the edge's model as the prior of an
+/// hour of the week.
 const PRIOR_REPORTS: f64 = 2.0;
-/// What a report counts at an hour of the day so many hours away.
+/// Weight of a report that is 0, 1 or 2 hours of the day away.
 const NEAR_HOURS: [f64; 3] = [1.0, 0.2, 0.05];
-/// What a report of another day of the week counts, of the same kind (weekday, weekend) and of the other.
+/// Weight of a report of another day of the week: of the same kind (weekday, weekend), and of the other.
 const OTHER_DAY: [f64; 2] = [0.7, 0.3];
-/// An edge is at most so much faster, and so much slower, than edges usually are.
+/// Maximum ratio between the speed of an edge and the usual speed, both ways.
 const SPEED_RATIO_MAX: f64 = 20.0;
 const HOUR_NANOS: i64 = 3_600_000_000_000;
 /// 1970-01-01 was a Thursday; weeks begin on Monday.
@@ -53,12 +57,12 @@ pub struct EdgeForecast {
     pub duration_secs: f64,
 }
 
-/// The states that tell of an edge; none before its first report.
+/// The states that learn from traversals of an edge; none before its first report.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EdgeStates {
     /// Whether it was passed.
     pub success: Option<StateId>,
-    /// How fast: metres a second of an edge with a length, else nominal seconds a second.
+    /// Speed in metres per second for an edge with a length, otherwise nominal time over time taken.
     pub travel: Option<StateId>,
 }
 
@@ -74,7 +78,7 @@ pub struct EdgePrior {
 }
 
 impl EdgePrior {
-    /// Means over all reports that updates have folded in. `speed_m_per_s`: the speed as long as none was reported, above 0.
+    /// Means over all reports that updates have learned. `speed_m_per_s`: the speed without reports, above 0.
     #[must_use]
     pub fn of(view: &MapView, edges: impl IntoIterator<Item = (Extent, EdgeStates)>, speed_m_per_s: f64) -> EdgePrior {
         let (chance, weight) = SUCCESS_PRIOR;
@@ -104,17 +108,18 @@ impl EdgePrior {
 #[derive(Clone, Debug)]
 pub struct EdgeRecord {
     extent: Extent,
-    /// Reports of passing or failing, and of speeds, that updates have folded in, by weight.
+    /// Weight of the learned reports of success or failure, and of speeds.
     tried: f64,
     travelled: f64,
-    /// By hour of the week, the weight of reports at about that hour and how many of them passed; none without any.
+    /// By hour of the week: the weight of reports at about that hour, and of those that succeeded; `None` without
+    /// reports.
     by_hour: Option<Box<[[f64; 2]; WEEK_HOURS]>>,
-    /// As how many reports the edge as a whole counts for an hour.
+    /// Weight, in reports, of the edge as a whole as the prior of one of its hours.
     hour_uniformity: f64,
 }
 
 impl EdgeRecord {
-    /// What the map knows of an edge of this extent, by its states.
+    /// The record of an edge of this extent, from its states.
     #[must_use]
     pub fn of(view: &MapView, extent: Extent, states: EdgeStates, prior: &EdgePrior) -> EdgeRecord {
         let weight = |id: Option<StateId>| id.map_or(0.0, |id| view.model(id).accumulator().weight());
@@ -129,8 +134,8 @@ impl EdgeRecord {
         }
     }
 
-    /// What is to be expected at a moment. `success` and `travel`: what the models of the edge's states predict for it; of no
-    /// meaning where there is no such state.
+    /// The forecast for a moment. `success` and `travel` are the predictions of the models of the edge's states; they
+    /// are ignored for a state that does not exist.
     #[must_use]
     pub fn forecast(&self, prior: &EdgePrior, success: f64, travel: f64, at: Moment) -> EdgeForecast {
         let blend =
@@ -148,7 +153,7 @@ impl EdgeRecord {
 
     fn duration_secs(&self, prior: &EdgePrior, speed: impl Fn(f64) -> f64) -> f64 {
         let (extent, before) = match (self.extent.length_m, self.extent.nominal_secs) {
-            // A nominal time says more of an edge than the speed of others.
+            // A nominal time is better evidence than the speed of other edges.
             (Some(length_m), Some(secs)) => (length_m, length_m / secs * prior.pace),
             (Some(length_m), None) => (length_m, prior.speed_m_per_s),
             (None, secs) => (secs.unwrap_or(1.0), prior.pace),
@@ -167,13 +172,13 @@ fn hour_of_week(at: Moment) -> usize {
     usize::try_from(hour).unwrap_or(0)
 }
 
-/// What was read at about each hour of the week: `[weight, sum]`.
+/// The readings at about each hour of the week: `[weight, sum]`.
 fn near_hours(table: &HourTable) -> Box<[[f64; 2]; WEEK_HOURS]> {
     let mut near = Box::new([[0.0; 2]; WEEK_HOURS]);
-    // Around each hour first, within the week that goes on at its end; then over the days.
+    // Around each hour first, wrapping at the end of the week; then over the days.
     for hour in 0..WEEK_HOURS {
         for (away, weight) in NEAR_HOURS.into_iter().enumerate() {
-            // Before and after; the hour itself once.
+            // Before and after; the hour itself only once.
             let others = [hour + away, hour + WEEK_HOURS - away];
             for other in others.into_iter().take(if away == 0 { 1 } else { 2 }) {
                 let [count, sum] = table.readings(other % WEEK_HOURS);

@@ -1,4 +1,9 @@
-//! What can happen to a map. The observation log stores events; applying them is the only way in which a map changes.
+//! The events of a map. The observation log stores events, and applying them is the only way in which a map changes.
+//!
+//! A position is a vector of two or three coordinates. For the map it is its axes: continuous states `NAME/x`, `NAME/y`
+//! and `NAME/z` with consecutive ids ([`NewState::states`]), so that log, checkpoints, history, updates and models do
+//! not know vectors. A plain name has no `/`, so no producer can send to a single axis. A position is accepted or
+//! refused as a whole, and its axes are observed in one event.
 //!
 //! Invariant: an event holds everything that its effect depends on, such as the UTC offsets used and the time of
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
@@ -27,9 +32,9 @@ pub struct OffsetRun {
 /// Observations of one producer that became durable together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Observations {
-    /// Whose.
+    /// The producer.
     pub producer: ProducerId,
-    /// The producer, where this is its first event.
+    /// The producer's key and sensor, in its first event only.
     pub new_producer: Option<NewProducer>,
     /// The producer's incarnation.
     pub incarnation: u64,
@@ -70,7 +75,7 @@ impl Observations {
             .map(|(((&state, &utc_nanos), &value), offset_secs)| (state, Sample { utc_nanos, offset_secs, value }))
     }
 
-    /// The latest time that is plausible by the clock of their receipt, nanoseconds UTC; later ones wait.
+    /// The latest plausible time by the clock of receipt, nanoseconds UTC; later observations wait.
     #[must_use]
     pub fn plausible_nanos(&self) -> i64 {
         self.received_nanos.saturating_add(FUTURE_MAX_NANOS)
@@ -80,7 +85,7 @@ impl Observations {
 /// A state, or a vector of states, that appears for the first time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewState {
-    /// Its index; of a vector, that of its first axis: the others follow.
+    /// Its id; for a vector, the id of the first axis, followed by the others.
     pub id: StateId,
     /// Its name.
     pub name: StateName,
@@ -89,7 +94,7 @@ pub struct NewState {
 }
 
 impl NewState {
-    /// The states that a map gets by it: the state itself, or one of continuous values for each axis of the vector.
+    /// The states that it adds to a map: the state itself, or one continuous state per axis of the vector.
     pub fn states(&self) -> impl Iterator<Item = (StateId, StateName, StateKind)> + use<'_> {
         let (count, kind) = (self.shape.states(), self.shape.kind());
         (0..count).map(move |axis| {
@@ -120,7 +125,7 @@ impl StateShape {
         }
     }
 
-    /// How many states of the map it makes.
+    /// Number of states of the map.
     #[must_use]
     pub fn states(self) -> usize {
         match self {
@@ -129,7 +134,7 @@ impl StateShape {
         }
     }
 
-    /// What the values of these states mean.
+    /// Kind of these states.
     #[must_use]
     pub fn kind(self) -> StateKind {
         match self {
@@ -146,7 +151,7 @@ impl From<StateKind> for StateShape {
 }
 
 impl Default for StateShape {
-    /// What a name is of which nothing is said: a probability.
+    /// The default: a probability.
     fn default() -> Self {
         StateKind::default().into()
     }
@@ -155,7 +160,7 @@ impl Default for StateShape {
 /// What started an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum UpdateCause {
-    /// Somebody asked for it.
+    /// A request.
     Request,
     /// The map's local midnight, by the server's clock.
     Midnight,
@@ -165,15 +170,14 @@ pub enum UpdateCause {
     PendingLimit,
 }
 
-/// The start of an update. Its position in the log fixes which observations it takes: those at earlier positions.
+/// The start of an update. Its log position fixes which observations it takes: those at earlier positions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UpdateStart {
     /// Number of the generation that the update publishes; 1 for the first.
     pub generation: u64,
-    /// Observations before this instant are folded in; later ones stay pending. Never less than that of the update
-    /// before.
+    /// Observations before this instant are learned; later ones stay pending. Never decreases.
     pub cut_nanos: i64,
-    /// Why.
+    /// What started it.
     pub cause: UpdateCause,
 }
 
@@ -186,8 +190,8 @@ pub enum Event {
     Scans(Scans),
     /// An update starts.
     UpdateStart(UpdateStart),
-    /// A state, or a vector, was added of which nothing was observed yet.
+    /// A state or vector was added before its first observation.
     AddState(NewState),
-    /// What is known of the place was changed.
+    /// The site was changed.
     EditSite(SiteEdit),
 }

@@ -1,7 +1,31 @@
 //! The occupancy grid of a map: millions of cells, each with its own temporal model, at the cost of what changes.
 //!
-//! Cells live in tiles of 8x8x8, as bit masks. A cell that never changed costs bits; one that changed has sums over its
-//! observations, kept per run of equal readings and never per observation (T-RO 2017, section VI is the job to beat).
+//! Cells live in tiles of 8x8x8, as bit masks. A cell that never changed costs bits. A cell that changed has sums over
+//! its observations, kept per run of equal readings and never per observation (T-RO 2017, section VI).
+//!
+//! A scan passes `log_head.rs` (differences against the last scan of each tile in the log), the log, `live.rs` (last
+//! values per tile, and the exact scans of each local day), `update/` (score, choose orders, learn, refit) and
+//! `view.rs` (what readers see).
+//!
+//! - **Cost follows change.** A scan costs its flips. Scans of the same tiles form runs ([`live_tile::ScanRun`]), so
+//!   that unchanged tiles are not touched. In an update, a run of occupied readings adds the difference of two rows of
+//!   running phasor sums (T-RO eq. 11 without a phasor per reading).
+//! - **Patterns.** Tiles seen by the same scans of a day are processed together, with the rows of exactly these scans.
+//!   So absence from a scan never ends a run.
+//! - **Observation groups.** Cells of a tile that were always observed together share one sum B_k. Groups split where
+//!   the observed cells differ, at most down to single cells.
+//! - **Observation runs instead of sums.** A passing robot sees other cells of a tile each time. A tile with more than
+//!   16 groups keeps, for cells that never changed, when they were observed (`observation_runs.rs`), and computes their
+//!   sums at the first change. A tile never takes more than twice what the smaller of the two would take.
+//! - **Scoring is explicit**: every reading of a changed cell, every order, with saturation. This is the largest cost
+//!   of a night.
+//! - **Sensors with different levels**: see [`sensors`]. A map with one sensor has none of their sums.
+//! - **Sums stay with the writer**, models go to readers. An update takes the sums out, changes them in place and
+//!   brings them back, so that they are in memory once.
+//! - **A snapshot holds the pending scans.** A restart replays the log from the snapshot's position, and differences
+//!   never lack their base.
+//! - **The index of the store does not hold grids**: a night rewrites tens of megabytes. The checkpoint is the only
+//!   snapshot, and tiles beyond the memory budget are read from it on demand.
 //!
 //! Invariant: unknown, free and occupied are three different things everywhere. A cell is observed when a scan says so;
 //! an occupied cell is observed.

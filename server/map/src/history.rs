@@ -1,9 +1,9 @@
-//! What one update folded in, exactly, for recall long after.
+//! The exact observations that one update learned, kept for reading them later.
 //!
-//! A cell's readings are kept as the paper's outlier set (T-RO 2017, section III.B): where a small model of the day
-//! tells when the cell is occupied, only the times at which it was wrong are kept, as differences.
+//! A cell's readings are kept as the outlier set of the paper (T-RO 2017, section III.B): where a small model of the
+//! day predicts when the cell is occupied, only the times at which it was wrong are kept, as differences.
 //!
-//! Invariant: what was observed is given back to the last bit, whatever model it was kept against.
+//! Invariant: readings come back to the last bit, whatever model they were kept against.
 
 use tidemap_model::Sample;
 
@@ -28,23 +28,23 @@ pub use recall::cell_readings;
 /// What was observed: nanoseconds UTC, and value.
 pub type Reading = (i64, f64);
 
-/// Whose observations are asked for.
+/// A source of readings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Subject {
-    /// Those of a named state.
+    /// A named state.
     State(StateId),
-    /// Those of a cell: its tile, and its place there.
+    /// A cell: its tile, and its place there.
     Cell(TileId, u16),
 }
 
-/// The exact observations that one update folded in.
+/// The exact observations that one update learned.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HistoryPiece {
-    /// The generation that the update published; pieces are told apart by it.
+    /// The generation that the update published; it identifies the piece.
     pub generation: u64,
-    /// Least time of the observations, nanoseconds UTC.
+    /// Earliest time of the observations, nanoseconds UTC.
     pub from_nanos: i64,
-    /// Greatest time of the observations, nanoseconds UTC.
+    /// Latest time of the observations, nanoseconds UTC.
     pub to_nanos: i64,
     /// Observations of named states, by state, in order of arrival.
     pub states: Vec<(StateId, Vec<Sample>)>,
@@ -55,14 +55,14 @@ pub struct HistoryPiece {
 /// The scans of one day, with occupied bits replaced by outliers for the cells that have a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HistoryDay {
-    /// The scans. The occupied bit of a modelled cell says at observed scans whether the model is wrong.
+    /// The scans. For a modelled cell, the occupied bit says at observed scans whether the model is wrong.
     pub outliers: GridDay,
     /// The cells that have a model: tile and models ascending.
     pub models: Vec<(TileId, Vec<OutlierModel>)>,
 }
 
-/// The small model against which a cell's outliers are kept: it says that the cell is occupied where mean + Σ 2|γ| cos(ωt
-/// + arg γ) reaches 0.5, t being local civil time. Readings count as 0 and 1 here, whatever the sensor's noise.
+/// The small model against which a cell's outliers are kept. It predicts occupied where mean + Σ 2|γ| cos(ωt + arg γ)
+/// reaches 0.5, with t in local civil time. Readings count as 0 and 1 here, whatever the sensor's noise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OutlierModel {
     /// Place of the cell in its tile.
@@ -98,7 +98,7 @@ impl HistoryPiece {
         states + self.days.iter().map(HistoryDay::bytes).sum::<usize>()
     }
 
-    /// The piece with the times of its observations found out; `None` where it has none.
+    /// The piece with the time range of its observations; `None` without observations.
     #[must_use]
     pub(crate) fn bounded(mut self) -> Option<HistoryPiece> {
         let samples = self.states.iter().flat_map(|(_, samples)| samples).map(|sample| sample.utc_nanos);
@@ -113,7 +113,7 @@ impl HistoryPiece {
 }
 
 impl HistoryDay {
-    /// A day kept without models: its occupied bits are the readings.
+    /// A day without models: its occupied bits are the readings.
     #[must_use]
     pub fn plain(day: GridDay) -> HistoryDay {
         HistoryDay { outliers: day, models: Vec::new() }

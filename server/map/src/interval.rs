@@ -1,7 +1,7 @@
-//! How sure a prediction is: the band in which the mean over the hour around its moment lies with a given probability.
+//! Prediction intervals: the band in which the mean over the hour around a moment lies with a given probability.
 //!
-//! Invariant: a band holds its prediction and lies in the bounds of the state's kind; of a probability that was never
-//! observed it is [0, 1] itself, of other kinds there is none then.
+//! Invariant: a band holds its prediction and lies in the bounds of the state's kind. The band of a probability that
+//! was never observed is [0, 1]; a state of another kind has none then.
 
 use tidemap_model::{
     StateKind,
@@ -16,7 +16,7 @@ const HOUR_NANOS: i64 = 3_600_000_000_000;
 const EPOCH_HOUR_OF_WEEK: i64 = 3 * 24;
 const NEVER: Interval = Interval { lower: 0.0, upper: 1.0 };
 
-/// What is known of how much single hours of a state differ, ready for many predictions.
+/// How much single hours of a state differ, ready for many predictions.
 #[derive(Clone, Debug)]
 pub struct Spreads {
     /// By hour of the day, first of weekdays, then of weekends.
@@ -33,24 +33,24 @@ impl Spreads {
         Spreads { hours, all }
     }
 
-    /// The band of a prediction `p` for a moment, which holds the mean over the hour around it with probability `level`.
+    /// The band of a prediction `p` at a moment: it holds the mean over the hour around it with probability `level`.
     #[must_use]
     pub fn interval(&self, p: f64, at: Moment, level: f64) -> Interval {
         credible_interval(p, self.hour(at), self.all, level)
     }
 
-    /// The same of a state that is no probability; `readings`: the variance of its single readings.
+    /// The same for continuous and count states. `readings`: the variance of single readings.
     #[must_use]
     pub fn value_interval(&self, kind: StateKind, p: f64, at: Moment, readings: f64, level: f64) -> Interval {
         value_interval(kind, p, self.hour(at), readings, level)
     }
 
-    /// The variance between days of the hour of the day of a moment, at least 0; 0 where fewer than two days were seen.
+    /// Variance between days of a moment's hour of the day; 0 with fewer than two days.
     pub(crate) fn variance_between_days(&self, at: Moment) -> f64 {
         self.hour(at).variance()
     }
 
-    /// What was recorded of the hour of the day of a moment.
+    /// The record of a moment's hour of the day.
     fn hour(&self, at: Moment) -> HourMoments {
         let hour_of_week = (at.civil_nanos().div_euclid(HOUR_NANOS) + EPOCH_HOUR_OF_WEEK).rem_euclid(168);
         let (day, hour) = (hour_of_week / 24, hour_of_week % 24);
@@ -60,14 +60,14 @@ impl Spreads {
 }
 
 impl MapView {
-    /// How much single hours of a state differ; `None` where no update has folded anything in.
+    /// How much single hours of a state differ; `None` for an untrained state.
     #[must_use]
     pub fn spreads(&self, id: StateId) -> Option<Spreads> {
         self.model(id).alternatives().map(|known| Spreads::of(known.hours()))
     }
 
-    /// The bands of predictions of a state; none where no level is asked for, and none of a state that is no probability
-    /// and has learned of fewer than two observations.
+    /// The bands of predictions of a state. `None` without a level, and for a continuous or count state with fewer than
+    /// two learned observations.
     #[must_use]
     pub fn intervals(
         &self,
@@ -93,9 +93,9 @@ impl MapView {
     }
 }
 
-/// The bands of predictions of a cell. It has no record of single hours: as a two-state Markov chain with time constant τ
-/// (T-RO 2017 eq. 12) its mean over an hour T varies by p(1 - p)·(2τ/T)(1 - (τ/T)(1 - e^(-T/τ))), and each hour of its
-/// observations counts as one that was seen. None where no level is asked for.
+/// The bands of predictions of a cell; `None` without a level. A cell has no record of single hours. As a two-state
+/// Markov chain with time constant τ (T-RO 2017 eq. 12), its mean over an hour T varies by p(1 - p)·(2τ/T)(1 - (τ/T)(1
+/// - e^(-T/τ))), and each hour of its observations counts as one observed hour.
 #[must_use]
 pub fn cell_intervals(cell: &CellDescription, probabilities: &[f64], level: Option<f64>) -> Vec<Interval> {
     let Some(level) = level else { return Vec::new() };
@@ -113,7 +113,7 @@ pub fn cell_intervals(cell: &CellDescription, probabilities: &[f64], level: Opti
     probabilities.iter().map(interval).collect()
 }
 
-/// Hours of the day that were seen, on how many days, about: never more than the cell's observations.
+/// About how many hours of the day were observed, and on how many days: never more than the cell's observations.
 fn observed_hours(cell: &CellDescription) -> Option<f64> {
     let first_nanos = cell.first_nanos?;
     let last_nanos = cell.persistence.last().map_or(first_nanos, |(nanos, _)| nanos);

@@ -183,7 +183,7 @@ impl LiveMap {
         self.directory.info(id).map(|info| info.kind)
     }
 
-    /// What is known of the place besides observations.
+    /// The site: what people and robots tell the map besides observations.
     #[must_use]
     pub fn site(&self) -> &Site {
         &self.site
@@ -214,8 +214,8 @@ impl LiveMap {
         self.running.map_or(0, |(_, taken)| taken.observations + taken.changes)
     }
 
-    /// How full the memory for what is pending is, what a running update has taken included where that is asked: 1 where
-    /// the fuller of the two kinds has reached its limit.
+    /// How full the memory for what is pending is, what a running update has taken included where that is asked: 1
+    /// where the fuller of the two kinds has reached its limit.
     #[must_use]
     pub fn pending_load(&self, limits: PendingLimits, with_running: bool) -> f64 {
         let taken = self.running.map(|(_, taken)| taken).filter(|_| with_running).unwrap_or_default();
@@ -225,7 +225,7 @@ impl LiveMap {
         share(observations, limits.observations).max(share(changes, limits.changes))
     }
 
-    /// The least time of the pending observations, nanoseconds UTC, or less.
+    /// The earliest time of the pending observations, nanoseconds UTC, or earlier.
     #[must_use]
     pub fn pending_since_nanos(&self) -> Option<i64> {
         let scans = self.grid.as_ref().and_then(|grid| grid.oldest_pending_nanos);
@@ -238,7 +238,7 @@ impl LiveMap {
         self.pending.received_nanos()
     }
 
-    /// Greatest time of any observation that did not have to wait, nanoseconds UTC; 0 where there is none.
+    /// Greatest time of any observation that did not have to wait, nanoseconds UTC; 0 if there is none.
     #[must_use]
     pub fn newest_nanos(&self) -> i64 {
         self.newest_nanos

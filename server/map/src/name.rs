@@ -13,15 +13,15 @@ mod edge;
 
 pub use edge::{EDGE_STATE_CHARS_MAX, EdgeName, EdgeState};
 
-/// Most characters of a state's or producer's name.
+/// Maximum number of characters of a state's or producer's name.
 pub const NAME_CHARS_MAX: usize = 128;
-/// Most characters of a map's name.
+/// Maximum number of characters of a map's name.
 pub const MAP_NAME_CHARS_MAX: usize = 63;
 
 /// Why a name is not accepted. The payload is the name, shortened and escaped for display.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidName {
-    /// A map's name has other characters than it may, or is too long or empty.
+    /// A map's name has characters that are not allowed, or is empty or too long.
     #[error(
         "map name {0:?} is not valid: use 1 to {MAP_NAME_CHARS_MAX} of the characters a-z 0-9 _ -, the first a letter \
          or digit"
@@ -38,7 +38,7 @@ pub enum InvalidName {
         /// Its length in characters.
         chars: usize,
     },
-    /// Holds a control, format or other character that does not print.
+    /// Contains a control, format or other unprintable character.
     #[error("name {name:?} holds the unprintable character U+{code:04X}")]
     Unprintable {
         /// The name, shortened.
@@ -46,13 +46,13 @@ pub enum InvalidName {
         /// The code point.
         code: u32,
     },
-    /// Not in Unicode normalisation form C, so that another name would look the same.
+    /// Not in Unicode normalisation form C, so that two names could look the same.
     #[error("name {0:?} is not in Unicode normalisation form C (NFC)")]
     NotNfc(String),
-    /// Holds a slash, which is kept for `edge/A/B`, `node/N` and the like.
+    /// Contains a slash, which is reserved for `edge/A/B`, `node/N` and similar names.
     #[error("name {0:?} holds '/', which is reserved for cells, edges, nodes and landmarks")]
     Slash(String),
-    /// A vector may not have it: its axes would be called like a cell, an edge, a node or a landmark.
+    /// Not allowed for a vector: its axes would have names like those of a cell, an edge, a node or a landmark.
     #[error("name {0:?} is not for a vector: {0}/x is how cells, edges, nodes and landmarks are called")]
     Reserved(String),
 }
@@ -61,7 +61,7 @@ fn shown(name: &str) -> String {
     name.chars().take(40).collect()
 }
 
-/// Characters that do not print, or that change how others print (bidirectional controls, zero-width marks).
+/// Characters that are not printable, or that change how others are printed (bidirectional controls, zero-width marks).
 pub(crate) fn unprintable(character: char) -> bool {
     character.is_control()
         || matches!(u32::from(character),
@@ -119,7 +119,7 @@ impl fmt::Display for MapName {
     }
 }
 
-/// First parts of the names of other things, which a vector may not have.
+/// First parts of names that a vector may not have.
 const RESERVED: [&str; 4] = ["cell", "edge", "node", "landmark"];
 
 /// `NAME/x` as name and number of the axis.
@@ -134,14 +134,14 @@ fn split_object(name: &str) -> Option<(&str, &str)> {
     name.strip_prefix("node/")?.split_once('/')
 }
 
-/// The name of the state that a name asks for: of the default kind at a node, `node/N`, that is the plain state N.
+/// The name of the state that a query name refers to: `node/N`, of the default kind, is the plain state N.
 pub(crate) fn asked_for(name: &str) -> &str {
     name.strip_prefix("node/").filter(|node| !node.contains('/')).unwrap_or(name)
 }
 
-/// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`; or that of an axis of a vector,
-/// such a name with `/x`, `/y` or `/z`; or `node/N/KIND`, which tells whether something of a kind is at node N; or that of
-/// a state of an edge, [`EdgeName::state`].
+/// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`. Or the name of an axis of a
+/// vector, such a name with `/x`, `/y` or `/z`; or `node/N/KIND`, whether an object of a kind is at node N; or the name
+/// of a state of an edge, [`EdgeName::state`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
 
@@ -158,8 +158,8 @@ impl StateName {
         Ok(Self(name.into()))
     }
 
-    /// As [`StateName::new`], where `node/N` is the plain name N; or `node/N/KIND` with plain names for node and kind, 128 characters in all. Whether there is
-    /// such a node is not asked: it may be added later.
+    /// As [`StateName::new`]; also accepts `node/N`, which is the plain name N, and `node/N/KIND` with plain names for
+    /// node and kind, 128 characters in all. The node need not exist: it may be added later.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
@@ -171,15 +171,15 @@ impl StateName {
         Ok(Self(name.into()))
     }
 
-    /// Name of the state of one axis of a vector with this name, `NAME/x` for axis 0. A plain name has no `/`, so that
-    /// no producer can send observations of such a state but by positions.
+    /// Name of the state of one axis of a vector with this name: `NAME/x` for axis 0. A plain name has no `/`, so a
+    /// producer can observe such a state only by positions.
     #[must_use]
     pub fn axis(&self, axis: usize) -> Self {
         let axis = Dimensions::Three.axes().get(axis).copied().unwrap_or_default();
         Self(format!("{}/{axis}", self.0).into())
     }
 
-    /// Whether a vector may have the name.
+    /// Checks that a vector may have the name.
     ///
     /// # Errors
     /// [`InvalidName::Reserved`].
@@ -191,8 +191,8 @@ impl StateName {
         }
     }
 
-    /// As [`StateName::observed`], or the name of an axis of a vector, as [`StateName::axis`] gives it, or of a state of an
-    /// edge, as [`EdgeName::state`] does.
+    /// As [`StateName::observed`], or the name of an axis of a vector, as [`StateName::axis`] gives it, or of a state
+    /// of an edge, as [`EdgeName::state`] does.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
@@ -210,8 +210,8 @@ impl StateName {
         }
     }
 
-    /// The name that the state has once node `from` is called `to`; `None` where it is not one of the node's: those are its
-    /// own name, `node/N/KIND`, and those of the edges at it.
+    /// The name of the state after node `from` is renamed to `to`; `None` if the state does not belong to the node. Its
+    /// own name, `node/N/KIND`, and the names of the edges at it do.
     ///
     /// # Errors
     /// [`InvalidName::TooLong`].
@@ -229,7 +229,7 @@ impl StateName {
         Some(check(&name).map(|()| Self(name.into())))
     }
 
-    /// Of the name of an axis, that of its vector and the axis's number, 0 for x.
+    /// For the name of an axis: the name of its vector, and the axis, 0 for x.
     #[must_use]
     pub fn as_axis(&self) -> Option<(&str, usize)> {
         split_axis(&self.0)
@@ -259,7 +259,7 @@ const CELL_LEAST: i32 = -TILE_LIMIT * TILE_EDGE;
 /// Greatest index of a cell along an axis.
 const CELL_MOST: i32 = TILE_LIMIT * TILE_EDGE - 1;
 
-/// A name that begins as that of a cell and is none. The payload is the name, shortened and escaped for display.
+/// A name that starts like a cell's and is invalid. The payload is the name, shortened and escaped for display.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{0:?} is not the name of a cell: write cell/X/Y/Z, its index along each axis, from {CELL_LEAST} to {CELL_MOST}"
@@ -291,7 +291,7 @@ impl CellIndex {
     }
 }
 
-/// Whose sequence of observations: a producer and one of its labels.
+/// A sequence of observations: a producer and one of its labels.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ProducerKey {
     producer: Box<str>,
@@ -317,7 +317,7 @@ impl ProducerKey {
         &self.producer
     }
 
-    /// Which of the producer's sequences; may be empty.
+    /// The label, which distinguishes the producer's sequences; may be empty.
     #[must_use]
     pub fn label(&self) -> &str {
         &self.label

@@ -1,8 +1,8 @@
-//! Observations that no update has folded in yet, per state, in order of arrival.
+//! Observations that no update has learned yet, per state, in order of arrival.
 //!
 //! Invariant: an observation is pending exactly if it is durable and every update since has had a cut at or before its
-//! time. `replay_from` never exceeds the log position of a pending observation. Observations too far ahead of the
-//! clock of their receipt wait apart: they are few, and must not look like work that an update could do.
+//! time. `replay_from` never exceeds the log position of a pending observation. Observations too far in the future of
+//! the clock of their receipt wait apart: they are few, and must not look like work for an update.
 
 use std::collections::BTreeMap;
 
@@ -12,12 +12,12 @@ use crate::ids::StateId;
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 
-/// What is known of the pending observations of one UTC day, those that wait apart included.
+/// The pending observations of one UTC day, those that wait apart included.
 #[derive(Clone, Copy, Debug)]
 struct Day {
     /// A log position at or before all of them.
     first_position: u64,
-    /// The least of their times, nanoseconds UTC, or less.
+    /// Their earliest time, nanoseconds UTC, or earlier.
     oldest_nanos: i64,
 }
 
@@ -27,7 +27,7 @@ pub(crate) struct Pending {
     total: u64,
     future: Vec<(StateId, Sample)>,
     days: BTreeMap<i64, Day>,
-    /// The day of the observation before, and its oldest time: most observations need not look further.
+    /// The day of the previous observation, and its earliest time: most observations need no other day.
     last: Option<(i64, i64)>,
     received_nanos: Option<i64>,
 }
@@ -37,7 +37,7 @@ pub(crate) struct Pending {
 pub(crate) struct Taken {
     /// Per state, in order of arrival.
     pub by_state: Vec<(StateId, Vec<Sample>)>,
-    /// Those of them that had waited apart, ascending by time.
+    /// Those that had waited apart, ascending by time.
     pub were_ahead: Vec<(StateId, Sample)>,
 }
 

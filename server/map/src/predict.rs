@@ -1,7 +1,7 @@
-//! Questions to a view: what a state is at given times, and how well a model tells given observations.
+//! Predictions of states and cells at given times.
 //!
-//! Invariant: what leaves here lies in the bounds of its state's kind, a probability in [0, 1]. The phasors of a set of times are computed once and shared
-//! by all states.
+//! Invariant: a prediction lies in the bounds of its state's kind, a probability in [0, 1]. The phasors of a set of
+//! times are computed once and shared by all states.
 
 use tidemap_model::{
     InstantPhasors, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
@@ -16,7 +16,7 @@ use crate::{
 };
 
 impl ModelSelector {
-    /// Order of the spectral model that answers for this cell; 0 for a constant one.
+    /// Order of the spectral model that predicts this cell; 0 for a constant model.
     #[must_use]
     pub fn order_for_cell(&self, cell: &CellDescription) -> usize {
         if self.kind.has_order() { self.order_or(cell.order) } else { 0 }
@@ -59,7 +59,7 @@ impl MapView {
         PreparedTimes { moments, phasors: PhasorTable::new(&self.spec.periodicities, &civil) }
     }
 
-    /// Times in nanoseconds UTC, with the local time of the map: what a model that was fitted to readings is asked with.
+    /// Times in nanoseconds UTC, with the local time of the map: the input of models that were fitted to readings.
     #[must_use]
     pub fn moments(&self, utc_nanos: &[i64]) -> Vec<Moment> {
         let mut offsets = self.spec.zone.offset_cache();
@@ -67,8 +67,8 @@ impl MapView {
         utc_nanos.iter().map(moment).collect()
     }
 
-    /// Probability that a state is 1, or the value to expect, at each of the moments, by a model that was fitted to its readings, written to `out`,
-    /// which is as long as the moments.
+    /// Predicts a state at each moment by a model that was fitted to its readings: the probability of 1, or the
+    /// expected value. `out` is as long as the moments.
     pub fn predict_fitted_into(
         &self,
         id: StateId,
@@ -87,8 +87,8 @@ impl MapView {
         }
     }
 
-    /// Probability that a state is 1, or the value to expect, at each of the times, written to `out`, which is as long as the times. A kind that
-    /// has to be fitted to readings first ([`ModelKind::needs_readings`]) answers as [`ModelKind::Auto`] does.
+    /// Predicts a state at each time: the probability of 1, or the expected value. `out` is as long as the times. A
+    /// kind that must be fitted to readings first ([`ModelKind::needs_readings`]) predicts as [`ModelKind::Auto`].
     pub fn predict_into(&self, id: StateId, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         let model = self.model(id);
         let live = self.live(id);
@@ -105,7 +105,7 @@ impl MapView {
         }
     }
 
-    /// Probability that a cell is occupied at each of the times, written to `out`, which is as long as the times.
+    /// Predicts the probability that a cell is occupied at each time. `out` is as long as the times.
     pub fn predict_cell_into(
         &self,
         cell: &CellDescription,
@@ -123,7 +123,7 @@ impl MapView {
         InstantPhasors::new(&self.spec.periodicities, civil)
     }
 
-    /// Observations given from outside, on the map's civil time.
+    /// Makes samples on the map's civil time, for observations from outside.
     pub fn sample_maker(&self) -> impl FnMut(i64, f64) -> Sample + use<> {
         let mut offsets = self.spec.zone.offset_cache();
         move |utc_nanos, value| Sample { utc_nanos, offset_secs: offsets.offset_secs(utc_nanos), value }

@@ -1,4 +1,4 @@
-//! What states answer of which nothing was learned.
+//! The models of untrained states.
 //!
 //! Invariant: there is one model of each kind, shared by all states that have learned nothing.
 
@@ -8,7 +8,7 @@ use tidemap_model::{StateKind, StateModel};
 
 use crate::spec::MapSpec;
 
-/// A model of each kind of which nothing is known.
+/// An untrained model of each kind.
 #[derive(Clone, Debug)]
 pub(crate) struct PriorModels {
     probability: Arc<StateModel>,
@@ -17,7 +17,7 @@ pub(crate) struct PriorModels {
 }
 
 impl PriorModels {
-    /// Those of a map: probabilities answer its prior, other kinds 0.
+    /// The prior models of a map: probabilities predict the map's prior, other kinds 0.
     pub(crate) fn new(spec: &MapSpec) -> PriorModels {
         PriorModels {
             probability: Arc::new(StateModel::with_prior(&spec.periodicities, spec.prior)),

@@ -1,11 +1,11 @@
 //! How often robots have reached places: a plane of cells of 50 cm, each with its last five attempts (RA-L, section
 //! III.D).
 //!
-//! A place that nobody has tried has the prior, so that it is tried: RA-L drops places with a rate of 0 and says nothing of
-//! unknown ones. Rates are not smoothed: five failures in a row are a rate of 0, and only a success reported later, from
-//! a robot that goes there for another reason, undoes it.
+//! A place that no robot has tried has the prior, so that robots try it: RA-L drops places with a rate of 0 and says
+//! nothing of unknown ones. Rates are not smoothed: five failures in a row are a rate of 0, and only a later success
+//! undoes it, from a robot that goes there for another reason.
 //!
-//! Invariant: what is held is a function of the reports and their order of arrival, and bounded by a number of cells.
+//! Invariant: the content is a function of the reports and their order of arrival, and bounded by a number of cells.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ mod tests;
 
 /// Length of a cell's edge, metres.
 pub const REACHABILITY_CELL_M: f64 = 0.5;
-/// Attempts that count, of each cell the newest.
+/// Number of newest attempts that count for a cell.
 pub const REACHABILITY_ATTEMPTS: u32 = 5;
 /// Coordinates lie within ± this, metres.
 pub const REACHABILITY_LIMIT_M: f64 = 1e7;
@@ -51,7 +51,7 @@ impl ReachabilityCell {
 /// The last attempts to reach a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Attempts {
-    /// How many, 1 to 5.
+    /// Number of attempts, 1 to 5.
     pub count: u8,
     /// Whether they succeeded, the newest in the lowest bit; no bit beyond `count`.
     pub reached: u8,
@@ -74,16 +74,16 @@ impl Attempts {
 /// How probably a place is reached.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReachabilityRate {
-    /// Share of the attempts that count which succeeded; the prior where there is none.
+    /// Share of the counted attempts that succeeded; the prior without attempts.
     pub rate: f64,
-    /// How many there are, 0 to 5.
+    /// Number of counted attempts, 0 to 5.
     pub attempts: u8,
 }
 
-/// Why a report, or what was stored, is refused.
+/// Why a report or stored content is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum ReachabilityError {
-    /// The place is none.
+    /// The place is invalid.
     #[error("place ({x_m}, {y_m}) m: both must be finite and within ±{REACHABILITY_LIMIT_M} m")]
     Place {
         /// In the map's frame, metres.
@@ -91,16 +91,16 @@ pub enum ReachabilityError {
         /// In the map's frame, metres.
         y_m: f64,
     },
-    /// The prior is no probability.
+    /// The prior is not a probability.
     #[error("prior reachability {0}: it must be above 0 and at most 1, or no unknown place would ever be tried")]
     Prior(f64),
     /// There is no room for another cell.
     #[error("attempts are kept for {max} cells, and for no more")]
     TooManyCells {
-        /// How many there may be.
+        /// The maximum.
         max: usize,
     },
-    /// What was stored of a cell cannot be.
+    /// The stored content of a cell is invalid.
     #[error("stored attempts of cell ({}, {}) are damaged: {} attempts with bits {:#b}", .cell.x, .cell.y, .attempts.count, .attempts.reached)]
     Damaged {
         /// The cell.
@@ -122,14 +122,14 @@ pub struct Reachability {
 }
 
 impl Default for Reachability {
-    /// Nothing known, with a prior of 0.5 and room for a million cells.
+    /// No attempts, with a prior of 0.5 and room for a million cells.
     fn default() -> Reachability {
         Reachability { prior: 0.5, max_cells: 1_000_000, cells: BTreeMap::new() }
     }
 }
 
 impl Reachability {
-    /// Nothing known. `prior` is the rate of places that nobody has tried, in (0, 1]; `max_cells` how many cells are kept.
+    /// No attempts. `prior` is the rate of places without attempts, in (0, 1]; `max_cells` limits the cells kept.
     ///
     /// # Errors
     /// [`ReachabilityError::Prior`]
@@ -175,7 +175,7 @@ impl Reachability {
         Ok(whole)
     }
 
-    /// Whether a report of a place can be taken in.
+    /// Whether a report of a place can be applied.
     ///
     /// # Errors
     /// As [`Reachability::report`].
@@ -185,8 +185,8 @@ impl Reachability {
         if has_room { Ok(()) } else { Err(ReachabilityError::TooManyCells { max: self.max_cells }) }
     }
 
-    /// Takes in whether a robot reached a place that it was sent to, at a time in nanoseconds UTC. Attempts count in the
-    /// order in which they are reported, whatever their times are.
+    /// Applies a report of whether a robot reached the place it was sent to, at a time in nanoseconds UTC. Attempts
+    /// count in the order of their reports, whatever their times are.
     ///
     /// # Errors
     /// [`ReachabilityError::Place`]; [`ReachabilityError::TooManyCells`] for a new cell where there is no room.
@@ -206,7 +206,7 @@ impl Reachability {
         Ok(())
     }
 
-    /// How probably a place is reached, metres in the map's frame; one that is not finite or too far away never is.
+    /// The probability of reaching a place in the map's frame, in metres; 0 for one that is not finite or too far away.
     #[must_use]
     pub fn rate(&self, x_m: f64, y_m: f64) -> ReachabilityRate {
         let Ok(cell) = ReachabilityCell::at(x_m, y_m) else { return ReachabilityRate { rate: 0.0, attempts: 0 } };
@@ -216,7 +216,7 @@ impl Reachability {
         }
     }
 
-    /// The rate of places that nobody has tried.
+    /// The rate of places without attempts.
     #[must_use]
     pub fn prior(&self) -> f64 {
         self.prior

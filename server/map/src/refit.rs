@@ -1,7 +1,13 @@
-//! Fitting models again at the end of an update, to the readings that updates have folded in.
+//! Fitting models again at the end of an update, to the readings that updates have learned.
 //!
-//! Invariant: what is fitted depends on the readings, the models and the map's properties alone: an update that is repeated
-//! from the same history fits the same. Readings that cannot be had cost the fit, and nothing else of the update.
+//! The calibrated model, the periodic mixture and warped hypertime are due after seven observed days, seven days after
+//! their last fit, and when the change alarm has rung since. Each is fitted to the last twelve weeks. Starting one week
+//! after an alarm, models are fitted only to data from three days before the alarm onwards. Of each kind, the models
+//! that have waited longest go first, and an update fits a limited number ([`refits_max`]), so that a costly kind does
+//! not delay another. Maps without history of named states have none.
+//!
+//! Invariant: a fit depends on the readings, the models and the map's properties alone: an update that is repeated from
+//! the same history fits the same. Readings that cannot be read cost the fit, and nothing else of the update.
 
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
@@ -16,9 +22,8 @@ use crate::{event::StateKind, grid::spec::Retention, ids::StateId, spec::MapSpec
 #[cfg(test)]
 mod tests;
 
-/// Most models of a kind that an update fits, so that a night of very many states has an end: of each kind as many as take
-/// a few minutes. Those that have waited longest go first; the others wait for the next update that folds something of
-/// theirs in.
+/// Maximum number of models of a kind that one update fits: as many as take a few minutes, so that a night with very
+/// many states ends. The longest-waiting go first; the others wait for the next update that learns new data of theirs.
 #[must_use]
 pub const fn refits_max(kind: FitKind) -> usize {
     match kind {
@@ -28,21 +33,21 @@ pub const fn refits_max(kind: FitKind) -> usize {
     }
 }
 
-/// Most calibrated models that an update fits, which cost least.
+/// Maximum number of calibrated models that an update fits; they are the cheapest.
 pub const REFITS_MAX: usize = 2_000;
 
 const SEC_NANOS: i64 = 1_000_000_000;
 const DAY_NANOS: i64 = 86_400 * SEC_NANOS;
 
-/// A model is fitted to what is no older than this against the state's newest reading: twelve weeks. Older days would hardly
-/// count in a calibrated model, and what is fitted takes no longer after a year than after these weeks.
+/// A model is fitted to readings at most this old against the state's newest: twelve weeks. Older days would hardly
+/// count in a calibrated model, and a fit takes no longer after a year than after these weeks.
 pub const REFIT_NANOS: i64 = 84 * DAY_NANOS;
 
-/// Most readings of a state that its model is fitted to, about: where it was read more often, it is fitted to fewer days.
-/// The readings of as many states are in memory at once as have so many together, and those of the next ones: 200 MB.
+/// About the maximum number of readings that a model is fitted to: a state with more frequent readings is fitted to
+/// fewer days. The states whose readings add up to this are in memory at once, with those of the next batch: 200 MB.
 pub const REFIT_READINGS: u64 = 4_000_000;
 
-/// The readings that are wanted of a state: those at this instant and later.
+/// The readings to fetch for a state: those at this instant and later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WantedReadings {
     /// The state.
@@ -51,10 +56,10 @@ pub struct WantedReadings {
     pub from_nanos: i64,
 }
 
-/// Where the readings come from that updates have folded in.
+/// A source of the readings that updates have learned.
 pub trait StateReadings: fmt::Debug + Send + Sync {
-    /// What the updates before the one that asks have folded in of each of these states: as many lists as are wanted, in
-    /// their order, each ascending by time; of equal times in the order of the updates, then of arrival.
+    /// The readings that earlier updates have learned of each of these states: one list per entry of `wanted`,
+    /// ascending by time; equal times in the order of the updates, then of arrival.
     ///
     /// # Errors
     /// Why they cannot be had.
@@ -66,15 +71,15 @@ pub trait StateReadings: fmt::Debug + Send + Sync {
 pub struct Refits {
     /// Models that were fitted.
     pub fitted: u64,
-    /// Models that wait, because an update fits no more than [`refits_max`] of their kind.
+    /// Models that wait, because an update fits at most [`refits_max`] of their kind.
     pub waiting: u64,
-    /// States that keep the models that they have, because their readings could not be had.
+    /// States that keep their models, because their readings could not be read.
     pub failed: u64,
-    /// Why the first of those could not be had.
+    /// Why the first of these could not be read.
     pub failure: Option<String>,
 }
 
-/// What a round of fits may take.
+/// Limits of a round of fits.
 #[derive(Clone, Copy, Debug)]
 struct Limits {
     /// Models of a kind.
@@ -85,22 +90,22 @@ struct Limits {
 
 const LIMITS: Limits = Limits { refits: refits_max, readings: REFIT_READINGS };
 
-/// A state of which models are due.
+/// A state with models due.
 struct Due<'a> {
     wanted: WantedReadings,
     of: StateKind,
     /// The models to fit.
     kinds: Vec<FitKind>,
-    /// What this update has folded in.
+    /// What this update has learned.
     own: &'a [Sample],
-    /// The last day folded in.
+    /// The last learned day.
     day: LocalDay,
-    /// Readings to expect, not fewer than one.
+    /// Expected number of readings, at least one.
     expected: u64,
 }
 
-/// Fits the models of the states that this update has folded `own` into, where it is due, on the threads of the rayon pool
-/// that this is called in. `newest_nanos`: the greatest time of the map's observations, by which it forgets.
+/// Fits the due models of the states of which this update has learned `own`, on the current rayon pool. `newest_nanos`:
+/// the latest time of the map's observations, which sets the age of readings.
 pub(crate) fn refit(
     spec: &MapSpec,
     newest_nanos: i64,
@@ -129,7 +134,7 @@ fn refit_within(
     for kind in spec.models.fits() {
         let mut of_kind: Vec<(Option<LocalDay>, StateId)> =
             own.iter().filter_map(|(id, _)| Some((fitted_on(models.get(id.0 as usize)?, kind)?, *id))).collect();
-        // Never fitted goes before all.
+        // Models that were never fitted go first.
         of_kind.sort_by_key(|(fitted, _)| *fitted);
         waiting += of_kind.len().saturating_sub((limits.refits)(kind)) as u64;
         of_kind.truncate((limits.refits)(kind));
@@ -149,7 +154,7 @@ fn refit_within(
     let mut refits = Refits { waiting, ..Refits::default() };
     let mut next = batches.next();
     while let Some((batch, found)) = next {
-        // The next ones are read meanwhile.
+        // The next batch is read meanwhile.
         let fit =
             || found.map(|found| batch.par_iter().zip(found).map(|(due, earlier)| fit(spec, due, earlier)).collect());
         let fitted: Result<Vec<_>, String>;
@@ -159,7 +164,7 @@ fn refit_within(
                 for (due, fitted) in batch.iter().zip(fitted) {
                     let Some(model) = models.get_mut(due.wanted.state.0 as usize) else { continue };
                     let mut refitted = StateModel::clone(model);
-                    // Where there are no readings after all, the state goes on with what it has.
+                    // Without readings the state keeps what it has.
                     for fitted in fitted.into_iter().flatten() {
                         refitted = refitted.refitted(fitted, due.day);
                         refits.fitted += 1;
@@ -176,7 +181,7 @@ fn refit_within(
     refits
 }
 
-/// The states that are due, with the readings of earlier updates, as many at a time as may be in memory.
+/// Batches of due states with the readings of earlier updates, as many as may be in memory.
 struct Batches<'a> {
     rest: &'a [Due<'a>],
     readings_max: u64,
@@ -201,13 +206,13 @@ impl<'a> Iterator for Batches<'a> {
     }
 }
 
-/// Since when a model of a state has waited: the day of its last fit, if any. `None` where it is not due.
+/// How long a model of a state has waited: the day of its last fit, if any. `None` if it is not due.
 fn fitted_on(model: &StateModel, kind: FitKind) -> Option<Option<LocalDay>> {
     let known = model.alternatives().filter(|_| model.is_fit_due(kind))?;
     Some(known.fit(kind).map(|(_, day)| day))
 }
 
-/// What models of these kinds are to be fitted to. `wanted`: the readings that the map keeps.
+/// The training data of models of these kinds. `wanted`: the readings that the map keeps.
 fn due<'a>(
     wanted: WantedReadings,
     kinds: Vec<FitKind>,
@@ -220,13 +225,13 @@ fn due<'a>(
     let (newest, day) = (folded.last_nanos()?, known.folded_day()?);
     let span_nanos = newest.abs_diff(folded.first_nanos()?).max(1) as f64;
     let window_nanos = span_nanos.min(REFIT_NANOS as f64);
-    // As if it had always been read as often.
+    // Assumes a constant rate of readings.
     let expected = folded.observations() as f64 * (window_nanos / span_nanos);
     let share = (readings_max as f64 / expected.max(1.0)).min(1.0);
     let mut from_nanos = newest.saturating_sub((window_nanos * share) as i64).max(wanted.from_nanos);
     if let Some(since) = known.fit_since() {
         let civil_nanos = i64::from(since.0).saturating_mul(DAY_NANOS);
-        // Off by an hour where clocks were set between midnight UTC and local midnight: of weeks that is nothing.
+        // Off by an hour if clocks changed between midnight UTC and local midnight, which does not matter over weeks.
         from_nanos =
             from_nanos.max(civil_nanos.saturating_sub(i64::from(offsets.offset_secs(civil_nanos)) * SEC_NANOS));
     }
@@ -234,7 +239,7 @@ fn due<'a>(
     Some(Due { wanted: WantedReadings { from_nanos, ..wanted }, of: model.kind(), kinds, own, day, expected })
 }
 
-/// How many of the states that are due are worked off together: at least one, if there are any.
+/// Number of due states to process together: at least one, if there are any.
 fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
     let mut readings = 0_u64;
     let fits = due.iter().take_while(|due| {
@@ -244,7 +249,7 @@ fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
     fits.count().max(1).min(due.len())
 }
 
-/// The models that are due of a state, each for itself.
+/// Fits each due model of a state.
 fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<FittedModel, CannotFit>> {
     let mut samples = earlier;
     samples.extend(due.own.iter().filter(|sample| sample.utc_nanos >= due.wanted.from_nanos));

@@ -15,7 +15,7 @@ const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
 
 /// The periods that a periodic mixture of Gaussians may have, in nanoseconds: 1 minute to 366 days.
 pub const PERGAM_PERIODS: RangeInclusive<i64> = MINUTE_NANOS..=366 * DAY_NANOS;
-/// The period of one where none is said: a day, in nanoseconds.
+/// The default period: a day, in nanoseconds.
 pub const PERGAM_PERIOD_NANOS: i64 = DAY_NANOS;
 
 /// Which model answers.
@@ -24,13 +24,13 @@ pub enum ModelKind {
     /// The model and order that the last update chose.
     #[default]
     Auto,
-    /// The mean of the values folded in.
+    /// The mean of the learned values.
     Mean,
-    /// The last acknowledged value; what an unlearned state answers before the first.
+    /// The last acknowledged value; the prior before the first.
     Latest,
     /// The mean and the strongest spectral components (T-RO 2017, section III).
     Spectral,
-    /// The Markov chain of two states, from the newest value on (RAS 2017, section 4.2).
+    /// The two-state Markov chain, from the newest value onwards (RAS 2017, section 4.2).
     Persistence,
     /// The mean of each interval of a cycle (RA-L 2019, section IV).
     Histogram {
@@ -41,27 +41,27 @@ pub enum ModelKind {
     },
     /// Periodic mixture of Gaussians (ICRA 2015, eq. 5 to 7).
     Pergam {
-        /// How many.
+        /// Number of Gaussians.
         gaussians: u32,
         /// The period, in nanoseconds of local civil time, within [`PERGAM_PERIODS`].
         period_nanos: i64,
     },
     /// Warped hypertime, by expectation maximisation (RA-L 2019, section III).
     HypertimeEm {
-        /// How many.
+        /// Number of clusters.
         clusters: u32,
     },
     /// Warped hypertime, by k-means (RA-L 2019, section III).
     HypertimeKm {
-        /// How many.
+        /// Number of clusters.
         clusters: u32,
     },
     /// A spectral model of the rate of counts.
     Poisson,
     /// Regression on the rhythms of day and week.
     Calibrated,
-    /// The strongest components of the Fourier transform of regular readings, and the outliers that they miss (T-RO 2017,
-    /// section III.B).
+    /// The strongest components of the Fourier transform of regular readings, and the outliers that they miss (T-RO
+    /// 2017, section III.B).
     Uniform,
 }
 
@@ -72,13 +72,13 @@ impl ModelKind {
         matches!(self, ModelKind::Auto | ModelKind::Spectral | ModelKind::Uniform)
     }
 
-    /// Whether it has to be fitted to the readings of a state before it can answer.
+    /// Whether it must be fitted to the readings of a state before it can predict.
     #[must_use]
     pub fn needs_readings(self) -> bool {
         !self.is_for_cells()
     }
 
-    /// Whether cells of a grid have it too.
+    /// Whether cells of a grid support it.
     #[must_use]
     pub fn is_for_cells(self) -> bool {
         matches!(self, ModelKind::Auto | ModelKind::Mean | ModelKind::Latest | ModelKind::Spectral)
@@ -117,27 +117,27 @@ impl fmt::Display for ModelSelector {
     }
 }
 
-/// A model as a question names it.
+/// A model as a query names it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ModelSelector {
     /// Which model.
     pub kind: ModelKind,
-    /// Number of spectral components, at most [`ORDER_MAX`]; by default the order that the last update chose. Without
-    /// effect on kinds that have none.
+    /// Number of spectral components, at most [`ORDER_MAX`]; by default the order that the last update chose. Ignored
+    /// by kinds that have no order.
     pub order: Option<usize>,
     /// Blends the last value in (T-RO eq. 12 and 13).
     pub persistence: bool,
 }
 
 impl ModelSelector {
-    /// Order of the spectral model that answers for this state; 0 for a constant one, and where another model answers.
+    /// Order of the spectral model that predicts this state; 0 for a constant model or another kind.
     #[must_use]
     pub fn order_for(&self, model: &StateModel) -> usize {
         let is_other = self.kind == ModelKind::Auto && self.order.is_none() && model.choice() != ModelChoice::Spectral;
         if self.kind.has_order() && !is_other { self.order_or(model.order()) } else { 0 }
     }
 
-    /// The order asked for, or else the one that the last update chose.
+    /// The requested order, or the one that the last update chose.
     #[must_use]
     pub(crate) fn order_or(&self, chosen: usize) -> usize {
         self.order.unwrap_or(chosen).min(ORDER_MAX)

@@ -1,8 +1,8 @@
-//! What a map is told about the place besides observations: where the robot rests, which states are seen together,
-//! which places robots have reached, the topological map, and which traversals of its edges failed.
+//! The site of a map: what people and robots tell the map besides observations. It holds the charger, locations,
+//! reachability, the topological map, and failed traversals.
 //!
-//! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] passes is applied
-//! whole; any other changes nothing.
+//! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] accepts is
+//! applied whole; any other changes nothing.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -17,30 +17,30 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// Most locations of a map.
+/// Maximum number of locations of a map.
 pub const LOCATIONS_MAX: usize = 10_000;
 
-/// Most states of a location.
+/// Maximum number of states of a location.
 pub const LOCATION_STATES_MAX: usize = 4_096;
 
 /// Farthest from the map's origin that a place may be, metres.
 pub const PLACE_MAX_M: f64 = 1e7;
 
-/// States that are seen together, from one place.
+/// States that can be observed together, from one place.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Location {
     /// The states, ascending; at least one.
     pub states: Vec<StateId>,
-    /// Where the robot stands to see them: x, y in the map's frame, metres. `None`: not told.
+    /// Where the robot stands to observe them: x, y in the map's frame, metres. `None`: not given.
     pub position_m: Option<[f64; 2]>,
 }
 
 /// A change of a site.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SiteEdit {
-    /// Where the robot rests and charges: x, y in the map's frame, metres; `None`: nowhere in particular.
+    /// Where the robot rests and charges: x, y in the map's frame, metres; `None` clears it.
     Charger(Option<[f64; 2]>),
-    /// A location is set, or replaced where there is one of that name.
+    /// A location is added, or replaces the one of that name.
     SetLocation(StateName, Location),
     /// A location is removed.
     RemoveLocation(StateName),
@@ -57,7 +57,7 @@ pub enum SiteEdit {
     Topology(TopologyEdit),
 }
 
-/// Why an edit is refused.
+/// Why an edit is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum InvalidEdit {
     /// A coordinate is not a number, or too far away.
@@ -71,27 +71,27 @@ pub enum InvalidEdit {
     TooManyStates {
         /// The location.
         name: String,
-        /// How many.
+        /// The number given.
         got: usize,
-        /// How many it may have.
+        /// The maximum.
         max: usize,
     },
-    /// A state is not one of the map, or named twice.
+    /// A state does not exist, or is named twice.
     #[error("location {0:?} names a state that the map does not have, or one twice")]
     States(String),
-    /// There are as many locations as there may be.
+    /// The map has the maximum number of locations.
     #[error("the map has {0} locations, as many as there may be")]
     TooManyLocations(usize),
     /// There is no such location.
     #[error("location {0:?} does not exist")]
     UnknownLocation(String),
-    /// A visit cannot be kept.
+    /// A visit is invalid.
     #[error(transparent)]
     Visit(#[from] ReachabilityError),
-    /// The topological map cannot be so.
+    /// The topological map would be invalid.
     #[error(transparent)]
     Topology(#[from] TopologyError),
-    /// A state of a node that is renamed would have the name of another state.
+    /// A state of a renamed node would have the name of another state.
     #[error(
         "state {state:?} goes with the node and would be called {name:?}, but there is a state of that name: choose another \
          name"
@@ -102,12 +102,12 @@ pub enum InvalidEdit {
         /// Its new name.
         name: String,
     },
-    /// A state of a node that is renamed cannot be called so.
+    /// A state of a renamed node would have an invalid name.
     #[error("a state goes with the node: {0}")]
     StateName(#[from] InvalidName),
 }
 
-/// What is known of the place besides observations.
+/// The site: what people and robots tell the map besides observations.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Site {
     charger_m: Option<[f64; 2]>,
@@ -136,19 +136,19 @@ impl Site {
         &self.reachability
     }
 
-    /// The same site with what was stored of reachability.
+    /// The same site with stored reachability.
     #[must_use]
     pub fn with_reachability(self, reachability: Reachability) -> Site {
         Site { reachability, ..self }
     }
 
-    /// The topological map; without nodes where none was ever told.
+    /// The topological map; empty until one is loaded.
     #[must_use]
     pub fn topology(&self) -> &Arc<Topology> {
         &self.topology
     }
 
-    /// The same site with the topological map that was stored.
+    /// The same site with a stored topological map.
     #[must_use]
     pub fn with_topology(self, topology: Topology) -> Site {
         Site { topology: Arc::new(topology), ..self }
@@ -160,24 +160,24 @@ impl Site {
         &self.failures
     }
 
-    /// The same site with the failed traversals that were stored.
+    /// The same site with stored failed traversals.
     #[must_use]
     pub fn with_failures(self, failures: Failures) -> Site {
         Site { failures, ..self }
     }
 
-    /// Adds traversals that failed. Unlike edits, these come with the observations of which they are a part.
+    /// Adds failed traversals. Unlike edits, these are part of the observations they come with.
     pub fn add_failures(&mut self, failures: &[EdgeFailure]) {
         failures.iter().for_each(|failure| self.failures.add(failure.clone()));
     }
 
-    /// Whether nothing was ever told.
+    /// Whether the site is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         *self == Site::default()
     }
 
-    /// Whether an edit may be applied now. `states`: how many states the map has.
+    /// Checks that an edit may be applied now. `states`: number of states of the map.
     ///
     /// # Errors
     /// [`InvalidEdit`], with what is wrong.

@@ -1,8 +1,8 @@
-//! A map as it stands after an update, for the store to keep and to give back.
+//! A map after an update, for the store to save and restore.
 //!
 //! Invariant: a snapshot and the events after it give the map. Everything at log positions up to `position` is in it,
-//! except observations that were still pending: those are found again at positions from `replay_from` on, and are told
-//! from the others by their time, which is not before `cut_nanos`.
+//! except observations that were still pending: these are at positions from `replay_from` on, with a time not before
+//! `cut_nanos`.
 
 use std::sync::Arc;
 
@@ -27,17 +27,17 @@ pub struct MapSnapshot {
     pub generation: u64,
     /// Cut of the last update, nanoseconds UTC.
     pub cut_nanos: i64,
-    /// Greatest time of the observations that did not have to wait, nanoseconds UTC; 0 where there is none.
+    /// Latest time of the observations that did not have to wait, nanoseconds UTC; 0 without observations.
     pub newest_nanos: i64,
     /// Producers; the index is the `ProducerId`.
     pub producers: Vec<ProducerMark>,
     /// States; the index is the `StateId`.
     pub states: Vec<StateSnapshot>,
-    /// What is known of the place besides observations.
+    /// The site: what people and robots tell the map besides observations.
     pub site: Arc<Site>,
     /// The grid, where the map has one.
     pub grid: Option<GridSnapshot>,
-    /// What updates up to this one have folded in and no save has kept yet, ascending by generation. Not part of the
+    /// What updates up to this one have learned and no save has kept yet, ascending by generation. Not part of the
     /// map's state: a snapshot that is read back has none.
     pub history: Vec<Arc<HistoryPiece>>,
 }

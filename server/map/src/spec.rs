@@ -1,4 +1,4 @@
-//! What a map is: the choices made when it is created, which never change afterwards.
+//! The specification of a map: the choices made when it is created, which never change afterwards.
 
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, UpdateRules, Zone};
 
@@ -23,12 +23,12 @@ pub struct MapSpec {
     pub criterion: OrderCriterion,
     /// When the map was created, nanoseconds UTC.
     pub created_nanos: i64,
-    /// An observation of a named state that is this much older than the newest counts half, in nanoseconds, above 0; `None`:
-    /// all count alike.
+    /// Age difference to the newest observation at which an observation of a named state counts half, in nanoseconds,
+    /// above 0; `None`: all count alike.
     pub half_life_nanos: Option<i64>,
-    /// What a state answers of which nothing has been learned, in [0, 1].
+    /// The prediction of an untrained state, in [0, 1].
     pub prior: f64,
-    /// How long the exact observations of named states are kept for recall.
+    /// How long the exact observations of named states are kept.
     pub retention: Retention,
     /// Which models the nightly update of a named state chooses among.
     pub models: EnabledModels,

@@ -1,8 +1,12 @@
-//! The topological map: places that a robot knows by name, and the ways between them.
+//! The topological map: named nodes, and the edges between them.
 //!
-//! Invariant: every edge joins two different nodes that exist; names of nodes are unique; of the edges from one node to
-//! another each has another action; lengths and times are finite and in range. Ids are never reused, so that what was
-//! learned under one survives a rename or a changed length and is never taken for another's.
+//! It is a part of the site of its map. Each edit (`topology/edit.rs`) names nodes and is one event of the log, so that
+//! it means the same whenever it is applied; a load is one edit. Checkpoint and index hold the map in the record of the
+//! site.
+//!
+//! Invariant: every edge joins two different nodes that exist; names of nodes are unique; edges from one node to
+//! another have different actions; lengths and times are finite and in range. Ids are never reused, so that what was
+//! learned under one survives a rename or a changed length and is never mistaken for another's.
 
 mod edit;
 mod error;
@@ -18,9 +22,9 @@ pub use roads::{Arrival, ROADS_PAIRS_MAX, Roads, RoadsError, ShortestTimes};
 
 use crate::name::StateName;
 
-/// Most nodes of a map.
+/// Maximum number of nodes of a map.
 pub const NODES_MAX: usize = 100_000;
-/// Most edges of a map; a link is two.
+/// Maximum number of edges of a map; a link is two edges.
 pub const EDGES_MAX: usize = 1_000_000;
 /// Longest edge, in metres, and greatest coordinate of a pose.
 pub const LENGTH_MAX_M: f64 = 1e7;
@@ -55,7 +59,8 @@ pub struct Node {
     pub name: StateName,
     /// Where it lies, if that is known.
     pub pose: Option<NodePose>,
-    /// How long a visit takes once the robot is there, in seconds, 0 to [`NOMINAL_MAX_SECS`]; `None` if that is not said.
+    /// How long a visit takes once the robot is there, in seconds, 0 to [`NOMINAL_MAX_SECS`]; `None` if that is not
+    /// said.
     pub dwell_secs: Option<f64>,
 }
 
@@ -167,7 +172,7 @@ impl Topology {
         Ok(())
     }
 
-    /// Gives a node another name; its number stays.
+    /// Returns a node another name; its number stays.
     ///
     /// # Errors
     /// [`TopologyError::UnknownNodeId`], [`TopologyError::DuplicateNode`].
@@ -213,7 +218,8 @@ impl Topology {
     /// Adds an edge in one direction.
     ///
     /// # Errors
-    /// [`TopologyError`] where an end is unknown, both are the same, the edge exists, a number is out of range, or the map
+    /// [`TopologyError`] where an end is unknown, both are the same, the edge exists, a number is out of range, or the
+    /// map
     /// is full.
     pub fn add_edge(
         &mut self,
@@ -281,7 +287,7 @@ impl Topology {
         Ok(())
     }
 
-    /// Gives an edge another action; its number stays.
+    /// Returns an edge another action; its number stays.
     ///
     /// # Errors
     /// [`TopologyError::UnknownEdgeId`], [`TopologyError::DuplicateEdge`].

@@ -1,8 +1,9 @@
-//! Traversals of the edges of a topological map: what robots report of them, the states that they are learned in, and the
-//! newest that failed.
+//! Traversals of the edges of a topological map: what robots report of them, the states that they are learned in, and
+//! the newest that failed.
 //!
 //! Invariant: a state never changes its unit. A speed is in metres a second and a pace is relative to the nominal time,
-//! each by the edge's extent when the report was taken in; so an edge that is given another length keeps what was learned.
+//! each by the edge's extent when the report was taken in; so an edge that is given another length keeps what was
+//! learned.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -128,8 +129,8 @@ impl Traversal {
     }
 }
 
-/// The state that is learned of how an edge with this extent is travelled, and what is divided by the duration: metres, or
-/// nominal seconds.
+/// The state that is learned of how an edge with this extent is travelled, and what is divided by the duration: metres,
+/// or nominal seconds.
 fn travel(extent: Extent) -> (EdgeState, f64) {
     match (extent.length_m, extent.nominal_secs) {
         (Some(length_m), _) => (EdgeState::Speed, length_m),
@@ -138,7 +139,7 @@ fn travel(extent: Extent) -> (EdgeState, f64) {
     }
 }
 
-/// Name of the state that tells how likely a traversal of an edge succeeds.
+/// Name of the state that shows how likely a traversal of an edge succeeds.
 ///
 /// # Errors
 /// [`TopologyError::UnknownNodeId`] where the edge is of another map.
@@ -146,7 +147,7 @@ pub fn success_state(topology: &Topology, edge: &Edge) -> Result<StateName, Topo
     topology.edge_in_words(edge).map(|name| name.state(EdgeState::Success))
 }
 
-/// Name of the state that tells how fast an edge is travelled, with what its values are: speeds of an edge that has a
+/// Name of the state that shows how fast an edge is travelled, with what its values are: speeds of an edge that has a
 /// length, paces of one that has a nominal time alone.
 ///
 /// # Errors
@@ -187,8 +188,8 @@ pub struct Failures {
 }
 
 impl Failures {
-    /// Adds one, and drops the oldest where there are too many. One that is older than all of as many as are kept is not
-    /// kept.
+    /// Adds one, and drops the oldest where there are too many. One that is older than all of as many as are kept is
+    /// not kept.
     pub fn add(&mut self, failure: EdgeFailure) {
         let kept = Arc::make_mut(&mut self.oldest_first);
         let place = kept.partition_point(|known| known.start_nanos <= failure.start_nanos);

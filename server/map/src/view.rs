@@ -60,7 +60,7 @@ impl MapView {
         self.grid.as_ref()
     }
 
-    /// What is known of the place besides observations.
+    /// The site: what people and robots tell the map besides observations.
     #[must_use]
     pub fn site(&self) -> &Site {
         &self.site
@@ -78,7 +78,7 @@ impl MapView {
         self.generation
     }
 
-    /// Cut of the last update in nanoseconds UTC: older observations are folded in. `None` before the first update.
+    /// Cut of the last update in nanoseconds UTC: older observations are learned. `None` before the first update.
     #[must_use]
     pub fn cut_nanos(&self) -> Option<i64> {
         (self.generation > 0).then_some(self.cut_nanos)
@@ -90,7 +90,7 @@ impl MapView {
         self.observations
     }
 
-    /// Observations that no update has folded in yet.
+    /// Observations that no update has learned yet.
     #[must_use]
     pub fn pending(&self) -> u64 {
         self.pending
@@ -144,7 +144,7 @@ impl MapView {
         self.info(id).map_or_else(StateKind::default, |info| info.kind)
     }
 
-    /// The model that the last update gave a state; an unlearned one before its first.
+    /// The model that the last update gave a state; an untrained one before its first.
     #[must_use]
     pub fn model(&self, id: StateId) -> &StateModel {
         self.models.get(id.0 as usize).unwrap_or_else(|| self.prior_models.of(self.kind(id)))

@@ -1,9 +1,11 @@
-//! Which values of states that are no probabilities a model did not expect.
+//! Anomalous values of continuous and count states.
 //!
-//! A single value counts as an anomaly where it lies outside of the two-sided interval of the confidence asked for, of the
-//! distribution of single values about the prediction ([`value_tail`]). How much these vary is what the model's own errors
-//! have been: those at predicting days before they were learned. Invariant: of a state of which little was learned nothing
-//! is an anomaly.
+//! A value is an anomaly if it lies outside the two-sided interval, at the given confidence, of single values about the
+//! prediction ([`value_tail`]): normal, or negative binomial with variance φ·λ. The variance is that of the values,
+//! times the error of the model over the error of the mean, both at predicting days before they were learned. It is
+//! never below the variance between days of the hour.
+//!
+//! Invariant: a state with few learned observations has no anomalies.
 
 use tidemap_model::{
     FitKind, HISTOGRAMS, ModelChoice, StateKind, StateModel,
@@ -22,27 +24,29 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// Fewer observations than these say too little of how much single ones vary.
+/// With fewer observations than this, the variance of single values is too uncertain.
 const OBSERVATIONS_MIN: u64 = 30;
 
-/// How much single values of a state vary about what a model expects.
+/// The distribution of single values of a state about the model's prediction.
 #[derive(Clone, Debug)]
 pub struct ValueJudge {
     kind: StateKind,
     spreads: Spreads,
-    /// The variance of single values about the prediction; of counts at a usual rate.
+    /// The variance of single values about the prediction; for counts, at the usual rate.
     variance: f64,
-    /// Of counts: variance over rate, at least 1.
+    /// For counts: variance over rate, at least 1.
     dispersion: f64,
-    /// Of counts: a rate that is lower than this counts as this, one in all observations.
+    /// For counts: the lowest rate, one in all observations.
     least_rate: f64,
 }
 
 impl ValueJudge {
-    /// Who judges by that model; `None` where fewer than 30 observations were folded in, and of probabilities.
+    /// The judge for a model; `None` for probabilities, and with fewer than 30 learned observations.
     ///
-    /// The variance is that of the values, times what the model's error at predicting days that it had not learned has been of
-    /// that of the mean: the sums, fading by 7 % a day, by which updates choose orders and models. Of a model that they do not
+    /// The variance is that of the values, times what the model's error at predicting days that it had not learned has
+    /// been of
+    /// that of the mean: the sums, fading by 7 % a day, by which updates choose orders and models. Of a model that they
+    /// do not
     /// score it is that of the model in force, and before the first scored day that of the values.
     #[must_use]
     pub fn new(model: &StateModel, selector: ModelSelector) -> Option<Self> {
@@ -58,7 +62,9 @@ impl ValueJudge {
         Some(Self { kind, spreads, variance, dispersion, least_rate })
     }
 
-    /// The probability of a value at least as far from what was expected of its moment, to either side.
+    /// The p-value of a value at a moment: the probability of a value at least as far from the prediction, to either
+    /// side. The variance is at least that between days of the hour, as in prediction intervals. The variance of counts
+    /// is proportional to the rate.
     ///
     /// The variance is not less than that between days of the hour, as prediction intervals take it: the hours of some
     /// states differ in how much they vary. That of counts goes with the rate.
@@ -73,8 +79,8 @@ impl ValueJudge {
     }
 }
 
-/// The error of a model over that of the mean, at predicting days before they were learned; that of the model in force where
-/// updates do not score this one, and 1 before the first scored day.
+/// The error of a model over that of the mean, at predicting days before they were learned. The model in force stands
+/// in for models that updates do not score; 1 before the first scored day.
 fn share_of_mean(model: &StateModel, selector: ModelSelector) -> f64 {
     let Some(known) = model.alternatives() else { return 1.0 };
     let scored = |wanted| known.error_sums().find(|(choice, _)| *choice == wanted).map(|(_, sum)| sum);
@@ -99,8 +105,8 @@ fn share_of_mean(model: &StateModel, selector: ModelSelector) -> f64 {
 }
 
 impl MapView {
-    /// Which of these readings of a state a model did not expect which expects these values of them, in their order: one
-    /// entry a reading. Of a probability as [`super::is_anomalous`] says, of other kinds as [`ValueJudge`] does.
+    /// Which readings of a state are anomalous, given the model's predictions: one entry per reading, in their order.
+    /// Probabilities are judged by [`super::is_anomalous`], other kinds by [`ValueJudge`].
     #[must_use]
     pub fn judged(
         &self,

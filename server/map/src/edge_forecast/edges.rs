@@ -1,7 +1,7 @@
-//! All edges of a map, ready to be asked what is to be expected of them at any time.
+//! The forecasts of all edges of a map, at any time.
 //!
-//! Invariant: all of it is of one view. Speeds are predicted by the model that the last update chose; success by that one,
-//! too, or by another that the caller asks.
+//! Invariant: everything comes from one view. Speeds are predicted by the model that the last update chose; success by
+//! that model too, or by one that the caller provides.
 
 use std::{
     collections::HashMap,
@@ -18,10 +18,10 @@ use crate::{
     view::MapView,
 };
 
-/// An edge of which something was reported.
+/// An edge with reports.
 #[derive(Debug)]
 struct ReportedEdge {
-    /// Made when the edge is first asked: a route looks at few of the edges of a large map.
+    /// Built on first use: a route looks at few of the edges of a large map.
     record: OnceLock<EdgeRecord>,
     states: EdgeStates,
 }
@@ -36,8 +36,8 @@ pub struct EdgeForecasts {
 }
 
 impl EdgeForecasts {
-    /// The edges of a view. `speed_m_per_s`: the speed as long as none was reported, above 0. `persistence`: whether the
-    /// last report of an edge counts, for as long as it does (T-RO 2017, eq. 12 and 13).
+    /// The edges of a view. `speed_m_per_s`: the speed without reports, above 0. `persistence`: whether the last report
+    /// of an edge still counts (T-RO 2017, eq. 12 and 13).
     #[must_use]
     pub fn new(view: Arc<MapView>, speed_m_per_s: f64, persistence: bool) -> EdgeForecasts {
         let topology = view.site().topology();
@@ -52,19 +52,19 @@ impl EdgeForecasts {
         EdgeForecasts { view, prior, known, persistence }
     }
 
-    /// The states that tell of the success of edges, in no order.
+    /// The success states of all edges, in no order.
     pub fn success_states(&self) -> impl Iterator<Item = StateId> {
         self.known.values().filter_map(|known| known.states.success)
     }
 
-    /// What is to be expected of an edge at a time in nanoseconds UTC.
+    /// The forecast of an edge at a time in nanoseconds UTC.
     #[must_use]
     pub fn forecast(&self, edge: &Edge, time_nanos: i64) -> EdgeForecast {
         let by_chosen = |id: StateId, times: &PreparedTimes| self.predict(id, times);
         self.forecast_with(edge, time_nanos, by_chosen)
     }
 
-    /// The same, where `success` says how likely the state of an edge's success is 1 at the only time of those given.
+    /// The same with a success model of the caller: `success` predicts the success state at the single time given.
     pub fn forecast_with(
         &self,
         edge: &Edge,
@@ -93,7 +93,7 @@ impl EdgeForecasts {
         predicted[0]
     }
 
-    /// How often an edge was reported.
+    /// Number of reports of an edge.
     #[must_use]
     pub fn reports(&self, edge: EdgeId) -> u64 {
         let success = self.known.get(&edge).and_then(|known| known.states.success);

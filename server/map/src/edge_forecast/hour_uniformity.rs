@@ -1,21 +1,23 @@
-//! How much the hours of an edge differ, and so as how many reports the edge as a whole counts for an hour of its own.
+//! How uniform the hours of an edge are, as a number of reports that the edge as a whole counts for one hour.
 //!
-//! An edge that fails now and then at any time is not to be shunned at an hour at which it happened to fail; a door that is
-//! shut at night is to be known as shut after few reports of the night. Which of the two an edge is, its reports tell: the
-//! chance of each hour is drawn from a Beta distribution about the edge's own, and its strength is the one under which
-//! the reports are likeliest (empirical Bayes with the beta-binomial distribution; B. Efron,
-//! "Large-Scale Inference", 2010, chapter 1). Invariant: one of [`STRENGTHS`], the least where reports do not tell.
+//! An edge that fails now and then, at any time, must not be avoided at an hour at which it happened to fail. A door
+//! that is shut at night must be known as shut after few reports of the night. The reports tell which of the two an
+//! edge is: the success of each hour is drawn from a Beta distribution about the edge's own, and its strength is the
+//! one with the highest likelihood (empirical Bayes with the beta-binomial distribution; B. Efron, "Large-Scale
+//! Inference", 2010, chapter 1).
+//!
+//! Invariant: the result is one of [`STRENGTHS`], the lowest if the reports do not decide.
 
 use libm::lgamma;
 use tidemap_model::models::HourTable;
 
 use super::{DAY_HOURS, PRIOR_REPORTS, WEEK_HOURS};
 
-/// As how many reports an edge may count for an hour.
+/// The candidate weights, in reports.
 const STRENGTHS: [f64; 4] = [PRIOR_REPORTS, 8.0, 32.0, 128.0];
 
-/// As how many reports an edge counts for one of its hours; `prior`: how likely edges of the map are passed, of
-/// [`PRIOR_REPORTS`] reports' weight, above 0 and below 1.
+/// Weight, in reports, of an edge as the prior of one of its hours. `prior`: the success probability of the map's
+/// edges, above 0 and below 1, with the weight of [`PRIOR_REPORTS`] reports.
 pub(super) fn hour_uniformity(table: &HourTable, prior: f64) -> f64 {
     // Hours of weekdays, then of the weekend.
     let mut hours = [[0.0_f64; 2]; 2 * DAY_HOURS];
@@ -37,7 +39,7 @@ pub(super) fn hour_uniformity(table: &HourTable, prior: f64) -> f64 {
             before + lgamma(a + passed) + lgamma(b + failed) - lgamma(strength + tried)
         };
         let likelihood: f64 = hours.iter().filter(|hour| hour[0] > 0.0).map(of_hour).sum();
-        // Rounding does not make an edge steady.
+        // Rounding must not make an edge uniform.
         if likelihood > best.1 + 1e-6 || best.1 == f64::NEG_INFINITY {
             best = (strength, likelihood);
         }

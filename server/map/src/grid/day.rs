@@ -1,8 +1,8 @@
-//! The exact scans of one local day that no update has folded in yet, tile by tile.
+//! The exact scans of one local day that no update has learned yet, tile by tile.
 //!
-//! Invariant: nothing is lost: each scan's masks can be told from what is kept. Scans are numbered in the order of
-//! arrival. A tile's flips refer to the last scan of this day that saw the tile. A day costs what its scans saw, however
-//! many tiles the grid has.
+//! Invariant: nothing is lost: the masks of each scan follow from what is kept. Scans are numbered in the order of
+//! arrival. A tile's flips refer to the last scan of this day that saw the tile. The size of a day follows what its
+//! scans saw, however many tiles the grid has.
 
 use std::sync::Arc;
 
@@ -34,14 +34,14 @@ impl ScanTime {
 pub struct PresenceRun {
     /// The first of them.
     pub first: u32,
-    /// How many, at least 1.
+    /// Number of scans, at least 1.
     pub count: u32,
     /// The tiles, ascending.
     pub seen: Arc<[TileId]>,
 }
 
 impl PresenceRun {
-    /// What it counts in [`GridDay::changes`]: a tile seen is a quarter of the size of a scan.
+    /// Its share of [`GridDay::changes`]: a seen tile is a quarter of the size of a scan.
     fn changes(&self) -> u64 {
         1 + self.seen.len() as u64 / 4
     }
@@ -59,7 +59,7 @@ pub enum Bit {
 /// A bit of a cell that differs from the tile's scan before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Flip {
-    /// The scan from which on.
+    /// The first scan with the new value.
     pub scan: u32,
     packed: u16,
 }
@@ -108,7 +108,7 @@ pub struct GridDay {
     tiles: Vec<(TileId, Box<DayTile>)>,
 }
 
-/// What a tile counts in [`GridDay::changes`] apart from its flips: its size in units of 12 bytes.
+/// Share of a tile in [`GridDay::changes`] without its flips: its size in units of 12 bytes.
 const TILE_CHANGES: u64 = (size_of::<DayTile>() + size_of::<(TileId, Box<DayTile>)>()).div_ceil(12) as u64;
 
 impl GridDay {
@@ -118,12 +118,12 @@ impl GridDay {
         GridDay { day, scans: Vec::new(), presence: Vec::new(), tiles: Vec::new() }
     }
 
-    /// Adds a scan and gives its number. Masks of the tiles seen are given by [`GridDay::show`] then.
+    /// Adds a scan and returns its number. [`GridDay::show`] then gives the masks of its tiles.
     pub fn push(&mut self, time: ScanTime, seen: &Arc<[TileId]>) -> u32 {
         self.take(time, seen).0
     }
 
-    /// [`GridDay::push`]; gives also by how much [`GridDay::changes`] becomes more.
+    /// As [`GridDay::push`]; also returns the increase of [`GridDay::changes`].
     pub(crate) fn take(&mut self, time: ScanTime, seen: &Arc<[TileId]>) -> (u32, u64) {
         let scan = u32::try_from(self.scans.len()).unwrap_or(u32::MAX);
         self.scans.push(time);
@@ -141,8 +141,8 @@ impl GridDay {
         }
     }
 
-    /// Says what a scan showed of a tile that it saw. A tile of which nothing is said shows what it showed before. Gives
-    /// by how much [`GridDay::changes`] becomes more.
+    /// Sets what a scan showed of a tile that it saw. By default a tile shows what it showed before. Returns the
+    /// increase of [`GridDay::changes`].
     pub fn show(&mut self, scan: u32, tile: TileId, masks: TileMasks) -> u64 {
         let at = match self.place(tile) {
             Ok(at) => at,
@@ -167,7 +167,7 @@ impl GridDay {
 
     /// Where a tile is, or belongs.
     fn place(&self, tile: TileId) -> Result<usize, usize> {
-        // A day's first scan gives its tiles one after the other.
+        // The first scan of a day gives its tiles in order.
         match self.tiles.last() {
             Some((last, _)) if *last < tile => Err(self.tiles.len()),
             _ => self.tiles.binary_search_by_key(&tile, |(tile, _)| *tile),
@@ -185,7 +185,7 @@ impl GridDay {
         self.tiles.iter().map(|(id, tile)| (*id, &**tile))
     }
 
-    /// Gives the day a tile as a whole, instead of what it has of it.
+    /// Replaces a tile of the day as a whole.
     pub fn put(&mut self, id: TileId, tile: DayTile) {
         match self.place(id) {
             Ok(at) => *self.tiles[at].1 = tile,
@@ -233,7 +233,7 @@ impl GridDay {
             return (None, Some(self));
         }
         let mut parts = [GridDay::new(self.day), GridDay::new(self.day)];
-        // Which number each scan has in its part, and which scans in a row go into the same.
+        // The number of each scan in its part, and which consecutive scans go into the same part.
         let mut numbers = Vec::with_capacity(self.scans.len());
         for run in &self.presence {
             for &time in self.scans.get(run.first as usize..).unwrap_or_default().iter().take(run.count as usize) {
@@ -255,7 +255,7 @@ impl GridDay {
             for (from, to) in ranges {
                 let of_range = runs.partition_point(|&(_, end, _)| end <= from);
                 for &(first, end, part) in runs.iter().skip(of_range).take_while(|&&(first, _, _)| first < to) {
-                    // Shown where the part's scans of the tile begin again, and where something flips.
+                    // Shown where the part's scans of the tile restart, and at each flip.
                     let mut scan = first.max(from);
                     while scan < end.min(to) {
                         flips = apply_flips(&mut masks, flips, scan);
@@ -272,14 +272,14 @@ impl GridDay {
         (Some(before), Some(after))
     }
 
-    /// How much is held for the update of the day: scans, tiles, flips, and what was seen.
+    /// The amount of data held for the update of the day: scans, tiles, flips and presence.
     #[must_use]
     pub fn changes(&self) -> u64 {
         let tiles = self.tiles.iter().map(|(_, tile)| TILE_CHANGES + tile.flips.len() as u64);
         self.scans.len() as u64 + tiles.sum::<u64>() + self.presence.iter().map(PresenceRun::changes).sum::<u64>()
     }
 
-    /// Gives back memory that is held for more scans.
+    /// Releases memory reserved for more scans.
     pub(crate) fn shrink(&mut self) {
         self.scans.shrink_to_fit();
         self.presence.shrink_to_fit();
@@ -303,7 +303,7 @@ impl GridDay {
     }
 }
 
-/// Applies the flips of one scan, which are next in the order; gives those after them.
+/// Applies the flips of one scan, which come next; returns those after them.
 fn apply_flips<'a>(masks: &mut TileMasks, flips: &'a [Flip], scan: u32) -> &'a [Flip] {
     let count = flips.iter().take_while(|flip| flip.scan == scan).count();
     let (of_scan, rest) = flips.split_at(count);

@@ -1,10 +1,10 @@
 //! Sums of phasors over the scans at which a bit is set, chunk by chunk of scans.
 //!
-//! Where some scans are of another sensor than the map's own, sums of phasors weighted by α and β stand beside the plain
-//! ones (see [`super::sensors`]).
+//! Where some scans are of another sensor than the map's own, sums of phasors weighted by α and β stand beside the
+//! plain ones (see [`super::sensors`]).
 //!
-//! Invariant: running sums continue from chunk to chunk, so that a run of equal readings costs two rows of them, however
-//! many chunks it spans.
+//! Invariant: running sums continue from chunk to chunk, so that a run of equal readings costs two rows of them,
+//! however many chunks it spans.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use tidemap_model::{Periodicities, PhasorSum, PhasorTable, RunningSums};
 
 use super::sensors::{SensorId, Sensors, Weights};
 
-/// Most scans of one map day whose phasors are in memory at a time.
+/// Maximum number of scans of one map day whose phasors are in memory at a time.
 pub(super) const CHUNK_SCANS_MAX: usize = 256;
 
 /// Phasors of one chunk of a pattern's scans.
@@ -24,13 +24,13 @@ pub(super) struct Chunk<'a> {
     pub(super) rows: &'a RunningSums,
     /// The same, weighted; `None` where all scans are of the map's own sensor.
     pub(super) weighted: Option<&'a WeightedRows>,
-    /// What a free and an occupied reading of each scan count as; `None` where all are of the map's own sensor.
+    /// The values of a free and an occupied reading of each scan; `None` if all are of the map's own sensor.
     pub(super) levels: Option<(&'a [f64], &'a [f64])>,
     pub(super) utc_nanos: &'a [i64],
     pub(super) is_last: bool,
 }
 
-/// How far the toggles of a bit have been gone through.
+/// A position in the toggles of a bit.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Cursor {
     /// The next toggle.
@@ -39,7 +39,7 @@ pub(super) struct Cursor {
     pub(super) is_on: bool,
 }
 
-/// Adds the phasors of the scans of a chunk at which a bit is set, as `rows`, which are some of the chunk, have them.
+/// Adds the phasors of the chunk's scans at which a bit is set. `rows` are some of the running sums of the chunk.
 pub(super) fn fold_toggles(
     toggles: &[u32],
     cursor: &mut Cursor,
@@ -72,7 +72,7 @@ pub(super) fn fold_toggles(
     }
 }
 
-/// Writes the value of each scan of a chunk that begins with scan `first`: that of a bit that is clear, or set, there.
+/// Writes the value at each scan of a chunk that starts with scan `first`: that of a clear or a set bit.
 pub(super) fn fill(values: &mut [f64], toggles: &[u32], cursor: Cursor, first: usize, (clear, set): (&[f64], &[f64])) {
     let (length, mut from, mut is_on) = (values.len(), 0, cursor.is_on);
     let mut write = |from: usize, to: usize, is_on: bool| {
@@ -96,14 +96,14 @@ pub(super) fn run_length(toggles: &[u32], scans: usize) -> u64 {
     toggles.chunks(2).map(|run| u64::from(run.get(1).unwrap_or(&end).saturating_sub(run[0]))).sum()
 }
 
-/// What each of some scans counts.
+/// The weights of scans.
 #[derive(Debug)]
 pub(super) struct WeightedScans {
     /// The sensor of each scan.
     pub(super) ids: Arc<Vec<SensorId>>,
     alpha: Vec<f64>,
     beta: Vec<f64>,
-    /// What a free and an occupied reading of each scan count as.
+    /// The values of a free and an occupied reading of each scan.
     free: Vec<f64>,
     occupied: Vec<f64>,
     /// Σα and Σβ over the scans before each, and over all.
@@ -130,7 +130,7 @@ impl WeightedScans {
         }
     }
 
-    /// What free and occupied readings of some scans count as.
+    /// The values of free and occupied readings of a range of scans.
     pub(super) fn levels(&self, first: usize, count: usize) -> (&[f64], &[f64]) {
         let of = |levels: &'_ [f64]| levels.len().min(first)..levels.len().min(first + count);
         (&self.free[of(&self.free)], &self.occupied[of(&self.occupied)])
@@ -162,7 +162,7 @@ impl WeightedScans {
     }
 }
 
-/// Running sums of weighted phasors, beside those of the phasors.
+/// Running sums of weighted phasors.
 #[derive(Debug)]
 pub(super) struct WeightedRows {
     /// Of phasors times α.

@@ -50,7 +50,8 @@ impl TileIndex {
     }
 }
 
-/// Where a cell is, in cells from the grid's origin: it spans origin + index·resolution to origin + (index+1)·resolution.
+/// Where a cell is, in cells from the grid's origin: it spans origin + index·resolution to origin +
+/// (index+1)·resolution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct CellIndex {
     /// Along x.
@@ -81,7 +82,7 @@ pub struct CellBox {
 }
 
 impl CellBox {
-    /// Number of cells along x, y, z; 0 where there is none.
+    /// Number of cells along x, y, z; 0 if there is none.
     #[must_use]
     pub fn size(&self) -> [u64; 3] {
         let along = |min: i32, max: i32| u64::try_from(i64::from(max) - i64::from(min)).unwrap_or(0);

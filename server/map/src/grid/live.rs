@@ -1,7 +1,7 @@
-//! The grid of a map as its single writer holds it: logged scans go in.
+//! The grid of a map as its single writer holds it. Logged scans are applied here.
 //!
-//! Invariant: the state is a function of the scans applied and their order. What a scan costs follows what it changes,
-//! and the tiles where what is seen changes.
+//! Invariant: the state is a function of the scans applied and their order. The cost of a scan follows what it changes,
+//! and the tiles where the observed cells change.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -32,7 +32,7 @@ pub(crate) const TILE_CHUNK: usize = 64;
 /// A chunk of tiles, shared with readers.
 pub(crate) type TileChunk = Arc<Vec<Arc<LiveTile>>>;
 
-/// The scan before: what unchanged tiles need not be asked again.
+/// The previous scan, so that unchanged tiles need not be visited again.
 #[derive(Clone, Debug)]
 struct Previous {
     day: LocalDay,
@@ -41,7 +41,7 @@ struct Previous {
     observed: u64,
 }
 
-/// The grid at an update's log position, but for what the update learns.
+/// The grid at an update's log position, except what the update learns.
 #[derive(Debug)]
 pub(crate) struct GridBasis {
     tiles: Vec<Arc<LiveTile>>,
@@ -68,15 +68,15 @@ pub struct LiveGrid {
     run_seen: Option<Arc<[TileId]>>,
     /// The sensor that made all its scans.
     run_sensor: SensorId,
-    /// Scans that no update has folded in, by local day.
+    /// Scans that no update has learned, by local day.
     pub(crate) days: Vec<GridDay>,
     pub(crate) future: Vec<FutureScan>,
-    /// Tiles of those, taken together.
+    /// Sum of their tiles.
     future_tiles: u64,
     pub(crate) pending_changes: u64,
     pub(crate) oldest_pending_nanos: Option<i64>,
     pub(crate) generation: Arc<Generation>,
-    /// The sums of each tile; taken out while an update runs.
+    /// The sums of each tile; the running update has them.
     pub(crate) sums: Vec<SumsSlot>,
     published: Vec<TileChunk>,
     dirty: Vec<bool>,
@@ -112,7 +112,7 @@ impl LiveGrid {
         }
     }
 
-    /// The grid as it was when the snapshot was taken, out of an empty one that knows the sensors of its producers.
+    /// Restores a snapshot into an empty grid that knows the sensors of its producers.
     pub(crate) fn restore(self, snapshot: GridSnapshot) -> LiveGrid {
         let mut grid = self;
         for tile in snapshot.tiles {
@@ -129,15 +129,15 @@ impl LiveGrid {
         grid
     }
 
-    /// Takes the scans before an instant out, for an update. Gives with them the grid as it stands without what the
-    /// update will learn, and the greatest time of the scans that had waited for theirs.
+    /// Takes the scans before an instant for an update. Also returns the grid without what the update will learn, and
+    /// the latest time of the scans that had waited for theirs.
     pub(crate) fn start_update(
         &mut self,
         cut_nanos: i64,
         periodicities: &Periodicities,
         criterion: OrderCriterion,
     ) -> (GridWork, GridBasis, Option<i64>) {
-        // Settled, so that the snapshot does not depend on the run.
+        // The snapshot must not depend on the run.
         self.end_run();
         let (days, newest_future) = self.take_before(cut_nanos);
         let work = GridWork {
@@ -182,8 +182,8 @@ impl LiveGrid {
         }
     }
 
-    /// Whether a producer that is new may have this sensor, as it is announced. Gives what it then has: `None` where that is
-    /// the map's own. `others`: sensors that other producers will have, and that may be new, too.
+    /// Checks that a new producer may have the sensor it announces, and returns the sensor it gets: `None` for the
+    /// map's own. `others`: sensors that other producers will have, and that may be new too.
     ///
     /// # Errors
     /// [`InvalidSensor`] where it may not.
@@ -196,7 +196,7 @@ impl LiveGrid {
         if self.sensors.find(sensor).is_none() {
             let mut sensors = Sensors::clone(&self.sensors);
             for other in others {
-                // Where there is no room for it, there is none for this one.
+                // Without room for it, there is none for this one.
                 let _ = sensors.add(Some(other));
             }
             sensors.add(sensor)?;
@@ -210,10 +210,10 @@ impl LiveGrid {
         &self.sensors
     }
 
-    /// Numbers the sensor of a new producer; [`LiveGrid::may_have`] has let it pass.
+    /// Numbers the sensor of a new producer, which [`LiveGrid::may_have`] has accepted.
     pub(crate) fn add_sensor(&mut self, sensor: Option<ProducerSensor>) {
         if self.sensors.find(sensor).is_none() {
-            // One that cannot be had counts as the map's own, and no log has one.
+            // An invalid one counts as the map's own; no log has one.
             let _ = Arc::make_mut(&mut self.sensors).add(sensor);
         }
     }
@@ -249,7 +249,7 @@ impl LiveGrid {
         self.ids.get(&index).copied()
     }
 
-    /// What the last scan of a tile in the order of the log showed.
+    /// What the last scan of a tile, in the order of the log, showed.
     #[must_use]
     pub fn arrival(&self, tile: TileId) -> Option<TileMasks> {
         Some(self.tiles.get(tile.0 as usize)?.arrival)
@@ -261,30 +261,30 @@ impl LiveGrid {
         &self.last_seen
     }
 
-    /// Scans that wait because their time is too far ahead.
+    /// Number of scans that wait because their time is too far in the future.
     #[must_use]
     pub fn future(&self) -> u64 {
         self.future.len() as u64
     }
 
-    /// Tiles of the scans that wait, each as often as a scan saw it.
+    /// Sum of the tiles of the scans that wait.
     #[must_use]
     pub fn future_tiles(&self) -> u64 {
         self.future_tiles
     }
 
-    /// The greatest time before `limit_nanos` of the scans that wait.
+    /// The latest time before `limit_nanos` of the scans that wait.
     pub(crate) fn newest_future_before(&self, limit_nanos: i64) -> Option<i64> {
         self.future.iter().map(|scan| scan.time.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
     }
 
-    /// Scans that no update has folded in; those that wait because of their time are not counted.
+    /// Scans that no update has learned, without those that wait because of their time.
     #[must_use]
     pub fn pending_scans(&self) -> u64 {
         self.days.iter().map(|day| day.scans.len() as u64).sum()
     }
 
-    /// The tiles as readers are to see them from now on.
+    /// The tiles for readers from now on.
     pub(crate) fn publish(&mut self) -> Vec<TileChunk> {
         for (index, dirty) in self.dirty.iter_mut().enumerate() {
             if !std::mem::take(dirty) {

@@ -1,14 +1,14 @@
-//! A tile as the newest scans show it: last value of each cell, and how long cells keep theirs.
+//! A tile as the newest scans show it: the last value of each cell, and how long cells keep theirs.
 //!
-//! What persistence needs per cell (T-RO 2017, eq. 12: pairs of successive observations, changes per time between them,
-//! the newest observation) is kept per tile for the cells of the newest scan, and per cell only for the others and for
-//! those that have changed.
+//! Persistence (T-RO 2017, eq. 12) needs pairs of successive observations, changes per time between them, and the
+//! newest observation. These are kept per tile for the cells of the newest scan, and per cell only for the others and
+//! for those that have changed.
 //!
-//! Where sensors of different levels observe the same cells, a cell can change its value although it reads as before. Rates
-//! of change are kept in units of the map's own sensor (see [`super::sensors`]).
+//! Where sensors with different levels observe the same cells, a cell can change its value although its reading is the
+//! same. Rates of change are in units of the map's own sensor (see [`super::sensors`]).
 //!
-//! Invariant: `known` = `current` and the cells of `away`; lists ascend by cell. An observation of a cell counts exactly
-//! if it is newer than all of that cell before it.
+//! Invariant: `known` = `current` and the cells of `away`; lists ascend by cell. An observation of a cell counts
+//! exactly if it is newer than all earlier ones of that cell.
 
 use tidemap_model::{Persistence, PersistenceParts};
 
@@ -55,16 +55,15 @@ pub struct LiveTile {
     pub away: Vec<Away>,
     /// Current cells whose pairs of successive observations are not `scans` - 1 but `scans` - this.
     pub offsets: Vec<(u16, i64)>,
-    /// Sum over changes of value of their size, in units of the map's own sensor, / seconds between the two readings; of
-    /// cells that have changed.
+    /// Sum over changes of value of their size, in units of the map's own sensor, / seconds between the two readings;
+    /// of cells that have changed.
     pub change_rates: Vec<(u16, f64)>,
-    /// Where the tile takes part in the map's run of like scans: the run's count up to which `scans` and
-    /// `newest_nanos` have been brought.
+    /// If the tile is part of the map's run: the count of the run up to which `scans` and `newest_nanos` are current.
     pub(crate) joined: Option<u64>,
 }
 
-/// Scans that follow each other, each newer than the one before, that saw the same tiles with the same sensor: unchanged
-/// tiles need not be touched for them.
+/// Consecutive scans, each newer than the one before, that saw the same tiles with the same sensor. Unchanged tiles are
+/// not touched for them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ScanRun {
     pub(crate) count: u64,
@@ -91,7 +90,7 @@ impl LiveTile {
         }
     }
 
-    /// Brings the tile up to the run's present.
+    /// Applies the scans of the run so far.
     pub(crate) fn settle(&mut self, run: ScanRun) {
         if let Some(joined) = self.joined.as_mut().filter(|joined| **joined < run.count) {
             self.scans += run.count - *joined;
@@ -100,7 +99,7 @@ impl LiveTile {
         }
     }
 
-    /// The tile as it stands with the run's scans counted in.
+    /// Newest time and number of scans, with the run's scans.
     #[must_use]
     pub(crate) fn settled(&self, run: ScanRun) -> (i64, u64) {
         match self.joined {
@@ -115,11 +114,11 @@ impl LiveTile {
         self.scans == 0 || utc_nanos > self.newest_nanos
     }
 
-    /// Takes in a scan that is newer than all before; the tile is settled.
+    /// Applies a scan that is newer than all before; the tile is settled.
     pub(crate) fn observe(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
         let (observed, occupied) = (masks.observed(), masks.occupied());
         let utc_nanos = time.utc_nanos;
-        // With another sensor every cell may count as something else.
+        // With another sensor, the value of every cell may change.
         let same = self.current & observed;
         let may_change = if time.sensor == self.sensor { (self.occupied ^ occupied) & same } else { same };
         for cell in may_change.cells() {
@@ -144,7 +143,7 @@ impl LiveTile {
         (sensors.weights(to).units(is_occupied) - before).abs()
     }
 
-    /// Takes in a scan that is not newer than all before: it counts for the cells whose own observations are older.
+    /// Applies a scan that is not newer than all before: it counts for cells whose own observations are older.
     pub(crate) fn observe_late(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
         let ScanTime { utc_nanos, sensor, .. } = time;
         for cell in masks.observed().without(self.current).cells() {
@@ -240,13 +239,13 @@ impl LiveTile {
         sensors.others() > 0 && (is_other(self.sensor) || self.away.iter().any(|away| is_other(away.sensor)))
     }
 
-    /// What the newest reading of a known cell counts as.
+    /// The value of the newest reading of a known cell.
     #[must_use]
     pub(crate) fn value(&self, cell: u16, sensors: &Sensors) -> f64 {
         sensors.value(self.reader(cell, sensors), self.occupied.contains(cell))
     }
 
-    /// Persistence of a cell with the run's scans counted in. Before the first observation it is that of an unknown state.
+    /// Persistence of a cell, with the run's scans. Before the first observation it is that of an unknown state.
     #[must_use]
     pub(crate) fn persistence(&self, cell: u16, run: ScanRun, sensors: &Sensors) -> Persistence {
         if !self.known.contains(cell) {

@@ -1,9 +1,26 @@
-//! Turning what streams send into what the log holds: one stream's view of its tiles into flips against the last scan of
-//! each tile in the order of the log.
+//! The head of the log: scans of streams become differences against the last scan of each tile in the order of the log.
 //!
-//! Invariant: `LogHead` shows the map as it will be when everything handed to the log so far is applied; after a failure
-//! it is made anew from the map. A `StreamTiles` shows its tiles as its stream has sent them. No tile beyond the limits of
-//! indices gets into the log.
+//! One tile has several pictures, each with its own lifetime:
+//!
+//! ```text
+//! client    what it last sent of the tile          for the next differences on the wire
+//!   │ wire
+//! intake    what the stream has sent               to decode it, in the task of the stream
+//!   │ queue
+//! [`StreamTiles`]  what the stream last showed     the same at the writer, one per stream
+//!   │ [`LogHead::take`]
+//! [`LogHead`]      the last scan handed to the log the base of the next difference; rebuilt after a failure
+//!   │ log (append, fdatasync)
+//! `LiveTile::arrival`  the last durable scan        the base that a restart begins with
+//!   │ apply
+//! `LiveTile` and `GridDay`  newest values, pending scans of the day
+//!   │ update
+//! `TileModel`      what an update has learned
+//! ```
+//!
+//! Invariant: a `LogHead` shows the map as it will be when everything handed to the log so far is applied; after a
+//! failure it is built again from the map. `StreamTiles` shows its tiles as its stream has sent them. No tile beyond
+//! the limits of indices gets into the log.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -20,12 +37,12 @@ mod tests;
 /// A cell of a stream: slot·512 + place, where the slot is the tile's index in the stream's table.
 pub type SlotCell = u32;
 
-/// What a stream says of one scan.
+/// One scan, as its stream sends it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StreamScan {
     /// When it was made, nanoseconds UTC, at least 0.
     pub utc_nanos: i64,
-    /// Slots of the tiles that were seen, ascending, none twice; shared by scans that saw the same.
+    /// Slots of the tiles that were seen, ascending, without duplicates; shared by scans that saw the same.
     pub seen: Arc<[u32]>,
     /// Cells whose observed bit differs from the last time the stream showed the tile; ascending.
     pub observed_flips: Vec<SlotCell>,
@@ -33,14 +50,14 @@ pub struct StreamScan {
     pub occupied_flips: Vec<SlotCell>,
 }
 
-/// One stream's tiles: which they are, and what it last showed of them.
+/// The tiles of one stream, and what it last showed of each.
 #[derive(Debug, Default)]
 pub struct StreamTiles {
     slots: Vec<StreamTile>,
     seen: Option<SeenSlots>,
     /// Whether two of these slots are the same tile.
     has_twins: bool,
-    /// Whether a scan since then was not handed on.
+    /// Whether a scan since then was refused.
     has_skipped: bool,
 }
 
@@ -65,7 +82,7 @@ impl StreamTiles {
         self.slots.push(StreamTile { index, tile: None, masks: TileMasks::default() });
     }
 
-    /// Forgets which tiles of the map the slots are, because the map may not know them after all.
+    /// Forgets which tiles of the map the slots are, because the map may not know them.
     pub fn forget_tiles(&mut self) {
         for slot in &mut self.slots {
             slot.tile = None;
@@ -77,7 +94,7 @@ impl StreamTiles {
         self.seen.as_ref().is_some_and(|seen| Arc::ptr_eq(&seen.slots, &scan.seen))
     }
 
-    /// Takes in a scan that is refused: what follows refers to it all the same.
+    /// Applies a refused scan: later scans refer to it anyway.
     pub fn skip(&mut self, scan: &StreamScan) {
         self.flip(&scan.observed_flips, |slot, cells| {
             let observed = slot.masks.observed().flipped(places(cells));
@@ -90,7 +107,7 @@ impl StreamTiles {
         self.has_skipped = true;
     }
 
-    /// FlipLists bits of cells, slot by slot.
+    /// Flips bits of cells, slot by slot.
     fn flip(&mut self, flips: &[SlotCell], flip: impl Fn(&mut StreamTile, &[SlotCell])) {
         for cells in flips.chunk_by(|one, next| slot_of(*one) == slot_of(*next)) {
             let slot = cells.first().and_then(|cell| self.slots.get_mut(slot_of(*cell)));
@@ -101,13 +118,13 @@ impl StreamTiles {
     }
 }
 
-/// What two slots of one tile flip both stays as it was; the cells are sorted.
+/// Removes cells that two slots of one tile both flip; the cells are sorted.
 fn cancel_pairs(cells: &mut Vec<CellRef>) {
     let odd = cells.chunk_by(|one, next| one == next).filter(|same| same.len() % 2 == 1);
     *cells = odd.filter_map(|same| same.first().copied()).collect();
 }
 
-/// The cells behind those of a slot that come first.
+/// The cells after those of a slot.
 fn behind(cells: &[SlotCell], slot: usize) -> &[SlotCell] {
     let of_slot = cells.iter().take_while(|cell| slot_of(**cell) <= slot).count();
     cells.get(of_slot..).unwrap_or_default()
@@ -117,7 +134,7 @@ fn places(cells: &[SlotCell]) -> impl Iterator<Item = u16> {
     cells.iter().map(|cell| CellRef(*cell).cell())
 }
 
-/// Whether a slot is among some that ascend; found at once where none is left out.
+/// Whether a slot is among ascending slots; found at once if none is left out.
 fn is_among(seen: &[u32], slot: u32) -> bool {
     let place = seen.first().map_or(0, |first| slot.wrapping_sub(*first) as usize);
     seen.get(place) == Some(&slot) || seen.binary_search(&slot).is_ok()
@@ -127,7 +144,7 @@ fn slot_of(cell: SlotCell) -> usize {
     CellRef(cell).tile().0 as usize
 }
 
-/// A map's tiles, as they will be when everything handed to the log is applied.
+/// The tiles of a map, as they will be when everything handed to the log is applied.
 #[derive(Debug)]
 pub struct LogHead {
     new_ids: HashMap<TileIndex, TileId>,
@@ -146,12 +163,12 @@ pub struct ScanDelta {
     pub new_tiles: Vec<TileIndex>,
 }
 
-/// The map may not have as many tiles as a scan needs.
+/// The scan would exceed the map's limit of tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyTiles;
 
 impl LogHead {
-    /// The front of a map into which nothing is on its way.
+    /// The head of a log without events in flight.
     #[must_use]
     pub fn new(grid: &LiveGrid) -> LogHead {
         let tiles = grid.tiles();
@@ -232,14 +249,14 @@ impl LogHead {
         Ok(ScanDelta { scan, new_tiles })
     }
 
-    /// Whether a scan follows the one before it in the log, of the same stream and the same tiles: then all its tiles are as
-    /// this stream showed them last.
+    /// Whether a scan continues the last one in the log, of the same stream and the same tiles: then all its tiles are
+    /// as this stream showed them last.
     fn goes_on(&self, stream: u64, source: &StreamTiles, scan: &StreamScan) -> bool {
         source.is_like_before(scan) && !source.has_skipped && self.last_owner == stream
     }
 
-    /// How many flips a scan of a stream would be in the log, those of tiles that are observed anew as a whole not
-    /// counted; nothing is changed.
+    /// Maximum number of flips of a stream's scan in the log, without those of tiles that are observed again as a
+    /// whole; changes nothing.
     #[must_use]
     pub fn flips_at_most(&self, grid: &LiveGrid, stream: u64, source: &StreamTiles, scan: &StreamScan) -> u64 {
         if self.goes_on(stream, source, scan) {
@@ -260,7 +277,7 @@ impl LogHead {
         flips
     }
 
-    /// Finds the map's tiles of the slots, new ones added. A tile that there cannot be gets no id, and is not shown.
+    /// Finds the map's tiles of the slots and adds new ones. A tile beyond the limits gets no id and is not shown.
     fn resolve(
         &mut self,
         grid: &LiveGrid,
@@ -268,7 +285,7 @@ impl LogHead {
         seen: &[u32],
         max_tiles: usize,
     ) -> Result<Vec<TileIndex>, TooManyTiles> {
-        // Tiles that have become durable are found in the map itself.
+        // Durable tiles are in the map itself.
         if !self.new_ids.is_empty() {
             self.new_ids.retain(|_, id| id.0 as usize >= grid.tiles());
         }
@@ -323,7 +340,7 @@ struct FlipLists {
     occupied: Vec<CellRef>,
 }
 
-/// Takes the cells of a slot off the front of ascending cells, and those before it.
+/// Takes the cells of a slot, and those before it, off ascending cells.
 fn take_slot<'a>(cells: &mut &'a [SlotCell], slot: u32) -> impl Iterator<Item = u16> + 'a {
     let first = cells.partition_point(|cell| CellRef(*cell).tile().0 < slot);
     let rest = &cells[first..];

@@ -136,7 +136,7 @@ impl Not for Mask {
     }
 }
 
-/// What a scan says of one tile. Invariant of [`TileMasks::new`]: an occupied cell is observed.
+/// What a scan shows of one tile. An occupied cell is observed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct TileMasks {
     observed: Mask,
@@ -150,7 +150,7 @@ impl TileMasks {
         occupied.without(observed).is_empty().then_some(TileMasks { observed, occupied })
     }
 
-    /// The masks with what is not observed taken out of the occupied.
+    /// The masks; cells that are not observed are removed from the occupied.
     #[must_use]
     pub fn clipped(observed: Mask, occupied: Mask) -> TileMasks {
         TileMasks { observed, occupied: occupied & observed }

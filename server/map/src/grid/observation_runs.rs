@@ -1,13 +1,13 @@
 //! When the cells of a tile were observed, kept as runs of scans instead of sums.
 //!
-//! A robot that sees nearly every cell at times of its own makes nearly every cell an observation group of its own, and a
-//! sum for each of them would be most of what a map keeps, although only cells that change ever need it. So from a number
-//! of groups on, what was observed is kept run-length coded, and the sum of a cell is computed at its first change. Once
-//! the runs take more than the sums would, the sums are computed and the runs dropped: a tile never takes more than twice
-//! what the smaller of the two would have taken.
+//! A robot that sees nearly every cell at different times makes nearly every cell an observation group of its own. A
+//! sum for each would be most of what a map keeps, although only cells that change need it. So above a number of groups
+//! the observations are kept run-length coded, and the sum of a cell is computed at its first change. When the runs
+//! take more than the sums would, the sums are computed and the runs dropped: a tile never takes more than twice what
+//! the smaller of the two would take.
 //!
-//! Invariant: a cell is in at most one list of a day; toggles ascend and are below the number of the day's scans, except
-//! that of a run that the last scan does not end.
+//! Invariant: a cell is in at most one list of a day; toggles ascend and are below the number of the day's scans,
+//! except that of a run that the last scan does not end.
 
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ use super::{
 pub struct CellRuns {
     /// The cells, ascending.
     pub cells: Box<[u16]>,
-    /// Ascending numbers of scans at which whether they are observed turns over; not observed before the first.
+    /// Ascending numbers of scans at which the observed bit changes; not observed before the first.
     pub toggles: Box<[u32]>,
 }
 
@@ -48,13 +48,13 @@ pub struct ObservationRuns {
     days: Vec<DayRuns>,
 }
 
-/// Why runs were refused: they cannot have come from a tile.
+/// Why stored runs are invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the runs in which cells were observed are not valid")]
 pub struct InvalidRuns;
 
 impl ObservationRuns {
-    /// ObservationRuns from what was stored.
+    /// Decodes stored runs.
     ///
     /// # Errors
     /// [`InvalidRuns`] where the invariant does not hold.
@@ -80,7 +80,7 @@ impl ObservationRuns {
         Ok(ObservationRuns { days })
     }
 
-    /// The days, in the order in which they were folded in.
+    /// The days, in the order in which they were learned.
     #[must_use]
     pub fn days(&self) -> &[DayRuns] {
         &self.days
@@ -92,7 +92,7 @@ impl ObservationRuns {
         self.days.is_empty()
     }
 
-    /// Takes in a day: the times of the scans that saw the tile, their sensors, and which cells were observed when.
+    /// Adds a day: the times and sensors of the scans that saw the tile, and when which cells were observed.
     pub(super) fn push<'a>(
         &mut self,
         civil_nanos: &Arc<[i64]>,
@@ -153,7 +153,7 @@ impl ObservationRuns {
                     let from = *cursor;
                     fold_toggles(toggles, cursor, &mut sum.plain, &rows, &chunk);
                     if let Some((alpha, beta)) = &mut sum.weighted {
-                        // On a day of the map's own sensor alone α is 0 and β is 1.
+                        // On a day with the map's own sensor only, α is 0 and β is 1.
                         if let Some(weighted) = weighted {
                             fold_toggles(toggles, &mut { from }, alpha, &weighted.alpha, &chunk);
                         }

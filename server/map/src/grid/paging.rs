@@ -1,7 +1,7 @@
-//! Letting tiles go that the store has kept: their models and sums are read back when they are asked for.
+//! Paging: tiles that the store has saved leave memory, and are read back on demand.
 //!
-//! Invariant: a tile goes only where its model and its sums are the very ones that were saved; what an update has
-//! changed since then stays. Nothing goes while an update has the sums.
+//! Invariant: a tile leaves memory only if its model and sums are the very ones that were saved; what an update has
+//! changed since then stays. No tile leaves while an update has the sums.
 
 use std::{
     collections::HashSet,
@@ -19,7 +19,7 @@ use super::{
 };
 use crate::live_map::LiveMap;
 
-/// Which models and sums a save has kept, without holding them.
+/// The models and sums of a save, without holding them in memory.
 #[derive(Clone, Debug, Default)]
 pub struct SavedTiles {
     tiles: Vec<Option<(Weak<TileModel>, Weak<TileSums>)>>,
@@ -51,12 +51,12 @@ impl SavedTiles {
 pub struct TileMemory {
     /// Models and sums of tiles in memory, in bytes, about; a shared sum counts once.
     pub bytes: u64,
-    /// Tiles of which neither model nor sums are in memory.
+    /// Tiles with neither model nor sums in memory.
     pub cold_tiles: u64,
 }
 
 impl LiveMap {
-    /// What models and sums take in memory. Those that a running update holds are not counted.
+    /// Memory of models and sums, without those that a running update has.
     #[must_use]
     pub fn tile_memory(&self) -> TileMemory {
         let Some(grid) = &self.grid else { return TileMemory::default() };
@@ -72,8 +72,9 @@ impl LiveMap {
         memory
     }
 
-    /// Lets tiles that are gone already be read from this save, the newest, and lets tiles go that it has kept until those in memory take `budget_bytes` or less, the ones first that were
-    /// not observed for longest. Gives how many went; views published from now on are without them.
+    /// Reads tiles outside of memory from this save, the newest, from now on; then moves saved tiles out of memory
+    /// until the rest take `budget_bytes` or less, those first that were not observed for longest. Returns how many.
+    /// Views published from now on are without them.
     pub fn page_out(&mut self, source: &Arc<dyn TileSource>, saved: &SavedTiles, budget_bytes: u64) -> usize {
         if self.is_updating() {
             return 0;
@@ -96,7 +97,7 @@ impl LiveMap {
         }
         may_go.sort_unstable();
         let mut models = grid.generation.models.clone();
-        // A sum is free with the last tile that has it.
+        // A sum is freed with the last tile that has it.
         let mut holders: std::collections::HashMap<*const PhasorSum, usize> = std::collections::HashMap::new();
         for sums in grid.sums.iter().filter_map(resident) {
             for group in sums.shared() {
@@ -133,8 +134,7 @@ impl LiveMap {
 }
 
 impl LiveGrid {
-    /// Lets tiles that are gone be read from the newest save, which has them unchanged, so that no older one is kept open
-    /// for them.
+    /// Reads tiles outside of memory from the newest save, which has them unchanged, so that no older one is kept open.
     fn follow(&mut self, source: &Arc<dyn TileSource>) {
         let is_older = |cold: &ColdTile| !Arc::ptr_eq(&cold.source, source);
         let is_model_older = |slot: &ModelSlot| matches!(slot, ModelSlot::Cold(cold) if is_older(cold));

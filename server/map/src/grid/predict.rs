@@ -1,7 +1,7 @@
-//! A grid, or a part of it, at one time, tile by tile: what never changed as masks, what did as numbers.
+//! A grid, or a part of it, at one time, tile by tile: cells that never changed as masks, others as numbers.
 //!
-//! Invariant: each known cell of the region is told with the value that [`GridView::predict_tile`] gives it, and no
-//! other cell is told. What an answer costs follows the tiles that there are, not the size of the region.
+//! Invariant: each known cell of the region is reported with the value that [`GridView::predict_tile`] gives it, and no
+//! other cell is reported. The cost of an answer follows the existing tiles, not the size of the region.
 
 use tidemap_model::{InstantPhasors, entropy_bits};
 
@@ -25,7 +25,7 @@ mod tests;
 
 use project::Columns;
 
-/// What is told of each cell.
+/// The output for each cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum CellOutput {
     /// Probability that it is occupied.
@@ -38,7 +38,7 @@ pub enum CellOutput {
 }
 
 impl CellOutput {
-    /// What is told of a probability.
+    /// The output for a probability.
     #[must_use]
     pub fn of(self, probability: f32) -> f32 {
         match self {
@@ -49,7 +49,7 @@ impl CellOutput {
     }
 }
 
-/// A question about the whole grid.
+/// A query of the whole grid, or a region of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GridQuestion {
     /// Nanoseconds UTC.
@@ -58,16 +58,16 @@ pub struct GridQuestion {
     pub selector: ModelSelector,
     /// Which cells; `None`: all.
     pub region: Option<CellBox>,
-    /// Whether a column along z counts as its most probable known cell, of equally probable ones the lowest.
+    /// Whether a column along z is reduced to its most probable known cell; ties: the lowest.
     pub project: bool,
-    /// What is told of each cell; of a column, of its most probable cell.
+    /// The output for each cell, or for each column's most probable cell.
     pub output: CellOutput,
 }
 
-/// The tiles that reach into the region of a question.
+/// The tiles that overlap the region of a query.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridSelection {
-    /// The region cut to the tiles that there are; of one layer, z = 0, where projected.
+    /// The region cut to the existing tiles; with projection, the layer z = 0.
     pub region: CellBox,
     /// The tiles, in the order of the answer.
     pub tiles: Vec<(TileIndex, TileId)>,
@@ -75,11 +75,11 @@ pub struct GridSelection {
     pub cells: u64,
     /// Tiles of the answer: fewer than `tiles` where projected.
     pub told: u64,
-    /// Most values in the answer.
+    /// Maximum number of values in the answer.
     pub values_at_most: u64,
 }
 
-/// What an answer says of the cells of one tile. A tile of a projection has the places 0 to 63 alone, and z = 0.
+/// The answer for the cells of one tile. A tile of a projection has only the places 0 to 63, with z = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TileCells {
     /// Where it is.
@@ -96,7 +96,7 @@ pub struct TileCells {
     pub all_values: bool,
 }
 
-/// Which cells of a tile have which kind of value.
+/// The cells of a tile, by kind of value.
 struct Shape {
     known: Mask,
     learned: Mask,
@@ -123,8 +123,7 @@ impl Shape {
             return Shape { known, learned, changed, high: fixed & occupied, all_values: has_other_readers() };
         }
         let high = fixed & model.always_occupied;
-        // A cell that still reads as it always did stays at its level, however recent the reading is, unless another
-        // sensor made it.
+        // A cell that never changed stays at its level, however recent the reading is, unless another sensor made it.
         let has_changed = || !(seen & fixed & (occupied ^ model.always_occupied)).is_empty();
         let blended = selector.persistence && (has_changed() || has_other_readers());
         let has_own_levels = blended || model.sensors.is_some();
@@ -137,7 +136,7 @@ impl Shape {
 }
 
 impl GridView {
-    /// The tiles that a question is about.
+    /// The tiles of a query.
     #[must_use]
     pub fn select(&self, question: &GridQuestion) -> GridSelection {
         let mut tiles = match &question.region {
@@ -195,7 +194,7 @@ impl GridView {
         indices.filter_map(|index| Some((index, self.find(index)?))).collect()
     }
 
-    /// Most values that a tile's answer has. A tile that is not in memory is not read for it.
+    /// Maximum number of values of a tile's answer. A tile outside of memory is not read for it.
     fn values_of(&self, index: TileIndex, id: TileId, question: &GridQuestion) -> u64 {
         let within = within(index, question.region.as_ref());
         let live = self.live(id);
@@ -210,8 +209,8 @@ impl GridView {
         }
     }
 
-    /// Adds the values of a tile's cells to `values`, and says which cells they are of: those that have changed, or all
-    /// that are known where other cells too have values of their own. What is told is the probability.
+    /// Adds the probabilities of a tile's cells to `values`, and returns which cells they are of: those that have
+    /// changed, or all known cells if other cells too have values of their own.
     ///
     /// # Errors
     /// [`TileUnavailable`] where the tile cannot be read from the disk.
@@ -307,7 +306,7 @@ fn same_column(one: TileIndex, other: TileIndex) -> bool {
 }
 
 impl MapView {
-    /// What the grid says of the cells of the tiles selected, in their order; nothing where the map has no grid.
+    /// The predictions of the selected tiles, in their order; nothing if the map has no grid.
     pub fn predict_grid<'a>(
         &'a self,
         question: &'a GridQuestion,

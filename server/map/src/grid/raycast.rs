@@ -1,10 +1,10 @@
-//! Ray casting: what the readings of a range sensor say of the cells of a grid.
+//! Ray casting: what the readings of a range sensor say about the cells of a grid.
 //!
-//! Cells along a ray are free, the cell of its end is occupied, those beyond stay as they are. Where rays of one scan
+//! Cells along a ray are free, the cell of its end is occupied, cells beyond stay as they are. Where rays of one scan
 //! disagree on a cell, occupied wins.
 //!
 //! Invariant: rays are traversed exactly (Amanatides and Woo 1987), cell by cell, by a number of steps that is known
-//! before the first; what a scan costs is bounded by its [`CastLimits`] and told in [`CastError`].
+//! before the first. The cost of a scan is bounded by its [`CastLimits`]; [`CastError`] reports an excess.
 
 use nalgebra::{Isometry3, Vector3};
 
@@ -24,7 +24,7 @@ use walk::Walk;
 /// Readings in the sensor's frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Rays {
-    /// Ends of rays: x, y, z of each one after the other, metres. One that is not finite is no reading.
+    /// End points of rays: x, y, z of each, in metres. A point that is not finite is ignored.
     Points(Vec<f32>),
     /// Ranges in the sensor's x-y plane.
     Planar {
@@ -32,7 +32,7 @@ pub enum Rays {
         angle_min_rad: f64,
         /// Angle from one ray to the next, radians.
         angle_increment_rad: f64,
-        /// Metres. Infinity: nothing as far as is believed. NaN: no reading.
+        /// Metres. Infinity: free up to the maximum range. NaN: no reading.
         ranges_m: Vec<f32>,
     },
 }
@@ -42,26 +42,26 @@ pub enum Rays {
 pub struct Readings {
     /// The transform map_from_sensor, in metres; finite.
     pub pose: Isometry3<f64>,
-    /// Nearer readings are left out; at least 0.
+    /// Nearer readings are ignored; at least 0.
     pub min_range_m: f32,
-    /// Farther readings only say that the way is free up to this range. `None`: there is no such range.
+    /// Farther readings only free the cells up to this range. `None`: no limit.
     pub max_range_m: Option<f32>,
     /// The rays.
     pub rays: Rays,
 }
 
-/// What a cast may cost.
+/// Limits of a cast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CastLimits {
     /// Cells of one ray, within the grid's extent.
     pub ray_cells: u64,
-    /// Cells of all rays, those that several pass counted for each.
+    /// Cells of all rays; a cell that several rays pass counts for each.
     pub cells: u64,
     /// Tiles that the rays pass.
     pub tiles: usize,
 }
 
-/// Why a scan is not cast.
+/// Why a scan exceeds the limits of a cast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CastError {
     /// A ray is too long.
@@ -71,25 +71,25 @@ pub enum CastError {
         ray: usize,
         /// How many cells it passes.
         cells: u64,
-        /// How many it may.
+        /// The maximum.
         max: u64,
     },
     /// The rays are too long all together.
     #[error("the rays pass more than the {max} cells that those of one scan may: send fewer points or a max_range_m")]
     TooManyCells {
-        /// How many they may.
+        /// The maximum.
         max: u64,
     },
     /// The rays pass too many tiles.
     #[error("the rays pass more than the {max} tiles that one scan may show: send a max_range_m")]
     TooManyTiles {
-        /// How many they may.
+        /// The maximum.
         max: usize,
     },
 }
 
-/// What readings say of the grid: the tiles that they pass, ascending, and the masks of each. Empty where no reading is
-/// left, or all lie outside the extent. In a flat grid heights are left out of account.
+/// Casts readings into the grid. Returns the tiles that they pass, ascending, with their masks; nothing if no reading
+/// is valid or all lie outside the extent. A flat grid ignores heights.
 ///
 /// # Errors
 /// [`CastError`] where a limit is passed.
@@ -133,7 +133,7 @@ pub fn cast(
     Ok(walk.into_tiles())
 }
 
-/// What rays have said of one tile so far.
+/// The cells of one tile that rays have passed so far.
 #[derive(Clone, Copy, Debug)]
 struct Tile {
     index: TileIndex,

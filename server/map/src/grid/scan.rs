@@ -1,7 +1,7 @@
-//! Scans as the log holds them: what was seen, as the difference from what its tiles showed before.
+//! Scans as the log holds them: differences from what their tiles showed before.
 //!
 //! Invariant: cells are numbered tile·512 + place. A flip says that a tile's bit differs from the last scan *in the
-//! order of the log* that saw the tile, whoever made that one; a tile never seen before had no bit set.
+//! order of the log* that saw the tile, whichever producer made it; a tile never seen before has no bit set.
 
 use std::sync::Arc;
 
@@ -42,7 +42,7 @@ pub struct LoggedScan {
     pub utc_nanos: i64,
     /// Seconds to add to UTC for local civil time.
     pub offset_secs: i32,
-    /// The tiles that were seen, ascending, none twice; `None`: the same as in the scan before in the log.
+    /// The tiles that were seen, ascending, without duplicates; `None`: the same as in the previous scan in the log.
     pub seen: Option<Arc<[TileId]>>,
     /// Cells of seen tiles whose observed bit differs from the last scan of their tile; ascending.
     pub observed_flips: Vec<CellRef>,
@@ -53,9 +53,9 @@ pub struct LoggedScan {
 /// Scans of one producer that became durable together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scans {
-    /// Whose.
+    /// The producer.
     pub producer: ProducerId,
-    /// The producer, where this is its first event.
+    /// The producer's key and sensor, in its first event only.
     pub new_producer: Option<NewProducer>,
     /// The producer's incarnation.
     pub incarnation: u64,
@@ -76,7 +76,7 @@ pub struct Scans {
 }
 
 impl Scans {
-    /// The latest time that is plausible by the clock of their receipt, nanoseconds UTC; later ones wait.
+    /// The latest plausible time by the clock of receipt, nanoseconds UTC; later observations wait.
     #[must_use]
     pub fn plausible_nanos(&self) -> i64 {
         self.received_nanos.saturating_add(crate::FUTURE_MAX_NANOS)

@@ -1,7 +1,7 @@
-//! What is kept of a tile beside its counts and sums where sensors of different levels have observed it.
+//! Sums and counts of a tile that sensors with different levels have observed.
 //!
-//! With α and β of each reading (see [`super::sensors`]) a cell of a group has x̄ = (Σα + Σ_occupied β)/n, and
-//! Σ x e^(-jω_k t) = G_k + A_k, where G_k = Σ α e^(-jω_k t) over the group's readings and A_k = Σ β e^(-jω_k t) over the
+//! With α and β of each reading (see [`super::sensors`]) a cell of a group has x̄ = (Σα + Σ_occupied β)/n, and Σ x
+//! e^(-jω_k t) = G_k + A_k, where G_k = Σ α e^(-jω_k t) over the group's readings and A_k = Σ β e^(-jω_k t) over the
 //! cell's occupied ones. D_k = Σ β e^(-jω_k t) over the group's readings is A_k of a cell that was always occupied.
 //!
 //! Invariant: where all readings are of the map's own sensor nothing is kept: G = 0, D = B, Σα = 0, Σβ = n.
@@ -12,7 +12,7 @@ use tidemap_model::PhasorSum;
 
 use super::sensors::Weights;
 
-/// What the readings of a tile's cells count, parallel to the groups and cells of its model.
+/// The weights of the readings of a tile's cells, parallel to the groups and cells of its model.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorWeights {
     /// Σα and Σβ over the readings of each group.
@@ -29,7 +29,7 @@ impl SensorWeights {
     }
 }
 
-/// Weighted sums over the readings of a group, of which some are of another sensor than the map's own.
+/// Weighted sums over the readings of a group with readings of other sensors than the map's own.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WeightedSums {
     /// G_k = Σ α e^(-jω_k t).
@@ -38,8 +38,8 @@ pub struct WeightedSums {
     pub beta: Arc<PhasorSum>,
 }
 
-/// Weighted sums of a tile, parallel to the groups of its model; `None` where all readings of a group are of the map's own
-/// sensor.
+/// Weighted sums of a tile, parallel to the groups of its model; `None` where all readings of a group are of the map's
+/// own sensor.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorSums {
     /// Of each group.
@@ -78,7 +78,7 @@ impl GroupSums {
             alpha: match (&self.weighted, &other.weighted) {
                 (Some(one), Some(other)) => sum(&one.alpha, &other.alpha),
                 (Some(one), None) => Arc::clone(&one.alpha),
-                // One of them is there.
+                // At least one exists.
                 (None, other) => Arc::clone(other.as_ref().map_or(&self.plain, |other| &other.alpha)),
             },
             beta: sum(self.beta(), other.beta()),
@@ -86,7 +86,7 @@ impl GroupSums {
         GroupSums { plain: sum(&self.plain, &other.plain), weighted }
     }
 
-    /// What tells equal sums apart from others while all of them are alive: their addresses.
+    /// Addresses, which identify equal sums while all of them are alive.
     pub(crate) fn addresses(&self) -> [usize; 3] {
         let address = |sum: &Arc<PhasorSum>| Arc::as_ptr(sum) as usize;
         let weighted = self.weighted.as_ref();

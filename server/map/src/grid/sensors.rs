@@ -1,18 +1,18 @@
 //! The sensors of a grid: the map's own, and those that producers have announced.
 //!
-//! A reading counts as the posterior P(occupied | reading) of the sensor that made it, under the map's prior. All sums are
-//! kept in units of the map's own sensor, in which its free reading counts as 0 and its occupied one as 1: with levels f0
-//! and o0 of the map's own and f and o of another sensor, a reading of that counts as α + β·occupied, with
-//! α = (f - f0)/(o0 - f0) and β = (o - f)/(o0 - f0).
+//! A reading counts as the posterior P(occupied | reading) of the sensor that made it, under the map's prior. All sums
+//! are kept in units of the map's own sensor, in which its free reading counts as 0 and its occupied one as 1: with
+//! levels f0 and o0 of the map's own and f and o of another sensor, a reading of that counts as α + β·occupied, with α
+//! = (f - f0)/(o0 - f0) and β = (o - f)/(o0 - f0).
 //!
-//! Invariant: sensor 0 is the map's own, with α = 0 and β = 1; the others are numbered in the order in which their first
-//! producers appear in the log, none twice. Every α and β is finite.
+//! Invariant: sensor 0 is the map's own, with α = 0 and β = 1; the others are numbered in the order in which their
+//! first producers appear in the log, none twice. Every α and β is finite.
 
 use super::spec::SensorNoise;
 
-/// Most sensors of a grid beside the map's own.
+/// Maximum number of sensors of a grid besides the map's own.
 pub const SENSORS_MAX: usize = u8::MAX as usize;
-/// The levels of the map's own sensor have to be this far apart for others to be told in its units.
+/// Minimum distance between the levels of the map's own sensor, so that others can be expressed in its units.
 const TOLD_APART: f64 = 1e-9;
 
 /// Number of a sensor of a grid; 0 is the map's own.
@@ -24,7 +24,7 @@ impl SensorId {
     pub const OWN: SensorId = SensorId(0);
 }
 
-/// What a producer announces of its sensor; the prior is the map's.
+/// The sensor that a producer announces; the prior is the map's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProducerSensor {
     /// P(reads occupied | is occupied), in (0, 1].
@@ -39,13 +39,13 @@ impl std::fmt::Display for ProducerSensor {
     }
 }
 
-/// Why a producer cannot have a sensor.
+/// Why a sensor is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum InvalidSensor {
     /// Its probabilities do not fit together, or are so small that no posterior follows from them.
     #[error("sensor of {0}: it must hold 0 <= false alarm < hit <= 1")]
     Range(ProducerSensor),
-    /// The map's own sensor tells next to nothing.
+    /// The map's own sensor is not informative enough.
     #[error(
         "the map's own sensor hardly tells free from occupied (its readings count as {free} and {occupied}), and other \
          sensors are kept in its units: no producer may have one of its own"
@@ -56,28 +56,28 @@ pub enum InvalidSensor {
         /// What its occupied readings count as.
         occupied: f64,
     },
-    /// There are as many sensors as may be.
+    /// The map has the maximum number of sensors.
     #[error("the map has {SENSORS_MAX} sensors beside its own, as many as it may")]
     TooMany,
 }
 
-/// What a reading, or many together, count in units of the map's own sensor: α + β·occupied.
+/// The weight of one or more readings in units of the map's own sensor: α + β·occupied.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Weights {
-    /// What counts whether free or occupied.
+    /// The part that counts whether free or occupied.
     pub alpha: f64,
-    /// What an occupied reading counts more.
+    /// The additional part of an occupied reading.
     pub beta: f64,
 }
 
 impl Weights {
-    /// So many readings of the map's own sensor.
+    /// The weight of `count` readings of the map's own sensor.
     #[must_use]
     pub fn own(readings: u64) -> Weights {
         Weights { alpha: 0.0, beta: readings as f64 }
     }
 
-    /// What they count if all, or none, are occupied.
+    /// Their sum if all, or none, are occupied.
     #[must_use]
     pub fn units(self, is_occupied: bool) -> f64 {
         if is_occupied { self.alpha + self.beta } else { self.alpha }
@@ -113,7 +113,7 @@ impl Sensors {
         Sensors { noise, own, others: Vec::new() }
     }
 
-    /// The sensor that a producer is to have where it announces one: `None` where that is the map's own.
+    /// The sensor of a producer that announces one: `None` if it equals the map's own.
     ///
     /// # Errors
     /// [`InvalidSensor`] where it cannot have it.
@@ -128,13 +128,13 @@ impl Sensors {
         let ProducerSensor { hit, false_alarm } = announced;
         let is_sensor = (0.0..1.0).contains(&false_alarm) && hit > false_alarm && hit <= 1.0;
         let (free, occupied) = SensorNoise { hit, false_alarm, prior: self.noise.prior }.levels();
-        // A product of probabilities may be too small for a number.
+        // A product of probabilities may underflow.
         if !(is_sensor && (0.0..=1.0).contains(&free) && (0.0..=1.0).contains(&occupied)) {
             return Err(InvalidSensor::Range(announced));
         }
         let (own_free, own_occupied) = self.own.levels;
         let unit = own_occupied - own_free;
-        // Not a number is not above it either.
+        // NaN is not above it either.
         if unit.is_nan() || unit < TOLD_APART {
             return Err(InvalidSensor::Own { free: own_free, occupied: own_occupied });
         }
@@ -142,7 +142,7 @@ impl Sensors {
         Ok(Sensor { levels: (free, occupied), weights })
     }
 
-    /// The number of a sensor that some producer has; nothing announced: the map's own.
+    /// The number of a sensor that some producer has; `None` is the map's own.
     #[must_use]
     pub fn find(&self, sensor: Option<ProducerSensor>) -> Option<SensorId> {
         let Some(sensor) = sensor else { return Some(SensorId::OWN) };
@@ -183,20 +183,20 @@ impl Sensors {
         other.map_or(&self.own, |(_, sensor)| sensor)
     }
 
-    /// What a free and an occupied reading of a sensor count as. One that is not known counts as the map's own.
+    /// The values of a free and an occupied reading of a sensor. An unknown sensor counts as the map's own.
     #[must_use]
     pub fn levels(&self, id: SensorId) -> (f64, f64) {
         self.get(id).levels
     }
 
-    /// What a reading of a sensor counts as.
+    /// The value of a reading of a sensor.
     #[must_use]
     pub fn value(&self, id: SensorId, is_occupied: bool) -> f64 {
         let (free, occupied) = self.levels(id);
         if is_occupied { occupied } else { free }
     }
 
-    /// What a reading of a sensor counts in units of the map's own.
+    /// The weight of a reading of a sensor in units of the map's own.
     #[must_use]
     pub fn weights(&self, id: SensorId) -> Weights {
         self.get(id).weights

@@ -1,6 +1,6 @@
-//! A grid as it stands after an update, for the store to keep and to give back.
+//! A grid after an update, for the store to save and restore.
 //!
-//! Invariant: with the events behind its map's log position it gives the grid. Scans that are still pending are in it.
+//! Invariant: a snapshot and the events after its map's log position give the grid. It contains the pending scans.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use super::{
     tile::{ModelSlot, SumsSlot},
 };
 
-/// A scan that waits because its time is too far ahead.
+/// A scan that waits because its time is too far in the future.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FutureScan {
     /// When it was made.
@@ -24,7 +24,7 @@ pub struct FutureScan {
 /// A whole grid at one log position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridSnapshot {
-    /// Tiles; the index is the `TileId`. Settled: none takes part in a run of like scans.
+    /// Tiles; the index is the `TileId`. Settled: none takes part in a run.
     pub tiles: Vec<Arc<LiveTile>>,
     /// The model of each tile, as long as `tiles` or shorter.
     pub models: Vec<ModelSlot>,
@@ -32,9 +32,9 @@ pub struct GridSnapshot {
     pub sums: Vec<SumsSlot>,
     /// The tiles of the last scan in the log.
     pub last_seen: Arc<[TileId]>,
-    /// Scans that no update has folded in, ascending by day.
+    /// Scans that no update has learned, ascending by day.
     pub days: Vec<GridDay>,
-    /// Scans that wait because their time is too far ahead.
+    /// Number of scans that wait because their time is too far in the future.
     pub future: Vec<FutureScan>,
     /// Scans acknowledged.
     pub scans: u64,

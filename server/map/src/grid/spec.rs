@@ -18,15 +18,15 @@ pub struct GridSpec {
     pub resolution_m: f64,
     /// Lower corner of cell (0, 0, 0) in the map's frame, metres.
     pub origin_m: [f64; 3],
-    /// The cells that there may be; what scans say beyond is left out. `None`: the grid grows where it is observed.
+    /// The cells that may exist; scans beyond it are ignored. `None`: the grid grows where it is observed.
     pub extent: Option<CellBox>,
-    /// How far a reading is believed.
+    /// How reliable a reading is.
     pub sensor: SensorNoise,
-    /// How long the exact readings are kept for recall.
+    /// How long the exact readings are kept.
     pub retention: Retention,
 }
 
-/// How long exact observations are kept for recall. Models do not need them.
+/// How long exact observations are kept. Models do not need them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Retention {
     /// Not at all.
@@ -38,7 +38,7 @@ pub enum Retention {
     Forever,
 }
 
-/// How far a reading is believed: a reading counts as the posterior P(occupied | reading) under a prior.
+/// How reliable a reading is: a reading counts as the posterior P(occupied | reading) under a prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorNoise {
     /// P(reads occupied | is occupied), in (0, 1].
@@ -97,7 +97,8 @@ pub enum InvalidGrid {
 }
 
 impl GridSpec {
-    /// A grid in frame `map`, in three dimensions and without an extent, of a sensor that is always right, without history.
+    /// A grid in frame `map`, in three dimensions and without an extent, of a sensor that is always right, without
+    /// history.
     #[must_use]
     pub fn new(resolution_m: f64) -> GridSpec {
         GridSpec {

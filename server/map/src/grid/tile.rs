@@ -1,9 +1,9 @@
 //! What is learned of one tile: which cells were observed together, and the models and sums of those that changed.
 //!
 //! A cell that never changed is a bit. Cells that were observed at the same times so far form an observation group and
-//! share B_k = Σ e^(-jω_k t) over its observations; groups of different tiles with the same history share it too. A cell
-//! that changed has A_k over its occupied readings. Where a tile has many groups, the sums of those without a changed cell
-//! stop at some day, and what was observed later is kept as [`ObservationRuns`].
+//! share B_k = Σ e^(-jω_k t) over its observations; groups of different tiles with the same history share it too. A
+//! cell that changed has A_k over its occupied readings. Where a tile has many groups, the sums of those without a
+//! changed cell stop at some day, and what was observed later is kept as [`ObservationRuns`].
 //!
 //! Invariant: the groups of a tile are disjoint and hold exactly the cells that were ever observed; a changed cell lies
 //! in a group; `TileSums` runs parallel to the groups and cells of its `TileModel`.
@@ -145,7 +145,8 @@ pub struct TileSums {
     pub groups: Vec<Arc<PhasorSum>>,
     /// A_k of each changed cell, over its occupied readings, each weighted by β.
     pub cells: Vec<PhasorSum>,
-    /// When cells were observed that have no sum for it. Where there are any, no group has both changed cells and others.
+    /// When cells were observed that have no sum for it. Where there are any, no group has both changed cells and
+    /// others.
     pub runs: ObservationRuns,
     /// Weighted sums of the groups; `None` where all their readings are of the map's own sensor.
     pub sensors: Option<Box<SensorSums>>,
@@ -226,7 +227,7 @@ pub(crate) struct TileData {
 }
 
 impl TileData {
-    /// Gives back memory that is held for more groups and cells.
+    /// Releases memory reserved for more groups and cells.
     pub(crate) fn shrink(&mut self) {
         self.model.groups.shrink_to_fit();
         self.model.cells.shrink_to_fit();
@@ -242,7 +243,7 @@ impl TileData {
     }
 }
 
-/// Where tiles that are not in memory are read from.
+/// A source of tiles that are not in memory.
 pub trait TileSource: Send + Sync + std::fmt::Debug {
     /// The model of a tile.
     ///
@@ -256,21 +257,21 @@ pub trait TileSource: Send + Sync + std::fmt::Debug {
     /// [`TileUnavailable`] where they cannot be read.
     fn sums(&self, tile: TileId) -> Result<Arc<TileSums>, TileUnavailable>;
 
-    /// The type behind it, for the store to know its own.
+    /// The concrete type, so that the store recognises its own.
     fn as_any(&self) -> &dyn std::any::Any;
 }
 
-/// A tile cannot be read from where it is kept.
+/// A tile cannot be read from the disk.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("tile {} cannot be read: {reason}", .tile.0)]
 pub struct TileUnavailable {
     /// The tile.
     pub tile: TileId,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
-/// Where a tile that is not in memory is kept.
+/// The place of a tile that is not in memory.
 #[derive(Clone, Debug)]
 pub struct ColdTile {
     /// Where.
@@ -325,14 +326,14 @@ impl ModelSlot {
 }
 
 impl PartialEq for ModelSlot {
-    /// By what they hold, wherever that is.
+    /// Compares the contents, wherever they are.
     fn eq(&self, other: &ModelSlot) -> bool {
         matches!((self.get(), other.get()), (Ok(one), Ok(other)) if one == other)
     }
 }
 
 impl PartialEq for SumsSlot {
-    /// By what they hold, wherever that is.
+    /// Compares the contents, wherever they are.
     fn eq(&self, other: &SumsSlot) -> bool {
         matches!((self.get(), other.get()), (Ok(one), Ok(other)) if one == other)
     }
@@ -350,7 +351,7 @@ impl SumsSlot {
         }
     }
 
-    /// The sums, to be changed; a copy where others hold them too.
+    /// The sums, for changes; a copy if others hold them too.
     ///
     /// # Errors
     /// [`TileUnavailable`] where they cannot be read.

@@ -1,8 +1,8 @@
-//! The update of a grid: each day's scans are scored, orders are chosen, sums are folded in, models refitted.
+//! The update of a grid: each day's scans are scored, orders are chosen, sums are continued, models refitted.
 //!
-//! The tiles that were seen by the same scans of a day are worked off together: they share the phasors of those scans and
+//! Tiles that were seen by the same scans of a day are processed together: they share the phasors of those scans and
 //! their running sums, in chunks that stay in cache. A cell then costs one row of sums per change of its value, and a
-//! prediction per observation where it has a spectrum to be scored.
+//! prediction per observation if it has a spectrum to be scored.
 //!
 //! Invariant: each cell's model is what `StateModel::update` of tidemap-model gives for its readings, to 1e-9.
 
@@ -54,7 +54,7 @@ pub(crate) struct GridResult {
 }
 
 impl GridWork {
-    /// Number of tiles that have scans to fold in.
+    /// Number of tiles with scans to learn.
     pub(crate) fn busy_tiles(&self) -> u64 {
         let mut is_busy = vec![false; self.tiles];
         for (tile, _) in self.days.iter().flat_map(GridDay::tiles) {
@@ -65,13 +65,13 @@ impl GridWork {
         is_busy.into_iter().filter(|is_busy| *is_busy).count() as u64
     }
 
-    /// Number of scans to fold in.
+    /// Number of scans to learn.
     pub(crate) fn scans(&self) -> u64 {
         self.days.iter().map(|day| day.scans.len() as u64).sum()
     }
 
-    /// Runs the update on the threads of the rayon pool that this is called in. `progress` counts tiles; each tile is done
-    /// in equal parts on each of its days.
+    /// Runs the update on the threads of the rayon pool that this is called in. `progress` counts tiles; each tile is
+    /// done in equal parts on each of its days.
     ///
     /// # Errors
     /// [`TileUnavailable`] where a tile cannot be read back from the disk; nothing has been learned then.
@@ -118,7 +118,7 @@ struct Tiles<'a> {
 }
 
 impl Tiles<'_> {
-    /// Puts the tiles of a day together that were seen by the same scans. Also returns how many have nothing to do. Adds to
+    /// Groups the tiles of a day that were seen by the same scans. Also returns how many have nothing to do. Adds to
     /// `orders` the orders of cells whose tile no earlier day of the update had.
     fn batches(&mut self, day: &GridDay, orders: &mut CellsByOrder) -> Result<(Vec<Batch>, usize), TileUnavailable> {
         let mut by_ranges: HashMap<Vec<(u32, u32)>, usize> = HashMap::new();

@@ -1,4 +1,4 @@
-//! The immutable picture of a grid that queries read, and what it says about any time.
+//! The immutable picture of a grid that queries read, and its predictions at any time.
 //!
 //! Invariant: a view never changes. A cell that was never observed has no probability.
 
@@ -32,7 +32,7 @@ pub struct GridView {
     pub(crate) cell_observations: u64,
 }
 
-/// What a grid says of one tile at one time.
+/// The prediction of one tile at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TilePrediction {
     /// Where the tile is.
@@ -45,7 +45,7 @@ pub struct TilePrediction {
     pub probabilities: Box<[f32; 512]>,
 }
 
-/// What is known of one cell.
+/// The description of one cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CellDescription {
     /// Whether it was ever read as both free and occupied, up to the last update.
@@ -58,11 +58,11 @@ pub struct CellDescription {
     pub errors: Option<[f64; tidemap_model::ORDER_MAX + 1]>,
     /// Last value and persistence.
     pub persistence: Persistence,
-    /// Observations folded in.
+    /// Observations learned.
     pub folded: u64,
     /// Observations acknowledged, each newer than the one before.
     pub observations: u64,
-    /// First observation folded in, nanoseconds UTC.
+    /// First learned observation, nanoseconds UTC.
     pub first_nanos: Option<i64>,
 }
 
@@ -105,7 +105,7 @@ impl GridView {
         self.scans
     }
 
-    /// Scans that no update has folded in.
+    /// Scans that no update has learned.
     #[must_use]
     pub fn pending_scans(&self) -> u64 {
         self.pending_scans
@@ -155,8 +155,9 @@ impl GridView {
         self.generation.model(tile).map_or_else(|| Ok(Arc::default()), super::tile::ModelSlot::get)
     }
 
-    /// Probability of each cell of a tile at one time, given in nanoseconds UTC and as phasors on the map's civil time.
-    /// A cell observed only since the last update answers 0.5, as a state does, unless the latest value is asked for.
+    /// The probability of each cell of a tile at one time, given in nanoseconds UTC and as phasors on the map's civil
+    /// time. A cell observed only since the last update predicts 0.5, as a state does, unless the latest value is
+    /// requested.
     ///
     /// # Errors
     /// [`TileUnavailable`] where the tile cannot be read from the disk.
@@ -202,7 +203,7 @@ impl GridView {
             for cell in live.known.cells() {
                 let Some(out) = out.get_mut(usize::from(cell)) else { continue };
                 let last = live.value(cell, &self.sensors);
-                // Nothing lies between a value and itself.
+                // No change.
                 if *out != last as f32 {
                     *out = live.persistence(cell, self.run, &self.sensors).blend(f64::from(*out), utc_nanos) as f32;
                 }
@@ -211,7 +212,7 @@ impl GridView {
         Ok(prediction)
     }
 
-    /// Sets the cells of a tile's groups to what cells are that have never changed.
+    /// Sets the cells of a tile's groups to the values of cells that have never changed.
     pub(crate) fn set_constants(&self, out: &mut [f32; TILE_CELLS], model: &TileModel) {
         if model.sensors.is_none() {
             set_levels(out, model.observed(), model.always_occupied, self.levels());
@@ -223,7 +224,7 @@ impl GridView {
         }
     }
 
-    /// What is known of one cell; `None` where it was never observed.
+    /// Describes one cell; `None` if it was never observed.
     ///
     /// # Errors
     /// [`TileUnavailable`] where its tile cannot be read from the disk.

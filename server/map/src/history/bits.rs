@@ -1,4 +1,4 @@
-//! A bit per scan, 64 to a word: runs are filled, compared and told apart a word at a time.
+//! A bit per scan, 64 to a word: runs are filled and compared a word at a time.
 //!
 //! Invariant: bits beyond the length are 0.
 

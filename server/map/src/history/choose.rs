@@ -20,9 +20,9 @@ const MODEL_BYTES: usize = 7;
 const COMPONENT_BYTES: usize = 10;
 /// Bytes of a cell that has flips, beside them.
 const FLIPS_BYTES: usize = 2;
-/// Fewer flips than this do not pay for a model.
+/// Minimum number of flips that pays for a model.
 const FLIPS_MIN: u16 = 3;
-/// Components that are tried, where the order in force is not higher.
+/// Maximum number of components to try.
 const COMPONENTS_TRIED: usize = 3;
 
 /// The models of a tile's cells, ascending; `levels` are the values of a free and an occupied reading.
@@ -76,7 +76,7 @@ pub(super) fn choose(
     chosen
 }
 
-/// What was learned of a cell, in f32, of readings that are 0 and 1.
+/// The learned model of a cell in f32, for readings 0 and 1.
 fn small_model(model: &TileModel, cell: u16, levels: (f64, f64)) -> OutlierModel {
     let Some(learned) = model.cell(cell) else {
         return OutlierModel { cell, mean: 1.0, components: Vec::new() };
@@ -95,7 +95,7 @@ fn small_model(model: &TileModel, cell: u16, levels: (f64, f64)) -> OutlierModel
     OutlierModel { cell, mean, components: components.collect() }
 }
 
-/// Bytes of the flips at these places, ascending; something not less than `enough` where it is not less.
+/// Bytes of the flips at these places, ascending; any value of at least `enough` once it reaches that.
 fn flips_bytes(places: impl Iterator<Item = u32>, enough: usize) -> usize {
     let (mut bytes, mut before) = (0, 0);
     for place in places {

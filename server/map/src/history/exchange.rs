@@ -14,12 +14,12 @@ use crate::grid::{
     mask::{Mask, TileMasks},
 };
 
-/// Room for the rows of one cell.
+/// Reused memory for the rows of one cell.
 #[derive(Debug, Default)]
 pub(super) struct Rows {
     pub(super) cell: CellBits,
     pub(super) sum: Sum,
-    /// What the model says: at all scans, and at those that saw the tile.
+    /// The model's predictions: at all scans, and at those that saw the tile.
     pub(super) said_ever: Bits,
     pub(super) said: Bits,
     pub(super) differing: Bits,

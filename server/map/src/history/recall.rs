@@ -1,6 +1,6 @@
-//! Turning a day of scans into what is kept of it, and back, whole or cell by cell.
+//! Encoding a day of scans for history, and decoding it, whole or cell by cell.
 //!
-//! Invariant: what comes back is what went in, exactly.
+//! Invariant: decoding returns exactly what was encoded.
 
 use rayon::prelude::*;
 use tidemap_model::Periodicities;
@@ -21,8 +21,8 @@ use crate::grid::{
 };
 
 impl HistoryDay {
-    /// A day with the cells kept against small models for which that takes fewer bytes. `levels` are the values of a
-    /// free and an occupied reading. Runs on the threads of the rayon pool that this is called in.
+    /// Encodes a day. Cells are kept against small models where that takes fewer bytes. `levels` are the values of a
+    /// free and an occupied reading. Runs on the current rayon pool.
     #[must_use]
     pub fn encode(
         mut day: GridDay,
@@ -34,7 +34,7 @@ impl HistoryDay {
         let presence = day.presence_by_tile();
         let tiles = std::mem::take(day.tiles_mut());
         let encode = |rows: &mut Rows, id: TileId, tile: Box<DayTile>, ranges: &[(u32, u32)]| {
-            // A tile whose model cannot be read now is kept as it is, and so are flips that would come back in another
+            // A tile whose model cannot be read now is kept as it is, as are flips that would come back in another
             // order.
             let model = generation.model(id).and_then(|slot| ModelSlot::get(slot).ok());
             let model = model.filter(|_| tile.flips.is_sorted_by_key(order));
@@ -60,7 +60,7 @@ impl HistoryDay {
         HistoryDay { outliers: day, models }
     }
 
-    /// The exact day. Runs on the threads of the rayon pool that this is called in.
+    /// The exact day. Runs on the current rayon pool.
     #[must_use]
     pub fn decode(&self, periodicities: &Periodicities) -> GridDay {
         let mut day = self.outliers.clone();
@@ -86,7 +86,7 @@ impl HistoryDay {
         found.and_then(|at| self.models.get(at)).map_or(&[], |(_, models)| models)
     }
 
-    /// What was read of a cell, occupied or not, at each scan that observed it: nanoseconds UTC and reading, in order of
+    /// The readings of a cell, occupied or not, at each scan that observed it: nanoseconds UTC and reading, in order of
     /// arrival.
     #[must_use]
     pub fn readings(&self, tile: TileId, cell: u16, periodicities: &Periodicities) -> Vec<(i64, bool)> {
@@ -96,7 +96,7 @@ impl HistoryDay {
 }
 
 impl GridDay {
-    /// What was read of a cell, occupied or not, at each scan that observed it: nanoseconds UTC and reading, in order of
+    /// The readings of a cell, occupied or not, at each scan that observed it: nanoseconds UTC and reading, in order of
     /// arrival.
     #[must_use]
     pub fn readings(&self, tile: TileId, cell: u16, periodicities: &Periodicities) -> Vec<(i64, bool)> {
@@ -138,7 +138,7 @@ fn readings(
 }
 
 impl HistoryPiece {
-    /// What was observed of a state or a cell from an instant up to but not including another, in order of arrival.
+    /// The readings of a state or cell from one instant until before another, in order of arrival.
     #[must_use]
     pub fn readings(
         &self,

@@ -1,7 +1,7 @@
 //! One tile on one day, cell by cell: at which of the scans that saw the tile a cell's bits flip.
 //!
-//! Invariant: places count the scans that saw the tile, from 0. Ranges and flips that do not fit the day, as damaged data
-//! may have them, are left out.
+//! Invariant: places count the scans that saw the tile, from 0. Ranges and flips that do not fit the day, as damaged
+//! data may have them, are left out.
 
 use super::bits::Bits;
 use crate::grid::{
@@ -18,7 +18,7 @@ pub(super) struct Seen {
 }
 
 impl Seen {
-    /// From ranges of a day with so many scans.
+    /// From ranges of a day with `scans` scans.
     pub(super) fn new(ranges: &[(u32, u32)], scans: usize) -> Seen {
         let end = u32::try_from(scans).unwrap_or(u32::MAX);
         let mut seen = Seen::default();
@@ -52,7 +52,7 @@ impl Seen {
         self.ranges.get(at.wrapping_sub(1)).map_or(0, |&(from, _, first)| from + (place - first))
     }
 
-    /// The bits of these scans out of those of all scans of the day, whose place they take.
+    /// Selects the bits of these scans from those of all scans of the day, in place.
     pub(super) fn gather(&self, all: &mut Bits, bits: &mut Bits) {
         if matches!(self.ranges.as_slice(), [(0, to, _)] if *to as usize == all.len()) {
             std::mem::swap(all, bits);

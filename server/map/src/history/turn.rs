@@ -3,8 +3,8 @@
 //! A phase is a 64-bit fraction of a turn, found by integer division; its cosine and sine are a fixed polynomial, of
 //! multiplications and additions that IEEE 754 rounds in one way only.
 //!
-//! Invariant: none of these bits ever changes; the tests hold some of them. Nothing here may use a fused multiply-add, a
-//! function of the C library, or instructions that are chosen at run time.
+//! Invariant: none of these bits ever changes; the tests hold some of them. Nothing here may use a fused multiply-add,
+//! a function of the C library, or instructions that are chosen at run time.
 
 use tidemap_model::{Periodicities, PeriodicityDefinition};
 
@@ -32,7 +32,7 @@ const COS: [f64; 7] = [
     -1.0 / 87_178_291_200.0,
 ];
 
-/// How far a period has turned at a local civil time, in 2^-64 of a turn, rounded down.
+/// Phase of a period at a local civil time, in 2^-64 of a turn, rounded down.
 pub(super) fn fraction(civil_nanos: i64, period_nanos: i64) -> u64 {
     let period = period_nanos.max(1);
     let within = civil_nanos.rem_euclid(period).unsigned_abs();

@@ -81,8 +81,8 @@ impl LiveMap {
         Ok(())
     }
 
-    /// Refuses values beyond the bounds of their states' kinds. Nearly all events have probabilities alone, and cost one
-    /// pass over their values.
+    /// Refuses values beyond the bounds of their states' kinds. Nearly all events have probabilities alone, and cost
+    /// one pass over their values.
     fn check_values(&self, event: &Observations) -> Result<(), String> {
         let is_probability = |value: &f64| StateKind::Probability.bounds().contains(value);
         if event.values.iter().all(is_probability) {

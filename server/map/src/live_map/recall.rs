@@ -19,8 +19,8 @@ impl LiveMap {
         self.generation
     }
 
-    /// Observations that no update has taken, from an instant up to but not including another, in order of arrival; no more
-    /// than so many of them.
+    /// Observations that no update has taken, from an instant up to but not including another, in order of arrival; no
+    /// more than the limit.
     #[must_use]
     pub fn pending_readings(&self, subject: Subject, from_nanos: i64, to_nanos: i64, at_most: usize) -> Vec<Reading> {
         let within = from_nanos..to_nanos;
@@ -47,8 +47,7 @@ impl LiveMap {
 }
 
 impl UpdateWork {
-    /// Least time of the observations that it folds in, nanoseconds UTC; all lie before its cut. `None` where there are
-    /// none.
+    /// Earliest time of the observations, nanoseconds UTC.
     #[must_use]
     pub fn from_nanos(&self) -> Option<i64> {
         let samples = self.samples.iter().flat_map(|(_, samples)| samples).map(|sample| sample.utc_nanos);

@@ -13,8 +13,8 @@ use crate::{
 /// What becomes of a state's name.
 pub type Renamed = Result<StateName, InvalidName>;
 
-/// The states among these that an edit renames: the number of each, and its new name. No edit but the renaming of a node
-/// renames any.
+/// The states among these that an edit renames: the number of each, and its new name. No edit but the renaming of a
+/// node renames any.
 pub fn renamed_states<'a, Id>(
     edit: &SiteEdit,
     states: impl Iterator<Item = (Id, &'a StateName)>,

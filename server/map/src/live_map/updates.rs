@@ -83,7 +83,7 @@ impl LiveMap {
         })
     }
 
-    /// Publishes what an update learned: one generation replaces another. Gives the snapshot for the store.
+    /// Publishes what an update learned: one generation replaces another. Returns the snapshot for the store.
     pub fn finish_update(&mut self, result: UpdateResult) -> MapSnapshot {
         let UpdateResult { basis, models, grid, history, .. } = result;
         self.running = None;

@@ -1,7 +1,7 @@
-//! Names of edges, and of the states that traversals of them are learned in.
+//! Names of edges, and of the states that learn from their traversals.
 //!
-//! Invariant: each part of such a name is a plain name, without `/`, so that a state's name tells its edge: there is one
-//! name for each state of each edge, and nothing else is called so.
+//! Invariant: each part of such a name is a plain name, without `/`, so that a state's name identifies its edge: each
+//! state of each edge has one name, and nothing else has it.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use tidemap_model::StateKind;
 
 use super::{InvalidName, NAME_CHARS_MAX, StateName, shown};
 
-/// Most characters of the name of an edge's state: `speed/A/B/ACTION`, with three plain names.
+/// Maximum number of characters of the name of an edge's state: `speed/A/B/ACTION`, with three plain names.
 pub const EDGE_STATE_CHARS_MAX: usize = 3 * NAME_CHARS_MAX + "speed///".len();
 
 /// What is learned of an edge.
@@ -17,10 +17,10 @@ pub const EDGE_STATE_CHARS_MAX: usize = 3 * NAME_CHARS_MAX + "speed///".len();
 pub enum EdgeState {
     /// Whether a traversal succeeds: 1 or 0, at its start. A probability.
     Success,
-    /// How fast a traversal that succeeded was, metres a second, of an edge that has a length. Continuous.
+    /// Speed of a successful traversal in metres per second, for an edge with a length. Continuous.
     Speed,
-    /// Nominal time over the time that a traversal took which succeeded: 1 is as nominal, 0.5 twice as long. Of an edge
-    /// that has a nominal time alone. Continuous.
+    /// Nominal time over the time taken by a successful traversal, for an edge with a nominal time only: 1 is nominal,
+    /// 0.5 takes twice as long. Continuous.
     Pace,
 }
 
@@ -37,7 +37,7 @@ impl EdgeState {
         }
     }
 
-    /// What the states' values are.
+    /// Kind of the states.
     #[must_use]
     pub fn kind(self) -> StateKind {
         match self {
@@ -47,19 +47,19 @@ impl EdgeState {
     }
 }
 
-/// Which edge, by the names of its nodes; whether there is one is not asked.
+/// The name of an edge, by the names of its nodes. The edge need not exist.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct EdgeName {
     /// The node where it begins.
     pub from: StateName,
     /// The node where it ends.
     pub to: StateName,
-    /// By which action it is travelled; `None` is the usual one.
+    /// The action that travels it; `None` is the default action.
     pub action: Option<StateName>,
 }
 
 impl EdgeName {
-    /// Checks the names of the nodes and of the action; an empty action is the usual one.
+    /// Checks the names of the nodes and of the action; an empty action is the default action.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
@@ -81,8 +81,8 @@ impl EdgeName {
         }
     }
 
-    /// Name of one of its states: `edge/A/B`, `speed/A/B` or `pace/A/B`, with `/ACTION` where the action is not the usual
-    /// one.
+    /// Name of one of its states: `edge/A/B`, `speed/A/B` or `pace/A/B`, with `/ACTION` unless the action is the
+    /// default.
     #[must_use]
     pub fn state(&self, what: EdgeState) -> StateName {
         StateName(format!("{}/{self}", what.prefix()).into())
@@ -97,39 +97,40 @@ impl fmt::Display for EdgeName {
 }
 
 impl StateName {
-    /// The state of whether traversals of an edge succeed, `edge/A/B[/ACTION]`.
+    /// The success state of an edge, `edge/A/B[/ACTION]`.
     #[must_use]
     pub fn edge(edge: &EdgeName) -> Self {
         edge.state(EdgeState::Success)
     }
 
-    /// The state of how fast an edge is travelled, `speed/A/B[/ACTION]`.
+    /// The speed state of an edge, `speed/A/B[/ACTION]`.
     #[must_use]
     pub fn speed(edge: &EdgeName) -> Self {
         edge.state(EdgeState::Speed)
     }
 
-    /// The state of how fast an edge is travelled, next to its nominal time, `pace/A/B[/ACTION]`.
+    /// The pace state of an edge, relative to its nominal time, `pace/A/B[/ACTION]`.
     #[must_use]
     pub fn pace(edge: &EdgeName) -> Self {
         edge.state(EdgeState::Pace)
     }
 
-    /// Of the name of an edge's state, which and the edge.
+    /// Splits the name of an edge's state into quantity and edge.
     #[must_use]
     pub fn as_edge(&self) -> Option<(EdgeState, EdgeName)> {
         let (what, edge) = split_edge(&self.0)?;
         EdgeName::parse(edge).ok().map(|edge| (what, edge))
     }
 
-    /// Most characters that a state of this name may have: those of edges have longer names than others.
+    /// Maximum number of characters for a state with this name: names of edges' states are longer than others.
     #[must_use]
     pub fn chars_max(name: &str) -> usize {
         if split_edge(name).is_some() { EDGE_STATE_CHARS_MAX } else { NAME_CHARS_MAX }
     }
 }
 
-/// A name that begins as that of an edge's state: which, and what follows. An axis of a vector, such as `speed/x`, does not.
+/// Splits a name that starts like that of an edge's state into quantity and rest. An axis of a vector, such as
+/// `speed/x`, does not.
 pub(super) fn split_edge(name: &str) -> Option<(EdgeState, &str)> {
     let (prefix, edge) = name.split_once('/')?;
     let what = EdgeState::ALL.into_iter().find(|what| what.prefix() == prefix)?;

@@ -1,14 +1,14 @@
 //! Edits of a topological map by the names of nodes, as they are asked for and kept in the log.
 //!
-//! Invariant: an edit is applied whole or not at all, and leads to the same map whenever it is applied to the same one. A
-//! node or an edge that an edit keeps has the same number after it.
+//! Invariant: an edit is applied whole or not at all, and leads to the same map whenever it is applied to the same one.
+//! A node or an edge that an edit keeps has the same number after it.
 
 use std::collections::BTreeMap;
 
 use super::{Edge, EdgeId, Extent, Node, NodeId, NodePose, Topology, TopologyError, TopologyParts};
 use crate::name::StateName;
 
-/// A node that is to be.
+/// A node that must be.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewNode {
     /// Its name.
@@ -26,7 +26,7 @@ pub struct EdgeEnds {
     pub from: StateName,
     /// Where it ends.
     pub to: StateName,
-    /// By which action it is travelled; `None` is the usual one.
+    /// The action that travels it; `None` is the default action.
     pub action: Option<StateName>,
     /// The edge back as well.
     pub both_ways: bool,
@@ -45,10 +45,10 @@ impl EdgeEnds {
     }
 }
 
-/// An edge that is to be, or one that is to have another extent.
+/// An edge that must be, or one that is to have another extent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewEdge {
-    /// Which.
+    /// Its ends and action.
     pub ends: EdgeEnds,
     /// Length and nominal time.
     pub extent: Extent,
@@ -104,7 +104,7 @@ impl Topology {
     /// An edit of a copy: an error may leave a part of it done.
     fn edit(&mut self, edit: &TopologyEdit) -> Result<(), TopologyError> {
         match edit {
-            // Done by who called.
+            // Done by the caller.
             TopologyEdit::Load { .. } => Ok(()),
             TopologyEdit::AddNode(NewNode { name, pose, dwell_secs }) => {
                 self.add_node(name.clone(), *pose, *dwell_secs).map(drop)

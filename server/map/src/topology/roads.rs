@@ -1,13 +1,13 @@
 //! Shortest times over a topological map, with a time for each of its edges.
 //!
-//! Invariant: every time is finite and above 0, so that a shortest way never comes twice to a node. What a question for all
-//! pairs may cost is bounded before it is answered.
+//! Invariant: every time is finite and above 0, so that a shortest way never comes twice to a node. What a question for
+//! all pairs may cost is bounded before it is answered.
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
 use super::{Edge, NOMINAL_MAX_SECS, NodeId, Topology};
 
-/// Most pairs of nodes of which [`Roads::all_pairs`] keeps the times: 5,000 by 5,000, 200 MB.
+/// Maximum number of pairs of nodes of which [`Roads::all_pairs`] keeps the times: 5,000 by 5,000, 200 MB.
 pub const ROADS_PAIRS_MAX: usize = 25_000_000;
 
 /// Why there are no times.

@@ -1,4 +1,4 @@
-//! What an update takes of a grid: scans before its cut, those among them that had waited for their time.
+//! What an update takes from a grid: the scans before its cut, including those that waited for their time.
 //!
 //! Invariant: a scan is pending exactly if every update since has had a cut at or before its time.
 
@@ -12,11 +12,11 @@ use super::{
 };
 
 impl LiveGrid {
-    /// The pending day of this date, made where there is none.
+    /// The pending day of this date; adds it if needed.
     pub(super) fn day_of(days: &mut Vec<GridDay>, day: LocalDay) -> &mut GridDay {
         let at = days.partition_point(|known| known.day < day);
         if days.get(at).is_none_or(|known| known.day != day) {
-            // The day before is over, as a rule.
+            // Usually the day before is over.
             if let Some(before) = at.checked_sub(1).and_then(|before| days.get_mut(before)) {
                 before.shrink();
             }
@@ -25,8 +25,8 @@ impl LiveGrid {
         &mut days[at]
     }
 
-    /// Takes the pending scans before an instant, by day, ascending; the others stay. Scans that waited for their time
-    /// join if it has come; the greatest time of those is given too.
+    /// Takes the pending scans before an instant, by day, ascending. Scans whose waiting time is over join; also
+    /// returns the latest time of those.
     pub(super) fn take_before(&mut self, cut_nanos: i64) -> (Vec<GridDay>, Option<i64>) {
         let (due, future): (Vec<FutureScan>, Vec<FutureScan>) =
             std::mem::take(&mut self.future).into_iter().partition(|scan| scan.time.utc_nanos < cut_nanos);
@@ -41,13 +41,13 @@ impl LiveGrid {
             kept.extend(after);
         }
         self.days = kept;
-        // The scan numbers of a split day begin anew.
+        // The scan numbers of a split day start again.
         self.previous = None;
         self.count_pending();
         (taken, newest)
     }
 
-    /// Scans whose time has come: from here on they are scans like all others. No run of like scans goes on.
+    /// Applies scans whose time has come. From here on they are like all others. No run continues.
     fn join(&mut self, mut due: Vec<FutureScan>) {
         due.sort_by_key(|scan| scan.time.utc_nanos);
         for scan in due {

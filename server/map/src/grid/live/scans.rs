@@ -1,10 +1,10 @@
-//! Logged scans into a grid: what each one changes, and only that.
+//! Applying logged scans to a grid: only what each one changes.
 //!
-//! Scans that follow each other, each newer than the one before, that saw the same tiles with the same sensor are like
-//! scans: of them a tile is touched only by those that flip a bit of it.
+//! Consecutive scans, each newer than the one before, that saw the same tiles with the same sensor, form a run. A tile
+//! of the run is touched only by scans that flip one of its bits.
 //!
-//! Invariant: while a run of like scans goes on, each of its tiles has shown its `arrival` masks since the run's scan
-//! that last flipped them.
+//! Invariant: during a run, each of its tiles has shown its `arrival` masks since the scan of the run that last flipped
+//! them.
 
 use std::{collections::HashSet, sync::Arc};
 
@@ -30,7 +30,7 @@ struct ScanFlips<'a> {
 }
 
 impl ScanFlips<'_> {
-    /// The next tile that has any.
+    /// The next tile with flips.
     fn next_tile(&self) -> Option<TileId> {
         match (self.observed.first(), self.occupied.first()) {
             (Some(one), Some(other)) => Some(one.tile().min(other.tile())),
@@ -38,7 +38,7 @@ impl ScanFlips<'_> {
         }
     }
 
-    /// The masks of that tile with its flips, and by how many more cells are observed.
+    /// The masks of that tile after its flips, and the change in the number of observed cells.
     fn flip(&mut self, tile: TileId, masks: TileMasks) -> (TileMasks, i64) {
         let (mut observed, mut occupied, mut more) = (masks.observed(), masks.occupied(), 0);
         while let Some((cell, rest)) = self.observed.split_first().filter(|(cell, _)| cell.tile() == tile) {
@@ -54,14 +54,14 @@ impl ScanFlips<'_> {
     }
 }
 
-/// Whether a tile is among some that ascend; found at once where none is left out.
+/// Whether a tile is among ascending tiles; found at once if none is left out.
 fn is_among(seen: &[TileId], tile: TileId) -> bool {
     let place = seen.first().map_or(0, |first| tile.0.wrapping_sub(first.0) as usize);
     seen.get(place) == Some(&tile) || seen.binary_search(&tile).is_ok()
 }
 
 impl LiveGrid {
-    /// Checks that an event follows from those before; nothing is changed.
+    /// Checks that an event is consistent with those before; changes nothing.
     pub(crate) fn check(&self, event: &Scans) -> Result<(), String> {
         let tiles = self.tiles.len() + event.new_tiles.len();
         if tiles > CellRef::TILES_MAX as usize {
@@ -97,8 +97,8 @@ impl LiveGrid {
         Ok(())
     }
 
-    /// Takes in scans that [`LiveGrid::check`] has let pass, made with this sensor of their producer. Gives the greatest time
-    /// that did not have to wait.
+    /// Applies scans that [`LiveGrid::check`] has accepted, made with this sensor. Returns the latest time that did not
+    /// have to wait.
     pub(crate) fn apply_observations(&mut self, event: &Scans, sensor: Option<ProducerSensor>) -> Option<i64> {
         let sensor = self.sensors.find(sensor).unwrap_or_default();
         for &index in &event.new_tiles {
@@ -129,7 +129,7 @@ impl LiveGrid {
             self.cell_observations += tiles.iter().map(|(_, masks)| u64::from(masks.observed().count())).sum::<u64>();
             self.future_tiles += tiles.len() as u64;
             self.future.push(FutureScan { time, tiles });
-            // What its tiles show now has gone into no day, and into no last value.
+            // What its tiles show now is in no day and in no last value.
             self.previous = None;
             self.end_run();
             return false;
@@ -154,7 +154,7 @@ impl LiveGrid {
         true
     }
 
-    /// Brings the arrival masks of flipped tiles up to date.
+    /// Applies the flips to the arrival masks.
     fn flip_arrivals(&mut self, mut flips: ScanFlips<'_>) {
         while let Some(id) = flips.next_tile() {
             let arrival = self.arrival(id).unwrap_or_default();
@@ -166,8 +166,8 @@ impl LiveGrid {
         }
     }
 
-    /// Takes in a scan of the same day, newer than the one before and with the same tiles: all that it does not flip show
-    /// what they showed in that one. Gives by how many more cells are observed than in that one.
+    /// Applies a scan of the same day, newer than the one before and with the same tiles: tiles without flips show what
+    /// they showed in that one. Returns the change in the number of observed cells.
     fn take_in_like(&mut self, day: LocalDay, time: ScanTime, seen: &Arc<[TileId]>, mut flips: ScanFlips<'_>) -> i64 {
         let run = self.run;
         let next = ScanRun { count: run.count + 1, newest_nanos: time.utc_nanos };
@@ -191,7 +191,7 @@ impl LiveGrid {
         more_observed
     }
 
-    /// Takes in any scan: each of its tiles shows its arrival masks, to the day, to last values and persistence.
+    /// Applies any scan: the arrival masks of each of its tiles go to the day, to last values and to persistence.
     fn take_in_all(&mut self, day: LocalDay, time: ScanTime, seen: &Arc<[TileId]>) {
         self.end_run();
         let (scan, mut changes) = Self::day_of(&mut self.days, day).take(time, seen);
@@ -213,8 +213,8 @@ impl LiveGrid {
         }
     }
 
-    /// Shows what a scan saw of a settled tile to its last values and persistence. Gives whether the scan is newer than
-    /// all before that saw the tile.
+    /// Applies what a scan saw of a settled tile to its last values and persistence. Returns whether the scan is newer
+    /// than all earlier ones of the tile.
     pub(super) fn show_tile(&mut self, id: TileId, time: ScanTime, masks: TileMasks) -> bool {
         let Some(tile) = self.tiles.get_mut(id.0 as usize) else { return true };
         let is_newer = tile.is_newer(time.utc_nanos);
@@ -228,7 +228,7 @@ impl LiveGrid {
         is_newer
     }
 
-    /// Ends the run of like scans: its tiles are brought up to date.
+    /// Ends the run: its tiles are brought up to date.
     pub(super) fn end_run(&mut self) {
         let Some(seen) = self.run_seen.take() else { return };
         for &id in seen.iter() {

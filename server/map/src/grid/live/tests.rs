@@ -1,4 +1,5 @@
-//! What events a grid refuses, and what a restored one still knows; what it makes of scans is tested with the whole grid.
+//! What events a grid refuses, and what a restored one still knows; what it makes of scans is tested with the whole
+//! grid.
 
 use std::sync::Arc;
 

@@ -12,7 +12,7 @@ use crate::grid::{
     view::GridView,
 };
 
-/// The 64 columns of the tiles above each other.
+/// The 64 columns of a stack of tiles.
 #[derive(Debug)]
 pub(super) struct Columns {
     best: [f32; 64],
@@ -31,7 +31,7 @@ impl Default for Columns {
 }
 
 impl Columns {
-    /// What the tiles of a column of tiles, from the lowest up, say together.
+    /// The projection of a stack of tiles, given from the lowest up.
     pub(super) fn project(
         &mut self,
         grid: &GridView,

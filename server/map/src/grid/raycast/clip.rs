@@ -21,7 +21,7 @@ pub(super) struct Clipped {
     pub is_whole: bool,
 }
 
-/// Where a ray passes the box's surface: how far along it, 0 to 1, and through which axis' side.
+/// Where a ray crosses the box's surface: how far along it, 0 to 1, and the axis of the side.
 type Passage = Option<(f64, usize)>;
 
 /// Cuts the ray from `start` to `end`, both in cells from the grid's origin, to the cells of a box.
@@ -69,7 +69,7 @@ pub(super) fn clip(cells: &CellBox, start: [f64; 3], end: [f64; 3]) -> Option<Cl
     let passing = |(at, side): (f64, usize), is_at_low: bool| -> [f64; 3] {
         std::array::from_fn(|axis| {
             let (low, high) = (f64::from(low[axis]), f64::from(high[axis]));
-            // Through which side it passes is known, whatever is rounded.
+            // The side is known exactly, despite rounding.
             match (axis == side, is_at_low) {
                 (true, true) => low,
                 (true, false) => high,

@@ -17,9 +17,9 @@ use crate::grid::{
 
 /// No link yet.
 const UNKNOWN: u32 = u32::MAX;
-/// The whole of what is traversed of a ray, in fixed point.
+/// The traversed length of a ray, in fixed point.
 const ONE: f64 = (1u64 << 61) as f64;
-/// Bits of each axis in a place that is spread: three, and one above them that tells when a tile is left.
+/// Bits of each axis in a place that is spread: three, and one above them that shows when a tile is left.
 const FIELDS: [u32; 3] = [0x007, 0x070, 0x700];
 const GUARDS: u32 = 0x888;
 
@@ -32,7 +32,7 @@ fn gather(spread: u32) -> u16 {
     (spread & 7 | spread >> 1 & 0o70 | spread >> 2 & 0o700) as u16
 }
 
-/// How far along what is traversed of a ray, in fixed point; what lies far beyond its end is brought nearer.
+/// A position along the traversed part of a ray, in fixed point; positions far beyond its end are limited.
 fn fixed(along: f64) -> u64 {
     (along * ONE).clamp(0.0, 2.0 * ONE) as u64
 }
@@ -45,8 +45,8 @@ struct Borders {
 }
 
 impl Borders {
-    /// The first border lies `first` cells away, and the ray goes `along` cells in all. As many borders as `crossings`
-    /// are crossed up to its end, and none more, whatever is rounded.
+    /// The first border lies `first` cells away, and the ray goes `along` cells in all. Exactly `crossings` borders are
+    /// crossed up to its end, despite rounding.
     fn new(crossings: u32, first: f64, along: f64) -> Borders {
         let until = ONE as u64;
         if crossings == 0 {
@@ -115,7 +115,7 @@ impl<'a> Walk<'a> {
         place
     }
 
-    /// Takes a ray in: where it ends, seen from the sensor in the map's directions, and whether it ends at something.
+    /// Adds a ray: its end, relative to the sensor in the map's directions, and whether it hit something.
     pub(super) fn ray(&mut self, number: usize, along_m: [f64; 3], is_hit: bool) -> Result<(), CastError> {
         let end = self.in_cells(std::array::from_fn(|axis| self.position_m[axis] + along_m[axis]));
         let Some(clipped) = clip(&self.allowed, self.start, end) else { return Ok(()) };
@@ -137,12 +137,12 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// Frees the cells of a ray but for the last, and gives that: its tile and its place there.
+    /// Frees the cells of a ray except the last, and returns that: its tile and its place there.
     fn pass(&mut self, clipped: &Clipped, steps: u64) -> Result<(usize, u16), CastError> {
         let Clipped { from, to, start, end, .. } = *clipped;
         let (index, place) = CellIndex { x: from[0], y: from[1], z: from[2] }.tile();
         let mut tile = self.first_tile(index)?;
-        // Seen in a mirror along the axes on which the ray goes down, so that every step goes up.
+        // Mirrored along the axes on which the ray descends, so that every step ascends.
         let mirror = (0..3).filter(|&axis| to[axis] < from[axis]).fold(0, |mirror, axis| mirror | FIELDS[axis]);
         let mut place = spread(place) ^ mirror;
         let [one, two, three] = std::array::from_fn(|axis| {
@@ -155,7 +155,7 @@ impl<'a> Walk<'a> {
         for _ in 0..steps {
             let real = place ^ mirror;
             free[(real >> 8 & 7) as usize] |= 1 << (real & 7 | real >> 1 & 0o70);
-            // No branches: which border comes next is no more to be guessed than a dice.
+            // No branches: which border comes next is unpredictable.
             let is_two = next[1] < next[0];
             let is_three = next[2] < select_unpredictable(is_two, next[1], next[0]);
             let is = [!is_two & !is_three, is_two & !is_three, is_three];
@@ -201,7 +201,7 @@ impl<'a> Walk<'a> {
         Ok(neighbour as usize)
     }
 
-    /// The number of a tile, a new one where no ray has passed it.
+    /// The number of a tile; adds it if no ray has passed it.
     fn tile(&mut self, index: TileIndex) -> Result<u32, CastError> {
         if let Some(&known) = self.ids.get(&index) {
             return Ok(known);
@@ -216,7 +216,7 @@ impl<'a> Walk<'a> {
         Ok(number)
     }
 
-    /// What was seen, ascending by tile.
+    /// The result, ascending by tile.
     pub(super) fn into_tiles(self) -> Vec<(TileIndex, TileMasks)> {
         let mut tiles: Vec<(TileIndex, TileMasks)> = self.tiles.iter().map(|tile| (tile.index, tile.masks())).collect();
         tiles.sort_unstable_by_key(|(index, _)| *index);

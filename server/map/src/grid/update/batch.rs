@@ -1,7 +1,7 @@
-//! Tiles that are worked off together: some of those that were seen by the same scans.
+//! Batches of tiles: some of the tiles that were seen by the same scans, processed together.
 //!
-//! Invariant: a batch is a few seconds of work, unless a single tile is more, and enough of it that the phasors of its
-//! scans, which each batch computes again, do not count.
+//! Invariant: a batch is a few seconds of work, unless a single tile is more, and large enough that computing the
+//! phasors of its scans again does not matter.
 
 use std::sync::{
     Arc,
@@ -45,7 +45,7 @@ impl Batch {
         self.tiles.push(tile);
     }
 
-    /// Works off the day for these tiles.
+    /// Processes the day for these tiles.
     pub(super) fn run(self, rules: &Rules, day: &GridDay, meter: &ProgressMeter<'_>) -> Vec<BusyTile> {
         let tiles = self.pattern.run(rules, day, self.tiles);
         meter.add(tiles.len());
@@ -72,7 +72,7 @@ impl<'a> ProgressMeter<'a> {
     pub(super) fn add(&self, days: usize) {
         let before = self.days_done.fetch_add(days as u64, Ordering::Relaxed);
         let part = |done: u64| u128::from(done) * u128::from(self.tiles) / u128::from(self.days.max(1));
-        // The parts add up, in whatever order they are added.
+        // The parts add up in any order.
         let more = part(before + days as u64) - part(before);
         self.progress.fetch_add(u64::try_from(more).unwrap_or(0), Ordering::Relaxed);
     }

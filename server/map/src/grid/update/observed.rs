@@ -1,7 +1,8 @@
-//! When the cells of a tile were observed on one day: cells alike together, and the groups of the tile split by that.
+//! When the cells of a tile were observed on one day: cells observed alike together, and the groups of the tile split
+//! by it.
 //!
-//! Invariant: times are given as toggles: ascending numbers of scans, among those that saw the tile, at which a bit that
-//! was clear before the first turns over.
+//! Invariant: times are toggles: ascending numbers of scans, among those that saw the tile, at which a bit changes; the
+//! bit is clear before the first.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +16,7 @@ use super::super::{
 /// The toggles of cells that changed a bit within the day, and what they showed.
 #[derive(Debug, Default)]
 pub(super) struct DayToggles {
-    /// Cells observed at like times: the toggles of their observed bit, and the cells.
+    /// Cells observed at the same times: the toggles of their observed bit, and the cells.
     pub(super) observed: Vec<(Vec<u32>, Mask)>,
     /// Cells that were ever read as occupied.
     pub(super) ever_occupied: Mask,
@@ -52,7 +53,7 @@ impl DayToggles {
         let (mut ever_occupied, mut ever_free) = (occupied, observed.without(occupied));
         let start = |bits: Mask| bits.cells().map(|cell| (cell, vec![0])).collect::<BTreeMap<u16, Vec<u32>>>();
         let mut occupied_toggles = start(occupied);
-        // Of cells whose observed bit flips within the day alone.
+        // Only of cells whose observed bit flips within the day.
         let mut observed_toggles: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
         for of_scan in tile.flips.chunk_by(|one, other| one.scan == other.scan) {
             let Some(first) = of_scan.first() else { continue };
@@ -95,7 +96,7 @@ impl DayToggles {
     }
 }
 
-/// An observation group after the day: which group it was part of, and which toggles it has on the day.
+/// An observation group after the day: the group it was part of, and its toggles on the day.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct SplitGroup {
     pub(super) cells: Mask,
@@ -107,7 +108,8 @@ pub(super) struct SplitGroup {
     pub(super) is_summed: bool,
 }
 
-/// Splits the groups where their cells were not observed alike, and adds groups of new cells. By their lowest cell.
+/// Splits the groups where their cells were observed at different times, and adds groups of new cells. Ascending by
+/// their lowest cell.
 pub(super) fn split_groups(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<SplitGroup> {
     let mut alike = [None; TILE_CELLS];
     for (index, (_, cells)) in toggles.iter().enumerate() {

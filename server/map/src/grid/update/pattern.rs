@@ -1,10 +1,11 @@
 //! Tiles that were seen by the same scans of a day.
 //!
-//! Many tiles are worked off in several batches, each with the phasors and running sums of the pattern's scans made anew.
+//! Many tiles are processed in several batches, each of which computes the phasors and running sums of the pattern's
+//! scans again.
 //!
-//! Invariant: the running sums of a pattern go on from chunk to chunk, so that a run of readings costs two rows of them
-//! however many chunks it spans. What a tile becomes does not depend on the others of its batch, and tiles with the same
-//! history share their sums across batches.
+//! Invariant: running sums continue from chunk to chunk, so that a run of readings costs two rows of them however many
+//! chunks it spans. The result of a tile does not depend on the others of its batch, and tiles with the same history
+//! share their sums across batches.
 
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
@@ -27,7 +28,7 @@ pub(super) struct Pattern {
     /// The scans, first and end of each range.
     ranges: Vec<(u32, u32)>,
     times: OnceLock<Times>,
-    /// Held while nothing is done in parallel: a thread that waits for others may begin another batch.
+    /// Never held across parallel work: a thread that waits for others may start another batch.
     gains: Mutex<Gains>,
 }
 
@@ -45,14 +46,14 @@ impl Pattern {
         self.gains.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Works off the day for some of the tiles.
+    /// Processes the day for some of the tiles.
     pub(super) fn run(&self, rules: &Rules, day: &GridDay, tiles: Vec<BusyTile>) -> Vec<BusyTile> {
         let times = self.times.get_or_init(|| Times::new(&self.ranges, day, rules));
         let unseen = DayTile::default();
         let mut tiles: Vec<TileDay> = tiles
             .into_par_iter()
             .map(|tile| {
-                // Each tile seen has shown something; one that has not loses nothing here.
+                // Each seen tile has shown something; a default is harmless.
                 let of_day = day.tile(tile.id).unwrap_or(&unseen);
                 TileDay::new(tile, of_day, &self.ranges, times, rules)
             })

@@ -16,7 +16,7 @@ pub(crate) struct UpdateLimits {
     pub(crate) chunk_scans: usize,
     /// Observation groups of a tile up to which each has its sum; with more, cells that never changed have runs.
     pub(crate) summed_groups_max: usize,
-    /// ObservationRuns of a tile may take as much memory as this many sums for each group without one.
+    /// The observation runs of a tile may take as much memory as this many sums for each group without one.
     pub(crate) runs_per_sum: usize,
     /// A batch has no more tiles once it has this many cells, whatever its scans: the phasors of a scan cost as much as
     /// about a hundred cells.

@@ -24,9 +24,9 @@ use super::{
 pub(super) struct Times {
     pub(super) utc_nanos: Vec<i64>,
     pub(super) civil_nanos: Arc<[i64]>,
-    /// What is seen by all scans.
+    /// The count for all scans.
     pub(super) all: Counted,
-    /// What the scans count; `None` where all are of the map's own sensor.
+    /// The weights of the scans; `None` if all are of the map's own sensor.
     pub(super) weighted: Option<WeightedScans>,
 }
 
@@ -50,7 +50,7 @@ impl Times {
         }
     }
 
-    /// How many scans see what turns over at these, and when the first and the last do.
+    /// Counts the scans at which a bit with these toggles is set, with the times of the first and last.
     pub(super) fn count(&self, toggles: &[u32]) -> Counted {
         if toggles == [0] {
             return self.all;
@@ -68,7 +68,7 @@ impl Times {
         counted
     }
 
-    /// What the readings at which a bit with these toggles is set count.
+    /// The weight of the readings at which a bit with these toggles is set.
     pub(super) fn weigh(&self, toggles: &[u32]) -> Weights {
         match &self.weighted {
             Some(weighted) => weighted.sum(toggles),
@@ -95,18 +95,18 @@ pub(super) struct Contribution {
     weighted: Option<Box<(PhasorSum, PhasorSum)>>,
 }
 
-/// The gains of a pattern, and sums made of them, so that groups with the same history share theirs.
+/// The sums that a day adds (gains), and the results, so that groups with the same history share theirs.
 #[derive(Debug, Default)]
 pub(super) struct Gains {
     gains: Vec<GroupSums>,
     by_toggles: HashMap<Vec<u32>, usize>,
     zero: Option<Arc<PhasorSum>>,
-    /// By the group's sums before, by address, and the gain; the old sums are kept alive.
+    /// By the address of the group's earlier sums, and the gain; the earlier sums are kept alive.
     shared: HashMap<([usize; 3], usize), (GroupSums, GroupSums)>,
 }
 
 impl Gains {
-    /// What is to be computed of these toggles.
+    /// The contributions of these toggles that are still to be computed.
     pub(super) fn missing<'a>(
         &self,
         toggles: impl Iterator<Item = &'a Vec<u32>>,
@@ -118,7 +118,7 @@ impl Gains {
         missing.map(|toggles| Contribution::new(toggles.clone(), times, rules)).collect()
     }
 
-    /// Takes what was computed; another batch may have been first.
+    /// Adds computed contributions; another batch may have been first.
     pub(super) fn take(&mut self, contributions: Vec<Contribution>) {
         for Contribution { toggles, sum, weighted, .. } in contributions {
             let next = self.gains.len();
@@ -132,7 +132,7 @@ impl Gains {
         }
     }
 
-    /// The gain of cells with these toggles, where one was asked for.
+    /// The gain of cells with these toggles, if one was computed.
     pub(super) fn gain(&self, toggles: &Vec<u32>) -> Option<usize> {
         self.by_toggles.get(toggles).copied()
     }
@@ -145,7 +145,7 @@ impl Gains {
         }
     }
 
-    /// The sums of a group none of whose observations are in them; all share them.
+    /// The sums of a group without any of its observations; all such groups share them.
     pub(super) fn zero(&mut self, rules: &Rules) -> GroupSums {
         let zero = self.zero.get_or_insert_with(|| Arc::new(PhasorSum::zero(&rules.periodicities)));
         GroupSums { plain: Arc::clone(zero), weighted: None }

@@ -1,6 +1,6 @@
-//! One tile on one day of an update: its changed cells are scored and their sums go on.
+//! One tile on one day of an update: its changed cells are scored and their sums continued.
 //!
-//! Invariant: what is scored is predicted by the models as they were before the day; sums and models change at its end.
+//! Invariant: scores use the models as they were before the day; sums and models change at its end.
 
 use tidemap_model::{CellSums, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, PhasorSum, ScoreSums, SpectralModel};
 
@@ -38,7 +38,7 @@ struct CellDay {
     cursor: Cursor,
     /// The split group.
     group: usize,
-    /// Readings of the day that are newer than all before, where there are any before.
+    /// Readings of the day that are newer than all before; 0 without earlier readings.
     scored: u64,
     scores: ScoreSums,
     /// Σβ over the occupied readings of the day.
@@ -48,7 +48,7 @@ struct CellDay {
 /// How a group's cells are scored on the day.
 #[derive(Debug)]
 struct GroupDay {
-    /// All scans before the first that counts are no newer than what is known; `None`: nothing is scored.
+    /// Scans up to this time are not scored; `None`: nothing is scored.
     newer_than: Option<i64>,
     /// Whether every scan of the pattern counts.
     all: bool,
@@ -112,13 +112,13 @@ impl TileDay {
         TileDay { tile, observed: toggles.observed, split, groups, cells, scans: times.utc_nanos.len() }
     }
 
-    /// The times at which cells of the tile were observed whose sums are to be whole; some may come twice.
+    /// The toggles of the cells whose sums must be complete; may contain duplicates.
     pub(super) fn toggles(&self) -> impl Iterator<Item = &Vec<u32>> {
         let summed = self.split.iter().filter(|group| group.is_summed);
         summed.filter_map(|group| self.observed.get(group.toggles?)).map(|(toggles, _)| toggles)
     }
 
-    /// Works off one chunk: scores it, then adds it to the sums of occupied readings.
+    /// Processes one chunk: scores it, then adds it to the sums of occupied readings.
     pub(super) fn fold(&mut self, chunk: &Chunk<'_>, rules: &Rules) {
         for (group, split) in self.groups.iter_mut().zip(&self.split) {
             let toggles = split.toggles.and_then(|index| self.observed.get(index)).map(|(toggles, _)| toggles);
@@ -152,7 +152,7 @@ impl TileDay {
         }
     }
 
-    /// Gives the tile its groups as they are after the day.
+    /// Replaces the tile's groups by those after the day.
     pub(super) fn regroup(&mut self, gains: &mut Gains, times: &Times, rules: &Rules) {
         let TileData { model, sums } = &mut self.tile.data;
         let mut groups = Vec::with_capacity(self.split.len());
@@ -192,7 +192,8 @@ impl TileDay {
         self.keep_runs(times, rules);
     }
 
-    /// Keeps when the cells were observed whose sums are not whole, or makes all sums whole where that takes less.
+    /// Adds the day to the observation runs of cells without complete sums, or completes all sums if that takes less
+    /// memory.
     fn keep_runs(&mut self, times: &Times, rules: &Rules) {
         let sums = &mut self.tile.data.sums;
         let others: Vec<(usize, &SplitGroup)> =
@@ -212,7 +213,7 @@ impl TileDay {
         }
     }
 
-    /// Chooses orders and fits the models anew.
+    /// Chooses orders and refits the models.
     pub(super) fn refit(mut self, day: LocalDay, rules: &Rules) -> BusyTile {
         let mut outcome = TileOutcome::default();
         for (toggles, cells) in &self.observed {
@@ -275,7 +276,8 @@ impl TileDay {
 }
 
 impl GroupDay {
-    /// Sets the weights of a chunk's scans, where not all count: 1 where the group was observed and the scan is newer than what is known.
+    /// Sets the weights of a chunk's scans if not all count: 1 where the group was observed and the scan is newer than
+    /// all known ones.
     fn weigh(&mut self, toggles: &[u32], chunk: &Chunk<'_>) {
         let Some(newer_than) = self.newer_than else { return };
         if self.all {
@@ -298,8 +300,8 @@ impl GroupDay {
     }
 }
 
-/// Refines the groups of a tile by a day. Where there are too many for a sum each, those with and those without a
-/// spectrum are parted, and the sums of cells that get one on the day are made whole.
+/// Splits the groups of a tile by a day. If there are too many for a sum each, groups are divided into cells with and
+/// without a spectrum, and the sums of cells that get one on the day are completed.
 fn split_groups_of(working: &mut TileData, toggles: &DayToggles, rules: &Rules) -> Vec<SplitGroup> {
     let split = split_groups(&working.model.groups, &toggles.observed);
     let is_new =
@@ -333,7 +335,7 @@ fn split_groups_of(working: &mut TileData, toggles: &DayToggles, rules: &Rules) 
     part_by_spectrum(split_groups(&model.groups, &toggles.observed), changed | changing)
 }
 
-/// Makes the sums of groups whole, each given with a cell of it.
+/// Completes the sums of groups, each given with one of its cells.
 fn complete(sums: &mut TileSums, groups: &[(usize, u16)], rules: &Rules) {
     if groups.is_empty() || sums.runs.is_empty() {
         return;
@@ -356,7 +358,7 @@ fn changing(model: &TileModel, toggles: &DayToggles) -> Mask {
     (ever_occupied & ever_free).without(changed)
 }
 
-/// Gives a spectrum to the cells that show another value than ever before, and notes those that never have.
+/// Returns a spectrum to the cells that changed for the first time, and records those that never have.
 fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
     let TileData { model, sums } = working;
     let changing = changing(model, toggles);
@@ -388,6 +390,6 @@ fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
 
 /// The model of a cell that has only shown one value.
 fn constant(level: f64, observations: u64) -> SpectralModel {
-    // A level is a probability, and no component is none too many.
+    // A level is a probability, and there are no components.
     SpectralModel::from_parts(level, observations, Vec::new()).unwrap_or_default()
 }
