@@ -61,7 +61,7 @@ impl Directory {
         self.shards[self.shard(name)].get(name).copied()
     }
 
-    /// What observations of a name are, with the index of the state, or of the first axis.
+    /// What observations of a name are, with the id of its state or of its first axis.
     pub(crate) fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         if let Some(id) = self.find(name) {
             return Some((id, StateShape::Scalar(self.info(id)?.kind)));
@@ -82,7 +82,7 @@ impl Directory {
         self.chunks.iter().flat_map(|chunk| chunk.iter())
     }
 
-    /// Gives a state another name. Nothing is changed where there is no such state, or the name is taken.
+    /// Renames a state. Changes nothing if the state does not exist or the name is taken.
     pub(crate) fn rename(&mut self, id: StateId, name: StateName) {
         let index = id.0 as usize;
         if self.info(id).is_none() || self.shape(name.as_str()).is_some() {

@@ -1,8 +1,8 @@
 //! A map as its single writer holds it: events go in, views come out.
 //!
-//! Invariant: the state is a function of the events applied and their order. Nothing here waits: an update is taken out
-//! as [`UpdateWork`], run elsewhere while observations go on, and brought back with [`LiveMap::finish_update`]; at most
-//! one is out at a time.
+//! Invariant: the state is a function of the events applied and their order. Nothing here waits: an update leaves as
+//! [`UpdateWork`], runs elsewhere while observations continue, and returns through [`LiveMap::finish_update`]. At most
+//! one update runs at a time.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -31,7 +31,7 @@ mod updates;
 #[cfg(test)]
 mod tests;
 
-/// An event does not follow from the events before it: the log is not what this map wrote.
+/// An event is inconsistent with the events before it: this map did not write the log.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("event at log position {position} does not fit the map: {reason}")]
 pub struct InconsistentEvent {
@@ -41,7 +41,7 @@ pub struct InconsistentEvent {
     pub reason: String,
 }
 
-/// How much may be pending before an update runs early.
+/// Amounts of pending data at which an update runs early.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PendingLimits {
     /// Observations of named states.
@@ -50,7 +50,7 @@ pub struct PendingLimits {
     pub changes: u64,
 }
 
-/// A map that takes events.
+/// A map that applies events.
 #[derive(Debug)]
 pub struct LiveMap {
     spec: Arc<MapSpec>,
@@ -70,7 +70,7 @@ pub struct LiveMap {
     pending: Pending,
     site: Arc<Site>,
     pub(crate) grid: Option<LiveGrid>,
-    /// The update that is out: where it started, and how many observations it took.
+    /// The running update: its start, and the amounts it has taken.
     running: Option<(UpdateStart, PendingLimits)>,
 }
 
@@ -102,8 +102,8 @@ impl LiveMap {
         }
     }
 
-    /// The map as it was when the snapshot was taken, but for its pending observations: replay the events from
-    /// `snapshot.replay_from` on to get them back.
+    /// Restores a snapshot, without its pending observations: replay the events from `snapshot.replay_from` on to
+    /// restore those.
     #[must_use]
     pub fn restore(spec: Arc<MapSpec>, snapshot: MapSnapshot) -> Self {
         let mut map = Self::new(spec);
@@ -158,7 +158,7 @@ impl LiveMap {
         self.directory.find(name)
     }
 
-    /// What observations of a name are, with the index of the state of this name, or of the first axis of the vector.
+    /// What observations of a name are, with the id of its state or of its first axis.
     #[must_use]
     pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         self.directory.shape(name)
@@ -177,7 +177,7 @@ impl LiveMap {
         self.producers.len()
     }
 
-    /// What the values of a state mean.
+    /// Kind of a state.
     #[must_use]
     pub fn kind(&self, id: StateId) -> Option<StateKind> {
         self.directory.info(id).map(|info| info.kind)
@@ -195,14 +195,14 @@ impl LiveMap {
         self.grid.as_ref()
     }
 
-    /// Observations that an update could fold in, those of a running one not counted. Of scans the changes count, which
-    /// are what is held in memory.
+    /// Pending data that an update could learn, without that of a running update: observations, and changes of scans,
+    /// which are what memory holds.
     #[must_use]
     pub fn pending(&self) -> u64 {
         self.pending.total() + self.grid.as_ref().map_or(0, |grid| grid.pending_changes)
     }
 
-    /// Observations and scans that wait because their time is too far ahead.
+    /// Observations and scans that wait because their time is too far in the future.
     #[must_use]
     pub fn future(&self) -> u64 {
         self.pending.future() + self.grid.as_ref().map_or(0, LiveGrid::future)
@@ -214,8 +214,8 @@ impl LiveMap {
         self.running.map_or(0, |(_, taken)| taken.observations + taken.changes)
     }
 
-    /// How full the memory for what is pending is, what a running update has taken included where that is asked: 1
-    /// where the fuller of the two kinds has reached its limit.
+    /// Load of the memory for pending data, optionally with that of a running update: 1 when the fuller of the two
+    /// kinds reaches its limit.
     #[must_use]
     pub fn pending_load(&self, limits: PendingLimits, with_running: bool) -> f64 {
         let taken = self.running.map(|(_, taken)| taken).filter(|_| with_running).unwrap_or_default();
@@ -238,7 +238,7 @@ impl LiveMap {
         self.pending.received_nanos()
     }
 
-    /// Greatest time of any observation that did not have to wait, nanoseconds UTC; 0 if there is none.
+    /// Latest time of any observation that did not have to wait, nanoseconds UTC; 0 without observations.
     #[must_use]
     pub fn newest_nanos(&self) -> i64 {
         self.newest_nanos
@@ -250,13 +250,13 @@ impl LiveMap {
         self.cut_nanos
     }
 
-    /// Whether an update is out.
+    /// Whether an update is running.
     #[must_use]
     pub fn is_updating(&self) -> bool {
         self.running.is_some()
     }
 
-    /// Applies the event at the next log position. An update's start gives the work to run and bring back.
+    /// Applies the event at the next log position. The start of an update returns the work to run.
     ///
     /// # Errors
     /// [`InconsistentEvent`] where the event cannot follow the events before it; the map is then unusable.
@@ -290,7 +290,7 @@ impl LiveMap {
         Ok(work)
     }
 
-    /// Takes back, after a restore, the pending observations of an event that the snapshot covers.
+    /// After a restore: applies the pending observations of an event that the snapshot covers.
     ///
     /// # Errors
     /// [`InconsistentEvent`] where the event names states that the snapshot lacks.
@@ -315,7 +315,7 @@ impl LiveMap {
         Ok(())
     }
 
-    /// The map as readers are to see it from now on.
+    /// The view for readers from now on.
     pub fn publish(&mut self) -> MapView {
         for (index, dirty) in self.live_dirty.iter_mut().enumerate() {
             if !std::mem::take(dirty) {

@@ -42,7 +42,7 @@ pub(crate) struct Taken {
 }
 
 impl Pending {
-    /// Observations that an update could fold in.
+    /// Observations that an update could learn.
     pub(crate) fn total(&self) -> u64 {
         self.total
     }
@@ -52,7 +52,7 @@ impl Pending {
         self.future.len() as u64
     }
 
-    /// Those of a state, in order of arrival; last those that wait.
+    /// The observations of a state, in order of arrival; those that wait come last.
     pub(crate) fn of_state(&self, state: StateId) -> impl Iterator<Item = &Sample> {
         let pending = self.by_state.get(state.0 as usize).into_iter().flatten();
         pending.chain(self.future.iter().filter(move |(of, _)| *of == state).map(|(_, sample)| sample))
@@ -83,12 +83,12 @@ impl Pending {
         self.last = Some((day, entry.oldest_nanos));
     }
 
-    /// Nothing is pending, of scans neither.
+    /// Records that nothing is pending, scans included.
     pub(crate) fn all_taken(&mut self) {
         self.received_nanos = None;
     }
 
-    /// Notes when observations were received.
+    /// Records when observations were received.
     pub(crate) fn received(&mut self, received_nanos: i64) {
         self.received_nanos = Some(self.received_nanos.map_or(received_nanos, |known| known.min(received_nanos)));
     }
@@ -98,7 +98,7 @@ impl Pending {
         self.received_nanos
     }
 
-    /// Takes what lies before the cut, per state that has any, and leaves the rest.
+    /// Takes the observations before the cut, per state, and leaves the rest.
     pub(crate) fn take_before(&mut self, cut_nanos: i64) -> Taken {
         let (mut were_ahead, future) =
             std::mem::take(&mut self.future).into_iter().partition::<Vec<_>, _>(|(_, s)| s.utc_nanos < cut_nanos);
@@ -142,17 +142,17 @@ impl Pending {
         Taken { by_state, were_ahead }
     }
 
-    /// Log position from which all pending observations are found again, or `end` where there are none.
+    /// Log position from which a replay finds all pending observations; `end` if nothing is pending.
     pub(crate) fn replay_from(&self, end: u64) -> u64 {
         self.days.values().map(|day| day.first_position).min().unwrap_or(end).min(end)
     }
 
-    /// The least time of the pending observations, nanoseconds UTC, or less.
+    /// The earliest time of the pending observations, nanoseconds UTC, or earlier.
     pub(crate) fn oldest_nanos(&self) -> Option<i64> {
         self.days.values().next().map(|day| day.oldest_nanos)
     }
 
-    /// The greatest time before `limit_nanos` of those that wait apart.
+    /// The latest time before `limit_nanos` of those that wait apart.
     pub(crate) fn newest_future_before(&self, limit_nanos: i64) -> Option<i64> {
         self.future.iter().map(|(_, sample)| sample.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
     }

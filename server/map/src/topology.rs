@@ -59,12 +59,11 @@ pub struct Node {
     pub name: StateName,
     /// Where it lies, if that is known.
     pub pose: Option<NodePose>,
-    /// How long a visit takes once the robot is there, in seconds, 0 to [`NOMINAL_MAX_SECS`]; `None` if that is not
-    /// said.
+    /// Duration of a visit once the robot is there, in seconds, 0 to [`NOMINAL_MAX_SECS`]; `None` if not given.
     pub dwell_secs: Option<f64>,
 }
 
-/// How far or how long an edge is, by its map's maker; at least one of the two is given.
+/// Length and nominal time of an edge, as the map's author gives them; at least one of the two.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     /// Metres, above 0, to [`LENGTH_MAX_M`].
@@ -86,7 +85,7 @@ impl Extent {
         Extent { length_m: Some(length_m), nominal_secs: None }
     }
 
-    /// The nominal time, or else the time that the length takes at a speed in metres per second.
+    /// The nominal time, or the time that the length takes at a speed in metres per second.
     #[must_use]
     pub fn secs_at(&self, speed_m_per_s: f64) -> f64 {
         self.nominal_secs.unwrap_or_else(|| self.length_m.unwrap_or(f64::INFINITY) / speed_m_per_s)
@@ -107,7 +106,7 @@ impl Extent {
     }
 }
 
-/// A way from one node to another, in that direction only.
+/// An edge from one node to another, in that direction only.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edge {
     /// Its number.
@@ -116,7 +115,7 @@ pub struct Edge {
     pub from: NodeId,
     /// Where it ends.
     pub to: NodeId,
-    /// By which of the robot's actions it is travelled; `None` is the usual one.
+    /// The robot's action that travels it; `None` is the default action.
     pub action: Option<StateName>,
     /// Length and nominal time.
     pub extent: Extent,
@@ -130,7 +129,7 @@ pub struct Topology {
     nodes: BTreeMap<NodeId, Node>,
     edges: BTreeMap<EdgeId, Edge>,
     by_name: BTreeMap<StateName, NodeId>,
-    /// All edges at each node, whichever end.
+    /// All edges at each node, incoming and outgoing.
     at_node: BTreeMap<NodeId, Vec<EdgeId>>,
 }
 
@@ -172,7 +171,7 @@ impl Topology {
         Ok(())
     }
 
-    /// Returns a node another name; its number stays.
+    /// Renames a node; its number stays.
     ///
     /// # Errors
     /// [`TopologyError::UnknownNodeId`], [`TopologyError::DuplicateNode`].
@@ -188,7 +187,7 @@ impl Topology {
         Ok(())
     }
 
-    /// Says where a node lies and how long a visit takes.
+    /// Sets the pose of a node and the duration of a visit.
     ///
     /// # Errors
     /// [`TopologyError`] where the node is unknown or a number is out of range.
@@ -287,7 +286,7 @@ impl Topology {
         Ok(())
     }
 
-    /// Returns an edge another action; its number stays.
+    /// Changes the action of an edge; its number stays.
     ///
     /// # Errors
     /// [`TopologyError::UnknownEdgeId`], [`TopologyError::DuplicateEdge`].

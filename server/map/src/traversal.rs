@@ -1,8 +1,8 @@
-//! Traversals of the edges of a topological map: what robots report of them, the states that they are learned in, and
-//! the newest that failed.
+//! Traversals of the edges of a topological map: the reports of robots, the states that learn from them, and the newest
+//! failures.
 //!
-//! Invariant: a state never changes its unit. A speed is in metres a second and a pace is relative to the nominal time,
-//! each by the edge's extent when the report was taken in; so an edge that is given another length keeps what was
+//! Invariant: a state never changes its unit. A speed is in metres per second and a pace is relative to the nominal
+//! time, by the edge's extent when the report was applied; so an edge that is given another length keeps what was
 //! learned.
 
 use std::{collections::VecDeque, sync::Arc};
@@ -14,30 +14,30 @@ use crate::{
     topology::{Edge, Extent, Topology, TopologyError},
 };
 
-/// Longest traversal that is taken, nanoseconds: a day. States are learned by the time of day, which means nothing for
-/// what lasts longer, and a wrong unit or a clock that was set would be learned as an edge at a standstill.
+/// Longest accepted traversal, nanoseconds: a day. States are learned by the time of day, which has no meaning for
+/// longer ones; and a wrong unit or a clock jump would be learned as an edge at a standstill.
 pub const TRAVERSAL_MAX_NANOS: i64 = 86_400_000_000_000;
-/// Most characters that are kept of the reason of a failure.
+/// Maximum number of characters of the reason of a failure.
 pub const REASON_CHARS_MAX: usize = 200;
-/// Most failed traversals of a map that are kept.
+/// Maximum number of failed traversals that a map keeps.
 pub const FAILURES_MAX: usize = 1_000;
 
 /// A robot travelled an edge, or tried to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Traversal {
-    /// Which edge.
+    /// The edge.
     pub edge: EdgeName,
-    /// When it set out, nanoseconds UTC.
+    /// When the robot started, nanoseconds UTC.
     pub start_nanos: i64,
-    /// When it arrived, or gave up, nanoseconds UTC.
+    /// When the robot arrived or gave up, nanoseconds UTC.
     pub end_nanos: i64,
     /// Whether it arrived.
     pub success: bool,
-    /// Why it did not, for people to read; may be empty.
+    /// Reason of a failure, for people; may be empty.
     pub reason: String,
 }
 
-/// Why a traversal cannot be taken.
+/// Why a traversal is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TraversalError {
     /// It is too old.
@@ -51,23 +51,23 @@ pub enum TraversalError {
         /// Its end.
         end_nanos: i64,
     },
-    /// It succeeded in no time.
+    /// It succeeded in zero time.
     #[error("start and end are both {0} ns: a traversal that succeeds takes time")]
     NoTime(i64),
     /// It lasts too long.
     #[error("it lasts {secs} s, more than a day: a traversal is of one edge, times are in nanoseconds")]
     TooLong {
-        /// How long, seconds.
+        /// Duration in seconds.
         secs: f64,
     },
     /// It is too fast.
     #[error("it takes {secs} s, so that its {} would be {value}, which is not {}", .what.prefix(), StateKind::Continuous.expected())]
     TooFast {
-        /// How long, seconds.
+        /// Duration in seconds.
         secs: f64,
         /// Speed or pace.
         what: EdgeState,
-        /// Metres a second, or nominal times.
+        /// Metres per second, or nominal time over duration.
         value: f64,
     },
 }
@@ -94,13 +94,13 @@ impl Traversal {
         Ok(())
     }
 
-    /// How long it lasted, seconds.
+    /// Duration in seconds.
     #[must_use]
     pub fn duration_secs(&self) -> f64 {
         self.end_nanos.saturating_sub(self.start_nanos) as f64 / 1e9
     }
 
-    /// What it says of the states of its edge, which has this extent: a value for each of one or two states, all at its
+    /// The samples for the states of its edge, which has this extent: a value for each of one or two states, all at its
     /// start.
     ///
     /// # Errors
@@ -120,7 +120,7 @@ impl Traversal {
         Ok(samples)
     }
 
-    /// What is kept of it if it failed.
+    /// The failure to keep, if it failed.
     #[must_use]
     pub fn failure(&self) -> Option<EdgeFailure> {
         let Self { edge, start_nanos, end_nanos, success, reason } = self;
@@ -129,8 +129,8 @@ impl Traversal {
     }
 }
 
-/// The state that is learned of how an edge with this extent is travelled, and what is divided by the duration: metres,
-/// or nominal seconds.
+/// The travel state of an edge with this extent, and the number that is divided by the duration: metres, or nominal
+/// seconds.
 fn travel(extent: Extent) -> (EdgeState, f64) {
     match (extent.length_m, extent.nominal_secs) {
         (Some(length_m), _) => (EdgeState::Speed, length_m),
@@ -139,7 +139,7 @@ fn travel(extent: Extent) -> (EdgeState, f64) {
     }
 }
 
-/// Name of the state that shows how likely a traversal of an edge succeeds.
+/// Name of the success state of an edge.
 ///
 /// # Errors
 /// [`TopologyError::UnknownNodeId`] where the edge is of another map.
@@ -147,8 +147,8 @@ pub fn success_state(topology: &Topology, edge: &Edge) -> Result<StateName, Topo
     topology.edge_in_words(edge).map(|name| name.state(EdgeState::Success))
 }
 
-/// Name of the state that shows how fast an edge is travelled, with what its values are: speeds of an edge that has a
-/// length, paces of one that has a nominal time alone.
+/// Name and quantity of the travel state of an edge: speed for an edge with a length, pace for one with a nominal time
+/// only.
 ///
 /// # Errors
 /// [`TopologyError::UnknownNodeId`] where the edge is of another map.
@@ -157,8 +157,8 @@ pub fn travel_state(topology: &Topology, edge: &Edge) -> Result<(EdgeState, Stat
     topology.edge_in_words(edge).map(|name| (what, name.state(what)))
 }
 
-/// A reason as it is kept: characters that do not print become blanks, blanks at its ends and what is beyond 200
-/// characters are left out. A reason that was kept is kept as it is.
+/// Normalises a reason: unprintable characters become blanks; outer blanks and everything beyond 200 characters are
+/// removed. Idempotent.
 #[must_use]
 pub fn kept_reason(reason: &str) -> String {
     let is_blank = |character: char| character.is_whitespace() || unprintable(character);
@@ -170,13 +170,13 @@ pub fn kept_reason(reason: &str) -> String {
 /// A traversal that failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EdgeFailure {
-    /// Which edge.
+    /// The edge.
     pub edge: EdgeName,
-    /// When the robot set out, nanoseconds UTC.
+    /// When the robot started, nanoseconds UTC.
     pub start_nanos: i64,
     /// When it gave up, nanoseconds UTC.
     pub end_nanos: i64,
-    /// Why, as [`kept_reason`] gives it.
+    /// The reason, normalised by [`kept_reason`].
     pub reason: String,
 }
 

@@ -114,7 +114,7 @@ impl MapView {
         self.directory.find(name)
     }
 
-    /// What observations of a name are, with the index of the state of this name, or of the first axis of the vector.
+    /// What observations of a name are, with the id of its state or of its first axis.
     #[must_use]
     pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         self.directory.shape(name)
@@ -138,13 +138,13 @@ impl MapView {
         self.live.get(index / LIVE_CHUNK).and_then(|chunk| chunk.get(index % LIVE_CHUNK)).copied().unwrap_or_default()
     }
 
-    /// What the values of a state mean; of one that there is not, that they are probabilities.
+    /// Kind of a state; probability for an unknown state.
     #[must_use]
     pub fn kind(&self, id: StateId) -> StateKind {
         self.info(id).map_or_else(StateKind::default, |info| info.kind)
     }
 
-    /// The model that the last update gave a state; an untrained one before its first.
+    /// The model of a state from the last update; the prior model before its first.
     #[must_use]
     pub fn model(&self, id: StateId) -> &StateModel {
         self.models.get(id.0 as usize).unwrap_or_else(|| self.prior_models.of(self.kind(id)))

@@ -1,6 +1,7 @@
-//! What the grid of a map is: choices made when the map is created, which never change afterwards.
+//! The specification of a grid: choices made when the map is created, which never change afterwards.
 //!
-//! Invariant: what [`GridSpec::check`] accepts keeps every cell of every valid tile at finite coordinates.
+//! Invariant: a specification that [`GridSpec::check`] accepts keeps every cell of every valid tile at finite
+//! coordinates.
 
 use super::index::{CellBox, CellIndex, TILE_EDGE, TILE_LIMIT};
 
@@ -10,9 +11,9 @@ pub const FRAME_BYTES_MAX: usize = 128;
 /// The fixed properties of a map's occupancy grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridSpec {
-    /// The map's frame, as robots call it, for example `map`; data in another frame is refused.
+    /// The name of the map's frame, for example `map`; data in another frame is refused.
     pub frame_id: String,
-    /// Whether the grid has the one layer z = 0 alone.
+    /// Whether the grid has only the layer z = 0.
     pub is_flat: bool,
     /// Length of a cell's edge in metres, 0.001 to 1000.
     pub resolution_m: f64,
@@ -57,7 +58,7 @@ impl Default for SensorNoise {
 }
 
 impl SensorNoise {
-    /// The values that a free and an occupied reading count as: P(occupied | reads free), P(occupied | reads occupied).
+    /// The values of a free and an occupied reading: P(occupied | reads free), P(occupied | reads occupied).
     #[must_use]
     pub fn levels(&self) -> (f64, f64) {
         let posterior = |if_occupied: f64, if_free: f64| {
@@ -68,13 +69,13 @@ impl SensorNoise {
     }
 }
 
-/// Why a grid's specification was refused.
+/// Why a grid specification is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum InvalidGrid {
     /// The frame id is empty, too long, or not printable.
     #[error("frame id {0:?}: it must have 1 to {FRAME_BYTES_MAX} printable characters")]
     Frame(String),
-    /// The resolution is not a length that makes sense.
+    /// The resolution is out of range.
     #[error("resolution {0} m: it must be between 0.001 and 1000")]
     Resolution(f64),
     /// The origin is too far away, or not a number.
@@ -85,13 +86,13 @@ pub enum InvalidGrid {
         .0.size()[0], .0.size()[1], .0.size()[2], .0.min.x, .0.min.y, .0.min.z, TILE_LIMIT * TILE_EDGE,
         if *.1 { ", and the layer z = 0 alone" } else { "" })]
     Extent(CellBox, bool),
-    /// The sensor's probabilities do not fit together.
+    /// The sensor's probabilities are inconsistent.
     #[error(
         "sensor noise hit {}, false alarm {}, prior {}: it must hold 0 <= false alarm < hit <= 1 and 0 < prior < 1",
         .0.hit, .0.false_alarm, .0.prior
     )]
     Sensor(SensorNoise),
-    /// The retention is not a positive time.
+    /// The retention is not positive.
     #[error("retention of {0} ns: it must be at least 1 ns")]
     Retention(i64),
 }
@@ -150,7 +151,7 @@ impl GridSpec {
         CellBox { min: CellIndex { x: -limit, y: -limit, z: -limit }, max: CellIndex { x: limit, y: limit, z: limit } }
     }
 
-    /// The cells that there may be.
+    /// The cells that may exist.
     #[must_use]
     pub fn allowed(&self) -> CellBox {
         let mut allowed = self.extent.unwrap_or_else(Self::limits);

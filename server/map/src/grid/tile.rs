@@ -38,17 +38,17 @@ pub struct Group {
 pub struct CellModel {
     /// Its place in the tile.
     pub cell: u16,
-    /// How often it was read as occupied.
+    /// Number of occupied readings.
     pub occupied: u64,
     /// Mean and strongest components.
     pub spectral: SpectralModel,
     /// Components in force.
     pub order: u8,
-    /// How well each order has predicted.
+    /// Decayed errors of each order.
     pub errors: OrderErrors,
 }
 
-/// What a generation says of a tile.
+/// The models of one tile in a generation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TileModel {
     /// Observation groups, by their lowest cell.
@@ -57,7 +57,7 @@ pub struct TileModel {
     pub always_occupied: Mask,
     /// Cells that have changed, ascending by place.
     pub cells: Vec<CellModel>,
-    /// What readings count; `None` where all are of the map's own sensor.
+    /// The weights of readings; `None` if all are of the map's own sensor.
     pub sensors: Option<Box<SensorWeights>>,
 }
 
@@ -117,7 +117,7 @@ impl TileModel {
         (mean(false), mean(true))
     }
 
-    /// Begins to keep what readings count, where it is not kept yet; all so far were of the map's own sensor.
+    /// Starts to keep the weights of readings; all so far were of the map's own sensor.
     pub(crate) fn keep_weights(&mut self) {
         if self.sensors.is_none() {
             let groups = self.groups.iter().map(|group| Weights::own(group.observations)).collect();
@@ -141,12 +141,11 @@ impl TileModel {
 /// The sums from which the next generation's models of a tile follow.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TileSums {
-    /// B_k of each group; of a group without a changed cell less what `runs` hold.
+    /// B_k of each group; for a group without a changed cell, without the part that `runs` hold.
     pub groups: Vec<Arc<PhasorSum>>,
     /// A_k of each changed cell, over its occupied readings, each weighted by β.
     pub cells: Vec<PhasorSum>,
-    /// When cells were observed that have no sum for it. Where there are any, no group has both changed cells and
-    /// others.
+    /// When cells without a complete sum were observed. Unless it is empty, no group has both changed cells and others.
     pub runs: ObservationRuns,
     /// Weighted sums of the groups; `None` where all their readings are of the map's own sensor.
     pub sensors: Option<Box<SensorSums>>,

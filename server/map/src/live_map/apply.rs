@@ -1,6 +1,6 @@
-//! Observations and scans into a map.
+//! Applying observations and scans to a map.
 //!
-//! Invariant: an event that does not follow from those before is refused; one that does moves its producer's mark on,
+//! Invariant: an event that is inconsistent with those before is refused; any other advances its producer's mark,
 //! whatever else it holds.
 
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::{
     view::{LIVE_CHUNK, LiveState},
 };
 
-/// How an event moves its producer's mark on.
+/// How an event advances its producer's mark.
 struct Advance<'a> {
     producer: ProducerId,
     new_producer: Option<&'a NewProducer>,
@@ -44,7 +44,7 @@ impl LiveMap {
         }
     }
 
-    /// Moves a producer's mark on.
+    /// Advances a producer's mark.
     fn advance(&mut self, event: &Advance<'_>) -> Result<(), String> {
         if let Some(NewProducer { key, sensor }) = event.new_producer {
             if event.producer.0 as usize != self.producers.len() || self.producer_ids.contains_key(key) {
@@ -81,7 +81,7 @@ impl LiveMap {
         Ok(())
     }
 
-    /// Refuses values beyond the bounds of their states' kinds. Nearly all events have probabilities alone, and cost
+    /// Refuses values outside the bounds of their states' kinds. Nearly all events have only probabilities, and cost
     /// one pass over their values.
     fn check_values(&self, event: &Observations) -> Result<(), String> {
         let is_probability = |value: &f64| StateKind::Probability.bounds().contains(value);

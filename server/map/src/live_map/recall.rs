@@ -1,7 +1,7 @@
-//! What was observed and lies in no history yet: observations that no update has taken.
+//! Pending readings, which no history holds yet.
 //!
-//! Invariant: with the history of all updates that have ended this is every observation that was acknowledged, but for
-//! those that a running update has.
+//! Invariant: together with the history of all finished updates, this is every acknowledged observation except those
+//! that a running update has taken.
 
 use tidemap_model::Sample;
 
@@ -19,8 +19,8 @@ impl LiveMap {
         self.generation
     }
 
-    /// Observations that no update has taken, from an instant up to but not including another, in order of arrival; no
-    /// more than the limit.
+    /// Observations that no update has taken, from one instant until before another, in order of arrival; at most
+    /// `at_most`.
     #[must_use]
     pub fn pending_readings(&self, subject: Subject, from_nanos: i64, to_nanos: i64, at_most: usize) -> Vec<Reading> {
         let within = from_nanos..to_nanos;

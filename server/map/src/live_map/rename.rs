@@ -1,6 +1,6 @@
-//! The states of a node that is renamed: they go with it, so that what was learned is found under the new name.
+//! The states of a renamed node: they are renamed with it, so that what was learned is found under the new name.
 //!
-//! Invariant: a state whose new name is taken keeps its own; [`renamed_states`] tells beforehand which these would be.
+//! Invariant: a state whose new name is taken keeps its own; [`renamed_states`] lists these beforehand.
 
 use super::LiveMap;
 use crate::{
@@ -10,11 +10,10 @@ use crate::{
     topology::TopologyEdit,
 };
 
-/// What becomes of a state's name.
+/// The new name of a state, or why it keeps the old one.
 pub type Renamed = Result<StateName, InvalidName>;
 
-/// The states among these that an edit renames: the number of each, and its new name. No edit but the renaming of a
-/// node renames any.
+/// The states that an edit renames: the number of each, and its new name. Only the renaming of a node renames any.
 pub fn renamed_states<'a, Id>(
     edit: &SiteEdit,
     states: impl Iterator<Item = (Id, &'a StateName)>,

@@ -1,6 +1,6 @@
-//! How a map hands an update out, and takes what it learned.
+//! How a map hands out an update, and publishes its result.
 //!
-//! Invariant: what an update takes is fixed by the log position of its start and by its cut.
+//! Invariant: the log position of its start and its cut determine what an update takes.
 
 use std::sync::Arc;
 
@@ -15,8 +15,8 @@ use crate::{
 };
 
 impl LiveMap {
-    /// The start of an update as the log is to hold it. `until_nanos`: fold in what is older; `None`: all there is.
-    /// Observations further ahead of `now_nanos` than [`FUTURE_MAX_NANOS`] always wait.
+    /// The start of an update for the log. `until_nanos`: learn older observations; `None`: all. Observations further
+    /// in the future of `now_nanos` than [`FUTURE_MAX_NANOS`] always wait.
     #[must_use]
     pub fn plan_update(&self, until_nanos: Option<i64>, now_nanos: i64, cause: UpdateCause) -> UpdateStart {
         let latest = now_nanos.saturating_add(FUTURE_MAX_NANOS).saturating_add(1);
@@ -36,7 +36,7 @@ impl LiveMap {
         }
         let Taken { by_state: samples, were_ahead } = self.pending.take_before(start.cut_nanos);
         for (state, sample) in were_ahead {
-            // Their time has come: from here on they are observations like all others.
+            // Their time has come: from here on they are like all others.
             let index = state.0 as usize;
             if let Some(live) = self.live.get_mut(index) {
                 live.persistence.observe(sample.utc_nanos, sample.value);
@@ -83,7 +83,7 @@ impl LiveMap {
         })
     }
 
-    /// Publishes what an update learned: one generation replaces another. Returns the snapshot for the store.
+    /// Publishes what an update learned as the new generation. Returns the snapshot for the store.
     pub fn finish_update(&mut self, result: UpdateResult) -> MapSnapshot {
         let UpdateResult { basis, models, grid, history, .. } = result;
         self.running = None;

@@ -1,25 +1,25 @@
-//! Edits of a topological map by the names of nodes, as they are asked for and kept in the log.
+//! Edits of a topological map by the names of nodes, as requests give them and the log keeps them.
 //!
-//! Invariant: an edit is applied whole or not at all, and leads to the same map whenever it is applied to the same one.
-//! A node or an edge that an edit keeps has the same number after it.
+//! Invariant: an edit is applied whole or not at all, and always changes the same map in the same way. A node or edge
+//! that an edit keeps has the same number after it.
 
 use std::collections::BTreeMap;
 
 use super::{Edge, EdgeId, Extent, Node, NodeId, NodePose, Topology, TopologyError, TopologyParts};
 use crate::name::StateName;
 
-/// A node that must be.
+/// A node to add or set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewNode {
     /// Its name.
     pub name: StateName,
     /// Where it lies, if that is known.
     pub pose: Option<NodePose>,
-    /// How long a visit takes, in seconds, if that is said.
+    /// Duration of a visit in seconds, if given.
     pub dwell_secs: Option<f64>,
 }
 
-/// Which edge, by the names of its ends.
+/// The ends of an edge, by name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EdgeEnds {
     /// Where it begins.
@@ -45,7 +45,7 @@ impl EdgeEnds {
     }
 }
 
-/// An edge that must be, or one that is to have another extent.
+/// An edge to add, or to give another extent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewEdge {
     /// Its ends and action.
@@ -59,16 +59,16 @@ pub struct NewEdge {
 pub enum TopologyEdit {
     /// A whole map at once.
     Load {
-        /// Nodes. Without `replaces`, none of them may be there yet.
+        /// The nodes. Without `replaces`, none of them may exist yet.
         nodes: Vec<NewNode>,
-        /// Edges, between these nodes or, without `replaces`, those that are there.
+        /// The edges, between these nodes or, without `replaces`, also existing ones.
         edges: Vec<NewEdge>,
-        /// Whether everything that is not named is removed. What is named again keeps its number.
+        /// Whether everything not named is removed. Named nodes and edges keep their numbers.
         replaces: bool,
     },
     /// A node is added.
     AddNode(NewNode),
-    /// The node of this name lies there, and a visit of it takes so long.
+    /// Sets the pose and visit duration of the node of this name.
     SetNode(NewNode),
     /// A node is removed, with all edges at it.
     RemoveNode(StateName),
@@ -79,16 +79,16 @@ pub enum TopologyEdit {
         /// The new name.
         to: StateName,
     },
-    /// An edge is added; both ways, or none.
+    /// An edge is added; both directions, or none.
     AddEdge(NewEdge),
-    /// An edge gets another length or time; both ways, those that there are.
+    /// An edge gets another length or time; with both directions, the existing ones.
     SetExtent(NewEdge),
-    /// An edge is removed; both ways, those that there are.
+    /// An edge is removed; with both directions, the existing ones.
     RemoveEdge(EdgeEnds),
 }
 
 impl Topology {
-    /// The map that an edit leads to.
+    /// The map after an edit.
     ///
     /// # Errors
     /// [`TopologyError`], with the node or edge that is wrong.
@@ -101,7 +101,7 @@ impl Topology {
         Ok(topology)
     }
 
-    /// An edit of a copy: an error may leave a part of it done.
+    /// Edits a copy: an error may leave it half edited.
     fn edit(&mut self, edit: &TopologyEdit) -> Result<(), TopologyError> {
         match edit {
             // Done by the caller.
@@ -142,7 +142,7 @@ impl Topology {
         Ok((self.node_named(ends.from.as_str())?.id, self.node_named(ends.to.as_str())?.id))
     }
 
-    /// The edges that are meant; at least one.
+    /// The edges with these ends; at least one.
     fn found(&self, ends: &EdgeEnds) -> Result<Vec<EdgeId>, TopologyError> {
         let (from, to) = self.ends(ends)?;
         let there = self.edge_between(from, to, ends.action.as_ref());
@@ -190,7 +190,7 @@ impl Topology {
             }
         }
         parts.nodes.sort_by_key(|node| node.id);
-        // Of an edge that is named twice the number is, too.
+        // A duplicate edge has a duplicate number.
         parts.edges.sort_by_key(|edge| edge.id);
         if let Some(pair) = parts.edges.windows(2).find(|pair| pair[0].id == pair[1].id) {
             return Err(TopologyError::DuplicateEdge(self.edge_name(&pair[0])));

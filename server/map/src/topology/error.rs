@@ -1,10 +1,10 @@
-//! Why a topological map cannot be as was asked.
+//! Why a topological map would be invalid.
 //!
-//! Invariant: each message names the node or edge that is wrong, with the value that was given.
+//! Invariant: each message names the node or edge that is wrong, with its value.
 
 use super::{EDGES_MAX, LENGTH_MAX_M, NODES_MAX, NOMINAL_MAX_SECS};
 
-/// Why a topological map cannot be as was asked.
+/// Why a topological map would be invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TopologyError {
     /// No node has this name.
@@ -25,33 +25,33 @@ pub enum TopologyError {
     /// Two edges would be the same.
     #[error("edge {0} exists already: edges between the same nodes need different actions")]
     DuplicateEdge(String),
-    /// Two nodes or two edges would have the same number, or one that is not given out yet.
+    /// Two nodes or edges would have the same number, or a number that was not assigned yet.
     #[error("{what} number {found} is used twice or not below the next one, {next}")]
     Number {
         /// "node" or "edge".
         what: &'static str,
         /// The number.
         found: u32,
-        /// The next number that is given out.
+        /// The next number to assign.
         next: u32,
     },
     /// An edge would end where it begins.
     #[error("the edge from {0:?} leads to itself: an edge joins two different nodes")]
     ToItself(String),
-    /// An edge's time is no time.
+    /// The time of an edge is invalid.
     #[error("edge {edge} takes {found} s: its time is above 0 s and at most {NOMINAL_MAX_SECS} s")]
     Duration {
         /// Names of both ends.
         edge: String,
-        /// What was given, in seconds.
+        /// The value, in seconds.
         found: f64,
     },
-    /// An edge's length is no length.
+    /// The length of an edge is invalid.
     #[error("edge {edge} is {found} m long: its length is above 0 m and at most {LENGTH_MAX_M} m")]
     Length {
         /// Names of both ends.
         edge: String,
-        /// What was given, in metres.
+        /// The value, in metres.
         found: f64,
     },
     /// An edge has neither length nor time.
@@ -60,15 +60,15 @@ pub enum TopologyError {
         /// Names of both ends.
         edge: String,
     },
-    /// A visit's time is no time.
+    /// The duration of a visit is invalid.
     #[error("a visit of node {node:?} takes {found} s: its time is 0 s to {NOMINAL_MAX_SECS} s")]
     Dwell {
         /// The node's name.
         node: String,
-        /// What was given, in seconds.
+        /// The value, in seconds.
         found: f64,
     },
-    /// A pose is no pose.
+    /// A pose is invalid.
     #[error("the pose of node {node:?} has the number {found}: coordinates are -{LENGTH_MAX_M} to {LENGTH_MAX_M} m")]
     Pose {
         /// The node's name.
@@ -82,7 +82,7 @@ pub enum TopologyError {
     /// The map would have too many edges.
     #[error("a map has at most {EDGES_MAX} edges, and a link is two of them")]
     TooManyEdges,
-    /// All numbers were given out.
+    /// All numbers are used up.
     #[error("this map has given out all numbers for its nodes or edges")]
     NumbersUsedUp,
 }

@@ -5,12 +5,12 @@
 use super::{Edge, EdgeId, Node, NodeId, Topology, TopologyError};
 use crate::name::{EdgeName, StateName};
 
-/// All that a topological map consists of.
+/// The parts of a topological map.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TopologyParts {
-    /// The number that the next node gets: above those of all nodes that ever were.
+    /// The number of the next node: above the numbers of all nodes that ever existed.
     pub next_node: u32,
-    /// The number that the next edge gets.
+    /// The number of the next edge.
     pub next_edge: u32,
     /// Nodes, ascending by number.
     pub nodes: Vec<Node>,
@@ -90,12 +90,12 @@ impl Topology {
         self.edges.values()
     }
 
-    /// The edges that begin at a node; none of a node that is not there.
+    /// The edges that leave a node; none for an unknown node.
     pub fn leaving(&self, node: NodeId) -> impl Iterator<Item = &Edge> {
         self.at(node).filter(move |edge| edge.from == node)
     }
 
-    /// The edges that begin or end at a node; none of a node that is not there.
+    /// The edges that begin or end at a node; none for an unknown node.
     pub fn at(&self, node: NodeId) -> impl Iterator<Item = &Edge> {
         self.at_node.get(&node).into_iter().flatten().filter_map(|id| self.edges.get(id))
     }

@@ -1,19 +1,19 @@
 //! Shortest times over a topological map, with a time for each of its edges.
 //!
-//! Invariant: every time is finite and above 0, so that a shortest way never comes twice to a node. What a question for
-//! all pairs may cost is bounded before it is answered.
+//! Invariant: every time is finite and above 0, so that a shortest path never visits a node twice. The cost of a query
+//! for all pairs is bounded before it is answered.
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
 use super::{Edge, NOMINAL_MAX_SECS, NodeId, Topology};
 
-/// Maximum number of pairs of nodes of which [`Roads::all_pairs`] keeps the times: 5,000 by 5,000, 200 MB.
+/// Maximum number of pairs of nodes for [`Roads::all_pairs`]: 5,000 by 5,000, 200 MB.
 pub const ROADS_PAIRS_MAX: usize = 25_000_000;
 
-/// Why there are no times.
+/// Why times cannot be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RoadsError {
-    /// An edge's time is no time.
+    /// The time of an edge is invalid.
     #[error("edge {edge} would take {found} s: its time is above 0 s and at most {NOMINAL_MAX_SECS} s")]
     Duration {
         /// Names of both ends.
@@ -21,7 +21,7 @@ pub enum RoadsError {
         /// Seconds.
         found: f64,
     },
-    /// More pairs than are kept.
+    /// There are too many pairs.
     #[error("times between {found} nodes: at most {ROADS_PAIRS_MAX} pairs are kept")]
     TooManyPairs {
         /// Nodes asked for.
@@ -29,23 +29,23 @@ pub enum RoadsError {
     },
 }
 
-/// When a node is reached, and from where.
+/// The time at which a node is reached, and the node before it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Arrival {
     /// Index of the node.
     pub node: usize,
-    /// Seconds after leaving the first.
+    /// Seconds after leaving the start.
     pub secs: f64,
 }
 
-/// A topological map with a time for each edge, for the search of ways. Nodes have indices here: 0 up, ascending by id.
+/// A topological map with a time for each edge, for path searches. Nodes have indices here: 0 up, ascending by id.
 #[derive(Clone, Debug)]
 pub struct Roads {
     nodes: Vec<NodeId>,
     dwell_secs: Vec<f64>,
     /// Where the edges of each node begin in `ways`; one more than nodes.
     first: Vec<u32>,
-    /// Where each edge leads, and in which time.
+    /// Target and time of each edge.
     ways: Vec<(u32, f64)>,
 }
 
@@ -104,19 +104,19 @@ impl Roads {
         self.nodes[index]
     }
 
-    /// How long a visit of the node of an index takes, in seconds; 0 where the map does not say.
+    /// Duration of a visit of a node, in seconds; 0 if the map does not give it.
     #[must_use]
     pub fn dwell_secs(&self, index: usize) -> f64 {
         self.dwell_secs[index]
     }
 
-    /// Where the edges of a node lead, and in which time; several may lead to the same node.
+    /// Targets and times of the edges of a node; several may lead to the same node.
     pub fn ways(&self, index: usize) -> impl ExactSizeIterator<Item = (usize, f64)> {
         let range = self.first[index] as usize..self.first[index + 1] as usize;
         self.ways[range].iter().map(|&(to, secs)| (to as usize, secs))
     }
 
-    /// Shortest times between all nodes, in seconds, row by row from each; infinite where no way leads.
+    /// Shortest times between all nodes, in seconds, one row per start; infinite without a path.
     ///
     /// # Errors
     /// [`RoadsError::TooManyPairs`].
@@ -134,27 +134,27 @@ impl Roads {
     }
 }
 
-/// Shortest times from one node (Dijkstra); keeps its buffers from one question to the next.
+/// Shortest times from one node (Dijkstra); reuses its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct ShortestTimes {
     secs: Vec<f64>,
     before: Vec<u32>,
-    /// Times as bits: those of numbers that are not negative have their order.
+    /// Times as bits, which order as the numbers do: none is negative.
     open: BinaryHeap<Reverse<(u64, u32)>>,
 }
 
 impl ShortestTimes {
-    /// Computes the times from the node of an index to all others.
+    /// Computes the times from a node to all others.
     pub fn from(&mut self, roads: &Roads, start: usize) {
         self.run(roads, start, |_| false);
     }
 
-    /// Computes the times from the node of an index until that to another is known; others may be missing, or too long.
+    /// Computes the times from a node until the time to another is known; the others may be missing, or too long.
     pub fn between(&mut self, roads: &Roads, start: usize, goal: usize) {
         self.run(roads, start, |node| node == goal);
     }
 
-    /// Computes the times from the node of an index along nodes that `open` lets through, the start being let through.
+    /// Computes the times from a node along nodes that `open` accepts; the start is accepted.
     pub fn from_through(&mut self, roads: &Roads, start: usize, open: impl Fn(usize) -> bool) {
         self.run_through(roads, start, |_| false, open);
     }
@@ -199,13 +199,13 @@ impl ShortestTimes {
         }
     }
 
-    /// The time to each node, in seconds; infinite where no way leads.
+    /// The time to each node, in seconds; infinite without a path.
     #[must_use]
     pub fn secs(&self) -> &[f64] {
         &self.secs
     }
 
-    /// The way to a node, without where it begins; empty where none leads, and for the start itself.
+    /// The path to a node, without the start; empty without a path, and for the start itself.
     #[must_use]
     pub fn way_to(&self, node: usize) -> Vec<Arrival> {
         let mut way = Vec::new();
