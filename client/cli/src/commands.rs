@@ -151,8 +151,8 @@ enum Command {
     /// reason; success is true or false. The map learns the probability of success as state edge/FROM/TO, and the speed
     /// as state speed/FROM/TO in metres per second. For an edge without a length it learns pace/FROM/TO, the nominal
     /// time divided by the actual time. For an edge with an action, /ACTION is appended. The same producer and label
-    /// continue where they stopped, as for observe; a single report has the label traverse by default. The exit status is
-    /// 0 only if no row was refused.
+    /// continue where they stopped, as for observe; a single report has the label traverse by default. The exit status
+    /// is 0 only if no row was refused.
     Traverse(traverse::TraverseArgs),
     /// Plans the order in which to search the nodes of the topological map for a target
     ///

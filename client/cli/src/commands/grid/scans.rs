@@ -35,7 +35,7 @@ pub(super) enum ScanInput {
     /// From a file of scans.
     Wire(FileScan),
     /// From a point cloud or a map.
-    Masks { time_nanos: i64, scan: Scan },
+    Single { time_nanos: i64, scan: Scan },
 }
 
 /// Scans that were read together, and the position of the reader.
@@ -68,7 +68,7 @@ pub(super) fn open(plan: ScanPlan, grid: &Grid) -> anyhow::Result<(ScanChunks, B
         for ((file, kind, time_nanos), position) in each.into_iter().zip(1..) {
             let scan = one_scan(&file, kind, &options, &grid, &notices).with_context(|| file.display().to_string());
             let failed = scan.is_err();
-            let chunk = scan.map(|scan| ScanChunk { scans: vec![ScanInput::Masks { time_nanos, scan }], position });
+            let chunk = scan.map(|scan| ScanChunk { scans: vec![ScanInput::Single { time_nanos, scan }], position });
             if sender.blocking_send(chunk).is_err() || failed {
                 return;
             }

@@ -110,25 +110,24 @@ impl ScanTransfer {
 
     async fn scan(&mut self, scan: ScanInput) -> Result<(), TransferEnd> {
         let number = self.read + 1;
-        self.from_options = matches!(scan, ScanInput::Masks { .. });
-        let senseless =
-            |error: TileError| TransferEnd::Unreadable(anyhow::anyhow!("scan {number} makes no sense: {error}"));
+        self.from_options = matches!(scan, ScanInput::Single { .. });
+        let invalid = |error: TileError| TransferEnd::Unreadable(anyhow::anyhow!("scan {number} is invalid: {error}"));
         if let Some(replay) = &mut self.replay {
             let followed = match scan {
                 ScanInput::Wire(scan) => replay.wire_scan(scan.time_nanos, &scan.new_tiles, scan.scan),
-                ScanInput::Masks { time_nanos, scan } => replay.scan(time_nanos, scan),
+                ScanInput::Single { time_nanos, scan } => replay.scan(time_nanos, scan),
             };
-            followed.map_err(senseless)?;
+            followed.map_err(invalid)?;
             (self.read, self.duplicate) = (number, self.duplicate + 1);
             return if number == self.sent_before { self.compared().await } else { Ok(()) };
         }
         let sent = match scan {
             ScanInput::Wire(scan) => self.producer.send_wire_scan(scan.time_nanos, &scan.new_tiles, scan.scan).await,
-            ScanInput::Masks { time_nanos, scan } => self.producer.send_scan(time_nanos, scan).await,
+            ScanInput::Single { time_nanos, scan } => self.producer.send_scan(time_nanos, scan).await,
         };
         match sent {
             Ok(sequence) => debug_assert_eq!(sequence, number),
-            Err(ProducerError::Tiles(error)) => return Err(senseless(error)),
+            Err(ProducerError::Tiles(error)) => return Err(invalid(error)),
             Err(error) => return Err(TransferEnd::Stopped(error)),
         }
         self.read = number;

@@ -197,21 +197,21 @@ mod tests {
         assert_eq!(message(&turned, &options()), (String::new(), false));
         assert_eq!(message(&bare, &posed), (String::new(), false));
         for cloud in [bare, file("bare.ply", "ply\n")?] {
-            let (error, misused) = message(&cloud, &options());
-            assert!(misused && error.contains("bare.") && error.contains("--pose"), "{error}");
+            let (error, is_usage) = message(&cloud, &options());
+            assert!(is_usage && error.contains("bare.") && error.contains("--pose"), "{error}");
         }
         let octomap = file("map.bt", "")?;
         assert_eq!(message(&octomap, &options()), (String::new(), false));
         for sensor in [&posed, &ScanOptions { max_range_m: Some(5.0), ..options() }] {
-            let (error, misused) = message(&octomap, sensor);
-            assert!(misused && error.contains("leave out --pose"), "{error}");
+            let (error, is_usage) = message(&octomap, sensor);
+            assert!(is_usage && error.contains("leave out --pose"), "{error}");
         }
         let ranges = |min, max| ScanOptions { min_range_m: Some(min), max_range_m: Some(max), ..posed.clone() };
         assert_eq!(message(&turned, &ranges(5.0, 0.0)), (String::new(), false));
-        let (error, misused) = message(&turned, &ranges(5.0, 3.0));
-        assert!(misused && error.contains("--min-range 5 is above --max-range 3"), "{error}");
-        let (error, misused) = message(&folder.path().join("absent.pcd"), &options());
-        assert!(!misused && error.contains("absent.pcd"), "{error}");
+        let (error, is_usage) = message(&turned, &ranges(5.0, 3.0));
+        assert!(is_usage && error.contains("--min-range 5 is above --max-range 3"), "{error}");
+        let (error, is_usage) = message(&folder.path().join("absent.pcd"), &options());
+        assert!(!is_usage && error.contains("absent.pcd"), "{error}");
         Ok(())
     }
 
