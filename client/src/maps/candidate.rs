@@ -26,8 +26,8 @@ pub enum Candidate {
 /// A text that does not name such a model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{0:?} is not a model that the nightly update chooses among: use spectral, histogram, calibrated, pergam, hypertime-em \
-     or hypertime-km, or all"
+    "{0:?} is not a model that the nightly update chooses among: use spectral, histogram, calibrated, pergam, \
+     hypertime-em or hypertime-km, or all"
 )]
 pub struct InvalidCandidate(pub String);
 

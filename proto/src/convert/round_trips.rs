@@ -95,7 +95,12 @@ proptest! {
     }
 
     #[test]
-    fn places_to_look_from_come_back(x_m in -1e3..1e3, y_m in -1e3..1e3, z_m in prop::option::of(-9.0..9.0), size in 0.1..3.0) {
+    fn viewpoints_come_back(
+        x_m in -1e3..1e3,
+        y_m in -1e3..1e3,
+        z_m in prop::option::of(-9.0..9.0),
+        size in 0.1..3.0,
+    ) {
         let viewpoint = Viewpoint { x_m, y_m, z_m, yaw_rad: size };
         prop_assert_eq!(viewpoint_from_wire(&viewpoint_to_wire(&viewpoint)), viewpoint);
         let sensor = Sensor { range_m: size, horizontal_fov_rad: size, vertical_fov_rad: size, height_m: size };

@@ -158,8 +158,8 @@ impl TileScans {
         }
         if let Some(number) = in_doubt {
             let text = format!(
-                "slot {number}: a scan before that named it was refused as malformed, and what its flips refer to is in \
-                 doubt: send the slot's masks whole"
+                "slot {number}: a malformed scan named it, so it is unknown what its flips refer to: send the slot's masks \
+                 whole"
             );
             return Err(ScanRefusal::malformed(text));
         }

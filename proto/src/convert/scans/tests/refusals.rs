@@ -69,7 +69,7 @@ fn flips_of_what_a_malformed_scan_named_need_masks_first() {
     };
     refused(&mut decoder, flips(&[], &[], &[77, 600]), RefusalReason::Scan, "place 77");
     for _ in 0..2 {
-        refused(&mut decoder, flips(&[], &[3], &[]), RefusalReason::Scan, "slot 0: a scan before");
+        refused(&mut decoder, flips(&[], &[3], &[]), RefusalReason::Scan, "slot 0: a malformed scan named it");
     }
     taken(&mut decoder, &[], flips(&[], &[1101], &[]));
     // Slot 2 is named by what is refused for slot 1.
