@@ -1,6 +1,6 @@
-//! The wire's side of the daemon: each service takes its request apart, asks the domain, and puts the reply together.
+//! The gRPC services: each decodes its request, asks the domain, and encodes the reply.
 //!
-//! Invariant: no decision about maps is taken here, and every error becomes a status in [`status`] and nowhere else.
+//! Invariant: nothing about maps is decided here, and every error becomes a status in [`status`] only.
 
 pub(crate) mod exploration;
 pub(crate) mod maintenance;

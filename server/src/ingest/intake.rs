@@ -34,7 +34,7 @@ const DETAIL_CHARS_MAX: usize = 200;
 /// and may be as long as a message.
 const TABLE_BYTES_PER_NAME: usize = 128;
 /// Bytes that a table may take even if it may hold only few names.
-const TABLE_BYTES_LEAST: usize = 1 << 20;
+const TABLE_BYTES_MIN: usize = 1 << 20;
 
 /// Why a message ends its stream.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -187,7 +187,7 @@ impl Intake {
     /// Checks sizes before anything is unpacked or kept.
     fn check_limits(&self, observations: usize, names: &[String]) -> Result<(), IntakeError> {
         let bytes = self.table_bytes + names.iter().map(String::len).sum::<usize>();
-        let max_bytes = self.limits.table.saturating_mul(TABLE_BYTES_PER_NAME).max(TABLE_BYTES_LEAST);
+        let max_bytes = self.limits.table.saturating_mul(TABLE_BYTES_PER_NAME).max(TABLE_BYTES_MIN);
         for (what, got, max, setting) in [
             ("observations of one message", observations, self.limits.batch, "setting max_batch_observations"),
             ("states of one stream", self.table.len() + names.len(), self.limits.table, "setting max_states_per_map"),

@@ -144,7 +144,7 @@ fn limits_are_errors_and_nothing_is_taken() {
 fn the_bytes_of_a_table_are_bounded() {
     let mut intake = intake();
     // Too long to be valid, but kept.
-    let long = "x".repeat(TABLE_BYTES_LEAST / 2);
+    let long = "x".repeat(TABLE_BYTES_MIN / 2);
     for sequence in 1..=2 {
         let batch = intake.take(message(sequence, &[&long], &[0], &[0], &[0.0])).expect("fine").expect("new");
         assert_eq!(batch.refused[0].reason, RefusalReason::StateName);
