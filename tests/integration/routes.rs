@@ -187,7 +187,7 @@ fn questions_of_routes_that_have_no_answer_are_refused() {
     route(&daemon, "lobby", "lab", &["--from", "0", "--to", "9000000", "--step", "1s"])
         .fails(1, &["departures", "1000"]);
     tidemap(&daemon, ["topology", "edit", "add-node", "b", "island"]).table();
-    route(&daemon, "lobby", "island", &["--at", &now]).fails(1, &["no way", "\"island\""]);
+    route(&daemon, "lobby", "island", &["--at", &now]).fails(1, &["no route", "\"island\""]);
     assert!(route(&daemon, "lobby", "lobby", &["--at", &now]).table().rows.is_empty());
     tidemap(&daemon, ["map", "create", "empty"]).table();
     tidemap(&daemon, ["route", "empty", "a", "b", "--at", &now]).fails(1, &["\"empty\" has no nodes"]);

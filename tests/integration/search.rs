@@ -328,14 +328,14 @@ fn what_cannot_be_is_refused_by_name() {
         tidemap(&daemon, ["update", "flat"]).table();
     };
     observe(&seen(&[("hall", 0), ("kitchen", 0)]), "nobody");
-    search(&daemon, "flat", "hall", START_SECS, &["--model", "mean"]).fails(1, &["nobody", "2 nodes"]);
+    search(&daemon, "flat", "hall", START_SECS, &["--model", "mean"]).fails(1, &["cannot be found", "2 observed nodes"]);
     load(&daemon, "flat", "node island\n", &["--add"]).table();
     observe(&seen(&[("island", 1)]), "island");
     let left = search(&daemon, "flat", "hall", START_SECS, &["--model", "mean"]);
     assert!(left.stderr.contains("no way leads to: island") && left.stderr.contains("100.00 %"), "{}", left.stderr);
     assert_eq!(left.table().column("node"), ["hall", "kitchen"]);
     edit(&["add-node", "flat", "reef"]).table();
-    search(&daemon, "flat", "reef", START_SECS, &[]).fails(1, &["\"reef\"", "no way"]);
+    search(&daemon, "flat", "reef", START_SECS, &[]).fails(1, &["\"reef\"", "no route"]);
     for (option, value) in
         [("--floor", "0"), ("--remains-below", "1.5"), ("--cost-per-second", "-1"), ("--speed", "-1")]
     {

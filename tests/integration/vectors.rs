@@ -87,7 +87,7 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
     assert_eq!((sent.number("accepted"), sent.number("refused")), (count as f64, 0.0));
     assert_eq!(kinds(&daemon), [["anna", "vector", "2", &count.to_string()].map(str::to_owned)]);
     // Before the first update the state is untrained.
-    tidemap(&daemon, ["position", "office", "anna", "--at", "now"]).fails(1, &["anna/x", "folded", "update"]);
+    tidemap(&daemon, ["position", "office", "anna", "--at", "now"]).fails(1, &["anna/x", "learned", "update"]);
     tidemap(&daemon, ["update", "office"]).table();
 
     let day = START_SECS + 23 * DAY_SECS;
