@@ -328,7 +328,8 @@ fn what_cannot_be_is_refused_by_name() {
         tidemap(&daemon, ["update", "flat"]).table();
     };
     observe(&seen(&[("hall", 0), ("kitchen", 0)]), "nobody");
-    search(&daemon, "flat", "hall", START_SECS, &["--model", "mean"]).fails(1, &["cannot be found", "2 observed nodes"]);
+    search(&daemon, "flat", "hall", START_SECS, &["--model", "mean"])
+        .fails(1, &["cannot be found", "2 observed nodes"]);
     load(&daemon, "flat", "node island\n", &["--add"]).table();
     observe(&seen(&[("island", 1)]), "island");
     let left = search(&daemon, "flat", "hall", START_SECS, &["--model", "mean"]);
