@@ -9,6 +9,7 @@ use tidemap_map::time::parse_duration;
 use tidemap_model::{StateKind, Zone};
 
 mod error;
+pub(super) mod keys;
 pub(super) mod model_entry;
 pub(super) mod raw;
 
@@ -18,7 +19,8 @@ mod tests;
 pub use error::ProtocolError;
 pub(crate) use model_entry::ModelEntry;
 
-use raw::{ProtocolFile, RawProtocol, RawTuning, Word, Words, from_yaml, parsed, required, whole};
+use keys::{ProtocolFile, from_yaml, parsed, required, whole};
+use raw::{RawProtocol, RawTuning, Word, Words};
 
 /// The meaning of the key `out`.
 pub(super) const OUT: &str = "the folder that results are written to";

@@ -18,7 +18,8 @@ use crate::{
     place_recording::DAY_MINUTES,
     protocol::{
         OUT,
-        raw::{ProtocolFile, Word, Words, from_yaml, parsed, required, whole},
+        keys::{ProtocolFile, from_yaml, parsed, required, whole},
+        raw::{Word, Words},
     },
 };
 

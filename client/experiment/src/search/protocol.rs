@@ -8,12 +8,13 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use tidemap_model::StateKind;
 
-use super::recorded_world::midnight_nanos;
 use crate::{
     place_recording::DAY_MINUTES,
     protocol::{
-        ModelEntry, OUT, ProtocolError, model_entry,
-        raw::{ProtocolFile, RawModel, RawTuning, Word, from_yaml, parsed, required, whole},
+        ModelEntry, OUT, ProtocolError,
+        keys::{ProtocolFile, from_yaml, parsed, required, whole},
+        model_entry,
+        raw::{RawModel, RawTuning, Word},
         tuning,
     },
 };
@@ -112,4 +113,11 @@ fn folds_of(written: &RawTuning, train_minutes: usize) -> Result<(usize, usize),
         return Err(wrong("so short that all folds are less than train_days, to leave training data before the first"));
     }
     Ok((tuning.folds, fold_minutes))
+}
+
+/// The local midnight at which a date starts, in nanoseconds since 1970-01-01T00:00 local; none if `date` is no date.
+fn midnight_nanos(date: &str) -> Option<i64> {
+    let date: jiff::civil::Date = date.parse().ok()?;
+    let timestamp = date.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp();
+    i64::try_from(timestamp.as_nanosecond()).ok()
 }

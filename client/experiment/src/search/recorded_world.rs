@@ -125,10 +125,3 @@ fn topology(written: &TopologyFile) -> Result<Topology, String> {
     }
     Ok(topology)
 }
-
-/// The local midnight at which a date starts, in nanoseconds since 1970-01-01T00:00 local; none if `date` is no date.
-pub(super) fn midnight_nanos(date: &str) -> Option<i64> {
-    let date: jiff::civil::Date = date.parse().ok()?;
-    let timestamp = date.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp();
-    i64::try_from(timestamp.as_nanosecond()).ok()
-}

@@ -12,7 +12,10 @@ use tidemap_sim::ExploredOffice;
 use super::{ExplorerKind, space::DAY_NANOS};
 use crate::{
     ProtocolError,
-    protocol::raw::{Word, parsed, whole},
+    protocol::{
+        keys::{parsed, whole},
+        raw::Word,
+    },
 };
 
 /// Maximum number of days.
