@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test docs lint bench durability install clean
+.PHONY: help build demo test docs lint bench soak durability install clean
 # The recipes of this file share one cargo, and cargo has its own jobs.
 .NOTPARALLEL:
 
@@ -60,6 +60,12 @@ lint:
 bench:
 	@$(SETUP)
 	@$(ENV); cargo bench --workspace --locked --benches $(ARGS)
+
+## soak: the slow tests of the store in full; `make test` runs short versions of them
+soak: export TIDEMAP_FULL := 1
+soak:
+	@$(SETUP) test
+	@$(ENV); cargo test --release --locked -p tidemap-store --lib
 
 ## durability: many rounds of kill -9 and power cuts against the real daemon
 durability: export TIDEMAP_KILL_ROUNDS ?= 100

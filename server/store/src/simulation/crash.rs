@@ -3,6 +3,7 @@
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 
 use super::{disk::SimulatedDisk, machine::Machine};
+use crate::tests::is_full;
 
 /// Acknowledged records, and logs whose beginning was deleted.
 fn run(seed: u64) -> (u64, u64) {
@@ -41,7 +42,8 @@ fn run(seed: u64) -> (u64, u64) {
 #[test]
 fn nothing_acknowledged_is_lost_in_any_seed() {
     let add = |(a, b): (u64, u64), (c, d): (u64, u64)| (a + c, b + d);
-    let (acknowledged, shortened) = (0..1000).map(run).fold((0, 0), add);
-    assert!(acknowledged > 10_000, "too little was tried: {acknowledged}");
-    assert!(shortened > 100, "too few segments were deleted: {shortened}");
+    let seeds = if is_full() { 1_000 } else { 200 };
+    let (acknowledged, shortened) = (0..seeds).map(run).fold((0, 0), add);
+    assert!(acknowledged > 10 * seeds, "too little was tried: {acknowledged}");
+    assert!(shortened > seeds / 10, "too few segments were deleted: {shortened}");
 }

@@ -16,6 +16,7 @@ use tidemap_model::Sample;
 use super::{
     example::options,
     grid_example::{DAY_NANOS, piece, snapshot, spec},
+    is_full,
 };
 use crate::{History, HistoryError, HistorySizes, MapId, Report, Store};
 
@@ -274,7 +275,7 @@ fn every_damaged_byte_is_noticed_and_the_file_is_named() {
             days(&history, 0, i64::MAX, None).map(drop)
         };
         read().expect("good");
-        for byte in 0..good.len() {
+        for byte in (0..good.len()).step_by(if is_full() { 1 } else { 5 }) {
             let mut bad = good.clone();
             bad[byte] ^= 1 << random.random_range(0..8);
             fs::write(&file, &bad).expect("writable");
