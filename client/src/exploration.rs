@@ -6,10 +6,14 @@ pub use tidemap_plan::{
     strategy::{Budget, Strategy},
     view::{Sensor, Viewpoint},
 };
-use tidemap_proto::convert::exploration::{budget_to_wire, sensor_to_wire, strategy_to_wire, viewpoint_to_wire};
-use tidemap_proto::convert::query::selector_to_wire;
-use tidemap_proto::convert::time::{duration, timestamp};
-use tidemap_proto::v1::{self, exploration_service_client::ExplorationServiceClient};
+use tidemap_proto::{
+    convert::{
+        exploration::{budget_to_wire, sensor_to_wire, strategy_to_wire, viewpoint_to_wire},
+        query::selector_to_wire,
+        time::{duration, timestamp},
+    },
+    v1::{self, exploration_service_client::ExplorationServiceClient},
+};
 
 use crate::{
     connection::{Client, Connection},

@@ -20,9 +20,10 @@ pub use reconstruct::Reconstruction;
 pub use tidemap_map::selector::{InvalidModel, ModelKind, ModelSelector};
 pub use tidemap_model::ORDER_MAX;
 
-use tidemap_proto::convert::query::selector_from_wire;
-use tidemap_proto::convert::time::instant;
-use tidemap_proto::v1::{self, query_service_client::QueryServiceClient};
+use tidemap_proto::{
+    convert::{query::selector_from_wire, time::instant},
+    v1::{self, query_service_client::QueryServiceClient},
+};
 
 use crate::{
     connection::{Client, Connection, REPLY_BYTES_MAX},

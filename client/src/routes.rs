@@ -4,12 +4,16 @@
 
 use std::fmt;
 
-use tidemap_proto::convert::query::selector_to_wire;
-use tidemap_proto::convert::search::{effort_to_wire, stop_from_wire};
-use tidemap_proto::convert::time::{duration, timestamp};
-use tidemap_proto::v1::{
-    self, edit_topology_request::Edit, route_service_client::RouteServiceClient,
-    search_service_client::SearchServiceClient, topology_service_client::TopologyServiceClient,
+use tidemap_proto::{
+    convert::{
+        query::selector_to_wire,
+        search::{effort_to_wire, stop_from_wire},
+        time::{duration, timestamp},
+    },
+    v1::{
+        self, edit_topology_request::Edit, route_service_client::RouteServiceClient,
+        search_service_client::SearchServiceClient, topology_service_client::TopologyServiceClient,
+    },
 };
 
 mod path;

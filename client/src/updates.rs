@@ -2,8 +2,10 @@
 //!
 //! Invariant: a failed job is a value, not an error: the request for it succeeded.
 
-use tidemap_proto::convert::time::{instant, span, timestamp};
-use tidemap_proto::v1::{self, maintenance_service_client::MaintenanceServiceClient};
+use tidemap_proto::{
+    convert::time::{instant, span, timestamp},
+    v1::{self, maintenance_service_client::MaintenanceServiceClient},
+};
 use tonic::Streaming;
 
 use crate::{

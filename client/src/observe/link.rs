@@ -9,10 +9,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_proto::convert::map::refusal_from_wire;
-use tidemap_proto::v1::{
-    Ack, Goodbye, GoodbyeReason, Hello, ObserveRequest, ObserveResponse, ProducerSensor, Welcome,
-    observation_service_client::ObservationServiceClient, observe_request, observe_response,
+use tidemap_proto::{
+    convert::map::refusal_from_wire,
+    v1::{
+        Ack, Goodbye, GoodbyeReason, Hello, ObserveRequest, ObserveResponse, ProducerSensor, Welcome,
+        observation_service_client::ObservationServiceClient, observe_request, observe_response,
+    },
 };
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;

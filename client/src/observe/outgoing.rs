@@ -5,9 +5,9 @@
 
 use std::collections::VecDeque;
 
-use tidemap_proto::convert::traversals::BATCH_TEXT_BYTES_MAX;
-use tidemap_proto::v1::{
-    ObservationBatch, ObserveRequest, ScanBatch, Traversal, TraversalBatch, Welcome, observe_request::Message,
+use tidemap_proto::{
+    convert::traversals::BATCH_TEXT_BYTES_MAX,
+    v1::{ObservationBatch, ObserveRequest, ScanBatch, Traversal, TraversalBatch, Welcome, observe_request::Message},
 };
 
 use super::{

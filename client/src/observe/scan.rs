@@ -4,8 +4,10 @@
 
 pub use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
-use tidemap_proto::convert::grid::pose_to_wire;
-use tidemap_proto::v1::{self, scan::Content};
+use tidemap_proto::{
+    convert::grid::pose_to_wire,
+    v1::{self, scan::Content},
+};
 
 /// Maximum number of bytes of a scan on the wire in addition to its points, masks and flips.
 const FRAME_BYTES: usize = 256;

@@ -4,13 +4,14 @@
 //! order in which the daemon applied them, and missed observations are counted.
 
 pub use tidemap_map::anomaly::Anomaly;
-use tidemap_proto::convert::query::selector_to_wire;
-use tidemap_proto::v1;
+use tidemap_proto::{
+    convert::{query::selector_to_wire, time::timestamp},
+    v1,
+};
 use tonic::Streaming;
 
 use super::ModelSelector;
 use crate::{connection::Client, error::Error};
-use tidemap_proto::convert::time::timestamp;
 
 /// What counts as an anomaly (T-RO 2017, section V): the model predicts the contrary with this confidence. For other
 /// kinds than probabilities: the value lies outside the prediction interval of a single value with this confidence.

@@ -4,8 +4,10 @@
 
 use std::collections::HashMap;
 
-use tidemap_proto::convert::query::selector_to_wire;
-use tidemap_proto::v1::{self, EvaluateStatesRequest, evaluate_states_request::Message};
+use tidemap_proto::{
+    convert::query::selector_to_wire,
+    v1::{self, EvaluateStatesRequest, evaluate_states_request::Message},
+};
 use tokio::{sync::mpsc, task::JoinHandle};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;

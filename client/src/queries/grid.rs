@@ -4,9 +4,10 @@
 
 mod tile;
 
-use tidemap_proto::convert::query::selector_to_wire;
-use tidemap_proto::convert::time::timestamp;
-use tidemap_proto::v1::{self, predict_grid_response::Message};
+use tidemap_proto::{
+    convert::{query::selector_to_wire, time::timestamp},
+    v1::{self, predict_grid_response::Message},
+};
 use tonic::Streaming;
 
 pub use tile::{CellPrediction, PredictedTile};

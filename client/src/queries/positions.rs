@@ -3,13 +3,14 @@
 //! Invariant: each requested time is answered once, in order; cells lie in the region of the header. A reply that omits
 //! or reorders anything is an error.
 
-use tidemap_proto::convert::query::selector_to_wire;
-use tidemap_proto::v1::{self, predict_positions_response::Message};
+use tidemap_proto::{
+    convert::{query::selector_to_wire, time::instant},
+    v1::{self, predict_positions_response::Message},
+};
 use tonic::Streaming;
 
 use super::ModelSelector;
 use crate::{connection::Client, error::Error};
-use tidemap_proto::convert::time::instant;
 
 /// A request for positions of a vector.
 #[derive(Clone, Debug, Default, PartialEq)]

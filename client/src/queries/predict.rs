@@ -5,13 +5,14 @@
 
 use std::ops::Range;
 
-use tidemap_proto::convert::query::selector_to_wire;
-use tidemap_proto::v1;
+use tidemap_proto::{
+    convert::{query::selector_to_wire, time::instant},
+    v1,
+};
 use tonic::Streaming;
 
 use super::ModelSelector;
 use crate::{connection::Client, error::Error};
-use tidemap_proto::convert::time::instant;
 
 /// Limits of one request of the daemon, with a margin in the bytes.
 const STATES_MAX: usize = 10_000;

@@ -2,11 +2,10 @@
 //!
 //! Invariant: observations come by time, each once, within the requested interval; anything else is an error.
 
-use tidemap_proto::v1;
+use tidemap_proto::{convert::time::timestamp, v1};
 use tonic::Streaming;
 
 use crate::{connection::Client, error::Error};
-use tidemap_proto::convert::time::timestamp;
 
 /// A reply in progress.
 #[derive(Debug)]

@@ -2,10 +2,14 @@
 //!
 //! Invariant: times are nanoseconds UTC; each edge is predicted for the time at which the robot reaches it.
 
-use tidemap_proto::convert::query::selector_to_wire;
-use tidemap_proto::convert::route::{objective_to_wire, route_certainty_from_wire};
-use tidemap_proto::convert::time::{duration, instant, timestamp};
-use tidemap_proto::v1::{self, plan_route_request};
+use tidemap_proto::{
+    convert::{
+        query::selector_to_wire,
+        route::{objective_to_wire, route_certainty_from_wire},
+        time::{duration, instant, timestamp},
+    },
+    v1::{self, plan_route_request},
+};
 
 use super::{Certainty, EdgeEnds, Objective};
 use crate::{connection::Client, error::Error, queries::ModelSelector};

@@ -2,9 +2,13 @@
 //!
 //! Invariant: probabilities and shares are in the order of the nodes.
 
-use tidemap_proto::convert::query::selector_to_wire;
-use tidemap_proto::convert::time::{duration, instant, timestamp};
-use tidemap_proto::v1;
+use tidemap_proto::{
+    convert::{
+        query::selector_to_wire,
+        time::{duration, instant, timestamp},
+    },
+    v1,
+};
 
 use crate::{connection::Client, error::Error, queries::ModelSelector};
 
