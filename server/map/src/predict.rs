@@ -144,7 +144,7 @@ fn predict_state(
 ) {
     match selector.kind {
         ModelKind::Mean => out.fill(kind.saturate(spectral.mean())),
-        ModelKind::Latest => out.fill(persistence.last().map_or_else(|| kind.unlearned(), |(_, value)| value)),
+        ModelKind::Latest => out.fill(persistence.last().map_or_else(|| kind.untrained(), |(_, value)| value)),
         _ => spectral.predict_values_into(kind, order, &times.phasors, out),
     }
     if selector.persistence {

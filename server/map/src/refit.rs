@@ -222,7 +222,7 @@ fn due<'a>(
     readings_max: u64,
 ) -> Option<Due<'a>> {
     let (known, folded) = (model.alternatives()?, model.accumulator());
-    let (newest, day) = (folded.last_nanos()?, known.folded_day()?);
+    let (newest, day) = (folded.last_nanos()?, known.learned_day()?);
     let span_nanos = newest.abs_diff(folded.first_nanos()?).max(1) as f64;
     let window_nanos = span_nanos.min(REFIT_NANOS as f64);
     // Assumes a constant rate of readings.

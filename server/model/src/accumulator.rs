@@ -73,7 +73,7 @@ impl Accumulator {
     /// Mean value μ = S/n. Without observations 0.5 for a probability, else 0.
     pub fn mean(&self) -> f64 {
         if self.parts.observations == 0 {
-            return self.kind.unlearned();
+            return self.kind.untrained();
         }
         self.kind.saturate(self.parts.sum / self.parts.weight)
     }

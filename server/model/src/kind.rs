@@ -76,11 +76,11 @@ impl StateKind {
     /// The nearest number in the bounds; for NaN the prediction of an untrained state.
     pub fn saturate(self, value: f64) -> f64 {
         let bounds = self.bounds();
-        if value.is_nan() { self.unlearned() } else { value.clamp(*bounds.start(), *bounds.end()) }
+        if value.is_nan() { self.untrained() } else { value.clamp(*bounds.start(), *bounds.end()) }
     }
 
     /// The prediction of an untrained state: 0.5 for a probability, else 0.
-    pub fn unlearned(self) -> f64 {
+    pub fn untrained(self) -> f64 {
         if self == StateKind::Probability { 0.5 } else { 0.0 }
     }
 

@@ -59,7 +59,7 @@ impl StateModel {
     /// An untrained state of the given kind. It predicts 0.5 for a probability, else 0.
     pub fn of_kind(kind: StateKind) -> StateModel {
         let accumulator = Accumulator::of_kind(kind);
-        let spectral = SpectralModel::from_parts_of(kind, kind.unlearned(), 0, Vec::new()).unwrap_or_default();
+        let spectral = SpectralModel::from_parts_of(kind, kind.untrained(), 0, Vec::new()).unwrap_or_default();
         StateModel { accumulator, spectral, order: 0, errors: OrderErrors::default(), alternatives: None }
     }
 
@@ -192,7 +192,7 @@ impl StateModel {
             let length = rest.iter().position(|sample| sample.local_day() > day).unwrap_or(rest.len());
             let (of_day, later) = rest.split_at(length);
             self.score_day(periodicities, rules, day, of_day, &mut outcome);
-            self.fold_in(periodicities, rules, day, of_day);
+            self.learn_day(periodicities, rules, day, of_day);
             // Refitted each day, so that the next day is scored with the knowledge before it.
             self.spectral = SpectralModel::fit(&self.accumulator, periodicities);
             if let Some(alternatives) = &mut self.alternatives {
@@ -206,14 +206,14 @@ impl StateModel {
     }
 
     /// Learns a day, each observation weighted by its age in local days.
-    fn fold_in(&mut self, periodicities: &Periodicities, rules: UpdateRules, day: LocalDay, of_day: &[Sample]) {
+    fn learn_day(&mut self, periodicities: &Periodicities, rules: UpdateRules, day: LocalDay, of_day: &[Sample]) {
         let alternatives = self.alternatives.get_or_insert_with(|| Box::new(Alternatives::new(rules.models)));
         let Some(half_life_days) = rules.half_life_days else {
             self.accumulator.add(periodicities, of_day);
             alternatives.add(day, of_day);
             return;
         };
-        let age_days = alternatives.folded_day().map_or(0, |last| i64::from(day.0) - i64::from(last.0));
+        let age_days = alternatives.learned_day().map_or(0, |last| i64::from(day.0) - i64::from(last.0));
         let factor = 0.5_f64.powf(age_days.unsigned_abs() as f64 / half_life_days);
         if age_days >= 0 {
             self.accumulator.fade(factor);

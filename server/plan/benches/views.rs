@@ -20,7 +20,7 @@ use tidemap_map::{
 use tidemap_plan::{
     predicted::{Lattice, PredictedTimes},
     tour::{TourQuestion, plan_tour, plan_tour_with},
-    view::{Fan, Scene, SceneOptions, Sensor, TimedScene, ViewLimits, ViewScorer, Viewpoint, look_many},
+    view::{Fan, Scene, SceneOptions, Sensor, TimedScene, ViewLimits, ViewScorer, Viewpoint, view_many},
 };
 
 use crate::office::{Office, SIZE, TIMES};
@@ -47,18 +47,18 @@ fn looks(c: &mut Criterion) {
     group.bench_function("rays", |b| b.iter(|| Fan::new(&sensor, scene.lattice(), 0.0)));
     let fan = Fan::new(&sensor, scene.lattice(), 0.0).expect("valid");
     println!("hall: {} rays, {} nodes, {} cells", fan.rays(), fan.len(), fan.cells());
-    let mut looker = ViewScorer::new(&fan);
-    group.bench_function("hall", |b| b.iter(|| looker.look(&scene, &fan, CellIndex { x: 50, y: 50, z: 50 })));
+    let mut scorer = ViewScorer::new(&fan);
+    group.bench_function("hall", |b| b.iter(|| scorer.view(&scene, &fan, CellIndex { x: 50, y: 50, z: 50 })));
     let office = Office::new();
     let day = &*DAY;
     let scene = Scene::new(&day.at(48).expect("a time"), &SceneOptions::default()).expect("valid");
     let fan = Fan::new(&sensor, scene.lattice(), 0.0).expect("valid");
     println!("office: {} rays, {} nodes, {} cells", fan.rays(), fan.len(), fan.cells());
-    let mut looker = ViewScorer::new(&fan);
+    let mut scorer = ViewScorer::new(&fan);
     let viewpoints = office.viewpoints(500, day, &sensor);
     let cells: Vec<CellIndex> = viewpoints.iter().filter_map(|at| scene.stand(&sensor, at).ok()).collect();
     group.bench_function("office_500", |b| {
-        b.iter(|| cells.iter().map(|&at| looker.look(&scene, &fan, at).information_bits).sum::<f64>());
+        b.iter(|| cells.iter().map(|&at| scorer.view(&scene, &fan, at).information_bits).sum::<f64>());
     });
     group.finish();
 }
@@ -74,7 +74,7 @@ fn day(c: &mut Criterion) {
     let scene = TimedScene::new(day, &SceneOptions::default()).expect("valid");
     let run = |viewpoints: &[Viewpoint]| {
         let mut sum = 0.0;
-        let told = look_many(&scene, &sensor, viewpoints, ViewLimits::default(), |_, told| {
+        let told = view_many(&scene, &sensor, viewpoints, ViewLimits::default(), |_, told| {
             sum += told.into_iter().flatten().flatten().sum::<f64>();
             ControlFlow::Continue(())
         });
@@ -87,7 +87,7 @@ fn day(c: &mut Criterion) {
         b.iter(|| {
             let mut sum = 0.0;
             single.install(|| {
-                let told = look_many(&scene, &sensor, &viewpoints, ViewLimits::default(), |_, told| {
+                let told = view_many(&scene, &sensor, &viewpoints, ViewLimits::default(), |_, told| {
                     sum += told.into_iter().flatten().flatten().sum::<f64>();
                     ControlFlow::Continue(())
                 });

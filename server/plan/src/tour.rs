@@ -161,13 +161,13 @@ pub fn plan_tour_with(
         let (budget_secs, least_secs) = (budget.budget_secs, budget.least_secs());
         return Ok(Tour::none(NoTour::Budget { budget_secs, least_secs }, candidates.len(), looks));
     }
-    let mut tour = told(&scene, &candidates, &chosen, &order, &budget);
+    let mut tour = tour_of(&scene, &candidates, &chosen, &order, &budget);
     (tour.candidates, tour.looks) = (candidates.len(), looks);
     Ok(tour)
 }
 
 /// The tour through goals in an order.
-fn told(
+fn tour_of(
     scene: &Scene,
     candidates: &[TourCandidate],
     chosen: &[TourGoal],

@@ -22,7 +22,7 @@ mod timed;
 mod tests;
 
 pub use fan::Fan;
-pub use many::{TooMuchWork, ViewLimits, look_many};
+pub use many::{TooMuchWork, ViewLimits, view_many};
 pub use scene::{InvalidThreshold, Scene, SceneOptions, ViewGain, ViewScorer};
 pub use timed::{TimedScene, TimedViewScorer};
 

@@ -131,7 +131,7 @@ struct Errors {
     /// The same of each histogram; `None` where they are not tried.
     histograms: Option<[f64; HISTOGRAMS.len()]>,
     last_day: Option<LocalDay>,
-    folded_day: Option<LocalDay>,
+    learned_day: Option<LocalDay>,
     choice: ModelChoice,
 }
 
@@ -204,7 +204,7 @@ impl Alternatives {
 
     /// Whether a refit of the model of the given kind is due.
     pub(super) fn is_fit_due(&self, kind: FitKind) -> bool {
-        let Some(folded) = self.parts.folded_day else { return false };
+        let Some(folded) = self.parts.learned_day else { return false };
         match &self.fits[kind.index()] {
             None => self.days >= REFIT_DAYS,
             Some(fit) => {
@@ -332,7 +332,7 @@ impl Alternatives {
     /// The first local day whose readings are worth fitting to: since the change alarm last rang, once seven days have
     /// passed. `None`: all are.
     pub fn fit_since(&self) -> Option<LocalDay> {
-        let folded = i64::from(self.parts.folded_day?.0);
+        let folded = i64::from(self.parts.learned_day?.0);
         self.since.filter(|since| folded - i64::from(since.0) + 1 >= i64::from(REFIT_DAYS))
     }
 
@@ -352,8 +352,8 @@ impl Alternatives {
     }
 
     /// The last learned local day.
-    pub fn folded_day(&self) -> Option<LocalDay> {
-        self.parts.folded_day
+    pub fn learned_day(&self) -> Option<LocalDay> {
+        self.parts.learned_day
     }
 
     /// Learns a day. A call must not split an hour, or days would seem to differ more.
@@ -362,8 +362,8 @@ impl Alternatives {
         for sample in samples {
             self.succession.observe(sample.utc_nanos, sample.value);
         }
-        if self.parts.folded_day.is_none_or(|last| day > last) {
-            self.parts.folded_day = Some(day);
+        if self.parts.learned_day.is_none_or(|last| day > last) {
+            self.parts.learned_day = Some(day);
             self.days = self.days.saturating_add(1);
         }
     }

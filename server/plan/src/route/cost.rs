@@ -77,7 +77,7 @@ impl Costing {
     }
 
     /// The cost as reported to the user.
-    pub(super) fn shown(&self, cost: Cost) -> f64 {
+    pub(super) fn reported(&self, cost: Cost) -> f64 {
         if self.objective == Objective::Success { cost.first * LOG_STEP } else { cost.first }
     }
 }

@@ -38,7 +38,7 @@ pub(super) fn iterate(
     let (mut walk, mut accepted) = (best.clone(), best.clone());
     // A short search is a single cycle.
     let (mut cycle, mut done, mut cycles) = (CYCLE.min(rounds), 0, 0);
-    walk.look_at(NEAR[0]);
+    walk.consider_nearest(NEAR[0]);
     for _ in 0..rounds {
         if until() {
             break;
@@ -57,7 +57,7 @@ pub(super) fn iterate(
         if done == cycle {
             (cycle, done, cycles) = (cycle.saturating_mul(2), 0, cycles + 1);
             accepted.copy_from(&best);
-            walk.look_at(NEAR[cycles % NEAR.len()]);
+            walk.consider_nearest(NEAR[cycles % NEAR.len()]);
         }
         walk.copy_from(&accepted);
     }

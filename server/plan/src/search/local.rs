@@ -103,7 +103,7 @@ impl<'a> SearchWalk<'a> {
     }
 
     /// Sets the number of nearest goals that are considered.
-    pub(crate) fn look_at(&mut self, reach: usize) {
+    pub(crate) fn consider_nearest(&mut self, reach: usize) {
         self.reach = reach;
     }
 

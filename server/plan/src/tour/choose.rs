@@ -75,7 +75,7 @@ pub(super) struct GoalSelection<'a> {
     seen: Vec<Option<Vec<u32>>>,
     kept: usize,
     entries: BinaryHeap<GainBound>,
-    lookers: Mutex<Vec<ViewScorer>>,
+    scorers: Mutex<Vec<ViewScorer>>,
     looks: usize,
 }
 
@@ -98,7 +98,7 @@ impl<'a> GoalSelection<'a> {
             seen: vec![None; candidates.len()],
             kept: 0,
             entries: BinaryHeap::new(),
-            lookers: Mutex::default(),
+            scorers: Mutex::default(),
             looks: 0,
         };
         choice.entries = (0..candidates.len()).map(|candidate| choice.entry(candidate, false)).collect();
@@ -144,14 +144,14 @@ impl<'a> GoalSelection<'a> {
             if batch.is_empty() {
                 return;
             }
-            let look = |candidate: usize| match &self.seen[candidate] {
+            let evaluate = |candidate: usize| match &self.seen[candidate] {
                 Some(seen) => (candidate, self.new_bits(seen), None),
                 None => {
                     let seen = self.see(candidate);
                     (candidate, self.new_bits(&seen), Some(seen))
                 }
             };
-            let new: Vec<(usize, f64, Option<Vec<u32>>)> = batch.into_par_iter().map(look).collect();
+            let new: Vec<(usize, f64, Option<Vec<u32>>)> = batch.into_par_iter().map(evaluate).collect();
             for (candidate, bits, seen) in new {
                 self.bits[candidate] = bits;
                 self.entries.push(self.entry(candidate, true));
@@ -173,16 +173,16 @@ impl<'a> GoalSelection<'a> {
 
     /// Evaluates a candidate.
     fn see(&self, candidate: usize) -> Vec<u32> {
-        let lookers = || self.lookers.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = lookers().pop();
-        let mut looker = known.unwrap_or_else(|| ViewScorer::new(self.fan));
+        let scorers = || self.scorers.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = scorers().pop();
+        let mut scorer = known.unwrap_or_else(|| ViewScorer::new(self.fan));
         let mut seen = Vec::new();
-        looker.each(self.scene, self.fan, self.candidates[candidate].cell, |place| {
+        scorer.each(self.scene, self.fan, self.candidates[candidate].cell, |place| {
             if self.scene.bits_at(place) > 0.0 {
                 seen.push(place as u32);
             }
         });
-        lookers().push(looker);
+        scorers().push(scorer);
         seen.shrink_to_fit();
         seen
     }

@@ -79,7 +79,7 @@ impl Fans<'_> {
 ///
 /// # Errors
 /// [`TooMuchWork`], before the work begins.
-pub fn look_many(
+pub fn view_many(
     scene: &TimedScene,
     sensor: &Sensor,
     viewpoints: &[Viewpoint],
@@ -94,15 +94,15 @@ pub fn look_many(
         return Err(TooMuchWork::Work { views, times, work, max: limits.max_work });
     }
     for (round, viewpoints) in viewpoints.chunks(ROUND).enumerate() {
-        let look = |looker: &mut TimedViewScorer, at: &Viewpoint| {
+        let evaluate = |scorer: &mut TimedViewScorer, at: &Viewpoint| {
             let from = match scene.stand(sensor, at) {
                 Ok(from) => from,
                 Err(error) => return Ok(Err(error)),
             };
-            Ok(Ok(looker.look(scene, fans.of(at.yaw_rad)?.as_ref(), from)))
+            Ok(Ok(scorer.view(scene, fans.of(at.yaw_rad)?.as_ref(), from)))
         };
         let told: Vec<Result<_, InvalidSensor>> =
-            viewpoints.par_iter().map_init(|| TimedViewScorer::new(&first), look).collect();
+            viewpoints.par_iter().map_init(|| TimedViewScorer::new(&first), evaluate).collect();
         for (number, told) in (round * ROUND..).zip(told) {
             if tell(number, told?).is_break() {
                 return Ok(());

@@ -133,20 +133,20 @@ impl Scene {
 pub struct ViewScorer {
     /// For each cell of the fan twice the number of the last view that saw it, plus one if it is opaque.
     marks: Vec<u8>,
-    look: u8,
+    view: u8,
 }
 
 impl ViewScorer {
     /// Memory for the rays of a fan.
     #[must_use]
     pub fn new(fan: &Fan) -> ViewScorer {
-        ViewScorer { marks: vec![0; fan.cells()], look: 0 }
+        ViewScorer { marks: vec![0; fan.cells()], view: 0 }
     }
 
     /// The view from the centre of a cell of the region, occupied or not; empty outside the region, and for rays of a
     /// region of another size.
     #[must_use]
-    pub fn look(&mut self, scene: &Scene, fan: &Fan, from: CellIndex) -> ViewGain {
+    pub fn view(&mut self, scene: &Scene, fan: &Fan, from: CellIndex) -> ViewGain {
         let mut seen = ViewGain::default();
         self.each(scene, fan, from, |place| {
             seen.information_bits += scene.bits[place];
@@ -169,20 +169,20 @@ impl ViewScorer {
         if self.marks.len() < fan.cells() {
             self.marks.resize(fan.cells(), 0);
         }
-        self.look += 1;
-        if self.look == 128 {
+        self.view += 1;
+        if self.view == 128 {
             self.marks.fill(0);
-            self.look = 1;
+            self.view = 1;
         }
-        let (look, marks) = (self.look, &mut self.marks[..fan.cells()]);
+        let (view, marks) = (self.view, &mut self.marks[..fan.cells()]);
         let mut at = 0;
         while let Some(&cell) = fan.nodes.get(at) {
             let cell = cell as usize;
             let mut mark = marks[cell];
-            if mark >> 1 != look {
+            if mark >> 1 != view {
                 let place = start.wrapping_add_signed(fan.offsets[cell] as isize);
                 let flags = scene.flags[place];
-                mark = look << 1 | flags & OPAQUE;
+                mark = view << 1 | flags & OPAQUE;
                 marks[cell] = mark;
                 if flags & OUTSIDE == 0 {
                     seen(place);

@@ -109,12 +109,12 @@ fn scene(grid: &PredictedGrid) -> Scene {
     Scene::new(grid, &SceneOptions::default()).unwrap()
 }
 
-/// A reported result of [`look_many`].
+/// A reported result of [`view_many`].
 type Told = Vec<(usize, Result<Vec<Option<f64>>, ViewError>)>;
 
 fn look_at_all(scene: &TimedScene, sensor: &Sensor, viewpoints: &[Viewpoint]) -> Told {
     let mut all = Vec::new();
-    let told = look_many(scene, sensor, viewpoints, ViewLimits::default(), |number, told| {
+    let told = view_many(scene, sensor, viewpoints, ViewLimits::default(), |number, told| {
         all.push((number, told));
         ControlFlow::Continue(())
     });
@@ -160,12 +160,12 @@ proptest! {
         let grid = PredictedGrid::from_fn(Arc::clone(&lattice), free);
         let (scene, fan) = (scene(&grid), Fan::new(&sensor, &lattice, yaw).unwrap());
         let expected = oracle(&grid, &sensor, from, yaw);
-        let mut looker = ViewScorer::new(&fan);
+        let mut scorer = ViewScorer::new(&fan);
         for _ in 0..2 {
-            let mut cells = looker.cells(&scene, &fan, from);
+            let mut cells = scorer.cells(&scene, &fan, from);
             cells.sort();
             prop_assert_eq!(&cells, &expected.keys().copied().collect::<Vec<_>>());
-            let seen = looker.look(&scene, &fan, from);
+            let seen = scorer.view(&scene, &fan, from);
             prop_assert_eq!(seen.cells, expected.len() as u64);
             prop_assert!((seen.information_bits - expected.values().sum::<f64>()).abs() < 1e-9);
         }
@@ -203,13 +203,13 @@ proptest! {
         let scenes: Vec<Scene> = (0..times).map(|time| scene(&day.at(time).unwrap())).collect();
         for ((number, told), at) in all.iter().zip(&viewpoints) {
             let fan = Fan::new(&sensor, &lattice, at.yaw_rad).unwrap();
-            let mut looker = ViewScorer::new(&fan);
+            let mut scorer = ViewScorer::new(&fan);
             for (time, scene) in scenes.iter().enumerate() {
                 let told = told.as_ref().ok().and_then(|told| told[time]);
                 match scene.stand(&sensor, at) {
                     Err(_) => prop_assert_eq!(told, None),
                     Ok(from) => {
-                        let alone = looker.look(scene, &fan, from).information_bits;
+                        let alone = scorer.view(scene, &fan, from).information_bits;
                         let told = told.unwrap();
                         prop_assert!((told - alone).abs() < 1e-9, "view {} time {}: {} {}", number, time, told, alone);
                     }
@@ -274,7 +274,7 @@ fn a_bad_viewpoint_costs_the_others_nothing() {
     let numbers: Vec<usize> = all.iter().map(|(number, _)| *number).collect();
     assert_eq!(numbers, [0, 1, 2, 3, 4, 5, 6]);
     let fan = Fan::new(&sensor, &lattice, 0.0).unwrap();
-    let alone = ViewScorer::new(&fan).look(&scene(&grid), &fan, cell(5, 15, 0)).information_bits;
+    let alone = ViewScorer::new(&fan).view(&scene(&grid), &fan, cell(5, 15, 0)).information_bits;
     assert!((all[0].1.as_ref().unwrap()[1].unwrap() - alone).abs() < 1e-9);
     assert!(matches!(all[1].1, Err(ViewError::NotFinite(_))));
     assert!(matches!(all[2].1, Err(ViewError::NotFinite(_))));
@@ -292,7 +292,7 @@ fn telling_can_be_ended() {
     let sensor = Sensor { range_m: 0.3, ..Sensor::default() };
     let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 9];
     let mut told = 0;
-    let answer = look_many(&timed, &sensor, &viewpoints, ViewLimits::default(), |_, _| {
+    let answer = view_many(&timed, &sensor, &viewpoints, ViewLimits::default(), |_, _| {
         told += 1;
         if told == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
@@ -306,7 +306,7 @@ fn what_costs_too_much_is_refused_before_it_begins() {
     let timed = TimedScene::new(&day, &SceneOptions::default()).unwrap();
     let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 100];
     let limits = ViewLimits { max_work: 10_000 };
-    let answer = look_many(&timed, &Sensor::default(), &viewpoints, limits, |_, _| unreachable!());
+    let answer = view_many(&timed, &Sensor::default(), &viewpoints, limits, |_, _| unreachable!());
     assert!(answer.unwrap_err().to_string().starts_with("100 views at 4 times"));
 }
 

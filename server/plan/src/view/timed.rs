@@ -117,7 +117,7 @@ pub struct TimedViewScorer {
     /// For each cell of the fan the number of the last view that saw it, times 256, and its flags; [`WHOLE`] if it is
     /// visible at all times.
     marks: Vec<u16>,
-    look: u16,
+    view: u16,
     /// Index in `partly` of a cell visible at some times.
     slots: Vec<u32>,
     partly: Vec<PartialCell>,
@@ -130,13 +130,13 @@ impl TimedViewScorer {
     #[must_use]
     pub fn new(fan: &Fan) -> TimedViewScorer {
         let (marks, slots) = (vec![0; fan.cells()], vec![0; fan.cells()]);
-        TimedViewScorer { marks, look: 0, slots, partly: Vec::new(), branches: Vec::new() }
+        TimedViewScorer { marks, view: 0, slots, partly: Vec::new(), branches: Vec::new() }
     }
 
     /// Expected information in bits of the view from the centre of a cell of the region at each of the times; `None` at
     /// times at which that cell is probably occupied, outside the region, and for rays of a region of another size.
     #[must_use]
-    pub fn look(&mut self, scene: &TimedScene, fan: &Fan, from: CellIndex) -> Vec<Option<f64>> {
+    pub fn view(&mut self, scene: &TimedScene, fan: &Fan, from: CellIndex) -> Vec<Option<f64>> {
         let mut told = Vec::with_capacity(scene.times);
         let Some(start) = scene.lattice.place(from).filter(|_| fan.fits(&scene.lattice)) else {
             told.resize(scene.times, None);
@@ -163,7 +163,7 @@ impl TimedViewScorer {
     /// One pass, from a place that is free at these times of a chunk.
     fn pass(&mut self, scene: &TimedScene, fan: &Fan, start: usize, (chunk, free): (usize, u128), bits: &mut [f64]) {
         self.begin(fan);
-        let look = self.look << 8;
+        let view = self.view << 8;
         let row = |place: usize| {
             let from = scene.numbers[place] as usize * scene.times + chunk * CHUNK;
             &scene.rows[from..from + bits.len()]
@@ -178,7 +178,7 @@ impl TimedViewScorer {
             let cell = cell as usize;
             let place = || start.wrapping_add_signed(fan.offsets[cell] as isize);
             let mark = self.marks[cell];
-            let mut flags = if mark & 0xff00 == look { mark as u8 } else { scene.flags[place()] };
+            let mut flags = if mark & 0xff00 == view { mark as u8 } else { scene.flags[place()] };
             if flags & (WHOLE | OUTSIDE) == 0 {
                 if times == free {
                     if flags & PARTLY != 0 {
@@ -197,7 +197,7 @@ impl TimedViewScorer {
                     self.slots[cell] = self.partly.len() as u32;
                     self.partly.push(PartialCell { place: place(), times });
                 }
-                self.marks[cell] = look | u16::from(flags);
+                self.marks[cell] = view | u16::from(flags);
             }
             let open = match flags & (FLIPS | OPAQUE) {
                 0 => times,
@@ -236,10 +236,10 @@ impl TimedViewScorer {
             self.marks.resize(fan.cells(), 0);
             self.slots.resize(fan.cells(), 0);
         }
-        self.look += 1;
-        if self.look == 256 {
+        self.view += 1;
+        if self.view == 256 {
             self.marks.fill(0);
-            self.look = 1;
+            self.view = 1;
         }
         self.partly.clear();
         self.branches.clear();

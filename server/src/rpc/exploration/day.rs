@@ -10,7 +10,7 @@ use tidemap_plan::{
     information::Certainty,
     predicted::{PredictOptions, PredictedTimes},
     strategy::Gains,
-    view::{SceneOptions, Sensor, TimedScene, Viewpoint, look_many},
+    view::{SceneOptions, Sensor, TimedScene, Viewpoint, view_many},
 };
 use tidemap_proto::{
     convert::{
@@ -148,7 +148,7 @@ async fn view_gains(
         let scene = TimedScene::new(&grid, &looks.scene)?;
         let reachability = view.site().reachability();
         let mut rows: Vec<Vec<f64>> = Vec::with_capacity(looks.viewpoints.len());
-        look_many(&scene, &looks.sensor, &looks.viewpoints, limits, |number, told| {
+        view_many(&scene, &looks.sensor, &looks.viewpoints, limits, |number, told| {
             let at = looks.viewpoints.get(number).copied().unwrap_or_default();
             let rate = reachability.rate(at.x_m, at.y_m).rate;
             let bits = told.unwrap_or_else(|_| vec![None; middles.len()]);

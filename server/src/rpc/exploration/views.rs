@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 
 use tidemap_plan::{
     predicted::{PredictOptions, PredictedTimes},
-    view::{TimedScene, Viewpoint, look_many},
+    view::{TimedScene, Viewpoint, view_many},
 };
 use tidemap_proto::{
     convert::{
@@ -58,7 +58,7 @@ pub(super) async fn evaluate_views(
             }
             if sink.send(reply) { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
-        look_many(&scene, &sensor, &viewpoints, limits, tell).map_err(PlanError::from)?;
+        view_many(&scene, &sensor, &viewpoints, limits, tell).map_err(PlanError::from)?;
         Ok(())
     }))
 }

@@ -30,7 +30,7 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Al
         hours,
         error_sums_bits: parts.error_sums.iter().map(|sum| sum.to_bits()).collect(),
         errors_last_day: parts.last_day.map(|day| day.0),
-        folded_day: parts.folded_day.map(|day| day.0),
+        folded_day: parts.learned_day.map(|day| day.0),
         choice: u32::from(parts.choice),
         weight_bits: weight.map(f64::to_bits),
         alarm: Some(v2::Alarm {
@@ -82,7 +82,7 @@ pub(crate) fn decode(of: StateKind, message: &v2::Alternatives) -> Result<Altern
         hours: HourTableParts { cells: week.as_chunks::<2>().0.to_vec(), days: days.as_chunks::<3>().0.to_vec() },
         error_sums: message.error_sums_bits.iter().map(|&bits| f64::from_bits(bits)).collect(),
         last_day: message.errors_last_day.map(LocalDay),
-        folded_day: message.folded_day.map(LocalDay),
+        learned_day: message.folded_day.map(LocalDay),
         choice: u8::try_from(message.choice).map_err(|_| "the chosen model of a state is not known")?,
         alarm: ChangeAlarmParts {
             kinds: [kind(weekdays), kind(weekends)],

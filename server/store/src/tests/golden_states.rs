@@ -59,7 +59,7 @@ pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
         hours: HourTableParts { cells, days },
         error_sums: vec![4.0, 3.5, 0.1, 7.25],
         last_day: Some(LocalDay(19_675)),
-        folded_day: Some(LocalDay(19_676)),
+        learned_day: Some(LocalDay(19_676)),
         choice: if calibrated.flatten().is_some() { 128 } else { 2 },
         alarm: ChangeAlarmParts {
             kinds: [kind(20.5), kind(8.0)],

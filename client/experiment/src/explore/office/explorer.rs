@@ -112,7 +112,7 @@ pub(super) struct Explorer {
     last: Vec<LastValue>,
     /// Whether each cell was seen since the round started.
     round: Vec<bool>,
-    looker: ViewScorer,
+    scorer: ViewScorer,
 }
 
 impl Explorer {
@@ -134,7 +134,7 @@ impl Explorer {
             reachability: Reachability::default(),
             last: vec![LastValue::Never; space.cells()],
             round: vec![false; space.cells()],
-            looker: ViewScorer::new(&space.fan),
+            scorer: ViewScorer::new(&space.fan),
         })
     }
 
@@ -250,7 +250,7 @@ impl Explorer {
         findings: &mut Findings,
     ) -> Result<(), OfficeError> {
         let mut tiles: HashMap<TileIndex, (Mask, Mask)> = HashMap::new();
-        for cell in self.looker.cells(&truth.scene, &space.fan, from) {
+        for cell in self.scorer.cells(&truth.scene, &space.fan, from) {
             let number = space.number(cell);
             let now = if truth.is_occupied(number) { LastValue::Occupied } else { LastValue::Free };
             let before = std::mem::replace(&mut self.last[number], now);

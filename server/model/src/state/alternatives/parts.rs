@@ -24,7 +24,7 @@ pub struct AlternativesParts {
     /// The last local day that was scored.
     pub last_day: Option<LocalDay>,
     /// The last learned local day.
-    pub folded_day: Option<LocalDay>,
+    pub learned_day: Option<LocalDay>,
     /// The model in force: 0 the spectral model, from 128 on that of [`FitKind::ALL`], else the number of the
     /// histogram, from 1.
     pub choice: u8,
@@ -60,7 +60,7 @@ impl Alternatives {
             hours: self.hours.to_parts(),
             error_sums: [self.parts.spectral].into_iter().chain(self.parts.histograms.into_iter().flatten()).collect(),
             last_day: self.parts.last_day,
-            folded_day: self.parts.folded_day,
+            learned_day: self.parts.learned_day,
             choice: match self.parts.choice {
                 ModelChoice::Spectral => 0,
                 ModelChoice::Histogram(number) => number + 1,
@@ -124,7 +124,7 @@ impl Alternatives {
                 spectral,
                 histograms,
                 last_day: parts.last_day,
-                folded_day: parts.folded_day,
+                learned_day: parts.learned_day,
                 choice: choice.ok_or(unknown)?,
             },
             alarm: ChangeAlarm::from_parts(parts.alarm)?,

@@ -49,8 +49,8 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
             expected_secs: walked.iter().map(|step| step.expected_secs).sum(),
             success: walked.iter().map(|step| step.success).product(),
             success_interval: chance.interval(confidence),
-            cost: self.cache.costing.shown(found.cost),
-            steps: walked.into_iter().map(|step| step.shown(confidence)).collect(),
+            cost: self.cache.costing.reported(found.cost),
+            steps: walked.into_iter().map(|leg| leg.step(confidence)).collect(),
         })
     }
 
@@ -106,7 +106,7 @@ pub(super) struct RouteLeg<'a> {
 }
 
 impl RouteLeg<'_> {
-    fn shown(&self, confidence: f64) -> RouteStep {
+    fn step(&self, confidence: f64) -> RouteStep {
         RouteStep {
             edge: self.edge.id,
             from: self.edge.from,

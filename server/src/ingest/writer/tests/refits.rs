@@ -86,7 +86,7 @@ async fn updates_that_are_run_again_fit_the_same_models() {
     let expected = learn(dir.path(), Retention::Forever).await;
     let known = expected.alternatives().expect("learned");
     // First after seven days, then every seven.
-    let newest = known.folded_day().expect("folded").0;
+    let newest = known.learned_day().expect("folded").0;
     for kind in FitKind::ALL {
         let (model, day) = known.fit(kind).expect("fitted");
         assert_eq!((model.kind(), newest - day.0), (kind, 3));
