@@ -29,7 +29,6 @@
 //! assert!(open > 0.95);
 //! ```
 #![forbid(unsafe_code)]
-#![warn(unreachable_pub)]
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod accumulator;

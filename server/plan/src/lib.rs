@@ -3,7 +3,6 @@
 //! Invariant: no I/O, no clock, no hidden randomness (a seed is an argument). Information is in bits. The cost of a
 //! request is bounded before the work begins; an error names the limit.
 #![forbid(unsafe_code)]
-#![warn(unreachable_pub)]
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod day;

@@ -6,12 +6,12 @@ use tidemap_map::grid::index::CellIndex;
 use tidemap_plan::{predicted::PredictedTimes, view::Sensor, view::Viewpoint};
 
 /// Cells along x, y, z.
-pub const SIZE: [i32; 3] = [200, 128, 25];
+pub(crate) const SIZE: [i32; 3] = [200, 128, 25];
 /// Quarters of an hour of a day.
-pub const TIMES: usize = 96;
+pub(crate) const TIMES: usize = 96;
 
 /// The office.
-pub struct Office {
+pub(crate) struct Office {
     /// Lowest and highest corner of furniture, and whether it changes over the day.
     things: Vec<([i32; 3], [i32; 3], bool)>,
 }
@@ -22,7 +22,7 @@ fn random(seed: &mut u64, below: u64) -> i32 {
 }
 
 impl Office {
-    pub fn new() -> Office {
+    pub(crate) fn new() -> Office {
         let mut seed = 1;
         let mut things = Vec::new();
         for number in 0..90 {
@@ -47,7 +47,7 @@ impl Office {
     }
 
     /// Probability of a cell being occupied at a time; `None` if it was never observed.
-    pub fn probability(&self, cell: CellIndex, time: usize) -> Option<f32> {
+    pub(crate) fn probability(&self, cell: CellIndex, time: usize) -> Option<f32> {
         if Office::wall(cell) {
             return Some(1.0);
         }
@@ -72,7 +72,7 @@ impl Office {
     }
 
     /// The given number of places that are free all day.
-    pub fn viewpoints(&self, count: usize, day: &PredictedTimes, sensor: &Sensor) -> Vec<Viewpoint> {
+    pub(crate) fn viewpoints(&self, count: usize, day: &PredictedTimes, sensor: &Sensor) -> Vec<Viewpoint> {
         let grids: Vec<_> = [0, 32, 48, 64].iter().filter_map(|&time| day.at(time)).collect();
         let mut seed = 7;
         let mut viewpoints = Vec::new();
