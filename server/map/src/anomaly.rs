@@ -25,7 +25,7 @@ pub struct InvalidConfidence(pub f64);
 
 impl Confidence {
     /// 0.99, with which the paper finds the visitor at midnight (T-RO 2017, figure 4).
-    pub const DEFAULT: Self = Self(0.99);
+    pub(crate) const DEFAULT: Self = Self(0.99);
 
     /// Checks a confidence.
     ///
@@ -55,7 +55,7 @@ impl Default for Confidence {
 /// s'(t, c) = p(t) ≥ c (eq. 9). Both sides include the threshold here, so that they are alike and that a model which is
 /// certain can be contradicted at confidence 1; and a value between 0 and 1 counts as the one that it is nearer to.
 #[must_use]
-pub fn is_anomalous(value: f64, probability: f64, confidence: Confidence) -> bool {
+pub(crate) fn is_anomalous(value: f64, probability: f64, confidence: Confidence) -> bool {
     if value < 0.5 { probability >= confidence.0 } else { probability <= 1.0 - confidence.0 }
 }
 

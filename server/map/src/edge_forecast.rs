@@ -27,7 +27,7 @@ mod tests;
 pub use edges::EdgeForecasts;
 
 /// Lowest success probability of a learned forecast.
-pub const LEARNED_SUCCESS_MIN: f64 = 0.001;
+pub(crate) const LEARNED_SUCCESS_MIN: f64 = 0.001;
 /// Success probability of an edge in a map without reports, and its weight in reports.
 const SUCCESS_PRIOR: (f64, f64) = (0.9, 10.0);
 /// Weight, in reports, of the map as the prior of an edge, and minimum weight of the edge's model as the prior of an

@@ -62,7 +62,7 @@ impl Spreads {
 impl MapView {
     /// How much single hours of a state differ; `None` for an untrained state.
     #[must_use]
-    pub fn spreads(&self, id: StateId) -> Option<Spreads> {
+    pub(crate) fn spreads(&self, id: StateId) -> Option<Spreads> {
         self.model(id).alternatives().map(|known| Spreads::of(known.hours()))
     }
 

@@ -16,7 +16,7 @@ pub use edge::{EDGE_STATE_CHARS_MAX, EdgeName, EdgeState};
 /// Maximum number of characters of a state's or producer's name.
 pub const NAME_CHARS_MAX: usize = 128;
 /// Maximum number of characters of a map's name.
-pub const MAP_NAME_CHARS_MAX: usize = 63;
+pub(crate) const MAP_NAME_CHARS_MAX: usize = 63;
 
 /// Why a name is not accepted. The payload is the name, shortened and escaped for display.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -215,7 +215,7 @@ impl StateName {
     ///
     /// # Errors
     /// [`InvalidName::TooLong`].
-    pub fn with_node_renamed(&self, from: &str, to: &StateName) -> Option<Result<Self, InvalidName>> {
+    pub(crate) fn with_node_renamed(&self, from: &str, to: &StateName) -> Option<Result<Self, InvalidName>> {
         if let Some((what, mut edge)) = self.as_edge() {
             let ends = [&mut edge.from, &mut edge.to].into_iter().filter(|end| end.as_str() == from);
             let renamed = ends.map(|end| *end = to.clone()).count();

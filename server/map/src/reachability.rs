@@ -13,11 +13,11 @@ use std::collections::BTreeMap;
 mod tests;
 
 /// Length of a cell's edge, metres.
-pub const REACHABILITY_CELL_M: f64 = 0.5;
+pub(crate) const REACHABILITY_CELL_M: f64 = 0.5;
 /// Number of newest attempts that count for a cell.
-pub const REACHABILITY_ATTEMPTS: u32 = 5;
+pub(crate) const REACHABILITY_ATTEMPTS: u32 = 5;
 /// Coordinates lie within ± this, metres.
-pub const REACHABILITY_LIMIT_M: f64 = 1e7;
+pub(crate) const REACHABILITY_LIMIT_M: f64 = 1e7;
 
 /// Where a cell of 50 cm is: x and y in cells from the origin of the map's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

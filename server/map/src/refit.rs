@@ -25,7 +25,7 @@ mod tests;
 /// Maximum number of models of a kind that one update fits: as many as take a few minutes, so that a night with very
 /// many states ends. The longest-waiting go first; the others wait for the next update that learns new data of theirs.
 #[must_use]
-pub const fn refits_max(kind: FitKind) -> usize {
+pub(crate) const fn refits_max(kind: FitKind) -> usize {
     match kind {
         FitKind::Calibrated => REFITS_MAX,
         FitKind::Pergam => 1_000,
@@ -34,7 +34,7 @@ pub const fn refits_max(kind: FitKind) -> usize {
 }
 
 /// Maximum number of calibrated models that an update fits; they are the cheapest.
-pub const REFITS_MAX: usize = 2_000;
+pub(crate) const REFITS_MAX: usize = 2_000;
 
 const SEC_NANOS: i64 = 1_000_000_000;
 const DAY_NANOS: i64 = 86_400 * SEC_NANOS;

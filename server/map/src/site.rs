@@ -21,7 +21,7 @@ mod tests;
 pub const LOCATIONS_MAX: usize = 10_000;
 
 /// Maximum number of states of a location.
-pub const LOCATION_STATES_MAX: usize = 4_096;
+pub(crate) const LOCATION_STATES_MAX: usize = 4_096;
 
 /// Farthest from the map's origin that a place may be, metres.
 pub const PLACE_MAX_M: f64 = 1e7;
@@ -80,7 +80,7 @@ pub enum InvalidEdit {
     #[error("location {0:?} names a state that the map does not have, or one twice")]
     States(String),
     /// The map has the maximum number of locations.
-    #[error("the map has {0} locations, as many as there may be")]
+    #[error("the map has the maximum of {0} locations")]
     TooManyLocations(usize),
     /// There is no such location.
     #[error("location {0:?} does not exist")]
@@ -93,8 +93,7 @@ pub enum InvalidEdit {
     Topology(#[from] TopologyError),
     /// A state of a renamed node would have the name of another state.
     #[error(
-        "state {state:?} goes with the node and would be called {name:?}, but there is a state of that name: choose another \
-         name"
+        "state {state:?} of the node would be renamed to {name:?}, but a state of that name exists: choose another name"
     )]
     StateExists {
         /// The state of the node.
@@ -103,7 +102,7 @@ pub enum InvalidEdit {
         name: String,
     },
     /// A state of a renamed node would have an invalid name.
-    #[error("a state goes with the node: {0}")]
+    #[error("a state of the node cannot be renamed: {0}")]
     StateName(#[from] InvalidName),
 }
 

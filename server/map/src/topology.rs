@@ -23,11 +23,11 @@ pub use roads::{Arrival, ROADS_PAIRS_MAX, Roads, RoadsError, ShortestTimes};
 use crate::name::StateName;
 
 /// Maximum number of nodes of a map.
-pub const NODES_MAX: usize = 100_000;
+pub(crate) const NODES_MAX: usize = 100_000;
 /// Maximum number of edges of a map; a link is two edges.
-pub const EDGES_MAX: usize = 1_000_000;
+pub(crate) const EDGES_MAX: usize = 1_000_000;
 /// Longest edge, in metres, and greatest coordinate of a pose.
-pub const LENGTH_MAX_M: f64 = 1e7;
+pub(crate) const LENGTH_MAX_M: f64 = 1e7;
 /// Longest nominal time of an edge or a visit, in seconds: about 30 years.
 pub const NOMINAL_MAX_SECS: f64 = 1e9;
 
@@ -277,7 +277,7 @@ impl Topology {
     ///
     /// # Errors
     /// [`TopologyError`] where the edge is unknown or a number is out of range.
-    pub fn set_extent(&mut self, id: EdgeId, extent: Extent) -> Result<(), TopologyError> {
+    pub(crate) fn set_extent(&mut self, id: EdgeId, extent: Extent) -> Result<(), TopologyError> {
         let edge = self.edge(id)?;
         extent.check(|| self.edge_name(edge))?;
         if let Some(edge) = self.edges.get_mut(&id) {

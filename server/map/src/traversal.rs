@@ -16,11 +16,11 @@ use crate::{
 
 /// Longest accepted traversal, nanoseconds: a day. States are learned by the time of day, which has no meaning for
 /// longer ones; and a wrong unit or a clock jump would be learned as an edge at a standstill.
-pub const TRAVERSAL_MAX_NANOS: i64 = 86_400_000_000_000;
+pub(crate) const TRAVERSAL_MAX_NANOS: i64 = 86_400_000_000_000;
 /// Maximum number of characters of the reason of a failure.
-pub const REASON_CHARS_MAX: usize = 200;
+pub(crate) const REASON_CHARS_MAX: usize = 200;
 /// Maximum number of failed traversals that a map keeps.
-pub const FAILURES_MAX: usize = 1_000;
+pub(crate) const FAILURES_MAX: usize = 1_000;
 
 /// A robot travelled an edge, or tried to.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -143,7 +143,7 @@ fn travel(extent: Extent) -> (EdgeState, f64) {
 ///
 /// # Errors
 /// [`TopologyError::UnknownNodeId`] where the edge is of another map.
-pub fn success_state(topology: &Topology, edge: &Edge) -> Result<StateName, TopologyError> {
+pub(crate) fn success_state(topology: &Topology, edge: &Edge) -> Result<StateName, TopologyError> {
     topology.edge_in_words(edge).map(|name| name.state(EdgeState::Success))
 }
 
@@ -152,7 +152,7 @@ pub fn success_state(topology: &Topology, edge: &Edge) -> Result<StateName, Topo
 ///
 /// # Errors
 /// [`TopologyError::UnknownNodeId`] where the edge is of another map.
-pub fn travel_state(topology: &Topology, edge: &Edge) -> Result<(EdgeState, StateName), TopologyError> {
+pub(crate) fn travel_state(topology: &Topology, edge: &Edge) -> Result<(EdgeState, StateName), TopologyError> {
     let (what, _) = travel(edge.extent);
     topology.edge_in_words(edge).map(|name| (what, name.state(what)))
 }

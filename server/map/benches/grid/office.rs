@@ -20,17 +20,17 @@ use tidemap_map::{
     update::UpdateWork,
 };
 
-pub const DAY_NANOS: i64 = 86_400_000_000_000;
-pub const TILES: usize = 416;
-pub const SCANS: usize = 17_200;
+pub(crate) const DAY_NANOS: i64 = 86_400_000_000_000;
+pub(crate) const TILES: usize = 416;
+pub(crate) const SCANS: usize = 17_200;
 /// Cells that change.
-pub const CELLS: usize = 15_000;
+pub(crate) const CELLS: usize = 15_000;
 /// Changes of a cell on a day.
 const CHANGES: usize = 40;
-pub const FLIPS: usize = CELLS * CHANGES;
+pub(crate) const FLIPS: usize = CELLS * CHANGES;
 
 /// A map with a grid.
-pub fn spec(retention: Retention) -> Arc<MapSpec> {
+pub(crate) fn spec(retention: Retention) -> Arc<MapSpec> {
     Arc::new(MapSpec {
         retention: Retention::None,
         grid: Some(GridSpec { retention, ..GridSpec::new(0.1) }),
@@ -38,18 +38,18 @@ pub fn spec(retention: Retention) -> Arc<MapSpec> {
     })
 }
 
-pub fn apply(map: &mut LiveMap, event: &Event) -> Option<UpdateWork> {
+pub(crate) fn apply(map: &mut LiveMap, event: &Event) -> Option<UpdateWork> {
     map.apply(map.position() + 1, event).expect("consistent")
 }
 
 /// The office.
-pub struct Office {
+pub(crate) struct Office {
     seed: u64,
     seen: Arc<[u32]>,
 }
 
 impl Office {
-    pub fn new() -> Office {
+    pub(crate) fn new() -> Office {
         Office { seed: 1, seen: (0..TILES as u32).collect() }
     }
 
@@ -59,14 +59,14 @@ impl Office {
     }
 
     /// A stream with all tiles in its table.
-    pub fn source() -> StreamTiles {
+    pub(crate) fn source() -> StreamTiles {
         let mut source = StreamTiles::default();
         (0..TILES as i32).for_each(|tile| source.push(TileIndex { x: tile % 26, y: tile / 26, z: 0 }));
         source
     }
 
     /// The scans of a day. Each day begins and ends with all cells that change free.
-    pub fn day(&mut self, day: i64) -> Vec<StreamScan> {
+    pub(crate) fn day(&mut self, day: i64) -> Vec<StreamScan> {
         let mut flips: Vec<Vec<u32>> = vec![Vec::new(); SCANS];
         for number in 0..CELLS {
             let cell = (number % TILES * 512 + (number / TILES) * 14) as u32;
@@ -102,7 +102,7 @@ impl Office {
     }
 
     /// Scans of some tiles, each of which loses sight of three cells of each tile, or sees them again.
-    pub fn flickering_day(&mut self, tiles: usize, scans: usize) -> Vec<StreamScan> {
+    pub(crate) fn flickering_day(&mut self, tiles: usize, scans: usize) -> Vec<StreamScan> {
         let seen: Arc<[u32]> = (0..tiles as u32).collect();
         let step = DAY_NANOS / scans as i64;
         let scan = |scan: usize| {
@@ -117,7 +117,13 @@ impl Office {
 
     /// Scans of some tiles by a robot that comes by on its rounds, and each time sees what lies on one side of a plane of
     /// its own. The last scan of a day sees all.
-    pub fn patrol_day(&mut self, day: i64, tiles: usize, visits: usize, scans_per_visit: usize) -> Vec<StreamScan> {
+    pub(crate) fn patrol_day(
+        &mut self,
+        day: i64,
+        tiles: usize,
+        visits: usize,
+        scans_per_visit: usize,
+    ) -> Vec<StreamScan> {
         let seen: Arc<[u32]> = (0..tiles as u32).collect();
         let mut shown = vec![day > 0; tiles * 512];
         let mut scans = Vec::new();
@@ -153,7 +159,7 @@ impl Office {
     }
 
     /// The events that they become; the map has them applied.
-    pub fn events(map: &mut LiveMap, sent: &[StreamScan], batch: usize) -> Vec<Event> {
+    pub(crate) fn events(map: &mut LiveMap, sent: &[StreamScan], batch: usize) -> Vec<Event> {
         let key = ProducerKey::new("robot", "").expect("valid");
         let mut front = LogHead::new(map.grid().expect("a grid"));
         let mut source = Office::source();

@@ -200,7 +200,7 @@ impl GridDay {
 
     /// The scans that saw each tile, as ranges of their numbers, first and end; in the order of [`GridDay::tiles`].
     #[must_use]
-    pub fn presence_by_tile(&self) -> Vec<Vec<(u32, u32)>> {
+    pub(crate) fn presence_by_tile(&self) -> Vec<Vec<(u32, u32)>> {
         let mut ranges: Vec<Vec<(u32, u32)>> = vec![Vec::new(); self.tiles.len()];
         for run in &self.presence {
             // Both ascend, and mostly name the same tiles.

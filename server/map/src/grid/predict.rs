@@ -214,7 +214,7 @@ impl GridView {
     ///
     /// # Errors
     /// [`TileUnavailable`] where the tile cannot be read from the disk.
-    pub fn predict_changed(
+    pub(crate) fn predict_changed(
         &self,
         (index, id): (TileIndex, TileId),
         question: &GridQuestion,

@@ -204,7 +204,7 @@ impl Sensors {
 
     /// A value in [0, 1] from units of the map's own sensor.
     #[must_use]
-    pub fn value_of_units(&self, units: f64) -> f64 {
+    pub(crate) fn value_of_units(&self, units: f64) -> f64 {
         let (free, occupied) = self.own.levels;
         (free + (occupied - free) * units).clamp(0.0, 1.0)
     }

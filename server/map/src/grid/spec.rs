@@ -6,7 +6,7 @@
 use super::index::{CellBox, CellIndex, TILE_EDGE, TILE_LIMIT};
 
 /// Longest frame id in bytes.
-pub const FRAME_BYTES_MAX: usize = 128;
+pub(crate) const FRAME_BYTES_MAX: usize = 128;
 
 /// The fixed properties of a map's occupancy grid.
 #[derive(Clone, Debug, PartialEq)]

@@ -107,7 +107,7 @@ impl TileModel {
 
     /// The means of the readings of a group's cells that were always read as free, and as occupied, by its index.
     #[must_use]
-    pub fn constant_levels(&self, group: usize, sensors: &Sensors) -> (f64, f64) {
+    pub(crate) fn constant_levels(&self, group: usize, sensors: &Sensors) -> (f64, f64) {
         let weights = self.weights(group);
         let observations = self.groups.get(group).map_or(0, |group| group.observations);
         if observations == 0 || weights == Weights::own(observations) {
@@ -210,7 +210,7 @@ impl TileSums {
 
     /// Memory in bytes, about, of what is never shared.
     #[must_use]
-    pub fn own_bytes(&self) -> usize {
+    pub(crate) fn own_bytes(&self) -> usize {
         let pointers = self.groups.len() * size_of::<Arc<PhasorSum>>();
         let cells: usize = self.cells.iter().map(PhasorSum::bytes).sum();
         let sensors = self.sensors.as_ref().map_or(0, |sensors| size_of_val(sensors.groups.as_slice()));

@@ -81,7 +81,7 @@ impl HistoryDay {
 
     /// The models of a tile's cells.
     #[must_use]
-    pub fn models_of(&self, tile: TileId) -> &[OutlierModel] {
+    pub(crate) fn models_of(&self, tile: TileId) -> &[OutlierModel] {
         let found = self.models.binary_search_by_key(&tile, |(tile, _)| *tile).ok();
         found.and_then(|at| self.models.get(at)).map_or(&[], |(_, models)| models)
     }

@@ -117,7 +117,7 @@ impl StateName {
 
     /// Splits the name of an edge's state into quantity and edge.
     #[must_use]
-    pub fn as_edge(&self) -> Option<(EdgeState, EdgeName)> {
+    pub(crate) fn as_edge(&self) -> Option<(EdgeState, EdgeName)> {
         let (what, edge) = split_edge(&self.0)?;
         EdgeName::parse(edge).ok().map(|edge| (what, edge))
     }

@@ -21,8 +21,8 @@ use crate::{
 /// A reading: what it counts as, and what it was.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Read {
-    pub sample: Sample,
-    pub is_occupied: bool,
+    pub(crate) sample: Sample,
+    pub(crate) is_occupied: bool,
 }
 
 /// One cell.
@@ -31,15 +31,15 @@ pub(crate) struct CellOracle {
     pending: Vec<Read>,
     future: Vec<Read>,
     taken: Vec<Read>,
-    pub folded: Vec<Read>,
-    pub model: StateModel,
-    pub persistence: Persistence,
+    pub(crate) folded: Vec<Read>,
+    pub(crate) model: StateModel,
+    pub(crate) persistence: Persistence,
     /// Whether two components were as strong as each other, so that another choice is as good.
     tied: bool,
 }
 
 /// γ of all periodicities.
-pub fn gammas(parts: &AccumulatorParts) -> Vec<(f64, f64)> {
+pub(crate) fn gammas(parts: &AccumulatorParts) -> Vec<(f64, f64)> {
     let n = parts.observations.max(1) as f64;
     let mean = parts.sum / n;
     parts.spectrum.iter().map(|[a, b, c, d]| ((a - mean * c) / n, (b - mean * d) / n)).collect()
@@ -179,7 +179,7 @@ impl CellOracle {
     }
 }
 
-pub fn near(a: f64, b: f64, most: f64, at: &str, what: &str) {
+pub(crate) fn near(a: f64, b: f64, most: f64, at: &str, what: &str) {
     assert!((a - b).abs() <= most, "{at}: {what} is {a}, or {b}");
 }
 
@@ -188,8 +188,8 @@ pub fn near(a: f64, b: f64, most: f64, at: &str, what: &str) {
 pub(crate) struct Oracle {
     periodicities: Periodicities,
     criterion: OrderCriterion,
-    pub cells: BTreeMap<(TileIndex, u16), CellOracle>,
-    pub cell_observations: u64,
+    pub(crate) cells: BTreeMap<(TileIndex, u16), CellOracle>,
+    pub(crate) cell_observations: u64,
 }
 
 impl Oracle {

@@ -23,14 +23,14 @@ const CELLS: [u16; 8] = [0, 1, 63, 64, 65, 200, 447, 511];
 const STEADY: [u16; 3] = [300, 301, 302];
 
 /// Sensors that robots may have.
-pub const SENSORS: [ProducerSensor; 3] = [
+pub(crate) const SENSORS: [ProducerSensor; 3] = [
     ProducerSensor { hit: 0.6, false_alarm: 0.3 },
     ProducerSensor { hit: 0.97, false_alarm: 0.002 },
     ProducerSensor { hit: 0.83, false_alarm: 0.07 },
 ];
 
 /// A number below `below`.
-pub fn random(rng: &mut u64, below: usize) -> usize {
+pub(crate) fn random(rng: &mut u64, below: usize) -> usize {
     // SplitMix64.
     *rng = rng.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let mixed = (*rng ^ *rng >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -41,18 +41,18 @@ pub fn random(rng: &mut u64, below: usize) -> usize {
 /// What a robot saw.
 #[derive(Clone, Debug)]
 pub(crate) struct Seen {
-    pub robot: usize,
-    pub utc_nanos: i64,
+    pub(crate) robot: usize,
+    pub(crate) utc_nanos: i64,
     /// By slot.
-    pub tiles: Vec<(TileIndex, TileMasks)>,
+    pub(crate) tiles: Vec<(TileIndex, TileMasks)>,
 }
 
 /// A robot and its stream.
-pub struct Robot {
-    pub key: ProducerKey,
+pub(crate) struct Robot {
+    pub(crate) key: ProducerKey,
     /// What it announces.
-    pub sensor: Option<ProducerSensor>,
-    pub source: StreamTiles,
+    pub(crate) sensor: Option<ProducerSensor>,
+    pub(crate) source: StreamTiles,
     table: Vec<TileIndex>,
     /// What it has sent of each tile of its table.
     shown: Vec<TileMasks>,
@@ -63,7 +63,7 @@ pub struct Robot {
 }
 
 impl Robot {
-    pub fn new(id: usize, sensor: Option<ProducerSensor>, rng: &mut u64) -> Robot {
+    pub(crate) fn new(id: usize, sensor: Option<ProducerSensor>, rng: &mut u64) -> Robot {
         let mut sight: Vec<_> = TILES.map(|tile| (tile, TileMasks::default())).into();
         let turn = random(rng, TILES.len());
         sight.rotate_left(turn);
@@ -80,7 +80,7 @@ impl Robot {
     }
 
     /// Sees something that differs a little from before.
-    pub fn look(&mut self, robot: usize, utc_nanos: i64, rng: &mut u64) -> Seen {
+    pub(crate) fn look(&mut self, robot: usize, utc_nanos: i64, rng: &mut u64) -> Seen {
         if random(rng, 3) == 0 {
             self.looks_at = random(rng, 1 << TILES.len());
         }
@@ -107,7 +107,7 @@ impl Robot {
     }
 
     /// Says it as a stream does.
-    pub fn send(&mut self, seen: &Seen) -> StreamScan {
+    pub(crate) fn send(&mut self, seen: &Seen) -> StreamScan {
         let mut tiles: Vec<(u32, TileMasks)> = Vec::new();
         for &(tile, masks) in &seen.tiles {
             let slot = self.table.iter().position(|known| *known == tile).unwrap_or_else(|| {

@@ -30,22 +30,22 @@ struct Whole {
 
 /// All scans that no update has folded in.
 #[derive(Clone, Debug, Default)]
-pub struct ScanOracle {
+pub(crate) struct ScanOracle {
     pending: Vec<Whole>,
     future: Vec<Whole>,
     taken: Vec<Whole>,
-    pub count: u64,
+    pub(crate) count: u64,
 }
 
 impl ScanOracle {
-    pub fn take(&mut self, seen: &Seen, offset_secs: i32, sensor: Option<ProducerSensor>, is_ahead: bool) {
+    pub(crate) fn take(&mut self, seen: &Seen, offset_secs: i32, sensor: Option<ProducerSensor>, is_ahead: bool) {
         let utc_nanos = seen.utc_nanos;
         let queue = if is_ahead { &mut self.future } else { &mut self.pending };
         queue.push(Whole { utc_nanos, offset_secs, sensor, tiles: seen.tiles.clone() });
         self.count += 1;
     }
 
-    pub fn start_update(&mut self, cut_nanos: i64) {
+    pub(crate) fn start_update(&mut self, cut_nanos: i64) {
         let is_due = |scan: &mut Whole| scan.utc_nanos < cut_nanos;
         let mut due: Vec<Whole> = self.future.extract_if(.., is_due).collect();
         due.sort_by_key(|scan| scan.utc_nanos);
@@ -53,12 +53,12 @@ impl ScanOracle {
         self.taken = self.pending.extract_if(.., is_due).collect();
     }
 
-    pub fn pending(&self) -> u64 {
+    pub(crate) fn pending(&self) -> u64 {
         (self.pending.len() + self.future.len()) as u64
     }
 
     /// Compares with what the update says that it has folded in.
-    pub fn finish_update(
+    pub(crate) fn finish_update(
         &mut self,
         outcome: &GridOutcome,
         history: &[Arc<HistoryPiece>],

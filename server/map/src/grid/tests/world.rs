@@ -29,34 +29,34 @@ use crate::{
     update::UpdateWork,
 };
 
-pub const SECOND: i64 = 1_000_000_000;
-pub const HOUR: i64 = 3600 * SECOND;
+pub(crate) const SECOND: i64 = 1_000_000_000;
+pub(crate) const HOUR: i64 = 3600 * SECOND;
 /// Saturday evening before clocks go forward in London, or back.
 const EVENINGS: [i64; 2] = [1_711_828_800 * SECOND, 1_729_972_800 * SECOND];
 
 /// Limits of updates at which small worlds arrive often.
-pub const SMALL: UpdateLimits =
+pub(crate) const SMALL: UpdateLimits =
     UpdateLimits { chunk_scans: 3, summed_groups_max: 2, runs_per_sum: 4, batch_cells_min: 2, batch_cells_max: 4 };
 
 /// The world.
-pub struct World {
+pub(crate) struct World {
     rng: u64,
-    pub spec: Arc<MapSpec>,
-    pub map: LiveMap,
+    pub(crate) spec: Arc<MapSpec>,
+    pub(crate) map: LiveMap,
     front: LogHead,
     robots: Vec<Robot>,
-    pub oracle: Oracle,
-    pub scans: ScanOracle,
+    pub(crate) oracle: Oracle,
+    pub(crate) scans: ScanOracle,
     log: Vec<Event>,
-    pub snapshot: Option<MapSnapshot>,
+    pub(crate) snapshot: Option<MapSnapshot>,
     running: Option<UpdateWork>,
     /// By the server's clock.
     now_nanos: i64,
     max_tiles: usize,
-    pub limits: UpdateLimits,
+    pub(crate) limits: UpdateLimits,
 }
 
-pub fn spec(rng: &mut u64) -> MapSpec {
+pub(crate) fn spec(rng: &mut u64) -> MapSpec {
     let sensor = match random(rng, 3) {
         0 => SensorNoise { hit: 0.83, false_alarm: 0.07, prior: 0.37 },
         _ => SensorNoise::default(),
@@ -75,7 +75,7 @@ pub fn spec(rng: &mut u64) -> MapSpec {
 }
 
 impl World {
-    pub fn new(seed: u64) -> World {
+    pub(crate) fn new(seed: u64) -> World {
         let mut rng = seed;
         let spec = Arc::new(spec(&mut rng));
         let map = LiveMap::new(Arc::clone(&spec));
@@ -102,17 +102,17 @@ impl World {
         }
     }
 
-    pub fn grid(&self) -> &LiveGrid {
+    pub(crate) fn grid(&self) -> &LiveGrid {
         self.map.grid().expect("a grid")
     }
 
     /// A number below `below`.
-    pub fn draw_number(&mut self, below: usize) -> usize {
+    pub(crate) fn draw_number(&mut self, below: usize) -> usize {
         random(&mut self.rng, below)
     }
 
     /// Something happens.
-    pub fn step(&mut self) {
+    pub(crate) fn step(&mut self) {
         match random(&mut self.rng, 100) {
             0..74 => {
                 let robot = random(&mut self.rng, self.robots.len());
@@ -154,21 +154,21 @@ impl World {
     }
 
     /// Scans of all robots.
-    pub fn draw_scans(&mut self, count: usize) -> Vec<Seen> {
+    pub(crate) fn draw_scans(&mut self, count: usize) -> Vec<Seen> {
         let scans = (0..count).map(|i| self.draw(i % self.robots.len()));
         let mut scans: Vec<Seen> = scans.collect();
         scans.iter_mut().for_each(|scan| scan.utc_nanos = scan.utc_nanos.min(self.now_nanos));
         scans
     }
 
-    pub fn shuffle(&mut self, scans: &mut [Seen]) {
+    pub(crate) fn shuffle(&mut self, scans: &mut [Seen]) {
         for i in (1..scans.len()).rev() {
             scans.swap(i, random(&mut self.rng, i + 1));
         }
     }
 
     /// Sends scans in batches of that many where robots alternate not sooner.
-    pub fn send_all(&mut self, scans: &[Seen], batch: usize) {
+    pub(crate) fn send_all(&mut self, scans: &[Seen], batch: usize) {
         self.now_nanos = scans.iter().map(|scan| scan.utc_nanos).fold(self.now_nanos, i64::max);
         for of_robot in scans.chunk_by(|one, next| one.robot == next.robot) {
             of_robot.chunks(batch).for_each(|scans| self.send(scans));
@@ -262,14 +262,14 @@ impl World {
     }
 
     /// An update of all there is.
-    pub fn settle(&mut self) {
+    pub(crate) fn settle(&mut self) {
         self.finish_update();
         self.start_update(None);
         self.finish_update();
     }
 
     /// The daemon starts anew from the last snapshot and the log; streams connect again.
-    pub fn restore(&mut self) {
+    pub(crate) fn restore(&mut self) {
         let (known, from, generation) =
             self.snapshot.as_ref().map_or((0, 1, 0), |known| (known.position, known.replay_from, known.generation));
         self.map = match self.snapshot.clone() {
