@@ -88,7 +88,7 @@ fn a_scan_larger_than_a_batch_is_put_together() -> Tested {
     let Some(Content::Cloud(cloud)) = &scans[0].scan.content else { panic!("a cloud") };
     assert_eq!((scans.len(), &cloud.xyz_m), (2, &xyz_m));
     let (_, error) = read(&bytes[..batches[1] as usize]);
-    assert!(error.is_some_and(|error| error.to_string().contains("goes on in a batch that is not there")));
+    assert!(error.is_some_and(|error| error.to_string().contains("continues in a missing batch")));
     Ok(())
 }
 
@@ -107,7 +107,10 @@ fn a_file_that_is_cut_off_gives_its_whole_batches_and_says_where() -> Tested {
             assert!(error.is_none(), "{end}");
         } else {
             let error = error.ok_or("an error")?.to_string();
-            assert!(end < MAGIC.len() || error.contains("cut off") || error.contains("ends where"), "{end}: {error}");
+            assert!(
+                end < MAGIC.len() || error.contains("is truncated") || error.contains("ends before"),
+                "{end}: {error}"
+            );
             if end as u64 > starts[0] {
                 assert!(error.starts_with(&format!("byte {}, after {} whole", starts[whole], scans.len())), "{error}");
             }
@@ -135,11 +138,11 @@ fn what_is_wrong_is_named() -> Tested {
     let scan = Scan { content: Some(Content::Cloud(tidemap_proto::v1::PointCloud::default())) };
     let good = ScanBatch { first_sequence: 1, time_deltas: vec![0], scans: vec![scan], ..ScanBatch::default() };
     assert_eq!(with(good.clone())?, "");
-    assert!(with(ScanBatch { first_sequence: 2, ..good.clone() })?.contains("it has to be 1"));
+    assert!(with(ScanBatch { first_sequence: 2, ..good.clone() })?.contains("it must be 1"));
     assert!(with(ScanBatch { time_deltas: vec![], ..good.clone() })?.contains("1 scans with 0 times"));
     assert!(with(ScanBatch { first_time_nanos: -1, ..good })?.contains("time of scan 1"));
     let garbage = [start()?, vec![5, 255, 255, 255, 255, 255]].concat();
-    assert!(wrong(&garbage).contains("not a message"), "{}", wrong(&garbage));
+    assert!(wrong(&garbage).contains("not a valid message"), "{}", wrong(&garbage));
     let long = [start()?, vec![255, 255, 255, 255, 127]].concat();
     assert!(wrong(&long).contains("damaged"), "{}", wrong(&long));
     Ok(())
