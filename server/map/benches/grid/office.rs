@@ -115,8 +115,8 @@ impl Office {
         (0..scans).map(scan).collect()
     }
 
-    /// Scans of some tiles by a robot that comes by on its rounds, and each time sees what lies on one side of a plane of
-    /// its own. The last scan of a day sees all.
+    /// Scans of some tiles by a robot that comes by on its rounds, and each time sees what lies on one side of a plane
+    /// of its own. The last scan of a day sees all.
     pub(crate) fn patrol_day(
         &mut self,
         day: i64,
