@@ -16,6 +16,7 @@ use super::{
     Phase, ProducerError, ProducerOptions, Progress, Refusal, STATE_NAME_BYTES_MAX,
     link::Link,
     shared::{Shared, SharedState},
+    traversal::Traversal,
     window::Window,
 };
 use crate::connection::Client;
@@ -66,6 +67,20 @@ impl Producer {
     /// [`ProducerError`].
     pub async fn opened(&mut self) -> Result<Progress, ProducerError> {
         self.reached(|progress| progress.phase == Phase::Connected).await
+    }
+
+    /// Accepts a traversal and returns its number; waits while the window is full. It is durable once
+    /// [`Progress::durable_sequence`] has reached the number.
+    ///
+    /// # Errors
+    /// [`ProducerError`]; the traversal is then not accepted.
+    pub async fn send_traversal(&mut self, traversal: &Traversal) -> Result<u64, ProducerError> {
+        let Traversal { from, to, action, .. } = traversal;
+        if let Some(long) = [from, to, action].into_iter().find(|name| name.len() > STATE_NAME_BYTES_MAX) {
+            return Err(ProducerError::NameTooLong(long.len()));
+        }
+        let wire = traversal.to_wire();
+        self.push(|window| window.push_traversal(wire)).await
     }
 
     /// Accepts an observation and returns its number; waits while the window is full. The observation is durable once

@@ -8,8 +8,6 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Producer, ProducerError, STATE_NAME_BYTES_MAX};
-
 /// Maximum number of bytes of a traversal in addition to its texts.
 const TRAVERSAL_BYTES_EXTRA: usize = 64;
 
@@ -50,20 +48,4 @@ impl Traversal {
 /// Maximum number of bytes of a traversal.
 pub(super) fn wire_bytes(traversal: &v1::Traversal) -> usize {
     TRAVERSAL_BYTES_EXTRA + text_bytes(traversal)
-}
-
-impl Producer {
-    /// Accepts a traversal and returns its number; waits while the window is full. It is durable once
-    /// [`super::Progress::durable_sequence`] has reached the number.
-    ///
-    /// # Errors
-    /// [`ProducerError`]; the traversal is then not accepted.
-    pub async fn send_traversal(&mut self, traversal: &Traversal) -> Result<u64, ProducerError> {
-        let Traversal { from, to, action, .. } = traversal;
-        if let Some(long) = [from, to, action].into_iter().find(|name| name.len() > STATE_NAME_BYTES_MAX) {
-            return Err(ProducerError::NameTooLong(long.len()));
-        }
-        let wire = traversal.to_wire();
-        self.push(|window| window.push_traversal(wire)).await
-    }
 }

@@ -23,13 +23,15 @@ mod stream_tiles;
 mod table;
 #[cfg(test)]
 mod tests;
+mod tile_error;
 mod tile_scan;
 
 pub use decode::ScanDecoder;
 pub use digest::{content_crc, content_digest, points_digest, ranges_digest, tile_digest};
 pub use flips::{pack_flips, pack_seen, unpack_flips};
 pub use split::{batch, set_times, split};
-pub use table::{EncodedScan, TileError, TilePicture, TileTable, join_part, set_masks};
+pub use table::{EncodedScan, TilePicture, TileTable, join_part, set_masks};
+pub use tile_error::TileError;
 
 /// Bytes of a mask on the wire.
 pub const MASK_BYTES: usize = 64;
