@@ -23,14 +23,14 @@ fn launch(data: &Path) -> Launch {
 
 /// How rounds of kills differ.
 #[derive(Clone, Copy)]
-pub struct Rounds {
+pub(crate) struct Rounds {
     pub count: u32,
     /// Whether data time is announced and updates are requested all the time.
     pub updates: bool,
 }
 
 /// Streams and kills, round after round. Each round begins with a check of the data that the round before left.
-pub async fn rounds_of_kills(launch: &Launch, rounds: Rounds, seed: u64) -> Result<(), Violation> {
+pub(crate) async fn rounds_of_kills(launch: &Launch, rounds: Rounds, seed: u64) -> Result<(), Violation> {
     let mut random = rounds::draws(seed);
     let mut oracle = Oracle::new("office", Feed::new(seed), PRODUCERS);
     create_map(&launch.start(), &oracle).await;

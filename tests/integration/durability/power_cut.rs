@@ -19,7 +19,7 @@ use super::{PRODUCERS, create_map};
 const CUTS_MAX: u32 = 10;
 
 /// One power cut under a daemon that eight producers stream to. `Ok(false)`: no copy was clean.
-pub async fn power_cut(
+pub(crate) async fn power_cut(
     launch: impl Fn(&std::path::Path) -> Launch,
     seed: u64,
 ) -> Result<Result<bool, Violation>, Unavailable> {
@@ -64,7 +64,7 @@ pub async fn power_cut(
 }
 
 /// `count` clean cuts, or the first violation.
-pub async fn power_cuts(
+pub(crate) async fn power_cuts(
     launch: impl Fn(&std::path::Path) -> Launch,
     count: u32,
     seed: u64,

@@ -4,7 +4,7 @@
 const ANYTHING: char = '…';
 
 /// Compares line by line; only the number of spaces between words may differ.
-pub fn matches(expected: &str, shown: &str) -> bool {
+pub(crate) fn matches(expected: &str, shown: &str) -> bool {
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let lines = |text: &str| text.lines().map(words).filter(|line| !line.is_empty()).collect::<Vec<_>>();
     lines_match(&lines(expected), &lines(shown))

@@ -2,7 +2,7 @@
 
 /// A block of commands.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Block {
+pub(crate) struct Block {
     /// Line of the page on which its first command stands, from 1.
     pub line: usize,
     /// The commands.
@@ -12,7 +12,7 @@ pub struct Block {
 }
 
 /// The blocks of a page in order, or the line and the reason why the page cannot be read.
-pub fn blocks(text: &str) -> Result<Vec<Block>, (usize, String)> {
+pub(crate) fn blocks(text: &str) -> Result<Vec<Block>, (usize, String)> {
     let mut blocks: Vec<Block> = Vec::new();
     // Whether an output block here would belong to the last block.
     let mut follows = false;

@@ -22,13 +22,13 @@ fn small() -> Grid {
     Grid { resolution_m: 0.1, frame_id: "floor".to_owned(), extent, ..Grid::default() }
 }
 
-pub async fn opened(daemon: &Daemon) -> RawStream {
+pub(crate) async fn opened(daemon: &Daemon) -> RawStream {
     let opened = RawStream::open(&daemon.grpc, hello("robot", MAP)).await;
     opened.unwrap_or_else(|ended| panic!("no Welcome: {ended:?}")).0
 }
 
 /// A message of scans, a second apart.
-pub fn message(first_sequence: u64, new_tiles: &[i32], scans: Vec<Content>) -> ScanBatch {
+pub(crate) fn message(first_sequence: u64, new_tiles: &[i32], scans: Vec<Content>) -> ScanBatch {
     let mut time_deltas = vec![1; scans.len()];
     if let Some(first) = time_deltas.first_mut() {
         *first = 0;
@@ -45,13 +45,13 @@ pub fn message(first_sequence: u64, new_tiles: &[i32], scans: Vec<Content>) -> S
 }
 
 /// A scan of all cells of slot 0, with these occupied.
-pub fn shows(occupied: &[u8; 64]) -> Content {
+pub(crate) fn shows(occupied: &[u8; 64]) -> Content {
     let scan = TileScan { seen: vec![0, 1], masked: vec![0], occupied: occupied.to_vec(), ..TileScan::default() };
     Content::Tiles(scan)
 }
 
 /// A cloud of points from the middle of cell (0, 0, 0).
-pub fn cloud(xyz_m: &[f32]) -> PointCloud {
+pub(crate) fn cloud(xyz_m: &[f32]) -> PointCloud {
     let pose = Some(Pose { x_m: 0.05, y_m: 0.05, z_m: 0.05, qw: 1.0, ..Pose::default() });
     PointCloud { pose, xyz_m: xyz_m.to_vec(), ..PointCloud::default() }
 }

@@ -27,17 +27,17 @@ fn phasor(harmonic: usize, utc_nanos: i64) -> (f64, f64) {
 }
 
 /// Time, weight and value of a reading.
-pub type Reading = (i64, f64, bool);
+pub(crate) type Reading = (i64, f64, bool);
 
 /// A complex sum of each harmonic.
 type Sums = [(f64, f64); HARMONICS];
 
 /// The phasors of times, each computed once.
 #[derive(Default)]
-pub struct Phasors(BTreeMap<i64, Vec<(f64, f64)>>);
+pub(crate) struct Phasors(BTreeMap<i64, Vec<(f64, f64)>>);
 
 impl Phasors {
-    pub fn add(&mut self, utc_nanos: i64) {
+    pub(crate) fn add(&mut self, utc_nanos: i64) {
         let all = || (0..HARMONICS).map(|harmonic| phasor(harmonic, utc_nanos)).collect();
         self.0.entry(utc_nanos).or_insert_with(all);
     }
@@ -45,7 +45,7 @@ impl Phasors {
 
 /// The learned model.
 #[derive(Clone, Debug, Default)]
-pub struct Naive {
+pub(crate) struct Naive {
     pub mean: f64,
     pub folded: u64,
     pub order: usize,
@@ -60,7 +60,7 @@ pub struct Naive {
 
 impl Naive {
     /// Learns the readings before the cut, in the order of their arrival.
-    pub fn new(readings: &[Reading], cut_nanos: i64, phasors: &Phasors) -> Self {
+    pub(crate) fn new(readings: &[Reading], cut_nanos: i64, phasors: &Phasors) -> Self {
         let mut learned = Self { mean: 0.5, ..Self::default() };
         learned.persist(readings);
         let mut folded: Vec<Reading> = readings.iter().copied().filter(|(time, ..)| *time < cut_nanos).collect();
@@ -146,7 +146,7 @@ impl Naive {
     }
 
     /// The probability with `order` components.
-    pub fn probability(&self, order: usize, utc_nanos: i64) -> f64 {
+    pub(crate) fn probability(&self, order: usize, utc_nanos: i64) -> f64 {
         let mut p = self.mean;
         for &(harmonic, re, im) in self.components.iter().take(order) {
             let (cos, sin) = phasor(harmonic, utc_nanos);
@@ -156,7 +156,7 @@ impl Naive {
     }
 
     /// The same with the last reading blended in.
-    pub fn persistent(&self, order: usize, utc_nanos: i64) -> f64 {
+    pub(crate) fn persistent(&self, order: usize, utc_nanos: i64) -> f64 {
         let p = self.probability(order, utc_nanos);
         match self.last {
             Some((time, value)) if utc_nanos >= time => {

@@ -11,7 +11,7 @@ const COMPONENTS_MAX: usize = 15;
 
 /// An observation that was accepted.
 #[derive(Clone, Copy, Debug)]
-pub struct Accepted {
+pub(crate) struct Accepted {
     pub state: usize,
     pub nanos: i64,
     pub value: f64,
@@ -20,7 +20,7 @@ pub struct Accepted {
 
 /// An observation that a producer sent, accepted or not.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sent {
+pub(crate) struct Sent {
     pub state: String,
     pub nanos: i64,
     pub value: f64,
@@ -28,21 +28,21 @@ pub struct Sent {
 
 /// A coefficient 2γ of a candidate period.
 #[derive(Clone, Copy, Debug)]
-pub struct Coefficient {
+pub(crate) struct Coefficient {
     pub harmonic: u32,
     pub re: f64,
     pub im: f64,
 }
 
 impl Coefficient {
-    pub fn amplitude(&self) -> f64 {
+    pub(crate) fn amplitude(&self) -> f64 {
         self.re.hypot(self.im)
     }
 }
 
 /// A map.
 #[derive(Debug)]
-pub struct NaiveMap {
+pub(crate) struct NaiveMap {
     /// Hours to add to UTC; the zones used have no summer time.
     pub offset_hours: i64,
     /// In the order of first appearance.
@@ -54,13 +54,13 @@ pub struct NaiveMap {
 }
 
 impl NaiveMap {
-    pub fn new(offset_hours: i64) -> Self {
+    pub(crate) fn new(offset_hours: i64) -> Self {
         let (states, observations) = (Vec::new(), Vec::new());
         Self { offset_hours, states, observations, producers: BTreeMap::new(), generation: 0, cut_nanos: 0 }
     }
 
     /// A producer's next observation became durable.
-    pub fn take(&mut self, producer: &str, sent: &Sent) {
+    pub(crate) fn take(&mut self, producer: &str, sent: &Sent) {
         self.producers.entry(producer.to_owned()).or_default().push(sent.clone());
         if !(0.0..=1.0).contains(&sent.value) {
             return;
@@ -73,7 +73,7 @@ impl NaiveMap {
     }
 
     /// An update learns the observations before `until`, or all.
-    pub fn update(&mut self, until_nanos: Option<i64>) {
+    pub(crate) fn update(&mut self, until_nanos: Option<i64>) {
         let newest = self.observations.iter().map(|o| o.nanos).max().unwrap_or(0);
         self.cut_nanos = self.cut_nanos.max(until_nanos.unwrap_or(newest + 1));
         self.generation += 1;
@@ -82,19 +82,19 @@ impl NaiveMap {
         }
     }
 
-    pub fn pending(&self) -> u64 {
+    pub(crate) fn pending(&self) -> u64 {
         self.observations.iter().filter(|o| !o.folded).count() as u64
     }
 
-    pub fn count(&self, state: usize) -> u64 {
+    pub(crate) fn count(&self, state: usize) -> u64 {
         self.observations.iter().filter(|o| o.state == state).count() as u64
     }
 
-    pub fn folded(&self, state: usize) -> Vec<Accepted> {
+    pub(crate) fn folded(&self, state: usize) -> Vec<Accepted> {
         self.observations.iter().copied().filter(|o| o.state == state && o.folded).collect()
     }
 
-    pub fn mean(&self, state: usize) -> f64 {
+    pub(crate) fn mean(&self, state: usize) -> f64 {
         let folded = self.folded(state);
         if folded.is_empty() {
             return 0.5;
@@ -103,7 +103,7 @@ impl NaiveMap {
     }
 
     /// The observation with the greatest time; ties: the first.
-    pub fn latest(&self, state: usize) -> Option<(i64, f64)> {
+    pub(crate) fn latest(&self, state: usize) -> Option<(i64, f64)> {
         let mut latest: Option<(i64, f64)> = None;
         for o in self.observations.iter().filter(|o| o.state == state) {
             if latest.is_none_or(|(nanos, _)| o.nanos > nanos) {
@@ -114,7 +114,7 @@ impl NaiveMap {
     }
 
     /// T-RO eq. 12 with a prior of one hour that weighs as one pair.
-    pub fn tau_secs(&self, state: usize) -> f64 {
+    pub(crate) fn tau_secs(&self, state: usize) -> f64 {
         let (mut last, mut pairs, mut rate): (Option<(i64, f64)>, f64, f64) = (None, 0.0, 0.0);
         for o in self.observations.iter().filter(|o| o.state == state) {
             if let Some((nanos, value)) = last {
@@ -130,7 +130,7 @@ impl NaiveMap {
     }
 
     /// 2γ_k of all periods that the observed span makes eligible: γ_k = (1/n) Σ (s_i − μ)·e^(−jω_k t_i).
-    pub fn coefficients(&self, state: usize) -> Vec<Coefficient> {
+    pub(crate) fn coefficients(&self, state: usize) -> Vec<Coefficient> {
         let folded = self.folded(state);
         let (Some(first), Some(last)) = (folded.iter().map(|o| o.nanos).min(), folded.iter().map(|o| o.nanos).max())
         else {
@@ -161,14 +161,14 @@ impl NaiveMap {
     }
 
     /// The harmonic that a period belongs to.
-    pub fn harmonic(period_secs: f64) -> u32 {
+    pub(crate) fn harmonic(period_secs: f64) -> u32 {
         let harmonic = WEEK_SECS as f64 / period_secs;
         assert!((harmonic - harmonic.round()).abs() < 1e-6, "{period_secs} s is not a week by a whole number");
         (1..=HARMONICS).find(|&k| (f64::from(k) - harmonic).abs() < 0.5).expect("one of the candidates")
     }
 
     /// The prediction by these components: p(t) = clamp(μ + Σ A_k cos(ω_k t + φ_k)).
-    pub fn predicted(&self, state: usize, components: &[Coefficient], nanos: i64) -> f64 {
+    pub(crate) fn predicted(&self, state: usize, components: &[Coefficient], nanos: i64) -> f64 {
         let wave = |c: &Coefficient| {
             let (sin, cos) = self.angle(c.harmonic, nanos).sin_cos();
             c.re * cos - c.im * sin
@@ -180,7 +180,7 @@ impl NaiveMap {
 /// Checks that the reported components are the expected ones, strongest first. Components of equal strength may come
 /// in any order. Returns the expected ones.
 #[track_caller]
-pub fn check_components(what: &str, shown: &[(u32, f64, f64)], all: &[Coefficient]) -> Vec<Coefficient> {
+pub(crate) fn check_components(what: &str, shown: &[(u32, f64, f64)], all: &[Coefficient]) -> Vec<Coefficient> {
     let mut found = Vec::new();
     for &(harmonic, amplitude, phase_rad) in shown {
         let expected = all.iter().find(|c| c.harmonic == harmonic);

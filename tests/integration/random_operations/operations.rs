@@ -30,7 +30,7 @@ const MINUTE_NANOS: i64 = 60_000_000_000;
 const MINUTES: i64 = 10 * 24 * 60;
 
 /// The daemon and the model of it.
-pub struct World {
+pub(crate) struct World {
     random: SmallRng,
     launch: Launch,
     daemon: Option<Daemon>,
@@ -40,7 +40,7 @@ pub struct World {
 }
 
 impl World {
-    pub async fn new(seed: u64) -> Self {
+    pub(crate) async fn new(seed: u64) -> Self {
         let data = tempfile::tempdir().expect("a folder");
         let launch = Launch::on(data.path()).setting("segment_bytes", 1 << 16).setting("max_batch_observations", 64);
         let daemon = Some(launch.start());
@@ -58,12 +58,12 @@ impl World {
         *self.done.entry(what).or_default() += 1;
     }
 
-    pub fn summary(&self) -> String {
+    pub(crate) fn summary(&self) -> String {
         let counts: Vec<String> = self.done.iter().map(|(what, count)| format!("{count} {what}")).collect();
         counts.join(", ")
     }
 
-    pub async fn operation(&mut self, number: u32) {
+    pub(crate) async fn operation(&mut self, number: u32) {
         match self.random.random_range(0..100) {
             0..55 => self.observe().await,
             55..68 => self.update().await,
@@ -222,7 +222,7 @@ impl World {
         self.count("kills");
     }
 
-    pub async fn verify_all(&mut self, when: &str) {
+    pub(crate) async fn verify_all(&mut self, when: &str) {
         let names: Vec<&'static str> = self.maps.keys().copied().collect();
         let found: Vec<String> =
             self.daemon().client().maps().await.expect("maps").into_iter().map(|map| map.name).collect();

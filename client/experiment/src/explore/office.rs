@@ -14,10 +14,10 @@
 //! - `run.rs`: slot by slot: first all explorers are judged, then the tours take place; updates at midnight;
 //! - `report.rs`: results.csv, slots.csv; `picture.rs`: exploration.svg.
 //!
-//! A tour is planned by `plan_tour` on the explorer's prediction; an observation is `ViewScorer::cells` on the truth, and
-//! becomes one scan. A last map is certain of all cells that it has seen, so its tours end when the office is known;
-//! unused goals of a plan go to cells that were not seen since a round began. The slots of the first day are random and
-//! equal for all; regular times would make periods of 24 h / i and 24 h / (24 - i) look the same.
+//! A tour is planned by `plan_tour` on the explorer's prediction; an observation is `ViewScorer::cells` on the truth,
+//! and becomes one scan. A last map is certain of all cells that it has seen, so its tours end when the office is
+//! known; unused goals of a plan go to cells that were not seen since a round began. The slots of the first day are
+//! random and equal for all; regular times would make periods of 24 h / i and 24 h / (24 - i) look the same.
 //!
 //! Invariant: predictions use earlier observations only, and the same protocol gives the same figures for any number of
 //! threads.

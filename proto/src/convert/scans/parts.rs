@@ -37,14 +37,14 @@ pub(super) struct DroppedReadings {
 
 impl DroppedReadings {
     /// The digest of the readings.
-    pub fn digest(self) -> u64 {
+    pub(crate) fn digest(self) -> u64 {
         u64::from(self.crc)
     }
 }
 
 impl Parts {
     /// Appends the next part.
-    pub fn join(&mut self, sequence: u64, utc_nanos: i64, part: Option<Content>) -> Result<(), ScanError> {
+    pub(crate) fn join(&mut self, sequence: u64, utc_nanos: i64, part: Option<Content>) -> Result<(), ScanError> {
         if sequence != self.sequence {
             let text = format!("{sequence}: scan {} goes on, and its next part has its number", self.sequence);
             return Err(InvalidField::new("scans.first_sequence", text).into());
@@ -60,7 +60,7 @@ impl Parts {
     }
 
     /// Replaces readings by their checksum and number.
-    pub fn fold(&mut self) {
+    pub(crate) fn fold(&mut self) {
         let (pose, numbers) = match &mut self.content {
             Some(Content::Cloud(cloud)) => (cloud.pose.as_ref(), std::mem::take(&mut cloud.xyz_m)),
             Some(Content::Ranges(scan)) => (scan.pose.as_ref(), std::mem::take(&mut scan.ranges_m)),
@@ -72,7 +72,7 @@ impl Parts {
     }
 
     /// Approximate memory, bytes.
-    pub fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         match &self.content {
             None => 0,
             Some(Content::Tiles(scan)) => tile_bytes(scan),
@@ -82,7 +82,7 @@ impl Parts {
     }
 
     /// Checks the size of the parts.
-    pub fn check(&self, limits: &ScanLimits) -> Result<(), ScanError> {
+    pub(crate) fn check(&self, limits: &ScanLimits) -> Result<(), ScanError> {
         let dropped = self.dropped.map_or(0, |dropped| dropped.numbers);
         let (what, got, max, setting) = match &self.content {
             None => return Ok(()),

@@ -36,12 +36,12 @@ pub(super) struct TableSlot {
 
 impl TableSlot {
     /// Those of the cells that lie within the grid's extent.
-    pub fn cut(&self, cells: Mask) -> Mask {
+    pub(crate) fn cut(&self, cells: Mask) -> Mask {
         self.within.as_ref().map_or(cells, |within| cells & **within)
     }
 
     /// Whether every cell lies within the grid's extent.
-    pub fn is_whole(&self) -> bool {
+    pub(crate) fn is_whole(&self) -> bool {
         self.within.is_none()
     }
 
@@ -69,7 +69,7 @@ pub(super) struct StreamTiles {
 }
 
 impl StreamTiles {
-    pub fn new(spec: Option<&GridSpec>) -> StreamTiles {
+    pub(crate) fn new(spec: Option<&GridSpec>) -> StreamTiles {
         StreamTiles {
             is_flat: spec.is_some_and(|spec| spec.is_flat),
             // Without an extent every tile that the wire allows lies within.
@@ -85,7 +85,7 @@ impl StreamTiles {
     }
 
     /// Adds tiles to the table: all or none.
-    pub fn extend(&mut self, new_tiles: &[i32], max_tiles: usize) -> Result<Vec<TileIndex>, ScanError> {
+    pub(crate) fn extend(&mut self, new_tiles: &[i32], max_tiles: usize) -> Result<Vec<TileIndex>, ScanError> {
         let (triples, rest) = new_tiles.as_chunks::<3>();
         if !rest.is_empty() {
             let text = format!("{} entries are not x, y, z of each tile", new_tiles.len());
@@ -143,14 +143,14 @@ impl StreamTiles {
     }
 
     /// Approximate memory, bytes.
-    pub fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         let cut = self.slots.iter().filter(|slot| !slot.is_whole()).count();
         let per_slot = size_of::<TableSlot>() + 2 * size_of::<TileIndex>();
         self.slots.len() * per_slot + cut * size_of::<Mask>() + 4 * self.seen.len() + 8 * self.runs.len()
     }
 
     /// Puts slots in doubt; `None`: all slots, including future ones.
-    pub fn doubt(&mut self, slots: Option<&[u32]>) {
+    pub(crate) fn doubt(&mut self, slots: Option<&[u32]>) {
         match slots {
             Some(slots) => {
                 for &number in slots {
@@ -167,7 +167,7 @@ impl StreamTiles {
     }
 
     /// Ends the doubt about slots whose masks were sent whole.
-    pub fn trust(&mut self, slots: &[u32]) {
+    pub(crate) fn trust(&mut self, slots: &[u32]) {
         for &number in slots {
             if let Some(slot) = self.slots.get_mut(number as usize) {
                 slot.is_in_doubt = false;
@@ -176,7 +176,7 @@ impl StreamTiles {
     }
 
     /// Applies a scan: its changed masks, and its runs if it sees other slots than the previous scan.
-    pub fn take(&mut self, changes: &[(u32, TileMasks)], runs: Option<&mut Vec<(u32, u32)>>) {
+    pub(crate) fn take(&mut self, changes: &[(u32, TileMasks)], runs: Option<&mut Vec<(u32, u32)>>) {
         for &(slot, masks) in changes {
             let Some(slot) = self.slots.get_mut(slot as usize) else { continue };
             self.digest = self.digest.wrapping_sub(slot.digest);
