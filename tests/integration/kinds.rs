@@ -23,12 +23,6 @@ fn observe(daemon: &Daemon, label: &str, rows: &str, more: &[&str]) -> Outcome {
     cli::tidemap_reading(daemon, args.iter().chain(more).copied(), &format!("time,state,value\n{rows}"))
 }
 
-/// The last update may run again after a start.
-fn settled(daemon: &Daemon) {
-    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
-    runtime.block_on(async { oracle::settled(&daemon.client()).await });
-}
-
 fn evaluate(daemon: &Daemon, rows: &str, models: &str) -> Outcome {
     let args = ["evaluate", "office", "-", "--models", models];
     cli::tidemap_reading(daemon, args, &format!("time,state,value\n{rows}"))
@@ -126,7 +120,7 @@ fn speeds_of_a_robot_are_learned_and_told_as_well_as_by_the_reference() {
     let before = answers(&daemon, "path", at);
     daemon.kill();
     let daemon = launch.start();
-    settled(&daemon);
+    oracle::settle(&daemon);
     assert_eq!(answers(&daemon, "path", at), before);
     assert_eq!(kinds(&daemon), [("path".to_owned(), "continuous".to_owned())]);
 }
@@ -184,7 +178,7 @@ fn counts_are_learned_as_counts() {
     let before = answers(&daemon, "people", &at);
     daemon.kill();
     let daemon = launch.start();
-    settled(&daemon);
+    oracle::settle(&daemon);
     assert_eq!(answers(&daemon, "people", &at), before);
     assert_eq!(kinds(&daemon), [("people".to_owned(), "count".to_owned())]);
     let again = observe(&daemon, "learn", &learn, &[]).table();

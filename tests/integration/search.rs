@@ -7,7 +7,7 @@ use std::{fmt::Write as _, fs};
 use tidemap_tests::{
     cli::{self, Outcome, Table},
     daemon::{Daemon, Launch},
-    recordings,
+    oracle, recordings,
 };
 
 /// Midnight of the first day.
@@ -113,6 +113,7 @@ fn somebody_in_a_flat_is_looked_for_where_she_is_at_that_time() {
 
     daemon.kill();
     let daemon = launch.start();
+    oracle::settle(&daemon);
     assert_eq!(tidemap(&daemon, ["topology", "show", "flat"]).table(), shown, "a kill leaves the map");
     assert_eq!(search(&daemon, "flat", "Center", monday + 3 * HOUR_SECS, &[]).table(), night);
 }
@@ -200,6 +201,7 @@ fn a_node_that_is_renamed_keeps_what_was_learned() {
     is_renamed(&daemon);
     daemon.kill();
     let daemon = launch.start();
+    oracle::settle(&daemon);
     is_renamed(&daemon);
     // The recording is unchanged, although the map has other names now.
     observe(&daemon, &rows, "seen");

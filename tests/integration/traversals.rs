@@ -8,6 +8,7 @@ use tidemap_client::observe::{Producer, ProducerOptions, Traversal};
 use tidemap_tests::{
     cli::{self, Outcome},
     daemon::{Daemon, Launch, lasting_port},
+    oracle,
 };
 
 /// A Monday in winter, when London has UTC.
@@ -91,6 +92,7 @@ fn edges_are_learned_from_reports_exactly_once() {
 
     daemon.kill();
     let daemon = launch.start();
+    oracle::settle(&daemon);
     let known = counts(&daemon);
     let (hours, open) = ((DAYS * 24).to_string(), (DAYS * 20).to_string());
     let expected = [
@@ -237,6 +239,7 @@ fn states_of_edges_may_have_long_names() {
     let state = format!("speed/{from}/{to}/{action}");
     daemon.kill();
     let daemon = launch.start();
+    oracle::settle(&daemon);
     assert!((predicted(&daemon, &state, 12, "auto") - 0.5).abs() < 1e-9);
     daemon.stop_in_order();
     let daemon = launch.start();

@@ -259,6 +259,15 @@ pub async fn settled(client: &Client) {
     }
 }
 
+/// As [`settled`], for tests without a runtime.
+///
+/// # Panics
+/// If the daemon does not answer.
+pub fn settle(daemon: &Daemon) {
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    runtime.block_on(async { settled(&daemon.client()).await });
+}
+
 /// Updates a map and waits for the end of it.
 ///
 /// # Panics

@@ -92,7 +92,7 @@ pub enum CannotJudge {
     #[error("persistence blends in the newest value, not the one before an observation: leave it out")]
     Persistence,
     /// The model is fitted on request, and observations do not wait for that.
-    #[error("{0} has to be fitted, and a watch does not wait for that: use auto, mean or spectral")]
+    #[error("{0} must be fitted, and a watch does not wait for that: use auto, mean or spectral")]
     NeedsFit(ModelKind),
 }
 

@@ -137,7 +137,7 @@ async fn what_cannot_be_judged_is_refused() {
         ..Default::default()
     };
     for (states, model, code, words) in [
-        (&["door"][..], wire(ModelKind::Calibrated), invalid, ["model.kind", "has to be fitted"]),
+        (&["door"][..], wire(ModelKind::Calibrated), invalid, ["model.kind", "must be fitted"]),
         (&["door"], wire(ModelKind::Latest), invalid, ["model.kind", "latest"]),
         (&["door"], with_persistence(), invalid, ["model.persistence", "leave it out"]),
         (&["door", "cell/2/0/0"], None, invalid, ["states[1]", "cells are not watched"]),
