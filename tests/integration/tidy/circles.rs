@@ -133,21 +133,22 @@ impl Crate {
         for (module, code) in codes {
             let (imports, rest) = imports(&code);
             for import in imports {
-                let Some(path) = all.from_root(&module, &import.path) else { continue };
+                let Some(path) = all.names_below_root(&module, &import.path) else { continue };
                 if import.is_public {
                     all.public.entry(module.clone()).or_default().insert(import.name, path);
                 } else {
                     all.used.entry(module.clone()).or_default().push(path);
                 }
             }
-            let full = paths(&rest).into_iter().filter_map(|path| all.from_root(&module, &path)).collect::<Vec<_>>();
+            let full =
+                paths(&rest).into_iter().filter_map(|path| all.names_below_root(&module, &path)).collect::<Vec<_>>();
             all.used.entry(module).or_default().extend(full);
         }
         all
     }
 
     /// A path as seen from a module, from the crate's root; `None` where it leads out of the crate.
-    fn from_root(&self, module: &[String], path: &[String]) -> Option<Names> {
+    fn names_below_root(&self, module: &[String], path: &[String]) -> Option<Names> {
         let mut root = module.to_vec();
         let mut path = path;
         match path.first()?.as_str() {

@@ -97,7 +97,7 @@ impl<'a> Solver<'a> {
         for (index, edge) in self.network.edges.iter().enumerate() {
             let forecast = if self.network.from(index) == self.target { None } else { forecasts.at(edge, at_secs) };
             if let Some(forecast) = &forecast {
-                check_forecast(&forecast, || self.network.edge_name(index))?;
+                check_forecast(forecast, || self.network.edge_name(index))?;
             }
             open.push(forecast);
         }
