@@ -138,7 +138,7 @@ fn routes_are_the_best_of_all_simple_ways_in_order() {
                     found += 1;
                 }
                 Err(PlanRouteError::Unreachable { .. } | PlanRouteError::BeyondHorizon { .. }) if ways.is_empty() => {
-                    none += 1
+                    none += 1;
                 }
                 Err(error) => panic!("seed {seed}: {error}"),
             }
