@@ -128,12 +128,12 @@ async fn a_tour_goes_where_the_room_changes_and_avoids_what_is_not_reached() {
     let before = tour(&daemon, nine, &["--count", "2"]).table();
     daemon.kill();
     let daemon = launch.start();
-    oracle::settle(&daemon);
+    oracle::settled(&daemon.client()).await;
     assert_eq!(tour(&daemon, nine, &["--count", "2"]).table(), before, "all that was told is kept");
     tidemap(&daemon, ["update", MAP]).table();
     daemon.kill();
     let daemon = launch.start();
-    oracle::settle(&daemon);
+    oracle::settled(&daemon.client()).await;
     assert_eq!(goals(&tour(&daemon, nine, &["--count", "1"]).table())[0], elsewhere);
 }
 
