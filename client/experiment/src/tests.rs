@@ -105,7 +105,7 @@ fn tuning_sees_no_test_data() {
         let folder = folder();
         let text = PROTOCOL.replace("REFIT", refit);
         let before = ran(folder.path(), &text);
-        // A door that is open at night: whoever looks would choose otherwise.
+        // A door that is open at night: a choice that saw the test data would differ.
         fs::write(folder.path().join("one.csv"), recording(28, 7, 9)).unwrap();
         fs::write(folder.path().join("two.csv"), recording(35, 7, -8)).unwrap();
         let after = ran(folder.path(), &text);

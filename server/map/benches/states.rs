@@ -53,7 +53,7 @@ fn apply(map: &mut LiveMap, event: &Event) -> Option<tidemap_map::update::Update
     map.apply(map.position() + 1, event).expect("consistent")
 }
 
-/// Takes a day in, read every so many minutes.
+/// Applies the observations of a day, at a fixed interval in minutes.
 fn observe(map: &mut LiveMap, day: i64, step: i64) {
     for state in 0..STATES {
         let key = ProducerKey::new("bench", "").expect("valid");

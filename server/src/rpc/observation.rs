@@ -48,7 +48,7 @@ use crate::{
 const HELLO_WITHIN: Duration = Duration::from_secs(10);
 /// A client must read its replies within this time.
 const READ_WITHIN: Duration = Duration::from_secs(30);
-/// After waiting this long, a stream is told that the map is saturated.
+/// After waiting this long, the daemon reports to a stream that the map is saturated.
 const BUSY_AFTER: Duration = Duration::from_secs(1);
 /// Replies that wait for the client.
 const REPLIES_AHEAD: usize = 16;

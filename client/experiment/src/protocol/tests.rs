@@ -50,7 +50,7 @@ fn everything_of_a_protocol_is_read() {
     assert_eq!(protocol.train, [Path::new("lab/data/train.csv")]);
     let tests: Vec<(&str, &Path)> = protocol.test.iter().map(|test| (&*test.label, &*test.path)).collect();
     let path = Path::new;
-    // Two files of one name are told apart.
+    // Two files of one name are distinguished.
     assert_eq!(
         tests,
         [("week1", path("lab/week1.csv")), ("week1-2", path("lab/more/week1.csv")), ("week2", path("lab/week2.csv"))]

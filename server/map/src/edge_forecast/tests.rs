@@ -85,7 +85,7 @@ fn a_changed_length_keeps_the_speed() {
     assert!((record(both, &[]).forecast(&PRIOR, 1.0, 9.0, at(9)).duration_secs - 40.0).abs() < 1e-9);
 }
 
-/// A map of which nothing is known.
+/// A map without reports.
 fn empty() -> LiveMap {
     LiveMap::new(Arc::new(MapSpec {
         periodicities: Periodicities::harmonics(24 * HOUR, 12).expect("valid"),

@@ -185,7 +185,7 @@ fn nothing_is_fitted_that_is_not_kept() {
     let mut world = World::new(spec(Retention::None), 2, 20);
     assert_eq!(world.refit(LIMITS), Refits::default());
     assert!(world.asked().is_empty() && world.fit_of(0).is_none());
-    // What a map has forgotten, or is about to, is not asked for; of what it still has a model is fitted all the same.
+    // The map does not ask for history that its retention has dropped; it fits a model to the rest anyway.
     let mut world = World::new(spec(Retention::Duration(5 * DAY)), 1, 20);
     world.own.push((StateId(7), samples(7, 0..1)));
     assert_eq!(world.refit(LIMITS).fitted, 1);

@@ -1,4 +1,4 @@
-//! States that are no probabilities: how they come to be, what they may hold and what is told of them.
+//! States that are not probabilities: how they are created, which values they take and what views show of them.
 
 use super::*;
 use crate::selector::{ModelKind, ModelSelector};
