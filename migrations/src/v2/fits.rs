@@ -62,6 +62,9 @@ pub struct Hypertime {
     /// Clusters of readings that are 0.
     #[prost(message, repeated, tag = "6")]
     pub zeros: Vec<Cluster>,
+    /// Of a probability: the factor on the ratio of the densities; absent for 1.
+    #[prost(fixed64, optional, tag = "7")]
+    pub gain_bits: Option<u64>,
 }
 
 /// A cluster in hypertime.

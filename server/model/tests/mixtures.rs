@@ -99,12 +99,14 @@ fn door_by_hypertime(door: &Door, options: &HypertimeOptions) -> f64 {
 }
 
 #[test]
-fn hypertime_knows_the_door_by_day_and_week() {
+fn hypertime_knows_the_door_by_day_and_week_whatever_the_seed() {
     let Some(door) = Door::read() else { return };
-    for seed in 0..3 {
-        let error = door_by_hypertime(&door, &HypertimeOptions { method: HypertimeMethod::Em, clusters: 1, seed });
-        // The held-out days decide whether half a week gets a circle; the figure of the default seed is the bound.
-        assert!(error < if seed == 0 { 0.071 } else { 0.075 }, "{error}");
+    for clusters in [1, 3] {
+        let method = HypertimeMethod::Em;
+        let errors = [0, 1, 2].map(|seed| door_by_hypertime(&door, &HypertimeOptions { method, clusters, seed }));
+        let (least, most) = errors.iter().fold((1.0_f64, 0.0_f64), |(least, most), &e| (least.min(e), most.max(e)));
+        // Published, on the authors' own nine weeks: HyT-EM_1 0.0660, HyT-EM_3 0.0666.
+        assert!(most < 0.066 && most - least < 0.004, "{clusters}: {errors:?}");
     }
 }
 
@@ -112,7 +114,7 @@ fn hypertime_knows_the_door_by_day_and_week() {
 fn hypertime_finds_as_many_clusters_as_the_door_needs() {
     let Some(door) = Door::read() else { return };
     let error = door_by_hypertime(&door, &with(HypertimeMethod::Km, 3));
-    assert!(error < 0.074, "{error}");
+    assert!(error < 0.063, "{error}");
 }
 
 #[test]

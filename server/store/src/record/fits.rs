@@ -84,6 +84,7 @@ fn encode_hypertime(fit: Option<v2::Fit>, model: &HypertimeParts) -> (HypertimeM
                 axis_bits: Vec::new(),
                 clusters: clusters(&odds.ones),
                 zeros: clusters(&odds.zeros),
+                gain_bits: Some(odds.gain.to_bits()).filter(|&bits| bits != 1.0_f64.to_bits()),
             };
             (odds.method, message)
         }
@@ -97,6 +98,7 @@ fn encode_hypertime(fit: Option<v2::Fit>, model: &HypertimeParts) -> (HypertimeM
                 axis_bits: bits(&axes.collect::<Vec<f64>>()),
                 clusters: clusters(&field.clusters),
                 zeros: Vec::new(),
+                gain_bits: None,
             };
             (field.method, message)
         }
@@ -114,6 +116,7 @@ fn decode_hypertime(method: HypertimeMethod, message: &v2::Hypertime) -> Result<
             background,
             log_ones,
             log_zeros,
+            gain: message.gain_bits.map_or(1.0, f64::from_bits),
             ones: clusters(&message.clusters),
             zeros: clusters(&message.zeros),
         }),
@@ -146,5 +149,35 @@ fn decode_cluster(message: &v2::Cluster) -> HypertimeCluster {
         factor: doubles(&message.factor_bits),
         directions_rad: doubles(&message.directions_bits),
         concentrations: doubles(&message.concentrations_bits),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gain_is_read_back_and_is_one_where_a_record_has_none() {
+        let fit = |gain| FitParts {
+            model: FittedModelParts::Hypertime(HypertimeParts::Probability(HypertimeOddsParts {
+                method: HypertimeMethod::Em,
+                week_divisors: vec![7],
+                mean: 0.25,
+                background: 1.0,
+                log_ones: 0.5,
+                log_zeros: 1.5,
+                gain,
+                ones: Vec::new(),
+                zeros: Vec::new(),
+            })),
+            day: LocalDay(1),
+            error_sum: None,
+        };
+        for gain in [0.75, 1.0, 1.25] {
+            assert_eq!(decode(&encode(&[fit(gain)])), Ok(vec![fit(gain)]));
+        }
+        let mut message = v2::Fits::decode(encode(&[fit(0.75)]).as_slice()).expect("a record");
+        message.hypertime_em.as_mut().expect("the model").gain_bits = None;
+        assert_eq!(decode(&message.encode_to_vec()), Ok(vec![fit(1.0)]));
     }
 }

@@ -54,6 +54,7 @@ fn odds(method: HypertimeMethod) -> HypertimeParts {
         background: 60.0,
         log_ones: 2.5,
         log_zeros: 3.25,
+        gain: 1.0,
         ones: vec![of(0.75), of(0.25)],
         zeros: vec![of(1.0)],
     })

@@ -88,7 +88,7 @@ impl HypertimeField {
 
         let kept = FieldPoint::thinned(readings.len(), options.seed);
         let civil: Vec<i64> = kept.iter().map(|&index| readings[index].moment.civil_nanos()).collect();
-        let (folds_of, folds) = deal(&civil, options.seed);
+        let (folds_of, folds) = deal(&civil);
         let unit = unit_weight(&civil, kept.iter().map(|&index| weights[index]).sum());
         let readable = kept.iter().zip(civil).zip(folds_of).map(|((&index, civil_nanos), fold)| FieldPoint {
             civil_nanos,

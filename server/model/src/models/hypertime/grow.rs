@@ -6,10 +6,6 @@
 //! likelihood of the held-out readings. Invariant: the result is no worse on these readings than the model without
 //! time.
 
-use rand::SeedableRng;
-use rand::rngs::SmallRng;
-use rand::seq::SliceRandom;
-
 use super::week::{PERIODS_MAX, Residuals};
 use super::{HypertimeMethod, HypertimeOptions};
 use crate::civil::NANOS_PER_SEC;
@@ -167,7 +163,10 @@ fn best_start<M, F: Trainer<M>>(fit: &F, circles: &Circles, clusters: usize, see
 
 /// Splits readings (by their local civil times) into folds of local days, or of hours if there are fewer days than
 /// folds. Returns the fold of each reading and the number of folds.
-pub(super) fn deal(civil_nanos: &[i64], seed: u64) -> (Vec<usize>, usize) {
+///
+/// Successive days belong to successive folds, so that each day of the week, or hour of the day, comes into each fold.
+/// The folds do not depend on the seed: which days judge a circle would otherwise decide more than the data.
+pub(super) fn deal(civil_nanos: &[i64]) -> (Vec<usize>, usize) {
     let blocks_of = |length: i64| {
         let mut blocks: Vec<i64> = civil_nanos.iter().map(|nanos| nanos.div_euclid(length)).collect();
         blocks.sort_unstable();
@@ -178,10 +177,16 @@ pub(super) fn deal(civil_nanos: &[i64], seed: u64) -> (Vec<usize>, usize) {
     if blocks.len() < FOLDS_MAX {
         (length, blocks) = (HOUR_NANOS, blocks_of(HOUR_NANOS));
     }
-    let folds = blocks.len().min(FOLDS_MAX);
-    // Random, so that no weekday is always in the same fold.
-    let mut dealt: Vec<usize> = (0..blocks.len()).map(|index| index % folds.max(1)).collect();
-    dealt.shuffle(&mut SmallRng::seed_from_u64(seed));
+    let folds = blocks.len().clamp(1, FOLDS_MAX);
+    // The folds divide a day's hours: shifted from day to day. They do not divide a week's days.
+    let shift = |block: i64| if length == HOUR_NANOS { block.div_euclid(24) } else { 0 };
+    let mut dealt: Vec<usize> =
+        blocks.iter().map(|&block| (block + shift(block)).rem_euclid(folds as i64) as usize).collect();
+    let least = (0..folds).map(|fold| dealt.iter().filter(|dealt| **dealt == fold).count()).min();
+    // Such as readings of every fourth day.
+    if least.unwrap_or(0) * 2 * folds < blocks.len() {
+        dealt = (0..blocks.len()).map(|index| index % folds).collect();
+    }
     let fold_of = |nanos: &i64| blocks.binary_search(&nanos.div_euclid(length)).map_or(0, |block| dealt[block]);
     (civil_nanos.iter().map(fold_of).collect(), folds)
 }

@@ -1,8 +1,9 @@
 //! A probability in hypertime: the density of readings that are 1 against that of readings that are 0.
 //!
-//! p = n₁f₁/(n₁f₁ + n₀f₀), which is eq. 2 of RA-L 2019 with a fixed at 1 and at 0; a reading between 0 and 1 counts for
-//! both. One factor between the two densities makes the mean prediction over the readings equal to their mean, as γ
-//! does in eq. 3. Invariant: a prediction lies in `[0,1]`, and where there is no data it tends to the mean.
+//! p = γ·n₁f₁/(n₁f₁ + n₀f₀), which is eq. 2 of RA-L 2019 with a fixed at 1 and at 0; a reading between 0 and 1 counts
+//! for both. γ makes the mean prediction over the readings equal to their mean (eq. 3, as its text says; the sum printed
+//! in its denominator runs over the readings that are 1 alone). Densities are those of the plane in which each circle
+//! lies. Invariant: a prediction lies in `[0,1]`, and where there is no data it tends to the mean.
 
 use super::grow::{Attempt, Circles, HeldOutScore, Trainer};
 use super::mixture::Mixture;
@@ -17,6 +18,8 @@ const FOLD_STEPS: usize = 15;
 const PROBABILITY_MIN: f64 = 1e-4;
 /// Bound on logarithms, so that two of them can be added and exponentiated.
 const LOG_MAX: f64 = 300.0;
+/// Bound on ln γ.
+const GAIN_LOG_MAX: f64 = 20.0;
 
 /// What a hypertime model of a probability consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +36,8 @@ pub struct HypertimeOddsParts {
     pub log_ones: f64,
     /// ln of the factor on the density of the readings that are 0.
     pub log_zeros: f64,
+    /// γ, the factor on the ratio of the densities; above 0.
+    pub gain: f64,
     /// Clusters of readings that are 1; empty if the prediction is the mean.
     pub ones: Vec<HypertimeCluster>,
     /// Clusters of readings that are 0; empty if the prediction is the mean.
@@ -47,6 +52,7 @@ pub(super) struct Odds {
     background: f64,
     log_ones: f64,
     log_zeros: f64,
+    gain: f64,
     ones: Mixture,
     zeros: Mixture,
 }
@@ -138,6 +144,7 @@ impl Folds {
             background: self.unit,
             log_ones: 0.0,
             log_zeros: 0.0,
+            gain: 1.0,
             ones: Mixture::default(),
             zeros: Mixture::default(),
         };
@@ -151,9 +158,12 @@ impl Folds {
         }
         let (ones, zeros): (f64, f64) = (counts.ones.iter().sum(), counts.zeros.iter().sum());
         let logs: Vec<(f64, f64)> = (0..SLOTS).map(|slot| odds.log_densities(hypertime.point(slot))).collect();
-        odds.log_ones = (ones.ln() - log_mean(logs.iter().map(|log| log.0))).clamp(-LOG_MAX, LOG_MAX);
-        odds.log_zeros = (zeros.ln() - log_mean(logs.iter().map(|log| log.1))).clamp(-LOG_MAX, LOG_MAX);
-        odds.log_ones += odds.factor(counts, &logs);
+        // The mean of the density of all readings over the week is their number, so that the prior has its weight.
+        let both = |&(one, zero): &(f64, f64)| log_sum(ones.ln() + one, zeros.ln() + zero);
+        let level = log_mean(logs.iter().map(both)) - (ones + zeros).ln();
+        odds.log_ones = (ones.ln() - level).clamp(-LOG_MAX, LOG_MAX);
+        odds.log_zeros = (zeros.ln() - level).clamp(-LOG_MAX, LOG_MAX);
+        odds.gain = odds.gain_for(counts, &logs);
         odds
     }
 }
@@ -216,25 +226,24 @@ fn shape(method: HypertimeMethod, periods: usize) -> (usize, usize) {
 }
 
 impl Odds {
-    /// ln of the factor that makes the mean prediction over the readings their mean; by bisection, because the mean
-    /// prediction is monotonic in it.
-    fn factor(&self, counts: &SlotWeights, logs: &[(f64, f64)]) -> f64 {
-        let (mut low, mut high) = (-20.0, 20.0);
+    /// γ (eq. 3), by bisection of its logarithm: predictions end at 1, and their mean is monotonic in γ.
+    fn gain_for(&self, counts: &SlotWeights, logs: &[(f64, f64)]) -> f64 {
+        let both = counts.ones.iter().zip(&counts.zeros).map(|(ones, zeros)| ones + zeros);
+        let ratios = logs.iter().map(|&(one, zero)| self.ratio(one, zero));
+        let observed: Vec<(f64, f64)> = both.zip(ratios).filter(|(weight, _)| *weight > 0.0).collect();
+        let (mut low, mut high) = (-GAIN_LOG_MAX, GAIN_LOG_MAX);
         for _ in 0..50 {
             let middle = 0.5 * (low + high);
-            let mut excess = 0.0;
-            for ((ones, zeros), &(log_one, log_zero)) in counts.ones.iter().zip(&counts.zeros).zip(logs) {
-                if ones + zeros > 0.0 {
-                    excess += (ones + zeros) * (self.ratio(log_one + middle, log_zero) - self.mean);
-                }
-            }
+            let gain = middle.exp();
+            let excess: f64 =
+                observed.iter().map(|(weight, ratio)| weight * ((gain * ratio).min(1.0) - self.mean)).sum();
             if excess > 0.0 {
                 high = middle;
             } else {
                 low = middle;
             }
         }
-        0.5 * (low + high)
+        (0.5 * (low + high)).exp()
     }
 
     fn is_constant(&self) -> bool {
@@ -246,6 +255,7 @@ impl Odds {
         (self.ones.log_densities(point, coordinates, 0).1, self.zeros.log_densities(point, coordinates, 0).1)
     }
 
+    /// The prediction before γ.
     fn ratio(&self, log_one: f64, log_zero: f64) -> f64 {
         let ones = (self.log_ones + log_one).min(2.0 * LOG_MAX).exp();
         let zeros = (self.log_zeros + log_zero).min(2.0 * LOG_MAX).exp();
@@ -257,7 +267,7 @@ impl Odds {
             return self.mean;
         }
         let (log_one, log_zero) = self.log_densities(point);
-        self.ratio(log_one, log_zero)
+        (self.gain * self.ratio(log_one, log_zero)).min(1.0)
     }
 
     /// The probability at a position in the week, in turns.
@@ -283,6 +293,7 @@ impl Odds {
             background: self.background,
             log_ones: self.log_ones,
             log_zeros: self.log_zeros,
+            gain: self.gain,
             ones: self.ones.to_parts(),
             zeros: self.zeros.to_parts(),
         }
@@ -294,6 +305,7 @@ impl Odds {
         InvalidParts::check("background", parts.background, 1e-300..=1e18)?;
         InvalidParts::check("log_ones", parts.log_ones, -2.0 * LOG_MAX..=2.0 * LOG_MAX)?;
         InvalidParts::check("log_zeros", parts.log_zeros, -2.0 * LOG_MAX..=2.0 * LOG_MAX)?;
+        InvalidParts::check("gain", parts.gain, 1e-10..=1e10)?;
         let (coordinates, circles) = shape(parts.method, parts.week_divisors.len());
         Ok(Odds {
             method: parts.method,
@@ -302,10 +314,17 @@ impl Odds {
             background: parts.background,
             log_ones: parts.log_ones,
             log_zeros: parts.log_zeros,
+            gain: parts.gain,
             ones: Mixture::from_parts(&parts.ones, coordinates, circles)?,
             zeros: Mixture::from_parts(&parts.zeros, coordinates, circles)?,
         })
     }
+}
+
+/// ln of the sum of two exponentials.
+fn log_sum(one: f64, other: f64) -> f64 {
+    let most = one.max(other);
+    most + ((one - most).exp() + (other - most).exp()).ln()
 }
 
 /// ln of the mean of the exponentials.

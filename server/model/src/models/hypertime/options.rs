@@ -20,7 +20,7 @@ pub struct HypertimeOptions {
     /// Number of clusters (HyT-EM; for a probability, for each of the two values), or the maximum (HyT-KM); 1 to
     /// [`HypertimeOptions::CLUSTERS_MAX`]. Fewer where there are fewer distinct readings.
     pub clusters: usize,
-    /// Seed of the starts of the clustering and of the held-out readings.
+    /// Seed of the starts of the clustering; of a field also of the readings that are drawn.
     pub seed: u64,
 }
 

@@ -180,10 +180,11 @@ fn broken_parts_are_refused() {
         HypertimeParts::Probability(parts) => parts,
         HypertimeParts::Continuous(_) => panic!("not a probability"),
     });
-    let broken: [fn(&mut HypertimeOddsParts); 8] = [
+    let broken: [fn(&mut HypertimeOddsParts); 9] = [
         |parts| parts.mean = f64::NAN,
         |parts| parts.background = 0.0,
         |parts| parts.log_ones = f64::INFINITY,
+        |parts| parts.gain = 0.0,
         |parts| parts.week_divisors = vec![85],
         |parts| parts.week_divisors = vec![7, 7],
         |parts| parts.week_divisors.push(3),
@@ -221,6 +222,7 @@ fn strange_but_valid_parts_have_an_answer() {
         background: 1e-300,
         log_ones: 600.0,
         log_zeros: 600.0,
+        gain: 1e10,
         ones: vec![cluster.clone(); 50],
         zeros: vec![cluster],
     });
