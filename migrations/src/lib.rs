@@ -9,5 +9,8 @@ pub mod plan;
 pub mod v1;
 pub mod v2;
 
+#[cfg(test)]
+mod tests;
+
 /// The disk format that this version reads and writes.
 pub const FORMAT: u32 = 2;

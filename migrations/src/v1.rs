@@ -3,10 +3,13 @@
 //! | file in the data directory | layout |
 //! | --- | --- |
 //! | `MANIFEST` | text, [`manifest`](crate::manifest) |
-//! | `maps/00000001/MAP` | [`file::FileHeader`], one record [`map::MapSpec`] |
+//! | `maps/00000001/MAP` | [`file::FileHeader`], one record [`MapSpec`](crate::v2::map::MapSpec) |
 //! | `maps/00000001/log/00000000000000000001.log` | [`log::SegmentHeader`], frames of [`event`] messages |
 //! | `maps/00000001/checkpoints/00000000000000000007.tmc` | [`file::FileHeader`], records of [`map`] messages |
 //! | `index/` | a sled 0.34 database, [`index`] |
+//!
+//! What format 2 extends stands there alone ([`v2`](crate::v2)): a message without the further fields, a frame or a
+//! record of the first kinds is one of format 1. `tests/format_1.rs` keeps the old definitions to compare with.
 //!
 //! Fixed layouts are little-endian. Variable ones are protocol buffer messages. Numbers with a fraction are kept as
 //! the bits of an IEEE 754 double in a `fixed64`, because protocol buffers drop the sign of a zero. Every byte is

@@ -3,7 +3,7 @@
 //! A column holds one value per accepted observation, or a single value if all are equal:
 //! - states: the numbers of the states as varints;
 //! - times: the differences from one time to the next in units of `time_unit_nanos`, as zigzag varints;
-//! - values: by [`ValueEncoding`].
+//! - values: by their encoding, [`VALUES_BITS`], [`VALUES_DOUBLES`] or [`VALUES_FLOATS`].
 //!
 //! Invariant: the lengths of the columns follow from `count`, so a column that was cut or lengthened is detected.
 
@@ -13,68 +13,6 @@ pub const VALUES_BITS: u32 = 0;
 pub const VALUES_DOUBLES: u32 = 1;
 /// The values are floats of four bytes.
 pub const VALUES_FLOATS: u32 = 2;
-
-/// Observations of one producer that became durable together.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct Observations {
-    /// Number of the producer.
-    #[prost(uint32, tag = "1")]
-    pub producer: u32,
-    /// The producer's key, if this is its first record.
-    #[prost(message, optional, tag = "2")]
-    pub new_producer: Option<super::map::ProducerKey>,
-    /// The producer's incarnation.
-    #[prost(uint64, tag = "3")]
-    pub incarnation: u64,
-    /// Sequence number of the first observation, refused ones included.
-    #[prost(uint64, tag = "4")]
-    pub first_sequence: u64,
-    /// Sequence number of the last observation, refused ones included.
-    #[prost(uint64, tag = "5")]
-    pub last_sequence: u64,
-    /// Running CRC-32C of the producer's observations.
-    #[prost(fixed32, tag = "6")]
-    pub content_crc: u32,
-    /// When they were received.
-    #[prost(sint64, tag = "7")]
-    pub received_nanos: i64,
-    /// States that appear for the first time.
-    #[prost(message, repeated, tag = "8")]
-    pub new_states: Vec<NewState>,
-    /// Number of accepted observations.
-    #[prost(uint32, tag = "9")]
-    pub count: u32,
-    /// Column of states.
-    #[prost(bytes = "vec", tag = "10")]
-    pub states: Vec<u8>,
-    /// Time of the first accepted observation.
-    #[prost(int64, tag = "11")]
-    pub first_time_nanos: i64,
-    /// Unit of the differences of times.
-    #[prost(uint64, tag = "12")]
-    pub time_unit_nanos: u64,
-    /// Column of differences of times: `count` - 1 of them.
-    #[prost(bytes = "vec", tag = "13")]
-    pub times: Vec<u8>,
-    /// How values are encoded.
-    #[prost(uint32, tag = "14")]
-    pub value_encoding: u32,
-    /// Column of values.
-    #[prost(bytes = "vec", tag = "15")]
-    pub values: Vec<u8>,
-    /// Lengths of the runs of equal UTC offsets.
-    #[prost(uint32, repeated, tag = "16")]
-    pub offset_counts: Vec<u32>,
-    /// Offset of each run.
-    #[prost(sint32, repeated, tag = "17")]
-    pub offset_secs: Vec<i32>,
-    /// Sequence numbers of refused observations, each as the difference from the one before.
-    #[prost(uint64, repeated, tag = "18")]
-    pub refused_sequences: Vec<u64>,
-    /// Why each was refused: 1 value, 2 time, 3 state name, 4 state index, 5 state limit, 6 state kind.
-    #[prost(uint32, repeated, tag = "19")]
-    pub refused_reasons: Vec<u32>,
-}
 
 /// A state that appears for the first time.
 #[derive(Clone, PartialEq, prost::Message)]

@@ -54,61 +54,6 @@ impl FileHeader {
     }
 }
 
-/// What a record is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RecordKind {
-    /// [`super::map::MapSpec`].
-    Spec = 1,
-    /// [`super::map::Snapshot`], the first of a checkpoint.
-    Snapshot = 2,
-    /// [`super::map::Producer`], in the order of their numbers.
-    Producer = 3,
-    /// [`super::map::State`], in the order of their numbers.
-    State = 4,
-}
-
-/// Header of a record: kind u8, zero u8 × 3, payload length u32, payload CRC-32C u32, CRC-32C of the 12 bytes before.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RecordHeader {
-    /// What the record is.
-    pub kind: RecordKind,
-    /// Length of the payload.
-    pub payload_length: u32,
-    /// CRC-32C of the payload.
-    pub payload_crc: u32,
-}
-
-impl RecordHeader {
-    #[must_use]
-    pub fn encode(&self) -> [u8; RECORD_HEADER_LENGTH] {
-        let mut bytes = [0; RECORD_HEADER_LENGTH];
-        bytes[0] = self.kind as u8;
-        bytes[4..8].copy_from_slice(&self.payload_length.to_le_bytes());
-        bytes[8..12].copy_from_slice(&self.payload_crc.to_le_bytes());
-        let crc = crc32c::crc32c(&bytes[..12]);
-        bytes[12..].copy_from_slice(&crc.to_le_bytes());
-        bytes
-    }
-
-    /// The header at the start of `bytes`, if it is complete and valid.
-    #[must_use]
-    pub fn decode(bytes: &[u8]) -> Option<RecordHeader> {
-        let bytes = bytes.get(..RECORD_HEADER_LENGTH)?;
-        let kind = match bytes[0] {
-            1 => RecordKind::Spec,
-            2 => RecordKind::Snapshot,
-            3 => RecordKind::Producer,
-            4 => RecordKind::State,
-            _ => return None,
-        };
-        let payload_length = u32_at(bytes, 4);
-        let sound = bytes[1..4] == [0, 0, 0]
-            && payload_length as usize <= RECORD_MAX
-            && u32_at(bytes, 12) == crc32c::crc32c(&bytes[..12]);
-        sound.then(|| RecordHeader { kind, payload_length, payload_crc: u32_at(bytes, 8) })
-    }
-}
-
 /// End of a file: 0xFF, zero u8 × 3, CRC-32C u32 of all bytes before the trailer, number of records u32, CRC-32C of the
 /// 12 bytes before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -143,6 +88,7 @@ impl Trailer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tests::format_1::{RecordHeader, RecordKind};
 
     #[test]
     fn headers_come_back_and_every_flipped_bit_is_noticed() {

@@ -2,10 +2,10 @@
 //!
 //! | tree | key | value |
 //! | --- | --- | --- |
-//! | `states` | map u32, state u32 | [`super::map::State`] without its spectrum |
+//! | `states` | map u32, state u32 | [`crate::v2::map::State`] without its spectrum |
 //! | `models` | map u32, state u32, chunk u16 | up to [`CHUNK_LENGTH`] bytes of the spectrum |
-//! | `marks` | map u32 | [`Mark`] |
-//! | `marks` | map u32, producer u32 | [`super::map::Producer`] |
+//! | `marks` | map u32 | [`crate::v2::index::Mark`] |
+//! | `marks` | map u32, producer u32 | [`crate::v2::map::Producer`] |
 //!
 //! Numbers in keys are big-endian, so that they sort. A value is a version byte, the CRC-32C of everything else, and
 //! the payload; the CRC covers the tree's name and the key as well, so a value in the wrong place is detected.
@@ -24,23 +24,6 @@ pub const MARKS: &str = "marks";
 pub const VALUE_VERSION: u8 = 1;
 /// Most bytes of the spectrum in one value: 120 periodicities.
 pub const CHUNK_LENGTH: usize = 3840;
-
-/// How far the index of a map goes.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct Mark {
-    /// While it is set, records are being written and must not be used.
-    #[prost(bool, tag = "1")]
-    pub dirty: bool,
-    /// The snapshot that the records make up.
-    #[prost(message, optional, tag = "2")]
-    pub snapshot: Option<super::map::Snapshot>,
-    /// Number of records of the map, except the mark.
-    #[prost(uint64, tag = "3")]
-    pub records: u64,
-    /// Sum of [`fingerprint`] over all records of the map, except the mark.
-    #[prost(fixed64, tag = "4")]
-    pub fingerprint_sum: u64,
-}
 
 /// Key of a map's mark, and the prefix of all its keys.
 #[must_use]

@@ -66,87 +66,6 @@ impl SegmentHeader {
     }
 }
 
-/// What a frame's payload is. The numbers have several bits set, so that no single flipped bit makes a first byte zero.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrameKind {
-    /// [`super::event::Observations`].
-    Observations = b'O' as isize,
-    /// [`super::event::UpdateStart`].
-    UpdateStart = b'U' as isize,
-}
-
-/// Header of a frame: kind u8, version u8, zero u16, payload length u32, position u64, group index u32, chain u32,
-/// body CRC-32C u32, CRC-32C of the 28 bytes before.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct FrameHeader {
-    /// What the payload is.
-    pub kind: FrameKind,
-    /// Length of the payload, without guards.
-    pub payload_length: u32,
-    /// Number of the record, from 1.
-    pub position: u64,
-    /// How many records before this one were written together with it. All records before those were durable, which
-    /// distinguishes a torn tail from a damaged durable record.
-    pub group_index: u32,
-    /// Header CRC of the record before, [`FIRST_CHAIN`] for the first.
-    pub chain: u32,
-    /// CRC-32C of the body.
-    pub body_crc: u32,
-}
-
-impl FrameHeader {
-    #[must_use]
-    pub fn encode(&self) -> [u8; FRAME_HEADER_LENGTH] {
-        let mut bytes = [0; FRAME_HEADER_LENGTH];
-        bytes[0] = self.kind as u8;
-        bytes[1] = FRAME_VERSION;
-        bytes[4..8].copy_from_slice(&self.payload_length.to_le_bytes());
-        bytes[8..16].copy_from_slice(&self.position.to_le_bytes());
-        bytes[16..20].copy_from_slice(&self.group_index.to_le_bytes());
-        bytes[20..24].copy_from_slice(&self.chain.to_le_bytes());
-        bytes[24..28].copy_from_slice(&self.body_crc.to_le_bytes());
-        let crc = crc32c::crc32c(&bytes[..28]);
-        bytes[28..].copy_from_slice(&crc.to_le_bytes());
-        bytes
-    }
-
-    /// The header at the start of `bytes`, if it is complete and valid.
-    #[must_use]
-    pub fn decode(bytes: &[u8]) -> Option<FrameHeader> {
-        let bytes = bytes.get(..FRAME_HEADER_LENGTH)?;
-        let kind = match bytes[0] {
-            b'O' => FrameKind::Observations,
-            b'U' => FrameKind::UpdateStart,
-            _ => return None,
-        };
-        let payload_length = u32_at(bytes, 4);
-        let sound = bytes[1] == FRAME_VERSION
-            && bytes[2..4] == [0, 0]
-            && payload_length as usize <= PAYLOAD_MAX
-            && u32_at(bytes, 28) == crc32c::crc32c(&bytes[..28]);
-        sound.then(|| FrameHeader {
-            kind,
-            payload_length,
-            position: u64_at(bytes, 8),
-            group_index: u32_at(bytes, 16),
-            chain: u32_at(bytes, 20),
-            body_crc: u32_at(bytes, 24),
-        })
-    }
-
-    /// The chain of the next record.
-    #[must_use]
-    pub fn next_chain(&self) -> u32 {
-        u32_at(&self.encode(), 28)
-    }
-
-    /// Length of the frame, header and guards included.
-    #[must_use]
-    pub fn frame_length(&self) -> usize {
-        FRAME_HEADER_LENGTH + body_length(self.payload_length as usize)
-    }
-}
-
 /// Length of the body of a payload.
 #[must_use]
 pub fn body_length(payload_length: usize) -> usize {
@@ -191,6 +110,7 @@ pub fn unguard(body: &[u8]) -> Option<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tests::format_1::{FrameHeader, FrameKind};
 
     #[test]
     fn guards_come_and_go_at_every_length() {

@@ -2,57 +2,6 @@
 //!
 //! Invariant: a double is kept as its bits (`fixed64`), so that every bit is preserved.
 
-/// The fixed properties of a map.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct MapSpec {
-    #[prost(string, tag = "1")]
-    pub name: String,
-    /// IANA name of its time zone.
-    #[prost(string, tag = "2")]
-    pub zone: String,
-    /// Base period of the harmonics; 0 if the periodicities are a list.
-    #[prost(sint64, tag = "3")]
-    pub harmonics_base_nanos: i64,
-    /// Number of harmonics; 0 if the periodicities are a list.
-    #[prost(uint32, tag = "4")]
-    pub harmonics_count: u32,
-    /// Periods, if the periodicities are a list.
-    #[prost(sint64, repeated, tag = "5")]
-    pub period_nanos: Vec<i64>,
-    /// 1 squared error, 2 zero-one.
-    #[prost(uint32, tag = "6")]
-    pub criterion: u32,
-    /// When it was created.
-    #[prost(sint64, tag = "7")]
-    pub created_nanos: i64,
-}
-
-/// What a snapshot says about itself.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct Snapshot {
-    /// Log position of the update's start.
-    #[prost(uint64, tag = "1")]
-    pub position: u64,
-    /// Log position from which pending observations are read again.
-    #[prost(uint64, tag = "2")]
-    pub replay_from: u64,
-    /// Number of the generation.
-    #[prost(uint64, tag = "3")]
-    pub generation: u64,
-    /// Cut of the last update.
-    #[prost(sint64, tag = "4")]
-    pub cut_nanos: i64,
-    /// Greatest time of any observation.
-    #[prost(sint64, tag = "5")]
-    pub newest_nanos: i64,
-    /// Number of producers.
-    #[prost(uint32, tag = "6")]
-    pub producers: u32,
-    /// Number of states.
-    #[prost(uint32, tag = "7")]
-    pub states: u32,
-}
-
 /// Whose sequence of observations.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct ProducerKey {
@@ -61,67 +10,6 @@ pub struct ProducerKey {
     /// One of its labels.
     #[prost(string, tag = "2")]
     pub label: String,
-}
-
-/// How far a producer's sequence is durable.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct Producer {
-    #[prost(uint32, tag = "1")]
-    pub id: u32,
-    /// Its key.
-    #[prost(message, optional, tag = "2")]
-    pub key: Option<ProducerKey>,
-    /// Highest incarnation seen.
-    #[prost(uint64, tag = "3")]
-    pub incarnation: u64,
-    /// Everything up to here is durable or refused.
-    #[prost(uint64, tag = "4")]
-    pub durable_sequence: u64,
-    /// Running CRC-32C of its observations.
-    #[prost(fixed32, tag = "5")]
-    pub content_crc: u32,
-}
-
-/// One state. In the index it has no `spectrum`; the chunks of that have keys of their own.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct State {
-    #[prost(uint32, tag = "1")]
-    pub id: u32,
-    #[prost(string, tag = "2")]
-    pub name: String,
-    /// Its kind: 0 probability; from format 2 on as in [`super::event::NewState`].
-    #[prost(uint32, tag = "3")]
-    pub kind: u32,
-    /// Observations acknowledged.
-    #[prost(uint64, tag = "4")]
-    pub observations: u64,
-    /// Persistence: pairs of successive observations.
-    #[prost(uint64, tag = "5")]
-    pub pairs: u64,
-    /// Persistence: summed rate of change.
-    #[prost(fixed64, tag = "6")]
-    pub change_rate_sum_bits: u64,
-    /// The newest observation, where there is one.
-    #[prost(message, optional, tag = "7")]
-    pub last: Option<LastObservation>,
-    /// The accumulator without its spectrum.
-    #[prost(message, optional, tag = "8")]
-    pub accumulator: Option<Accumulator>,
-    /// Per periodicity four doubles of eight bytes.
-    #[prost(bytes = "vec", tag = "9")]
-    pub spectrum: Vec<u8>,
-    /// The spectral model.
-    #[prost(message, optional, tag = "10")]
-    pub spectral: Option<Spectral>,
-    /// Number of components in force.
-    #[prost(uint32, tag = "11")]
-    pub order: u32,
-    /// Faded sums of errors, orders 0 to 15.
-    #[prost(fixed64, repeated, tag = "12")]
-    pub error_sums_bits: Vec<u64>,
-    /// Last local day recorded in the errors, in days since 1970-01-01.
-    #[prost(sint32, optional, tag = "13")]
-    pub errors_last_day: Option<i32>,
 }
 
 /// The newest observation of a state.

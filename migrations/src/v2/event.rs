@@ -148,3 +148,38 @@ pub struct Scans {
     #[prost(uint32, repeated, tag = "21")]
     pub refused_reasons: Vec<u32>,
 }
+
+#[cfg(test)]
+mod tests {
+    use prost::Message as _;
+
+    use super::*;
+    use crate::{tests::format_1, v1};
+
+    #[test]
+    fn observations_of_format_1_have_no_failures() {
+        let old = format_1::Observations {
+            producer: 2,
+            new_producer: Some(v1::map::ProducerKey { producer: "robot".to_owned(), label: "lidar".to_owned() }),
+            incarnation: 1,
+            first_sequence: 5,
+            last_sequence: 7,
+            content_crc: 6,
+            received_nanos: -9,
+            new_states: vec![v1::event::NewState { id: 1, name: "door".to_owned(), kind: 0 }],
+            count: 3,
+            states: vec![1],
+            first_time_nanos: 1 << 60,
+            time_unit_nanos: 1000,
+            times: vec![2, 2],
+            value_encoding: v1::event::VALUES_BITS,
+            values: vec![5],
+            offset_counts: vec![3],
+            offset_secs: vec![3600],
+            refused_sequences: vec![],
+            refused_reasons: vec![],
+        };
+        let new = Observations::decode(&old.encode_to_vec()[..]).expect("a message");
+        assert_eq!((new.failures.len(), new.encode_to_vec()), (0, old.encode_to_vec()));
+    }
+}

@@ -83,7 +83,7 @@ const KINDS: [RecordKind; 18] = [
     RecordKind::Site,
 ];
 
-/// Header of a record, laid out as [`crate::v1::file::RecordHeader`].
+/// Header of a record: kind u8, zero u8 × 3, payload length u32, payload CRC-32C u32, CRC-32C of the 12 bytes before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecordHeader {
     /// What the record is.
@@ -122,18 +122,18 @@ impl RecordHeader {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::v1;
+    use crate::tests::format_1;
 
     #[test]
     fn records_of_format_1_are_the_same() {
         let kinds = [
-            (v1::file::RecordKind::Spec, RecordKind::Spec),
-            (v1::file::RecordKind::Snapshot, RecordKind::Snapshot),
-            (v1::file::RecordKind::Producer, RecordKind::Producer),
-            (v1::file::RecordKind::State, RecordKind::State),
+            (format_1::RecordKind::Spec, RecordKind::Spec),
+            (format_1::RecordKind::Snapshot, RecordKind::Snapshot),
+            (format_1::RecordKind::Producer, RecordKind::Producer),
+            (format_1::RecordKind::State, RecordKind::State),
         ];
         for (old, new) in kinds {
-            let old = v1::file::RecordHeader { kind: old, payload_length: 70, payload_crc: 5 };
+            let old = format_1::RecordHeader { kind: old, payload_length: 70, payload_crc: 5 };
             let new = RecordHeader { kind: new, payload_length: 70, payload_crc: 5 };
             assert_eq!(new.encode(), old.encode());
         }

@@ -28,3 +28,23 @@ pub struct Mark {
     #[prost(fixed64, tag = "4")]
     pub fingerprint_sum: u64,
 }
+
+#[cfg(test)]
+mod tests {
+    use prost::Message as _;
+
+    use super::*;
+    use crate::tests::format_1;
+
+    #[test]
+    fn a_mark_of_format_1_is_the_same() {
+        let old = format_1::Mark {
+            dirty: true,
+            snapshot: Some(format_1::Snapshot { position: 9, ..Default::default() }),
+            records: 3,
+            fingerprint_sum: u64::MAX,
+        };
+        let new = Mark::decode(&old.encode_to_vec()[..]).expect("a message");
+        assert_eq!(new.encode_to_vec(), old.encode_to_vec());
+    }
+}

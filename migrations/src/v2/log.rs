@@ -3,7 +3,6 @@
 //! Invariant: a frame of format 1 is the same to the byte.
 
 use crate::v1::{
-    self,
     log::{FRAME_HEADER_LENGTH, FRAME_VERSION, PAYLOAD_MAX, body_length},
     u32_at, u64_at,
 };
@@ -12,18 +11,19 @@ use crate::v1::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameKind {
     /// [`super::event::Observations`].
-    Observations = v1::log::FrameKind::Observations as isize,
-    /// [`v1::event::UpdateStart`].
-    UpdateStart = v1::log::FrameKind::UpdateStart as isize,
+    Observations = b'O' as isize,
+    /// [`crate::v1::event::UpdateStart`].
+    UpdateStart = b'U' as isize,
     /// [`super::event::Scans`].
     Scans = b'S' as isize,
-    /// [`v1::event::NewState`], which has no observations yet.
+    /// [`crate::v1::event::NewState`], which has no observations yet.
     AddState = b'K' as isize,
     /// [`super::site::SiteEdit`].
     EditSite = b'E' as isize,
 }
 
-/// Header of a frame, laid out as [`v1::log::FrameHeader`].
+/// Header of a frame: kind u8, version u8, zero u16, payload length u32, position u64, group index u32, chain u32,
+/// body CRC-32C u32, CRC-32C of the 28 bytes before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameHeader {
     /// What the payload is.
@@ -32,9 +32,10 @@ pub struct FrameHeader {
     pub payload_length: u32,
     /// Number of the record, from 1.
     pub position: u64,
-    /// How many records before this one were written together with it.
+    /// How many records before this one were written together with it. All records before those were durable, which
+    /// distinguishes a torn tail from a damaged durable record.
     pub group_index: u32,
-    /// Header CRC of the record before, [`v1::log::FIRST_CHAIN`] for the first.
+    /// Header CRC of the record before, [`crate::v1::log::FIRST_CHAIN`] for the first.
     pub chain: u32,
     /// CRC-32C of the body.
     pub body_crc: u32,
@@ -99,6 +100,7 @@ impl FrameHeader {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tests::format_1;
 
     fn header(kind: FrameKind) -> FrameHeader {
         FrameHeader { kind, payload_length: 300, position: 12, group_index: 4, chain: 9, body_crc: 8 }
@@ -107,10 +109,10 @@ mod tests {
     #[test]
     fn frames_of_format_1_are_the_same() {
         for (old, new) in [
-            (v1::log::FrameKind::Observations, FrameKind::Observations),
-            (v1::log::FrameKind::UpdateStart, FrameKind::UpdateStart),
+            (format_1::FrameKind::Observations, FrameKind::Observations),
+            (format_1::FrameKind::UpdateStart, FrameKind::UpdateStart),
         ] {
-            let old = v1::log::FrameHeader {
+            let old = format_1::FrameHeader {
                 kind: old,
                 payload_length: 300,
                 position: 12,
@@ -122,7 +124,7 @@ mod tests {
             assert_eq!(header(new).next_chain(), old.next_chain());
             assert_eq!(header(new).frame_length(), old.frame_length());
         }
-        assert_eq!(v1::log::FrameHeader::decode(&header(FrameKind::Scans).encode()), None);
+        assert_eq!(format_1::FrameHeader::decode(&header(FrameKind::Scans).encode()), None);
     }
 
     #[test]

@@ -326,11 +326,11 @@ mod tests {
     use prost::Message as _;
 
     use super::*;
-    use crate::v1;
+    use crate::{tests::format_1, v1};
 
     #[test]
     fn a_map_of_format_1_has_no_further_fields() {
-        let old = v1::map::MapSpec {
+        let old = format_1::MapSpec {
             name: "office".to_owned(),
             zone: "Europe/Prague".to_owned(),
             harmonics_base_nanos: 7,
@@ -346,7 +346,7 @@ mod tests {
 
     #[test]
     fn a_snapshot_of_format_1_has_no_site() {
-        let old = v1::map::Snapshot {
+        let old = format_1::Snapshot {
             position: 9,
             replay_from: 4,
             generation: 2,
@@ -365,8 +365,27 @@ mod tests {
         let new = NewProducer::decode(&key.encode_to_vec()[..]).expect("a message");
         assert_eq!((new.sensor, new.encode_to_vec()), (None, key.encode_to_vec()));
         let old =
-            v1::map::Producer { id: 3, key: Some(key), incarnation: 2, durable_sequence: 1 << 40, content_crc: 7 };
+            format_1::Producer { id: 3, key: Some(key), incarnation: 2, durable_sequence: 1 << 40, content_crc: 7 };
         let new = Producer::decode(&old.encode_to_vec()[..]).expect("a message");
         assert_eq!((new.sensor, new.encode_to_vec()), (None, old.encode_to_vec()));
+    }
+
+    #[test]
+    fn a_state_of_format_1_has_no_alternatives() {
+        let old = format_1::State {
+            id: 4,
+            name: "door".to_owned(),
+            observations: 9,
+            accumulator: Some(v1::map::Accumulator { observations: 9, ..Default::default() }),
+            spectral: Some(v1::map::Spectral { observations: 9, ..Default::default() }),
+            last: Some(v1::map::LastObservation { nanos: -1, value_bits: 1 << 62 }),
+            spectrum: vec![1; 32],
+            error_sums_bits: vec![7; 16],
+            errors_last_day: Some(-3),
+            order: 2,
+            ..Default::default()
+        };
+        let new = State::decode(&old.encode_to_vec()[..]).expect("a message");
+        assert_eq!((&new.alternatives, new.encode_to_vec()), (&None, old.encode_to_vec()));
     }
 }

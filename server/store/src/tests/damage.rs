@@ -218,7 +218,7 @@ fn a_save_into_the_index_that_was_cut_off_is_done_again() {
     let example = example(directory.path());
     edit(directory.path(), |db| {
         use prost::Message as _;
-        use tidemap_migrations::v1::index::{Mark, encode_value};
+        use tidemap_migrations::{v1::index::encode_value, v2::index::Mark};
         let mark = Mark { dirty: true, ..Mark::default() };
         let value = encode_value(MARKS, &map_key(1), &mark.encode_to_vec());
         db.open_tree(MARKS).expect("opens").insert(map_key(1), value).expect("inserts");
