@@ -17,3 +17,6 @@ mod page;
 mod permits;
 mod replies;
 mod series;
+
+/// The outcome of a unary request, or the beginning of a stream.
+type RpcReply<T> = Result<tonic::Response<T>, tonic::Status>;

@@ -36,7 +36,7 @@ mod visit;
 
 use std::{
     fs,
-    io::{self, BufWriter, Stdout},
+    io::{BufWriter, Stdout},
     path::PathBuf,
     process::ExitCode,
 };
@@ -209,11 +209,16 @@ pub(crate) struct Session {
 }
 
 impl Session {
-    /// Prints rows to stdout.
-    pub(crate) fn print(&self, columns: &[&str], rows: impl IntoIterator<Item = Vec<Cell>>) -> io::Result<()> {
+    /// Prints rows to stdout, the result of a command that succeeded.
+    pub(crate) fn print(
+        &self,
+        columns: &[&str],
+        rows: impl IntoIterator<Item = Vec<Cell>>,
+    ) -> anyhow::Result<ExitCode> {
         let mut table = self.table(columns);
         rows.into_iter().try_for_each(|row| table.row(row))?;
-        table.finish()
+        table.finish()?;
+        Ok(ExitCode::SUCCESS)
     }
 
     /// A result on stdout, for rows that come one by one.

@@ -11,9 +11,10 @@ use tidemap_proto::{
     convert::{InvalidField, site::point_from_wire, time::nanos_from_timestamp},
     v1::{self, exploration_service_server::ExplorationService},
 };
-use tonic::{Request, Response, Status};
+use tonic::{Request, Response};
 
 use super::{
+    RpcReply,
     lookup::{check_limit, find_map},
     map::edit_site,
     permits::{Permits, processors},
@@ -114,33 +115,27 @@ impl ExplorationService for Explorations {
     async fn get_information(
         &self,
         request: Request<v1::GetInformationRequest>,
-    ) -> Result<Response<Self::GetInformationStream>, Status> {
+    ) -> RpcReply<Self::GetInformationStream> {
         Ok(Response::new(information::get_information(self, request.into_inner()).await?))
     }
 
-    async fn evaluate_views(
-        &self,
-        request: Request<v1::EvaluateViewsRequest>,
-    ) -> Result<Response<Self::EvaluateViewsStream>, Status> {
+    async fn evaluate_views(&self, request: Request<v1::EvaluateViewsRequest>) -> RpcReply<Self::EvaluateViewsStream> {
         Ok(Response::new(views::evaluate_views(self, request.into_inner()).await?))
     }
 
-    async fn plan_tour(&self, request: Request<v1::PlanTourRequest>) -> Result<Response<v1::PlanTourResponse>, Status> {
+    async fn plan_tour(&self, request: Request<v1::PlanTourRequest>) -> RpcReply<v1::PlanTourResponse> {
         Ok(Response::new(tour::plan_tour(self, request.into_inner()).await?))
     }
 
-    async fn plan_day(&self, request: Request<v1::PlanDayRequest>) -> Result<Response<v1::PlanDayResponse>, Status> {
+    async fn plan_day(&self, request: Request<v1::PlanDayRequest>) -> RpcReply<v1::PlanDayResponse> {
         Ok(Response::new(day::plan_day(self, request.into_inner()).await?))
     }
 
-    async fn plan_slot(&self, request: Request<v1::PlanSlotRequest>) -> Result<Response<v1::PlanSlotResponse>, Status> {
+    async fn plan_slot(&self, request: Request<v1::PlanSlotRequest>) -> RpcReply<v1::PlanSlotResponse> {
         Ok(Response::new(slot::plan_slot(self, request.into_inner()).await?))
     }
 
-    async fn report_visit(
-        &self,
-        request: Request<v1::ReportVisitRequest>,
-    ) -> Result<Response<v1::ReportVisitResponse>, Status> {
+    async fn report_visit(&self, request: Request<v1::ReportVisitRequest>) -> RpcReply<v1::ReportVisitResponse> {
         Ok(Response::new(self.visited(request.into_inner()).await?))
     }
 }

@@ -14,7 +14,7 @@ use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::{page::page, status::RpcError};
+use super::{RpcReply, page::page, status::RpcError};
 use crate::{
     catalog::Catalog,
     ingest::protocol::Command,
@@ -105,10 +105,7 @@ impl Maintenance {
 impl MaintenanceService for Maintenance {
     type WatchJobStream = ReceiverStream<Result<v1::WatchJobResponse, Status>>;
 
-    async fn run_update(
-        &self,
-        request: Request<v1::RunUpdateRequest>,
-    ) -> Result<Response<v1::RunUpdateResponse>, Status> {
+    async fn run_update(&self, request: Request<v1::RunUpdateRequest>) -> RpcReply<v1::RunUpdateResponse> {
         let request = request.into_inner();
         let handle = find_map(&self.catalog, &request.map)?;
         let until_nanos = request.until.map(|until| nanos_from_timestamp("until", until)).transpose();
@@ -123,21 +120,20 @@ impl MaintenanceService for Maintenance {
         Ok(Response::new(v1::RunUpdateResponse { job: Some(job_to_wire(&job)) }))
     }
 
-    async fn get_job(&self, request: Request<v1::GetJobRequest>) -> Result<Response<v1::GetJobResponse>, Status> {
+    async fn get_job(&self, request: Request<v1::GetJobRequest>) -> RpcReply<v1::GetJobResponse> {
         let job = self.job(request.get_ref().id)?;
         Ok(Response::new(v1::GetJobResponse { job: Some(job_to_wire(&job)) }))
     }
 
-    async fn list_jobs(&self, request: Request<v1::ListJobsRequest>) -> Result<Response<v1::ListJobsResponse>, Status> {
+    async fn list_jobs(&self, request: Request<v1::ListJobsRequest>) -> RpcReply<v1::ListJobsResponse> {
         let request = request.into_inner();
         let jobs = self.catalog.context().jobs.list();
-        let (range, next_page_token) =
-            page(jobs.len(), request.page_size, 100, 1000, &request.page_token).map_err(RpcError::from)?;
+        let (range, next_page_token) = page(jobs.len(), request.page_size, 100, 1000, &request.page_token)?;
         let jobs = jobs[range].iter().map(|job| job_to_wire(job)).collect();
         Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token }))
     }
 
-    async fn watch_job(&self, request: Request<v1::WatchJobRequest>) -> Result<Response<Self::WatchJobStream>, Status> {
+    async fn watch_job(&self, request: Request<v1::WatchJobRequest>) -> RpcReply<Self::WatchJobStream> {
         let job = self.job(request.get_ref().id)?;
         let (replies, stream) = mpsc::channel(4);
         tokio::spawn(async move {
@@ -168,23 +164,19 @@ impl MaintenanceService for Maintenance {
     async fn get_update_report(
         &self,
         request: Request<v1::GetUpdateReportRequest>,
-    ) -> Result<Response<v1::GetUpdateReportResponse>, Status> {
+    ) -> RpcReply<v1::GetUpdateReportResponse> {
         let request = request.into_inner();
         let job = self.job(request.job_id)?;
         let report = job.report().ok_or(RpcError::NoReport(job.id))?;
         let cells = report.cells.as_ref().filter(|cells| cells.changed_cells > 0).map(cells_to_wire);
         let rows = usize::from(cells.is_some()) + report.states.len();
-        let (range, next_page_token) =
-            page(rows, request.page_size, 1000, 10_000, &request.page_token).map_err(RpcError::from)?;
+        let (range, next_page_token) = page(rows, request.page_size, 1000, 10_000, &request.page_token)?;
         let states = cells.into_iter().chain(report.states.iter().map(state_update_to_wire));
         let states = states.skip(range.start).take(range.len());
         Ok(Response::new(v1::GetUpdateReportResponse { states: states.collect(), next_page_token }))
     }
 
-    async fn get_statistics(
-        &self,
-        request: Request<v1::GetStatisticsRequest>,
-    ) -> Result<Response<v1::GetStatisticsResponse>, Status> {
+    async fn get_statistics(&self, request: Request<v1::GetStatisticsRequest>) -> RpcReply<v1::GetStatisticsResponse> {
         let name = request.into_inner().map;
         let handle = if name.is_empty() { None } else { Some(find_map(&self.catalog, &name)?) };
         let catalog = Arc::clone(&self.catalog);

@@ -18,9 +18,9 @@ use tidemap_proto::{
     v1::{self, map_service_server::MapService},
 };
 use tokio::sync::oneshot;
-use tonic::{Request, Response, Status};
+use tonic::{Request, Response};
 
-use super::{page::page, status::RpcError};
+use super::{RpcReply, page::page, status::RpcError};
 use crate::{
     catalog::Catalog,
     ingest::{
@@ -49,41 +49,34 @@ fn location_name(field: &str, name: &str) -> Result<StateName, RpcError> {
 
 #[tonic::async_trait]
 impl MapService for Maps {
-    async fn create_map(
-        &self,
-        request: Request<v1::CreateMapRequest>,
-    ) -> Result<Response<v1::CreateMapResponse>, Status> {
+    async fn create_map(&self, request: Request<v1::CreateMapRequest>) -> RpcReply<v1::CreateMapResponse> {
         let now = self.catalog.context().clock.now_nanos();
         let spec = spec_from_request(request.into_inner(), now).map_err(RpcError::from)?;
         let handle = self.catalog.create(spec).await.map_err(RpcError::from)?;
         Ok(Response::new(v1::CreateMapResponse { map: Some(map_to_wire(&handle.view())) }))
     }
 
-    async fn get_map(&self, request: Request<v1::GetMapRequest>) -> Result<Response<v1::GetMapResponse>, Status> {
+    async fn get_map(&self, request: Request<v1::GetMapRequest>) -> RpcReply<v1::GetMapResponse> {
         let handle = find_map(&self.catalog, &request.get_ref().name)?;
         Ok(Response::new(v1::GetMapResponse { map: Some(map_to_wire(&handle.view())) }))
     }
 
-    async fn list_maps(&self, request: Request<v1::ListMapsRequest>) -> Result<Response<v1::ListMapsResponse>, Status> {
+    async fn list_maps(&self, request: Request<v1::ListMapsRequest>) -> RpcReply<v1::ListMapsResponse> {
         let request = request.into_inner();
         let maps = self.catalog.all();
-        let (range, next_page_token) =
-            page(maps.len(), request.page_size, 100, 1000, &request.page_token).map_err(RpcError::from)?;
+        let (range, next_page_token) = page(maps.len(), request.page_size, 100, 1000, &request.page_token)?;
         let maps = maps.values().skip(range.start).take(range.len()).map(|handle| map_to_wire(&handle.view()));
         Ok(Response::new(v1::ListMapsResponse { maps: maps.collect(), next_page_token }))
     }
 
-    async fn delete_map(
-        &self,
-        request: Request<v1::DeleteMapRequest>,
-    ) -> Result<Response<v1::DeleteMapResponse>, Status> {
+    async fn delete_map(&self, request: Request<v1::DeleteMapRequest>) -> RpcReply<v1::DeleteMapResponse> {
         let name = request.into_inner().name;
         find_map(&self.catalog, &name)?;
         self.catalog.delete(&name).await.map_err(RpcError::from)?;
         Ok(Response::new(v1::DeleteMapResponse {}))
     }
 
-    async fn add_state(&self, request: Request<v1::AddStateRequest>) -> Result<Response<v1::AddStateResponse>, Status> {
+    async fn add_state(&self, request: Request<v1::AddStateRequest>) -> RpcReply<v1::AddStateResponse> {
         let v1::AddStateRequest { map, state, kind, dimensions } = request.into_inner();
         let handle = find_map(&self.catalog, &map)?;
         let invalid = |error| RpcError::from(InvalidField::new("state", error));
@@ -102,23 +95,16 @@ impl MapService for Maps {
         Ok(Response::new(v1::AddStateResponse { state }))
     }
 
-    async fn list_states(
-        &self,
-        request: Request<v1::ListStatesRequest>,
-    ) -> Result<Response<v1::ListStatesResponse>, Status> {
+    async fn list_states(&self, request: Request<v1::ListStatesRequest>) -> RpcReply<v1::ListStatesResponse> {
         let request = request.into_inner();
         let view = find_map(&self.catalog, &request.map)?.view();
-        let (range, next_page_token) =
-            page(view.len(), request.page_size, 1000, 10_000, &request.page_token).map_err(RpcError::from)?;
+        let (range, next_page_token) = page(view.len(), request.page_size, 1000, 10_000, &request.page_token)?;
         let ids = range.filter_map(|index| u32::try_from(index).ok()).map(StateId);
         let states = ids.filter_map(|id| state_to_wire(&view, id)).collect();
         Ok(Response::new(v1::ListStatesResponse { states, next_page_token }))
     }
 
-    async fn set_charger(
-        &self,
-        request: Request<v1::SetChargerRequest>,
-    ) -> Result<Response<v1::SetChargerResponse>, Status> {
+    async fn set_charger(&self, request: Request<v1::SetChargerRequest>) -> RpcReply<v1::SetChargerResponse> {
         let v1::SetChargerRequest { map, charger } = request.into_inner();
         let handle = find_map(&self.catalog, &map)?;
         let at_m = charger.map(|at| point_from_wire("charger", at)).transpose().map_err(RpcError::from)?;
@@ -126,10 +112,7 @@ impl MapService for Maps {
         Ok(Response::new(v1::SetChargerResponse {}))
     }
 
-    async fn set_location(
-        &self,
-        request: Request<v1::SetLocationRequest>,
-    ) -> Result<Response<v1::SetLocationResponse>, Status> {
+    async fn set_location(&self, request: Request<v1::SetLocationRequest>) -> RpcReply<v1::SetLocationResponse> {
         let v1::SetLocationRequest { map, location } = request.into_inner();
         let handle = find_map(&self.catalog, &map)?;
         let v1::Location { name, states, position } = location.unwrap_or_default();
@@ -148,7 +131,7 @@ impl MapService for Maps {
     async fn delete_location(
         &self,
         request: Request<v1::DeleteLocationRequest>,
-    ) -> Result<Response<v1::DeleteLocationResponse>, Status> {
+    ) -> RpcReply<v1::DeleteLocationResponse> {
         let v1::DeleteLocationRequest { map, location } = request.into_inner();
         let handle = find_map(&self.catalog, &map)?;
         let name = location_name("location", &location)?;
@@ -156,15 +139,11 @@ impl MapService for Maps {
         Ok(Response::new(v1::DeleteLocationResponse {}))
     }
 
-    async fn list_locations(
-        &self,
-        request: Request<v1::ListLocationsRequest>,
-    ) -> Result<Response<v1::ListLocationsResponse>, Status> {
+    async fn list_locations(&self, request: Request<v1::ListLocationsRequest>) -> RpcReply<v1::ListLocationsResponse> {
         let request = request.into_inner();
         let view = find_map(&self.catalog, &request.map)?.view();
         let all = view.site().locations();
-        let (range, next_page_token) =
-            page(all.len(), request.page_size, 100, 1000, &request.page_token).map_err(RpcError::from)?;
+        let (range, next_page_token) = page(all.len(), request.page_size, 100, 1000, &request.page_token)?;
         let locations = all.iter().skip(range.start).take(range.len());
         let locations = locations.map(|(name, location)| location_to_wire(&view, name, location)).collect();
         Ok(Response::new(v1::ListLocationsResponse { locations, next_page_token }))

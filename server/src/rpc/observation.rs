@@ -30,7 +30,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, Request, Response, Status, Streaming};
 use tracing::debug;
 
-use super::{acks::acks, status::RpcError};
+use super::{RpcReply, acks::acks, status::RpcError};
 use crate::{
     catalog::Catalog,
     ingest::{
@@ -102,10 +102,7 @@ impl Drop for StreamCount {
 impl ObservationService for Observations {
     type ObserveStream = ReceiverStream<Result<v1::ObserveResponse, Status>>;
 
-    async fn observe(
-        &self,
-        request: Request<Streaming<v1::ObserveRequest>>,
-    ) -> Result<Response<Self::ObserveStream>, Status> {
+    async fn observe(&self, request: Request<Streaming<v1::ObserveRequest>>) -> RpcReply<Self::ObserveStream> {
         let open = self.streams.fetch_add(1, Ordering::Relaxed) + 1;
         let counted = StreamCount(Arc::clone(&self.streams));
         metrics::gauge!("tidemap_streams").set(open as f64);

@@ -2,6 +2,8 @@
 
 use tidemap_proto::convert::InvalidField;
 
+use super::status::RpcError;
+
 /// The range of a page in a list of `len` entries, and the token of the next page.
 ///
 /// # Errors
@@ -12,11 +14,11 @@ pub(super) fn page(
     default: usize,
     max: usize,
     token: &str,
-) -> Result<(std::ops::Range<usize>, String), InvalidField> {
+) -> Result<(std::ops::Range<usize>, String), RpcError> {
     let size = match usize::try_from(page_size).unwrap_or(usize::MAX) {
         0 => default,
         size if size <= max => size,
-        size => return Err(InvalidField::new("page_size", format!("{size} is too many: at most {max}"))),
+        size => return Err(InvalidField::new("page_size", format!("{size} is too many: at most {max}")).into()),
     };
     let start = match token {
         "" => 0,
@@ -31,7 +33,21 @@ pub(super) fn page(
 
 #[cfg(test)]
 mod tests {
-    use super::page;
+    use super::{RpcError, page as typed_page};
+    use tidemap_proto::convert::InvalidField;
+
+    fn page(
+        len: usize,
+        size: u32,
+        default: usize,
+        max: usize,
+        token: &str,
+    ) -> Result<(std::ops::Range<usize>, String), InvalidField> {
+        typed_page(len, size, default, max, token).map_err(|error| match error {
+            RpcError::Field(field) => field,
+            other => panic!("{other}"),
+        })
+    }
 
     #[test]
     fn pages_follow_each_other_to_the_end() {

@@ -6,9 +6,9 @@
 use std::sync::Arc;
 
 use tidemap_proto::v1::{self, query_service_server::QueryService};
-use tonic::{Request, Response, Status, Streaming};
+use tonic::{Request, Response, Streaming};
 
-use super::{permits::Permits, replies::Replies};
+use super::{RpcReply, permits::Permits, replies::Replies};
 use crate::catalog::Catalog;
 
 mod anomalies;
@@ -89,59 +89,44 @@ impl QueryService for Queries {
     type FindAnomaliesStream = Replies<v1::FindAnomaliesResponse>;
     type WatchAnomaliesStream = Replies<v1::WatchAnomaliesResponse>;
 
-    async fn predict_states(
-        &self,
-        request: Request<v1::PredictStatesRequest>,
-    ) -> Result<Response<Self::PredictStatesStream>, Status> {
+    async fn predict_states(&self, request: Request<v1::PredictStatesRequest>) -> RpcReply<Self::PredictStatesStream> {
         Ok(Response::new(states::predict_states(self, request.into_inner()).await?))
     }
 
     async fn evaluate_states(
         &self,
         request: Request<Streaming<v1::EvaluateStatesRequest>>,
-    ) -> Result<Response<v1::EvaluateStatesResponse>, Status> {
+    ) -> RpcReply<v1::EvaluateStatesResponse> {
         Ok(Response::new(evaluate::evaluate_states(self, request.into_inner()).await?))
     }
 
-    async fn describe_model(
-        &self,
-        request: Request<v1::DescribeModelRequest>,
-    ) -> Result<Response<v1::DescribeModelResponse>, Status> {
+    async fn describe_model(&self, request: Request<v1::DescribeModelRequest>) -> RpcReply<v1::DescribeModelResponse> {
         Ok(Response::new(states::describe_model(self, request.into_inner()).await?))
     }
 
-    async fn predict_grid(
-        &self,
-        request: Request<v1::PredictGridRequest>,
-    ) -> Result<Response<Self::PredictGridStream>, Status> {
+    async fn predict_grid(&self, request: Request<v1::PredictGridRequest>) -> RpcReply<Self::PredictGridStream> {
         Ok(Response::new(grid::predict_grid(self, request.into_inner()).await?))
     }
 
     async fn predict_positions(
         &self,
         request: Request<v1::PredictPositionsRequest>,
-    ) -> Result<Response<Self::PredictPositionsStream>, Status> {
+    ) -> RpcReply<Self::PredictPositionsStream> {
         Ok(Response::new(positions::predict_positions(self, request.into_inner()).await?))
     }
 
-    async fn reconstruct(
-        &self,
-        request: Request<v1::ReconstructRequest>,
-    ) -> Result<Response<Self::ReconstructStream>, Status> {
+    async fn reconstruct(&self, request: Request<v1::ReconstructRequest>) -> RpcReply<Self::ReconstructStream> {
         Ok(Response::new(reconstruct::reconstruct(self, request.into_inner()).await?))
     }
 
-    async fn find_anomalies(
-        &self,
-        request: Request<v1::FindAnomaliesRequest>,
-    ) -> Result<Response<Self::FindAnomaliesStream>, Status> {
+    async fn find_anomalies(&self, request: Request<v1::FindAnomaliesRequest>) -> RpcReply<Self::FindAnomaliesStream> {
         Ok(Response::new(anomalies::find_anomalies(self, request.into_inner()).await?))
     }
 
     async fn watch_anomalies(
         &self,
         request: Request<v1::WatchAnomaliesRequest>,
-    ) -> Result<Response<Self::WatchAnomaliesStream>, Status> {
+    ) -> RpcReply<Self::WatchAnomaliesStream> {
         Ok(Response::new(watch::watch_anomalies(self, request.into_inner()).await?))
     }
 }

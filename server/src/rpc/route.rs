@@ -20,9 +20,10 @@ use tidemap_proto::{
         topology_service_server::TopologyService,
     },
 };
-use tonic::{Request, Response, Status};
+use tonic::{Request, Response};
 
 use super::{
+    RpcReply,
     lookup::find_map,
     map::edit_site,
     permits::{Permits, processors},
@@ -82,10 +83,7 @@ impl Routes {
 
 #[tonic::async_trait]
 impl TopologyService for Routes {
-    async fn load_topology(
-        &self,
-        request: Request<v1::LoadTopologyRequest>,
-    ) -> Result<Response<v1::LoadTopologyResponse>, Status> {
+    async fn load_topology(&self, request: Request<v1::LoadTopologyRequest>) -> RpcReply<v1::LoadTopologyResponse> {
         let request = request.into_inner();
         let map = request.map.clone();
         find_map(&self.catalog, &map)?;
@@ -94,28 +92,19 @@ impl TopologyService for Routes {
         Ok(Response::new(v1::LoadTopologyResponse { nodes, edges }))
     }
 
-    async fn edit_topology(
-        &self,
-        request: Request<v1::EditTopologyRequest>,
-    ) -> Result<Response<v1::EditTopologyResponse>, Status> {
+    async fn edit_topology(&self, request: Request<v1::EditTopologyRequest>) -> RpcReply<v1::EditTopologyResponse> {
         let v1::EditTopologyRequest { map, edit } = request.into_inner();
         let edit = edit_from_wire(edit.as_ref()).map_err(RpcError::from)?;
         let (nodes, edges) = self.edit(&map, edit).await?;
         Ok(Response::new(v1::EditTopologyResponse { nodes, edges }))
     }
 
-    async fn get_topology(
-        &self,
-        request: Request<v1::GetTopologyRequest>,
-    ) -> Result<Response<v1::GetTopologyResponse>, Status> {
+    async fn get_topology(&self, request: Request<v1::GetTopologyRequest>) -> RpcReply<v1::GetTopologyResponse> {
         let view = find_map(&self.catalog, &request.get_ref().map)?.view();
         Ok(Response::new(self.run_blocking(move || topology_to_wire(view.site().topology())).await?))
     }
 
-    async fn list_failures(
-        &self,
-        request: Request<v1::ListFailuresRequest>,
-    ) -> Result<Response<v1::ListFailuresResponse>, Status> {
+    async fn list_failures(&self, request: Request<v1::ListFailuresRequest>) -> RpcReply<v1::ListFailuresResponse> {
         let v1::ListFailuresRequest { map, limit, edge } = request.into_inner();
         let view = find_map(&self.catalog, &map)?.view();
         let most = if limit == 0 { usize::MAX } else { usize::try_from(limit).unwrap_or(usize::MAX) };
@@ -128,48 +117,33 @@ impl TopologyService for Routes {
 
 #[tonic::async_trait]
 impl SearchService for Routes {
-    async fn plan_search(
-        &self,
-        request: Request<v1::PlanSearchRequest>,
-    ) -> Result<Response<v1::PlanSearchResponse>, Status> {
+    async fn plan_search(&self, request: Request<v1::PlanSearchRequest>) -> RpcReply<v1::PlanSearchResponse> {
         Ok(Response::new(search::plan_search(self, request.into_inner()).await?))
     }
 
     async fn predict_presence(
         &self,
         request: Request<v1::PredictPresenceRequest>,
-    ) -> Result<Response<v1::PredictPresenceResponse>, Status> {
+    ) -> RpcReply<v1::PredictPresenceResponse> {
         Ok(Response::new(presence::predict_presence(self, request.into_inner()).await?))
     }
 
-    async fn next_joint(
-        &self,
-        request: Request<v1::NextJointRequest>,
-    ) -> Result<Response<v1::NextJointResponse>, Status> {
+    async fn next_joint(&self, request: Request<v1::NextJointRequest>) -> RpcReply<v1::NextJointResponse> {
         Ok(Response::new(presence::next_joint(self, request.into_inner()).await?))
     }
 }
 
 #[tonic::async_trait]
 impl RouteService for Routes {
-    async fn plan_route(
-        &self,
-        request: Request<v1::PlanRouteRequest>,
-    ) -> Result<Response<v1::PlanRouteResponse>, Status> {
+    async fn plan_route(&self, request: Request<v1::PlanRouteRequest>) -> RpcReply<v1::PlanRouteResponse> {
         Ok(Response::new(plan::plan_route(self, request.into_inner()).await?))
     }
 
-    async fn plan_policy(
-        &self,
-        request: Request<v1::PlanPolicyRequest>,
-    ) -> Result<Response<v1::PlanPolicyResponse>, Status> {
+    async fn plan_policy(&self, request: Request<v1::PlanPolicyRequest>) -> RpcReply<v1::PlanPolicyResponse> {
         Ok(Response::new(plan::plan_policy(self, request.into_inner()).await?))
     }
 
-    async fn predict_edges(
-        &self,
-        request: Request<v1::PredictEdgesRequest>,
-    ) -> Result<Response<v1::PredictEdgesResponse>, Status> {
+    async fn predict_edges(&self, request: Request<v1::PredictEdgesRequest>) -> RpcReply<v1::PredictEdgesResponse> {
         Ok(Response::new(plan::predict_edges(self, request.into_inner()).await?))
     }
 }

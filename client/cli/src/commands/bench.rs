@@ -67,10 +67,7 @@ pub(crate) async fn run(session: &Session, command: &BenchCommand) -> anyhow::Re
     let figures = measured?;
     deleted?;
     let columns: Vec<&'static str> = figures.iter().map(|(name, _)| *name).collect();
-    let mut table = session.table(&columns);
-    table.row(figures.into_iter().map(|(_, cell)| cell).collect())?;
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+    session.print(&columns, [figures.into_iter().map(|(_, cell)| cell).collect()])
 }
 
 async fn measure(client: &Client, map: &str, command: &BenchCommand) -> anyhow::Result<Figures> {

@@ -132,11 +132,9 @@ pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<Exit
         sensor: Sensor::default(),
     };
     let slots = session.client.plan_day(query).await?;
-    let mut table = session.table(&COLUMNS);
-    for (slot, DaySlot { start_nanos, location, information_bits }) in (0_u64..).zip(slots) {
+    let row = |(slot, DaySlot { start_nanos, location, information_bits })| {
         let location = location.map_or(Cell::Empty, Cell::Text);
-        table.row(vec![Cell::Count(slot), Cell::Secs(start_nanos), location, information_bits.into()])?;
-    }
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+        vec![Cell::Count(slot), Cell::Secs(start_nanos), location, information_bits.into()]
+    };
+    session.print(&COLUMNS, (0_u64..).zip(slots).map(row))
 }

@@ -7,7 +7,7 @@ use std::{path::PathBuf, process::ExitCode, str::FromStr};
 use anyhow::Context as _;
 use clap::Args;
 use tidemap_client::queries::{
-    Comparison, EvaluateOptions, InvalidModel, ModelKind, ModelSelector, ORDER_MAX, Unavailable,
+    Comparison, EvaluateOptions, Evaluation, InvalidModel, ModelKind, ModelSelector, ORDER_MAX, Unavailable,
 };
 
 use super::{
@@ -111,18 +111,17 @@ pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result
     }
     let Comparison { evaluations, unavailable } = evaluator.finish().await?;
     bar.clear();
-    let mut table = session.table(&["state", "model", "order", "n", "mse", "error_rate"]);
-    for evaluation in evaluations {
-        table.row(vec![
+    let row = |evaluation: Evaluation| {
+        vec![
             Cell::Text(evaluation.state),
             Cell::Text(evaluation.model.to_string()),
             Cell::maybe(evaluation.model.order.map(|order| order as u64)),
             evaluation.observations.into(),
             evaluation.mean_squared_error.into(),
             Cell::maybe(evaluation.error_rate),
-        ])?;
-    }
-    table.finish()?;
+        ]
+    };
+    session.print(&["state", "model", "order", "n", "mse", "error_rate"], evaluations.into_iter().map(row))?;
     unavailable.iter().for_each(|unavailable| status_line(&missing(unavailable)));
     let all_there = !unavailable.iter().any(|unavailable| is_named(&args.models, unavailable.model));
     Ok(if report.is_clean() && all_there { ExitCode::SUCCESS } else { ExitCode::FAILURE })

@@ -73,10 +73,5 @@ pub(crate) async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<Exi
             }
         }
     }
-    let mut table = session.table(&COLUMNS);
-    for row in rows {
-        table.row(row)?;
-    }
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+    session.print(&COLUMNS, rows)
 }

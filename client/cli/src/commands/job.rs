@@ -45,14 +45,8 @@ pub(crate) async fn run(session: &Session, command: &JobCommand) -> anyhow::Resu
         JobCommand::Watch { id } => vec![watch(&session.client, *id).await?],
     };
     let failed = matches!(command, JobCommand::Watch { .. }) && jobs.iter().any(|job| job.state == JobState::Failed);
-    let mut table = session.table(&COLUMNS);
-    for job in jobs {
-        if failed {
-            status_line(&format!("error: {}", failure(&job)));
-        }
-        table.row(cells(job))?;
-    }
-    table.finish()?;
+    jobs.iter().filter(|_| failed).for_each(|job| status_line(&format!("error: {}", failure(job))));
+    session.print(&COLUMNS, jobs.into_iter().map(cells))?;
     Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 

@@ -55,11 +55,9 @@ pub(crate) async fn run(session: &Session, command: LocationCommand) -> anyhow::
             return Ok(ExitCode::SUCCESS);
         }
     };
-    let mut table = session.table(&COLUMNS);
-    for Location { name, states, position_m } in locations {
+    let row = |Location { name, states, position_m }| {
         let [x, y] = position_m.map_or([None; 2], |at| at.map(Some));
-        table.row(vec![Cell::Text(name), Cell::maybe(x), Cell::maybe(y), Cell::Text(states.join(" "))])?;
-    }
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+        vec![Cell::Text(name), Cell::maybe(x), Cell::maybe(y), Cell::Text(states.join(" "))]
+    };
+    session.print(&COLUMNS, locations.into_iter().map(row))
 }

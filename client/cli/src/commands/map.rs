@@ -183,13 +183,11 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
         }
     };
     let columns = if all { COLUMNS.to_vec() } else { [&COLUMNS[..], &MORE_COLUMNS].concat() };
-    let mut table = session.table(&columns);
-    for map in maps {
+    let row = |map| {
         let more = if all { Vec::new() } else { more_cells(&map) };
-        table.row([cells(map), more].concat())?;
-    }
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+        [cells(map), more].concat()
+    };
+    session.print(&columns, maps.into_iter().map(row))
 }
 
 /// Checks that a new map has its grid: a daemon that does not support grids ignores the field.

@@ -61,21 +61,16 @@ const JOINT_COLUMNS: [&str; 2] = ["time", "probability"];
 pub(crate) async fn run(session: &Session, args: PresenceArgs) -> anyhow::Result<ExitCode> {
     let PresenceArgs { map, at, object, model } = args;
     let presence = session.client.predict_presence(PresenceQuery { map, object, times_nanos: at, model }).await?;
-    let mut table = session.table(&COLUMNS);
-    for PresenceAt { time_nanos, probabilities, shares, anybody } in &presence.times {
+    let rows = |PresenceAt { time_nanos, probabilities, shares, anybody }: &PresenceAt| {
         let mut order: Vec<usize> = (0..presence.nodes.len().min(probabilities.len())).collect();
         order.sort_by(|&one, &other| probabilities[other].total_cmp(&probabilities[one]));
-        for node in order {
-            table.row(vec![
-                Cell::Secs(*time_nanos),
-                presence.nodes[node].as_str().into(),
-                probabilities[node].into(),
-                Cell::maybe(shares.get(node).copied()),
-                (*anybody).into(),
-            ])?;
-        }
-    }
-    table.finish()?;
+        let row = |node: usize| {
+            let (name, share) = (presence.nodes[node].as_str().into(), Cell::maybe(shares.get(node).copied()));
+            vec![Cell::Secs(*time_nanos), name, probabilities[node].into(), share, (*anybody).into()]
+        };
+        order.into_iter().map(row).collect::<Vec<_>>()
+    };
+    session.print(&COLUMNS, presence.times.iter().flat_map(rows))?;
     if !presence.unobserved.is_empty() {
         let shown = presence.unobserved.iter().take(10).map(String::as_str).collect::<Vec<_>>().join(", ");
         let more = if presence.unobserved_nodes > 10 { ", …" } else { "" };
@@ -88,11 +83,8 @@ pub(crate) async fn joint(session: &Session, args: JointArgs) -> anyhow::Result<
     let JointArgs { map, states, from, within, step, threshold, model } = args;
     let query = JointQuery { map, states, from_nanos: from, within_nanos: within, step_nanos: step, threshold, model };
     let joint = session.client.next_joint(query).await?;
-    let mut table = session.table(&JOINT_COLUMNS);
-    if let Some(time_nanos) = joint.time_nanos {
-        table.row(vec![Cell::Secs(time_nanos), joint.probability.into()])?;
-    }
-    table.finish()?;
+    let row = joint.time_nanos.map(|time_nanos| vec![Cell::Secs(time_nanos), joint.probability.into()]);
+    session.print(&JOINT_COLUMNS, row)?;
     if joint.time_nanos.is_none() {
         let at = joint.best_nanos.div_euclid(1_000_000_000);
         status_line(&format!("at no time: the greatest probability is {:.3}, at {at}", joint.probability));

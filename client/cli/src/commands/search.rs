@@ -104,17 +104,11 @@ pub(crate) async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<E
         as_travelled: args.as_travelled,
     };
     let search = session.client.plan_search(query).await?;
-    let mut table = session.table(&COLUMNS);
-    for (step, SearchStep { node, arrival_secs, probability }) in (1_u64..).zip(&search.steps) {
-        table.row(vec![
-            Cell::Count(step),
-            node.as_str().into(),
-            (*arrival_secs).into(),
-            (*probability).into(),
-            search.expected_secs.into(),
-        ])?;
-    }
-    table.finish()?;
+    let row = |(step, SearchStep { node, arrival_secs, probability }): (u64, &SearchStep)| {
+        let [arrival, probability, expected] = [*arrival_secs, *probability, search.expected_secs].map(Cell::from);
+        vec![Cell::Count(step), node.as_str().into(), arrival, probability, expected]
+    };
+    session.print(&COLUMNS, (1_u64..).zip(&search.steps).map(row))?;
     summary(&search).iter().for_each(|line| status_line(line));
     if let Some(path) = &args.picture {
         let way = search.walk.windows(2).map(|pair| (pair[0].0.clone(), pair[1].0.clone(), None)).collect();

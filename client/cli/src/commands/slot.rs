@@ -46,8 +46,8 @@ pub(crate) async fn run(session: &Session, args: SlotArgs) -> anyhow::Result<Exi
     let (map, at, locations, model, seed) = (args.map, args.at, args.locations, args.model, args.seed);
     let query = SlotQuery { map, time_nanos: at, strategy, locations, model, seed };
     let SlotChoice { location, information_bits, surprise_bits } = session.client.plan_slot(query).await?;
-    let mut table = session.table(&["location", "information_bits", "surprise_bits"]);
-    table.row(vec![Cell::Text(location), information_bits.into(), Cell::maybe(surprise_bits)])?;
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+    session.print(
+        &["location", "information_bits", "surprise_bits"],
+        [vec![Cell::Text(location), information_bits.into(), Cell::maybe(surprise_bits)]],
+    )
 }

@@ -56,10 +56,7 @@ pub(crate) async fn run(session: &Session, command: StateCommand) -> anyhow::Res
                 }
                 (_, None) => session.client.add_state(&map, &state, kind).await?,
             };
-            let mut table = session.table(&COLUMNS);
-            table.row(cells(added))?;
-            table.finish()?;
-            return Ok(ExitCode::SUCCESS);
+            return session.print(&COLUMNS, [cells(added)]);
         }
     };
     let mut page = session.client.states(&map, "").await?;

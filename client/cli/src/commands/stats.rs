@@ -6,6 +6,8 @@ use std::process::ExitCode;
 
 use clap::Args;
 
+use tidemap_client::updates::Statistic;
+
 use super::Session;
 use tidemap_formats::table::Cell;
 
@@ -17,10 +19,7 @@ pub(crate) struct StatsArgs {
 
 pub(crate) async fn run(session: &Session, args: &StatsArgs) -> anyhow::Result<ExitCode> {
     let statistics = session.client.statistics(args.map.as_deref().unwrap_or("")).await?;
-    let mut table = session.table(&["name", "value", "unit"]);
-    for statistic in statistics {
-        table.row(vec![Cell::Text(statistic.name), statistic.value.into(), Cell::Text(statistic.unit)])?;
-    }
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+    let row =
+        |statistic: Statistic| vec![Cell::Text(statistic.name), statistic.value.into(), Cell::Text(statistic.unit)];
+    session.print(&["name", "value", "unit"], statistics.into_iter().map(row))
 }

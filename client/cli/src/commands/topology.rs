@@ -3,7 +3,6 @@
 //! Invariant: a file is loaded completely or not at all; a change is durable when the command ends.
 
 use std::{
-    io,
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -11,7 +10,7 @@ use std::{
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use tidemap_client::queries::ModelSelector;
-use tidemap_client::routes::{Edge, EdgeEnds, EdgeFailure, Node, Topology, TopologyEdit, TopologySize};
+use tidemap_client::routes::{Edge, EdgeEnds, EdgeFailure, Node, PredictedEdge, Topology, TopologyEdit, TopologySize};
 use tidemap_map::name::EdgeName;
 
 use super::{
@@ -240,18 +239,12 @@ pub(crate) async fn run(session: &Session, command: TopologyCommand) -> anyhow::
         }
         TopologyCommand::Show { map, edges } => {
             let topology = session.client.topology(&map).await?;
-            if edges {
-                show_edges(session, topology)?;
-            } else {
-                show_nodes(session, topology)?;
-            }
-            return Ok(ExitCode::SUCCESS);
+            return if edges { show_edges(session, topology) } else { show_nodes(session, topology) };
         }
         TopologyCommand::Predict(args) => return predict(session, args).await,
         TopologyCommand::Failures { map, limit, edge } => {
             let failures = session.client.failures(&map, limit.unwrap_or_default(), edge.as_ref()).await?;
-            show_failures(session, failures)?;
-            return Ok(ExitCode::SUCCESS);
+            return show_failures(session, failures);
         }
         TopologyCommand::Edit(edit) => {
             let (map, edit) = edit.edit();
@@ -259,30 +252,20 @@ pub(crate) async fn run(session: &Session, command: TopologyCommand) -> anyhow::
         }
     };
     let TopologySize { nodes, edges } = size;
-    let mut table = session.table(&["nodes", "edges"]);
-    table.row(vec![nodes.into(), edges.into()])?;
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+    session.print(&["nodes", "edges"], [vec![nodes.into(), edges.into()]])
 }
 
 async fn predict(session: &Session, args: EdgeForecastArgs) -> anyhow::Result<ExitCode> {
     let EdgeForecastArgs { map, at, model, speed, picture, object } = args;
     files::check_picture(picture.as_deref())?;
     let columns = ["from", "to", "action", "probability", "lower", "upper", "duration_secs", "reports"];
-    let mut table = session.table(&columns);
-    for edge in session.client.predict_edges(&map, at, model, speed).await? {
-        table.row(vec![
-            edge.edge.from.as_str().into(),
-            edge.edge.to.as_str().into(),
-            edge.edge.action.as_str().into(),
-            edge.success.into(),
-            edge.success_interval[0].into(),
-            edge.success_interval[1].into(),
-            edge.duration_secs.into(),
-            edge.reports.into(),
-        ])?;
-    }
-    table.finish()?;
+    let forecasts = session.client.predict_edges(&map, at, model, speed).await?;
+    let row = |PredictedEdge { edge, success, success_interval: [lower, upper], duration_secs, reports }| {
+        let [from, to, action] = [edge.from, edge.to, edge.action].map(Cell::Text);
+        let [success, lower, upper, duration] = [success, lower, upper, duration_secs].map(Cell::from);
+        vec![from, to, action, success, lower, upper, duration, reports.into()]
+    };
+    session.print(&columns, forecasts.into_iter().map(row))?;
     if let Some(path) = &picture {
         let drawn = topology_picture::draw(session, &map, at, model, speed, &object, Overlay::default()).await?;
         files::write(path, drawn)?;
@@ -290,30 +273,27 @@ async fn predict(session: &Session, args: EdgeForecastArgs) -> anyhow::Result<Ex
     Ok(ExitCode::SUCCESS)
 }
 
-fn show_nodes(session: &Session, topology: Topology) -> io::Result<()> {
-    let mut table = session.table(&["node", "id", "x", "y", "yaw_rad", "dwell_secs"]);
-    for Node { name, pose, dwell_secs, id } in topology.nodes {
+fn show_nodes(session: &Session, topology: Topology) -> anyhow::Result<ExitCode> {
+    let row = |Node { name, pose, dwell_secs, id }| {
         let [x, y, yaw] = pose.map_or([None; 3], |pose| pose.map(Some));
         let [x, y, yaw, dwell] = [x, y, yaw, dwell_secs].map(Cell::maybe);
-        table.row(vec![Cell::Text(name), id.into(), x, y, yaw, dwell])?;
-    }
-    table.finish()
+        vec![Cell::Text(name), id.into(), x, y, yaw, dwell]
+    };
+    session.print(&["node", "id", "x", "y", "yaw_rad", "dwell_secs"], topology.nodes.into_iter().map(row))
 }
 
-fn show_edges(session: &Session, topology: Topology) -> io::Result<()> {
-    let mut table = session.table(&["from", "to", "action", "id", "duration_secs", "length_m"]);
-    for Edge { ends, length_m, nominal_secs, id } in topology.edges {
+fn show_edges(session: &Session, topology: Topology) -> anyhow::Result<ExitCode> {
+    let row = |Edge { ends, length_m, nominal_secs, id }| {
         let [from, to, action] = [ends.from, ends.to, ends.action].map(Cell::Text);
-        table.row(vec![from, to, action, id.into(), Cell::maybe(nominal_secs), Cell::maybe(length_m)])?;
-    }
-    table.finish()
+        vec![from, to, action, id.into(), Cell::maybe(nominal_secs), Cell::maybe(length_m)]
+    };
+    session.print(&["from", "to", "action", "id", "duration_secs", "length_m"], topology.edges.into_iter().map(row))
 }
 
-fn show_failures(session: &Session, failures: Vec<EdgeFailure>) -> io::Result<()> {
-    let mut table = session.table(&["edge", "start", "end", "reason"]);
-    for EdgeFailure { edge, start_nanos, end_nanos, reason } in failures {
+fn show_failures(session: &Session, failures: Vec<EdgeFailure>) -> anyhow::Result<ExitCode> {
+    let row = |EdgeFailure { edge, start_nanos, end_nanos, reason }| {
         let [start, end] = [start_nanos, end_nanos].map(|nanos| Cell::time(Some(nanos)));
-        table.row(vec![Cell::Text(edge.to_string()), start, end, Cell::Text(reason)])?;
-    }
-    table.finish()
+        vec![Cell::Text(edge.to_string()), start, end, Cell::Text(reason)]
+    };
+    session.print(&["edge", "start", "end", "reason"], failures.into_iter().map(row))
 }

@@ -6,7 +6,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::Args;
 use tidemap_client::{
-    exploration::{Sensor, Tour, TourQuery},
+    exploration::{Sensor, Tour, TourQuery, TourStep},
     queries::{GridOutput, GridQuery, ModelSelector},
 };
 
@@ -100,19 +100,13 @@ pub(crate) async fn run(session: &Session, args: TourArgs) -> anyhow::Result<Exi
             "{length_m:.1} m in {duration_secs:.0} s for {information_bits:.0} bits, chosen from {candidates} places"
         ));
     }
-    let mut table = session.table(&COLUMNS);
-    for (step, goal) in (1_u64..).zip(&tour.steps) {
-        table.row(vec![
-            Cell::Count(step),
-            goal.at_m[0].into(),
-            goal.at_m[1].into(),
-            goal.information_bits.into(),
-            goal.reachability.into(),
-            goal.arrival_secs.into(),
-        ])?;
-    }
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+    let row = |(step, goal): (u64, &TourStep)| {
+        let TourStep { at_m: [x, y], information_bits, reachability, arrival_secs } = *goal;
+        let mut cells = vec![Cell::Count(step)];
+        cells.extend([x, y, information_bits, reachability, arrival_secs].map(Cell::from));
+        cells
+    };
+    session.print(&COLUMNS, (1_u64..).zip(&tour.steps).map(row))
 }
 
 /// Draws the tour over the map predicted for its time.

@@ -92,9 +92,8 @@ pub(crate) async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Resul
     bar.clear();
     let refusals = producer.take_refusals();
     let refused = u64::from(!refusals.is_empty());
-    let mut table = session.table(&["read", "accepted", "duplicate", "refused"]);
-    table.row([1, 1 - refused, 0, refused].map(Cell::from).to_vec())?;
-    table.finish()?;
+    let cells = [1, 1 - refused, 0, refused].map(Cell::from).to_vec();
+    session.print(&["read", "accepted", "duplicate", "refused"], [cells])?;
     refusals.iter().for_each(|refusal| status_line(&format!("the report is refused: {}", refusal.detail)));
     Ok(if refusals.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

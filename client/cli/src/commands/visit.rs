@@ -26,8 +26,8 @@ pub(crate) struct VisitArgs {
 pub(crate) async fn run(session: &Session, args: &VisitArgs) -> anyhow::Result<ExitCode> {
     let VisitArgs { map, at: Point(at_m), reached, time } = args;
     let (reachability, attempts) = session.client.report_visit(map, *at_m, *reached, *time).await?;
-    let mut table = session.table(&["x", "y", "reachability", "attempts"]);
-    table.row(vec![at_m[0].into(), at_m[1].into(), reachability.into(), attempts.into()])?;
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+    session.print(
+        &["x", "y", "reachability", "attempts"],
+        [vec![at_m[0].into(), at_m[1].into(), reachability.into(), attempts.into()]],
+    )
 }

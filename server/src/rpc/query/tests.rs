@@ -23,7 +23,7 @@ use tidemap_proto::{
 use tidemap_store::{Store, StoreOptions};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_stream::StreamExt as _;
-use tonic::Code;
+use tonic::{Code, Status};
 
 use super::*;
 use crate::{

@@ -131,16 +131,16 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
         status_line("every column is occupied at some height: choose heights with --z MIN:MAX");
     }
     let count = |wanted: fn(&PictureCell) -> bool| picture.cells.iter().filter(|cell| wanted(cell)).count() as u64;
-    let mut table = session.table(&["out", "cells", "known", "changing", "generation"]);
-    table.row(vec![
-        Cell::Text(args.out.display().to_string()),
-        (picture.cells.len() as u64).into(),
-        count(|cell| *cell != PictureCell::Unknown).into(),
-        count(|cell| matches!(cell, PictureCell::Changing { .. })).into(),
-        predicted.header.generation.into(),
-    ])?;
-    table.finish()?;
-    Ok(ExitCode::SUCCESS)
+    session.print(
+        &["out", "cells", "known", "changing", "generation"],
+        [vec![
+            Cell::Text(args.out.display().to_string()),
+            (picture.cells.len() as u64).into(),
+            count(|cell| *cell != PictureCell::Unknown).into(),
+            count(|cell| matches!(cell, PictureCell::Changing { .. })).into(),
+            predicted.header.generation.into(),
+        ]],
+    )
 }
 
 /// The requested cells; `None` for all.
