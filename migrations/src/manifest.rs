@@ -78,7 +78,6 @@ pub enum ManifestError {
 }
 
 /// Whether `id` is 16 bytes in lower-case hexadecimal.
-#[must_use]
 pub fn is_store_id(id: &str) -> bool {
     id.len() == 32 && id.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
@@ -134,7 +133,6 @@ fn checksum_line(body: &str) -> String {
 }
 
 /// The text of a manifest.
-#[must_use]
 pub fn to_text(manifest: &Manifest) -> String {
     let body = format!("{FIRST_LINE}\nformat {}\nstore {}\n", manifest.format, manifest.store_id);
     let checksum = checksum_line(&body);

@@ -47,7 +47,6 @@ pub enum Plan {
 }
 
 /// The plan from format `found` to format `supported` by `steps`.
-#[must_use]
 pub fn plan(found: u32, supported: u32, steps: &[Step]) -> Plan {
     if found > supported {
         return Plan::TooNew { found, supported };

@@ -102,13 +102,11 @@ impl Catalog {
     }
 
     /// All maps, by name.
-    #[must_use]
     pub(crate) fn all(&self) -> Arc<ByName> {
         self.maps.load_full()
     }
 
     /// The context that all writers share.
-    #[must_use]
     pub(crate) fn context(&self) -> &Context {
         &self.context
     }

@@ -260,7 +260,6 @@ impl Settings {
     }
 
     /// The number of update threads.
-    #[must_use]
     pub(crate) fn update_threads(&self) -> usize {
         match self.update_threads {
             0 => std::thread::available_parallelism().map_or(1, |n| n.get().div_ceil(2)),

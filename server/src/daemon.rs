@@ -48,7 +48,6 @@ pub(crate) enum DaemonError {
 
 impl DaemonError {
     /// Exit status as in sysexits.h.
-    #[must_use]
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
             Self::Locked(_) => 73,

@@ -50,7 +50,6 @@ struct ErrorSums {
 
 impl Evaluator {
     /// Compares these models. A spectral model without an order stands for the orders 0..=`max_order`.
-    #[must_use]
     pub(crate) fn new(view: Arc<MapView>, models: Vec<ModelSelector>, max_order: usize) -> Self {
         let mut rows = Vec::new();
         for model in models {
@@ -64,7 +63,6 @@ impl Evaluator {
     }
 
     /// Number of sums that are kept for each state.
-    #[must_use]
     pub(crate) fn sums_per_state(&self) -> usize {
         self.rows.len()
     }
@@ -76,7 +74,6 @@ impl Evaluator {
     }
 
     /// Whether the state has no sums yet.
-    #[must_use]
     pub(crate) fn is_new(&self, id: StateId) -> bool {
         !self.sums.contains_key(&id)
     }
@@ -142,7 +139,6 @@ impl Evaluator {
     }
 
     /// The missing rows, by model: model, reason, and names of the states.
-    #[must_use]
     pub(crate) fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<&str>)> {
         let mut found: Vec<(ModelSelector, &str, Vec<&str>)> = Vec::new();
         let mut places = HashMap::new();

@@ -32,7 +32,6 @@ pub(crate) enum Phase {
 
 impl Phase {
     /// Whether the job has ended.
-    #[must_use]
     pub(crate) fn has_ended(&self) -> bool {
         matches!(self, Self::Done(_) | Self::Failed(..))
     }
@@ -76,19 +75,16 @@ pub(crate) struct Report {
 
 impl UpdateJob {
     /// The current status.
-    #[must_use]
     pub(crate) fn status(&self) -> JobStatus {
         self.status.borrow().clone()
     }
 
     /// Whether the job has ended.
-    #[must_use]
     pub(crate) fn has_ended(&self) -> bool {
         self.status.borrow().phase.has_ended()
     }
 
     /// Follows the job.
-    #[must_use]
     pub(crate) fn watch(&self) -> watch::Receiver<JobStatus> {
         self.status.subscribe()
     }
@@ -120,7 +116,6 @@ impl UpdateJob {
     }
 
     /// The result of the update; `None` if a later update has ended since.
-    #[must_use]
     pub(crate) fn report(&self) -> Option<Arc<Report>> {
         self.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -168,12 +163,10 @@ impl Jobs {
     }
 
     /// All jobs known, newest first.
-    #[must_use]
     pub(crate) fn list(&self) -> Vec<Arc<UpdateJob>> {
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 
-    #[must_use]
     pub(crate) fn get(&self, id: u64) -> Option<Arc<UpdateJob>> {
         self.list().into_iter().find(|job| job.id == id)
     }

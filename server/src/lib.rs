@@ -26,7 +26,6 @@ use crate::config::{Flags, Settings};
 
 /// Runs the whole daemon: reads the command line and the settings, serves until it is stopped, and returns the exit
 /// status. Everything that must survive a power cut goes through `disk`.
-#[must_use]
 pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
     let flags = Flags::parse();
     let settings = match Settings::load(&flags).and_then(|settings| {

@@ -58,7 +58,6 @@ struct CacheEntries<T> {
 
 impl<T> ModelCache<T> {
     /// Keeps at most `max` models, at least one, besides those that are being fitted.
-    #[must_use]
     pub(crate) fn new(max: usize) -> Self {
         let max = max.clamp(1, Semaphore::MAX_PERMITS);
         Self {
@@ -69,7 +68,6 @@ impl<T> ModelCache<T> {
     }
 
     /// The model, if it is kept.
-    #[must_use]
     pub(crate) fn get(&self, key: &ModelKey) -> Option<Arc<T>> {
         self.with_entries(|entries| entries.used(key)?.get().cloned())
     }
@@ -93,19 +91,16 @@ impl<T> ModelCache<T> {
 
     /// Reserves capacity for this many models, cached or not, for the duration of a request; `None` if all requests
     /// together would hold more than the maximum.
-    #[must_use]
     pub(crate) fn reserve(&self, models: usize) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.reserved).try_acquire_many_owned(u32::try_from(models).ok()?).ok()
     }
 
     /// How many models requests have reserved.
-    #[must_use]
     pub(crate) fn reserved(&self) -> usize {
         self.max.saturating_sub(self.reserved.available_permits())
     }
 
     /// Maximum number of models that are cached, and that requests reserve.
-    #[must_use]
     pub(crate) fn max(&self) -> usize {
         self.max
     }

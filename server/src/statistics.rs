@@ -11,7 +11,6 @@ use crate::{catalog::Catalog, ingest::handle::MapHandle};
 pub(crate) type Counter = (&'static str, f64, &'static str);
 
 /// Counters of one map.
-#[must_use]
 pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
     let view = handle.view();
     let sizes = catalog.context().store.sizes(handle.id);
@@ -30,7 +29,6 @@ pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
 }
 
 /// Counters of the daemon.
-#[must_use]
 pub(crate) fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
     let maps = catalog.all();
     let mut rows = vec![("maps", maps.len() as f64, "")];

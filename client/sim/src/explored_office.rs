@@ -81,7 +81,6 @@ impl ExploredOffice {
     /// An office with `rooms_a_side` rooms on each side of its corridor, clamped to 2 to [`Self::ROOMS_MAX`]. Each room
     /// except kitchen and meeting room is the workplace of one person. A different `seed` gives different habits and
     /// days.
-    #[must_use]
     pub fn new(seed: u64, rooms_a_side: usize) -> Self {
         let rooms_a_side = rooms_a_side.clamp(2, Self::ROOMS_MAX);
         let mut office = Self { rooms_a_side, people: Vec::new(), still: Vec::new() };
@@ -93,27 +92,23 @@ impl ExploredOffice {
     }
 
     /// Number of cells along x, y and z.
-    #[must_use]
     pub fn size(&self) -> [usize; 3] {
         [self.rooms_a_side * ROOM + 1, DEPTH, HEIGHT]
     }
 
     /// Where the robot's charger is, x and y in metres from the corner of cell 0: in the middle of the corridor.
-    #[must_use]
     pub fn charger_m(&self) -> [f64; 2] {
         let middle = |cells: usize| (cells / 2) as f64 * Self::CELL_M + Self::CELL_M / 2.0;
         [middle(self.size()[0]), middle(DEPTH)]
     }
 
     /// Number of things that move: people, their chairs and laptops, and doors.
-    #[must_use]
     pub fn moving(&self) -> usize {
         3 * self.people.len() + DOORS
     }
 
     /// The occupied cells at a time in seconds from the first midnight, at least 0: cell (x, y, z) has the index
     /// x + y · size\[0\] + z · size\[0\] · size\[1\].
-    #[must_use]
     pub fn occupied(&self, secs: i64) -> Vec<bool> {
         let (day, second) = (secs.div_euclid(DAY_SECS), secs.rem_euclid(DAY_SECS));
         let mut cells = self.still.clone();

@@ -108,7 +108,6 @@ impl GridOffice {
 
     /// Indices of the tiles, each 0.8 m along x, y and z, with the origin at the centre of the building's floor. The
     /// position in this list is the tile's slot.
-    #[must_use]
     pub fn tiles(&self) -> &[[i32; 3]] {
         &self.tiles
     }
@@ -117,7 +116,6 @@ impl GridOffice {
     ///
     /// # Panics
     /// If `view` is not below the number of views.
-    #[must_use]
     pub fn view_slots(&self, view: u32) -> &[u32] {
         assert!(view < self.schedule.views, "view {view} is out of range: there are {}", self.schedule.views);
         let slots = self.schedule.slots(view);
@@ -128,13 +126,11 @@ impl GridOffice {
     ///
     /// # Panics
     /// If there is no tile at `slot`.
-    #[must_use]
     pub fn static_occupied(&self, slot: u32) -> [u64; 8] {
         self.still[slot as usize]
     }
 
     /// The cells that change, as `slot * 512 + cell` with cell = x + 8 * y + 64 * z, ascending. All others never do.
-    #[must_use]
     pub fn changing_cells(&self) -> &[u32] {
         &self.changing
     }
@@ -143,7 +139,6 @@ impl GridOffice {
     ///
     /// # Panics
     /// If there is no tile at `slot`, or if `cell` is not below 512.
-    #[must_use]
     pub fn truth(&self, slot: u32, cell: u32, utc_nanos: i64) -> bool {
         assert!(cell < TILE_CELLS, "cell {cell} is not one of the {TILE_CELLS} of a tile");
         let address = slot * TILE_CELLS + cell;
@@ -160,7 +155,6 @@ impl GridOffice {
     ///
     /// # Panics
     /// If there is no tile at `slot`.
-    #[must_use]
     pub fn shown_before(&self, day: u32, slot: u32) -> [u64; 8] {
         let view = self.schedule.view_of(slot);
         let Some(last) = self.schedule.last_of(view, self.schedule.first_scan(day)) else { return [0; 8] };
@@ -182,7 +176,6 @@ impl GridOffice {
     ///
     /// # Panics
     /// If `day` is not below [`GridOffice::DAYS_MAX`].
-    #[must_use]
     pub fn day(&self, day: u32) -> DayScans {
         assert!(day < Self::DAYS_MAX, "day {day} is out of range: there are {}", Self::DAYS_MAX);
         scans::day_scans(self, day)

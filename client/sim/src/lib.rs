@@ -58,13 +58,11 @@ impl Office {
     }
 
     /// Names of the states. Doors are 1 when open, rooms are 1 when a person is in them.
-    #[must_use]
     pub fn states(&self) -> &'static [&'static str] {
         &STATES
     }
 
     /// Names of the robots.
-    #[must_use]
     pub fn robots(&self) -> Vec<&'static str> {
         ROBOTS.iter().map(|robot| robot.name).collect()
     }
@@ -73,7 +71,6 @@ impl Office {
     ///
     /// # Panics
     /// If `state` is not an index of [`Office::states`].
-    #[must_use]
     pub fn truth(&self, state: usize, utc_nanos: i64) -> f64 {
         let (date, second) = self.local(utc_nanos);
         OfficeDay::new(self.seed, date).value(state, second)

@@ -32,7 +32,6 @@ pub struct FileHeader {
 }
 
 impl FileHeader {
-    #[must_use]
     pub fn encode(&self) -> [u8; FILE_HEADER_LENGTH] {
         let mut bytes = [0; FILE_HEADER_LENGTH];
         bytes[..8].copy_from_slice(&self.magic);
@@ -45,7 +44,6 @@ impl FileHeader {
     }
 
     /// The header at the start of `bytes`, if it is complete and valid.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<FileHeader> {
         let bytes = bytes.get(..FILE_HEADER_LENGTH)?;
         let sound = u32_at(bytes, 8) == FORMAT && u32_at(bytes, 24) == crc32c::crc32c(&bytes[..24]);
@@ -65,7 +63,6 @@ pub struct Trailer {
 }
 
 impl Trailer {
-    #[must_use]
     pub fn encode(&self) -> [u8; TRAILER_LENGTH] {
         let mut bytes = [0; TRAILER_LENGTH];
         bytes[0] = 0xFF;
@@ -77,7 +74,6 @@ impl Trailer {
     }
 
     /// The trailer at the start of `bytes`, if it is complete and valid.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<Trailer> {
         let bytes = bytes.get(..TRAILER_LENGTH)?;
         let sound = bytes[..4] == [0xFF, 0, 0, 0] && u32_at(bytes, 12) == crc32c::crc32c(&bytes[..12]);

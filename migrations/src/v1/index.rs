@@ -26,19 +26,16 @@ pub const VALUE_VERSION: u8 = 1;
 pub const CHUNK_LENGTH: usize = 3840;
 
 /// Key of a map's mark, and the prefix of all its keys.
-#[must_use]
 pub fn map_key(map: u32) -> [u8; 4] {
     map.to_be_bytes()
 }
 
 /// Key of a state or of a producer.
-#[must_use]
 pub fn item_key(map: u32, item: u32) -> [u8; 8] {
     ((u64::from(map) << 32) | u64::from(item)).to_be_bytes()
 }
 
 /// Key of a chunk of a state's spectrum.
-#[must_use]
 pub fn chunk_key(map: u32, state: u32, chunk: u16) -> [u8; 10] {
     let mut key = [0; 10];
     key[..8].copy_from_slice(&item_key(map, state));
@@ -52,7 +49,6 @@ fn checksum(tree: &str, key: &[u8], version: u8, payload: &[u8]) -> u32 {
 }
 
 /// The value of a payload.
-#[must_use]
 pub fn encode_value(tree: &str, key: &[u8], payload: &[u8]) -> Vec<u8> {
     let mut value = Vec::with_capacity(payload.len() + 5);
     value.push(VALUE_VERSION);
@@ -62,7 +58,6 @@ pub fn encode_value(tree: &str, key: &[u8], payload: &[u8]) -> Vec<u8> {
 }
 
 /// The payload of a value, where it is whole and in its place.
-#[must_use]
 pub fn decode_value<'value>(tree: &str, key: &[u8], value: &'value [u8]) -> Option<&'value [u8]> {
     let (&version, rest) = value.split_first()?;
     let payload = rest.get(4..)?;
@@ -71,7 +66,6 @@ pub fn decode_value<'value>(tree: &str, key: &[u8], value: &'value [u8]) -> Opti
 }
 
 /// A number for a whole value, whose sum over all records does not depend on their order.
-#[must_use]
 pub fn fingerprint(value: &[u8]) -> u64 {
     // The checksum inside the value covers tree, key and payload; it is spread over 64 bits (the finaliser of
     // SplitMix64), so that sums of different sets of records rarely agree.

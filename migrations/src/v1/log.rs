@@ -38,7 +38,6 @@ pub struct SegmentHeader {
 }
 
 impl SegmentHeader {
-    #[must_use]
     pub fn encode(&self) -> [u8; SEGMENT_HEADER_LENGTH] {
         let mut bytes = [0; SEGMENT_HEADER_LENGTH];
         bytes[..8].copy_from_slice(&SEGMENT_MAGIC);
@@ -52,7 +51,6 @@ impl SegmentHeader {
     }
 
     /// The header at the start of `bytes`, if it is complete and valid.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<SegmentHeader> {
         let bytes = bytes.get(..SEGMENT_HEADER_LENGTH)?;
         let sound = bytes[..8] == SEGMENT_MAGIC
@@ -67,13 +65,11 @@ impl SegmentHeader {
 }
 
 /// Length of the body of a payload.
-#[must_use]
 pub fn body_length(payload_length: usize) -> usize {
     payload_length + payload_length / GUARD_SPACING + 1
 }
 
 /// The body of a payload: the payload with its guards.
-#[must_use]
 pub fn guard(payload: &[u8]) -> Vec<u8> {
     let mut body = Vec::with_capacity(body_length(payload.len()));
     let chunks = payload.chunks_exact(GUARD_SPACING);
@@ -88,7 +84,6 @@ pub fn guard(payload: &[u8]) -> Vec<u8> {
 }
 
 /// The payload of a body; `None` if a guard is missing.
-#[must_use]
 pub fn unguard(body: &[u8]) -> Option<Vec<u8>> {
     let mut payload = Vec::with_capacity(body.len());
     let mut chunks = body.chunks_exact(GUARD_SPACING + 1);

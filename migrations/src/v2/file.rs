@@ -95,7 +95,6 @@ pub struct RecordHeader {
 }
 
 impl RecordHeader {
-    #[must_use]
     pub fn encode(&self) -> [u8; RECORD_HEADER_LENGTH] {
         let mut bytes = [0; RECORD_HEADER_LENGTH];
         bytes[0] = self.kind as u8;
@@ -107,7 +106,6 @@ impl RecordHeader {
     }
 
     /// The header at the start of `bytes`, if it is complete and valid.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<RecordHeader> {
         let bytes = bytes.get(..RECORD_HEADER_LENGTH)?;
         let kind = *KINDS.get(usize::from(bytes[0]).checked_sub(1)?)?;

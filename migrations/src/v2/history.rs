@@ -60,7 +60,6 @@ pub struct Entry {
 }
 
 impl Entry {
-    #[must_use]
     pub fn encode(&self) -> [u8; ENTRY_LENGTH] {
         let mut bytes = [0; ENTRY_LENGTH];
         bytes[..8].copy_from_slice(&self.key.to_le_bytes());
@@ -70,7 +69,6 @@ impl Entry {
     }
 
     /// The entry of these bytes.
-    #[must_use]
     pub fn decode(bytes: &[u8; ENTRY_LENGTH]) -> Entry {
         Entry { key: u64_at(bytes, 0), offset: u64_at(bytes, 8), records: u32_at(bytes, 16) }
     }
@@ -93,7 +91,6 @@ pub struct End {
 }
 
 impl End {
-    #[must_use]
     pub fn encode(&self) -> [u8; END_LENGTH] {
         let mut bytes = [0; END_LENGTH];
         bytes[..8].copy_from_slice(&self.table.to_le_bytes());
@@ -105,7 +102,6 @@ impl End {
     }
 
     /// The end of these bytes; `None` where their number is wrong.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<End> {
         let sound = bytes.len() == END_LENGTH;
         sound.then(|| End {

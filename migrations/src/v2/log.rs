@@ -42,7 +42,6 @@ pub struct FrameHeader {
 }
 
 impl FrameHeader {
-    #[must_use]
     pub fn encode(&self) -> [u8; FRAME_HEADER_LENGTH] {
         let mut bytes = [0; FRAME_HEADER_LENGTH];
         bytes[0] = self.kind as u8;
@@ -58,7 +57,6 @@ impl FrameHeader {
     }
 
     /// The header at the start of `bytes`, if it is complete and valid.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<FrameHeader> {
         let bytes = bytes.get(..FRAME_HEADER_LENGTH)?;
         let kind = match bytes[0] {
@@ -85,13 +83,11 @@ impl FrameHeader {
     }
 
     /// The chain of the next record.
-    #[must_use]
     pub fn next_chain(&self) -> u32 {
         u32_at(&self.encode(), 28)
     }
 
     /// Length of the frame, header and guards included.
-    #[must_use]
     pub fn frame_length(&self) -> usize {
         FRAME_HEADER_LENGTH + body_length(self.payload_length as usize)
     }

@@ -36,7 +36,6 @@ impl Confidence {
     }
 
     /// The number.
-    #[must_use]
     pub fn get(self) -> f64 {
         self.0
     }
@@ -54,7 +53,6 @@ impl Default for Confidence {
 /// T-RO 2017, section V: a measurement is anomalous where it is less than s'(t, c) or greater than s'(t, 1 − c), with
 /// s'(t, c) = p(t) ≥ c (eq. 9). Both sides include the threshold here, so that they are alike and that a model which is
 /// certain can be contradicted at confidence 1; and a value between 0 and 1 counts as the one that it is nearer to.
-#[must_use]
 pub(crate) fn is_anomalous(value: f64, probability: f64, confidence: Confidence) -> bool {
     if value < 0.5 { probability >= confidence.0 } else { probability <= 1.0 - confidence.0 }
 }
@@ -122,7 +120,6 @@ impl ModelSelector {
 impl MapView {
     /// The view without last values and grid: enough to judge observations of named states. It holds little more than
     /// the models of its generation.
-    #[must_use]
     pub fn models_only(&self) -> MapView {
         MapView { live: Vec::new(), grid: None, ..self.clone() }
     }

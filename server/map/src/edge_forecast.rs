@@ -79,7 +79,6 @@ pub struct EdgePrior {
 
 impl EdgePrior {
     /// Means over all reports that updates have learned. `speed_m_per_s`: the speed without reports, above 0.
-    #[must_use]
     pub fn of(view: &MapView, edges: impl IntoIterator<Item = (Extent, EdgeStates)>, speed_m_per_s: f64) -> EdgePrior {
         let (chance, weight) = SUCCESS_PRIOR;
         let mut success = [chance * weight, weight];
@@ -120,7 +119,6 @@ pub struct EdgeRecord {
 
 impl EdgeRecord {
     /// The record of an edge of this extent, from its states.
-    #[must_use]
     pub fn of(view: &MapView, extent: Extent, states: EdgeStates, prior: &EdgePrior) -> EdgeRecord {
         let weight = |id: Option<StateId>| id.map_or(0.0, |id| view.model(id).accumulator().weight());
         let table = states.success.and_then(|id| view.model(id).alternatives()).map(|known| known.hours());
@@ -136,7 +134,6 @@ impl EdgeRecord {
 
     /// The forecast for a moment. `success` and `travel` are the predictions of the models of the edge's states; they
     /// are ignored for a state that does not exist.
-    #[must_use]
     pub fn forecast(&self, prior: &EdgePrior, success: f64, travel: f64, at: Moment) -> EdgeForecast {
         let blend =
             |weight: f64, value: f64, before: f64| (weight * value + PRIOR_REPORTS * before) / (weight + PRIOR_REPORTS);

@@ -76,7 +76,6 @@ impl Observations {
     }
 
     /// The latest plausible time by the clock of receipt, nanoseconds UTC; later observations wait.
-    #[must_use]
     pub fn plausible_nanos(&self) -> i64 {
         self.received_nanos.saturating_add(FUTURE_MAX_NANOS)
     }
@@ -116,7 +115,6 @@ pub enum StateShape {
 
 impl StateShape {
     /// As people write it.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             StateShape::Scalar(kind) => kind.name(),
@@ -126,7 +124,6 @@ impl StateShape {
     }
 
     /// Number of states of the map.
-    #[must_use]
     pub fn states(self) -> usize {
         match self {
             StateShape::Scalar(_) => 1,
@@ -135,7 +132,6 @@ impl StateShape {
     }
 
     /// Kind of these states.
-    #[must_use]
     pub fn kind(self) -> StateKind {
         match self {
             StateShape::Scalar(kind) => kind,

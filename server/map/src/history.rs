@@ -86,20 +86,17 @@ pub struct OutlierComponent {
 
 impl HistoryPiece {
     /// A piece without observations.
-    #[must_use]
     pub fn new(generation: u64) -> HistoryPiece {
         HistoryPiece { generation, from_nanos: 0, to_nanos: 0, states: Vec::new(), days: Vec::new() }
     }
 
     /// Memory in bytes, about.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         let states: usize = self.states.iter().map(|(_, samples)| size_of_val(samples.as_slice())).sum();
         states + self.days.iter().map(HistoryDay::bytes).sum::<usize>()
     }
 
     /// The piece with the time range of its observations; `None` without observations.
-    #[must_use]
     pub(crate) fn bounded(mut self) -> Option<HistoryPiece> {
         let samples = self.states.iter().flat_map(|(_, samples)| samples).map(|sample| sample.utc_nanos);
         let scans = self.days.iter().flat_map(|day| &day.outliers.scans).map(|scan| scan.utc_nanos);
@@ -114,7 +111,6 @@ impl HistoryPiece {
 
 impl HistoryDay {
     /// A day without models: its occupied bits are the readings.
-    #[must_use]
     pub fn plain(day: GridDay) -> HistoryDay {
         HistoryDay { outliers: day, models: Vec::new() }
     }

@@ -34,13 +34,11 @@ impl Spreads {
     }
 
     /// The band of a prediction `p` at a moment: it holds the mean over the hour around it with probability `level`.
-    #[must_use]
     pub fn interval(&self, p: f64, at: Moment, level: f64) -> Interval {
         credible_interval(p, self.hour(at), self.all, level)
     }
 
     /// The same for continuous and count states. `readings`: the variance of single readings.
-    #[must_use]
     pub fn value_interval(&self, kind: StateKind, p: f64, at: Moment, readings: f64, level: f64) -> Interval {
         value_interval(kind, p, self.hour(at), readings, level)
     }
@@ -61,14 +59,12 @@ impl Spreads {
 
 impl MapView {
     /// How much single hours of a state differ; `None` for an untrained state.
-    #[must_use]
     pub(crate) fn spreads(&self, id: StateId) -> Option<Spreads> {
         self.model(id).alternatives().map(|known| Spreads::of(known.hours()))
     }
 
     /// The bands of predictions of a state. `None` without a level, and for a continuous or count state with fewer than
     /// two learned observations.
-    #[must_use]
     pub fn intervals(
         &self,
         id: StateId,
@@ -96,7 +92,6 @@ impl MapView {
 /// The bands of predictions of a cell; `None` without a level. A cell has no record of single hours. As a two-state
 /// Markov chain with time constant τ (T-RO 2017 eq. 12), its mean over an hour T varies by p(1 - p)·(2τ/T)(1 - (τ/T)(1
 /// - e^(-T/τ))), and each hour of its observations counts as one observed hour.
-#[must_use]
 pub fn cell_intervals(cell: &CellDescription, probabilities: &[f64], level: Option<f64>) -> Vec<Interval> {
     let Some(level) = level else { return Vec::new() };
     let Some(hours) = observed_hours(cell) else { return vec![NEVER; probabilities.len()] };

@@ -76,7 +76,6 @@ pub struct LiveMap {
 
 impl LiveMap {
     /// An empty map.
-    #[must_use]
     pub fn new(spec: Arc<MapSpec>) -> Self {
         let prior_models = PriorModels::new(&spec);
         let grid = spec.grid.clone().map(|grid| LiveGrid::new(Arc::new(grid)));
@@ -104,7 +103,6 @@ impl LiveMap {
 
     /// Restores a snapshot, without its pending observations: replay the events from `snapshot.replay_from` on to
     /// restore those.
-    #[must_use]
     pub fn restore(spec: Arc<MapSpec>, snapshot: MapSnapshot) -> Self {
         let mut map = Self::new(spec);
         map.position = snapshot.position;
@@ -135,88 +133,74 @@ impl LiveMap {
     }
 
     /// The fixed properties of the map.
-    #[must_use]
     pub fn spec(&self) -> &Arc<MapSpec> {
         &self.spec
     }
 
     /// Position of the last event applied; 0 before the first.
-    #[must_use]
     pub fn position(&self) -> u64 {
         self.position
     }
 
     /// Number of states.
-    #[must_use]
     pub fn states(&self) -> usize {
         self.directory.len()
     }
 
     /// The state of this name.
-    #[must_use]
     pub fn find(&self, name: &str) -> Option<StateId> {
         self.directory.find(name)
     }
 
     /// What observations of a name are, with the id of its state or of its first axis.
-    #[must_use]
     pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         self.directory.shape(name)
     }
 
     /// The producer of this key, if it ever sent anything.
-    #[must_use]
     pub fn producer(&self, key: &ProducerKey) -> Option<(ProducerId, &ProducerMark)> {
         let id = *self.producer_ids.get(key)?;
         self.producers.get(id.0 as usize).map(|mark| (id, mark))
     }
 
     /// Number of producer keys.
-    #[must_use]
     pub fn producers(&self) -> usize {
         self.producers.len()
     }
 
     /// Kind of a state.
-    #[must_use]
     pub fn kind(&self, id: StateId) -> Option<StateKind> {
         self.directory.info(id).map(|info| info.kind)
     }
 
     /// The site: what people and robots tell the map besides observations.
-    #[must_use]
     pub fn site(&self) -> &Site {
         &self.site
     }
 
     /// The grid, where the map has one.
-    #[must_use]
     pub fn grid(&self) -> Option<&LiveGrid> {
         self.grid.as_ref()
     }
 
     /// Pending data that an update could learn, without that of a running update: observations, and changes of scans,
     /// which are what memory holds.
-    #[must_use]
     pub fn pending(&self) -> u64 {
         self.pending.total() + self.grid.as_ref().map_or(0, |grid| grid.pending_changes)
     }
 
     /// Observations and scans that wait because their time is too far in the future.
-    #[must_use]
     pub fn future(&self) -> u64 {
         self.pending.future() + self.grid.as_ref().map_or(0, LiveGrid::future)
     }
 
     /// Observations that a running update has taken.
-    #[must_use]
     pub fn updating(&self) -> u64 {
         self.running.map_or(0, |(_, taken)| taken.observations + taken.changes)
     }
 
     /// Load of the memory for pending data, optionally with that of a running update: 1 when the fuller of the two
     /// kinds reaches its limit.
-    #[must_use]
     pub fn pending_load(&self, limits: PendingLimits, with_running: bool) -> f64 {
         let taken = self.running.map(|(_, taken)| taken).filter(|_| with_running).unwrap_or_default();
         let observations = self.pending.total() + taken.observations;
@@ -226,32 +210,27 @@ impl LiveMap {
     }
 
     /// The earliest time of the pending observations, nanoseconds UTC, or earlier.
-    #[must_use]
     pub fn pending_since_nanos(&self) -> Option<i64> {
         let scans = self.grid.as_ref().and_then(|grid| grid.oldest_pending_nanos);
         [self.pending.oldest_nanos(), scans].into_iter().flatten().min()
     }
 
     /// When the first of the pending observations was received, or earlier; nanoseconds UTC of the server's clock.
-    #[must_use]
     pub fn pending_received_nanos(&self) -> Option<i64> {
         self.pending.received_nanos()
     }
 
     /// Latest time of any observation that did not have to wait, nanoseconds UTC; 0 without observations.
-    #[must_use]
     pub fn newest_nanos(&self) -> i64 {
         self.newest_nanos
     }
 
     /// Cut of the last update, nanoseconds UTC; 0 before the first.
-    #[must_use]
     pub fn cut_nanos(&self) -> i64 {
         self.cut_nanos
     }
 
     /// Whether an update is running.
-    #[must_use]
     pub fn is_updating(&self) -> bool {
         self.running.is_some()
     }

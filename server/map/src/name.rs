@@ -107,7 +107,6 @@ impl MapName {
     }
 
     /// The name.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -173,7 +172,6 @@ impl StateName {
 
     /// Name of the state of one axis of a vector with this name: `NAME/x` for axis 0. A plain name has no `/`, so a
     /// producer can observe such a state only by positions.
-    #[must_use]
     pub fn axis(&self, axis: usize) -> Self {
         let axis = Dimensions::Three.axes().get(axis).copied().unwrap_or_default();
         Self(format!("{}/{axis}", self.0).into())
@@ -230,13 +228,11 @@ impl StateName {
     }
 
     /// For the name of an axis: the name of its vector, and the axis, 0 for x.
-    #[must_use]
     pub fn as_axis(&self) -> Option<(&str, usize)> {
         split_axis(&self.0)
     }
 
     /// The name.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -285,7 +281,6 @@ impl CellIndex {
     }
 
     /// The cell's name, `cell/X/Y/Z`.
-    #[must_use]
     pub fn name(self) -> String {
         format!("cell/{}/{}/{}", self.x, self.y, self.z)
     }
@@ -312,13 +307,11 @@ impl ProducerKey {
     }
 
     /// Who streams.
-    #[must_use]
     pub fn producer(&self) -> &str {
         &self.producer
     }
 
     /// The label, which distinguishes the producer's sequences; may be empty.
-    #[must_use]
     pub fn label(&self) -> &str {
         &self.label
     }

@@ -17,7 +17,6 @@ use crate::{
 
 impl ModelSelector {
     /// Order of the spectral model that predicts this cell; 0 for a constant model.
-    #[must_use]
     pub fn order_for_cell(&self, cell: &CellDescription) -> usize {
         if self.kind.has_order() { self.order_or(cell.order) } else { 0 }
     }
@@ -32,19 +31,16 @@ pub struct PreparedTimes {
 
 impl PreparedTimes {
     /// Number of times.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.moments.len()
     }
 
     /// Whether there is no time.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.moments.is_empty()
     }
 
     /// The times, with the local time of the map.
-    #[must_use]
     pub fn moments(&self) -> &[Moment] {
         &self.moments
     }
@@ -52,7 +48,6 @@ impl PreparedTimes {
 
 impl MapView {
     /// Computes the phasors of times in nanoseconds UTC. Memory: 16 bytes per time and candidate periodicity.
-    #[must_use]
     pub fn prepare(&self, utc_nanos: &[i64]) -> PreparedTimes {
         let moments = self.moments(utc_nanos);
         let civil: Vec<i64> = moments.iter().map(|moment| moment.civil_nanos()).collect();
@@ -60,7 +55,6 @@ impl MapView {
     }
 
     /// Times in nanoseconds UTC, with the local time of the map: the input of models that were fitted to readings.
-    #[must_use]
     pub fn moments(&self, utc_nanos: &[i64]) -> Vec<Moment> {
         let mut offsets = self.spec.zone.offset_cache();
         let moment = |&utc_nanos| Moment { utc_nanos, offset_secs: offsets.offset_secs(utc_nanos) };

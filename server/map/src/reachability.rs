@@ -61,7 +61,6 @@ pub struct Attempts {
 
 impl Attempts {
     /// Share of them that succeeded.
-    #[must_use]
     pub fn rate(&self) -> f64 {
         f64::from(self.reached.count_ones()) / f64::from(self.count.max(1))
     }
@@ -207,7 +206,6 @@ impl Reachability {
     }
 
     /// The probability of reaching a place in the map's frame, in metres; 0 for one that is not finite or too far away.
-    #[must_use]
     pub fn rate(&self, x_m: f64, y_m: f64) -> ReachabilityRate {
         let Ok(cell) = ReachabilityCell::at(x_m, y_m) else { return ReachabilityRate { rate: 0.0, attempts: 0 } };
         match self.cells.get(&cell) {
@@ -217,19 +215,16 @@ impl Reachability {
     }
 
     /// The rate of places without attempts.
-    #[must_use]
     pub fn prior(&self) -> f64 {
         self.prior
     }
 
     /// Number of cells that were tried.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.cells.len()
     }
 
     /// Whether nothing was ever tried.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.cells.is_empty()
     }

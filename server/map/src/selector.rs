@@ -67,19 +67,16 @@ pub enum ModelKind {
 
 impl ModelKind {
     /// Whether it has an order.
-    #[must_use]
     pub fn has_order(self) -> bool {
         matches!(self, ModelKind::Auto | ModelKind::Spectral | ModelKind::Uniform)
     }
 
     /// Whether it must be fitted to the readings of a state before it can predict.
-    #[must_use]
     pub fn needs_readings(self) -> bool {
         !self.is_for_cells()
     }
 
     /// Whether cells of a grid support it.
-    #[must_use]
     pub fn is_for_cells(self) -> bool {
         matches!(self, ModelKind::Auto | ModelKind::Mean | ModelKind::Latest | ModelKind::Spectral)
     }
@@ -131,14 +128,12 @@ pub struct ModelSelector {
 
 impl ModelSelector {
     /// Order of the spectral model that predicts this state; 0 for a constant model or another kind.
-    #[must_use]
     pub fn order_for(&self, model: &StateModel) -> usize {
         let is_other = self.kind == ModelKind::Auto && self.order.is_none() && model.choice() != ModelChoice::Spectral;
         if self.kind.has_order() && !is_other { self.order_or(model.order()) } else { 0 }
     }
 
     /// The requested order, or the one that the last update chose.
-    #[must_use]
     pub(crate) fn order_or(&self, chosen: usize) -> usize {
         self.order.unwrap_or(chosen).min(ORDER_MAX)
     }

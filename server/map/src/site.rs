@@ -118,49 +118,41 @@ pub struct Site {
 
 impl Site {
     /// Where the robot rests: x, y in the map's frame, metres.
-    #[must_use]
     pub fn charger_m(&self) -> Option<[f64; 2]> {
         self.charger_m
     }
 
     /// The locations, by name.
-    #[must_use]
     pub fn locations(&self) -> &BTreeMap<StateName, Location> {
         &self.locations
     }
 
     /// How often robots have reached places.
-    #[must_use]
     pub fn reachability(&self) -> &Reachability {
         &self.reachability
     }
 
     /// The same site with stored reachability.
-    #[must_use]
     pub fn with_reachability(self, reachability: Reachability) -> Site {
         Site { reachability, ..self }
     }
 
     /// The topological map; empty until one is loaded.
-    #[must_use]
     pub fn topology(&self) -> &Arc<Topology> {
         &self.topology
     }
 
     /// The same site with a stored topological map.
-    #[must_use]
     pub fn with_topology(self, topology: Topology) -> Site {
         Site { topology: Arc::new(topology), ..self }
     }
 
     /// The newest traversals that failed.
-    #[must_use]
     pub fn failures(&self) -> &Failures {
         &self.failures
     }
 
     /// The same site with stored failed traversals.
-    #[must_use]
     pub fn with_failures(self, failures: Failures) -> Site {
         Site { failures, ..self }
     }
@@ -171,7 +163,6 @@ impl Site {
     }
 
     /// Whether the site is empty.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         *self == Site::default()
     }

@@ -39,7 +39,6 @@ pub struct MapSpec {
 impl MapSpec {
     /// A map with the defaults of the daemon: UTC, no grid, no half-life, history kept forever. Change fields as
     /// `MapSpec { zone, ..MapSpec::new(name) }`.
-    #[must_use]
     pub fn new(name: MapName) -> MapSpec {
         MapSpec {
             name,
@@ -56,7 +55,6 @@ impl MapSpec {
     }
 
     /// How its states are updated.
-    #[must_use]
     pub fn update_rules(&self) -> UpdateRules {
         let days = |nanos: i64| nanos as f64 / (86_400.0 * 1e9);
         let half_life_days = self.half_life_nanos.map(days);

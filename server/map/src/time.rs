@@ -93,7 +93,6 @@ fn parse_rfc3339(text: &str) -> Result<i64, InvalidTime> {
 }
 
 /// Unix seconds in the shortest exact form: `1458518400`, `1458518400.25`.
-#[must_use]
 pub fn format_secs(nanos: i64) -> String {
     let sign = if nanos < 0 { "-" } else { "" };
     let nanos = nanos.unsigned_abs();
@@ -107,7 +106,6 @@ pub fn format_secs(nanos: i64) -> String {
 }
 
 /// RFC 3339 in UTC, for people.
-#[must_use]
 pub fn format_rfc3339(nanos: i64) -> String {
     jiff::Timestamp::from_nanosecond(i128::from(nanos)).map_or_else(|_| format_secs(nanos), |time| time.to_string())
 }
@@ -147,7 +145,6 @@ pub fn parse_duration(text: &str) -> Result<i64, InvalidDuration> {
 }
 
 /// A duration in the largest unit that divides it: `7d`, `36h`, `90s`, `0.5s`.
-#[must_use]
 pub fn format_duration(nanos: i64) -> String {
     let unit = UNITS[1..4].iter().find(|(_, unit_nanos)| nanos != 0 && nanos % unit_nanos == 0);
     match unit {

@@ -74,19 +74,16 @@ pub struct Extent {
 
 impl Extent {
     /// A nominal time alone.
-    #[must_use]
     pub fn secs(nominal_secs: f64) -> Extent {
         Extent { length_m: None, nominal_secs: Some(nominal_secs) }
     }
 
     /// A length alone.
-    #[must_use]
     pub fn metres(length_m: f64) -> Extent {
         Extent { length_m: Some(length_m), nominal_secs: None }
     }
 
     /// The nominal time, or the time that the length takes at a speed in metres per second.
-    #[must_use]
     pub fn secs_at(&self, speed_m_per_s: f64) -> f64 {
         self.nominal_secs.unwrap_or_else(|| self.length_m.unwrap_or(f64::INFINITY) / speed_m_per_s)
     }
@@ -135,7 +132,6 @@ pub struct Topology {
 
 impl Topology {
     /// A map without nodes.
-    #[must_use]
     pub fn new() -> Topology {
         Topology::default()
     }

@@ -95,7 +95,6 @@ impl Traversal {
     }
 
     /// Duration in seconds.
-    #[must_use]
     pub fn duration_secs(&self) -> f64 {
         self.end_nanos.saturating_sub(self.start_nanos) as f64 / 1e9
     }
@@ -121,7 +120,6 @@ impl Traversal {
     }
 
     /// The failure to keep, if it failed.
-    #[must_use]
     pub fn failure(&self) -> Option<EdgeFailure> {
         let Self { edge, start_nanos, end_nanos, success, reason } = self;
         let reason = if *success { None } else { Some(kept_reason(reason)) }?;
@@ -159,7 +157,6 @@ pub(crate) fn travel_state(topology: &Topology, edge: &Edge) -> Result<(EdgeStat
 
 /// Normalises a reason: unprintable characters become blanks; outer blanks and everything beyond 200 characters are
 /// removed. Idempotent.
-#[must_use]
 pub fn kept_reason(reason: &str) -> String {
     let is_blank = |character: char| character.is_whitespace() || unprintable(character);
     let printable = |character| if is_blank(character) { ' ' } else { character };

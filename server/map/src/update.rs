@@ -98,19 +98,16 @@ pub struct StateOutcome {
 
 impl UpdateWork {
     /// How the log holds its start.
-    #[must_use]
     pub fn start(&self) -> UpdateStart {
         self.basis.start
     }
 
     /// Number of states and tiles with observations to learn.
-    #[must_use]
     pub fn states(&self) -> u64 {
         self.samples.len() as u64 + self.grid.as_ref().map_or(0, GridWork::busy_tiles)
     }
 
     /// Number of observations and scans to learn.
-    #[must_use]
     pub fn observations(&self) -> u64 {
         let scans = self.grid.as_ref().map_or(0, GridWork::scans);
         self.samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>() + scans
@@ -119,7 +116,6 @@ impl UpdateWork {
     /// The same with what earlier updates have learned, so that models are fitted again where they are due. Without it
     /// they stay as they are, and so they do in an update for [`UpdateCause::PendingLimit`]. The same update must be
     /// given the same readings whenever it is run.
-    #[must_use]
     pub fn with_readings(self, readings: Arc<dyn StateReadings>) -> UpdateWork {
         UpdateWork { readings: Some(readings), ..self }
     }
@@ -187,19 +183,16 @@ impl UpdateWork {
 
 impl UpdateResult {
     /// What was done to each state that had observations, in order of first appearance.
-    #[must_use]
     pub fn outcomes(&self) -> &[StateOutcome] {
         &self.outcomes
     }
 
     /// What became of the models that were due.
-    #[must_use]
     pub fn refits(&self) -> &Refits {
         &self.refits
     }
 
     /// What was done to the cells of the grid, where the map has one.
-    #[must_use]
     pub fn grid_outcome(&self) -> Option<&GridOutcome> {
         self.grid.as_ref().map(|grid| &grid.outcome)
     }

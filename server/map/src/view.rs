@@ -49,79 +49,66 @@ pub struct MapView {
 
 impl MapView {
     /// The fixed properties of the map.
-    #[must_use]
     pub fn spec(&self) -> &MapSpec {
         &self.spec
     }
 
     /// The grid, where the map has one.
-    #[must_use]
     pub fn grid(&self) -> Option<&GridView> {
         self.grid.as_ref()
     }
 
     /// The site: what people and robots tell the map besides observations.
-    #[must_use]
     pub fn site(&self) -> &Site {
         &self.site
     }
 
     /// Log position up to which the view is complete.
-    #[must_use]
     pub fn position(&self) -> u64 {
         self.position
     }
 
     /// Number of updates published so far.
-    #[must_use]
     pub fn generation(&self) -> u64 {
         self.generation
     }
 
     /// Cut of the last update in nanoseconds UTC: older observations are learned. `None` before the first update.
-    #[must_use]
     pub fn cut_nanos(&self) -> Option<i64> {
         (self.generation > 0).then_some(self.cut_nanos)
     }
 
     /// Observations acknowledged, refused ones not counted.
-    #[must_use]
     pub fn observations(&self) -> u64 {
         self.observations
     }
 
     /// Observations that no update has learned yet.
-    #[must_use]
     pub fn pending(&self) -> u64 {
         self.pending
     }
 
     /// Number of states.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.directory.len()
     }
 
     /// Whether the map has no state yet.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// The state of this name.
-    #[must_use]
     pub fn find(&self, name: &str) -> Option<StateId> {
         self.directory.find(name)
     }
 
     /// What observations of a name are, with the id of its state or of its first axis.
-    #[must_use]
     pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         self.directory.shape(name)
     }
 
     /// Name and kind of a state.
-    #[must_use]
     pub fn info(&self, id: StateId) -> Option<&StateInfo> {
         self.directory.info(id)
     }
@@ -132,20 +119,17 @@ impl MapView {
     }
 
     /// Last value, persistence and number of observations of a state.
-    #[must_use]
     pub fn live(&self, id: StateId) -> LiveState {
         let index = id.0 as usize;
         self.live.get(index / LIVE_CHUNK).and_then(|chunk| chunk.get(index % LIVE_CHUNK)).copied().unwrap_or_default()
     }
 
     /// Kind of a state; probability for an unknown state.
-    #[must_use]
     pub fn kind(&self, id: StateId) -> StateKind {
         self.info(id).map_or_else(StateKind::default, |info| info.kind)
     }
 
     /// The model of a state from the last update; the prior model before its first.
-    #[must_use]
     pub fn model(&self, id: StateId) -> &StateModel {
         self.models.get(id.0 as usize).unwrap_or_else(|| self.prior_models.of(self.kind(id)))
     }

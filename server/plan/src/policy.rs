@@ -96,38 +96,32 @@ pub struct PolicyTable {
 
 impl PolicyTable {
     /// The target.
-    #[must_use]
     pub fn target(&self) -> NodeId {
         self.target
     }
 
     /// Width of a slot, in seconds.
-    #[must_use]
     pub fn slot_secs(&self) -> f64 {
         self.slot_secs
     }
 
     /// Number of slots.
-    #[must_use]
     pub fn slots(&self) -> usize {
         self.slots
     }
 
     /// All nodes, ascending by number.
-    #[must_use]
     pub fn nodes(&self) -> &[NodeId] {
         &self.nodes
     }
 
     /// A node in a slot; `None` if there is no such node or slot.
-    #[must_use]
     pub fn entry(&self, node: NodeId, slot: usize) -> Option<PolicyEntry> {
         let index = self.nodes.binary_search(&node).ok()?;
         Some(self.slot(slot)?[index])
     }
 
     /// All nodes in a slot, in the order of [`PolicyTable::nodes`].
-    #[must_use]
     pub fn slot(&self, slot: usize) -> Option<&[PolicyEntry]> {
         let count = self.nodes.len();
         (slot < self.slots).then(|| &self.entries[slot * count..(slot + 1) * count])

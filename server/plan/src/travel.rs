@@ -85,7 +85,6 @@ pub struct Distances {
 
 impl Distances {
     /// Distance to a column, metres; `None` if it is unreachable.
-    #[must_use]
     pub fn to(&self, column: Column) -> Option<f64> {
         let known = self.metres.get(column.y * self.width + column.x).copied();
         known.filter(|metres| column.x < self.width && metres.is_finite())
@@ -172,14 +171,12 @@ impl TravelGrid {
     }
 
     /// Number of columns along x and y.
-    #[must_use]
     pub fn size(&self) -> [usize; 2] {
         self.size
     }
 
     /// The column at a point of the map's frame, metres; `None` outside the region, and for numbers that are not
     /// finite.
-    #[must_use]
     pub fn column_at(&self, x_m: f64, y_m: f64) -> Option<Column> {
         let lowest = self.lattice.region().min;
         let cell = self.lattice.cell_at([x_m, y_m, self.lattice.centre_m(lowest)[2]])?;
@@ -187,7 +184,6 @@ impl TravelGrid {
     }
 
     /// Centre of a column of the region in the map's frame, x and y in metres.
-    #[must_use]
     pub(crate) fn centre_m(&self, column: Column) -> [f64; 2] {
         let lowest = self.lattice.region().min;
         let cell = CellIndex { x: lowest.x + column.x as i32, y: lowest.y + column.y as i32, z: lowest.z };
@@ -196,7 +192,6 @@ impl TravelGrid {
     }
 
     /// Whether the robot's centre can be there; never outside the region.
-    #[must_use]
     pub(crate) fn is_passable(&self, column: Column) -> bool {
         let [width, depth] = self.size;
         column.x < width && column.y < depth && self.passable[column.y * width + column.x]
@@ -204,7 +199,6 @@ impl TravelGrid {
 
     /// The passable column whose centre is nearest to a point of the map's frame, and its straight distance, metres;
     /// ties: the lowest y, then x. `None` if none is within `most_m`.
-    #[must_use]
     pub fn nearest(&self, x_m: f64, y_m: f64, most_m: f64) -> Option<(Column, f64)> {
         let at = self.column_at(x_m, y_m)?;
         let reach =
@@ -226,7 +220,6 @@ impl TravelGrid {
 
     /// Distances from a column to all others; none from a column that is not passable (Dijkstra 1959; steps of one
     /// cell's length along x and y, of √2 across).
-    #[must_use]
     pub fn distances(&self, from: Column) -> Distances {
         let [width, _] = self.size;
         let mut lengths = vec![f64::INFINITY; self.passable.len()];

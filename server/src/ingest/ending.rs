@@ -5,7 +5,6 @@
 use tidemap_store::AppendError;
 
 /// Whether the daemon must stop, because the content of the disk is unknown.
-#[must_use]
 pub(crate) fn is_fatal(error: &AppendError) -> bool {
     !matches!(error, AppendError::DiskFull | AppendError::AfterFailure)
 }

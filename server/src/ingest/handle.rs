@@ -32,7 +32,6 @@ pub(crate) struct MapHandle {
 
 impl MapHandle {
     /// The handle of a map whose writer publishes to `view`, receives `commands` and sets `saturated` and `tile_bytes`.
-    #[must_use]
     pub(crate) fn new(
         id: MapId,
         spec: Arc<MapSpec>,
@@ -45,13 +44,11 @@ impl MapHandle {
     }
 
     /// Memory of the models and sums of tiles, in bytes, about.
-    #[must_use]
     pub(crate) fn tile_bytes(&self) -> u64 {
         self.tile_bytes.load(Ordering::Relaxed)
     }
 
     /// What the generation in force has learned of the tiles. Reads tiles that are not in memory once per generation.
-    #[must_use]
     pub(crate) fn tile_totals(&self) -> TileTotals {
         let view = self.view();
         let known = *self.tile_totals.lock().unwrap_or_else(PoisonError::into_inner);
@@ -66,19 +63,16 @@ impl MapHandle {
     }
 
     /// The current view; never waits.
-    #[must_use]
     pub(crate) fn view(&self) -> Arc<MapView> {
         self.view.load_full()
     }
 
     /// Sends the writer a command. `false`: the writer has stopped.
-    #[must_use]
     pub(crate) fn send(&self, command: Command) -> bool {
         self.commands.send(command).is_ok()
     }
 
     /// Whether streams should wait, because updates do not keep up.
-    #[must_use]
     pub(crate) fn saturated(&self) -> watch::Receiver<bool> {
         self.saturated.clone()
     }

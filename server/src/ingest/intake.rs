@@ -113,7 +113,6 @@ pub(crate) struct Intake {
 
 impl Intake {
     /// A stream of which everything up to `durable_sequence` was taken, with this CRC, for a map with this grid.
-    #[must_use]
     pub(crate) fn new(durable_sequence: u64, content_crc: u32, limits: IntakeLimits, grid: Option<&GridSpec>) -> Self {
         Self {
             table: Vec::new(),
@@ -128,7 +127,6 @@ impl Intake {
     }
 
     /// Memory of the stream's table of tiles and its unfinished scan, in bytes, about.
-    #[must_use]
     pub(crate) fn held_bytes(&self) -> usize {
         self.scans.held_bytes()
     }

@@ -25,7 +25,6 @@ pub(crate) struct TileTotals {
 
 impl TileTotals {
     /// Counts the tiles of a view. An unreadable tile counts as one without changes.
-    #[must_use]
     pub(crate) fn of(view: &MapView) -> TileTotals {
         let mut totals = TileTotals::default();
         let Some(grid) = view.grid() else { return totals };

@@ -30,7 +30,6 @@ pub(super) struct TrainingData {
 impl TrainingData {
     /// The readings that updates before `generation` have learned. `unsaved`: history that no save has stored; the rest
     /// is in files.
-    #[must_use]
     pub(super) fn before(generation: u64, history: History, mut unsaved: Vec<Arc<HistoryPiece>>) -> Self {
         unsaved.retain(|piece| piece.generation < generation);
         unsaved.sort_by_key(|piece| piece.generation);

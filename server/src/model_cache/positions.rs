@@ -25,7 +25,6 @@ pub(crate) struct PositionModel {
 
 impl PositionModel {
     /// The options of a model kind that supports positions; `None` for other kinds.
-    #[must_use]
     pub(crate) fn options(kind: ModelKind) -> Option<HypertimeOptions> {
         let (method, clusters) = match kind {
             ModelKind::HypertimeEm { clusters } => (HypertimeMethod::Em, clusters),
@@ -72,19 +71,16 @@ impl PositionModel {
     }
 
     /// Number of positions that it was fitted to.
-    #[must_use]
     pub(crate) fn positions(&self) -> u64 {
         self.positions
     }
 
     /// The least and the greatest coordinates of these, in metres by axis.
-    #[must_use]
     pub(crate) fn bounds_m(&self) -> (&[f64], &[f64]) {
         (&self.low_m, &self.high_m)
     }
 
     /// The distribution at a moment; `None` if it is undefined.
-    #[must_use]
     pub(crate) fn at(&self, at: Moment) -> Option<HypertimeDistribution> {
         self.field.distribution(at, &[])
     }

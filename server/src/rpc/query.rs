@@ -59,7 +59,6 @@ pub(crate) struct QueryLimits {
 
 impl Queries {
     /// Answers within these limits.
-    #[must_use]
     pub(crate) fn new(catalog: Arc<Catalog>, limits: QueryLimits) -> Self {
         let fitting = Arc::new(ModelFitter::new(Arc::clone(&catalog), limits.fitted_models, limits.fit_readings));
         let (max_predictions, max_batch) = (limits.predictions, limits.batch);

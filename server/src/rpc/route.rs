@@ -51,7 +51,6 @@ pub(crate) struct Routes {
 
 impl Routes {
     /// Plans within this limit; models are fitted by the fitter of `queries`.
-    #[must_use]
     pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, predictions: u64) -> Self {
         Self { catalog, predictions, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
     }

@@ -133,21 +133,18 @@ impl History {
     }
 
     /// The same without generation `before` and later ones, which the caller reads elsewhere.
-    #[must_use]
     pub fn before(self, generation: u64) -> History {
         History { before: generation, ..self }
     }
 
     /// The same for a caller that uses at most `enough` observations of a state. If there are more, reading stops
     /// early: the caller gets more than `enough`, but not all.
-    #[must_use]
     pub fn at_most(self, observations: usize) -> History {
         History { enough: observations, ..self }
     }
 
     /// Whether the history begins with the map's first update, apart from what retention has deleted. `false` for a map
     /// that was created under format 1: its updates before the migration wrote no files.
-    #[must_use]
     pub fn is_complete(&self) -> bool {
         self.is_complete
     }
@@ -192,7 +189,6 @@ impl History {
     /// The days that have scans at times from `from_nanos` up to but not including `to_nanos`, one by one, by
     /// generation and day. Each is a whole day, with the observations of `tiles` only, or of all tiles if `tiles` is
     /// `None`.
-    #[must_use]
     pub fn grid_days(&self, from_nanos: i64, to_nanos: i64, tiles: Option<Vec<TileId>>) -> GridDays {
         GridDays::new(self.clone(), from_nanos, to_nanos, tiles)
     }

@@ -51,13 +51,11 @@ impl MapLog {
     }
 
     /// Position of the last durable record; 0 if there is none.
-    #[must_use]
     pub fn end(&self) -> u64 {
         self.log.end.load(Ordering::Acquire)
     }
 
     /// Bytes of durable records after the position of the newest saved snapshot, roughly.
-    #[must_use]
     pub fn tail_bytes(&self) -> u64 {
         let progress = self.log.progress.lock().unwrap_or_else(PoisonError::into_inner);
         progress.bytes.saturating_sub(progress.covered)

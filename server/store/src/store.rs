@@ -193,19 +193,16 @@ impl Drop for OpenStore {
 
 impl Store {
     /// Identity of the store. A restored backup may be given a new one.
-    #[must_use]
     pub fn store_id(&self) -> &str {
         &self.inner.store_id
     }
 
     /// What was repaired when the store was opened.
-    #[must_use]
     pub fn reports(&self) -> &[Report] {
         &self.inner.reports
     }
 
     /// All maps, by number.
-    #[must_use]
     pub fn maps(&self) -> Vec<(MapId, MapSpec)> {
         self.inner.maps().entries.iter().map(|(&map, entry)| (map, MapSpec::clone(&entry.spec))).collect()
     }
@@ -257,7 +254,6 @@ impl Store {
     }
 
     /// Bytes of a map on the disk; folders that cannot be read count as 0.
-    #[must_use]
     pub fn sizes(&self, map: MapId) -> Sizes {
         let inner = &*self.inner;
         let bytes = |folder: &Path| -> io::Result<u64> {
@@ -282,7 +278,6 @@ impl Store {
     }
 
     /// Durations of fdatasync calls on the logs.
-    #[must_use]
     pub fn sync_stats(&self) -> SyncStats {
         self.inner.committer.sync_stats()
     }

@@ -29,19 +29,16 @@ pub struct DayScans {
 
 impl DayScans {
     /// Number of scans, [`GridOfficeOptions::scans_per_day`](super::GridOfficeOptions::scans_per_day).
-    #[must_use]
     pub fn len(&self) -> usize {
         self.scans.len()
     }
 
     /// Always false: a day has at least one scan.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.scans.is_empty()
     }
 
     /// The scan at `index`, or none past the end of the day.
-    #[must_use]
     pub fn get(&self, index: usize) -> Option<GridScan<'_>> {
         let &(utc_nanos, view) = self.scans.get(index)?;
         Some(GridScan { utc_nanos, view, occupied_flips: &self.flips[self.starts[index]..self.starts[index + 1]] })
@@ -180,7 +177,6 @@ pub struct GridStream<'a> {
 
 impl<'a> GridStream<'a> {
     /// The scans of the first `days` days, at most [`GridOffice::DAYS_MAX`].
-    #[must_use]
     pub fn new(office: &'a GridOffice, days: u32) -> Self {
         Self { office, days: days.min(GridOffice::DAYS_MAX), next_day: 0, scans: None, next_scan: 0 }
     }

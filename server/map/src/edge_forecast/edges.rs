@@ -38,7 +38,6 @@ pub struct EdgeForecasts {
 impl EdgeForecasts {
     /// The edges of a view. `speed_m_per_s`: the speed without reports, above 0. `persistence`: whether the last report
     /// of an edge still counts (T-RO 2017, eq. 12 and 13).
-    #[must_use]
     pub fn new(view: Arc<MapView>, speed_m_per_s: f64, persistence: bool) -> EdgeForecasts {
         let topology = view.site().topology();
         let reported: Vec<(&Edge, EdgeStates)> = topology
@@ -58,7 +57,6 @@ impl EdgeForecasts {
     }
 
     /// The forecast of an edge at a time in nanoseconds UTC.
-    #[must_use]
     pub fn forecast(&self, edge: &Edge, time_nanos: i64) -> EdgeForecast {
         let by_chosen = |id: StateId, times: &PreparedTimes| self.predict(id, times);
         self.forecast_with(edge, time_nanos, by_chosen)
@@ -94,7 +92,6 @@ impl EdgeForecasts {
     }
 
     /// Number of reports of an edge.
-    #[must_use]
     pub fn reports(&self, edge: EdgeId) -> u64 {
         let success = self.known.get(&edge).and_then(|known| known.states.success);
         success.map_or(0, |id| self.view.live(id).observations)

@@ -23,7 +23,6 @@ pub struct ScanTime {
 
 impl ScanTime {
     /// Local civil time, nanoseconds since 1970-01-01T00:00 local.
-    #[must_use]
     pub fn civil_nanos(&self) -> i64 {
         self.utc_nanos.saturating_add(i64::from(self.offset_secs) * 1_000_000_000)
     }
@@ -66,19 +65,16 @@ pub struct Flip {
 
 impl Flip {
     /// A flip of a cell's bit.
-    #[must_use]
     pub fn new(scan: u32, cell: u16, bit: Bit) -> Flip {
         Flip { scan, packed: cell & 511 | if bit == Bit::Occupied { 512 } else { 0 } }
     }
 
     /// The cell's place in its tile.
-    #[must_use]
     pub fn cell(self) -> u16 {
         self.packed & 511
     }
 
     /// Which bit.
-    #[must_use]
     pub fn bit(self) -> Bit {
         if self.packed & 512 == 0 { Bit::Observed } else { Bit::Occupied }
     }
@@ -113,7 +109,6 @@ const TILE_CHANGES: u64 = (size_of::<DayTile>() + size_of::<(TileId, Box<DayTile
 
 impl GridDay {
     /// A day without scans.
-    #[must_use]
     pub fn new(day: LocalDay) -> GridDay {
         GridDay { day, scans: Vec::new(), presence: Vec::new(), tiles: Vec::new() }
     }
@@ -175,7 +170,6 @@ impl GridDay {
     }
 
     /// A tile on this day.
-    #[must_use]
     pub fn tile(&self, tile: TileId) -> Option<&DayTile> {
         self.tiles.get(self.place(tile).ok()?).map(|(_, tile)| &**tile)
     }
@@ -199,7 +193,6 @@ impl GridDay {
     }
 
     /// The scans that saw each tile, as ranges of their numbers, first and end; in the order of [`GridDay::tiles`].
-    #[must_use]
     pub(crate) fn presence_by_tile(&self) -> Vec<Vec<(u32, u32)>> {
         let mut ranges: Vec<Vec<(u32, u32)>> = vec![Vec::new(); self.tiles.len()];
         for run in &self.presence {
@@ -223,7 +216,6 @@ impl GridDay {
     }
 
     /// Splits the scans before an instant from the others. `None` for a part without scans.
-    #[must_use]
     pub fn split(self, cut_nanos: i64) -> (Option<GridDay>, Option<GridDay>) {
         let is_after = |scan: &ScanTime| scan.utc_nanos >= cut_nanos;
         if !self.scans.iter().any(is_after) {
@@ -273,7 +265,6 @@ impl GridDay {
     }
 
     /// The amount of data held for the update of the day: scans, tiles, flips and presence.
-    #[must_use]
     pub fn changes(&self) -> u64 {
         let tiles = self.tiles.iter().map(|(_, tile)| TILE_CHANGES + tile.flips.len() as u64);
         self.scans.len() as u64 + tiles.sum::<u64>() + self.presence.iter().map(PresenceRun::changes).sum::<u64>()
@@ -290,7 +281,6 @@ impl GridDay {
     }
 
     /// Memory in bytes, about.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         let tiles = self.tiles.iter();
         let flips: usize =
@@ -326,7 +316,6 @@ pub struct DayTileScans<'a> {
 
 impl DayTile {
     /// The masks of each scan that saw the tile; `ranges` as [`GridDay::presence_by_tile`] gives them.
-    #[must_use]
     pub fn scans<'a>(&'a self, ranges: &'a [(u32, u32)]) -> DayTileScans<'a> {
         DayTileScans { ranges: ranges.iter(), range: (0, 0), masks: self.first, flips: &self.flips }
     }

@@ -12,7 +12,6 @@ pub struct Generation {
 
 impl Generation {
     /// The model of a tile; `None` where no update has seen it.
-    #[must_use]
     pub fn model(&self, tile: TileId) -> Option<&ModelSlot> {
         self.models.get(tile.0 as usize)
     }

@@ -26,13 +26,11 @@ pub struct TileIndex {
 
 impl TileIndex {
     /// Whether the index lies within the limits.
-    #[must_use]
     pub fn is_valid(self) -> bool {
         [self.x, self.y, self.z].iter().all(|index| (-TILE_LIMIT..TILE_LIMIT).contains(index))
     }
 
     /// The cell at place `cell` (below [`TILE_CELLS`]) of this tile.
-    #[must_use]
     pub fn cell(self, cell: u16) -> CellIndex {
         let cell = i32::from(cell);
         CellIndex {
@@ -43,7 +41,6 @@ impl TileIndex {
     }
 
     /// The cells of the tile.
-    #[must_use]
     pub fn cells(self) -> CellBox {
         let min = self.cell(0);
         CellBox { min, max: CellIndex { x: min.x + TILE_EDGE, y: min.y + TILE_EDGE, z: min.z + TILE_EDGE } }
@@ -64,7 +61,6 @@ pub struct CellIndex {
 
 impl CellIndex {
     /// The tile that holds the cell, and its place there: x + 8·y + 64·z of the last three bits of each index.
-    #[must_use]
     pub fn tile(self) -> (TileIndex, u16) {
         let tile = TileIndex { x: self.x >> 3, y: self.y >> 3, z: self.z >> 3 };
         let place = (self.x & 7) | (self.y & 7) << 3 | (self.z & 7) << 6;
@@ -83,20 +79,17 @@ pub struct CellBox {
 
 impl CellBox {
     /// Number of cells along x, y, z; 0 if there is none.
-    #[must_use]
     pub fn size(&self) -> [u64; 3] {
         let along = |min: i32, max: i32| u64::try_from(i64::from(max) - i64::from(min)).unwrap_or(0);
         [along(self.min.x, self.max.x), along(self.min.y, self.max.y), along(self.min.z, self.max.z)]
     }
 
     /// Number of cells.
-    #[must_use]
     pub fn count(&self) -> u128 {
         self.size().iter().map(|&size| u128::from(size)).product()
     }
 
     /// Whether the cell lies within.
-    #[must_use]
     pub fn contains(&self, cell: CellIndex) -> bool {
         (self.min.x..self.max.x).contains(&cell.x)
             && (self.min.y..self.max.y).contains(&cell.y)
@@ -104,7 +97,6 @@ impl CellBox {
     }
 
     /// The cells that lie in both.
-    #[must_use]
     pub fn intersection(&self, other: &CellBox) -> CellBox {
         CellBox {
             min: CellIndex {
@@ -121,7 +113,6 @@ impl CellBox {
     }
 
     /// The smallest box that holds both; an empty one adds nothing.
-    #[must_use]
     pub fn union(&self, other: &CellBox) -> CellBox {
         if self.is_empty() {
             return *other;
@@ -144,7 +135,6 @@ impl CellBox {
     }
 
     /// Whether there is no cell within.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.size().contains(&0)
     }

@@ -86,7 +86,6 @@ pub struct LiveGrid {
 
 impl LiveGrid {
     /// An empty grid.
-    #[must_use]
     pub(crate) fn new(spec: Arc<GridSpec>) -> LiveGrid {
         LiveGrid {
             sensors: Arc::new(Sensors::new(spec.sensor)),
@@ -205,7 +204,6 @@ impl LiveGrid {
     }
 
     /// The sensors of its producers.
-    #[must_use]
     pub fn sensors(&self) -> &Sensors {
         &self.sensors
     }
@@ -238,37 +236,31 @@ impl LiveGrid {
     }
 
     /// Number of tiles.
-    #[must_use]
     pub fn tiles(&self) -> usize {
         self.tiles.len()
     }
 
     /// The tile of this index.
-    #[must_use]
     pub fn find(&self, index: TileIndex) -> Option<TileId> {
         self.ids.get(&index).copied()
     }
 
     /// What the last scan of a tile, in the order of the log, showed.
-    #[must_use]
     pub fn arrival(&self, tile: TileId) -> Option<TileMasks> {
         Some(self.tiles.get(tile.0 as usize)?.arrival)
     }
 
     /// The tiles of the last scan in the log.
-    #[must_use]
     pub fn last_seen(&self) -> &Arc<[TileId]> {
         &self.last_seen
     }
 
     /// Number of scans that wait because their time is too far in the future.
-    #[must_use]
     pub fn future(&self) -> u64 {
         self.future.len() as u64
     }
 
     /// Sum of the tiles of the scans that wait.
-    #[must_use]
     pub fn future_tiles(&self) -> u64 {
         self.future_tiles
     }
@@ -279,7 +271,6 @@ impl LiveGrid {
     }
 
     /// Scans that no update has learned, without those that wait because of their time.
-    #[must_use]
     pub fn pending_scans(&self) -> u64 {
         self.days.iter().map(|day| day.scans.len() as u64).sum()
     }

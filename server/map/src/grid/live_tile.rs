@@ -72,7 +72,6 @@ pub struct ScanRun {
 
 impl LiveTile {
     /// A tile that no scan has seen.
-    #[must_use]
     pub fn new(index: TileIndex) -> LiveTile {
         LiveTile {
             index,
@@ -100,7 +99,6 @@ impl LiveTile {
     }
 
     /// Newest time and number of scans, with the run's scans.
-    #[must_use]
     pub(crate) fn settled(&self, run: ScanRun) -> (i64, u64) {
         match self.joined {
             Some(joined) if joined < run.count => (run.newest_nanos, self.scans + (run.count - joined)),
@@ -109,7 +107,6 @@ impl LiveTile {
     }
 
     /// Whether a scan of this time counts.
-    #[must_use]
     pub(crate) fn is_newer(&self, utc_nanos: i64) -> bool {
         self.scans == 0 || utc_nanos > self.newest_nanos
     }
@@ -233,20 +230,17 @@ impl LiveTile {
     }
 
     /// Whether some cell was last observed by another sensor than the map's own.
-    #[must_use]
     pub(crate) fn has_other_readers(&self, sensors: &Sensors) -> bool {
         let is_other = |sensor: SensorId| sensor != SensorId::OWN;
         sensors.others() > 0 && (is_other(self.sensor) || self.away.iter().any(|away| is_other(away.sensor)))
     }
 
     /// The value of the newest reading of a known cell.
-    #[must_use]
     pub(crate) fn value(&self, cell: u16, sensors: &Sensors) -> f64 {
         sensors.value(self.reader(cell, sensors), self.occupied.contains(cell))
     }
 
     /// Persistence of a cell, with the run's scans. Before the first observation it is that of an unknown state.
-    #[must_use]
     pub(crate) fn persistence(&self, cell: u16, run: ScanRun, sensors: &Sensors) -> Persistence {
         if !self.known.contains(cell) {
             return Persistence::default();
@@ -268,7 +262,6 @@ impl LiveTile {
     }
 
     /// Memory in bytes, about.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         size_of::<Self>() + self.away.len() * 24 + (self.offsets.len() + self.change_rates.len()) * 16
     }

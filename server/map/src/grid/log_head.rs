@@ -169,7 +169,6 @@ pub struct TooManyTiles;
 
 impl LogHead {
     /// The head of a log without events in flight.
-    #[must_use]
     pub fn new(grid: &LiveGrid) -> LogHead {
         let tiles = grid.tiles();
         LogHead {
@@ -257,7 +256,6 @@ impl LogHead {
 
     /// Maximum number of flips of a stream's scan in the log, without those of tiles that are observed again as a
     /// whole; changes nothing.
-    #[must_use]
     pub fn flips_at_most(&self, grid: &LiveGrid, stream: u64, source: &StreamTiles, scan: &StreamScan) -> u64 {
         if self.goes_on(stream, source, scan) {
             return (scan.observed_flips.len() + scan.occupied_flips.len()) as u64;

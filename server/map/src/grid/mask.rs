@@ -17,7 +17,6 @@ impl Mask {
     pub const FULL: Mask = Mask([u64::MAX; 8]);
 
     /// Whether the cell is in the set; a place beyond the tile is not.
-    #[must_use]
     pub fn contains(&self, cell: u16) -> bool {
         self.0.get(usize::from(cell >> 6)).is_some_and(|word| word >> (cell & 63) & 1 == 1)
     }
@@ -37,19 +36,16 @@ impl Mask {
     }
 
     /// Number of cells.
-    #[must_use]
     pub fn count(&self) -> u32 {
         self.0.iter().map(|word| word.count_ones()).sum()
     }
 
     /// Whether there is no cell.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.iter().fold(0, |all, word| all | word) == 0
     }
 
     /// The set with the cells of an iterator flipped.
-    #[must_use]
     pub(crate) fn flipped(mut self, cells: impl Iterator<Item = u16>) -> Mask {
         for cell in cells {
             self.flip(cell);
@@ -58,14 +54,12 @@ impl Mask {
     }
 
     /// The lowest cell.
-    #[must_use]
     pub fn first(&self) -> Option<u16> {
         let (word, z) = self.0.iter().zip(0u16..).find(|(word, _)| **word != 0)?;
         Some(z * 64 + u16::try_from(word.trailing_zeros()).unwrap_or(0))
     }
 
     /// The cells of this set that are not in the other.
-    #[must_use]
     pub fn without(self, other: Mask) -> Mask {
         self & !other
     }
@@ -85,7 +79,6 @@ impl Mask {
     }
 
     /// The set of 64 bytes, the first cell in the lowest bit of the first.
-    #[must_use]
     pub fn from_bytes(bytes: &[u8; TILE_CELLS / 8]) -> Mask {
         let mut mask = Mask::EMPTY;
         for (word, eight) in mask.0.iter_mut().zip(bytes.as_chunks::<8>().0) {
@@ -95,7 +88,6 @@ impl Mask {
     }
 
     /// The set as 64 bytes.
-    #[must_use]
     pub fn to_bytes(self) -> [u8; TILE_CELLS / 8] {
         let mut bytes = [0; TILE_CELLS / 8];
         for (eight, word) in bytes.as_chunks_mut::<8>().0.iter_mut().zip(self.0) {
@@ -145,25 +137,21 @@ pub struct TileMasks {
 
 impl TileMasks {
     /// The masks; `None` where a cell is occupied but not observed.
-    #[must_use]
     pub fn new(observed: Mask, occupied: Mask) -> Option<TileMasks> {
         occupied.without(observed).is_empty().then_some(TileMasks { observed, occupied })
     }
 
     /// The masks; cells that are not observed are removed from the occupied.
-    #[must_use]
     pub fn clipped(observed: Mask, occupied: Mask) -> TileMasks {
         TileMasks { observed, occupied: occupied & observed }
     }
 
     /// Cells that were observed.
-    #[must_use]
     pub fn observed(&self) -> Mask {
         self.observed
     }
 
     /// Cells that were observed as occupied.
-    #[must_use]
     pub fn occupied(&self) -> Mask {
         self.occupied
     }

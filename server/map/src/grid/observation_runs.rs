@@ -81,13 +81,11 @@ impl ObservationRuns {
     }
 
     /// The days, in the order in which they were learned.
-    #[must_use]
     pub fn days(&self) -> &[DayRuns] {
         &self.days
     }
 
     /// Whether nothing is kept: the sums of all groups are whole.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.days.is_empty()
     }
@@ -167,7 +165,6 @@ impl ObservationRuns {
     }
 
     /// Memory in bytes, about; times that tiles share are counted as if they were not.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         let of_list = |list: &CellRuns| size_of::<CellRuns>() + size_of_val(&*list.cells) + size_of_val(&*list.toggles);
         let of_day = |day: &DayRuns| {

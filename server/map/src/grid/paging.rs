@@ -27,7 +27,6 @@ pub struct SavedTiles {
 
 impl SavedTiles {
     /// The tiles of a snapshot that was saved.
-    #[must_use]
     pub fn of(snapshot: &GridSnapshot) -> SavedTiles {
         let resident = |(model, sums): (&ModelSlot, &SumsSlot)| match (model, sums) {
             (ModelSlot::Resident(model), SumsSlot::Resident(sums)) => {
@@ -57,7 +56,6 @@ pub struct TileMemory {
 
 impl LiveMap {
     /// Memory of models and sums, without those that a running update has.
-    #[must_use]
     pub fn tile_memory(&self) -> TileMemory {
         let Some(grid) = &self.grid else { return TileMemory::default() };
         let mut shared = HashSet::new();

@@ -39,7 +39,6 @@ pub enum CellOutput {
 
 impl CellOutput {
     /// The output for a probability.
-    #[must_use]
     pub fn of(self, probability: f32) -> f32 {
         match self {
             CellOutput::Probability => probability,
@@ -137,7 +136,6 @@ impl Shape {
 
 impl GridView {
     /// The tiles of a query.
-    #[must_use]
     pub fn select(&self, question: &GridQuestion) -> GridSelection {
         let mut tiles = match &question.region {
             None => self.ids.iter().map(|(&index, &id)| (index, id)).collect(),

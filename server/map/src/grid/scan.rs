@@ -17,19 +17,16 @@ impl CellRef {
     pub const TILES_MAX: u32 = u32::MAX / TILE_CELLS as u32;
 
     /// The cell at place `cell` of a tile.
-    #[must_use]
     pub fn new(tile: TileId, cell: u16) -> CellRef {
         CellRef(tile.0.wrapping_mul(TILE_CELLS as u32) + u32::from(cell))
     }
 
     /// Its tile.
-    #[must_use]
     pub fn tile(self) -> TileId {
         TileId(self.0 / TILE_CELLS as u32)
     }
 
     /// Its place in the tile.
-    #[must_use]
     pub fn cell(self) -> u16 {
         (self.0 % TILE_CELLS as u32) as u16
     }
@@ -77,7 +74,6 @@ pub struct Scans {
 
 impl Scans {
     /// The latest plausible time by the clock of receipt, nanoseconds UTC; later observations wait.
-    #[must_use]
     pub fn plausible_nanos(&self) -> i64 {
         self.received_nanos.saturating_add(crate::FUTURE_MAX_NANOS)
     }

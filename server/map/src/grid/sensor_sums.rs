@@ -23,7 +23,6 @@ pub struct SensorWeights {
 
 impl SensorWeights {
     /// Memory in bytes, about.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         size_of::<Self>() + self.groups.len() * size_of::<Weights>() + self.occupied.len() * 8
     }

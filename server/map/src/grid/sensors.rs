@@ -72,13 +72,11 @@ pub struct Weights {
 
 impl Weights {
     /// The weight of `count` readings of the map's own sensor.
-    #[must_use]
     pub fn own(readings: u64) -> Weights {
         Weights { alpha: 0.0, beta: readings as f64 }
     }
 
     /// Their sum if all, or none, are occupied.
-    #[must_use]
     pub fn units(self, is_occupied: bool) -> f64 {
         if is_occupied { self.alpha + self.beta } else { self.alpha }
     }
@@ -107,7 +105,6 @@ pub struct Sensors {
 
 impl Sensors {
     /// The map's own alone.
-    #[must_use]
     pub fn new(noise: SensorNoise) -> Sensors {
         let own = Sensor { levels: noise.levels(), weights: Weights::own(1) };
         Sensors { noise, own, others: Vec::new() }
@@ -143,7 +140,6 @@ impl Sensors {
     }
 
     /// The number of a sensor that some producer has; `None` is the map's own.
-    #[must_use]
     pub fn find(&self, sensor: Option<ProducerSensor>) -> Option<SensorId> {
         let Some(sensor) = sensor else { return Some(SensorId::OWN) };
         let at = self.others.iter().position(|(known, _)| *known == sensor)?;
@@ -167,13 +163,11 @@ impl Sensors {
     }
 
     /// The map's own, as a producer would announce it.
-    #[must_use]
     pub fn own(&self) -> ProducerSensor {
         ProducerSensor { hit: self.noise.hit, false_alarm: self.noise.false_alarm }
     }
 
     /// Number of sensors beside the map's own.
-    #[must_use]
     pub fn others(&self) -> usize {
         self.others.len()
     }
@@ -184,26 +178,22 @@ impl Sensors {
     }
 
     /// The values of a free and an occupied reading of a sensor. An unknown sensor counts as the map's own.
-    #[must_use]
     pub fn levels(&self, id: SensorId) -> (f64, f64) {
         self.get(id).levels
     }
 
     /// The value of a reading of a sensor.
-    #[must_use]
     pub fn value(&self, id: SensorId, is_occupied: bool) -> f64 {
         let (free, occupied) = self.levels(id);
         if is_occupied { occupied } else { free }
     }
 
     /// The weight of a reading of a sensor in units of the map's own.
-    #[must_use]
     pub fn weights(&self, id: SensorId) -> Weights {
         self.get(id).weights
     }
 
     /// A value in [0, 1] from units of the map's own sensor.
-    #[must_use]
     pub(crate) fn value_of_units(&self, units: f64) -> f64 {
         let (free, occupied) = self.own.levels;
         (free + (occupied - free) * units).clamp(0.0, 1.0)

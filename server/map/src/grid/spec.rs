@@ -59,7 +59,6 @@ impl Default for SensorNoise {
 
 impl SensorNoise {
     /// The values of a free and an occupied reading: P(occupied | reads free), P(occupied | reads occupied).
-    #[must_use]
     pub fn levels(&self) -> (f64, f64) {
         let posterior = |if_occupied: f64, if_free: f64| {
             let occupied = if_occupied * self.prior;
@@ -100,7 +99,6 @@ pub enum InvalidGrid {
 impl GridSpec {
     /// A grid in frame `map`, in three dimensions and without an extent, of a sensor that is always right, without
     /// history.
-    #[must_use]
     pub fn new(resolution_m: f64) -> GridSpec {
         GridSpec {
             frame_id: "map".to_owned(),
@@ -152,7 +150,6 @@ impl GridSpec {
     }
 
     /// The cells that may exist.
-    #[must_use]
     pub fn allowed(&self) -> CellBox {
         let mut allowed = self.extent.unwrap_or_else(Self::limits);
         if self.is_flat {
@@ -162,7 +159,6 @@ impl GridSpec {
     }
 
     /// The cell that holds a point of the map's frame, in metres; `None` for one that is not finite or beyond any cell.
-    #[must_use]
     pub fn cell_at(&self, point_m: [f64; 3]) -> Option<CellIndex> {
         let limit = f64::from(TILE_LIMIT * TILE_EDGE);
         let mut index = [0; 3];
@@ -177,7 +173,6 @@ impl GridSpec {
     }
 
     /// Lower corner of a cell in the map's frame, metres.
-    #[must_use]
     pub fn corner_m(&self, cell: CellIndex) -> [f64; 3] {
         let along = |axis: usize, index: i32| self.origin_m[axis] + f64::from(index) * self.resolution_m;
         [along(0, cell.x), along(1, cell.y), along(2, cell.z)]

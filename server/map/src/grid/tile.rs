@@ -63,13 +63,11 @@ pub struct TileModel {
 
 impl TileModel {
     /// Cells that were ever observed.
-    #[must_use]
     pub fn observed(&self) -> Mask {
         self.groups.iter().fold(Mask::EMPTY, |all, group| all | group.cells)
     }
 
     /// Cells that have changed.
-    #[must_use]
     pub fn changed(&self) -> Mask {
         let mut mask = Mask::EMPTY;
         for cell in &self.cells {
@@ -79,34 +77,29 @@ impl TileModel {
     }
 
     /// The group of a cell.
-    #[must_use]
     pub fn group_of(&self, cell: u16) -> Option<&Group> {
         self.groups.iter().find(|group| group.cells.contains(cell))
     }
 
     /// The model of a cell that has changed.
-    #[must_use]
     pub fn cell(&self, cell: u16) -> Option<&CellModel> {
         let at = self.cells.binary_search_by_key(&cell, |model| model.cell).ok()?;
         self.cells.get(at)
     }
 
     /// Σα and Σβ over the readings of a group, by its index.
-    #[must_use]
     pub fn weights(&self, group: usize) -> Weights {
         let known = self.sensors.as_ref().and_then(|sensors| sensors.groups.get(group).copied());
         known.unwrap_or_else(|| Weights::own(self.groups.get(group).map_or(0, |group| group.observations)))
     }
 
     /// Σβ over the occupied readings of a changed cell, by its index.
-    #[must_use]
     pub fn occupied_weight(&self, cell: usize) -> f64 {
         let known = self.sensors.as_ref().and_then(|sensors| sensors.occupied.get(cell).copied());
         known.unwrap_or_else(|| self.cells.get(cell).map_or(0.0, |cell| cell.occupied as f64))
     }
 
     /// The means of the readings of a group's cells that were always read as free, and as occupied, by its index.
-    #[must_use]
     pub(crate) fn constant_levels(&self, group: usize, sensors: &Sensors) -> (f64, f64) {
         let weights = self.weights(group);
         let observations = self.groups.get(group).map_or(0, |group| group.observations);
@@ -127,7 +120,6 @@ impl TileModel {
     }
 
     /// Memory in bytes, about.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         let components: usize = self.cells.iter().map(|cell| cell.spectral.components().len() * 24).sum();
         size_of::<Self>()
@@ -200,7 +192,6 @@ impl TileSums {
     }
 
     /// Memory in bytes, about; a sum that groups share counts once, one that tiles share for each.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         let mut distinct: Vec<&Arc<PhasorSum>> = self.shared().collect();
         distinct.sort_unstable_by_key(|sum| Arc::as_ptr(sum));
@@ -209,7 +200,6 @@ impl TileSums {
     }
 
     /// Memory in bytes, about, of what is never shared.
-    #[must_use]
     pub(crate) fn own_bytes(&self) -> usize {
         let pointers = self.groups.len() * size_of::<Arc<PhasorSum>>();
         let cells: usize = self.cells.iter().map(PhasorSum::bytes).sum();
@@ -363,7 +353,6 @@ impl SumsSlot {
     }
 
     /// Memory in bytes, about.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         match self {
             SumsSlot::Resident(sums) => sums.bytes(),

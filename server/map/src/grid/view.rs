@@ -82,63 +82,53 @@ impl GridView {
     }
 
     /// The fixed properties of the grid.
-    #[must_use]
     pub fn spec(&self) -> &GridSpec {
         &self.spec
     }
 
     /// Values of a free and an occupied reading of the map's own sensor.
-    #[must_use]
     pub fn levels(&self) -> (f64, f64) {
         self.spec.sensor.levels()
     }
 
     /// Number of tiles.
-    #[must_use]
     pub fn tiles(&self) -> usize {
         self.ids.len()
     }
 
     /// Scans acknowledged.
-    #[must_use]
     pub fn scans(&self) -> u64 {
         self.scans
     }
 
     /// Scans that no update has learned.
-    #[must_use]
     pub fn pending_scans(&self) -> u64 {
         self.pending_scans
     }
 
     /// Observations of single cells in the scans acknowledged.
-    #[must_use]
     pub fn cell_observations(&self) -> u64 {
         self.cell_observations
     }
 
     /// A tile as the newest scans show it.
-    #[must_use]
     pub fn live(&self, tile: TileId) -> Option<&LiveTile> {
         let index = tile.0 as usize;
         self.chunks.get(index / TILE_CHUNK)?.get(index % TILE_CHUNK).map(AsRef::as_ref)
     }
 
     /// The tile of this index.
-    #[must_use]
     pub fn find(&self, index: TileIndex) -> Option<TileId> {
         self.ids.get(&index).copied()
     }
 
     /// The smallest box of whole tiles that holds every tile.
-    #[must_use]
     pub fn bounds(&self) -> CellBox {
         let empty = CellBox { min: CellIndex::default(), max: CellIndex::default() };
         self.ids.keys().fold(empty, |bounds, index| bounds.union(&index.cells()))
     }
 
     /// The tiles that reach into a box, by place: z, then y, then x ascending.
-    #[must_use]
     pub fn tiles_in(&self, region: &CellBox) -> Vec<(TileIndex, TileId)> {
         let reaches = |index: &&TileIndex| !index.cells().intersection(region).is_empty();
         let mut tiles: Vec<(TileIndex, TileId)> =

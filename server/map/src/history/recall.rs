@@ -23,7 +23,6 @@ use crate::grid::{
 impl HistoryDay {
     /// Encodes a day. Cells are kept against small models where that takes fewer bytes. `levels` are the values of a
     /// free and an occupied reading. Runs on the current rayon pool.
-    #[must_use]
     pub fn encode(
         mut day: GridDay,
         generation: &Generation,
@@ -61,7 +60,6 @@ impl HistoryDay {
     }
 
     /// The exact day. Runs on the current rayon pool.
-    #[must_use]
     pub fn decode(&self, periodicities: &Periodicities) -> GridDay {
         let mut day = self.outliers.clone();
         if self.models.is_empty() {
@@ -80,7 +78,6 @@ impl HistoryDay {
     }
 
     /// The models of a tile's cells.
-    #[must_use]
     pub(crate) fn models_of(&self, tile: TileId) -> &[OutlierModel] {
         let found = self.models.binary_search_by_key(&tile, |(tile, _)| *tile).ok();
         found.and_then(|at| self.models.get(at)).map_or(&[], |(_, models)| models)
@@ -88,7 +85,6 @@ impl HistoryDay {
 
     /// The readings of a cell, occupied or not, at each scan that observed it: nanoseconds UTC and reading, in order of
     /// arrival.
-    #[must_use]
     pub fn readings(&self, tile: TileId, cell: u16, periodicities: &Periodicities) -> Vec<(i64, bool)> {
         let model = self.models_of(tile).iter().find(|model| model.cell == cell);
         readings(&self.outliers, tile, cell, model, periodicities)
@@ -98,7 +94,6 @@ impl HistoryDay {
 impl GridDay {
     /// The readings of a cell, occupied or not, at each scan that observed it: nanoseconds UTC and reading, in order of
     /// arrival.
-    #[must_use]
     pub fn readings(&self, tile: TileId, cell: u16, periodicities: &Periodicities) -> Vec<(i64, bool)> {
         readings(self, tile, cell, None, periodicities)
     }
@@ -139,7 +134,6 @@ fn readings(
 
 impl HistoryPiece {
     /// The readings of a state or cell from one instant until before another, in order of arrival.
-    #[must_use]
     pub fn readings(
         &self,
         subject: Subject,

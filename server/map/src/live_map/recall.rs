@@ -14,14 +14,12 @@ use crate::{
 
 impl LiveMap {
     /// Number of updates published so far.
-    #[must_use]
     pub fn generation(&self) -> u64 {
         self.generation
     }
 
     /// Observations that no update has taken, from one instant until before another, in order of arrival; at most
     /// `at_most`.
-    #[must_use]
     pub fn pending_readings(&self, subject: Subject, from_nanos: i64, to_nanos: i64, at_most: usize) -> Vec<Reading> {
         let within = from_nanos..to_nanos;
         match subject {
@@ -48,7 +46,6 @@ impl LiveMap {
 
 impl UpdateWork {
     /// Earliest time of the observations, nanoseconds UTC.
-    #[must_use]
     pub fn from_nanos(&self) -> Option<i64> {
         let samples = self.samples.iter().flat_map(|(_, samples)| samples).map(|sample| sample.utc_nanos);
         let scans = self.grid.iter().flat_map(|grid| &grid.days).flat_map(|day| &day.scans).map(|scan| scan.utc_nanos);

@@ -17,7 +17,6 @@ use crate::{
 impl LiveMap {
     /// The start of an update for the log. `until_nanos`: learn older observations; `None`: all. Observations further
     /// in the future of `now_nanos` than [`FUTURE_MAX_NANOS`] always wait.
-    #[must_use]
     pub fn plan_update(&self, until_nanos: Option<i64>, now_nanos: i64, cause: UpdateCause) -> UpdateStart {
         let latest = now_nanos.saturating_add(FUTURE_MAX_NANOS).saturating_add(1);
         let future = self.pending.newest_future_before(latest);

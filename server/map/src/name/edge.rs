@@ -28,7 +28,6 @@ impl EdgeState {
     const ALL: [EdgeState; 3] = [EdgeState::Success, EdgeState::Speed, EdgeState::Pace];
 
     /// First part of the states' names: `edge`, `speed` or `pace`.
-    #[must_use]
     pub fn prefix(self) -> &'static str {
         match self {
             EdgeState::Success => "edge",
@@ -38,7 +37,6 @@ impl EdgeState {
     }
 
     /// Kind of the states.
-    #[must_use]
     pub fn kind(self) -> StateKind {
         match self {
             EdgeState::Success => StateKind::Probability,
@@ -83,7 +81,6 @@ impl EdgeName {
 
     /// Name of one of its states: `edge/A/B`, `speed/A/B` or `pace/A/B`, with `/ACTION` unless the action is the
     /// default.
-    #[must_use]
     pub fn state(&self, what: EdgeState) -> StateName {
         StateName(format!("{}/{self}", what.prefix()).into())
     }
@@ -98,32 +95,27 @@ impl fmt::Display for EdgeName {
 
 impl StateName {
     /// The success state of an edge, `edge/A/B[/ACTION]`.
-    #[must_use]
     pub fn edge(edge: &EdgeName) -> Self {
         edge.state(EdgeState::Success)
     }
 
     /// The speed state of an edge, `speed/A/B[/ACTION]`.
-    #[must_use]
     pub fn speed(edge: &EdgeName) -> Self {
         edge.state(EdgeState::Speed)
     }
 
     /// The pace state of an edge, relative to its nominal time, `pace/A/B[/ACTION]`.
-    #[must_use]
     pub fn pace(edge: &EdgeName) -> Self {
         edge.state(EdgeState::Pace)
     }
 
     /// Splits the name of an edge's state into quantity and edge.
-    #[must_use]
     pub(crate) fn as_edge(&self) -> Option<(EdgeState, EdgeName)> {
         let (what, edge) = split_edge(&self.0)?;
         EdgeName::parse(edge).ok().map(|edge| (what, edge))
     }
 
     /// Maximum number of characters for a state with this name: names of edges' states are longer than others.
-    #[must_use]
     pub fn chars_max(name: &str) -> usize {
         if split_edge(name).is_some() { EDGE_STATE_CHARS_MAX } else { NAME_CHARS_MAX }
     }

@@ -34,7 +34,6 @@ impl ModelKind {
     ];
 
     /// The name without parameters.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",

@@ -34,7 +34,6 @@ pub struct EdgeEnds {
 
 impl EdgeEnds {
     /// The usual edges both ways between two nodes.
-    #[must_use]
     pub fn link(from: StateName, to: StateName) -> EdgeEnds {
         EdgeEnds { from, to, action: None, both_ways: true }
     }

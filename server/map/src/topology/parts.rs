@@ -45,7 +45,6 @@ impl Topology {
     }
 
     /// The edge from one node to another with an action.
-    #[must_use]
     pub fn edge_between(&self, from: NodeId, to: NodeId, action: Option<&StateName>) -> Option<&Edge> {
         // The end with fewer edges: a hub has many.
         let count = |node: NodeId| self.at_node.get(&node).map_or(0, Vec::len);
@@ -73,7 +72,6 @@ impl Topology {
     }
 
     /// An edge's name: `A/B`, or `A/B/ACTION`.
-    #[must_use]
     pub fn edge_name(&self, edge: &Edge) -> String {
         let name = |id| self.nodes.get(&id).map_or("?", |node| node.name.as_str());
         let ends = format!("{}/{}", name(edge.from), name(edge.to));
@@ -101,7 +99,6 @@ impl Topology {
     }
 
     /// The parts, to be stored.
-    #[must_use]
     pub fn to_parts(&self) -> TopologyParts {
         TopologyParts {
             next_node: self.next_node,

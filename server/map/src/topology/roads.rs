@@ -81,31 +81,26 @@ impl Roads {
     }
 
     /// Number of nodes.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.nodes.len()
     }
 
     /// Whether there is no node.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }
 
     /// The index of a node; `None` if the map has none of this number.
-    #[must_use]
     pub fn index_of(&self, node: NodeId) -> Option<usize> {
         self.nodes.binary_search(&node).ok()
     }
 
     /// The node of an index below [`Roads::len`].
-    #[must_use]
     pub fn node(&self, index: usize) -> NodeId {
         self.nodes[index]
     }
 
     /// Duration of a visit of a node, in seconds; 0 if the map does not give it.
-    #[must_use]
     pub fn dwell_secs(&self, index: usize) -> f64 {
         self.dwell_secs[index]
     }
@@ -200,13 +195,11 @@ impl ShortestTimes {
     }
 
     /// The time to each node, in seconds; infinite without a path.
-    #[must_use]
     pub fn secs(&self) -> &[f64] {
         &self.secs
     }
 
     /// The path to a node, without the start; empty without a path, and for the start itself.
-    #[must_use]
     pub fn way_to(&self, node: usize) -> Vec<Arrival> {
         let mut way = Vec::new();
         let mut at = node;

@@ -9,7 +9,6 @@ mod tests;
 
 /// The interval that holds the success of an edge with probability `confidence`, 0 to 1, with equal tails: quantiles of
 /// Beta(success · evidence, (1 - success) · evidence), widened to hold the success itself.
-#[must_use]
 pub fn success_interval(success: f64, evidence: f64, confidence: f64) -> Interval {
     Chance::new(success, evidence).interval(confidence)
 }

@@ -24,7 +24,6 @@ pub enum PolicyError {
 
 /// The probability that at least one of several persons is at a place, from that of each, in `[0,1]`; 0 without
 /// persons.
-#[must_use]
 pub fn anyone(probabilities: impl IntoIterator<Item = f64>) -> f64 {
     1.0 - probabilities.into_iter().map(|probability| 1.0 - probability.clamp(0.0, 1.0)).product::<f64>()
 }

@@ -48,7 +48,6 @@ impl Replay {
     }
 
     /// Number of events from the first to the last.
-    #[must_use]
     pub fn records(&self) -> u64 {
         (self.end + 1).saturating_sub(self.from)
     }
