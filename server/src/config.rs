@@ -62,119 +62,109 @@ pub(crate) enum LogFormat {
     Json,
 }
 
-/// All settings; the keys of the config file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Settings {
-    /// Folder of all data.
-    pub data_dir: PathBuf,
-    /// Address of the gRPC port.
-    pub listen: String,
-    /// Address of the HTTP port for health and metrics.
-    pub http_listen: String,
-    /// Listen on other addresses than this machine's, without encryption and authentication.
-    pub allow_insecure_remote: bool,
-    /// Format of the log.
-    pub log_format: LogFormat,
-    /// Filter of the log.
-    pub log_level: String,
-    /// Maximum number of maps.
-    pub max_maps: usize,
-    /// Maximum number of states of a map. A state takes up to 32 bytes per candidate periodicity: 5.4 KB by default.
-    pub max_states_per_map: usize,
-    /// Maximum number of tiles of a map's occupancy grid: 8x8x8 cells each, 8x8 in a flat grid.
-    pub max_tiles_per_map: usize,
-    /// Maximum number of producer keys (producer and label) of a map.
-    pub max_producers_per_map: usize,
-    /// Maximum number of observations of one message.
-    pub max_batch_observations: usize,
-    /// Maximum number of scans of one message.
-    pub max_batch_scans: usize,
-    /// Maximum number of points or rays of one scan. A scan that spans messages waits in memory, with 12 bytes per
-    /// point.
-    pub max_scan_points: usize,
-    /// Maximum number of tiles of one scan, and of one stream's table of tiles. A tile of the table takes about 350
-    /// bytes.
-    pub max_scan_tiles: usize,
-    /// Maximum size of one message, in bytes.
-    pub max_message_bytes: usize,
-    /// Maximum size of what one stream has sent and is not durable yet, in bytes.
-    pub max_stream_buffer_bytes: usize,
-    /// Maximum size of what all streams have sent and is not durable yet, in bytes.
-    pub max_buffer_bytes: usize,
-    /// Maximum size of the tile tables and unfinished scans of all streams, in bytes.
-    pub max_stream_tables_bytes: usize,
-    /// Maximum number of open streams of observations.
-    pub max_streams: usize,
-    /// An update runs early when a map has more pending observations than this. At twice as many, including those of a
-    /// running update, streams wait. An observation takes 24 to 48 bytes.
-    pub max_pending_observations: u64,
-    /// The same for the grid of a map, in changes: scans, and cells that differ from the scan before. A change takes 8
-    /// to 16 bytes.
-    pub max_pending_changes: u64,
-    /// Maximum number of predictions (states × times) of one request.
-    pub max_predictions: u64,
-    /// Maximum number of fitted models in the cache, all maps together, and maximum number that evaluations hold at
-    /// once. A model takes 100 bytes to 10 KB; a histogram takes 16 bytes per bin.
-    pub max_fitted_models: usize,
-    /// Maximum number of observations that a model is fitted to. A fit takes some 100 bytes for each while it runs.
-    pub max_fit_readings: u64,
-    /// Maximum number of open watches of anomalies. A watched map keeps what its watchers have not read yet, at most 5
-    /// MB, and the models of the previous generation.
-    pub max_watches: usize,
-    /// Maximum number of grid cells of one plan. A cell takes about 20 bytes while the plan is made.
-    pub max_plan_cells: u64,
-    /// Maximum work of views in one request: viewpoints × times × cells that the rays of one view pass.
-    pub max_view_work: u64,
-    /// Number of update threads, all maps together; 0: half the processors, at least one.
-    pub update_threads: usize,
-    /// Size at which a log segment is closed and the next one begun, in bytes.
-    pub segment_bytes: u64,
-    /// Size of the index cache, in bytes.
-    pub index_cache_bytes: u64,
-    /// Number of checkpoints that are kept of each map.
-    pub checkpoints_kept: usize,
-    /// Memory for the learned models of a map's tiles, in bytes. Other tiles are read from the newest checkpoint.
-    pub tile_cache_bytes: u64,
+/// Declares [`Settings`]: for each key its meaning, type and default, and the least and the greatest allowed value.
+macro_rules! settings {
+    ($($(#[$meaning:meta])* $key:ident: $type:ty = $default:expr $(, $least:expr, $most:expr)?;)*) => {
+        /// All settings; the keys of the config file.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub(crate) struct Settings {
+            $($(#[$meaning])* pub $key: $type,)*
+        }
+
+        impl Default for Settings {
+            fn default() -> Self {
+                Self { $($key: $default,)* }
+            }
+        }
+
+        impl Settings {
+            fn check_ranges(&self) -> anyhow::Result<()> {
+                $($(check_range(stringify!($key), self.$key as u64, $least, $most)?;)?)*
+                Ok(())
+            }
+        }
+    };
 }
 
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            data_dir: PathBuf::from("./tidemap-data"),
-            listen: "127.0.0.1:7435".to_owned(),
-            http_listen: "127.0.0.1:7436".to_owned(),
-            allow_insecure_remote: false,
-            log_format: LogFormat::Text,
-            log_level: "info".to_owned(),
-            max_maps: 256,
-            max_states_per_map: 100_000,
-            max_tiles_per_map: 200_000,
-            max_producers_per_map: 10_000,
-            max_batch_observations: 4096,
-            max_batch_scans: 1024,
-            max_scan_points: 1_000_000,
-            max_scan_tiles: 65_536,
-            max_message_bytes: 1 << 20,
-            max_stream_buffer_bytes: 1 << 20,
-            max_buffer_bytes: 64 << 20,
-            max_stream_tables_bytes: 256 << 20,
-            max_streams: 1024,
-            max_pending_observations: 4_000_000,
-            max_pending_changes: 1_000_000,
-            max_predictions: 10_000_000,
-            max_fitted_models: 4000,
-            max_fit_readings: 2_000_000,
-            max_watches: 64,
-            max_plan_cells: 1 << 24,
-            max_view_work: 200_000_000_000,
-            update_threads: 0,
-            segment_bytes: 64 << 20,
-            index_cache_bytes: 64 << 20,
-            checkpoints_kept: 2,
-            tile_cache_bytes: 1 << 30,
-        }
+settings! {
+    /// Folder of all data.
+    data_dir: PathBuf = PathBuf::from("./tidemap-data");
+    /// Address of the gRPC port.
+    listen: String = "127.0.0.1:7435".to_owned();
+    /// Address of the HTTP port for health and metrics.
+    http_listen: String = "127.0.0.1:7436".to_owned();
+    /// Listen on other addresses than this machine's, without encryption and authentication.
+    allow_insecure_remote: bool = false;
+    /// Format of the log.
+    log_format: LogFormat = LogFormat::Text;
+    /// Filter of the log.
+    log_level: String = "info".to_owned();
+    /// Maximum number of maps.
+    max_maps: usize = 256, 1, 10_000;
+    /// Maximum number of states of a map. A state takes up to 32 bytes per candidate periodicity: 5.4 KB by default.
+    max_states_per_map: usize = 100_000, 1, 16_000_000;
+    /// Maximum number of tiles of a map's occupancy grid: 8x8x8 cells each, 8x8 in a flat grid.
+    max_tiles_per_map: usize = 200_000, 1, 8_000_000;
+    /// Maximum number of producer keys (producer and label) of a map.
+    max_producers_per_map: usize = 10_000, 1, 1_000_000;
+    /// Maximum number of observations of one message.
+    max_batch_observations: usize = 4096, 1, 65_536;
+    /// Maximum number of scans of one message.
+    max_batch_scans: usize = 1024, 1, 65_536;
+    /// Maximum number of points or rays of one scan. A scan that spans messages waits in memory, with 12 bytes per
+    /// point.
+    max_scan_points: usize = 1_000_000, 1, 100_000_000;
+    /// Maximum number of tiles of one scan, and of one stream's table of tiles. A tile of the table takes about 350
+    /// bytes.
+    max_scan_tiles: usize = 65_536, 1, 100_000;
+    /// Maximum size of one message, in bytes.
+    max_message_bytes: usize = 1 << 20, 4096, 16 << 20;
+    /// Maximum size of what one stream has sent and is not durable yet, in bytes.
+    max_stream_buffer_bytes: usize = 1 << 20, 4096, 1 << 30;
+    /// Maximum size of what all streams have sent and is not durable yet, in bytes.
+    max_buffer_bytes: usize = 64 << 20;
+    /// Maximum size of the tile tables and unfinished scans of all streams, in bytes.
+    max_stream_tables_bytes: usize = 256 << 20, 1 << 20, 1 << 36;
+    /// Maximum number of open streams of observations.
+    max_streams: usize = 1024, 1, 100_000;
+    /// An update runs early when a map has more pending observations than this. At twice as many, including those of a
+    /// running update, streams wait. An observation takes 24 to 48 bytes.
+    max_pending_observations: u64 = 4_000_000, 1000, 1 << 32;
+    /// The same for the grid of a map, in changes: scans, and cells that differ from the scan before. A change takes 8
+    /// to 16 bytes.
+    max_pending_changes: u64 = 1_000_000, 1000, 1 << 32;
+    /// Maximum number of predictions (states × times) of one request.
+    max_predictions: u64 = 10_000_000, 1, 1 << 40;
+    /// Maximum number of fitted models in the cache, all maps together, and maximum number that evaluations hold at
+    /// once. A model takes 100 bytes to 10 KB; a histogram takes 16 bytes per bin.
+    max_fitted_models: usize = 4000, 1, 1_000_000;
+    /// Maximum number of observations that a model is fitted to. A fit takes some 100 bytes for each while it runs.
+    max_fit_readings: u64 = 2_000_000, 1, 1 << 32;
+    /// Maximum number of open watches of anomalies. A watched map keeps what its watchers have not read yet, at most 5
+    /// MB, and the models of the previous generation.
+    max_watches: usize = 64, 1, 100_000;
+    /// Maximum number of grid cells of one plan. A cell takes about 20 bytes while the plan is made.
+    max_plan_cells: u64 = 1 << 24, 1, 1 << 32;
+    /// Maximum work of views in one request: viewpoints × times × cells that the rays of one view pass.
+    max_view_work: u64 = 200_000_000_000, 1, 1 << 60;
+    /// Number of update threads, all maps together; 0: half the processors, at least one.
+    update_threads: usize = 0, 0, 1024;
+    /// Size at which a log segment is closed and the next one begun, in bytes.
+    segment_bytes: u64 = 64 << 20, 1 << 16, 1 << 32;
+    /// Size of the index cache, in bytes.
+    index_cache_bytes: u64 = 64 << 20, 1 << 20, 1 << 36;
+    /// Number of checkpoints that are kept of each map.
+    checkpoints_kept: usize = 2, 1, 100;
+    /// Memory for the learned models of a map's tiles, in bytes. Other tiles are read from the newest checkpoint.
+    tile_cache_bytes: u64 = 1 << 30, 1 << 20, 1 << 44;
+}
+
+fn check_range(key: &str, value: u64, least: u64, most: u64) -> anyhow::Result<()> {
+    if !(least..=most).contains(&value) {
+        bail!("setting {key} is {value}: it must be between {least} and {most}");
     }
+    Ok(())
 }
 
 impl Settings {
@@ -206,38 +196,8 @@ impl Settings {
     }
 
     fn check(&self) -> anyhow::Result<()> {
-        for (key, value, least, most) in [
-            ("max_maps", self.max_maps as u64, 1, 10_000),
-            ("max_states_per_map", self.max_states_per_map as u64, 1, 16_000_000),
-            ("max_tiles_per_map", self.max_tiles_per_map as u64, 1, 8_000_000),
-            ("max_producers_per_map", self.max_producers_per_map as u64, 1, 1_000_000),
-            ("max_batch_observations", self.max_batch_observations as u64, 1, 65_536),
-            ("max_batch_scans", self.max_batch_scans as u64, 1, 65_536),
-            ("max_scan_points", self.max_scan_points as u64, 1, 100_000_000),
-            ("max_scan_tiles", self.max_scan_tiles as u64, 1, 100_000),
-            ("max_message_bytes", self.max_message_bytes as u64, 4096, 16 << 20),
-            ("max_stream_buffer_bytes", self.max_stream_buffer_bytes as u64, 4096, 1 << 30),
-            ("max_stream_tables_bytes", self.max_stream_tables_bytes as u64, 1 << 20, 1 << 36),
-            ("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30),
-            ("max_streams", self.max_streams as u64, 1, 100_000),
-            ("max_pending_observations", self.max_pending_observations, 1000, 1 << 32),
-            ("max_pending_changes", self.max_pending_changes, 1000, 1 << 32),
-            ("max_predictions", self.max_predictions, 1, 1 << 40),
-            ("max_fitted_models", self.max_fitted_models as u64, 1, 1_000_000),
-            ("max_fit_readings", self.max_fit_readings, 1, 1 << 32),
-            ("max_watches", self.max_watches as u64, 1, 100_000),
-            ("max_plan_cells", self.max_plan_cells, 1, 1 << 32),
-            ("max_view_work", self.max_view_work, 1, 1 << 60),
-            ("update_threads", self.update_threads as u64, 0, 1024),
-            ("segment_bytes", self.segment_bytes, 1 << 16, 1 << 32),
-            ("index_cache_bytes", self.index_cache_bytes, 1 << 20, 1 << 36),
-            ("checkpoints_kept", self.checkpoints_kept as u64, 1, 100),
-            ("tile_cache_bytes", self.tile_cache_bytes, 1 << 20, 1 << 44),
-        ] {
-            if !(least..=most).contains(&value) {
-                bail!("setting {key} is {value}: it must be between {least} and {most}");
-            }
-        }
+        self.check_ranges()?;
+        check_range("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30)?;
         for (key, address) in [("listen", &self.listen), ("http_listen", &self.http_listen)] {
             let local = match address.parse::<SocketAddr>() {
                 Ok(parsed) => parsed.ip().is_loopback(),

@@ -319,11 +319,13 @@ fn the_readme_names_only_targets_that_exist() {
 fn the_example_config_names_every_setting() {
     let config = read("server/src/config.rs");
     let example = read("deploy/tidemapd.toml");
-    let settings = config.split("pub(crate) struct Settings {").nth(1).and_then(|rest| rest.split("\n}").next());
+    let settings = config.split("\nsettings! {").nth(1).and_then(|rest| rest.split("\n}").next());
     let settings: Vec<&str> = settings
-        .expect("server/src/config.rs has a struct Settings")
+        .expect("server/src/config.rs declares its settings")
         .lines()
-        .filter_map(|line| line.trim().strip_prefix("pub ")?.split(':').next())
+        .map(str::trim)
+        .filter(|line| !line.starts_with("//"))
+        .filter_map(|line| line.split_once(": ").map(|(key, _)| key))
         .collect();
     let keys: Vec<&str> = example
         .lines()

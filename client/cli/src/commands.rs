@@ -49,7 +49,7 @@ use crate::{
     demo,
     output::{self, default_format, format_parser},
 };
-use tidemap_formats::table::{Cell, Format, TableWriter};
+use tidemap_formats::table::{self, Cell, Format, TableWriter};
 
 /// Heading of the options that every command has.
 const GLOBAL: &str = "Options of every command";
@@ -215,15 +215,13 @@ impl Session {
         columns: &[&str],
         rows: impl IntoIterator<Item = Vec<Cell>>,
     ) -> anyhow::Result<ExitCode> {
-        let mut table = self.table(columns);
-        rows.into_iter().try_for_each(|row| table.row(row))?;
-        table.finish()?;
+        table::write_rows(self.format, columns, rows, output::stdout())?;
         Ok(ExitCode::SUCCESS)
     }
 
     /// A result on stdout, for rows that come one by one.
     pub(crate) fn table(&self, columns: &[&str]) -> TableWriter<BufWriter<Stdout>> {
-        output::stdout(self.format, columns)
+        TableWriter::new(self.format, columns, output::stdout())
     }
 }
 

@@ -5,7 +5,7 @@
 use std::io::{self, BufWriter, IsTerminal as _};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use tidemap_formats::table::{Format, TableWriter};
+use tidemap_formats::table::Format;
 
 /// A table on a terminal, CSV otherwise.
 pub(crate) fn default_format() -> Format {
@@ -26,7 +26,7 @@ pub(crate) fn format_parser() -> impl TypedValueParser<Value = Format> {
     })
 }
 
-/// A result on stdout.
-pub(crate) fn stdout(format: Format, columns: &[&str]) -> TableWriter<BufWriter<io::Stdout>> {
-    TableWriter::new(format, columns, BufWriter::with_capacity(64 * 1024, io::stdout()))
+/// Where results go.
+pub(crate) fn stdout() -> BufWriter<io::Stdout> {
+    BufWriter::with_capacity(64 * 1024, io::stdout())
 }

@@ -12,7 +12,7 @@ use anyhow::Context as _;
 use tidemap_model::{Evaluation, StateKind};
 
 use super::{Comparison, ModelResult, Protocol, picture, protocol::Predictions};
-use tidemap_formats::table::{Cell, Format, TableWriter};
+use tidemap_formats::table::{Cell, Format, TableWriter, write_rows};
 
 /// Writes the comparison, a row for each model.
 ///
@@ -22,11 +22,7 @@ pub fn summary<W: Write>(protocol: &Protocol, outcome: &Comparison, format: Form
     let mut columns = ["model", "parameters", "mse", "error_rate"].map(str::to_owned).to_vec();
     columns.extend(protocol.test.iter().map(|test| format!("mse_{}", test.label)));
     columns.extend(["difference", "lower", "upper", "p_value", "verdict"].map(str::to_owned));
-    let mut table = TableWriter::new(format, &columns, writer);
-    for model in &outcome.models {
-        table.row(row(protocol, model))?;
-    }
-    table.finish()
+    write_rows(format, &columns, outcome.models.iter().map(|model| row(protocol, model)), writer)
 }
 
 fn row(protocol: &Protocol, model: &ModelResult) -> Vec<Cell> {
@@ -79,11 +75,10 @@ pub(super) fn file(
 /// The error of every parameter set on every fold.
 fn trials<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
     let columns = ["model", "parameters", "fold", "from", "until", "observations", "mse", "mean_mse", "chosen"];
-    let mut table = TableWriter::new(Format::Csv, &columns, writer);
-    for trial in &outcome.trials {
+    let rows = outcome.trials.iter().flat_map(|trial| {
         let model = &protocol.models[trial.model];
-        for (number, (fold, errors)) in (1_u64..).zip(outcome.folds.iter().zip(&trial.folds)) {
-            table.row(vec![
+        (1_u64..).zip(outcome.folds.iter().zip(&trial.folds)).map(move |(number, (fold, errors))| {
+            vec![
                 Cell::Text(model.label.clone()),
                 model.sets[trial.set].shown().into(),
                 number.into(),
@@ -93,10 +88,10 @@ fn trials<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io:
                 Evaluation::mse(errors).into(),
                 trial.error.into(),
                 Cell::Flag(trial.is_chosen),
-            ])?;
-        }
-    }
-    table.finish()
+            ]
+        })
+    });
+    write_rows(Format::Csv, &columns, rows, writer)
 }
 
 /// The predictions and the observed values, by test set, by time, by state.

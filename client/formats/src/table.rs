@@ -126,6 +126,21 @@ pub struct TableWriter<W: Write> {
     live: bool,
 }
 
+/// Writes a table whose rows are at hand.
+///
+/// # Errors
+/// The writer fails.
+pub fn write_rows<W: Write, S: AsRef<str>>(
+    format: Format,
+    columns: &[S],
+    rows: impl IntoIterator<Item = Vec<Cell>>,
+    writer: W,
+) -> io::Result<()> {
+    let mut table = TableWriter::new(format, columns, writer);
+    rows.into_iter().try_for_each(|row| table.row(row))?;
+    table.finish()
+}
+
 impl<W: Write> TableWriter<W> {
     /// A table that is written to `writer`.
     pub fn new<S: AsRef<str>>(format: Format, columns: &[S], writer: W) -> Self {

@@ -11,7 +11,8 @@ use clap::Subcommand;
 use tidemap_client::queries::{Component, ModelDescription, ModelSelector};
 
 use super::Session;
-use tidemap_formats::table::{Cell, Format, object};
+use crate::output::stdout;
+use tidemap_formats::table::{Cell, Format, object, write_rows};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum ModelCommand {
@@ -65,26 +66,20 @@ fn component_cells(component: &Component, used: bool) -> [(&'static str, Cell); 
 
 /// Two tables: the state, then its components.
 fn table(model: &ModelDescription) -> io::Result<()> {
-    let mut table = crate::output::stdout(Format::Table, &["state", "mean", "n", "order", "model"]);
+    let print = |columns: &[&str], rows: Vec<Vec<Cell>>| write_rows(Format::Table, columns, rows, stdout());
     let (state, chosen) = (Cell::Text(model.state.clone()), Cell::Text(model.chosen.to_string()));
-    table.row(vec![state, model.mean.into(), model.learned_observations.into(), model.order.into(), chosen])?;
-    table.finish()?;
+    let row = vec![state, model.mean.into(), model.learned_observations.into(), model.order.into(), chosen];
+    print(&["state", "mean", "n", "order", "model"], vec![row])?;
     if let Some(date) = &model.change_date {
         writeln!(io::stdout(), "\nThe routine seems to have changed: predictions have been worse since about {date}.")?;
     }
     if !model.model_errors.is_empty() {
         writeln!(io::stdout())?;
-        let mut table = crate::output::stdout(Format::Table, &["model", "order", "recent_error", "used"]);
-        for (tried, error) in &model.model_errors {
-            let used = tried.kind == model.chosen.kind;
-            table.row(vec![
-                Cell::Text(tried.to_string()),
-                Cell::maybe(tried.order.map(|order| order as u64)),
-                (*error).into(),
-                Cell::Flag(used),
-            ])?;
-        }
-        table.finish()?;
+        let row = |(tried, error): &(ModelSelector, f64)| {
+            let order = Cell::maybe(tried.order.map(|order| order as u64));
+            vec![Cell::Text(tried.to_string()), order, (*error).into(), Cell::Flag(tried.kind == model.chosen.kind)]
+        };
+        print(&["model", "order", "recent_error", "used"], model.model_errors.iter().map(row).collect())?;
     }
     if model.components.is_empty() {
         return writeln!(
@@ -93,13 +88,12 @@ fn table(model: &ModelDescription) -> io::Result<()> {
         );
     }
     writeln!(io::stdout())?;
-    let mut table = crate::output::stdout(Format::Table, &["period", "period_secs", "amplitude", "phase_rad", "used"]);
-    for (index, component) in model.components.iter().enumerate() {
-        let mut cells = vec![Cell::Text(words(component.period_secs))];
-        cells.extend(component_cells(component, used(model, index)).map(|(_, cell)| cell));
-        table.row(cells)?;
-    }
-    table.finish()
+    let row = |(index, component): (usize, &Component)| {
+        let cells = component_cells(component, used(model, index)).map(|(_, cell)| cell);
+        [vec![Cell::Text(words(component.period_secs))], cells.to_vec()].concat()
+    };
+    let rows = model.components.iter().enumerate().map(row).collect();
+    print(&["period", "period_secs", "amplitude", "phase_rad", "used"], rows)
 }
 
 /// One table for programs, a row per component. The columns of the state are repeated in each row; a state without
@@ -108,20 +102,17 @@ fn csv(model: &ModelDescription) -> io::Result<()> {
     let summary = summary(model);
     let columns = ["period_secs", "amplitude", "phase_rad", "used", "model", "recent_errors"];
     let columns: Vec<&'static str> = summary[..3].iter().map(|(name, _)| *name).chain(columns).collect();
-    let mut table = crate::output::stdout(Format::Csv, &columns);
     let errors = model.model_errors.iter().map(|(tried, error)| format!("{tried}={error}"));
     let tried = [Cell::Text(model.chosen.to_string()), Cell::Text(errors.collect::<Vec<_>>().join(" "))];
     let row = |component: [Cell; 4]| {
         let state = summary[..3].iter().map(|(_, cell)| cell.clone());
         state.chain(component).chain(tried.clone()).collect()
     };
-    if model.components.is_empty() {
-        table.row(row([Cell::Empty, Cell::Empty, Cell::Empty, Cell::Empty]))?;
-    }
-    for (index, component) in model.components.iter().enumerate() {
-        table.row(row(component_cells(component, used(model, index)).map(|(_, cell)| cell)))?;
-    }
-    table.finish()
+    let without = model.components.is_empty().then_some([const { Cell::Empty }; 4]);
+    let components = model.components.iter().enumerate();
+    let components =
+        components.map(|(index, component)| component_cells(component, used(model, index)).map(|(_, cell)| cell));
+    write_rows(Format::Csv, &columns, without.into_iter().chain(components).map(row), stdout())
 }
 
 fn json(model: &ModelDescription) -> io::Result<()> {

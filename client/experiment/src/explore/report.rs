@@ -7,9 +7,9 @@ use std::{
     path::Path,
 };
 
-use super::{Exploration, PlacesProtocol, WEEK_DAYS, picture};
+use super::{Exploration, PlacesProtocol, StrategyResult, WEEK_DAYS, picture};
 use crate::report::file;
-use tidemap_formats::table::{Cell, Format, TableWriter};
+use tidemap_formats::table::{Cell, Format, write_rows};
 
 /// Writes a row for each strategy and model.
 ///
@@ -27,8 +27,7 @@ pub fn summary<W: Write>(
         columns.push(format!("weeks_{first}_{last}_standard_error"));
     }
     columns.push("visits_per_day".to_owned());
-    let mut table = TableWriter::new(format, &columns, writer);
-    for result in &outcome.results {
+    let row = |result: &StrategyResult| {
         let mut cells = vec![Cell::from(result.strategy.name()), Cell::Text(result.model.name())];
         let apart = protocol.weeks.map(|(first, last)| (first - 1) * WEEK_DAYS..last * WEEK_DAYS);
         for days in std::iter::once(0..outcome.days).chain(apart) {
@@ -37,9 +36,9 @@ pub fn summary<W: Write>(
             cells.push(Cell::maybe(error.standard_error.map(|error| 100.0 * error)));
         }
         cells.push(result.visits_per_day.into());
-        table.row(cells)?;
-    }
-    table.finish()
+        cells
+    };
+    write_rows(format, &columns, outcome.results.iter().map(row), writer)
 }
 
 /// Writes the files of an exploration into its folder, which exists.
@@ -51,19 +50,13 @@ pub fn write(protocol: &PlacesProtocol, outcome: &Exploration, folder: &Path) ->
 
 /// The error of every week; the last week may be short.
 fn weeks<W: Write>(outcome: &Exploration, writer: W) -> io::Result<()> {
-    let mut table =
-        TableWriter::new(Format::Csv, &["strategy", "model", "week", "error_percent", "standard_error"], writer);
-    for result in &outcome.results {
-        for (week, from) in (1_u64..).zip((0..outcome.days).step_by(WEEK_DAYS)) {
+    let rows = outcome.results.iter().flat_map(|result| {
+        (1_u64..).zip((0..outcome.days).step_by(WEEK_DAYS)).map(|(week, from)| {
             let error = result.error(from..outcome.days.min(from + WEEK_DAYS));
-            table.row(vec![
-                Cell::from(result.strategy.name()),
-                Cell::Text(result.model.name()),
-                week.into(),
-                (100.0 * error.mean).into(),
-                Cell::maybe(error.standard_error.map(|error| 100.0 * error)),
-            ])?;
-        }
-    }
-    table.finish()
+            let (mean, deviation) = (100.0 * error.mean, error.standard_error.map(|error| 100.0 * error));
+            let (strategy, model) = (result.strategy.name().into(), Cell::Text(result.model.name()));
+            vec![strategy, model, week.into(), mean.into(), Cell::maybe(deviation)]
+        })
+    });
+    write_rows(Format::Csv, &["strategy", "model", "week", "error_percent", "standard_error"], rows, writer)
 }

@@ -7,9 +7,9 @@ use std::{
     path::Path,
 };
 
-use super::{RouteComparison, picture};
+use super::{RobotCourse, RouteComparison, picture};
 use crate::report::file;
-use tidemap_formats::table::{Cell, Format, TableWriter};
+use tidemap_formats::table::{Cell, Format, write_rows};
 
 /// Writes a row for each robot.
 ///
@@ -33,11 +33,10 @@ pub fn summary<W: Write>(outcome: &RouteComparison, format: Format, writer: W) -
         "failures_per_task",
         "secs_per_task",
     ];
-    let mut table = TableWriter::new(format, &columns, writer);
-    for course in &outcome.courses {
+    let row = |course: &RobotCourse| {
         let trend = outcome.trend(course, 0..outcome.weeks);
         let later = outcome.trend(course, 1..outcome.weeks);
-        table.row(vec![
+        vec![
             course.kind.name().into(),
             course.failures(0..1).mean.into(),
             course.failures(outcome.weeks - 1..outcome.weeks).mean.into(),
@@ -50,9 +49,9 @@ pub fn summary<W: Write>(outcome: &RouteComparison, format: Format, writer: W) -
             Cell::maybe(later.p_value),
             course.failures_per_task(late.clone()).mean.into(),
             course.secs_per_task(late.clone()).mean.into(),
-        ])?;
-    }
-    table.finish()
+        ]
+    };
+    write_rows(format, &columns, outcome.courses.iter().map(row), writer)
 }
 
 /// Writes the files of the experiment into its folder, which exists.
@@ -65,19 +64,18 @@ pub fn write(outcome: &RouteComparison, folder: &Path) -> anyhow::Result<()> {
 /// A row for each robot and week, mean over seeds.
 fn weeks<W: Write>(outcome: &RouteComparison, writer: W) -> io::Result<()> {
     let columns = ["robot", "week", "failures", "standard_error", "failures_per_task", "secs_per_task"];
-    let mut table = TableWriter::new(Format::Csv, &columns, writer);
-    for course in &outcome.courses {
-        for week in 0..outcome.weeks {
+    let rows = outcome.courses.iter().flat_map(|course| {
+        (0..outcome.weeks).map(|week| {
             let failures = course.failures(week..week + 1);
-            table.row(vec![
+            vec![
                 course.kind.name().into(),
                 (week as u64 + 1).into(),
                 failures.mean.into(),
                 Cell::maybe(failures.standard_error),
                 course.failures_per_task(week..week + 1).mean.into(),
                 course.secs_per_task(week..week + 1).mean.into(),
-            ])?;
-        }
-    }
-    table.finish()
+            ]
+        })
+    });
+    write_rows(Format::Csv, &columns, rows, writer)
 }

@@ -7,9 +7,9 @@ use std::{
     path::Path,
 };
 
-use super::{SearchComparison, SearchProtocol};
+use super::{SearchComparison, SearchProtocol, SearchResult};
 use crate::report::file;
-use tidemap_formats::table::{Cell, Format, TableWriter};
+use tidemap_formats::table::{Cell, Format, write_rows};
 
 /// Writes a row for each model.
 ///
@@ -26,8 +26,7 @@ pub fn summary<W: Write>(outcome: &SearchComparison, format: Format, writer: W) 
         "three_quarters_secs",
         "p90_secs",
     ];
-    let mut table = TableWriter::new(format, &columns, writer);
-    for row in &outcome.rows {
+    let row = |row: &SearchResult| {
         let mut cells = vec![
             Cell::Text(row.label.clone()),
             Cell::Text(row.parameters.clone()),
@@ -35,9 +34,9 @@ pub fn summary<W: Write>(outcome: &SearchComparison, format: Format, writer: W) 
             row.times.mean_secs().into(),
         ];
         cells.extend([0.5, 0.25, 0.75, 0.9].map(|share| Cell::from(row.times.quantile_secs(share))));
-        table.row(cells)?;
-    }
-    table.finish()
+        cells
+    };
+    write_rows(format, &columns, outcome.rows.iter().map(row), writer)
 }
 
 /// Writes the files of an experiment into its folder, which exists.
@@ -52,19 +51,18 @@ pub fn write(protocol: &SearchProtocol, outcome: &SearchComparison, folder: &Pat
 /// Every parameter set on every fold.
 fn trials<W: Write>(protocol: &SearchProtocol, outcome: &SearchComparison, writer: W) -> io::Result<()> {
     let columns = ["model", "parameters", "fold", "mean_secs", "mean_of_folds_secs", "chosen"];
-    let mut table = TableWriter::new(Format::Csv, &columns, writer);
-    for trial in &outcome.trials {
+    let rows = outcome.trials.iter().flat_map(|trial| {
         let model = &protocol.models[trial.model];
-        for (number, &mean_secs) in (1_u64..).zip(&trial.folds) {
-            table.row(vec![
+        (1_u64..).zip(&trial.folds).map(move |(number, &mean_secs)| {
+            vec![
                 Cell::Text(model.label.clone()),
                 model.sets[trial.set].shown().into(),
                 number.into(),
                 mean_secs.into(),
                 trial.error.into(),
                 Cell::Flag(trial.is_chosen),
-            ])?;
-        }
-    }
-    table.finish()
+            ]
+        })
+    });
+    write_rows(Format::Csv, &columns, rows, writer)
 }

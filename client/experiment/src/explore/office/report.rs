@@ -7,9 +7,9 @@ use std::{
     path::Path,
 };
 
-use super::{OfficeExploration, OfficeProtocol, picture};
+use super::{DayFigures, OfficeExploration, OfficeProtocol, picture};
 use crate::report::file;
-use tidemap_formats::table::{Cell, Format, TableWriter};
+use tidemap_formats::table::{Cell, Format, write_rows};
 
 /// Writes a row for each day and explorer.
 ///
@@ -37,11 +37,10 @@ pub fn summary<W: Write>(
         "tours",
         "tours_8_to_18",
     ];
-    let mut table = TableWriter::new(format, &columns, writer);
-    for day in outcome.days(protocol) {
+    let row = |day: DayFigures| {
         let p_value = median(&day.p_values);
         let tested = |count: usize| Cell::maybe(p_value.map(|_| count as u64));
-        table.row(vec![
+        vec![
             (day.day as u64).into(),
             day.kind.name().into(),
             (100.0 * day.error).into(),
@@ -54,9 +53,9 @@ pub fn summary<W: Write>(
             day.discovered.into(),
             day.tours.into(),
             day.tours_by_day.into(),
-        ])?;
-    }
-    table.finish()
+        ]
+    };
+    write_rows(format, &columns, outcome.days(protocol).into_iter().map(row), writer)
 }
 
 /// The median; for an even count, the upper of the two middle values.
@@ -75,17 +74,13 @@ pub fn write(protocol: &OfficeProtocol, outcome: &OfficeExploration, folder: &Pa
 
 /// The error of every explorer in every slot, mean over seeds.
 fn slots<W: Write>(protocol: &OfficeProtocol, outcome: &OfficeExploration, writer: W) -> io::Result<()> {
-    let mut table = TableWriter::new(Format::Csv, &["explorer", "day", "slot", "error_percent"], writer);
     let per_day = protocol.slots();
-    for (index, kind) in protocol.explorers.iter().enumerate() {
-        for slot in 0..protocol.days * per_day {
-            table.row(vec![
-                kind.name().into(),
-                (slot as u64 / per_day as u64 + 1).into(),
-                (slot as u64 % per_day as u64).into(),
-                Cell::maybe(outcome.error_at(index, slot).map(|error| 100.0 * error)),
-            ])?;
-        }
-    }
-    table.finish()
+    let rows = protocol.explorers.iter().enumerate().flat_map(|(index, kind)| {
+        (0..protocol.days * per_day).map(move |slot| {
+            let (day, of_day) = (slot as u64 / per_day as u64 + 1, slot as u64 % per_day as u64);
+            let error = outcome.error_at(index, slot).map(|error| 100.0 * error);
+            vec![kind.name().into(), day.into(), of_day.into(), Cell::maybe(error)]
+        })
+    });
+    write_rows(Format::Csv, &["explorer", "day", "slot", "error_percent"], rows, writer)
 }
