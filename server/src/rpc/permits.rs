@@ -32,6 +32,21 @@ pub(super) fn processors() -> usize {
     std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
 }
 
+/// Runs work on a blocking thread, which keeps the permit until the work is done.
+///
+/// # Errors
+/// [`RpcError::Stopping`] if the daemon stops before the work is done.
+pub(super) async fn run_blocking<T: Send + 'static>(
+    permit: impl Send + 'static,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, RpcError> {
+    let work = move || {
+        let _permit = permit;
+        work()
+    };
+    tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)
+}
+
 impl Permits {
     /// `max` permits.
     pub(super) fn new(max: usize) -> Self {

@@ -9,7 +9,7 @@ use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
-use super::status::RpcError;
+use super::{permits::run_blocking, status::RpcError};
 
 /// Replies computed ahead of the reader.
 const REPLIES_AHEAD: usize = 8;
@@ -40,13 +40,7 @@ pub(super) fn compute_replies<T: Send + 'static>(
     permits: impl Send + 'static,
     work: impl FnOnce(&ReplySink<T>) -> Result<(), RpcError> + Send + 'static,
 ) -> Replies<T> {
-    stream_replies(|sink| async move {
-        let work = move || {
-            let _permits = permits;
-            work(&sink)
-        };
-        tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)?
-    })
+    stream_replies(|sink| async move { run_blocking(permits, move || work(&sink)).await? })
 }
 
 /// The replies that async `work` sends; it takes its permits itself.

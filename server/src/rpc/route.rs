@@ -7,9 +7,19 @@
 //! Invariant: an edit is durable and published when it is answered. A plan is made from one view, off the async
 //! threads, with its own permits, and ends at its deadline or when its client is gone.
 
-use std::sync::Arc;
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
 
-use tidemap_map::{site::SiteEdit, topology::TopologyEdit};
+use tidemap_map::{
+    site::SiteEdit,
+    topology::{Topology, TopologyEdit},
+    view::MapView,
+};
 use tidemap_proto::{
     convert::{
         topology::{edit_from_wire, load_from_wire, topology_to_wire},
@@ -26,12 +36,12 @@ use super::{
     RpcReply,
     lookup::find_map,
     map::edit_site,
-    permits::{Permits, processors},
+    permits::{Permits, processors, run_blocking},
     query::{Queries, fitting::ModelFitter},
     series::PredictContext,
     status::RpcError,
 };
-use crate::catalog::Catalog;
+use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
 mod edges;
 pub(super) mod error;
@@ -59,14 +69,34 @@ impl Routes {
         PredictContext { fitting: &self.fitting, permits: &self.permits, predictions: self.predictions }
     }
 
+    /// A map, its present view and its topology.
+    fn find(&self, map: &str) -> Result<(Arc<MapHandle>, Arc<MapView>, Arc<Topology>), RpcError> {
+        let handle = find_map(&self.catalog, map)?;
+        let view = handle.view();
+        let topology = Arc::clone(view.site().topology());
+        Ok((handle, view, topology))
+    }
+
     /// Runs work on a blocking thread, with a permit.
     async fn run_blocking<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, RpcError> {
-        let permit = self.permits.take().await?;
+        run_blocking(self.permits.take().await?, work).await
+    }
+
+    /// Runs a search on a blocking thread. It is told to end `within` a time of its start, and when its client is gone.
+    async fn run_search<T: Send + 'static>(
+        &self,
+        within: Option<Duration>,
+        work: impl FnOnce(&dyn Fn() -> bool) -> T + Send + 'static,
+    ) -> Result<T, RpcError> {
+        let is_cancelled = Arc::new(AtomicBool::new(false));
+        let _cancel = CancelOnDrop(Arc::clone(&is_cancelled));
         let work = move || {
-            let _permit = permit;
-            work()
+            let deadline = within.map(|within| Instant::now() + within);
+            work(&|| {
+                is_cancelled.load(Ordering::Relaxed) || deadline.is_some_and(|deadline| Instant::now() >= deadline)
+            })
         };
-        tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)
+        self.run_blocking(work).await
     }
 
     /// Edits a map's topology. Gives the numbers of nodes and edges after that.
@@ -77,6 +107,15 @@ impl Routes {
         let topology = view.site().topology();
         let count = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
         Ok((count(topology.nodes().len()), count(topology.edges().len())))
+    }
+}
+
+/// Tells a search that its client is gone.
+struct CancelOnDrop(Arc<AtomicBool>);
+
+impl Drop for CancelOnDrop {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
     }
 }
 

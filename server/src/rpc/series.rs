@@ -10,7 +10,7 @@ use tidemap_proto::convert::InvalidField;
 
 use super::{
     lookup::check_limit,
-    permits::Permits,
+    permits::{Permits, run_blocking},
     query::fitting::{LearnedState, ModelFitter},
     status::RpcError,
 };
@@ -56,10 +56,8 @@ pub(super) async fn predict_series(
     let predictions = states.len() as u64 * times_nanos.len() as u64;
     check_limit("predictions", predictions, context.predictions, "setting max_predictions")?;
     if !selector.kind.needs_readings() {
-        let permit = context.permits.take().await?;
         let view = Arc::clone(view);
         let predict = move || {
-            let _permit = permit;
             let mut rows = vec![Vec::with_capacity(times_nanos.len()); states.len()];
             for block in times_nanos.chunks(TIMES_PER_BLOCK) {
                 let prepared = view.prepare(block);
@@ -71,22 +69,20 @@ pub(super) async fn predict_series(
             }
             rows
         };
-        return tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping);
+        return run_blocking(context.permits.take().await?, predict).await;
     }
     let moments: Arc<[_]> = view.moments(&times_nanos).into();
     let mut rows = Vec::with_capacity(states.len());
     for id in states {
         let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), id);
         let fitted = context.fitting.fitted(&learned, selector.kind).await?;
-        let permit = context.permits.take().await?;
         let (view, moments) = (Arc::clone(view), Arc::clone(&moments));
         let predict = move || {
-            let _permit = permit;
             let mut row = vec![0.0; moments.len()];
             fitted.predict_into(&view, id, &moments, selector, &mut row);
             row
         };
-        rows.push(tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)?);
+        rows.push(run_blocking(context.permits.take().await?, predict).await?);
     }
     Ok(rows)
 }

@@ -27,6 +27,7 @@ use tidemap_proto::{
 use super::{Explorations, error::PlanError, information::location_states};
 use crate::rpc::{
     lookup::{check_limit, find_map, find_state},
+    permits::run_blocking,
     series::{check_kind, predict_series},
     status::RpcError,
 };
@@ -141,9 +142,8 @@ async fn view_gains(
     check_limit("viewpoints x slots", cells, explorations.limits.predictions, "setting max_predictions")?;
     let options = PredictOptions { selector: looks.selector, ..explorations.predict_options() };
     let limits = explorations.look_limits();
-    let (permit, view) = (explorations.permits.take().await?, Arc::clone(view));
+    let view = Arc::clone(view);
     let work = move || {
-        let _permit = permit;
         let grid = PredictedTimes::new(&view, &middles, &options)?;
         let scene = TimedScene::new(&grid, &looks.scene)?;
         let reachability = view.site().reachability();
@@ -158,7 +158,7 @@ async fn view_gains(
         let gains = Gains::of(middles.len(), rows.len(), |slot, place| rows[place][slot]);
         gains.map_err(|error| PlanError::Day(error.into()))
     };
-    Ok(tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)??)
+    Ok(run_blocking(explorations.permits.take().await?, work).await??)
 }
 
 /// The expected information of each location in each slot. `rows` has the states of the locations one after the other.

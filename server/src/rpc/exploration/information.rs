@@ -24,6 +24,7 @@ use crate::{
     ingest::protocol::EditSiteError,
     rpc::{
         lookup::{cell_of, check_limit, find_cell, find_map, find_state},
+        permits::run_blocking,
         replies::{Replies, compute_replies, stream_replies},
         series::{check_kind, predict_series},
         status::RpcError,
@@ -152,7 +153,7 @@ pub(super) async fn get_information(
                         view.predict_cell_into(&cell, &view.prepare(&times), selector, &mut row);
                         vec![row]
                     };
-                    tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)?
+                    run_blocking((), predict).await?
                 }
             };
             let answer = reply(&name, &rows, times_nanos.len(), certainty);

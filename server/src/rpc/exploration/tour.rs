@@ -17,7 +17,7 @@ use tidemap_proto::{
 };
 
 use super::{Explorations, error::PlanError};
-use crate::rpc::{lookup::find_map, status::RpcError};
+use crate::rpc::{lookup::find_map, permits::run_blocking, status::RpcError};
 
 pub(super) async fn plan_tour(
     explorations: &Explorations,
@@ -32,12 +32,10 @@ pub(super) async fn plan_tour(
     let start = start.or(view.site().charger_m()).ok_or(PlanError::NoStart)?;
     let question = tour_from_wire(&request, start)?;
     let options = PredictOptions { selector, ..explorations.predict_options() };
-    let permit = explorations.permits.take().await?;
     let work = move || {
-        let _permit = permit;
         let grid = PredictedGrid::new(&view, time_nanos, &options)?;
         Ok::<_, PlanError>(plan(&grid, view.site().reachability(), &question)?)
     };
-    let tour = tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)??;
+    let tour = run_blocking(explorations.permits.take().await?, work).await??;
     Ok(tour_to_wire(&tour))
 }

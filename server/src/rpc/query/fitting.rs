@@ -39,7 +39,7 @@ use crate::{
     ingest::handle::MapHandle,
     model_cache::{CachedModel, ModelCache, ModelKey, ModelUnavailable, PositionModel},
     rpc::{
-        permits::{Permits, processors},
+        permits::{Permits, processors, run_blocking},
         status::RpcError,
     },
 };
@@ -199,11 +199,7 @@ impl ModelFitter {
         let samples = learned.samples.get_or_try_init(|| self.gather(learned, kind)).await?;
         let (samples, handle) = (Arc::clone(samples), Arc::clone(&learned.handle));
         let of = learned.view.kind(learned.id);
-        let fit = move || {
-            let _permit = permit;
-            CachedModel::fit(kind, of, &samples, &handle.spec)
-        };
-        let fitted = tokio::task::spawn_blocking(fit).await.map_err(|_| RpcError::Stopping)?;
+        let fitted = run_blocking(permit, move || CachedModel::fit(kind, of, &samples, &handle.spec)).await?;
         fitted.map_err(|error| learned.unavailable(kind, error))
     }
 

@@ -22,6 +22,7 @@ use crate::{
     model_cache::PositionModel,
     rpc::{
         lookup::{check_limit, find_map, find_state},
+        permits::run_blocking,
         replies::{Replies, ReplySink, stream_replies},
         status::RpcError,
     },
@@ -113,14 +114,12 @@ pub(super) async fn predict_positions(
     let top = if request.top == 0 { usize::MAX } else { request.top as usize };
     let (moments, permits) = (view.moments(&request.times_nanos), queries.permits.clone());
     Ok(stream_replies(move |sink| async move {
-        let permit = permits.take().await?;
         let predict = move || {
-            let _permit = permit;
             if sink.send(header(&view, first, &model, &cells)) {
                 tell(&model, &cells, &moments, top, &sink);
             }
         };
-        tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)
+        run_blocking(permits.take().await?, predict).await
     }))
 }
 

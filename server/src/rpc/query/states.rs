@@ -34,6 +34,7 @@ use crate::{
     model_cache::CachedModel,
     rpc::{
         lookup::{cell_of, check_limit, find_cell, find_map, find_state},
+        permits::run_blocking,
         replies::{Replies, ReplySink, compute_replies, stream_replies},
         status::RpcError,
     },
@@ -164,13 +165,9 @@ fn predict_fitted(
                 () = sink.closed() => return Ok(()),
                 fitted = fitting.fitted(&learned, selector.kind) => fitted?,
             };
-            let permit = permits.take().await?;
             let (view, moments, sink) = (Arc::clone(&view), Arc::clone(&moments), sink.clone());
-            let predict = move || {
-                let _permit = permit;
-                predict_one(&view, (place, id), &fitted, &moments, (selector, level), &sink)
-            };
-            if !tokio::task::spawn_blocking(predict).await.map_err(|_| RpcError::Stopping)? {
+            let predict = move || predict_one(&view, (place, id), &fitted, &moments, (selector, level), &sink);
+            if !run_blocking(permits.take().await?, predict).await? {
                 break;
             }
         }

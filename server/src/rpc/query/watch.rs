@@ -40,7 +40,7 @@ use crate::{
     },
     rpc::{
         lookup::{check_limit, find_map, find_state},
-        permits::processors,
+        permits::{processors, run_blocking},
         replies::Replies,
         status::RpcError,
     },
@@ -174,11 +174,7 @@ impl Watch {
         };
         let permit = Arc::clone(&self.permits).acquire_owned().await.map_err(|_| RpcError::Stopping)?;
         let (confidence, selector) = (self.confidence, self.selector);
-        let judge = move || {
-            let _permit = permit;
-            unexpected(&models, &observed, selector, confidence)
-        };
-        tokio::task::spawn_blocking(judge).await.map_err(|_| RpcError::Stopping)
+        run_blocking(permit, move || unexpected(&models, &observed, selector, confidence)).await
     }
 
     /// The observations of the watched states.

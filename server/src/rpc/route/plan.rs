@@ -2,13 +2,7 @@
 //!
 //! Invariant: each edge is predicted for the time when the robot reaches it, and an answer is of one view.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Duration};
 
 use tidemap_map::{edge_forecast::EdgeForecast, topology::Edge};
 use tidemap_plan::{
@@ -34,9 +28,8 @@ use super::{
     edges::{Ahead, Edges},
     error::RouteError,
     places::find_node,
-    search::CancelOnDrop,
 };
-use crate::rpc::{lookup::find_map, status::RpcError};
+use crate::rpc::status::RpcError;
 
 /// Maximum number of edges of a reply.
 const EDGES_TOLD_MAX: usize = 100_000;
@@ -45,9 +38,7 @@ pub(super) async fn plan_route(
     routes: &Routes,
     request: v1::PlanRouteRequest,
 ) -> Result<v1::PlanRouteResponse, RpcError> {
-    let handle = find_map(&routes.catalog, &request.map)?;
-    let view = handle.view();
-    let topology = Arc::clone(view.site().topology());
+    let (handle, view, topology) = routes.find(&request.map)?;
     let from = find_node(&request.map, &topology, &request.from)?;
     let to = find_node(&request.map, &topology, &request.to)?;
     let question = route_from_wire(&request)?;
@@ -56,12 +47,8 @@ pub(super) async fn plan_route(
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
 
-    let is_cancelled = Arc::new(AtomicBool::new(false));
-    let _cancel = CancelOnDrop(Arc::clone(&is_cancelled));
     let (over, ends) = (Arc::clone(&topology), (request.from, request.to));
-    let work = move || {
-        let deadline = Instant::now() + within;
-        let until = || is_cancelled.load(Ordering::Relaxed) || Instant::now() >= deadline;
+    let work = move |until: &dyn Fn() -> bool| {
         let mut ahead = Ahead { edges: &edges, reference_nanos: question.reference_nanos };
         let planned = plan_routes(&over, from, to, question.when, &question.options, &mut ahead, until);
         match planned {
@@ -69,7 +56,7 @@ pub(super) async fn plan_route(
             Err(error) => Err(with_node_names(error, ends, question.reference_nanos)),
         }
     };
-    Ok(routes.run_blocking(work).await??)
+    Ok(routes.run_search(Some(within), work).await??)
 }
 
 /// Replaces the node numbers in a planner's error by names.
@@ -88,9 +75,7 @@ pub(super) async fn plan_policy(
     routes: &Routes,
     request: v1::PlanPolicyRequest,
 ) -> Result<v1::PlanPolicyResponse, RpcError> {
-    let handle = find_map(&routes.catalog, &request.map)?;
-    let view = handle.view();
-    let topology = Arc::clone(view.site().topology());
+    let (handle, view, topology) = routes.find(&request.map)?;
     let to = find_node(&request.map, &topology, &request.to)?;
     let time_nanos = instant_from_wire("start_time", request.start_time)?;
     let options = policy_from_wire(&request)?;
@@ -101,24 +86,19 @@ pub(super) async fn plan_policy(
         return Err(RouteError::PolicyTooLarge { nodes, slots }.into());
     }
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
-    let is_cancelled = Arc::new(AtomicBool::new(false));
-    let _cancel = CancelOnDrop(Arc::clone(&is_cancelled));
-    let work = move || {
-        let until = || is_cancelled.load(Ordering::Relaxed);
+    let work = move |until: &dyn Fn() -> bool| {
         let mut ahead = Ahead { edges: &edges, reference_nanos: time_nanos };
         let table = solve_policy(&topology, to, &options, &mut ahead, until).map_err(RouteError::from)?;
         Ok::<_, RouteError>(policy_to_wire(&table, time_nanos, &topology))
     };
-    Ok(routes.run_blocking(work).await??)
+    Ok(routes.run_search(None, work).await??)
 }
 
 pub(super) async fn predict_edges(
     routes: &Routes,
     request: v1::PredictEdgesRequest,
 ) -> Result<v1::PredictEdgesResponse, RpcError> {
-    let handle = find_map(&routes.catalog, &request.map)?;
-    let view = handle.view();
-    let topology = Arc::clone(view.site().topology());
+    let (handle, view, topology) = routes.find(&request.map)?;
     let time_nanos = instant_from_wire("time", request.time)?;
     let selector = selector_from_wire("model", request.model)?;
     let speed = speed_from_wire(request.speed_m_per_s)?;

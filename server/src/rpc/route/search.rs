@@ -2,13 +2,7 @@
 //!
 //! Invariant: a goal is a node whose state was observed; the probabilities, the nodes and the routes are of one view.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Duration};
 
 use tidemap_map::{
     selector::ModelSelector,
@@ -33,19 +27,9 @@ use super::{
     places::{Places, find_node},
 };
 use crate::rpc::{
-    lookup::find_map,
     series::{Predictor, predict_series},
     status::RpcError,
 };
-
-/// Cancels work when it is dropped.
-pub(super) struct CancelOnDrop(pub(super) Arc<AtomicBool>);
-
-impl Drop for CancelOnDrop {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-}
 
 /// Checks the number of goals before anything is predicted.
 fn check_count(found: usize, effort: Effort, for_arrival: bool) -> Result<(), SearchError> {
@@ -60,9 +44,7 @@ pub(super) async fn plan_search(
     routes: &Routes,
     request: v1::PlanSearchRequest,
 ) -> Result<v1::PlanSearchResponse, RpcError> {
-    let handle = find_map(&routes.catalog, &request.map)?;
-    let view = handle.view();
-    let topology = Arc::clone(view.site().topology());
+    let (handle, view, topology) = routes.find(&request.map)?;
     let start = find_node(&request.map, &topology, &request.start)?;
     let time_nanos = instant_from_wire("start_time", request.start_time)?;
     let selector = selector_from_wire("model", request.model)?;
@@ -90,12 +72,8 @@ pub(super) async fn plan_search(
         false => None,
     };
 
-    let is_cancelled = Arc::new(AtomicBool::new(false));
-    let _cancel = CancelOnDrop(Arc::clone(&is_cancelled));
     let walked = Arc::clone(&topology);
-    let work = move || {
-        let deadline = Instant::now() + within;
-        let until = || is_cancelled.load(Ordering::Relaxed) || Instant::now() >= deadline;
+    let work = move |until: &dyn Fn() -> bool| {
         let roads = Roads::new(&walked, |edge| match &travelled {
             Some(travelled) => Some(travelled.forecast(edge, time_nanos).duration_secs),
             None => Some(edge.extent.secs_at(speed)),
@@ -119,6 +97,6 @@ pub(super) async fn plan_search(
             (error, _) => error.into(),
         })
     };
-    let plan = routes.run_blocking(work).await??;
+    let plan = routes.run_search(Some(within), work).await??;
     Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..plan_to_wire(&plan, &topology) })
 }

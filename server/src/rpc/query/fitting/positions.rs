@@ -10,7 +10,7 @@ use tidemap_model::Sample;
 use super::{LearnedState, ModelFitter};
 use crate::{
     model_cache::{ModelKey, ModelUnavailable, PositionModel},
-    rpc::status::RpcError,
+    rpc::{permits::run_blocking, status::RpcError},
 };
 
 impl ModelFitter {
@@ -48,11 +48,7 @@ impl ModelFitter {
             samples.push(self.gather(axis, kind).await?);
         }
         let handle = Arc::clone(&first.handle);
-        let fit = move || {
-            let _permit = permit;
-            PositionModel::fit(&options, &samples, &handle.spec)
-        };
-        let fitted = tokio::task::spawn_blocking(fit).await.map_err(|_| RpcError::Stopping)?;
+        let fitted = run_blocking(permit, move || PositionModel::fit(&options, &samples, &handle.spec)).await?;
         fitted.map_err(|error| first.unavailable(kind, error))
     }
 }
