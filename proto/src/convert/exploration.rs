@@ -183,6 +183,7 @@ pub fn budget_to_wire(budget: Budget) -> v1::plan_day_request::Budget {
 pub fn strategy_to_wire(strategy: Strategy) -> v1::Strategy {
     match strategy {
         Strategy::MonteCarlo => v1::Strategy::MonteCarlo,
+        Strategy::MonteCarloPrinted => v1::Strategy::MonteCarloPrinted,
         Strategy::Greedy => v1::Strategy::Greedy,
         Strategy::RoundRobin { .. } => v1::Strategy::RoundRobin,
         Strategy::Random => v1::Strategy::Random,
@@ -199,6 +200,7 @@ pub fn strategy_from_wire(field: &str, strategy: i32) -> Result<Strategy, Invali
         Ok(v1::Strategy::Greedy) => Ok(Strategy::Greedy),
         Ok(v1::Strategy::RoundRobin) => Ok(Strategy::RoundRobin { visited: 0 }),
         Ok(v1::Strategy::Random) => Ok(Strategy::Random),
+        Ok(v1::Strategy::MonteCarloPrinted) => Ok(Strategy::MonteCarloPrinted),
         Err(_) => Err(InvalidField::new(field, format!("{strategy} is not known"))),
     }
 }

@@ -42,29 +42,50 @@ pub fn schedule(
                 if ratio > 0.0 { places as f64 * (1.0 - ratio) / ratio } else { 0.0 }
             },
         ),
-        Strategy::MonteCarlo => {
-            let total = gains.total();
-            by_chance(
-                &mut random,
-                budget,
-                visits,
-                slots,
-                |slot, place| gains.at(slot, place) + IOTA_BITS,
-                places,
-                |ratio| {
-                    if ratio >= 1.0 {
-                        0.0
-                    } else if total > 0.0 {
-                        total * (1.0 - ratio) / (slots as f64 * ratio) + IOTA_BITS
-                    } else {
-                        // If all gains are 0, ι alone would not keep the ratio.
-                        places as f64 * IOTA_BITS * (1.0 - ratio) / ratio
-                    }
-                },
-            )
+        Strategy::MonteCarlo | Strategy::MonteCarloPrinted => {
+            let weight = |slot, place| gains.at(slot, place) + IOTA_BITS;
+            let rest = match strategy {
+                Strategy::MonteCarloPrinted => rest_as_printed,
+                _ => rest_that_keeps_the_ratio,
+            };
+            by_chance(&mut random, budget, visits, slots, weight, places, |ratio| rest(gains, ratio))
         }
         Strategy::Greedy => greedy(&mut random, gains, visits),
     })
+}
+
+/// The weight of rest, w, with which the expected number of visits is the ratio times the slots: the root of
+/// Σ S/(S + w) = e·m over the m slots, where S is the sum of a slot's gains, each plus ι. `ratio` is above 0.
+fn rest_that_keeps_the_ratio(gains: &Gains, ratio: f64) -> f64 {
+    /// Halvings of the bracket: below the resolution of f64.
+    const STEPS: usize = 64;
+    let of_slot = |slot: usize| gains.slot(slot).iter().map(|gain| gain + IOTA_BITS).sum::<f64>();
+    let sums: Vec<f64> = (0..gains.slots()).map(of_slot).collect();
+    let odds = (1.0 - ratio) / ratio;
+    // If all slots were as the poorest, or as the richest.
+    let mut least = sums.iter().copied().fold(f64::INFINITY, f64::min) * odds;
+    let mut most = sums.iter().copied().fold(0.0, f64::max) * odds;
+    let wanted = ratio * sums.len() as f64;
+    for _ in 0..STEPS {
+        // Gains differ by orders of magnitude, so the geometric mean; of 0 (a ratio of 1) it is 0.
+        let middle = least.sqrt() * most.sqrt();
+        let expected: f64 = sums.iter().map(|sum| sum / (sum + middle)).sum();
+        if expected > wanted { least = middle } else { most = middle }
+    }
+    least.sqrt() * most.sqrt()
+}
+
+/// The weight of rest as RAS 2017, section 5.1, prints it, plus ι. `ratio` is above 0.
+fn rest_as_printed(gains: &Gains, ratio: f64) -> f64 {
+    let total = gains.total();
+    if ratio >= 1.0 {
+        0.0
+    } else if total > 0.0 {
+        total * (1.0 - ratio) / (gains.slots() as f64 * ratio) + IOTA_BITS
+    } else {
+        // If all gains are 0, ι alone would not keep the ratio.
+        gains.places() as f64 * IOTA_BITS * (1.0 - ratio) / ratio
+    }
 }
 
 /// Draws slots and places in proportion to weights. With a ratio each slot is drawn independently, against the weight
@@ -124,8 +145,8 @@ pub fn choose(strategy: Strategy, planned: usize, gains_now: &[f64], seed: u64) 
     match strategy {
         Strategy::RoundRobin { .. } | Strategy::Random => planned,
         Strategy::Greedy => draw::largest(&mut random, gains_now).map_or(planned, |(place, _)| place),
-        Strategy::MonteCarlo if gains_now.is_empty() => planned,
-        Strategy::MonteCarlo => {
+        Strategy::MonteCarlo | Strategy::MonteCarloPrinted if gains_now.is_empty() => planned,
+        Strategy::MonteCarlo | Strategy::MonteCarloPrinted => {
             draw::index(&mut random, gains_now.iter().map(|gain| gain.clamp(0.0, GAIN_MAX) + IOTA_BITS))
         }
     }

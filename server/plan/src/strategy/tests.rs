@@ -42,7 +42,7 @@ fn assert_distributed(counts: &[f64], probabilities: &[f64]) {
 }
 
 #[test]
-fn monte_carlo_draws_by_equation_11() {
+fn monte_carlo_printed_draws_by_equation_11() {
     let gains = uneven(6, 4);
     for (ratio, slot) in [(0.5, 0), (0.2, 3), (0.9, 5)] {
         // From the paper, not from the code: I' over all, I(0) = I'(1 - e)/(m e).
@@ -51,8 +51,44 @@ fn monte_carlo_draws_by_equation_11() {
         weights.extend(gains.slot(slot).iter().map(|gain| gain + 0.02 / std::f64::consts::LN_2));
         let sum: f64 = weights.iter().sum();
         let expected: Vec<f64> = weights.iter().map(|weight| weight / sum).collect();
-        assert_distributed(&counts(Strategy::MonteCarlo, &gains, Budget::Ratio(ratio), slot), &expected);
+        assert_distributed(&counts(Strategy::MonteCarloPrinted, &gains, Budget::Ratio(ratio), slot), &expected);
     }
+}
+
+#[test]
+fn monte_carlo_keeps_the_ratio_and_the_proportions_of_equation_11() {
+    // A flat: little to learn at night, much at noon.
+    let flat = Gains::of(144, 10, |slot, place| {
+        let noon = (slot as f64 / 144.0 * std::f64::consts::TAU).cos().mul_add(-0.5, 0.5);
+        noon.powi(4) * ((place * 3 % 7) as f64 / 6.0) + if slot == 70 { 40.0 } else { 0.0 }
+    })
+    .unwrap();
+    for wanted in [0.5, 0.25, 0.02, 0.98] {
+        let days = 300;
+        let share = |strategy| {
+            let of = |seed| visits(&schedule(strategy, &flat, Budget::Ratio(wanted), seed).unwrap());
+            (0..days).map(of).sum::<usize>() as f64 / (days as f64 * 144.0)
+        };
+        // Three standard errors of a mean of 43,200 draws are below 0.01.
+        assert!((share(Strategy::MonteCarlo) - wanted).abs() <= 0.01, "{wanted}: {}", share(Strategy::MonteCarlo));
+        let printed = share(Strategy::MonteCarloPrinted);
+        assert!(wanted != 0.5 || printed < 0.43, "{printed}");
+    }
+    // Slots are drawn in the odds of their gains, and places of a slot in proportion.
+    let gains = uneven(6, 4);
+    let sum = |slot: usize| gains.slot(slot).iter().map(|gain| gain + IOTA_BITS).sum::<f64>();
+    let rest_share = |slot: usize| {
+        let drawn = counts(Strategy::MonteCarlo, &gains, Budget::Ratio(0.3), slot);
+        drawn[0] / SEEDS as f64
+    };
+    let (first, last) = (rest_share(0), rest_share(5));
+    let rest = [first / (1.0 - first) * sum(0), last / (1.0 - last) * sum(5)];
+    assert!((rest[0] / rest[1] - 1.0).abs() < 0.1, "{rest:?}");
+    let mut weights = vec![rest[0]];
+    weights.extend(gains.slot(0).iter().map(|gain| gain + IOTA_BITS));
+    let total: f64 = weights.iter().sum();
+    let expected: Vec<f64> = weights.iter().map(|weight| weight / total).collect();
+    assert_distributed(&counts(Strategy::MonteCarlo, &gains, Budget::Ratio(0.3), 0), &expected);
 }
 
 #[test]
@@ -72,7 +108,9 @@ fn where_nothing_can_be_gained_the_ratio_is_still_kept() {
     let gains = Gains::of(4, 10, |_, _| 0.0).unwrap();
     let mut expected = vec![0.05; 11];
     expected[0] = 0.5;
-    assert_distributed(&counts(Strategy::MonteCarlo, &gains, Budget::Ratio(0.5), 2), &expected);
+    for strategy in [Strategy::MonteCarlo, Strategy::MonteCarloPrinted] {
+        assert_distributed(&counts(strategy, &gains, Budget::Ratio(0.5), 2), &expected);
+    }
 }
 
 #[test]
@@ -206,6 +244,7 @@ fn strategies() -> impl proptest::strategy::Strategy<Value = Strategy> {
         Just(Strategy::Random),
         Just(Strategy::Greedy),
         Just(Strategy::MonteCarlo),
+        Just(Strategy::MonteCarloPrinted),
     ]
 }
 
