@@ -21,20 +21,29 @@ pub enum Candidate {
     HypertimeEm,
     /// Warped hypertime, by k-means.
     HypertimeKm,
+    /// The rate of counts, a mean with rhythms; for counts only.
+    Poisson,
 }
 
 /// A text that does not name such a model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{0:?} is not a model that the nightly update chooses among: use spectral, histogram, calibrated, pergam, \
-     hypertime-em or hypertime-km, or all"
+    "{0:?} is not a model that the nightly update chooses among: use spectral, histogram, calibrated, poisson, \
+     pergam, hypertime-em or hypertime-km, or all"
 )]
 pub struct InvalidCandidate(pub String);
 
 impl Candidate {
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Spectral, Self::Histogram, Self::Calibrated, Self::Pergam, Self::HypertimeEm, Self::HypertimeKm];
+    pub const ALL: [Self; 7] = [
+        Self::Spectral,
+        Self::Histogram,
+        Self::Calibrated,
+        Self::Poisson,
+        Self::Pergam,
+        Self::HypertimeEm,
+        Self::HypertimeKm,
+    ];
 
     /// Name, as on the command line.
     #[must_use]
@@ -46,6 +55,7 @@ impl Candidate {
             Self::Pergam => "pergam",
             Self::HypertimeEm => "hypertime-em",
             Self::HypertimeKm => "hypertime-km",
+            Self::Poisson => "poisson",
         }
     }
 
@@ -57,6 +67,7 @@ impl Candidate {
             Self::Pergam => ModelKind::Pergam,
             Self::HypertimeEm => ModelKind::HypertimeEm,
             Self::HypertimeKm => ModelKind::HypertimeKm,
+            Self::Poisson => ModelKind::Poisson,
         }
     }
 

@@ -14,6 +14,9 @@ pub struct Fits {
     /// Warped hypertime by k-means.
     #[prost(message, optional, tag = "3")]
     pub hypertime_km: Option<Hypertime>,
+    /// The rate of counts.
+    #[prost(message, optional, tag = "4")]
+    pub poisson: Option<Poisson>,
 }
 
 /// When a model was fitted, and its errors since.
@@ -39,6 +42,26 @@ pub struct Pergam {
     /// Weight, mean and standard deviation of each Gaussian, the latter two in seconds.
     #[prost(fixed64, repeated, tag = "3")]
     pub gaussians_bits: Vec<u64>,
+}
+
+/// The rate of counts, a mean with periodic components.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Poisson {
+    /// When it was fitted.
+    #[prost(message, optional, tag = "1")]
+    pub fit: Option<Fit>,
+    /// Length of a bin.
+    #[prost(sint64, tag = "2")]
+    pub bin_nanos: i64,
+    /// Mean and lowest count of a bin, and readings of an observed bin.
+    #[prost(fixed64, repeated, tag = "3")]
+    pub rate_bits: Vec<u64>,
+    /// Indices of the components among the map's periodicities.
+    #[prost(uint32, repeated, tag = "4")]
+    pub periodicities: Vec<u32>,
+    /// Real and imaginary part of each component, in counts of a bin.
+    #[prost(fixed64, repeated, tag = "5")]
+    pub gammas_bits: Vec<u64>,
 }
 
 /// A warped hypertime.

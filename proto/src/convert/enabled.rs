@@ -9,7 +9,7 @@ use super::InvalidField;
 use crate::v1::ModelKind;
 
 /// The valid models.
-const CANDIDATES: &str = "spectral, histogram, calibrated, pergam, hypertime-em and hypertime-km";
+const CANDIDATES: &str = "spectral, histogram, calibrated, poisson, pergam, hypertime-em and hypertime-km";
 
 /// The kind on the wire, and the name, of a model that is fitted to observations.
 fn wire(kind: FitKind) -> (ModelKind, &'static str) {
@@ -17,6 +17,7 @@ fn wire(kind: FitKind) -> (ModelKind, &'static str) {
         FitKind::Calibrated => (ModelKind::Calibrated, "calibrated"),
         FitKind::Pergam => (ModelKind::Pergam, "pergam"),
         FitKind::HypertimeEm => (ModelKind::HypertimeEm, "hypertime-em"),
+        FitKind::Poisson => (ModelKind::Poisson, "poisson"),
         FitKind::HypertimeKm => (ModelKind::HypertimeKm, "hypertime-km"),
     }
 }
@@ -76,7 +77,7 @@ mod tests {
     #[test]
     fn what_is_named_is_enabled_and_the_spectral_model_always() {
         let all = enabled_to_wire(EnabledModels::ALL);
-        assert_eq!(all.len(), 6);
+        assert_eq!(all.len(), 7);
         assert_eq!(enabled_from_wire("models", &all, Retention::Forever), Ok(EnabledModels::ALL));
         let one = enabled(&[ModelKind::HypertimeKm], Retention::Forever).expect("known");
         assert_eq!(one, EnabledModels::SPECTRAL.with_fit(FitKind::HypertimeKm));
@@ -93,7 +94,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_is_refused_with_what_there_is() {
-        for kind in [ModelKind::Unspecified, ModelKind::Auto, ModelKind::Poisson] {
+        for kind in [ModelKind::Unspecified, ModelKind::Auto, ModelKind::Uniform] {
             let error = enabled(&[ModelKind::Histogram, kind], Retention::Forever).expect_err("no candidate");
             assert!(error.contains(kind.as_str_name()) && error.contains(CANDIDATES), "{error}");
         }

@@ -200,6 +200,7 @@ fn selector_of(choice: ModelChoice, model: &StateModel) -> ModelSelector {
         ModelChoice::Fitted(FitKind::Calibrated) => ModelKind::Calibrated,
         ModelChoice::Fitted(FitKind::Pergam) => ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS },
         ModelChoice::Fitted(FitKind::HypertimeEm) => ModelKind::HypertimeEm { clusters: 3 },
+        ModelChoice::Fitted(FitKind::Poisson) => ModelKind::Poisson,
         ModelChoice::Fitted(FitKind::HypertimeKm) => ModelKind::HypertimeKm { clusters: 3 },
     };
     ModelSelector { kind, ..ModelSelector::default() }

@@ -1,6 +1,6 @@
 //! Fitting models again at the end of an update, to the readings that updates have learned.
 //!
-//! The calibrated model, the periodic mixture and warped hypertime are due after seven observed days, seven days after
+//! The calibrated model, the rate of counts, the periodic mixture and warped hypertime are due after seven observed days, seven days after
 //! their last fit, and when the change alarm has rung since. Each is fitted to the last twelve weeks. Starting one week
 //! after an alarm, models are fitted only to data from three days before the alarm onwards. Of each kind, the models
 //! that have waited longest go first, and an update fits a limited number ([`refits_max`]), so that a costly kind does
@@ -27,13 +27,13 @@ mod tests;
 #[must_use]
 pub(crate) const fn refits_max(kind: FitKind) -> usize {
     match kind {
-        FitKind::Calibrated => REFITS_MAX,
+        FitKind::Calibrated | FitKind::Poisson => REFITS_MAX,
         FitKind::Pergam => 1_000,
         FitKind::HypertimeEm | FitKind::HypertimeKm => 100,
     }
 }
 
-/// Maximum number of calibrated models that an update fits; they are the cheapest.
+/// Maximum number of calibrated models, and of models of counts, that an update fits; they are the cheapest.
 pub(crate) const REFITS_MAX: usize = 2_000;
 
 const SEC_NANOS: i64 = 1_000_000_000;
@@ -257,5 +257,5 @@ fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<Fitted
     samples.sort_by_key(|sample| sample.utc_nanos);
     let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
     let readings = Readings { samples: &samples, half_life_secs };
-    due.kinds.par_iter().map(|&kind| FittedModel::fit(kind, due.of, readings)).collect()
+    due.kinds.par_iter().map(|&kind| FittedModel::fit(kind, due.of, readings, &spec.periodicities)).collect()
 }

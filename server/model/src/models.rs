@@ -36,7 +36,7 @@ pub use latest::{Latest, LatestParts};
 pub use markov_chain::{MarkovChain, MarkovChainParts};
 pub use mean::{Mean, MeanParts};
 pub use pergam::{Pergam, PergamGaussian, PergamOptions, PergamParts};
-pub use poisson::{COUNT_BIN_NANOS, PoissonSpectral, PoissonSpectralParts};
+pub use poisson::{COUNT_BIN_NANOS, CountRate, CountRateParts, PoissonSpectral, PoissonSpectralParts};
 pub use presence::{Presence, PresenceOptions};
 pub use support::{DependenceSums, OrderGains, OrderGainsParts, effective_observations, supported_order};
 pub(crate) use support::{effective_observations_of_values, supported_order_of_values};

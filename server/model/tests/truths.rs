@@ -89,7 +89,7 @@ fn run(kind: StateKind, days: i64, value: impl Fn(i64, i64) -> f64) -> Run {
         seen.retain(|sample: &Sample| since.is_none_or(|since| sample.local_day() >= since));
         for fit in FitKind::ALL {
             if run.state.is_fit_due(fit) {
-                let model = FittedModel::fit(fit, kind, Readings::new(&seen)).unwrap();
+                let model = FittedModel::fit(fit, kind, Readings::new(&seen), &periodicities).unwrap();
                 run.state = run.state.refitted(model, LocalDay(day as i32));
             }
         }
@@ -276,7 +276,7 @@ fn how_long_a_fit_and_a_day_take() {
         let (seen, next) = (minutes(0..FIT_DAYS, of), minutes(FIT_DAYS..FIT_DAYS + 1, of));
         for kind in FitKind::ALL.into_iter().filter(|kind| kind.is_for(of)) {
             let started = std::time::Instant::now();
-            let model = FittedModel::fit(kind, of, Readings::new(&seen)).unwrap();
+            let model = FittedModel::fit(kind, of, Readings::new(&seen), &Periodicities::default()).unwrap();
             let fitted = started.elapsed();
             let started = std::time::Instant::now();
             let error = mse(&model, &next);

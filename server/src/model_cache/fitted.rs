@@ -3,8 +3,6 @@
 //! Invariant: a prediction is within the bounds of the state's kind. An untrained state has the same prediction as with
 //! any other model.
 
-use std::collections::HashSet;
-
 use tidemap_map::{
     event::StateKind,
     ids::StateId,
@@ -13,11 +11,10 @@ use tidemap_map::{
     view::MapView,
 };
 use tidemap_model::{
-    ORDER_MAX, Periodicities, Sample,
+    ORDER_MAX, Sample,
     models::{
-        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, Histogram, HistogramSettings, Hypertime,
-        HypertimeMethod, HypertimeOptions, MarkovChain, Moment, Pergam, PergamOptions, PoissonSpectral, Readings,
-        TemporalModel, UniformSpectral,
+        Calibrated, CalibratedOptions, CannotFit, CountRate, Histogram, HistogramSettings, Hypertime, HypertimeMethod,
+        HypertimeOptions, MarkovChain, Moment, Pergam, PergamOptions, Readings, TemporalModel, UniformSpectral,
     },
 };
 
@@ -38,7 +35,7 @@ pub(crate) enum CachedModel {
     /// Warped hypertime.
     Hypertime(Box<Hypertime>),
     /// Rate of counts.
-    Poisson(Box<CountModel>),
+    Poisson(Box<CountRate>),
     /// Rhythms of day and week.
     Calibrated(Calibrated),
     /// The spectrum of regular readings and its outliers, at the highest order, which answers for all lower ones.
@@ -78,7 +75,7 @@ impl CachedModel {
             ModelKind::HypertimeEm { clusters } => hypertime(HypertimeMethod::Em, clusters),
             ModelKind::HypertimeKm { clusters } => hypertime(HypertimeMethod::Km, clusters),
             ModelKind::Poisson => {
-                CountModel::fit(readings, &spec.periodicities).map(|model| Self::Poisson(Box::new(model)))
+                CountRate::fit(readings, &spec.periodicities).map(|model| Self::Poisson(Box::new(model)))
             }
             ModelKind::Calibrated => Calibrated::fit(readings, CalibratedOptions::default()).map(Self::Calibrated),
             ModelKind::Uniform => UniformSpectral::fit(readings, ORDER_MAX).map(|model| Self::Uniform(Box::new(model))),
@@ -146,28 +143,6 @@ fn from_newest(mut chain: MarkovChain, view: &MapView, id: StateId) -> MarkovCha
         chain.observe(nanos, value);
     }
     chain
-}
-
-/// The forecast count of a reading, from a model of counts per bin.
-#[derive(Clone, Debug)]
-pub(crate) struct CountModel {
-    bins: PoissonSpectral,
-    readings_per_bin: f64,
-}
-
-impl CountModel {
-    fn fit(readings: Readings<'_>, periodicities: &Periodicities) -> Result<Self, CannotFit> {
-        let bins = PoissonSpectral::fit(readings, periodicities, COUNT_BIN_NANOS)?;
-        let of_reading = readings.samples.iter().map(|sample| sample.civil_nanos().div_euclid(COUNT_BIN_NANOS));
-        let observed: HashSet<i64> = of_reading.collect();
-        Ok(Self { bins, readings_per_bin: readings.samples.len() as f64 / observed.len().max(1) as f64 })
-    }
-}
-
-impl TemporalModel for CountModel {
-    fn predict(&self, at: Moment) -> f64 {
-        self.bins.predict(at) / self.readings_per_bin
-    }
 }
 
 /// A uniform model at one order, with its outliers or without.

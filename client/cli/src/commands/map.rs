@@ -96,8 +96,9 @@ pub(crate) struct CreateArgs {
     /// Prediction of a named state with no learned data, 0 to 1 [default: 0.5]
     #[arg(long, value_name = "P")]
     prior: Option<f64>,
-    /// Models among which the nightly update chooses for each named state: spectral, histogram, calibrated, pergam,
-    /// hypertime-em, hypertime-km, or all; spectral is always included [default: spectral,histogram,calibrated]
+    /// Models among which the nightly update chooses for each named state: spectral, histogram, calibrated, poisson,
+    /// pergam, hypertime-em, hypertime-km, or all; spectral is always included [default:
+    /// spectral,histogram,calibrated,poisson]
     #[arg(long, value_name = "MODEL,…", value_parser = candidates, value_delimiter = ',')]
     models: Option<Vec<Candidates>>,
 }

@@ -90,6 +90,7 @@ fn share_of_mean(model: &StateModel, selector: ModelSelector) -> f64 {
         ModelKind::Spectral => order(selector.order_for(model)),
         ModelKind::Auto => selector.order.and_then(order),
         ModelKind::Calibrated => scored(ModelChoice::Fitted(FitKind::Calibrated)),
+        ModelKind::Poisson => scored(ModelChoice::Fitted(FitKind::Poisson)),
         ModelKind::HypertimeEm { clusters: 3 } => scored(ModelChoice::Fitted(FitKind::HypertimeEm)),
         ModelKind::HypertimeKm { clusters: 3 } => scored(ModelChoice::Fitted(FitKind::HypertimeKm)),
         ModelKind::Histogram { cycle, bins } => {

@@ -8,7 +8,9 @@ use super::mean::check_values;
 use super::{CannotFit, Moment, Readings, TemporalModel};
 use crate::{Component, InvalidParts, LocalDay, ORDER_MAX, Periodicities};
 
+mod count_rate;
 mod spectrum;
+pub use count_rate::{CountRate, CountRateParts};
 use spectrum::{Bin, Spectrum};
 
 #[cfg(test)]

@@ -3,10 +3,11 @@
 //! Invariant: a stored model reads back as the same model.
 
 use crate::{
-    InvalidParts, StateKind,
+    InvalidParts, Periodicities, StateKind,
     models::{
-        Calibrated, CalibratedOptions, CalibratedParts, CannotFit, Hypertime, HypertimeMethod, HypertimeOptions,
-        HypertimeParts, Moment, Pergam, PergamOptions, PergamParts, Readings, TemporalModel,
+        Calibrated, CalibratedOptions, CalibratedParts, CannotFit, CountRate, CountRateParts, Hypertime,
+        HypertimeMethod, HypertimeOptions, HypertimeParts, Moment, Pergam, PergamOptions, PergamParts, Readings,
+        TemporalModel,
     },
 };
 
@@ -28,15 +29,22 @@ pub enum FitKind {
     HypertimeEm,
     /// [`Hypertime`] by k-means, up to three clusters.
     HypertimeKm,
+    /// [`CountRate`]. Of counts only.
+    Poisson,
 }
 
 impl FitKind {
-    /// All kinds.
-    pub const ALL: [FitKind; 4] = [FitKind::Calibrated, FitKind::Pergam, FitKind::HypertimeEm, FitKind::HypertimeKm];
+    /// All kinds. Their places are stored: a new kind is added at the end.
+    pub const ALL: [FitKind; 5] =
+        [FitKind::Calibrated, FitKind::Pergam, FitKind::HypertimeEm, FitKind::HypertimeKm, FitKind::Poisson];
 
     /// Whether states of the given kind support it.
     pub fn is_for(self, of: StateKind) -> bool {
-        self != FitKind::Pergam || of == StateKind::Probability
+        match self {
+            FitKind::Pergam => of == StateKind::Probability,
+            FitKind::Poisson => of == StateKind::Count,
+            FitKind::Calibrated | FitKind::HypertimeEm | FitKind::HypertimeKm => true,
+        }
     }
 
     /// Its index in [`FitKind::ALL`].
@@ -54,9 +62,11 @@ pub struct EnabledModels {
 }
 
 impl Default for EnabledModels {
-    /// Histograms and the calibrated model, which are cheap.
+    /// Histograms, the calibrated model and, for counts, the Poisson model, which are cheap.
     fn default() -> EnabledModels {
-        EnabledModels { histograms: true, ..EnabledModels::SPECTRAL }.with_fit(FitKind::Calibrated)
+        EnabledModels { histograms: true, ..EnabledModels::SPECTRAL }
+            .with_fit(FitKind::Calibrated)
+            .with_fit(FitKind::Poisson)
     }
 }
 
@@ -106,6 +116,8 @@ pub enum FittedModel {
     Pergam(Pergam),
     /// Warped hypertime, by either method.
     Hypertime(Hypertime),
+    /// The rate of counts.
+    Poisson(CountRate),
 }
 
 /// What a [`FittedModel`] consists of, for storage.
@@ -117,14 +129,21 @@ pub enum FittedModelParts {
     Pergam(PergamParts),
     /// Of a warped hypertime.
     Hypertime(HypertimeParts),
+    /// Of the rate of counts.
+    Poisson(CountRateParts),
 }
 
 impl FittedModel {
-    /// Fits a model of this kind to readings of a state of kind `of`.
+    /// Fits a model of this kind to readings of a state of kind `of`; `periodicities` are those of its map.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings, or states of that kind do not support the model.
-    pub fn fit(kind: FitKind, of: StateKind, readings: Readings<'_>) -> Result<FittedModel, CannotFit> {
+    pub fn fit(
+        kind: FitKind,
+        of: StateKind,
+        readings: Readings<'_>,
+        periodicities: &Periodicities,
+    ) -> Result<FittedModel, CannotFit> {
         let hypertime = |method| {
             let options = HypertimeOptions { method, clusters: CLUSTERS, seed: SEED };
             match of {
@@ -133,8 +152,9 @@ impl FittedModel {
             }
         };
         match kind {
+            _ if !kind.is_for(of) => Err(CannotFit::NoReadings),
+            FitKind::Poisson => CountRate::fit(readings, periodicities).map(Self::Poisson),
             FitKind::Calibrated => Calibrated::fit(readings, CalibratedOptions::default()).map(Self::Calibrated),
-            FitKind::Pergam if !kind.is_for(of) => Err(CannotFit::NoReadings),
             FitKind::Pergam => {
                 let options = PergamOptions { gaussians: GAUSSIANS, seed: SEED, ..PergamOptions::default() };
                 Pergam::fit(readings, &options).map(Self::Pergam)
@@ -149,6 +169,7 @@ impl FittedModel {
         match self {
             Self::Calibrated(_) => FitKind::Calibrated,
             Self::Pergam(_) => FitKind::Pergam,
+            Self::Poisson(_) => FitKind::Poisson,
             Self::Hypertime(model) => match model.method() {
                 HypertimeMethod::Em => FitKind::HypertimeEm,
                 HypertimeMethod::Km => FitKind::HypertimeKm,
@@ -162,6 +183,7 @@ impl FittedModel {
             Self::Calibrated(model) => FittedModelParts::Calibrated(model.to_parts()),
             Self::Pergam(model) => FittedModelParts::Pergam(model.to_parts()),
             Self::Hypertime(model) => FittedModelParts::Hypertime(model.to_parts()),
+            Self::Poisson(model) => FittedModelParts::Poisson(model.to_parts()),
         }
     }
 
@@ -174,6 +196,7 @@ impl FittedModel {
         let is_fitting = match &parts {
             FittedModelParts::Calibrated(_) => true,
             FittedModelParts::Pergam(_) => is_probability,
+            FittedModelParts::Poisson(_) => of == StateKind::Count,
             FittedModelParts::Hypertime(HypertimeParts::Probability(_)) => is_probability,
             FittedModelParts::Hypertime(HypertimeParts::Continuous(_)) => !is_probability,
         };
@@ -184,6 +207,7 @@ impl FittedModel {
             FittedModelParts::Calibrated(parts) => Self::Calibrated(Calibrated::from_parts(parts)?),
             FittedModelParts::Pergam(parts) => Self::Pergam(Pergam::from_parts(&parts)?),
             FittedModelParts::Hypertime(parts) => Self::Hypertime(Hypertime::from_parts(&parts)?),
+            FittedModelParts::Poisson(parts) => Self::Poisson(CountRate::from_parts(parts)?),
         })
     }
 }
@@ -194,6 +218,7 @@ impl TemporalModel for FittedModel {
             Self::Calibrated(model) => model.predict(at),
             Self::Pergam(model) => model.predict(at),
             Self::Hypertime(model) => model.predict(at),
+            Self::Poisson(model) => model.predict(at),
         }
     }
 }

@@ -4,7 +4,7 @@
 
 use tidemap_migrations::{v1::map as v1, v2::map as v2};
 use tidemap_model::{
-    Alternatives, AlternativesParts, FitParts, FittedModelParts, LocalDay, PersistenceParts, StateKind,
+    Alternatives, AlternativesParts, FitParts, FittedModelParts, LocalDay, Periodicities, PersistenceParts, StateKind,
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
 };
 
@@ -65,7 +65,11 @@ fn encode_calibrated(fit: &FitParts) -> Option<v2::Calibrated> {
     })
 }
 
-pub(crate) fn decode(of: StateKind, message: &v2::Alternatives) -> Result<Alternatives, String> {
+pub(crate) fn decode(
+    of: StateKind,
+    message: &v2::Alternatives,
+    periodicities: &Periodicities,
+) -> Result<Alternatives, String> {
     const ALARM: Invalid = "the change alarm of a state is not valid";
     if message.hours.len() != (WEEK + DAYS) * 8 {
         return Err("the table of the hours of a state does not have its length".to_owned());
@@ -99,7 +103,7 @@ pub(crate) fn decode(of: StateKind, message: &v2::Alternatives) -> Result<Altern
         supported: u8::try_from(message.supported).map_err(|_| "the supported order of a state is too high")?,
         days: message.days,
         since: message.since.map(LocalDay),
-        fits: calibrated.into_iter().chain(fits::decode(&message.fits)?).collect(),
+        fits: calibrated.into_iter().chain(fits::decode(&message.fits, periodicities)?).collect(),
     };
     Alternatives::from_parts_of(of, parts).map_err(|error| error.to_string())
 }

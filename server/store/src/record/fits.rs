@@ -5,10 +5,10 @@
 use prost::Message as _;
 use tidemap_migrations::v2::fits as v2;
 use tidemap_model::{
-    FitParts, FittedModelParts, LocalDay,
+    Component, FitParts, FittedModelParts, LocalDay, Periodicities,
     models::{
-        HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeParts,
-        PergamGaussian, PergamParts,
+        CountRateParts, HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts,
+        HypertimeParts, PergamGaussian, PergamParts, PoissonSpectralParts,
     },
 };
 
@@ -23,6 +23,7 @@ pub(crate) fn encode(fits: &[FitParts]) -> Vec<u8> {
         let fit = Some(v2::Fit { day: parts.day.0, error_sum_bits: parts.error_sum.map(f64::to_bits) });
         match &parts.model {
             FittedModelParts::Calibrated(_) => {}
+            FittedModelParts::Poisson(model) => message.poisson = Some(encode_poisson(fit, model)),
             FittedModelParts::Pergam(model) => message.pergam = Some(encode_pergam(fit, model)),
             FittedModelParts::Hypertime(model) => {
                 let (method, model) = encode_hypertime(fit, model);
@@ -36,12 +37,14 @@ pub(crate) fn encode(fits: &[FitParts]) -> Vec<u8> {
     message.encode_to_vec()
 }
 
-pub(crate) fn decode(bytes: &[u8]) -> Result<Vec<FitParts>, Invalid> {
+/// The models of a state of a map with these periodicities.
+pub(crate) fn decode(bytes: &[u8], periodicities: &Periodicities) -> Result<Vec<FitParts>, Invalid> {
     let message = v2::Fits::decode(bytes).map_err(|_| INVALID)?;
     let pergam = message.pergam.as_ref().map(decode_pergam);
     let em = message.hypertime_em.as_ref().map(|model| decode_hypertime(HypertimeMethod::Em, model));
     let km = message.hypertime_km.as_ref().map(|model| decode_hypertime(HypertimeMethod::Km, model));
-    pergam.into_iter().chain(em).chain(km).collect()
+    let poisson = message.poisson.as_ref().map(|model| decode_poisson(model, periodicities));
+    pergam.into_iter().chain(em).chain(km).chain(poisson).collect()
 }
 
 fn bits(numbers: &[f64]) -> Vec<u64> {
@@ -71,6 +74,33 @@ fn decode_pergam(message: &v2::Pergam) -> Result<FitParts, Invalid> {
     let gaussians = gaussians.iter().map(gaussian).collect();
     let model = PergamParts { period_nanos: message.period_nanos, gaussians };
     with_fit(FittedModelParts::Pergam(model), message.fit.as_ref())
+}
+
+fn encode_poisson(fit: Option<v2::Fit>, model: &CountRateParts) -> v2::Poisson {
+    let CountRateParts { bins, readings_per_bin, .. } = model;
+    let gammas: Vec<f64> = bins.components.iter().flat_map(|one| [one.gamma_re, one.gamma_im]).collect();
+    v2::Poisson {
+        fit,
+        bin_nanos: bins.bin_nanos,
+        rate_bits: bits(&[bins.mean, bins.floor, *readings_per_bin]),
+        periodicities: bins.components.iter().map(|one| one.periodicity).collect(),
+        gammas_bits: bits(&gammas),
+    }
+}
+
+fn decode_poisson(message: &v2::Poisson, periodicities: &Periodicities) -> Result<FitParts, Invalid> {
+    let &[mean, floor, readings_per_bin] = doubles(&message.rate_bits).as_slice() else { return Err(INVALID) };
+    let gammas = doubles(&message.gammas_bits);
+    let (gammas, []) = gammas.as_chunks::<2>() else { return Err(INVALID) };
+    if gammas.len() != message.periodicities.len() {
+        return Err(INVALID);
+    }
+    let component =
+        |(&periodicity, &[gamma_re, gamma_im]): (&u32, &[f64; 2])| Component { periodicity, gamma_re, gamma_im };
+    let components = message.periodicities.iter().zip(gammas).map(component).collect();
+    let bins = PoissonSpectralParts { bin_nanos: message.bin_nanos, mean, floor, components };
+    let model = CountRateParts { periodicities: periodicities.clone(), bins, readings_per_bin };
+    with_fit(FittedModelParts::Poisson(model), message.fit.as_ref())
 }
 
 fn encode_hypertime(fit: Option<v2::Fit>, model: &HypertimeParts) -> (HypertimeMethod, v2::Hypertime) {
@@ -154,10 +184,34 @@ fn decode_cluster(message: &v2::Cluster) -> HypertimeCluster {
 
 #[cfg(test)]
 mod tests {
+    use tidemap_model::{
+        Sample,
+        models::{CountRate, Readings},
+    };
+
     use super::*;
 
     #[test]
+    fn the_rate_of_counts_reads_back_as_it_was() {
+        let sample = |slot: i64| Sample {
+            utc_nanos: slot * 1_200_000_000_000,
+            offset_secs: 3600,
+            value: f64::from(u8::from(slot % 72 > 20)) * (slot % 5) as f64,
+        };
+        let samples: Vec<Sample> = (0..720).map(sample).collect();
+        let periodicities = Periodicities::default();
+        let model = CountRate::fit(Readings::new(&samples), &periodicities).expect("counts").to_parts();
+        assert!(!model.bins.components.is_empty());
+        let fits = [FitParts { model: FittedModelParts::Poisson(model), day: LocalDay(9), error_sum: Some(0.1) }];
+        assert_eq!(decode(&encode(&fits), &periodicities), Ok(fits.to_vec()));
+        let mut message = v2::Fits::decode(encode(&fits).as_slice()).expect("a message");
+        message.poisson.as_mut().expect("it is there").gammas_bits.pop();
+        assert_eq!(decode(&message.encode_to_vec(), &periodicities), Err(INVALID));
+    }
+
+    #[test]
     fn the_gain_is_read_back_and_is_one_where_a_record_has_none() {
+        let periodicities = Periodicities::default();
         let fit = |gain| FitParts {
             model: FittedModelParts::Hypertime(HypertimeParts::Probability(HypertimeOddsParts {
                 method: HypertimeMethod::Em,
@@ -174,10 +228,10 @@ mod tests {
             error_sum: None,
         };
         for gain in [0.75, 1.0, 1.25] {
-            assert_eq!(decode(&encode(&[fit(gain)])), Ok(vec![fit(gain)]));
+            assert_eq!(decode(&encode(&[fit(gain)]), &periodicities), Ok(vec![fit(gain)]));
         }
         let mut message = v2::Fits::decode(encode(&[fit(0.75)]).as_slice()).expect("a record");
         message.hypertime_em.as_mut().expect("the model").gain_bits = None;
-        assert_eq!(decode(&message.encode_to_vec()), Ok(vec![fit(1.0)]));
+        assert_eq!(decode(&message.encode_to_vec(), &periodicities), Ok(vec![fit(1.0)]));
     }
 }

@@ -236,7 +236,7 @@ fn decode_model(kind: StateKind, message: &v2::State, periodicities: &Periodicit
     )
     .map_err(invalid)?;
     Ok(match &message.alternatives {
-        Some(known) => model.with_alternatives(alternatives::decode(kind, known)?),
+        Some(known) => model.with_alternatives(alternatives::decode(kind, known, periodicities)?),
         None => model,
     })
 }

@@ -79,6 +79,7 @@ fn bit(kind: FitKind) -> u32 {
         FitKind::Pergam => 4,
         FitKind::HypertimeEm => 8,
         FitKind::HypertimeKm => 16,
+        FitKind::Poisson => 32,
     }
 }
 

@@ -138,8 +138,9 @@ static FITS: LazyLock<Vec<FittedModel>> = LazyLock::new(|| {
             value: f64::from(u8::from((8..17).contains(&(hour % 24)) && hour % every == 0)),
         };
         let samples: Vec<Sample> = (0..240).map(sample).collect();
-        let fit = |kind| FittedModel::fit(kind, StateKind::Probability, Readings::new(&samples)).expect("readings");
-        FitKind::ALL.map(fit)
+        let (of, week) = (StateKind::Probability, Periodicities::default());
+        let fit = |kind| FittedModel::fit(kind, of, Readings::new(&samples), &week).expect("readings");
+        FitKind::ALL.into_iter().filter(|kind| kind.is_for(of)).map(fit).collect::<Vec<_>>()
     });
     fits.into_iter().flatten().collect()
 });

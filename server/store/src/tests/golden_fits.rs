@@ -9,7 +9,7 @@ use std::{
 
 use tidemap_map::{event::StateKind, snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_model::{
-    Alternatives, EnabledModels, FitParts, FittedModelParts, LocalDay,
+    Alternatives, EnabledModels, FitKind, FitParts, FittedModelParts, LocalDay,
     models::{
         HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeParts,
         PergamGaussian, PergamParts,
@@ -27,7 +27,9 @@ fn golden() -> PathBuf {
 }
 
 fn spec() -> MapSpec {
-    MapSpec { models: EnabledModels::ALL, ..golden_states::spec() }
+    let fits = [FitKind::Calibrated, FitKind::Pergam, FitKind::HypertimeEm, FitKind::HypertimeKm];
+    let models = EnabledModels::SPECTRAL.with_histograms(true);
+    MapSpec { models: fits.into_iter().fold(models, EnabledModels::with_fit), ..golden_states::spec() }
 }
 
 /// A cluster with the given numbers of coordinates and circles.

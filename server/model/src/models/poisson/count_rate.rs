@@ -1,0 +1,78 @@
+//! The forecast count of a single reading, from the rate of counts.
+//!
+//! Invariant: the forecast is positive and finite.
+
+use std::collections::HashSet;
+
+use super::{COUNT_BIN_NANOS, PoissonSpectral, PoissonSpectralParts};
+use crate::models::{CannotFit, Moment, Readings, TemporalModel};
+use crate::{InvalidParts, Periodicities};
+
+/// A [`PoissonSpectral`] model in bins of [`COUNT_BIN_NANOS`], and the usual number of readings in an observed bin.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CountRate {
+    bins: PoissonSpectral,
+    readings_per_bin: f64,
+}
+
+/// What a [`CountRate`] consists of, for storage.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CountRateParts {
+    /// The periodicities that it was fitted with: those of the map.
+    pub periodicities: Periodicities,
+    /// The model of the bins.
+    pub bins: PoissonSpectralParts,
+    /// Mean number of readings in an observed bin, at least 1.
+    pub readings_per_bin: f64,
+}
+
+impl CountRate {
+    /// Fits the counts of single readings.
+    ///
+    /// # Errors
+    /// [`CannotFit`] as [`PoissonSpectral::fit`].
+    pub fn fit(readings: Readings<'_>, periodicities: &Periodicities) -> Result<CountRate, CannotFit> {
+        CountRate::fit_in_bins(readings, periodicities, COUNT_BIN_NANOS)
+    }
+
+    /// The same with bins of another length, in nanoseconds.
+    ///
+    /// # Errors
+    /// As [`CountRate::fit`].
+    pub fn fit_in_bins(
+        readings: Readings<'_>,
+        periodicities: &Periodicities,
+        bin_nanos: i64,
+    ) -> Result<CountRate, CannotFit> {
+        let bins = PoissonSpectral::fit(readings, periodicities, bin_nanos)?;
+        let observed: HashSet<i64> =
+            readings.samples.iter().map(|sample| sample.civil_nanos().div_euclid(bin_nanos)).collect();
+        Ok(CountRate { bins, readings_per_bin: readings.samples.len() as f64 / observed.len().max(1) as f64 })
+    }
+
+    /// The parts to store.
+    pub fn to_parts(&self) -> CountRateParts {
+        CountRateParts {
+            periodicities: self.bins.periodicities.clone(),
+            bins: self.bins.to_parts(),
+            readings_per_bin: self.readings_per_bin,
+        }
+    }
+
+    /// The model from stored parts.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where a number is outside its range.
+    pub fn from_parts(parts: CountRateParts) -> Result<CountRate, InvalidParts> {
+        InvalidParts::check("readings of a bin", parts.readings_per_bin, 1.0..=f64::MAX)?;
+        let bins = PoissonSpectral::from_parts(&parts.periodicities, parts.bins)?;
+        Ok(CountRate { bins, readings_per_bin: parts.readings_per_bin })
+    }
+}
+
+impl TemporalModel for CountRate {
+    /// The expected count of a reading; above 0.
+    fn predict(&self, at: Moment) -> f64 {
+        self.bins.predict(at) / self.readings_per_bin
+    }
+}
