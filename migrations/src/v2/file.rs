@@ -17,7 +17,8 @@ pub const HISTORY_MAGIC: [u8; 8] = *b"tidemhst";
 pub const PIECE_MAX: usize = RECORD_MAX - 1;
 
 /// What a record is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, prost::Enumeration)]
+#[repr(i32)]
 pub enum RecordKind {
     /// [`super::map::MapSpec`].
     Spec = 1,
@@ -62,27 +63,6 @@ pub enum RecordKind {
     Site = 18,
 }
 
-const KINDS: [RecordKind; 18] = [
-    RecordKind::Spec,
-    RecordKind::Snapshot,
-    RecordKind::Producer,
-    RecordKind::State,
-    RecordKind::Grid,
-    RecordKind::SharedSum,
-    RecordKind::Tile,
-    RecordKind::TileModel,
-    RecordKind::TileSums,
-    RecordKind::Day,
-    RecordKind::DayTile,
-    RecordKind::AheadScan,
-    RecordKind::StateSamples,
-    RecordKind::Table,
-    RecordKind::End,
-    RecordKind::Update,
-    RecordKind::DoneTile,
-    RecordKind::Site,
-];
-
 /// Header of a record: kind u8, zero u8 × 3, payload length u32, payload CRC-32C u32, CRC-32C of the 12 bytes before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecordHeader {
@@ -108,7 +88,7 @@ impl RecordHeader {
     /// The header at the start of `bytes`, if it is complete and valid.
     pub fn decode(bytes: &[u8]) -> Option<RecordHeader> {
         let bytes = bytes.get(..RECORD_HEADER_LENGTH)?;
-        let kind = *KINDS.get(usize::from(bytes[0]).checked_sub(1)?)?;
+        let kind = RecordKind::try_from(i32::from(bytes[0])).ok()?;
         let payload_length = u32_at(bytes, 4);
         let sound = bytes[1..4] == [0, 0, 0]
             && payload_length as usize <= RECORD_MAX
@@ -139,7 +119,8 @@ mod tests {
 
     #[test]
     fn headers_come_back_and_every_flipped_bit_is_noticed() {
-        for kind in KINDS {
+        assert!(RecordKind::try_from(0).is_err() && RecordKind::try_from(19).is_err());
+        for kind in (1..=18).map(|number| RecordKind::try_from(number).expect("a kind")) {
             let record = RecordHeader { kind, payload_length: 70, payload_crc: 5 };
             assert_eq!(RecordHeader::decode(&record.encode()), Some(record));
             for bit in 0..RECORD_HEADER_LENGTH * 8 {

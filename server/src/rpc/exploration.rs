@@ -48,7 +48,7 @@ pub(crate) struct PlanLimits {
 }
 
 /// The service.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Explorations {
     catalog: Arc<Catalog>,
     limits: PlanLimits,
@@ -61,16 +61,6 @@ impl Explorations {
     pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits) -> Self {
         // A plan keeps all processors busy; more at once only wait for each other.
         Self { catalog, limits, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
-    }
-
-    /// A copy for work that continues by itself.
-    fn share(&self) -> Explorations {
-        Self {
-            catalog: Arc::clone(&self.catalog),
-            limits: self.limits,
-            fitting: Arc::clone(&self.fitting),
-            permits: self.permits.clone(),
-        }
     }
 
     fn predict_options(&self) -> PredictOptions {

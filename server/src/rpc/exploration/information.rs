@@ -136,7 +136,7 @@ pub(super) async fn get_information(
     };
     let predictions = targets.iter().map(all).sum::<u64>() * times_nanos.len() as u64;
     check_limit("predictions", predictions, explorations.limits.predictions, "setting max_predictions")?;
-    let asked = explorations.share();
+    let asked = explorations.clone();
     Ok(stream_replies(move |sink| async move {
         for (name, target) in targets {
             let rows = match target {
